@@ -1,0 +1,539 @@
+//! The integrator on a block of lanes. A lane whose trajectory ends takes the next one from the queue, so lanes do not
+//! wait for each other; what a lane computes depends on its own trajectory alone.
+//!
+//! `shaders/sweep.wgsl` mirrors this file.
+
+use super::lanes::{LaneProgram, Lanes};
+use super::real::Real;
+use crate::backend::{By, Run, Status};
+use crate::integrator::{Tableau, control};
+
+/// A compiled kernel's programs and layout.
+pub struct Compiled {
+    pub rate: LaneProgram,
+    pub guards: Option<(LaneProgram, Vec<bool>)>,
+    /// Inputs of both programs: the leading components.
+    pub inputs: usize,
+    pub dim: usize,
+    pub tableau: &'static Tableau,
+    pub by: By,
+    pub store: bool,
+}
+
+/// Where the results of consecutive trajectories go; slices of one chunk.
+pub struct Output<'a> {
+    pub end: &'a mut [f64],
+    pub end_time: &'a mut [f64],
+    pub status: &'a mut [Status],
+    pub steps: &'a mut [u32],
+    pub rejected: &'a mut [u32],
+    pub samples: &'a mut [f64],
+}
+
+/// Bookkeeping of one lane.
+#[derive(Clone, Copy, Default)]
+struct Lane {
+    /// Trajectory in the chunk; none when the queue has run dry.
+    trajectory: Option<usize>,
+    next_level: usize,
+    steps: u32,
+    rejected: u32,
+    first_step: f64,
+}
+
+/// Everything a block works on.
+struct Block<'a, T, const W: usize> {
+    kernel: &'a Compiled,
+    run: &'a Run,
+    file: Vec<Lanes<T, W>>,
+    guard_file: Vec<Lanes<T, W>>,
+    y: Vec<Lanes<T, W>>,
+    y_new: Vec<Lanes<T, W>>,
+    /// Stage derivatives, `[stage][component]`.
+    k: Vec<Lanes<T, W>>,
+    t: Lanes<T, W>,
+    h: Lanes<T, W>,
+    /// Squared error of the step before.
+    before: Lanes<T, W>,
+    lanes: [Lane; W],
+    atol: Vec<T>,
+}
+
+/// Integrates the `count` trajectories of one chunk.
+#[inline(always)]
+pub fn integrate<T: Real, const W: usize, const FMA: bool>(
+    kernel: &Compiled,
+    run: &Run,
+    seeds: &[f64],
+    out: &mut Output<'_>,
+) {
+    let dim = kernel.dim;
+    let zero = Lanes::splat(T::of(0.0));
+    let mut block = Block::<T, W> {
+        kernel,
+        run,
+        file: kernel.rate.registers(),
+        guard_file: kernel.guards.as_ref().map_or_else(Vec::new, |(g, _)| g.registers()),
+        y: vec![zero; dim],
+        y_new: vec![zero; dim],
+        k: vec![zero; dim * kernel.tableau.stages()],
+        t: zero,
+        h: zero,
+        before: Lanes::splat(T::of(1.0)),
+        lanes: [Lane::default(); W],
+        atol: run.atol.iter().map(|a| T::of(*a)).collect(),
+    };
+    let count = seeds.len() / dim;
+    let mut next = 0;
+    for lane in 0..W {
+        block.refill(lane, &mut next, count, seeds);
+    }
+    while block.lanes.iter().any(|l| l.trajectory.is_some()) {
+        let error = block.attempt::<FMA>();
+        let decided = block.control(&error);
+        for lane in 0..W {
+            if block.lanes[lane].trajectory.is_some() && block.settle::<FMA>(lane, &decided, out) {
+                block.refill(lane, &mut next, count, seeds);
+            }
+        }
+    }
+}
+
+/// What the step control decided for each lane.
+struct Decision<T, const W: usize> {
+    accepted: [bool; W],
+    finite: [bool; W],
+    next_h: Lanes<T, W>,
+}
+
+impl<T: Real, const W: usize> Block<'_, T, W> {
+    /// Puts the next trajectory of the queue into a lane, or idles it.
+    ///
+    /// A fresh lane's first attempt has h = 0: it moves nothing and leaves the derivative at the seed in the last
+    /// stage, from which the first step size follows.
+    fn refill(&mut self, lane: usize, next: &mut usize, count: usize, seeds: &[f64]) {
+        let dim = self.kernel.dim;
+        let trajectory = (*next < count).then_some(*next);
+        if let Some(i) = trajectory {
+            *next += 1;
+            for c in 0..dim {
+                self.y[c].0[lane] = T::of(seeds[i * dim + c]);
+            }
+        }
+        for c in 0..dim {
+            self.k[c].0[lane] = T::of(0.0);
+        }
+        self.t.0[lane] = T::of(0.0);
+        self.h.0[lane] = T::of(0.0);
+        self.before.0[lane] = T::of(1.0);
+        let coordinate = self.coordinate(lane);
+        let next_level = self.run.levels.iter().take_while(|l| T::of(**l) <= coordinate).count();
+        self.lanes[lane] = Lane { trajectory, next_level, ..Lane::default() };
+    }
+
+    fn coordinate(&self, lane: usize) -> T {
+        match self.kernel.by {
+            By::Time => self.t.0[lane],
+            By::Component(c) => self.y[c].0[lane],
+        }
+    }
+
+    /// All stages of one step of every lane; returns the squared error in the tolerance's norm (for a fixed-step method
+    /// 0 where the result is finite).
+    #[inline(always)]
+    fn attempt<const FMA: bool>(&mut self) -> Lanes<T, W> {
+        let (dim, tableau) = (self.kernel.dim, self.kernel.tableau);
+        let inputs = self.kernel.inputs;
+        let stages = tableau.stages();
+        for s in 1..stages {
+            let last = s + 1 == stages;
+            // Components that no derivative depends on are needed only at the end of the step.
+            let components = if last { dim } else { inputs };
+            for c in 0..components {
+                let mut sum = [T::of(0.0); W];
+                for (j, &a) in tableau.a[s - 1].iter().enumerate() {
+                    if a == 0.0 {
+                        continue;
+                    }
+                    let (a, k) = (T::of(a), &self.k[j * dim + c].0);
+                    for i in 0..W {
+                        sum[i] = k[i].mul_add::<FMA>(a, sum[i]);
+                    }
+                }
+                let (y, h) = (&self.y[c].0, &self.h.0);
+                let to = &mut self.y_new[c].0;
+                for i in 0..W {
+                    to[i] = sum[i].mul_add::<FMA>(h[i], y[i]);
+                }
+            }
+            self.kernel.rate.inputs(&mut self.file, inputs).copy_from_slice(&self.y_new[..inputs]);
+            self.kernel.rate.run::<T, W, FMA>(&mut self.file);
+            for c in 0..dim {
+                self.k[s * dim + c] = *self.kernel.rate.output(&self.file, c);
+            }
+        }
+        self.error::<FMA>()
+    }
+
+    #[inline(always)]
+    fn error<const FMA: bool>(&self) -> Lanes<T, W> {
+        let (dim, tableau) = (self.kernel.dim, self.kernel.tableau);
+        let mut total = [T::of(0.0); W];
+        let rtol = T::of(self.run.rtol);
+        for c in 0..dim {
+            let (y, y_new) = (&self.y[c].0, &self.y_new[c].0);
+            if !tableau.adaptive() {
+                // Zero times a finite number is zero; anything else is not a number.
+                let k = &self.k[(tableau.stages() - 1) * dim + c].0;
+                for i in 0..W {
+                    total[i] = total[i] + T::of(0.0) * (y_new[i] + k[i]);
+                }
+                continue;
+            }
+            let mut sum = [T::of(0.0); W];
+            for (j, &e) in tableau.error.iter().enumerate() {
+                let (e, k) = (T::of(e), &self.k[j * dim + c].0);
+                for i in 0..W {
+                    sum[i] = k[i].mul_add::<FMA>(e, sum[i]);
+                }
+            }
+            let (atol, h) = (self.atol[c], &self.h.0);
+            for i in 0..W {
+                let (p, q) = (y[i].absolute(), y_new[i].absolute());
+                let size = if p > q { p } else { q };
+                let e = sum[i] * h[i] / rtol.mul_add::<FMA>(size, atol);
+                total[i] = e.mul_add::<FMA>(e, total[i]);
+            }
+        }
+        let share = T::of(1.0 / dim as f64);
+        total.iter_mut().for_each(|e| *e = *e * share);
+        Lanes(total)
+    }
+
+    /// Accepts or rejects each lane's step and chooses its next size, branch-free.
+    #[inline(always)]
+    fn control(&mut self, error: &Lanes<T, W>) -> Decision<T, W> {
+        let mut decided = Decision { accepted: [false; W], finite: [false; W], next_h: self.h };
+        for i in 0..W {
+            decided.finite[i] = error.0[i].is_finite();
+            decided.accepted[i] = error.0[i] <= T::of(1.0);
+        }
+        if !self.kernel.tableau.adaptive() {
+            return decided;
+        }
+        for i in 0..W {
+            let floor = (control::LEAST_ERROR * control::LEAST_ERROR) as f32;
+            let e = error.0[i].f32();
+            let e = if e > floor { e } else { floor };
+            let before = self.before.0[i].f32();
+            // Squared errors: the exponents are halved.
+            let pi = control::SAFETY as f32
+                * exp2((-0.5 * control::ALPHA) as f32 * log2(e) + (0.5 * control::BETA) as f32 * log2(before));
+            let plain = control::SAFETY as f32 * exp2((-0.5 / 5.0) * log2(e));
+            let factor = if decided.accepted[i] { pi } else { plain };
+            let most = if decided.accepted[i] { control::GROW as f32 } else { 1.0 };
+            let factor = if factor < most { factor } else { most };
+            let factor = if factor > control::SHRINK as f32 { factor } else { control::SHRINK as f32 };
+            let factor = if decided.finite[i] { factor } else { control::SHRINK as f32 };
+            decided.next_h.0[i] = self.h.0[i] * T::of(f64::from(factor));
+            self.before.0[i] = if decided.accepted[i] { T::of(f64::from(e)) } else { self.before.0[i] };
+        }
+        decided
+    }
+
+    /// Finishes a lane's step: events, samples, end of the trajectory. True when the lane is free.
+    #[inline(always)]
+    fn settle<const FMA: bool>(&mut self, lane: usize, decided: &Decision<T, W>, out: &mut Output<'_>) -> bool {
+        let fresh = self.lanes[lane].steps + self.lanes[lane].rejected == 0 && self.h.0[lane] == T::of(0.0);
+        if fresh {
+            return self.start(lane, out);
+        }
+        if !decided.accepted[lane] {
+            self.lanes[lane].rejected += 1;
+            self.h.0[lane] = decided.next_h.0[lane];
+            let t = self.t.0[lane].f64();
+            let floor = control::FLOOR_ULPS * T::EPSILON * t.max(self.lanes[lane].first_step);
+            let too_small = self.h.0[lane].f64() < floor || !self.kernel.tableau.adaptive();
+            if too_small {
+                let status = if decided.finite[lane] { Status::StepFloor } else { Status::NotFinite };
+                return self.finish(lane, status, out);
+            }
+            return self.out_of_steps(lane, out);
+        }
+        self.lanes[lane].steps += 1;
+        if let Some(ended) = self.events::<FMA>(lane, out) {
+            return self.finish(lane, ended, out);
+        }
+        self.t.0[lane] = self.t.0[lane] + self.h.0[lane];
+        let last = (self.kernel.tableau.stages() - 1) * self.kernel.dim;
+        for c in 0..self.kernel.dim {
+            self.y[c].0[lane] = self.y_new[c].0[lane];
+            self.k[c].0[lane] = self.k[last + c].0[lane];
+        }
+        let outside = (self.run.bounds.iter().zip(&self.y))
+            .any(|([lo, hi], y)| !(y.0[lane] >= T::of(*lo) && y.0[lane] <= T::of(*hi)));
+        if outside {
+            return self.finish(lane, Status::LeftRegion, out);
+        }
+        if self.run.ceiling.is_some_and(|(c, v)| self.y[c].0[lane] >= T::of(v)) {
+            return self.finish(lane, Status::Reached, out);
+        }
+        self.h.0[lane] = self.limited(lane, decided.next_h.0[lane]);
+        self.out_of_steps(lane, out)
+    }
+
+    /// A step that does not pass the end where the end is a time.
+    fn limited(&self, lane: usize, h: T) -> T {
+        let (By::Time, Some(end)) = (self.kernel.by, self.run.levels.last()) else {
+            return h;
+        };
+        let left = T::of(*end) - self.t.0[lane];
+        // Stretched a little, so that no crumb is left at the end.
+        if h * T::of(1.0 + 1e-3) >= left { left } else { h }
+    }
+
+    fn out_of_steps(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
+        let l = &self.lanes[lane];
+        l.steps + l.rejected >= self.run.max_steps && self.finish(lane, Status::StepLimit, out)
+    }
+
+    /// First step of a fresh lane, from the derivative that its empty step has left.
+    fn start(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
+        let (dim, tableau) = (self.kernel.dim, self.kernel.tableau);
+        let last = (tableau.stages() - 1) * dim;
+        let (mut size, mut speed) = (0.0, 0.0);
+        for c in 0..dim {
+            let (y, k) = (self.y[c].0[lane], self.k[last + c].0[lane]);
+            self.k[c].0[lane] = k;
+            let scale = self.atol[c].f64() + self.run.rtol * y.f64().abs();
+            size += (y.f64() / scale).powi(2);
+            speed += (k.f64() / scale).powi(2);
+        }
+        if !speed.is_finite() {
+            return self.finish(lane, Status::NotFinite, out);
+        }
+        if self.lanes[lane].next_level == self.run.levels.len() {
+            return self.finish(lane, Status::Reached, out);
+        }
+        let first = if tableau.adaptive() { control::FIRST * (size / speed).sqrt() } else { self.run.step };
+        // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the step limit.
+        let first = if first.is_finite() && first > 0.0 { first } else { control::FIRST };
+        self.lanes[lane].first_step = first;
+        self.before.0[lane] = T::of(1.0);
+        self.h.0[lane] = self.limited(lane, T::of(first));
+        false
+    }
+
+    /// Guards and levels within an accepted step; the status when the trajectory ends in it, with its last point in
+    /// `y` and `t`.
+    #[inline(always)]
+    fn events<const FMA: bool>(&mut self, lane: usize, out: &mut Output<'_>) -> Option<Status> {
+        let mut most = T::of(1.0);
+        let mut ended = None;
+        if self.kernel.guards.is_some() && !self.inside::<FMA>(lane) {
+            most = self.last_inside::<FMA>(lane);
+            ended = Some(Status::Guard);
+        }
+        let levels = &self.run.levels;
+        let (start, end) = match self.kernel.by {
+            By::Time => (self.t.0[lane], self.t.0[lane] + self.h.0[lane]),
+            By::Component(c) => (self.y[c].0[lane], self.y_new[c].0[lane]),
+        };
+        while self.lanes[lane].next_level < levels.len() {
+            let k = self.lanes[lane].next_level;
+            let level = T::of(levels[k]);
+            if level > end {
+                break;
+            }
+            let last = k + 1 == levels.len();
+            if !self.kernel.store && !last {
+                self.lanes[lane].next_level += 1;
+                continue;
+            }
+            let q = self.locate::<FMA>(lane, level, start, end);
+            if q > most {
+                break;
+            }
+            if self.kernel.store {
+                self.store_sample::<FMA>(lane, k, q, out);
+            }
+            self.lanes[lane].next_level += 1;
+            if last {
+                most = q;
+                ended = Some(Status::Reached);
+            }
+        }
+        if ended.is_some() {
+            for c in 0..self.kernel.dim {
+                self.y[c].0[lane] = self.interpolate::<FMA>(lane, c, most);
+            }
+            self.t.0[lane] = most.mul_add::<FMA>(self.h.0[lane], self.t.0[lane]);
+            // A level that ends the trajectory is met by definition.
+            if let (Some(Status::Reached), By::Component(c)) = (ended, self.kernel.by) {
+                self.y[c].0[lane] = T::of(levels[levels.len() - 1]);
+            }
+        }
+        ended
+    }
+
+    /// Component `c` at fraction `q` of the lane's step.
+    #[inline(always)]
+    fn interpolate<const FMA: bool>(&self, lane: usize, c: usize, q: T) -> T {
+        if q == T::of(1.0) {
+            return self.y_new[c].0[lane];
+        }
+        let p = self.dense(lane, c);
+        let (h, y) = (self.h.0[lane], self.y[c].0[lane]);
+        let w = p[3].mul_add::<FMA>(q, p[2]).mul_add::<FMA>(q, p[1]).mul_add::<FMA>(q, p[0]);
+        (w * q).mul_add::<FMA>(h, y)
+    }
+
+    /// Coefficients of the dense output of component `c`: `y + h q (p0 + q (p1 + q (p2 + q p3)))`.
+    #[inline(always)]
+    fn dense(&self, lane: usize, c: usize) -> [T; 4] {
+        let mut p = [T::of(0.0); 4];
+        for (j, d) in self.kernel.tableau.dense.iter().enumerate() {
+            let k = self.k[j * self.kernel.dim + c].0[lane];
+            for (p, d) in p.iter_mut().zip(d) {
+                *p = *p + k * T::of(*d);
+            }
+        }
+        p
+    }
+
+    /// Fraction of the step at which the coordinate takes the value `level`, by Newton's method kept within a bracket.
+    #[inline(always)]
+    fn locate<const FMA: bool>(&self, lane: usize, level: T, start: T, end: T) -> T {
+        let guess = (level - start) / (end - start);
+        let By::Component(c) = self.kernel.by else {
+            return if level == end { T::of(1.0) } else { guess };
+        };
+        if level >= end {
+            return T::of(1.0);
+        }
+        let p = self.dense(lane, c);
+        let h = self.h.0[lane];
+        let (mut lo, mut hi, mut q) = (T::of(0.0), T::of(1.0), guess);
+        for _ in 0..30 {
+            let w = p[3].mul_add::<FMA>(q, p[2]).mul_add::<FMA>(q, p[1]).mul_add::<FMA>(q, p[0]);
+            let residual = (w * q).mul_add::<FMA>(h, start - level);
+            let slope = T::of(4.0) * p[3] * q * q * q + T::of(3.0) * p[2] * q * q + T::of(2.0) * p[1] * q + p[0];
+            if residual > T::of(0.0) {
+                hi = q;
+            } else {
+                lo = q;
+            }
+            let newton = q - residual / (slope * h);
+            let next = if newton > lo && newton < hi { newton } else { T::of(0.5) * (lo + hi) };
+            let moved = (next - q).absolute();
+            q = next;
+            if moved <= T::of(2.0 * T::EPSILON) {
+                break;
+            }
+        }
+        q
+    }
+
+    fn store_sample<const FMA: bool>(&self, lane: usize, level: usize, q: T, out: &mut Output<'_>) {
+        let Some(i) = self.lanes[lane].trajectory else { return };
+        let dim = self.kernel.dim;
+        let start = (i * self.run.levels.len() + level) * (1 + dim);
+        let to = &mut out.samples[start..start + 1 + dim];
+        to[0] = q.mul_add::<FMA>(self.h.0[lane], self.t.0[lane]).f64();
+        for c in 0..dim {
+            to[1 + c] = self.interpolate::<FMA>(lane, c, q).f64();
+        }
+        if let By::Component(c) = self.kernel.by {
+            to[1 + c] = self.run.levels[level];
+        }
+    }
+
+    /// Whether the lane's new point is inside all guards.
+    #[inline(always)]
+    fn inside<const FMA: bool>(&mut self, lane: usize) -> bool {
+        self.guards_hold::<FMA>(lane, T::of(1.0))
+    }
+
+    #[inline(always)]
+    fn guards_hold<const FMA: bool>(&mut self, lane: usize, q: T) -> bool {
+        let Some((program, strict)) = &self.kernel.guards else {
+            return true;
+        };
+        for c in 0..self.kernel.inputs {
+            let value = self.interpolate::<FMA>(lane, c, q);
+            program.inputs(&mut self.guard_file, self.kernel.inputs)[c].0[lane] = value;
+        }
+        program.run::<T, W, FMA>(&mut self.guard_file);
+        strict.iter().enumerate().all(|(g, strict)| {
+            let value = program.output(&self.guard_file, g).0[lane];
+            if *strict { value > T::of(0.0) } else { value >= T::of(0.0) }
+        })
+    }
+
+    /// Largest fraction of the step, to rounding, up to which the guards hold.
+    #[inline(always)]
+    fn last_inside<const FMA: bool>(&mut self, lane: usize) -> T {
+        let (mut lo, mut hi) = (T::of(0.0), T::of(1.0));
+        while (hi - lo).f64() > 4.0 * T::EPSILON {
+            let middle = T::of(0.5) * (lo + hi);
+            if self.guards_hold::<FMA>(lane, middle) {
+                lo = middle;
+            } else {
+                hi = middle;
+            }
+        }
+        lo
+    }
+
+    /// Writes a lane's result; the lane is then free.
+    fn finish(&mut self, lane: usize, status: Status, out: &mut Output<'_>) -> bool {
+        let l = self.lanes[lane];
+        if let Some(i) = l.trajectory {
+            let dim = self.kernel.dim;
+            for c in 0..dim {
+                out.end[i * dim + c] = self.y[c].0[lane].f64();
+            }
+            out.end_time[i] = self.t.0[lane].f64();
+            out.status[i] = status;
+            out.steps[i] = l.steps;
+            out.rejected[i] = l.rejected;
+        }
+        true
+    }
+}
+
+/// Base-2 logarithm to 1e-4, for step control only.
+#[inline(always)]
+fn log2(x: f32) -> f32 {
+    let bits = x.to_bits();
+    let exponent = (bits >> 23) as i32 - 127;
+    let m = f32::from_bits((bits & 0x007f_ffff) | 0x3f80_0000);
+    // 2/log(2) artanh(s), s = (m - 1)/(m + 1) <= 1/3.
+    let s = (m - 1.0) / (m + 1.0);
+    let z = s * s;
+    let p = s * (2.885_390_1 + z * (0.961_796_7 + z * (0.577_078 + z * 0.412_198_6)));
+    exponent as f32 + p
+}
+
+/// Base-2 exponential to 1e-4, for step control only.
+#[inline(always)]
+fn exp2(x: f32) -> f32 {
+    let shifted = x + 12_582_912.0;
+    let n = shifted.to_bits().wrapping_sub(12_582_912.0f32.to_bits());
+    let f = x - (shifted - 12_582_912.0);
+    let p = 1.0 + f * (0.693_147_2 + f * (0.240_226_5 + f * (0.055_504_1 + f * 0.009_618_1)));
+    f32::from_bits(p.to_bits().wrapping_add(n << 23))
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn step_control_functions_are_good_enough() {
+        for i in -60..60 {
+            let x = 1.37f32.powi(i);
+            assert!((super::log2(x) - x.log2()).abs() < 1e-3, "log2({x})");
+            let y = i as f32 * 0.37;
+            assert!((super::exp2(y) / y.exp2() - 1.0).abs() < 1e-3, "exp2({y})");
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! The CPU backend: rayon over chunks of trajectories, SIMD lanes within a chunk, the instruction set chosen at run time.
+
+mod block;
+pub mod lanes;
+pub mod real;
+
+use super::{Backend, BackendError, Kernel, Run, Spec, Status, Trajectories};
+use crate::model::Precision;
+use block::{Compiled, Output};
+use lanes::LaneProgram;
+use rayon::prelude::*;
+
+/// Instruction sets the lanes are compiled for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Simd {
+    Baseline,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Simd {
+    /// The widest set this machine has.
+    pub fn detect() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        {
+            if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") && is_x86_feature_detected!("avx512vl") {
+                return Simd::Avx512;
+            }
+            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+                return Simd::Avx2;
+            }
+        }
+        Simd::Baseline
+    }
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Simd::Baseline => "baseline SIMD",
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => "AVX2",
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => "AVX-512",
+        }
+    }
+}
+
+/// Lanes a block: several SIMD vectors, with the working set still in the first-level cache.
+const LANES_F64: usize = 16;
+const LANES_F32: usize = 32;
+
+/// The CPU backend.
+#[derive(Clone, Copy, Debug)]
+pub struct Cpu {
+    simd: Simd,
+}
+
+impl Cpu {
+    pub fn new() -> Self {
+        Self { simd: Simd::detect() }
+    }
+
+    /// A backend restricted to an instruction set the machine has; `None` where it has not.
+    pub fn with_simd(simd: Simd) -> Option<Self> {
+        let available = match simd {
+            Simd::Baseline => true,
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => Simd::detect() == Simd::Avx512,
+        };
+        available.then_some(Self { simd })
+    }
+}
+
+impl Default for Cpu {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Backend for Cpu {
+    fn name(&self) -> &'static str {
+        "cpu"
+    }
+
+    fn adapter(&self) -> String {
+        format!("CPU, {} threads, {}", rayon::current_num_threads(), self.simd.name())
+    }
+
+    fn supports(&self, _: Precision) -> bool {
+        true
+    }
+
+    fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
+        let compiled = Compiled {
+            rate: LaneProgram::new(&spec.rate),
+            guards: spec.guards.as_ref().map(|g| (LaneProgram::new(&g.program), g.strict.clone())),
+            inputs: spec.rate.inputs,
+            dim: spec.dim(),
+            tableau: spec.method.tableau(),
+            by: spec.by,
+            store: spec.store,
+        };
+        Ok(Box::new(CpuKernel { compiled, precision: spec.precision, simd: self.simd }))
+    }
+}
+
+struct CpuKernel {
+    compiled: Compiled,
+    precision: Precision,
+    simd: Simd,
+}
+
+impl Kernel for CpuKernel {
+    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
+        let dim = self.compiled.dim;
+        let count = seeds.len() / dim;
+        let levels = if self.compiled.store { run.levels.len() } else { 0 };
+        let mut result = Trajectories {
+            dim,
+            levels,
+            end: vec![f64::NAN; count * dim],
+            end_time: vec![f64::NAN; count],
+            status: vec![Status::NotFinite; count],
+            steps: vec![0; count],
+            rejected: vec![0; count],
+            samples: vec![f64::NAN; count * levels * (1 + dim)],
+        };
+        if count == 0 {
+            return Ok(result);
+        }
+        // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
+        let chunk = (count / (rayon::current_num_threads() * 8)).clamp(4 * LANES_F32, 2048);
+        let width = levels * (1 + dim);
+        // Without stored samples there is nothing to split; one chunk of an empty slice a task.
+        let mut sample_chunks: Vec<&mut [f64]> = if width == 0 {
+            (0..count.div_ceil(chunk)).map(|_| &mut [][..]).collect()
+        } else {
+            result.samples.chunks_mut(chunk * width).collect()
+        };
+        seeds
+            .par_chunks(chunk * dim)
+            .zip(result.end.par_chunks_mut(chunk * dim))
+            .zip(result.end_time.par_chunks_mut(chunk))
+            .zip(result.status.par_chunks_mut(chunk))
+            .zip(result.steps.par_chunks_mut(chunk))
+            .zip(result.rejected.par_chunks_mut(chunk))
+            .zip(sample_chunks.par_iter_mut())
+            .for_each(|((((((seeds, end), end_time), status), steps), rejected), samples)| {
+                let mut out = Output { end, end_time, status, steps, rejected, samples };
+                match self.precision {
+                    Precision::F64 => dispatch::<f64, LANES_F64>(self.simd, &self.compiled, run, seeds, &mut out),
+                    Precision::F32 => dispatch::<f32, LANES_F32>(self.simd, &self.compiled, run, seeds, &mut out),
+                }
+            });
+        Ok(result)
+    }
+}
+
+fn dispatch<T: real::Real, const W: usize>(simd: Simd, kernel: &Compiled, run: &Run, seeds: &[f64], out: &mut Output<'_>) {
+    match simd {
+        Simd::Baseline => block::integrate::<T, W, false>(kernel, run, seeds, out),
+        // SAFETY: the features were detected when the backend was made.
+        #[cfg(target_arch = "x86_64")]
+        Simd::Avx2 => unsafe { avx2::<T, W>(kernel, run, seeds, out) },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        Simd::Avx512 => unsafe { avx512::<T, W>(kernel, run, seeds, out) },
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn avx2<T: real::Real, const W: usize>(kernel: &Compiled, run: &Run, seeds: &[f64], out: &mut Output<'_>) {
+    block::integrate::<T, W, true>(kernel, run, seeds, out);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+fn avx512<T: real::Real, const W: usize>(kernel: &Compiled, run: &Run, seeds: &[f64], out: &mut Output<'_>) {
+    block::integrate::<T, W, true>(kernel, run, seeds, out);
+}

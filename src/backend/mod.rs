@@ -1,0 +1,188 @@
+//! Backends integrate batches of trajectories: seeds in; end states, stored samples, status and counters out.
+//!
+//! [`cpu`] and [`gpu`] implement the same traits and never import each other. What a batch does not ask for is not
+//! in its program: a [`Spec`] without guards or stored samples compiles to a kernel without them.
+
+pub mod cpu;
+pub mod gpu;
+
+use crate::model::{Method, Precision};
+use crate::program::Program;
+
+/// What a kernel is compiled for.
+#[derive(Clone, Debug)]
+pub struct Spec {
+    /// Derivatives of the integrated vector; its inputs are the first `rate.inputs` components, its outputs all.
+    pub rate: Program,
+    /// Guard values of the same inputs, where the scene has guards.
+    pub guards: Option<Guards>,
+    pub method: Method,
+    pub precision: Precision,
+    /// The coordinate whose levels are sampled and end a trajectory.
+    pub by: By,
+    /// Whether the points at all levels are kept, or only the end.
+    pub store: bool,
+}
+
+/// Guards of a [`Spec`]: outputs that must be positive (`strict`) or not negative.
+#[derive(Clone, Debug)]
+pub struct Guards {
+    pub program: Program,
+    pub strict: Vec<bool>,
+}
+
+/// The coordinate along a trajectory that its levels refer to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum By {
+    /// Backward time.
+    Time,
+    /// A component of the integrated vector (V, or arc length).
+    Component(usize),
+}
+
+impl Spec {
+    /// Components of the integrated vector.
+    pub fn dim(&self) -> usize {
+        self.rate.outputs.len()
+    }
+}
+
+/// What one batch is integrated with.
+#[derive(Clone, Debug)]
+pub struct Run {
+    pub rtol: f64,
+    /// Absolute tolerance a component.
+    pub atol: Vec<f64>,
+    /// Step of a fixed-step method.
+    pub step: f64,
+    /// Attempted steps after which a trajectory is given up.
+    pub max_steps: u32,
+    /// Levels of the sampling coordinate, ascending; the last one ends a trajectory.
+    pub levels: Vec<f64>,
+    /// A trajectory also ends, as reached, where this component passes this value (not located).
+    pub ceiling: Option<(usize, f64)>,
+    /// `[lower, upper]` of the leading components; outside a trajectory has left the region. May be empty.
+    pub bounds: Vec<[f64; 2]>,
+}
+
+/// How a trajectory ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[repr(i32)]
+pub enum Status {
+    /// The last level was reached.
+    Reached = 0,
+    /// It left the region, its margin included.
+    LeftRegion = 1,
+    /// It met a guard.
+    Guard = 2,
+    /// The step size fell below its floor.
+    StepFloor = 3,
+    /// The step limit was used up.
+    StepLimit = 4,
+    /// No finite step could be taken.
+    NotFinite = 5,
+}
+
+impl Status {
+    pub const ALL: [(Status, &'static str); 6] = [
+        (Status::Reached, "reached"),
+        (Status::LeftRegion, "left_region"),
+        (Status::Guard, "guard"),
+        (Status::StepFloor, "step_floor"),
+        (Status::StepLimit, "step_limit"),
+        (Status::NotFinite, "not_finite"),
+    ];
+
+    pub fn name(self) -> &'static str {
+        Status::ALL.iter().find(|(s, _)| *s == self).map_or("?", |(_, n)| n)
+    }
+
+    /// The status with this number, as kernels write it.
+    pub fn from_code(code: i32) -> Option<Self> {
+        Status::ALL.iter().map(|(s, _)| *s).find(|s| *s as i32 == code)
+    }
+}
+
+/// Result of one batch; trajectory-major. Values are f64 whatever the kernel's precision.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Trajectories {
+    /// Components of the integrated vector.
+    pub dim: usize,
+    /// Levels a trajectory; 0 where samples were not stored.
+    pub levels: usize,
+    /// `[trajectory][dim]`: the last point.
+    pub end: Vec<f64>,
+    /// Backward time of the last point.
+    pub end_time: Vec<f64>,
+    pub status: Vec<Status>,
+    /// Accepted and rejected steps.
+    pub steps: Vec<u32>,
+    pub rejected: Vec<u32>,
+    /// `[trajectory][level][1 + dim]`: backward time and vector at each level; NaN where a level was not passed.
+    pub samples: Vec<f64>,
+}
+
+impl Trajectories {
+    pub fn count(&self) -> usize {
+        self.status.len()
+    }
+
+    /// Backward time and vector of trajectory `i` at level `k`; the time is NaN where the level was not passed.
+    pub fn sample(&self, i: usize, k: usize) -> &[f64] {
+        let width = 1 + self.dim;
+        let start = (i * self.levels + k) * width;
+        &self.samples[start..start + width]
+    }
+}
+
+/// Set-up and device failures; a trajectory that fails is a [`Status`], not an error.
+#[derive(Debug, thiserror::Error)]
+pub enum BackendError {
+    #[error("no GPU adapter was found (a software one such as Mesa's llvmpipe will do, or use --backend cpu)")]
+    NoAdapter,
+    #[error("no adapter's name contains `{wanted}`; found: {found}")]
+    NoSuchAdapter { wanted: String, found: String },
+    #[error("adapter `{adapter}` has no f64 arithmetic; use --precision f32 or --backend cpu")]
+    NoF64 { adapter: String },
+    #[error("the adapter refused a device: {0}")]
+    Device(#[from] wgpu::RequestDeviceError),
+    #[error("generated shader does not validate, in {fragment} line {line}: {message}")]
+    Shader { fragment: String, line: usize, message: String },
+    #[error("GPU work was lost: {0}")]
+    Lost(#[from] wgpu::PollError),
+    #[error("a GPU buffer could not be read: {0}")]
+    Map(#[from] wgpu::BufferAsyncError),
+    #[error("kernel output slot {index} was not written")]
+    Unwritten { index: usize },
+    #[error("one trajectory of {bytes} bytes does not fit the adapter's limit of {limit} bytes a buffer; ask for fewer samples")]
+    TooLarge { bytes: u64, limit: u64 },
+}
+
+/// Something that can compile kernels.
+pub trait Backend: Send + Sync {
+    /// `cpu` or `gpu`.
+    fn name(&self) -> &'static str;
+    /// The device, in words.
+    fn adapter(&self) -> String;
+    /// Whether kernels of this precision can be made.
+    fn supports(&self, precision: Precision) -> bool;
+    /// # Errors
+    /// When the precision is not supported or the generated code is refused.
+    fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError>;
+}
+
+/// A compiled kernel.
+pub trait Kernel: Send {
+    /// Integrates `seeds` (`[trajectory][dim]`, f64 whatever the precision) as one batch. The caller bounds the batch
+    /// (see [`batch_limit`]); a trajectory's result does not depend on the batch it is in.
+    ///
+    /// # Errors
+    /// Device failures only.
+    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError>;
+}
+
+/// Trajectories a batch so that its results stay within about 64 MiB.
+pub fn batch_limit(dim: usize, stored_levels: usize) -> usize {
+    const BYTES: usize = 64 << 20;
+    (BYTES / (8 * (dim + 1) * (stored_levels + 2))).clamp(64, 65536)
+}

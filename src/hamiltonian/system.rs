@@ -1,0 +1,138 @@
+//! The equations in the form that is integrated: numbers for parameters, deviations from the reference point
+//! for states, backward time.
+
+use super::Hamiltonian;
+use crate::expr::{Deviation, Graph, Id, Kind};
+use crate::model::Model;
+use std::collections::HashMap;
+
+/// The backward bicharacteristics of a scene.
+///
+/// The integrated vector is `(s, p, V)` with `s = x - reference`, of dimension `2n + 1`, as functions of
+/// `tau = -t`: `ds/dtau = -f`, `dp/dtau = dH/dx`, `dV/dtau = L`.
+#[derive(Clone, Debug)]
+pub struct System {
+    pub graph: Graph,
+    /// Number of states n.
+    pub states: usize,
+    /// Input symbols: deviations `s`, then adjoints `p`.
+    pub inputs: Vec<Id>,
+    /// Derivatives of `(s, p, V)` by backward time.
+    pub rate: Vec<Id>,
+    /// Arc length per backward time in coordinates scaled by the region's widths.
+    pub arc_rate: Id,
+    /// What is reported at a point.
+    pub observer: Observer,
+    pub guards: Vec<GuardExpr>,
+    /// x at s = 0.
+    pub reference: Vec<f64>,
+    /// L at the point of least cost in u for the given s (p = 0): where it is nowhere negative V is monotone.
+    pub least_running: Id,
+}
+
+/// Expressions of `(s, p)` reported with each stored point.
+#[derive(Clone, Debug)]
+pub struct Observer {
+    pub control: Vec<Id>,
+    pub disturbance: Vec<Id>,
+    pub hamiltonian: Id,
+    /// Controls without their bounds, for the range in which the local solution holds.
+    pub unclamped: Vec<Id>,
+}
+
+/// A guard as an expression of `s` and `p`: inside where `expr > 0` (strict) or `expr >= 0`.
+#[derive(Clone, Debug)]
+pub struct GuardExpr {
+    pub name: String,
+    pub expr: Id,
+    pub strict: bool,
+}
+
+impl GuardExpr {
+    /// Whether a value of the expression is inside.
+    pub fn holds(&self, value: f64) -> bool {
+        if self.strict { value > 0.0 } else { value >= 0.0 }
+    }
+}
+
+impl System {
+    pub fn new(hamiltonian: &Hamiltonian, model: &Model) -> Self {
+        let mut graph = hamiltonian.graph.clone();
+        let n = hamiltonian.states();
+        let mut symbols: HashMap<Id, Deviation> = HashMap::new();
+        let zero = graph.constant(0.0);
+        for (symbol, value) in model.parameter_values() {
+            symbols.insert(symbol, Deviation { at: value, change: zero });
+        }
+        let mut inputs = Vec::new();
+        for (state, &at) in model.states.iter().zip(model.reference()) {
+            let s = graph.symbol(&format!("d_{}", state.variable.name), Kind::State);
+            symbols.insert(state.variable.symbol, Deviation { at, change: s });
+            inputs.push(s);
+        }
+        for &p in &hamiltonian.p {
+            symbols.insert(p, Deviation { at: 0.0, change: p });
+            inputs.push(p);
+        }
+        let roots: Vec<Id> = (hamiltonian.state_rate.iter())
+            .chain(&hamiltonian.adjoint_rate)
+            .chain([&hamiltonian.running, &hamiltonian.value])
+            .chain(&hamiltonian.control)
+            .chain(&hamiltonian.unclamped)
+            .chain(&hamiltonian.disturbance)
+            .copied()
+            .chain(hamiltonian.guards.iter().map(|g| g.condition.expr))
+            .collect();
+        let forms = graph.deviations(&roots, &symbols);
+        // An equilibrium makes every rate, L and H vanish at s = 0, p = 0; what is left of their values there is
+        // rounding and is dropped. The scene's check has bounded it.
+        let at_rest = matches!(model.horizon, crate::model::Horizon::Infinite { .. });
+        let mut whole = |range: std::ops::Range<usize>, drop_value: bool| -> Vec<Id> {
+            forms[range].iter().map(|f| if drop_value { f.change } else { graph.whole(*f) }).collect()
+        };
+        let forward = whole(0..2 * n, at_rest);
+        let costs = whole(2 * n..2 * n + 2, at_rest);
+        let (m, k) = (hamiltonian.control.len(), hamiltonian.disturbance.len());
+        let mut start = 2 * n + 2;
+        let mut take = |count: usize| {
+            start += count;
+            whole(start - count..start, false)
+        };
+        let (control, unclamped, disturbance) = (take(m), take(m), take(k));
+        let guards = take(hamiltonian.guards.len());
+
+        let mut rate: Vec<Id> = forward.iter().map(|f| graph.neg(*f)).collect();
+        rate.push(costs[0]);
+        let squares: Vec<Id> = (rate[..n].iter().zip(&model.region))
+            .map(|(f, [lo, hi])| {
+                let width = graph.constant(1.0 / (hi - lo));
+                let scaled = graph.mul(*f, width);
+                graph.powi(scaled, 2)
+            })
+            .collect();
+        let square = graph.sum(&squares);
+        let arc_rate = graph.unary(crate::expr::Fun::Sqrt, square);
+        let at_zero_adjoint = hamiltonian.p.iter().map(|p| (*p, zero)).collect();
+        let least_running = graph.substitute(&[costs[0]], &at_zero_adjoint)[0];
+        let guards = (hamiltonian.guards.iter().zip(guards))
+            .map(|(g, expr)| GuardExpr { name: g.name.clone(), expr, strict: g.strict })
+            .collect();
+        Self {
+            states: n,
+            inputs,
+            rate,
+            arc_rate,
+            observer: Observer { control, disturbance, hamiltonian: costs[1], unclamped },
+            guards,
+            reference: model.reference().to_vec(),
+            least_running,
+            graph,
+        }
+    }
+
+    /// Values of expressions at `(s, p)` in f64; for a few points, not for sweeps.
+    pub fn eval(&self, exprs: &[Id], s: &[f64], p: &[f64]) -> Vec<f64> {
+        let values = self.inputs.iter().copied().zip(s.iter().chain(p).copied()).collect();
+        self.graph.eval(exprs, &values)
+    }
+}

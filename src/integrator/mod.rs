@@ -1,0 +1,102 @@
+//! Runge-Kutta methods as data: one tableau serves every backend.
+
+/// An explicit method whose last stage is the derivative at the new point ("first same as last").
+pub struct Tableau {
+    /// Order of the advanced solution.
+    pub order: u32,
+    /// Row i gives stage i + 1 from the stages before it; the last row is the solution's weights.
+    pub a: &'static [&'static [f64]],
+    /// Weights of the error estimate, or empty for a fixed-step method.
+    pub error: &'static [f64],
+    /// Dense output: weight of stage j at fraction q of the step is `q * (d[j][0] + q*(d[j][1] + q*(d[j][2] + q*d[j][3])))`.
+    pub dense: &'static [[f64; 4]],
+}
+
+impl Tableau {
+    /// Stages, the one at the new point included.
+    pub const fn stages(&self) -> usize {
+        self.a.len() + 1
+    }
+
+    /// Whether steps are chosen by an error estimate.
+    pub const fn adaptive(&self) -> bool {
+        !self.error.is_empty()
+    }
+}
+
+/// The classical method of order 4 (Kutta 1901). Dense output is the cubic Hermite interpolant, of order 3 locally
+/// like the method's own global error.
+pub static RK4: Tableau = Tableau {
+    order: 4,
+    a: &[&[0.5], &[0.0, 0.5], &[0.0, 0.0, 1.0], &[1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0]],
+    error: &[],
+    // y0 + q h k1 + (3q^2 - 2q^3)(y1 - y0 - h k1) ... collected by stage, with k5 = f(y1):
+    // h00 cancels; y1 - y0 = h (k1 + 2 k2 + 2 k3 + k4)/6.
+    dense: &[
+        [1.0, -2.0 + 0.5, 1.0 - 1.0 / 3.0, 0.0],
+        [0.0, 1.0, -2.0 / 3.0, 0.0],
+        [0.0, 1.0, -2.0 / 3.0, 0.0],
+        [0.0, 0.5, -1.0 / 3.0, 0.0],
+        [0.0, -1.0, 1.0, 0.0],
+    ],
+};
+
+/// Order 5(4) pair of Ch. Tsitouras, "Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying
+/// assumption", Computers & Mathematics with Applications 62 (2011), 770-775; dense output of order 4 from there.
+pub static TSIT5: Tableau = Tableau {
+    order: 5,
+    a: &[
+        &[0.161],
+        &[-0.008480655492356989, 0.335480655492357],
+        &[2.8971530571054935, -6.359448489975075, 4.3622954328695815],
+        &[5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525],
+        &[5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383],
+        &[0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774],
+    ],
+    error: &[
+        -0.00178001105222577714,
+        -0.0008164344596567469,
+        0.007880878010261995,
+        -0.1447110071732629,
+        0.5823571654525552,
+        -0.45808210592918697,
+        0.015151515151515152,
+    ],
+    dense: &[
+        [1.0, -2.763706197274826, 2.9132554618219126, -1.0530884977290216],
+        [0.0, 0.13169999999999998, -0.2234, 0.1017],
+        [0.0, 3.9302962368947516, -5.941033872131505, 2.490627285651253],
+        [0.0, -12.411077166933676, 30.33818863028232, -16.548102889244902],
+        [0.0, 37.50931341651104, -88.1789048947664, 47.37952196281928],
+        [0.0, -27.896526289197286, 65.09189467479366, -34.87065786149661],
+        [0.0, 1.5, -4.0, 2.5],
+    ],
+};
+
+impl crate::model::Method {
+    pub fn tableau(self) -> &'static Tableau {
+        match self {
+            crate::model::Method::Rk4 => &RK4,
+            crate::model::Method::Tsit5 => &TSIT5,
+        }
+    }
+}
+
+/// Step control, shared by all backends.
+///
+/// With `e` the RMS over components of error / (atol + rtol |y|), a step is accepted when `e <= 1` and the next one is
+/// `h * clamp(SAFETY * e^-ALPHA * e_before^BETA, SHRINK, GROW)` (PI control, Hairer & Wanner, Solving ODEs II, IV.2).
+pub mod control {
+    pub const SAFETY: f64 = 0.9;
+    /// Exponents for an order-5 method with an order-4 estimate.
+    pub const ALPHA: f64 = 0.7 / 5.0;
+    pub const BETA: f64 = 0.4 / 5.0;
+    pub const SHRINK: f64 = 0.2;
+    pub const GROW: f64 = 5.0;
+    /// First step: this fraction of |y|/|y'| in the tolerance's norm.
+    pub const FIRST: f64 = 0.01;
+    /// The step floor in units of rounding of the time or the first step.
+    pub const FLOOR_ULPS: f64 = 16.0;
+    /// Smallest error remembered for the next step, so that one lucky step does not throw the next one.
+    pub const LEAST_ERROR: f64 = 1e-4;
+}

@@ -1,0 +1,207 @@
+//! A scene as the rest of the program sees it: symbols, expressions and settings. Nothing here knows TOML.
+
+use crate::expr::{Graph, Id};
+use std::ops::Range;
+
+/// Byte range in the scenario's text, for messages.
+pub type Span = Range<usize>;
+
+/// A named, possibly unit-carrying axis entry.
+#[derive(Clone, Debug)]
+pub struct Variable {
+    pub name: String,
+    pub unit: Option<String>,
+    pub long_name: Option<String>,
+    pub symbol: Id,
+    /// Where it is declared.
+    pub span: Span,
+}
+
+/// A state; `period` makes it an angle-like coordinate.
+#[derive(Clone, Debug)]
+pub struct State {
+    pub variable: Variable,
+    pub period: Option<f64>,
+}
+
+/// A control with optional bounds (both numbers, lower below upper).
+#[derive(Clone, Debug)]
+pub struct Control {
+    pub variable: Variable,
+    pub min: Option<f64>,
+    pub max: Option<f64>,
+    /// Where the bounds stand, if any.
+    pub bounds_span: Option<Span>,
+}
+
+/// A parameter and its value.
+#[derive(Clone, Debug)]
+pub struct Parameter {
+    pub name: String,
+    pub symbol: Id,
+    pub value: f64,
+}
+
+/// An expression and the place it was written.
+#[derive(Clone, Debug)]
+pub struct Located {
+    pub expr: Id,
+    pub span: Span,
+}
+
+/// Condition under which the model is valid: `expr` is positive (or not negative) inside.
+#[derive(Clone, Debug)]
+pub struct Guard {
+    pub name: String,
+    /// Normalised: `a > b` and `b < a` become `a - b`.
+    pub condition: Located,
+    /// `>` rather than `>=`.
+    pub strict: bool,
+}
+
+/// What ends the trajectories in forward time.
+#[derive(Clone, Debug)]
+pub enum Horizon {
+    /// The equilibrium: values of all states and controls, where f = 0 and L = 0.
+    Infinite { x: Vec<f64>, u: Vec<f64>, span: Span },
+    /// Terminal cost phi(x) at `final_time`; `reference` is the point deviations are taken from.
+    Finite { terminal: Located, final_time: f64, reference: Vec<f64> },
+}
+
+/// V of the seed ellipsoid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SeedValue {
+    Auto,
+    Value(f64),
+}
+
+/// `[shoot_out]`.
+#[derive(Clone, Debug)]
+pub struct ShootOut {
+    /// Fronts up to this V. Absent only in a finite-horizon scene.
+    pub value_max: Option<f64>,
+    /// Largest gap between neighbours on a front as a fraction of the region's box.
+    pub spacing: f64,
+    pub seed_value: SeedValue,
+    /// Stored points a trajectory.
+    pub samples: usize,
+    /// Cap on the number of seeds.
+    pub max_seeds: usize,
+    /// How far outside the region a trajectory is followed, as a fraction of the region's width on each side.
+    pub margin: f64,
+    pub span: Span,
+}
+
+/// Largest number of seeds unless `[shoot_out] max_seeds` says otherwise.
+pub const DEFAULT_MAX_SEEDS: usize = 100_000;
+/// How far a trajectory is followed outside the region unless `[shoot_out] margin` says otherwise.
+pub const DEFAULT_MARGIN: f64 = 1.0;
+
+/// One axis of the `[homotopy]` grid: a fixed value or `count` values from `first` to `last`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum GridAxis {
+    Fixed(f64),
+    Range { first: f64, last: f64, count: usize },
+}
+
+/// `[homotopy]`: one axis a state (a state not named is fixed at the equilibrium).
+#[derive(Clone, Debug)]
+pub struct Homotopy {
+    pub axes: Vec<GridAxis>,
+    pub span: Span,
+}
+
+/// Integration method.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Method {
+    Rk4,
+    Tsit5,
+}
+
+impl Method {
+    pub const ALL: [(&'static str, Method); 2] = [("rk4", Method::Rk4), ("tsit5", Method::Tsit5)];
+
+    pub fn name(self) -> &'static str {
+        Method::ALL.iter().find(|(_, m)| *m == self).map_or("?", |(n, _)| n)
+    }
+}
+
+/// Arithmetic of the integration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Precision {
+    F32,
+    F64,
+}
+
+impl Precision {
+    pub fn name(self) -> &'static str {
+        match self {
+            Precision::F32 => "f32",
+            Precision::F64 => "f64",
+        }
+    }
+
+    /// Unit roundoff times two: the spacing of numbers at 1.
+    pub fn epsilon(self) -> f64 {
+        match self {
+            Precision::F32 => f64::from(f32::EPSILON),
+            Precision::F64 => f64::EPSILON,
+        }
+    }
+}
+
+/// `[integrator]`. `precision: None` is "auto".
+#[derive(Clone, Debug)]
+pub struct Integrator {
+    pub method: Method,
+    pub rtol: f64,
+    pub atol: f64,
+    /// Step of a fixed-step method; required for it.
+    pub step: Option<f64>,
+    pub precision: Option<Precision>,
+    pub max_steps: usize,
+    pub span: Option<Span>,
+}
+
+/// Step limit unless `[integrator] max_steps` says otherwise.
+pub const DEFAULT_MAX_STEPS: usize = 100_000;
+
+/// A whole scene, checked for everything that can be checked without deriving the Hamiltonian.
+#[derive(Clone, Debug)]
+pub struct Model {
+    pub title: String,
+    /// File name for messages, and the whole text for messages and the result file.
+    pub file_name: String,
+    pub text: String,
+    pub graph: Graph,
+    pub parameters: Vec<Parameter>,
+    pub states: Vec<State>,
+    pub controls: Vec<Control>,
+    pub disturbances: Vec<Variable>,
+    /// One a state: its time derivative.
+    pub dynamics: Vec<Located>,
+    /// Running cost L.
+    pub running: Located,
+    pub horizon: Horizon,
+    /// `[lower, upper]` a state.
+    pub region: Vec<[f64; 2]>,
+    pub guards: Vec<Guard>,
+    pub shoot_out: Option<ShootOut>,
+    pub homotopy: Option<Homotopy>,
+    pub integrator: Integrator,
+}
+
+impl Model {
+    /// Value of every parameter symbol.
+    pub fn parameter_values(&self) -> std::collections::HashMap<Id, f64> {
+        self.parameters.iter().map(|p| (p.symbol, p.value)).collect()
+    }
+
+    /// The point deviations are taken from: the equilibrium, or the finite horizon's reference.
+    pub fn reference(&self) -> &[f64] {
+        match &self.horizon {
+            Horizon::Infinite { x, .. } => x,
+            Horizon::Finite { reference, .. } => reference,
+        }
+    }
+}

@@ -1,0 +1,1 @@
+mod problem; pub use problem::Problem;

@@ -1,0 +1,25 @@
+//! Problems found in a scenario, each with its place; all of a file are reported together.
+
+use crate::model::Span;
+
+/// One problem: what is wrong, where, and what may help.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Problem {
+    pub message: String,
+    /// The text to underline; `None` where no text is at fault (a missing section).
+    pub span: Option<Span>,
+    /// Short text at the underline.
+    pub label: String,
+    pub help: Option<String>,
+}
+
+impl Problem {
+    pub fn at(span: Span, message: impl Into<String>, label: impl Into<String>) -> Self {
+        Self { message: message.into(), span: Some(span), label: label.into(), help: None }
+    }
+
+    pub fn with_help(mut self, help: impl Into<String>) -> Self {
+        self.help = Some(help.into());
+        self
+    }
+}
