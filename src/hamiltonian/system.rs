@@ -58,13 +58,6 @@ pub struct GuardExpr {
     pub strict: bool,
 }
 
-impl GuardExpr {
-    /// Whether a value of the expression is inside.
-    pub fn holds(&self, value: f64) -> bool {
-        if self.strict { value > 0.0 } else { value >= 0.0 }
-    }
-}
-
 impl System {
     pub fn new(hamiltonian: &Hamiltonian, model: &Model) -> Self {
         let mut graph = hamiltonian.graph.clone();

@@ -17,6 +17,8 @@ pub struct Basis {
     /// `start[k]..start[k + 1]` are the monomials of degree k.
     pub start: Vec<usize>,
     products: Vec<(u32, u32, u32)>,
+    /// Each monomial after the first as a lower one times a variable.
+    factors: Vec<(u32, u32)>,
 }
 
 impl Basis {
@@ -37,7 +39,15 @@ impl Basis {
                 }
             }
         }
-        Self { variables, degree, start, products, exponents }
+        let factors = (exponents.iter().skip(1))
+            .map(|e| {
+                let v = e.iter().position(|n| *n > 0).unwrap_or(0);
+                let mut lower = e.clone();
+                lower[v] -= 1;
+                (index[&lower] as u32, v as u32)
+            })
+            .collect();
+        Self { variables, degree, start, products, factors, exponents }
     }
 
     /// Number of monomials of up to `degree` in `variables`.
@@ -105,7 +115,12 @@ impl Basis {
 
     /// Values of all monomials at a point.
     pub fn monomials(&self, z: &[f64]) -> Vec<f64> {
-        self.exponents.iter().map(|e| e.iter().zip(z).map(|(n, x)| x.powi(i32::from(*n))).product()).collect()
+        let mut values = Vec::with_capacity(self.exponents.len());
+        values.push(1.0);
+        for (lower, v) in &self.factors {
+            values.push(values[*lower as usize] * z[*v as usize]);
+        }
+        values
     }
 }
 

@@ -117,7 +117,7 @@ impl Plan {
                 (Surface::sphere(&system, local.clone()), Some(local), value_max)
             }
             Some(terminal) => {
-                let surface = Surface::terminal(&system, terminal.clone(), region.clone());
+                let surface = Surface::terminal(&system, terminal, region.clone());
                 let scale = surface.largest_value();
                 (surface, None, if scale > 0.0 { scale } else { 1.0 })
             }

@@ -48,8 +48,8 @@ impl Simd {
 }
 
 /// Lanes a block: several SIMD vectors, with the working set still in the first-level cache.
-const LANES_F64: usize = 16;
-const LANES_F32: usize = 32;
+const LANES_F64: usize = 64;
+const LANES_F32: usize = 128;
 
 /// The CPU backend.
 #[derive(Clone, Copy, Debug)]
@@ -133,7 +133,7 @@ impl Kernel for CpuKernel {
             return Ok(result);
         }
         // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
-        let chunk = (count / (rayon::current_num_threads() * 8)).clamp(4 * LANES_F32, 2048);
+        let chunk = (count / (rayon::current_num_threads() * 4)).clamp(4 * LANES_F32, 8192);
         let width = levels * (1 + dim);
         // Without stored samples there is nothing to split; one chunk of an empty slice a task.
         let mut sample_chunks: Vec<&mut [f64]> = if width == 0 {
