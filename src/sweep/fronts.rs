@@ -139,6 +139,7 @@ impl<'a> Fronts<'a> {
         let parameter = self.plan.surface.nudged(parameter);
         let seed = self.plan.surface.seed(&parameter);
         let inside = self.plan.surface.inside(&seed);
+        let boundary = boundary || (inside && self.plan.surface.on_boundary(&seed));
         let state = if inside {
             self.pending.push(vertex);
             NodeState::Pending

@@ -112,6 +112,7 @@ impl Plan {
                     asked: shoot_out.seed_value,
                     tolerance: SEED_SHARE * rtol * first_front,
                     ceiling: 0.5 * first_front,
+                    outer: value_max,
                 };
                 let local = LocalSolution::new(&system, model, riccati, choice)?;
                 (Surface::sphere(&system, local.clone()), Some(local), value_max)

@@ -7,6 +7,8 @@ use crate::program::Program;
 
 /// Initial seeds for each dimension of the surface; fronts that need more get more.
 const INITIAL: usize = 64;
+/// Guard values within this, relative to the seed's size, are zero but for rounding.
+const ROUNDING: f64 = 1e-10;
 
 /// A surface of seeds with coordinates ("parameters") in which points between seeds are found.
 pub struct Surface {
@@ -107,6 +109,12 @@ impl Surface {
         self.guard_values(seed).iter().zip(&self.strict).all(|(v, strict)| holds(*v, *strict))
     }
 
+    /// Whether a seed lies on the boundary of a guard, to rounding.
+    pub fn on_boundary(&self, seed: &[f64]) -> bool {
+        let size = seed[..self.states].iter().fold(0.0f64, |a, s| a.max(s.abs()));
+        self.guard_values(seed).iter().any(|v| v.abs() <= ROUNDING * size)
+    }
+
     fn guard_values(&self, seed: &[f64]) -> Vec<f64> {
         self.guards.eval(&seed[..2 * self.states])
     }
@@ -114,7 +122,6 @@ impl Surface {
     /// The parameter moved back inside where it is outside by rounding alone: points between two on a guard's boundary
     /// lie on it, but for rounding.
     pub fn nudged(&self, parameter: Vec<f64>) -> Vec<f64> {
-        const ROUNDING: f64 = 1e-10;
         const STEP: f64 = 1e-6;
         if self.strict.is_empty() {
             return parameter;

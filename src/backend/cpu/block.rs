@@ -564,6 +564,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         q
     }
 
+    #[inline(always)]
     fn store_sample<const FMA: bool>(&self, lane: usize, level: usize, q: T, out: &mut Output<'_>) {
         let Some(i) = self.trajectory[lane] else { return };
         let dim = self.kernel.dim;
