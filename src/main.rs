@@ -1,1 +1,7 @@
-fn main(){}
+//! The `costate` program: see `costate --help`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    costate::cli::main()
+}

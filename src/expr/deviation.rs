@@ -35,11 +35,17 @@ impl Graph {
         for id in self.reachable(roots) {
             let zero = self.constant(0.0);
             let value = match self.node(id) {
-                Node::Const(bits) => Deviation { at: f64::from_bits(bits), change: zero },
+                Node::Const(bits) => Deviation {
+                    at: f64::from_bits(bits),
+                    change: zero,
+                },
                 Node::Symbol(_) => symbols[&id],
                 Node::Neg(a) => {
                     let a = memo[&a];
-                    Deviation { at: -a.at, change: self.neg(a.change) }
+                    Deviation {
+                        at: -a.at,
+                        change: self.neg(a.change),
+                    }
                 }
                 Node::Unary(f, a) => self.deviate_unary(f, memo[&a]),
                 Node::Powi(a, n) => self.deviate_power(memo[&a], n),
@@ -65,7 +71,10 @@ impl Graph {
     fn plain(&mut self, at: f64, whole: Id) -> Deviation {
         let at = if at.is_finite() { at } else { 0.0 };
         let c = self.constant(at);
-        Deviation { at, change: self.sub(whole, c) }
+        Deviation {
+            at,
+            change: self.sub(whole, c),
+        }
     }
 
     fn deviate_unary(&mut self, f: Fun, a: Deviation) -> Deviation {
@@ -77,23 +86,40 @@ impl Graph {
         match f {
             Fun::Sin | Fun::Cos => {
                 if c == 0.0 && f == Fun::Sin {
-                    return Deviation { at: 0.0, change: self.unary(Fun::Sin, d) };
+                    return Deviation {
+                        at: 0.0,
+                        change: self.unary(Fun::Sin, d),
+                    };
                 }
                 // sin(c+d) - sin(c) = 2 sin(d/2) (cos(c) cos(d/2) - sin(c) sin(d/2)), and alike for cos.
                 let half = self.scale(0.5, d);
                 let (s, k) = (self.unary(Fun::Sin, half), self.unary(Fun::Cos, half));
-                let (x, y) = if f == Fun::Sin { (2.0 * c.cos(), -2.0 * c.sin()) } else { (-2.0 * c.sin(), -2.0 * c.cos()) };
+                let (x, y) = if f == Fun::Sin {
+                    (2.0 * c.cos(), -2.0 * c.sin())
+                } else {
+                    (-2.0 * c.sin(), -2.0 * c.cos())
+                };
                 let (p, q) = (self.scale(x, k), self.scale(y, s));
                 let sum = self.add(p, q);
-                Deviation { at: value, change: self.mul(s, sum) }
+                Deviation {
+                    at: value,
+                    change: self.mul(s, sum),
+                }
             }
             Fun::Sinh | Fun::Cosh => {
                 let half = self.scale(0.5, d);
                 let (s, k) = (self.unary(Fun::Sinh, half), self.unary(Fun::Cosh, half));
-                let (x, y) = if f == Fun::Sinh { (2.0 * c.cosh(), 2.0 * c.sinh()) } else { (2.0 * c.sinh(), 2.0 * c.cosh()) };
+                let (x, y) = if f == Fun::Sinh {
+                    (2.0 * c.cosh(), 2.0 * c.sinh())
+                } else {
+                    (2.0 * c.sinh(), 2.0 * c.cosh())
+                };
                 let (p, q) = (self.scale(x, k), self.scale(y, s));
                 let sum = self.add(p, q);
-                Deviation { at: value, change: self.mul(s, sum) }
+                Deviation {
+                    at: value,
+                    change: self.mul(s, sum),
+                }
             }
             Fun::Tan | Fun::Tanh => {
                 let t = self.unary(f, d);
@@ -102,21 +128,33 @@ impl Graph {
                 let numerator = self.scale(1.0 + sign * value * value, t);
                 let vt = self.scale(-sign * value, t);
                 let denominator = self.add(one, vt);
-                Deviation { at: value, change: self.div(numerator, denominator) }
+                Deviation {
+                    at: value,
+                    change: self.div(numerator, denominator),
+                }
             }
             Fun::Exp => {
                 let e = self.unary(Fun::Expm1, d);
-                Deviation { at: value, change: self.scale(value, e) }
+                Deviation {
+                    at: value,
+                    change: self.scale(value, e),
+                }
             }
             Fun::Expm1 => {
                 let e = self.unary(Fun::Expm1, d);
-                Deviation { at: value, change: self.scale(c.exp(), e) }
+                Deviation {
+                    at: value,
+                    change: self.scale(c.exp(), e),
+                }
             }
             Fun::Log | Fun::Log1p => {
                 let base = if f == Fun::Log { c } else { 1.0 + c };
                 if base > 0.0 {
                     let q = self.scale(1.0 / base, d);
-                    return Deviation { at: value, change: self.unary(Fun::Log1p, q) };
+                    return Deviation {
+                        at: value,
+                        change: self.unary(Fun::Log1p, q),
+                    };
                 }
                 let whole = self.whole(a);
                 let v = self.unary(f, whole);
@@ -127,12 +165,18 @@ impl Graph {
                 let root = self.unary(Fun::Sqrt, whole);
                 let at = self.constant(value);
                 let sum = self.add(root, at);
-                Deviation { at: value, change: self.div(d, sum) }
+                Deviation {
+                    at: value,
+                    change: self.div(d, sum),
+                }
             }
             // Values that jump have no useful deviation form.
             Fun::Sign | Fun::Step => {
                 let whole = self.whole(a);
-                Deviation { at: 0.0, change: self.unary(f, whole) }
+                Deviation {
+                    at: 0.0,
+                    change: self.unary(f, whole),
+                }
             }
             Fun::Asin | Fun::Acos | Fun::Atan | Fun::Abs | Fun::Sqrt => {
                 let whole = self.whole(a);
@@ -144,17 +188,26 @@ impl Graph {
 
     fn deviate_power(&mut self, a: Deviation, n: i32) -> Deviation {
         if self.is_zero(a.change) {
-            return Deviation { at: a.at.powi(n), change: a.change };
+            return Deviation {
+                at: a.at.powi(n),
+                change: a.change,
+            };
         }
         if n < 0 {
             let one = self.constant(1.0);
             let zero = self.constant(0.0);
-            let one = Deviation { at: self.as_constant(one).unwrap_or(1.0), change: zero };
+            let one = Deviation {
+                at: self.as_constant(one).unwrap_or(1.0),
+                change: zero,
+            };
             let p = self.deviate_power(a, -n);
             return self.deviate_binary(Op::Div, one, p);
         }
         if a.at == 0.0 {
-            return Deviation { at: 0.0, change: self.powi(a.change, n) };
+            return Deviation {
+                at: 0.0,
+                change: self.powi(a.change, n),
+            };
         }
         if n > 6 {
             let half = self.deviate_power(a, n / 2);
@@ -174,33 +227,47 @@ impl Graph {
             let c = self.constant(*c);
             sum = self.add(product, c);
         }
-        Deviation { at: a.at.powi(n), change: self.mul(a.change, sum) }
+        Deviation {
+            at: a.at.powi(n),
+            change: self.mul(a.change, sum),
+        }
     }
 
     fn deviate_binary(&mut self, op: Op, a: Deviation, b: Deviation) -> Deviation {
         match op {
-            Op::Add => {
-                Deviation { at: cancel(a.at + b.at, a.at.abs() + b.at.abs()), change: self.add(a.change, b.change) }
-            }
-            Op::Sub => {
-                Deviation { at: cancel(a.at - b.at, a.at.abs() + b.at.abs()), change: self.sub(a.change, b.change) }
-            }
+            Op::Add => Deviation {
+                at: cancel(a.at + b.at, a.at.abs() + b.at.abs()),
+                change: self.add(a.change, b.change),
+            },
+            Op::Sub => Deviation {
+                at: cancel(a.at - b.at, a.at.abs() + b.at.abs()),
+                change: self.sub(a.change, b.change),
+            },
             Op::Mul => {
                 // (ca + da) db + cb da
                 let whole = self.whole(a);
                 let (x, y) = (self.mul(whole, b.change), self.scale(b.at, a.change));
-                Deviation { at: a.at * b.at, change: self.add(x, y) }
+                Deviation {
+                    at: a.at * b.at,
+                    change: self.add(x, y),
+                }
             }
             Op::Div => {
                 if b.at == 0.0 {
                     let (n, d) = (self.whole(a), self.whole(b));
-                    return Deviation { at: 0.0, change: self.div(n, d) };
+                    return Deviation {
+                        at: 0.0,
+                        change: self.div(n, d),
+                    };
                 }
                 let at = a.at / b.at;
                 let x = self.scale(at, b.change);
                 let numerator = self.sub(a.change, x);
                 let denominator = self.whole(b);
-                Deviation { at, change: self.div(numerator, denominator) }
+                Deviation {
+                    at,
+                    change: self.div(numerator, denominator),
+                }
             }
             Op::Pow => {
                 if a.at > 0.0 && self.is_zero(b.change) {
@@ -209,7 +276,10 @@ impl Graph {
                     let scaled = self.scale(b.at, log);
                     let e = self.unary(Fun::Expm1, scaled);
                     let at = a.at.powf(b.at);
-                    return Deviation { at, change: self.scale(at, e) };
+                    return Deviation {
+                        at,
+                        change: self.scale(at, e),
+                    };
                 }
                 let (x, y) = (self.whole(a), self.whole(b));
                 let v = self.pow(x, y);
@@ -217,9 +287,18 @@ impl Graph {
             }
             Op::Min | Op::Max => {
                 let at = if op == Op::Min { a.at.min(b.at) } else { a.at.max(b.at) };
-                let x = self.whole(Deviation { at: a.at - at, change: a.change });
-                let y = self.whole(Deviation { at: b.at - at, change: b.change });
-                Deviation { at, change: self.binary(op, x, y) }
+                let x = self.whole(Deviation {
+                    at: a.at - at,
+                    change: a.change,
+                });
+                let y = self.whole(Deviation {
+                    at: b.at - at,
+                    change: b.change,
+                });
+                Deviation {
+                    at,
+                    change: self.binary(op, x, y),
+                }
             }
         }
     }

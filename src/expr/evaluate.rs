@@ -11,7 +11,12 @@ impl Graph {
     pub fn eval(&self, roots: &[Id], values: &HashMap<Id, f64>) -> Vec<f64> {
         self.fold(
             roots,
-            &mut |id| values.get(&id).copied().unwrap_or_else(|| panic!("no value for symbol {}", self.show(id))),
+            &mut |id| {
+                values
+                    .get(&id)
+                    .copied()
+                    .unwrap_or_else(|| panic!("no value for symbol {}", self.show(id)))
+            },
             &mut |c| c,
             &mut |f, x| f.apply(*x),
             &mut |op, x, y| match op {

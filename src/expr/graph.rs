@@ -182,7 +182,10 @@ impl Graph {
     /// A new free variable. Two calls give two different symbols even for one name.
     pub fn symbol(&mut self, name: &str, kind: Kind) -> Id {
         let index = self.symbols.len() as u32;
-        self.symbols.push(Symbol { name: name.to_owned(), kind });
+        self.symbols.push(Symbol {
+            name: name.to_owned(),
+            kind,
+        });
         self.intern(Node::Symbol(index))
     }
 
@@ -262,7 +265,10 @@ impl Graph {
             (_, Node::Binary(Op::Sub, x, y)) if y == a => return x,
             _ => {}
         }
-        if let Some(folded) = self.fold_constant_term(a, b, 1.0).or_else(|| self.fold_constant_term(b, a, 1.0)) {
+        if let Some(folded) = self
+            .fold_constant_term(a, b, 1.0)
+            .or_else(|| self.fold_constant_term(b, a, 1.0))
+        {
             return folded;
         }
         let (lo, hi) = if a <= b { (a, b) } else { (b, a) };
@@ -566,7 +572,10 @@ impl Graph {
                 stack.extend(self.arguments(id));
             }
         }
-        (0..self.nodes.len()).filter(|&i| seen[i]).map(|i| Id(i as u32)).collect()
+        (0..self.nodes.len())
+            .filter(|&i| seen[i])
+            .map(|i| Id(i as u32))
+            .collect()
     }
 
     /// Whether any root depends on `symbol`.

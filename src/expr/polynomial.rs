@@ -46,7 +46,11 @@ impl Graph {
         let args: Vec<Id> = self.arguments(id).collect();
         if free(&args) {
             let zero_exponent = vec![0; variables.len()];
-            return Ok(if self.is_zero(id) { Polynomial::new() } else { Polynomial::from([(zero_exponent, id)]) });
+            return Ok(if self.is_zero(id) {
+                Polynomial::new()
+            } else {
+                Polynomial::from([(zero_exponent, id)])
+            });
         }
         let inside = |g: &Graph| Err(NotPolynomial::Inside(g.show(id)));
         match self.node(id) {
@@ -97,7 +101,12 @@ impl Graph {
         sum
     }
 
-    fn multiply_polynomials(&mut self, a: &Polynomial, b: &Polynomial, max_degree: u8) -> Result<Polynomial, NotPolynomial> {
+    fn multiply_polynomials(
+        &mut self,
+        a: &Polynomial,
+        b: &Polynomial,
+        max_degree: u8,
+    ) -> Result<Polynomial, NotPolynomial> {
         let mut product = Polynomial::new();
         for (ea, ca) in a {
             for (eb, cb) in b {

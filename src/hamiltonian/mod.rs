@@ -8,7 +8,7 @@
 mod optimal;
 mod system;
 
-pub use system::{Observer, System};
+pub use system::{GuardExpr, Observer, System, Terminal};
 
 use crate::expr::{Graph, Id, Kind};
 use crate::model::{Guard, Located, Model};

@@ -3,7 +3,7 @@
 
 use super::Hamiltonian;
 use crate::expr::{Deviation, Graph, Id, Kind};
-use crate::model::Model;
+use crate::model::{Horizon, Model};
 use std::collections::HashMap;
 
 /// The backward bicharacteristics of a scene.
@@ -28,6 +28,16 @@ pub struct System {
     pub reference: Vec<f64>,
     /// L at the point of least cost in u for the given s (p = 0): where it is nowhere negative V is monotone.
     pub least_running: Id,
+    /// Terminal cost and its gradient, where the horizon is finite.
+    pub terminal: Option<Terminal>,
+}
+
+/// `phi(x(T))` and `dphi/dx` as functions of `s`.
+#[derive(Clone, Debug)]
+pub struct Terminal {
+    pub value: Id,
+    pub gradient: Vec<Id>,
+    pub time: f64,
 }
 
 /// Expressions of `(s, p)` reported with each stored point.
@@ -84,9 +94,19 @@ impl System {
             .chain(hamiltonian.guards.iter().map(|g| g.condition.expr))
             .collect();
         let forms = graph.deviations(&roots, &symbols);
+        let terminal = match &model.horizon {
+            Horizon::Infinite { .. } => None,
+            Horizon::Finite { terminal, final_time, .. } => {
+                let mut roots = vec![terminal.expr];
+                roots.extend(hamiltonian.x.iter().map(|x| graph.diff(terminal.expr, *x)));
+                let forms = graph.deviations(&roots, &symbols);
+                let mut all = forms.into_iter().map(|f| graph.whole(f));
+                all.next().map(|value| Terminal { value, gradient: all.collect(), time: *final_time })
+            }
+        };
         // An equilibrium makes every rate, L and H vanish at s = 0, p = 0; what is left of their values there is
         // rounding and is dropped. The scene's check has bounded it.
-        let at_rest = matches!(model.horizon, crate::model::Horizon::Infinite { .. });
+        let at_rest = matches!(model.horizon, Horizon::Infinite { .. });
         let mut whole = |range: std::ops::Range<usize>, drop_value: bool| -> Vec<Id> {
             forms[range].iter().map(|f| if drop_value { f.change } else { graph.whole(*f) }).collect()
         };
@@ -126,6 +146,7 @@ impl System {
             guards,
             reference: model.reference().to_vec(),
             least_running,
+            terminal,
             graph,
         }
     }

@@ -65,7 +65,11 @@ pub enum Horizon {
     /// The equilibrium: values of all states and controls, where f = 0 and L = 0.
     Infinite { x: Vec<f64>, u: Vec<f64>, span: Span },
     /// Terminal cost phi(x) at `final_time`; `reference` is the point deviations are taken from.
-    Finite { terminal: Located, final_time: f64, reference: Vec<f64> },
+    Finite {
+        terminal: Located,
+        final_time: f64,
+        reference: Vec<f64>,
+    },
 }
 
 /// V of the seed ellipsoid.

@@ -1,1 +1,63 @@
-mod problem; pub use problem::Problem;
+//! The scenario file: TOML text -> [`Model`]. The only room that knows TOML.
+//!
+//! A file is read as far as it can be read, and everything that is wrong with it is reported at once, each problem
+//! with its place in the text. Reading order: the names of all sections, the parameters (each from earlier ones), the
+//! definitions, and then the other sections, so that the order of sections in the file does not matter.
+
+mod build;
+mod declare;
+mod equations;
+mod equilibrium;
+mod lexer;
+mod parser;
+mod problem;
+mod quoted;
+mod reader;
+mod report;
+mod scene;
+mod scope;
+mod settings;
+mod suggest;
+mod syntax_error;
+#[cfg(test)]
+mod tests;
+
+pub use problem::Problem;
+pub use report::ScenarioErrors;
+pub use settings::{DEFAULT_ATOL, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
+
+use crate::model::Model;
+use std::path::{Path, PathBuf};
+
+/// Why a scenario file gave no model.
+#[derive(Debug, thiserror::Error)]
+pub enum LoadError {
+    /// The file cannot be read, or is not UTF-8.
+    #[error("cannot read {path}: {source}", path = path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    /// The file's contents are wrong.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioErrors),
+}
+
+/// Reads a scenario file. `overrides` are `--set name=value`: see [`parse`].
+///
+/// # Errors
+/// [`LoadError`] where the file cannot be read or its contents are wrong.
+pub fn load(path: &Path, overrides: &[(String, String)]) -> Result<Model, LoadError> {
+    let read = std::fs::read_to_string(path);
+    let text = read.map_err(|source| LoadError::Read {
+        path: path.to_owned(),
+        source,
+    })?;
+    Ok(parse(&text, &path.display().to_string(), overrides)?)
+}
+
+/// Reads a scenario's text. Each of `overrides` replaces the definition of a parameter by a number or an expression of
+/// earlier parameters; where a name is given twice, the last counts. `file_name` is for messages.
+///
+/// # Errors
+/// [`ScenarioErrors`] with everything that is wrong.
+pub fn parse(text: &str, file_name: &str, overrides: &[(String, String)]) -> Result<Model, ScenarioErrors> {
+    scene::read(text, file_name, overrides).map_err(|problems| ScenarioErrors::of(file_name, text, problems))
+}

@@ -15,7 +15,12 @@ pub struct Problem {
 
 impl Problem {
     pub fn at(span: Span, message: impl Into<String>, label: impl Into<String>) -> Self {
-        Self { message: message.into(), span: Some(span), label: label.into(), help: None }
+        Self {
+            message: message.into(),
+            span: Some(span),
+            label: label.into(),
+            help: None,
+        }
     }
 
     pub fn with_help(mut self, help: impl Into<String>) -> Self {

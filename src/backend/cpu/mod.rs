@@ -2,6 +2,7 @@
 
 mod block;
 pub mod lanes;
+pub mod map;
 pub mod real;
 
 use super::{Backend, BackendError, Kernel, Run, Spec, Status, Trajectories};

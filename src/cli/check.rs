@@ -1,0 +1,140 @@
+//! `costate check` and `costate adapters`.
+
+use super::{CheckArgs, CliError};
+use crate::hamiltonian::Hamiltonian;
+use crate::local::{LocalError, Riccati, show_eigenvalue};
+use crate::model::{Horizon, Model};
+use crate::scenario::{self, Problem, ScenarioErrors};
+use std::fmt::Write as _;
+use std::io::Write as _;
+
+/// Reads a scene and derives its equations; problems of both are reported with their places.
+pub(super) fn load(args: &super::SceneArgs) -> Result<(Model, Hamiltonian), CliError> {
+    let model = scenario::load(&args.scenario, &args.set)?;
+    match Hamiltonian::derive(&model) {
+        Ok(hamiltonian) => Ok((model, hamiltonian)),
+        Err(problems) => Err(ScenarioErrors::new(&model, problems).into()),
+    }
+}
+
+/// The local solution's errors are the scene's: they are shown at its equilibrium.
+pub(super) fn at_equilibrium(model: &Model, error: &LocalError) -> CliError {
+    let problem = match (&model.horizon, error, &model.shoot_out) {
+        (_, LocalError::SeedTooLarge { .. }, Some(s)) => Problem::at(s.span.clone(), error.to_string(), "this seed_value"),
+        (Horizon::Infinite { span, .. }, ..) => Problem::at(span.clone(), error.to_string(), "linearized here"),
+        _ => Problem { message: error.to_string(), span: None, label: String::new(), help: None },
+    };
+    ScenarioErrors::new(model, vec![problem]).into()
+}
+
+pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
+    let (model, hamiltonian) = load(&args.scene)?;
+    let riccati = match model.horizon {
+        Horizon::Infinite { .. } => {
+            Some(Riccati::solve(&hamiltonian, &model).map_err(|e| at_equilibrium(&model, &e))?)
+        }
+        Horizon::Finite { .. } => None,
+    };
+    if args.scene.quiet {
+        return Ok(());
+    }
+    let mut out = std::io::stdout().lock();
+    if args.scene.json {
+        writeln!(out, "{:#}", as_json(&model, &hamiltonian, riccati.as_ref()))?;
+    } else {
+        write!(out, "{}", as_text(&model, &hamiltonian, riccati.as_ref()))?;
+    }
+    Ok(())
+}
+
+fn names(model: &Model) -> Vec<&str> {
+    model.states.iter().map(|s| s.variable.name.as_str()).collect()
+}
+
+fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String {
+    let g = &h.graph;
+    let mut t = String::new();
+    let mut line = |text: String| {
+        // Writing to a String cannot fail.
+        let _ = writeln!(t, "{text}");
+    };
+    line(format!("{}\n", model.title));
+    line("Hamiltonian (before inserting the controls)".into());
+    line(format!("  H = {}\n", g.show(h.open)));
+    line("Optimal control".into());
+    for (c, u) in model.controls.iter().zip(&h.control) {
+        line(format!("  {}* = {}", c.variable.name, g.show(*u)));
+    }
+    if !model.disturbances.is_empty() {
+        line("\nWorst-case disturbance".into());
+        for (d, w) in model.disturbances.iter().zip(&h.disturbance) {
+            line(format!("  {}* = {}", d.name, g.show(*w)));
+        }
+    }
+    line("\nState equations".into());
+    for (name, rate) in names(model).iter().zip(&h.state_rate) {
+        line(format!("  {name}' = {}", g.show(*rate)));
+    }
+    line("\nAdjoint equations".into());
+    for (name, rate) in names(model).iter().zip(&h.adjoint_rate) {
+        line(format!("  p_{name}' = {}", g.show(*rate)));
+    }
+    for guard in h.guards.iter().skip(model.guards.len()) {
+        line(format!("\nAdded guard {}: {} > 0", guard.name, g.show(guard.condition.expr)));
+    }
+    match &model.horizon {
+        Horizon::Infinite { x, u, .. } => {
+            line("\nEquilibrium".into());
+            for (name, v) in names(model).iter().zip(x) {
+                line(format!("  {name} = {v}"));
+            }
+            for (c, v) in model.controls.iter().zip(u) {
+                line(format!("  {} = {v}", c.variable.name));
+            }
+        }
+        Horizon::Finite { terminal, final_time, .. } => {
+            line(format!("\nTerminal cost at t = {final_time}"));
+            line(format!("  phi = {}", g.show(terminal.expr)));
+            let mut g = g.clone();
+            for (name, x) in names(model).iter().zip(&h.x) {
+                let slope = g.diff(terminal.expr, *x);
+                line(format!("  p_{name} = {}", g.show(slope)));
+            }
+        }
+    }
+    if let Some(r) = riccati {
+        line(format!("\nRiccati solution P (V = 1/2 s'P s near the equilibrium; relative residual {:.1e})", r.residual));
+        for row in r.p.row_iter() {
+            line(format!("  {}", row.iter().map(|v| format!("{v:>14.8}")).collect::<String>()));
+        }
+        line("\nClosed-loop eigenvalues".into());
+        for e in &r.eigenvalues {
+            line(format!("  {}", show_eigenvalue(*e)));
+        }
+    }
+    t
+}
+
+fn as_json(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> serde_json::Value {
+    let g = &h.graph;
+    let shown = |ids: &[crate::expr::Id]| ids.iter().map(|i| g.show(*i)).collect::<Vec<_>>();
+    serde_json::json!({
+        "title": model.title,
+        "states": names(model),
+        "controls": model.controls.iter().map(|c| &c.variable.name).collect::<Vec<_>>(),
+        "disturbances": model.disturbances.iter().map(|d| &d.name).collect::<Vec<_>>(),
+        "hamiltonian": g.show(h.open),
+        "optimal_control": shown(&h.control),
+        "worst_disturbance": shown(&h.disturbance),
+        "state_equations": shown(&h.state_rate),
+        "adjoint_equations": shown(&h.adjoint_rate),
+        "reference": model.reference(),
+        "riccati": riccati.map(|r| r.p.row_iter().map(|row| row.iter().copied().collect::<Vec<_>>()).collect::<Vec<_>>()),
+        "riccati_residual": riccati.map(|r| r.residual),
+        "closed_loop_eigenvalues": riccati.map(|r| r.eigenvalues.iter().map(|e| [e.re, e.im]).collect::<Vec<_>>()),
+    })
+}
+
+pub(super) fn adapters(_json: bool) -> Result<(), CliError> {
+    Ok(())
+}

@@ -1,0 +1,188 @@
+//! The command line: reads arguments, calls the library, prints.
+
+mod check;
+mod report;
+mod run;
+
+use crate::backend::BackendError;
+use crate::model::Precision;
+use crate::output::OutputError;
+use crate::scenario::{LoadError, ScenarioErrors};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Value functions and optimal feedback of nonlinear systems over a region, by bicharacteristics.
+#[derive(Parser, Debug)]
+#[command(version, about, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    /// Do everything that the scenario asks for and write the result file.
+    Run(RunArgs),
+    /// Only the sweep outward from the equilibrium (or from the terminal cost).
+    ShootOut(RunArgs),
+    /// Validate a scenario and print the derived equations and the local solution.
+    Check(CheckArgs),
+    /// List the GPU adapters found and what each can do.
+    Adapters {
+        /// Machine-readable list on standard output.
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+/// Options of every command that reads a scenario.
+#[derive(Args, Debug, Clone)]
+struct SceneArgs {
+    /// The scenario file (TOML).
+    scenario: PathBuf,
+    /// Replace a parameter: a number or an expression of earlier parameters. May be repeated.
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = assignment)]
+    set: Vec<(String, String)>,
+    /// Machine-readable summary on standard output; everything else goes to standard error.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    quiet: bool,
+}
+
+#[derive(Args, Debug, Clone)]
+struct CheckArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+}
+
+#[derive(Args, Debug, Clone)]
+struct RunArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// The result file [default: out/<scenario>.h5]
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Where to compute: a hardware GPU if there is one and else the CPU (auto), any GPU adapter, or the CPU.
+    #[arg(long, value_enum, default_value_t = BackendChoice::Auto)]
+    backend: BackendChoice,
+    /// Use the adapter whose name contains this.
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+    /// Arithmetic of the integration [default: the scenario's]
+    #[arg(long, value_enum)]
+    precision: Option<PrecisionChoice>,
+    /// Relative tolerance [default: the scenario's]
+    #[arg(long, value_parser = tolerance)]
+    rtol: Option<f64>,
+    /// Seed of random choices. A sweep makes none; its result does not depend on it.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
+enum BackendChoice {
+    Auto,
+    Gpu,
+    Cpu,
+}
+
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
+enum PrecisionChoice {
+    Auto,
+    F32,
+    F64,
+}
+
+impl PrecisionChoice {
+    /// `Some(None)` is auto, asked for.
+    fn precision(self) -> Option<Precision> {
+        match self {
+            PrecisionChoice::Auto => None,
+            PrecisionChoice::F32 => Some(Precision::F32),
+            PrecisionChoice::F64 => Some(Precision::F64),
+        }
+    }
+}
+
+fn assignment(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.trim().is_empty() && !value.trim().is_empty() => {
+            Ok((name.trim().to_owned(), value.trim().to_owned()))
+        }
+        _ => Err("expected NAME=VALUE".to_owned()),
+    }
+}
+
+fn tolerance(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
+    if value > 0.0 && value <= 0.1 { Ok(value) } else { Err("a relative tolerance is above 0 and at most 0.1".to_owned()) }
+}
+
+/// Why a command stopped.
+#[derive(Debug, thiserror::Error)]
+enum CliError {
+    #[error(transparent)]
+    Load(#[from] LoadError),
+    #[error(transparent)]
+    Scenario(#[from] ScenarioErrors),
+    #[error(transparent)]
+    Plan(#[from] crate::sweep::PlanError),
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    #[error("the sweep's thread stopped unexpectedly")]
+    Thread,
+    #[error("cannot write to standard output: {0}")]
+    Stdout(#[from] std::io::Error),
+}
+
+impl CliError {
+    /// 2 for what the user wrote, 1 for what could not be done.
+    fn status(&self) -> u8 {
+        match self {
+            CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
+            _ => 1,
+        }
+    }
+
+    fn print(&self) {
+        let colours = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+        let text = match self {
+            CliError::Scenario(e) | CliError::Load(LoadError::Scenario(e)) => e.render(colours),
+            other => format!("error: {other}"),
+        };
+        // Nowhere is left to report a failure of this.
+        let _ = writeln!(std::io::stderr(), "{}", text.trim_end());
+    }
+}
+
+/// Runs the program on the process's arguments.
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) => {
+            let _ = e.print();
+            return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
+        }
+    };
+    let done = match cli.command {
+        Command::Run(args) => run::run(&args, run::Parts::All),
+        Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
+        Command::Check(args) => check::check(&args),
+        Command::Adapters { json } => check::adapters(json),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        // The reader of a pipe has gone: it has what it wanted.
+        Err(CliError::Stdout(e)) if e.kind() == std::io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
+        Err(e) => {
+            e.print();
+            ExitCode::from(e.status())
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! The stabilizing solution of the algebraic Riccati equation of the linearization (for a game, the game equation).
+
+use super::LocalError;
+use crate::hamiltonian::Hamiltonian;
+use crate::model::Model;
+use nalgebra::{Complex, DMatrix, DVector};
+
+/// Largest accepted `|A'P + PA + P H_pp P + Q|` relative to its terms.
+const RESIDUAL: f64 = 1e-10;
+/// Eigenvalues nearer to the imaginary axis than this, relative to the matrix, count as on it: a double eigenvalue
+/// there is computed to the square root of the rounding error.
+const ON_AXIS: f64 = 1e-7;
+/// Relative size under which a singular or eigenvalue counts as zero.
+const RANK: f64 = 1e-10;
+
+/// Linear-quadratic solution at the equilibrium: `V = s'P s / 2`, `p = P s`, `s' = closed_loop s`.
+#[derive(Clone, Debug)]
+pub struct Riccati {
+    pub p: DMatrix<f64>,
+    pub closed_loop: DMatrix<f64>,
+    /// Eigenvalues of the closed loop, by rising real part.
+    pub eigenvalues: Vec<Complex<f64>>,
+    /// Relative residual of the Riccati equation.
+    pub residual: f64,
+}
+
+/// Distance of the slowest mode from the imaginary axis.
+pub fn closed_loop_margin(r: &Riccati) -> f64 {
+    r.eigenvalues.iter().map(|e| -e.re).fold(f64::INFINITY, f64::min)
+}
+
+/// Linearization in coordinates scaled by the region's widths, so that units do not matter.
+struct Linear {
+    a: DMatrix<f64>,
+    /// `H_pp = -B R^-1 B'` (plus the disturbance's part in a game).
+    g: DMatrix<f64>,
+    q: DMatrix<f64>,
+}
+
+impl Riccati {
+    /// Solves for the scene's equilibrium.
+    ///
+    /// # Errors
+    /// The cases of [`LocalError`] up to `NotStable`, each with the number that decides.
+    pub fn solve(hamiltonian: &Hamiltonian, model: &Model) -> Result<Self, LocalError> {
+        let n = hamiltonian.states();
+        let h = hamiltonian.hessian_at(model);
+        let block = |row: usize, col: usize| DMatrix::from_fn(n, n, |i, j| h[(row * n + i) * 2 * n + col * n + j]);
+        let widths = DVector::from_iterator(n, model.region.iter().map(|[lo, hi]| hi - lo));
+        let linear = Linear {
+            a: DMatrix::from_fn(n, n, |i, j| block(1, 0)[(i, j)] * widths[j] / widths[i]),
+            g: DMatrix::from_fn(n, n, |i, j| block(1, 1)[(i, j)] / (widths[i] * widths[j])),
+            q: DMatrix::from_fn(n, n, |i, j| block(0, 0)[(i, j)] * widths[i] * widths[j]),
+        };
+        if [&linear.a, &linear.g, &linear.q].iter().any(|m| m.iter().any(|x| !x.is_finite())) {
+            return Err(LocalError::NoSolution {
+                reason: "the second derivatives of H at the equilibrium are not finite (a root or logarithm at the edge of its domain?)".into(),
+            });
+        }
+        let input = input_matrix(hamiltonian, model, &widths);
+        check_stabilizable(&linear.a, &input)?;
+        let game = !model.disturbances.is_empty();
+        check_imaginary_axis(&linear, game)?;
+        let scaled = stabilizing(&linear)?;
+        let residual = relative_residual(&linear, &scaled);
+        if residual.is_nan() || residual > RESIDUAL {
+            return Err(LocalError::Residual { residual, bound: RESIDUAL });
+        }
+        let closed = &linear.a + &linear.g * &scaled;
+        let p = DMatrix::from_fn(n, n, |i, j| scaled[(i, j)] / (widths[i] * widths[j]));
+        let closed_loop = DMatrix::from_fn(n, n, |i, j| closed[(i, j)] * widths[i] / widths[j]);
+        let mut eigenvalues: Vec<_> = closed.complex_eigenvalues().iter().copied().collect();
+        eigenvalues.sort_by(|a, b| (a.re, a.im).partial_cmp(&(b.re, b.im)).unwrap_or(std::cmp::Ordering::Equal));
+        if let Some(e) = eigenvalues.iter().find(|e| e.re.is_nan() || e.re >= 0.0) {
+            return Err(LocalError::NotStable { eigenvalue: show_eigenvalue(*e) });
+        }
+        check_positive(&scaled, model)?;
+        Ok(Self { p, closed_loop, eigenvalues, residual })
+    }
+}
+
+/// An eigenvalue as `a + bi`.
+pub fn show_eigenvalue(e: Complex<f64>) -> String {
+    if e.im.abs() <= 1e-12 * e.norm().max(1e-300) {
+        format!("{:.6}", e.re)
+    } else {
+        format!("{:.6} {} {:.6}i", e.re, if e.im < 0.0 { '-' } else { '+' }, e.im.abs())
+    }
+}
+
+fn input_matrix(hamiltonian: &Hamiltonian, model: &Model, widths: &DVector<f64>) -> DMatrix<f64> {
+    let mut graph = hamiltonian.graph.clone();
+    let mut values = hamiltonian.point(model);
+    values.extend(model.controls.iter().map(|c| (c.variable.symbol, 0.0)));
+    values.extend(model.disturbances.iter().map(|w| (w.symbol, 0.0)));
+    let rates: Vec<_> = model.dynamics.iter().map(|d| d.expr).collect();
+    let mut b = DMatrix::zeros(rates.len(), model.controls.len());
+    for (j, control) in model.controls.iter().enumerate() {
+        let slopes = graph.diff_all(&rates, control.variable.symbol);
+        for (i, v) in graph.eval(&slopes, &values).into_iter().enumerate() {
+            b[(i, j)] = v / widths[i];
+        }
+    }
+    b
+}
+
+/// Popov-Belevitch-Hautus test: `[A - lambda I, B]` keeps full rank at every eigenvalue that does not decay.
+fn check_stabilizable(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Result<(), LocalError> {
+    let n = a.nrows();
+    let scale = a.norm().max(b.norm()).max(f64::MIN_POSITIVE);
+    for lambda in a.complex_eigenvalues().iter() {
+        if lambda.re < -ON_AXIS * scale {
+            continue;
+        }
+        let test = DMatrix::from_fn(n, n + b.ncols(), |i, j| {
+            let real = if j < n { a[(i, j)] } else { b[(i, j - n)] };
+            Complex::new(real, 0.0) - if i == j { *lambda } else { Complex::new(0.0, 0.0) }
+        });
+        let distance = test.singular_values().min() / scale;
+        // The eigenvalue itself is only known to about this.
+        if distance < 1e-8 {
+            return Err(LocalError::NotStabilizable { eigenvalue: show_eigenvalue(*lambda), distance });
+        }
+    }
+    Ok(())
+}
+
+fn hamiltonian_matrix(l: &Linear) -> DMatrix<f64> {
+    let n = l.a.nrows();
+    let mut m = DMatrix::zeros(2 * n, 2 * n);
+    m.view_mut((0, 0), (n, n)).copy_from(&l.a);
+    m.view_mut((0, n), (n, n)).copy_from(&l.g);
+    m.view_mut((n, 0), (n, n)).copy_from(&-&l.q);
+    m.view_mut((n, n), (n, n)).copy_from(&-l.a.transpose());
+    m
+}
+
+/// The matrix with adjoints scaled so that its off-diagonal blocks are of like size; eigenvalues are unchanged.
+fn balanced(l: &Linear) -> (Linear, f64) {
+    let (g, q) = (l.g.norm(), l.q.norm());
+    let factor = if g > 0.0 && q > 0.0 { (q / g).sqrt() } else { 1.0 };
+    (Linear { a: l.a.clone(), g: &l.g * factor, q: &l.q / factor }, factor)
+}
+
+fn check_imaginary_axis(l: &Linear, game: bool) -> Result<(), LocalError> {
+    let (l, _) = balanced(l);
+    let m = hamiltonian_matrix(&l);
+    let scale = m.norm().max(f64::MIN_POSITIVE);
+    let nearest = m.complex_eigenvalues().iter().copied().min_by(|x, y| x.re.abs().total_cmp(&y.re.abs()));
+    match nearest {
+        Some(e) if e.re.abs() < ON_AXIS * scale => Err(LocalError::ImaginaryAxis {
+            eigenvalue: show_eigenvalue(e),
+            distance: e.re.abs() / scale,
+            hint: if game {
+                "the attenuation asked is below what the linearization allows, or a mode on the axis is not seen by the cost"
+            } else {
+                "a mode that neither decays nor is seen by the cost; use a finite horizon or weigh it in the running cost"
+            },
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// Matrix sign iteration for the stable invariant subspace, then Newton steps on the equation.
+fn stabilizing(l: &Linear) -> Result<DMatrix<f64>, LocalError> {
+    let n = l.a.nrows();
+    let no = |reason: &str| LocalError::NoSolution { reason: reason.into() };
+    let (b, factor) = balanced(l);
+    let mut z = hamiltonian_matrix(&b);
+    for _ in 0..100 {
+        let lu = z.clone().lu();
+        let inverse = lu.try_inverse().ok_or_else(|| no("the sign iteration met a singular matrix"))?;
+        // Scaling by norms speeds the first iterations; near the limit it is 1.
+        let c = (z.norm() / inverse.norm()).sqrt();
+        let next = (&z / c + &inverse * c) * 0.5;
+        let change = (&next - &z).norm() / next.norm();
+        z = next;
+        if change < 1e-14 {
+            break;
+        }
+    }
+    // (sign + I) [I; P] = 0
+    let identity = DMatrix::<f64>::identity(n, n);
+    let mut left = DMatrix::zeros(2 * n, n);
+    left.view_mut((0, 0), (n, n)).copy_from(&z.view((0, n), (n, n)));
+    left.view_mut((n, 0), (n, n)).copy_from(&(z.view((n, n), (n, n)) + &identity));
+    let mut right = DMatrix::zeros(2 * n, n);
+    right.view_mut((0, 0), (n, n)).copy_from(&-(z.view((0, 0), (n, n)) + &identity));
+    right.view_mut((n, 0), (n, n)).copy_from(&-z.view((n, 0), (n, n)));
+    let svd = left.svd(true, true);
+    let smallest = svd.singular_values.min() / svd.singular_values.max();
+    if smallest.is_nan() || smallest < RANK {
+        return Err(no("the stable subspace has no graph over the states (a mode cannot be stabilized)"));
+    }
+    let p = svd.solve(&right, 0.0).map_err(no)?;
+    let mut p = (&p + p.transpose()) * (0.5 * factor);
+    let mut best = relative_residual(l, &p);
+    for _ in 0..8 {
+        let Some(step) = newton_step(l, &p) else { break };
+        let next = &p + (&step + step.transpose()) * 0.5;
+        let residual = relative_residual(l, &next);
+        if residual.is_nan() || residual >= best {
+            break;
+        }
+        (p, best) = (next, residual);
+    }
+    Ok(p)
+}
+
+fn equation(l: &Linear, p: &DMatrix<f64>) -> DMatrix<f64> {
+    l.a.transpose() * p + p * &l.a + p * &l.g * p + &l.q
+}
+
+fn relative_residual(l: &Linear, p: &DMatrix<f64>) -> f64 {
+    let terms = 2.0 * (p * &l.a).norm() + (p * &l.g * p).norm() + l.q.norm();
+    equation(l, p).norm() / terms.max(f64::MIN_POSITIVE)
+}
+
+/// Solves `Ac' X + X Ac = -residual` as a linear system of n^2 unknowns.
+fn newton_step(l: &Linear, p: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let n = l.a.nrows();
+    // n^2 x n^2 elimination; beyond this the sign iteration's own accuracy must do.
+    if n > 24 {
+        return None;
+    }
+    let ac = &l.a + &l.g * p;
+    let identity = DMatrix::<f64>::identity(n, n);
+    let operator = identity.kronecker(&ac.transpose()) + ac.transpose().kronecker(&identity);
+    let right = -DVector::from_column_slice(equation(l, p).as_slice());
+    let x = operator.lu().solve(&right)?;
+    Some(DMatrix::from_column_slice(n, n, x.as_slice()))
+}
+
+fn check_positive(scaled: &DMatrix<f64>, model: &Model) -> Result<(), LocalError> {
+    let eigen = scaled.clone().symmetric_eigen();
+    let (k, smallest) = eigen.eigenvalues.argmin();
+    let largest = eigen.eigenvalues.max();
+    if smallest.is_nan() || smallest <= RANK * largest {
+        let v = eigen.eigenvectors.column(k);
+        let names = model.states.iter().map(|s| s.variable.name.as_str());
+        let direction = names.zip(v.iter()).map(|(n, x)| format!("{n}: {x:.2}")).collect::<Vec<_>>().join(", ");
+        return Err(LocalError::NotPositive { smallest, largest, direction });
+    }
+    Ok(())
+}

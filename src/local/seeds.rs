@@ -1,0 +1,208 @@
+//! Seeds: points of the stable manifold on a small ellipsoid about the equilibrium.
+
+use super::series::{Basis, Equation};
+use super::{LocalError, Riccati};
+use crate::hamiltonian::System;
+use crate::model::{Model, SeedValue};
+use nalgebra::{DMatrix, DVector};
+
+/// Highest degree of V that is tried, and the most coefficients it may have.
+const MAX_DEGREE: usize = 6;
+const MAX_TERMS: usize = 800;
+/// Directions in which the size of a homogeneous part is looked at, and what is added for those between.
+const PROBES: usize = 512;
+const PROBE_MARGIN: f64 = 1.5;
+
+/// What the seed ellipsoid is chosen for.
+#[derive(Clone, Copy, Debug)]
+pub struct SeedChoice {
+    pub asked: SeedValue,
+    /// Largest error of V at the seeds.
+    pub tolerance: f64,
+    /// Seeds lie below this V.
+    pub ceiling: f64,
+}
+
+/// V and p near the equilibrium, and the ellipsoid `s'Ps/2 = seed_value` on which the sweep starts.
+#[derive(Clone, Debug)]
+pub struct LocalSolution {
+    pub riccati: Riccati,
+    /// `s = t z` with `t'Pt = I`.
+    t: DMatrix<f64>,
+    /// `p = t^-T dV/dz`.
+    to_adjoint: DMatrix<f64>,
+    basis: Basis,
+    value: Vec<f64>,
+    gradient: Vec<Vec<f64>>,
+    /// Degree to which V is expanded (2: the Riccati solution alone).
+    pub degree: usize,
+    pub seed_value: f64,
+    /// Estimated error of V at the seeds: the first term left out.
+    pub error: f64,
+}
+
+impl LocalSolution {
+    /// Expands V and chooses the seed ellipsoid.
+    ///
+    /// # Errors
+    /// [`LocalError`]; `SeedTooLarge` where a given seed value leads out of the range of the local solution.
+    pub fn new(system: &System, model: &Model, riccati: Riccati, choice: SeedChoice) -> Result<Self, LocalError> {
+        let n = system.states;
+        let factor = riccati.p.clone().cholesky().ok_or(LocalError::NoSolution { reason: "P has no Cholesky factor".into() })?;
+        let l = factor.l();
+        let t = l.transpose().try_inverse().ok_or(LocalError::NoSolution { reason: "P is singular to rounding".into() })?;
+        // t^-T = (L^-T)^-T = L
+        let to_adjoint = l;
+        let highest = (2..=MAX_DEGREE).rev().find(|d| Basis::size(n, d + 1) <= MAX_TERMS).unwrap_or(2);
+        let basis = Basis::new(n, highest + 1);
+        let equation = Equation { graph: &system.graph, hamiltonian: system.observer.hamiltonian, inputs: &system.inputs };
+        let (value, known) = equation.expand(&basis, &t, &riccati.closed_loop);
+
+        let sizes = part_sizes(&basis, &value, n);
+        let limit = range_limit(system, model, &riccati, &t, choice.ceiling);
+        // The first neglected part's size times radius^k is the error; sizes of 0 (symmetry) take the part after it.
+        let error_at = |degree: usize, radius: f64| -> f64 {
+            (degree + 1..=known).map(|k| sizes[k] * radius.powi(k as i32)).fold(0.0, f64::max)
+        };
+        let radius_for = |degree: usize| -> f64 {
+            let mut radius = (2.0 * limit).sqrt();
+            while error_at(degree, radius) > choice.tolerance && radius > 1e-12 {
+                radius *= 0.9;
+            }
+            radius
+        };
+        // Where the equations have no series, the quadratic V is used, and H itself tells its error.
+        let (degree, radius) = if known < 3 {
+            (2, radius_by_residual(system, &riccati, &t, choice.tolerance, limit))
+        } else {
+            (2..known).map(|d| (d, radius_for(d))).fold((2, 0.0), |best, this| if this.1 > best.1 { this } else { best })
+        };
+        let seed_value = match choice.asked {
+            SeedValue::Auto => 0.5 * radius * radius,
+            SeedValue::Value(c) if c > limit => {
+                return Err(LocalError::SeedTooLarge {
+                    value: c,
+                    reason: format!("the local solution holds up to V = {limit:.3e} (bounds of the controls, the region, the first front)"),
+                });
+            }
+            SeedValue::Value(c) => c,
+        };
+        let radius = (2.0 * seed_value).sqrt();
+        let error = if known < 3 { residual_error(system, &riccati, &t, radius) } else { error_at(degree, radius) };
+        let mut kept = value;
+        kept[basis.start[degree + 1]..].fill(0.0);
+        let gradient = basis.gradient(&kept);
+        Ok(Self { riccati, t, to_adjoint, basis, value: kept, gradient, degree, seed_value, error })
+    }
+
+    /// The seed `(s, p, V)` in a direction (a unit vector in the coordinates where P is the identity).
+    pub fn seed(&self, direction: &[f64]) -> Vec<f64> {
+        let radius = (2.0 * self.seed_value).sqrt();
+        let z: Vec<f64> = direction.iter().map(|d| d * radius).collect();
+        self.at(&z)
+    }
+
+    /// `(s, p, V)` of the local solution at `s = t z`.
+    fn at(&self, z: &[f64]) -> Vec<f64> {
+        let m = self.basis.monomials(z);
+        let dot = |c: &[f64]| c.iter().zip(&m).map(|(c, m)| c * m).sum::<f64>();
+        let q = DVector::from_iterator(z.len(), self.gradient.iter().map(|g| dot(g)));
+        let s = &self.t * DVector::from_column_slice(z);
+        let p = &self.to_adjoint * q;
+        s.iter().chain(p.iter()).copied().chain([dot(&self.value)]).collect()
+    }
+
+    /// V of the local solution at a deviation `s`, with `p`.
+    pub fn at_state(&self, s: &[f64]) -> Vec<f64> {
+        // z = t^-1 s = L' s
+        let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
+        self.at(z.as_slice())
+    }
+}
+
+/// Unit vectors well spread over the sphere, the same in every run.
+fn probes(n: usize) -> impl Iterator<Item = Vec<f64>> {
+    let mut state = 0x9e37_79b9_7f4a_7c15_u64;
+    let mut normal = move || {
+        // Sum of uniforms: near enough to normal for directions.
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            sum += (state >> 11) as f64 / (1u64 << 53) as f64;
+        }
+        sum
+    };
+    (0..PROBES).map(move |_| {
+        let v: Vec<f64> = (0..n).map(|_| normal()).collect();
+        let norm = v.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-12);
+        v.into_iter().map(|x| x / norm).collect()
+    })
+}
+
+/// Largest size on the unit sphere of each homogeneous part.
+fn part_sizes(basis: &Basis, value: &[f64], n: usize) -> Vec<f64> {
+    let mut sizes = vec![0.0f64; basis.degree + 1];
+    for z in probes(n) {
+        let m = basis.monomials(&z);
+        for (k, size) in sizes.iter_mut().enumerate() {
+            let range = basis.start[k]..basis.start[k + 1];
+            let part: f64 = value[range.clone()].iter().zip(&m[range]).map(|(c, m)| c * m).sum();
+            *size = size.max(PROBE_MARGIN * part.abs());
+        }
+    }
+    sizes
+}
+
+/// Largest V for which the ellipsoid keeps the controls half-way inside their bounds and stays inside the region.
+fn range_limit(system: &System, model: &Model, riccati: &Riccati, t: &DMatrix<f64>, ceiling: f64) -> f64 {
+    let n = system.states;
+    let mut limit = ceiling;
+    // Half-width of the ellipsoid along state i is sqrt(2c) |row i of t|.
+    for (i, [lo, hi]) in model.region.iter().enumerate() {
+        let reach = t.row(i).norm();
+        limit = limit.min(0.5 * (0.25 * (hi - lo) / reach).powi(2));
+    }
+    let zero = vec![0.0; n];
+    let rest = system.eval(&system.observer.unclamped, &zero, &zero);
+    for (k, control) in model.controls.iter().enumerate() {
+        let room = [control.min.map(|lo| rest[k] - lo), control.max.map(|hi| hi - rest[k])];
+        let Some(room) = room.into_iter().flatten().reduce(f64::min) else { continue };
+        // Gain of the linear law along each direction, by differences over the unit sphere of the ellipsoid.
+        let h = 1e-6;
+        let gain = (0..n)
+            .map(|j| {
+                let s: Vec<f64> = (0..n).map(|i| h * t[(i, j)]).collect();
+                let p: Vec<f64> = (&riccati.p * DVector::from_column_slice(&s)).iter().copied().collect();
+                let u = system.eval(&system.observer.unclamped[k..=k], &s, &p)[0];
+                ((u - rest[k]) / h).powi(2)
+            })
+            .sum::<f64>()
+            .sqrt();
+        if gain > 0.0 {
+            limit = limit.min(0.5 * (0.5 * room / gain).powi(2));
+        }
+    }
+    limit
+}
+
+/// Error of the quadratic V at a radius from the residual of H there: H is the rate at which V is wrong, and it falls
+/// along the closed loop at least as a cubic term does.
+fn residual_error(system: &System, riccati: &Riccati, t: &DMatrix<f64>, radius: f64) -> f64 {
+    let slowest = super::closed_loop_margin(riccati);
+    let worst = probes(system.states)
+        .map(|d| {
+            let s: Vec<f64> = (t * DVector::from_vec(d) * radius).iter().copied().collect();
+            let p: Vec<f64> = (&riccati.p * DVector::from_column_slice(&s)).iter().copied().collect();
+            system.eval(&[system.observer.hamiltonian], &s, &p)[0].abs()
+        })
+        .fold(0.0, f64::max);
+    PROBE_MARGIN * worst / (3.0 * slowest)
+}
+
+fn radius_by_residual(system: &System, riccati: &Riccati, t: &DMatrix<f64>, tolerance: f64, limit: f64) -> f64 {
+    let mut radius = (2.0 * limit).sqrt();
+    while residual_error(system, riccati, t, radius) > tolerance && radius > 1e-12 {
+        radius *= 0.8;
+    }
+    radius
+}

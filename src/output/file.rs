@@ -1,0 +1,287 @@
+//! The file itself: there under its final name only when it is complete.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rust_hdf5::{H5File, Hdf5Error};
+
+use super::attribute::AttributeOwner;
+use super::error::io_cause;
+use super::{AttributeValue, Group, GroupWriter, OutputError};
+
+/// Tells apart the temporary files of one process.
+static TEMPORARIES: AtomicU64 = AtomicU64::new(0);
+
+/// A result file being written.
+///
+/// It is written under a hidden name beside the final one. [`ResultFile::finish`] flushes it to the
+/// disk and renames it; until then a file that was there under the final name stays as it is. A
+/// `ResultFile` dropped before that leaves nothing, and a killed process nothing but the hidden file.
+/// It belongs to one thread.
+pub struct ResultFile {
+    final_path: PathBuf,
+    temporary: PathBuf,
+    file: Option<H5File>,
+    groups: Vec<String>,
+}
+
+impl std::fmt::Debug for ResultFile {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ResultFile")
+            .field("final_path", &self.final_path)
+            .field("temporary", &self.temporary)
+            .field("groups", &self.groups)
+            .finish_non_exhaustive()
+    }
+}
+
+impl ResultFile {
+    /// Begins the file that will be `final_path`; missing parent directories are made.
+    ///
+    /// # Errors
+    /// [`OutputError::NoFileName`], [`OutputError::TargetIsDirectory`],
+    /// [`OutputError::CreateDirectory`] and [`OutputError::Create`] (the directory is not writable,
+    /// for example).
+    pub fn create(final_path: impl AsRef<Path>) -> Result<Self, OutputError> {
+        let final_path = final_path.as_ref().to_owned();
+        let Some(name) = final_path.file_name() else {
+            return Err(OutputError::NoFileName { path: final_path });
+        };
+        if final_path.is_dir() {
+            return Err(OutputError::TargetIsDirectory { path: final_path });
+        }
+        let mut hidden = std::ffi::OsString::from(".");
+        hidden.push(name);
+        let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
+        hidden.push(format!(".{}-{serial}.tmp", std::process::id()));
+        let temporary = final_path.with_file_name(hidden);
+
+        let directory = parent_directory(&final_path);
+        fs::create_dir_all(directory).map_err(|source| OutputError::CreateDirectory {
+            directory: directory.to_owned(),
+            source,
+        })?;
+        // Nobody else knows the temporary name, and some network file systems refuse locks.
+        let file = H5File::options()
+            .no_locking()
+            .track_order(true)
+            .create(&temporary)
+            .map_err(|error| create_error(&final_path, error))?;
+        Ok(Self {
+            final_path,
+            temporary,
+            file: Some(file),
+            groups: Vec::new(),
+        })
+    }
+
+    /// The name the file will have.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.final_path
+    }
+
+    /// Sets a root attribute.
+    ///
+    /// # Errors
+    /// [`OutputError::Write`] and [`OutputError::Hdf5`].
+    pub fn attribute(
+        &self,
+        name: &str,
+        value: impl Into<AttributeValue>,
+    ) -> Result<(), OutputError> {
+        self.open_file()?
+            .set(name, &value.into())
+            .map_err(|error| self.error(&format!("the root attribute `{name}`"), error))
+    }
+
+    /// Makes a group with its coordinates, texts and empty variables, ready to be filled. Any
+    /// number of groups can be open and filled in turn.
+    ///
+    /// # Errors
+    /// [`OutputError`]'s variants on declarations, [`OutputError::Write`] and
+    /// [`OutputError::Hdf5`].
+    pub fn group(&mut self, group: &Group) -> Result<GroupWriter, OutputError> {
+        group.check()?;
+        if self.groups.contains(&group.name) {
+            return Err(OutputError::Duplicate {
+                group: "/".to_owned(),
+                name: group.name.clone(),
+            });
+        }
+        let writer = GroupWriter::create(self.open_file()?, &self.final_path, group)?;
+        self.groups.push(group.name.clone());
+        Ok(writer)
+    }
+
+    /// Flushes the file to the disk and gives it its final name, replacing what was there; returns
+    /// that name. Writers of its groups can no longer write.
+    ///
+    /// # Errors
+    /// [`OutputError::Write`], [`OutputError::Hdf5`] and [`OutputError::Rename`]; the file is then
+    /// gone, and an older one under the final name is still there.
+    pub fn finish(mut self) -> Result<PathBuf, OutputError> {
+        if let Some(file) = self.file.take()
+            && let Err(error) = file.close()
+        {
+            let error = self.error("the end", error);
+            self.remove_temporary();
+            return Err(error);
+        }
+        if let Err(source) = fs::rename(&self.temporary, &self.final_path) {
+            self.remove_temporary();
+            return Err(OutputError::Rename {
+                path: self.final_path.clone(),
+                source,
+            });
+        }
+        // The file is complete and in place; some network file systems refuse to flush a directory.
+        let _ = sync_directory(parent_directory(&self.final_path));
+        Ok(self.final_path.clone())
+    }
+
+    fn open_file(&self) -> Result<&H5File, OutputError> {
+        self.file
+            .as_ref()
+            .ok_or_else(|| self.error("", Hdf5Error::InvalidState("the file is closed".into())))
+    }
+
+    fn error(&self, object: &str, error: Hdf5Error) -> OutputError {
+        OutputError::from_hdf5(&self.final_path, object, error)
+    }
+
+    fn remove_temporary(&self) {
+        // Nothing better can be done about a file that cannot be removed than to leave it hidden.
+        let _ = fs::remove_file(&self.temporary);
+    }
+}
+
+impl Drop for ResultFile {
+    fn drop(&mut self) {
+        if let Some(file) = self.file.take() {
+            // The writers share the handle, and some systems do not remove open files.
+            let _ = file.close_no_sync();
+            self.remove_temporary();
+        }
+    }
+}
+
+fn parent_directory(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+fn create_error(path: &Path, error: Hdf5Error) -> OutputError {
+    match io_cause(error) {
+        Ok(source) => OutputError::Create {
+            path: path.to_owned(),
+            source,
+        },
+        Err(error) => OutputError::from_hdf5(path, "the beginning", error),
+    }
+}
+
+/// Makes a rename durable, where directories can be flushed.
+fn sync_directory(directory: &Path) -> io::Result<()> {
+    if cfg!(unix) {
+        File::open(directory)?.sync_all()?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::testing::TemporaryDirectory;
+
+    fn entries(directory: &Path) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(directory)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_dropped_file_leaves_the_old_one_and_no_temporary() {
+        let directory = TemporaryDirectory::new("dropped");
+        let path = directory.path().join("result.h5");
+        fs::write(&path, b"older").unwrap();
+        let file = ResultFile::create(&path).unwrap();
+        file.attribute("title", "half").unwrap();
+        let name = entries(directory.path())[0].clone();
+        assert!(name.starts_with('.') && name.contains(&std::process::id().to_string()));
+        drop(file);
+        assert_eq!(entries(directory.path()), ["result.h5"]);
+        assert_eq!(fs::read(&path).unwrap(), b"older");
+    }
+
+    #[test]
+    fn finish_replaces_the_old_file() {
+        let directory = TemporaryDirectory::new("finish");
+        let path = directory.path().join("new/sub/result.h5");
+        for title in ["first", "second"] {
+            let file = ResultFile::create(&path).unwrap();
+            file.attribute("title", title).unwrap();
+            assert_eq!(file.finish().unwrap(), path);
+            let back = H5File::open(&path).unwrap();
+            assert_eq!(back.attr_string("title").unwrap(), title);
+        }
+        assert_eq!(entries(path.parent().unwrap()), ["result.h5"]);
+    }
+
+    #[test]
+    fn two_files_of_one_process_do_not_share_a_temporary() {
+        let directory = TemporaryDirectory::new("two");
+        let path = directory.path().join("result.h5");
+        let first = ResultFile::create(&path).unwrap();
+        let second = ResultFile::create(&path).unwrap();
+        assert_ne!(first.temporary, second.temporary);
+        first.finish().unwrap();
+        drop(second);
+        assert_eq!(entries(directory.path()), ["result.h5"]);
+    }
+
+    #[test]
+    fn targets_that_cannot_be_files_are_named() {
+        let directory = TemporaryDirectory::new("targets");
+        let at = |name: &str| ResultFile::create(directory.path().join(name));
+        assert!(matches!(at(""), Err(OutputError::TargetIsDirectory { .. })));
+        assert!(matches!(at(".."), Err(OutputError::NoFileName { .. })));
+        fs::write(directory.path().join("file"), b"").unwrap();
+        assert!(matches!(
+            at("file/result.h5"),
+            Err(OutputError::CreateDirectory { .. })
+        ));
+        let long = "n".repeat(300);
+        let error = at(&long).unwrap_err();
+        assert!(matches!(error, OutputError::Create { .. }), "{error:?}");
+    }
+
+    #[test]
+    fn a_target_that_became_a_directory_is_a_rename_error() {
+        let directory = TemporaryDirectory::new("became");
+        let path = directory.path().join("result.h5");
+        let file = ResultFile::create(&path).unwrap();
+        fs::create_dir(&path).unwrap();
+        assert!(matches!(file.finish(), Err(OutputError::Rename { .. })));
+        assert_eq!(entries(directory.path()), ["result.h5"]);
+    }
+
+    #[test]
+    fn a_group_is_made_once() {
+        let directory = TemporaryDirectory::new("once");
+        let mut file = ResultFile::create(directory.path().join("result.h5")).unwrap();
+        let group = Group::new("points");
+        file.group(&group).unwrap();
+        assert!(matches!(
+            file.group(&group),
+            Err(OutputError::Duplicate { .. })
+        ));
+    }
+}

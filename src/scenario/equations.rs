@@ -1,0 +1,182 @@
+//! The sections with equations in states and controls: dynamics, cost, guards.
+
+use super::build::Use;
+use super::declare::Declared;
+use super::lexer::Relation;
+use super::reader::{Reader, Section, Value};
+use super::scope::Kinds;
+use super::suggest::did_you_mean;
+use super::syntax_error::shorten;
+use crate::model::{Guard, Located};
+use crate::scenario::Problem;
+
+/// Terminal cost with the time it is paid at.
+#[derive(Clone, Debug)]
+pub(super) struct Terminal {
+    pub terminal: Located,
+    pub final_time: f64,
+}
+
+/// `[cost]`.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Cost {
+    pub running: Option<Located>,
+    pub terminal: Option<Terminal>,
+    /// `final_time` or `terminal` stand in the file, right or wrong.
+    pub finite: bool,
+}
+
+impl<'a> Reader<'a> {
+    fn located(&mut self, value: &'a Value<'a>, purpose: &Use<'_>) -> Option<Located> {
+        self.expression(value, purpose).map(|b| Located {
+            expr: b.expr,
+            span: value.span(),
+        })
+    }
+
+    /// The entry of each state (or control) in a section, and a report for each entry of anything else.
+    pub fn entries_of(&mut self, section: &Section<'a>, known: &[Declared<'a>], nouns: &str) {
+        for (key, span, _) in section.entries().filter(|(k, ..)| !known.iter().any(|d| d.name == *k)) {
+            let message = match self.scope.get(key) {
+                Some(entry) => format!("`{key}` is {}; {} is for {nouns}", entry.role.noun(), section.name),
+                None => format!(
+                    "unknown name `{}` in {}, which is for {nouns}",
+                    shorten(key),
+                    section.name
+                ),
+            };
+            let help = did_you_mean(key, known.iter().map(|d| d.name));
+            let problem = Problem {
+                help,
+                ..Problem::at(span, message, "not expected here")
+            };
+            self.report(problem);
+        }
+    }
+
+    /// `[dynamics]`: the time derivative of each state; `None` where one is missing or wrong.
+    pub fn dynamics(&mut self, section: &Section<'a>, states: &[Declared<'a>]) -> Option<Vec<Located>> {
+        self.entries_of(section, states, "states");
+        let mut all = Vec::with_capacity(states.len());
+        for state in states {
+            let Some(value) = section.get(state.name) else {
+                let message = format!("state `{}` has no equation in [dynamics]", shorten(state.name));
+                let help = format!("add {} = \"...\", its time derivative", shorten(state.name));
+                self.report(Problem::at(state.span.clone(), message, "declared here").with_help(help));
+                all.push(None);
+                continue;
+            };
+            let what = format!("the dynamics of `{}`", shorten(state.name));
+            let rule = "parameters, states, controls, disturbances and definitions";
+            all.push(self.located(
+                value,
+                &Use {
+                    what: &what,
+                    allowed: Kinds::ALL,
+                    rule,
+                },
+            ));
+        }
+        all.into_iter().collect()
+    }
+
+    /// `[cost]`.
+    pub fn cost(&mut self, section: &Section<'a>) -> Cost {
+        self.check_keys(section, &["running", "terminal", "final_time"]);
+        let rule = "parameters, states, controls, disturbances and definitions";
+        let running = match section.get("running") {
+            Some(value) => self.located(
+                value,
+                &Use {
+                    what: "the running cost",
+                    allowed: Kinds::ALL,
+                    rule,
+                },
+            ),
+            None => {
+                let problem = Problem::at(
+                    section.span.clone(),
+                    "[cost] has no running cost",
+                    "`running` is missing",
+                );
+                self.report(problem.with_help("add running = \"...\", an expression"));
+                None
+            }
+        };
+        let terminal = section.get("terminal").map(|value| {
+            let allowed = Kinds::PARAMETER.and(Kinds::STATE);
+            let rule = "parameters, states and definitions without controls";
+            self.located(
+                value,
+                &Use {
+                    what: "the terminal cost",
+                    allowed,
+                    rule,
+                },
+            )
+        });
+        let final_time = section
+            .get("final_time")
+            .map(|value| self.number_that(value, "the final time", "greater than 0", |t| t > 0.0));
+        let finite = terminal.is_some() || final_time.is_some();
+        let terminal = match (terminal, final_time) {
+            (Some(terminal), Some(time)) => terminal
+                .zip(time)
+                .map(|(terminal, final_time)| Terminal { terminal, final_time }),
+            (Some(_), None) => self.refuse(
+                section.key_span("terminal"),
+                "a terminal cost needs a final time",
+                "no final_time with it",
+            ),
+            (None, Some(_)) => {
+                let help = "add terminal = \"...\", an expression of the states; \"0\" for none";
+                let message = "a final time needs a terminal cost";
+                self.report(
+                    Problem::at(section.key_span("final_time"), message, "no terminal with it").with_help(help),
+                );
+                None
+            }
+            (None, None) => None,
+        };
+        Cost {
+            running,
+            terminal,
+            finite,
+        }
+    }
+
+    /// `[guards]`.
+    pub fn guards(&mut self, section: &Section<'a>) -> Vec<Guard> {
+        section
+            .entries()
+            .filter_map(|(name, _, value)| self.one_guard(name, value))
+            .collect()
+    }
+
+    fn one_guard(&mut self, name: &str, value: &'a Value<'a>) -> Option<Guard> {
+        let what = format!("guard `{}`", shorten(name));
+        let allowed = Kinds::PARAMETER.and(Kinds::STATE);
+        let rule = "parameters, states and definitions without controls";
+        let (left, relation, right) = self.guard(
+            value,
+            &Use {
+                what: &what,
+                allowed,
+                rule,
+            },
+        )?;
+        let expr = match relation {
+            Relation::Less | Relation::LessEqual => self.graph.sub(right, left),
+            Relation::Greater | Relation::GreaterEqual => self.graph.sub(left, right),
+        };
+        let strict = matches!(relation, Relation::Less | Relation::Greater);
+        Some(Guard {
+            name: name.to_owned(),
+            condition: Located {
+                expr,
+                span: value.span(),
+            },
+            strict,
+        })
+    }
+}

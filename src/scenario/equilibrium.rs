@@ -1,0 +1,197 @@
+//! `[equilibrium]`: read, and checked against the equations.
+
+use super::declare::Declared;
+use super::reader::{Reader, Section};
+use super::syntax_error::shorten;
+use crate::expr::{Fun, Graph, Id, Op};
+use crate::model::{Control, Guard, Located, Span, Variable};
+use crate::scenario::Problem;
+use std::collections::HashMap;
+
+/// What may remain of f and L at the equilibrium, relative to the size of the terms they are made of (plus 1).
+/// Parameters are typed with some ten digits at best; rounding is far below.
+const TOLERANCE: f64 = 1e-9;
+
+/// A value and the place it is given at.
+#[derive(Clone, Debug)]
+pub(super) struct Placed {
+    pub value: f64,
+    pub span: Span,
+}
+
+/// Values of all states and controls.
+#[derive(Clone, Debug)]
+pub(super) struct Equilibrium {
+    pub x: Vec<Placed>,
+    pub u: Vec<Placed>,
+    pub span: Span,
+}
+
+/// What has been read of a scene, for the checks at the equilibrium.
+pub(super) struct Scene<'s> {
+    pub states: &'s [&'s Variable],
+    pub controls: &'s [Control],
+    pub disturbances: &'s [Variable],
+    pub dynamics: &'s [Located],
+    pub running: &'s Located,
+    pub guards: &'s [Guard],
+    pub finite: bool,
+}
+
+impl<'a> Reader<'a> {
+    /// `[equilibrium]`; `None` where a value is missing or wrong.
+    pub fn equilibrium(
+        &mut self,
+        section: &Section<'a>,
+        states: &[Declared<'a>],
+        controls: &[Declared<'a>],
+        disturbances: &[Declared<'a>],
+    ) -> Option<Equilibrium> {
+        for d in disturbances.iter().filter(|d| section.get(d.name).is_some()) {
+            let message = format!("`{}` is a disturbance, which is 0 at the equilibrium", shorten(d.name));
+            self.report(Problem::at(section.key_span(d.name), message, "remove this"));
+        }
+        let known: Vec<Declared<'a>> = states.iter().chain(controls).chain(disturbances).cloned().collect();
+        self.entries_of(section, &known, "states and controls");
+        let (x, u) = (
+            self.values_of(section, states, "state"),
+            self.values_of(section, controls, "control"),
+        );
+        Some(Equilibrium {
+            x: x?,
+            u: u?,
+            span: section.span.clone(),
+        })
+    }
+
+    fn values_of(&mut self, section: &Section<'a>, names: &[Declared<'a>], noun: &str) -> Option<Vec<Placed>> {
+        let mut all = Vec::with_capacity(names.len());
+        for declared in names {
+            let name = shorten(declared.name);
+            all.push(match section.get(declared.name) {
+                Some(v) => self.number(v, &format!("the equilibrium of `{name}`")),
+                None => {
+                    let message = format!("{noun} `{name}` has no value in [equilibrium]");
+                    self.refuse(section.span.clone(), message, "missing here")
+                }
+            });
+        }
+        let place = |d: &Declared<'a>| section.get(d.name).map_or_else(|| section.span.clone(), |v| v.span());
+        all.into_iter()
+            .zip(names)
+            .map(|(v, d)| v.map(|value| Placed { value, span: place(d) }))
+            .collect()
+    }
+
+    /// Checks the equilibrium against bounds and region.
+    pub fn check_equilibrium_range(
+        &mut self,
+        at: &Equilibrium,
+        states: &[&Variable],
+        controls: &[Control],
+        region: Option<&[[f64; 2]]>,
+        finite: bool,
+    ) {
+        for ((placed, state), [lower, upper]) in at.x.iter().zip(states).zip(region.unwrap_or_default()) {
+            let value = placed.value;
+            if value < *lower || value > *upper {
+                let message = format!("the equilibrium is outside the region: `{}` is {value}", state.name);
+                self.report(Problem::at(
+                    placed.span.clone(),
+                    message,
+                    format!("not in [{lower}, {upper}]"),
+                ));
+            }
+        }
+        for (placed, control) in at.u.iter().zip(controls).filter(|_| !finite) {
+            let value = placed.value;
+            let (min, max) = (
+                control.min.unwrap_or(f64::NEG_INFINITY),
+                control.max.unwrap_or(f64::INFINITY),
+            );
+            if min < max && !(value > min && value < max) {
+                let name = &control.variable.name;
+                let message = format!("the equilibrium of `{name}` is {value}, not strictly between its bounds");
+                let help = "the local solution at the equilibrium needs the control strictly inside its bounds";
+                let label = format!("not inside ({min}, {max})");
+                self.report(Problem::at(placed.span.clone(), message, label).with_help(help));
+            }
+        }
+    }
+
+    /// Checks f = 0, L = 0 (not with a final time) and the guards at the equilibrium.
+    pub fn check_equilibrium(&mut self, at: &Equilibrium, scene: &Scene<'_>) {
+        let mut values = self.values.clone();
+        values.extend(scene.states.iter().zip(&at.x).map(|(s, p)| (s.symbol, p.value)));
+        values.extend(
+            scene
+                .controls
+                .iter()
+                .zip(&at.u)
+                .map(|(c, p)| (c.variable.symbol, p.value)),
+        );
+        values.extend(scene.disturbances.iter().map(|w| (w.symbol, 0.0)));
+        for (i, f) in scene.dynamics.iter().enumerate() {
+            let (value, size) = sized(&self.graph, f.expr, &values);
+            if !is_zero(value, size) {
+                let name = &scene.states[i].name;
+                let message = format!("this is no equilibrium: d{name}/dt is {value:.6e} there, not 0");
+                self.report(Problem::at(
+                    at.x[i].span.clone(),
+                    message,
+                    format!("d{name}/dt = {value:.6e} here"),
+                ));
+            }
+        }
+        let (value, size) = sized(&self.graph, scene.running.expr, &values);
+        if !scene.finite && !is_zero(value, size) {
+            let message = format!("the running cost is {value:.6e} at the equilibrium, not 0");
+            let problem = Problem::at(at.span.clone(), message, format!("L = {value:.6e} here"));
+            self.report(problem.with_help("V over an infinite horizon is finite only if L = 0 at the equilibrium"));
+        }
+        for guard in scene.guards {
+            let (value, size) = sized(&self.graph, guard.condition.expr, &values);
+            // On the border of `>=` rounding must not decide.
+            let holds = if guard.strict {
+                value > 0.0
+            } else {
+                value >= -TOLERANCE * (1.0 + size)
+            };
+            if !holds {
+                let message = format!("guard `{}` does not hold at the equilibrium", guard.name);
+                let label = format!("the difference of its sides is {value:.6e}");
+                self.report(Problem::at(guard.condition.span.clone(), message, label));
+            }
+        }
+    }
+}
+
+fn is_zero(value: f64, size: f64) -> bool {
+    value.abs() <= TOLERANCE * (1.0 + size)
+}
+
+/// Value of an expression and the size of the terms that may have cancelled in it.
+fn sized(graph: &Graph, expr: Id, values: &HashMap<Id, f64>) -> (f64, f64) {
+    // A step small enough for the slope, large enough against rounding: near the square root of f64's epsilon.
+    const STEP: f64 = 1e-8;
+    let pair = |v: f64| (v, v.abs());
+    graph.fold(
+        &[expr],
+        &mut |id| pair(values.get(&id).copied().unwrap_or(f64::NAN)),
+        &mut |c| pair(c),
+        &mut |f: Fun, (v, size)| {
+            let y = f.apply(*v);
+            let spread = (f.apply(v + STEP * size) - y).abs() / STEP;
+            (y, y.abs() + if spread.is_finite() { spread } else { 0.0 })
+        },
+        &mut |op, (a, sa), (b, sb)| match op {
+            Op::Add => (a + b, sa + sb),
+            Op::Sub => (a - b, sa + sb),
+            Op::Mul => (a * b, sa * sb),
+            Op::Div => (a / b, sa / b.abs()),
+            Op::Pow => pair(a.powf(*b)),
+            Op::Min => (a.min(*b), sa.max(*sb)),
+            Op::Max => (a.max(*b), sa.max(*sb)),
+        },
+    )[0]
+}

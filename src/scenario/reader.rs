@@ -1,0 +1,249 @@
+//! What all sections are read with: typed access to TOML values, each refusal with its place.
+
+use super::build::{Built, Origin, Use};
+use super::parser::{parse_expression, parse_guard};
+use super::quoted::Offsets;
+use super::scope::Scope;
+use super::suggest::did_you_mean;
+use super::syntax_error::shorten;
+use crate::expr::{Graph, Id};
+use crate::model::Span;
+use crate::scenario::Problem;
+use std::collections::HashMap;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// A TOML value and its place.
+pub(super) type Value<'a> = Spanned<DeValue<'a>>;
+
+/// A table with the name it has in messages ("[states]", "state `theta`") and the place of its key.
+#[derive(Clone, Debug)]
+pub(super) struct Section<'a> {
+    pub name: String,
+    pub span: Span,
+    table: &'a DeTable<'a>,
+}
+
+impl<'a> Section<'a> {
+    pub fn new(name: impl Into<String>, span: Span, table: &'a DeTable<'a>) -> Self {
+        Self {
+            name: name.into(),
+            span,
+            table,
+        }
+    }
+
+    /// Key, its place, and value, in the file's order.
+    pub fn entries(&self) -> impl Iterator<Item = (&'a str, Span, &'a Value<'a>)> + use<'a> {
+        self.table.iter().map(|(k, v)| (k.get_ref().as_ref(), k.span(), v))
+    }
+
+    pub fn get(&self, key: &str) -> Option<&'a Value<'a>> {
+        self.table.get(key)
+    }
+
+    /// The place of a key, or of the section where it has no such key.
+    pub fn key_span(&self, key: &str) -> Span {
+        self.table
+            .get_key_value(key)
+            .map_or_else(|| self.span.clone(), |(k, _)| k.span())
+    }
+}
+
+/// Everything known while a file is read.
+pub(super) struct Reader<'a> {
+    pub text: &'a str,
+    pub graph: Graph,
+    pub scope: Scope,
+    /// Values of the parameters.
+    pub values: HashMap<Id, f64>,
+    pub problems: Vec<Problem>,
+}
+
+impl<'a> Reader<'a> {
+    pub fn new(text: &'a str) -> Self {
+        let (graph, scope) = (Graph::new(), Scope::default());
+        Self {
+            text,
+            graph,
+            scope,
+            values: HashMap::new(),
+            problems: Vec::new(),
+        }
+    }
+
+    pub fn report(&mut self, problem: Problem) {
+        self.problems.push(problem);
+    }
+
+    /// Reports at `span`; returns `None`, for use in a chain.
+    pub fn refuse<T>(&mut self, span: Span, message: impl Into<String>, label: impl Into<String>) -> Option<T> {
+        self.report(Problem::at(span, message, label));
+        None
+    }
+
+    /// Refuses all keys but the known ones.
+    pub fn check_keys(&mut self, section: &Section<'_>, known: &[&str]) {
+        for (key, span, _) in section.entries().filter(|(k, ..)| !known.contains(k)) {
+            let help = did_you_mean(key, known.iter().copied())
+                .unwrap_or_else(|| format!("{} may have: {}", section.name, known.join(", ")));
+            let message = format!("unknown key `{}` in {}", shorten(key), section.name);
+            self.report(Problem::at(span, message, "not a key here").with_help(help));
+        }
+    }
+
+    fn wrong_type<T>(&mut self, value: &Value<'_>, what: &str, expected: &str) -> Option<T> {
+        let found = match value.get_ref() {
+            DeValue::String(_) => "a string",
+            DeValue::Integer(_) => "an integer",
+            DeValue::Float(_) => "a number",
+            DeValue::Boolean(_) => "true or false",
+            DeValue::Datetime(_) => "a date",
+            DeValue::Array(_) => "an array",
+            DeValue::Table(_) => "a table",
+        };
+        self.refuse(
+            value.span(),
+            format!("{what} must be {expected}, not {found}"),
+            format!("expected {expected}"),
+        )
+    }
+
+    pub fn string(&mut self, value: &'a Value<'a>, what: &str) -> Option<&'a str> {
+        match value.get_ref().as_str() {
+            Some(text) => Some(text),
+            None => self.wrong_type(value, what, "a string"),
+        }
+    }
+
+    pub fn table(&mut self, value: &'a Value<'a>, span: Span, what: &str) -> Option<Section<'a>> {
+        match value.get_ref() {
+            DeValue::Table(table) => Some(Section::new(what, span, table)),
+            _ => self.wrong_type(value, what, "a table"),
+        }
+    }
+
+    /// The elements of an array that must have `names.len()` of them.
+    pub fn array(&mut self, value: &'a Value<'a>, what: &str, names: &str, length: usize) -> Option<&'a [Value<'a>]> {
+        match value.get_ref() {
+            DeValue::Array(array) if array.len() == length => Some(array),
+            DeValue::Array(array) => {
+                let message = format!("{what} must be {names}, not {} values", array.len());
+                self.refuse(value.span(), message, format!("expected {names}"))
+            }
+            _ => self.wrong_type(value, what, names),
+        }
+    }
+
+    /// The expression at a string or number. All problems in it are reported.
+    pub fn expression(&mut self, value: &'a Value<'a>, purpose: &Use<'_>) -> Option<Built> {
+        let number = match value.get_ref() {
+            DeValue::String(text) => {
+                let origin = self.origin(value, text);
+                return self.parse_and_build(text, &origin, purpose);
+            }
+            DeValue::Integer(integer) => match integer.radix() {
+                10 => integer.as_str().parse::<f64>().ok(),
+                radix => i128::from_str_radix(integer.as_str(), radix).ok().map(|v| v as f64),
+            },
+            DeValue::Float(float) => float.as_str().parse::<f64>().ok(),
+            _ => return self.wrong_type(value, purpose.what, "a number or an expression in quotes"),
+        };
+        match number.filter(|v| v.is_finite()) {
+            Some(v) => Some(Built {
+                expr: self.graph.constant(v),
+                kinds: super::scope::Kinds::NONE,
+            }),
+            None => self.refuse(
+                value.span(),
+                format!("{} is not finite", purpose.what),
+                "no finite number",
+            ),
+        }
+    }
+
+    /// As [`Self::expression`], for text from anywhere.
+    pub fn parse_and_build(&mut self, text: &str, origin: &Origin, purpose: &Use<'_>) -> Option<Built> {
+        match parse_expression(text) {
+            Ok(tree) => self.build(&tree, origin, purpose),
+            Err(error) => {
+                self.report(origin.syntax_problem(error));
+                None
+            }
+        }
+    }
+
+    /// The two sides of a guard and the comparison between them.
+    pub fn guard(&mut self, value: &'a Value<'a>, purpose: &Use<'_>) -> Option<(Id, super::lexer::Relation, Id)> {
+        let DeValue::String(text) = value.get_ref() else {
+            return self.wrong_type(value, purpose.what, "a comparison in quotes");
+        };
+        let origin = self.origin(value, text);
+        match parse_guard(text) {
+            Ok(guard) => self
+                .build_guard(&guard, &origin, purpose)
+                .map(|(a, b)| (a, guard.relation, b)),
+            Err(error) => {
+                self.report(origin.syntax_problem(error));
+                None
+            }
+        }
+    }
+
+    /// Where the characters of a string value stand.
+    pub fn origin(&self, value: &Value<'_>, text: &str) -> Origin {
+        Origin::File {
+            offsets: Offsets::of(self.text, &value.span(), text),
+            whole: value.span(),
+        }
+    }
+
+    /// A finite number, given as one or as an expression of parameters.
+    pub fn number(&mut self, value: &'a Value<'a>, what: &str) -> Option<f64> {
+        let built = self.expression(value, &Use::number(what))?;
+        let number = self.graph.eval(&[built.expr], &self.values)[0];
+        if number.is_finite() {
+            return Some(number);
+        }
+        self.refuse(value.span(), format!("{what} is {number}"), "not finite")
+    }
+
+    /// A number that satisfies `rule`, which `wanted` says in words ("greater than 0").
+    pub fn number_that(
+        &mut self,
+        value: &'a Value<'a>,
+        what: &str,
+        wanted: &str,
+        rule: impl Fn(f64) -> bool,
+    ) -> Option<f64> {
+        let number = self.number(value, what)?;
+        if rule(number) {
+            return Some(number);
+        }
+        self.refuse(
+            value.span(),
+            format!("{what} must be {wanted}, not {number}"),
+            format!("this is {number}"),
+        )
+    }
+
+    /// A whole number of at least `least`.
+    pub fn count(&mut self, value: &'a Value<'a>, what: &str, least: u32) -> Option<usize> {
+        let wanted = format!("a whole number of at least {least}");
+        let fits = |v: f64| v.fract() == 0.0 && v >= f64::from(least) && v <= f64::from(u32::MAX);
+        self.number_that(value, what, &wanted, fits).map(|v| v as usize)
+    }
+
+    /// One of the named choices.
+    pub fn choice<T: Copy>(&mut self, value: &'a Value<'a>, what: &str, choices: &[(&str, T)]) -> Option<T> {
+        let text = self.string(value, what)?;
+        if let Some((_, choice)) = choices.iter().find(|(name, _)| *name == text) {
+            return Some(*choice);
+        }
+        let names: Vec<&str> = choices.iter().map(|(n, _)| *n).collect();
+        let help = did_you_mean(text, names.iter().copied()).unwrap_or_else(|| format!("known: {}", names.join(", ")));
+        let message = format!("unknown {what} `{}`", shorten(text));
+        self.report(Problem::at(value.span(), message, "not known").with_help(help));
+        None
+    }
+}

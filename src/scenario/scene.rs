@@ -1,0 +1,305 @@
+//! A file as a whole: its sections, and the order in which they are read.
+
+use super::declare::Declarations;
+use super::equations::Cost;
+use super::equilibrium::{Equilibrium, Scene};
+use super::parser::{parse_expression, parse_guard};
+use super::reader::{Reader, Section};
+use super::report::position;
+use super::scope::Role;
+use super::suggest::did_you_mean;
+use super::syntax_error::shorten;
+use crate::model::{Horizon, Model, Variable};
+use crate::scenario::Problem;
+use std::collections::HashMap;
+use std::path::Path;
+use toml::de::{DeTable, DeValue};
+
+const SECTIONS: [&str; 12] = [
+    "parameters",
+    "states",
+    "controls",
+    "disturbances",
+    "definitions",
+    "dynamics",
+    "cost",
+    "equilibrium",
+    "region",
+    "guards",
+    "shoot_out",
+    "homotopy",
+];
+const INTEGRATOR: &str = "integrator";
+/// Sections which only later versions read.
+const LATER: [&str; 3] = ["attenuation", "feedback", "closed_loop"];
+/// Sections whose strings are expressions.
+const EXPRESSIONS: [&str; 6] = ["parameters", "definitions", "dynamics", "cost", "equilibrium", "region"];
+
+type Sections<'a> = HashMap<&'static str, Section<'a>>;
+
+/// Reads a scenario's text.
+///
+/// # Errors
+/// All problems found, in no particular order.
+pub(super) fn read(text: &str, file_name: &str, overrides: &[(String, String)]) -> Result<Model, Vec<Problem>> {
+    let (document, errors) = DeTable::parse_recoverable(text);
+    let mut reader = Reader::new(text);
+    if !errors.is_empty() {
+        reader.toml_problems(&errors);
+        reader.expression_syntax(document.get_ref());
+        return Err(reader.problems);
+    }
+    let model = reader.model(document.get_ref(), file_name, overrides);
+    match model {
+        Some(model) if reader.problems.is_empty() => Ok(Model {
+            graph: reader.graph,
+            ..model
+        }),
+        _ => Err(reader.problems),
+    }
+}
+
+impl<'a> Reader<'a> {
+    /// What the TOML parser refused. One error a line: what follows on the same line is often a consequence.
+    fn toml_problems(&mut self, errors: &[toml::de::Error]) {
+        let mut seen = Vec::new();
+        let end = self.text.len();
+        let mut errors: Vec<_> = errors
+            .iter()
+            .map(|e| (e.span().unwrap_or(end..end), e.message()))
+            .collect();
+        errors.sort_by_key(|(span, _)| span.start);
+        for (span, message) in errors {
+            let line = position(self.text, span.start).0;
+            if !seen.contains(&line) {
+                seen.push(line);
+                self.report(Problem::at(span, format!("TOML: {message}"), "here"));
+            }
+        }
+    }
+
+    /// Syntax errors of the expressions in a file that is not good TOML: they do not depend on the rest.
+    fn expression_syntax(&mut self, root: &'a DeTable<'a>) {
+        let bad_lines: Vec<usize> = self
+            .problems
+            .iter()
+            .filter_map(|p| Some(position(self.text, p.span.as_ref()?.start).0))
+            .collect();
+        for (key, section) in root.iter() {
+            let guards = key.get_ref() == "guards";
+            let DeValue::Table(table) = section.get_ref() else {
+                continue;
+            };
+            if !guards && !EXPRESSIONS.contains(&key.get_ref().as_ref()) {
+                continue;
+            }
+            for (_, value) in table.iter() {
+                let DeValue::String(text) = value.get_ref() else {
+                    continue;
+                };
+                let span = value.span();
+                let lines = position(self.text, span.start).0..=position(self.text, span.end).0;
+                if bad_lines.iter().any(|l| lines.contains(l)) {
+                    continue;
+                }
+                let error = if guards {
+                    parse_guard(text).err()
+                } else {
+                    parse_expression(text).err()
+                };
+                if let Some(error) = error {
+                    let origin = self.origin(value, text);
+                    self.report(origin.syntax_problem(error));
+                }
+            }
+        }
+    }
+
+    /// The sections of the file, and the title.
+    fn sections(&mut self, root: &'a DeTable<'a>) -> (Sections<'a>, Option<String>) {
+        let mut sections = Sections::new();
+        let mut title = None;
+        for (key, value) in root.iter() {
+            let (name, span) = (key.get_ref().as_ref(), key.span());
+            let known = SECTIONS.into_iter().chain([INTEGRATOR]);
+            if name == "title" {
+                title = self.string(value, "the title").map(str::to_owned);
+            } else if let Some(known) = known.clone().find(|s| *s == name) {
+                if let Some(section) = self.table(value, span, &format!("[{name}]")) {
+                    sections.insert(known, section);
+                }
+            } else if LATER.contains(&name) {
+                self.report(Problem::at(
+                    span,
+                    format!("[{name}] is not supported by this version"),
+                    "remove this",
+                ));
+            } else {
+                let help = did_you_mean(name, known.clone().chain(["title"]))
+                    .unwrap_or_else(|| format!("sections: {}", known.collect::<Vec<_>>().join(", ")));
+                let message = match value.get_ref() {
+                    DeValue::Table(_) => format!("unknown section [{}]", shorten(name)),
+                    _ => format!("unknown key `{}` outside any section", shorten(name)),
+                };
+                self.report(Problem::at(span, message, "not part of a scenario").with_help(help));
+            }
+        }
+        (sections, title)
+    }
+
+    /// Reports a required section that is missing, unless it is there with a wrong type (which has been reported).
+    fn require(&mut self, root: &DeTable<'_>, sections: &Sections<'a>, name: &'static str, what: &str) {
+        let message = match sections.get(name) {
+            Some(section) if section.entries().next().is_none() => format!("[{name}] is empty"),
+            None if !root.contains_key(name) => format!("section [{name}] is missing"),
+            _ => return,
+        };
+        let span = sections.get(name).map(|s| s.span.clone());
+        let help = Some(format!("it gives {what}"));
+        self.report(Problem {
+            message,
+            span,
+            label: "nothing in it".to_owned(),
+            help,
+        });
+    }
+
+    fn declarations(&mut self, sections: &Sections<'a>) -> Declarations<'a> {
+        let mut of = |name: &str, role| self.declare(sections.get(name), role);
+        Declarations {
+            parameters: of("parameters", Role::Parameter),
+            states: of("states", Role::State),
+            controls: of("controls", Role::Control),
+            disturbances: of("disturbances", Role::Disturbance),
+            definitions: of("definitions", Role::Definition),
+        }
+    }
+
+    /// Everything, with an empty graph in the place of the reader's; `None` only after a report.
+    fn model(&mut self, root: &'a DeTable<'a>, file_name: &str, overrides: &[(String, String)]) -> Option<Model> {
+        let (sections, title) = self.sections(root);
+        self.require(
+            root,
+            &sections,
+            "states",
+            "the states, in the order of the output's axes",
+        );
+        self.require(root, &sections, "controls", "the controls");
+        self.require(root, &sections, "cost", "the running cost");
+        self.require(root, &sections, "region", "bounds [lower, upper] for each state");
+        if !sections.contains_key("dynamics") {
+            self.require(root, &sections, "dynamics", "the time derivative of each state");
+        }
+        let declared = self.declarations(&sections);
+        let parameters = self.parameters(&declared.parameters, overrides);
+        self.definitions(&declared.definitions);
+        let states = self.states(&declared.states);
+        let controls = self.controls(&declared.controls);
+        let disturbances = self.disturbances(&declared.disturbances);
+        let dynamics = sections
+            .get("dynamics")
+            .and_then(|s| self.dynamics(s, &declared.states));
+        let cost = sections.get("cost").map(|s| self.cost(s)).unwrap_or_default();
+        let guards = sections.get("guards").map(|s| self.guards(s)).unwrap_or_default();
+        let region = sections
+            .get("region")
+            .filter(|s| s.entries().next().is_some())
+            .and_then(|s| self.region(s, &declared.states));
+        let equilibrium = sections
+            .get("equilibrium")
+            .and_then(|s| self.equilibrium(s, &declared.states, &declared.controls, &declared.disturbances));
+        self.require_horizon(root, &sections, &cost);
+        if let (Some(at), Some(states), Some(controls)) = (&equilibrium, &states, &controls) {
+            let states: Vec<&Variable> = states.iter().map(|s| &s.variable).collect();
+            self.check_equilibrium_range(at, &states, controls, region.as_deref(), cost.finite);
+            if let (Some(dynamics), Some(running), Some(disturbances)) = (&dynamics, &cost.running, &disturbances) {
+                let finite = cost.finite;
+                let (states, guards) = (&states, &guards);
+                self.check_equilibrium(
+                    at,
+                    &Scene {
+                        states,
+                        controls,
+                        disturbances,
+                        dynamics,
+                        running,
+                        guards,
+                        finite,
+                    },
+                );
+            }
+        }
+        let reference = reference(equilibrium.as_ref(), region.as_deref(), cost.finite);
+        let shoot_out = sections.get("shoot_out").and_then(|s| self.shoot_out(s, cost.finite));
+        let homotopy = sections
+            .get("homotopy")
+            .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));
+        let integrator = self.integrator(sections.get(INTEGRATOR));
+        Some(Model {
+            title: title.unwrap_or_else(|| stem(file_name)),
+            file_name: file_name.to_owned(),
+            text: self.text.to_owned(),
+            graph: Default::default(),
+            parameters,
+            states: states?,
+            controls: controls?,
+            disturbances: disturbances?,
+            dynamics: dynamics?,
+            horizon: horizon(&cost, equilibrium, reference)?,
+            running: cost.running?,
+            region: region?,
+            guards,
+            shoot_out,
+            homotopy,
+            integrator,
+        })
+    }
+
+    fn require_horizon(&mut self, root: &DeTable<'_>, sections: &Sections<'a>, cost: &Cost) {
+        if cost.finite || root.contains_key("equilibrium") || !sections.contains_key("cost") {
+            return;
+        }
+        let help = "infinite horizon: add [equilibrium] with all states and controls; finite horizon: add terminal and \
+                    final_time to [cost]";
+        let message = "the horizon is missing: neither [equilibrium] nor a final time";
+        self.report(Problem {
+            message: message.to_owned(),
+            span: None,
+            label: String::new(),
+            help: Some(help.to_owned()),
+        });
+    }
+}
+
+/// The point deviations are taken from.
+fn reference(equilibrium: Option<&Equilibrium>, region: Option<&[[f64; 2]]>, finite: bool) -> Option<Vec<f64>> {
+    match equilibrium {
+        Some(at) => Some(at.x.iter().map(|p| p.value).collect()),
+        None if finite => region.map(|r| r.iter().map(|[lower, upper]| 0.5 * (lower + upper)).collect()),
+        None => None,
+    }
+}
+
+fn horizon(cost: &Cost, equilibrium: Option<Equilibrium>, reference: Option<Vec<f64>>) -> Option<Horizon> {
+    if cost.finite {
+        let terminal = cost.terminal.clone()?;
+        return Some(Horizon::Finite {
+            terminal: terminal.terminal,
+            final_time: terminal.final_time,
+            reference: reference?,
+        });
+    }
+    let at = equilibrium?;
+    let u = at.u.iter().map(|p| p.value).collect();
+    Some(Horizon::Infinite {
+        x: reference?,
+        u,
+        span: at.span,
+    })
+}
+
+fn stem(file_name: &str) -> String {
+    Path::new(file_name)
+        .file_stem()
+        .map_or_else(|| file_name.to_owned(), |s| s.to_string_lossy().into_owned())
+}

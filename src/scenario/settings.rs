@@ -1,0 +1,228 @@
+//! The sections with numbers only: region, shoot_out, homotopy, integrator.
+
+use super::declare::Declared;
+use super::reader::{Reader, Section, Value};
+use super::syntax_error::shorten;
+use crate::model::{
+    DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS, GridAxis, Homotopy, Integrator, Method, Precision, SeedValue,
+    ShootOut,
+};
+use crate::scenario::Problem;
+use toml::de::DeValue;
+
+/// Largest gap on a front unless `[shoot_out] spacing` says otherwise.
+pub const DEFAULT_SPACING: f64 = 0.05;
+/// Stored points a trajectory unless `[shoot_out] samples` says otherwise.
+pub const DEFAULT_SAMPLES: usize = 200;
+/// Tolerances unless `[integrator]` says otherwise.
+pub const DEFAULT_RTOL: f64 = 1e-6;
+/// See [`DEFAULT_RTOL`].
+pub const DEFAULT_ATOL: f64 = 1e-9;
+
+const PRECISIONS: [(&str, Option<Precision>); 3] = [
+    ("f32", Some(Precision::F32)),
+    ("f64", Some(Precision::F64)),
+    ("auto", None),
+];
+
+impl<'a> Reader<'a> {
+    /// `[region]`: bounds of each state; `None` where one is missing or wrong.
+    pub fn region(&mut self, section: &Section<'a>, states: &[Declared<'a>]) -> Option<Vec<[f64; 2]>> {
+        self.entries_of(section, states, "states");
+        let mut all = Vec::with_capacity(states.len());
+        for state in states {
+            let name = shorten(state.name);
+            all.push(match section.get(state.name) {
+                Some(value) => self.interval(value, &name),
+                None => {
+                    let message = format!("state `{name}` has no bounds in [region]");
+                    let help = format!("add {name} = [lower, upper]");
+                    self.report(Problem::at(section.span.clone(), message, "missing here").with_help(help));
+                    None
+                }
+            });
+        }
+        all.into_iter().collect()
+    }
+
+    fn interval(&mut self, value: &'a Value<'a>, name: &str) -> Option<[f64; 2]> {
+        let what = format!("the region of `{name}`");
+        let [lower, upper] = self.array(value, &what, "[lower, upper]", 2)? else {
+            return None;
+        };
+        let bounds = (self.number(lower, &what), self.number(upper, &what));
+        let (Some(lower), Some(upper)) = bounds else {
+            return None;
+        };
+        if lower >= upper {
+            let message = format!("{what} is empty: {lower} is not below {upper}");
+            return self.refuse(value.span(), message, "the lower bound comes first");
+        }
+        Some([lower, upper])
+    }
+
+    /// `[shoot_out]`; `finite`: the horizon is.
+    pub fn shoot_out(&mut self, section: &Section<'a>, finite: bool) -> Option<ShootOut> {
+        self.check_keys(
+            section,
+            &["value_max", "spacing", "seed_value", "samples", "max_seeds", "margin"],
+        );
+        let before = self.problems.len();
+        let positive = |v: f64| v > 0.0;
+        let value_max = section
+            .get("value_max")
+            .and_then(|v| self.number_that(v, "value_max", "greater than 0", positive));
+        if section.get("value_max").is_none() && !finite {
+            let problem = Problem::at(
+                section.span.clone(),
+                "[shoot_out] has no value_max",
+                "`value_max` is missing",
+            );
+            self.report(problem.with_help("add value_max = ..., the largest V of interest"));
+        }
+        let spacing = section
+            .get("spacing")
+            .and_then(|v| self.number_that(v, "spacing", "greater than 0 and at most 1", |s| s > 0.0 && s <= 1.0));
+        let seed_value = self.seed_value(section, value_max, finite);
+        let samples = section.get("samples").and_then(|v| self.count(v, "samples", 2));
+        let max_seeds = section.get("max_seeds").and_then(|v| self.count(v, "max_seeds", 1));
+        let margin = section
+            .get("margin")
+            .and_then(|v| self.number_that(v, "margin", "at least 0", |m| m >= 0.0));
+        (self.problems.len() == before).then(|| ShootOut {
+            value_max,
+            spacing: spacing.unwrap_or(DEFAULT_SPACING),
+            seed_value,
+            samples: samples.unwrap_or(DEFAULT_SAMPLES),
+            max_seeds: max_seeds.unwrap_or(DEFAULT_MAX_SEEDS),
+            margin: margin.unwrap_or(DEFAULT_MARGIN),
+            span: section.span.clone(),
+        })
+    }
+
+    fn seed_value(&mut self, section: &Section<'a>, value_max: Option<f64>, finite: bool) -> SeedValue {
+        let Some(value) = section.get("seed_value") else {
+            return SeedValue::Auto;
+        };
+        if value.get_ref().as_str() == Some("auto") {
+            return SeedValue::Auto;
+        }
+        let Some(seed) = self.number_that(value, "seed_value", "greater than 0", |v| v > 0.0) else {
+            return SeedValue::Auto;
+        };
+        if finite {
+            let message = "seed_value has no meaning with a final time: seeds lie on the terminal cost";
+            self.report(Problem::at(value.span(), message, "remove this, or write \"auto\""));
+        } else if let Some(max) = value_max.filter(|max| seed >= *max) {
+            let message = format!("seed_value must be below value_max, but {seed} >= {max}");
+            self.report(Problem::at(value.span(), message, format!("value_max is {max}")));
+        }
+        SeedValue::Value(seed)
+    }
+
+    /// `[homotopy]`. States it does not name stay at `reference`, if that is known.
+    pub fn homotopy(
+        &mut self,
+        section: &Section<'a>,
+        states: &[Declared<'a>],
+        reference: Option<&[f64]>,
+    ) -> Option<Homotopy> {
+        self.entries_of(section, states, "states");
+        let mut axes = Vec::with_capacity(states.len());
+        for (i, state) in states.iter().enumerate() {
+            axes.push(match section.get(state.name) {
+                Some(value) => self.axis(value, &shorten(state.name)),
+                None => reference.and_then(|r| r.get(i)).map(|&x| GridAxis::Fixed(x)),
+            });
+        }
+        let axes = axes.into_iter().collect::<Option<Vec<_>>>()?;
+        Some(Homotopy {
+            axes,
+            span: section.span.clone(),
+        })
+    }
+
+    fn axis(&mut self, value: &'a Value<'a>, name: &str) -> Option<GridAxis> {
+        let what = format!("the axis of `{name}`");
+        if !matches!(value.get_ref(), DeValue::Array(_)) {
+            return self.number(value, &what).map(GridAxis::Fixed);
+        }
+        let [first, last, count] = self.array(value, &what, "[first, last, count]", 3)? else {
+            return None;
+        };
+        let ends = (self.number(first, &what), self.number(last, &what));
+        let count = self.count(count, &format!("the count of {what}"), 2);
+        let ((Some(first), Some(last)), Some(count)) = (ends, count) else {
+            return None;
+        };
+        if first >= last {
+            let message = format!("{what} is empty: {first} is not below {last}");
+            return self.refuse(value.span(), message, "the lower end comes first");
+        }
+        Some(GridAxis::Range { first, last, count })
+    }
+
+    /// `[integrator]`, or the defaults.
+    pub fn integrator(&mut self, section: Option<&Section<'a>>) -> Integrator {
+        let mut integrator = Integrator {
+            method: Method::Tsit5,
+            rtol: DEFAULT_RTOL,
+            atol: DEFAULT_ATOL,
+            step: None,
+            precision: None,
+            max_steps: DEFAULT_MAX_STEPS,
+            span: section.map(|s| s.span.clone()),
+        };
+        let Some(section) = section else { return integrator };
+        self.check_keys(section, &["method", "rtol", "atol", "step", "precision", "max_steps"]);
+        let method = section.get("method").map(|v| self.choice(v, "method", &Method::ALL));
+        if let Some(rtol) = section
+            .get("rtol")
+            .and_then(|v| self.number_that(v, "rtol", "greater than 0 and at most 0.1", |r| r > 0.0 && r <= 0.1))
+        {
+            integrator.rtol = rtol;
+        }
+        if let Some(atol) = section
+            .get("atol")
+            .and_then(|v| self.number_that(v, "atol", "at least 0", |a| a >= 0.0))
+        {
+            integrator.atol = atol;
+        }
+        integrator.step = section
+            .get("step")
+            .and_then(|v| self.number_that(v, "step", "greater than 0", |h| h > 0.0));
+        if let Some(precision) = section
+            .get("precision")
+            .and_then(|v| self.choice(v, "precision", &PRECISIONS))
+        {
+            integrator.precision = precision;
+        }
+        if let Some(steps) = section.get("max_steps").and_then(|v| self.count(v, "max_steps", 1)) {
+            integrator.max_steps = steps;
+        }
+        // An unknown method says nothing about whether it needs a step.
+        if let Some(method) = method.unwrap_or(Some(Method::Tsit5)) {
+            integrator.method = method;
+            self.check_step(section, method);
+        }
+        integrator
+    }
+
+    fn check_step(&mut self, section: &Section<'a>, method: Method) {
+        let name = method.name();
+        let given = section.get("step").is_some();
+        if is_fixed_step(method) && !given {
+            let message = format!("method {name} has a fixed step, which is not given");
+            let problem = Problem::at(section.key_span("method"), message, "needs a step");
+            self.report(problem.with_help("add step = ..., in units of time"));
+        } else if !is_fixed_step(method) && given {
+            let message = format!("method {name} chooses its steps itself");
+            let problem = Problem::at(section.key_span("step"), message, "has no meaning here");
+            self.report(problem.with_help("remove step, or write method = \"rk4\""));
+        }
+    }
+}
+
+fn is_fixed_step(method: Method) -> bool {
+    method == Method::Rk4
+}

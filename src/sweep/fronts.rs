@@ -1,0 +1,319 @@
+//! Refinement of fronts: neighbours further apart than the spacing on any front get a seed between them.
+
+use super::complex::{Complex, Edge, Vertex, Waiting};
+use super::observe::Observed;
+use super::plan::Plan;
+use crate::backend::{Backend, BackendError, Kernel, Trajectories, batch_limit};
+use crate::model::Precision;
+use crate::output::TrajectoryBlock;
+use std::collections::{BTreeMap, HashMap};
+
+/// Seeds a round: enough to fill a device, few enough that what is open stays small.
+const ROUND: usize = 8192;
+
+/// How well the fronts are covered.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Coverage {
+    /// Neighbouring pairs further apart than the spacing for which the cap on seeds left no seed.
+    pub uncovered: usize,
+    /// Pairs still apart although no number of the precision lies between their seeds.
+    pub indistinguishable: usize,
+    /// The widest gap left among these, as a fraction of the region's box.
+    pub widest: f64,
+    /// Pairs looked at.
+    pub pairs: usize,
+    /// Seeds outside a guard, which were not swept.
+    pub outside_guards: usize,
+}
+
+/// What a sweep did.
+#[derive(Clone, Debug, Default)]
+pub struct SweepReport {
+    pub trajectories: usize,
+    /// Status code (see [`Plan::status_flags`]) and how many ended so.
+    pub by_status: BTreeMap<i32, usize>,
+    pub coverage: Coverage,
+    /// Largest |H| (finite horizon: change of H) of each trajectory.
+    pub drift: Vec<f64>,
+    pub steps: u64,
+    pub rejected: u64,
+    pub rounds: usize,
+    /// Seconds in the backend.
+    pub integrate_seconds: f64,
+}
+
+/// Told after each round: trajectories done, pairs that still wait for a seed.
+pub type Progress<'a> = &'a mut dyn FnMut(usize, usize);
+
+/// What is kept of a vertex while it has open edges.
+struct Node {
+    parameter: Vec<f64>,
+    state: NodeState,
+    /// On the boundary of a guard: nothing is between it and an outside neighbour.
+    boundary: bool,
+}
+
+enum NodeState {
+    Pending,
+    /// Outside a guard: not swept.
+    Outside,
+    /// Deviations in widths of the region at each level passed.
+    Swept(Vec<f32>),
+}
+
+/// What an edge turns out to need.
+enum Verdict {
+    /// An end has not been swept yet.
+    Unknown,
+    Settled,
+    /// Further apart than the spacing.
+    Gap(f32),
+    /// A guard's boundary lies between.
+    Boundary,
+}
+
+struct Fronts<'a> {
+    plan: &'a Plan,
+    complex: Complex,
+    nodes: HashMap<Vertex, Node>,
+    waiting: Waiting,
+    deferred: Vec<Edge>,
+    pending: Vec<Vertex>,
+    report: SweepReport,
+}
+
+/// Sweeps a plan on a backend; finished trajectories go to `sink` in order, block by block.
+///
+/// # Errors
+/// Failures of the backend, or of the sink (as its own error).
+pub fn sweep<E: From<BackendError>>(
+    plan: &Plan,
+    backend: &dyn Backend,
+    progress: Progress<'_>,
+    sink: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+) -> Result<SweepReport, E> {
+    let mut kernel = backend.compile(&plan.spec)?;
+    let observed = Observed::new(plan);
+    let mut fronts = Fronts::new(plan);
+    loop {
+        fronts.integrate(kernel.as_mut(), &observed, sink)?;
+        fronts.judge();
+        fronts.report.rounds += 1;
+        progress(fronts.report.trajectories, fronts.waiting.len());
+        if !fronts.next_round() {
+            return Ok(fronts.finished());
+        }
+    }
+}
+
+impl<'a> Fronts<'a> {
+    fn new(plan: &'a Plan) -> Self {
+        let (complex, parameters) = plan.surface.triangulation();
+        let mut this = Self {
+            plan,
+            complex,
+            nodes: HashMap::new(),
+            waiting: Waiting::default(),
+            deferred: Vec::new(),
+            pending: Vec::new(),
+            report: SweepReport::default(),
+        };
+        for (v, parameter) in parameters.into_iter().enumerate() {
+            this.place(v as Vertex, parameter, false);
+        }
+        this
+    }
+
+    /// Enters a vertex, to be swept if it is inside the guards.
+    fn place(&mut self, vertex: Vertex, parameter: Vec<f64>, boundary: bool) {
+        let parameter = self.plan.surface.nudged(parameter);
+        let inside = self.plan.surface.inside(&self.plan.surface.seed(&parameter));
+        let state = if inside {
+            self.pending.push(vertex);
+            NodeState::Pending
+        } else {
+            self.report.coverage.outside_guards += 1;
+            NodeState::Outside
+        };
+        self.nodes.insert(vertex, Node { parameter, state, boundary });
+    }
+
+    fn integrate<E: From<BackendError>>(
+        &mut self,
+        kernel: &mut dyn Kernel,
+        observed: &Observed,
+        sink: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let plan = self.plan;
+        let dim = plan.spec.dim();
+        let pending = std::mem::take(&mut self.pending);
+        for vertices in pending.chunks(batch_limit(dim, plan.run.levels.len())) {
+            let mut seeds = Vec::with_capacity(vertices.len() * dim);
+            for v in vertices {
+                let mut seed = plan.surface.seed(&self.nodes[v].parameter);
+                seed.resize(dim, 0.0);
+                seeds.extend(seed);
+            }
+            let start = std::time::Instant::now();
+            let batch = kernel.integrate(&plan.run, &seeds)?;
+            self.report.integrate_seconds += start.elapsed().as_secs_f64();
+            self.record(vertices, &batch);
+            let block = observed.block(plan, &batch);
+            self.report.drift.extend_from_slice(&block.hamiltonian_drift);
+            for code in &block.status {
+                *self.report.by_status.entry(*code).or_default() += 1;
+            }
+            sink(block)?;
+        }
+        Ok(())
+    }
+
+    fn record(&mut self, vertices: &[Vertex], batch: &Trajectories) {
+        let n = self.plan.system.states;
+        for (i, v) in vertices.iter().enumerate() {
+            let mut path = Vec::new();
+            for k in 0..batch.levels {
+                let sample = batch.sample(i, k);
+                if sample[0].is_nan() {
+                    break;
+                }
+                path.extend(sample[1..=n].iter().zip(&self.plan.widths).map(|(s, w)| (s / w) as f32));
+            }
+            path.shrink_to_fit();
+            if let Some(node) = self.nodes.get_mut(v) {
+                node.state = NodeState::Swept(path);
+            }
+            self.report.trajectories += 1;
+            self.report.steps += u64::from(batch.steps[i]);
+            self.report.rejected += u64::from(batch.rejected[i]);
+        }
+    }
+
+    /// Decides on all edges whose ends are known, and forgets the vertices that are done with.
+    fn judge(&mut self) {
+        let mut edges = std::mem::take(&mut self.deferred);
+        edges.extend(self.complex.take_fresh());
+        for edge in edges {
+            let root = self.complex.root(edge).unwrap_or(0);
+            let (gap, known) = match self.verdict(edge) {
+                Verdict::Unknown => {
+                    self.deferred.push(edge);
+                    (None, false)
+                }
+                Verdict::Settled => {
+                    self.complex.settle(edge);
+                    (None, true)
+                }
+                Verdict::Gap(gap) => (Some(gap), true),
+                Verdict::Boundary => (Some(1.0), true),
+            };
+            self.report.coverage.pairs += usize::from(known);
+            if let Some(gap) = gap {
+                self.waiting.push(root, gap, edge);
+            }
+        }
+        let complex = &self.complex;
+        self.nodes.retain(|v, _| complex.is_open(*v));
+    }
+
+    fn verdict(&self, edge: Edge) -> Verdict {
+        let (Some(a), Some(b)) = (self.nodes.get(&edge.0), self.nodes.get(&edge.1)) else {
+            return Verdict::Settled;
+        };
+        match (&a.state, &b.state) {
+            (NodeState::Swept(x), NodeState::Swept(y)) => {
+                let gap = self.widest_gap(x, y);
+                if f64::from(gap) > self.plan.shoot_out.spacing { Verdict::Gap(gap) } else { Verdict::Settled }
+            }
+            (NodeState::Pending, _) | (_, NodeState::Pending) => Verdict::Unknown,
+            (NodeState::Outside, NodeState::Outside) => Verdict::Settled,
+            _ if a.boundary || b.boundary => Verdict::Settled,
+            _ => Verdict::Boundary,
+        }
+    }
+
+    /// Widest gap over the fronts that both trajectories reach, where the piece of front between them may meet the
+    /// region.
+    fn widest_gap(&self, a: &[f32], b: &[f32]) -> f32 {
+        let n = self.plan.system.states;
+        let bounds: Vec<[f32; 2]> = (self.plan.region.iter().zip(&self.plan.widths).zip(&self.plan.periodic))
+            .map(|(([lo, hi], w), periodic)| {
+                // A period always meets the region somewhere.
+                if *periodic { [f32::NEG_INFINITY, f32::INFINITY] } else { [(lo / w) as f32, (hi / w) as f32] }
+            })
+            .collect();
+        let mut widest = 0.0f32;
+        for (x, y) in a.chunks_exact(n).zip(b.chunks_exact(n)) {
+            let meets = x.iter().zip(y).zip(&bounds).all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi);
+            if meets {
+                let gap = x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
+                widest = widest.max(gap);
+            }
+        }
+        widest
+    }
+
+    /// Splits waiting edges until the round is full; false when nothing is left to do.
+    fn next_round(&mut self) -> bool {
+        loop {
+            self.judge();
+            if self.is_full() || self.waiting.is_empty() {
+                return !self.pending.is_empty();
+            }
+            while !self.is_full()
+                && let Some((edge, gap)) = self.waiting.pop()
+            {
+                self.split(edge, gap);
+            }
+        }
+    }
+
+    fn is_full(&self) -> bool {
+        let swept = self.report.trajectories + self.pending.len();
+        self.pending.len() >= ROUND || swept >= self.plan.shoot_out.max_seeds
+    }
+
+    fn split(&mut self, edge: Edge, gap: f32) {
+        let surface = &self.plan.surface;
+        let (Some(a), Some(b)) = (self.nodes.get(&edge.0), self.nodes.get(&edge.1)) else {
+            return;
+        };
+        let outside = |n: &Node| matches!(n.state, NodeState::Outside);
+        let boundary = outside(a) || outside(b);
+        let parameter = match (outside(a), outside(b)) {
+            (false, true) => surface.boundary(&a.parameter, &b.parameter),
+            (true, false) => surface.boundary(&b.parameter, &a.parameter),
+            _ => surface.between(&a.parameter, &b.parameter),
+        };
+        let middle = self.rounded(&parameter);
+        if middle == self.rounded(&a.parameter) || middle == self.rounded(&b.parameter) {
+            // A boundary that coincides with its inner end leaves nothing between; a gap does.
+            if !boundary {
+                self.report.coverage.indistinguishable += 1;
+                self.report.coverage.widest = self.report.coverage.widest.max(f64::from(gap));
+            }
+            self.complex.settle(edge);
+            return;
+        }
+        if let Some(vertex) = self.complex.split(edge) {
+            self.place(vertex, parameter, boundary);
+        }
+    }
+
+    /// The seed as the kernel sees it.
+    fn rounded(&self, parameter: &[f64]) -> Vec<f64> {
+        let n = self.plan.system.states;
+        let mut seed = self.plan.surface.seed(parameter);
+        seed.truncate(n);
+        if self.plan.spec.precision == Precision::F32 {
+            seed.iter_mut().for_each(|x| *x = f64::from(*x as f32));
+        }
+        seed
+    }
+
+    fn finished(mut self) -> SweepReport {
+        self.report.coverage.uncovered = self.waiting.len();
+        self.report.coverage.widest = self.report.coverage.widest.max(f64::from(self.waiting.widest()));
+        self.report
+    }
+}

@@ -1,0 +1,13 @@
+//! Shooting out: seeds on the local solution (or the terminal cost) integrated backward in time, with new seeds between
+//! neighbours that part.
+
+pub mod complex;
+mod fronts;
+mod observe;
+mod plan;
+mod surface;
+
+pub use fronts::{Coverage, Progress, SweepReport, sweep};
+pub use observe::Observed;
+pub use plan::{Choices, Plan, PlanError, Sampling};
+pub use surface::Surface;

@@ -1,0 +1,97 @@
+//! From a backend's samples to what is stored: x, t as they happen, u, w, H.
+
+use super::plan::{GUARD_STATUS, Plan, Sampling};
+use crate::backend::{Status, Trajectories};
+use crate::backend::cpu::map::Evaluator;
+use crate::output::TrajectoryBlock;
+use crate::program::Program;
+
+/// Sheets are labelled when sheets are computed; a sweep leaves them open.
+pub const NO_SHEET: i32 = -1;
+
+/// Computes the reported quantities of a batch, in f64 from the stored states and adjoints.
+pub struct Observed {
+    evaluator: Evaluator,
+    guards: Option<Evaluator>,
+    controls: usize,
+    disturbances: usize,
+}
+
+impl Observed {
+    pub fn new(plan: &Plan) -> Self {
+        let o = &plan.system.observer;
+        let roots: Vec<_> = o.control.iter().chain(&o.disturbance).copied().chain([o.hamiltonian]).collect();
+        let program = Program::lower(&plan.system.graph, &plan.system.inputs, &roots);
+        let guards = plan.spec.guards.as_ref().map(|g| Evaluator::new(&g.program));
+        Self { evaluator: Evaluator::new(&program), guards, controls: o.control.len(), disturbances: o.disturbance.len() }
+    }
+
+    /// The block to store; samples in order of rising t.
+    pub fn block(&self, plan: &Plan, batch: &Trajectories) -> TrajectoryBlock {
+        let n = plan.system.states;
+        let (count, levels, stride) = (batch.count(), batch.levels, 1 + batch.dim);
+        let (m, k) = (self.controls, self.disturbances);
+        let width = m + k + 1;
+        let values = if levels == 0 { Vec::new() } else { self.evaluator.eval(&batch.samples[1..], stride) };
+        let ends = self.evaluator.eval(&batch.end, batch.dim);
+        let total = count * levels;
+        let mut block = TrajectoryBlock {
+            count,
+            t: Vec::with_capacity(total),
+            x: Vec::with_capacity(total * n),
+            p: Vec::with_capacity(total * n),
+            u: Vec::with_capacity(total * m),
+            w: Vec::with_capacity(total * k),
+            v: Vec::with_capacity(total),
+            h: Vec::with_capacity(total),
+            status: self.statuses(batch),
+            sheet: vec![NO_SHEET; count],
+            steps: batch.steps.iter().map(|s| *s as i32).collect(),
+            rejected: batch.rejected.iter().map(|s| *s as i32).collect(),
+            hamiltonian_drift: Vec::with_capacity(count),
+        };
+        let end_time = plan.system.terminal.as_ref().map_or(0.0, |t| t.time);
+        for i in 0..count {
+            let hamiltonian = |level: usize| values[(i * levels + level) * width + m + k];
+            // On an infinite horizon H is 0 on the manifold; on a finite one it keeps the value it has at the end.
+            let reference = match plan.sampling {
+                Sampling::Time if levels > 0 => hamiltonian(0),
+                _ => 0.0,
+            };
+            let mut drift = (ends[i * width + m + k] - reference).abs();
+            for level in (0..levels).rev() {
+                let sample = batch.sample(i, level);
+                let row = &values[(i * levels + level) * width..][..width];
+                let h = row[m + k];
+                block.t.push(end_time - sample[0]);
+                block.x.extend(sample[1..=n].iter().zip(&plan.system.reference).map(|(s, x)| s + x));
+                block.p.extend_from_slice(&sample[1 + n..=2 * n]);
+                block.v.push(sample[1 + 2 * n]);
+                block.u.extend_from_slice(&row[..m]);
+                block.w.extend_from_slice(&row[m..m + k]);
+                block.h.push(h);
+                if !h.is_nan() {
+                    drift = drift.max((h - reference).abs());
+                }
+            }
+            block.hamiltonian_drift.push(drift);
+        }
+        block
+    }
+
+    /// Status codes; a guard's own where one ended the trajectory: the one nearest to its boundary at the end.
+    fn statuses(&self, batch: &Trajectories) -> Vec<i32> {
+        let guards = match &self.guards {
+            Some(g) if batch.status.contains(&Status::Guard) => g.eval(&batch.end, batch.dim),
+            _ => Vec::new(),
+        };
+        let each = guards.len() / batch.count().max(1);
+        let nearest = |i: usize| {
+            let values = &guards[i * each..(i + 1) * each];
+            values.iter().enumerate().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).map_or(0, |(k, _)| k as i32)
+        };
+        (batch.status.iter().enumerate())
+            .map(|(i, s)| if *s == Status::Guard { GUARD_STATUS + nearest(i) } else { *s as i32 })
+            .collect()
+    }
+}

@@ -1,0 +1,222 @@
+//! What a scene's sweep integrates, with which tolerances, and where its trajectories are sampled and end.
+
+use super::surface::Surface;
+use crate::backend::{Backend, By, Guards, Run, Spec, Status};
+use crate::hamiltonian::{Hamiltonian, System};
+use crate::local::{LocalError, LocalSolution, Riccati, SeedChoice};
+use crate::model::{Horizon, Method, Model, Precision, ShootOut};
+use crate::program::Program;
+
+/// An explicit f64 needs no more than this tolerance to be asked for; above it f32 does.
+const F32_RTOL: f64 = 1e-5;
+/// Tolerances below this many rounding errors cannot be met.
+const LEAST_RTOL: f64 = 4.0;
+/// Share of the tolerance that the seeds may use up.
+const SEED_SHARE: f64 = 0.1;
+/// Length of a trajectory, in widths of the region, where it is sampled by arc length.
+const ARC_LENGTH: f64 = 8.0;
+
+/// Status code of the first guard; the others follow.
+pub const GUARD_STATUS: i32 = 16;
+
+/// Why a scene cannot be swept.
+#[derive(Debug, thiserror::Error)]
+pub enum PlanError {
+    #[error("the scenario has no [shoot_out] section")]
+    NoShootOut,
+    #[error("scenes with [disturbances] are derived and checked, but not yet swept")]
+    Game,
+    #[error(transparent)]
+    Local(#[from] LocalError),
+}
+
+/// What the command line adds to a scene.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Choices {
+    pub precision: Option<Precision>,
+    pub rtol: Option<f64>,
+}
+
+/// The coordinate that the stored points of a sweep are levels of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sampling {
+    /// Levels of V (infinite horizon).
+    Value,
+    /// Times (finite horizon).
+    Time,
+    /// Arc length in widths of the region, where V is not monotone along trajectories.
+    ArcLength,
+}
+
+/// Everything a sweep needs besides a backend.
+pub struct Plan {
+    pub spec: Spec,
+    pub run: Run,
+    pub surface: Surface,
+    pub sampling: Sampling,
+    pub shoot_out: ShootOut,
+    /// The local solution, for an infinite horizon.
+    pub local: Option<LocalSolution>,
+    /// Tolerance asked; the run's own may be larger where the precision is too low for it.
+    pub rtol_asked: f64,
+    /// Periodic states are not limited to the region.
+    pub periodic: Vec<bool>,
+    pub widths: Vec<f64>,
+    /// Region as deviations.
+    pub region: Vec<[f64; 2]>,
+    pub system: System,
+}
+
+impl Plan {
+    /// Plans the sweep of a scene on a backend.
+    ///
+    /// # Errors
+    /// [`PlanError`] where the scene asks for none or has no local solution.
+    pub fn new(
+        model: &Model,
+        hamiltonian: &Hamiltonian,
+        backend: &dyn Backend,
+        choices: Choices,
+    ) -> Result<Self, PlanError> {
+        let shoot_out = model.shoot_out.clone().ok_or(PlanError::NoShootOut)?;
+        if !model.disturbances.is_empty() {
+            return Err(PlanError::Game);
+        }
+        let system = System::new(hamiltonian, model);
+        let n = system.states;
+        let rtol_asked = choices.rtol.unwrap_or(model.integrator.rtol);
+        let asked = choices.precision.or(model.integrator.precision);
+        let precision = asked.unwrap_or(if rtol_asked >= F32_RTOL || !backend.supports(Precision::F64) {
+            Precision::F32
+        } else {
+            Precision::F64
+        });
+        let rtol = rtol_asked.max(LEAST_RTOL * precision.epsilon());
+
+        let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
+        let region: Vec<[f64; 2]> =
+            (model.region.iter().zip(&system.reference)).map(|([lo, hi], x)| [lo - x, hi - x]).collect();
+        let periodic: Vec<bool> = model.states.iter().map(|s| s.period.is_some()).collect();
+        let sampling = match model.horizon {
+            Horizon::Finite { .. } => Sampling::Time,
+            Horizon::Infinite { .. } if value_is_monotone(&system, &region) => Sampling::Value,
+            Horizon::Infinite { .. } => Sampling::ArcLength,
+        };
+        let value_max = shoot_out.value_max.unwrap_or(f64::INFINITY);
+        let samples = shoot_out.samples;
+        let (surface, local, value_scale) = match &system.terminal {
+            None => {
+                let riccati = Riccati::solve(hamiltonian, model)?;
+                let first_front = value_max / samples as f64;
+                let choice = SeedChoice {
+                    asked: shoot_out.seed_value,
+                    tolerance: SEED_SHARE * rtol * first_front,
+                    ceiling: 0.5 * first_front,
+                };
+                let local = LocalSolution::new(&system, model, riccati, choice)?;
+                (Surface::sphere(&system, local.clone()), Some(local), value_max)
+            }
+            Some(terminal) => {
+                let surface = Surface::terminal(&system, terminal.clone(), region.clone());
+                let scale = surface.largest_value();
+                (surface, None, if scale > 0.0 { scale } else { 1.0 })
+            }
+        };
+
+        let mut rate = system.rate.clone();
+        let value = 2 * n;
+        let steps = |end: f64| (1..=samples).map(|k| end * k as f64 / samples as f64).collect::<Vec<f64>>();
+        let (by, levels, ceiling) = match sampling {
+            Sampling::Value => (By::Component(value), steps(value_max), None),
+            Sampling::Time => {
+                let time = system.terminal.as_ref().map_or(0.0, |t| t.time);
+                (By::Time, steps(time), value_max.is_finite().then_some((value, value_max)))
+            }
+            Sampling::ArcLength => {
+                rate.push(system.arc_rate);
+                (By::Component(value + 1), steps(ARC_LENGTH), Some((value, value_max)))
+            }
+        };
+        let atol = model.integrator.atol;
+        let mut scales: Vec<f64> = widths.clone();
+        scales.extend(widths.iter().map(|w| value_scale / w));
+        scales.push(value_scale);
+        if sampling == Sampling::ArcLength {
+            scales.push(1.0);
+        }
+        let bounds = (region.iter().zip(&widths).zip(&periodic))
+            .map(|(([lo, hi], w), periodic)| {
+                let margin = if *periodic { f64::INFINITY } else { shoot_out.margin * w };
+                [lo - margin, hi + margin]
+            })
+            .collect();
+        let guards = (!system.guards.is_empty()).then(|| Guards {
+            program: Program::lower(&system.graph, &system.inputs, &system.guards.iter().map(|g| g.expr).collect::<Vec<_>>()),
+            strict: system.guards.iter().map(|g| g.strict).collect(),
+        });
+        Ok(Self {
+            spec: Spec {
+                rate: Program::lower(&system.graph, &system.inputs, &rate),
+                guards,
+                method: model.integrator.method,
+                precision,
+                by,
+                store: true,
+            },
+            run: Run {
+                rtol,
+                atol: scales.iter().map(|s| atol * s).collect(),
+                step: model.integrator.step.unwrap_or(0.0),
+                max_steps: u32::try_from(model.integrator.max_steps).unwrap_or(u32::MAX),
+                levels,
+                ceiling,
+                bounds,
+            },
+            surface,
+            sampling,
+            shoot_out,
+            local,
+            rtol_asked,
+            periodic,
+            widths,
+            region,
+            system,
+        })
+    }
+
+    pub fn method(&self) -> Method {
+        self.spec.method
+    }
+
+    /// Status codes of the result file and their meanings: the general ones, then one a guard.
+    pub fn status_flags(&self) -> Vec<(i32, String)> {
+        let general = Status::ALL.iter().filter(|(s, _)| *s != Status::Guard).map(|(s, n)| (*s as i32, (*n).to_owned()));
+        let guards = self.system.guards.iter().enumerate().map(|(k, g)| (GUARD_STATUS + k as i32, format!("guard_{}", g.name)));
+        general.chain(guards).collect()
+    }
+
+    /// Meaning of a status code.
+    pub fn status_name(&self, code: i32) -> String {
+        self.status_flags().into_iter().find(|(c, _)| *c == code).map_or_else(|| format!("status_{code}"), |(_, n)| n)
+    }
+}
+
+/// Whether L is nowhere negative in the region, even at the cheapest control (looked at in many points).
+fn value_is_monotone(system: &System, region: &[[f64; 2]]) -> bool {
+    const POINTS: usize = 4096;
+    let program = Program::lower(&system.graph, &system.inputs, &[system.least_running]);
+    let n = system.states;
+    let mut points = vec![0.0; POINTS * 2 * n];
+    for (k, point) in points.chunks_mut(2 * n).enumerate() {
+        // A Kronecker sequence: even cover in any dimension, the same in every run.
+        for (i, [lo, hi]) in region.iter().enumerate() {
+            let fraction = ((k as f64 + 0.5) * (i as f64 + 2.0).sqrt()).fract();
+            point[i] = lo + (hi - lo) * fraction;
+        }
+    }
+    let scale = |v: &[f64]| v.iter().fold(0.0f64, |a, b| a.max(b.abs()));
+    let values = crate::backend::cpu::map::Evaluator::new(&program).eval(&points, 2 * n);
+    let rounding = 1e-12 * scale(&values);
+    // Outside its domain the model says nothing about the sign.
+    values.iter().all(|l| l.is_nan() || *l >= -rounding)
+}
