@@ -6,7 +6,7 @@
 
 struct Control {
     // Entries of the list of trajectories still on their way, and which of the two lists it is.
-    active: u32,
+    count: u32,
     list: u32,
     // Trajectories of the batch.
     stride: u32,
@@ -174,19 +174,19 @@ fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
         ended = GUARD;
     }
 //end
-    let from = coordinate(start, t);
-    let to = coordinate(step.y, t + h);
+    let begin = coordinate(start, t);
+    let finish = coordinate(step.y, t + h);
     loop {
         if ((*lane).next_level >= control.levels) {
             break;
         }
-        if ((*lane).level > to) {
+        if ((*lane).level > finish) {
             break;
         }
         if ((*lane).work > control.work) {
             return true;
         }
-        let q = locate(lane, step, (*lane).level, from, to);
+        let q = locate(lane, step, (*lane).level, begin, finish);
         if (q > most) {
             break;
         }
@@ -215,18 +215,18 @@ fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
 }
 
 // Fraction of the step at which the coordinate takes the value `level`, by Newton's method kept within a bracket.
-fn locate(lane: ptr<function, Lane>, step: Step, level: real, from: real, to: real) -> real {
-    let guess = (level - from) / (to - from);
+fn locate(lane: ptr<function, Lane>, step: Step, level: real, begin: real, finish: real) -> real {
+    let guess = (level - begin) / (finish - begin);
 //if BY_TIME
-    return select(guess, 1.0, level == to);
+    return select(guess, 1.0, level == finish);
 //end
 //if BY_COMPONENT
     let p = path((*lane).k, step);
     let h = (*lane).h;
     var lo: real = 0.0;
     var hi: real = 1.0;
-    var q = select(guess, 1.0, level >= to);
-    var left = select(30u, 0u, level >= to);
+    var q = select(guess, 1.0, level >= finish);
+    var left = select(30u, 0u, level >= finish);
     loop {
         if (left == 0u) {
             break;
@@ -234,7 +234,7 @@ fn locate(lane: ptr<function, Lane>, step: Step, level: real, from: real, to: re
         left -= 1u;
         (*lane).work += 1u;
         let w = p.p0 + q * (p.p1 + q * (p.p2 + q * p.p3));
-        let residual = (from - level) + w * q * h;
+        let residual = (begin - level) + w * q * h;
         let slope = p.p0 + q * (2.0 * p.p1 + q * (3.0 * p.p2 + q * (4.0 * p.p3)));
         let above = residual > 0.0;
         hi = select(hi, q, above);
@@ -331,7 +331,7 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
 // Up to `control.work` loop iterations of every trajectory still on its way.
 @compute @workgroup_size(WORKGROUP)
 fn sweep(@builtin(global_invocation_id) id: vec3<u32>) {
-    if (id.x >= control.active) {
+    if (id.x >= control.count) {
         return;
     }
     let i = lists[control.list * control.stride + id.x];

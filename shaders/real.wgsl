@@ -50,10 +50,15 @@ fn split(x: real) -> SplitExp {
     return SplitExp(r + r * r * exp_polynomial(r), i32(n));
 }
 
+// 2^k for k within the exponent range.
+fn power_of_two(k: i32) -> real {
+    return bitcast<real>(bits(u32(k + BIAS)) << MANTISSA);
+}
+
 // 2^k x in two factors, so that neither under- nor overflows.
 fn scaled(x: real, k: i32) -> real {
     let first = k >> 1u;
-    return ldexp(ldexp(x, first), k - first);
+    return x * power_of_two(first) * power_of_two(k - first);
 }
 
 fn exponential(x: real) -> real {
@@ -85,12 +90,11 @@ fn log_of(f: real, k: real) -> real {
 }
 
 fn logarithm(x: real) -> real {
-    // Subnormals are scaled up first: a device may take them for zero.
+    // Subnormals are scaled up first.
     let small = x < SMALLEST_NORMAL;
-    let parts = frexp(select(x, x * SUBNORMAL_SCALE, small));
-    let low = parts.fract < FRAC_1_SQRT_2;
-    let m = select(parts.fract, parts.fract + parts.fract, low);
-    let k = parts.exp - select(0, 1, low) - select(0, SUBNORMAL_EXPONENT, small);
+    let shifted = bitcast<bits>(select(x, x * SUBNORMAL_SCALE, small)) + ROOT_HALF_TO_ONE;
+    let k = i32(shifted >> MANTISSA) - BIAS - select(0, i32(MANTISSA), small);
+    let m = bitcast<real>((shifted & MANTISSA_MASK) + ROOT_HALF);
     let v = log_of(m - 1.0, real(k));
     // Infinity and NaN pass through; the root of a negative number is the NaN wanted, -1/0 the infinity.
     let positive = select(x, v, x <= LARGEST);
@@ -121,7 +125,7 @@ fn sign_(x: real) -> real {
 }
 
 fn step_(x: real) -> real {
-    return select(0.0, 1.0, x > 0.0);
+    return select(real(0.0), 1.0, x > 0.0);
 }
 
 // The smaller one; not a number where either is not.

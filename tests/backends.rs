@@ -93,7 +93,7 @@ fn pendulum() -> Problem {
     let size = g.unary(Fun::Abs, q);
     let guard = g.sub(limit, size);
     let mut run = run((0..=24).map(|k| 0.25 * f64::from(k)).collect());
-    run.bounds = vec![[-3.0, 3.0], [-1.5, 1.5]];
+    run.bounds = vec![[-1.6, 3.0], [-4.0, 4.0]];
     Problem {
         name: "pendulum",
         rate: Program::lower(&g, &[q, w], &[dq, dw, de]),
@@ -174,10 +174,15 @@ fn tolerance(method: Method, precision: Precision) -> Tolerance {
         // and located with a root search of a few units; random signs leave about the root of the count.
         Method::Rk4 => {
             let unit = 2000.0 * precision.epsilon();
-            Tolerance { relative: unit, absolute: unit, steps: 0 }
+            Tolerance { relative: unit, absolute: unit, steps: |_| 0 }
         }
         // Steps that differ by rounding in the step control: each side is within its tolerance, times the growth.
-        Method::Tsit5 => Tolerance { relative: 10.0 * rtol(precision), absolute: 10.0 * rtol(precision), steps: 2 },
+        // In f32 the error estimate itself is known to 1 %, so now and then one side rejects what the other accepts.
+        Method::Tsit5 => Tolerance {
+            relative: 10.0 * rtol(precision),
+            absolute: 10.0 * rtol(precision),
+            steps: |steps| 2 + steps / 8,
+        },
     }
 }
 
@@ -249,12 +254,13 @@ fn comparator_catches_what_it_must() {
         change(&mut other);
         against(&other).expect_err("a perturbed result passed")
     };
-    let off = 1.0 + 3.0 * allowed.relative;
-    assert!(matches!(perturbed(&|t| t.end[64 * 3 + 1] = t.end[64 * 3 + 1] * off + 3e-8), Mismatch::Value { .. }));
-    assert!(matches!(perturbed(&|t| *t.samples.last_mut().unwrap() *= off + 1e-7), Mismatch::Value { .. }));
+    // A little more than allowed, for values up to 2.
+    let off = 1.5 * (allowed.absolute + 2.0 * allowed.relative);
+    assert!(matches!(perturbed(&|t| t.end[64 * 3 + 1] += off), Mismatch::Value { trajectory: 64, .. }));
+    assert!(matches!(perturbed(&|t| *t.samples.last_mut().unwrap() -= off), Mismatch::Value { trajectory: 64, .. }));
     assert!(matches!(perturbed(&|t| t.end_time[7] = f64::NAN), Mismatch::Value { trajectory: 7, .. }));
     assert!(matches!(perturbed(&|t| t.status[3] = Status::Guard), Mismatch::Status { trajectory: 3, .. }));
-    assert!(matches!(perturbed(&|t| t.steps[5] += 3), Mismatch::Steps { trajectory: 5, .. }));
+    assert!(matches!(perturbed(&|t| t.steps[5] += 20), Mismatch::Steps { trajectory: 5, .. }));
     assert!(matches!(perturbed(&|t| t.samples[4 * 4] = f64::NAN), Mismatch::Passed { level: 4, .. }));
     assert!(matches!(perturbed(&|t| t.levels -= 1), Mismatch::Shape));
 }

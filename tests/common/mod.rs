@@ -18,8 +18,8 @@ pub struct Side<'a> {
 pub struct Tolerance {
     pub relative: f64,
     pub absolute: f64,
-    /// Difference in attempted steps: 0 for a fixed step.
-    pub steps: u32,
+    /// Allowed difference in attempted steps, given their number.
+    pub steps: fn(u32) -> u32,
 }
 
 /// Why two sides do not agree.
@@ -82,7 +82,7 @@ pub fn compare(a: Side<'_>, b: Side<'_>, tolerance: Tolerance) -> Result<Agreeme
             return Err(Mismatch::Status { trajectory: i, a: a.status[i], b: b.status[i] });
         }
         let (p, q) = (a.steps[i] + a.rejected[i], b.steps[i] + b.rejected[i]);
-        if p.abs_diff(q) > tolerance.steps {
+        if p.abs_diff(q) > (tolerance.steps)(p) {
             return Err(Mismatch::Steps { trajectory: i, a: p, b: q });
         }
         if a.status[i] == Status::NotFinite {

@@ -5,6 +5,9 @@ use crate::model::Precision;
 use std::sync::{Arc, Mutex, PoisonError};
 use wgpu::{Backend as Api, Backends, DeviceType};
 
+/// What f64 kernels need: 64-bit integers too, to take numbers apart.
+const F64: wgpu::Features = wgpu::Features::SHADER_F64.union(wgpu::Features::SHADER_INT64);
+
 /// An adapter as `costate adapters` shows it.
 #[derive(Clone, Debug)]
 pub struct AdapterInfo {
@@ -62,7 +65,7 @@ fn describe(adapter: &wgpu::Adapter) -> AdapterInfo {
             DeviceType::Cpu => "software",
             DeviceType::Other => "unknown",
         },
-        f64_arithmetic: adapter.features().contains(wgpu::Features::SHADER_F64),
+        f64_arithmetic: adapter.features().contains(F64),
         max_binding: limits.max_storage_buffer_binding_size,
         max_buffer: limits.max_buffer_size,
     }
@@ -81,7 +84,7 @@ fn rank(adapter: &wgpu::Adapter) -> (bool, bool, u8, u8) {
     };
     (
         info.device_type == DeviceType::Cpu,
-        !adapter.features().contains(wgpu::Features::SHADER_F64),
+        !adapter.features().contains(F64),
         api,
         kind,
     )
@@ -122,7 +125,7 @@ impl Device {
         let info = describe(adapter);
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("costate"),
-            required_features: adapter.features() & wgpu::Features::SHADER_F64,
+            required_features: if info.f64_arithmetic { F64 } else { wgpu::Features::empty() },
             required_limits: adapter.limits(),
             ..Default::default()
         }))?;

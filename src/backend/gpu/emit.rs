@@ -443,15 +443,23 @@ impl<'a> Emitter<'a> {
 
 /// The type `real` and the constants of the elementary functions.
 pub fn constants(precision: Precision) -> String {
+    use std::f64::consts;
+    let (least, most) = match precision {
+        Precision::F32 => (f64::from(f32::MIN_POSITIVE), f64::from(f32::MAX)),
+        Precision::F64 => (f64::MIN_POSITIVE, f64::MAX),
+    };
+    let (word, suffix, mantissa, bias) = match precision {
+        Precision::F32 => ("u32", "u", f32::MANTISSA_DIGITS - 1, 127),
+        Precision::F64 => ("u64", "lu", f64::MANTISSA_DIGITS - 1, 1023),
+    };
+    let (one, root_half) = match precision {
+        Precision::F32 => (u64::from(1f32.to_bits()), u64::from((consts::FRAC_1_SQRT_2 as f32).to_bits())),
+        Precision::F64 => (1f64.to_bits(), consts::FRAC_1_SQRT_2.to_bits()),
+    };
     let mut text = format!("alias real = {};\n", precision.name());
     let table = Constants::of(precision);
     let mut real = |name: &str, value: f64| {
         let _ = writeln!(text, "const {name}: real = {};", literal(value, precision));
-    };
-    use std::f64::consts;
-    let (mantissa, least, most) = match precision {
-        Precision::F32 => (f32::MANTISSA_DIGITS, f64::from(f32::MIN_POSITIVE), f64::from(f32::MAX)),
-        Precision::F64 => (f64::MANTISSA_DIGITS, f64::MIN_POSITIVE, f64::MAX),
     };
     for (name, value) in [
         ("EPSILON", precision.epsilon()),
@@ -461,7 +469,6 @@ pub fn constants(precision: Precision) -> String {
         ("FRAC_2_PI", consts::FRAC_2_PI),
         ("FRAC_PI_2", consts::FRAC_PI_2),
         ("FRAC_PI_4", consts::FRAC_PI_4),
-        ("FRAC_1_SQRT_2", consts::FRAC_1_SQRT_2),
         ("LOG2_E", consts::LOG2_E),
         ("OVERFLOW", table.overflow),
         ("UNDERFLOW", table.underflow),
@@ -474,7 +481,14 @@ pub fn constants(precision: Precision) -> String {
     for (k, c) in table.ln2.iter().enumerate() {
         real(&format!("LN2_{k}"), *c);
     }
-    let _ = writeln!(text, "const SUBNORMAL_EXPONENT: i32 = {mantissa};");
+    let _ = writeln!(text, "alias bits = {word};\nconst MANTISSA: u32 = {mantissa}u;\nconst BIAS: i32 = {bias};");
+    for (name, value) in [
+        ("MANTISSA_MASK", (1u64 << mantissa) - 1),
+        ("ROOT_HALF", root_half),
+        ("ROOT_HALF_TO_ONE", one - root_half),
+    ] {
+        let _ = writeln!(text, "const {name}: bits = {value}{suffix};");
+    }
     for (name, coefficients) in table.polynomials {
         let horner = (coefficients.iter().map(|c| literal(*c, precision)))
             .reduce(|acc, c| format!("({acc}) * x + {c}"))

@@ -200,6 +200,7 @@ impl GpuKernel {
 
         let mut active = count as u32;
         let mut list = 0;
+        let mut started = false;
         let mut work = self.work(active);
         let begin = Instant::now();
         while active > 0 {
@@ -217,11 +218,10 @@ impl GpuKernel {
             queue.write_buffer(&memory.control, 0, bytemuck::cast_slice(&control));
             queue.write_buffer(&memory.remaining, 0, &[0; 4]);
             let mut encoder = device.device.create_command_encoder(&Default::default());
-            let first = active == count as u32 && list == 0;
-            {
+                        {
                 let mut pass = encoder.begin_compute_pass(&Default::default());
                 pass.set_bind_group(0, &memory.bindings, &[]);
-                if first {
+                if !started {
                     pass.set_pipeline(&pipelines.start);
                     pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
                 }
@@ -231,6 +231,7 @@ impl GpuKernel {
             let left = memory.read(&device, Some(encoder), &memory.remaining, 4, |b| {
                 u32::from_ne_bytes([b[0], b[1], b[2], b[3]])
             })?;
+            started = true;
             // At most this much was done, so the measured speed is at most too high by what ended early.
             let seconds = before.elapsed().as_secs_f64();
             work = bounded(

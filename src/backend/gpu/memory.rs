@@ -60,7 +60,6 @@ pub struct Memory {
     pub settings: Buffer,
     pub state: Buffer,
     pub counters: Buffer,
-    pub lists: Buffer,
     pub remaining: Buffer,
     pub ends: Buffer,
     pub samples: Option<Buffer>,

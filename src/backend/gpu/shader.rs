@@ -42,7 +42,7 @@ impl Source {
         let module = naga::front::wgsl::parse_str(&self.text)
             .map_err(|e| self.error(e.location(&self.text).map(|l| l.line_number), describe(&e, e.message())))?;
         let capabilities = if f64_arithmetic {
-            naga::valid::Capabilities::FLOAT64
+            naga::valid::Capabilities::FLOAT64 | naga::valid::Capabilities::SHADER_INT64
         } else {
             naga::valid::Capabilities::empty()
         };
