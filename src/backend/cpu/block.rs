@@ -1,7 +1,7 @@
 //! The integrator on a block of lanes. A lane whose trajectory ends takes the next one from the queue, so lanes do not
 //! wait for each other; what a lane computes depends on its own trajectory alone.
 //!
-//! `shaders/sweep.wgsl` mirrors this file.
+//! `shaders/block.wgsl` mirrors this file.
 
 use super::lanes::{LaneProgram, Lanes};
 use super::real::Real;
