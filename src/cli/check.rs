@@ -1,6 +1,7 @@
 //! `costate check` and `costate adapters`.
 
 use super::{CheckArgs, CliError};
+use crate::backend::gpu;
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LocalError, Riccati, show_eigenvalue};
 use crate::model::{Horizon, Model};
@@ -135,6 +136,29 @@ fn as_json(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> serde_j
     })
 }
 
-pub(super) fn adapters(_json: bool) -> Result<(), CliError> {
+pub(super) fn adapters(json: bool) -> Result<(), CliError> {
+    let found = gpu::adapters();
+    let mut out = std::io::stdout().lock();
+    if json {
+        let list: Vec<_> = (found.iter())
+            .map(|a| {
+                serde_json::json!({
+                    "name": a.name, "api": a.api, "driver": a.driver, "kind": a.kind, "hardware": a.hardware,
+                    "f64": a.f64_arithmetic, "max_binding_bytes": a.max_binding, "max_buffer_bytes": a.max_buffer,
+                })
+            })
+            .collect();
+        writeln!(out, "{:#}", serde_json::Value::Array(list))?;
+        return Ok(());
+    }
+    if found.is_empty() {
+        writeln!(out, "no GPU adapter was found; `--backend auto` computes on the CPU")?;
+    }
+    for a in &found {
+        let f64_text = if a.f64_arithmetic { "f32 and f64" } else { "f32 only" };
+        writeln!(out, "{} ({}, {}): {f64_text}, buffers up to {} MiB", a.name, a.api, a.kind, a.max_buffer >> 20)?;
+    }
+    let cpu = crate::backend::cpu::Cpu::new();
+    writeln!(out, "{}: f32 and f64 (--backend cpu)", crate::backend::Backend::adapter(&cpu))?;
     Ok(())
 }

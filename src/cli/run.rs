@@ -3,7 +3,9 @@
 use super::check::{at_equilibrium, load};
 use super::report;
 use super::{BackendChoice, CliError, RunArgs};
-use crate::backend::{Backend, BackendError, cpu::Cpu};
+use crate::backend::cpu::Cpu;
+use crate::backend::gpu::{Gpu, Selection};
+use crate::backend::{Backend, BackendError};
 use crate::model::Model;
 use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema, utc_timestamp};
 use crate::sweep::{Choices, Plan, PlanError, SweepReport, sweep};
@@ -60,9 +62,16 @@ pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
 }
 
 fn open_backend(args: &RunArgs) -> Result<Box<dyn Backend>, CliError> {
-    match args.backend {
-        BackendChoice::Gpu => Err(BackendError::NoAdapter.into()),
-        BackendChoice::Auto | BackendChoice::Cpu => Ok(Box::new(Cpu::new())),
+    let selection = match (&args.adapter, args.backend) {
+        (_, BackendChoice::Cpu) => return Ok(Box::new(Cpu::new())),
+        (Some(name), _) => Selection::Named(name.clone()),
+        (None, BackendChoice::Gpu) => Selection::Any,
+        (None, BackendChoice::Auto) => Selection::Hardware,
+    };
+    match Gpu::open(&selection)? {
+        Some(gpu) => Ok(Box::new(gpu)),
+        // Only a search for hardware comes back empty.
+        None => Ok(Box::new(Cpu::new())),
     }
 }
 
