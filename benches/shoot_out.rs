@@ -54,14 +54,27 @@ fn main() {
             times.sort_by(f64::total_cmp);
             let seconds = times[REPEATS / 2];
             let mut errors: Vec<f64> = (end.chunks(5).zip(reference.chunks(5)))
-                .map(|(y, r)| y.iter().zip(r).map(|(y, r)| (y - r).abs() / r.abs().max(1.0)).fold(0.0, f64::max))
+                .map(|(y, r)| {
+                    y.iter()
+                        .zip(r)
+                        .map(|(y, r)| (y - r).abs() / r.abs().max(1.0))
+                        .fold(0.0, f64::max)
+                })
                 .collect();
             errors.sort_by(f64::total_cmp);
             println!(
                 "{{\"backend\": \"{}\", \"precision\": \"{}\", \"method\": \"{}\", \"setting\": \"{}\", \"n\": {count}, \"seconds\": {seconds:.6}, \"traj_per_s\": {:.0}, \"max_rel_err\": {:.2e}, \"median_rel_err\": {:.2e}}}",
-                backend.name(), precision.name(), method.name(),
-                if step > 0.0 { format!("steps={}", TIME / step) } else { format!("rtol={rtol:e}") },
-                count as f64 / seconds, errors[count - 1], errors[count / 2],
+                backend.name(),
+                precision.name(),
+                method.name(),
+                if step > 0.0 {
+                    format!("steps={}", TIME / step)
+                } else {
+                    format!("rtol={rtol:e}")
+                },
+                count as f64 / seconds,
+                errors[count - 1],
+                errors[count / 2],
             );
         }
     }
@@ -86,14 +99,40 @@ fn seeds(riccati: &Riccati, count: usize) -> Vec<f64> {
 }
 
 /// End states, absolute angle, and the seconds that integration took (compilation of the program left out).
-fn solve(backend: &dyn Backend, rate: &Program, method: Method, precision: Precision, rtol: f64, step: f64, seeds: &[f64]) -> (Vec<f64>, f64) {
-    let spec = Spec { rate: rate.clone(), guards: None, method, precision, by: By::Time, store: false };
+fn solve(
+    backend: &dyn Backend,
+    rate: &Program,
+    method: Method,
+    precision: Precision,
+    rtol: f64,
+    step: f64,
+    seeds: &[f64],
+) -> (Vec<f64>, f64) {
+    let spec = Spec {
+        rate: rate.clone(),
+        guards: None,
+        method,
+        precision,
+        by: By::Time,
+        store: false,
+    };
     let mut kernel = backend.compile(&spec).expect("the kernel compiles");
-    let run = Run { rtol, atol: vec![rtol; 5], step, max_steps: 1_000_000, levels: vec![TIME], ceiling: None, bounds: Vec::new() };
+    let run = Run {
+        rtol,
+        atol: vec![rtol; 5],
+        step,
+        max_steps: 1_000_000,
+        levels: vec![TIME],
+        ceiling: None,
+        bounds: Vec::new(),
+    };
     let start = Instant::now();
     let result = kernel.integrate(&run, seeds).expect("the backend works");
     let seconds = start.elapsed().as_secs_f64();
-    assert!(result.status.iter().all(|s| *s == costate::backend::Status::Reached), "all trajectories reach the end");
+    assert!(
+        result.status.iter().all(|s| *s == costate::backend::Status::Reached),
+        "all trajectories reach the end"
+    );
     let mut end = result.end;
     end.chunks_mut(5).for_each(|y| y[0] -= 1.5);
     (end, seconds)

@@ -51,21 +51,34 @@ impl LocalSolution {
     /// [`LocalError`]; `SeedTooLarge` where a given seed value leads out of the range of the local solution.
     pub fn new(system: &System, model: &Model, riccati: Riccati, choice: SeedChoice) -> Result<Self, LocalError> {
         let n = system.states;
-        let factor = riccati.p.clone().cholesky().ok_or(LocalError::NoSolution { reason: "P has no Cholesky factor".into() })?;
+        let factor = riccati.p.clone().cholesky().ok_or(LocalError::NoSolution {
+            reason: "P has no Cholesky factor".into(),
+        })?;
         let l = factor.l();
-        let t = l.transpose().try_inverse().ok_or(LocalError::NoSolution { reason: "P is singular to rounding".into() })?;
+        let t = l.transpose().try_inverse().ok_or(LocalError::NoSolution {
+            reason: "P is singular to rounding".into(),
+        })?;
         // t^-T = (L^-T)^-T = L
         let to_adjoint = l;
-        let highest = (2..=MAX_DEGREE).rev().find(|d| Basis::size(n, d + 1) <= MAX_TERMS).unwrap_or(2);
+        let highest = (2..=MAX_DEGREE)
+            .rev()
+            .find(|d| Basis::size(n, d + 1) <= MAX_TERMS)
+            .unwrap_or(2);
         let basis = Basis::new(n, highest + 1);
-        let equation = Equation { graph: &system.graph, hamiltonian: system.observer.hamiltonian, inputs: &system.inputs };
+        let equation = Equation {
+            graph: &system.graph,
+            hamiltonian: system.observer.hamiltonian,
+            inputs: &system.inputs,
+        };
         let (value, known) = equation.expand(&basis, &t, &riccati.closed_loop);
 
         let sizes = part_sizes(&basis, &value, n);
         let limit = range_limit(system, model, &riccati, &t, choice.ceiling);
         // The first neglected part's size times radius^k is the error; sizes of 0 (symmetry) take the part after it.
         let error_at = |degree: usize, radius: f64| -> f64 {
-            (degree + 1..=known).map(|k| sizes[k] * radius.powi(k as i32)).fold(0.0, f64::max)
+            (degree + 1..=known)
+                .map(|k| sizes[k] * radius.powi(k as i32))
+                .fold(0.0, f64::max)
         };
         let radius_for = |degree: usize| -> f64 {
             let mut radius = (2.0 * limit).sqrt();
@@ -78,26 +91,49 @@ impl LocalSolution {
         let (degree, radius) = if known < 3 {
             (2, radius_by_residual(system, &riccati, &t, choice.tolerance, limit))
         } else {
-            (2..known).map(|d| (d, radius_for(d))).fold((2, 0.0), |best, this| if this.1 > best.1 { this } else { best })
+            (2..known)
+                .map(|d| (d, radius_for(d)))
+                .fold((2, 0.0), |best, this| if this.1 > best.1 { this } else { best })
         };
         let seed_value = match choice.asked {
             SeedValue::Auto => 0.5 * radius * radius,
             SeedValue::Value(c) if c > limit => {
                 return Err(LocalError::SeedTooLarge {
                     value: c,
-                    reason: format!("the local solution holds up to V = {limit:.3e} (bounds of the controls, the region, the first front)"),
+                    reason: format!(
+                        "the local solution holds up to V = {limit:.3e} (bounds of the controls, the region, the first front)"
+                    ),
                 });
             }
             SeedValue::Value(c) => c,
         };
         let radius = (2.0 * seed_value).sqrt();
-        let error = if known < 3 { residual_error(system, &riccati, &t, radius) } else { error_at(degree, radius) };
+        let error = if known < 3 {
+            residual_error(system, &riccati, &t, radius)
+        } else {
+            error_at(degree, radius)
+        };
         let mut kept = value;
         kept[basis.start[degree + 1]..].fill(0.0);
         let gradient = basis.gradient(&kept);
         let inverse = to_adjoint.transpose();
-        let flow = Flow::new(inverse * &riccati.closed_loop * &t, choice.outer.max(seed_value), seed_value);
-        Ok(Self { flow, riccati, t, to_adjoint, basis, value: kept, gradient, degree, seed_value, error })
+        let flow = Flow::new(
+            inverse * &riccati.closed_loop * &t,
+            choice.outer.max(seed_value),
+            seed_value,
+        );
+        Ok(Self {
+            flow,
+            riccati,
+            t,
+            to_adjoint,
+            basis,
+            value: kept,
+            gradient,
+            degree,
+            seed_value,
+            error,
+        })
     }
 
     /// The seed `(s, p, V)` for a direction (a unit vector in the coordinates where P is the identity) in which the
@@ -152,7 +188,13 @@ impl Flow {
         for k in 1..Self::POWERS {
             powers.push(&powers[k - 1] * &powers[k - 1]);
         }
-        Self { rate, powers, step, outer_radius: (2.0 * outer).sqrt(), radius: (2.0 * inner).sqrt() }
+        Self {
+            rate,
+            powers,
+            step,
+            outer_radius: (2.0 * outer).sqrt(),
+            radius: (2.0 * inner).sqrt(),
+        }
     }
 
     /// `exp(rate * t)` for a short time.
@@ -227,7 +269,9 @@ fn probes(n: usize) -> impl Iterator<Item = Vec<f64>> {
         // Sum of uniforms: near enough to normal for directions.
         let mut sum = -6.0;
         for _ in 0..12 {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             sum += (state >> 11) as f64 / (1u64 << 53) as f64;
         }
         sum
@@ -266,7 +310,9 @@ fn range_limit(system: &System, model: &Model, riccati: &Riccati, t: &DMatrix<f6
     let rest = system.eval(&system.observer.unclamped, &zero, &zero);
     for (k, control) in model.controls.iter().enumerate() {
         let room = [control.min.map(|lo| rest[k] - lo), control.max.map(|hi| hi - rest[k])];
-        let Some(room) = room.into_iter().flatten().reduce(f64::min) else { continue };
+        let Some(room) = room.into_iter().flatten().reduce(f64::min) else {
+            continue;
+        };
         // Gain of the linear law along each direction, by differences over the unit sphere of the ellipsoid.
         let h = 1e-6;
         let gain = (0..n)

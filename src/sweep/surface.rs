@@ -33,7 +33,13 @@ impl Surface {
     pub fn terminal(system: &System, terminal: &Terminal, region: Vec<[f64; 2]>) -> Self {
         let roots: Vec<_> = terminal.gradient.iter().copied().chain([terminal.value]).collect();
         let program = Program::lower(&system.graph, &system.inputs, &roots);
-        Self::new(system, Kind::Box { terminal: program, region })
+        Self::new(
+            system,
+            Kind::Box {
+                terminal: program,
+                region,
+            },
+        )
     }
 
     fn new(system: &System, kind: Kind) -> Self {
@@ -96,7 +102,11 @@ impl Surface {
         match &self.kind {
             Kind::Sphere(local) => local.seed(parameter),
             Kind::Box { terminal, region } => {
-                let s: Vec<f64> = parameter.iter().zip(region).map(|(q, [lo, hi])| lo + q * (hi - lo)).collect();
+                let s: Vec<f64> = parameter
+                    .iter()
+                    .zip(region)
+                    .map(|(q, [lo, hi])| lo + q * (hi - lo))
+                    .collect();
                 // No adjoint enters the terminal cost.
                 let inputs = [s.as_slice(), &vec![0.0; s.len()]].concat();
                 s.into_iter().chain(terminal.eval(&inputs)).collect()
@@ -106,7 +116,10 @@ impl Surface {
 
     /// Whether a seed is inside all guards.
     pub fn inside(&self, seed: &[f64]) -> bool {
-        self.guard_values(seed).iter().zip(&self.strict).all(|(v, strict)| holds(*v, *strict))
+        self.guard_values(seed)
+            .iter()
+            .zip(&self.strict)
+            .all(|(v, strict)| holds(*v, *strict))
     }
 
     /// Whether a seed lies on the boundary of a guard, to rounding.
@@ -148,7 +161,11 @@ impl Surface {
         // Twice the way, so that rounding does not leave it outside again.
         let factor = (-2.0 * value + f64::EPSILON * size) / square;
         let moved: Vec<f64> = parameter.iter().zip(&slopes).map(|(q, d)| q + factor * d).collect();
-        if moved.iter().all(|x| x.is_finite()) { moved } else { parameter }
+        if moved.iter().all(|x| x.is_finite()) {
+            moved
+        } else {
+            parameter
+        }
     }
 
     /// Last parameter inside the guards on the way from `inside` to `outside`.
@@ -167,7 +184,9 @@ impl Surface {
 
     /// Largest V over the corners and the middle of a terminal surface (0 for the seed ellipsoid).
     pub fn largest_value(&self) -> f64 {
-        let Kind::Box { region, .. } = &self.kind else { return 0.0 };
+        let Kind::Box { region, .. } = &self.kind else {
+            return 0.0;
+        };
         let n = region.len();
         (0..1u32 << n)
             .map(|c| (0..n).map(|i| f64::from(c >> i & 1)).collect::<Vec<_>>())
