@@ -41,11 +41,7 @@ pub trait Real:
         let lost = self - (u - one);
         let value = u.logarithm::<FMA>() + lost / u;
         // For an infinite u the correction is not a number.
-        if u.is_finite() {
-            value
-        } else {
-            u.logarithm::<FMA>()
-        }
+        if u.is_finite() { value } else { u.logarithm::<FMA>() }
     }
     #[inline(always)]
     fn sign(self) -> Self {
