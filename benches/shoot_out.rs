@@ -4,7 +4,8 @@
 //! `cargo bench --bench shoot_out -- [SEEDS] [cpu|gpu]` prints one JSON line a setting:
 //! backend, precision, method, rtol, n, seconds (median), traj_per_s, max_rel_err, median_rel_err.
 
-use costate::backend::{Backend, By, Run, Spec, cpu::Cpu};
+use costate::backend::gpu::{Gpu, Selection};
+use costate::backend::{Backend, By, Kernel, Run, Spec, Status, cpu::Cpu};
 use costate::hamiltonian::{Hamiltonian, System};
 use costate::local::Riccati;
 use costate::model::{Method, Precision};
@@ -26,7 +27,9 @@ fn main() {
     println!("# {} operations a right-hand side", program.operations());
     let seeds = seeds(&riccati, count);
 
-    let reference = solve(&Cpu::new(), &program, Method::Tsit5, Precision::F64, 1e-13, 0.0, &seeds).0;
+    let reference = Work::new(&Cpu::new(), &program, Method::Tsit5, Precision::F64, 1e-13, 0.0)
+        .run(&seeds)
+        .0;
     let mut settings: Vec<(Method, Precision, f64, f64)> = Vec::new();
     for rtol in [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11] {
         settings.push((Method::Tsit5, Precision::F64, rtol, 0.0));
@@ -38,30 +41,50 @@ fn main() {
         settings.push((Method::Rk4, Precision::F64, 1e-6, TIME / steps));
         settings.push((Method::Rk4, Precision::F32, 1e-6, TIME / steps));
     }
+    let asked = |name: &str| args.iter().any(|a| a == name);
     let mut backends: Vec<Box<dyn Backend>> = Vec::new();
-    if !args.iter().any(|a| a == "gpu") {
+    if asked("cpu") || !asked("gpu") {
         backends.push(Box::new(Cpu::new()));
+    }
+    if asked("gpu") {
+        let gpu = Gpu::open(&Selection::Any).expect("an adapter opens");
+        backends.push(Box::new(gpu.expect("there is an adapter, a software one included")));
     }
     for backend in &backends {
         for &(method, precision, rtol, step) in &settings {
+            let mut kernel = Work::new(backend.as_ref(), &program, method, precision, rtol, step);
+            // The first run compiles what a driver compiles late; it is not counted.
+            let (mut end, _) = kernel.run(&seeds);
             let mut times = Vec::new();
-            let mut end = Vec::new();
             for _ in 0..REPEATS {
-                let (values, seconds) = solve(backend.as_ref(), &program, method, precision, rtol, step, &seeds);
+                let (values, seconds) = kernel.run(&seeds);
                 times.push(seconds);
                 end = values;
             }
             times.sort_by(f64::total_cmp);
             let seconds = times[REPEATS / 2];
             let mut errors: Vec<f64> = (end.chunks(5).zip(reference.chunks(5)))
-                .map(|(y, r)| y.iter().zip(r).map(|(y, r)| (y - r).abs() / r.abs().max(1.0)).fold(0.0, f64::max))
+                .map(|(y, r)| {
+                    y.iter()
+                        .zip(r)
+                        .map(|(y, r)| (y - r).abs() / r.abs().max(1.0))
+                        .fold(0.0, f64::max)
+                })
                 .collect();
             errors.sort_by(f64::total_cmp);
             println!(
                 "{{\"backend\": \"{}\", \"precision\": \"{}\", \"method\": \"{}\", \"setting\": \"{}\", \"n\": {count}, \"seconds\": {seconds:.6}, \"traj_per_s\": {:.0}, \"max_rel_err\": {:.2e}, \"median_rel_err\": {:.2e}}}",
-                backend.name(), precision.name(), method.name(),
-                if step > 0.0 { format!("steps={}", TIME / step) } else { format!("rtol={rtol:e}") },
-                count as f64 / seconds, errors[count - 1], errors[count / 2],
+                backend.name(),
+                precision.name(),
+                method.name(),
+                if step > 0.0 {
+                    format!("steps={}", TIME / step)
+                } else {
+                    format!("rtol={rtol:e}")
+                },
+                count as f64 / seconds,
+                errors[count - 1],
+                errors[count / 2],
             );
         }
     }
@@ -85,16 +108,48 @@ fn seeds(riccati: &Riccati, count: usize) -> Vec<f64> {
     seeds
 }
 
-/// End states, absolute angle, and the seconds that integration took (compilation of the program left out).
-fn solve(backend: &dyn Backend, rate: &Program, method: Method, precision: Precision, rtol: f64, step: f64, seeds: &[f64]) -> (Vec<f64>, f64) {
-    let spec = Spec { rate: rate.clone(), guards: None, method, precision, by: By::Time, store: false };
-    let mut kernel = backend.compile(&spec).expect("the kernel compiles");
-    let run = Run { rtol, atol: vec![rtol; 5], step, max_steps: 1_000_000, levels: vec![TIME], ceiling: None, bounds: Vec::new() };
-    let start = Instant::now();
-    let result = kernel.integrate(&run, seeds).expect("the backend works");
-    let seconds = start.elapsed().as_secs_f64();
-    assert!(result.status.iter().all(|s| *s == costate::backend::Status::Reached), "all trajectories reach the end");
-    let mut end = result.end;
-    end.chunks_mut(5).for_each(|y| y[0] -= 1.5);
-    (end, seconds)
+/// One setting of the work.
+struct Work {
+    kernel: Box<dyn Kernel>,
+    run: Run,
+}
+
+impl Work {
+    fn new(backend: &dyn Backend, rate: &Program, method: Method, precision: Precision, rtol: f64, step: f64) -> Self {
+        let spec = Spec {
+            rate: rate.clone(),
+            guards: None,
+            method,
+            precision,
+            by: By::Time,
+            store: false,
+        };
+        let run = Run {
+            rtol,
+            atol: vec![rtol; 5],
+            step,
+            max_steps: 1_000_000,
+            levels: vec![TIME],
+            ceiling: None,
+            bounds: Vec::new(),
+        };
+        Self {
+            kernel: backend.compile(&spec).expect("the kernel compiles"),
+            run,
+        }
+    }
+
+    /// End states with the absolute angle, and the seconds from seeds on the host to results on the host.
+    fn run(&mut self, seeds: &[f64]) -> (Vec<f64>, f64) {
+        let start = Instant::now();
+        let result = self.kernel.integrate(&self.run, seeds).expect("the backend works");
+        let seconds = start.elapsed().as_secs_f64();
+        assert!(
+            result.status.iter().all(|s| *s == Status::Reached),
+            "all trajectories reach the end"
+        );
+        let mut end = result.end;
+        end.chunks_mut(5).for_each(|y| y[0] -= 1.5);
+        (end, seconds)
+    }
 }

@@ -3,6 +3,7 @@
 //! [`cpu`] and [`gpu`] implement the same traits and never import each other. What a batch does not ask for is not
 //! in its program: a [`Spec`] without guards or stored samples compiles to a kernel without them.
 
+pub mod constants;
 pub mod cpu;
 pub mod gpu;
 
@@ -147,14 +148,22 @@ pub enum BackendError {
     #[error("the adapter refused a device: {0}")]
     Device(#[from] wgpu::RequestDeviceError),
     #[error("generated shader does not validate, in {fragment} line {line}: {message}")]
-    Shader { fragment: String, line: usize, message: String },
+    Shader {
+        fragment: String,
+        line: usize,
+        message: String,
+    },
     #[error("GPU work was lost: {0}")]
     Lost(#[from] wgpu::PollError),
     #[error("a GPU buffer could not be read: {0}")]
     Map(#[from] wgpu::BufferAsyncError),
+    #[error("the GPU device reported: {message}")]
+    Fault { message: String },
     #[error("kernel output slot {index} was not written")]
     Unwritten { index: usize },
-    #[error("one trajectory of {bytes} bytes does not fit the adapter's limit of {limit} bytes a buffer; ask for fewer samples")]
+    #[error(
+        "one trajectory of {bytes} bytes does not fit the adapter's limit of {limit} bytes a buffer; ask for fewer samples"
+    )]
     TooLarge { bytes: u64, limit: u64 },
 }
 

@@ -46,7 +46,14 @@ impl Basis {
                 (index[&lower] as u32, v as u32)
             })
             .collect();
-        Self { variables, degree, start, products, factors, exponents }
+        Self {
+            variables,
+            degree,
+            start,
+            products,
+            factors,
+            exponents,
+        }
     }
 
     /// Number of monomials of up to `degree` in `variables`.
@@ -92,7 +99,9 @@ impl Basis {
         let c = b[0];
         let mut d = b.to_vec();
         d[0] = 0.0;
-        let geometric: Vec<f64> = (0..=self.degree as i32).map(|k| (-1f64).powi(k) / c.powi(k + 1)).collect();
+        let geometric: Vec<f64> = (0..=self.degree as i32)
+            .map(|k| (-1f64).powi(k) / c.powi(k + 1))
+            .collect();
         self.multiply(a, &self.compose(&geometric, &d))
     }
 
@@ -201,7 +210,9 @@ impl Equation<'_> {
                 v[i] = 0.5;
             }
         }
-        let Some(inverse) = t.clone().try_inverse() else { return (v, 2) };
+        let Some(inverse) = t.clone().try_inverse() else {
+            return (v, 2);
+        };
         let rate = &inverse * closed_loop * t;
         for k in 3..=basis.degree {
             let q = basis.gradient(&v);
@@ -238,7 +249,11 @@ impl Equation<'_> {
 fn drift_operator(basis: &Basis, k: usize, rate: &DMatrix<f64>) -> DMatrix<f64> {
     let range = basis.start[k]..basis.start[k + 1];
     let size = range.len();
-    let index: HashMap<&Vec<u8>, usize> = basis.exponents[range.clone()].iter().enumerate().map(|(i, e)| (e, i)).collect();
+    let index: HashMap<&Vec<u8>, usize> = basis.exponents[range.clone()]
+        .iter()
+        .enumerate()
+        .map(|(i, e)| (e, i))
+        .collect();
     let mut m = DMatrix::zeros(size, size);
     for (col, e) in basis.exponents[range].iter().enumerate() {
         for i in 0..basis.variables {

@@ -35,6 +35,8 @@ pub struct SweepReport {
     pub coverage: Coverage,
     /// Largest |H| (finite horizon: change of H) of each trajectory.
     pub drift: Vec<f64>,
+    /// The same relative to the trajectory's largest running cost.
+    pub relative_drift: Vec<f64>,
     pub steps: u64,
     pub rejected: u64,
     pub rounds: usize,
@@ -115,7 +117,11 @@ impl<'a> Fronts<'a> {
         let (complex, parameters) = plan.surface.triangulation();
         let bounds = (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
             .map(|(([lo, hi], w), periodic)| {
-                if *periodic { [f32::NEG_INFINITY, f32::INFINITY] } else { [(lo / w) as f32, (hi / w) as f32] }
+                if *periodic {
+                    [f32::NEG_INFINITY, f32::INFINITY]
+                } else {
+                    [(lo / w) as f32, (hi / w) as f32]
+                }
             })
             .collect();
         let mut this = Self {
@@ -139,6 +145,7 @@ impl<'a> Fronts<'a> {
         let parameter = self.plan.surface.nudged(parameter);
         let seed = self.plan.surface.seed(&parameter);
         let inside = self.plan.surface.inside(&seed);
+        let boundary = boundary || (inside && self.plan.surface.on_boundary(&seed));
         let state = if inside {
             self.pending.push(vertex);
             NodeState::Pending
@@ -146,7 +153,15 @@ impl<'a> Fronts<'a> {
             self.report.coverage.outside_guards += 1;
             NodeState::Outside
         };
-        self.nodes.insert(vertex, Node { parameter, seed, state, boundary });
+        self.nodes.insert(
+            vertex,
+            Node {
+                parameter,
+                seed,
+                state,
+                boundary,
+            },
+        );
     }
 
     fn integrate<E: From<BackendError>>(
@@ -170,8 +185,9 @@ impl<'a> Fronts<'a> {
             let batch = kernel.integrate(&plan.run, &seeds)?;
             self.report.integrate_seconds += start.elapsed().as_secs_f64();
             self.record(vertices, &batch);
-            let block = observed.block(plan, &batch);
+            let (block, relative) = observed.block(plan, &batch);
             self.report.drift.extend_from_slice(&block.hamiltonian_drift);
+            self.report.relative_drift.extend(relative);
             for code in &block.status {
                 *self.report.by_status.entry(*code).or_default() += 1;
             }
@@ -235,7 +251,11 @@ impl<'a> Fronts<'a> {
         match (&a.state, &b.state) {
             (NodeState::Swept(x), NodeState::Swept(y)) => {
                 let gap = self.widest_gap(x, y);
-                if f64::from(gap) > self.plan.shoot_out.spacing { Verdict::Gap(gap) } else { Verdict::Settled }
+                if f64::from(gap) > self.plan.shoot_out.spacing {
+                    Verdict::Gap(gap)
+                } else {
+                    Verdict::Settled
+                }
             }
             (NodeState::Pending, _) | (_, NodeState::Pending) => Verdict::Unknown,
             (NodeState::Outside, NodeState::Outside) => Verdict::Settled,
@@ -250,7 +270,11 @@ impl<'a> Fronts<'a> {
         let n = self.plan.system.states;
         let mut widest = 0.0f32;
         for (x, y) in a.chunks_exact(n).zip(b.chunks_exact(n)) {
-            let meets = x.iter().zip(y).zip(&self.bounds).all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi);
+            let meets = x
+                .iter()
+                .zip(y)
+                .zip(&self.bounds)
+                .all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi);
             if meets {
                 let gap = x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
                 widest = widest.max(gap);
@@ -308,7 +332,13 @@ impl<'a> Fronts<'a> {
 
     /// The seed's state as the kernel sees it.
     fn rounded(&self, seed: &[f64]) -> Vec<f64> {
-        let round = |x: &f64| if self.plan.spec.precision == Precision::F32 { f64::from(*x as f32) } else { *x };
+        let round = |x: &f64| {
+            if self.plan.spec.precision == Precision::F32 {
+                f64::from(*x as f32)
+            } else {
+                *x
+            }
+        };
         seed[..self.plan.system.states].iter().map(round).collect()
     }
 

@@ -7,6 +7,8 @@ use crate::program::Program;
 
 /// Initial seeds for each dimension of the surface; fronts that need more get more.
 const INITIAL: usize = 64;
+/// Guard values within this, relative to the seed's size, are zero but for rounding.
+const ROUNDING: f64 = 1e-10;
 
 /// A surface of seeds with coordinates ("parameters") in which points between seeds are found.
 pub struct Surface {
@@ -31,7 +33,13 @@ impl Surface {
     pub fn terminal(system: &System, terminal: &Terminal, region: Vec<[f64; 2]>) -> Self {
         let roots: Vec<_> = terminal.gradient.iter().copied().chain([terminal.value]).collect();
         let program = Program::lower(&system.graph, &system.inputs, &roots);
-        Self::new(system, Kind::Box { terminal: program, region })
+        Self::new(
+            system,
+            Kind::Box {
+                terminal: program,
+                region,
+            },
+        )
     }
 
     fn new(system: &System, kind: Kind) -> Self {
@@ -94,7 +102,11 @@ impl Surface {
         match &self.kind {
             Kind::Sphere(local) => local.seed(parameter),
             Kind::Box { terminal, region } => {
-                let s: Vec<f64> = parameter.iter().zip(region).map(|(q, [lo, hi])| lo + q * (hi - lo)).collect();
+                let s: Vec<f64> = parameter
+                    .iter()
+                    .zip(region)
+                    .map(|(q, [lo, hi])| lo + q * (hi - lo))
+                    .collect();
                 // No adjoint enters the terminal cost.
                 let inputs = [s.as_slice(), &vec![0.0; s.len()]].concat();
                 s.into_iter().chain(terminal.eval(&inputs)).collect()
@@ -104,7 +116,16 @@ impl Surface {
 
     /// Whether a seed is inside all guards.
     pub fn inside(&self, seed: &[f64]) -> bool {
-        self.guard_values(seed).iter().zip(&self.strict).all(|(v, strict)| holds(*v, *strict))
+        self.guard_values(seed)
+            .iter()
+            .zip(&self.strict)
+            .all(|(v, strict)| holds(*v, *strict))
+    }
+
+    /// Whether a seed lies on the boundary of a guard, to rounding.
+    pub fn on_boundary(&self, seed: &[f64]) -> bool {
+        let size = seed[..self.states].iter().fold(0.0f64, |a, s| a.max(s.abs()));
+        self.guard_values(seed).iter().any(|v| v.abs() <= ROUNDING * size)
     }
 
     fn guard_values(&self, seed: &[f64]) -> Vec<f64> {
@@ -114,7 +135,6 @@ impl Surface {
     /// The parameter moved back inside where it is outside by rounding alone: points between two on a guard's boundary
     /// lie on it, but for rounding.
     pub fn nudged(&self, parameter: Vec<f64>) -> Vec<f64> {
-        const ROUNDING: f64 = 1e-10;
         const STEP: f64 = 1e-6;
         if self.strict.is_empty() {
             return parameter;
@@ -141,7 +161,11 @@ impl Surface {
         // Twice the way, so that rounding does not leave it outside again.
         let factor = (-2.0 * value + f64::EPSILON * size) / square;
         let moved: Vec<f64> = parameter.iter().zip(&slopes).map(|(q, d)| q + factor * d).collect();
-        if moved.iter().all(|x| x.is_finite()) { moved } else { parameter }
+        if moved.iter().all(|x| x.is_finite()) {
+            moved
+        } else {
+            parameter
+        }
     }
 
     /// Last parameter inside the guards on the way from `inside` to `outside`.
@@ -160,7 +184,9 @@ impl Surface {
 
     /// Largest V over the corners and the middle of a terminal surface (0 for the seed ellipsoid).
     pub fn largest_value(&self) -> f64 {
-        let Kind::Box { region, .. } = &self.kind else { return 0.0 };
+        let Kind::Box { region, .. } = &self.kind else {
+            return 0.0;
+        };
         let n = region.len();
         (0..1u32 << n)
             .map(|c| (0..n).map(|i| f64::from(c >> i & 1)).collect::<Vec<_>>())

@@ -1,7 +1,7 @@
 //! The integrator on a block of lanes. A lane whose trajectory ends takes the next one from the queue, so lanes do not
 //! wait for each other; what a lane computes depends on its own trajectory alone.
 //!
-//! `shaders/sweep.wgsl` mirrors this file.
+//! `shaders/block.wgsl` mirrors this file.
 
 use super::lanes::{LaneProgram, Lanes};
 use super::real::Real;
@@ -159,7 +159,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         let last = self.run.levels.len().saturating_sub(1);
         let next = if self.kernel.store { self.next_level[lane] } else { last };
         let at = self.run.levels.get(next).copied().unwrap_or(f64::INFINITY);
-        self.next_at.0[lane] = T::of(if self.trajectory[lane].is_some() { at } else { f64::INFINITY });
+        self.next_at.0[lane] = T::of(if self.trajectory[lane].is_some() {
+            at
+        } else {
+            f64::INFINITY
+        });
     }
 
     /// All stages of one step of every lane; returns the squared error in the tolerance's norm (for a fixed-step method
@@ -187,24 +191,24 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
                 for i in 0..W {
                     sum[i] = sum[i].mul_add::<FMA>(h[i], y[i]);
                 }
-                let to = if c < inputs { &mut self.kernel.rate.inputs(&mut self.file, inputs)[c] } else { &mut self.y_new[c] };
+                let to = if c < inputs {
+                    &mut self.kernel.rate.inputs(&mut self.file, inputs)[c]
+                } else {
+                    &mut self.y_new[c]
+                };
                 to.0 = sum;
             }
             self.kernel.rate.run::<T, W, FMA>(&mut self.file);
             for c in 0..dim {
                 let (to, from) = (&mut self.k[s * dim + c].0, &self.kernel.rate.output(&self.file, c).0);
-                for i in 0..W {
-                    to[i] = from[i];
-                }
+                to.copy_from_slice(from);
             }
         }
         // The last stage was taken at the new point.
         let new_point = self.kernel.rate.inputs(&mut self.file, inputs);
         for c in 0..inputs {
             let (to, from) = (&mut self.y_new[c].0, &new_point[c].0);
-            for i in 0..W {
-                to[i] = from[i];
-            }
+            to.copy_from_slice(from);
         }
         self.error::<FMA>()
     }
@@ -250,8 +254,12 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     #[inline(always)]
     fn control<const FMA: bool>(&mut self, error: &Lanes<T, W>) -> Decision<T, W> {
         let adaptive = self.kernel.tableau.adaptive();
-        let mut decided =
-            Decision { accepted: [false; W], finite: [false; W], next_h: self.h, special: [0; W] };
+        let mut decided = Decision {
+            accepted: [false; W],
+            finite: [false; W],
+            next_h: self.h,
+            special: [0; W],
+        };
         for i in 0..W {
             decided.finite[i] = error.0[i].is_finite();
             decided.accepted[i] = error.0[i] <= T::of(1.0);
@@ -296,7 +304,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             let accepted = e[i] <= 1.0;
             let size = if e[i] > least { e[i] } else { least };
             let log = log2(size);
-            let exponent = if accepted { alpha * log + beta * log2(self.before.0[i]) } else { (-0.5 / 5.0) * log };
+            let exponent = if accepted {
+                alpha * log + beta * log2(self.before.0[i])
+            } else {
+                (-0.5 / 5.0) * log
+            };
             let most = if accepted { grow } else { 1.0 };
             let f = safety * exp2(if exponent > 4.0 { 4.0 } else { exponent });
             let f = if f < most { f } else { most };
@@ -315,7 +327,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             return;
         };
         for i in 0..W {
-            let t = if decided.accepted[i] { self.t.0[i] + self.h.0[i] } else { self.t.0[i] };
+            let t = if decided.accepted[i] {
+                self.t.0[i] + self.h.0[i]
+            } else {
+                self.t.0[i]
+            };
             decided.next_h.0[i] = stretched(decided.next_h.0[i], T::of(*end) - t);
         }
     }
@@ -344,7 +360,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             for (g, strict) in strict.iter().enumerate() {
                 let value = &program.output(&self.guard_file, g).0;
                 for i in 0..W {
-                    let holds = if *strict { value[i] > T::of(0.0) } else { value[i] >= T::of(0.0) };
+                    let holds = if *strict {
+                        value[i] > T::of(0.0)
+                    } else {
+                        value[i] >= T::of(0.0)
+                    };
                     special[i] |= u8::from(!holds);
                 }
             }
@@ -362,7 +382,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             self.rejected[i] += u32::from(fails);
         }
         for i in 0..W {
-            self.t.0[i] = if moves[i] { self.t.0[i] + self.h.0[i] } else { self.t.0[i] };
+            self.t.0[i] = if moves[i] {
+                self.t.0[i] + self.h.0[i]
+            } else {
+                self.t.0[i]
+            };
         }
         for i in 0..W {
             self.h.0[i] = if single[i] { self.h.0[i] } else { decided.next_h.0[i] };
@@ -394,7 +418,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             let (t, first) = (self.t.0[lane].f64(), self.first_step.0[lane].f64());
             let floor = control::FLOOR_ULPS * T::EPSILON * t.max(first);
             if next_h.f64() < floor || !self.kernel.tableau.adaptive() {
-                let status = if decided.finite[lane] { Status::StepFloor } else { Status::NotFinite };
+                let status = if decided.finite[lane] {
+                    Status::StepFloor
+                } else {
+                    Status::NotFinite
+                };
                 return self.finish(lane, status, out);
             }
             return self.out_of_steps(lane, out);
@@ -443,9 +471,17 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         if self.next_level[lane] == self.run.levels.len() {
             return self.finish(lane, Status::Reached, out);
         }
-        let first = if tableau.adaptive() { control::FIRST * (size / speed).sqrt() } else { self.run.step };
+        let first = if tableau.adaptive() {
+            control::FIRST * (size / speed).sqrt()
+        } else {
+            self.run.step
+        };
         // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the step limit.
-        let first = if first.is_finite() && first > 0.0 { first } else { control::FIRST };
+        let first = if first.is_finite() && first > 0.0 {
+            first
+        } else {
+            control::FIRST
+        };
         self.fresh[lane] = false;
         self.first_step.0[lane] = T::of(first);
         self.before.0[lane] = 1.0;
@@ -554,7 +590,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
                 lo = q;
             }
             let newton = q - residual / (slope * h);
-            let next = if newton > lo && newton < hi { newton } else { T::of(0.5) * (lo + hi) };
+            let next = if newton > lo && newton < hi {
+                newton
+            } else {
+                T::of(0.5) * (lo + hi)
+            };
             let moved = (next - q).absolute();
             q = next;
             if moved <= T::of(2.0 * T::EPSILON) {
@@ -564,6 +604,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         q
     }
 
+    #[inline(always)]
     fn store_sample<const FMA: bool>(&self, lane: usize, level: usize, q: T, out: &mut Output<'_>) {
         let Some(i) = self.trajectory[lane] else { return };
         let dim = self.kernel.dim;
@@ -591,7 +632,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         program.run::<T, W, FMA>(&mut self.guard_file);
         strict.iter().enumerate().all(|(g, strict)| {
             let value = program.output(&self.guard_file, g).0[lane];
-            if *strict { value > T::of(0.0) } else { value >= T::of(0.0) }
+            if *strict {
+                value > T::of(0.0)
+            } else {
+                value >= T::of(0.0)
+            }
         })
     }
 
@@ -629,7 +674,9 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
 /// `p0 + q (p1 + q (p2 + q p3))`
 #[inline(always)]
 fn cubic<T: Real, const FMA: bool>(p: &[T; 4], q: T) -> T {
-    p[3].mul_add::<FMA>(q, p[2]).mul_add::<FMA>(q, p[1]).mul_add::<FMA>(q, p[0])
+    p[3].mul_add::<FMA>(q, p[2])
+        .mul_add::<FMA>(q, p[1])
+        .mul_add::<FMA>(q, p[0])
 }
 
 /// A step of `h`, or the `left` way where that is no more than a little further: no crumb is left at the end.
@@ -657,7 +704,7 @@ fn exp2(x: f32) -> f32 {
     let shifted = x + 12_582_912.0;
     let n = shifted.to_bits().wrapping_sub(12_582_912.0f32.to_bits());
     let f = x - (shifted - 12_582_912.0);
-    let p = 1.0 + f * (0.693_147_2 + f * (0.240_226_5 + f * (0.055_504_1 + f * 0.009_618_1)));
+    let p = 1.0 + f * (std::f32::consts::LN_2 + f * (0.240_226_5 + f * (0.055_504_1 + f * 0.009_618_1)));
     f32::from_bits(p.to_bits().wrapping_add(n << 23))
 }
 

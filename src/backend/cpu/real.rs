@@ -1,8 +1,8 @@
 //! Scalar arithmetic written so that loops over lanes become SIMD: no branches, no calls.
 //!
-//! Polynomials are those of fdlibm (f64) and Cephes / musl (f32), public-domain minimax approximations. The shaders
-//! in `shaders/` use the same constants.
+//! `shaders/real.wgsl` mirrors this file; the polynomials of both are in [`constants`](crate::backend::constants).
 
+use crate::backend::constants::{double, single};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// f32 or f64 as the lanes compute with it.
@@ -41,7 +41,7 @@ pub trait Real:
         let lost = self - (u - one);
         let value = u.logarithm::<FMA>() + lost / u;
         // For an infinite u the correction is not a number.
-        if u - u == Self::of(0.0) { value } else { u.logarithm::<FMA>() }
+        if u.is_finite() { value } else { u.logarithm::<FMA>() }
     }
     #[inline(always)]
     fn sign(self) -> Self {
@@ -51,7 +51,11 @@ pub trait Real:
     }
     #[inline(always)]
     fn step(self) -> Self {
-        if self > Self::of(0.0) { Self::of(1.0) } else { Self::of(0.0) }
+        if self > Self::of(0.0) {
+            Self::of(1.0)
+        } else {
+            Self::of(0.0)
+        }
     }
     /// The smaller one; not a number where either is not.
     #[inline(always)]
@@ -107,7 +111,11 @@ macro_rules! real {
             }
             #[inline(always)]
             fn mul_add<const FMA: bool>(self, b: Self, c: Self) -> Self {
-                if FMA { $t::mul_add(self, b, c) } else { self * b + c }
+                if FMA {
+                    $t::mul_add(self, b, c)
+                } else {
+                    self * b + c
+                }
             }
             #[inline(always)]
             fn absolute(self) -> Self {
@@ -128,7 +136,11 @@ macro_rules! real {
                 let r = Real::mul_add::<FMA>(n, -($p3 as $t), r);
                 let z = r * r;
                 let s = Real::mul_add::<FMA>(r * z, horner::<$t, FMA, _>(z, $sin), r);
-                let c = Real::mul_add::<FMA>(z * z, horner::<$t, FMA, _>(z, $cos), Real::mul_add::<FMA>(z, -0.5, 1.0));
+                let c = Real::mul_add::<FMA>(
+                    z * z,
+                    horner::<$t, FMA, _>(z, $cos),
+                    Real::mul_add::<FMA>(z, -0.5, 1.0),
+                );
                 let swap = quadrant & 1 == 1;
                 let (a, b) = if swap { (c, s) } else { (s, c) };
                 let sign_bit: $bits = 1 << ($bits::BITS - 1);
@@ -184,8 +196,16 @@ macro_rules! real {
                 let (high, middle) = (x > 2.414213562373095, x > 0.41421356237309503);
                 let (n, d) = if middle { (x - 1.0, x + 1.0) } else { (x, 1.0) };
                 let (n, d) = if high { (-1.0, x) } else { (n, d) };
-                let base = if middle { std::f64::consts::FRAC_PI_4 as $t } else { 0.0 };
-                let base = if high { std::f64::consts::FRAC_PI_2 as $t } else { base };
+                let base = if middle {
+                    std::f64::consts::FRAC_PI_4 as $t
+                } else {
+                    0.0
+                };
+                let base = if high {
+                    std::f64::consts::FRAC_PI_2 as $t
+                } else {
+                    base
+                };
                 let y = n / d;
                 let z = y * y;
                 let v = base + (y - y * z * horner::<$t, FMA, _>(z, $atan));
@@ -222,44 +242,15 @@ trait SplitExp: Real {
 }
 
 real!(f64, u64, i64, 52, 1023, 6_755_399_441_055_744.0,
-    pio2: [1.570_796_326_734_125_614_17, 6.077_100_506_303_965_976_60e-11, 2.022_266_248_795_950_631_54e-21],
-    sin: [
-        1.589_690_995_211_550_102_21e-10, -2.505_076_025_340_686_341_95e-08, 2.755_731_370_707_006_767_89e-06,
-        -1.984_126_982_985_794_931_34e-04, 8.333_333_333_322_489_461_24e-03, -1.666_666_666_666_663_243_48e-01,
-    ],
-    cos: [
-        -1.135_964_755_778_819_482_65e-11, 2.087_572_321_298_174_827_90e-09, -2.755_731_435_139_066_330_35e-07,
-        2.480_158_728_947_672_941_78e-05, -1.388_888_888_887_410_957_49e-03, 4.166_666_666_666_660_190_37e-02,
-    ],
-    ln2: [6.931_471_803_691_238_164_90e-01, 1.908_214_929_270_587_700_02e-10],
-    // Taylor: on |r| <= log(2)/2 the next term is below 1e-17.
-    exp: [
-        1.0 / 6_227_020_800.0, 1.0 / 479_001_600.0, 1.0 / 39_916_800.0, 1.0 / 3_628_800.0, 1.0 / 362_880.0,
-        1.0 / 40_320.0, 1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5,
-    ],
-    overflow: 709.782_712_893_383_973_096, underflow: -745.133_219_101_941_108_420,
-    log: [
-        1.479_819_860_511_658_591e-01, 1.531_383_769_920_937_332e-01, 1.818_357_216_161_805_012e-01,
-        2.222_219_843_214_978_396e-01, 2.857_142_874_366_239_149e-01, 3.999_999_999_940_941_908e-01,
-        6.666_666_666_666_735_130e-01,
-    ],
-    atan: [
-        1.628_582_011_536_578_236_23e-02, -3.653_157_274_421_691_552_70e-02, 4.976_877_994_615_932_360_17e-02,
-        -5.833_570_133_790_573_486_45e-02, 6.661_073_137_387_531_206_69e-02, -7.691_876_205_044_829_994_95e-02,
-        9.090_887_133_436_506_561_96e-02, -1.111_111_040_546_235_578_80e-01, 1.428_571_427_250_346_637_11e-01,
-        -1.999_999_999_987_648_324_76e-01, 3.333_333_333_333_293_180_27e-01,
-    ]
+    pio2: [double::PIO2[0], double::PIO2[1], double::PIO2[2]], sin: double::SIN, cos: double::COS,
+    ln2: [double::LN2[0], double::LN2[1]], exp: double::EXP, overflow: double::OVERFLOW, underflow: double::UNDERFLOW,
+    log: double::LOG, atan: double::ATAN
 );
 
 real!(f32, u32, i32, 23, 127, 12_582_912.0,
-    pio2: [1.570_312_5, 4.837_512_969_970_703e-4, 7.549_789_954_891_882e-8],
-    sin: [-1.951_529_589_1e-4, 8.332_160_873_6e-3, -1.666_665_461_1e-1],
-    cos: [2.443_315_711_809_948e-5, -1.388_731_625_493_765e-3, 4.166_664_568_298_827e-2],
-    ln2: [6.933_593_75e-1, -2.121_944_400_546_906e-4],
-    exp: [1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5],
-    overflow: 88.722_84, underflow: -103.972_08,
-    log: [0.242_790_788_41, 0.284_987_866_88, 0.400_009_721_52, 0.666_666_626_93],
-    atan: [6.168_760_731_8e-2, -1.064_801_737_7e-1, 1.425_363_570_5e-1, -1.999_915_838_2e-1, 3.333_332_836_6e-1]
+    pio2: [single::PIO2[0], single::PIO2[1], single::PIO2[2]], sin: single::SIN, cos: single::COS,
+    ln2: [single::LN2[0], single::LN2[1]], exp: single::EXP, overflow: single::OVERFLOW as f32,
+    underflow: single::UNDERFLOW as f32, log: single::LOG, atan: single::ATAN
 );
 
 #[cfg(test)]
@@ -290,14 +281,38 @@ mod tests {
         let near = grid(-40.0, 40.0);
         check("sin", worst::<T>(&near, 0.5, |x| x.sin_cos::<FMA>().0, f64::sin), 2.0);
         check("cos", worst::<T>(&near, 0.5, |x| x.sin_cos::<FMA>().1, f64::cos), 2.0);
-        check("sin near 0", worst::<T>(&tiny, 1e-30, |x| x.sin_cos::<FMA>().0, f64::sin), 2.0);
-        check("exp", worst::<T>(&grid(-80.0, 80.0), 1e-35, |x| x.exponential::<FMA>(), f64::exp), 2.0);
+        check(
+            "sin near 0",
+            worst::<T>(&tiny, 1e-30, |x| x.sin_cos::<FMA>().0, f64::sin),
+            2.0,
+        );
+        check(
+            "exp",
+            worst::<T>(&grid(-80.0, 80.0), 1e-35, |x| x.exponential::<FMA>(), f64::exp),
+            2.0,
+        );
         // 2^k (e^r - 1) + (2^k - 1) cancels partly for k = -1: three units.
-        check("expm1", worst::<T>(&grid(-5.0, 5.0), 1e-30, |x| x.expm1::<FMA>(), f64::exp_m1), 3.0);
-        check("expm1 near 0", worst::<T>(&tiny, 1e-30, |x| x.expm1::<FMA>(), f64::exp_m1), 2.0);
-        check("log", worst::<T>(&positive, 1e-30, |x| x.logarithm::<FMA>(), f64::ln), 2.0);
+        check(
+            "expm1",
+            worst::<T>(&grid(-5.0, 5.0), 1e-30, |x| x.expm1::<FMA>(), f64::exp_m1),
+            3.0,
+        );
+        check(
+            "expm1 near 0",
+            worst::<T>(&tiny, 1e-30, |x| x.expm1::<FMA>(), f64::exp_m1),
+            2.0,
+        );
+        check(
+            "log",
+            worst::<T>(&positive, 1e-30, |x| x.logarithm::<FMA>(), f64::ln),
+            2.0,
+        );
         check("log1p", worst::<T>(&tiny, 1e-30, |x| x.log1p::<FMA>(), f64::ln_1p), 3.0);
-        check("atan", worst::<T>(&grid(-30.0, 30.0), 1e-30, |x| x.arctangent::<FMA>(), f64::atan), 3.0);
+        check(
+            "atan",
+            worst::<T>(&grid(-30.0, 30.0), 1e-30, |x| x.arctangent::<FMA>(), f64::atan),
+            3.0,
+        );
     }
 
     #[test]
@@ -324,7 +339,13 @@ mod tests {
         assert_eq!(inf.log1p::<true>().f64(), f64::INFINITY);
         assert!(T::of(-1.0).logarithm::<true>().is_nan());
         assert!((inf.arctangent::<true>().f64() - std::f64::consts::FRAC_PI_2).abs() < T::EPSILON);
-        for f in [T::exponential::<true>, T::expm1::<true>, T::logarithm::<true>, T::arctangent::<true>, T::sign] {
+        for f in [
+            T::exponential::<true>,
+            T::expm1::<true>,
+            T::logarithm::<true>,
+            T::arctangent::<true>,
+            T::sign,
+        ] {
             assert!(f(nan).is_nan());
         }
         assert!(nan.sin_cos::<true>().0.is_nan() && inf.sin_cos::<true>().1.is_nan());

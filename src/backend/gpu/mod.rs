@@ -1,1 +1,71 @@
-//! GPU backend
+//! The GPU backend: WGSL compute shaders through wgpu, one invocation a trajectory.
+//!
+//! A kernel's module is joined from `shaders/real.wgsl` (elementary functions), `shaders/block.wgsl` (the integrator)
+//! and generated text (constants, the model, the method's stages).
+
+mod adapter;
+mod emit;
+mod kernel;
+mod memory;
+mod shader;
+
+pub use adapter::{AdapterInfo, Selection, adapters};
+
+use super::{Backend, BackendError, Kernel, Spec};
+use crate::model::Precision;
+use adapter::Device;
+use std::sync::Arc;
+
+/// Counters' status of a trajectory on its way, and of one that no invocation has touched.
+const RUNNING: u32 = u32::MAX - 1;
+const UNWRITTEN: u32 = u32::MAX;
+
+/// The GPU backend: an open device.
+#[derive(Clone, Debug)]
+pub struct Gpu {
+    device: Arc<Device>,
+}
+
+impl Gpu {
+    /// Opens an adapter; `None` where hardware was asked for and there is none.
+    ///
+    /// # Errors
+    /// When no adapter fits the selection, or its device cannot be had.
+    pub fn open(selection: &Selection) -> Result<Option<Self>, BackendError> {
+        Ok(Device::open(selection)?.map(|device| Self {
+            device: Arc::new(device),
+        }))
+    }
+
+    /// The adapter behind the device.
+    pub fn info(&self) -> &AdapterInfo {
+        &self.device.info
+    }
+}
+
+impl Backend for Gpu {
+    fn name(&self) -> &'static str {
+        "gpu"
+    }
+
+    fn adapter(&self) -> String {
+        let info = &self.device.info;
+        format!("{} ({}, {})", info.name, info.api, info.kind)
+    }
+
+    fn supports(&self, precision: Precision) -> bool {
+        self.device.supports(precision)
+    }
+
+    fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
+        if !self.supports(spec.precision) {
+            return Err(BackendError::NoF64 {
+                adapter: self.device.info.name.clone(),
+            });
+        }
+        Ok(Box::new(kernel::GpuKernel::new(
+            Arc::clone(&self.device),
+            spec.clone(),
+        )?))
+    }
+}

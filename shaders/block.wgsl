@@ -1,0 +1,357 @@
+// The integrator, mirroring src/backend/cpu/block.rs: an invocation follows one trajectory through a bounded number of
+// attempted steps and keeps it in storage buffers in between.
+//
+// `Vector`, `Inputs`, `Step`, `attempt`, `interpolate` and what else is not here are generated (src/backend/gpu/emit.rs).
+// Lines from `//if` to `//end` are kept where the condition holds.
+
+struct Control {
+    // Entries of the list of trajectories still on their way, and which of the two lists it is.
+    count: u32,
+    list: u32,
+    // Trajectories of the batch.
+    stride: u32,
+    // Loop iterations an invocation may spend in this dispatch.
+    work: u32,
+    max_steps: u32,
+    levels: u32,
+}
+
+@group(0) @binding(0) var<uniform> control: Control;
+// See the offsets among the generated constants.
+@group(0) @binding(1) var<storage, read> settings: array<real>;
+// [field][trajectory]: y, k, t, h, before, first_step.
+@group(0) @binding(2) var<storage, read_write> state: array<real>;
+// [field][trajectory]: status, next_level, steps, rejected.
+@group(0) @binding(3) var<storage, read_write> counters: array<u32>;
+// [list][entry]: trajectories still on their way.
+@group(0) @binding(4) var<storage, read_write> lists: array<u32>;
+// Entries of the list being written.
+@group(0) @binding(5) var<storage, read_write> remaining: atomic<u32>;
+// [component, then time][trajectory].
+@group(0) @binding(6) var<storage, read_write> ends: array<real>;
+//if STORE
+// [trajectory][level][time, then component].
+@group(0) @binding(7) var<storage, read_write> samples: array<real>;
+//end
+
+fn not_a_number() -> real {
+    return sqrt(-1.0 - abs(settings[0]));
+}
+
+// A trajectory between steps.
+struct Lane {
+    y: Vector,
+    // Derivative at y.
+    k: Vector,
+    t: real,
+    h: real,
+    // Squared error of the step before.
+    before: f32,
+    first_step: real,
+    status: u32,
+    next_level: u32,
+    steps: u32,
+    rejected: u32,
+    // The level after those passed; kept here because it is read at every step.
+    level: real,
+    // Loop iterations spent in this dispatch.
+    work: u32,
+}
+
+fn level(k: u32) -> real {
+    return settings[LEVELS + min(k, control.levels - 1u)];
+}
+
+// A step that does not pass the end where the end is a time.
+fn limited(run: Run, t: real, h: real) -> real {
+//if BY_TIME
+    let left = run.last - t;
+    // Stretched a little, so that no crumb is left at the end.
+    return select(h, left, h * 1.001 >= left);
+//end
+//if BY_COMPONENT
+    return h;
+//end
+}
+
+struct Decision {
+    accepted: bool,
+    finite: bool,
+    next_h: real,
+    before: f32,
+}
+
+// Accepts or rejects a step and chooses its next size.
+fn decide(error: real, h: real, before: f32) -> Decision {
+    let finite = is_finite(error);
+//if FIXED
+    return Decision(finite, finite, h, before);
+//end
+//if ADAPTIVE
+    let accepted = select(false, error <= 1.0, finite);
+    let e = max(select(1.0, f32(error), finite), LEAST_SQUARED_ERROR);
+    // Squared errors: the exponents are halved.
+    let log_e = log2_(e);
+    let pi = -HALF_ALPHA * log_e + HALF_BETA * log2_(before);
+    let factor = SAFETY * exp2_(select(-0.1 * log_e, pi, accepted));
+    let bounded = max(min(factor, select(1.0, GROW, accepted)), SHRINK);
+    return Decision(
+        accepted,
+        finite,
+        h * real(select(SHRINK, bounded, finite)),
+        select(before, e, accepted),
+    );
+//end
+}
+
+// One attempted step with its events.
+fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
+    let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
+    let decided = decide(step.error, (*lane).h, (*lane).before);
+    (*lane).work += 1u;
+    if (decided.accepted) {
+        settle(i, lane, step, decided, run);
+    } else {
+        (*lane).rejected += 1u;
+        (*lane).h = decided.next_h;
+//if ADAPTIVE
+        if ((*lane).h < FLOOR * max((*lane).t, (*lane).first_step)) {
+            (*lane).status = select(NOT_FINITE, STEP_FLOOR, decided.finite);
+        }
+//end
+//if FIXED
+        (*lane).status = NOT_FINITE;
+//end
+    }
+    if ((*lane).status == RUNNING) {
+        if ((*lane).steps + (*lane).rejected >= control.max_steps) {
+            (*lane).status = STEP_LIMIT;
+        }
+    }
+}
+
+// Moves on to the end of an accepted step, or to the event in it that ends the trajectory.
+fn settle(i: u32, lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
+    if (events(i, lane, step, run)) {
+        return;
+    }
+    (*lane).steps += 1u;
+    (*lane).before = decided.before;
+    if ((*lane).status != RUNNING) {
+        return;
+    }
+    (*lane).t += (*lane).h;
+    (*lane).y = step.y;
+    (*lane).k = step.LAST_STAGE;
+//if BOUNDS
+    if (within(step.y, run)) {
+    } else {
+        (*lane).status = LEFT_REGION;
+        return;
+    }
+//end
+//if CEILING
+    if (step.y.CEILING_COMPONENT >= run.ceiling) {
+        (*lane).status = REACHED;
+        return;
+    }
+//end
+    (*lane).h = limited(run, (*lane).t, decided.next_h);
+}
+
+// Guards and levels within an accepted step. Where the trajectory ends in it, its last point is put into the lane. True
+// where the dispatch's work ran out: the step is then taken again, levels already stored excepted.
+fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
+    let start = (*lane).y;
+    let t = (*lane).t;
+    let h = (*lane).h;
+    var most: real = 1.0;
+    var ended = RUNNING;
+//if GUARDS
+    if (guards_hold(inputs_of(step.y))) {
+    } else {
+        most = last_inside(lane, step);
+        ended = GUARD;
+    }
+//end
+    let begin = coordinate(start, t);
+    let finish = coordinate(step.y, t + h);
+    loop {
+        if ((*lane).next_level >= control.levels) {
+            break;
+        }
+        if ((*lane).level > finish) {
+            break;
+        }
+        if ((*lane).work > control.work) {
+            return true;
+        }
+        let q = locate(lane, step, (*lane).level, begin, finish);
+        if (q > most) {
+            break;
+        }
+//if STORE
+        store_sample(i, lane, step, q);
+//end
+        (*lane).next_level += 1u;
+        (*lane).level = level((*lane).next_level);
+        if ((*lane).next_level == control.levels) {
+            most = q;
+            ended = REACHED;
+        }
+    }
+    if (ended != RUNNING) {
+        (*lane).y = interpolate(start, (*lane).k, step, h, most);
+//if BY_COMPONENT
+        // A level that ends the trajectory is met by definition.
+        if (ended == REACHED) {
+            (*lane).y.COORDINATE = run.last;
+        }
+//end
+        (*lane).t = t + most * h;
+        (*lane).status = ended;
+    }
+    return false;
+}
+
+// Fraction of the step at which the coordinate takes the value `level`, by Newton's method kept within a bracket.
+fn locate(lane: ptr<function, Lane>, step: Step, level: real, begin: real, finish: real) -> real {
+    let guess = (level - begin) / (finish - begin);
+//if BY_TIME
+    return select(guess, 1.0, level == finish);
+//end
+//if BY_COMPONENT
+    let p = path((*lane).k, step);
+    let h = (*lane).h;
+    var lo: real = 0.0;
+    var hi: real = 1.0;
+    var q = select(guess, 1.0, level >= finish);
+    var left = select(30u, 0u, level >= finish);
+    loop {
+        if (left == 0u) {
+            break;
+        }
+        left -= 1u;
+        (*lane).work += 1u;
+        let w = p.p0 + q * (p.p1 + q * (p.p2 + q * p.p3));
+        let residual = (begin - level) + w * q * h;
+        let slope = p.p0 + q * (2.0 * p.p1 + q * (3.0 * p.p2 + q * (4.0 * p.p3)));
+        let above = residual > 0.0;
+        hi = select(hi, q, above);
+        lo = select(q, lo, above);
+        let newton = q - residual / (slope * h);
+        var next = 0.5 * (lo + hi);
+        if (newton > lo) {
+            next = select(next, newton, newton < hi);
+        }
+        if (abs(next - q) <= 2.0 * EPSILON) {
+            left = 0u;
+        }
+        q = next;
+    }
+    return q;
+//end
+}
+
+//if GUARDS
+// Largest fraction of the step, to rounding, up to which the guards hold.
+fn last_inside(lane: ptr<function, Lane>, step: Step) -> real {
+    var lo: real = 0.0;
+    var hi: real = 1.0;
+    loop {
+        if (hi - lo <= 4.0 * EPSILON) {
+            break;
+        }
+        (*lane).work += 1u;
+        let middle = 0.5 * (lo + hi);
+        if (guards_hold(inputs_of(interpolate((*lane).y, (*lane).k, step, (*lane).h, middle)))) {
+            lo = middle;
+        } else {
+            hi = middle;
+        }
+    }
+    return lo;
+}
+//end
+
+//if STORE
+fn store_sample(i: u32, lane: ptr<function, Lane>, step: Step, q: real) {
+    let at = (i * control.levels + (*lane).next_level) * (1u + DIM);
+    samples[at] = (*lane).t + q * (*lane).h;
+    store_vector(at + 1u, interpolate((*lane).y, (*lane).k, step, (*lane).h, q));
+}
+//end
+
+// Derivative, first step and first level at the seed.
+@compute @workgroup_size(WORKGROUP)
+fn start(@builtin(global_invocation_id) id: vec3<u32>) {
+    let i = id.x;
+    if (i >= control.stride) {
+        return;
+    }
+    let run = load_run();
+    var lane: Lane;
+    lane.y = load_seed(i);
+    lane.k = rate(inputs_of(lane.y));
+    lane.before = 1.0;
+    let begin = coordinate(lane.y, 0.0);
+    loop {
+        if (lane.next_level >= control.levels) {
+            break;
+        }
+        if (level(lane.next_level) > begin) {
+            break;
+        }
+        lane.next_level += 1u;
+    }
+    lane.status = RUNNING;
+    if (is_finite(total(lane.k))) {
+        if (lane.next_level == control.levels) {
+            lane.status = REACHED;
+        }
+    } else {
+        lane.status = NOT_FINITE;
+    }
+//if ADAPTIVE
+    let first = FIRST * norm(lane.y, lane.y, run) / norm(lane.k, lane.y, run);
+    // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the step limit.
+    lane.first_step = FIRST;
+    if (is_finite(first)) {
+        lane.first_step = select(FIRST, first, first > 0.0);
+    }
+//end
+//if FIXED
+    lane.first_step = run.step;
+//end
+    lane.h = limited(run, 0.0, lane.first_step);
+    save(i, lane);
+    lists[i] = i;
+}
+
+// Up to `control.work` loop iterations of every trajectory still on its way.
+@compute @workgroup_size(WORKGROUP)
+fn sweep(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= control.count) {
+        return;
+    }
+    let i = lists[control.list * control.stride + id.x];
+    let run = load_run();
+    var lane = load(i);
+    if (lane.status != RUNNING) {
+        return;
+    }
+    loop {
+        if (lane.status != RUNNING) {
+            break;
+        }
+        if (lane.work > control.work) {
+            break;
+        }
+        advance(i, &lane, run);
+    }
+    save(i, lane);
+    if (lane.status == RUNNING) {
+        let at = atomicAdd(&remaining, 1u);
+        lists[(1u - control.list) * control.stride + at] = i;
+    }
+}

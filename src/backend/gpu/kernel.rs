@@ -1,0 +1,388 @@
+//! A compiled kernel: its pipelines, and driving a batch through them.
+
+use super::adapter::Device;
+use super::emit::{Emitter, Settings, Variant, WORKGROUP};
+use super::memory::{Memory, Shape, numbers, reals};
+use super::shader::{Fragment, Source, conditional};
+use super::{RUNNING, UNWRITTEN};
+use crate::backend::{BackendError, By, Kernel, Run, Spec, Status, Trajectories};
+use crate::model::Precision;
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Most bytes of device memory a binding is given: batches are split to stay below.
+const LARGEST_BINDING: u64 = 256 << 20;
+/// Seconds a dispatch should last at most: far below any driver's watchdog, long against the cost of a dispatch.
+const DISPATCH_SECONDS: f64 = 0.1;
+/// Loop iterations an invocation may spend in a dispatch. The most that Mesa's llvmpipe allows a shader is 65535; a
+/// single step may add those of one event on top.
+const WORK: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
+/// Work of the first dispatch, before anything was measured.
+const FIRST_WORK: u32 = 64;
+
+/// The two entry points of a module.
+struct Pipelines {
+    start: wgpu::ComputePipeline,
+    sweep: wgpu::ComputePipeline,
+}
+
+pub(super) struct GpuKernel {
+    device: Arc<Device>,
+    spec: Spec,
+    layout: wgpu::BindGroupLayout,
+    pipelines: HashMap<Variant, Pipelines>,
+    memory: Option<Memory>,
+    /// Attempted steps a second over all trajectories, as measured so far.
+    speed: Option<f64>,
+}
+
+/// The whole text of a kernel's module.
+pub(super) fn source(spec: &Spec, variant: Variant) -> Source {
+    let emitter = Emitter::new(spec, variant);
+    let conditions = emitter.conditions();
+    let mut block = conditional(include_str!("../../../shaders/block.wgsl"), &conditions);
+    for (name, value) in emitter.names() {
+        block = block.replace(name, &value);
+    }
+    Source::new(&[
+        Fragment {
+            name: "constants",
+            text: emitter.constants(),
+        },
+        Fragment {
+            name: "shaders/real.wgsl",
+            text: conditional(include_str!("../../../shaders/real.wgsl"), &conditions),
+        },
+        Fragment {
+            name: "model",
+            text: emitter.model(),
+        },
+        Fragment {
+            name: "method",
+            text: emitter.method(),
+        },
+        Fragment {
+            name: "shaders/block.wgsl",
+            text: block,
+        },
+    ])
+}
+
+impl GpuKernel {
+    pub fn new(device: Arc<Device>, spec: Spec) -> Result<Self, BackendError> {
+        // Variants differ by checks that are added to this one.
+        source(&spec, Variant::default()).validate(device.info.f64_arithmetic)?;
+        let bindings = if spec.store { 8 } else { 7 };
+        let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..bindings)
+            .map(|binding| wgpu::BindGroupLayoutEntry {
+                binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer {
+                    ty: match binding {
+                        0 => wgpu::BufferBindingType::Uniform,
+                        k => wgpu::BufferBindingType::Storage { read_only: k == 1 },
+                    },
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
+                count: None,
+            })
+            .collect();
+        let layout = (device.device).create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("kernel"),
+            entries: &entries,
+        });
+        device.check()?;
+        Ok(Self {
+            device,
+            spec,
+            layout,
+            pipelines: HashMap::new(),
+            memory: None,
+            speed: None,
+        })
+    }
+
+    fn prepare(&mut self, variant: Variant) -> Result<(), BackendError> {
+        if self.pipelines.contains_key(&variant) {
+            return Ok(());
+        }
+        let source = source(&self.spec, variant);
+        source.validate(self.device.info.f64_arithmetic)?;
+        let device = &self.device.device;
+        let descriptor = wgpu::ShaderModuleDescriptor {
+            label: Some("kernel"),
+            source: wgpu::ShaderSource::Wgsl(source.text.into()),
+        };
+        // SAFETY: the shader's loops are bounded by counters of their own, and its indices stay within the buffers:
+        // trajectories below the stride that the buffers were sized for, levels below their number.
+        let module = unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) };
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&self.layout)],
+            ..Default::default()
+        });
+        let pipeline = |entry| {
+            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(entry),
+                layout: Some(&layout),
+                module: &module,
+                entry_point: Some(entry),
+                compilation_options: Default::default(),
+                cache: None,
+            })
+        };
+        let pipelines = Pipelines {
+            start: pipeline("start"),
+            sweep: pipeline("sweep"),
+        };
+        self.device.check()?;
+        self.pipelines.insert(variant, pipelines);
+        Ok(())
+    }
+
+    fn real(&self) -> usize {
+        match self.spec.precision {
+            Precision::F32 => 4,
+            Precision::F64 => 8,
+        }
+    }
+
+    /// Levels the shader sees: all where they are stored, otherwise the last.
+    fn levels<'a>(&self, run: &'a Run) -> &'a [f64] {
+        if self.spec.store {
+            &run.levels
+        } else {
+            &run.levels[run.levels.len().saturating_sub(1)..]
+        }
+    }
+
+    fn settings(&self, run: &Run, variant: Variant) -> Vec<f64> {
+        let dim = self.spec.dim();
+        let at = Settings::new(dim, variant);
+        let levels = self.levels(run);
+        let mut list = vec![0.0; at.levels + levels.len().max(1)];
+        list[at.rtol] = run.rtol;
+        list[at.step] = run.step;
+        list[at.ceiling] = run.ceiling.map_or(0.0, |(_, value)| value);
+        list[at.last] = run.levels.last().copied().unwrap_or(0.0);
+        list[at.atol..at.lower].copy_from_slice(&run.atol);
+        for (c, [lower, upper]) in run.bounds.iter().enumerate() {
+            list[at.lower + c] = *lower;
+            list[at.upper + c] = *upper;
+        }
+        list[at.levels..at.levels + levels.len()].copy_from_slice(levels);
+        list
+    }
+
+    /// Integrates as many trajectories as fit the device's bindings.
+    fn part(&mut self, run: &Run, variant: Variant, seeds: &[f64], shape: Shape) -> Result<Trajectories, BackendError> {
+        let (dim, count) = (shape.dim, shape.trajectories);
+        let device = Arc::clone(&self.device);
+        if !self.memory.as_ref().is_some_and(|m| m.holds(&shape)) {
+            // Freed first: both need not fit.
+            self.memory = None;
+            self.memory = Some(Memory::new(&device, &self.layout, shape));
+            device.check()?;
+        }
+        let (Some(memory), Some(pipelines)) = (&self.memory, self.pipelines.get(&variant)) else {
+            return Err(BackendError::Unwritten { index: 0 });
+        };
+        let precision = self.spec.precision;
+        let queue = &device.queue;
+        queue.write_buffer(&memory.settings, 0, &reals(self.settings(run, variant), precision));
+        let by_field = (0..dim).flat_map(|c| seeds.iter().skip(c).step_by(dim).copied());
+        queue.write_buffer(&memory.state, 0, &reals(by_field, precision));
+        // Sentinels: a slot that still holds one at the end was not written.
+        queue.write_buffer(&memory.counters, 0, &vec![0xff; 4 * count]);
+        queue.write_buffer(&memory.ends, 0, &vec![0xff; shape.ends()]);
+
+        let mut active = count as u32;
+        let mut list = 0;
+        let mut started = false;
+        let mut work = self.work(active);
+        let begin = Instant::now();
+        while active > 0 {
+            let before = Instant::now();
+            let control: [u32; 8] = [
+                active,
+                list,
+                count as u32,
+                work,
+                run.max_steps,
+                self.levels(run).len() as u32,
+                0,
+                0,
+            ];
+            queue.write_buffer(&memory.control, 0, bytemuck::cast_slice(&control));
+            queue.write_buffer(&memory.remaining, 0, &[0; 4]);
+            let mut encoder = device.device.create_command_encoder(&Default::default());
+            {
+                let mut pass = encoder.begin_compute_pass(&Default::default());
+                pass.set_bind_group(0, &memory.bindings, &[]);
+                if !started {
+                    pass.set_pipeline(&pipelines.start);
+                    pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
+                }
+                pass.set_pipeline(&pipelines.sweep);
+                pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
+            }
+            let left = memory.read(&device, Some(encoder), &memory.remaining, 4, |b| {
+                u32::from_ne_bytes([b[0], b[1], b[2], b[3]])
+            })?;
+            started = true;
+            // At most this much was done, so the measured speed is at most too high by what ended early.
+            let seconds = before.elapsed().as_secs_f64();
+            work = bounded(
+                f64::from(work) * (DISPATCH_SECONDS / seconds).min(4.0) * f64::from(active) / f64::from(left.max(1)),
+            );
+            active = left;
+            list = 1 - list;
+        }
+        let seconds = begin.elapsed().as_secs_f64();
+        let result = self.collect(memory, run, seeds, shape)?;
+        let attempts: f64 = result
+            .steps
+            .iter()
+            .zip(&result.rejected)
+            .map(|(a, b)| f64::from(*a) + f64::from(*b))
+            .sum();
+        self.speed = Some(attempts / seconds);
+        Ok(result)
+    }
+
+    /// Work of a first dispatch of `active` trajectories.
+    fn work(&self, active: u32) -> u32 {
+        self.speed
+            .map_or(FIRST_WORK, |s| bounded(s * DISPATCH_SECONDS / f64::from(active)))
+    }
+
+    /// Reads the results back.
+    fn collect(&self, memory: &Memory, run: &Run, seeds: &[f64], shape: Shape) -> Result<Trajectories, BackendError> {
+        let (dim, count, device) = (shape.dim, shape.trajectories, &self.device);
+        let precision = self.spec.precision;
+        let counters: Vec<u32> = memory.read(device, None, &memory.counters, shape.counters(), |b| {
+            bytemuck::cast_slice(b).to_vec()
+        })?;
+        let (status, rest) = counters.split_at(count);
+        let (next_level, rest) = rest.split_at(count);
+        let (steps, rejected) = rest.split_at(count);
+        let status = (status.iter().enumerate())
+            .map(|(index, code)| match *code {
+                RUNNING | UNWRITTEN => Err(BackendError::Unwritten { index }),
+                code => Status::from_code(code as i32).ok_or(BackendError::Unwritten { index }),
+            })
+            .collect::<Result<Vec<Status>, _>>()?;
+        let real = self.real();
+        let fields = memory.read(device, None, &memory.ends, shape.ends(), |b| {
+            match b
+                .chunks_exact(real)
+                .position(|slot| slot.iter().all(|byte| *byte == 0xff))
+            {
+                Some(slot) => Err(BackendError::Unwritten { index: slot % count }),
+                None => Ok(numbers(b, precision)),
+            }
+        })??;
+        let end = (0..count)
+            .flat_map(|i| (0..dim).map(move |c| (i, c)))
+            .map(|(i, c)| fields[c * count + i])
+            .collect();
+        let mut samples = match &memory.samples {
+            Some(buffer) if shape.levels > 0 => {
+                memory.read(device, None, buffer, shape.samples(), |b| numbers(b, precision))?
+            }
+            _ => Vec::new(),
+        };
+        let width = 1 + dim;
+        for (i, of_one) in samples.chunks_exact_mut((shape.levels * width).max(1)).enumerate() {
+            let first = self.passed(&seeds[i * dim..(i + 1) * dim], run);
+            for (k, sample) in of_one.chunks_exact_mut(width).enumerate() {
+                if k < first || k >= next_level[i] as usize {
+                    sample.fill(f64::NAN);
+                } else if let By::Component(c) = self.spec.by {
+                    sample[1 + c] = run.levels[k];
+                }
+            }
+        }
+        Ok(Trajectories {
+            dim,
+            levels: shape.levels,
+            end,
+            end_time: fields[dim * count..].to_vec(),
+            status,
+            steps: steps.to_vec(),
+            rejected: rejected.to_vec(),
+            samples,
+        })
+    }
+
+    /// Levels that the seed itself has passed, as the shader counts them.
+    fn passed(&self, seed: &[f64], run: &Run) -> usize {
+        let of = |x: f64| match self.spec.precision {
+            Precision::F32 => f64::from(x as f32),
+            Precision::F64 => x,
+        };
+        let coordinate = match self.spec.by {
+            By::Time => 0.0,
+            By::Component(c) => of(seed[c]),
+        };
+        run.levels.iter().take_while(|l| of(**l) <= coordinate).count()
+    }
+}
+
+fn bounded(work: f64) -> u32 {
+    work.clamp(*WORK.start(), *WORK.end()) as u32
+}
+
+impl Kernel for GpuKernel {
+    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
+        let dim = self.spec.dim();
+        let count = seeds.len() / dim;
+        let variant = Variant {
+            bounds: run.bounds.len(),
+            ceiling: run.ceiling.map(|(c, _)| c),
+        };
+        let levels = if self.spec.store { run.levels.len() } else { 0 };
+        let mut result = Trajectories {
+            dim,
+            levels,
+            ..Default::default()
+        };
+        if count == 0 {
+            return Ok(result);
+        }
+        self.prepare(variant)?;
+        let settings = Settings::new(dim, variant).levels + run.levels.len().max(1);
+        let mut shape = Shape {
+            trajectories: 1,
+            dim,
+            levels,
+            settings,
+            real: self.real(),
+        };
+        let limit = self
+            .device
+            .info
+            .max_binding
+            .min(self.device.info.max_buffer)
+            .min(LARGEST_BINDING);
+        let share = shape.largest_share() as u64;
+        let groups = u64::from(self.device.device.limits().max_compute_workgroups_per_dimension);
+        let most = (limit / share).min(groups * u64::from(WORKGROUP));
+        if most == 0 {
+            return Err(BackendError::TooLarge { bytes: share, limit });
+        }
+        for part in seeds.chunks(most as usize * dim) {
+            shape.trajectories = part.len() / dim;
+            let done = self.part(run, variant, part, shape)?;
+            result.end.extend(done.end);
+            result.end_time.extend(done.end_time);
+            result.status.extend(done.status);
+            result.steps.extend(done.steps);
+            result.rejected.extend(done.rejected);
+            result.samples.extend(done.samples);
+        }
+        Ok(result)
+    }
+}

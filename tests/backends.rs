@@ -1,0 +1,387 @@
+//! CPU against GPU: all trajectories of small systems, over precision, method and batch size.
+
+mod common;
+
+use common::{Mismatch, Side, Tolerance, any_gpu, compare};
+use costate::backend::cpu::Cpu;
+use costate::backend::{Backend, By, Guards, Run, Spec, Status, Trajectories};
+use costate::expr::{Fun, Graph, Id, Kind};
+use costate::model::{Method, Precision};
+use costate::program::Program;
+
+/// A system with seeds on a curve around the origin.
+struct Problem {
+    name: &'static str,
+    rate: Program,
+    guards: Option<Guards>,
+    by: By,
+    run: Run,
+    /// Seed at an angle.
+    seed: fn(f64) -> Vec<f64>,
+}
+
+impl Problem {
+    fn spec(&self, method: Method, precision: Precision, store: bool) -> Spec {
+        Spec {
+            rate: self.rate.clone(),
+            guards: self.guards.clone(),
+            method,
+            precision,
+            by: self.by,
+            store,
+        }
+    }
+
+    fn seeds(&self, count: usize) -> Vec<f64> {
+        (0..count)
+            .flat_map(|i| (self.seed)(std::f64::consts::TAU * i as f64 / 345.0))
+            .collect()
+    }
+
+    /// The run with tolerances a little above what the precision can give.
+    fn run(&self, precision: Precision) -> Run {
+        let rtol = rtol(precision);
+        Run {
+            rtol,
+            atol: vec![1e-2 * rtol; self.rate.outputs.len()],
+            ..self.run.clone()
+        }
+    }
+}
+
+fn rtol(precision: Precision) -> f64 {
+    match precision {
+        Precision::F32 => 1e-5,
+        Precision::F64 => 1e-9,
+    }
+}
+
+fn run(levels: Vec<f64>) -> Run {
+    Run {
+        rtol: 0.0,
+        atol: Vec::new(),
+        step: 0.02,
+        max_steps: 2000,
+        levels,
+        ceiling: None,
+        bounds: Vec::new(),
+    }
+}
+
+/// x'' = -x with the integral of (x^2 + y^2)/2, sampled by that: neither guards nor bounds.
+fn oscillator() -> Problem {
+    let mut g = Graph::new();
+    let (x, y) = (g.symbol("x", Kind::State), g.symbol("y", Kind::State));
+    let dx = y;
+    let dy = g.neg(x);
+    let (xx, yy) = (g.powi(x, 2), g.powi(y, 2));
+    let sum = g.add(xx, yy);
+    let half = g.constant(0.5);
+    let cost = g.mul(half, sum);
+    Problem {
+        name: "oscillator",
+        rate: Program::lower(&g, &[x, y], &[dx, dy, cost]),
+        guards: None,
+        by: By::Component(2),
+        run: run((1..=20).map(|k| 0.1 * f64::from(k)).collect()),
+        seed: |a| vec![(1.0 + 0.3 * a.sin()) * a.cos(), (1.0 + 0.3 * a.sin()) * a.sin(), 0.0],
+    }
+}
+
+/// A damped pendulum run backward from around its rest by time, with a guard on the angle and bounds on both.
+fn pendulum() -> Problem {
+    let mut g = Graph::new();
+    let (q, w) = (g.symbol("q", Kind::State), g.symbol("w", Kind::State));
+    let dq = g.neg(w);
+    let s = g.unary(Fun::Sin, q);
+    let c = g.unary(Fun::Cos, q);
+    let damping = g.constant(0.4);
+    let drag = g.mul(damping, w);
+    let dw = g.add(s, drag);
+    // Energy-like third component, to have one that no derivative depends on.
+    let ws = g.mul(w, c);
+    let one = g.constant(1.0);
+    let de = g.add(ws, one);
+    let limit = g.constant(2.0);
+    let size = g.unary(Fun::Abs, q);
+    let guard = g.sub(limit, size);
+    let mut run = run((0..=24).map(|k| 0.25 * f64::from(k)).collect());
+    run.bounds = vec![[-1.6, 3.0], [-4.0, 4.0]];
+    Problem {
+        name: "pendulum",
+        rate: Program::lower(&g, &[q, w], &[dq, dw, de]),
+        guards: Some(Guards {
+            program: Program::lower(&g, &[q, w], &[guard]),
+            strict: vec![true],
+        }),
+        by: By::Time,
+        run,
+        seed: |a| vec![0.3 * a.cos() + 0.1, 0.3 * a.sin(), 0.0],
+    }
+}
+
+/// Every primitive, in a system that stays bounded; sampled by arc length with a ceiling on time's own component.
+fn functions() -> Problem {
+    let mut g = Graph::new();
+    let (x, y) = (g.symbol("x", Kind::State), g.symbol("y", Kind::State));
+    let constant = |g: &mut Graph, v: f64| g.constant(v);
+    let call = |g: &mut Graph, f: Fun, a: Id| g.unary(f, a);
+    let one = constant(&mut g, 1.0);
+    let (xx, yy) = (g.powi(x, 2), g.powi(y, 2));
+    let e = {
+        let n = g.neg(xx);
+        call(&mut g, Fun::Exp, n)
+    };
+    let at = call(&mut g, Fun::Atan, y);
+    let log = {
+        let u = g.add(one, yy);
+        call(&mut g, Fun::Log, u)
+    };
+    let root = {
+        let u = g.add(one, xx);
+        call(&mut g, Fun::Sqrt, u)
+    };
+    let (lo, hi) = (constant(&mut g, -0.5), constant(&mut g, 0.5));
+    let clamped = {
+        let m = g.max(x, lo);
+        g.min(m, hi)
+    };
+    let tanh = call(&mut g, Fun::Tanh, x);
+    let small = call(&mut g, Fun::Log1p, xx);
+    let grown = {
+        let n = g.neg(yy);
+        call(&mut g, Fun::Expm1, n)
+    };
+    let sine = call(&mut g, Fun::Sin, y);
+    let third = constant(&mut g, 0.3);
+    let terms = [g.mul(third, at), g.neg(tanh), g.mul(e, sine)];
+    let dx = g.sum(&terms);
+    let terms = [g.neg(y), clamped, g.mul(third, log), g.mul(third, grown)];
+    let dy = g.sum(&terms);
+    let speed = {
+        let a = g.add(root, small);
+        let v = call(&mut g, Fun::Abs, y);
+        g.add(a, v)
+    };
+    let mut run = run((1..=30).map(|k| 0.2 * f64::from(k)).collect());
+    run.ceiling = Some((3, 4.0));
+    Problem {
+        name: "functions",
+        rate: Program::lower(&g, &[x, y], &[dx, dy, speed, one]),
+        guards: None,
+        by: By::Component(2),
+        run,
+        seed: |a| vec![1.5 * a.cos(), 1.2 * a.sin() + 0.4, 0.0, 0.0],
+    }
+}
+
+fn problems() -> [Problem; 3] {
+    [oscillator(), pendulum(), functions()]
+}
+
+fn integrate(backend: &dyn Backend, spec: &Spec, run: &Run, seeds: &[f64]) -> Trajectories {
+    backend
+        .compile(spec)
+        .and_then(|mut k| k.integrate(run, seeds))
+        .unwrap_or_else(|e| panic!("{}: {e}", backend.name()))
+}
+
+/// What the two sides may differ by.
+fn tolerance(method: Method, precision: Precision) -> Tolerance {
+    match method {
+        // A fixed step: rounding, one unit a stage of up to 400 steps, grown by at most e^(0.4 * 6) = 11 in the pendulum
+        // and located with a root search of a few units; random signs leave about the root of the count.
+        Method::Rk4 => {
+            let unit = 2000.0 * precision.epsilon();
+            Tolerance {
+                relative: unit,
+                absolute: unit,
+                steps: |_| 0,
+            }
+        }
+        // Steps that differ by rounding in the step control: each side is within its tolerance, times the growth.
+        // In f32 the error estimate itself is known to 1 %, so now and then one side rejects what the other accepts.
+        Method::Tsit5 => Tolerance {
+            relative: 10.0 * rtol(precision),
+            absolute: 10.0 * rtol(precision),
+            steps: |steps| 2 + steps / 8,
+        },
+    }
+}
+
+const METHODS: [Method; 2] = [Method::Rk4, Method::Tsit5];
+const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
+
+#[test]
+fn gpu_agrees_with_cpu() {
+    let (cpu, gpu) = (Cpu::new(), any_gpu());
+    for problem in problems() {
+        for method in METHODS {
+            for precision in PRECISIONS {
+                for store in [true, false] {
+                    let spec = problem.spec(method, precision, store);
+                    let run = problem.run(precision);
+                    let mut kernel = gpu.compile(&spec).unwrap();
+                    for count in [1, 63, 65, 345] {
+                        let seeds = problem.seeds(count);
+                        let a = integrate(&cpu, &spec, &run, &seeds);
+                        let b = kernel.integrate(&run, &seeds).unwrap();
+                        let (a, b) = (
+                            Side {
+                                backend: cpu.name(),
+                                result: &a,
+                            },
+                            Side {
+                                backend: gpu.name(),
+                                result: &b,
+                            },
+                        );
+                        let case = format!("{} {method:?} {precision:?} store {store} count {count}", problem.name);
+                        match compare(a, b, tolerance(method, precision)) {
+                            Ok(agreement) => {
+                                assert_eq!(store, agreement.samples > 0, "{case}: nothing was sampled");
+                                println!(
+                                    "{case}: {:.3} of the tolerance, {} values",
+                                    agreement.worst, agreement.values
+                                );
+                            }
+                            Err(e) => panic!("{case}: {e}"),
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn every_way_to_end_is_compared() {
+    let gpu = any_gpu();
+    let mut seen = Vec::new();
+    for problem in problems() {
+        for max_steps in [2000, 5] {
+            let run = Run {
+                max_steps,
+                ..problem.run(Precision::F64)
+            };
+            let spec = problem.spec(Method::Tsit5, Precision::F64, false);
+            seen.extend(integrate(&gpu, &spec, &run, &problem.seeds(345)).status);
+        }
+    }
+    for status in [Status::Reached, Status::LeftRegion, Status::Guard, Status::StepLimit] {
+        assert!(seen.contains(&status), "no trajectory ended as {status:?}");
+    }
+}
+
+#[test]
+fn comparator_catches_what_it_must() {
+    let problem = oscillator();
+    let spec = problem.spec(Method::Tsit5, Precision::F64, true);
+    let result = integrate(&Cpu::new(), &spec, &problem.run(Precision::F64), &problem.seeds(65));
+    let allowed = tolerance(Method::Tsit5, Precision::F64);
+    let against = |other: &Trajectories| {
+        compare(
+            Side {
+                backend: "cpu",
+                result: &result,
+            },
+            Side {
+                backend: "gpu",
+                result: other,
+            },
+            allowed,
+        )
+    };
+    assert!(against(&result).is_ok());
+    let same = compare(
+        Side {
+            backend: "cpu",
+            result: &result,
+        },
+        Side {
+            backend: "cpu",
+            result: &result,
+        },
+        allowed,
+    );
+    assert_eq!(same.unwrap_err(), Mismatch::SameBackend("cpu".to_owned()));
+
+    let perturbed = |change: &dyn Fn(&mut Trajectories)| {
+        let mut other = result.clone();
+        change(&mut other);
+        against(&other).expect_err("a perturbed result passed")
+    };
+    // A little more than allowed, for values up to 2.
+    let off = 1.5 * (allowed.absolute + 2.0 * allowed.relative);
+    assert!(matches!(
+        perturbed(&|t| t.end[64 * 3 + 1] += off),
+        Mismatch::Value { trajectory: 64, .. }
+    ));
+    assert!(matches!(
+        perturbed(&|t| *t.samples.last_mut().unwrap() -= off),
+        Mismatch::Value { trajectory: 64, .. }
+    ));
+    assert!(matches!(
+        perturbed(&|t| t.end_time[7] = f64::NAN),
+        Mismatch::Value { trajectory: 7, .. }
+    ));
+    assert!(matches!(
+        perturbed(&|t| t.status[3] = Status::Guard),
+        Mismatch::Status { trajectory: 3, .. }
+    ));
+    assert!(matches!(
+        perturbed(&|t| t.steps[5] += 20),
+        Mismatch::Steps { trajectory: 5, .. }
+    ));
+    assert!(matches!(
+        perturbed(&|t| t.samples[4 * 4] = f64::NAN),
+        Mismatch::Passed { level: 4, .. }
+    ));
+    assert!(matches!(perturbed(&|t| t.levels -= 1), Mismatch::Shape));
+}
+
+/// The bits of a result; NaNs compare equal.
+fn bits(t: &Trajectories, from: usize, to: usize) -> (Vec<u64>, Vec<Status>, Vec<u32>) {
+    let width = t.levels * (1 + t.dim);
+    let numbers = (t.end[from * t.dim..to * t.dim].iter())
+        .chain(&t.end_time[from..to])
+        .chain(&t.samples[from * width..to * width])
+        .map(|x| if x.is_nan() { u64::MAX } else { x.to_bits() })
+        .collect();
+    let counters = t.steps[from..to].iter().chain(&t.rejected[from..to]).copied().collect();
+    (numbers, t.status[from..to].to_vec(), counters)
+}
+
+#[test]
+fn results_do_not_depend_on_the_batch() {
+    let gpu = any_gpu();
+    for problem in problems() {
+        for precision in PRECISIONS {
+            let spec = problem.spec(Method::Tsit5, precision, true);
+            let run = problem.run(precision);
+            let seeds = problem.seeds(345);
+            let dim = spec.dim();
+            let whole = integrate(&gpu, &spec, &run, &seeds);
+            let mut kernel = gpu.compile(&spec).unwrap();
+            // Alone, in pieces, and again after other batches went through the same buffers.
+            for (from, to) in [(0, 1), (344, 345), (0, 63), (63, 128), (128, 345), (0, 345)] {
+                let part = kernel.integrate(&run, &seeds[from * dim..to * dim]).unwrap();
+                let case = format!("{} {precision:?} {from}..{to}", problem.name);
+                assert!(
+                    bits(&part, 0, to - from) == bits(&whole, from, to),
+                    "{case}: other bits than in the whole batch"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn an_empty_batch_is_empty() {
+    let problem = oscillator();
+    let spec = problem.spec(Method::Rk4, Precision::F32, true);
+    assert_eq!(
+        integrate(&any_gpu(), &spec, &problem.run(Precision::F32), &[]).count(),
+        0
+    );
+}
