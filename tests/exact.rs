@@ -25,7 +25,11 @@ fn relative(error: f64, size: f64) -> f64 {
 fn compare(name: &str, model: &Model, asked: Asked, exact: impl Fn(&Sample) -> Exact) {
     let sweep = Sweep::of(model, asked);
     let coverage = &sweep.report.coverage;
-    assert_eq!((coverage.uncovered, coverage.indistinguishable), (0, 0), "{name} is covered");
+    assert_eq!(
+        (coverage.uncovered, coverage.indistinguishable),
+        (0, 0),
+        "{name} is covered"
+    );
     let (mut v, mut p, mut u) = (Worst::default(), Worst::default(), Worst::default());
     let mut where_v = (0.0, 0.0);
     let mut count = 0;
@@ -40,9 +44,18 @@ fn compare(name: &str, model: &Model, asked: Asked, exact: impl Fn(&Sample) -> E
         u.see(relative(norm(&minus(s.u, &e.u)), norm(&e.u).max(norm(&e.p))));
         count += 1;
     }
-    assert!(count >= sweep.count() * sweep.levels() / 2, "{name}: only {count} samples of {} trajectories", sweep.count());
+    assert!(
+        count >= sweep.count() * sweep.levels() / 2,
+        "{name}: only {count} samples of {} trajectories",
+        sweep.count()
+    );
     let what = |q| format!("{name} {} rtol {:e}: {q}", asked.precision.name(), asked.rtol);
-    println!("{} trajectories, {count} samples; worst V at V = {:.3e}, t = {:.3}", sweep.count(), where_v.0, where_v.1);
+    println!(
+        "{} trajectories, {count} samples; worst V at V = {:.3e}, t = {:.3}",
+        sweep.count(),
+        where_v.0,
+        where_v.1
+    );
     v.at_most(asked.promised(), &what("V"));
     p.at_most(asked.promised(), &what("p"));
     u.at_most(asked.promised(), &what("u"));
@@ -76,7 +89,10 @@ fn kleinman([a, b, q, r]: &[DMatrix<f64>; 4]) -> (DMatrix<f64>, DMatrix<f64>) {
         // closed'P + P closed = -(Q + gain'R gain), as a linear system of n^2 unknowns.
         let operator = identity.kronecker(&closed.transpose()) + closed.transpose().kronecker(&identity);
         let right = -(q + gain.transpose() * r * &gain);
-        let x = operator.lu().solve(&DVector::from_column_slice(right.as_slice())).expect("a stable closed loop");
+        let x = operator
+            .lu()
+            .solve(&DVector::from_column_slice(right.as_slice()))
+            .expect("a stable closed loop");
         p = DMatrix::from_column_slice(n, n, x.as_slice());
         gain = r.clone().try_inverse().expect("R > 0") * b.transpose() * &p;
     }
@@ -94,7 +110,11 @@ fn linear_quadratic() {
         compare("linear_quadratic", &model, asked, |s| {
             let x = DVector::from_column_slice(s.x);
             let costate = &p * &x;
-            Exact { v: 0.5 * costate.dot(&x), u: (-(&gain * &x)).as_slice().to_vec(), p: costate.as_slice().to_vec() }
+            Exact {
+                v: 0.5 * costate.dot(&x),
+                u: (-(&gain * &x)).as_slice().to_vec(),
+                p: costate.as_slice().to_vec(),
+            }
         });
     }
 }
@@ -108,8 +128,15 @@ fn manufactured() {
             let [x, y] = [s.x[0], s.x[1]];
             // (1 - cos x)/2 without cancellation.
             let v = 0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
-            let p = vec![x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y, 0.5 * x + 2.0 * y + 0.5 * x * x * y];
-            Exact { v, u: vec![-p[1] / r], p }
+            let p = vec![
+                x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
+                0.5 * x + 2.0 * y + 0.5 * x * x * y,
+            ];
+            Exact {
+                v,
+                u: vec![-p[1] / r],
+                p,
+            }
         });
     }
 }
@@ -123,11 +150,19 @@ fn finite_horizon() {
             let tau = end - sample.t;
             let (y, v) = (sample.x[0] + sample.x[1] * tau, sample.x[1]);
             let d = (tau.powi(3) / 3.0 + 1.0 / s) * (tau + 1.0 / s) - tau.powi(4) / 4.0;
-            let (a, b, c) = ((tau + 1.0 / s) / d, -tau * tau / (2.0 * d), (tau.powi(3) / 3.0 + 1.0 / s) / d);
+            let (a, b, c) = (
+                (tau + 1.0 / s) / d,
+                -tau * tau / (2.0 * d),
+                (tau.powi(3) / 3.0 + 1.0 / s) / d,
+            );
             // V = (a y^2 + 2 b y v + c v^2)/2 and dy/dx = 1, dy/dv = tau.
             let (p_y, p_v) = (a * y + b * v, b * y + c * v);
             let p = vec![p_y, p_y * tau + p_v];
-            Exact { v: 0.5 * (p_y * y + p_v * v), u: vec![-p[1]], p }
+            Exact {
+                v: 0.5 * (p_y * y + p_v * v),
+                u: vec![-p[1]],
+                p,
+            }
         });
     }
 }

@@ -1,6 +1,8 @@
 //! What the oracle tests share: scenes, sweeps on the CPU with everything they compute kept, deterministic points.
 #![allow(dead_code)] // each test file uses its part
 
+pub mod numbers;
+
 use costate::backend::{Backend, BackendError, Kernel, Run, Spec, Trajectories, cpu::Cpu};
 use costate::hamiltonian::Hamiltonian;
 use costate::model::{Method, Model, Precision};
@@ -11,7 +13,10 @@ use std::sync::{Arc, Mutex};
 
 /// A shipped scene, with parameters set as by `--set`.
 pub fn scene(name: &str, set: &[(&str, &str)]) -> Model {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios").join(name).with_extension("toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("scenarios")
+        .join(name)
+        .with_extension("toml");
     let set: Vec<_> = set.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
     costate::scenario::load(&path, &set).unwrap_or_else(|e| panic!("{e}"))
 }
@@ -26,7 +31,12 @@ pub fn derive(model: &Model) -> Hamiltonian {
 }
 
 pub fn parameter(model: &Model, name: &str) -> f64 {
-    model.parameters.iter().find(|p| p.name == name).unwrap_or_else(|| panic!("no parameter {name}")).value
+    model
+        .parameters
+        .iter()
+        .find(|p| p.name == name)
+        .unwrap_or_else(|| panic!("no parameter {name}"))
+        .value
 }
 
 /// What the accuracy of a run is asked as.
@@ -36,12 +46,21 @@ pub struct Asked {
     pub rtol: f64,
 }
 
-pub const F64: Asked = Asked { precision: Precision::F64, rtol: 1e-9 };
-pub const F32: Asked = Asked { precision: Precision::F32, rtol: 1e-6 };
+pub const F64: Asked = Asked {
+    precision: Precision::F64,
+    rtol: 1e-9,
+};
+pub const F32: Asked = Asked {
+    precision: Precision::F32,
+    rtol: 1e-6,
+};
 
 impl Asked {
     pub fn choices(self) -> Choices {
-        Choices { precision: Some(self.precision), rtol: Some(self.rtol) }
+        Choices {
+            precision: Some(self.precision),
+            rtol: Some(self.rtol),
+        }
     }
 
     /// Largest error that the project promises for this setting, relative to max(1, V) or to V.
@@ -79,14 +98,20 @@ impl Backend for Recorder {
         self.cpu.supports(precision)
     }
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
-        Ok(Box::new(RecordingKernel { kernel: self.cpu.compile(spec)?, calls: self.calls.clone() }))
+        Ok(Box::new(RecordingKernel {
+            kernel: self.cpu.compile(spec)?,
+            calls: self.calls.clone(),
+        }))
     }
 }
 
 impl Kernel for RecordingKernel {
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
         let result = self.kernel.integrate(run, seeds)?;
-        self.calls.lock().expect("no test thread panics with the lock").push((seeds.to_vec(), result.clone()));
+        self.calls
+            .lock()
+            .expect("no test thread panics with the lock")
+            .push((seeds.to_vec(), result.clone()));
         Ok(result)
     }
 }
@@ -122,22 +147,27 @@ impl Sweep {
         let backend = Recorder::default();
         let plan = Plan::new(model, &hamiltonian, &backend, asked.choices()).unwrap_or_else(|e| panic!("{e}"));
         let mut stored = TrajectoryBlock::default();
-        let report = sweep(&plan, &backend, &mut |_, _| {}, &mut |b: TrajectoryBlock| -> Result<(), BackendError> {
-            stored.count += b.count;
-            stored.t.extend(b.t);
-            stored.x.extend(b.x);
-            stored.p.extend(b.p);
-            stored.u.extend(b.u);
-            stored.w.extend(b.w);
-            stored.v.extend(b.v);
-            stored.h.extend(b.h);
-            stored.status.extend(b.status);
-            stored.sheet.extend(b.sheet);
-            stored.steps.extend(b.steps);
-            stored.rejected.extend(b.rejected);
-            stored.hamiltonian_drift.extend(b.hamiltonian_drift);
-            Ok(())
-        });
+        let report = sweep(
+            &plan,
+            &backend,
+            &mut |_, _| {},
+            &mut |b: TrajectoryBlock| -> Result<(), BackendError> {
+                stored.count += b.count;
+                stored.t.extend(b.t);
+                stored.x.extend(b.x);
+                stored.p.extend(b.p);
+                stored.u.extend(b.u);
+                stored.w.extend(b.w);
+                stored.v.extend(b.v);
+                stored.h.extend(b.h);
+                stored.status.extend(b.status);
+                stored.sheet.extend(b.sheet);
+                stored.steps.extend(b.steps);
+                stored.rejected.extend(b.rejected);
+                stored.hamiltonian_drift.extend(b.hamiltonian_drift);
+                Ok(())
+            },
+        );
         let report = report.unwrap_or_else(|e| panic!("{e}"));
         let mut seeds = Vec::new();
         let mut raw = Trajectories::default();
@@ -153,7 +183,15 @@ impl Sweep {
             raw.samples.extend(r.samples);
         }
         assert_eq!(raw.count(), stored.count, "everything integrated is stored");
-        Self { n: model.states.len(), controls: model.controls.len(), plan, report, seeds, raw, stored }
+        Self {
+            n: model.states.len(),
+            controls: model.controls.len(),
+            plan,
+            report,
+            seeds,
+            raw,
+            stored,
+        }
     }
 
     pub fn count(&self) -> usize {
@@ -167,15 +205,17 @@ impl Sweep {
     /// The stored samples that exist, as stored: per trajectory in order of rising t.
     pub fn samples(&self) -> impl Iterator<Item = Sample<'_>> {
         let (n, m, levels) = (self.n, self.controls, self.levels());
-        (0..self.count() * levels).filter(|i| !self.stored.t[*i].is_nan()).map(move |i| Sample {
-            trajectory: i / levels,
-            t: self.stored.t[i],
-            x: &self.stored.x[i * n..(i + 1) * n],
-            p: &self.stored.p[i * n..(i + 1) * n],
-            u: &self.stored.u[i * m..(i + 1) * m],
-            v: self.stored.v[i],
-            h: self.stored.h[i],
-        })
+        (0..self.count() * levels)
+            .filter(|i| !self.stored.t[*i].is_nan())
+            .map(move |i| Sample {
+                trajectory: i / levels,
+                t: self.stored.t[i],
+                x: &self.stored.x[i * n..(i + 1) * n],
+                p: &self.stored.p[i * n..(i + 1) * n],
+                u: &self.stored.u[i * m..(i + 1) * m],
+                v: self.stored.v[i],
+                h: self.stored.h[i],
+            })
     }
 
     /// The same seeds again, in f64 with a given tolerance (and absolute tolerances in proportion).
