@@ -295,3 +295,21 @@ impl Worst {
         assert!(self.0 <= bound, "{what}: worst {:.3e} is above {bound:.1e}", self.0);
     }
 }
+
+impl Sweep {
+    /// The trajectories of a scene of two states in order round the curve: that of their angle about the equilibrium on
+    /// the first front, which is near enough to it to be seen from there.
+    pub fn round_the_curve(&self) -> Vec<usize> {
+        let angle = |i: &usize| {
+            let sample = self.raw.sample(*i, 0);
+            (sample[2] / self.plan.widths[1]).atan2(sample[1] / self.plan.widths[0])
+        };
+        let mut order: Vec<usize> = (0..self.count()).collect();
+        assert!(
+            self.n == 2 && order.iter().all(|i| angle(i).is_finite()),
+            "all trajectories reach the first front"
+        );
+        order.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
+        order
+    }
+}
