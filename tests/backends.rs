@@ -93,14 +93,15 @@ fn pendulum() -> Problem {
     let size = g.unary(Fun::Abs, q);
     let guard = g.sub(limit, size);
     let mut run = run((0..=24).map(|k| 0.25 * f64::from(k)).collect());
-    run.bounds = vec![[-1.6, 3.0], [-4.0, 4.0]];
+    // Leaving the region is seen at a step's end, so a bound must not be met there to rounding.
+    run.bounds = vec![[-1.613, 3.0], [-4.0, 4.0]];
     Problem {
         name: "pendulum",
         rate: Program::lower(&g, &[q, w], &[dq, dw, de]),
         guards: Some(Guards { program: Program::lower(&g, &[q, w], &[guard]), strict: vec![true] }),
         by: By::Time,
         run,
-        seed: |a| vec![0.3 * a.cos() + 0.1, 0.3 * a.sin(), 0.0],
+        seed: |a| vec![0.6 * a.cos() + 0.1, 0.6 * a.sin(), 0.0],
     }
 }
 
@@ -140,11 +141,15 @@ fn functions() -> Problem {
     let third = constant(&mut g, 0.3);
     let terms = [g.mul(third, at), g.neg(tanh), g.mul(e, sine)];
     let dx = g.sum(&terms);
-    let terms = [g.neg(y), clamped, g.mul(third, log), g.mul(third, grown)];
+    // The clamp's and the absolute value's kinks are kept weak: an error estimate takes a step across a kink for better
+    // than it is, and the two sides cross it at different places.
+    let weak = constant(&mut g, 0.02);
+    let terms = [g.neg(y), g.mul(weak, clamped), g.mul(third, log), g.mul(third, grown)];
     let dy = g.sum(&terms);
     let speed = {
         let a = g.add(root, small);
         let v = call(&mut g, Fun::Abs, y);
+        let v = g.mul(weak, v);
         g.add(a, v)
     };
     let mut run = run((1..=30).map(|k| 0.2 * f64::from(k)).collect());

@@ -110,7 +110,6 @@ impl Memory {
             settings,
             state,
             counters,
-            lists,
             remaining,
             ends,
             samples,
