@@ -6,9 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use costate::output::{
-    Axis, Compression, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema,
-};
+use costate::output::{Axis, Compression, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema};
 
 /// One file to write and check.
 struct Case {
@@ -55,11 +53,7 @@ fn block(case: &Case, first: usize, count: usize) -> TrajectoryBlock {
             .collect()
     };
     let t = (0..count * samples).map(|n| (n % samples) as f64 - samples as f64);
-    let codes = |modulus: usize| {
-        (first..first + count)
-            .map(|n| (n % modulus) as i32)
-            .collect()
-    };
+    let codes = |modulus: usize| (first..first + count).map(|n| (n % modulus) as i32).collect();
     let mut block = TrajectoryBlock {
         count,
         t: t.collect(),
@@ -152,10 +146,7 @@ fn many_uneven_blocks() {
 
 #[test]
 fn no_trajectory() {
-    assert_readable(&Case {
-        name: "none",
-        ..PLAIN
-    });
+    assert_readable(&Case { name: "none", ..PLAIN });
 }
 
 #[test]

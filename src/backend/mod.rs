@@ -148,7 +148,11 @@ pub enum BackendError {
     #[error("the adapter refused a device: {0}")]
     Device(#[from] wgpu::RequestDeviceError),
     #[error("generated shader does not validate, in {fragment} line {line}: {message}")]
-    Shader { fragment: String, line: usize, message: String },
+    Shader {
+        fragment: String,
+        line: usize,
+        message: String,
+    },
     #[error("GPU work was lost: {0}")]
     Lost(#[from] wgpu::PollError),
     #[error("a GPU buffer could not be read: {0}")]
@@ -157,7 +161,9 @@ pub enum BackendError {
     Fault { message: String },
     #[error("kernel output slot {index} was not written")]
     Unwritten { index: usize },
-    #[error("one trajectory of {bytes} bytes does not fit the adapter's limit of {limit} bytes a buffer; ask for fewer samples")]
+    #[error(
+        "one trajectory of {bytes} bytes does not fit the adapter's limit of {limit} bytes a buffer; ask for fewer samples"
+    )]
     TooLarge { bytes: u64, limit: u64 },
 }
 

@@ -1,6 +1,7 @@
 //! `costate check` and `costate adapters`.
 
 use super::{CheckArgs, CliError};
+use crate::backend::gpu;
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LocalError, Riccati, show_eigenvalue};
 use crate::model::{Horizon, Model};
@@ -20,9 +21,16 @@ pub(super) fn load(args: &super::SceneArgs) -> Result<(Model, Hamiltonian), CliE
 /// The local solution's errors are the scene's: they are shown at its equilibrium.
 pub(super) fn at_equilibrium(model: &Model, error: &LocalError) -> CliError {
     let problem = match (&model.horizon, error, &model.shoot_out) {
-        (_, LocalError::SeedTooLarge { .. }, Some(s)) => Problem::at(s.span.clone(), error.to_string(), "this seed_value"),
+        (_, LocalError::SeedTooLarge { .. }, Some(s)) => {
+            Problem::at(s.span.clone(), error.to_string(), "this seed_value")
+        }
         (Horizon::Infinite { span, .. }, ..) => Problem::at(span.clone(), error.to_string(), "linearized here"),
-        _ => Problem { message: error.to_string(), span: None, label: String::new(), help: None },
+        _ => Problem {
+            message: error.to_string(),
+            span: None,
+            label: String::new(),
+            help: None,
+        },
     };
     ScenarioErrors::new(model, vec![problem]).into()
 }
@@ -30,9 +38,7 @@ pub(super) fn at_equilibrium(model: &Model, error: &LocalError) -> CliError {
 pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
     let (model, hamiltonian) = load(&args.scene)?;
     let riccati = match model.horizon {
-        Horizon::Infinite { .. } => {
-            Some(Riccati::solve(&hamiltonian, &model).map_err(|e| at_equilibrium(&model, &e))?)
-        }
+        Horizon::Infinite { .. } => Some(Riccati::solve(&hamiltonian, &model).map_err(|e| at_equilibrium(&model, &e))?),
         Horizon::Finite { .. } => None,
     };
     if args.scene.quiet {
@@ -80,7 +86,11 @@ fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String 
         line(format!("  p_{name}' = {}", g.show(*rate)));
     }
     for guard in h.guards.iter().skip(model.guards.len()) {
-        line(format!("\nAdded guard {}: {} > 0", guard.name, g.show(guard.condition.expr)));
+        line(format!(
+            "\nAdded guard {}: {} > 0",
+            guard.name,
+            g.show(guard.condition.expr)
+        ));
     }
     match &model.horizon {
         Horizon::Infinite { x, u, .. } => {
@@ -92,7 +102,9 @@ fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String 
                 line(format!("  {} = {v}", c.variable.name));
             }
         }
-        Horizon::Finite { terminal, final_time, .. } => {
+        Horizon::Finite {
+            terminal, final_time, ..
+        } => {
             line(format!("\nTerminal cost at t = {final_time}"));
             line(format!("  phi = {}", g.show(terminal.expr)));
             let mut g = g.clone();
@@ -103,9 +115,15 @@ fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String 
         }
     }
     if let Some(r) = riccati {
-        line(format!("\nRiccati solution P (V = 1/2 s'P s near the equilibrium; relative residual {:.1e})", r.residual));
+        line(format!(
+            "\nRiccati solution P (V = 1/2 s'P s near the equilibrium; relative residual {:.1e})",
+            r.residual
+        ));
         for row in r.p.row_iter() {
-            line(format!("  {}", row.iter().map(|v| format!("{v:>14.8}")).collect::<String>()));
+            line(format!(
+                "  {}",
+                row.iter().map(|v| format!("{v:>14.8}")).collect::<String>()
+            ));
         }
         line("\nClosed-loop eigenvalues".into());
         for e in &r.eigenvalues {
@@ -135,6 +153,40 @@ fn as_json(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> serde_j
     })
 }
 
-pub(super) fn adapters(_json: bool) -> Result<(), CliError> {
+pub(super) fn adapters(json: bool) -> Result<(), CliError> {
+    let found = gpu::adapters();
+    let mut out = std::io::stdout().lock();
+    if json {
+        let list: Vec<_> = (found.iter())
+            .map(|a| {
+                serde_json::json!({
+                    "name": a.name, "api": a.api, "driver": a.driver, "kind": a.kind, "hardware": a.hardware,
+                    "f64": a.f64_arithmetic, "max_binding_bytes": a.max_binding, "max_buffer_bytes": a.max_buffer,
+                })
+            })
+            .collect();
+        writeln!(out, "{:#}", serde_json::Value::Array(list))?;
+        return Ok(());
+    }
+    if found.is_empty() {
+        writeln!(out, "no GPU adapter was found; `--backend auto` computes on the CPU")?;
+    }
+    for a in &found {
+        let f64_text = if a.f64_arithmetic { "f32 and f64" } else { "f32 only" };
+        writeln!(
+            out,
+            "{} ({}, {}): {f64_text}, buffers up to {} MiB",
+            a.name,
+            a.api,
+            a.kind,
+            a.max_buffer >> 20
+        )?;
+    }
+    let cpu = crate::backend::cpu::Cpu::new();
+    writeln!(
+        out,
+        "{}: f32 and f64 (--backend cpu)",
+        crate::backend::Backend::adapter(&cpu)
+    )?;
     Ok(())
 }

@@ -119,7 +119,11 @@ fn assignment(text: &str) -> Result<(String, String), String> {
 
 fn tolerance(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
-    if value > 0.0 && value <= 0.1 { Ok(value) } else { Err("a relative tolerance is above 0 and at most 0.1".to_owned()) }
+    if value > 0.0 && value <= 0.1 {
+        Ok(value)
+    } else {
+        Err("a relative tolerance is above 0 and at most 0.1".to_owned())
+    }
 }
 
 /// Why a command stopped.
@@ -163,6 +167,11 @@ impl CliError {
 
 /// Runs the program on the process's arguments.
 pub fn main() -> ExitCode {
+    if cfg!(unix) && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // The Vulkan loader complains on standard error where this is unset, though nothing here needs it.
+        // SAFETY: no other thread has been started yet.
+        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
+    }
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(e) => {

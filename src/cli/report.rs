@@ -18,14 +18,21 @@ pub(super) struct Terminal {
 
 impl Terminal {
     pub fn new(args: &SceneArgs) -> Self {
-        Self { quiet: args.quiet, json: args.json }
+        Self {
+            quiet: args.quiet,
+            json: args.json,
+        }
     }
 
     fn say(&self, text: &str) -> std::io::Result<()> {
         if self.quiet {
             return Ok(());
         }
-        if self.json { writeln!(std::io::stderr(), "{text}") } else { writeln!(std::io::stdout(), "{text}") }
+        if self.json {
+            writeln!(std::io::stderr(), "{text}")
+        } else {
+            writeln!(std::io::stdout(), "{text}")
+        }
     }
 
     /// A remark that does not stop the run.
@@ -72,7 +79,11 @@ impl Terminal {
     }
 
     pub fn progress(&self) -> Bar {
-        let target = if self.quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let target = if self.quiet {
+            ProgressDrawTarget::hidden()
+        } else {
+            ProgressDrawTarget::stderr()
+        };
         let bar = ProgressBar::with_draw_target(None, target);
         if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
             bar.set_style(style);
@@ -102,7 +113,8 @@ pub(super) struct Bar(ProgressBar);
 
 impl Bar {
     pub fn update(&self, done: usize, waiting: usize) {
-        self.0.set_message(format!("{done} trajectories, {waiting} gaps to fill"));
+        self.0
+            .set_message(format!("{done} trajectories, {waiting} gaps to fill"));
     }
 
     pub fn clear(&self) {
@@ -114,36 +126,67 @@ impl Bar {
 fn quantiles(drift: &[f64]) -> [f64; 3] {
     let mut sorted: Vec<f64> = drift.iter().copied().filter(|d| !d.is_nan()).collect();
     sorted.sort_by(f64::total_cmp);
-    let at = |q: f64| sorted.get(((sorted.len().max(1) - 1) as f64 * q).round() as usize).copied().unwrap_or(f64::NAN);
+    let at = |q: f64| {
+        sorted
+            .get(((sorted.len().max(1) - 1) as f64 * q).round() as usize)
+            .copied()
+            .unwrap_or(f64::NAN)
+    };
     [at(0.5), at(0.99), at(1.0)]
 }
 
 fn as_text(plan: &Plan, swept: &SweepReport, path: &Path, seconds: f64) -> String {
-    let statuses = (swept.by_status.iter()).map(|(s, n)| format!("{n} {}", plan.status_name(*s).replace('_', " "))).collect::<Vec<_>>();
+    let statuses = (swept.by_status.iter())
+        .map(|(s, n)| format!("{n} {}", plan.status_name(*s).replace('_', " ")))
+        .collect::<Vec<_>>();
     let c = &swept.coverage;
     let mut lines = vec![format!("{} trajectories: {}", swept.trajectories, statuses.join(", "))];
     if c.outside_guards > 0 {
         lines.push(format!("{} seeds outside the guards, not swept", c.outside_guards));
     }
     lines.push(if c.uncovered + c.indistinguishable == 0 {
-        format!("fronts covered: no neighbours within the region are further apart than {}", plan.shoot_out.spacing)
+        format!(
+            "fronts covered: no neighbours within the region are further apart than {}",
+            plan.shoot_out.spacing
+        )
     } else {
         let mut reasons = Vec::new();
         if c.uncovered > 0 {
-            reasons.push(format!("{} for want of seeds (max_seeds = {})", c.uncovered, plan.shoot_out.max_seeds));
+            reasons.push(format!(
+                "{} for want of seeds (max_seeds = {})",
+                c.uncovered, plan.shoot_out.max_seeds
+            ));
         }
         if c.indistinguishable > 0 {
-            reasons.push(format!("{} with no {} number between", c.indistinguishable, plan.spec.precision.name()));
+            reasons.push(format!(
+                "{} with no {} number between",
+                c.indistinguishable,
+                plan.spec.precision.name()
+            ));
         }
-        format!("fronts NOT fully covered: {} gaps wider than {} remain ({}), the widest {:.3} of the region",
-            c.uncovered + c.indistinguishable, plan.shoot_out.spacing, reasons.join(", "), c.widest)
+        format!(
+            "fronts NOT fully covered: {} gaps wider than {} remain ({}), the widest {:.3} of the region",
+            c.uncovered + c.indistinguishable,
+            plan.shoot_out.spacing,
+            reasons.join(", "),
+            c.widest
+        )
     });
     if let Some(local) = &plan.local {
-        lines.push(format!("seeds on V = {:.3e}, where V is known to {:.1e} (expansion to degree {})", local.seed_value, local.error, local.degree));
+        lines.push(format!(
+            "seeds on V = {:.3e}, where V is known to {:.1e} (expansion to degree {})",
+            local.seed_value, local.error, local.degree
+        ));
     }
-    let [median, most, largest] = quantiles(&swept.drift);
-    let what = if plan.sampling == Sampling::Time { "change of H" } else { "|H|" };
-    lines.push(format!("{what} along trajectories: median {median:.1e}, 99 % {most:.1e}, largest {largest:.1e}"));
+    let [median, most, largest] = quantiles(&swept.relative_drift);
+    let what = if plan.sampling == Sampling::Time {
+        "change of H"
+    } else {
+        "|H|"
+    };
+    lines.push(format!(
+        "{what} along trajectories, of the running cost: median {median:.1e}, 99 % {most:.1e}, largest {largest:.1e}"
+    ));
     lines.push(format!(
         "{seconds:.2} s, of which {:.2} s integrating ({:.0} trajectories/s), {} steps, {} rejected, {} rounds",
         swept.integrate_seconds,
@@ -158,9 +201,13 @@ fn as_text(plan: &Plan, swept: &SweepReport, path: &Path, seconds: f64) -> Strin
 
 fn as_json(plan: &Plan, swept: &SweepReport, record: &RunRecord, path: &Path, seconds: f64) -> serde_json::Value {
     let [median, most, largest] = quantiles(&swept.drift);
+    let relative = quantiles(&swept.relative_drift);
     let c = &swept.coverage;
-    let statuses: serde_json::Map<String, serde_json::Value> =
-        swept.by_status.iter().map(|(s, n)| (plan.status_name(*s), (*n).into())).collect();
+    let statuses: serde_json::Map<String, serde_json::Value> = swept
+        .by_status
+        .iter()
+        .map(|(s, n)| (plan.status_name(*s), (*n).into()))
+        .collect();
     serde_json::json!({
         "title": record.title,
         "file": path.display().to_string(),
@@ -183,6 +230,7 @@ fn as_json(plan: &Plan, swept: &SweepReport, record: &RunRecord, path: &Path, se
         "seed_value": plan.local.as_ref().map(|l| l.seed_value),
         "seed_error": plan.local.as_ref().map(|l| l.error),
         "hamiltonian": { "median": median, "p99": most, "max": largest },
+        "hamiltonian_relative": { "median": relative[0], "p99": relative[1], "max": relative[2] },
         "steps": swept.steps,
         "rejected": swept.rejected,
         "rounds": swept.rounds,

@@ -3,7 +3,9 @@
 use super::check::{at_equilibrium, load};
 use super::report;
 use super::{BackendChoice, CliError, RunArgs};
-use crate::backend::{Backend, BackendError, cpu::Cpu};
+use crate::backend::cpu::Cpu;
+use crate::backend::gpu::{Gpu, Selection};
+use crate::backend::{Backend, BackendError};
 use crate::model::Model;
 use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema, utc_timestamp};
 use crate::sweep::{Choices, Plan, PlanError, SweepReport, sweep};
@@ -22,7 +24,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
     let (model, hamiltonian) = load(&args.scene)?;
     let backend = open_backend(args)?;
-    let choices = Choices { precision: args.precision.and_then(|p| p.precision()), rtol: args.rtol };
+    let choices = Choices {
+        precision: args.precision.and_then(|p| p.precision()),
+        rtol: args.rtol,
+    };
     let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), choices).map_err(|e| match e {
         PlanError::Local(e) => at_equilibrium(&model, &e),
         other => other.into(),
@@ -36,7 +41,9 @@ pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
 
     let mut file = ResultFile::create(&path)?;
     let mut writer = file.trajectories(&schema(&model, &plan))?;
-    let swept = sweep_into(&plan, backend.as_ref(), &mut terminal, &mut |block| Ok(writer.append(&block)?))?;
+    let swept = sweep_into(&plan, backend.as_ref(), &mut terminal, &mut |block| {
+        Ok(writer.append(&block)?)
+    })?;
     drop(writer);
     let record = RunRecord {
         title: model.title.clone(),
@@ -60,9 +67,16 @@ pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
 }
 
 fn open_backend(args: &RunArgs) -> Result<Box<dyn Backend>, CliError> {
-    match args.backend {
-        BackendChoice::Gpu => Err(BackendError::NoAdapter.into()),
-        BackendChoice::Auto | BackendChoice::Cpu => Ok(Box::new(Cpu::new())),
+    let selection = match (&args.adapter, args.backend) {
+        (_, BackendChoice::Cpu) => return Ok(Box::new(Cpu::new())),
+        (Some(name), _) => Selection::Named(name.clone()),
+        (None, BackendChoice::Gpu) => Selection::Any,
+        (None, BackendChoice::Auto) => Selection::Hardware,
+    };
+    match Gpu::open(&selection)? {
+        Some(gpu) => Ok(Box::new(gpu)),
+        // Only a search for hardware comes back empty.
+        None => Ok(Box::new(Cpu::new())),
     }
 }
 
@@ -72,7 +86,11 @@ fn default_output(scenario: &Path) -> PathBuf {
 }
 
 fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
-    let axis = |v: &crate::model::Variable| Axis { name: v.name.clone(), unit: v.unit.clone(), long_name: v.long_name.clone() };
+    let axis = |v: &crate::model::Variable| Axis {
+        name: v.name.clone(),
+        unit: v.unit.clone(),
+        long_name: v.long_name.clone(),
+    };
     TrajectorySchema {
         states: model.states.iter().map(|s| axis(&s.variable)).collect(),
         controls: model.controls.iter().map(|c| axis(&c.variable)).collect(),
@@ -106,7 +124,9 @@ fn sweep_into(
         let (send, receive) = sync_channel::<TrajectoryBlock>(1);
         let worker = scope.spawn(move || {
             let mut told = |done: usize, waiting: usize| bar.update(done, waiting);
-            let result = sweep(plan, backend, &mut told, &mut |block| send.send(block).map_err(|_| Stop::Gone));
+            let result = sweep(plan, backend, &mut told, &mut |block| {
+                send.send(block).map_err(|_| Stop::Gone)
+            });
             bar.clear();
             result
         });

@@ -52,8 +52,11 @@ impl Hamiltonian {
     pub fn derive(model: &Model) -> Result<Self, Vec<Problem>> {
         let mut graph = model.graph.clone();
         let x: Vec<Id> = model.states.iter().map(|s| s.variable.symbol).collect();
-        let p: Vec<Id> =
-            model.states.iter().map(|s| graph.symbol(&format!("p_{}", s.variable.name), Kind::Adjoint)).collect();
+        let p: Vec<Id> = model
+            .states
+            .iter()
+            .map(|s| graph.symbol(&format!("p_{}", s.variable.name), Kind::Adjoint))
+            .collect();
 
         let optimum = optimal::extremal_inputs(model, &mut graph, &p)?;
         let f: Vec<Id> = model.dynamics.iter().map(|d| d.expr).collect();
@@ -96,8 +99,17 @@ impl Hamiltonian {
     /// The clamps are left out because the equilibrium control lies strictly between its bounds.
     pub fn hessian_at(&self, model: &Model) -> Vec<f64> {
         let mut graph = self.graph.clone();
-        let swap: HashMap<Id, Id> = model.controls.iter().map(|c| c.variable.symbol).zip(self.unclamped.clone()).collect();
-        let worst = model.disturbances.iter().map(|w| w.symbol).zip(self.disturbance.clone());
+        let swap: HashMap<Id, Id> = model
+            .controls
+            .iter()
+            .map(|c| c.variable.symbol)
+            .zip(self.unclamped.clone())
+            .collect();
+        let worst = model
+            .disturbances
+            .iter()
+            .map(|w| w.symbol)
+            .zip(self.disturbance.clone());
         let map = swap.into_iter().chain(worst).collect();
         let smooth = graph.substitute(&[self.open], &map)[0];
         let variables: Vec<Id> = self.x.iter().chain(&self.p).copied().collect();
@@ -122,5 +134,12 @@ impl Hamiltonian {
 
 /// A guard that the program adds itself.
 pub(crate) fn implied_guard(name: String, expr: Id, from: &Located) -> Guard {
-    Guard { name, condition: Located { expr, span: from.span.clone() }, strict: true }
+    Guard {
+        name,
+        condition: Located {
+            expr,
+            span: from.span.clone(),
+        },
+        strict: true,
+    }
 }

@@ -19,15 +19,28 @@ pub(super) struct Optimum {
 impl Optimum {
     /// Input symbol -> extremal expression.
     pub fn replacements(&self, model: &Model) -> HashMap<Id, Id> {
-        let controls = model.controls.iter().map(|c| c.variable.symbol).zip(self.control.iter().copied());
-        let disturbances = model.disturbances.iter().map(|w| w.symbol).zip(self.disturbance.iter().copied());
+        let controls = model
+            .controls
+            .iter()
+            .map(|c| c.variable.symbol)
+            .zip(self.control.iter().copied());
+        let disturbances = model
+            .disturbances
+            .iter()
+            .map(|w| w.symbol)
+            .zip(self.disturbance.iter().copied());
         controls.chain(disturbances).collect()
     }
 }
 
 /// Solves for `u*`, `w*` as functions of (x, p).
 pub(super) fn extremal_inputs(model: &Model, graph: &mut Graph, p: &[Id]) -> Result<Optimum, Vec<Problem>> {
-    let inputs: Vec<&Variable> = model.controls.iter().map(|c| &c.variable).chain(&model.disturbances).collect();
+    let inputs: Vec<&Variable> = model
+        .controls
+        .iter()
+        .map(|c| &c.variable)
+        .chain(&model.disturbances)
+        .collect();
     let symbols: Vec<Id> = inputs.iter().map(|v| v.symbol).collect();
     let mut problems = Vec::new();
 
@@ -39,7 +52,15 @@ pub(super) fn extremal_inputs(model: &Model, graph: &mut Graph, p: &[Id]) -> Res
             Err(problem) => problems.push(problem),
         }
     }
-    let cost = match read(graph, &model.running, &symbols, &inputs, 2, "the running cost", "quadratic") {
+    let cost = match read(
+        graph,
+        &model.running,
+        &symbols,
+        &inputs,
+        2,
+        "the running cost",
+        "quadratic",
+    ) {
         Ok(poly) => poly,
         Err(problem) => {
             problems.push(problem);
@@ -98,7 +119,12 @@ pub(super) fn extremal_inputs(model: &Model, graph: &mut Graph, p: &[Id]) -> Res
         control.push(v);
     }
     let k = model.controls.len();
-    Ok(Optimum { control, unclamped: solution[..k].to_vec(), disturbance: solution[k..].to_vec(), guards })
+    Ok(Optimum {
+        control,
+        unclamped: solution[..k].to_vec(),
+        disturbance: solution[k..].to_vec(),
+        guards,
+    })
 }
 
 /// `located` as a polynomial in the inputs of at most `degree`, or the reason why it is not.
@@ -111,22 +137,34 @@ fn read(
     what: &str,
     class: &str,
 ) -> Result<Polynomial, Problem> {
-    let names = inputs.iter().map(|v| format!("`{}`", v.name)).collect::<Vec<_>>().join(", ");
+    let names = inputs
+        .iter()
+        .map(|v| format!("`{}`", v.name))
+        .collect::<Vec<_>>()
+        .join(", ");
     let refuse = |reason: String| {
         Problem::at(located.span.clone(), format!("{what} must be {class} in {names}: {reason}"), "not handled")
             .with_help("the optimal control is derived in closed form, which needs dynamics affine and a running cost quadratic in the controls (and disturbances)")
     };
-    let poly = graph.polynomial(located.expr, symbols, MAX_DEGREE).map_err(|e| match e {
-        NotPolynomial::Inside(text) => refuse(format!("it contains `{text}`")),
-        NotPolynomial::Degree => refuse(format!("its degree is above {MAX_DEGREE}")),
-    })?;
+    let poly = graph
+        .polynomial(located.expr, symbols, MAX_DEGREE)
+        .map_err(|e| match e {
+            NotPolynomial::Inside(text) => refuse(format!("it contains `{text}`")),
+            NotPolynomial::Degree => refuse(format!("its degree is above {MAX_DEGREE}")),
+        })?;
     let total = |e: &[u8]| e.iter().map(|n| u32::from(*n)).sum::<u32>();
     if let Some((e, _)) = poly.iter().find(|(e, _)| total(e) > u32::from(degree)) {
         let factors: Vec<String> = e
             .iter()
             .zip(inputs)
             .filter(|(n, _)| **n > 0)
-            .map(|(n, v)| if *n == 1 { v.name.clone() } else { format!("{}^{n}", v.name) })
+            .map(|(n, v)| {
+                if *n == 1 {
+                    v.name.clone()
+                } else {
+                    format!("{}^{n}", v.name)
+                }
+            })
             .collect();
         return Err(refuse(format!("it has a term in {}", factors.join("*"))));
     }
@@ -136,7 +174,13 @@ fn read(
 /// Value of `expr` at the reference point (parameters and states only), where it is finite.
 fn at_reference(model: &Model, graph: &Graph, expr: Id) -> f64 {
     let mut values = model.parameter_values();
-    values.extend(model.states.iter().map(|s| s.variable.symbol).zip(model.reference().iter().copied()));
+    values.extend(
+        model
+            .states
+            .iter()
+            .map(|s| s.variable.symbol)
+            .zip(model.reference().iter().copied()),
+    );
     graph.eval(&[expr], &values)[0]
 }
 
@@ -144,13 +188,24 @@ fn check_hessian(model: &Model, graph: &Graph, inputs: &[&Variable], hessian: &[
     let k = model.controls.len();
     let span = |_: usize| -> Span { model.running.span.clone() };
     for (i, input) in inputs.iter().enumerate() {
-        let (role, sign, shape) =
-            if i < k { ("control", 1.0, "convex") } else { ("disturbance", -1.0, "concave") };
+        let (role, sign, shape) = if i < k {
+            ("control", 1.0, "convex")
+        } else {
+            ("disturbance", -1.0, "concave")
+        };
         let curvature = at_reference(model, graph, hessian[i][i]);
         if graph.is_zero(hessian[i][i]) {
             problems.push(
-                Problem::at(span(i), format!("the running cost has no quadratic term in {role} `{}`", input.name), "no such term")
-                    .with_help(format!("add a term {}*{}^2", if i < k { "r" } else { "-gamma^2" }, input.name)),
+                Problem::at(
+                    span(i),
+                    format!("the running cost has no quadratic term in {role} `{}`", input.name),
+                    "no such term",
+                )
+                .with_help(format!(
+                    "add a term {}*{}^2",
+                    if i < k { "r" } else { "-gamma^2" },
+                    input.name
+                )),
             );
         } else if sign * curvature <= 0.0 || curvature.is_nan() {
             problems.push(Problem::at(
@@ -161,7 +216,11 @@ fn check_hessian(model: &Model, graph: &Graph, inputs: &[&Variable], hessian: &[
         }
     }
     for (i, control) in model.controls.iter().enumerate() {
-        let Some(bounds) = control.bounds_span.clone().filter(|_| control.min.is_some() || control.max.is_some()) else {
+        let Some(bounds) = control
+            .bounds_span
+            .clone()
+            .filter(|_| control.min.is_some() || control.max.is_some())
+        else {
             continue;
         };
         for (j, other) in inputs.iter().enumerate() {
@@ -187,8 +246,12 @@ fn check_hessian(model: &Model, graph: &Graph, inputs: &[&Variable], hessian: &[
             continue;
         }
         let entries = range.clone().flat_map(|i| range.clone().map(move |j| (i, j)));
-        let numbers: Vec<f64> = entries.map(|(i, j)| sign * at_reference(model, graph, hessian[i][j])).collect();
-        let smallest = nalgebra::DMatrix::from_row_slice(size, size, &numbers).symmetric_eigenvalues().min();
+        let numbers: Vec<f64> = entries
+            .map(|(i, j)| sign * at_reference(model, graph, hessian[i][j]))
+            .collect();
+        let smallest = nalgebra::DMatrix::from_row_slice(size, size, &numbers)
+            .symmetric_eigenvalues()
+            .min();
         if smallest.is_nan() || smallest <= 0.0 {
             problems.push(Problem::at(
                 span(0),
@@ -209,7 +272,11 @@ fn definiteness_guards(model: &Model, graph: &mut Graph, inputs: &[&Variable], h
         if varies {
             let pivot = pivot(graph, hessian, i);
             let expr = if i < k { pivot } else { graph.neg(pivot) };
-            guards.push(implied_guard(format!("definite_in_{}", input.name), expr, &model.running));
+            guards.push(implied_guard(
+                format!("definite_in_{}", input.name),
+                expr,
+                &model.running,
+            ));
         }
     }
     guards

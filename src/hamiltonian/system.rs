@@ -58,13 +58,6 @@ pub struct GuardExpr {
     pub strict: bool,
 }
 
-impl GuardExpr {
-    /// Whether a value of the expression is inside.
-    pub fn holds(&self, value: f64) -> bool {
-        if self.strict { value > 0.0 } else { value >= 0.0 }
-    }
-}
-
 impl System {
     pub fn new(hamiltonian: &Hamiltonian, model: &Model) -> Self {
         let mut graph = hamiltonian.graph.clone();
@@ -72,7 +65,13 @@ impl System {
         let mut symbols: HashMap<Id, Deviation> = HashMap::new();
         let zero = graph.constant(0.0);
         for (symbol, value) in model.parameter_values() {
-            symbols.insert(symbol, Deviation { at: value, change: zero });
+            symbols.insert(
+                symbol,
+                Deviation {
+                    at: value,
+                    change: zero,
+                },
+            );
         }
         let mut inputs = Vec::new();
         for (state, &at) in model.states.iter().zip(model.reference()) {
@@ -96,19 +95,28 @@ impl System {
         let forms = graph.deviations(&roots, &symbols);
         let terminal = match &model.horizon {
             Horizon::Infinite { .. } => None,
-            Horizon::Finite { terminal, final_time, .. } => {
+            Horizon::Finite {
+                terminal, final_time, ..
+            } => {
                 let mut roots = vec![terminal.expr];
                 roots.extend(hamiltonian.x.iter().map(|x| graph.diff(terminal.expr, *x)));
                 let forms = graph.deviations(&roots, &symbols);
                 let mut all = forms.into_iter().map(|f| graph.whole(f));
-                all.next().map(|value| Terminal { value, gradient: all.collect(), time: *final_time })
+                all.next().map(|value| Terminal {
+                    value,
+                    gradient: all.collect(),
+                    time: *final_time,
+                })
             }
         };
         // An equilibrium makes every rate, L and H vanish at s = 0, p = 0; what is left of their values there is
         // rounding and is dropped. The scene's check has bounded it.
         let at_rest = matches!(model.horizon, Horizon::Infinite { .. });
         let mut whole = |range: std::ops::Range<usize>, drop_value: bool| -> Vec<Id> {
-            forms[range].iter().map(|f| if drop_value { f.change } else { graph.whole(*f) }).collect()
+            forms[range]
+                .iter()
+                .map(|f| if drop_value { f.change } else { graph.whole(*f) })
+                .collect()
         };
         let forward = whole(0..2 * n, at_rest);
         let costs = whole(2 * n..2 * n + 2, at_rest);
@@ -135,14 +143,23 @@ impl System {
         let at_zero_adjoint = hamiltonian.p.iter().map(|p| (*p, zero)).collect();
         let least_running = graph.substitute(&[costs[0]], &at_zero_adjoint)[0];
         let guards = (hamiltonian.guards.iter().zip(guards))
-            .map(|(g, expr)| GuardExpr { name: g.name.clone(), expr, strict: g.strict })
+            .map(|(g, expr)| GuardExpr {
+                name: g.name.clone(),
+                expr,
+                strict: g.strict,
+            })
             .collect();
         Self {
             states: n,
             inputs,
             rate,
             arc_rate,
-            observer: Observer { control, disturbance, hamiltonian: costs[1], unclamped },
+            observer: Observer {
+                control,
+                disturbance,
+                hamiltonian: costs[1],
+                unclamped,
+            },
             guards,
             reference: model.reference().to_vec(),
             least_running,

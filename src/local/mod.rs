@@ -10,16 +10,30 @@ pub use seeds::{LocalSolution, SeedChoice};
 /// Why no local solution exists, or none that the sweep can start from.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LocalError {
-    #[error("the linearization is not stabilizable: its mode with eigenvalue {eigenvalue} cannot be influenced by the control and does not decay (distance to loss of rank {distance:.1e})")]
+    #[error(
+        "the linearization is not stabilizable: its mode with eigenvalue {eigenvalue} cannot be influenced by the control and does not decay (distance to loss of rank {distance:.1e})"
+    )]
     NotStabilizable { eigenvalue: String, distance: f64 },
-    #[error("the Hamiltonian matrix has an eigenvalue on the imaginary axis, {eigenvalue} (relative distance {distance:.1e}): {hint}")]
-    ImaginaryAxis { eigenvalue: String, distance: f64, hint: &'static str },
+    #[error(
+        "the Hamiltonian matrix has an eigenvalue on the imaginary axis, {eigenvalue} (relative distance {distance:.1e}): {hint}"
+    )]
+    ImaginaryAxis {
+        eigenvalue: String,
+        distance: f64,
+        hint: &'static str,
+    },
     #[error("no stabilizing Riccati solution was found: {reason}")]
     NoSolution { reason: String },
     #[error("the Riccati solution's relative residual is {residual:.1e}, above {bound:.0e}")]
     Residual { residual: f64, bound: f64 },
-    #[error("the Riccati solution is not positive definite: smallest eigenvalue {smallest:.3e} of largest {largest:.3e}, along ({direction}); no ellipsoid of constant cost surrounds the equilibrium")]
-    NotPositive { smallest: f64, largest: f64, direction: String },
+    #[error(
+        "the Riccati solution is not positive definite: smallest eigenvalue {smallest:.3e} of largest {largest:.3e}, along ({direction}); no ellipsoid of constant cost surrounds the equilibrium"
+    )]
+    NotPositive {
+        smallest: f64,
+        largest: f64,
+        direction: String,
+    },
     #[error("the closed loop is not stable: eigenvalue {eigenvalue}")]
     NotStable { eigenvalue: String },
     #[error("seed_value {value:e} is too large: {reason}")]

@@ -52,7 +52,10 @@ impl Riccati {
             g: DMatrix::from_fn(n, n, |i, j| block(1, 1)[(i, j)] / (widths[i] * widths[j])),
             q: DMatrix::from_fn(n, n, |i, j| block(0, 0)[(i, j)] * widths[i] * widths[j]),
         };
-        if [&linear.a, &linear.g, &linear.q].iter().any(|m| m.iter().any(|x| !x.is_finite())) {
+        if [&linear.a, &linear.g, &linear.q]
+            .iter()
+            .any(|m| m.iter().any(|x| !x.is_finite()))
+        {
             return Err(LocalError::NoSolution {
                 reason: "the second derivatives of H at the equilibrium are not finite (a root or logarithm at the edge of its domain?)".into(),
             });
@@ -64,18 +67,32 @@ impl Riccati {
         let scaled = stabilizing(&linear)?;
         let residual = relative_residual(&linear, &scaled);
         if residual.is_nan() || residual > RESIDUAL {
-            return Err(LocalError::Residual { residual, bound: RESIDUAL });
+            return Err(LocalError::Residual {
+                residual,
+                bound: RESIDUAL,
+            });
         }
         let closed = &linear.a + &linear.g * &scaled;
         let p = DMatrix::from_fn(n, n, |i, j| scaled[(i, j)] / (widths[i] * widths[j]));
         let closed_loop = DMatrix::from_fn(n, n, |i, j| closed[(i, j)] * widths[i] / widths[j]);
         let mut eigenvalues: Vec<_> = closed.complex_eigenvalues().iter().copied().collect();
-        eigenvalues.sort_by(|a, b| (a.re, a.im).partial_cmp(&(b.re, b.im)).unwrap_or(std::cmp::Ordering::Equal));
+        eigenvalues.sort_by(|a, b| {
+            (a.re, a.im)
+                .partial_cmp(&(b.re, b.im))
+                .unwrap_or(std::cmp::Ordering::Equal)
+        });
         if let Some(e) = eigenvalues.iter().find(|e| e.re.is_nan() || e.re >= 0.0) {
-            return Err(LocalError::NotStable { eigenvalue: show_eigenvalue(*e) });
+            return Err(LocalError::NotStable {
+                eigenvalue: show_eigenvalue(*e),
+            });
         }
         check_positive(&scaled, model)?;
-        Ok(Self { p, closed_loop, eigenvalues, residual })
+        Ok(Self {
+            p,
+            closed_loop,
+            eigenvalues,
+            residual,
+        })
     }
 }
 
@@ -119,7 +136,10 @@ fn check_stabilizable(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Result<(), LocalErr
         let distance = test.singular_values().min() / scale;
         // The eigenvalue itself is only known to about this.
         if distance < 1e-8 {
-            return Err(LocalError::NotStabilizable { eigenvalue: show_eigenvalue(*lambda), distance });
+            return Err(LocalError::NotStabilizable {
+                eigenvalue: show_eigenvalue(*lambda),
+                distance,
+            });
         }
     }
     Ok(())
@@ -139,14 +159,25 @@ fn hamiltonian_matrix(l: &Linear) -> DMatrix<f64> {
 fn balanced(l: &Linear) -> (Linear, f64) {
     let (g, q) = (l.g.norm(), l.q.norm());
     let factor = if g > 0.0 && q > 0.0 { (q / g).sqrt() } else { 1.0 };
-    (Linear { a: l.a.clone(), g: &l.g * factor, q: &l.q / factor }, factor)
+    (
+        Linear {
+            a: l.a.clone(),
+            g: &l.g * factor,
+            q: &l.q / factor,
+        },
+        factor,
+    )
 }
 
 fn check_imaginary_axis(l: &Linear, game: bool) -> Result<(), LocalError> {
     let (l, _) = balanced(l);
     let m = hamiltonian_matrix(&l);
     let scale = m.norm().max(f64::MIN_POSITIVE);
-    let nearest = m.complex_eigenvalues().iter().copied().min_by(|x, y| x.re.abs().total_cmp(&y.re.abs()));
+    let nearest = m
+        .complex_eigenvalues()
+        .iter()
+        .copied()
+        .min_by(|x, y| x.re.abs().total_cmp(&y.re.abs()));
     match nearest {
         Some(e) if e.re.abs() < ON_AXIS * scale => Err(LocalError::ImaginaryAxis {
             eigenvalue: show_eigenvalue(e),
@@ -169,7 +200,9 @@ fn stabilizing(l: &Linear) -> Result<DMatrix<f64>, LocalError> {
     let mut z = hamiltonian_matrix(&b);
     for _ in 0..100 {
         let lu = z.clone().lu();
-        let inverse = lu.try_inverse().ok_or_else(|| no("the sign iteration met a singular matrix"))?;
+        let inverse = lu
+            .try_inverse()
+            .ok_or_else(|| no("the sign iteration met a singular matrix"))?;
         // Scaling by norms speeds the first iterations; near the limit it is 1.
         let c = (z.norm() / inverse.norm()).sqrt();
         let next = (&z / c + &inverse * c) * 0.5;
@@ -183,14 +216,19 @@ fn stabilizing(l: &Linear) -> Result<DMatrix<f64>, LocalError> {
     let identity = DMatrix::<f64>::identity(n, n);
     let mut left = DMatrix::zeros(2 * n, n);
     left.view_mut((0, 0), (n, n)).copy_from(&z.view((0, n), (n, n)));
-    left.view_mut((n, 0), (n, n)).copy_from(&(z.view((n, n), (n, n)) + &identity));
+    left.view_mut((n, 0), (n, n))
+        .copy_from(&(z.view((n, n), (n, n)) + &identity));
     let mut right = DMatrix::zeros(2 * n, n);
-    right.view_mut((0, 0), (n, n)).copy_from(&-(z.view((0, 0), (n, n)) + &identity));
+    right
+        .view_mut((0, 0), (n, n))
+        .copy_from(&-(z.view((0, 0), (n, n)) + &identity));
     right.view_mut((n, 0), (n, n)).copy_from(&-z.view((n, 0), (n, n)));
     let svd = left.svd(true, true);
     let smallest = svd.singular_values.min() / svd.singular_values.max();
     if smallest.is_nan() || smallest < RANK {
-        return Err(no("the stable subspace has no graph over the states (a mode cannot be stabilized)"));
+        return Err(no(
+            "the stable subspace has no graph over the states (a mode cannot be stabilized)",
+        ));
     }
     let p = svd.solve(&right, 0.0).map_err(no)?;
     let mut p = (&p + p.transpose()) * (0.5 * factor);
@@ -238,8 +276,16 @@ fn check_positive(scaled: &DMatrix<f64>, model: &Model) -> Result<(), LocalError
     if smallest.is_nan() || smallest <= RANK * largest {
         let v = eigen.eigenvectors.column(k);
         let names = model.states.iter().map(|s| s.variable.name.as_str());
-        let direction = names.zip(v.iter()).map(|(n, x)| format!("{n}: {x:.2}")).collect::<Vec<_>>().join(", ");
-        return Err(LocalError::NotPositive { smallest, largest, direction });
+        let direction = names
+            .zip(v.iter())
+            .map(|(n, x)| format!("{n}: {x:.2}"))
+            .collect::<Vec<_>>()
+            .join(", ");
+        return Err(LocalError::NotPositive {
+            smallest,
+            largest,
+            direction,
+        });
     }
     Ok(())
 }

@@ -21,6 +21,8 @@ pub struct SeedChoice {
     pub tolerance: f64,
     /// Seeds lie below this V.
     pub ceiling: f64,
+    /// V at which seed directions are spread evenly, as far as the linearization goes.
+    pub outer: f64,
 }
 
 /// V and p near the equilibrium, and the ellipsoid `s'Ps/2 = seed_value` on which the sweep starts.
@@ -39,6 +41,7 @@ pub struct LocalSolution {
     pub seed_value: f64,
     /// Estimated error of V at the seeds: the first term left out.
     pub error: f64,
+    flow: Flow,
 }
 
 impl LocalSolution {
@@ -48,21 +51,34 @@ impl LocalSolution {
     /// [`LocalError`]; `SeedTooLarge` where a given seed value leads out of the range of the local solution.
     pub fn new(system: &System, model: &Model, riccati: Riccati, choice: SeedChoice) -> Result<Self, LocalError> {
         let n = system.states;
-        let factor = riccati.p.clone().cholesky().ok_or(LocalError::NoSolution { reason: "P has no Cholesky factor".into() })?;
+        let factor = riccati.p.clone().cholesky().ok_or(LocalError::NoSolution {
+            reason: "P has no Cholesky factor".into(),
+        })?;
         let l = factor.l();
-        let t = l.transpose().try_inverse().ok_or(LocalError::NoSolution { reason: "P is singular to rounding".into() })?;
+        let t = l.transpose().try_inverse().ok_or(LocalError::NoSolution {
+            reason: "P is singular to rounding".into(),
+        })?;
         // t^-T = (L^-T)^-T = L
         let to_adjoint = l;
-        let highest = (2..=MAX_DEGREE).rev().find(|d| Basis::size(n, d + 1) <= MAX_TERMS).unwrap_or(2);
+        let highest = (2..=MAX_DEGREE)
+            .rev()
+            .find(|d| Basis::size(n, d + 1) <= MAX_TERMS)
+            .unwrap_or(2);
         let basis = Basis::new(n, highest + 1);
-        let equation = Equation { graph: &system.graph, hamiltonian: system.observer.hamiltonian, inputs: &system.inputs };
+        let equation = Equation {
+            graph: &system.graph,
+            hamiltonian: system.observer.hamiltonian,
+            inputs: &system.inputs,
+        };
         let (value, known) = equation.expand(&basis, &t, &riccati.closed_loop);
 
         let sizes = part_sizes(&basis, &value, n);
         let limit = range_limit(system, model, &riccati, &t, choice.ceiling);
         // The first neglected part's size times radius^k is the error; sizes of 0 (symmetry) take the part after it.
         let error_at = |degree: usize, radius: f64| -> f64 {
-            (degree + 1..=known).map(|k| sizes[k] * radius.powi(k as i32)).fold(0.0, f64::max)
+            (degree + 1..=known)
+                .map(|k| sizes[k] * radius.powi(k as i32))
+                .fold(0.0, f64::max)
         };
         let radius_for = |degree: usize| -> f64 {
             let mut radius = (2.0 * limit).sqrt();
@@ -75,31 +91,59 @@ impl LocalSolution {
         let (degree, radius) = if known < 3 {
             (2, radius_by_residual(system, &riccati, &t, choice.tolerance, limit))
         } else {
-            (2..known).map(|d| (d, radius_for(d))).fold((2, 0.0), |best, this| if this.1 > best.1 { this } else { best })
+            (2..known)
+                .map(|d| (d, radius_for(d)))
+                .fold((2, 0.0), |best, this| if this.1 > best.1 { this } else { best })
         };
         let seed_value = match choice.asked {
             SeedValue::Auto => 0.5 * radius * radius,
             SeedValue::Value(c) if c > limit => {
                 return Err(LocalError::SeedTooLarge {
                     value: c,
-                    reason: format!("the local solution holds up to V = {limit:.3e} (bounds of the controls, the region, the first front)"),
+                    reason: format!(
+                        "the local solution holds up to V = {limit:.3e} (bounds of the controls, the region, the first front)"
+                    ),
                 });
             }
             SeedValue::Value(c) => c,
         };
         let radius = (2.0 * seed_value).sqrt();
-        let error = if known < 3 { residual_error(system, &riccati, &t, radius) } else { error_at(degree, radius) };
+        let error = if known < 3 {
+            residual_error(system, &riccati, &t, radius)
+        } else {
+            error_at(degree, radius)
+        };
         let mut kept = value;
         kept[basis.start[degree + 1]..].fill(0.0);
         let gradient = basis.gradient(&kept);
-        Ok(Self { riccati, t, to_adjoint, basis, value: kept, gradient, degree, seed_value, error })
+        let inverse = to_adjoint.transpose();
+        let flow = Flow::new(
+            inverse * &riccati.closed_loop * &t,
+            choice.outer.max(seed_value),
+            seed_value,
+        );
+        Ok(Self {
+            flow,
+            riccati,
+            t,
+            to_adjoint,
+            basis,
+            value: kept,
+            gradient,
+            degree,
+            seed_value,
+            error,
+        })
     }
 
-    /// The seed `(s, p, V)` in a direction (a unit vector in the coordinates where P is the identity).
+    /// The seed `(s, p, V)` for a direction (a unit vector in the coordinates where P is the identity) in which the
+    /// linearized trajectory passes the outer ellipsoid.
+    ///
+    /// The modes of the closed loop grow at different rates backward in time, so that most of a front far out comes from
+    /// a thin part of the seed ellipsoid. Directions on the outer ellipsoid, brought inward along the linear flow, put
+    /// the seeds where the fronts need them.
     pub fn seed(&self, direction: &[f64]) -> Vec<f64> {
-        let radius = (2.0 * self.seed_value).sqrt();
-        let z: Vec<f64> = direction.iter().map(|d| d * radius).collect();
-        self.at(&z)
+        self.at(&self.flow.inward(direction))
     }
 
     /// `(s, p, V)` of the local solution at `s = t z`.
@@ -120,6 +164,104 @@ impl LocalSolution {
     }
 }
 
+/// The linear closed loop in coordinates where V is `|z|^2 / 2`.
+#[derive(Clone, Debug)]
+struct Flow {
+    rate: DMatrix<f64>,
+    /// Propagators over `step * 2^k`.
+    powers: Vec<DMatrix<f64>>,
+    step: f64,
+    outer_radius: f64,
+    radius: f64,
+}
+
+impl Flow {
+    /// Steps short against the fastest mode, so that the series for the rest converges at once.
+    const STEP: f64 = 0.05;
+    const TERMS: usize = 10;
+    /// Powers of the shortest step that are tried: enough for any ratio of values that f64 holds.
+    const POWERS: usize = 40;
+
+    fn new(rate: DMatrix<f64>, outer: f64, inner: f64) -> Self {
+        let step = Self::STEP / rate.norm();
+        let mut powers = vec![Self::series(&rate, step)];
+        for k in 1..Self::POWERS {
+            powers.push(&powers[k - 1] * &powers[k - 1]);
+        }
+        Self {
+            rate,
+            powers,
+            step,
+            outer_radius: (2.0 * outer).sqrt(),
+            radius: (2.0 * inner).sqrt(),
+        }
+    }
+
+    /// `exp(rate * t)` for a short time.
+    fn series(rate: &DMatrix<f64>, t: f64) -> DMatrix<f64> {
+        let n = rate.nrows();
+        let mut term = DMatrix::identity(n, n);
+        let mut sum = term.clone();
+        for k in 1..=Self::TERMS {
+            term = &term * rate * (t / k as f64);
+            sum += &term;
+        }
+        sum
+    }
+
+    /// The point where the trajectory from a direction on the outer sphere meets the inner sphere. V never rises along
+    /// the flow: the longest steps that stay outside come first, Newton's method finds the rest of the time.
+    fn inward(&self, direction: &[f64]) -> Vec<f64> {
+        let norm = |z: &[f64]| z.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let mut z: Vec<f64> = direction.iter().map(|x| x * self.outer_radius).collect();
+        if self.outer_radius > self.radius {
+            let mut next = vec![0.0; z.len()];
+            for power in self.powers.iter().rev() {
+                multiply(power, &z, &mut next);
+                if norm(&next) > self.radius {
+                    std::mem::swap(&mut z, &mut next);
+                }
+            }
+            let mut t = 0.0;
+            for _ in 0..6 {
+                let (moved, rate) = self.moved(&z, t);
+                let slope: f64 = moved.iter().zip(&rate).map(|(x, v)| x * v).sum();
+                let excess = 0.5 * (norm(&moved).powi(2) - self.radius.powi(2));
+                if slope < 0.0 {
+                    t = (t - excess / slope).clamp(0.0, self.step);
+                }
+            }
+            z = self.moved(&z, t).0;
+        }
+        let scale = self.radius / norm(&z);
+        z.iter().map(|x| x * scale).collect()
+    }
+
+    /// The point a short time further, and its rate.
+    fn moved(&self, z: &[f64], t: f64) -> (Vec<f64>, Vec<f64>) {
+        let mut term = z.to_vec();
+        let mut sum = z.to_vec();
+        let mut next = vec![0.0; z.len()];
+        for k in 1..=Self::TERMS {
+            multiply(&self.rate, &term, &mut next);
+            let factor = t / k as f64;
+            next.iter_mut().for_each(|x| *x *= factor);
+            std::mem::swap(&mut term, &mut next);
+            sum.iter_mut().zip(&term).for_each(|(s, x)| *s += x);
+        }
+        multiply(&self.rate, &sum, &mut next);
+        (sum, next)
+    }
+}
+
+/// `to = m z`, without allocation.
+fn multiply(m: &DMatrix<f64>, z: &[f64], to: &mut [f64]) {
+    to.fill(0.0);
+    for (column, x) in m.as_slice().chunks_exact(z.len()).zip(z) {
+        to.iter_mut().zip(column).for_each(|(t, c)| *t += c * x);
+    }
+}
+
 /// Unit vectors well spread over the sphere, the same in every run.
 fn probes(n: usize) -> impl Iterator<Item = Vec<f64>> {
     let mut state = 0x9e37_79b9_7f4a_7c15_u64;
@@ -127,7 +269,9 @@ fn probes(n: usize) -> impl Iterator<Item = Vec<f64>> {
         // Sum of uniforms: near enough to normal for directions.
         let mut sum = -6.0;
         for _ in 0..12 {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             sum += (state >> 11) as f64 / (1u64 << 53) as f64;
         }
         sum
@@ -166,7 +310,9 @@ fn range_limit(system: &System, model: &Model, riccati: &Riccati, t: &DMatrix<f6
     let rest = system.eval(&system.observer.unclamped, &zero, &zero);
     for (k, control) in model.controls.iter().enumerate() {
         let room = [control.min.map(|lo| rest[k] - lo), control.max.map(|hi| hi - rest[k])];
-        let Some(room) = room.into_iter().flatten().reduce(f64::min) else { continue };
+        let Some(room) = room.into_iter().flatten().reduce(f64::min) else {
+            continue;
+        };
         // Gain of the linear law along each direction, by differences over the unit sphere of the ellipsoid.
         let h = 1e-6;
         let gain = (0..n)

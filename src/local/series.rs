@@ -17,6 +17,8 @@ pub struct Basis {
     /// `start[k]..start[k + 1]` are the monomials of degree k.
     pub start: Vec<usize>,
     products: Vec<(u32, u32, u32)>,
+    /// Each monomial after the first as a lower one times a variable.
+    factors: Vec<(u32, u32)>,
 }
 
 impl Basis {
@@ -37,7 +39,22 @@ impl Basis {
                 }
             }
         }
-        Self { variables, degree, start, products, exponents }
+        let factors = (exponents.iter().skip(1))
+            .map(|e| {
+                let v = e.iter().position(|n| *n > 0).unwrap_or(0);
+                let mut lower = e.clone();
+                lower[v] -= 1;
+                (index[&lower] as u32, v as u32)
+            })
+            .collect();
+        Self {
+            variables,
+            degree,
+            start,
+            products,
+            factors,
+            exponents,
+        }
     }
 
     /// Number of monomials of up to `degree` in `variables`.
@@ -83,7 +100,9 @@ impl Basis {
         let c = b[0];
         let mut d = b.to_vec();
         d[0] = 0.0;
-        let geometric: Vec<f64> = (0..=self.degree as i32).map(|k| (-1f64).powi(k) / c.powi(k + 1)).collect();
+        let geometric: Vec<f64> = (0..=self.degree as i32)
+            .map(|k| (-1f64).powi(k) / c.powi(k + 1))
+            .collect();
         self.multiply(a, &self.compose(&geometric, &d))
     }
 
@@ -105,7 +124,12 @@ impl Basis {
 
     /// Values of all monomials at a point.
     pub fn monomials(&self, z: &[f64]) -> Vec<f64> {
-        self.exponents.iter().map(|e| e.iter().zip(z).map(|(n, x)| x.powi(i32::from(*n))).product()).collect()
+        let mut values = Vec::with_capacity(self.exponents.len());
+        values.push(1.0);
+        for (lower, v) in &self.factors {
+            values.push(values[*lower as usize] * z[*v as usize]);
+        }
+        values
     }
 }
 
@@ -187,7 +211,9 @@ impl Equation<'_> {
                 v[i] = 0.5;
             }
         }
-        let Some(inverse) = t.clone().try_inverse() else { return (v, 2) };
+        let Some(inverse) = t.clone().try_inverse() else {
+            return (v, 2);
+        };
         let rate = &inverse * closed_loop * t;
         for k in 3..=basis.degree {
             let q = basis.gradient(&v);
@@ -224,7 +250,11 @@ impl Equation<'_> {
 fn drift_operator(basis: &Basis, k: usize, rate: &DMatrix<f64>) -> DMatrix<f64> {
     let range = basis.start[k]..basis.start[k + 1];
     let size = range.len();
-    let index: HashMap<&Vec<u8>, usize> = basis.exponents[range.clone()].iter().enumerate().map(|(i, e)| (e, i)).collect();
+    let index: HashMap<&Vec<u8>, usize> = basis.exponents[range.clone()]
+        .iter()
+        .enumerate()
+        .map(|(i, e)| (e, i))
+        .collect();
     let mut m = DMatrix::zeros(size, size);
     for (col, e) in basis.exponents[range].iter().enumerate() {
         for i in 0..basis.variables {

@@ -87,11 +87,7 @@ impl ResultFile {
     ///
     /// # Errors
     /// [`OutputError::Write`] and [`OutputError::Hdf5`].
-    pub fn attribute(
-        &self,
-        name: &str,
-        value: impl Into<AttributeValue>,
-    ) -> Result<(), OutputError> {
+    pub fn attribute(&self, name: &str, value: impl Into<AttributeValue>) -> Result<(), OutputError> {
         self.open_file()?
             .set(name, &value.into())
             .map_err(|error| self.error(&format!("the root attribute `{name}`"), error))
@@ -254,10 +250,7 @@ mod tests {
         assert!(matches!(at(""), Err(OutputError::TargetIsDirectory { .. })));
         assert!(matches!(at(".."), Err(OutputError::NoFileName { .. })));
         fs::write(directory.path().join("file"), b"").unwrap();
-        assert!(matches!(
-            at("file/result.h5"),
-            Err(OutputError::CreateDirectory { .. })
-        ));
+        assert!(matches!(at("file/result.h5"), Err(OutputError::CreateDirectory { .. })));
         let long = "n".repeat(300);
         let error = at(&long).unwrap_err();
         assert!(matches!(error, OutputError::Create { .. }), "{error:?}");
@@ -279,9 +272,6 @@ mod tests {
         let mut file = ResultFile::create(directory.path().join("result.h5")).unwrap();
         let group = Group::new("points");
         file.group(&group).unwrap();
-        assert!(matches!(
-            file.group(&group),
-            Err(OutputError::Duplicate { .. })
-        ));
+        assert!(matches!(file.group(&group), Err(OutputError::Duplicate { .. })));
     }
 }

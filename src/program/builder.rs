@@ -133,14 +133,21 @@ impl Builder {
             _ => {
                 let half = self.power(a, n / 2);
                 let square = self.emit(Instr::Mul(half, half));
-                if n % 2 == 1 { self.emit(Instr::Mul(square, a)) } else { square }
+                if n % 2 == 1 {
+                    self.emit(Instr::Mul(square, a))
+                } else {
+                    square
+                }
             }
         }
     }
 }
 
 pub(super) fn lower(graph: &Graph, inputs: &[Id], outputs: &[Id]) -> Program {
-    let mut b = Builder { code: Vec::new(), known: HashMap::new() };
+    let mut b = Builder {
+        code: Vec::new(),
+        known: HashMap::new(),
+    };
     let mut value: HashMap<Id, Value> = HashMap::new();
     for (i, symbol) in inputs.iter().enumerate() {
         value.insert(*symbol, b.emit(Instr::Input(i as u32)));
@@ -183,14 +190,22 @@ pub(super) fn lower(graph: &Graph, inputs: &[Id], outputs: &[Id]) -> Program {
         value.insert(id, v);
     }
     let outputs = outputs.iter().map(|o| value[o]).collect();
-    let fused = fuse(Program { inputs: inputs.len(), code: b.code, outputs });
+    let fused = fuse(Program {
+        inputs: inputs.len(),
+        code: b.code,
+        outputs,
+    });
     compact(fused)
 }
 
 /// Joins a product that is used once with the sum it goes into.
 fn fuse(mut program: Program) -> Program {
     let mut uses = vec![0u32; program.code.len()];
-    let reads = program.code.iter().flat_map(Instr::reads).chain(program.outputs.iter().copied());
+    let reads = program
+        .code
+        .iter()
+        .flat_map(Instr::reads)
+        .chain(program.outputs.iter().copied());
     reads.for_each(|v| uses[v as usize] += 1);
     let product = |code: &[Instr], v: Value| match code[v as usize] {
         Instr::Mul(a, b) if uses[v as usize] == 1 => Some((a, b)),
@@ -229,5 +244,9 @@ fn compact(program: Program) -> Program {
         new[i] = code.len() as Value;
         code.push(instr.renumbered(|v| new[v as usize]));
     }
-    Program { inputs: program.inputs, code, outputs: program.outputs.iter().map(|o| new[*o as usize]).collect() }
+    Program {
+        inputs: program.inputs,
+        code,
+        outputs: program.outputs.iter().map(|o| new[*o as usize]).collect(),
+    }
 }

@@ -129,7 +129,10 @@ impl Program {
 
     /// Number of arithmetic instructions (neither inputs nor constants).
     pub fn operations(&self) -> usize {
-        self.code.iter().filter(|i| !matches!(i, Instr::Input(_) | Instr::Const(_))).count()
+        self.code
+            .iter()
+            .filter(|i| !matches!(i, Instr::Input(_) | Instr::Const(_)))
+            .count()
     }
 }
 

@@ -32,8 +32,11 @@ impl Allocation {
         }
         program.outputs.iter().for_each(|o| last_use[*o as usize] = count);
 
-        let constants: Vec<f64> =
-            program.code.iter().filter_map(|i| if let Instr::Const(c) = i { Some(*c) } else { None }).collect();
+        let constants: Vec<f64> = program
+            .code
+            .iter()
+            .filter_map(|i| if let Instr::Const(c) = i { Some(*c) } else { None })
+            .collect();
         let first_input = constants.len();
         let mut registers = first_input + program.inputs;
         let mut free: Vec<usize> = Vec::new();
@@ -63,7 +66,10 @@ impl Allocation {
                 }
             }
         }
-        assert!(registers <= usize::from(Slot::MAX) + 1, "the program needs {registers} registers");
+        assert!(
+            registers <= usize::from(Slot::MAX) + 1,
+            "the program needs {registers} registers"
+        );
         Self {
             constants,
             first_input: first_input as Slot,

@@ -167,11 +167,11 @@ impl<'a> Reader<'a> {
 }
 
 fn is_zero(value: f64, size: f64) -> bool {
-    value.abs() <= TOLERANCE * (1.0 + size)
+    value.is_finite() && value.abs() <= TOLERANCE * (1.0 + size)
 }
 
 /// Value of an expression and the size of the terms that may have cancelled in it.
-fn sized(graph: &Graph, expr: Id, values: &HashMap<Id, f64>) -> (f64, f64) {
+pub(super) fn sized(graph: &Graph, expr: Id, values: &HashMap<Id, f64>) -> (f64, f64) {
     // A step small enough for the slope, large enough against rounding: near the square root of f64's epsilon.
     const STEP: f64 = 1e-8;
     let pair = |v: f64| (v, v.abs());

@@ -16,8 +16,11 @@ const MAX_LINE: usize = 160;
 /// `Display` gives one `file:line:column: message` a line; [`ScenarioErrors::render`] shows the text underlined.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScenarioErrors {
+    /// As given, for messages.
     pub file_name: String,
+    /// The whole text, which the problems' spans refer to.
     pub text: String,
+    /// At least one.
     pub problems: Vec<Problem>,
 }
 
@@ -188,35 +191,37 @@ impl SourceCode for Source<'_> {
     ) -> Result<Box<dyn SpanContents<'a> + 'a>, MietteError> {
         let offset = span.offset();
         let (start, end) = self.line(offset);
-        if end - start <= MAX_LINE {
-            let inner = self.text.read_span(span, before, after)?;
-            let near = inner.data().split(|b| *b == b'\n').all(|l| l.len() <= MAX_LINE);
-            if near {
-                let (line, column, lines) = (inner.line(), inner.column(), inner.line_count());
-                let name = self.file_name.to_owned();
-                return Ok(Box::new(MietteSpanContents::new_named(
-                    name,
-                    inner.data(),
-                    *inner.span(),
-                    line,
-                    column,
-                    lines,
-                )));
-            }
-        }
-        let from = self.boundary(start.max(offset.saturating_sub(MAX_LINE / 2)));
-        let to = self.boundary(end.min(offset + MAX_LINE / 2));
-        let (line, column) = position(self.text, from);
-        let data = &self.text.as_bytes()[from..to.max(from)];
-        let shown = SourceSpan::new(from.into(), data.len());
+        let inner = self.text.read_span(span, before, after)?;
+        let short = inner.data().split(|b| *b == b'\n').all(|l| l.len() <= MAX_LINE);
+        let (data, shown, line, column, lines) = if short && end - start <= MAX_LINE {
+            (
+                inner.data(),
+                *inner.span(),
+                inner.line(),
+                inner.column(),
+                inner.line_count(),
+            )
+        } else {
+            let from = self.boundary(start.max(offset.saturating_sub(MAX_LINE / 2)));
+            let to = self.boundary(end.min(offset + MAX_LINE / 2)).max(from);
+            let (line, column) = position(self.text, from);
+            (
+                &self.text.as_bytes()[from..to],
+                SourceSpan::new(from.into(), to - from),
+                line - 1,
+                column - 1,
+                1,
+            )
+        };
+        // Without context the position is asked for, which miette itself counts in bytes.
+        let column = if before == 0 {
+            position(self.text, offset).1 - 1
+        } else {
+            column
+        };
         let name = self.file_name.to_owned();
         Ok(Box::new(MietteSpanContents::new_named(
-            name,
-            data,
-            shown,
-            line - 1,
-            column - 1,
-            1,
+            name, data, shown, line, column, lines,
         )))
     }
 }

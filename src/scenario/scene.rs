@@ -62,19 +62,19 @@ pub(super) fn read(text: &str, file_name: &str, overrides: &[(String, String)]) 
 impl<'a> Reader<'a> {
     /// What the TOML parser refused. One error a line: what follows on the same line is often a consequence.
     fn toml_problems(&mut self, errors: &[toml::de::Error]) {
-        let mut seen = Vec::new();
         let end = self.text.len();
         let mut errors: Vec<_> = errors
             .iter()
             .map(|e| (e.span().unwrap_or(end..end), e.message()))
             .collect();
         errors.sort_by_key(|(span, _)| span.start);
+        let mut last = None;
         for (span, message) in errors {
-            let line = position(self.text, span.start).0;
-            if !seen.contains(&line) {
-                seen.push(line);
-                self.report(Problem::at(span, format!("TOML: {message}"), "here"));
+            let between = &self.text.as_bytes()[last.unwrap_or(0).min(span.start)..span.start.min(end)];
+            if last.is_none() || between.contains(&b'\n') {
+                self.report(Problem::at(span.clone(), format!("TOML: {message}"), "here"));
             }
+            last = Some(span.start);
         }
     }
 
@@ -185,11 +185,16 @@ impl<'a> Reader<'a> {
             "the states, in the order of the output's axes",
         );
         self.require(root, &sections, "controls", "the controls");
-        self.require(root, &sections, "cost", "the running cost");
-        self.require(root, &sections, "region", "bounds [lower, upper] for each state");
-        if !sections.contains_key("dynamics") {
-            self.require(root, &sections, "dynamics", "the time derivative of each state");
+        // Where these are there, what they lack is reported entry by entry.
+        for (name, what) in [
+            ("dynamics", "the time derivative of each state"),
+            ("cost", "the running cost"),
+        ] {
+            if !sections.contains_key(name) {
+                self.require(root, &sections, name, what);
+            }
         }
+        self.require(root, &sections, "region", "bounds [lower, upper] for each state");
         let declared = self.declarations(&sections);
         let parameters = self.parameters(&declared.parameters, overrides);
         self.definitions(&declared.definitions);

@@ -49,7 +49,10 @@ pub struct Complex {
 impl Complex {
     /// A complex of the given simplices over vertices `0..vertices`.
     pub fn new(vertices: usize, simplices: &[Vec<Vertex>]) -> Self {
-        let mut this = Self { next_vertex: vertices as Vertex, ..Self::default() };
+        let mut this = Self {
+            next_vertex: vertices as Vertex,
+            ..Self::default()
+        };
         for (root, vertices) in simplices.iter().enumerate() {
             this.add(vertices.clone(), root as u32);
         }
@@ -60,22 +63,42 @@ impl Complex {
     pub fn sphere(n: usize) -> (Self, Vec<Vec<f64>>) {
         // In two dimensions in order round the curve; generally +e_0, +e_1, ..., -e_0, -e_1, ...
         let directions: Vec<Vec<f64>> = (0..2 * n)
-            .map(|k| (0..n).map(|i| if i == k % n { if k < n { 1.0 } else { -1.0 } } else { 0.0 }).collect())
+            .map(|k| {
+                (0..n)
+                    .map(|i| {
+                        if i == k % n {
+                            if k < n { 1.0 } else { -1.0 }
+                        } else {
+                            0.0
+                        }
+                    })
+                    .collect()
+            })
             .collect();
         let simplices: Vec<Vec<Vertex>> = (0..1u32 << n)
-            .map(|signs| (0..n as u32).map(|i| if signs >> i & 1 == 0 { i } else { i + n as u32 }).collect())
+            .map(|signs| {
+                (0..n as u32)
+                    .map(|i| if signs >> i & 1 == 0 { i } else { i + n as u32 })
+                    .collect()
+            })
             .collect();
         (Self::new(2 * n, &simplices), directions)
     }
 
     /// Kuhn's triangulation of the unit box in n dimensions: `2^n` vertices, `n!` simplices.
     pub fn unit_box(n: usize) -> (Self, Vec<Vec<f64>>) {
-        let corners: Vec<Vec<f64>> =
-            (0..1u32 << n).map(|c| (0..n).map(|i| f64::from(c >> i & 1)).collect()).collect();
+        let corners: Vec<Vec<f64>> = (0..1u32 << n)
+            .map(|c| (0..n).map(|i| f64::from(c >> i & 1)).collect())
+            .collect();
         let mut orders: Vec<Vec<usize>> = vec![Vec::new()];
         for _ in 0..n {
             orders = (orders.iter())
-                .flat_map(|o| (0..n).filter(|i| !o.contains(i)).map(|i| [o.as_slice(), &[i]].concat()).collect::<Vec<_>>())
+                .flat_map(|o| {
+                    (0..n)
+                        .filter(|i| !o.contains(i))
+                        .map(|i| [o.as_slice(), &[i]].concat())
+                        .collect::<Vec<_>>()
+                })
                 .collect();
         }
         let simplices: Vec<Vec<Vertex>> = (orders.iter())
@@ -118,7 +141,13 @@ impl Complex {
 
     /// The first initial simplex that an open edge belongs to.
     pub fn root(&self, edge: Edge) -> Option<u32> {
-        self.edges.get(&edge)?.simplices.iter().filter_map(|s| self.simplices.get(s)).map(|s| s.root).min()
+        self.edges
+            .get(&edge)?
+            .simplices
+            .iter()
+            .filter_map(|s| self.simplices.get(s))
+            .map(|s| s.root)
+            .min()
     }
 
     /// Whether a vertex still has open edges.
@@ -127,7 +156,10 @@ impl Complex {
     }
 
     fn edges_of(vertices: &[Vertex]) -> impl Iterator<Item = Edge> + '_ {
-        vertices.iter().enumerate().flat_map(move |(i, a)| vertices[i + 1..].iter().map(move |b| Edge::new(*a, *b)))
+        vertices
+            .iter()
+            .enumerate()
+            .flat_map(move |(i, a)| vertices[i + 1..].iter().map(move |b| Edge::new(*a, *b)))
     }
 
     fn add(&mut self, vertices: Vec<Vertex>, root: u32) {
@@ -144,7 +176,14 @@ impl Complex {
             record.simplices.push(id);
             unsettled += u32::from(!record.settled);
         }
-        self.simplices.insert(id, Simplex { vertices, root, unsettled });
+        self.simplices.insert(
+            id,
+            Simplex {
+                vertices,
+                root,
+                unsettled,
+            },
+        );
         // A point has no edges and is settled as it is.
         self.drop_settled(id);
     }
@@ -203,9 +242,15 @@ impl Complex {
         self.next_vertex += 1;
         for id in simplices {
             // The halves come first, so that edges they share with the old simplex are never without one.
-            let Some(old) = self.simplices.get(&id).cloned() else { continue };
+            let Some(old) = self.simplices.get(&id).cloned() else {
+                continue;
+            };
             for end in [edge.0, edge.1] {
-                let half = old.vertices.iter().map(|v| if *v == end { middle } else { *v }).collect();
+                let half = old
+                    .vertices
+                    .iter()
+                    .map(|v| if *v == end { middle } else { *v })
+                    .collect();
                 self.add(half, old.root);
             }
             self.remove(id);
@@ -265,7 +310,13 @@ mod tests {
         let mut faces: HashMap<Vec<Vertex>, u32> = HashMap::new();
         for s in complex.simplices.values() {
             for skip in 0..s.vertices.len() {
-                let mut face: Vec<Vertex> = s.vertices.iter().enumerate().filter(|(i, _)| *i != skip).map(|(_, v)| *v).collect();
+                let mut face: Vec<Vertex> = s
+                    .vertices
+                    .iter()
+                    .enumerate()
+                    .filter(|(i, _)| *i != skip)
+                    .map(|(_, v)| *v)
+                    .collect();
                 face.sort_unstable();
                 *faces.entry(face).or_default() += 1;
             }
@@ -290,7 +341,10 @@ mod tests {
         for edge in edges.into_iter().skip(1).chain(complex.take_fresh()) {
             complex.settle(edge);
         }
-        assert_eq!((complex.open_edges(), complex.simplices.len(), complex.edges.len()), (0, 0, 0));
+        assert_eq!(
+            (complex.open_edges(), complex.simplices.len(), complex.edges.len()),
+            (0, 0, 0)
+        );
         assert!(!complex.is_open(middle));
     }
 
@@ -304,7 +358,10 @@ mod tests {
             .values()
             .map(|s| {
                 let at = |k: usize| nalgebra::Vector3::from_row_slice(&corners[s.vertices[k] as usize]);
-                nalgebra::Matrix3::from_columns(&[at(1) - at(0), at(2) - at(0), at(3) - at(0)]).determinant().abs() / 6.0
+                nalgebra::Matrix3::from_columns(&[at(1) - at(0), at(2) - at(0), at(3) - at(0)])
+                    .determinant()
+                    .abs()
+                    / 6.0
             })
             .sum();
         assert!((volume - 1.0).abs() < 1e-12);

@@ -35,6 +35,8 @@ pub struct SweepReport {
     pub coverage: Coverage,
     /// Largest |H| (finite horizon: change of H) of each trajectory.
     pub drift: Vec<f64>,
+    /// The same relative to the trajectory's largest running cost.
+    pub relative_drift: Vec<f64>,
     pub steps: u64,
     pub rejected: u64,
     pub rounds: usize,
@@ -48,6 +50,8 @@ pub type Progress<'a> = &'a mut dyn FnMut(usize, usize);
 /// What is kept of a vertex while it has open edges.
 struct Node {
     parameter: Vec<f64>,
+    /// `(s, p, V)`.
+    seed: Vec<f64>,
     state: NodeState,
     /// On the boundary of a guard: nothing is between it and an outside neighbour.
     boundary: bool,
@@ -79,6 +83,8 @@ struct Fronts<'a> {
     waiting: Waiting,
     deferred: Vec<Edge>,
     pending: Vec<Vertex>,
+    /// The region in its own widths; endless along periodic states, whose every period meets it somewhere.
+    bounds: Vec<[f32; 2]>,
     report: SweepReport,
 }
 
@@ -109,6 +115,15 @@ pub fn sweep<E: From<BackendError>>(
 impl<'a> Fronts<'a> {
     fn new(plan: &'a Plan) -> Self {
         let (complex, parameters) = plan.surface.triangulation();
+        let bounds = (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
+            .map(|(([lo, hi], w), periodic)| {
+                if *periodic {
+                    [f32::NEG_INFINITY, f32::INFINITY]
+                } else {
+                    [(lo / w) as f32, (hi / w) as f32]
+                }
+            })
+            .collect();
         let mut this = Self {
             plan,
             complex,
@@ -116,6 +131,7 @@ impl<'a> Fronts<'a> {
             waiting: Waiting::default(),
             deferred: Vec::new(),
             pending: Vec::new(),
+            bounds,
             report: SweepReport::default(),
         };
         for (v, parameter) in parameters.into_iter().enumerate() {
@@ -127,7 +143,9 @@ impl<'a> Fronts<'a> {
     /// Enters a vertex, to be swept if it is inside the guards.
     fn place(&mut self, vertex: Vertex, parameter: Vec<f64>, boundary: bool) {
         let parameter = self.plan.surface.nudged(parameter);
-        let inside = self.plan.surface.inside(&self.plan.surface.seed(&parameter));
+        let seed = self.plan.surface.seed(&parameter);
+        let inside = self.plan.surface.inside(&seed);
+        let boundary = boundary || (inside && self.plan.surface.on_boundary(&seed));
         let state = if inside {
             self.pending.push(vertex);
             NodeState::Pending
@@ -135,7 +153,15 @@ impl<'a> Fronts<'a> {
             self.report.coverage.outside_guards += 1;
             NodeState::Outside
         };
-        self.nodes.insert(vertex, Node { parameter, state, boundary });
+        self.nodes.insert(
+            vertex,
+            Node {
+                parameter,
+                seed,
+                state,
+                boundary,
+            },
+        );
     }
 
     fn integrate<E: From<BackendError>>(
@@ -150,16 +176,18 @@ impl<'a> Fronts<'a> {
         for vertices in pending.chunks(batch_limit(dim, plan.run.levels.len())) {
             let mut seeds = Vec::with_capacity(vertices.len() * dim);
             for v in vertices {
-                let mut seed = plan.surface.seed(&self.nodes[v].parameter);
-                seed.resize(dim, 0.0);
-                seeds.extend(seed);
+                let first = seeds.len();
+                seeds.extend_from_slice(&self.nodes[v].seed);
+                // Arc length, where it is integrated, starts from 0.
+                seeds.resize(first + dim, 0.0);
             }
             let start = std::time::Instant::now();
             let batch = kernel.integrate(&plan.run, &seeds)?;
             self.report.integrate_seconds += start.elapsed().as_secs_f64();
             self.record(vertices, &batch);
-            let block = observed.block(plan, &batch);
+            let (block, relative) = observed.block(plan, &batch);
             self.report.drift.extend_from_slice(&block.hamiltonian_drift);
+            self.report.relative_drift.extend(relative);
             for code in &block.status {
                 *self.report.by_status.entry(*code).or_default() += 1;
             }
@@ -223,7 +251,11 @@ impl<'a> Fronts<'a> {
         match (&a.state, &b.state) {
             (NodeState::Swept(x), NodeState::Swept(y)) => {
                 let gap = self.widest_gap(x, y);
-                if f64::from(gap) > self.plan.shoot_out.spacing { Verdict::Gap(gap) } else { Verdict::Settled }
+                if f64::from(gap) > self.plan.shoot_out.spacing {
+                    Verdict::Gap(gap)
+                } else {
+                    Verdict::Settled
+                }
             }
             (NodeState::Pending, _) | (_, NodeState::Pending) => Verdict::Unknown,
             (NodeState::Outside, NodeState::Outside) => Verdict::Settled,
@@ -236,15 +268,13 @@ impl<'a> Fronts<'a> {
     /// region.
     fn widest_gap(&self, a: &[f32], b: &[f32]) -> f32 {
         let n = self.plan.system.states;
-        let bounds: Vec<[f32; 2]> = (self.plan.region.iter().zip(&self.plan.widths).zip(&self.plan.periodic))
-            .map(|(([lo, hi], w), periodic)| {
-                // A period always meets the region somewhere.
-                if *periodic { [f32::NEG_INFINITY, f32::INFINITY] } else { [(lo / w) as f32, (hi / w) as f32] }
-            })
-            .collect();
         let mut widest = 0.0f32;
         for (x, y) in a.chunks_exact(n).zip(b.chunks_exact(n)) {
-            let meets = x.iter().zip(y).zip(&bounds).all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi);
+            let meets = x
+                .iter()
+                .zip(y)
+                .zip(&self.bounds)
+                .all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi);
             if meets {
                 let gap = x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
                 widest = widest.max(gap);
@@ -285,8 +315,8 @@ impl<'a> Fronts<'a> {
             (true, false) => surface.boundary(&b.parameter, &a.parameter),
             _ => surface.between(&a.parameter, &b.parameter),
         };
-        let middle = self.rounded(&parameter);
-        if middle == self.rounded(&a.parameter) || middle == self.rounded(&b.parameter) {
+        let middle = self.rounded(&surface.seed(&parameter));
+        if middle == self.rounded(&a.seed) || middle == self.rounded(&b.seed) {
             // A boundary that coincides with its inner end leaves nothing between; a gap does.
             if !boundary {
                 self.report.coverage.indistinguishable += 1;
@@ -300,15 +330,16 @@ impl<'a> Fronts<'a> {
         }
     }
 
-    /// The seed as the kernel sees it.
-    fn rounded(&self, parameter: &[f64]) -> Vec<f64> {
-        let n = self.plan.system.states;
-        let mut seed = self.plan.surface.seed(parameter);
-        seed.truncate(n);
-        if self.plan.spec.precision == Precision::F32 {
-            seed.iter_mut().for_each(|x| *x = f64::from(*x as f32));
-        }
-        seed
+    /// The seed's state as the kernel sees it.
+    fn rounded(&self, seed: &[f64]) -> Vec<f64> {
+        let round = |x: &f64| {
+            if self.plan.spec.precision == Precision::F32 {
+                f64::from(*x as f32)
+            } else {
+                *x
+            }
+        };
+        seed[..self.plan.system.states].iter().map(round).collect()
     }
 
     fn finished(mut self) -> SweepReport {

@@ -1,8 +1,8 @@
 //! From a backend's samples to what is stored: x, t as they happen, u, w, H.
 
 use super::plan::{GUARD_STATUS, Plan, Sampling};
-use crate::backend::{Status, Trajectories};
 use crate::backend::cpu::map::Evaluator;
+use crate::backend::{Status, Trajectories};
 use crate::output::TrajectoryBlock;
 use crate::program::Program;
 
@@ -20,19 +20,37 @@ pub struct Observed {
 impl Observed {
     pub fn new(plan: &Plan) -> Self {
         let o = &plan.system.observer;
-        let roots: Vec<_> = o.control.iter().chain(&o.disturbance).copied().chain([o.hamiltonian]).collect();
+        let running = plan.system.rate[2 * plan.system.states];
+        let roots: Vec<_> = o
+            .control
+            .iter()
+            .chain(&o.disturbance)
+            .copied()
+            .chain([o.hamiltonian, running])
+            .collect();
         let program = Program::lower(&plan.system.graph, &plan.system.inputs, &roots);
         let guards = plan.spec.guards.as_ref().map(|g| Evaluator::new(&g.program));
-        Self { evaluator: Evaluator::new(&program), guards, controls: o.control.len(), disturbances: o.disturbance.len() }
+        Self {
+            evaluator: Evaluator::new(&program),
+            guards,
+            controls: o.control.len(),
+            disturbances: o.disturbance.len(),
+        }
     }
 
-    /// The block to store; samples in order of rising t.
-    pub fn block(&self, plan: &Plan, batch: &Trajectories) -> TrajectoryBlock {
+    /// The block to store, samples in order of rising t; and each trajectory's drift of H relative to its largest
+    /// running cost.
+    pub fn block(&self, plan: &Plan, batch: &Trajectories) -> (TrajectoryBlock, Vec<f64>) {
         let n = plan.system.states;
         let (count, levels, stride) = (batch.count(), batch.levels, 1 + batch.dim);
         let (m, k) = (self.controls, self.disturbances);
-        let width = m + k + 1;
-        let values = if levels == 0 { Vec::new() } else { self.evaluator.eval(&batch.samples[1..], stride) };
+        let width = m + k + 2;
+        let mut relative = Vec::with_capacity(count);
+        let values = if levels == 0 {
+            Vec::new()
+        } else {
+            self.evaluator.eval(&batch.samples[1..], stride)
+        };
         let ends = self.evaluator.eval(&batch.end, batch.dim);
         let total = count * levels;
         let mut block = TrajectoryBlock {
@@ -59,12 +77,15 @@ impl Observed {
                 _ => 0.0,
             };
             let mut drift = (ends[i * width + m + k] - reference).abs();
+            let mut scale = ends[i * width + m + k + 1].abs();
             for level in (0..levels).rev() {
                 let sample = batch.sample(i, level);
                 let row = &values[(i * levels + level) * width..][..width];
                 let h = row[m + k];
                 block.t.push(end_time - sample[0]);
-                block.x.extend(sample[1..=n].iter().zip(&plan.system.reference).map(|(s, x)| s + x));
+                block
+                    .x
+                    .extend(sample[1..=n].iter().zip(&plan.system.reference).map(|(s, x)| s + x));
                 block.p.extend_from_slice(&sample[1 + n..=2 * n]);
                 block.v.push(sample[1 + 2 * n]);
                 block.u.extend_from_slice(&row[..m]);
@@ -72,11 +93,13 @@ impl Observed {
                 block.h.push(h);
                 if !h.is_nan() {
                     drift = drift.max((h - reference).abs());
+                    scale = scale.max(row[m + k + 1].abs());
                 }
             }
             block.hamiltonian_drift.push(drift);
+            relative.push(drift / scale);
         }
-        block
+        (block, relative)
     }
 
     /// Status codes; a guard's own where one ended the trajectory: the one nearest to its boundary at the end.
@@ -88,10 +111,20 @@ impl Observed {
         let each = guards.len() / batch.count().max(1);
         let nearest = |i: usize| {
             let values = &guards[i * each..(i + 1) * each];
-            values.iter().enumerate().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).map_or(0, |(k, _)| k as i32)
+            values
+                .iter()
+                .enumerate()
+                .min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))
+                .map_or(0, |(k, _)| k as i32)
         };
         (batch.status.iter().enumerate())
-            .map(|(i, s)| if *s == Status::Guard { GUARD_STATUS + nearest(i) } else { *s as i32 })
+            .map(|(i, s)| {
+                if *s == Status::Guard {
+                    GUARD_STATUS + nearest(i)
+                } else {
+                    *s as i32
+                }
+            })
             .collect()
     }
 }

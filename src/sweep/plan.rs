@@ -94,8 +94,9 @@ impl Plan {
         let rtol = rtol_asked.max(LEAST_RTOL * precision.epsilon());
 
         let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
-        let region: Vec<[f64; 2]> =
-            (model.region.iter().zip(&system.reference)).map(|([lo, hi], x)| [lo - x, hi - x]).collect();
+        let region: Vec<[f64; 2]> = (model.region.iter().zip(&system.reference))
+            .map(|([lo, hi], x)| [lo - x, hi - x])
+            .collect();
         let periodic: Vec<bool> = model.states.iter().map(|s| s.period.is_some()).collect();
         let sampling = match model.horizon {
             Horizon::Finite { .. } => Sampling::Time,
@@ -112,12 +113,13 @@ impl Plan {
                     asked: shoot_out.seed_value,
                     tolerance: SEED_SHARE * rtol * first_front,
                     ceiling: 0.5 * first_front,
+                    outer: value_max,
                 };
                 let local = LocalSolution::new(&system, model, riccati, choice)?;
                 (Surface::sphere(&system, local.clone()), Some(local), value_max)
             }
             Some(terminal) => {
-                let surface = Surface::terminal(&system, terminal.clone(), region.clone());
+                let surface = Surface::terminal(&system, terminal, region.clone());
                 let scale = surface.largest_value();
                 (surface, None, if scale > 0.0 { scale } else { 1.0 })
             }
@@ -125,12 +127,20 @@ impl Plan {
 
         let mut rate = system.rate.clone();
         let value = 2 * n;
-        let steps = |end: f64| (1..=samples).map(|k| end * k as f64 / samples as f64).collect::<Vec<f64>>();
+        let steps = |end: f64| {
+            (1..=samples)
+                .map(|k| end * k as f64 / samples as f64)
+                .collect::<Vec<f64>>()
+        };
         let (by, levels, ceiling) = match sampling {
             Sampling::Value => (By::Component(value), steps(value_max), None),
             Sampling::Time => {
                 let time = system.terminal.as_ref().map_or(0.0, |t| t.time);
-                (By::Time, steps(time), value_max.is_finite().then_some((value, value_max)))
+                (
+                    By::Time,
+                    steps(time),
+                    value_max.is_finite().then_some((value, value_max)),
+                )
             }
             Sampling::ArcLength => {
                 rate.push(system.arc_rate);
@@ -151,7 +161,11 @@ impl Plan {
             })
             .collect();
         let guards = (!system.guards.is_empty()).then(|| Guards {
-            program: Program::lower(&system.graph, &system.inputs, &system.guards.iter().map(|g| g.expr).collect::<Vec<_>>()),
+            program: Program::lower(
+                &system.graph,
+                &system.inputs,
+                &system.guards.iter().map(|g| g.expr).collect::<Vec<_>>(),
+            ),
             strict: system.guards.iter().map(|g| g.strict).collect(),
         });
         Ok(Self {
@@ -190,14 +204,25 @@ impl Plan {
 
     /// Status codes of the result file and their meanings: the general ones, then one a guard.
     pub fn status_flags(&self) -> Vec<(i32, String)> {
-        let general = Status::ALL.iter().filter(|(s, _)| *s != Status::Guard).map(|(s, n)| (*s as i32, (*n).to_owned()));
-        let guards = self.system.guards.iter().enumerate().map(|(k, g)| (GUARD_STATUS + k as i32, format!("guard_{}", g.name)));
+        let general = Status::ALL
+            .iter()
+            .filter(|(s, _)| *s != Status::Guard)
+            .map(|(s, n)| (*s as i32, (*n).to_owned()));
+        let guards = self
+            .system
+            .guards
+            .iter()
+            .enumerate()
+            .map(|(k, g)| (GUARD_STATUS + k as i32, format!("guard_{}", g.name)));
         general.chain(guards).collect()
     }
 
     /// Meaning of a status code.
     pub fn status_name(&self, code: i32) -> String {
-        self.status_flags().into_iter().find(|(c, _)| *c == code).map_or_else(|| format!("status_{code}"), |(_, n)| n)
+        self.status_flags()
+            .into_iter()
+            .find(|(c, _)| *c == code)
+            .map_or_else(|| format!("status_{code}"), |(_, n)| n)
     }
 }
 

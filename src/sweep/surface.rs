@@ -1,37 +1,60 @@
 //! Where trajectories start, backward in time: the seed ellipsoid, or the terminal cost over the region.
 
 use super::complex::{Complex, Edge};
-use crate::hamiltonian::{GuardExpr, System, Terminal};
+use crate::hamiltonian::{System, Terminal};
 use crate::local::LocalSolution;
+use crate::program::Program;
 
 /// Initial seeds for each dimension of the surface; fronts that need more get more.
 const INITIAL: usize = 64;
+/// Guard values within this, relative to the seed's size, are zero but for rounding.
+const ROUNDING: f64 = 1e-10;
 
 /// A surface of seeds with coordinates ("parameters") in which points between seeds are found.
 pub struct Surface {
     kind: Kind,
-    system: System,
+    states: usize,
+    guards: Program,
+    strict: Vec<bool>,
 }
 
 enum Kind {
     /// Parameters are unit vectors.
     Sphere(Box<LocalSolution>),
     /// Parameters are fractions of the box of deviations.
-    Box { terminal: Terminal, region: Vec<[f64; 2]> },
+    Box { terminal: Program, region: Vec<[f64; 2]> },
 }
 
 impl Surface {
     pub fn sphere(system: &System, local: LocalSolution) -> Self {
-        Self { kind: Kind::Sphere(Box::new(local)), system: system.clone() }
+        Self::new(system, Kind::Sphere(Box::new(local)))
     }
 
-    pub fn terminal(system: &System, terminal: Terminal, region: Vec<[f64; 2]>) -> Self {
-        Self { kind: Kind::Box { terminal, region }, system: system.clone() }
+    pub fn terminal(system: &System, terminal: &Terminal, region: Vec<[f64; 2]>) -> Self {
+        let roots: Vec<_> = terminal.gradient.iter().copied().chain([terminal.value]).collect();
+        let program = Program::lower(&system.graph, &system.inputs, &roots);
+        Self::new(
+            system,
+            Kind::Box {
+                terminal: program,
+                region,
+            },
+        )
+    }
+
+    fn new(system: &System, kind: Kind) -> Self {
+        let guards: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
+        Self {
+            kind,
+            states: system.states,
+            guards: Program::lower(&system.graph, &system.inputs, &guards),
+            strict: system.guards.iter().map(|g| g.strict).collect(),
+        }
     }
 
     /// A first triangulation, with the parameters of its vertices.
     pub fn triangulation(&self) -> (Complex, Vec<Vec<f64>>) {
-        let n = self.system.states;
+        let n = self.states;
         let (mut complex, mut parameters) = match self.kind {
             Kind::Sphere(_) => Complex::sphere(n),
             Kind::Box { .. } => Complex::unit_box(n),
@@ -79,37 +102,49 @@ impl Surface {
         match &self.kind {
             Kind::Sphere(local) => local.seed(parameter),
             Kind::Box { terminal, region } => {
-                let s: Vec<f64> = parameter.iter().zip(region).map(|(q, [lo, hi])| lo + q * (hi - lo)).collect();
-                let zero = vec![0.0; s.len()];
-                let p = self.system.eval(&terminal.gradient, &s, &zero);
-                let v = self.system.eval(&[terminal.value], &s, &zero);
-                s.into_iter().chain(p).chain(v).collect()
+                let s: Vec<f64> = parameter
+                    .iter()
+                    .zip(region)
+                    .map(|(q, [lo, hi])| lo + q * (hi - lo))
+                    .collect();
+                // No adjoint enters the terminal cost.
+                let inputs = [s.as_slice(), &vec![0.0; s.len()]].concat();
+                s.into_iter().chain(terminal.eval(&inputs)).collect()
             }
         }
     }
 
-    /// Smallest guard value at a seed, and whether all guards hold there.
+    /// Whether a seed is inside all guards.
     pub fn inside(&self, seed: &[f64]) -> bool {
-        self.guard_values(seed).iter().zip(&self.system.guards).all(|(v, g): (&f64, &GuardExpr)| g.holds(*v))
+        self.guard_values(seed)
+            .iter()
+            .zip(&self.strict)
+            .all(|(v, strict)| holds(*v, *strict))
+    }
+
+    /// Whether a seed lies on the boundary of a guard, to rounding.
+    pub fn on_boundary(&self, seed: &[f64]) -> bool {
+        let size = seed[..self.states].iter().fold(0.0f64, |a, s| a.max(s.abs()));
+        self.guard_values(seed).iter().any(|v| v.abs() <= ROUNDING * size)
     }
 
     fn guard_values(&self, seed: &[f64]) -> Vec<f64> {
-        let n = self.system.states;
-        let exprs: Vec<_> = self.system.guards.iter().map(|g| g.expr).collect();
-        self.system.eval(&exprs, &seed[..n], &seed[n..2 * n])
+        self.guards.eval(&seed[..2 * self.states])
     }
 
     /// The parameter moved back inside where it is outside by rounding alone: points between two on a guard's boundary
     /// lie on it, but for rounding.
     pub fn nudged(&self, parameter: Vec<f64>) -> Vec<f64> {
-        const ROUNDING: f64 = 1e-10;
         const STEP: f64 = 1e-6;
-        let n = self.system.states;
+        if self.strict.is_empty() {
+            return parameter;
+        }
+        let n = self.states;
         let seed = self.seed(&parameter);
         let size = seed[..n].iter().fold(0.0f64, |a, s| a.max(s.abs()));
         let values = self.guard_values(&seed);
         let worst = values.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((k, value)) = worst.filter(|(k, v)| !self.system.guards[*k].holds(*v) && *v >= -ROUNDING * size) else {
+        let Some((k, value)) = worst.filter(|(k, v)| !holds(*v, self.strict[*k]) && *v >= -ROUNDING * size) else {
             return parameter;
         };
         let slopes: Vec<f64> = (0..parameter.len())
@@ -126,7 +161,11 @@ impl Surface {
         // Twice the way, so that rounding does not leave it outside again.
         let factor = (-2.0 * value + f64::EPSILON * size) / square;
         let moved: Vec<f64> = parameter.iter().zip(&slopes).map(|(q, d)| q + factor * d).collect();
-        if moved.iter().all(|x| x.is_finite()) { moved } else { parameter }
+        if moved.iter().all(|x| x.is_finite()) {
+            moved
+        } else {
+            parameter
+        }
     }
 
     /// Last parameter inside the guards on the way from `inside` to `outside`.
@@ -145,7 +184,9 @@ impl Surface {
 
     /// Largest V over the corners and the middle of a terminal surface (0 for the seed ellipsoid).
     pub fn largest_value(&self) -> f64 {
-        let Kind::Box { region, .. } = &self.kind else { return 0.0 };
+        let Kind::Box { region, .. } = &self.kind else {
+            return 0.0;
+        };
         let n = region.len();
         (0..1u32 << n)
             .map(|c| (0..n).map(|i| f64::from(c >> i & 1)).collect::<Vec<_>>())
@@ -154,6 +195,10 @@ impl Surface {
             .filter(|v| v.is_finite())
             .fold(0.0, f64::max)
     }
+}
+
+fn holds(value: f64, strict: bool) -> bool {
+    if strict { value > 0.0 } else { value >= 0.0 }
 }
 
 fn distance(a: &[f64], b: &[f64]) -> f64 {

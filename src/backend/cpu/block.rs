@@ -30,18 +30,8 @@ pub struct Output<'a> {
     pub samples: &'a mut [f64],
 }
 
-/// Bookkeeping of one lane.
-#[derive(Clone, Copy, Default)]
-struct Lane {
-    /// Trajectory in the chunk; none when the queue has run dry.
-    trajectory: Option<usize>,
-    next_level: usize,
-    steps: u32,
-    rejected: u32,
-    first_step: f64,
-}
-
-/// Everything a block works on.
+/// Everything a block works on. What steps use is kept lane by lane in SIMD order; only lanes to which something happens
+/// (a level, an end, a fresh trajectory) are looked at singly.
 struct Block<'a, T, const W: usize> {
     kernel: &'a Compiled,
     run: &'a Run,
@@ -54,9 +44,20 @@ struct Block<'a, T, const W: usize> {
     t: Lanes<T, W>,
     h: Lanes<T, W>,
     /// Squared error of the step before.
-    before: Lanes<T, W>,
-    lanes: [Lane; W],
+    before: Lanes<f32, W>,
+    /// The level each lane comes to next; infinite for an idle lane.
+    next_at: Lanes<T, W>,
+    first_step: Lanes<T, W>,
+    steps: [u32; W],
+    rejected: [u32; W],
+    /// Trajectory in the chunk; none when the queue has run dry.
+    trajectory: [Option<usize>; W],
+    next_level: [usize; W],
+    /// Lanes whose empty first step is due.
+    fresh: [bool; W],
     atol: Vec<T>,
+    /// Dense output of the lane in hand, a polynomial a component.
+    dense: Vec<[T; 4]>,
 }
 
 /// Integrates the `count` trajectories of one chunk.
@@ -79,23 +80,35 @@ pub fn integrate<T: Real, const W: usize, const FMA: bool>(
         k: vec![zero; dim * kernel.tableau.stages()],
         t: zero,
         h: zero,
-        before: Lanes::splat(T::of(1.0)),
-        lanes: [Lane::default(); W],
+        before: Lanes::splat(1.0),
+        next_at: zero,
+        first_step: zero,
+        steps: [0; W],
+        rejected: [0; W],
+        trajectory: [None; W],
+        next_level: [0; W],
+        fresh: [false; W],
         atol: run.atol.iter().map(|a| T::of(*a)).collect(),
+        dense: vec![[T::of(0.0); 4]; dim],
     };
     let count = seeds.len() / dim;
     let mut next = 0;
     for lane in 0..W {
         block.refill(lane, &mut next, count, seeds);
     }
-    while block.lanes.iter().any(|l| l.trajectory.is_some()) {
+    while block.trajectory.iter().any(Option::is_some) {
         let error = block.attempt::<FMA>();
-        let decided = block.control(&error);
+        let decided = block.control::<FMA>(&error);
+        let mut single = [false; W];
         for lane in 0..W {
-            if block.lanes[lane].trajectory.is_some() && block.settle::<FMA>(lane, &decided, out) {
-                block.refill(lane, &mut next, count, seeds);
+            if decided.special[lane] != 0 && block.trajectory[lane].is_some() {
+                single[lane] = true;
+                if block.settle::<FMA>(lane, &decided, out) {
+                    block.refill(lane, &mut next, count, seeds);
+                }
             }
         }
+        block.advance(&decided, &single);
     }
 }
 
@@ -104,6 +117,8 @@ struct Decision<T, const W: usize> {
     accepted: [bool; W],
     finite: [bool; W],
     next_h: Lanes<T, W>,
+    /// Not 0 where a lane must be looked at singly.
+    special: [u8; W],
 }
 
 impl<T: Real, const W: usize> Block<'_, T, W> {
@@ -125,17 +140,30 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         }
         self.t.0[lane] = T::of(0.0);
         self.h.0[lane] = T::of(0.0);
-        self.before.0[lane] = T::of(1.0);
-        let coordinate = self.coordinate(lane);
-        let next_level = self.run.levels.iter().take_while(|l| T::of(**l) <= coordinate).count();
-        self.lanes[lane] = Lane { trajectory, next_level, ..Lane::default() };
+        self.before.0[lane] = 1.0;
+        self.first_step.0[lane] = T::of(0.0);
+        self.steps[lane] = 0;
+        self.rejected[lane] = 0;
+        self.trajectory[lane] = trajectory;
+        self.fresh[lane] = trajectory.is_some();
+        let coordinate = match self.kernel.by {
+            By::Time => T::of(0.0),
+            By::Component(c) => self.y[c].0[lane],
+        };
+        self.next_level[lane] = self.run.levels.iter().take_while(|l| T::of(**l) <= coordinate).count();
+        self.expect_level(lane);
     }
 
-    fn coordinate(&self, lane: usize) -> T {
-        match self.kernel.by {
-            By::Time => self.t.0[lane],
-            By::Component(c) => self.y[c].0[lane],
-        }
+    /// Sets the level at which the lane is next looked at.
+    fn expect_level(&mut self, lane: usize) {
+        let last = self.run.levels.len().saturating_sub(1);
+        let next = if self.kernel.store { self.next_level[lane] } else { last };
+        let at = self.run.levels.get(next).copied().unwrap_or(f64::INFINITY);
+        self.next_at.0[lane] = T::of(if self.trajectory[lane].is_some() {
+            at
+        } else {
+            f64::INFINITY
+        });
     }
 
     /// All stages of one step of every lane; returns the squared error in the tolerance's norm (for a fixed-step method
@@ -146,9 +174,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         let inputs = self.kernel.inputs;
         let stages = tableau.stages();
         for s in 1..stages {
-            let last = s + 1 == stages;
             // Components that no derivative depends on are needed only at the end of the step.
-            let components = if last { dim } else { inputs };
+            let components = if s + 1 == stages { dim } else { inputs };
             for c in 0..components {
                 let mut sum = [T::of(0.0); W];
                 for (j, &a) in tableau.a[s - 1].iter().enumerate() {
@@ -161,16 +188,27 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
                     }
                 }
                 let (y, h) = (&self.y[c].0, &self.h.0);
-                let to = &mut self.y_new[c].0;
                 for i in 0..W {
-                    to[i] = sum[i].mul_add::<FMA>(h[i], y[i]);
+                    sum[i] = sum[i].mul_add::<FMA>(h[i], y[i]);
                 }
+                let to = if c < inputs {
+                    &mut self.kernel.rate.inputs(&mut self.file, inputs)[c]
+                } else {
+                    &mut self.y_new[c]
+                };
+                to.0 = sum;
             }
-            self.kernel.rate.inputs(&mut self.file, inputs).copy_from_slice(&self.y_new[..inputs]);
             self.kernel.rate.run::<T, W, FMA>(&mut self.file);
             for c in 0..dim {
-                self.k[s * dim + c] = *self.kernel.rate.output(&self.file, c);
+                let (to, from) = (&mut self.k[s * dim + c].0, &self.kernel.rate.output(&self.file, c).0);
+                to.copy_from_slice(from);
             }
+        }
+        // The last stage was taken at the new point.
+        let new_point = self.kernel.rate.inputs(&mut self.file, inputs);
+        for c in 0..inputs {
+            let (to, from) = (&mut self.y_new[c].0, &new_point[c].0);
+            to.copy_from_slice(from);
         }
         self.error::<FMA>()
     }
@@ -206,65 +244,195 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             }
         }
         let share = T::of(1.0 / dim as f64);
-        total.iter_mut().for_each(|e| *e = *e * share);
+        for e in &mut total {
+            *e = *e * share;
+        }
         Lanes(total)
     }
 
-    /// Accepts or rejects each lane's step and chooses its next size, branch-free.
+    /// Accepts or rejects each lane's step, chooses its next size, and finds the lanes to be looked at singly.
     #[inline(always)]
-    fn control(&mut self, error: &Lanes<T, W>) -> Decision<T, W> {
-        let mut decided = Decision { accepted: [false; W], finite: [false; W], next_h: self.h };
+    fn control<const FMA: bool>(&mut self, error: &Lanes<T, W>) -> Decision<T, W> {
+        let adaptive = self.kernel.tableau.adaptive();
+        let mut decided = Decision {
+            accepted: [false; W],
+            finite: [false; W],
+            next_h: self.h,
+            special: [0; W],
+        };
         for i in 0..W {
             decided.finite[i] = error.0[i].is_finite();
             decided.accepted[i] = error.0[i] <= T::of(1.0);
         }
-        if !self.kernel.tableau.adaptive() {
-            return decided;
+        if adaptive {
+            let factor = self.factors(error);
+            for i in 0..W {
+                decided.next_h.0[i] = self.h.0[i] * T::of(f64::from(factor[i]));
+            }
         }
+        self.limit(&mut decided);
+        let most = self.run.max_steps.saturating_sub(1);
+        let unit = T::of(control::FLOOR_ULPS * T::EPSILON);
         for i in 0..W {
-            let floor = (control::LEAST_ERROR * control::LEAST_ERROR) as f32;
-            let e = error.0[i].f32();
-            let e = if e > floor { e } else { floor };
-            let before = self.before.0[i].f32();
-            // Squared errors: the exponents are halved.
-            let pi = control::SAFETY as f32
-                * exp2((-0.5 * control::ALPHA) as f32 * log2(e) + (0.5 * control::BETA) as f32 * log2(before));
-            let plain = control::SAFETY as f32 * exp2((-0.5 / 5.0) * log2(e));
-            let factor = if decided.accepted[i] { pi } else { plain };
-            let most = if decided.accepted[i] { control::GROW as f32 } else { 1.0 };
-            let factor = if factor < most { factor } else { most };
-            let factor = if factor > control::SHRINK as f32 { factor } else { control::SHRINK as f32 };
-            let factor = if decided.finite[i] { factor } else { control::SHRINK as f32 };
-            decided.next_h.0[i] = self.h.0[i] * T::of(f64::from(factor));
-            self.before.0[i] = if decided.accepted[i] { T::of(f64::from(e)) } else { self.before.0[i] };
+            let passed = match self.kernel.by {
+                By::Time => self.t.0[i] + self.h.0[i] >= self.next_at.0[i],
+                By::Component(c) => self.y_new[c].0[i] >= self.next_at.0[i],
+            };
+            let (t, first) = (self.t.0[i], self.first_step.0[i]);
+            let floor = unit * if t > first { t } else { first };
+            let stuck = !decided.accepted[i] & (!adaptive | (decided.next_h.0[i] < floor));
+            let spent = self.steps[i] + self.rejected[i] >= most;
+            decided.special[i] = u8::from(passed | stuck | spent | self.fresh[i]);
         }
+        self.look_outside::<FMA>(&mut decided.special);
         decided
     }
 
-    /// Finishes a lane's step: events, samples, end of the trajectory. True when the lane is free.
+    /// Factors of the step size.
+    #[inline(always)]
+    fn factors(&mut self, error: &Lanes<T, W>) -> [f32; W] {
+        let mut e = [0.0f32; W];
+        for i in 0..W {
+            e[i] = error.0[i].f32();
+        }
+        let least = (control::LEAST_ERROR * control::LEAST_ERROR) as f32;
+        let (safety, grow, shrink) = (control::SAFETY as f32, control::GROW as f32, control::SHRINK as f32);
+        // Squared errors: the exponents are halved.
+        let (alpha, beta) = ((-0.5 * control::ALPHA) as f32, (0.5 * control::BETA) as f32);
+        let mut factor = [0.0f32; W];
+        for i in 0..W {
+            let accepted = e[i] <= 1.0;
+            let size = if e[i] > least { e[i] } else { least };
+            let log = log2(size);
+            let exponent = if accepted {
+                alpha * log + beta * log2(self.before.0[i])
+            } else {
+                (-0.5 / 5.0) * log
+            };
+            let most = if accepted { grow } else { 1.0 };
+            let f = safety * exp2(if exponent > 4.0 { 4.0 } else { exponent });
+            let f = if f < most { f } else { most };
+            let f = if f > shrink { f } else { shrink };
+            let finite = e[i] < f32::MAX;
+            factor[i] = if finite { f } else { shrink };
+            self.before.0[i] = if accepted { size } else { self.before.0[i] };
+        }
+        factor
+    }
+
+    /// Keeps steps from passing the end where the end is a time.
+    #[inline(always)]
+    fn limit(&self, decided: &mut Decision<T, W>) {
+        let (By::Time, Some(end)) = (self.kernel.by, self.run.levels.last()) else {
+            return;
+        };
+        for i in 0..W {
+            let t = if decided.accepted[i] {
+                self.t.0[i] + self.h.0[i]
+            } else {
+                self.t.0[i]
+            };
+            decided.next_h.0[i] = stretched(decided.next_h.0[i], T::of(*end) - t);
+        }
+    }
+
+    /// Marks lanes whose new point is outside the region, above the ceiling or outside a guard.
+    #[inline(always)]
+    fn look_outside<const FMA: bool>(&mut self, special: &mut [u8; W]) {
+        for ([lo, hi], y) in self.run.bounds.iter().zip(&self.y_new) {
+            let (lo, hi) = (T::of(*lo), T::of(*hi));
+            for i in 0..W {
+                special[i] |= u8::from(!((y.0[i] >= lo) & (y.0[i] <= hi)));
+            }
+        }
+        if let Some((c, v)) = self.run.ceiling {
+            let v = T::of(v);
+            for i in 0..W {
+                special[i] |= u8::from(self.y_new[c].0[i] >= v);
+            }
+        }
+        if let Some((program, strict)) = &self.kernel.guards {
+            let inputs = self.kernel.inputs;
+            for (to, from) in program.inputs(&mut self.guard_file, inputs).iter_mut().zip(&self.y_new) {
+                to.0 = from.0;
+            }
+            program.run::<T, W, FMA>(&mut self.guard_file);
+            for (g, strict) in strict.iter().enumerate() {
+                let value = &program.output(&self.guard_file, g).0;
+                for i in 0..W {
+                    let holds = if *strict {
+                        value[i] > T::of(0.0)
+                    } else {
+                        value[i] >= T::of(0.0)
+                    };
+                    special[i] |= u8::from(!holds);
+                }
+            }
+        }
+    }
+
+    /// Finishes the step of all lanes to which nothing happened.
+    #[inline(always)]
+    fn advance(&mut self, decided: &Decision<T, W>, single: &[bool; W]) {
+        let mut moves = [false; W];
+        for i in 0..W {
+            moves[i] = decided.accepted[i] & !single[i];
+            let fails = !decided.accepted[i] & !single[i];
+            self.steps[i] += u32::from(moves[i]);
+            self.rejected[i] += u32::from(fails);
+        }
+        for i in 0..W {
+            self.t.0[i] = if moves[i] {
+                self.t.0[i] + self.h.0[i]
+            } else {
+                self.t.0[i]
+            };
+        }
+        for i in 0..W {
+            self.h.0[i] = if single[i] { self.h.0[i] } else { decided.next_h.0[i] };
+        }
+        let dim = self.kernel.dim;
+        let (first, last) = self.k.split_at_mut((self.kernel.tableau.stages() - 1) * dim);
+        for c in 0..dim {
+            let (y, y_new) = (&mut self.y[c].0, &self.y_new[c].0);
+            for i in 0..W {
+                y[i] = if moves[i] { y_new[i] } else { y[i] };
+            }
+            let (k, k_new) = (&mut first[c].0, &last[c].0);
+            for i in 0..W {
+                k[i] = if moves[i] { k_new[i] } else { k[i] };
+            }
+        }
+    }
+
+    /// Finishes the step of one lane: events, samples, end of the trajectory. True when the lane is free.
     #[inline(always)]
     fn settle<const FMA: bool>(&mut self, lane: usize, decided: &Decision<T, W>, out: &mut Output<'_>) -> bool {
-        let fresh = self.lanes[lane].steps + self.lanes[lane].rejected == 0 && self.h.0[lane] == T::of(0.0);
-        if fresh {
+        if self.fresh[lane] {
             return self.start(lane, out);
         }
+        let next_h = decided.next_h.0[lane];
         if !decided.accepted[lane] {
-            self.lanes[lane].rejected += 1;
-            self.h.0[lane] = decided.next_h.0[lane];
-            let t = self.t.0[lane].f64();
-            let floor = control::FLOOR_ULPS * T::EPSILON * t.max(self.lanes[lane].first_step);
-            let too_small = self.h.0[lane].f64() < floor || !self.kernel.tableau.adaptive();
-            if too_small {
-                let status = if decided.finite[lane] { Status::StepFloor } else { Status::NotFinite };
+            self.rejected[lane] += 1;
+            self.h.0[lane] = next_h;
+            let (t, first) = (self.t.0[lane].f64(), self.first_step.0[lane].f64());
+            let floor = control::FLOOR_ULPS * T::EPSILON * t.max(first);
+            if next_h.f64() < floor || !self.kernel.tableau.adaptive() {
+                let status = if decided.finite[lane] {
+                    Status::StepFloor
+                } else {
+                    Status::NotFinite
+                };
                 return self.finish(lane, status, out);
             }
             return self.out_of_steps(lane, out);
         }
-        self.lanes[lane].steps += 1;
+        self.steps[lane] += 1;
         if let Some(ended) = self.events::<FMA>(lane, out) {
             return self.finish(lane, ended, out);
         }
         self.t.0[lane] = self.t.0[lane] + self.h.0[lane];
+        self.h.0[lane] = next_h;
         let last = (self.kernel.tableau.stages() - 1) * self.kernel.dim;
         for c in 0..self.kernel.dim {
             self.y[c].0[lane] = self.y_new[c].0[lane];
@@ -278,23 +446,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         if self.run.ceiling.is_some_and(|(c, v)| self.y[c].0[lane] >= T::of(v)) {
             return self.finish(lane, Status::Reached, out);
         }
-        self.h.0[lane] = self.limited(lane, decided.next_h.0[lane]);
         self.out_of_steps(lane, out)
     }
 
-    /// A step that does not pass the end where the end is a time.
-    fn limited(&self, lane: usize, h: T) -> T {
-        let (By::Time, Some(end)) = (self.kernel.by, self.run.levels.last()) else {
-            return h;
-        };
-        let left = T::of(*end) - self.t.0[lane];
-        // Stretched a little, so that no crumb is left at the end.
-        if h * T::of(1.0 + 1e-3) >= left { left } else { h }
-    }
-
     fn out_of_steps(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
-        let l = &self.lanes[lane];
-        l.steps + l.rejected >= self.run.max_steps && self.finish(lane, Status::StepLimit, out)
+        self.steps[lane] + self.rejected[lane] >= self.run.max_steps && self.finish(lane, Status::StepLimit, out)
     }
 
     /// First step of a fresh lane, from the derivative that its empty step has left.
@@ -312,15 +468,27 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         if !speed.is_finite() {
             return self.finish(lane, Status::NotFinite, out);
         }
-        if self.lanes[lane].next_level == self.run.levels.len() {
+        if self.next_level[lane] == self.run.levels.len() {
             return self.finish(lane, Status::Reached, out);
         }
-        let first = if tableau.adaptive() { control::FIRST * (size / speed).sqrt() } else { self.run.step };
+        let first = if tableau.adaptive() {
+            control::FIRST * (size / speed).sqrt()
+        } else {
+            self.run.step
+        };
         // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the step limit.
-        let first = if first.is_finite() && first > 0.0 { first } else { control::FIRST };
-        self.lanes[lane].first_step = first;
-        self.before.0[lane] = T::of(1.0);
-        self.h.0[lane] = self.limited(lane, T::of(first));
+        let first = if first.is_finite() && first > 0.0 {
+            first
+        } else {
+            control::FIRST
+        };
+        self.fresh[lane] = false;
+        self.first_step.0[lane] = T::of(first);
+        self.before.0[lane] = 1.0;
+        self.h.0[lane] = T::of(first);
+        if let (By::Time, Some(end)) = (self.kernel.by, self.run.levels.last()) {
+            self.h.0[lane] = stretched(self.h.0[lane], T::of(*end));
+        }
         false
     }
 
@@ -328,9 +496,12 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     /// `y` and `t`.
     #[inline(always)]
     fn events<const FMA: bool>(&mut self, lane: usize, out: &mut Output<'_>) -> Option<Status> {
+        for c in 0..self.kernel.dim {
+            self.dense[c] = self.polynomial(lane, c);
+        }
         let mut most = T::of(1.0);
         let mut ended = None;
-        if self.kernel.guards.is_some() && !self.inside::<FMA>(lane) {
+        if self.kernel.guards.is_some() && !self.guards_hold::<FMA>(lane, T::of(1.0)) {
             most = self.last_inside::<FMA>(lane);
             ended = Some(Status::Guard);
         }
@@ -339,30 +510,29 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             By::Time => (self.t.0[lane], self.t.0[lane] + self.h.0[lane]),
             By::Component(c) => (self.y[c].0[lane], self.y_new[c].0[lane]),
         };
-        while self.lanes[lane].next_level < levels.len() {
-            let k = self.lanes[lane].next_level;
+        while self.next_level[lane] < levels.len() {
+            let k = self.next_level[lane];
             let level = T::of(levels[k]);
             if level > end {
                 break;
             }
             let last = k + 1 == levels.len();
-            if !self.kernel.store && !last {
-                self.lanes[lane].next_level += 1;
-                continue;
+            if self.kernel.store || last {
+                let q = self.locate::<FMA>(lane, level, start, end);
+                if q > most {
+                    break;
+                }
+                if self.kernel.store {
+                    self.store_sample::<FMA>(lane, k, q, out);
+                }
+                if last {
+                    most = q;
+                    ended = Some(Status::Reached);
+                }
             }
-            let q = self.locate::<FMA>(lane, level, start, end);
-            if q > most {
-                break;
-            }
-            if self.kernel.store {
-                self.store_sample::<FMA>(lane, k, q, out);
-            }
-            self.lanes[lane].next_level += 1;
-            if last {
-                most = q;
-                ended = Some(Status::Reached);
-            }
+            self.next_level[lane] += 1;
         }
+        self.expect_level(lane);
         if ended.is_some() {
             for c in 0..self.kernel.dim {
                 self.y[c].0[lane] = self.interpolate::<FMA>(lane, c, most);
@@ -376,21 +546,18 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         ended
     }
 
-    /// Component `c` at fraction `q` of the lane's step.
+    /// Component `c` at fraction `q` of the lane's step, from the dense output in hand.
     #[inline(always)]
     fn interpolate<const FMA: bool>(&self, lane: usize, c: usize, q: T) -> T {
         if q == T::of(1.0) {
             return self.y_new[c].0[lane];
         }
-        let p = self.dense(lane, c);
-        let (h, y) = (self.h.0[lane], self.y[c].0[lane]);
-        let w = p[3].mul_add::<FMA>(q, p[2]).mul_add::<FMA>(q, p[1]).mul_add::<FMA>(q, p[0]);
-        (w * q).mul_add::<FMA>(h, y)
+        (cubic::<T, FMA>(&self.dense[c], q) * q).mul_add::<FMA>(self.h.0[lane], self.y[c].0[lane])
     }
 
     /// Coefficients of the dense output of component `c`: `y + h q (p0 + q (p1 + q (p2 + q p3)))`.
     #[inline(always)]
-    fn dense(&self, lane: usize, c: usize) -> [T; 4] {
+    fn polynomial(&self, lane: usize, c: usize) -> [T; 4] {
         let mut p = [T::of(0.0); 4];
         for (j, d) in self.kernel.tableau.dense.iter().enumerate() {
             let k = self.k[j * self.kernel.dim + c].0[lane];
@@ -411,12 +578,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         if level >= end {
             return T::of(1.0);
         }
-        let p = self.dense(lane, c);
+        let p = &self.dense[c];
         let h = self.h.0[lane];
         let (mut lo, mut hi, mut q) = (T::of(0.0), T::of(1.0), guess);
         for _ in 0..30 {
-            let w = p[3].mul_add::<FMA>(q, p[2]).mul_add::<FMA>(q, p[1]).mul_add::<FMA>(q, p[0]);
-            let residual = (w * q).mul_add::<FMA>(h, start - level);
+            let residual = (cubic::<T, FMA>(p, q) * q).mul_add::<FMA>(h, start - level);
             let slope = T::of(4.0) * p[3] * q * q * q + T::of(3.0) * p[2] * q * q + T::of(2.0) * p[1] * q + p[0];
             if residual > T::of(0.0) {
                 hi = q;
@@ -437,8 +603,9 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         q
     }
 
+    #[inline(always)]
     fn store_sample<const FMA: bool>(&self, lane: usize, level: usize, q: T, out: &mut Output<'_>) {
-        let Some(i) = self.lanes[lane].trajectory else { return };
+        let Some(i) = self.trajectory[lane] else { return };
         let dim = self.kernel.dim;
         let start = (i * self.run.levels.len() + level) * (1 + dim);
         let to = &mut out.samples[start..start + 1 + dim];
@@ -451,12 +618,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         }
     }
 
-    /// Whether the lane's new point is inside all guards.
-    #[inline(always)]
-    fn inside<const FMA: bool>(&mut self, lane: usize) -> bool {
-        self.guards_hold::<FMA>(lane, T::of(1.0))
-    }
-
+    /// Whether the lane is inside all guards at a fraction of its step.
     #[inline(always)]
     fn guards_hold<const FMA: bool>(&mut self, lane: usize, q: T) -> bool {
         let Some((program, strict)) = &self.kernel.guards else {
@@ -469,7 +631,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         program.run::<T, W, FMA>(&mut self.guard_file);
         strict.iter().enumerate().all(|(g, strict)| {
             let value = program.output(&self.guard_file, g).0[lane];
-            if *strict { value > T::of(0.0) } else { value >= T::of(0.0) }
+            if *strict {
+                value > T::of(0.0)
+            } else {
+                value >= T::of(0.0)
+            }
         })
     }
 
@@ -490,19 +656,32 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
 
     /// Writes a lane's result; the lane is then free.
     fn finish(&mut self, lane: usize, status: Status, out: &mut Output<'_>) -> bool {
-        let l = self.lanes[lane];
-        if let Some(i) = l.trajectory {
+        if let Some(i) = self.trajectory[lane] {
             let dim = self.kernel.dim;
             for c in 0..dim {
                 out.end[i * dim + c] = self.y[c].0[lane].f64();
             }
             out.end_time[i] = self.t.0[lane].f64();
             out.status[i] = status;
-            out.steps[i] = l.steps;
-            out.rejected[i] = l.rejected;
+            out.steps[i] = self.steps[lane];
+            out.rejected[i] = self.rejected[lane];
         }
         true
     }
+}
+
+/// `p0 + q (p1 + q (p2 + q p3))`
+#[inline(always)]
+fn cubic<T: Real, const FMA: bool>(p: &[T; 4], q: T) -> T {
+    p[3].mul_add::<FMA>(q, p[2])
+        .mul_add::<FMA>(q, p[1])
+        .mul_add::<FMA>(q, p[0])
+}
+
+/// A step of `h`, or the `left` way where that is no more than a little further: no crumb is left at the end.
+#[inline(always)]
+fn stretched<T: Real>(h: T, left: T) -> T {
+    if h * T::of(1.0 + 1e-3) >= left { left } else { h }
 }
 
 /// Base-2 logarithm to 1e-4, for step control only.
@@ -524,7 +703,7 @@ fn exp2(x: f32) -> f32 {
     let shifted = x + 12_582_912.0;
     let n = shifted.to_bits().wrapping_sub(12_582_912.0f32.to_bits());
     let f = x - (shifted - 12_582_912.0);
-    let p = 1.0 + f * (0.693_147_2 + f * (0.240_226_5 + f * (0.055_504_1 + f * 0.009_618_1)));
+    let p = 1.0 + f * (std::f32::consts::LN_2 + f * (0.240_226_5 + f * (0.055_504_1 + f * 0.009_618_1)));
     f32::from_bits(p.to_bits().wrapping_add(n << 23))
 }
 

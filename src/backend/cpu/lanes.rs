@@ -70,7 +70,13 @@ impl LaneProgram {
         let mut ops: Vec<Op> = Vec::new();
         for (i, instr) in program.code.iter().enumerate() {
             let to = allocation.slot[i];
-            let op = |code, a, b, c| Op { code, to, a: slot(a), b: slot(b), c: slot(c) };
+            let op = |code, a, b, c| Op {
+                code,
+                to,
+                a: slot(a),
+                b: slot(b),
+                c: slot(c),
+            };
             let next = match *instr {
                 Instr::Input(_) | Instr::Const(_) => continue,
                 Instr::Add(a, b) => op(Code::Add, a, b, a),
@@ -114,10 +120,16 @@ impl LaneProgram {
                 assert!(usize::from(r) < self.registers, "register out of range");
             }
             let pair = matches!(op.code, Code::SinCos);
-            assert!(op.to != op.a && op.to != op.b && op.to != op.c, "an instruction overwrites its operand");
+            assert!(
+                op.to != op.a && op.to != op.b && op.to != op.c,
+                "an instruction overwrites its operand"
+            );
             assert!(!pair || op.c != op.a, "an instruction overwrites its operand");
         }
-        assert!(self.outputs.iter().all(|o| usize::from(*o) < self.registers), "output register out of range");
+        assert!(
+            self.outputs.iter().all(|o| usize::from(*o) < self.registers),
+            "output register out of range"
+        );
     }
 
     /// A register file with the constants in place.

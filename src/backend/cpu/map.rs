@@ -18,7 +18,11 @@ pub struct Evaluator {
 
 impl Evaluator {
     pub fn new(program: &Program) -> Self {
-        Self { program: LaneProgram::new(program), inputs: program.inputs, simd: Simd::detect() }
+        Self {
+            program: LaneProgram::new(program),
+            inputs: program.inputs,
+            simd: Simd::detect(),
+        }
     }
 
     /// Values `[point][output]` at points which begin `stride` apart in `points`; of each the leading `inputs` entries
@@ -34,22 +38,29 @@ impl Evaluator {
         if outputs == 0 {
             return values;
         }
-        points.par_chunks(CHUNK * stride).zip(values.par_chunks_mut(CHUNK * outputs)).for_each(|(points, values)| {
-            match self.simd {
-                Simd::Baseline => self.chunk::<false>(points, stride, values),
-                // SAFETY: the features were detected.
-                #[cfg(target_arch = "x86_64")]
-                Simd::Avx2 => unsafe { avx2(self, points, stride, values) },
-                // SAFETY: as above.
-                #[cfg(target_arch = "x86_64")]
-                Simd::Avx512 => unsafe { avx512(self, points, stride, values) },
-            }
-        });
+        points
+            .par_chunks(CHUNK * stride)
+            .zip(values.par_chunks_mut(CHUNK * outputs))
+            .for_each(|(points, values)| {
+                match self.simd {
+                    Simd::Baseline => self.chunk::<false>(points, stride, values),
+                    // SAFETY: the features were detected.
+                    #[cfg(target_arch = "x86_64")]
+                    Simd::Avx2 => unsafe { avx2(self, points, stride, values) },
+                    // SAFETY: as above.
+                    #[cfg(target_arch = "x86_64")]
+                    Simd::Avx512 => unsafe { avx512(self, points, stride, values) },
+                }
+            });
         values
     }
 
     fn count(&self, points: &[f64], stride: usize) -> usize {
-        if points.len() < self.inputs { 0 } else { (points.len() - self.inputs) / stride + 1 }
+        if points.len() < self.inputs {
+            0
+        } else {
+            (points.len() - self.inputs) / stride + 1
+        }
     }
 
     #[inline(always)]

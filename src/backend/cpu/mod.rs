@@ -26,7 +26,10 @@ impl Simd {
     pub fn detect() -> Self {
         #[cfg(target_arch = "x86_64")]
         {
-            if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") && is_x86_feature_detected!("avx512vl") {
+            if is_x86_feature_detected!("avx512f")
+                && is_x86_feature_detected!("avx512dq")
+                && is_x86_feature_detected!("avx512vl")
+            {
                 return Simd::Avx512;
             }
             if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
@@ -48,8 +51,8 @@ impl Simd {
 }
 
 /// Lanes a block: several SIMD vectors, with the working set still in the first-level cache.
-const LANES_F64: usize = 16;
-const LANES_F32: usize = 32;
+const LANES_F64: usize = 64;
+const LANES_F32: usize = 128;
 
 /// The CPU backend.
 #[derive(Clone, Copy, Debug)]
@@ -97,14 +100,21 @@ impl Backend for Cpu {
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
         let compiled = Compiled {
             rate: LaneProgram::new(&spec.rate),
-            guards: spec.guards.as_ref().map(|g| (LaneProgram::new(&g.program), g.strict.clone())),
+            guards: spec
+                .guards
+                .as_ref()
+                .map(|g| (LaneProgram::new(&g.program), g.strict.clone())),
             inputs: spec.rate.inputs,
             dim: spec.dim(),
             tableau: spec.method.tableau(),
             by: spec.by,
             store: spec.store,
         };
-        Ok(Box::new(CpuKernel { compiled, precision: spec.precision, simd: self.simd }))
+        Ok(Box::new(CpuKernel {
+            compiled,
+            precision: spec.precision,
+            simd: self.simd,
+        }))
     }
 }
 
@@ -133,7 +143,7 @@ impl Kernel for CpuKernel {
             return Ok(result);
         }
         // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
-        let chunk = (count / (rayon::current_num_threads() * 8)).clamp(4 * LANES_F32, 2048);
+        let chunk = (count / (rayon::current_num_threads() * 4)).clamp(4 * LANES_F32, 8192);
         let width = levels * (1 + dim);
         // Without stored samples there is nothing to split; one chunk of an empty slice a task.
         let mut sample_chunks: Vec<&mut [f64]> = if width == 0 {
@@ -150,7 +160,14 @@ impl Kernel for CpuKernel {
             .zip(result.rejected.par_chunks_mut(chunk))
             .zip(sample_chunks.par_iter_mut())
             .for_each(|((((((seeds, end), end_time), status), steps), rejected), samples)| {
-                let mut out = Output { end, end_time, status, steps, rejected, samples };
+                let mut out = Output {
+                    end,
+                    end_time,
+                    status,
+                    steps,
+                    rejected,
+                    samples,
+                };
                 match self.precision {
                     Precision::F64 => dispatch::<f64, LANES_F64>(self.simd, &self.compiled, run, seeds, &mut out),
                     Precision::F32 => dispatch::<f32, LANES_F32>(self.simd, &self.compiled, run, seeds, &mut out),
@@ -160,7 +177,13 @@ impl Kernel for CpuKernel {
     }
 }
 
-fn dispatch<T: real::Real, const W: usize>(simd: Simd, kernel: &Compiled, run: &Run, seeds: &[f64], out: &mut Output<'_>) {
+fn dispatch<T: real::Real, const W: usize>(
+    simd: Simd,
+    kernel: &Compiled,
+    run: &Run,
+    seeds: &[f64],
+    out: &mut Output<'_>,
+) {
     match simd {
         Simd::Baseline => block::integrate::<T, W, false>(kernel, run, seeds, out),
         // SAFETY: the features were detected when the backend was made.

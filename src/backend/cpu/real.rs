@@ -41,7 +41,7 @@ pub trait Real:
         let lost = self - (u - one);
         let value = u.logarithm::<FMA>() + lost / u;
         // For an infinite u the correction is not a number.
-        if u - u == Self::of(0.0) { value } else { u.logarithm::<FMA>() }
+        if u.is_finite() { value } else { u.logarithm::<FMA>() }
     }
     #[inline(always)]
     fn sign(self) -> Self {
@@ -51,7 +51,11 @@ pub trait Real:
     }
     #[inline(always)]
     fn step(self) -> Self {
-        if self > Self::of(0.0) { Self::of(1.0) } else { Self::of(0.0) }
+        if self > Self::of(0.0) {
+            Self::of(1.0)
+        } else {
+            Self::of(0.0)
+        }
     }
     /// The smaller one; not a number where either is not.
     #[inline(always)]
@@ -107,7 +111,11 @@ macro_rules! real {
             }
             #[inline(always)]
             fn mul_add<const FMA: bool>(self, b: Self, c: Self) -> Self {
-                if FMA { $t::mul_add(self, b, c) } else { self * b + c }
+                if FMA {
+                    $t::mul_add(self, b, c)
+                } else {
+                    self * b + c
+                }
             }
             #[inline(always)]
             fn absolute(self) -> Self {
@@ -128,7 +136,11 @@ macro_rules! real {
                 let r = Real::mul_add::<FMA>(n, -($p3 as $t), r);
                 let z = r * r;
                 let s = Real::mul_add::<FMA>(r * z, horner::<$t, FMA, _>(z, $sin), r);
-                let c = Real::mul_add::<FMA>(z * z, horner::<$t, FMA, _>(z, $cos), Real::mul_add::<FMA>(z, -0.5, 1.0));
+                let c = Real::mul_add::<FMA>(
+                    z * z,
+                    horner::<$t, FMA, _>(z, $cos),
+                    Real::mul_add::<FMA>(z, -0.5, 1.0),
+                );
                 let swap = quadrant & 1 == 1;
                 let (a, b) = if swap { (c, s) } else { (s, c) };
                 let sign_bit: $bits = 1 << ($bits::BITS - 1);
@@ -184,8 +196,16 @@ macro_rules! real {
                 let (high, middle) = (x > 2.414213562373095, x > 0.41421356237309503);
                 let (n, d) = if middle { (x - 1.0, x + 1.0) } else { (x, 1.0) };
                 let (n, d) = if high { (-1.0, x) } else { (n, d) };
-                let base = if middle { std::f64::consts::FRAC_PI_4 as $t } else { 0.0 };
-                let base = if high { std::f64::consts::FRAC_PI_2 as $t } else { base };
+                let base = if middle {
+                    std::f64::consts::FRAC_PI_4 as $t
+                } else {
+                    0.0
+                };
+                let base = if high {
+                    std::f64::consts::FRAC_PI_2 as $t
+                } else {
+                    base
+                };
                 let y = n / d;
                 let z = y * y;
                 let v = base + (y - y * z * horner::<$t, FMA, _>(z, $atan));
@@ -261,14 +281,38 @@ mod tests {
         let near = grid(-40.0, 40.0);
         check("sin", worst::<T>(&near, 0.5, |x| x.sin_cos::<FMA>().0, f64::sin), 2.0);
         check("cos", worst::<T>(&near, 0.5, |x| x.sin_cos::<FMA>().1, f64::cos), 2.0);
-        check("sin near 0", worst::<T>(&tiny, 1e-30, |x| x.sin_cos::<FMA>().0, f64::sin), 2.0);
-        check("exp", worst::<T>(&grid(-80.0, 80.0), 1e-35, |x| x.exponential::<FMA>(), f64::exp), 2.0);
+        check(
+            "sin near 0",
+            worst::<T>(&tiny, 1e-30, |x| x.sin_cos::<FMA>().0, f64::sin),
+            2.0,
+        );
+        check(
+            "exp",
+            worst::<T>(&grid(-80.0, 80.0), 1e-35, |x| x.exponential::<FMA>(), f64::exp),
+            2.0,
+        );
         // 2^k (e^r - 1) + (2^k - 1) cancels partly for k = -1: three units.
-        check("expm1", worst::<T>(&grid(-5.0, 5.0), 1e-30, |x| x.expm1::<FMA>(), f64::exp_m1), 3.0);
-        check("expm1 near 0", worst::<T>(&tiny, 1e-30, |x| x.expm1::<FMA>(), f64::exp_m1), 2.0);
-        check("log", worst::<T>(&positive, 1e-30, |x| x.logarithm::<FMA>(), f64::ln), 2.0);
+        check(
+            "expm1",
+            worst::<T>(&grid(-5.0, 5.0), 1e-30, |x| x.expm1::<FMA>(), f64::exp_m1),
+            3.0,
+        );
+        check(
+            "expm1 near 0",
+            worst::<T>(&tiny, 1e-30, |x| x.expm1::<FMA>(), f64::exp_m1),
+            2.0,
+        );
+        check(
+            "log",
+            worst::<T>(&positive, 1e-30, |x| x.logarithm::<FMA>(), f64::ln),
+            2.0,
+        );
         check("log1p", worst::<T>(&tiny, 1e-30, |x| x.log1p::<FMA>(), f64::ln_1p), 3.0);
-        check("atan", worst::<T>(&grid(-30.0, 30.0), 1e-30, |x| x.arctangent::<FMA>(), f64::atan), 3.0);
+        check(
+            "atan",
+            worst::<T>(&grid(-30.0, 30.0), 1e-30, |x| x.arctangent::<FMA>(), f64::atan),
+            3.0,
+        );
     }
 
     #[test]
@@ -295,7 +339,13 @@ mod tests {
         assert_eq!(inf.log1p::<true>().f64(), f64::INFINITY);
         assert!(T::of(-1.0).logarithm::<true>().is_nan());
         assert!((inf.arctangent::<true>().f64() - std::f64::consts::FRAC_PI_2).abs() < T::EPSILON);
-        for f in [T::exponential::<true>, T::expm1::<true>, T::logarithm::<true>, T::arctangent::<true>, T::sign] {
+        for f in [
+            T::exponential::<true>,
+            T::expm1::<true>,
+            T::logarithm::<true>,
+            T::arctangent::<true>,
+            T::sign,
+        ] {
             assert!(f(nan).is_nan());
         }
         assert!(nan.sin_cos::<true>().0.is_nan() && inf.sin_cos::<true>().1.is_nan());

@@ -125,7 +125,11 @@ impl Device {
         let info = describe(adapter);
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("costate"),
-            required_features: if info.f64_arithmetic { F64 } else { wgpu::Features::empty() },
+            required_features: if info.f64_arithmetic {
+                F64
+            } else {
+                wgpu::Features::empty()
+            },
             required_limits: adapter.limits(),
             ..Default::default()
         }))?;

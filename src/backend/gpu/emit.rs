@@ -453,7 +453,10 @@ pub fn constants(precision: Precision) -> String {
         Precision::F64 => ("u64", "lu", f64::MANTISSA_DIGITS - 1, 1023),
     };
     let (one, root_half) = match precision {
-        Precision::F32 => (u64::from(1f32.to_bits()), u64::from((consts::FRAC_1_SQRT_2 as f32).to_bits())),
+        Precision::F32 => (
+            u64::from(1f32.to_bits()),
+            u64::from((consts::FRAC_1_SQRT_2 as f32).to_bits()),
+        ),
         Precision::F64 => (1f64.to_bits(), consts::FRAC_1_SQRT_2.to_bits()),
     };
     let mut text = format!("alias real = {};\n", precision.name());
@@ -481,7 +484,10 @@ pub fn constants(precision: Precision) -> String {
     for (k, c) in table.ln2.iter().enumerate() {
         real(&format!("LN2_{k}"), *c);
     }
-    let _ = writeln!(text, "alias bits = {word};\nconst MANTISSA: u32 = {mantissa}u;\nconst BIAS: i32 = {bias};");
+    let _ = writeln!(
+        text,
+        "alias bits = {word};\nconst MANTISSA: u32 = {mantissa}u;\nconst BIAS: i32 = {bias};"
+    );
     for (name, value) in [
         ("MANTISSA_MASK", (1u64 << mantissa) - 1),
         ("ROOT_HALF", root_half),

@@ -218,7 +218,7 @@ impl GpuKernel {
             queue.write_buffer(&memory.control, 0, bytemuck::cast_slice(&control));
             queue.write_buffer(&memory.remaining, 0, &[0; 4]);
             let mut encoder = device.device.create_command_encoder(&Default::default());
-                        {
+            {
                 let mut pass = encoder.begin_compute_pass(&Default::default());
                 pass.set_bind_group(0, &memory.bindings, &[]);
                 if !started {

@@ -9,7 +9,9 @@ use crate::model::Precision;
 use crate::program::Primitive;
 
 fn device() -> Device {
-    Device::open(&Selection::Any).expect("an adapter").expect("an adapter; install a software one such as llvmpipe")
+    Device::open(&Selection::Any)
+        .expect("an adapter")
+        .expect("an adapter; install a software one such as llvmpipe")
 }
 
 const REAL: &str = include_str!("../../../shaders/real.wgsl");
@@ -28,9 +30,18 @@ fn evaluate(device: &Device, precision: Precision, expression: &str, points: &[(
         Precision::F64 => "F64",
     };
     let source = Source::new(&[
-        Fragment { name: "constants", text: emit::constants(precision) },
-        Fragment { name: "shaders/real.wgsl", text: conditional(REAL, &[name]) },
-        Fragment { name: "entry", text: entry },
+        Fragment {
+            name: "constants",
+            text: emit::constants(precision),
+        },
+        Fragment {
+            name: "shaders/real.wgsl",
+            text: conditional(REAL, &[name]),
+        },
+        Fragment {
+            name: "entry",
+            text: entry,
+        },
     ]);
     source.validate(device.info.f64_arithmetic).unwrap();
     let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
@@ -48,7 +59,12 @@ fn evaluate(device: &Device, precision: Precision, expression: &str, points: &[(
     let bytes = reals(points.iter().flat_map(|(a, b)| [*a, *b]), precision);
     let buffer = |usage| {
         let size = bytes.len() as u64;
-        device.device.create_buffer(&wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false })
+        device.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size,
+            usage,
+            mapped_at_creation: false,
+        })
     };
     use wgpu::BufferUsages;
     let data = buffer(BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC);
@@ -57,7 +73,10 @@ fn evaluate(device: &Device, precision: Precision, expression: &str, points: &[(
     let bindings = device.device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: None,
         layout: &pipeline.get_bind_group_layout(0),
-        entries: &[wgpu::BindGroupEntry { binding: 0, resource: data.as_entire_binding() }],
+        entries: &[wgpu::BindGroupEntry {
+            binding: 0,
+            resource: data.as_entire_binding(),
+        }],
     });
     let mut encoder = device.device.create_command_encoder(&Default::default());
     {
@@ -152,26 +171,80 @@ fn special_values_are_kept() {
             let points: Vec<(f64, f64)> = cases.iter().map(|(a, b, _)| (*a, *b)).collect();
             for (got, (a, b, want)) in evaluate(&device, precision, expression, &points).iter().zip(cases) {
                 let same = got == want || (got.is_nan() && want.is_nan());
-                assert!(same, "{precision:?} {expression} at a = {a}, b = {b}: {got} instead of {want}");
+                assert!(
+                    same,
+                    "{precision:?} {expression} at a = {a}, b = {b}: {got} instead of {want}"
+                );
             }
         };
-        check("exponential(a)", &[(inf, 0.0, inf), (-inf, 0.0, 0.0), (nan, 0.0, nan), (1e4, 0.0, inf), (0.0, 0.0, 1.0)]);
-        check("expm1_(a)", &[(inf, 0.0, inf), (-inf, 0.0, -1.0), (nan, 0.0, nan), (0.0, 0.0, 0.0)]);
-        check("logarithm(a)", &[(inf, 0.0, inf), (0.0, 0.0, -inf), (-1.0, 0.0, nan), (nan, 0.0, nan), (1.0, 0.0, 0.0)]);
-        check("log1p_(a)", &[(inf, 0.0, inf), (-1.0, 0.0, -inf), (-2.0, 0.0, nan), (nan, 0.0, nan)]);
+        check(
+            "exponential(a)",
+            &[
+                (inf, 0.0, inf),
+                (-inf, 0.0, 0.0),
+                (nan, 0.0, nan),
+                (1e4, 0.0, inf),
+                (0.0, 0.0, 1.0),
+            ],
+        );
+        check(
+            "expm1_(a)",
+            &[(inf, 0.0, inf), (-inf, 0.0, -1.0), (nan, 0.0, nan), (0.0, 0.0, 0.0)],
+        );
+        check(
+            "logarithm(a)",
+            &[
+                (inf, 0.0, inf),
+                (0.0, 0.0, -inf),
+                (-1.0, 0.0, nan),
+                (nan, 0.0, nan),
+                (1.0, 0.0, 0.0),
+            ],
+        );
+        check(
+            "log1p_(a)",
+            &[(inf, 0.0, inf), (-1.0, 0.0, -inf), (-2.0, 0.0, nan), (nan, 0.0, nan)],
+        );
         check("arctangent(a)", &[(nan, 0.0, nan), (0.0, 0.0, 0.0)]);
         let half_pi = rounded(std::f64::consts::FRAC_PI_2, precision);
         check("arctangent(a)", &[(inf, 0.0, half_pi), (-inf, 0.0, -half_pi)]);
         check("sine(a)", &[(nan, 0.0, nan), (inf, 0.0, nan), (-inf, 0.0, nan)]);
         check("cosine(a)", &[(nan, 0.0, nan), (inf, 0.0, nan), (0.0, 0.0, 1.0)]);
-        check("sign_(a)", &[(nan, 0.0, nan), (0.0, 0.0, 0.0), (inf, 0.0, 1.0), (-inf, 0.0, -1.0)]);
+        check(
+            "sign_(a)",
+            &[(nan, 0.0, nan), (0.0, 0.0, 0.0), (inf, 0.0, 1.0), (-inf, 0.0, -1.0)],
+        );
         check("step_(a)", &[(0.0, 0.0, 0.0), (inf, 0.0, 1.0), (-1.0, 0.0, 0.0)]);
-        let pairs = [(nan, 1.0, nan), (1.0, nan, nan), (1.0, 2.0, 1.0), (2.0, 1.0, 1.0), (3.0, 3.0, 3.0), (inf, -inf, -inf)];
+        let pairs = [
+            (nan, 1.0, nan),
+            (1.0, nan, nan),
+            (1.0, 2.0, 1.0),
+            (2.0, 1.0, 1.0),
+            (3.0, 3.0, 3.0),
+            (inf, -inf, -inf),
+        ];
         check("least(a, b)", &pairs);
-        let pairs = [(nan, 1.0, nan), (1.0, nan, nan), (1.0, 2.0, 2.0), (2.0, 1.0, 2.0), (3.0, 3.0, 3.0), (inf, -inf, inf)];
+        let pairs = [
+            (nan, 1.0, nan),
+            (1.0, nan, nan),
+            (1.0, 2.0, 2.0),
+            (2.0, 1.0, 2.0),
+            (3.0, 3.0, 3.0),
+            (inf, -inf, inf),
+        ];
         check("greatest(a, b)", &pairs);
-        let largest = if precision == Precision::F32 { f64::from(f32::MAX) } else { 1e38 };
-        let finite = [(nan, 0.0, 0.0), (inf, 0.0, 0.0), (-inf, 0.0, 0.0), (largest, 0.0, 1.0), (-0.0, 0.0, 1.0)];
+        let largest = if precision == Precision::F32 {
+            f64::from(f32::MAX)
+        } else {
+            1e38
+        };
+        let finite = [
+            (nan, 0.0, 0.0),
+            (inf, 0.0, 0.0),
+            (-inf, 0.0, 0.0),
+            (largest, 0.0, 1.0),
+            (-0.0, 0.0, 1.0),
+        ];
         check("select(real(0.0), 1.0, is_finite(a))", &finite);
     }
 }
@@ -190,16 +263,27 @@ fn step_control_functions_are_good_enough() {
 
 #[test]
 fn shader_errors_name_fragment_and_line() {
-    let fragment = |name, text: &str| Fragment { name, text: text.to_owned() };
+    let fragment = |name, text: &str| Fragment {
+        name,
+        text: text.to_owned(),
+    };
     let good = "fn twice(x: f32) -> f32 {\n    return x + x;\n}\n";
     for (bad, wanted) in [
-        ("fn f() -> f32 {\n    return twice(1.0)\n}\n", 3),       // does not parse
-        ("fn f() -> f32 {\n    return thrice(1.0);\n}\n", 2),     // unknown name
+        ("fn f() -> f32 {\n    return twice(1.0)\n}\n", 3),   // does not parse
+        ("fn f() -> f32 {\n    return thrice(1.0);\n}\n", 2), // unknown name
         ("\n\nfn f() -> f32 {\n    return twice(1u);\n}\n", 3), // wrong type: told of the function
     ] {
-        let source = Source::new(&[fragment("first", good), fragment("model", bad), fragment("last", "const X = 1;\n")]);
+        let source = Source::new(&[
+            fragment("first", good),
+            fragment("model", bad),
+            fragment("last", "const X = 1;\n"),
+        ]);
         match source.validate(false) {
-            Err(BackendError::Shader { fragment, line, message }) => {
+            Err(BackendError::Shader {
+                fragment,
+                line,
+                message,
+            }) => {
                 assert_eq!((fragment.as_str(), line), ("model", wanted), "{message}");
                 assert!(!message.is_empty());
             }
@@ -215,9 +299,24 @@ fn shader_errors_name_fragment_and_line() {
 
 #[test]
 fn literals_give_the_same_number() {
-    for x in [0.1, -1.0 / 3.0, 1e-300, 6.02e23, 0.0, -0.0, f64::MIN_POSITIVE, 12_345_678.9] {
+    for x in [
+        0.1,
+        -1.0 / 3.0,
+        1e-300,
+        6.02e23,
+        0.0,
+        -0.0,
+        f64::MIN_POSITIVE,
+        12_345_678.9,
+    ] {
         let text = emit::literal(x, Precision::F64);
-        assert_eq!(text.trim_matches(['(', ')']).trim_end_matches("lf").parse::<f64>().unwrap(), x);
+        assert_eq!(
+            text.trim_matches(['(', ')'])
+                .trim_end_matches("lf")
+                .parse::<f64>()
+                .unwrap(),
+            x
+        );
         let text = emit::literal(x, Precision::F32);
         assert_eq!(text.trim_matches(['(', ')']).parse::<f32>().unwrap(), x as f32);
     }

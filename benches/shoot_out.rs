@@ -1,0 +1,155 @@
+//! The pendulum shooting-out work that other tools are measured on: seeds on `s'Ps/2 = 1e-4` at equal angles, integrated
+//! 4 time units backward, end states kept; error against f64 at the tightest tolerance.
+//!
+//! `cargo bench --bench shoot_out -- [SEEDS] [cpu|gpu]` prints one JSON line a setting:
+//! backend, precision, method, rtol, n, seconds (median), traj_per_s, max_rel_err, median_rel_err.
+
+use costate::backend::gpu::{Gpu, Selection};
+use costate::backend::{Backend, By, Kernel, Run, Spec, Status, cpu::Cpu};
+use costate::hamiltonian::{Hamiltonian, System};
+use costate::local::Riccati;
+use costate::model::{Method, Precision};
+use costate::program::Program;
+use std::time::Instant;
+
+const TIME: f64 = 4.0;
+const REPEATS: usize = 7;
+
+fn main() {
+    let args: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let count: usize = args.iter().find_map(|a| a.parse().ok()).unwrap_or(4096);
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/pendulum.toml");
+    let model = costate::scenario::load(path.as_ref(), &[]).expect("the scene is valid");
+    let hamiltonian = Hamiltonian::derive(&model).expect("the scene is in the class");
+    let riccati = Riccati::solve(&hamiltonian, &model).expect("the scene has a local solution");
+    let system = System::new(&hamiltonian, &model);
+    let program = Program::lower(&system.graph, &system.inputs, &system.rate);
+    println!("# {} operations a right-hand side", program.operations());
+    let seeds = seeds(&riccati, count);
+
+    let reference = Work::new(&Cpu::new(), &program, Method::Tsit5, Precision::F64, 1e-13, 0.0)
+        .run(&seeds)
+        .0;
+    let mut settings: Vec<(Method, Precision, f64, f64)> = Vec::new();
+    for rtol in [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11] {
+        settings.push((Method::Tsit5, Precision::F64, rtol, 0.0));
+    }
+    for rtol in [1e-3, 1e-4, 1e-5, 1e-6] {
+        settings.push((Method::Tsit5, Precision::F32, rtol, 0.0));
+    }
+    for steps in [50.0, 100.0, 400.0] {
+        settings.push((Method::Rk4, Precision::F64, 1e-6, TIME / steps));
+        settings.push((Method::Rk4, Precision::F32, 1e-6, TIME / steps));
+    }
+    let asked = |name: &str| args.iter().any(|a| a == name);
+    let mut backends: Vec<Box<dyn Backend>> = Vec::new();
+    if asked("cpu") || !asked("gpu") {
+        backends.push(Box::new(Cpu::new()));
+    }
+    if asked("gpu") {
+        let gpu = Gpu::open(&Selection::Any).expect("an adapter opens");
+        backends.push(Box::new(gpu.expect("there is an adapter, a software one included")));
+    }
+    for backend in &backends {
+        for &(method, precision, rtol, step) in &settings {
+            let mut kernel = Work::new(backend.as_ref(), &program, method, precision, rtol, step);
+            // The first run compiles what a driver compiles late; it is not counted.
+            let (mut end, _) = kernel.run(&seeds);
+            let mut times = Vec::new();
+            for _ in 0..REPEATS {
+                let (values, seconds) = kernel.run(&seeds);
+                times.push(seconds);
+                end = values;
+            }
+            times.sort_by(f64::total_cmp);
+            let seconds = times[REPEATS / 2];
+            let mut errors: Vec<f64> = (end.chunks(5).zip(reference.chunks(5)))
+                .map(|(y, r)| {
+                    y.iter()
+                        .zip(r)
+                        .map(|(y, r)| (y - r).abs() / r.abs().max(1.0))
+                        .fold(0.0, f64::max)
+                })
+                .collect();
+            errors.sort_by(f64::total_cmp);
+            println!(
+                "{{\"backend\": \"{}\", \"precision\": \"{}\", \"method\": \"{}\", \"setting\": \"{}\", \"n\": {count}, \"seconds\": {seconds:.6}, \"traj_per_s\": {:.0}, \"max_rel_err\": {:.2e}, \"median_rel_err\": {:.2e}}}",
+                backend.name(),
+                precision.name(),
+                method.name(),
+                if step > 0.0 {
+                    format!("steps={}", TIME / step)
+                } else {
+                    format!("rtol={rtol:e}")
+                },
+                count as f64 / seconds,
+                errors[count - 1],
+                errors[count / 2],
+            );
+        }
+    }
+}
+
+/// `(s, p, V)` on the quadratic ellipsoid at equal angles in coordinates where P is the identity.
+fn seeds(riccati: &Riccati, count: usize) -> Vec<f64> {
+    let c: f64 = 1e-4;
+    let eigen = riccati.p.clone().symmetric_eigen();
+    let mut seeds = Vec::new();
+    for k in 0..count {
+        let angle = std::f64::consts::TAU * k as f64 / count as f64;
+        let z = nalgebra::DVector::from_vec(vec![
+            angle.cos() / eigen.eigenvalues[0].sqrt(),
+            angle.sin() / eigen.eigenvalues[1].sqrt(),
+        ]);
+        let s = &eigen.eigenvectors * z * (2.0 * c).sqrt();
+        let p = &riccati.p * &s;
+        seeds.extend([s[0], s[1], p[0], p[1], c]);
+    }
+    seeds
+}
+
+/// One setting of the work.
+struct Work {
+    kernel: Box<dyn Kernel>,
+    run: Run,
+}
+
+impl Work {
+    fn new(backend: &dyn Backend, rate: &Program, method: Method, precision: Precision, rtol: f64, step: f64) -> Self {
+        let spec = Spec {
+            rate: rate.clone(),
+            guards: None,
+            method,
+            precision,
+            by: By::Time,
+            store: false,
+        };
+        let run = Run {
+            rtol,
+            atol: vec![rtol; 5],
+            step,
+            max_steps: 1_000_000,
+            levels: vec![TIME],
+            ceiling: None,
+            bounds: Vec::new(),
+        };
+        Self {
+            kernel: backend.compile(&spec).expect("the kernel compiles"),
+            run,
+        }
+    }
+
+    /// End states with the absolute angle, and the seconds from seeds on the host to results on the host.
+    fn run(&mut self, seeds: &[f64]) -> (Vec<f64>, f64) {
+        let start = Instant::now();
+        let result = self.kernel.integrate(&self.run, seeds).expect("the backend works");
+        let seconds = start.elapsed().as_secs_f64();
+        assert!(
+            result.status.iter().all(|s| *s == Status::Reached),
+            "all trajectories reach the end"
+        );
+        let mut end = result.end;
+        end.chunks_mut(5).for_each(|y| y[0] -= 1.5);
+        (end, seconds)
+    }
+}
