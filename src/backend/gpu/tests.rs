@@ -110,7 +110,7 @@ fn worst(device: &Device, precision: Precision, f: Primitive, points: &[f64], fl
         let want = f.apply(*x);
         let error = (got - want).abs() / (precision.epsilon() * want.abs().max(floor));
         // A NaN is the worst of all.
-        if !(error <= most.0) {
+        if error.is_nan() || error > most.0 {
             most = (if error.is_nan() { f64::INFINITY } else { error }, *x);
         }
     }
