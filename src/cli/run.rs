@@ -57,7 +57,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
         precision: plan.spec.precision.name().to_owned(),
         method: plan.method().name().to_owned(),
         rtol: plan.run.rtol,
-        atol: model.integrator.atol,
+        atol: plan.atol,
         wall_seconds: clock.elapsed().as_secs_f64(),
     };
     record.write(&file)?;

@@ -9,6 +9,8 @@ use nalgebra::{DMatrix, DVector};
 /// Highest degree of V that is tried, and the most coefficients it may have.
 const MAX_DEGREE: usize = 6;
 const MAX_TERMS: usize = 800;
+/// Parts of V after the last one used by which its error is told: the first is 0 where V is even.
+const LOOK_AHEAD: usize = 2;
 /// Directions in which the size of a homogeneous part is looked at, and what is added for those between.
 const PROBES: usize = 512;
 const PROBE_MARGIN: f64 = 1.5;
@@ -62,9 +64,8 @@ impl LocalSolution {
         let to_adjoint = l;
         let highest = (2..=MAX_DEGREE)
             .rev()
-            .find(|d| Basis::size(n, d + 1) <= MAX_TERMS)
-            .unwrap_or(2);
-        let basis = Basis::new(n, highest + 1);
+            .find(|d| Basis::size(n, d + LOOK_AHEAD) <= MAX_TERMS);
+        let basis = Basis::new(n, highest.map_or(2, |d| d + LOOK_AHEAD));
         let equation = Equation {
             graph: &system.graph,
             hamiltonian: system.observer.hamiltonian,
@@ -74,7 +75,7 @@ impl LocalSolution {
 
         let sizes = part_sizes(&basis, &value, n);
         let limit = range_limit(system, model, &riccati, &t, choice.ceiling);
-        // The first neglected part's size times radius^k is the error; sizes of 0 (symmetry) take the part after it.
+        // The first neglected part's size times radius^k is the error, or that of the part after it.
         let error_at = |degree: usize, radius: f64| -> f64 {
             (degree + 1..=known)
                 .map(|k| sizes[k] * radius.powi(k as i32))
@@ -87,11 +88,11 @@ impl LocalSolution {
             }
             radius
         };
-        // Where the equations have no series, the quadratic V is used, and H itself tells its error.
-        let (degree, radius) = if known < 3 {
+        // Where the equations have no series or it is too long, the quadratic V is used, and H itself tells its error.
+        let (degree, radius) = if known < 2 + LOOK_AHEAD {
             (2, radius_by_residual(system, &riccati, &t, choice.tolerance, limit))
         } else {
-            (2..known)
+            (2..=known - LOOK_AHEAD)
                 .map(|d| (d, radius_for(d)))
                 .fold((2, 0.0), |best, this| if this.1 > best.1 { this } else { best })
         };
@@ -108,7 +109,7 @@ impl LocalSolution {
             SeedValue::Value(c) => c,
         };
         let radius = (2.0 * seed_value).sqrt();
-        let error = if known < 3 {
+        let error = if known < 2 + LOOK_AHEAD {
             residual_error(system, &riccati, &t, radius)
         } else {
             error_at(degree, radius)

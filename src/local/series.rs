@@ -32,11 +32,10 @@ impl Basis {
         let index: HashMap<&Vec<u8>, usize> = exponents.iter().enumerate().map(|(i, e)| (e, i)).collect();
         let mut products = Vec::new();
         for (i, a) in exponents.iter().enumerate() {
-            for (j, b) in exponents.iter().enumerate() {
+            let left = degree - a.iter().map(|n| usize::from(*n)).sum::<usize>();
+            for (j, b) in exponents[..start[left + 1]].iter().enumerate() {
                 let sum: Vec<u8> = a.iter().zip(b).map(|(x, y)| x + y).collect();
-                if let Some(&k) = index.get(&sum) {
-                    products.push((i as u32, j as u32, k as u32));
-                }
+                products.push((i as u32, j as u32, index[&sum] as u32));
             }
         }
         let factors = (exponents.iter().skip(1))

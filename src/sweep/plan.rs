@@ -59,6 +59,8 @@ pub struct Plan {
     pub local: Option<LocalSolution>,
     /// Tolerance asked; the run's own may be larger where the precision is too low for it.
     pub rtol_asked: f64,
+    /// Absolute tolerance in units of each component's scale: the scene's, in proportion where another `rtol` is asked.
+    pub atol: f64,
     /// Periodic states are not limited to the region.
     pub periodic: Vec<bool>,
     pub widths: Vec<f64>,
@@ -92,6 +94,8 @@ impl Plan {
             Precision::F64
         });
         let rtol = rtol_asked.max(LEAST_RTOL * precision.epsilon());
+        // A tighter rtol alone would leave what is small against the region, or V on the first fronts, as it was.
+        let atol = model.integrator.atol * choices.rtol.map_or(1.0, |_| rtol / model.integrator.rtol);
 
         let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
         let region: Vec<[f64; 2]> = (model.region.iter().zip(&system.reference))
@@ -147,7 +151,6 @@ impl Plan {
                 (By::Component(value + 1), steps(ARC_LENGTH), Some((value, value_max)))
             }
         };
-        let atol = model.integrator.atol;
         let mut scales: Vec<f64> = widths.clone();
         scales.extend(widths.iter().map(|w| value_scale / w));
         scales.push(value_scale);
@@ -191,6 +194,7 @@ impl Plan {
             shoot_out,
             local,
             rtol_asked,
+            atol,
             periodic,
             widths,
             region,

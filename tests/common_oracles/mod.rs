@@ -1,0 +1,297 @@
+//! What the oracle tests share: scenes, sweeps on the CPU with everything they compute kept, deterministic points.
+#![allow(dead_code)] // each test file uses its part
+
+pub mod numbers;
+
+use costate::backend::{Backend, BackendError, Kernel, Run, Spec, Trajectories, cpu::Cpu};
+use costate::hamiltonian::Hamiltonian;
+use costate::model::{Method, Model, Precision};
+use costate::output::TrajectoryBlock;
+use costate::sweep::{Choices, Plan, SweepReport, sweep};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+/// A shipped scene, with parameters set as by `--set`.
+pub fn scene(name: &str, set: &[(&str, &str)]) -> Model {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("scenarios")
+        .join(name)
+        .with_extension("toml");
+    let set: Vec<_> = set.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
+    costate::scenario::load(&path, &set).unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// A scene given as text.
+pub fn parse(text: &str) -> Model {
+    costate::scenario::parse(text, "test.toml", &[]).unwrap_or_else(|e| panic!("{}", e.render(false)))
+}
+
+pub fn derive(model: &Model) -> Hamiltonian {
+    Hamiltonian::derive(model).unwrap_or_else(|problems| panic!("{problems:?}"))
+}
+
+pub fn parameter(model: &Model, name: &str) -> f64 {
+    model
+        .parameters
+        .iter()
+        .find(|p| p.name == name)
+        .unwrap_or_else(|| panic!("no parameter {name}"))
+        .value
+}
+
+/// What the accuracy of a run is asked as.
+#[derive(Clone, Copy, Debug)]
+pub struct Asked {
+    pub precision: Precision,
+    pub rtol: f64,
+}
+
+pub const F64: Asked = Asked {
+    precision: Precision::F64,
+    rtol: 1e-9,
+};
+pub const F32: Asked = Asked {
+    precision: Precision::F32,
+    rtol: 1e-6,
+};
+
+impl Asked {
+    pub fn choices(self) -> Choices {
+        Choices {
+            precision: Some(self.precision),
+            rtol: Some(self.rtol),
+        }
+    }
+
+    /// Largest error that the project promises for this setting, relative to max(1, V) or to V.
+    pub fn promised(self) -> f64 {
+        match self.precision {
+            Precision::F64 => 1e-8,
+            Precision::F32 => 1e-4,
+        }
+    }
+}
+
+/// Batches of one kernel with their seeds.
+type Calls = Arc<Mutex<Vec<(Vec<f64>, Trajectories)>>>;
+
+/// The CPU backend, with seeds and results of all batches kept.
+#[derive(Default)]
+struct Recorder {
+    cpu: Cpu,
+    calls: Calls,
+}
+
+struct RecordingKernel {
+    kernel: Box<dyn Kernel>,
+    calls: Calls,
+}
+
+impl Backend for Recorder {
+    fn name(&self) -> &'static str {
+        self.cpu.name()
+    }
+    fn adapter(&self) -> String {
+        self.cpu.adapter()
+    }
+    fn supports(&self, precision: Precision) -> bool {
+        self.cpu.supports(precision)
+    }
+    fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
+        Ok(Box::new(RecordingKernel {
+            kernel: self.cpu.compile(spec)?,
+            calls: self.calls.clone(),
+        }))
+    }
+}
+
+impl Kernel for RecordingKernel {
+    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
+        let result = self.kernel.integrate(run, seeds)?;
+        self.calls
+            .lock()
+            .expect("no test thread panics with the lock")
+            .push((seeds.to_vec(), result.clone()));
+        Ok(result)
+    }
+}
+
+/// A finished sweep.
+pub struct Sweep {
+    pub plan: Plan,
+    pub report: SweepReport,
+    /// `[trajectory][dim]`: `(s, p, V)` of all seeds.
+    pub seeds: Vec<f64>,
+    /// As integrated: deviations.
+    pub raw: Trajectories,
+    /// As stored.
+    pub stored: TrajectoryBlock,
+    pub n: usize,
+    pub controls: usize,
+}
+
+/// One stored sample.
+pub struct Sample<'a> {
+    pub trajectory: usize,
+    pub t: f64,
+    pub x: &'a [f64],
+    pub p: &'a [f64],
+    pub u: &'a [f64],
+    pub v: f64,
+    pub h: f64,
+}
+
+impl Sweep {
+    pub fn of(model: &Model, asked: Asked) -> Self {
+        let hamiltonian = derive(model);
+        let backend = Recorder::default();
+        let plan = Plan::new(model, &hamiltonian, &backend, asked.choices()).unwrap_or_else(|e| panic!("{e}"));
+        let mut stored = TrajectoryBlock::default();
+        let report = sweep(
+            &plan,
+            &backend,
+            &mut |_, _| {},
+            &mut |b: TrajectoryBlock| -> Result<(), BackendError> {
+                stored.count += b.count;
+                stored.t.extend(b.t);
+                stored.x.extend(b.x);
+                stored.p.extend(b.p);
+                stored.u.extend(b.u);
+                stored.w.extend(b.w);
+                stored.v.extend(b.v);
+                stored.h.extend(b.h);
+                stored.status.extend(b.status);
+                stored.sheet.extend(b.sheet);
+                stored.steps.extend(b.steps);
+                stored.rejected.extend(b.rejected);
+                stored.hamiltonian_drift.extend(b.hamiltonian_drift);
+                Ok(())
+            },
+        );
+        let report = report.unwrap_or_else(|e| panic!("{e}"));
+        let mut seeds = Vec::new();
+        let mut raw = Trajectories::default();
+        for (s, r) in backend.calls.lock().expect("no thread is left").drain(..) {
+            seeds.extend(s);
+            raw.dim = r.dim;
+            raw.levels = r.levels;
+            raw.end.extend(r.end);
+            raw.end_time.extend(r.end_time);
+            raw.status.extend(r.status);
+            raw.steps.extend(r.steps);
+            raw.rejected.extend(r.rejected);
+            raw.samples.extend(r.samples);
+        }
+        assert_eq!(raw.count(), stored.count, "everything integrated is stored");
+        Self {
+            n: model.states.len(),
+            controls: model.controls.len(),
+            plan,
+            report,
+            seeds,
+            raw,
+            stored,
+        }
+    }
+
+    pub fn count(&self) -> usize {
+        self.stored.count
+    }
+
+    pub fn levels(&self) -> usize {
+        self.raw.levels
+    }
+
+    /// The stored samples that exist, as stored: per trajectory in order of rising t.
+    pub fn samples(&self) -> impl Iterator<Item = Sample<'_>> {
+        let (n, m, levels) = (self.n, self.controls, self.levels());
+        (0..self.count() * levels)
+            .filter(|i| !self.stored.t[*i].is_nan())
+            .map(move |i| Sample {
+                trajectory: i / levels,
+                t: self.stored.t[i],
+                x: &self.stored.x[i * n..(i + 1) * n],
+                p: &self.stored.p[i * n..(i + 1) * n],
+                u: &self.stored.u[i * m..(i + 1) * m],
+                v: self.stored.v[i],
+                h: self.stored.h[i],
+            })
+    }
+
+    /// The same seeds again, in f64 with a given tolerance (and absolute tolerances in proportion).
+    pub fn again(&self, rtol: f64) -> Trajectories {
+        let mut spec = self.plan.spec.clone();
+        spec.precision = Precision::F64;
+        spec.method = Method::Tsit5;
+        let mut run = self.plan.run.clone();
+        // Scenes ask for atol = 1e-9 beside rtol = 1e-6 unless they say otherwise.
+        run.atol.iter_mut().for_each(|a| *a *= rtol / 1e-6);
+        run.rtol = rtol;
+        run.max_steps = 1_000_000;
+        let mut kernel = Cpu::new().compile(&spec).unwrap_or_else(|e| panic!("{e}"));
+        kernel.integrate(&run, &self.seeds).unwrap_or_else(|e| panic!("{e}"))
+    }
+}
+
+/// Pseudo-random numbers, the same in every run (SplitMix64).
+pub struct Random(u64);
+
+impl Random {
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in `[lo, hi)`.
+    pub fn within(&mut self, lo: f64, hi: f64) -> f64 {
+        lo + (hi - lo) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Uniform in a box.
+    pub fn point(&mut self, bounds: &[[f64; 2]]) -> Vec<f64> {
+        bounds.iter().map(|[lo, hi]| self.within(*lo, *hi)).collect()
+    }
+
+    /// About normal (a sum of uniforms), for directions.
+    pub fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.within(0.0, 1.0)).sum::<f64>() - 6.0
+    }
+}
+
+pub fn norm(x: &[f64]) -> f64 {
+    x.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+pub fn dot(x: &[f64], y: &[f64]) -> f64 {
+    x.iter().zip(y).map(|(x, y)| x * y).sum()
+}
+
+pub fn minus(x: &[f64], y: &[f64]) -> Vec<f64> {
+    x.iter().zip(y).map(|(x, y)| x - y).collect()
+}
+
+/// Keeps the largest value seen, and whether a NaN was.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Worst(pub f64);
+
+impl Worst {
+    pub fn see(&mut self, value: f64) {
+        // NaN stays once it is there.
+        if value > self.0 || value.is_nan() {
+            self.0 = value;
+        }
+    }
+
+    /// Fails unless at least one value above 0 was seen and none above the bound.
+    pub fn at_most(self, bound: f64, what: &str) {
+        println!("{what}: worst {:.2e}, bound {bound:.0e}", self.0);
+        assert!(self.0 <= bound, "{what}: worst {:.3e} is above {bound:.1e}", self.0);
+    }
+}
