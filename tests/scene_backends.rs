@@ -92,7 +92,8 @@ fn tolerance(plan: &Plan, seeds: &[f64], result: &Trajectories) -> Tolerance {
     Tolerance {
         relative,
         absolute: relative * scale.min(10.0),
-        steps: |steps| 2 + steps / 8,
+        // Where a control meets its bound, rounding decides how many steps are rejected on the way in.
+        steps: |steps| 2 + steps / 4,
         loose: &[Status::LeftRegion],
     }
 }
