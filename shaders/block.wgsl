@@ -240,10 +240,9 @@ fn locate(lane: ptr<function, Lane>, step: Step, level: real, begin: real, finis
         hi = select(hi, q, above);
         lo = select(q, lo, above);
         let newton = q - residual / (slope * h);
-        var next = 0.5 * (lo + hi);
-        if (newton > lo) {
-            next = select(next, newton, newton < hi);
-        }
+        // A root at a bracket's end may be missed by rounding; halving the bracket then would lead away from it.
+        let inside = (newton >= lo - 4.0 * EPSILON) & (newton <= hi + 4.0 * EPSILON);
+        let next = select(0.5 * (lo + hi), newton, inside);
         if (abs(next - q) <= 2.0 * EPSILON) {
             left = 0u;
         }

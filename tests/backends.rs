@@ -16,6 +16,8 @@ struct Problem {
     guards: Option<Guards>,
     by: By,
     run: Run,
+    /// Ways to end that are seen at the end of a step.
+    loose: &'static [Status],
     /// Seed at an angle.
     seed: fn(f64) -> Vec<f64>,
 }
@@ -84,6 +86,7 @@ fn oscillator() -> Problem {
         guards: None,
         by: By::Component(2),
         run: run((1..=20).map(|k| 0.1 * f64::from(k)).collect()),
+        loose: &[],
         seed: |a| vec![(1.0 + 0.3 * a.sin()) * a.cos(), (1.0 + 0.3 * a.sin()) * a.sin(), 0.0],
     }
 }
@@ -106,7 +109,8 @@ fn pendulum() -> Problem {
     let size = g.unary(Fun::Abs, q);
     let guard = g.sub(limit, size);
     let mut run = run((0..=24).map(|k| 0.25 * f64::from(k)).collect());
-    run.bounds = vec![[-1.6, 3.0], [-4.0, 4.0]];
+    // Leaving the region is seen at a step's end, so a bound must not be met there to rounding.
+    run.bounds = vec![[-1.613, 3.0], [-4.0, 4.0]];
     Problem {
         name: "pendulum",
         rate: Program::lower(&g, &[q, w], &[dq, dw, de]),
@@ -116,7 +120,8 @@ fn pendulum() -> Problem {
         }),
         by: By::Time,
         run,
-        seed: |a| vec![0.3 * a.cos() + 0.1, 0.3 * a.sin(), 0.0],
+        loose: &[Status::LeftRegion],
+        seed: |a| vec![0.6 * a.cos() + 0.1, 0.6 * a.sin(), 0.0],
     }
 }
 
@@ -156,11 +161,15 @@ fn functions() -> Problem {
     let third = constant(&mut g, 0.3);
     let terms = [g.mul(third, at), g.neg(tanh), g.mul(e, sine)];
     let dx = g.sum(&terms);
-    let terms = [g.neg(y), clamped, g.mul(third, log), g.mul(third, grown)];
+    // The clamp's and the absolute value's kinks are kept weak: an error estimate takes a step across a kink for better
+    // than it is, and the two sides cross it at different places.
+    let weak = constant(&mut g, 0.02);
+    let terms = [g.neg(y), g.mul(weak, clamped), g.mul(third, log), g.mul(third, grown)];
     let dy = g.sum(&terms);
     let speed = {
         let a = g.add(root, small);
         let v = call(&mut g, Fun::Abs, y);
+        let v = g.mul(weak, v);
         g.add(a, v)
     };
     let mut run = run((1..=30).map(|k| 0.2 * f64::from(k)).collect());
@@ -171,6 +180,7 @@ fn functions() -> Problem {
         guards: None,
         by: By::Component(2),
         run,
+        loose: &[Status::Reached],
         seed: |a| vec![1.5 * a.cos(), 1.2 * a.sin() + 0.4, 0.0, 0.0],
     }
 }
@@ -187,7 +197,7 @@ fn integrate(backend: &dyn Backend, spec: &Spec, run: &Run, seeds: &[f64]) -> Tr
 }
 
 /// What the two sides may differ by.
-fn tolerance(method: Method, precision: Precision) -> Tolerance {
+fn tolerance(problem: &Problem, method: Method, precision: Precision) -> Tolerance {
     match method {
         // A fixed step: rounding, one unit a stage of up to 400 steps, grown by at most e^(0.4 * 6) = 11 in the pendulum
         // and located with a root search of a few units; random signs leave about the root of the count.
@@ -197,6 +207,7 @@ fn tolerance(method: Method, precision: Precision) -> Tolerance {
                 relative: unit,
                 absolute: unit,
                 steps: |_| 0,
+                loose: &[],
             }
         }
         // Steps that differ by rounding in the step control: each side is within its tolerance, times the growth.
@@ -205,6 +216,7 @@ fn tolerance(method: Method, precision: Precision) -> Tolerance {
             relative: 10.0 * rtol(precision),
             absolute: 10.0 * rtol(precision),
             steps: |steps| 2 + steps / 8,
+            loose: problem.loose,
         },
     }
 }
@@ -237,8 +249,10 @@ fn gpu_agrees_with_cpu() {
                             },
                         );
                         let case = format!("{} {method:?} {precision:?} store {store} count {count}", problem.name);
-                        match compare(a, b, tolerance(method, precision)) {
+                        match compare(a, b, tolerance(&problem, method, precision)) {
                             Ok(agreement) => {
+                                // Those that only just leave the region.
+                                assert!(agreement.split <= count / 30, "{case}: {} split", agreement.split);
                                 assert_eq!(store, agreement.samples > 0, "{case}: nothing was sampled");
                                 println!(
                                     "{case}: {:.3} of the tolerance, {} values",
@@ -278,7 +292,7 @@ fn comparator_catches_what_it_must() {
     let problem = oscillator();
     let spec = problem.spec(Method::Tsit5, Precision::F64, true);
     let result = integrate(&Cpu::new(), &spec, &problem.run(Precision::F64), &problem.seeds(65));
-    let allowed = tolerance(Method::Tsit5, Precision::F64);
+    let allowed = tolerance(&problem, Method::Tsit5, Precision::F64);
     let against = |other: &Trajectories| {
         compare(
             Side {

@@ -590,11 +590,10 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
                 lo = q;
             }
             let newton = q - residual / (slope * h);
-            let next = if newton > lo && newton < hi {
-                newton
-            } else {
-                T::of(0.5) * (lo + hi)
-            };
+            // A root at a bracket's end may be missed by rounding; halving the bracket then would lead away from it.
+            let slack = T::of(4.0 * T::EPSILON);
+            let inside = newton >= lo - slack && newton <= hi + slack;
+            let next = if inside { newton } else { T::of(0.5) * (lo + hi) };
             let moved = (next - q).absolute();
             q = next;
             if moved <= T::of(2.0 * T::EPSILON) {

@@ -8,6 +8,8 @@ mod emit;
 mod kernel;
 mod memory;
 mod shader;
+#[cfg(test)]
+mod tests;
 
 pub use adapter::{AdapterInfo, Selection, adapters};
 
