@@ -1,4 +1,5 @@
 //! Kinds of number that a hand-written right-hand side can be evaluated with.
+#![allow(clippy::suspicious_arithmetic_impl)] // the product and quotient rules
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
