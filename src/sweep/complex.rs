@@ -266,18 +266,22 @@ impl Complex {
     }
 }
 
-/// Edges waiting for a seed, in the order in which they get one: root simplex by root simplex, widest gap first.
+/// Edges waiting for a seed, in the order in which they get one: the widest gaps first, to a factor of two, so that a cap
+/// on seeds leaves no part of a front far behind; among alike ones root simplex by root simplex, so that parts settle and
+/// can be forgotten.
 #[derive(Clone, Debug, Default)]
-pub struct Waiting(BTreeMap<(u32, u64, Edge), f32>);
+pub struct Waiting(BTreeMap<(u32, u32, u32, Edge), f32>);
 
 impl Waiting {
     pub fn push(&mut self, root: u32, gap: f32, edge: Edge) {
-        // Descending by gap, which is positive: its bits order like its value.
-        self.0.insert((root, u64::from(u32::MAX - gap.to_bits()), edge), gap);
+        // Gaps are positive: their bits order like their values, and the exponent is the octave.
+        let falling = u32::MAX - gap.to_bits();
+        let octave = falling >> (f32::MANTISSA_DIGITS - 1);
+        self.0.insert((octave, root, falling, edge), gap);
     }
 
     pub fn pop(&mut self) -> Option<(Edge, f32)> {
-        self.0.pop_first().map(|((_, _, edge), gap)| (edge, gap))
+        self.0.pop_first().map(|((_, _, _, edge), gap)| (edge, gap))
     }
 
     pub fn len(&self) -> usize {
