@@ -105,8 +105,8 @@ fn scenes_agree_on_both_backends() {
         for method in [Method::Rk4, Method::Tsit5] {
             let (model, hamiltonian) = scene(name, method);
             for precision in [Precision::F32, Precision::F64] {
-                // At the scenes' own rtol, f32's error estimates are rounding noise, and so would be its steps.
-                let rtol = (precision == Precision::F32).then_some(1e-5);
+                // At the scenes' own rtol, f32's error estimates are partly rounding noise, and so would be its steps.
+                let rtol = (precision == Precision::F32).then_some(1e-4);
                 let choices = Choices {
                     precision: Some(precision),
                     rtol,

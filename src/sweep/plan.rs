@@ -96,8 +96,6 @@ impl Plan {
         let rtol = rtol_asked.max(LEAST_RTOL * precision.epsilon());
         // A tighter rtol alone would leave what is small against the region, or V on the first fronts, as it was.
         let atol = model.integrator.atol * choices.rtol.map_or(1.0, |_| rtol / model.integrator.rtol);
-        // What cancels leaves rounding of the scene's size: less cannot be told from an error.
-        let atol = atol.max(precision.epsilon());
 
         let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
         let region: Vec<[f64; 2]> = (model.region.iter().zip(&system.reference))
