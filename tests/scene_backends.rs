@@ -37,7 +37,7 @@ fn scene(name: &str, method: Method) -> (Model, Hamiltonian) {
 
 /// `count` seeds of the scene, spread over its surface, none outside the guards.
 fn seeds(plan: &Plan, count: usize) -> Vec<f64> {
-    let (_, mut parameters) = plan.surface.triangulation();
+    let (_, mut parameters) = plan.surface.triangulation(usize::MAX);
     let mut k = 0;
     while parameters.len() < 3 * count {
         let other = (7 * k + 3) % parameters.len();

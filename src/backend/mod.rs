@@ -193,5 +193,5 @@ pub trait Kernel: Send {
 /// Trajectories a batch so that its results stay within about 64 MiB.
 pub fn batch_limit(dim: usize, stored_levels: usize) -> usize {
     const BYTES: usize = 64 << 20;
-    (BYTES / (8 * (dim + 1) * (stored_levels + 2))).clamp(64, 65536)
+    (BYTES / (8 * (dim + 1) * (stored_levels + 2))).clamp(1, 65536)
 }

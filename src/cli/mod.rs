@@ -76,7 +76,7 @@ struct RunArgs {
     #[arg(long, value_enum)]
     precision: Option<PrecisionChoice>,
     /// Relative tolerance [default: the scenario's]
-    #[arg(long, value_parser = tolerance)]
+    #[arg(long, value_parser = tolerance, allow_negative_numbers = true)]
     rtol: Option<f64>,
     /// Seed of random choices. A sweep makes none; its result does not depend on it.
     #[arg(long, default_value_t = 0)]
@@ -139,6 +139,10 @@ enum CliError {
     Backend(#[from] BackendError),
     #[error(transparent)]
     Output(#[from] OutputError),
+    #[error(
+        "nothing was swept: all {outside} seeds lie outside the guards (is the equilibrium too near their boundary for this seed_value?)"
+    )]
+    NothingSwept { outside: usize },
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]

@@ -1,7 +1,7 @@
 //! What a run prints: heading, progress, summary.
 
 use super::{CliError, RunArgs, SceneArgs};
-use crate::backend::Backend;
+use crate::backend::{Backend, Status};
 use crate::model::Model;
 use crate::output::RunRecord;
 use crate::sweep::{Plan, Sampling, SweepReport};
@@ -122,6 +122,9 @@ impl Bar {
     }
 }
 
+/// Ends that say nothing about the problem but that the integration could not go on.
+const FAILURES: [Status; 3] = [Status::StepFloor, Status::StepLimit, Status::NotFinite];
+
 /// Quantiles of |H|: median, 99 %, largest.
 fn quantiles(drift: &[f64]) -> [f64; 3] {
     let mut sorted: Vec<f64> = drift.iter().copied().filter(|d| !d.is_nan()).collect();
@@ -145,10 +148,19 @@ fn as_text(plan: &Plan, swept: &SweepReport, path: &Path, seconds: f64) -> Strin
         lines.push(format!("{} seeds outside the guards, not swept", c.outside_guards));
     }
     lines.push(if c.uncovered + c.indistinguishable == 0 {
-        format!(
-            "fronts covered: no neighbours within the region are further apart than {}",
+        let failed: usize = (swept.by_status.iter())
+            .filter(|(code, _)| FAILURES.iter().any(|f| *f as i32 == **code))
+            .map(|(_, n)| n)
+            .sum();
+        let covered = format!(
+            "no neighbours within the region are further apart than {}",
             plan.shoot_out.spacing
-        )
+        );
+        if failed == 0 {
+            format!("fronts covered: {covered}")
+        } else {
+            format!("fronts covered only as far as trajectories go: {covered}, but {failed} trajectories failed")
+        }
     } else {
         let mut reasons = Vec::new();
         if c.uncovered > 0 {

@@ -45,12 +45,20 @@ pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
         Ok(writer.append(&block)?)
     })?;
     drop(writer);
+    if swept.trajectories == 0 {
+        return Err(CliError::NothingSwept {
+            outside: swept.coverage.outside_guards,
+        });
+    }
     let record = RunRecord {
         title: model.title.clone(),
         scenario: model.text.clone(),
         costate_version: env!("CARGO_PKG_VERSION").to_owned(),
         git_revision: env!("COSTATE_GIT_REVISION").to_owned(),
-        command: std::env::args().collect::<Vec<_>>().join(" "),
+        command: std::env::args_os()
+            .map(|a| a.to_string_lossy().into_owned())
+            .collect::<Vec<_>>()
+            .join(" "),
         created: utc_timestamp(started),
         backend: backend.name().to_owned(),
         adapter: backend.adapter(),

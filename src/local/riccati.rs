@@ -124,7 +124,13 @@ fn input_matrix(hamiltonian: &Hamiltonian, model: &Model, widths: &DVector<f64>)
 /// Popov-Belevitch-Hautus test: `[A - lambda I, B]` keeps full rank at every eigenvalue that does not decay.
 fn check_stabilizable(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Result<(), LocalError> {
     let n = a.nrows();
-    let scale = a.norm().max(b.norm()).max(f64::MIN_POSITIVE);
+    let scale = if a.norm() > 0.0 { a.norm() } else { 1.0 };
+    // The rank does not depend on the size of the inputs' columns.
+    let mut b = b.clone();
+    for mut column in b.column_iter_mut().filter(|c| c.norm() > 0.0) {
+        let factor = scale / column.norm();
+        column *= factor;
+    }
     for lambda in a.complex_eigenvalues().iter() {
         if lambda.re < -ON_AXIS * scale {
             continue;

@@ -16,6 +16,12 @@ pub enum OutputError {
         /// The final name.
         path: PathBuf,
     },
+    /// The final name is a device, a pipe or a socket, which a rename would destroy.
+    #[error("cannot write the result file {}: it is not a regular file", path.display())]
+    TargetIsSpecial {
+        /// The final name.
+        path: PathBuf,
+    },
     /// The path ends in `..` or is empty or a root, so it names no file.
     #[error("cannot write the result file {:?}: the path has no file name", path)]
     NoFileName {

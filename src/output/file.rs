@@ -41,16 +41,22 @@ impl ResultFile {
     /// Begins the file that will be `final_path`; missing parent directories are made.
     ///
     /// # Errors
-    /// [`OutputError::NoFileName`], [`OutputError::TargetIsDirectory`],
+    /// [`OutputError::NoFileName`], [`OutputError::TargetIsDirectory`], [`OutputError::TargetIsSpecial`],
     /// [`OutputError::CreateDirectory`] and [`OutputError::Create`] (the directory is not writable,
     /// for example).
     pub fn create(final_path: impl AsRef<Path>) -> Result<Self, OutputError> {
-        let final_path = final_path.as_ref().to_owned();
+        let given = final_path.as_ref();
+        // A link's target is replaced, not the link.
+        let linked = given.is_symlink().then(|| fs::canonicalize(given).ok()).flatten();
+        let final_path = linked.unwrap_or_else(|| given.to_owned());
         let Some(name) = final_path.file_name() else {
             return Err(OutputError::NoFileName { path: final_path });
         };
         if final_path.is_dir() {
             return Err(OutputError::TargetIsDirectory { path: final_path });
+        }
+        if final_path.exists() && !final_path.is_file() {
+            return Err(OutputError::TargetIsSpecial { path: final_path });
         }
         let mut hidden = std::ffi::OsString::from(".");
         hidden.push(name);

@@ -114,7 +114,7 @@ pub fn sweep<E: From<BackendError>>(
 
 impl<'a> Fronts<'a> {
     fn new(plan: &'a Plan) -> Self {
-        let (complex, parameters) = plan.surface.triangulation();
+        let (complex, parameters) = plan.surface.triangulation(plan.shoot_out.max_seeds);
         let bounds = (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
             .map(|(([lo, hi], w), periodic)| {
                 if *periodic {

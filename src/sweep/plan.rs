@@ -26,9 +26,22 @@ pub enum PlanError {
     NoShootOut,
     #[error("scenes with [disturbances] are derived and checked, but not yet swept")]
     Game,
+    #[error("{states} states: the surface of seeds is triangulated for at most {MOST_STATES}")]
+    TooManyStates { states: usize },
+    #[error("samples = {samples}: one trajectory's points would take {mebibytes} MiB")]
+    TooManySamples { samples: usize, mebibytes: usize },
+    #[error("the equations take {operations} operations; at most {MOST_OPERATIONS} are handled")]
+    TooLong { operations: usize },
     #[error(transparent)]
     Local(#[from] LocalError),
 }
+
+/// The first triangulation has `2^n` simplices (a finite horizon's `n!`).
+const MOST_STATES: usize = 10;
+/// Instructions of one right-hand side: registers are numbered in 16 bits.
+const MOST_OPERATIONS: usize = 30_000;
+/// Bytes that the points of one trajectory may take.
+const MOST_BYTES: usize = 64 << 20;
 
 /// What the command line adds to a scene.
 #[derive(Clone, Copy, Debug, Default)]
@@ -84,8 +97,27 @@ impl Plan {
         if !model.disturbances.is_empty() {
             return Err(PlanError::Game);
         }
+        let n = model.states.len();
+        let limit = if matches!(model.horizon, Horizon::Finite { .. }) {
+            MOST_STATES - 3
+        } else {
+            MOST_STATES
+        };
+        if n > limit {
+            return Err(PlanError::TooManyStates { states: n });
+        }
+        let bytes = shoot_out.samples.saturating_mul(8 * (2 * n + 3));
+        if bytes > MOST_BYTES {
+            return Err(PlanError::TooManySamples {
+                samples: shoot_out.samples,
+                mebibytes: bytes >> 20,
+            });
+        }
         let system = System::new(hamiltonian, model);
-        let n = system.states;
+        let operations = Program::lower(&system.graph, &system.inputs, &system.rate).code.len();
+        if operations > MOST_OPERATIONS {
+            return Err(PlanError::TooLong { operations });
+        }
         let rtol_asked = choices.rtol.unwrap_or(model.integrator.rtol);
         let asked = choices.precision.or(model.integrator.precision);
         let precision = asked.unwrap_or(if rtol_asked >= F32_RTOL || !backend.supports(Precision::F64) {

@@ -7,6 +7,8 @@ use crate::program::Program;
 
 /// Initial seeds for each dimension of the surface; fronts that need more get more.
 const INITIAL: usize = 64;
+/// States up to which the initial surface is refined before the sweep.
+const FEW_STATES: usize = 6;
 /// Guard values within this, relative to the seed's size, are zero but for rounding.
 const ROUNDING: f64 = 1e-10;
 
@@ -53,7 +55,8 @@ impl Surface {
     }
 
     /// A first triangulation, with the parameters of its vertices.
-    pub fn triangulation(&self) -> (Complex, Vec<Vec<f64>>) {
+    /// With more than a few states every split multiplies simplices: there the corners alone are the start.
+    pub fn triangulation(&self, most: usize) -> (Complex, Vec<Vec<f64>>) {
         let n = self.states;
         let (mut complex, mut parameters) = match self.kind {
             Kind::Sphere(_) => Complex::sphere(n),
@@ -64,12 +67,20 @@ impl Surface {
             Kind::Box { .. } => n,
         };
         let mut open = complex.take_fresh();
-        while parameters.len() < INITIAL * dimension && !open.is_empty() {
+        let wanted = if n > FEW_STATES {
+            0
+        } else {
+            most.min(INITIAL * dimension)
+        };
+        while parameters.len() < wanted && !open.is_empty() {
             // The longest first; ties in order of creation.
             let length = |e: &Edge| distance(&parameters[e.0 as usize], &parameters[e.1 as usize]);
             let longest = open.iter().map(length).fold(0.0, f64::max);
             let (split, keep): (Vec<Edge>, Vec<Edge>) = open.iter().copied().partition(|e| length(e) > 0.999 * longest);
             for edge in split {
+                if parameters.len() >= wanted {
+                    break;
+                }
                 let middle = self.between(&parameters[edge.0 as usize], &parameters[edge.1 as usize]);
                 if complex.split(edge).is_some() {
                     parameters.push(middle);
