@@ -21,7 +21,7 @@ struct Control {
 @group(0) @binding(1) var<storage, read> settings: array<real>;
 // [field][trajectory]: y, k, t, h, before, first_step.
 @group(0) @binding(2) var<storage, read_write> state: array<real>;
-// [field][trajectory]: status, next_level, steps, rejected.
+// [field][trajectory]: status, next_level, steps, rejected, first_level.
 @group(0) @binding(3) var<storage, read_write> counters: array<u32>;
 // [list][entry]: trajectories still on their way.
 @group(0) @binding(4) var<storage, read_write> lists: array<u32>;
@@ -30,7 +30,7 @@ struct Control {
 // [component, then time][trajectory].
 @group(0) @binding(6) var<storage, read_write> ends: array<real>;
 //if STORE
-// [trajectory][level][time, then component].
+// [trajectory][level][time, then components but the coordinate].
 @group(0) @binding(7) var<storage, read_write> samples: array<real>;
 //end
 
@@ -45,7 +45,7 @@ struct Lane {
     k: Vector,
     t: real,
     h: real,
-    // Squared error of the step before.
+    // Base-2 logarithm of the squared error of the step before.
     before: f32,
     first_step: real,
     status: u32,
@@ -89,28 +89,36 @@ fn decide(error: real, h: real, before: f32) -> Decision {
 //end
 //if ADAPTIVE
     let accepted = select(false, error <= 1.0, finite);
-    let e = max(select(1.0, f32(error), finite), LEAST_SQUARED_ERROR);
     // Squared errors: the exponents are halved.
-    let log_e = log2_(e);
-    let pi = -HALF_ALPHA * log_e + HALF_BETA * log2_(before);
-    let factor = SAFETY * exp2_(select(-0.1 * log_e, pi, accepted));
+    let log_e = log2(max(select(1.0, f32(error), finite), LEAST_SQUARED_ERROR));
+    let pi = HALF_BETA * before - HALF_ALPHA * log_e;
+    let factor = SAFETY * exp2(select(-0.1 * log_e, pi, accepted));
     let bounded = max(min(factor, select(1.0, GROW, accepted)), SHRINK);
     return Decision(
         accepted,
         finite,
         h * real(select(SHRINK, bounded, finite)),
-        select(before, e, accepted),
+        select(before, log_e, accepted),
     );
 //end
 }
 
-// One attempted step with its events.
+// One attempted step.
 fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
     let decided = decide(step.error, (*lane).h, (*lane).before);
     (*lane).work += 1u;
     if (decided.accepted) {
+//if STORE
         settle(i, lane, step, decided, run);
+//end
+//if ENDS
+        if (eventful(lane, step)) {
+            (*lane).status = EVENT;
+            return;
+        }
+        commit(lane, step, decided, run);
+//end
     } else {
         (*lane).rejected += 1u;
         (*lane).h = decided.next_h;
@@ -130,16 +138,39 @@ fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     }
 }
 
+//if ENDS
+// Whether an accepted step ends the trajectory at a level or a guard. Where only ends are wanted this is once in a
+// trajectory: the step is then left to be taken again by `settle`, outside the loop. Some devices run both sides of a
+// condition, so that the code for events would cost as much as the step.
+fn eventful(lane: ptr<function, Lane>, step: Step) -> bool {
+    let passed = coordinate(step.y, (*lane).t + (*lane).h) >= (*lane).level;
+//end
+//if ENDS GUARDS
+    return select(true, passed, guards_hold(inputs_of(step.y)));
+//end
+//if ENDS UNGUARDED
+    return passed;
+//end
+//if ENDS
+}
+//end
+
 // Moves on to the end of an accepted step, or to the event in it that ends the trajectory.
 fn settle(i: u32, lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
     if (events(i, lane, step, run)) {
         return;
     }
+    if ((*lane).status == RUNNING) {
+        commit(lane, step, decided, run);
+    } else {
+        (*lane).steps += 1u;
+    }
+}
+
+// Moves on to the end of an accepted step.
+fn commit(lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
     (*lane).steps += 1u;
     (*lane).before = decided.before;
-    if ((*lane).status != RUNNING) {
-        return;
-    }
     (*lane).t += (*lane).h;
     (*lane).y = step.y;
     (*lane).k = step.LAST_STAGE;
@@ -176,6 +207,9 @@ fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
 //end
     let begin = coordinate(start, t);
     let finish = coordinate(step.y, t + h);
+//if BY_COMPONENT
+    let along = path((*lane).k, step);
+//end
     loop {
         if ((*lane).next_level >= control.levels) {
             break;
@@ -183,10 +217,17 @@ fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
         if ((*lane).level > finish) {
             break;
         }
+//if STORE
         if ((*lane).work > control.work) {
             return true;
         }
-        let q = locate(lane, step, (*lane).level, begin, finish);
+//end
+//if BY_TIME
+        let q = select(((*lane).level - begin) / (finish - begin), 1.0, (*lane).level == finish);
+//end
+//if BY_COMPONENT
+        let q = locate(lane, along, h, begin, finish);
+//end
         if (q > most) {
             break;
         }
@@ -214,15 +255,11 @@ fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
     return false;
 }
 
-// Fraction of the step at which the coordinate takes the value `level`, by Newton's method kept within a bracket.
-fn locate(lane: ptr<function, Lane>, step: Step, level: real, begin: real, finish: real) -> real {
-    let guess = (level - begin) / (finish - begin);
-//if BY_TIME
-    return select(guess, 1.0, level == finish);
-//end
 //if BY_COMPONENT
-    let p = path((*lane).k, step);
-    let h = (*lane).h;
+// Fraction of the step at which the coordinate takes the lane's level, by Newton's method kept within a bracket.
+fn locate(lane: ptr<function, Lane>, p: Path, h: real, begin: real, finish: real) -> real {
+    let level = (*lane).level;
+    let guess = (level - begin) / (finish - begin);
     var lo: real = 0.0;
     var hi: real = 1.0;
     var q = select(guess, 1.0, level >= finish);
@@ -249,8 +286,8 @@ fn locate(lane: ptr<function, Lane>, step: Step, level: real, begin: real, finis
         q = next;
     }
     return q;
-//end
 }
+//end
 
 //if GUARDS
 // Largest fraction of the step, to rounding, up to which the guards hold.
@@ -275,7 +312,7 @@ fn last_inside(lane: ptr<function, Lane>, step: Step) -> real {
 
 //if STORE
 fn store_sample(i: u32, lane: ptr<function, Lane>, step: Step, q: real) {
-    let at = (i * control.levels + (*lane).next_level) * (1u + DIM);
+    let at = (i * control.levels + (*lane).next_level) * SAMPLE;
     samples[at] = (*lane).t + q * (*lane).h;
     store_vector(at + 1u, interpolate((*lane).y, (*lane).k, step, (*lane).h, q));
 }
@@ -292,7 +329,6 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
     var lane: Lane;
     lane.y = load_seed(i);
     lane.k = rate(inputs_of(lane.y));
-    lane.before = 1.0;
     let begin = coordinate(lane.y, 0.0);
     loop {
         if (lane.next_level >= control.levels) {
@@ -324,6 +360,7 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
 //end
     lane.h = limited(run, 0.0, lane.first_step);
     save(i, lane);
+    counters[i + 4u * control.stride] = lane.next_level;
     lists[i] = i;
 }
 
@@ -348,6 +385,13 @@ fn sweep(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         advance(i, &lane, run);
     }
+//if ENDS
+    if (lane.status == EVENT) {
+        lane.status = RUNNING;
+        let step = attempt(lane.y, lane.k, lane.h, run);
+        settle(i, &lane, step, decide(step.error, lane.h, lane.before), run);
+    }
+//end
     save(i, lane);
     if (lane.status == RUNNING) {
         let at = atomicAdd(&remaining, 1u);
