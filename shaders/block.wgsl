@@ -103,22 +103,25 @@ fn decide(error: real, h: real, before: f32) -> Decision {
 //end
 }
 
-// One attempted step.
+// One attempted step. A step that ends the trajectory in its middle, once in a trajectory, is left to `conclude`.
+//
+// Some devices run both sides of a condition and every loop at least once. So what is rare stands outside the loop over
+// steps, and loops ask at their end whether to go on.
 fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
     let decided = decide(step.error, (*lane).h, (*lane).before);
     (*lane).work += 1u;
     if (decided.accepted) {
-//if STORE
-        settle(i, lane, step, decided, run);
-//end
-//if ENDS
-        if (eventful(lane, step)) {
+        if (eventful(*lane, step, run)) {
             (*lane).status = EVENT;
             return;
         }
-        commit(lane, step, decided, run);
+//if STORE
+        if (pass_levels(i, lane, step, 1.0).out_of_work) {
+            return;
+        }
 //end
+        commit(lane, step, decided, run);
     } else {
         (*lane).rejected += 1u;
         (*lane).h = decided.next_h;
@@ -138,33 +141,15 @@ fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     }
 }
 
-//if ENDS
-// Whether an accepted step ends the trajectory at a level or a guard. Where only ends are wanted this is once in a
-// trajectory: the step is then left to be taken again by `settle`, outside the loop. Some devices run both sides of a
-// condition, so that the code for events would cost as much as the step.
-fn eventful(lane: ptr<function, Lane>, step: Step) -> bool {
-    let passed = coordinate(step.y, (*lane).t + (*lane).h) >= (*lane).level;
+// Whether a guard or the last level ends the trajectory in an accepted step.
+fn eventful(lane: Lane, step: Step, run: Run) -> bool {
+    let over = coordinate(step.y, lane.t + lane.h) >= run.last;
+//if GUARDS
+    return select(true, over, guards_hold(inputs_of(step.y)));
 //end
-//if ENDS GUARDS
-    return select(true, passed, guards_hold(inputs_of(step.y)));
+//if UNGUARDED
+    return over;
 //end
-//if ENDS UNGUARDED
-    return passed;
-//end
-//if ENDS
-}
-//end
-
-// Moves on to the end of an accepted step, or to the event in it that ends the trajectory.
-fn settle(i: u32, lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
-    if (events(i, lane, step, run)) {
-        return;
-    }
-    if ((*lane).status == RUNNING) {
-        commit(lane, step, decided, run);
-    } else {
-        (*lane).steps += 1u;
-    }
 }
 
 // Moves on to the end of an accepted step.
@@ -190,12 +175,9 @@ fn commit(lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
     (*lane).h = limited(run, (*lane).t, decided.next_h);
 }
 
-// Guards and levels within an accepted step. Where the trajectory ends in it, its last point is put into the lane. True
-// where the dispatch's work ran out: the step is then taken again, levels already stored excepted.
-fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
-    let start = (*lane).y;
-    let t = (*lane).t;
-    let h = (*lane).h;
+// Takes the lane's step again and ends the trajectory at the first guard or the last level in it.
+fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
+    let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
     var most: real = 1.0;
     var ended = RUNNING;
 //if GUARDS
@@ -205,54 +187,84 @@ fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
         ended = GUARD;
     }
 //end
-    let begin = coordinate(start, t);
+    let passed = pass_levels(i, lane, step, most);
+    (*lane).status = RUNNING;
+    if (passed.out_of_work) {
+        return;
+    }
+    if ((*lane).next_level == control.levels) {
+        most = passed.last;
+        ended = REACHED;
+    }
+    if (ended == RUNNING) {
+        // This copy of the step may be rounded differently: then it ends short of the event, and the next one meets it.
+        commit(lane, step, decide(step.error, (*lane).h, (*lane).before), run);
+        return;
+    }
+    (*lane).y = interpolate((*lane).y, (*lane).k, step, (*lane).h, most);
+//if BY_COMPONENT
+    // A level that ends the trajectory is met by definition.
+    if (ended == REACHED) {
+        (*lane).y.COORDINATE = run.last;
+    }
+//end
+    (*lane).t += most * (*lane).h;
+    (*lane).steps += 1u;
+    (*lane).status = ended;
+}
+
+struct Passed {
+    // Fraction of the step at the last level passed.
+    last: real,
+    // The dispatch's work is used up: the step must be taken again for the levels left.
+    out_of_work: bool,
+}
+
+// Whether the lane's next level is passed where the coordinate has come to `finish`.
+fn is_passed(lane: Lane, finish: real) -> bool {
+    return (lane.next_level < control.levels) & (lane.level <= finish);
+}
+
+// The levels up to the fraction `most` of an accepted step.
+fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, most: real) -> Passed {
+    let t = (*lane).t;
+    let h = (*lane).h;
+    let begin = coordinate((*lane).y, t);
     let finish = coordinate(step.y, t + h);
 //if BY_COMPONENT
     let along = path((*lane).k, step);
 //end
+    var pending = is_passed(*lane, finish);
+    var last: real = 1.0;
+    var out_of_work = false;
     loop {
-        if ((*lane).next_level >= control.levels) {
-            break;
-        }
-        if ((*lane).level > finish) {
-            break;
-        }
-//if STORE
-        if ((*lane).work > control.work) {
-            return true;
-        }
-//end
+        if (pending) {
 //if BY_TIME
-        let q = select(((*lane).level - begin) / (finish - begin), 1.0, (*lane).level == finish);
+            let q = select(((*lane).level - begin) / (finish - begin), 1.0, (*lane).level == finish);
 //end
 //if BY_COMPONENT
-        let q = locate(lane, along, h, begin, finish);
+            let q = locate(lane, along, h, begin, finish);
 //end
-        if (q > most) {
-            break;
-        }
+            pending = q <= most;
+            if (pending) {
 //if STORE
-        store_sample(i, lane, step, q);
+                store_sample(i, lane, step, q);
 //end
-        (*lane).next_level += 1u;
-        (*lane).level = level((*lane).next_level);
-        if ((*lane).next_level == control.levels) {
-            most = q;
-            ended = REACHED;
+                last = q;
+                (*lane).next_level += 1u;
+                (*lane).level = level((*lane).next_level);
+                pending = is_passed(*lane, finish);
+            }
+            if ((*lane).work > control.work) {
+                out_of_work = pending;
+                pending = false;
+            }
+        }
+        continuing {
+            break if !pending;
         }
     }
-    if (ended != RUNNING) {
-        (*lane).y = interpolate(start, (*lane).k, step, h, most);
-//if BY_COMPONENT
-        // A level that ends the trajectory is met by definition.
-        if (ended == REACHED) {
-            (*lane).y.COORDINATE = run.last;
-        }
-//end
-        (*lane).t = t + most * h;
-        (*lane).status = ended;
-    }
-    return false;
+    return Passed(last, out_of_work);
 }
 
 //if BY_COMPONENT
@@ -263,13 +275,8 @@ fn locate(lane: ptr<function, Lane>, p: Path, h: real, begin: real, finish: real
     var lo: real = 0.0;
     var hi: real = 1.0;
     var q = select(guess, 1.0, level >= finish);
-    var left = select(30u, 0u, level >= finish);
+    var left = select(30u, 1u, level >= finish);
     loop {
-        if (left == 0u) {
-            break;
-        }
-        left -= 1u;
-        (*lane).work += 1u;
         let w = p.p0 + q * (p.p1 + q * (p.p2 + q * p.p3));
         let residual = (begin - level) + w * q * h;
         let slope = p.p0 + q * (2.0 * p.p1 + q * (3.0 * p.p2 + q * (4.0 * p.p3)));
@@ -280,11 +287,15 @@ fn locate(lane: ptr<function, Lane>, p: Path, h: real, begin: real, finish: real
         // A root at a bracket's end may be missed by rounding; halving the bracket then would lead away from it.
         let inside = (newton >= lo - 4.0 * EPSILON) & (newton <= hi + 4.0 * EPSILON);
         let next = select(0.5 * (lo + hi), newton, inside);
-        if (abs(next - q) <= 2.0 * EPSILON) {
-            left = 0u;
-        }
+        left = select(left - 1u, 0u, abs(next - q) <= 2.0 * EPSILON);
         q = next;
+        (*lane).work += 1u;
+        continuing {
+            break if left == 0u;
+        }
     }
+    // The end of the step is found without a search.
+    q = select(q, 1.0, level >= finish);
     return q;
 }
 //end
@@ -295,15 +306,13 @@ fn last_inside(lane: ptr<function, Lane>, step: Step) -> real {
     var lo: real = 0.0;
     var hi: real = 1.0;
     loop {
-        if (hi - lo <= 4.0 * EPSILON) {
-            break;
-        }
-        (*lane).work += 1u;
         let middle = 0.5 * (lo + hi);
-        if (guards_hold(inputs_of(interpolate((*lane).y, (*lane).k, step, (*lane).h, middle)))) {
-            lo = middle;
-        } else {
-            hi = middle;
+        let holds = guards_hold(inputs_of(interpolate((*lane).y, (*lane).k, step, (*lane).h, middle)));
+        lo = select(lo, middle, holds);
+        hi = select(middle, hi, holds);
+        (*lane).work += 1u;
+        continuing {
+            break if hi - lo <= 4.0 * EPSILON;
         }
     }
     return lo;
@@ -377,21 +386,14 @@ fn sweep(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     loop {
-        if (lane.status != RUNNING) {
-            break;
-        }
-        if (lane.work > control.work) {
-            break;
-        }
         advance(i, &lane, run);
+        continuing {
+            break if (lane.status != RUNNING) | (lane.work > control.work);
+        }
     }
-//if ENDS
     if (lane.status == EVENT) {
-        lane.status = RUNNING;
-        let step = attempt(lane.y, lane.k, lane.h, run);
-        settle(i, &lane, step, decide(step.error, lane.h, lane.before), run);
+        conclude(i, &lane, run);
     }
-//end
     save(i, lane);
     if (lane.status == RUNNING) {
         let at = atomicAdd(&remaining, 1u);

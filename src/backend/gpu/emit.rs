@@ -113,13 +113,13 @@ impl<'a> Emitter<'a> {
             By::Time => "BY_TIME",
             By::Component(_) => "BY_COMPONENT",
         });
-        list.push(if self.spec.store { "STORE" } else { "ENDS" });
         list.push(if self.spec.guards.is_some() {
             "GUARDS"
         } else {
             "UNGUARDED"
         });
         for (holds, name) in [
+            (self.spec.store, "STORE"),
             (self.variant.bounds > 0, "BOUNDS"),
             (self.variant.ceiling.is_some(), "CEILING"),
         ] {
