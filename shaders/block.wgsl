@@ -21,7 +21,7 @@ struct Control {
 @group(0) @binding(1) var<storage, read> settings: array<real>;
 // [field][trajectory]: y, k, t, h, before, first_step.
 @group(0) @binding(2) var<storage, read_write> state: array<real>;
-// [field][trajectory]: status, next_level, steps, rejected.
+// [field][trajectory]: status, next_level, steps, rejected, first_level.
 @group(0) @binding(3) var<storage, read_write> counters: array<u32>;
 // [list][entry]: trajectories still on their way.
 @group(0) @binding(4) var<storage, read_write> lists: array<u32>;
@@ -30,7 +30,7 @@ struct Control {
 // [component, then time][trajectory].
 @group(0) @binding(6) var<storage, read_write> ends: array<real>;
 //if STORE
-// [trajectory][level][time, then component].
+// [trajectory][level][time, then components but the coordinate].
 @group(0) @binding(7) var<storage, read_write> samples: array<real>;
 //end
 
@@ -45,7 +45,7 @@ struct Lane {
     k: Vector,
     t: real,
     h: real,
-    // Squared error of the step before.
+    // Base-2 logarithm of the squared error of the step before.
     before: f32,
     first_step: real,
     status: u32,
@@ -89,28 +89,39 @@ fn decide(error: real, h: real, before: f32) -> Decision {
 //end
 //if ADAPTIVE
     let accepted = select(false, error <= 1.0, finite);
-    let e = max(select(1.0, f32(error), finite), LEAST_SQUARED_ERROR);
     // Squared errors: the exponents are halved.
-    let log_e = log2_(e);
-    let pi = -HALF_ALPHA * log_e + HALF_BETA * log2_(before);
-    let factor = SAFETY * exp2_(select(-0.1 * log_e, pi, accepted));
+    let log_e = log2(max(select(1.0, f32(error), finite), LEAST_SQUARED_ERROR));
+    let pi = HALF_BETA * before - HALF_ALPHA * log_e;
+    let factor = SAFETY * exp2(select(-0.1 * log_e, pi, accepted));
     let bounded = max(min(factor, select(1.0, GROW, accepted)), SHRINK);
     return Decision(
         accepted,
         finite,
         h * real(select(SHRINK, bounded, finite)),
-        select(before, e, accepted),
+        select(before, log_e, accepted),
     );
 //end
 }
 
-// One attempted step with its events.
+// One attempted step. A step that ends the trajectory in its middle, once in a trajectory, is left to `conclude`.
+//
+// Some devices run both sides of a condition and every loop at least once. So what is rare stands outside the loop over
+// steps, and loops ask at their end whether to go on.
 fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
     let decided = decide(step.error, (*lane).h, (*lane).before);
     (*lane).work += 1u;
     if (decided.accepted) {
-        settle(i, lane, step, decided, run);
+        if (eventful(*lane, step, run)) {
+            (*lane).status = EVENT;
+            return;
+        }
+//if STORE
+        if (pass_levels(i, lane, step, 1.0).out_of_work) {
+            return;
+        }
+//end
+        commit(lane, step, decided, run);
     } else {
         (*lane).rejected += 1u;
         (*lane).h = decided.next_h;
@@ -130,16 +141,21 @@ fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     }
 }
 
-// Moves on to the end of an accepted step, or to the event in it that ends the trajectory.
-fn settle(i: u32, lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
-    if (events(i, lane, step, run)) {
-        return;
-    }
+// Whether a guard or the last level ends the trajectory in an accepted step.
+fn eventful(lane: Lane, step: Step, run: Run) -> bool {
+    let over = coordinate(step.y, lane.t + lane.h) >= run.last;
+//if GUARDS
+    return select(true, over, guards_hold(inputs_of(step.y)));
+//end
+//if UNGUARDED
+    return over;
+//end
+}
+
+// Moves on to the end of an accepted step.
+fn commit(lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
     (*lane).steps += 1u;
     (*lane).before = decided.before;
-    if ((*lane).status != RUNNING) {
-        return;
-    }
     (*lane).t += (*lane).h;
     (*lane).y = step.y;
     (*lane).k = step.LAST_STAGE;
@@ -159,12 +175,9 @@ fn settle(i: u32, lane: ptr<function, Lane>, step: Step, decided: Decision, run:
     (*lane).h = limited(run, (*lane).t, decided.next_h);
 }
 
-// Guards and levels within an accepted step. Where the trajectory ends in it, its last point is put into the lane. True
-// where the dispatch's work ran out: the step is then taken again, levels already stored excepted.
-fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
-    let start = (*lane).y;
-    let t = (*lane).t;
-    let h = (*lane).h;
+// Takes the lane's step again and ends the trajectory at the first guard or the last level in it.
+fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
+    let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
     var most: real = 1.0;
     var ended = RUNNING;
 //if GUARDS
@@ -174,65 +187,96 @@ fn events(i: u32, lane: ptr<function, Lane>, step: Step, run: Run) -> bool {
         ended = GUARD;
     }
 //end
-    let begin = coordinate(start, t);
-    let finish = coordinate(step.y, t + h);
-    loop {
-        if ((*lane).next_level >= control.levels) {
-            break;
-        }
-        if ((*lane).level > finish) {
-            break;
-        }
-        if ((*lane).work > control.work) {
-            return true;
-        }
-        let q = locate(lane, step, (*lane).level, begin, finish);
-        if (q > most) {
-            break;
-        }
-//if STORE
-        store_sample(i, lane, step, q);
-//end
-        (*lane).next_level += 1u;
-        (*lane).level = level((*lane).next_level);
-        if ((*lane).next_level == control.levels) {
-            most = q;
-            ended = REACHED;
-        }
+    let passed = pass_levels(i, lane, step, most);
+    (*lane).status = RUNNING;
+    if (passed.out_of_work) {
+        return;
     }
-    if (ended != RUNNING) {
-        (*lane).y = interpolate(start, (*lane).k, step, h, most);
+    if ((*lane).next_level == control.levels) {
+        most = passed.last;
+        ended = REACHED;
+    }
+    if (ended == RUNNING) {
+        // This copy of the step may be rounded differently: then it ends short of the event, and the next one meets it.
+        commit(lane, step, decide(step.error, (*lane).h, (*lane).before), run);
+        return;
+    }
+    (*lane).y = interpolate((*lane).y, (*lane).k, step, (*lane).h, most);
 //if BY_COMPONENT
-        // A level that ends the trajectory is met by definition.
-        if (ended == REACHED) {
-            (*lane).y.COORDINATE = run.last;
-        }
-//end
-        (*lane).t = t + most * h;
-        (*lane).status = ended;
+    // A level that ends the trajectory is met by definition.
+    if (ended == REACHED) {
+        (*lane).y.COORDINATE = run.last;
     }
-    return false;
+//end
+    (*lane).t += most * (*lane).h;
+    (*lane).steps += 1u;
+    (*lane).status = ended;
 }
 
-// Fraction of the step at which the coordinate takes the value `level`, by Newton's method kept within a bracket.
-fn locate(lane: ptr<function, Lane>, step: Step, level: real, begin: real, finish: real) -> real {
-    let guess = (level - begin) / (finish - begin);
+struct Passed {
+    // Fraction of the step at the last level passed.
+    last: real,
+    // The dispatch's work is used up: the step must be taken again for the levels left.
+    out_of_work: bool,
+}
+
+// Whether the lane's next level is passed where the coordinate has come to `finish`.
+fn is_passed(lane: Lane, finish: real) -> bool {
+    return (lane.next_level < control.levels) & (lane.level <= finish);
+}
+
+// The levels up to the fraction `most` of an accepted step.
+fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, most: real) -> Passed {
+    let t = (*lane).t;
+    let h = (*lane).h;
+    let begin = coordinate((*lane).y, t);
+    let finish = coordinate(step.y, t + h);
+//if BY_COMPONENT
+    let along = path((*lane).k, step);
+//end
+    var pending = is_passed(*lane, finish);
+    var last: real = 1.0;
+    var out_of_work = false;
+    loop {
+        if (pending) {
 //if BY_TIME
-    return select(guess, 1.0, level == finish);
+            let q = select(((*lane).level - begin) / (finish - begin), 1.0, (*lane).level == finish);
 //end
 //if BY_COMPONENT
-    let p = path((*lane).k, step);
-    let h = (*lane).h;
+            let q = locate(lane, along, h, begin, finish);
+//end
+            pending = q <= most;
+            if (pending) {
+//if STORE
+                store_sample(i, lane, step, q);
+//end
+                last = q;
+                (*lane).next_level += 1u;
+                (*lane).level = level((*lane).next_level);
+                pending = is_passed(*lane, finish);
+            }
+            if ((*lane).work > control.work) {
+                out_of_work = pending;
+                pending = false;
+            }
+        }
+        continuing {
+            break if !pending;
+        }
+    }
+    return Passed(last, out_of_work);
+}
+
+//if BY_COMPONENT
+// Fraction of the step at which the coordinate takes the lane's level, by Newton's method kept within a bracket.
+fn locate(lane: ptr<function, Lane>, p: Path, h: real, begin: real, finish: real) -> real {
+    let level = (*lane).level;
+    let guess = (level - begin) / (finish - begin);
     var lo: real = 0.0;
     var hi: real = 1.0;
     var q = select(guess, 1.0, level >= finish);
-    var left = select(30u, 0u, level >= finish);
+    var left = select(30u, 1u, level >= finish);
     loop {
-        if (left == 0u) {
-            break;
-        }
-        left -= 1u;
-        (*lane).work += 1u;
         let w = p.p0 + q * (p.p1 + q * (p.p2 + q * p.p3));
         let residual = (begin - level) + w * q * h;
         let slope = p.p0 + q * (2.0 * p.p1 + q * (3.0 * p.p2 + q * (4.0 * p.p3)));
@@ -243,14 +287,18 @@ fn locate(lane: ptr<function, Lane>, step: Step, level: real, begin: real, finis
         // A root at a bracket's end may be missed by rounding; halving the bracket then would lead away from it.
         let inside = (newton >= lo - 4.0 * EPSILON) & (newton <= hi + 4.0 * EPSILON);
         let next = select(0.5 * (lo + hi), newton, inside);
-        if (abs(next - q) <= 2.0 * EPSILON) {
-            left = 0u;
-        }
+        left = select(left - 1u, 0u, abs(next - q) <= 2.0 * EPSILON);
         q = next;
+        (*lane).work += 1u;
+        continuing {
+            break if left == 0u;
+        }
     }
+    // The end of the step is found without a search.
+    q = select(q, 1.0, level >= finish);
     return q;
-//end
 }
+//end
 
 //if GUARDS
 // Largest fraction of the step, to rounding, up to which the guards hold.
@@ -258,15 +306,13 @@ fn last_inside(lane: ptr<function, Lane>, step: Step) -> real {
     var lo: real = 0.0;
     var hi: real = 1.0;
     loop {
-        if (hi - lo <= 4.0 * EPSILON) {
-            break;
-        }
-        (*lane).work += 1u;
         let middle = 0.5 * (lo + hi);
-        if (guards_hold(inputs_of(interpolate((*lane).y, (*lane).k, step, (*lane).h, middle)))) {
-            lo = middle;
-        } else {
-            hi = middle;
+        let holds = guards_hold(inputs_of(interpolate((*lane).y, (*lane).k, step, (*lane).h, middle)));
+        lo = select(lo, middle, holds);
+        hi = select(middle, hi, holds);
+        (*lane).work += 1u;
+        continuing {
+            break if hi - lo <= 4.0 * EPSILON;
         }
     }
     return lo;
@@ -275,7 +321,7 @@ fn last_inside(lane: ptr<function, Lane>, step: Step) -> real {
 
 //if STORE
 fn store_sample(i: u32, lane: ptr<function, Lane>, step: Step, q: real) {
-    let at = (i * control.levels + (*lane).next_level) * (1u + DIM);
+    let at = (i * control.levels + (*lane).next_level) * SAMPLE;
     samples[at] = (*lane).t + q * (*lane).h;
     store_vector(at + 1u, interpolate((*lane).y, (*lane).k, step, (*lane).h, q));
 }
@@ -292,7 +338,6 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
     var lane: Lane;
     lane.y = load_seed(i);
     lane.k = rate(inputs_of(lane.y));
-    lane.before = 1.0;
     let begin = coordinate(lane.y, 0.0);
     loop {
         if (lane.next_level >= control.levels) {
@@ -324,6 +369,7 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
 //end
     lane.h = limited(run, 0.0, lane.first_step);
     save(i, lane);
+    counters[i + 4u * control.stride] = lane.next_level;
     lists[i] = i;
 }
 
@@ -340,13 +386,13 @@ fn sweep(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     loop {
-        if (lane.status != RUNNING) {
-            break;
-        }
-        if (lane.work > control.work) {
-            break;
-        }
         advance(i, &lane, run);
+        continuing {
+            break if (lane.status != RUNNING) | (lane.work > control.work);
+        }
+    }
+    if (lane.status == EVENT) {
+        conclude(i, &lane, run);
     }
     save(i, lane);
     if (lane.status == RUNNING) {

@@ -136,22 +136,3 @@ fn least(a: real, b: real) -> real {
 fn greatest(a: real, b: real) -> real {
     return select(select(a + b, b, b >= a), a, a > b);
 }
-
-// Base-2 logarithm to 1e-4, for step control only.
-fn log2_(x: f32) -> f32 {
-    let bits = bitcast<u32>(x);
-    let exponent = i32(bits >> 23u) - 127;
-    let m = bitcast<f32>((bits & 0x007fffffu) | 0x3f800000u);
-    let s = (m - 1.0) / (m + 1.0);
-    let z = s * s;
-    let p = s * (2.8853901 + z * (0.9617967 + z * (0.577078 + z * 0.4121986)));
-    return f32(exponent) + p;
-}
-
-// Base-2 exponential to 1e-4, for step control only.
-fn exp2_(x: f32) -> f32 {
-    let n = round(x);
-    let f = x - n;
-    let p = 1.0 + f * (0.6931472 + f * (0.2402265 + f * (0.0555041 + f * 0.0096181)));
-    return bitcast<f32>(bitcast<u32>(p) + (u32(i32(n)) << 23u));
-}

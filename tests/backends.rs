@@ -163,7 +163,7 @@ fn functions() -> Problem {
     let dx = g.sum(&terms);
     // The clamp's and the absolute value's kinks are kept weak: an error estimate takes a step across a kink for better
     // than it is, and the two sides cross it at different places.
-    let weak = constant(&mut g, 0.02);
+    let weak = constant(&mut g, 0.002);
     let terms = [g.neg(y), g.mul(weak, clamped), g.mul(third, log), g.mul(third, grown)];
     let dy = g.sum(&terms);
     let speed = {

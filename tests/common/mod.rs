@@ -91,6 +91,7 @@ pub fn compare(a: Side<'_>, b: Side<'_>, tolerance: Tolerance) -> Result<Agreeme
     let mut value = |trajectory: usize, what: &dyn Fn() -> String, p: f64, q: f64| {
         let allowed = tolerance.absolute + tolerance.relative * p.abs().max(q.abs());
         let units = if p == q { 0.0 } else { (p - q).abs() / allowed };
+        // A NaN on either side is a mismatch.
         if units.is_nan() || units > 1.0 {
             return Err(Mismatch::Value {
                 trajectory,

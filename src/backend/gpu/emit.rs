@@ -20,6 +20,12 @@ pub struct Variant {
     pub ceiling: Option<usize>,
 }
 
+/// Components of a stored sample: all but the coordinate, which is the level.
+pub fn stored(spec: &Spec) -> impl Iterator<Item = usize> + use<> {
+    let by = spec.by;
+    (0..spec.dim()).filter(move |c| by != By::Component(*c))
+}
+
 /// Offsets into the buffer of run settings.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
@@ -107,9 +113,13 @@ impl<'a> Emitter<'a> {
             By::Time => "BY_TIME",
             By::Component(_) => "BY_COMPONENT",
         });
+        list.push(if self.spec.guards.is_some() {
+            "GUARDS"
+        } else {
+            "UNGUARDED"
+        });
         for (holds, name) in [
             (self.spec.store, "STORE"),
-            (self.spec.guards.is_some(), "GUARDS"),
             (self.variant.bounds > 0, "BOUNDS"),
             (self.variant.ceiling.is_some(), "CEILING"),
         ] {
@@ -393,8 +403,8 @@ impl<'a> Emitter<'a> {
         text.push_str("}\n");
         if self.spec.store {
             let _ = writeln!(text, "fn store_vector(at: u32, y: Vector) {{");
-            for c in 0..self.dim {
-                let _ = writeln!(text, "    samples[at + {c}u] = y.c{c};");
+            for (k, c) in stored(self.spec).enumerate() {
+                let _ = writeln!(text, "    samples[at + {k}u] = y.c{c};");
             }
             text.push_str("}\n");
         }
@@ -419,7 +429,9 @@ impl<'a> Emitter<'a> {
         let _ = writeln!(text, "const WORKGROUP: u32 = {WORKGROUP}u;");
         let _ = writeln!(text, "const DIM: u32 = {}u;", self.dim);
         let _ = writeln!(text, "const LEVELS: u32 = {}u;", settings.levels);
+        let _ = writeln!(text, "const SAMPLE: u32 = {}u;", 1 + stored(self.spec).count());
         let _ = writeln!(text, "const RUNNING: u32 = {}u;", super::RUNNING);
+        let _ = writeln!(text, "const EVENT: u32 = {}u;", super::EVENT);
         for (status, name) in crate::backend::Status::ALL {
             let _ = writeln!(text, "const {}: u32 = {}u;", name.to_uppercase(), status as i32);
         }

@@ -1,11 +1,11 @@
 //! A compiled kernel: its pipelines, and driving a batch through them.
 
 use super::adapter::Device;
-use super::emit::{Emitter, Settings, Variant, WORKGROUP};
-use super::memory::{Memory, Shape, numbers, reals};
+use super::emit::{Emitter, Settings, Variant, WORKGROUP, stored};
+use super::memory::{Memory, Shape, reals};
+use super::results::{self, Written};
 use super::shader::{Fragment, Source, conditional};
-use super::{RUNNING, UNWRITTEN};
-use crate::backend::{BackendError, By, Kernel, Run, Spec, Status, Trajectories};
+use crate::backend::{BackendError, Kernel, Run, Spec, Trajectories};
 use crate::model::Precision;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -177,7 +177,15 @@ impl GpuKernel {
     }
 
     /// Integrates as many trajectories as fit the device's bindings.
-    fn part(&mut self, run: &Run, variant: Variant, seeds: &[f64], shape: Shape) -> Result<Trajectories, BackendError> {
+    fn part(
+        &mut self,
+        run: &Run,
+        variant: Variant,
+        seeds: &[f64],
+        shape: Shape,
+        first: usize,
+        result: &mut Trajectories,
+    ) -> Result<(), BackendError> {
         let (dim, count) = (shape.dim, shape.trajectories);
         let device = Arc::clone(&self.device);
         if !self.memory.as_ref().is_some_and(|m| m.holds(&shape)) {
@@ -228,7 +236,7 @@ impl GpuKernel {
                 pass.set_pipeline(&pipelines.sweep);
                 pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
             }
-            let left = memory.read(&device, Some(encoder), &memory.remaining, 4, |b| {
+            let left = memory.read(&device, encoder, [(&memory.remaining, 4)], |[b]| {
                 u32::from_ne_bytes([b[0], b[1], b[2], b[3]])
             })?;
             started = true;
@@ -241,93 +249,32 @@ impl GpuKernel {
             list = 1 - list;
         }
         let seconds = begin.elapsed().as_secs_f64();
-        let result = self.collect(memory, run, seeds, shape)?;
-        let attempts: f64 = result
-            .steps
-            .iter()
-            .zip(&result.rejected)
-            .map(|(a, b)| f64::from(*a) + f64::from(*b))
+        let encoder = device.device.create_command_encoder(&Default::default());
+        let samples = memory.samples.as_ref().unwrap_or(&memory.ends);
+        let wanted = [
+            (&memory.counters, shape.counters()),
+            (&memory.ends, shape.ends()),
+            (samples, shape.samples()),
+        ];
+        memory.read(&device, encoder, wanted, |[counters, ends, samples]| {
+            let written = Written {
+                counters,
+                ends,
+                samples,
+            };
+            results::fill(result, first, &self.spec, run, shape, &written)
+        })??;
+        let attempts: f64 = (first..first + count)
+            .map(|i| f64::from(result.steps[i]) + f64::from(result.rejected[i]))
             .sum();
         self.speed = Some(attempts / seconds);
-        Ok(result)
+        Ok(())
     }
 
     /// Work of a first dispatch of `active` trajectories.
     fn work(&self, active: u32) -> u32 {
         self.speed
             .map_or(FIRST_WORK, |s| bounded(s * DISPATCH_SECONDS / f64::from(active)))
-    }
-
-    /// Reads the results back.
-    fn collect(&self, memory: &Memory, run: &Run, seeds: &[f64], shape: Shape) -> Result<Trajectories, BackendError> {
-        let (dim, count, device) = (shape.dim, shape.trajectories, &self.device);
-        let precision = self.spec.precision;
-        let counters: Vec<u32> = memory.read(device, None, &memory.counters, shape.counters(), |b| {
-            bytemuck::cast_slice(b).to_vec()
-        })?;
-        let (status, rest) = counters.split_at(count);
-        let (next_level, rest) = rest.split_at(count);
-        let (steps, rejected) = rest.split_at(count);
-        let status = (status.iter().enumerate())
-            .map(|(index, code)| match *code {
-                RUNNING | UNWRITTEN => Err(BackendError::Unwritten { index }),
-                code => Status::from_code(code as i32).ok_or(BackendError::Unwritten { index }),
-            })
-            .collect::<Result<Vec<Status>, _>>()?;
-        let real = self.real();
-        let fields = memory.read(device, None, &memory.ends, shape.ends(), |b| {
-            match b
-                .chunks_exact(real)
-                .position(|slot| slot.iter().all(|byte| *byte == 0xff))
-            {
-                Some(slot) => Err(BackendError::Unwritten { index: slot % count }),
-                None => Ok(numbers(b, precision)),
-            }
-        })??;
-        let end = (0..count)
-            .flat_map(|i| (0..dim).map(move |c| (i, c)))
-            .map(|(i, c)| fields[c * count + i])
-            .collect();
-        let mut samples = match &memory.samples {
-            Some(buffer) if shape.levels > 0 => {
-                memory.read(device, None, buffer, shape.samples(), |b| numbers(b, precision))?
-            }
-            _ => Vec::new(),
-        };
-        let width = 1 + dim;
-        for (i, of_one) in samples.chunks_exact_mut((shape.levels * width).max(1)).enumerate() {
-            let first = self.passed(&seeds[i * dim..(i + 1) * dim], run);
-            for (k, sample) in of_one.chunks_exact_mut(width).enumerate() {
-                if k < first || k >= next_level[i] as usize {
-                    sample.fill(f64::NAN);
-                } else if let By::Component(c) = self.spec.by {
-                    sample[1 + c] = run.levels[k];
-                }
-            }
-        }
-        Ok(Trajectories {
-            dim,
-            levels: shape.levels,
-            end,
-            end_time: fields[dim * count..].to_vec(),
-            status,
-            steps: steps.to_vec(),
-            rejected: rejected.to_vec(),
-            samples,
-        })
-    }
-
-    /// Levels that the seed itself has passed, as the shader counts them.
-    fn passed(&self, seed: &[f64], run: &Run) -> usize {
-        let of = |x: f64| match self.spec.precision {
-            Precision::F32 => f64::from(x as f32),
-            Precision::F64 => x,
-        };
-        let coordinate = match self.spec.by {
-            By::Time => 0.0,
-            By::Component(c) => of(seed[c]),
-        };
-        run.levels.iter().take_while(|l| of(**l) <= coordinate).count()
     }
 }
 
@@ -344,11 +291,7 @@ impl Kernel for GpuKernel {
             ceiling: run.ceiling.map(|(c, _)| c),
         };
         let levels = if self.spec.store { run.levels.len() } else { 0 };
-        let mut result = Trajectories {
-            dim,
-            levels,
-            ..Default::default()
-        };
+        let mut result = results::empty(count, dim, levels);
         if count == 0 {
             return Ok(result);
         }
@@ -358,6 +301,7 @@ impl Kernel for GpuKernel {
             trajectories: 1,
             dim,
             levels,
+            sample: 1 + stored(&self.spec).count(),
             settings,
             real: self.real(),
         };
@@ -365,7 +309,7 @@ impl Kernel for GpuKernel {
             .device
             .info
             .max_binding
-            .min(self.device.info.max_buffer)
+            .min(self.device.info.max_buffer / 2)
             .min(LARGEST_BINDING);
         let share = shape.largest_share() as u64;
         let groups = u64::from(self.device.device.limits().max_compute_workgroups_per_dimension);
@@ -373,15 +317,10 @@ impl Kernel for GpuKernel {
         if most == 0 {
             return Err(BackendError::TooLarge { bytes: share, limit });
         }
-        for part in seeds.chunks(most as usize * dim) {
+        let most = most as usize;
+        for (k, part) in seeds.chunks(most * dim).enumerate() {
             shape.trajectories = part.len() / dim;
-            let done = self.part(run, variant, part, shape)?;
-            result.end.extend(done.end);
-            result.end_time.extend(done.end_time);
-            result.status.extend(done.status);
-            result.steps.extend(done.steps);
-            result.rejected.extend(done.rejected);
-            result.samples.extend(done.samples);
+            self.part(run, variant, part, shape, k * most, &mut result)?;
         }
         Ok(result)
     }

@@ -12,6 +12,8 @@ pub struct Shape {
     pub dim: usize,
     /// Stored levels; 0 where samples are not kept.
     pub levels: usize,
+    /// Reals of a sample.
+    pub sample: usize,
     /// Reals of run settings.
     pub settings: usize,
     /// Bytes a real.
@@ -23,7 +25,7 @@ impl Shape {
         (2 * self.dim + 4) * self.trajectories * self.real
     }
     pub fn counters(&self) -> usize {
-        4 * 4 * self.trajectories
+        4 * COUNTERS * self.trajectories
     }
     fn lists(&self) -> usize {
         2 * 4 * self.trajectories
@@ -32,7 +34,7 @@ impl Shape {
         (self.dim + 1) * self.trajectories * self.real
     }
     pub fn samples(&self) -> usize {
-        self.levels * (1 + self.dim) * self.trajectories * self.real
+        self.levels * self.sample * self.trajectories * self.real
     }
 
     /// The largest binding's bytes a trajectory.
@@ -68,6 +70,8 @@ pub struct Memory {
     pub bindings: wgpu::BindGroup,
 }
 
+/// Fields of the counters.
+const COUNTERS: usize = 5;
 /// Bytes of the control uniform.
 pub const CONTROL: usize = 32;
 
@@ -90,8 +94,8 @@ impl Memory {
         let remaining = buffer("remaining", 4, storage);
         let ends = buffer("ends", shape.ends(), storage);
         let samples = (shape.levels > 0).then(|| buffer("samples", shape.samples(), storage));
-        let most = shape.ends().max(shape.counters()).max(shape.samples());
-        let staging = buffer("staging", most, BufferUsages::MAP_READ | BufferUsages::COPY_DST);
+        let all = padded(shape.counters()) + padded(shape.ends()) + padded(shape.samples());
+        let staging = buffer("staging", all, BufferUsages::MAP_READ | BufferUsages::COPY_DST);
         let bound = [&control, &settings, &state, &counters, &lists, &remaining, &ends];
         let entries: Vec<wgpu::BindGroupEntry<'_>> = (bound.into_iter().chain(&samples).enumerate())
             .map(|(k, b)| wgpu::BindGroupEntry {
@@ -123,37 +127,46 @@ impl Memory {
         self.shape.holds(shape)
     }
 
-    /// Waits for the device and hands `bytes` of a buffer to `read`.
-    pub fn read<R>(
+    /// Ends what `encoder` holds with copies of the leading bytes of buffers, waits for all of it and hands the bytes to
+    /// `read`.
+    pub fn read<const N: usize, R>(
         &self,
         device: &Device,
-        encoder: Option<wgpu::CommandEncoder>,
-        buffer: &Buffer,
-        bytes: usize,
-        read: impl FnOnce(&[u8]) -> R,
+        mut encoder: wgpu::CommandEncoder,
+        wanted: [(&Buffer, usize); N],
+        read: impl FnOnce([&[u8]; N]) -> R,
     ) -> Result<R, BackendError> {
-        let mut encoder = encoder.unwrap_or_else(|| device.device.create_command_encoder(&Default::default()));
-        let bytes = bytes as u64;
-        encoder.copy_buffer_to_buffer(buffer, 0, &self.staging, 0, bytes);
+        let mut at = 0;
+        let places = wanted.map(|(buffer, bytes)| {
+            encoder.copy_buffer_to_buffer(buffer, 0, &self.staging, at as u64, bytes as u64);
+            let place = at..at + bytes;
+            at += padded(bytes);
+            place
+        });
         device.queue.submit([encoder.finish()]);
         let (tell, told) = std::sync::mpsc::channel();
-        self.staging.map_async(wgpu::MapMode::Read, ..bytes, move |outcome| {
-            // Nobody waits any more where the receiver is gone.
-            let _ = tell.send(outcome);
-        });
+        self.staging
+            .map_async(wgpu::MapMode::Read, ..at as u64, move |outcome| {
+                // Nobody waits any more where the receiver is gone.
+                let _ = tell.send(outcome);
+            });
         device.device.poll(wgpu::PollType::wait_indefinitely())?;
         device.check()?;
         told.recv()
             .map_err(|_| wgpu::BufferAsyncError)
             .and_then(|outcome| outcome)?;
-        let outcome = self
-            .staging
-            .get_mapped_range(..bytes)
-            .map(|view| read(&view))
-            .map_err(|_| wgpu::BufferAsyncError);
+        let outcome = self.staging.get_mapped_range(..at as u64).map(|view| {
+            let bytes: &[u8] = &view;
+            read(places.map(|place| &bytes[place]))
+        });
         self.staging.unmap();
-        Ok(outcome?)
+        outcome.map_err(|_| wgpu::BufferAsyncError.into())
     }
+}
+
+/// Room for `bytes` such that what follows is aligned for any number.
+fn padded(bytes: usize) -> usize {
+    bytes.next_multiple_of(16)
 }
 
 /// Numbers as a buffer of the precision holds them.
@@ -161,16 +174,5 @@ pub fn reals(values: impl IntoIterator<Item = f64>, precision: Precision) -> Vec
     match precision {
         Precision::F32 => values.into_iter().flat_map(|x| (x as f32).to_ne_bytes()).collect(),
         Precision::F64 => values.into_iter().flat_map(f64::to_ne_bytes).collect(),
-    }
-}
-
-/// The numbers in a buffer's bytes.
-pub fn numbers(bytes: &[u8], precision: Precision) -> Vec<f64> {
-    match precision {
-        Precision::F32 => bytemuck::cast_slice::<u8, f32>(bytes)
-            .iter()
-            .map(|x| f64::from(*x))
-            .collect(),
-        Precision::F64 => bytemuck::cast_slice::<u8, f64>(bytes).to_vec(),
     }
 }

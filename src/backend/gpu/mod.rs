@@ -7,6 +7,7 @@ mod adapter;
 mod emit;
 mod kernel;
 mod memory;
+mod results;
 mod shader;
 #[cfg(test)]
 mod tests;
@@ -18,8 +19,9 @@ use crate::model::Precision;
 use adapter::Device;
 use std::sync::Arc;
 
-/// Counters' status of a trajectory on its way, and of one that no invocation has touched.
+/// Counters' status of a trajectory on its way, of one whose step has an event, and of one that no invocation has touched.
 const RUNNING: u32 = u32::MAX - 1;
+const EVENT: u32 = u32::MAX - 2;
 const UNWRITTEN: u32 = u32::MAX;
 
 /// The GPU backend: an open device.

@@ -85,14 +85,14 @@ fn describe(error: &dyn std::error::Error, message: &str) -> String {
     text
 }
 
-/// Keeps what lies between `//if NAME` and `//end` where NAME is among the conditions; dropped lines stay as empty ones,
-/// so that line numbers are the file's.
+/// Keeps what lies between `//if NAMES` and `//end` where all NAMES are among the conditions; dropped lines stay as empty
+/// ones, so that line numbers are the file's.
 pub fn conditional(text: &str, conditions: &[&str]) -> String {
     let mut keep = true;
     let mut out = String::with_capacity(text.len());
     for line in text.lines() {
-        if let Some(name) = line.strip_prefix("//if ") {
-            keep = conditions.contains(&name.trim());
+        if let Some(names) = line.strip_prefix("//if ") {
+            keep = names.split_whitespace().all(|name| conditions.contains(&name));
         } else if line == "//end" {
             keep = true;
         } else if keep {

@@ -1,0 +1,122 @@
+//! Turning what the device wrote into [`Trajectories`].
+
+use super::emit::stored;
+use super::memory::Shape;
+use super::{EVENT, RUNNING, UNWRITTEN};
+use crate::backend::{BackendError, By, Run, Spec, Status, Trajectories};
+use crate::model::Precision;
+use rayon::prelude::*;
+
+/// Bytes of a part's buffers.
+pub struct Written<'a> {
+    /// `[field][trajectory]`
+    pub counters: &'a [u8],
+    /// `[component, then time][trajectory]`
+    pub ends: &'a [u8],
+    /// `[trajectory][level][time, then components but the coordinate]`
+    pub samples: &'a [u8],
+}
+
+/// Results for `count` trajectories, to be filled.
+pub fn empty(count: usize, dim: usize, levels: usize) -> Trajectories {
+    Trajectories {
+        dim,
+        levels,
+        end: vec![0.0; count * dim],
+        end_time: vec![0.0; count],
+        status: vec![Status::NotFinite; count],
+        steps: vec![0; count],
+        rejected: vec![0; count],
+        samples: vec![0.0; count * levels * (1 + dim)],
+    }
+}
+
+/// Fills the results of the trajectories from `first` on.
+pub fn fill(
+    result: &mut Trajectories,
+    first: usize,
+    spec: &Spec,
+    run: &Run,
+    shape: Shape,
+    written: &Written<'_>,
+) -> Result<(), BackendError> {
+    let count = shape.trajectories;
+    let counters: &[u32] = bytemuck::cast_slice(written.counters);
+    let field = |k: usize| &counters[k * count..(k + 1) * count];
+    for (index, code) in field(0).iter().enumerate() {
+        result.status[first + index] = match *code {
+            RUNNING | UNWRITTEN | EVENT => None,
+            code => Status::from_code(code as i32),
+        }
+        .ok_or(BackendError::Unwritten { index: first + index })?;
+    }
+    result.steps[first..first + count].copy_from_slice(field(2));
+    result.rejected[first..first + count].copy_from_slice(field(3));
+    if let Some(slot) = (written.ends.chunks_exact(shape.real)).position(|slot| slot.iter().all(|byte| *byte == 0xff)) {
+        return Err(BackendError::Unwritten {
+            index: first + slot % count,
+        });
+    }
+    let passed = Passed {
+        first: field(4),
+        end: field(1),
+    };
+    match spec.precision {
+        Precision::F32 => numbers::<f32>(result, first, spec, run, shape, written, &passed),
+        Precision::F64 => numbers::<f64>(result, first, spec, run, shape, written, &passed),
+    }
+    Ok(())
+}
+
+/// Levels that were stored: from the first after those that the seed had passed.
+struct Passed<'a> {
+    first: &'a [u32],
+    end: &'a [u32],
+}
+
+fn numbers<T: bytemuck::Pod + Into<f64> + Send + Sync>(
+    result: &mut Trajectories,
+    first: usize,
+    spec: &Spec,
+    run: &Run,
+    shape: Shape,
+    written: &Written<'_>,
+    passed: &Passed<'_>,
+) {
+    let (dim, count, levels) = (shape.dim, shape.trajectories, shape.levels);
+    let ends: &[T] = bytemuck::cast_slice(written.ends);
+    for i in 0..count {
+        for c in 0..dim {
+            result.end[(first + i) * dim + c] = ends[c * count + i].into();
+        }
+        result.end_time[first + i] = ends[dim * count + i].into();
+    }
+    if levels == 0 {
+        return;
+    }
+    let samples: &[T] = bytemuck::cast_slice(written.samples);
+    let components: Vec<usize> = stored(spec).collect();
+    let width = 1 + dim;
+    let to = &mut result.samples[first * levels * width..(first + count) * levels * width];
+    to.par_chunks_mut(levels * width)
+        .zip(samples.par_chunks(levels * shape.sample))
+        .enumerate()
+        .with_min_len(64)
+        .for_each(|(i, (to, from))| {
+            let kept = passed.first[i] as usize..passed.end[i] as usize;
+            for (k, to) in to.chunks_exact_mut(width).enumerate() {
+                if !kept.contains(&k) {
+                    to.fill(f64::NAN);
+                    continue;
+                }
+                let from = &from[k * shape.sample..(k + 1) * shape.sample];
+                to[0] = from[0].into();
+                for (c, x) in components.iter().zip(&from[1..]) {
+                    to[1 + c] = (*x).into();
+                }
+                if let By::Component(c) = spec.by {
+                    to[1 + c] = run.levels[k];
+                }
+            }
+        });
+}
