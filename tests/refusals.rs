@@ -125,3 +125,21 @@ fn arguments_need_not_be_unicode() {
         .unwrap();
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
 }
+
+#[test]
+fn equations_too_long_for_a_shader() {
+    let folder = folder("long");
+    let sum: Vec<String> = (0..3000)
+        .map(|i| format!("{}*sin({}*x)", 1e-6 * f64::from(i), 1.0 + f64::from(i) / 64.0))
+        .collect();
+    let scene = SCENE.replace("-x + u", &format!("-x + u + {}", sum.join(" + ")));
+    std::fs::write(folder.join("scene.toml"), scene).unwrap();
+    let done = Command::new(env!("CARGO_BIN_EXE_costate"))
+        .current_dir(&folder)
+        .args(["run", "--backend", "gpu", "scene.toml"])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&done.stderr).replace('\n', " ");
+    assert_eq!(done.status.code(), Some(1), "{text}");
+    assert!(text.contains("operations"), "{text}");
+}

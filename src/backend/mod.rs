@@ -159,6 +159,8 @@ pub enum BackendError {
     Map(#[from] wgpu::BufferAsyncError),
     #[error("the GPU device reported: {message}")]
     Fault { message: String },
+    #[error("the equations take {operations} operations, and a GPU kernel at most {limit}; use --backend cpu")]
+    TooLong { operations: usize, limit: usize },
     #[error("kernel output slot {index} was not written")]
     Unwritten { index: usize },
     #[error(

@@ -47,6 +47,9 @@ impl Gpu {
     }
 }
 
+/// Operations of one right-hand side that are given to a shader compiler.
+const MOST_OPERATIONS: usize = 2000;
+
 impl Backend for Gpu {
     fn name(&self) -> &'static str {
         "gpu"
@@ -65,6 +68,14 @@ impl Backend for Gpu {
         if !self.supports(spec.precision) {
             return Err(BackendError::NoF64 {
                 adapter: self.device.info.name.clone(),
+            });
+        }
+        // Shader compilers recurse over long straight-line code, and take minutes over it.
+        let operations = spec.rate.operations();
+        if operations > MOST_OPERATIONS {
+            return Err(BackendError::TooLong {
+                operations,
+                limit: MOST_OPERATIONS,
             });
         }
         Ok(Box::new(kernel::GpuKernel::new(
