@@ -73,6 +73,7 @@ fn step(c: &mut Criterion) {
             let spec = Spec {
                 rate: rate.clone(),
                 guards: None,
+                kinks: None,
                 method,
                 precision,
                 by: By::Time,
@@ -114,7 +115,7 @@ fn whole_sweep(c: &mut Criterion) {
             model.integrator.method = method;
             let choices = Choices {
                 precision: Some(precision),
-                rtol: None,
+                ..Choices::default()
             };
             let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), choices).expect("the scene can be swept");
             let go = || {

@@ -119,6 +119,7 @@ impl Work {
         let spec = Spec {
             rate: rate.clone(),
             guards: None,
+            kinks: None,
             method,
             precision,
             by: By::Time,

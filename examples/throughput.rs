@@ -42,6 +42,7 @@ fn main() {
         let spec = Spec {
             rate: rate.clone(),
             guards: None,
+            kinks: None,
             method,
             precision,
             by: By::Time,
@@ -72,6 +73,7 @@ fn main() {
             Choices {
                 precision: Some(precision),
                 rtol: Some(rtol),
+                ..Choices::default()
             },
         )
         .expect("the scene can be swept");

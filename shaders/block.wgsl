@@ -92,7 +92,7 @@ fn decide(error: real, h: real, before: f32) -> Decision {
     // Squared errors: the exponents are halved.
     let log_e = log2(max(select(1.0, f32(error), finite), LEAST_SQUARED_ERROR));
     let pi = HALF_BETA * before - HALF_ALPHA * log_e;
-    let factor = SAFETY * exp2(select(-0.1 * log_e, pi, accepted));
+    let factor = SAFETY * exp2(select(-HALF_REFUSED * log_e, pi, accepted));
     let bounded = max(min(factor, select(1.0, GROW, accepted)), SHRINK);
     return Decision(
         accepted,

@@ -48,4 +48,6 @@ pub mod model;
 pub mod output;
 pub mod program;
 pub mod scenario;
+pub mod shooting;
 pub mod sweep;
+pub mod value;

@@ -27,6 +27,7 @@ impl Problem {
         Spec {
             rate: self.rate.clone(),
             guards: self.guards.clone(),
+            kinks: None,
             method,
             precision,
             by: self.by,

@@ -164,6 +164,7 @@ fn integrate(s: &Setting) -> Trajectories {
     let spec = Spec {
         rate: problem(),
         guards: None,
+        kinks: None,
         method: s.method,
         precision: s.precision,
         by: s.by,

@@ -257,6 +257,7 @@ impl<'a, const N: usize, H: ByHand<N>> Case<'a, N, H> {
         let spec = Spec {
             rate: Program::lower(&self.system.graph, &self.system.inputs, &twice),
             guards: None,
+            kinks: None,
             method: Method::Rk4,
             precision: Precision::F32,
             by: By::Time,

@@ -110,6 +110,7 @@ fn scenes_agree_on_both_backends() {
                 let choices = Choices {
                     precision: Some(precision),
                     rtol,
+                    ..Choices::default()
                 };
                 let plan = Plan::new(&model, &hamiltonian, &cpu, choices).expect("the scene can be swept");
                 let dim = plan.spec.dim();

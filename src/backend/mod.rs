@@ -17,6 +17,9 @@ pub struct Spec {
     pub rate: Program,
     /// Guard values of the same inputs, where the scene has guards.
     pub guards: Option<Guards>,
+    /// Values of the same inputs at whose zeros the rate has a kink, where it has any: adaptive steps are made to end
+    /// there, so that no step's error estimate is fooled by one inside.
+    pub kinks: Option<Program>,
     pub method: Method,
     pub precision: Precision,
     /// The coordinate whose levels are sampled and end a trajectory.
@@ -180,6 +183,55 @@ pub trait Backend: Send + Sync {
     /// # Errors
     /// When the precision is not supported or the generated code is refused.
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError>;
+    /// Block elimination of multiple-shooting equations with `states` states on the device; `None` where the host is
+    /// to do it.
+    ///
+    /// # Errors
+    /// When the precision is not supported or the generated code is refused.
+    fn eliminator(&self, states: usize, precision: Precision) -> Result<Option<Box<dyn Eliminator>>, BackendError> {
+        let _ = (states, precision);
+        Ok(None)
+    }
+}
+
+/// The linearized multiple-shooting equations of some paths (see [`crate::shooting::Factors`], which is the reference
+/// and gives the formulas). All arrays row-major, in scaled units; segments and nodes of the paths follow each other.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Systems {
+    /// n; a node has 2n components.
+    pub states: usize,
+    /// Segments of each path; it has one node more.
+    pub segments: Vec<u32>,
+    /// `[segment][2n x 2n]`: propagators.
+    pub phi: Vec<f64>,
+    /// `[segment][2n]`.
+    pub defects: Vec<f64>,
+    /// `[path][n]`: the end's residual `g(s) - p`.
+    pub end: Vec<f64>,
+    /// `[path][n x n]`: `dg/ds` at the end.
+    pub hessian: Vec<f64>,
+    /// `[path][n]`: s-part of the first node's step.
+    pub wanted: Vec<f64>,
+}
+
+/// What an elimination gives. A path whose equations are singular has steps that are not finite.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Eliminated {
+    /// `[node][n x 2n]`: orthonormal rows.
+    pub w: Vec<f64>,
+    /// `[node][n x n]`: lower triangular.
+    pub l: Vec<f64>,
+    /// `[node][2n]`: Newton's steps.
+    pub steps: Vec<f64>,
+}
+
+/// Eliminates batches of linearized equations on a device.
+pub trait Eliminator: Send {
+    /// A path's result does not depend on the others.
+    ///
+    /// # Errors
+    /// Device failures only.
+    fn eliminate(&mut self, systems: &Systems) -> Result<Eliminated, BackendError>;
 }
 
 /// A compiled kernel.

@@ -65,7 +65,8 @@ impl Terminal {
             self.note("the running cost is negative in places: V is not monotone along trajectories, which are sampled by arc length");
         }
         if let Some(local) = &plan.local
-            && local.error > 0.1 * plan.run.rtol * plan.run.levels.first().copied().unwrap_or(f64::INFINITY) * 1.0001
+            && local.error
+                > 0.1 * plan.run.rtol * plan.run.levels.get(plan.inner).copied().unwrap_or(f64::INFINITY) * 1.0001
             && plan.sampling == Sampling::Value
         {
             self.note(&format!(

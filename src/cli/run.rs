@@ -27,6 +27,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
     let choices = Choices {
         precision: args.precision.and_then(|p| p.precision()),
         rtol: args.rtol,
+        ..Choices::default()
     };
     let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), choices).map_err(|e| match e {
         PlanError::Local(e) => at_equilibrium(&model, &e),
@@ -103,7 +104,7 @@ fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
         states: model.states.iter().map(|s| axis(&s.variable)).collect(),
         controls: model.controls.iter().map(|c| axis(&c.variable)).collect(),
         disturbances: model.disturbances.iter().map(axis).collect(),
-        samples: plan.run.levels.len(),
+        samples: plan.samples(),
         status_flags: plan.status_flags(),
         ..TrajectorySchema::default()
     }

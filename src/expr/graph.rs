@@ -578,6 +578,23 @@ impl Graph {
             .collect()
     }
 
+    /// Expressions at whose zeros a root has a kink or a jump: differences of the arguments of min and max, arguments of
+    /// abs and sign.
+    pub fn kinks(&mut self, roots: &[Id]) -> Vec<Id> {
+        let mut found = Vec::new();
+        for id in self.reachable(roots) {
+            let at = match self.node(id) {
+                Node::Binary(Op::Min | Op::Max, a, b) => self.sub(a, b),
+                Node::Unary(Fun::Abs | Fun::Sign | Fun::Step, a) => a,
+                _ => continue,
+            };
+            if self.as_constant(at).is_none() && !found.contains(&at) {
+                found.push(at);
+            }
+        }
+        found
+    }
+
     /// Whether any root depends on `symbol`.
     pub fn depends_on(&self, roots: &[Id], symbol: Id) -> bool {
         self.reachable(roots).binary_search(&symbol).is_ok()

@@ -8,6 +8,9 @@ pub struct Tableau {
     pub a: &'static [&'static [f64]],
     /// Weights of the error estimate, or empty for a fixed-step method.
     pub error: &'static [f64],
+    /// Weights of a second estimate, of lower order, or empty. With the mean squares e and c of both in the tolerance's
+    /// norm the squared error is `e^2 / (e + c/100)`.
+    pub companion: &'static [f64],
     /// Dense output: weight of stage j at fraction q of the step is `q * (d[j][0] + q*(d[j][1] + q*(d[j][2] + q*d[j][3])))`.
     pub dense: &'static [[f64; 4]],
 }
@@ -16,6 +19,11 @@ impl Tableau {
     /// Stages, the one at the new point included.
     pub const fn stages(&self) -> usize {
         self.a.len() + 1
+    }
+
+    /// The error falls with the step to the power of this one's inverse.
+    pub const fn exponent(&self) -> f64 {
+        if self.order > 5 { 1.0 / 8.0 } else { 1.0 / 5.0 }
     }
 
     /// Whether steps are chosen by an error estimate.
@@ -35,6 +43,7 @@ pub static RK4: Tableau = Tableau {
         &[1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0],
     ],
     error: &[],
+    companion: &[],
     // y0 + q h k1 + (3q^2 - 2q^3)(y1 - y0 - h k1) ... collected by stage, with k5 = f(y1):
     // h00 cancels; y1 - y0 = h (k1 + 2 k2 + 2 k3 + k4)/6.
     dense: &[
@@ -85,6 +94,7 @@ pub static TSIT5: Tableau = Tableau {
         -0.45808210592918697,
         0.015151515151515152,
     ],
+    companion: &[],
     dense: &[
         [1.0, -2.763706197274826, 2.9132554618219126, -1.0530884977290216],
         [0.0, 0.13169999999999998, -0.2234, 0.1017],
@@ -96,11 +106,147 @@ pub static TSIT5: Tableau = Tableau {
     ],
 };
 
+/// Order 8(5,3) method of E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I (1993), II.10
+/// (DOP853). Dense output is the cubic Hermite interpolant: this tableau is for steps that end where a value is wanted.
+pub static DOP853: Tableau = Tableau {
+    order: 8,
+    a: &[
+        &[0.05260015195876773],
+        &[0.0197250569845379, 0.0591751709536137],
+        &[0.02958758547680685, 0.0, 0.08876275643042054],
+        &[0.2413651341592667, 0.0, -0.8845494793282861, 0.924834003261792],
+        &[0.037037037037037035, 0.0, 0.0, 0.17082860872947386, 0.12546768756682242],
+        &[
+            0.037109375,
+            0.0,
+            0.0,
+            0.17025221101954405,
+            0.06021653898045596,
+            -0.017578125,
+        ],
+        &[
+            0.03709200011850479,
+            0.0,
+            0.0,
+            0.17038392571223998,
+            0.10726203044637328,
+            -0.015319437748624402,
+            0.008273789163814023,
+        ],
+        &[
+            0.6241109587160757,
+            0.0,
+            0.0,
+            -3.3608926294469414,
+            -0.868219346841726,
+            27.59209969944671,
+            20.154067550477894,
+            -43.48988418106996,
+        ],
+        &[
+            0.47766253643826434,
+            0.0,
+            0.0,
+            -2.4881146199716677,
+            -0.590290826836843,
+            21.230051448181193,
+            15.279233632882423,
+            -33.28821096898486,
+            -0.020331201708508627,
+        ],
+        &[
+            -0.9371424300859873,
+            0.0,
+            0.0,
+            5.186372428844064,
+            1.0914373489967295,
+            -8.149787010746927,
+            -18.52006565999696,
+            22.739487099350505,
+            2.4936055526796523,
+            -3.0467644718982196,
+        ],
+        &[
+            2.273310147516538,
+            0.0,
+            0.0,
+            -10.53449546673725,
+            -2.0008720582248625,
+            -17.9589318631188,
+            27.94888452941996,
+            -2.8589982771350235,
+            -8.87285693353063,
+            12.360567175794303,
+            0.6433927460157636,
+        ],
+        &[
+            0.054293734116568765,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            4.450312892752409,
+            1.8915178993145003,
+            -5.801203960010585,
+            0.3111643669578199,
+            -0.1521609496625161,
+            0.20136540080403034,
+            0.04471061572777259,
+        ],
+    ],
+    error: &[
+        0.01312004499419488,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        -1.2251564463762044,
+        -0.4957589496572502,
+        1.6643771824549864,
+        -0.35032884874997366,
+        0.3341791187130175,
+        0.08192320648511571,
+        -0.022355307863886294,
+        0.0,
+    ],
+    companion: &[
+        -0.18980075407240762,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        4.450312892752409,
+        1.8915178993145003,
+        -5.801203960010585,
+        -0.4226823213237919,
+        -0.1521609496625161,
+        0.20136540080403034,
+        0.02265179219836082,
+        0.0,
+    ],
+    dense: &[
+        [1.0, -1.8371187976502936, 0.8914125317668624, 0.0],
+        [0.0, 0.0, -0.0, 0.0],
+        [0.0, 0.0, -0.0, 0.0],
+        [0.0, 0.0, -0.0, 0.0],
+        [0.0, 0.0, -0.0, 0.0],
+        [0.0, 13.350938678257227, -8.900625785504818, 0.0],
+        [0.0, 5.674553697943501, -3.7830357986290006, 0.0],
+        [0.0, -17.403611880031754, 11.60240792002117, 0.0],
+        [0.0, 0.9334931008734597, -0.6223287339156398, 0.0],
+        [0.0, -0.45648284898754826, 0.3043218993250322, 0.0],
+        [0.0, 0.604096202412091, -0.4027308016080607, 0.0],
+        [0.0, 0.13413184718331778, -0.08942123145554517, 0.0],
+        [0.0, -1.0, 1.0, 0.0],
+    ],
+};
+
 impl crate::model::Method {
     pub fn tableau(self) -> &'static Tableau {
         match self {
             crate::model::Method::Rk4 => &RK4,
             crate::model::Method::Tsit5 => &TSIT5,
+            crate::model::Method::Dop853 => &DOP853,
         }
     }
 }
@@ -111,9 +257,13 @@ impl crate::model::Method {
 /// `h * clamp(SAFETY * e^-ALPHA * e_before^BETA, SHRINK, GROW)` (PI control, Hairer & Wanner, Solving ODEs II, IV.2).
 pub mod control {
     pub const SAFETY: f64 = 0.9;
-    /// Exponents for an order-5 method with an order-4 estimate.
-    pub const ALPHA: f64 = 0.7 / 5.0;
-    pub const BETA: f64 = 0.4 / 5.0;
+    /// Exponents in units of the method's [`super::Tableau::exponent`].
+    pub const ALPHA: f64 = 0.7;
+    pub const BETA: f64 = 0.4;
+    /// A kink within this share of a step from one of its ends counts as met: its error is of the second order in it.
+    pub const AT_KINK: f64 = 1e-4;
+    /// Weight of a companion estimate's mean square.
+    pub const COMPANION: f64 = 0.01;
     pub const SHRINK: f64 = 0.2;
     pub const GROW: f64 = 5.0;
     /// First step: this fraction of |y|/|y'| in the tolerance's norm.

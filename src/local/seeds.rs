@@ -38,6 +38,12 @@ pub struct LocalSolution {
     basis: Basis,
     value: Vec<f64>,
     gradient: Vec<Vec<f64>>,
+    /// Second derivatives by `z_i`, `z_j`, j up to i, row by row.
+    second: Vec<Vec<f64>>,
+    /// Largest sizes of the parts of V not kept, on the unit sphere of z, with their degrees.
+    neglected: Vec<(i32, f64)>,
+    /// V up to which controls stay inside their bounds and the ellipsoid inside the region.
+    limit: f64,
     /// Degree to which V is expanded (2: the Riccati solution alone).
     pub degree: usize,
     pub seed_value: f64,
@@ -117,6 +123,15 @@ impl LocalSolution {
         let mut kept = value;
         kept[basis.start[degree + 1]..].fill(0.0);
         let gradient = basis.gradient(&kept);
+        let second = (gradient.iter().enumerate())
+            .flat_map(|(i, g)| basis.gradient(g).into_iter().take(i + 1))
+            .collect();
+        let neglected = if known < 2 + LOOK_AHEAD {
+            // The error of the quadratic V grows as a cubic term does.
+            vec![(3, error / radius.powi(3))]
+        } else {
+            (degree + 1..=known).map(|k| (k as i32, sizes[k])).collect()
+        };
         let inverse = to_adjoint.transpose();
         let flow = Flow::new(
             inverse * &riccati.closed_loop * &t,
@@ -131,10 +146,62 @@ impl LocalSolution {
             basis,
             value: kept,
             gradient,
+            second,
+            neglected,
+            limit,
             degree,
             seed_value,
             error,
         })
+    }
+
+    /// Largest V, at most `ceiling`, of an ellipsoid on which the estimated error of V is at most `error`, with the
+    /// controls well inside their bounds.
+    pub fn value_within(&self, error: f64, ceiling: f64) -> f64 {
+        let radius = (self.neglected.iter())
+            .filter(|(_, size)| *size > 0.0)
+            .map(|(k, size)| (error / size).powf(1.0 / f64::from(*k)))
+            .fold((2.0 * ceiling.min(self.limit)).sqrt(), f64::min);
+        0.5 * radius * radius
+    }
+
+    /// Estimated error of V at a place where the quadratic V is `value`.
+    pub fn error_where(&self, value: f64) -> f64 {
+        let radius = (2.0 * value).sqrt();
+        (self.neglected.iter())
+            .map(|(k, size)| size * radius.powi(*k))
+            .fold(0.0, f64::max)
+    }
+
+    /// `V`, `dV/ds` and the Hessian (row-major) of the local solution at a deviation.
+    pub fn expansion(&self, s: &[f64]) -> (f64, Vec<f64>, Vec<f64>) {
+        let n = s.len();
+        let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
+        let m = self.basis.monomials(z.as_slice());
+        let dot = |c: &[f64]| c.iter().zip(&m).map(|(c, m)| c * m).sum::<f64>();
+        let q = DVector::from_iterator(n, self.gradient.iter().map(|g| dot(g)));
+        let mut second = DMatrix::zeros(n, n);
+        let mut entries = self.second.iter();
+        for i in 0..n {
+            for j in 0..=i {
+                let value = entries.next().map_or(0.0, |c| dot(c));
+                second[(i, j)] = value;
+                second[(j, i)] = value;
+            }
+        }
+        let p = &self.to_adjoint * q;
+        let hessian = &self.to_adjoint * second * self.to_adjoint.transpose();
+        (
+            dot(&self.value),
+            p.iter().copied().collect(),
+            hessian.transpose().iter().copied().collect(),
+        )
+    }
+
+    /// `s'Ps/2`.
+    pub fn quadratic(&self, s: &[f64]) -> f64 {
+        let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
+        0.5 * z.norm_squared()
     }
 
     /// The seed `(s, p, V)` for a direction (a unit vector in the coordinates where P is the identity) in which the

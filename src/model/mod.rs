@@ -120,6 +120,8 @@ pub struct Homotopy {
 pub enum Method {
     Rk4,
     Tsit5,
+    /// For boundary value problems: it has no dense output of its order, which sampling by levels needs.
+    Dop853,
 }
 
 impl Method {

@@ -98,11 +98,28 @@ pub fn sweep<E: From<BackendError>>(
     progress: Progress<'_>,
     sink: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
 ) -> Result<SweepReport, E> {
+    sweep_keeping(plan, backend, progress, &mut |_, _| {}, sink)
+}
+
+/// Told of each batch: its seeds and what became of them.
+pub type Keep<'a> = &'a mut dyn FnMut(&[f64], &Trajectories);
+
+/// [`sweep`], handing each batch to `keep` as the backend gave it.
+///
+/// # Errors
+/// As [`sweep`].
+pub fn sweep_keeping<E: From<BackendError>>(
+    plan: &Plan,
+    backend: &dyn Backend,
+    progress: Progress<'_>,
+    keep: Keep<'_>,
+    sink: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+) -> Result<SweepReport, E> {
     let mut kernel = backend.compile(&plan.spec)?;
     let observed = Observed::new(plan);
     let mut fronts = Fronts::new(plan);
     loop {
-        fronts.integrate(kernel.as_mut(), &observed, sink)?;
+        fronts.integrate(kernel.as_mut(), &observed, keep, sink)?;
         fronts.judge();
         fronts.report.rounds += 1;
         progress(fronts.report.trajectories, fronts.waiting.len());
@@ -168,6 +185,7 @@ impl<'a> Fronts<'a> {
         &mut self,
         kernel: &mut dyn Kernel,
         observed: &Observed,
+        keep: Keep<'_>,
         sink: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
     ) -> Result<(), E> {
         let plan = self.plan;
@@ -185,6 +203,7 @@ impl<'a> Fronts<'a> {
             let batch = kernel.integrate(&plan.run, &seeds)?;
             self.report.integrate_seconds += start.elapsed().as_secs_f64();
             self.record(vertices, &batch);
+            keep(&seeds, &batch);
             let (block, relative) = observed.block(plan, &batch);
             self.report.drift.extend_from_slice(&block.hamiltonian_drift);
             self.report.relative_drift.extend(relative);
@@ -200,7 +219,7 @@ impl<'a> Fronts<'a> {
         let n = self.plan.system.states;
         for (i, v) in vertices.iter().enumerate() {
             let mut path = Vec::new();
-            for k in 0..batch.levels {
+            for k in self.plan.inner..batch.levels {
                 let sample = batch.sample(i, k);
                 if sample[0].is_nan() {
                     break;

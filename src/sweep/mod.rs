@@ -7,7 +7,7 @@ mod observe;
 mod plan;
 mod surface;
 
-pub use fronts::{Coverage, Progress, SweepReport, sweep};
+pub use fronts::{Coverage, Progress, SweepReport, sweep, sweep_keeping};
 pub use observe::Observed;
 pub use plan::{Choices, Plan, PlanError, Sampling};
 pub use surface::Surface;

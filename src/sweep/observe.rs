@@ -52,7 +52,7 @@ impl Observed {
             self.evaluator.eval(&batch.samples[1..], stride)
         };
         let ends = self.evaluator.eval(&batch.end, batch.dim);
-        let total = count * levels;
+        let total = count * plan.samples();
         let mut block = TrajectoryBlock {
             count,
             t: Vec::with_capacity(total),
@@ -78,7 +78,7 @@ impl Observed {
             };
             let mut drift = (ends[i * width + m + k] - reference).abs();
             let mut scale = ends[i * width + m + k + 1].abs();
-            for level in (0..levels).rev() {
+            for level in (plan.inner..levels).rev() {
                 let sample = batch.sample(i, level);
                 let row = &values[(i * levels + level) * width..][..width];
                 let h = row[m + k];

@@ -48,6 +48,11 @@ const MOST_BYTES: usize = 64 << 20;
 pub struct Choices {
     pub precision: Option<Precision>,
     pub rtol: Option<f64>,
+    /// Whether trajectories are also sampled between the seeds and the first stored level, for first guesses of
+    /// boundary value problems.
+    pub inner_levels: bool,
+    /// Lowers the scene's cap on seeds.
+    pub max_seeds: Option<usize>,
 }
 
 /// The coordinate that the stored points of a sweep are levels of.
@@ -67,6 +72,8 @@ pub struct Plan {
     pub run: Run,
     pub surface: Surface,
     pub sampling: Sampling,
+    /// Leading levels of the run that are not part of the result.
+    pub inner: usize,
     pub shoot_out: ShootOut,
     /// The local solution, for an infinite horizon.
     pub local: Option<LocalSolution>,
@@ -93,7 +100,10 @@ impl Plan {
         backend: &dyn Backend,
         choices: Choices,
     ) -> Result<Self, PlanError> {
-        let shoot_out = model.shoot_out.clone().ok_or(PlanError::NoShootOut)?;
+        let mut shoot_out = model.shoot_out.clone().ok_or(PlanError::NoShootOut)?;
+        shoot_out.max_seeds = choices
+            .max_seeds
+            .map_or(shoot_out.max_seeds, |m| m.min(shoot_out.max_seeds));
         if !model.disturbances.is_empty() {
             return Err(PlanError::Game);
         }
@@ -183,6 +193,12 @@ impl Plan {
                 (By::Component(value + 1), steps(ARC_LENGTH), Some((value, value_max)))
             }
         };
+        let seed_value = local.as_ref().map_or(0.0, |l| l.seed_value);
+        let inner = if choices.inner_levels && sampling == Sampling::Value {
+            inner_levels(seed_value, levels[0])
+        } else {
+            Vec::new()
+        };
         let mut scales: Vec<f64> = widths.clone();
         scales.extend(widths.iter().map(|w| value_scale / w));
         scales.push(value_scale);
@@ -207,6 +223,7 @@ impl Plan {
             spec: Spec {
                 rate: Program::lower(&system.graph, &system.inputs, &rate),
                 guards,
+                kinks: None,
                 method: model.integrator.method,
                 precision,
                 by,
@@ -217,12 +234,13 @@ impl Plan {
                 atol: scales.iter().map(|s| atol * s).collect(),
                 step: model.integrator.step.unwrap_or(0.0),
                 max_steps: u32::try_from(model.integrator.max_steps).unwrap_or(u32::MAX),
-                levels,
+                levels: [inner.as_slice(), &levels].concat(),
                 ceiling,
                 bounds,
             },
             surface,
             sampling,
+            inner: inner.len(),
             shoot_out,
             local,
             rtol_asked,
@@ -232,6 +250,11 @@ impl Plan {
             region,
             system,
         })
+    }
+
+    /// Stored points a trajectory.
+    pub fn samples(&self) -> usize {
+        self.run.levels.len() - self.inner
     }
 
     pub fn method(&self) -> Method {
@@ -260,6 +283,18 @@ impl Plan {
             .find(|(c, _)| *c == code)
             .map_or_else(|| format!("status_{code}"), |(_, n)| n)
     }
+}
+
+/// Levels between the seeds' V and the first one asked for, each a few times the one before.
+fn inner_levels(seed_value: f64, first: f64) -> Vec<f64> {
+    const RATIO: f64 = 3.0;
+    let mut levels = Vec::new();
+    let mut level = RATIO * seed_value;
+    while level < first / RATIO.sqrt() && levels.len() < 64 {
+        levels.push(level);
+        level *= RATIO;
+    }
+    levels
 }
 
 /// Whether L is nowhere negative in the region, even at the cheapest control (looked at in many points).

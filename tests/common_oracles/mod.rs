@@ -60,6 +60,7 @@ impl Asked {
         Choices {
             precision: Some(self.precision),
             rtol: Some(self.rtol),
+            ..Choices::default()
         }
     }
 

@@ -12,6 +12,8 @@ use crate::integrator::{Tableau, control};
 pub struct Compiled {
     pub rate: LaneProgram,
     pub guards: Option<(LaneProgram, Vec<bool>)>,
+    /// The kinks' program and its inputs, leading components too.
+    pub kinks: Option<(LaneProgram, usize)>,
     /// Inputs of both programs: the leading components.
     pub inputs: usize,
     pub dim: usize,
@@ -37,6 +39,12 @@ struct Block<'a, T, const W: usize> {
     run: &'a Run,
     file: Vec<Lanes<T, W>>,
     guard_file: Vec<Lanes<T, W>>,
+    kink_file: Vec<Lanes<T, W>>,
+    /// Values of the kinks' program where the step begins and where it ends.
+    sides: Vec<Lanes<T, W>>,
+    sides_new: Vec<Lanes<T, W>>,
+    /// Step size to go on with behind a kink; 0 where none is ahead.
+    resume: Lanes<T, W>,
     y: Vec<Lanes<T, W>>,
     y_new: Vec<Lanes<T, W>>,
     /// Stage derivatives, `[stage][component]`.
@@ -75,6 +83,10 @@ pub fn integrate<T: Real, const W: usize, const FMA: bool>(
         run,
         file: kernel.rate.registers(),
         guard_file: kernel.guards.as_ref().map_or_else(Vec::new, |(g, _)| g.registers()),
+        kink_file: kernel.kinks.as_ref().map_or_else(Vec::new, |(k, _)| k.registers()),
+        sides: vec![zero; kernel.kinks.as_ref().map_or(0, |(k, _)| k.outputs())],
+        sides_new: vec![zero; kernel.kinks.as_ref().map_or(0, |(k, _)| k.outputs())],
+        resume: zero,
         y: vec![zero; dim],
         y_new: vec![zero; dim],
         k: vec![zero; dim * kernel.tableau.stages()],
@@ -142,6 +154,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         self.h.0[lane] = T::of(0.0);
         self.before.0[lane] = 1.0;
         self.first_step.0[lane] = T::of(0.0);
+        self.resume.0[lane] = T::of(0.0);
         self.steps[lane] = 0;
         self.rejected[lane] = 0;
         self.trajectory[lane] = trajectory;
@@ -230,6 +243,9 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             }
             let mut sum = [T::of(0.0); W];
             for (j, &e) in tableau.error.iter().enumerate() {
+                if e == 0.0 {
+                    continue;
+                }
                 let (e, k) = (T::of(e), &self.k[j * dim + c].0);
                 for i in 0..W {
                     sum[i] = k[i].mul_add::<FMA>(e, sum[i]);
@@ -247,7 +263,44 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         for e in &mut total {
             *e = *e * share;
         }
+        if !tableau.companion.is_empty() {
+            let other = self.companion::<FMA>();
+            for i in 0..W {
+                let e = total[i];
+                let sum = T::of(control::COMPANION).mul_add::<FMA>(other[i] * share, e);
+                total[i] = if sum > T::of(0.0) { e * (e / sum) } else { e };
+            }
+        }
         Lanes(total)
+    }
+
+    /// Sum of squares of the companion estimate.
+    #[inline(always)]
+    fn companion<const FMA: bool>(&self) -> [T; W] {
+        let (dim, tableau) = (self.kernel.dim, self.kernel.tableau);
+        let mut total = [T::of(0.0); W];
+        let rtol = T::of(self.run.rtol);
+        for c in 0..dim {
+            let mut sum = [T::of(0.0); W];
+            for (j, &e) in tableau.companion.iter().enumerate() {
+                if e == 0.0 {
+                    continue;
+                }
+                let (e, k) = (T::of(e), &self.k[j * dim + c].0);
+                for i in 0..W {
+                    sum[i] = k[i].mul_add::<FMA>(e, sum[i]);
+                }
+            }
+            let (y, y_new) = (&self.y[c].0, &self.y_new[c].0);
+            let (atol, h) = (self.atol[c], &self.h.0);
+            for i in 0..W {
+                let (p, q) = (y[i].absolute(), y_new[i].absolute());
+                let size = if p > q { p } else { q };
+                let e = sum[i] * h[i] / rtol.mul_add::<FMA>(size, atol);
+                total[i] = e.mul_add::<FMA>(e, total[i]);
+            }
+        }
+        total
     }
 
     /// Accepts or rejects each lane's step, chooses its next size, and finds the lanes to be looked at singly.
@@ -269,6 +322,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             for i in 0..W {
                 decided.next_h.0[i] = self.h.0[i] * T::of(f64::from(factor[i]));
             }
+            self.meet_kinks::<FMA>(&mut decided);
         }
         self.limit(&mut decided);
         let most = self.run.max_steps.saturating_sub(1);
@@ -288,6 +342,60 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         decided
     }
 
+    /// Refuses steps with a kink well inside, in favour of ones that end there.
+    #[inline(always)]
+    fn meet_kinks<const FMA: bool>(&mut self, decided: &mut Decision<T, W>) {
+        let Some((program, inputs)) = &self.kernel.kinks else {
+            return;
+        };
+        for (to, from) in program.inputs(&mut self.kink_file, *inputs).iter_mut().zip(&self.y_new) {
+            to.0 = from.0;
+        }
+        program.run::<T, W, FMA>(&mut self.kink_file);
+        let zero = T::of(0.0);
+        // Fraction of the step up to the first kink; 2 where there is none.
+        let mut first = [T::of(2.0); W];
+        for (g, (old, new)) in self.sides.iter().zip(&mut self.sides_new).enumerate() {
+            new.0 = program.output(&self.kink_file, g).0;
+            for i in 0..W {
+                let (a, b) = (old.0[i], new.0[i]);
+                let crossed = (a < zero) & (b > zero) | (a > zero) & (b < zero);
+                let q = a / (a - b);
+                first[i] = if crossed & (q < first[i]) { q } else { first[i] };
+            }
+        }
+        let near = T::of(control::AT_KINK);
+        for i in 0..W {
+            let q = first[i];
+            let inside = decided.accepted[i] & !self.fresh[i] & (q > near) & (q < T::of(1.0) - near);
+            let crosses = decided.accepted[i] & (q < T::of(2.0)) & !inside;
+            // The end of the shorter step is to lie behind the kink, not before it.
+            let shorter = self.h.0[i] * (q + T::of(0.1) * near);
+            let resume = self.resume.0[i];
+            let h = self.h.0[i];
+            let grown = if decided.next_h.0[i] > resume {
+                decided.next_h.0[i]
+            } else {
+                resume
+            };
+            decided.accepted[i] &= !inside;
+            decided.next_h.0[i] = if inside {
+                shorter
+            } else if crosses {
+                grown
+            } else {
+                decided.next_h.0[i]
+            };
+            self.resume.0[i] = if inside & (resume < h) {
+                h
+            } else if crosses {
+                zero
+            } else {
+                resume
+            };
+        }
+    }
+
     /// Factors of the step size.
     #[inline(always)]
     fn factors(&mut self, error: &Lanes<T, W>) -> [f32; W] {
@@ -297,8 +405,13 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         }
         let least = (control::LEAST_ERROR * control::LEAST_ERROR) as f32;
         let (safety, grow, shrink) = (control::SAFETY as f32, control::GROW as f32, control::SHRINK as f32);
+        let unit = self.kernel.tableau.exponent();
+        let refused = (-0.5 * unit) as f32;
         // Squared errors: the exponents are halved.
-        let (alpha, beta) = ((-0.5 * control::ALPHA) as f32, (0.5 * control::BETA) as f32);
+        let (alpha, beta) = (
+            (-0.5 * control::ALPHA * unit) as f32,
+            (0.5 * control::BETA * unit) as f32,
+        );
         let mut factor = [0.0f32; W];
         for i in 0..W {
             let accepted = e[i] <= 1.0;
@@ -307,7 +420,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             let exponent = if accepted {
                 alpha * log + beta * log2(self.before.0[i])
             } else {
-                (-0.5 / 5.0) * log
+                refused * log
             };
             let most = if accepted { grow } else { 1.0 };
             let f = safety * exp2(if exponent > 4.0 { 4.0 } else { exponent });
@@ -391,6 +504,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         for i in 0..W {
             self.h.0[i] = if single[i] { self.h.0[i] } else { decided.next_h.0[i] };
         }
+        for (old, new) in self.sides.iter_mut().zip(&self.sides_new) {
+            for i in 0..W {
+                old.0[i] = if moves[i] { new.0[i] } else { old.0[i] };
+            }
+        }
         let dim = self.kernel.dim;
         let (first, last) = self.k.split_at_mut((self.kernel.tableau.stages() - 1) * dim);
         for c in 0..dim {
@@ -428,6 +546,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             return self.out_of_steps(lane, out);
         }
         self.steps[lane] += 1;
+        self.keep_sides(lane);
         if let Some(ended) = self.events::<FMA>(lane, out) {
             return self.finish(lane, ended, out);
         }
@@ -447,6 +566,12 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             return self.finish(lane, Status::Reached, out);
         }
         self.out_of_steps(lane, out)
+    }
+
+    fn keep_sides(&mut self, lane: usize) {
+        for (old, new) in self.sides.iter_mut().zip(&self.sides_new) {
+            old.0[lane] = new.0[lane];
+        }
     }
 
     fn out_of_steps(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
@@ -483,6 +608,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             control::FIRST
         };
         self.fresh[lane] = false;
+        self.keep_sides(lane);
         self.first_step.0[lane] = T::of(first);
         self.before.0[lane] = 1.0;
         self.h.0[lane] = T::of(first);

@@ -104,6 +104,7 @@ impl Backend for Cpu {
                 .guards
                 .as_ref()
                 .map(|g| (LaneProgram::new(&g.program), g.strict.clone())),
+            kinks: spec.kinks.as_ref().map(|k| (LaneProgram::new(k), k.inputs)),
             inputs: spec.rate.inputs,
             dim: spec.dim(),
             tableau: spec.method.tableau(),
@@ -143,7 +144,7 @@ impl Kernel for CpuKernel {
             return Ok(result);
         }
         // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
-        let chunk = (count / (rayon::current_num_threads() * 4)).clamp(4 * LANES_F32, 8192);
+        let chunk = (count / (rayon::current_num_threads() * 4)).clamp(LANES_F64, 8192);
         let width = levels * (1 + dim);
         // Without stored samples there is nothing to split; one chunk of an empty slice a task.
         let mut sample_chunks: Vec<&mut [f64]> = if width == 0 {

@@ -210,7 +210,8 @@ impl<'a> Emitter<'a> {
             }
             let squares: Vec<String> = (0..self.dim).map(|c| format!("e{c} * e{c}")).collect();
             let share = self.number(1.0 / self.dim as f64);
-            let _ = writeln!(text, "    let error = ({}) * {share};", squares.join(" + "));
+            let _ = writeln!(text, "    let square = ({}) * {share};", squares.join(" + "));
+            self.companion(text, last, &share);
         } else {
             // Only whether it is finite matters.
             let terms: Vec<String> = (0..self.dim).map(|c| format!("y{last}_{c} + k{last}.c{c}")).collect();
@@ -221,6 +222,29 @@ impl<'a> Emitter<'a> {
             "    return Step(Vector({}), {}, error);\n}}",
             new.join(", "),
             all.join(", ")
+        );
+    }
+
+    /// The squared error, from the estimate's mean square and that of the companion where there is one.
+    fn companion(&self, text: &mut String, last: usize, share: &str) {
+        if self.tableau.companion.is_empty() {
+            let _ = writeln!(text, "    let error = square;");
+            return;
+        }
+        for c in 0..self.dim {
+            let sum = self.combination(self.tableau.companion, c);
+            let _ = writeln!(
+                text,
+                "    let g{c} = ({sum}) * h / (run.atol.c{c} + run.rtol * max(abs(y.c{c}), abs(y{last}_{c})));"
+            );
+        }
+        let squares: Vec<String> = (0..self.dim).map(|c| format!("g{c} * g{c}")).collect();
+        let weight = self.number(control::COMPANION);
+        let _ = writeln!(
+            text,
+            "    let sum = square + {weight} * ({}) * {share};\n    let error = select(square, square * (square / sum), sum > {});",
+            squares.join(" + "),
+            self.number(0.0)
         );
     }
 
@@ -444,8 +468,9 @@ impl<'a> Emitter<'a> {
             let _ = writeln!(text, "const {name}: f32 = {};", literal(value, Precision::F32));
         };
         single("SAFETY", control::SAFETY);
-        single("HALF_ALPHA", 0.5 * control::ALPHA);
-        single("HALF_BETA", 0.5 * control::BETA);
+        single("HALF_ALPHA", 0.5 * control::ALPHA * self.tableau.exponent());
+        single("HALF_BETA", 0.5 * control::BETA * self.tableau.exponent());
+        single("HALF_REFUSED", 0.5 * self.tableau.exponent());
         single("SHRINK", control::SHRINK);
         single("GROW", control::GROW);
         single("LEAST_SQUARED_ERROR", control::LEAST_ERROR * control::LEAST_ERROR);

@@ -1,0 +1,287 @@
+//! Newton's iterations over many problems: the segments of all of them are one batch of a backend.
+
+use super::newton::{Failure, Integrated, Job, Scheme, Stage};
+use super::path::Path;
+use crate::backend::{Backend, BackendError, Kernel, Run, Status};
+use crate::model::{Method, Precision};
+use rayon::prelude::*;
+
+/// Bytes of seeds handed to a kernel at once.
+const BATCH_BYTES: usize = 32 << 20;
+/// Attempted steps a segment.
+const SEGMENT_STEPS: u32 = 20_000;
+
+/// What was done so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Work {
+    /// Segments integrated with and without variations.
+    pub varied: u64,
+    pub plain: u64,
+    /// Accepted steps of both.
+    pub steps: u64,
+    pub seconds_integrating: f64,
+    pub seconds_eliminating: f64,
+    pub rounds: u64,
+}
+
+/// Solves batches of problems on a backend.
+pub struct Solver {
+    pub scheme: Scheme,
+    plain: Box<dyn Kernel>,
+    varied: Box<dyn Kernel>,
+    plain_run: Run,
+    varied_run: Run,
+    pub work: Work,
+}
+
+impl Solver {
+    /// Segments are integrated to `rtol`; the scheme's tolerance should not be below it.
+    ///
+    /// # Errors
+    /// What [`Backend::compile`] refuses.
+    pub fn new(backend: &dyn Backend, precision: Precision, scheme: Scheme, rtol: f64) -> Result<Self, BackendError> {
+        let method = Method::Dop853;
+        let equations = &scheme.equations;
+        Ok(Self {
+            plain: backend.compile(&equations.plain_spec(method, precision, false))?,
+            varied: backend.compile(&equations.varied_spec(method, precision))?,
+            plain_run: equations.plain_run(rtol, SEGMENT_STEPS, 1),
+            varied_run: equations.varied_run(rtol, SEGMENT_STEPS),
+            scheme,
+            work: Work::default(),
+        })
+    }
+
+    /// Solves all jobs that have no outcome yet. A job's result does not depend on the others.
+    ///
+    /// # Errors
+    /// Device failures only; a problem that fails has its [`Failure`].
+    pub fn solve(&mut self, jobs: &mut [Job]) -> Result<(), BackendError> {
+        for job in jobs.iter_mut().filter(|j| j.outcome.is_none()) {
+            self.scheme.begin(job);
+        }
+        loop {
+            let mut linearize: Vec<&mut Job> = Vec::new();
+            let mut attempt: Vec<&mut Job> = Vec::new();
+            for job in jobs.iter_mut() {
+                match job.stage {
+                    Stage::Linearize => linearize.push(job),
+                    Stage::Try(_) => attempt.push(job),
+                    Stage::Done => {}
+                }
+            }
+            if linearize.is_empty() && attempt.is_empty() {
+                return Ok(());
+            }
+            self.work.rounds += 1;
+            self.attempt(&mut attempt)?;
+            self.linearize(&mut linearize)?;
+        }
+    }
+
+    fn linearize(&mut self, jobs: &mut [&mut Job]) -> Result<(), BackendError> {
+        let done = {
+            let paths: Vec<&Path> = jobs.iter().map(|j| &j.path).collect();
+            self.integrate(&paths, true)?
+        };
+        let clock = std::time::Instant::now();
+        let scheme = &self.scheme;
+        let long: Vec<Vec<usize>> = (jobs.par_iter_mut().zip(done))
+            .map(|(job, done)| scheme.linearized(job, done))
+            .collect();
+        self.work.seconds_eliminating += clock.elapsed().as_secs_f64();
+        self.split(jobs, &long)
+    }
+
+    /// Splits the given segments of each job's path in halves.
+    fn split(&mut self, jobs: &mut [&mut Job], long: &[Vec<usize>]) -> Result<(), BackendError> {
+        let halves: Vec<Path> = (jobs.iter().zip(long))
+            .filter(|(_, long)| !long.is_empty())
+            .map(|(job, long)| {
+                let mut nodes = Vec::new();
+                for &k in long {
+                    nodes.extend_from_slice(job.path.node(k));
+                }
+                // A path of unconnected segments; the last node is not used.
+                nodes.extend_from_slice(job.path.last());
+                Path {
+                    width: job.path.width,
+                    nodes,
+                    durations: long.iter().map(|k| 0.5 * job.path.durations[*k]).collect(),
+                }
+            })
+            .collect();
+        if halves.is_empty() {
+            return Ok(());
+        }
+        let done = self.integrate(&halves.iter().collect::<Vec<_>>(), false)?;
+        let mut done = done.into_iter();
+        for (job, long) in jobs.iter_mut().zip(long).filter(|(_, long)| !long.is_empty()) {
+            let Some(halves) = done.next() else { break };
+            if let Some(why) = halves.failure {
+                job.fail(why);
+                continue;
+            }
+            let width = job.path.width;
+            for (q, k) in long.iter().enumerate().rev() {
+                job.path.split(*k, &halves.ends[q * width..][..width]);
+            }
+            job.stage = Stage::Linearize;
+        }
+        Ok(())
+    }
+
+    fn attempt(&mut self, jobs: &mut [&mut Job]) -> Result<(), BackendError> {
+        let done = {
+            let paths: Vec<&Path> = (jobs.iter())
+                .filter_map(|j| match &j.stage {
+                    Stage::Try(trial) => Some(&trial.path),
+                    _ => None,
+                })
+                .collect();
+            self.integrate(&paths, false)?
+        };
+        let clock = std::time::Instant::now();
+        let scheme = &self.scheme;
+        (jobs.par_iter_mut().zip(done)).for_each(|(job, done)| scheme.attempted(job, &done));
+        self.work.seconds_eliminating += clock.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// Integrates all segments of some paths, as batches of bounded size.
+    fn integrate(&mut self, paths: &[&Path], varied: bool) -> Result<Vec<Integrated>, BackendError> {
+        let clock = std::time::Instant::now();
+        let each = if varied {
+            self.scheme.equations.varied_width() * self.scheme.equations.groups()
+        } else {
+            self.scheme.equations.plain_width()
+        };
+        let most = (BATCH_BYTES / (8 * each)).max(1);
+        let mut done = Vec::with_capacity(paths.len());
+        let mut first = 0;
+        while first < paths.len() {
+            let mut segments = 0;
+            let mut next = first;
+            while next < paths.len() && (next == first || segments + paths[next].segments() <= most) {
+                segments += paths[next].segments();
+                next += 1;
+            }
+            done.extend(self.batch(&paths[first..next], varied)?);
+            first = next;
+        }
+        self.work.seconds_integrating += clock.elapsed().as_secs_f64();
+        Ok(done)
+    }
+
+    fn batch(&mut self, paths: &[&Path], varied: bool) -> Result<Vec<Integrated>, BackendError> {
+        let seeds = self.scheme.seeds(paths, varied);
+        let (kernel, run) = if varied {
+            (&mut self.varied, &self.varied_run)
+        } else {
+            (&mut self.plain, &self.plain_run)
+        };
+        let result = kernel.integrate(run, &seeds)?;
+        self.work.steps += result.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
+        let groups = if varied { self.scheme.equations.groups() } else { 1 };
+        let segments = result.count() / groups;
+        if varied {
+            self.work.varied += segments as u64;
+        } else {
+            self.work.plain += segments as u64;
+        }
+        let mut offsets = Vec::with_capacity(paths.len());
+        let mut first = 0;
+        for path in paths {
+            offsets.push(first);
+            first += path.segments();
+        }
+        let scheme = &self.scheme;
+        Ok((paths.par_iter().zip(offsets))
+            .map(|(path, first)| {
+                let range = first * groups..(first + path.segments()) * groups;
+                let width = result.dim;
+                let ends = &result.end[range.start * width..range.end * width];
+                scheme.integrated(ends, &result.status[range], varied)
+            })
+            .collect())
+    }
+}
+
+impl Scheme {
+    fn seeds(&self, paths: &[&Path], varied: bool) -> Vec<f64> {
+        let n2 = 2 * self.equations.states;
+        let segments: usize = paths.iter().map(|p| p.segments()).sum();
+        let columns = self.equations.columns;
+        let (groups, width) = if varied {
+            (self.equations.groups(), self.equations.varied_width())
+        } else {
+            (1, self.equations.plain_width())
+        };
+        let mut seeds = vec![0.0; segments * groups * width];
+        let mut rows = seeds.chunks_mut(width);
+        for path in paths {
+            for (k, duration) in path.durations.iter().enumerate() {
+                let size = self.equations.size(path.node(k));
+                for group in 0..groups {
+                    let Some(row) = rows.next() else { return seeds };
+                    for ((y, z), size) in row.iter_mut().zip(path.node(k)).zip(std::iter::repeat(size)) {
+                        *y = z / size;
+                    }
+                    row[n2] = *duration;
+                    row[n2 + 1] = size;
+                    if varied {
+                        for c in 0..columns {
+                            row[n2 + 2 + c * n2 + group * columns + c] = 1.0;
+                        }
+                    }
+                }
+            }
+        }
+        seeds
+    }
+
+    fn integrated(&self, ends: &[f64], status: &[Status], varied: bool) -> Integrated {
+        let n2 = 2 * self.equations.states;
+        let scales = &self.equations.scales;
+        let failure = status.iter().find(|s| **s != Status::Reached).map(|s| match s {
+            Status::StepLimit | Status::StepFloor => Failure::Integration,
+            _ => Failure::NotFinite,
+        });
+        let mut done = Integrated {
+            ends: Vec::new(),
+            costs: Vec::new(),
+            phi: Vec::new(),
+            failure,
+        };
+        if !varied {
+            for row in ends.chunks(self.equations.plain_width()) {
+                let size = row[n2 + 1];
+                done.ends.extend(row[..n2].iter().map(|y| y * size));
+                done.costs.push(row[n2 + 2] * size * size);
+            }
+            return done;
+        }
+        let (groups, columns, width) = (
+            self.equations.groups(),
+            self.equations.columns,
+            self.equations.varied_width(),
+        );
+        let segments = ends.len() / (groups * width);
+        done.costs = vec![0.0; segments];
+        done.phi = vec![0.0; segments * n2 * n2];
+        for (k, (rows, phi)) in (ends.chunks(groups * width).zip(done.phi.chunks_mut(n2 * n2))).enumerate() {
+            debug_assert!(k < segments);
+            done.ends.extend(rows[..n2].iter().map(|y| y * rows[n2 + 1]));
+            for group in 0..groups {
+                for c in 0..columns {
+                    let j = group * columns + c;
+                    for i in 0..n2 {
+                        let value = rows[group * width + n2 + 2 + c * n2 + i];
+                        phi[i * n2 + j] = value * scales[j] / scales[i];
+                    }
+                }
+            }
+        }
+        done
+    }
+}

@@ -1,0 +1,230 @@
+//! Trajectories of a sweep, kept as first guesses for boundary value problems.
+
+use super::nearest::{self, Nearest};
+use crate::backend::{Status, Trajectories};
+use crate::shooting::{End, Path};
+use crate::sweep::{Plan, Sampling};
+
+/// Points kept at most; above it every second trajectory is left out.
+const MOST_NUMBERS: usize = 48 << 20;
+/// Points of one trajectory nearer to each other than this share of the spacing are not all looked up.
+const THIN: f64 = 0.25;
+/// Segments are about as long as the fastest mode takes to grow by e to this power.
+const GROWTH: f64 = 2.0;
+/// Most segments that a first guess begins with.
+const MOST_SEGMENTS: f64 = 400.0;
+
+/// Sampled trajectories, backward from the seed.
+pub struct Archive {
+    /// Components of a node, `2n`.
+    width: usize,
+    /// Numbers of a point: backward time, then the node.
+    stride: usize,
+    /// `[point][stride]`; a trajectory's points are consecutive, the seed first. f32: these are guesses.
+    points: Vec<f32>,
+    /// First point of each trajectory, and the end.
+    first: Vec<usize>,
+    /// One of this many trajectories is kept.
+    every: usize,
+    seen: usize,
+    /// A finite horizon's trajectories are of use only whole.
+    whole: bool,
+}
+
+/// A point of an archived trajectory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    pub trajectory: usize,
+    /// Points before it on its trajectory.
+    pub point: usize,
+}
+
+impl Archive {
+    pub fn new(plan: &Plan) -> Self {
+        let width = 2 * plan.system.states;
+        Self {
+            width,
+            stride: 1 + width,
+            points: Vec::new(),
+            first: vec![0],
+            every: 1,
+            seen: 0,
+            whole: plan.sampling == Sampling::Time,
+        }
+    }
+
+    /// Keeps a batch of the sweep.
+    pub fn keep(&mut self, seeds: &[f64], batch: &Trajectories) {
+        for i in 0..batch.count() {
+            self.seen += 1;
+            let wanted = !self.whole || batch.status[i] == Status::Reached;
+            if !wanted || (self.seen - 1) % self.every != 0 {
+                continue;
+            }
+            self.points.push(0.0);
+            let seed = &seeds[i * batch.dim..][..self.width];
+            self.points.extend(seed.iter().map(|x| *x as f32));
+            for k in 0..batch.levels {
+                let sample = batch.sample(i, k);
+                if sample[0].is_nan() {
+                    break;
+                }
+                self.points.extend(sample[..self.stride].iter().map(|x| *x as f32));
+            }
+            self.first.push(self.points.len() / self.stride);
+            if self.points.len() > MOST_NUMBERS {
+                self.thin();
+            }
+        }
+    }
+
+    /// Leaves out every second trajectory.
+    fn thin(&mut self) {
+        self.every *= 2;
+        let (mut points, mut first) = (Vec::new(), vec![0]);
+        for t in (0..self.trajectories()).step_by(2) {
+            points.extend_from_slice(&self.points[self.first[t] * self.stride..self.first[t + 1] * self.stride]);
+            first.push(points.len() / self.stride);
+        }
+        (self.points, self.first) = (points, first);
+    }
+
+    pub fn trajectories(&self) -> usize {
+        self.first.len() - 1
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.trajectories() == 0
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        4 * self.points.len() + 8 * self.first.len()
+    }
+
+    fn point(&self, place: Place) -> &[f32] {
+        let at = (self.first[place.trajectory] + place.point) * self.stride;
+        &self.points[at..][..self.stride]
+    }
+
+    /// `(s, p)` at a place.
+    pub fn node(&self, place: Place) -> Vec<f64> {
+        self.point(place)[1..].iter().map(|x| f64::from(*x)).collect()
+    }
+
+    /// The path from a place to the end: the rest of its trajectory, and on into the range of the end's condition for
+    /// a cost of `value`.
+    pub fn path(&self, place: Place, end: &End, value: f64, duration: f64) -> Path {
+        let mut path = Path::new(&self.node(place));
+        let mut at = f64::from(self.point(place)[0]);
+        let shortest = (at / MOST_SEGMENTS).max(duration);
+        for point in (0..place.point).rev() {
+            let this = Place { point, ..place };
+            let before = if point > 0 {
+                f64::from(
+                    self.point(Place {
+                        point: point - 1,
+                        ..place
+                    })[0],
+                )
+            } else {
+                f64::NEG_INFINITY
+            };
+            let time = f64::from(self.point(this)[0]);
+            // The last point that is not too far away, or the next one.
+            if at - before > shortest && at > time {
+                path.push(at - time, &self.node(this));
+                at = time;
+            }
+        }
+        let s = path.last()[..self.width / 2].to_vec();
+        let (nodes, durations) = end.tail(&s, value, duration);
+        for (node, duration) in nodes.chunks(self.width).zip(durations) {
+            path.push(duration, node);
+        }
+        path
+    }
+}
+
+/// An index of an archive's points by state, in widths of the region.
+pub struct Index {
+    places: Vec<Place>,
+    tree: Box<dyn Nearest>,
+    /// Smallest and largest coordinates of the points.
+    pub extent: Vec<[f64; 2]>,
+}
+
+impl Index {
+    /// Indexes the points within `bounds` (deviations), `spacing` being the sweep's.
+    pub fn new(archive: &Archive, widths: &[f64], bounds: &[[f64; 2]], spacing: f64) -> Self {
+        let n = widths.len();
+        let mut places = Vec::new();
+        let mut coordinates: Vec<f64> = Vec::new();
+        for trajectory in 0..archive.trajectories() {
+            let count = archive.first[trajectory + 1] - archive.first[trajectory];
+            let from = if archive.whole { count - 1 } else { 0 };
+            let mut last: Option<Vec<f64>> = None;
+            for point in from..count {
+                let place = Place { trajectory, point };
+                let s: Vec<f64> = archive.point(place)[1..=n].iter().map(|x| f64::from(*x)).collect();
+                let inside = s.iter().zip(bounds).all(|(s, [lo, hi])| s >= lo && s <= hi);
+                if !inside {
+                    continue;
+                }
+                let s: Vec<f64> = s.iter().zip(widths).map(|(s, w)| s / w).collect();
+                let moved = last.as_ref().is_none_or(|l| {
+                    let gap = l.iter().zip(&s).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                    gap > THIN * spacing
+                });
+                if moved || point + 1 == count {
+                    places.push(place);
+                    coordinates.extend_from_slice(&s);
+                    last = Some(s);
+                }
+            }
+        }
+        let extent = (0..n)
+            .map(|i| {
+                let along = coordinates.iter().skip(i).step_by(n);
+                along.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], x| {
+                    [lo.min(*x), hi.max(*x)]
+                })
+            })
+            .collect();
+        Self {
+            tree: nearest::index(&coordinates, n),
+            places,
+            extent,
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.places.is_empty()
+    }
+
+    /// The places nearest to a state (in widths of the region), with their distances.
+    pub fn near(&self, state: &[f64], within: f64, most: usize) -> Vec<(Place, f64)> {
+        if self.places.is_empty() {
+            return Vec::new();
+        }
+        (self.tree.near(state, within, most).into_iter())
+            .map(|(k, d)| (self.places[k], d))
+            .collect()
+    }
+}
+
+/// Duration of a segment of a first guess.
+pub fn segment_duration(plan: &Plan) -> f64 {
+    match (&plan.local, &plan.system.terminal) {
+        (Some(local), _) => {
+            let fastest = local.riccati.eigenvalues.iter().map(|e| e.norm()).fold(0.0, f64::max);
+            GROWTH / fastest
+        }
+        (None, Some(terminal)) => terminal.time / 16.0,
+        (None, None) => 1.0,
+    }
+}
