@@ -40,12 +40,6 @@ fn main() {
     let eq = Equations::new(&plan.system, &plan.widths, vs, columns);
     println!("columns {} groups {} ops {}", eq.columns, eq.groups(), eq.operations());
     let duration = segment_duration(&plan);
-    let index = Index::new(&archive, &plan.widths, &plan.region, plan.shoot_out.spacing);
-    println!(
-        "index {} {:.3}s duration {duration}",
-        index.len(),
-        t0.elapsed().as_secs_f64()
-    );
     let scheme = Scheme {
         equations: eq,
         end,
@@ -53,47 +47,39 @@ fn main() {
         duration,
     };
     let mut solver = Solver::new(&cpu, costate::model::Precision::F64, scheme, 1e-10).unwrap();
-    // targets
-    let mut targets: Vec<Vec<f64>> = vec![vec![]];
-    for i in 0..n {
-        let [lo, hi] = if let Ok(b) = std::env::var("BOX") {
-            let v: Vec<f64> = b.split(',').map(|x| x.parse().unwrap()).collect();
-            [
-                v[2 * i] - plan.system.reference[i],
-                v[2 * i + 1] - plan.system.reference[i],
-            ]
-        } else {
-            plan.region[i]
-        };
-        let c = counts[i];
-        targets = targets
-            .into_iter()
-            .flat_map(|t| {
-                (0..c).map(move |k| {
-                    let mut t = t.clone();
-                    t.push(if c == 1 && std::env::var("BOX").is_ok() {
-                        lo
-                    } else if c == 1 {
-                        0.0
+    let b: Vec<f64> = std::env::var("BOX")
+        .map(|b| b.split(',').map(|x| x.parse().unwrap()).collect())
+        .unwrap_or_else(|_| model.region.iter().flatten().copied().collect());
+    let axes = (0..n)
+        .map(|i| {
+            let c = counts[i];
+            (0..c)
+                .map(|k| {
+                    if c == 1 {
+                        b[2 * i]
                     } else {
-                        lo + (hi - lo) * (k as f64) / (c as f64 - 1.0)
-                    });
-                    t
+                        b[2 * i] + (b[2 * i + 1] - b[2 * i]) * k as f64 / (c as f64 - 1.0)
+                    }
                 })
-            })
-            .collect();
-    }
-    let t1 = std::time::Instant::now();
-    let mut ways: Vec<Approach> = targets
-        .iter()
-        .map(|t| {
-            let q: Vec<f64> = t.iter().zip(&plan.widths).map(|(s, w)| s / w).collect();
-            let near = index.near(&q, 0.0, 1)[0];
-            Approach::new(archive.path(near.0, &solver.scheme.end, vs * 0.01, duration), t.clone())
+                .collect()
         })
         .collect();
-    println!("guesses {:.3}s", t1.elapsed().as_secs_f64());
-    follow(&mut solver, &mut ways).unwrap();
+    let t1 = std::time::Instant::now();
+    let targets = Targets::new(n, &[Grid { axes }], &[], &plan.widths);
+    let mut survey = Survey::new(&plan, &targets, &solver);
+    let limit: f64 = args[5].parse().unwrap();
+    let verbose = args.len() > 6;
+    survey
+        .run(
+            &mut solver,
+            &archive,
+            Wanted {
+                value_max: limit,
+                sheets: limit > 0.0,
+            },
+            &mut |s, a, b| println!("  {s} {a}/{b} {:.3}", t1.elapsed().as_secs_f64()),
+        )
+        .unwrap();
     let dt = t1.elapsed().as_secs_f64();
     println!(
         "{} targets {:.3} s: {:.0}/s  {:?}",
@@ -102,47 +88,50 @@ fn main() {
         targets.len() as f64 / dt,
         solver.work
     );
-    let mut fails = std::collections::BTreeMap::new();
-    let mut worst_h = 0.0f64;
-    let mut evals = 0;
-    let mut segs = 0;
-    for (t, w) in targets.iter().zip(ways) {
-        let (e, r) = w.finish();
-        evals += e;
-        match r {
-            Ok((job, s)) => {
-                segs += job.path.segments();
-                let h = plan.system.eval(
-                    &[plan.system.observer.hamiltonian],
-                    job.path.start(),
-                    job.path.adjoint(),
-                )[0];
-                let l = plan
-                    .system
-                    .eval(&[plan.system.rate[2 * n]], job.path.start(), job.path.adjoint())[0];
-                worst_h = worst_h.max(h.abs() / l.abs());
-                if args.len() > 5 {
-                    println!(
-                        "{:?} V {:.9} p {:?} fold {:.2e} res {:.1e}",
-                        t,
-                        s.value,
-                        job.path.adjoint(),
-                        s.fold,
-                        s.residual
-                    );
-                }
-            }
-            Err(u) => {
-                *fails.entry(format!("{:?}", u.failure)).or_insert(0) += 1;
-                if args.len() > 5 {
-                    println!("{:?} FAIL {:?} at {}", t, u.failure, u.share);
-                }
+    println!(
+        "windings {:?} extremals {} folds {} evals {:.1}",
+        survey.windings,
+        survey.extremals.len(),
+        survey.folds.len(),
+        survey.evaluations as f64 / targets.len() as f64
+    );
+    let mut by = std::collections::BTreeMap::new();
+    for (e, s) in survey.extremals.iter().zip(&survey.sheet) {
+        let w: &mut (usize, f64, f64, Vec<i32>) =
+            by.entry(*s)
+                .or_insert((0, f64::INFINITY, 0.0, survey.windings[e.winding].clone()));
+        w.0 += 1;
+        w.1 = w.1.min(e.value());
+        w.2 = w.2.max(e.value());
+    }
+    for (s, w) in by.iter().take(30) {
+        println!("sheet {s}: {w:?}");
+    }
+    let mut misses = std::collections::BTreeMap::new();
+    for (t, m) in survey.misses.iter().enumerate() {
+        if let Some(m) = m {
+            *misses.entry(m.status.name()).or_insert(0) += 1;
+            if verbose {
+                println!("{:?} {m:?}", targets.state(t));
             }
         }
     }
-    println!(
-        "fails {fails:?} worst |H|/L {worst_h:.1e} evals {:.1} segs {:.1}",
-        evals as f64 / targets.len() as f64,
-        segs as f64 / targets.len() as f64
-    );
+    println!("misses {misses:?}");
+    if verbose {
+        for t in 0..targets.len() {
+            println!(
+                "{:?}: {:?}",
+                targets.state(t),
+                survey.at[t]
+                    .iter()
+                    .map(|e| format!(
+                        "s{} V {:.8} fold {:.1e}",
+                        survey.sheet[*e],
+                        survey.extremals[*e].value(),
+                        survey.extremals[*e].solved.fold
+                    ))
+                    .collect::<Vec<_>>()
+            );
+        }
+    }
 }

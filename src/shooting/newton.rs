@@ -261,6 +261,18 @@ impl Scheme {
         });
     }
 
+    /// Puts the matrix at the solution in place of the last one of the iterations.
+    pub(super) fn renewed(&self, job: &mut Job, done: Integrated) {
+        if done.failure.is_some() {
+            return;
+        }
+        let residual = self.residual(&job.path, &done);
+        job.factors = Factors::new(self.equations.states, done.phi, &residual.hessian);
+        if let Some(Ok(solved)) = &mut job.outcome {
+            (solved.slope, solved.fold) = job.factors.slope();
+        }
+    }
+
     /// The step of a linearized job; or the segments that must be split first.
     pub(super) fn linearized(&self, job: &mut Job, done: Integrated) -> Vec<usize> {
         job.iterations += 1;

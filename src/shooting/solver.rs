@@ -93,6 +93,21 @@ impl Solver {
         self.split(jobs, &long)
     }
 
+    /// Linearizes solved jobs at their solutions: the matrix left by the iterations is that of a guess.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn renew(&mut self, jobs: &mut [Job]) -> Result<(), BackendError> {
+        let mut solved: Vec<&mut Job> = jobs.iter_mut().filter(|j| j.solved().is_some()).collect();
+        let done = {
+            let paths: Vec<&Path> = solved.iter().map(|j| &j.path).collect();
+            self.integrate(&paths, true)?
+        };
+        let scheme = &self.scheme;
+        (solved.par_iter_mut().zip(done)).for_each(|(job, done)| scheme.renewed(job, done));
+        Ok(())
+    }
+
     /// Splits the given segments of each job's path in halves.
     fn split(&mut self, jobs: &mut [&mut Job], long: &[Vec<usize>]) -> Result<(), BackendError> {
         let halves: Vec<Path> = (jobs.iter().zip(long))

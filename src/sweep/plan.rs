@@ -83,6 +83,7 @@ pub struct Plan {
     pub atol: f64,
     /// Periodic states are not limited to the region.
     pub periodic: Vec<bool>,
+    pub periods: Vec<Option<f64>>,
     pub widths: Vec<f64>,
     /// Region as deviations.
     pub region: Vec<[f64; 2]>,
@@ -245,6 +246,7 @@ impl Plan {
             local,
             rtol_asked,
             atol,
+            periods: model.states.iter().map(|s| s.period).collect(),
             periodic,
             widths,
             region,

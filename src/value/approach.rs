@@ -1,10 +1,10 @@
 //! Homotopy: from a solved state to a target along the line between them, in steps as long as Newton's method follows.
 
 use crate::backend::BackendError;
-use crate::shooting::{Failure, Goal, Job, Path, Solved, Solver};
+use crate::shooting::{Factors, Failure, Goal, Job, Path, Solved, Solver};
 
-/// Shortest step, as a share of the way.
-const LEAST_STEP: f64 = 1.0 / 256.0;
+/// Ways that are followed together.
+const COHORT: usize = 4096;
 
 /// One way from a path to a target. The path need not be a solution: it is tried as a guess for the target first.
 #[derive(Clone, Debug)]
@@ -15,6 +15,8 @@ pub struct Approach {
     /// Share of the way on which the job is solved; none before it is solved at all.
     at: Option<f64>,
     step: f64,
+    /// Shortest step that is tried, as a share of the way.
+    least: f64,
     failure: Option<Failure>,
     evaluations: u32,
 }
@@ -31,7 +33,7 @@ pub struct Unreached {
 }
 
 impl Approach {
-    pub fn new(path: Path, to: Vec<f64>) -> Self {
+    pub fn new(path: Path, to: Vec<f64>, least: f64) -> Self {
         let from = path.start().to_vec();
         Self {
             job: Job::new(path, Goal::State(to.clone())),
@@ -39,16 +41,17 @@ impl Approach {
             to,
             at: None,
             step: 1.0,
+            least,
             failure: None,
             evaluations: 0,
         }
     }
 
     /// From a solution.
-    pub fn from_solution(path: Path, to: Vec<f64>) -> Self {
+    pub fn from_solution(path: Path, to: Vec<f64>, least: f64) -> Self {
         Self {
             at: Some(0.0),
-            ..Self::new(path, to)
+            ..Self::new(path, to, least)
         }
     }
 
@@ -96,7 +99,7 @@ impl Approach {
                     return;
                 }
                 self.step *= 0.5;
-                if self.step < LEAST_STEP {
+                if self.step < self.least {
                     self.failure = Some(why);
                 }
             }
@@ -132,9 +135,20 @@ impl Approach {
 /// # Errors
 /// Device failures only.
 pub fn follow(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendError> {
+    // Matrices are kept while a way is followed, so only so many are at once.
+    for ways in ways.chunks_mut(COHORT) {
+        follow_together(solver, ways)?;
+    }
+    Ok(())
+}
+
+fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendError> {
     loop {
         let active: Vec<usize> = (0..ways.len()).filter(|i| ways[*i].is_active()).collect();
         if active.is_empty() {
+            for way in ways {
+                way.job.factors = Factors::default();
+            }
             return Ok(());
         }
         let (mut jobs, shares): (Vec<Job>, Vec<f64>) = active.iter().map(|i| ways[*i].next()).unzip();

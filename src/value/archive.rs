@@ -18,7 +18,7 @@ const MOST_SEGMENTS: f64 = 400.0;
 pub struct Archive {
     /// Components of a node, `2n`.
     width: usize,
-    /// Numbers of a point: backward time, then the node.
+    /// Numbers of a point: backward time, the node, V.
     stride: usize,
     /// `[point][stride]`; a trajectory's points are consecutive, the seed first. f32: these are guesses.
     points: Vec<f32>,
@@ -44,7 +44,7 @@ impl Archive {
         let width = 2 * plan.system.states;
         Self {
             width,
-            stride: 1 + width,
+            stride: 2 + width,
             points: Vec::new(),
             first: vec![0],
             every: 1,
@@ -62,7 +62,7 @@ impl Archive {
                 continue;
             }
             self.points.push(0.0);
-            let seed = &seeds[i * batch.dim..][..self.width];
+            let seed = &seeds[i * batch.dim..][..=self.width];
             self.points.extend(seed.iter().map(|x| *x as f32));
             for k in 0..batch.levels {
                 let sample = batch.sample(i, k);
@@ -109,7 +109,15 @@ impl Archive {
 
     /// `(s, p)` at a place.
     pub fn node(&self, place: Place) -> Vec<f64> {
-        self.point(place)[1..].iter().map(|x| f64::from(*x)).collect()
+        self.point(place)[1..=self.width]
+            .iter()
+            .map(|x| f64::from(*x))
+            .collect()
+    }
+
+    /// V at a place.
+    pub fn value(&self, place: Place) -> f64 {
+        f64::from(self.point(place)[1 + self.width])
     }
 
     /// The path from a place to the end: the rest of its trajectory, and on into the range of the end's condition for

@@ -1,0 +1,761 @@
+//! Every extremal from each of many targets, and which of them lie on one sheet.
+//!
+//! First guesses are rests of swept trajectories; one is tried for each sheet that the sweep shows near a target. What
+//! they miss is reached from solved neighbours: each solution is continued to the targets around it, sheet by sheet,
+//! as long as new ones are found. Where a sheet ends in a fold it is followed around it. Solutions that a continuation
+//! joins have the same label.
+
+use super::approach::{Approach, Unreached, follow};
+use super::archive::{Archive, Index, segment_duration};
+use super::extremal::{Extremal, is_elsewhere, misfit, same};
+use super::fold::{self, Fold};
+use super::targets::{Groups, Targets};
+use crate::backend::BackendError;
+use crate::backend::cpu::map::Evaluator;
+use crate::program::Program;
+use crate::shooting::{End, Failure, Path, Solved, Solver};
+use crate::sweep::Plan;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, HashMap};
+
+/// Shortest steps, as shares of the way: from a swept trajectory, from a neighbour, and where nothing else has worked.
+const FROM_SWEEP: f64 = 1.0 / 8.0;
+const FROM_NEIGHBOUR: f64 = 1.0 / 32.0;
+const LAST_RESORT: f64 = 1.0 / 4096.0;
+/// Swept points within this many spacings of a target show which sheets there are.
+const REACH: f64 = 2.0;
+/// Swept points that are looked at.
+const MOST_NEAR: usize = 48;
+/// Sheets over one target, and windings, that are looked for.
+const MOST_SHEETS: usize = 8;
+const MOST_WINDINGS: i32 = 16;
+/// Targets looked at together.
+const COHORT: usize = 4096;
+
+/// Why a target has no solution, as a status; 0 is solved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(i32)]
+pub enum PointStatus {
+    Converged = 0,
+    /// The target is outside a guard.
+    OutsideGuard = 1,
+    /// The solution found leaves a guard on its way.
+    LeavesGuard = 2,
+    /// Newton's method did not converge on the way to the target.
+    NotReached = 3,
+    /// The sheet ends in a fold on the way to the target.
+    Fold = 4,
+    /// The equations are not defined on the way to the target.
+    NotFinite = 5,
+    /// The trajectory does not come near the equilibrium.
+    Horizon = 6,
+    /// No trajectory of the sweep, nor a solved target, to start from.
+    NoGuess = 7,
+}
+
+impl PointStatus {
+    pub const ALL: [(PointStatus, &'static str); 8] = [
+        (PointStatus::Converged, "converged"),
+        (PointStatus::OutsideGuard, "outside_guard"),
+        (PointStatus::LeavesGuard, "leaves_guard"),
+        (PointStatus::NotReached, "not_reached"),
+        (PointStatus::Fold, "fold"),
+        (PointStatus::NotFinite, "not_finite"),
+        (PointStatus::Horizon, "horizon"),
+        (PointStatus::NoGuess, "no_guess"),
+    ];
+
+    pub fn name(self) -> &'static str {
+        PointStatus::ALL
+            .iter()
+            .find(|(s, _)| *s == self)
+            .map_or("?", |(_, n)| n)
+    }
+}
+
+/// What is known of a target without a solution.
+#[derive(Clone, Debug)]
+pub struct Miss {
+    pub status: PointStatus,
+    /// Furthest state reached toward it (absolute), and the distance left in widths of the region.
+    pub furthest: Option<Vec<f64>>,
+    pub left: f64,
+}
+
+/// What a survey asks for beyond the targets.
+#[derive(Clone, Copy, Debug)]
+pub struct Wanted {
+    /// Extremals are continued up to this V (to a target that has none, regardless).
+    pub value_max: f64,
+    /// Whether all sheets are looked for, or one solution a target is enough.
+    pub sheets: bool,
+}
+
+/// A fold's singular value, relative to that where the way began, below which a failure counts as a fold.
+const NEAR_FOLD: f64 = 0.2;
+
+/// The extremals of many targets.
+pub struct Survey<'a> {
+    pub plan: &'a Plan,
+    pub targets: &'a Targets,
+    pub extremals: Vec<Extremal>,
+    /// Extremals of each target.
+    pub at: Vec<Vec<usize>>,
+    /// Numbers of periods along each state.
+    pub windings: Vec<Vec<i32>>,
+    pub misses: Vec<Option<Miss>>,
+    pub folds: Vec<Fold>,
+    /// Label of each extremal's sheet: 0 is that of the least V.
+    pub sheet: Vec<i32>,
+    pub evaluations: u64,
+    pub(super) groups: Groups,
+    pub(super) scales: Vec<f64>,
+    duration: f64,
+    guards: Option<(Evaluator, Vec<bool>)>,
+}
+
+/// Told what is done and how many targets are solved of how many.
+pub type Progress<'p> = &'p mut dyn FnMut(&str, usize, usize);
+
+/// A way to try: from which extremal (if any), to which target and winding.
+struct Errand {
+    from: Option<usize>,
+    target: usize,
+    winding: usize,
+    way: Approach,
+}
+
+impl<'a> Survey<'a> {
+    pub fn new(plan: &'a Plan, targets: &'a Targets, solver: &Solver) -> Self {
+        let guards = (!plan.system.guards.is_empty()).then(|| {
+            let exprs: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
+            let program = Program::lower(&plan.system.graph, &plan.system.inputs, &exprs);
+            let strict = plan.system.guards.iter().map(|g| g.strict).collect();
+            (Evaluator::new(&program), strict)
+        });
+        Self {
+            plan,
+            targets,
+            extremals: Vec::new(),
+            at: vec![Vec::new(); targets.len()],
+            windings: Vec::new(),
+            misses: vec![None; targets.len()],
+            folds: Vec::new(),
+            sheet: Vec::new(),
+            evaluations: 0,
+            groups: Groups::default(),
+            scales: solver.scheme.equations.scales.clone(),
+            duration: segment_duration(plan),
+            guards,
+        }
+    }
+
+    /// Finds the extremals.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn run(
+        &mut self,
+        solver: &mut Solver,
+        archive: &Archive,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        let index = self.index(archive);
+        self.windings = self.all_windings(&index);
+        self.near_end(solver);
+        self.refuse_outside();
+        let order: Vec<usize> = (0..self.targets.len()).collect();
+        for part in order.chunks(COHORT) {
+            self.from_sweep(solver, archive, &index, part, wanted)?;
+            progress("from the sweep", self.solved(), self.targets.len());
+        }
+        self.spread(solver, wanted, FROM_NEIGHBOUR, progress)?;
+        self.last_resort(solver, wanted, progress)?;
+        if wanted.sheets {
+            self.around_folds(solver, wanted, progress)?;
+        }
+        self.label();
+        Ok(())
+    }
+
+    /// Targets with a solution.
+    pub fn solved(&self) -> usize {
+        self.at.iter().filter(|list| !list.is_empty()).count()
+    }
+
+    /// The extremal of least V at a target.
+    pub fn lowest(&self, target: usize) -> Option<usize> {
+        let value = |e: &usize| self.extremals[*e].value();
+        self.at[target]
+            .iter()
+            .copied()
+            .min_by(|a, b| value(a).total_cmp(&value(b)))
+    }
+
+    /// A target's state with a winding, as a deviation.
+    pub fn state(&self, target: usize, winding: usize) -> Vec<f64> {
+        let (x, reference) = (self.targets.state(target), &self.plan.system.reference);
+        (0..x.len())
+            .map(|i| {
+                let turns = f64::from(self.windings[winding][i]) * self.plan.periods[i].unwrap_or(0.0);
+                x[i] - reference[i] + turns
+            })
+            .collect()
+    }
+
+    fn scaled(&self, s: &[f64]) -> Vec<f64> {
+        s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect()
+    }
+
+    /// An index of the swept points near the targets.
+    fn index(&self, archive: &Archive) -> Index {
+        let (plan, n) = (self.plan, self.targets.states);
+        let bounds: Vec<[f64; 2]> = (0..n)
+            .map(|i| {
+                if plan.periodic[i] {
+                    return [f64::NEG_INFINITY, f64::INFINITY];
+                }
+                let along = self.targets.x.iter().skip(i).step_by(n);
+                let margin = REACH * plan.shoot_out.spacing * plan.widths[i];
+                let [lo, hi] = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], x| {
+                    [lo.min(*x), hi.max(*x)]
+                });
+                // Nothing may lie near targets outside the sweep's reach: then the region's points are all there is.
+                let [region_lo, region_hi] = plan.region[i];
+                let lo = (lo - plan.system.reference[i] - margin).min(region_hi);
+                let hi = (hi - plan.system.reference[i] + margin).max(region_lo);
+                [lo, hi]
+            })
+            .collect();
+        let near = Index::new(archive, &plan.widths, &bounds, plan.shoot_out.spacing);
+        if !near.is_empty() {
+            return near;
+        }
+        let all = vec![[f64::NEG_INFINITY, f64::INFINITY]; n];
+        Index::new(archive, &plan.widths, &all, plan.shoot_out.spacing)
+    }
+
+    /// All windings by which a target may come near a swept point: none first, then by distance.
+    fn all_windings(&self, index: &Index) -> Vec<Vec<i32>> {
+        let n = self.targets.states;
+        let mut all: Vec<Vec<i32>> = vec![Vec::new()];
+        for i in 0..n {
+            let mut turns = vec![0];
+            if let Some(period) = self.plan.periods[i] {
+                let along = || self.targets.x.iter().skip(i).step_by(n);
+                let lo = along().fold(f64::INFINITY, |a, x| a.min(*x)) - self.plan.system.reference[i];
+                let hi = along().fold(f64::NEG_INFINITY, |a, x| a.max(*x)) - self.plan.system.reference[i];
+                let [least, most] = index.extent.get(i).copied().unwrap_or([0.0, 0.0]);
+                let width = self.plan.widths[i];
+                for k in (1..=MOST_WINDINGS).flat_map(|k| [-k, k]) {
+                    let shift = f64::from(k) * period;
+                    if lo + shift <= most * width && hi + shift >= least * width {
+                        turns.push(k);
+                    }
+                }
+            }
+            all = (all.iter())
+                .flat_map(|w| turns.iter().map(|k| [w.as_slice(), &[*k]].concat()))
+                .collect();
+        }
+        all.sort_by_key(|w| w.iter().map(|k| k.abs()).sum::<i32>());
+        all
+    }
+
+    /// Targets so near the equilibrium that the local solution answers.
+    fn near_end(&mut self, solver: &Solver) {
+        for target in 0..self.targets.len() {
+            for winding in 0..self.windings.len() {
+                let s = self.state(target, winding);
+                if !solver.scheme.end.covers(&s) {
+                    continue;
+                }
+                let at = solver.scheme.end.at(&s);
+                let n = s.len();
+                let slope = (0..n * n)
+                    .map(|q| at.hessian[q] * self.scales[q % n] / self.scales[n + q / n])
+                    .collect();
+                let solved = Solved {
+                    value: at.value,
+                    slope: Some(slope),
+                    fold: 1.0,
+                    residual: 0.0,
+                    t: 0.0,
+                };
+                let path = Path::new(&[s.as_slice(), &at.gradient].concat());
+                self.add(Extremal {
+                    target,
+                    winding,
+                    path,
+                    solved,
+                    iterations: 0,
+                });
+            }
+        }
+    }
+
+    fn refuse_outside(&mut self) {
+        for target in 0..self.targets.len() {
+            let s = self.state(target, 0);
+            let node = [s.as_slice(), &vec![0.0; s.len()]].concat();
+            if self.at[target].is_empty() && !self.inside(&node) {
+                self.misses[target] = Some(Miss {
+                    status: PointStatus::OutsideGuard,
+                    furthest: None,
+                    left: f64::NAN,
+                });
+            }
+        }
+    }
+
+    fn is_refused(&self, target: usize) -> bool {
+        self.misses[target]
+            .as_ref()
+            .is_some_and(|m| m.status == PointStatus::OutsideGuard)
+    }
+
+    /// Whether all nodes are inside the guards, but for rounding.
+    fn inside(&self, nodes: &[f64]) -> bool {
+        let Some((guards, strict)) = &self.guards else {
+            return true;
+        };
+        const ROUNDING: f64 = 1e-9;
+        let (n, width) = (self.targets.states, 2 * self.targets.states);
+        let values = guards.eval(nodes, width);
+        nodes
+            .chunks(width)
+            .zip(values.chunks(strict.len()))
+            .all(|(node, values)| {
+                values.iter().enumerate().all(|(g, v)| {
+                    if holds(*v, strict[g]) {
+                        return true;
+                    }
+                    // On the boundary rounding decides: a state a little to either side will do.
+                    (0..2 * n).any(|q| {
+                        let mut moved = node.to_vec();
+                        let step = ROUNDING * self.scales[q / 2];
+                        moved[q / 2] += if q % 2 == 0 { step } else { -step };
+                        holds(guards.eval(&moved, width)[g], strict[g])
+                    })
+                })
+            })
+    }
+
+    /// Adds an extremal unless it is known; its index, and whether it is new.
+    pub(super) fn add(&mut self, extremal: Extremal) -> (usize, bool) {
+        let known = self.at[extremal.target].iter().copied().find(|e| {
+            let other = &self.extremals[*e];
+            other.winding == extremal.winding && same(other.adjoint(), extremal.adjoint(), &self.scales)
+        });
+        if let Some(known) = known {
+            return (known, false);
+        }
+        let index = self.extremals.len();
+        self.at[extremal.target].push(index);
+        self.misses[extremal.target] = None;
+        self.extremals.push(extremal);
+        self.groups.push();
+        (index, true)
+    }
+
+    /// Follows errands; returns the extremals that each gave.
+    fn send(&mut self, solver: &mut Solver, errands: Vec<Errand>) -> Result<Vec<Option<usize>>, BackendError> {
+        let (mut ways, rest): (Vec<Approach>, Vec<_>) = (errands.into_iter())
+            .map(|e| (e.way, (e.from, e.target, e.winding)))
+            .unzip();
+        follow(solver, &mut ways)?;
+        let mut found = Vec::with_capacity(ways.len());
+        for (way, (from, target, winding)) in ways.into_iter().zip(rest) {
+            let (evaluations, outcome) = way.finish();
+            self.evaluations += u64::from(evaluations);
+            found.push(match outcome {
+                Ok((job, solved)) => {
+                    if self.inside(&job.path.nodes) {
+                        let (index, _) = self.add(Extremal {
+                            target,
+                            winding,
+                            path: job.path,
+                            solved,
+                            iterations: evaluations,
+                        });
+                        if let Some(from) = from {
+                            self.groups.join(from, index);
+                        }
+                        Some(index)
+                    } else {
+                        let at = self.targets.state(target).to_vec();
+                        self.miss(target, PointStatus::LeavesGuard, Some(at), 0.0);
+                        None
+                    }
+                }
+                Err(unreached) => {
+                    self.unreached(from, target, winding, &unreached);
+                    None
+                }
+            });
+        }
+        Ok(found)
+    }
+
+    /// Notes how far the way to a target led, if that is further than before.
+    fn unreached(&mut self, from: Option<usize>, target: usize, winding: usize, unreached: &Unreached) {
+        if !self.at[target].is_empty() {
+            return;
+        }
+        let goal = self.scaled(&self.state(target, winding));
+        let there = self.scaled(&unreached.furthest);
+        let left = goal
+            .iter()
+            .zip(&there)
+            .map(|(a, b)| (a - b).powi(2))
+            .sum::<f64>()
+            .sqrt();
+        let fold = |s: Option<f64>| s.unwrap_or(1.0);
+        let began = fold(from.map(|e| self.extremals[e].solved.fold));
+        let ended = unreached.job.as_ref().and_then(|j| j.solved()).map(|s| s.fold);
+        let status = match unreached.failure {
+            Failure::NotFinite => PointStatus::NotFinite,
+            Failure::Horizon => PointStatus::Horizon,
+            _ if from.is_some() && fold(ended) < NEAR_FOLD * began => PointStatus::Fold,
+            _ => PointStatus::NotReached,
+        };
+        let reference = &self.plan.system.reference;
+        let turns = self.state(target, winding);
+        let state = self.targets.state(target);
+        // Back from the winding to where the target is.
+        let furthest = (0..state.len())
+            .map(|i| unreached.furthest[i] + reference[i] - (turns[i] + reference[i] - state[i]))
+            .collect();
+        self.miss(target, status, Some(furthest), left);
+    }
+
+    fn miss(&mut self, target: usize, status: PointStatus, furthest: Option<Vec<f64>>, left: f64) {
+        let better = self.misses[target]
+            .as_ref()
+            .is_none_or(|m| m.furthest.is_none() || left < m.left);
+        if better && self.at[target].is_empty() {
+            self.misses[target] = Some(Miss { status, furthest, left });
+        }
+    }
+
+    /// Solves targets from the swept points near them.
+    fn from_sweep(
+        &mut self,
+        solver: &mut Solver,
+        archive: &Archive,
+        index: &Index,
+        targets: &[usize],
+        wanted: Wanted,
+    ) -> Result<(), BackendError> {
+        let reach = REACH * self.plan.shoot_out.spacing;
+        let first = self.first_guesses(&solver.scheme.end, archive, index, targets, reach, wanted);
+        self.send(solver, first)?;
+        if !wanted.sheets {
+            return Ok(());
+        }
+        for _ in 1..MOST_SHEETS {
+            let further = self.further_guesses(&solver.scheme.end, archive, index, targets, reach);
+            if further.is_empty() {
+                break;
+            }
+            let before = self.extremals.len();
+            self.send(solver, further)?;
+            if self.extremals.len() == before {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// One guess for each winding that has a swept point near the target; at least one.
+    fn first_guesses(
+        &self,
+        end: &End,
+        archive: &Archive,
+        index: &Index,
+        targets: &[usize],
+        reach: f64,
+        wanted: Wanted,
+    ) -> Vec<Errand> {
+        let open = targets
+            .par_iter()
+            .filter(|t| !self.is_refused(**t) && self.at[**t].is_empty());
+        open.flat_map_iter(|&target| {
+            let mut near: Vec<(usize, _, f64)> = (0..self.windings.len())
+                .filter_map(|winding| {
+                    let place = self.scaled(&self.state(target, winding));
+                    let (place, distance) = index.near(&place, 0.0, 1).first().copied()?;
+                    Some((winding, place, distance))
+                })
+                .collect();
+            near.sort_by(|a, b| a.2.total_cmp(&b.2));
+            let all = wanted.sheets;
+            near.into_iter()
+                .enumerate()
+                .filter(move |(k, (_, _, distance))| *k == 0 || (all && *distance <= reach))
+                .map(|(_, (winding, place, _))| self.errand(end, archive, target, winding, place))
+                .collect::<Vec<_>>()
+        })
+        .collect()
+    }
+
+    fn errand(
+        &self,
+        end: &End,
+        archive: &Archive,
+        target: usize,
+        winding: usize,
+        place: super::archive::Place,
+    ) -> Errand {
+        let path = archive.path(place, end, archive.value(place), self.duration);
+        Errand {
+            from: None,
+            target,
+            winding,
+            way: Approach::new(path, self.state(target, winding), FROM_SWEEP),
+        }
+    }
+
+    /// Guesses from swept points near targets that lie on none of the sheets known there.
+    fn further_guesses(
+        &self,
+        end: &End,
+        archive: &Archive,
+        index: &Index,
+        targets: &[usize],
+        reach: f64,
+    ) -> Vec<Errand> {
+        let solved = targets.par_iter().filter(|t| !self.at[**t].is_empty());
+        solved
+            .flat_map_iter(|&target| {
+                (0..self.windings.len()).filter_map(move |winding| {
+                    let known: Vec<&Extremal> = (self.at[target].iter())
+                        .map(|e| &self.extremals[*e])
+                        .filter(|e| e.winding == winding)
+                        .collect();
+                    if known.is_empty() || known.len() >= MOST_SHEETS {
+                        return None;
+                    }
+                    let place = self.scaled(&self.state(target, winding));
+                    let near = index.near(&place, reach, MOST_NEAR);
+                    let (place, _) = (near.into_iter()).find(|(place, distance)| {
+                        let node = archive.node(*place);
+                        *distance <= reach && known.iter().all(|e| is_elsewhere(e, &node, &self.scales))
+                    })?;
+                    Some(self.errand(end, archive, target, winding, place))
+                })
+            })
+            .collect()
+    }
+
+    /// Continues every extremal to the neighbours of its target, as long as that gives new ones.
+    pub(super) fn spread(
+        &mut self,
+        solver: &mut Solver,
+        wanted: Wanted,
+        least: f64,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        let neighbours = self.targets.neighbours();
+        // Ways that failed, by group, target and winding, with the extremals they came from.
+        let mut failed: HashMap<(usize, usize), ()> = HashMap::new();
+        loop {
+            let mut errands: BTreeMap<(usize, usize), (f64, Errand)> = BTreeMap::new();
+            for e in 0..self.extremals.len() {
+                let (target, winding) = (self.extremals[e].target, self.extremals[e].winding);
+                for &to in &neighbours[target] {
+                    if self.is_refused(to) || failed.contains_key(&(e, to)) {
+                        continue;
+                    }
+                    if self.joins(e, to) {
+                        continue;
+                    }
+                    let wants =
+                        self.at[to].is_empty() || (wanted.sheets && self.extremals[e].value() <= wanted.value_max);
+                    if !wants {
+                        continue;
+                    }
+                    // One way a sheet and target at a time: the shortest.
+                    let root = self.groups.root(e);
+                    let goal = self.state(to, winding);
+                    let path = &self.extremals[e].path;
+                    let far = (goal.iter().zip(path.start()).zip(&self.plan.widths))
+                        .map(|((g, s), w)| ((g - s) / w).powi(2))
+                        .sum::<f64>();
+                    let slot = errands.entry((to, root));
+                    let shorter = match &slot {
+                        std::collections::btree_map::Entry::Occupied(o) => far < o.get().0,
+                        std::collections::btree_map::Entry::Vacant(_) => true,
+                    };
+                    if shorter {
+                        let errand = Errand {
+                            from: Some(e),
+                            target: to,
+                            winding,
+                            way: Approach::from_solution(path.clone(), goal, least),
+                        };
+                        match slot {
+                            std::collections::btree_map::Entry::Occupied(mut o) => {
+                                o.insert((far, errand));
+                            }
+                            std::collections::btree_map::Entry::Vacant(v) => {
+                                v.insert((far, errand));
+                            }
+                        }
+                    }
+                }
+            }
+            if errands.is_empty() {
+                return Ok(());
+            }
+            let errands: Vec<Errand> = errands.into_values().map(|(_, e)| e).collect();
+            let asked: Vec<(usize, usize)> = errands.iter().filter_map(|e| Some((e.from?, e.target))).collect();
+            let found = self.send(solver, errands)?;
+            for (way, found) in asked.into_iter().zip(found) {
+                // A way is gone once: where it led nowhere or to what was known, nothing is left to do.
+                failed.insert(way, ());
+                if let Some(index) = found {
+                    self.groups.join(way.0, index);
+                }
+            }
+            progress("from neighbours", self.solved(), self.targets.len());
+        }
+    }
+
+    /// Whether an extremal fits one at a neighbouring target, and joins them.
+    fn joins(&mut self, e: usize, to: usize) -> bool {
+        let root = self.groups.root(e);
+        let mut best: Option<(f64, usize)> = None;
+        for q in 0..self.at[to].len() {
+            let other = self.at[to][q];
+            if self.extremals[other].winding != self.extremals[e].winding {
+                continue;
+            }
+            if self.groups.root(other) == root {
+                return true;
+            }
+            let m = misfit(&self.extremals[e], &self.extremals[other], &self.scales);
+            if best.is_none_or(|(b, _)| m < b) {
+                best = Some((m, other));
+            }
+        }
+        match best {
+            Some((m, other)) if m < 1.0 => {
+                self.groups.join(e, other);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Targets still without a solution, in the shortest steps.
+    fn last_resort(&mut self, solver: &mut Solver, wanted: Wanted, progress: Progress<'_>) -> Result<(), BackendError> {
+        let open = |this: &Self| (0..this.targets.len()).any(|t| this.at[t].is_empty() && !this.is_refused(t));
+        if !open(self) {
+            return Ok(());
+        }
+        let only = Wanted {
+            sheets: false,
+            ..wanted
+        };
+        self.spread(solver, only, LAST_RESORT, progress)?;
+        for target in 0..self.targets.len() {
+            if self.at[target].is_empty() && self.misses[target].is_none() {
+                self.miss(target, PointStatus::NoGuess, None, f64::INFINITY);
+            }
+        }
+        Ok(())
+    }
+
+    /// Follows sheets around the folds in which they end between neighbours, and what is found there on from there.
+    fn around_folds(
+        &mut self,
+        solver: &mut Solver,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        let mut tried: HashMap<(usize, usize), ()> = HashMap::new();
+        for _ in 0..MOST_SHEETS {
+            let neighbours = self.targets.neighbours();
+            let mut ways = Vec::new();
+            for e in 0..self.extremals.len() {
+                let from = self.extremals[e].target;
+                if self.extremals[e].value() > wanted.value_max {
+                    continue;
+                }
+                for &to in &neighbours[from] {
+                    if !self.is_refused(to) && !tried.contains_key(&(e, to)) && !self.joins(e, to) {
+                        tried.insert((e, to), ());
+                        ways.push((e, to));
+                    }
+                }
+            }
+            if ways.is_empty() {
+                return Ok(());
+            }
+            let before = self.extremals.len();
+            let starts: Vec<fold::Edge> = (ways.iter())
+                .map(|(e, to)| fold::Edge {
+                    path: self.extremals[*e].path.clone(),
+                    to: self.state(*to, self.extremals[*e].winding),
+                })
+                .collect();
+            for ((e, to), found) in ways.into_iter().zip(fold::around(solver, starts)?) {
+                self.evaluations += u64::from(found.evaluations);
+                let winding = self.extremals[e].winding;
+                for (target, end) in [(self.extremals[e].target, found.at_start), (to, found.at_end)] {
+                    let Some((job, solved)) = end else { continue };
+                    if !self.inside(&job.path.nodes) || solved.value > wanted.value_max {
+                        continue;
+                    }
+                    let (index, _) = self.add(Extremal {
+                        target,
+                        winding,
+                        path: job.path,
+                        solved,
+                        iterations: found.evaluations,
+                    });
+                    // Without a fold between, the sheet goes on.
+                    if found.folds.is_empty() {
+                        self.groups.join(e, index);
+                    }
+                }
+                self.folds.extend(found.folds);
+            }
+            progress("around folds", self.solved(), self.targets.len());
+            if self.extremals.len() == before {
+                return Ok(());
+            }
+            self.spread(solver, wanted, FROM_NEIGHBOUR, progress)?;
+        }
+        Ok(())
+    }
+
+    /// Numbers the sheets by their least V.
+    fn label(&mut self) {
+        let mut least: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
+        for e in 0..self.extremals.len() {
+            let root = self.groups.root(e);
+            let this = (self.extremals[e].value(), self.extremals[e].target);
+            let entry = least.entry(root).or_insert(this);
+            if this < *entry {
+                *entry = this;
+            }
+        }
+        let mut order: Vec<(usize, (f64, usize))> = least.into_iter().collect();
+        order.sort_by(|a, b| a.1.0.total_cmp(&b.1.0).then(a.1.1.cmp(&b.1.1)));
+        let number: HashMap<usize, i32> = order
+            .iter()
+            .enumerate()
+            .map(|(k, (root, _))| (*root, k as i32))
+            .collect();
+        self.sheet = (0..self.extremals.len())
+            .map(|e| number[&self.groups.root(e)])
+            .collect();
+    }
+}
+
+fn holds(value: f64, strict: bool) -> bool {
+    if strict { value > 0.0 } else { value >= 0.0 }
+}
