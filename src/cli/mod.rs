@@ -1,6 +1,7 @@
 //! The command line: reads arguments, calls the library, prints.
 
 mod check;
+mod points;
 mod report;
 mod run;
 
@@ -27,6 +28,10 @@ enum Command {
     Run(RunArgs),
     /// Only the sweep outward from the equilibrium (or from the terminal cost).
     ShootOut(RunArgs),
+    /// Only V, p and u at the states of [homotopy] and [map], with every sheet found there.
+    Homotopy(RunArgs),
+    /// V, p and u at the states in a CSV file, in its order.
+    Solve(SolveArgs),
     /// Validate a scenario and print the derived equations and the local solution.
     Check(CheckArgs),
     /// List the GPU adapters found and what each can do.
@@ -83,6 +88,24 @@ struct RunArgs {
     seed: u64,
 }
 
+#[derive(Args, Debug, Clone)]
+struct SolveArgs {
+    #[command(flatten)]
+    run: RunArgs,
+    /// The states: a CSV file whose header names states. States it does not name are at the equilibrium.
+    #[arg(long, value_name = "FILE.csv")]
+    points: PathBuf,
+    /// Be content with one solution a state: faster, but where sheets overlap it may not be the optimal one.
+    #[arg(long)]
+    one_sheet: bool,
+    /// Also write the optimal trajectory from each state, to /trajectories.
+    #[arg(long)]
+    trajectories: bool,
+    /// Stored points a trajectory.
+    #[arg(long, default_value_t = 200, value_parser = at_least_two)]
+    samples: usize,
+}
+
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
 enum BackendChoice {
     Auto,
@@ -117,6 +140,13 @@ fn assignment(text: &str) -> Result<(String, String), String> {
     }
 }
 
+fn at_least_two(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if (2..=1_000_000).contains(&count) => Ok(count),
+        _ => Err("a whole number from 2 to 1000000".to_owned()),
+    }
+}
+
 fn tolerance(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
     if value > 0.0 && value <= 0.1 {
@@ -143,6 +173,12 @@ enum CliError {
         "nothing was swept: all {outside} seeds lie outside the guards (is the equilibrium too near their boundary for this seed_value?)"
     )]
     NothingSwept { outside: usize },
+    #[error(transparent)]
+    Points(#[from] points::PointsError),
+    #[error(
+        "the scenario has neither [homotopy] nor [map]: no states to solve for (or use `costate solve --points FILE.csv`)"
+    )]
+    NoTargets,
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]
@@ -154,6 +190,7 @@ impl CliError {
     fn status(&self) -> u8 {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
+            CliError::Points(_) | CliError::NoTargets => 2,
             _ => 1,
         }
     }
@@ -186,6 +223,8 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Run(args) => run::run(&args, run::Parts::All),
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
+        Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
+        Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
         Command::Check(args) => check::check(&args),
         Command::Adapters { json } => check::adapters(json),
     };

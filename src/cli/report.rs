@@ -5,7 +5,9 @@ use crate::backend::{Backend, Status};
 use crate::model::Model;
 use crate::output::RunRecord;
 use crate::sweep::{Plan, Sampling, SweepReport};
+use crate::value::{Answers, EqualCost, PointStatus};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
@@ -93,20 +95,25 @@ impl Terminal {
         Bar(bar)
     }
 
-    pub fn summary(
-        &self,
-        plan: &Plan,
-        swept: &SweepReport,
-        record: &RunRecord,
-        path: &Path,
-        seconds: f64,
-    ) -> Result<(), CliError> {
+    pub fn summary(&self, done: &Done<'_>) -> Result<(), CliError> {
         if self.json {
-            writeln!(std::io::stdout(), "{:#}", as_json(plan, swept, record, path, seconds))?;
+            writeln!(std::io::stdout(), "{:#}", as_json(done))?;
         }
-        self.say(&as_text(plan, swept, path, seconds))?;
+        self.say(&as_text(done))?;
         Ok(())
     }
+}
+
+/// What a run has done.
+pub(super) struct Done<'a> {
+    pub plan: &'a Plan,
+    pub swept: &'a SweepReport,
+    /// Whether the sweep is a result; else it gave first guesses.
+    pub stored: bool,
+    pub answers: Option<&'a Answers>,
+    pub record: &'a RunRecord,
+    pub path: &'a Path,
+    pub seconds: f64,
 }
 
 /// The progress of a sweep.
@@ -116,6 +123,10 @@ impl Bar {
     pub fn update(&self, done: usize, waiting: usize) {
         self.0
             .set_message(format!("{done} trajectories, {waiting} gaps to fill"));
+    }
+
+    pub fn say(&self, text: &str) {
+        self.0.set_message(text.to_owned());
     }
 
     pub fn clear(&self) {
@@ -139,7 +150,101 @@ fn quantiles(drift: &[f64]) -> [f64; 3] {
     [at(0.5), at(0.99), at(1.0)]
 }
 
-fn as_text(plan: &Plan, swept: &SweepReport, path: &Path, seconds: f64) -> String {
+fn as_text(done: &Done<'_>) -> String {
+    let mut lines = Vec::new();
+    if done.stored {
+        lines.extend(sweep_text(done.plan, done.swept));
+    }
+    if let Some(answers) = done.answers {
+        lines.extend(answers_text(done, answers));
+    }
+    lines.push(format!("{:.2} s, written to {}", done.seconds, done.path.display()));
+    lines.join("\n")
+}
+
+/// Targets by status.
+fn by_status(answers: &Answers) -> BTreeMap<PointStatus, usize> {
+    let mut counts = BTreeMap::new();
+    for &target in &answers.targets.of_given {
+        *counts.entry(answers.status(target)).or_insert(0) += 1;
+    }
+    counts
+}
+
+fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
+    let statuses = (by_status(answers).iter())
+        .map(|(s, n)| format!("{n} {}", s.name().replace('_', " ")))
+        .collect::<Vec<_>>();
+    let mut lines = vec![format!(
+        "{} states: {}",
+        answers.targets.of_given.len(),
+        statuses.join(", ")
+    )];
+    lines.push(format!(
+        "{} solutions on {} {}",
+        answers.entries.len(),
+        answers.sheets,
+        if answers.sheets == 1 { "sheet" } else { "sheets" }
+    ));
+    if !answers.equal_cost.is_empty() {
+        let jump = |e: &EqualCost| {
+            e.u[0]
+                .iter()
+                .zip(&e.u[1])
+                .fold(0.0f64, |a, (x, y)| a.max((x - y).abs()))
+        };
+        lines.push(format!(
+            "equal-cost boundary: {} points, largest jump of a control {:.4}",
+            answers.equal_cost.len(),
+            answers.equal_cost.iter().map(jump).fold(0.0, f64::max)
+        ));
+    }
+    if !answers.folds.is_empty() {
+        lines.push(format!("folds: {} points", answers.folds.len()));
+    }
+    let residual = answers.entries.iter().map(|e| e.residual).fold(0.0, f64::max);
+    let what = if done.plan.system.terminal.is_some() {
+        None
+    } else {
+        Some(relative_hamiltonian(done.plan, answers))
+    };
+    lines.push(match what {
+        Some([median, most, largest]) => format!(
+            "last corrections at most {residual:.1e} of a trajectory; |H| at the states, of the running cost: median {median:.1e}, 99 % {most:.1e}, largest {largest:.1e}"
+        ),
+        None => format!("last corrections at most {residual:.1e} of a trajectory"),
+    });
+    let guess = if done.stored {
+        String::new()
+    } else {
+        format!(" (first guesses from {} swept trajectories)", done.swept.trajectories)
+    };
+    lines.push(format!(
+        "{:.2} s solving: {:.0} states/s, {:.1} integrations of a trajectory each{guess}",
+        answers.seconds,
+        answers.targets.len() as f64 / answers.seconds.max(1e-9),
+        answers.evaluations as f64 / answers.targets.len().max(1) as f64,
+    ));
+    lines
+}
+
+/// Quantiles of |H| at the targets relative to the running cost there.
+fn relative_hamiltonian(plan: &Plan, answers: &Answers) -> [f64; 3] {
+    let running = plan.system.rate[2 * plan.system.states];
+    let all: Vec<f64> = (answers.entries.iter())
+        .map(|e| {
+            let cost = plan.system.eval(&[running], e.path.start(), &e.p)[0].abs();
+            if cost > 0.0 {
+                e.hamiltonian.abs() / cost
+            } else {
+                e.hamiltonian.abs()
+            }
+        })
+        .collect();
+    quantiles(&all)
+}
+
+fn sweep_text(plan: &Plan, swept: &SweepReport) -> Vec<String> {
     let statuses = (swept.by_status.iter())
         .map(|(s, n)| format!("{n} {}", plan.status_name(*s).replace('_', " ")))
         .collect::<Vec<_>>();
@@ -201,18 +306,46 @@ fn as_text(plan: &Plan, swept: &SweepReport, path: &Path, seconds: f64) -> Strin
         "{what} along trajectories, of the running cost: median {median:.1e}, 99 % {most:.1e}, largest {largest:.1e}"
     ));
     lines.push(format!(
-        "{seconds:.2} s, of which {:.2} s integrating ({:.0} trajectories/s), {} steps, {} rejected, {} rounds",
+        "{:.2} s integrating ({:.0} trajectories/s), {} steps, {} rejected, {} rounds",
         swept.integrate_seconds,
         swept.trajectories as f64 / swept.integrate_seconds.max(1e-9),
         swept.steps,
         swept.rejected,
         swept.rounds
     ));
-    lines.push(format!("written to {}", path.display()));
-    lines.join("\n")
+    lines
 }
 
-fn as_json(plan: &Plan, swept: &SweepReport, record: &RunRecord, path: &Path, seconds: f64) -> serde_json::Value {
+fn answers_json(plan: &Plan, answers: &Answers) -> serde_json::Value {
+    let statuses: serde_json::Map<String, serde_json::Value> = (by_status(answers).iter())
+        .map(|(s, n)| (s.name().to_owned(), (*n).into()))
+        .collect();
+    let relative = relative_hamiltonian(plan, answers);
+    serde_json::json!({
+        "states": answers.targets.of_given.len(),
+        "distinct": answers.targets.len(),
+        "status": statuses,
+        "solutions": answers.entries.len(),
+        "sheets": answers.sheets,
+        "equal_cost_points": answers.equal_cost.len(),
+        "fold_points": answers.folds.len(),
+        "largest_residual": answers.entries.iter().map(|e| e.residual).fold(0.0, f64::max),
+        "hamiltonian_relative": { "median": relative[0], "p99": relative[1], "max": relative[2] },
+        "integrations": answers.evaluations,
+        "seconds": answers.seconds,
+        "states_per_second": answers.targets.len() as f64 / answers.seconds.max(1e-9),
+    })
+}
+
+fn as_json(done: &Done<'_>) -> serde_json::Value {
+    let Done {
+        plan,
+        swept,
+        record,
+        path,
+        seconds,
+        ..
+    } = *done;
     let [median, most, largest] = quantiles(&swept.drift);
     let relative = quantiles(&swept.relative_drift);
     let c = &swept.coverage;
@@ -231,6 +364,8 @@ fn as_json(plan: &Plan, swept: &SweepReport, record: &RunRecord, path: &Path, se
         "rtol": record.rtol,
         "atol": record.atol,
         "trajectories": swept.trajectories,
+        "trajectories_stored": done.stored,
+        "homotopy": done.answers.map(|a| answers_json(plan, a)),
         "status": statuses,
         "coverage": {
             "spacing": plan.shoot_out.spacing,

@@ -2,32 +2,50 @@
 
 use super::check::{at_equilibrium, load};
 use super::report;
-use super::{BackendChoice, CliError, RunArgs};
+use super::{BackendChoice, CliError, RunArgs, SolveArgs, points};
 use crate::backend::cpu::Cpu;
 use crate::backend::gpu::{Gpu, Selection};
-use crate::backend::{Backend, BackendError};
+use crate::backend::{Backend, BackendError, Trajectories};
 use crate::model::Model;
 use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema, utc_timestamp};
-use crate::sweep::{Choices, Plan, PlanError, SweepReport, sweep};
+use crate::sweep::{Choices, Plan, PlanError, SweepReport, sweep_keeping};
+use crate::value::{self, Answers, Archive, Grid, Request};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
 use std::time::{Instant, SystemTime};
 
 /// Which parts of a scene to run.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Parts {
+#[derive(Clone, Copy)]
+pub(super) enum Parts<'a> {
     All,
     ShootOut,
+    Homotopy,
+    Solve(&'a SolveArgs),
 }
 
-pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
+impl Parts<'_> {
+    /// Whether the sweep is a result, or only gives first guesses.
+    fn sweeps(self) -> bool {
+        matches!(self, Parts::All | Parts::ShootOut)
+    }
+}
+
+/// Seeds of a sweep for first guesses: at least so many, and so many a target.
+const GUESS_SEEDS: usize = 1024;
+const GUESS_SEEDS_A_TARGET: usize = 4;
+
+pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
     let (model, hamiltonian) = load(&args.scene)?;
+    let wanted = wanted(&model, parts)?;
     let backend = open_backend(args)?;
     let choices = Choices {
         precision: args.precision.and_then(|p| p.precision()),
         rtol: args.rtol,
-        ..Choices::default()
+        inner_levels: wanted.is_some(),
+        max_seeds: (wanted.as_ref().filter(|_| !parts.sweeps()))
+            .map(|w| GUESS_SEEDS.max(GUESS_SEEDS_A_TARGET.saturating_mul(w.count()))),
+        unasked: wanted.is_some(),
     };
     let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), choices).map_err(|e| match e {
         PlanError::Local(e) => at_equilibrium(&model, &e),
@@ -36,20 +54,55 @@ pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
     let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
     let mut terminal = report::Terminal::new(&args.scene);
     terminal.heading(&model, &plan, backend.as_ref(), args);
-    if parts == Parts::All && model.homotopy.is_some() {
-        terminal.note("[homotopy] is not available in this version and is left out");
-    }
 
     let mut file = ResultFile::create(&path)?;
-    let mut writer = file.trajectories(&schema(&model, &plan))?;
-    let swept = sweep_into(&plan, backend.as_ref(), &mut terminal, &mut |block| {
-        Ok(writer.append(&block)?)
+    let schema = schema(&model, &plan);
+    let stored = parts.sweeps() && model.shoot_out.is_some();
+    let mut writer = if stored {
+        Some(file.trajectories(&schema)?)
+    } else {
+        None
+    };
+    let mut archive = wanted.as_ref().map(|_| Archive::new(&plan));
+    let mut keep = |seeds: &[f64], batch: &Trajectories| {
+        if let Some(archive) = &mut archive {
+            archive.keep(seeds, batch);
+        }
+    };
+    let swept = sweep_into(&plan, backend.as_ref(), &mut terminal, &mut keep, &mut |block| {
+        if let Some(writer) = &mut writer {
+            writer.append(&block)?;
+        }
+        Ok(())
     })?;
     drop(writer);
     if swept.trajectories == 0 {
         return Err(CliError::NothingSwept {
             outside: swept.coverage.outside_guards,
         });
+    }
+    let mut answers = None;
+    if let (Some(wanted), Some(archive)) = (&wanted, &archive) {
+        let mut solver = value::solver(&plan, backend.as_ref())?;
+        let bar = terminal.progress();
+        let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
+        let found = value::solve(&plan, &model, &mut solver, archive, &wanted.request, &mut told)?;
+        bar.clear();
+        wanted.write(&mut file, &schema, &model, &found)?;
+        if let Parts::Solve(solve) = parts
+            && solve.trajectories
+        {
+            let entries: Vec<_> = (wanted.points())
+                .filter_map(|k| found.lowest(found.targets.of_given[k]))
+                .collect();
+            let block = value::sampled(&plan, &mut solver, &entries, solve.samples)?;
+            let schema = TrajectorySchema {
+                samples: solve.samples,
+                ..schema.clone()
+            };
+            file.trajectories(&schema)?.append(&block)?;
+        }
+        answers = Some(found);
     }
     let record = RunRecord {
         title: model.title.clone(),
@@ -71,8 +124,89 @@ pub(super) fn run(args: &RunArgs, parts: Parts) -> Result<(), CliError> {
     };
     record.write(&file)?;
     let path = file.finish()?;
-    terminal.summary(&plan, &swept, &record, &path, clock.elapsed().as_secs_f64())?;
+    let done = report::Done {
+        plan: &plan,
+        swept: &swept,
+        stored,
+        answers: answers.as_ref(),
+        record: &record,
+        path: &path,
+        seconds: clock.elapsed().as_secs_f64(),
+    };
+    terminal.summary(&done)?;
     Ok(())
+}
+
+/// The states that a run solves for, and where their answers go.
+struct WantedStates {
+    request: Request,
+    /// The grid of `/map` is the last one.
+    map: bool,
+}
+
+impl WantedStates {
+    fn count(&self) -> usize {
+        let n = self.request.grids.first().map_or(1, |g| g.axes.len()).max(1);
+        self.request.grids.iter().map(Grid::len).sum::<usize>() + self.request.points.len() / n
+    }
+
+    /// States given that belong to `/points`.
+    fn points(&self) -> std::ops::Range<usize> {
+        let grids = self.request.grids.len() - usize::from(self.map);
+        let gridded: usize = self.request.grids[..grids].iter().map(Grid::len).sum();
+        0..gridded
+    }
+
+    fn write(
+        &self,
+        file: &mut ResultFile,
+        schema: &TrajectorySchema,
+        model: &Model,
+        answers: &Answers,
+    ) -> Result<(), CliError> {
+        let points = self.points();
+        // Single states and a map never come together.
+        let singles = answers.targets.of_given.len() - self.request.grids.iter().map(Grid::len).sum::<usize>();
+        file.points(schema, answers, 0, points.len() + singles)?;
+        if let (true, Some(grid)) = (self.map, self.request.grids.last()) {
+            let value_max = model.map.as_ref().and_then(|m| m.value_max);
+            file.map(schema, answers, grid, points.len(), value_max)?;
+        }
+        file.sheet_edges(schema, answers)?;
+        Ok(())
+    }
+}
+
+/// What a run solves for; `None` where nothing.
+fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliError> {
+    match parts {
+        Parts::ShootOut => Ok(None),
+        Parts::Solve(solve) => Ok(Some(WantedStates {
+            request: Request {
+                points: points::read(&solve.points, model)?,
+                one_sheet: solve.one_sheet,
+                ..Request::default()
+            },
+            map: false,
+        })),
+        Parts::All | Parts::Homotopy => {
+            let homotopy = model.homotopy.as_ref().map(Grid::homotopy);
+            let map = model.map.as_ref().map(|m| Grid::map(m, model));
+            if homotopy.is_none() && map.is_none() {
+                return match parts {
+                    Parts::Homotopy => Err(CliError::NoTargets),
+                    _ => Ok(None),
+                };
+            }
+            Ok(Some(WantedStates {
+                map: map.is_some(),
+                request: Request {
+                    grids: homotopy.into_iter().chain(map).collect(),
+                    ..Request::default()
+                },
+            }))
+        }
+    }
 }
 
 fn open_backend(args: &RunArgs) -> Result<Box<dyn Backend>, CliError> {
@@ -115,6 +249,7 @@ fn sweep_into(
     plan: &Plan,
     backend: &dyn Backend,
     terminal: &mut report::Terminal,
+    keep: &mut (dyn FnMut(&[f64], &Trajectories) + Send),
     write: &mut dyn FnMut(TrajectoryBlock) -> Result<(), CliError>,
 ) -> Result<SweepReport, CliError> {
     /// The writing side has stopped; its own error says why.
@@ -133,9 +268,13 @@ fn sweep_into(
         let (send, receive) = sync_channel::<TrajectoryBlock>(1);
         let worker = scope.spawn(move || {
             let mut told = |done: usize, waiting: usize| bar.update(done, waiting);
-            let result = sweep(plan, backend, &mut told, &mut |block| {
-                send.send(block).map_err(|_| Stop::Gone)
-            });
+            let result = sweep_keeping(
+                plan,
+                backend,
+                &mut told,
+                &mut |seeds, batch| keep(seeds, batch),
+                &mut |block| send.send(block).map_err(|_| Stop::Gone),
+            );
             bar.clear();
             result
         });

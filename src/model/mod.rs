@@ -115,6 +115,23 @@ pub struct Homotopy {
     pub span: Span,
 }
 
+/// `[map]`: a regular grid over the region.
+#[derive(Clone, Debug)]
+pub struct MapGrid {
+    /// Points along each state's axis; 1 is the reference alone.
+    pub counts: Vec<usize>,
+    /// Larger V is left out of the map.
+    pub value_max: Option<f64>,
+    pub span: Span,
+}
+
+/// `[sheets]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sheets {
+    /// V up to which every sheet is continued.
+    pub value_max: Option<f64>,
+}
+
 /// Integration method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Method {
@@ -194,6 +211,8 @@ pub struct Model {
     pub guards: Vec<Guard>,
     pub shoot_out: Option<ShootOut>,
     pub homotopy: Option<Homotopy>,
+    pub map: Option<MapGrid>,
+    pub sheets: Sheets,
     pub integrator: Integrator,
 }
 

@@ -28,6 +28,7 @@
 //! # Ok(()) }
 //! ```
 
+mod answers;
 mod attribute;
 mod dataset;
 mod error;

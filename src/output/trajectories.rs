@@ -15,11 +15,11 @@ pub struct Axis {
 }
 
 impl Axis {
-    fn unit(&self) -> &str {
+    pub(super) fn unit(&self) -> &str {
         self.unit.as_deref().unwrap_or(DIMENSIONLESS)
     }
 
-    fn description(&self) -> &str {
+    pub(super) fn description(&self) -> &str {
         self.long_name.as_deref().unwrap_or(&self.name)
     }
 }
@@ -209,7 +209,7 @@ impl TrajectorySchema {
 
 /// Adds the dimension `name` with the names, units and descriptions of its components; nothing
 /// without any, except that a system has states.
-fn with_axes(group: Group, name: &str, axes: &[Axis]) -> Group {
+pub(super) fn with_axes(group: Group, name: &str, axes: &[Axis]) -> Group {
     if axes.is_empty() && name != "state" {
         return group;
     }
@@ -235,7 +235,7 @@ fn count(name: &str, long_name: &str) -> Variable {
 }
 
 /// The unit that all components share, or where to look for each.
-fn common<'u>(mut units: impl Iterator<Item = &'u str>, variable: &str) -> String {
+pub(super) fn common<'u>(mut units: impl Iterator<Item = &'u str>, variable: &str) -> String {
     match units.next() {
         Some(first) if units.all(|unit| unit == first) => first.to_owned(),
         _ => format!("see {variable}"),
@@ -243,7 +243,7 @@ fn common<'u>(mut units: impl Iterator<Item = &'u str>, variable: &str) -> Strin
 }
 
 /// The unit of a quotient, as UDUNITS reads it.
-fn quotient(numerator: &str, denominator: &str) -> String {
+pub(super) fn quotient(numerator: &str, denominator: &str) -> String {
     if denominator == DIMENSIONLESS {
         numerator.to_owned()
     } else if denominator.chars().all(char::is_alphabetic) {

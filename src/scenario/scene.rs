@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 12] = [
+const SECTIONS: [&str; 14] = [
     "parameters",
     "states",
     "controls",
@@ -28,6 +28,8 @@ const SECTIONS: [&str; 12] = [
     "guards",
     "shoot_out",
     "homotopy",
+    "map",
+    "sheets",
 ];
 const INTEGRATOR: &str = "integrator";
 /// Sections which only later versions read.
@@ -239,6 +241,8 @@ impl<'a> Reader<'a> {
         let homotopy = sections
             .get("homotopy")
             .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));
+        let map = sections.get("map").and_then(|s| self.map(s, &declared.states));
+        let sheets = sections.get("sheets").map(|s| self.sheets(s)).unwrap_or_default();
         let integrator = self.integrator(sections.get(INTEGRATOR));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
@@ -256,6 +260,8 @@ impl<'a> Reader<'a> {
             guards,
             shoot_out,
             homotopy,
+            map,
+            sheets,
             integrator,
         })
     }

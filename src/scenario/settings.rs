@@ -1,11 +1,11 @@
-//! The sections with numbers only: region, shoot_out, homotopy, integrator.
+//! The sections with numbers only: region, shoot_out, homotopy, map, sheets, integrator.
 
 use super::declare::Declared;
 use super::reader::{Reader, Section, Value};
 use super::syntax_error::shorten;
 use crate::model::{
-    DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS, GridAxis, Homotopy, Integrator, Method, Precision, SeedValue,
-    ShootOut,
+    DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS, GridAxis, Homotopy, Integrator, MapGrid, Method, Precision,
+    SeedValue, Sheets, ShootOut,
 };
 use crate::scenario::Problem;
 use toml::de::DeValue;
@@ -18,6 +18,9 @@ pub const DEFAULT_SAMPLES: usize = 200;
 pub const DEFAULT_RTOL: f64 = 1e-6;
 /// See [`DEFAULT_RTOL`].
 pub const DEFAULT_ATOL: f64 = 1e-9;
+
+/// Points of a grid.
+const MOST_POINTS: f64 = 2e6;
 
 const PRECISIONS: [(&str, Option<Precision>); 3] = [
     ("f32", Some(Precision::F32)),
@@ -136,10 +139,63 @@ impl<'a> Reader<'a> {
             });
         }
         let axes = axes.into_iter().collect::<Option<Vec<_>>>()?;
+        let points = axes.iter().map(|a| match a {
+            GridAxis::Fixed(_) => 1.0,
+            GridAxis::Range { count, .. } => *count as f64,
+        });
+        self.grid_size(section, points.product())?;
         Some(Homotopy {
             axes,
             span: section.span.clone(),
         })
+    }
+
+    fn grid_size(&mut self, section: &Section<'a>, points: f64) -> Option<()> {
+        if points <= MOST_POINTS {
+            return Some(());
+        }
+        let message = format!(
+            "{} has {points:.3e} points; at most {MOST_POINTS:.0e} are solved at once",
+            section.name
+        );
+        self.refuse(section.span.clone(), message, "too many points")
+    }
+
+    /// `[map]`: a regular grid over the region.
+    pub fn map(&mut self, section: &Section<'a>, states: &[Declared<'a>]) -> Option<MapGrid> {
+        self.check_keys(section, &["resolution", "value_max"]);
+        let before = self.problems.len();
+        let value_max =
+            (section.get("value_max")).and_then(|v| self.number_that(v, "value_max", "greater than 0", |v| v > 0.0));
+        let counts: Vec<usize> = match section.get("resolution") {
+            None => vec![default_resolution(states.len()); states.len()],
+            Some(value) if matches!(value.get_ref(), DeValue::Table(_)) => {
+                let table = self.table(value, section.key_span("resolution"), "resolution")?;
+                self.entries_of(&table, states, "states");
+                (states.iter())
+                    .map(|state| match table.get(state.name) {
+                        Some(value) => self.count(value, &format!("the resolution of `{}`", shorten(state.name)), 1),
+                        None => Some(1),
+                    })
+                    .collect::<Option<_>>()?
+            }
+            Some(value) => vec![self.count(value, "resolution", 2)?; states.len()],
+        };
+        self.grid_size(section, counts.iter().map(|c| *c as f64).product())?;
+        (self.problems.len() == before).then(|| MapGrid {
+            counts,
+            value_max,
+            span: section.span.clone(),
+        })
+    }
+
+    /// `[sheets]`.
+    pub fn sheets(&mut self, section: &Section<'a>) -> Sheets {
+        self.check_keys(section, &["value_max"]);
+        Sheets {
+            value_max: (section.get("value_max"))
+                .and_then(|v| self.number_that(v, "value_max", "greater than 0", |v| v > 0.0)),
+        }
     }
 
     fn axis(&mut self, value: &'a Value<'a>, name: &str) -> Option<GridAxis> {
@@ -221,6 +277,11 @@ impl<'a> Reader<'a> {
             self.report(problem.with_help("remove step, or write method = \"rk4\""));
         }
     }
+}
+
+/// Points along each axis of a map that does not say: some thousands in all.
+fn default_resolution(states: usize) -> usize {
+    (4096f64.powf(1.0 / states as f64).round() as usize).clamp(2, 101)
 }
 
 fn is_fixed_step(method: Method) -> bool {

@@ -14,6 +14,8 @@ use super::path::Path;
 const LEAST_DAMPING: f64 = 0.1;
 /// Longest step in units of the path's size.
 const MOST_STEP: f64 = 1.0;
+/// Relative size of the last correction of a solution that is only a point on the way.
+const ROUGH: f64 = 1e-4;
 /// Contraction with which an old matrix is kept.
 const KEEP: f64 = 0.1;
 /// Evaluations after which a problem is given up.
@@ -79,6 +81,8 @@ pub struct Job {
     pub outcome: Option<Result<Solved, Failure>>,
     /// Evaluations: integrations of the whole path.
     pub iterations: u32,
+    /// Whether a solution to a few digits will do: a point on the way to another.
+    pub rough: bool,
     /// Elimination at (or near) `path`. Given along with a first guess it saves the first linearization.
     pub factors: Factors,
     pub(super) stage: Stage,
@@ -110,6 +114,7 @@ impl Job {
             goal,
             outcome: None,
             iterations: 0,
+            rough: false,
             factors: Factors::default(),
             stage: Stage::Linearize,
         }
@@ -318,7 +323,12 @@ impl Scheme {
         };
         let norm = steps.iter().fold(0.0f64, |a, x| a.max(x.abs()));
         let size = trial.path.size(&self.equations.scales);
-        if trial.damping == 1.0 && norm <= self.tolerance * size {
+        let tolerance = if job.rough {
+            self.tolerance.max(ROUGH)
+        } else {
+            self.tolerance
+        };
+        if trial.damping == 1.0 && norm <= tolerance * size {
             // The correction counts: it is the last step.
             job.path = trial.path.moved(&steps, &self.equations.scales, 1.0);
             if !self.ends_well(job, residual.value) {

@@ -1,6 +1,6 @@
 //! Newton's iterations over many problems: the segments of all of them are one batch of a backend.
 
-use super::newton::{Failure, Integrated, Job, Scheme, Stage};
+use super::newton::{Failure, Goal, Integrated, Job, Scheme, Stage};
 use super::path::Path;
 use crate::backend::{Backend, BackendError, Kernel, Run, Status};
 use crate::model::{Method, Precision};
@@ -32,6 +32,8 @@ pub struct Solver {
     plain_run: Run,
     varied_run: Run,
     pub work: Work,
+    /// Solves first, on another device or in another precision; what it finds are guesses here.
+    draft: Option<Box<Solver>>,
 }
 
 impl Solver {
@@ -49,7 +51,15 @@ impl Solver {
             varied_run: equations.varied_run(rtol, SEGMENT_STEPS),
             scheme,
             work: Work::default(),
+            draft: None,
         })
+    }
+
+    /// This solver after a draft by another one.
+    #[must_use]
+    pub fn after(mut self, draft: Solver) -> Self {
+        self.draft = Some(Box::new(draft));
+        self
     }
 
     /// Solves all jobs that have no outcome yet. A job's result does not depend on the others.
@@ -57,6 +67,42 @@ impl Solver {
     /// # Errors
     /// Device failures only; a problem that fails has its [`Failure`].
     pub fn solve(&mut self, jobs: &mut [Job]) -> Result<(), BackendError> {
+        let Some(mut draft) = self.draft.take() else {
+            return self.solve_here(jobs);
+        };
+        let drafted = draft.draft_of(jobs);
+        self.draft = Some(draft);
+        let drafted = drafted?;
+        self.solve_here(jobs)?;
+        // Each solver has a budget of its own; both count.
+        for (k, iterations) in drafted {
+            jobs[k].iterations += iterations;
+        }
+        Ok(())
+    }
+
+    /// Puts this solver's solutions in place of the jobs' guesses, where it finds any; the iterations of each.
+    fn draft_of(&mut self, jobs: &mut [Job]) -> Result<Vec<(usize, u32)>, BackendError> {
+        let open: Vec<usize> = (0..jobs.len())
+            .filter(|k| jobs[*k].outcome.is_none() && matches!(jobs[*k].goal, Goal::State(_)))
+            .collect();
+        let mut drafts: Vec<Job> = (open.iter())
+            .map(|k| Job::new(jobs[*k].path.clone(), jobs[*k].goal.clone()))
+            .collect();
+        self.solve_here(&mut drafts)?;
+        let iterations = (open.iter().copied())
+            .zip(drafts.iter().map(|d| d.iterations))
+            .collect();
+        for (k, draft) in open.into_iter().zip(drafts) {
+            if draft.solved().is_some() {
+                jobs[k].path = draft.path;
+                jobs[k].factors = Default::default();
+            }
+        }
+        Ok(iterations)
+    }
+
+    fn solve_here(&mut self, jobs: &mut [Job]) -> Result<(), BackendError> {
         for job in jobs.iter_mut().filter(|j| j.outcome.is_none()) {
             self.scheme.begin(job);
         }
@@ -91,6 +137,16 @@ impl Solver {
             .collect();
         self.work.seconds_eliminating += clock.elapsed().as_secs_f64();
         self.split(jobs, &long)
+    }
+
+    /// Ends `[segment][2n]` and costs of a path's segments.
+    ///
+    /// # Errors
+    /// Device failures only; where a segment fails, what it ended with.
+    pub fn ends(&mut self, path: &Path) -> Result<(Vec<f64>, Vec<f64>), BackendError> {
+        let mut done = self.integrate(&[path], false)?;
+        let done = done.swap_remove(0);
+        Ok((done.ends, done.costs))
     }
 
     /// Linearizes solved jobs at their solutions: the matrix left by the iterations is that of a guess.

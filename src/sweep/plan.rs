@@ -4,7 +4,7 @@ use super::surface::Surface;
 use crate::backend::{Backend, By, Guards, Run, Spec, Status};
 use crate::hamiltonian::{Hamiltonian, System};
 use crate::local::{LocalError, LocalSolution, Riccati, SeedChoice};
-use crate::model::{Horizon, Method, Model, Precision, ShootOut};
+use crate::model::{Horizon, Method, Model, Precision, SeedValue, ShootOut};
 use crate::program::Program;
 
 /// An explicit f64 needs no more than this tolerance to be asked for; above it f32 does.
@@ -53,6 +53,8 @@ pub struct Choices {
     pub inner_levels: bool,
     /// Lowers the scene's cap on seeds.
     pub max_seeds: Option<usize>,
+    /// Whether a scene without `[shoot_out]` is swept all the same, as far as its region may need.
+    pub unasked: bool,
 }
 
 /// The coordinate that the stored points of a sweep are levels of.
@@ -85,6 +87,8 @@ pub struct Plan {
     pub periodic: Vec<bool>,
     pub periods: Vec<Option<f64>>,
     pub widths: Vec<f64>,
+    /// Scale of V: value_max, or the largest terminal cost.
+    pub value_scale: f64,
     /// Region as deviations.
     pub region: Vec<[f64; 2]>,
     pub system: System,
@@ -101,7 +105,11 @@ impl Plan {
         backend: &dyn Backend,
         choices: Choices,
     ) -> Result<Self, PlanError> {
-        let mut shoot_out = model.shoot_out.clone().ok_or(PlanError::NoShootOut)?;
+        let mut shoot_out = match &model.shoot_out {
+            Some(asked) => asked.clone(),
+            None if choices.unasked => unasked_sweep(model, hamiltonian)?,
+            None => return Err(PlanError::NoShootOut),
+        };
         shoot_out.max_seeds = choices
             .max_seeds
             .map_or(shoot_out.max_seeds, |m| m.min(shoot_out.max_seeds));
@@ -249,6 +257,7 @@ impl Plan {
             periods: model.states.iter().map(|s| s.period).collect(),
             periodic,
             widths,
+            value_scale,
             region,
             system,
         })
@@ -285,6 +294,33 @@ impl Plan {
             .find(|(c, _)| *c == code)
             .map_or_else(|| format!("status_{code}"), |(_, n)| n)
     }
+}
+
+/// A sweep for first guesses where the scene asks for none: up to the largest quadratic V of the region's corners.
+fn unasked_sweep(model: &Model, hamiltonian: &Hamiltonian) -> Result<ShootOut, PlanError> {
+    let value_max = match &model.horizon {
+        Horizon::Finite { .. } => None,
+        Horizon::Infinite { x, .. } => {
+            let p = Riccati::solve(hamiltonian, model)?.p;
+            let n = x.len();
+            let corners = (0..1usize << n.min(MOST_STATES)).map(|c| {
+                let side = |i: usize| model.region[i][c >> i & 1] - x[i];
+                (0..n)
+                    .map(|i| (0..n).map(|j| 0.5 * side(i) * p[(i, j)] * side(j)).sum::<f64>())
+                    .sum::<f64>()
+            });
+            Some(corners.fold(0.0, f64::max))
+        }
+    };
+    Ok(ShootOut {
+        value_max,
+        spacing: 0.1,
+        seed_value: SeedValue::Auto,
+        samples: 64,
+        max_seeds: 4096,
+        margin: crate::model::DEFAULT_MARGIN,
+        span: 0..0,
+    })
 }
 
 /// Levels between the seeds' V and the first one asked for, each a few times the one before.

@@ -3,6 +3,9 @@
 use crate::backend::BackendError;
 use crate::shooting::{Factors, Failure, Goal, Job, Path, Solved, Solver};
 
+/// Lengths of steps tried at once, each this much shorter than the one before.
+const LENGTHS: i32 = 3;
+const RATIO: f64 = 0.35;
 /// Ways that are followed together.
 const COHORT: usize = 4096;
 
@@ -68,39 +71,53 @@ impl Approach {
         self.at != Some(1.0) && self.failure.is_none()
     }
 
-    /// The next problem to try, and its share of the way.
-    fn next(&self) -> (Job, f64) {
-        let share = match self.at {
-            // Whole first; when that failed, the guess's own state.
-            None if self.step == 1.0 => 1.0,
-            None => 0.0,
-            Some(at) => (at + self.step).min(1.0),
+    /// The next problems to try, with their shares of the way: the whole way first, then the guess's own state, then
+    /// steps of several lengths at once, as a batch costs little more than its longest member.
+    fn next(&self) -> Vec<(Job, f64)> {
+        let shares = match self.at {
+            None if self.step == 1.0 => vec![1.0],
+            None => vec![0.0],
+            Some(_) if self.step == 1.0 => vec![1.0],
+            Some(at) => {
+                let mut shares: Vec<f64> = (0..LENGTHS)
+                    .map(|k| self.step * RATIO.powi(k))
+                    .filter(|step| *step >= self.least)
+                    .map(|step| (at + step).min(1.0))
+                    .collect();
+                shares.dedup();
+                shares
+            }
         };
-        (self.job.clone().toward(Goal::State(self.point(share))), share)
+        (shares.into_iter())
+            .map(|share| {
+                let mut job = self.job.clone().toward(Goal::State(self.point(share)));
+                job.rough = share < 1.0;
+                (job, share)
+            })
+            .collect()
     }
 
-    fn learn(&mut self, tried: Job, share: f64) {
-        self.evaluations += tried.iterations - self.job.iterations;
-        match tried.failure() {
-            None => {
-                // A path that needed no step halving may take longer ones.
+    /// Takes the furthest of the problems tried that was solved.
+    fn learn(&mut self, tried: Vec<(Job, f64)>) {
+        self.evaluations += tried.iter().map(|(job, _)| job.iterations).sum::<u32>();
+        let last = tried.last().and_then(|(job, _)| job.failure());
+        let count = tried.len() as i32;
+        match tried.into_iter().find(|(job, _)| job.solved().is_some()) {
+            Some((job, share)) => {
+                let step = share - self.at.unwrap_or(0.0);
                 self.step = match self.at {
-                    Some(_) => 2.0 * self.step,
-                    None => self.step.min(0.5),
+                    Some(_) => 2.0 * step,
+                    None => 0.5,
                 };
                 self.at = Some(share);
-                self.job = tried;
+                self.job = job;
             }
-            Some(why) => {
-                self.job.iterations = tried.iterations;
-                if self.at.is_none() && self.step < 1.0 {
-                    // Not even a solution at the guess's own state.
-                    self.failure = Some(why);
-                    return;
-                }
-                self.step *= 0.5;
+            // Not even a solution at the guess's own state.
+            None if self.at.is_none() && self.step < 1.0 => self.failure = last,
+            None => {
+                self.step *= if self.step == 1.0 { 0.5 } else { RATIO.powi(count) };
                 if self.step < self.least {
-                    self.failure = Some(why);
+                    self.failure = last.or(Some(Failure::Diverged));
                 }
             }
         }
@@ -151,10 +168,24 @@ fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), Bac
             }
             return Ok(());
         }
-        let (mut jobs, shares): (Vec<Job>, Vec<f64>) = active.iter().map(|i| ways[*i].next()).unzip();
+        let mut owners = Vec::new();
+        let mut shares = Vec::new();
+        let mut jobs = Vec::new();
+        for &i in &active {
+            for (job, share) in ways[i].next() {
+                owners.push(i);
+                shares.push(share);
+                jobs.push(job);
+            }
+        }
         solver.solve(&mut jobs)?;
-        for ((i, job), share) in active.into_iter().zip(jobs).zip(shares) {
-            ways[i].learn(job, share);
+        let mut tried = owners.into_iter().zip(jobs.into_iter().zip(shares)).peekable();
+        for i in active {
+            let mut own = Vec::new();
+            while let Some((_, one)) = tried.next_if(|(owner, _)| *owner == i) {
+                own.push(one);
+            }
+            ways[i].learn(own);
         }
     }
 }

@@ -2,15 +2,21 @@
 
 mod approach;
 mod archive;
+mod equal_cost;
 mod extremal;
 mod fold;
 mod nearest;
+mod sampled;
+mod solve;
 mod survey;
 mod targets;
 
 pub use approach::{Approach, Unreached, follow};
 pub use archive::{Archive, Index, Place, segment_duration};
+pub use equal_cost::BoundaryPoint;
 pub use extremal::Extremal;
 pub use fold::Fold;
-pub use survey::{Miss, PointStatus, Survey, Wanted};
+pub use sampled::sampled;
+pub use solve::{Answers, Entry, EqualCost, Request, solve, solver};
+pub use survey::{Miss, PointStatus, Progress, Survey, Wanted};
 pub use targets::{Grid, Targets};

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 
 /// Shortest steps, as shares of the way: from a swept trajectory, from a neighbour, and where nothing else has worked.
-const FROM_SWEEP: f64 = 1.0 / 8.0;
+const FROM_SWEEP: f64 = 1.0 / 4.0;
 const FROM_NEIGHBOUR: f64 = 1.0 / 32.0;
 const LAST_RESORT: f64 = 1.0 / 4096.0;
 /// Swept points within this many spacings of a target show which sheets there are.

@@ -53,6 +53,8 @@ impl Simd {
 /// Lanes a block: several SIMD vectors, with the working set still in the first-level cache.
 const LANES_F64: usize = 64;
 const LANES_F32: usize = 128;
+/// Lanes where trajectories are few.
+const FEW_LANES: usize = 16;
 
 /// The CPU backend.
 #[derive(Clone, Copy, Debug)]
@@ -145,6 +147,13 @@ impl Kernel for CpuKernel {
         }
         // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
         let chunk = (count / (rayon::current_num_threads() * 4)).clamp(LANES_F64, 8192);
+        // A block costs the same whether its lanes are in use or not.
+        let few = count <= FEW_LANES * rayon::current_num_threads();
+        let chunk = if few {
+            chunk.min(count.div_ceil(rayon::current_num_threads()).next_multiple_of(FEW_LANES))
+        } else {
+            chunk
+        };
         let width = levels * (1 + dim);
         // Without stored samples there is nothing to split; one chunk of an empty slice a task.
         let mut sample_chunks: Vec<&mut [f64]> = if width == 0 {
@@ -170,6 +179,9 @@ impl Kernel for CpuKernel {
                     samples,
                 };
                 match self.precision {
+                    Precision::F64 if few => {
+                        dispatch::<f64, FEW_LANES>(self.simd, &self.compiled, run, seeds, &mut out)
+                    }
                     Precision::F64 => dispatch::<f64, LANES_F64>(self.simd, &self.compiled, run, seeds, &mut out),
                     Precision::F32 => dispatch::<f32, LANES_F32>(self.simd, &self.compiled, run, seeds, &mut out),
                 }

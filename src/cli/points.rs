@@ -1,0 +1,107 @@
+//! Reading states from a CSV file.
+
+use crate::model::Model;
+use crate::scenario::suggestion;
+use std::path::{Path, PathBuf};
+
+/// What is wrong with a file of points; each error names the place.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum PointsError {
+    #[error("cannot read {}: {source}", path.display())]
+    Read { path: PathBuf, source: csv::Error },
+    #[error("{}: line {line}: {source}", path.display())]
+    Malformed {
+        path: PathBuf,
+        line: u64,
+        source: csv::Error,
+    },
+    #[error("{}: line 1: `{name}` is not a state of the scenario (states: {states}){help}", path.display())]
+    UnknownState {
+        path: PathBuf,
+        name: String,
+        states: String,
+        help: String,
+    },
+    #[error("{}: line 1: `{name}` stands there twice", path.display())]
+    Twice { path: PathBuf, name: String },
+    #[error("{}: line 1: a header with the names of states is needed (states: {states})", path.display())]
+    NoHeader { path: PathBuf, states: String },
+    #[error("{}: line {line}, column `{name}`: `{text}` is not a finite number", path.display())]
+    NotANumber {
+        path: PathBuf,
+        line: u64,
+        name: String,
+        text: String,
+    },
+    #[error("{} has a header but no points", path.display())]
+    Empty { path: PathBuf },
+}
+
+/// States `[point][n]` of a CSV file whose header names states; those it does not name stay at the reference point.
+pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> {
+    let at = || path.to_owned();
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .comment(Some(b'#'))
+        .from_path(path)
+        .map_err(|source| PointsError::Read { path: at(), source })?;
+    let names: Vec<&str> = model.states.iter().map(|s| s.variable.name.as_str()).collect();
+    let malformed = |source: csv::Error| match source.position().map(csv::Position::line) {
+        Some(line) => PointsError::Malformed {
+            path: path.to_owned(),
+            line,
+            source,
+        },
+        None => PointsError::Read {
+            path: path.to_owned(),
+            source,
+        },
+    };
+    let header = reader.headers().map_err(malformed)?.clone();
+    if header.iter().all(str::is_empty) {
+        return Err(PointsError::NoHeader {
+            path: at(),
+            states: names.join(", "),
+        });
+    }
+    let mut columns = Vec::new();
+    for name in &header {
+        // A byte order mark is no part of a name.
+        let name = name.trim_start_matches('\u{feff}');
+        let Some(state) = names.iter().position(|n| *n == name) else {
+            return Err(PointsError::UnknownState {
+                path: at(),
+                name: name.to_owned(),
+                states: names.join(", "),
+                help: suggestion(name, names.iter().copied()).map_or_else(String::new, |s| format!("; {s}")),
+            });
+        };
+        if columns.contains(&state) {
+            return Err(PointsError::Twice {
+                path: at(),
+                name: name.to_owned(),
+            });
+        }
+        columns.push(state);
+    }
+    let mut points = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(malformed)?;
+        let mut x = model.reference().to_vec();
+        for (text, &state) in record.iter().zip(&columns) {
+            x[state] = (text.parse().ok())
+                .filter(|v: &f64| v.is_finite())
+                .ok_or_else(|| PointsError::NotANumber {
+                    path: at(),
+                    line: record.position().map_or(0, csv::Position::line),
+                    name: names[state].to_owned(),
+                    text: text.to_owned(),
+                })?;
+        }
+        points.extend(x);
+    }
+    if points.is_empty() {
+        return Err(PointsError::Empty { path: at() });
+    }
+    Ok(points)
+}

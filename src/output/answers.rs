@@ -1,0 +1,392 @@
+//! The groups `/points`, `/points_sheets`, `/map`, `/equal_cost` and `/folds`.
+
+use super::trajectories::{Axis, common, quotient, with_axes};
+use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Variable};
+use crate::value::{Answers, Entry, Grid, PointStatus};
+
+const NO_SHEET: i32 = -1;
+
+/// Units and names that the groups of a scene share.
+struct Names<'a> {
+    schema: &'a TrajectorySchema,
+    state_unit: String,
+    costate_unit: String,
+    control_unit: String,
+    cost: String,
+    rate: String,
+}
+
+impl<'a> Names<'a> {
+    fn new(schema: &'a TrajectorySchema) -> Self {
+        let cost = schema.cost_unit.clone().unwrap_or_else(|| "1".to_owned());
+        let time = schema.time_unit.as_deref().unwrap_or("s");
+        let costates: Vec<String> = schema.states.iter().map(|s| quotient(&cost, s.unit())).collect();
+        Self {
+            state_unit: common(schema.states.iter().map(Axis::unit), "state_units"),
+            costate_unit: common(costates.iter().map(String::as_str), "costate_units"),
+            control_unit: common(schema.controls.iter().map(Axis::unit), "control_units"),
+            rate: quotient(&cost, time),
+            cost,
+            schema,
+        }
+    }
+
+    fn axes(&self, group: Group) -> Group {
+        let group = with_axes(group, "state", &self.schema.states);
+        let cost = &self.cost;
+        let costates = self.schema.states.iter().map(|s| quotient(cost, s.unit()));
+        let group = group.variable(
+            Variable::text("costate_units", "state", costates).long_name("unit of the costate of each state"),
+        );
+        with_axes(group, "control", &self.schema.controls)
+    }
+
+    /// V, p, u and the sheet over some dimensions.
+    fn solution(&self, mut group: Group, dims: &[&str]) -> Group {
+        let over = |last: &'static str| dims.iter().copied().chain([last]).collect::<Vec<_>>();
+        group = group
+            .variable(
+                Variable::f64("V", dims.iter().copied())
+                    .unit(&self.cost)
+                    .long_name("value function"),
+            )
+            .variable(
+                Variable::f64("p", over("state"))
+                    .unit(&self.costate_unit)
+                    .long_name("costate, the gradient of the value function"),
+            );
+        if !self.schema.controls.is_empty() {
+            group = group.variable(
+                Variable::f64("u", over("control"))
+                    .unit(&self.control_unit)
+                    .long_name("control"),
+            );
+        }
+        group.variable(
+            Variable::i32("sheet", dims.iter().copied())
+                .long_name("sheet of the value function; -1 where there is none"),
+        )
+    }
+
+    fn state(&self, name: &str, dims: &[&str], what: &str) -> Variable {
+        Variable::f64(name, dims.iter().copied())
+            .unit(&self.state_unit)
+            .long_name(what)
+    }
+}
+
+fn status<'d>(dims: impl IntoIterator<Item = &'d str>) -> Variable {
+    Variable::i32("status", dims)
+        .long_name("whether the point was solved, or why not")
+        .flags(PointStatus::ALL.map(|(s, name)| (s as i32, name)))
+}
+
+/// Columns of the solutions of some points.
+#[derive(Default)]
+struct Columns {
+    value: Vec<f64>,
+    p: Vec<f64>,
+    u: Vec<f64>,
+    sheet: Vec<i32>,
+    status: Vec<i32>,
+}
+
+impl Columns {
+    fn push(&mut self, names: &Names<'_>, entry: Option<&Entry>, status: PointStatus) {
+        self.status.push(status as i32);
+        let (n, m) = (names.schema.states.len(), names.schema.controls.len());
+        match entry {
+            Some(e) => {
+                self.value.push(e.value);
+                self.p.extend_from_slice(&e.p);
+                self.u.extend_from_slice(&e.u);
+                self.sheet.push(e.sheet);
+            }
+            None => {
+                self.value.push(f64::NAN);
+                self.p.extend(vec![f64::NAN; n]);
+                self.u.extend(vec![f64::NAN; m]);
+                self.sheet.push(NO_SHEET);
+            }
+        }
+    }
+}
+
+impl ResultFile {
+    /// Writes `/points` and `/points_sheets` for the states given from the `first`-th on, `count` of them, in the order
+    /// in which they were given.
+    ///
+    /// # Errors
+    /// [`OutputError`] on writing.
+    pub fn points(
+        &mut self,
+        schema: &TrajectorySchema,
+        answers: &Answers,
+        first: usize,
+        count: usize,
+    ) -> Result<(), OutputError> {
+        if count == 0 {
+            return Ok(());
+        }
+        let names = Names::new(schema);
+        let given = &answers.targets.of_given[first..first + count];
+        let n = schema.states.len();
+        let mut group = Group::new("points")
+            .attribute("title", "value function at chosen states")
+            .expected_rows(Some(count))
+            .dimension(Dimension::unlimited("point"));
+        group = names.axes(group);
+        group = group.variable(names.state("x0", &["point", "state"], "chosen state"));
+        group = names
+            .solution(group, &["point"])
+            .variable(status(["point"]))
+            .variable(Variable::i32("iterations", ["point"]).long_name("integrations of the whole trajectory"))
+            .variable(
+                Variable::f64("residual", ["point"])
+                    .long_name("last Newton correction relative to the trajectory's size"),
+            )
+            .variable(Variable::f64("H", ["point"]).unit(&names.rate).long_name("Hamiltonian"))
+            .variable(Variable::i32("sheets", ["point"]).long_name("number of solutions found"))
+            .variable(names.state(
+                "furthest",
+                &["point", "state"],
+                "the point itself, or the furthest state reached on the way to it",
+            ));
+        let mut columns = Columns::default();
+        let (mut x0, mut furthest) = (Vec::new(), Vec::new());
+        let (mut iterations, mut sheets) = (Vec::new(), Vec::new());
+        let (mut residual, mut h) = (Vec::new(), Vec::new());
+        for &target in given {
+            let entry = answers.lowest(target);
+            columns.push(&names, entry, answers.status(target));
+            let state = answers.targets.state(target);
+            x0.extend_from_slice(state);
+            match &answers.misses[target] {
+                None => furthest.extend_from_slice(state),
+                Some(miss) => match &miss.furthest {
+                    Some(x) => furthest.extend_from_slice(x),
+                    None => furthest.extend(vec![f64::NAN; n]),
+                },
+            }
+            iterations.push(entry.map_or(0, |e| e.iterations as i32));
+            residual.push(entry.map_or(f64::NAN, |e| e.residual));
+            h.push(entry.map_or(f64::NAN, |e| e.hamiltonian));
+            sheets.push(answers.of(target).len() as i32);
+        }
+        let mut writer = self.group(&group)?;
+        let mut values = vec![
+            ("x0", (&x0).into()),
+            ("V", (&columns.value).into()),
+            ("p", (&columns.p).into()),
+            ("sheet", (&columns.sheet).into()),
+            ("status", (&columns.status).into()),
+            ("iterations", (&iterations).into()),
+            ("residual", (&residual).into()),
+            ("H", (&h).into()),
+            ("sheets", (&sheets).into()),
+            ("furthest", (&furthest).into()),
+        ];
+        if !schema.controls.is_empty() {
+            values.push(("u", (&columns.u).into()));
+        }
+        writer.append(count, &values)?;
+        self.points_sheets(&names, answers, given)
+    }
+
+    fn points_sheets(&mut self, names: &Names<'_>, answers: &Answers, given: &[usize]) -> Result<(), OutputError> {
+        let mut columns = Columns::default();
+        let (mut point, mut winding, mut h, mut residual) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for (k, &target) in given.iter().enumerate() {
+            for entry in answers.of(target) {
+                point.push(k as i32);
+                columns.push(names, Some(entry), PointStatus::Converged);
+                winding.extend_from_slice(&entry.winding);
+                h.push(entry.hamiltonian);
+                residual.push(entry.residual);
+            }
+        }
+        if point.is_empty() {
+            return Ok(());
+        }
+        let mut group = Group::new("points_sheets")
+            .attribute("title", "all solutions found at the chosen states, optimal or not")
+            .expected_rows(Some(point.len()))
+            .dimension(Dimension::unlimited("entry"));
+        group = names.axes(group);
+        group = group.variable(Variable::i32("point", ["entry"]).long_name("index of the point in /points"));
+        group = names
+            .solution(group, &["entry"])
+            .variable(
+                Variable::i32("winding", ["entry", "state"])
+                    .long_name("periods by which the solution's state is away from the point"),
+            )
+            .variable(Variable::f64("H", ["entry"]).unit(&names.rate).long_name("Hamiltonian"))
+            .variable(
+                Variable::f64("residual", ["entry"])
+                    .long_name("last Newton correction relative to the trajectory's size"),
+            );
+        let mut writer = self.group(&group)?;
+        let mut values = vec![
+            ("point", (&point).into()),
+            ("V", (&columns.value).into()),
+            ("p", (&columns.p).into()),
+            ("sheet", (&columns.sheet).into()),
+            ("winding", (&winding).into()),
+            ("H", (&h).into()),
+            ("residual", (&residual).into()),
+        ];
+        if !names.schema.controls.is_empty() {
+            values.push(("u", (&columns.u).into()));
+        }
+        writer.append(point.len(), &values)
+    }
+
+    /// Writes `/map` for a grid whose points are those given from the `first`-th on. V above `value_max` is left out.
+    ///
+    /// # Errors
+    /// [`OutputError`] on writing.
+    pub fn map(
+        &mut self,
+        schema: &TrajectorySchema,
+        answers: &Answers,
+        grid: &Grid,
+        first: usize,
+        value_max: Option<f64>,
+    ) -> Result<(), OutputError> {
+        let names = Names::new(schema);
+        let dims: Vec<&str> = schema.states.iter().map(|s| s.name.as_str()).collect();
+        let mut group = Group::new("map").attribute("title", "value function on a regular grid: the lowest sheet");
+        for (axis, values) in schema.states.iter().zip(&grid.axes) {
+            group = group
+                .dimension(Dimension::values(&axis.name, values.clone(), axis.unit()).long_name(axis.description()));
+        }
+        group = names.axes(group);
+        group = names.solution(group, &dims).variable(status(dims.iter().copied()));
+        let mut columns = Columns::default();
+        for k in 0..grid.len() {
+            let target = answers.targets.of_given[first + k];
+            let entry = answers
+                .lowest(target)
+                .filter(|e| value_max.is_none_or(|most| e.value <= most));
+            columns.push(&names, entry, answers.status(target));
+        }
+        let mut writer = self.group(&group)?;
+        writer.write("V", &columns.value)?;
+        writer.write("p", &columns.p)?;
+        if !schema.controls.is_empty() {
+            writer.write("u", &columns.u)?;
+        }
+        writer.write("sheet", &columns.sheet)?;
+        writer.write("status", &columns.status)
+    }
+
+    /// Writes `/equal_cost` and `/folds`, where there are any.
+    ///
+    /// # Errors
+    /// [`OutputError`] on writing.
+    pub fn sheet_edges(&mut self, schema: &TrajectorySchema, answers: &Answers) -> Result<(), OutputError> {
+        let names = Names::new(schema);
+        self.equal_cost(&names, answers)?;
+        if answers.folds.is_empty() {
+            return Ok(());
+        }
+        let mut group = Group::new("folds")
+            .attribute("title", "points where a sheet turns back")
+            .expected_rows(Some(answers.folds.len()))
+            .dimension(Dimension::unlimited("vertex"));
+        group = names.axes(group);
+        group = group
+            .variable(names.state("x", &["vertex", "state"], "state"))
+            .variable(
+                Variable::f64("p", ["vertex", "state"])
+                    .unit(&names.costate_unit)
+                    .long_name("costate"),
+            )
+            .variable(
+                Variable::f64("V", ["vertex"])
+                    .unit(&names.cost)
+                    .long_name("cost of the extremal"),
+            );
+        let flat = |f: &dyn Fn(&crate::value::Fold) -> Vec<f64>| answers.folds.iter().flat_map(f).collect::<Vec<f64>>();
+        let (x, p, v) = (flat(&|f| f.s.clone()), flat(&|f| f.p.clone()), flat(&|f| vec![f.value]));
+        let mut writer = self.group(&group)?;
+        writer.append(
+            answers.folds.len(),
+            &[("x", (&x).into()), ("p", (&p).into()), ("V", (&v).into())],
+        )
+    }
+
+    fn equal_cost(&mut self, names: &Names<'_>, answers: &Answers) -> Result<(), OutputError> {
+        if answers.equal_cost.is_empty() {
+            return Ok(());
+        }
+        let mut order: Vec<_> = answers.equal_cost.iter().collect();
+        order.sort_by_key(|e| (e.point.line, e.point.place));
+        let mut group = Group::new("equal_cost")
+            .attribute(
+                "title",
+                "points where two sheets cost the same and the optimal control jumps",
+            )
+            .expected_rows(Some(order.len()))
+            .dimension(Dimension::unlimited("vertex"))
+            .dimension(Dimension::index("side", 2));
+        group = names.axes(group);
+        group = group
+            .variable(names.state("x", &["vertex", "state"], "state"))
+            .variable(
+                Variable::f64("V", ["vertex"])
+                    .unit(&names.cost)
+                    .long_name("value function"),
+            )
+            .variable(
+                Variable::f64("difference", ["vertex"]).long_name("difference of V between the sheets, relative to V"),
+            )
+            .variable(Variable::i32("sheet", ["vertex", "side"]).long_name("the two sheets"))
+            .variable(
+                Variable::f64("p", ["vertex", "side", "state"])
+                    .unit(&names.costate_unit)
+                    .long_name("costate on each sheet"),
+            )
+            .variable(Variable::i32("line", ["vertex"]).long_name("polyline; -1 where the points form none"))
+            .variable(Variable::i32("place", ["vertex"]).long_name("place on the polyline"));
+        let controls = !names.schema.controls.is_empty();
+        if controls {
+            group = group
+                .variable(
+                    Variable::f64("u", ["vertex", "side", "control"])
+                        .unit(&names.control_unit)
+                        .long_name("control on each sheet"),
+                )
+                .variable(
+                    Variable::f64("jump", ["vertex", "control"])
+                        .unit(&names.control_unit)
+                        .long_name("control on the second sheet less that on the first"),
+                );
+        }
+        let flat =
+            |f: &dyn Fn(&crate::value::EqualCost) -> Vec<f64>| order.iter().flat_map(|e| f(e)).collect::<Vec<f64>>();
+        let x = flat(&|e| e.point.x.clone());
+        let value = flat(&|e| vec![e.point.value]);
+        let difference = flat(&|e| vec![e.point.difference]);
+        let p = flat(&|e| e.point.p.concat());
+        let u = flat(&|e| e.u.concat());
+        let jump = flat(&|e| e.u[1].iter().zip(&e.u[0]).map(|(b, a)| b - a).collect());
+        let sheet: Vec<i32> = order.iter().flat_map(|e| e.point.sheets).collect();
+        let line: Vec<i32> = order.iter().map(|e| e.point.line).collect();
+        let place: Vec<i32> = order.iter().map(|e| e.point.place).collect();
+        let mut writer = self.group(&group)?;
+        let mut values = vec![
+            ("x", (&x).into()),
+            ("V", (&value).into()),
+            ("difference", (&difference).into()),
+            ("sheet", (&sheet).into()),
+            ("p", (&p).into()),
+            ("line", (&line).into()),
+            ("place", (&place).into()),
+        ];
+        if controls {
+            values.extend([("u", (&u).into()), ("jump", (&jump).into())]);
+        }
+        writer.append(order.len(), &values)
+    }
+}

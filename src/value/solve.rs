@@ -1,0 +1,261 @@
+//! V, p and u at the targets of a scene: grids and single states, from the sweep to the answers.
+
+use super::archive::{Archive, segment_duration};
+use super::equal_cost::BoundaryPoint;
+use super::fold::Fold;
+use super::survey::{Miss, PointStatus, Progress, Survey, Wanted};
+use super::targets::{Grid, Targets};
+use crate::backend::cpu::Cpu;
+use crate::backend::{Backend, BackendError};
+use crate::model::{GridAxis, Homotopy, MapGrid, Model, Precision};
+use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
+use crate::sweep::Plan;
+
+/// Tolerance of the answers where the scene asks for less: they are of use as f64 numbers.
+const MOST_RTOL: f64 = 1e-9;
+/// Segments are integrated to this share of it.
+const SEGMENT_SHARE: f64 = 0.1;
+/// Smallest tolerance of segments.
+const LEAST_RTOL: f64 = 1e-13;
+/// Sheets are continued to this many times the sweep's V unless the scene says how far.
+const BEYOND: f64 = 2.0;
+/// Variation components that a lane of the CPU and an invocation of a GPU carry.
+const CPU_VARIATIONS: usize = 64;
+const GPU_VARIATIONS: usize = 16;
+/// Newton's tolerance on a device in single precision, and the one of its segments.
+const DRAFT_TOLERANCE: f64 = 1e-4;
+const DRAFT_RTOL: f64 = 1e-5;
+
+/// What to solve for.
+#[derive(Clone, Debug, Default)]
+pub struct Request {
+    /// Grids, in the order of the answers.
+    pub grids: Vec<Grid>,
+    /// Single states `[point][n]`.
+    pub points: Vec<f64>,
+    /// One solution a target is enough: no search for other sheets.
+    pub one_sheet: bool,
+    /// V up to which sheets are continued; `None`: the scene's, or a little beyond the sweep.
+    pub value_max: Option<f64>,
+}
+
+/// A solution at a point.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    pub target: usize,
+    pub sheet: i32,
+    pub winding: Vec<i32>,
+    pub value: f64,
+    pub p: Vec<f64>,
+    pub u: Vec<f64>,
+    pub w: Vec<f64>,
+    pub hamiltonian: f64,
+    pub iterations: u32,
+    /// The last correction relative to the trajectory's size.
+    pub residual: f64,
+    /// The trajectory.
+    pub path: Path,
+}
+
+/// Where two sheets cost the same, with the controls on both.
+#[derive(Clone, Debug)]
+pub struct EqualCost {
+    pub point: BoundaryPoint,
+    pub u: [Vec<f64>; 2],
+}
+
+/// What was found.
+pub struct Answers {
+    pub targets: Targets,
+    /// All solutions, by target, then by V.
+    pub entries: Vec<Entry>,
+    /// First entry of each target, and the end.
+    pub first: Vec<usize>,
+    pub misses: Vec<Option<Miss>>,
+    pub equal_cost: Vec<EqualCost>,
+    /// States absolute.
+    pub folds: Vec<Fold>,
+    pub sheets: usize,
+    pub evaluations: u64,
+    pub work: Work,
+    pub seconds: f64,
+}
+
+impl Answers {
+    /// The solution of least V at a target.
+    pub fn lowest(&self, target: usize) -> Option<&Entry> {
+        self.of(target).first()
+    }
+
+    /// All solutions at a target, by rising V.
+    pub fn of(&self, target: usize) -> &[Entry] {
+        &self.entries[self.first[target]..self.first[target + 1]]
+    }
+
+    pub fn status(&self, target: usize) -> PointStatus {
+        match &self.misses[target] {
+            Some(miss) => miss.status,
+            None => PointStatus::Converged,
+        }
+    }
+
+    /// Targets with a solution.
+    pub fn solved(&self) -> usize {
+        (0..self.targets.len())
+            .filter(|t| self.first[*t] < self.first[t + 1])
+            .count()
+    }
+}
+
+impl Grid {
+    /// The scene's `[homotopy]` grid.
+    pub fn homotopy(homotopy: &Homotopy) -> Self {
+        let axes = homotopy.axes.iter().map(|axis| match *axis {
+            GridAxis::Fixed(x) => vec![x],
+            GridAxis::Range { first, last, count } => spaced(first, last, count),
+        });
+        Self { axes: axes.collect() }
+    }
+
+    /// The scene's `[map]`: over the region; a single point of an axis is the reference.
+    pub fn map(map: &MapGrid, model: &Model) -> Self {
+        let axes = (map.counts.iter().zip(&model.region).zip(model.reference())).map(|((count, [lo, hi]), x)| {
+            if *count == 1 {
+                vec![*x]
+            } else {
+                spaced(*lo, *hi, *count)
+            }
+        });
+        Self { axes: axes.collect() }
+    }
+}
+
+fn spaced(first: f64, last: f64, count: usize) -> Vec<f64> {
+    (0..count)
+        .map(|k| {
+            if k + 1 == count {
+                last
+            } else {
+                first + (last - first) * k as f64 / (count - 1) as f64
+            }
+        })
+        .collect()
+}
+
+/// A solver for a plan: in f64 on the CPU lanes, after drafts on the backend where that is another one.
+///
+/// # Errors
+/// What the backend refuses to compile.
+pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError> {
+    let asked = plan.rtol_asked.min(MOST_RTOL);
+    let scheme = |most: usize, tolerance: f64| Scheme {
+        equations: Equations::new(&plan.system, &plan.widths, plan.value_scale, most),
+        end: End::new(&plan.system, plan.local.as_ref()),
+        tolerance,
+        duration: segment_duration(plan),
+    };
+    let rtol = (SEGMENT_SHARE * asked).max(LEAST_RTOL);
+    let host = Solver::new(&Cpu::new(), Precision::F64, scheme(CPU_VARIATIONS, asked), rtol)?;
+    if backend.name() == "cpu" {
+        return Ok(host);
+    }
+    let precision = plan.spec.precision;
+    let (tolerance, rtol) = match precision {
+        Precision::F32 => (DRAFT_TOLERANCE, DRAFT_RTOL),
+        Precision::F64 => (asked, rtol),
+    };
+    let draft = Solver::new(backend, precision, scheme(GPU_VARIATIONS, tolerance), rtol)?;
+    Ok(host.after(draft))
+}
+
+/// Solves for a request, with first guesses from an archive.
+///
+/// # Errors
+/// Device failures only.
+pub fn solve(
+    plan: &Plan,
+    model: &Model,
+    solver: &mut Solver,
+    archive: &Archive,
+    request: &Request,
+    progress: Progress<'_>,
+) -> Result<Answers, BackendError> {
+    let clock = std::time::Instant::now();
+    let targets = Targets::new(plan.system.states, &request.grids, &request.points, &plan.widths);
+    let value_max = (request.value_max)
+        .or(model.sheets.value_max)
+        .unwrap_or(BEYOND * plan.shoot_out.value_max.unwrap_or(f64::INFINITY));
+    let wanted = Wanted {
+        value_max,
+        sheets: !request.one_sheet,
+    };
+    let mut survey = Survey::new(plan, &targets, solver);
+    survey.run(solver, archive, wanted, progress)?;
+    let boundary = if request.one_sheet {
+        Vec::new()
+    } else {
+        survey.equal_cost(solver, wanted)?
+    };
+    let mut entries: Vec<Entry> = Vec::with_capacity(survey.extremals.len());
+    let mut first = vec![0];
+    for target in 0..targets.len() {
+        let mut here: Vec<Entry> = survey.at[target].iter().map(|e| entry(plan, &survey, *e)).collect();
+        here.sort_by(|a, b| a.value.total_cmp(&b.value).then(a.sheet.cmp(&b.sheet)));
+        entries.extend(here);
+        first.push(entries.len());
+    }
+    let control = |s: &[f64], p: &[f64]| plan.system.eval(&plan.system.observer.control, s, p);
+    let equal_cost = boundary
+        .into_iter()
+        .map(|point| EqualCost {
+            u: [0, 1].map(|k| control(&point.s[k], &point.p[k])),
+            point,
+        })
+        .collect();
+    let reference = &plan.system.reference;
+    let folds = (survey.folds.iter())
+        .map(|f| Fold {
+            s: f.s.iter().zip(reference).map(|(s, x)| s + x).collect(),
+            ..f.clone()
+        })
+        .collect();
+    Ok(Answers {
+        sheets: survey.sheet.iter().copied().max().map_or(0, |s| s as usize + 1),
+        misses: survey.misses.clone(),
+        evaluations: survey.evaluations,
+        work: solver.work,
+        seconds: clock.elapsed().as_secs_f64(),
+        entries,
+        first,
+        equal_cost,
+        folds,
+        targets,
+    })
+}
+
+fn entry(plan: &Plan, survey: &Survey<'_>, index: usize) -> Entry {
+    let extremal = &survey.extremals[index];
+    let (s, p) = (extremal.path.start(), extremal.adjoint());
+    let observer = &plan.system.observer;
+    let (m, k) = (observer.control.len(), observer.disturbance.len());
+    let roots = [
+        observer.control.as_slice(),
+        &observer.disturbance,
+        &[observer.hamiltonian],
+    ]
+    .concat();
+    let values = plan.system.eval(&roots, s, p);
+    Entry {
+        target: extremal.target,
+        sheet: survey.sheet[index],
+        winding: survey.windings[extremal.winding].clone(),
+        value: extremal.value(),
+        p: p.to_vec(),
+        u: values[..m].to_vec(),
+        w: values[m..m + k].to_vec(),
+        hamiltonian: values[m + k],
+        iterations: extremal.iterations,
+        residual: extremal.solved.residual,
+        path: extremal.path.clone(),
+    }
+}
