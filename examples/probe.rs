@@ -65,7 +65,7 @@ fn main() {
         })
         .collect();
     let t1 = std::time::Instant::now();
-    let targets = Targets::new(n, &[Grid { axes }], &[], &plan.widths);
+    let targets = Targets::new(n, &[Grid { axes }], &[f64::INFINITY], &[], &plan.widths);
     let mut survey = Survey::new(&plan, &targets, &solver);
     let limit: f64 = args[5].parse().unwrap();
     let verbose = args.len() > 6;

@@ -92,7 +92,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         if let Parts::Solve(solve) = parts
             && solve.trajectories
         {
-            let entries: Vec<_> = (wanted.points())
+            let entries: Vec<_> = (0..wanted.points())
                 .filter_map(|k| found.lowest(found.targets.of_given[k]))
                 .collect();
             let block = value::sampled(&plan, &mut solver, &entries, solve.samples)?;
@@ -139,6 +139,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
 
 /// The states that a run solves for, and where their answers go.
 struct WantedStates {
+    states: usize,
     request: Request,
     /// The grid of `/map` is the last one.
     map: bool,
@@ -146,15 +147,14 @@ struct WantedStates {
 
 impl WantedStates {
     fn count(&self) -> usize {
-        let n = self.request.grids.first().map_or(1, |g| g.axes.len()).max(1);
-        self.request.grids.iter().map(Grid::len).sum::<usize>() + self.request.points.len() / n
+        self.request.grids.iter().map(Grid::len).sum::<usize>() + self.request.points.len() / self.states
     }
 
-    /// States given that belong to `/points`.
-    fn points(&self) -> std::ops::Range<usize> {
-        let grids = self.request.grids.len() - usize::from(self.map);
-        let gridded: usize = self.request.grids[..grids].iter().map(Grid::len).sum();
-        0..gridded
+    /// How many of the states given, from the first on, belong to `/points`. Single states and a map never come
+    /// together.
+    fn points(&self) -> usize {
+        let map = self.request.grids.last().filter(|_| self.map);
+        self.count() - map.map_or(0, Grid::len)
     }
 
     fn write(
@@ -165,12 +165,10 @@ impl WantedStates {
         answers: &Answers,
     ) -> Result<(), CliError> {
         let points = self.points();
-        // Single states and a map never come together.
-        let singles = answers.targets.of_given.len() - self.request.grids.iter().map(Grid::len).sum::<usize>();
-        file.points(schema, answers, 0, points.len() + singles)?;
+        file.points(schema, answers, 0, points)?;
         if let (true, Some(grid)) = (self.map, self.request.grids.last()) {
             let value_max = model.map.as_ref().and_then(|m| m.value_max);
-            file.map(schema, answers, grid, points.len(), value_max)?;
+            file.map(schema, answers, grid, points, value_max)?;
         }
         file.sheet_edges(schema, answers)?;
         Ok(())
@@ -182,6 +180,7 @@ fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliEr
     match parts {
         Parts::ShootOut => Ok(None),
         Parts::Solve(solve) => Ok(Some(WantedStates {
+            states: model.states.len(),
             request: Request {
                 points: points::read(&solve.points, model)?,
                 one_sheet: solve.one_sheet,
@@ -199,8 +198,12 @@ fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliEr
                 };
             }
             Ok(Some(WantedStates {
+                states: model.states.len(),
                 map: map.is_some(),
                 request: Request {
+                    limits: (homotopy.iter().map(|_| f64::INFINITY))
+                        .chain(model.map.iter().map(|m| m.value_max.unwrap_or(f64::INFINITY)))
+                        .collect(),
                     grids: homotopy.into_iter().chain(map).collect(),
                     ..Request::default()
                 },

@@ -26,6 +26,12 @@ impl Tableau {
         if self.order > 5 { 1.0 / 8.0 } else { 1.0 / 5.0 }
     }
 
+    /// First step: this fraction of |y|/|y'| in the tolerance's norm. A high order takes long steps, and many small ones
+    /// at the beginning would be most of the work of a short trajectory.
+    pub const fn first(&self) -> f64 {
+        if self.order > 5 { 0.01 } else { 0.01 }
+    }
+
     /// Whether steps are chosen by an error estimate.
     pub const fn adaptive(&self) -> bool {
         !self.error.is_empty()
@@ -266,8 +272,6 @@ pub mod control {
     pub const COMPANION: f64 = 0.01;
     pub const SHRINK: f64 = 0.2;
     pub const GROW: f64 = 5.0;
-    /// First step: this fraction of |y|/|y'| in the tolerance's norm.
-    pub const FIRST: f64 = 0.01;
     /// The step floor in units of rounding of the time or the first step.
     pub const FLOOR_ULPS: f64 = 16.0;
     /// Smallest error remembered for the next step, so that one lucky step does not throw the next one.

@@ -14,7 +14,8 @@ use super::path::Path;
 const LEAST_DAMPING: f64 = 0.1;
 /// Longest step in units of the path's size.
 const MOST_STEP: f64 = 1.0;
-/// Relative size of the last correction of a solution that is only a point on the way.
+/// Relative size of the last correction of a solution that is only a point on the way, and of the one after which
+/// segments are integrated to the full tolerance.
 const ROUGH: f64 = 1e-4;
 /// Contraction with which an old matrix is kept.
 const KEEP: f64 = 0.1;
@@ -83,6 +84,8 @@ pub struct Job {
     pub iterations: u32,
     /// Whether a solution to a few digits will do: a point on the way to another.
     pub rough: bool,
+    /// Whether segments are integrated to the full tolerance: not before the guess is good to some digits.
+    pub(super) fine: bool,
     /// Elimination at (or near) `path`. Given along with a first guess it saves the first linearization.
     pub factors: Factors,
     pub(super) stage: Stage,
@@ -115,6 +118,7 @@ impl Job {
             outcome: None,
             iterations: 0,
             rough: false,
+            fine: false,
             factors: Factors::default(),
             stage: Stage::Linearize,
         }
@@ -124,6 +128,7 @@ impl Job {
     pub fn toward(mut self, goal: Goal) -> Self {
         self.goal = goal;
         self.outcome = None;
+        self.fine = false;
         self.stage = Stage::Linearize;
         self
     }

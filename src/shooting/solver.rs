@@ -8,6 +8,8 @@ use rayon::prelude::*;
 
 /// Bytes of seeds handed to a kernel at once.
 const BATCH_BYTES: usize = 32 << 20;
+/// Tolerance of segments until a solution is good to some digits.
+const ROUGH_RTOL: f64 = 1e-5;
 /// Attempted steps a segment.
 const SEGMENT_STEPS: u32 = 20_000;
 
@@ -29,8 +31,9 @@ pub struct Solver {
     pub scheme: Scheme,
     plain: Box<dyn Kernel>,
     varied: Box<dyn Kernel>,
-    plain_run: Run,
-    varied_run: Run,
+    /// Settings for rough and for fine segments.
+    plain_runs: [Run; 2],
+    varied_runs: [Run; 2],
     pub work: Work,
     /// Solves first, on another device or in another precision; what it finds are guesses here.
     draft: Option<Box<Solver>>,
@@ -47,8 +50,8 @@ impl Solver {
         Ok(Self {
             plain: backend.compile(&equations.plain_spec(method, precision, false))?,
             varied: backend.compile(&equations.varied_spec(method, precision))?,
-            plain_run: equations.plain_run(rtol, SEGMENT_STEPS, 1),
-            varied_run: equations.varied_run(rtol, SEGMENT_STEPS),
+            plain_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.plain_run(r, SEGMENT_STEPS, 1)),
+            varied_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.varied_run(r, SEGMENT_STEPS)),
             scheme,
             work: Work::default(),
             draft: None,
@@ -127,7 +130,7 @@ impl Solver {
 
     fn linearize(&mut self, jobs: &mut [&mut Job]) -> Result<(), BackendError> {
         let done = {
-            let paths: Vec<&Path> = jobs.iter().map(|j| &j.path).collect();
+            let paths: Vec<(&Path, bool)> = jobs.iter().map(|j| (&j.path, j.fine)).collect();
             self.integrate(&paths, true)?
         };
         let clock = std::time::Instant::now();
@@ -144,7 +147,7 @@ impl Solver {
     /// # Errors
     /// Device failures only; where a segment fails, what it ended with.
     pub fn ends(&mut self, path: &Path) -> Result<(Vec<f64>, Vec<f64>), BackendError> {
-        let mut done = self.integrate(&[path], false)?;
+        let mut done = self.integrate(&[(path, true)], false)?;
         let done = done.swap_remove(0);
         Ok((done.ends, done.costs))
     }
@@ -156,7 +159,7 @@ impl Solver {
     pub fn renew(&mut self, jobs: &mut [Job]) -> Result<(), BackendError> {
         let mut solved: Vec<&mut Job> = jobs.iter_mut().filter(|j| j.solved().is_some()).collect();
         let done = {
-            let paths: Vec<&Path> = solved.iter().map(|j| &j.path).collect();
+            let paths: Vec<(&Path, bool)> = solved.iter().map(|j| (&j.path, true)).collect();
             self.integrate(&paths, true)?
         };
         let scheme = &self.scheme;
@@ -185,7 +188,7 @@ impl Solver {
         if halves.is_empty() {
             return Ok(());
         }
-        let done = self.integrate(&halves.iter().collect::<Vec<_>>(), false)?;
+        let done = self.integrate(&halves.iter().map(|p| (p, true)).collect::<Vec<_>>(), false)?;
         let mut done = done.into_iter();
         for (job, long) in jobs.iter_mut().zip(long).filter(|(_, long)| !long.is_empty()) {
             let Some(halves) = done.next() else { break };
@@ -204,9 +207,9 @@ impl Solver {
 
     fn attempt(&mut self, jobs: &mut [&mut Job]) -> Result<(), BackendError> {
         let done = {
-            let paths: Vec<&Path> = (jobs.iter())
+            let paths: Vec<(&Path, bool)> = (jobs.iter())
                 .filter_map(|j| match &j.stage {
-                    Stage::Try(trial) => Some(&trial.path),
+                    Stage::Try(trial) => Some((&trial.path, j.fine)),
                     _ => None,
                 })
                 .collect();
@@ -219,8 +222,23 @@ impl Solver {
         Ok(())
     }
 
-    /// Integrates all segments of some paths, as batches of bounded size.
-    fn integrate(&mut self, paths: &[&Path], varied: bool) -> Result<Vec<Integrated>, BackendError> {
+    /// Integrates all segments of some paths, each to the full tolerance or not, as batches of bounded size.
+    fn integrate(&mut self, paths: &[(&Path, bool)], varied: bool) -> Result<Vec<Integrated>, BackendError> {
+        let of = |fine: bool| {
+            paths
+                .iter()
+                .filter(move |p| p.1 == fine)
+                .map(|p| p.0)
+                .collect::<Vec<_>>()
+        };
+        let (rough, fine) = (of(false), of(true));
+        let mut rough = self.integrate_alike(&rough, varied, false)?.into_iter();
+        let mut fine = self.integrate_alike(&fine, varied, true)?.into_iter();
+        let next = |is_fine: bool| if is_fine { fine.next() } else { rough.next() };
+        Ok(paths.iter().map(|p| p.1).filter_map(next).collect())
+    }
+
+    fn integrate_alike(&mut self, paths: &[&Path], varied: bool, fine: bool) -> Result<Vec<Integrated>, BackendError> {
         let clock = std::time::Instant::now();
         let each = if varied {
             self.scheme.equations.varied_width() * self.scheme.equations.groups()
@@ -237,19 +255,19 @@ impl Solver {
                 segments += paths[next].segments();
                 next += 1;
             }
-            done.extend(self.batch(&paths[first..next], varied)?);
+            done.extend(self.batch(&paths[first..next], varied, fine)?);
             first = next;
         }
         self.work.seconds_integrating += clock.elapsed().as_secs_f64();
         Ok(done)
     }
 
-    fn batch(&mut self, paths: &[&Path], varied: bool) -> Result<Vec<Integrated>, BackendError> {
+    fn batch(&mut self, paths: &[&Path], varied: bool, fine: bool) -> Result<Vec<Integrated>, BackendError> {
         let seeds = self.scheme.seeds(paths, varied);
         let (kernel, run) = if varied {
-            (&mut self.varied, &self.varied_run)
+            (&mut self.varied, &self.varied_runs[usize::from(fine)])
         } else {
-            (&mut self.plain, &self.plain_run)
+            (&mut self.plain, &self.plain_runs[usize::from(fine)])
         };
         let result = kernel.integrate(run, &seeds)?;
         self.work.steps += result.steps.iter().map(|s| u64::from(*s)).sum::<u64>();

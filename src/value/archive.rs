@@ -10,7 +10,7 @@ const MOST_NUMBERS: usize = 48 << 20;
 /// Points of one trajectory nearer to each other than this share of the spacing are not all looked up.
 const THIN: f64 = 0.25;
 /// Segments are about as long as the fastest mode takes to grow by e to this power.
-const GROWTH: f64 = 2.0;
+const GROWTH: f64 = 3.0;
 /// Most segments that a first guess begins with.
 const MOST_SEGMENTS: f64 = 400.0;
 

@@ -31,6 +31,8 @@ const DRAFT_RTOL: f64 = 1e-5;
 pub struct Request {
     /// Grids, in the order of the answers.
     pub grids: Vec<Grid>,
+    /// V up to which each grid is of interest.
+    pub limits: Vec<f64>,
     /// Single states `[point][n]`.
     pub points: Vec<f64>,
     /// One solution a target is enough: no search for other sheets.
@@ -181,7 +183,13 @@ pub fn solve(
     progress: Progress<'_>,
 ) -> Result<Answers, BackendError> {
     let clock = std::time::Instant::now();
-    let targets = Targets::new(plan.system.states, &request.grids, &request.points, &plan.widths);
+    let targets = Targets::new(
+        plan.system.states,
+        &request.grids,
+        &request.limits,
+        &request.points,
+        &plan.widths,
+    );
     let value_max = (request.value_max)
         .or(model.sheets.value_max)
         .unwrap_or(BEYOND * plan.shoot_out.value_max.unwrap_or(f64::INFINITY));

@@ -51,10 +51,12 @@ pub enum PointStatus {
     Horizon = 6,
     /// No trajectory of the sweep, nor a solved target, to start from.
     NoGuess = 7,
+    /// Its V, as far as its neighbours tell, is above what is of interest: it was not tried.
+    AboveMax = 8,
 }
 
 impl PointStatus {
-    pub const ALL: [(PointStatus, &'static str); 8] = [
+    pub const ALL: [(PointStatus, &'static str); 9] = [
         (PointStatus::Converged, "converged"),
         (PointStatus::OutsideGuard, "outside_guard"),
         (PointStatus::LeavesGuard, "leaves_guard"),
@@ -63,6 +65,7 @@ impl PointStatus {
         (PointStatus::NotFinite, "not_finite"),
         (PointStatus::Horizon, "horizon"),
         (PointStatus::NoGuess, "no_guess"),
+        (PointStatus::AboveMax, "above_value_max"),
     ];
 
     pub fn name(self) -> &'static str {
@@ -491,9 +494,10 @@ impl<'a> Survey<'a> {
                 .collect();
             near.sort_by(|a, b| a.2.total_cmp(&b.2));
             let all = wanted.sheets;
+            let anyhow = self.targets.limits[target] == f64::INFINITY;
             near.into_iter()
                 .enumerate()
-                .filter(move |(k, (_, _, distance))| *k == 0 || (all && *distance <= reach))
+                .filter(move |(k, (_, _, distance))| (*k == 0 && anyhow) || ((*k == 0 || all) && *distance <= reach))
                 .map(|(_, (winding, place, _))| self.errand(end, archive, target, winding, place))
                 .collect::<Vec<_>>()
         })
@@ -571,9 +575,7 @@ impl<'a> Survey<'a> {
                     if self.joins(e, to) {
                         continue;
                     }
-                    let wants =
-                        self.at[to].is_empty() || (wanted.sheets && self.extremals[e].value() <= wanted.value_max);
-                    if !wants {
+                    if !self.wants(e, to, wanted) {
                         continue;
                     }
                     // One way a sheet and target at a time: the shortest.
@@ -623,6 +625,19 @@ impl<'a> Survey<'a> {
         }
     }
 
+    /// Whether an extremal is to be continued to a neighbouring target.
+    fn wants(&self, e: usize, to: usize, wanted: Wanted) -> bool {
+        let extremal = &self.extremals[e];
+        if self.at[to].is_empty() {
+            let (from, goal) = (extremal.path.start(), self.state(to, extremal.winding));
+            let change: f64 = (0..goal.len())
+                .map(|i| extremal.adjoint()[i] * (goal[i] - from[i]))
+                .sum();
+            return extremal.value() + change.min(0.0) <= self.targets.limits[to];
+        }
+        wanted.sheets && extremal.value() <= wanted.value_max
+    }
+
     /// Whether an extremal fits one at a neighbouring target, and joins them.
     fn joins(&mut self, e: usize, to: usize) -> bool {
         let root = self.groups.root(e);
@@ -662,7 +677,13 @@ impl<'a> Survey<'a> {
         self.spread(solver, only, LAST_RESORT, progress)?;
         for target in 0..self.targets.len() {
             if self.at[target].is_empty() && self.misses[target].is_none() {
-                self.miss(target, PointStatus::NoGuess, None, f64::INFINITY);
+                let limited = self.targets.limits[target] < f64::INFINITY;
+                let status = if limited {
+                    PointStatus::AboveMax
+                } else {
+                    PointStatus::NoGuess
+                };
+                self.miss(target, status, None, f64::INFINITY);
             }
         }
         Ok(())

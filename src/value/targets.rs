@@ -13,6 +13,8 @@ pub struct Targets {
     pub of_given: Vec<usize>,
     /// Pairs of neighbours, lower target first, sorted.
     pub edges: Vec<(usize, usize)>,
+    /// V above which a target is of no interest, each.
+    pub limits: Vec<f64>,
     /// Rectangles of four neighbours `[corner; 4]`, counterclockwise, where the states form a grid in two of them.
     pub cells: Vec<[usize; 4]>,
 }
@@ -96,7 +98,10 @@ impl Grid {
 impl Targets {
     /// Targets at the points of grids and at single states `[point][n]`, given in this order. `widths` measure
     /// distances.
-    pub fn new(states: usize, grids: &[Grid], singles: &[f64], widths: &[f64]) -> Self {
+    ///
+    /// A target's limit is the highest of the states that it stands for: `limits` has one a grid; single states have
+    /// none.
+    pub fn new(states: usize, grids: &[Grid], limits: &[f64], singles: &[f64], widths: &[f64]) -> Self {
         let mut given: Vec<f64> = grids.iter().flat_map(Grid::points).collect();
         let gridded = given.len() / states;
         given.extend_from_slice(singles);
@@ -123,22 +128,27 @@ impl Targets {
             }
             this.of_given[g] = this.len() - 1;
         }
+        this.limits = vec![f64::NEG_INFINITY; this.len()];
+        let of_grids = (grids.iter().zip(limits)).flat_map(|(g, limit)| std::iter::repeat_n(*limit, g.len()));
+        for (k, limit) in of_grids.chain(std::iter::repeat(f64::INFINITY)).take(count).enumerate() {
+            let target = this.of_given[k];
+            this.limits[target] = this.limits[target].max(limit);
+        }
         let mut first = 0;
-        let mut loose: Vec<usize> = Vec::new();
-        for (q, grid) in grids.iter().enumerate() {
+        let mut before: Vec<usize> = Vec::new();
+        for grid in grids {
             let at = |k: usize| this.of_given[first + k];
             let edges: Vec<_> = grid.edges().into_iter().map(|(a, b)| (at(a), at(b))).collect();
             let cells: Vec<_> = grid.cells().into_iter().map(|c| c.map(at)).collect();
-            if q > 0 {
-                // One point of every further grid is enough to join it to the others.
-                loose.push(at(0));
-            }
+            let own: Vec<usize> = (0..grid.len()).map(at).collect();
             this.edges.extend(edges);
             this.cells.extend(cells);
+            this.join_sets(&before, &own, widths);
+            before.extend(own);
             first += grid.len();
         }
-        loose.extend((gridded..count).map(|k| this.of_given[k]));
-        this.join_nearest(&loose, widths);
+        let singles: Vec<usize> = (gridded..count).map(|k| this.of_given[k]).collect();
+        this.join_nearest(&singles, widths);
         this.edges = (this.edges.iter())
             .filter(|(a, b)| a != b)
             .map(|(a, b)| (*a.min(b), *a.max(b)))
@@ -166,6 +176,21 @@ impl Targets {
             .chunks(self.states)
             .flat_map(|x| x.iter().zip(widths).map(|(x, w)| x / w))
             .collect()
+    }
+
+    /// Joins two sets: each target of the smaller one with the nearest of the larger one.
+    fn join_sets(&mut self, a: &[usize], b: &[usize], widths: &[f64]) {
+        let (few, many) = if a.len() < b.len() { (a, b) } else { (b, a) };
+        if few.is_empty() {
+            return;
+        }
+        let scaled = |t: usize| -> Vec<f64> { self.state(t).iter().zip(widths).map(|(x, w)| x / w).collect() };
+        let places: Vec<f64> = many.iter().flat_map(|t| scaled(*t)).collect();
+        let tree = nearest::index(&places, self.states);
+        let edges: Vec<(usize, usize)> = (few.iter())
+            .flat_map(|t| tree.near(&scaled(*t), 0.0, 1).into_iter().map(|(k, _)| (*t, many[k])))
+            .collect();
+        self.edges.extend(edges);
     }
 
     /// Joins each of some targets with those nearest to it.
@@ -265,14 +290,14 @@ mod tests {
             axes: vec![vec![0.0, 1.0, 2.0], vec![5.0], vec![0.0, 1.0]],
         };
         assert_eq!(grid.points()[..6], [0.0, 5.0, 0.0, 0.0, 5.0, 1.0]);
-        let targets = Targets::new(3, &[grid], &[], &[1.0; 3]);
+        let targets = Targets::new(3, &[grid], &[f64::INFINITY], &[], &[1.0; 3]);
         assert_eq!((targets.len(), targets.edges.len(), targets.cells.len()), (6, 7, 2));
     }
 
     #[test]
     fn order_and_duplicates_do_not_matter() {
-        let a = Targets::new(2, &[], &[0.0, 1.0, 2.0, 3.0, 0.5, 0.5, 2.0, 3.0], &[1.0, 1.0]);
-        let b = Targets::new(2, &[], &[2.0, 3.0, 0.5, 0.5, 0.0, 1.0], &[1.0, 1.0]);
+        let a = Targets::new(2, &[], &[], &[0.0, 1.0, 2.0, 3.0, 0.5, 0.5, 2.0, 3.0], &[1.0, 1.0]);
+        let b = Targets::new(2, &[], &[], &[2.0, 3.0, 0.5, 0.5, 0.0, 1.0], &[1.0, 1.0]);
         assert_eq!(a.x, b.x);
         assert_eq!(a.edges, b.edges);
         assert_eq!(a.len(), 3);
@@ -286,7 +311,7 @@ mod tests {
         for k in 0..10 {
             points.extend([f64::from(k) * 0.01, 0.0, 100.0 + f64::from(k) * 0.01, 0.0]);
         }
-        let targets = Targets::new(2, &[], &points, &[1.0, 1.0]);
+        let targets = Targets::new(2, &[], &[], &points, &[1.0, 1.0]);
         let mut groups = Groups::new(targets.len());
         let joins = targets.edges.iter().filter(|(a, b)| groups.join(*a, *b)).count();
         assert_eq!(joins, targets.len() - 1);

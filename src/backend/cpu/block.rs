@@ -597,7 +597,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             return self.finish(lane, Status::Reached, out);
         }
         let first = if tableau.adaptive() {
-            control::FIRST * (size / speed).sqrt()
+            tableau.first() * (size / speed).sqrt()
         } else {
             self.run.step
         };
@@ -605,7 +605,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         let first = if first.is_finite() && first > 0.0 {
             first
         } else {
-            control::FIRST
+            tableau.first()
         };
         self.fresh[lane] = false;
         self.keep_sides(lane);

@@ -462,7 +462,7 @@ impl<'a> Emitter<'a> {
         let mut real = |name: &str, value: f64| {
             let _ = writeln!(text, "const {name}: real = {};", literal(value, self.spec.precision));
         };
-        real("FIRST", control::FIRST);
+        real("FIRST", self.tableau.first());
         real("FLOOR", control::FLOOR_ULPS * self.spec.precision.epsilon());
         let mut single = |name: &str, value: f64| {
             let _ = writeln!(text, "const {name}: f32 = {};", literal(value, Precision::F32));
