@@ -213,7 +213,7 @@ fn tolerance(problem: &Problem, method: Method, precision: Precision) -> Toleran
         }
         // Steps that differ by rounding in the step control: each side is within its tolerance, times the growth.
         // In f32 the error estimate itself is known to 1 %, so now and then one side rejects what the other accepts.
-        Method::Tsit5 => Tolerance {
+        Method::Tsit5 | Method::Dop853 => Tolerance {
             relative: 10.0 * rtol(precision),
             absolute: 10.0 * rtol(precision),
             steps: |steps| 2 + steps / 8,
@@ -265,6 +265,41 @@ fn gpu_agrees_with_cpu() {
                     }
                 }
             }
+        }
+    }
+}
+
+/// Its dense output is of low order, so trajectories end at a time and nothing is located or stored on the way.
+#[test]
+fn ends_of_the_eighth_order_method_agree() {
+    let (cpu, gpu) = (Cpu::new(), any_gpu());
+    for mut problem in problems() {
+        problem.by = By::Time;
+        problem.guards = None;
+        problem.run = run(vec![3.0]);
+        for precision in PRECISIONS {
+            let spec = problem.spec(Method::Dop853, precision, false);
+            let run = problem.run(precision);
+            let seeds = problem.seeds(345);
+            let (a, b) = (
+                integrate(&cpu, &spec, &run, &seeds),
+                integrate(&gpu, &spec, &run, &seeds),
+            );
+            assert!(a.status.iter().all(|s| *s == Status::Reached));
+            let (a, b) = (
+                Side {
+                    backend: cpu.name(),
+                    result: &a,
+                },
+                Side {
+                    backend: gpu.name(),
+                    result: &b,
+                },
+            );
+            let case = format!("{} {precision:?}", problem.name);
+            let agreement =
+                compare(a, b, tolerance(&problem, Method::Dop853, precision)).unwrap_or_else(|e| panic!("{case}: {e}"));
+            println!("{case}: {:.3} of the tolerance", agreement.worst);
         }
     }
 }

@@ -1,12 +1,13 @@
 //! Newton's iterations over many problems: the segments of all of them are one batch of a backend.
 
-use super::newton::{Failure, Integrated, Job, Scheme, Stage};
+use super::device;
+use super::newton::{Elimination, Failure, Goal, Integrated, Job, Linear, Scheme, Stage};
 use super::path::Path;
-use crate::backend::{Backend, BackendError, Kernel, Run, Status};
+use crate::backend::{Backend, BackendError, Eliminator, Kernel, Run, Status};
 use crate::model::{Method, Precision};
 use rayon::prelude::*;
 
-/// Bytes of seeds handed to a kernel at once.
+/// Bytes of seeds or linear equations handed to a backend at once.
 const BATCH_BYTES: usize = 32 << 20;
 /// Attempted steps a segment.
 const SEGMENT_STEPS: u32 = 20_000;
@@ -29,6 +30,8 @@ pub struct Solver {
     pub scheme: Scheme,
     plain: Box<dyn Kernel>,
     varied: Box<dyn Kernel>,
+    /// Eliminates on the device, where the backend does that.
+    eliminator: Option<Box<dyn Eliminator>>,
     plain_run: Run,
     varied_run: Run,
     pub work: Work,
@@ -45,6 +48,7 @@ impl Solver {
         Ok(Self {
             plain: backend.compile(&equations.plain_spec(method, precision, false))?,
             varied: backend.compile(&equations.varied_spec(method, precision))?,
+            eliminator: backend.eliminator(equations.states, precision)?,
             plain_run: equations.plain_run(rtol, SEGMENT_STEPS, 1),
             varied_run: equations.varied_run(rtol, SEGMENT_STEPS),
             scheme,
@@ -86,11 +90,45 @@ impl Solver {
         };
         let clock = std::time::Instant::now();
         let scheme = &self.scheme;
-        let long: Vec<Vec<usize>> = (jobs.par_iter_mut().zip(done))
-            .map(|(job, done)| scheme.linearized(job, done))
+        let linear: Vec<Option<Linear>> = (jobs.par_iter_mut().zip(done))
+            .map(|(job, done)| scheme.linear(job, done))
+            .collect();
+        let eliminated = self.eliminate(jobs, linear)?;
+        let scheme = &self.scheme;
+        let long: Vec<Vec<usize>> = (jobs.par_iter_mut().zip(eliminated))
+            .map(|(job, eliminated)| eliminated.map_or_else(Vec::new, |e| scheme.linearized(job, e)))
             .collect();
         self.work.seconds_eliminating += clock.elapsed().as_secs_f64();
         self.split(jobs, &long)
+    }
+
+    /// Eliminates the jobs' equations: those of given states on the device where it does that, others here.
+    fn eliminate(
+        &mut self,
+        jobs: &[&mut Job],
+        mut linear: Vec<Option<Linear>>,
+    ) -> Result<Vec<Option<Elimination>>, BackendError> {
+        let scheme = &self.scheme;
+        let mut eliminated: Vec<Option<Elimination>> = jobs.iter().map(|_| None).collect();
+        if let Some(eliminator) = &mut self.eliminator {
+            let (mut places, mut problems) = (Vec::new(), Vec::new());
+            for (place, (job, linear)) in jobs.iter().zip(&mut linear).enumerate() {
+                let Goal::State(s) = &job.goal else { continue };
+                let Some(linear) = linear.take() else { continue };
+                places.push(place);
+                problems.push((linear, scheme.wanted(&job.path, s)));
+            }
+            let done = device::eliminate(eliminator.as_mut(), scheme.equations.states, problems, BATCH_BYTES)?;
+            for (place, done) in places.into_iter().zip(done) {
+                eliminated[place] = Some(done);
+            }
+        }
+        (jobs.par_iter().zip(linear).zip(&mut eliminated)).for_each(|((job, linear), eliminated)| {
+            if let Some(linear) = linear {
+                *eliminated = Some(scheme.eliminate(job, linear));
+            }
+        });
+        Ok(eliminated)
     }
 
     /// Splits the given segments of each job's path in halves.
