@@ -216,7 +216,7 @@ impl GpuEliminator {
     ) -> Result<(), BackendError> {
         let (layout, n, precision) = (self.layout, self.layout.n, self.precision);
         let lengths = &systems.segments[paths.clone()];
-        let mut table = Vec::with_capacity(2 * lengths.len());
+        let mut table = vec![n as u32, 0];
         let mut segments = 0;
         for length in lengths {
             table.extend([*length, segments]);
