@@ -19,7 +19,7 @@ struct Control {
 @group(0) @binding(0) var<uniform> control: Control;
 // See the offsets among the generated constants.
 @group(0) @binding(1) var<storage, read> settings: array<real>;
-// [field][trajectory]: y, k, t, h, before, first_step.
+// [field][trajectory]: y, k, t, h, before, first_step; with kinks also resume, sides.
 @group(0) @binding(2) var<storage, read_write> state: array<real>;
 // [field][trajectory]: status, next_level, steps, rejected, first_level.
 @group(0) @binding(3) var<storage, read_write> counters: array<u32>;
@@ -56,6 +56,12 @@ struct Lane {
     level: real,
     // Loop iterations spent in this dispatch.
     work: u32,
+//if KINKS
+    // Step size to go on with behind a kink; 0 where none is ahead.
+    resume: real,
+    // Values of the kinks at y.
+    sides: Sides,
+//end
 }
 
 fn level(k: u32) -> real {
@@ -79,29 +85,60 @@ struct Decision {
     finite: bool,
     next_h: real,
     before: f32,
+//if KINKS
+    resume: real,
+    // Values of the kinks at the end of the step.
+    sides: Sides,
+//end
 }
 
-// Accepts or rejects a step and chooses its next size.
-fn decide(error: real, h: real, before: f32) -> Decision {
-    let finite = is_finite(error);
+// Accepts or rejects a lane's step and chooses its next size.
+fn decide(lane: Lane, step: Step) -> Decision {
+    var decided: Decision;
+    let finite = is_finite(step.error);
+    decided.finite = finite;
 //if FIXED
-    return Decision(finite, finite, h, before);
+    decided.accepted = finite;
+    decided.next_h = lane.h;
+    decided.before = lane.before;
 //end
 //if ADAPTIVE
-    let accepted = select(false, error <= 1.0, finite);
+    let accepted = select(false, step.error <= 1.0, finite);
     // Squared errors: the exponents are halved.
-    let log_e = log2(max(select(1.0, f32(error), finite), LEAST_SQUARED_ERROR));
-    let pi = HALF_BETA * before - HALF_ALPHA * log_e;
+    let log_e = log2(max(select(1.0, f32(step.error), finite), LEAST_SQUARED_ERROR));
+    let pi = HALF_BETA * lane.before - HALF_ALPHA * log_e;
     let factor = SAFETY * exp2(select(-HALF_REFUSED * log_e, pi, accepted));
     let bounded = max(min(factor, select(1.0, GROW, accepted)), SHRINK);
-    return Decision(
-        accepted,
-        finite,
-        h * real(select(SHRINK, bounded, finite)),
-        select(before, log_e, accepted),
-    );
+    decided.accepted = accepted;
+    decided.next_h = lane.h * real(select(SHRINK, bounded, finite));
+    decided.before = select(lane.before, log_e, accepted);
 //end
+//if KINKS
+    meet_kinks(&decided, lane, step);
+//end
+    return decided;
 }
+
+//if KINKS
+// Refuses a step with a kink well inside, in favour of one that ends there.
+fn meet_kinks(decided: ptr<function, Decision>, lane: Lane, step: Step) {
+    let sides = kink_values(inputs_of(step.y));
+    let q = first_kink(lane.sides, sides);
+    let accepted = (*decided).accepted;
+    // A share of the step that kinks have not shortened, and no less than the floor: what is left of shorter ones is
+    // lost in rounding.
+    let near = max(AT_KINK * max(lane.h, lane.resume), FLOOR * max(lane.t, lane.first_step));
+    let inside = accepted & (lane.h * q > near) & (lane.h * (1.0 - q) > near);
+    let crosses = select(accepted & (q < 2.0), false, inside);
+    // The end of the shorter step is to lie behind the kink, not before it.
+    let shorter = lane.h * q + 0.1 * near;
+    let grown = max((*decided).next_h, lane.resume);
+    (*decided).accepted = select(accepted, false, inside);
+    (*decided).next_h = select(select((*decided).next_h, grown, crosses), shorter, inside);
+    (*decided).resume = select(select(lane.resume, 0.0, crosses), max(lane.resume, lane.h), inside);
+    (*decided).sides = sides;
+}
+//end
 
 // One attempted step. A step that ends the trajectory in its middle, once in a trajectory, is left to `conclude`.
 //
@@ -109,7 +146,7 @@ fn decide(error: real, h: real, before: f32) -> Decision {
 // steps, and loops ask at their end whether to go on.
 fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
-    let decided = decide(step.error, (*lane).h, (*lane).before);
+    let decided = decide(*lane, step);
     (*lane).work += 1u;
     if (decided.accepted) {
         if (eventful(*lane, step, run)) {
@@ -125,6 +162,11 @@ fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     } else {
         (*lane).rejected += 1u;
         (*lane).h = decided.next_h;
+//if KINKS
+        // A kink refuses a step whose error is accepted: that error counts.
+        (*lane).before = decided.before;
+        (*lane).resume = decided.resume;
+//end
 //if ADAPTIVE
         if ((*lane).h < FLOOR * max((*lane).t, (*lane).first_step)) {
             (*lane).status = select(NOT_FINITE, STEP_FLOOR, decided.finite);
@@ -159,6 +201,10 @@ fn commit(lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
     (*lane).t += (*lane).h;
     (*lane).y = step.y;
     (*lane).k = step.LAST_STAGE;
+//if KINKS
+    (*lane).resume = decided.resume;
+    (*lane).sides = decided.sides;
+//end
 //if BOUNDS
     if (within(step.y, run)) {
     } else {
@@ -198,7 +244,7 @@ fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
     }
     if (ended == RUNNING) {
         // This copy of the step may be rounded differently: then it ends short of the event, and the next one meets it.
-        commit(lane, step, decide(step.error, (*lane).h, (*lane).before), run);
+        commit(lane, step, decide(*lane, step), run);
         return;
     }
     (*lane).y = interpolate((*lane).y, (*lane).k, step, (*lane).h, most);
@@ -338,6 +384,9 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
     var lane: Lane;
     lane.y = load_seed(i);
     lane.k = rate(inputs_of(lane.y));
+//if KINKS
+    lane.sides = kink_values(inputs_of(lane.y));
+//end
     let begin = coordinate(lane.y, 0.0);
     loop {
         if (lane.next_level >= control.levels) {

@@ -80,7 +80,7 @@ fn tolerance(plan: &Plan, seeds: &[f64], result: &Trajectories) -> Tolerance {
     let rounding = UNITS_A_STEP * plan.spec.precision.epsilon() * (steps * growth).sqrt();
     let relative = match plan.spec.method {
         Method::Rk4 => rounding,
-        Method::Tsit5 => rounding + plan.run.rtol * steps,
+        Method::Tsit5 | Method::Dop853 => rounding + plan.run.rtol * steps,
     };
     // Components that pass through zero are measured against the scene's own sizes: those of V, the largest.
     let scale = result

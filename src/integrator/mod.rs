@@ -29,7 +29,7 @@ impl Tableau {
     /// First step: this fraction of |y|/|y'| in the tolerance's norm. A high order takes long steps, and many small ones
     /// at the beginning would be most of the work of a short trajectory.
     pub const fn first(&self) -> f64 {
-        if self.order > 5 { 0.01 } else { 0.01 }
+        if self.order > 5 { 0.1 } else { 0.01 }
     }
 
     /// Whether steps are chosen by an error estimate.
@@ -267,7 +267,10 @@ pub mod control {
     pub const ALPHA: f64 = 0.7;
     pub const BETA: f64 = 0.4;
     /// A kink within this share of a step from one of its ends counts as met: its error is of the second order in it.
-    pub const AT_KINK: f64 = 1e-4;
+    /// In f32 what is much nearer is lost in rounding.
+    pub const fn at_kink(epsilon: f64) -> f64 {
+        if epsilon > 1e-10 { 1e-4 } else { 1e-6 }
+    }
     /// Weight of a companion estimate's mean square.
     pub const COMPANION: f64 = 0.01;
     pub const SHRINK: f64 = 0.2;

@@ -62,6 +62,18 @@ impl Factors {
         this
     }
 
+    /// An elimination that was done elsewhere: propagators `[segment][2n x 2n]`, and the `W` and `L` of their nodes.
+    pub fn from_parts(n: usize, phi: Vec<f64>, w: Vec<f64>, l: Vec<f64>) -> Self {
+        debug_assert_eq!(w.len(), (phi.len() / (4 * n * n) + 1) * 2 * n * n);
+        debug_assert_eq!(2 * l.len(), w.len());
+        Self { n, phi, w, l }
+    }
+
+    /// `W` and `L` of all nodes.
+    pub fn parts(&self) -> (&[f64], &[f64]) {
+        (&self.w, &self.l)
+    }
+
     pub fn is_empty(&self) -> bool {
         self.w.is_empty()
     }

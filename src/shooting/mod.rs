@@ -5,6 +5,7 @@
 //! are one batch of a backend's kernel, and each path's linear equations are eliminated block by block
 //! ([`Factors`]).
 
+mod device;
 mod elimination;
 mod end;
 mod equations;

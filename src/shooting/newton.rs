@@ -17,6 +17,8 @@ const MOST_STEP: f64 = 1.0;
 /// Relative size of the last correction of a solution that is only a point on the way, and of the one after which
 /// segments are integrated to the full tolerance.
 const ROUGH: f64 = 1e-4;
+/// Relative size of a correction from which on the error of rough segments may matter.
+const NEAR: f64 = 1e-2;
 /// Contraction with which an old matrix is kept.
 const KEEP: f64 = 0.1;
 /// Evaluations after which a problem is given up.
@@ -164,12 +166,26 @@ pub(super) struct Integrated {
 }
 
 /// Defects of a path, scaled.
-struct Residual {
-    defects: Vec<f64>,
-    end: Vec<f64>,
-    hessian: Vec<f64>,
+pub(super) struct Residual {
+    pub defects: Vec<f64>,
+    pub end: Vec<f64>,
+    pub hessian: Vec<f64>,
     /// V of the path, defects accounted for to first order.
     value: f64,
+}
+
+/// The linear equations at a path.
+pub(super) struct Linear {
+    /// `[segment][2n x 2n]`, scaled.
+    pub phi: Vec<f64>,
+    pub residual: Residual,
+}
+
+/// What an elimination gives.
+pub(super) struct Elimination {
+    pub factors: Factors,
+    /// Steps of the nodes, and of a line's parameter; `None` where the equations are singular.
+    pub step: Option<(Vec<f64>, f64)>,
 }
 
 /// The equations of a batch's problems, and the decisions of Newton's method on them.
@@ -214,7 +230,7 @@ impl Scheme {
         let scales = &self.equations.scales;
         match goal {
             Goal::State(s) => {
-                let wanted: Vec<f64> = (0..n).map(|i| (s[i] - path.nodes[i]) / scales[i]).collect();
+                let wanted = self.wanted(path, s);
                 Some((factors.solve(defects, end, &Start::Step(&wanted))?, 0.0))
             }
             Goal::Line {
@@ -241,6 +257,12 @@ impl Scheme {
                 Some((steps, t))
             }
         }
+    }
+
+    /// The scaled step of the first node's state to `s`.
+    pub(super) fn wanted(&self, path: &Path, s: &[f64]) -> Vec<f64> {
+        let scaled = path.start().iter().zip(&self.equations.scales);
+        s.iter().zip(scaled).map(|(s, (z, scale))| (s - z) / scale).collect()
     }
 
     /// Tries a step unless it leads far from where the equations were linearized: what is found there would be an
@@ -283,19 +305,35 @@ impl Scheme {
         }
     }
 
-    /// The step of a linearized job; or the segments that must be split first.
-    pub(super) fn linearized(&self, job: &mut Job, done: Integrated) -> Vec<usize> {
+    /// The linear equations of a job whose segments have been integrated; `None` where that failed.
+    pub(super) fn linear(&self, job: &mut Job, done: Integrated) -> Option<Linear> {
         job.iterations += 1;
         if let Some(why) = done.failure {
             job.fail(why);
-            return Vec::new();
+            return None;
         }
         if job.iterations > MOST_ROUNDS {
             job.fail(Failure::Iterations);
-            return Vec::new();
+            return None;
         }
         let residual = self.residual(&job.path, &done);
-        job.factors = Factors::new(self.equations.states, done.phi, &residual.hessian);
+        Some(Linear {
+            phi: done.phi,
+            residual,
+        })
+    }
+
+    /// Eliminates a job's linear equations and solves them for its goal.
+    pub(super) fn eliminate(&self, job: &Job, linear: Linear) -> Elimination {
+        let Linear { phi, residual } = linear;
+        let factors = Factors::new(self.equations.states, phi, &residual.hessian);
+        let step = self.step(&job.path, &job.goal, &factors, &residual.defects, &residual.end);
+        Elimination { factors, step }
+    }
+
+    /// The step of a linearized job; or the segments that must be split first.
+    pub(super) fn linearized(&self, job: &mut Job, eliminated: Elimination) -> Vec<usize> {
+        job.factors = eliminated.factors;
         let long: Vec<usize> = (job.factors.growth().enumerate())
             .filter(|(_, g)| *g > MOST_GROWTH)
             .map(|(k, _)| k)
@@ -303,7 +341,7 @@ impl Scheme {
         if !long.is_empty() && job.path.segments() + long.len() <= MOST_SEGMENTS {
             return long;
         }
-        match self.step(&job.path, &job.goal, &job.factors, &residual.defects, &residual.end) {
+        match eliminated.step {
             Some((steps, t)) => self.try_within(job, steps, t),
             None => job.fail(Failure::Singular),
         }
@@ -328,6 +366,17 @@ impl Scheme {
         };
         let norm = steps.iter().fold(0.0f64, |a, x| a.max(x.abs()));
         let size = trial.path.size(&self.equations.scales);
+        if trial.damping == 1.0 && norm <= ROUGH * size && !job.rough && !job.fine {
+            // The matrix is good enough for what is left to do to the full tolerance.
+            job.fine = true;
+            job.path = trial.path;
+            self.try_step(job, steps, t, 1.0);
+            if let Stage::Try(trial) = &mut job.stage {
+                // What the rough segments gave is no measure for the fine ones.
+                trial.norm = f64::INFINITY;
+            }
+            return;
+        }
         let tolerance = if job.rough {
             self.tolerance.max(ROUGH)
         } else {
@@ -385,6 +434,11 @@ impl Scheme {
     fn damp(&self, job: &mut Job, trial: Trial, why: Failure) {
         let damping = 0.5 * trial.damping;
         if damping < LEAST_DAMPING || job.iterations > MOST_ROUNDS {
+            // Near a solution it may be the rough segments that do not let the residual fall any further.
+            if !job.fine && trial.norm <= NEAR * trial.path.size(&self.equations.scales) {
+                job.fine = true;
+                return;
+            }
             return job.fail(why);
         }
         self.try_step(job, trial.steps, trial.t, damping);

@@ -1,15 +1,16 @@
 //! Newton's iterations over many problems: the segments of all of them are one batch of a backend.
 
-use super::newton::{Failure, Goal, Integrated, Job, Scheme, Stage};
+use super::device;
+use super::newton::{Elimination, Failure, Goal, Integrated, Job, Linear, Scheme, Stage};
 use super::path::Path;
-use crate::backend::{Backend, BackendError, Kernel, Run, Status};
+use crate::backend::{Backend, BackendError, Eliminator, Kernel, Run, Status};
 use crate::model::{Method, Precision};
 use rayon::prelude::*;
 
-/// Bytes of seeds handed to a kernel at once.
+/// Bytes of seeds or linear equations handed to a backend at once.
 const BATCH_BYTES: usize = 32 << 20;
 /// Tolerance of segments until a solution is good to some digits.
-const ROUGH_RTOL: f64 = 1e-5;
+const ROUGH_RTOL: f64 = 1e-6;
 /// Attempted steps a segment.
 const SEGMENT_STEPS: u32 = 20_000;
 
@@ -34,6 +35,8 @@ pub struct Solver {
     /// Settings for rough and for fine segments.
     plain_runs: [Run; 2],
     varied_runs: [Run; 2],
+    /// Eliminates on the device, where the backend does that.
+    eliminator: Option<Box<dyn Eliminator>>,
     pub work: Work,
     /// Solves first, on another device or in another precision; what it finds are guesses here.
     draft: Option<Box<Solver>>,
@@ -52,6 +55,7 @@ impl Solver {
             varied: backend.compile(&equations.varied_spec(method, precision))?,
             plain_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.plain_run(r, SEGMENT_STEPS, 1)),
             varied_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.varied_run(r, SEGMENT_STEPS)),
+            eliminator: backend.eliminator(equations.states, precision)?,
             scheme,
             work: Work::default(),
             draft: None,
@@ -135,8 +139,13 @@ impl Solver {
         };
         let clock = std::time::Instant::now();
         let scheme = &self.scheme;
-        let long: Vec<Vec<usize>> = (jobs.par_iter_mut().zip(done))
-            .map(|(job, done)| scheme.linearized(job, done))
+        let linear: Vec<Option<Linear>> = (jobs.par_iter_mut().zip(done))
+            .map(|(job, done)| scheme.linear(job, done))
+            .collect();
+        let eliminated = self.eliminate(jobs, linear)?;
+        let scheme = &self.scheme;
+        let long: Vec<Vec<usize>> = (jobs.par_iter_mut().zip(eliminated))
+            .map(|(job, eliminated)| eliminated.map_or_else(Vec::new, |e| scheme.linearized(job, e)))
             .collect();
         self.work.seconds_eliminating += clock.elapsed().as_secs_f64();
         self.split(jobs, &long)
@@ -165,6 +174,35 @@ impl Solver {
         let scheme = &self.scheme;
         (solved.par_iter_mut().zip(done)).for_each(|(job, done)| scheme.renewed(job, done));
         Ok(())
+    }
+
+    /// Eliminates the jobs' equations: those of given states on the device where it does that, others here.
+    fn eliminate(
+        &mut self,
+        jobs: &[&mut Job],
+        mut linear: Vec<Option<Linear>>,
+    ) -> Result<Vec<Option<Elimination>>, BackendError> {
+        let scheme = &self.scheme;
+        let mut eliminated: Vec<Option<Elimination>> = jobs.iter().map(|_| None).collect();
+        if let Some(eliminator) = &mut self.eliminator {
+            let (mut places, mut problems) = (Vec::new(), Vec::new());
+            for (place, (job, linear)) in jobs.iter().zip(&mut linear).enumerate() {
+                let Goal::State(s) = &job.goal else { continue };
+                let Some(linear) = linear.take() else { continue };
+                places.push(place);
+                problems.push((linear, scheme.wanted(&job.path, s)));
+            }
+            let done = device::eliminate(eliminator.as_mut(), scheme.equations.states, problems, BATCH_BYTES)?;
+            for (place, done) in places.into_iter().zip(done) {
+                eliminated[place] = Some(done);
+            }
+        }
+        (jobs.par_iter().zip(linear).zip(&mut eliminated)).for_each(|((job, linear), eliminated)| {
+            if let Some(linear) = linear {
+                *eliminated = Some(scheme.eliminate(job, linear));
+            }
+        });
+        Ok(eliminated)
     }
 
     /// Splits the given segments of each job's path in halves.

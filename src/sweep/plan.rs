@@ -220,6 +220,9 @@ impl Plan {
                 [lo - margin, hi + margin]
             })
             .collect();
+        let mut graph = system.graph.clone();
+        let switches = graph.kinks(&rate);
+        let kinks = (!switches.is_empty()).then(|| Program::lower(&graph, &system.inputs, &switches));
         let guards = (!system.guards.is_empty()).then(|| Guards {
             program: Program::lower(
                 &system.graph,
@@ -232,7 +235,7 @@ impl Plan {
             spec: Spec {
                 rate: Program::lower(&system.graph, &system.inputs, &rate),
                 guards,
-                kinks: None,
+                kinks,
                 method: model.integrator.method,
                 precision,
                 by,

@@ -332,8 +332,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
                 By::Time => self.t.0[i] + self.h.0[i] >= self.next_at.0[i],
                 By::Component(c) => self.y_new[c].0[i] >= self.next_at.0[i],
             };
-            let (t, first) = (self.t.0[i], self.first_step.0[i]);
-            let floor = unit * if t > first { t } else { first };
+            let floor = unit * larger(self.t.0[i], self.first_step.0[i]);
             let stuck = !decided.accepted[i] & (!adaptive | (decided.next_h.0[i] < floor));
             let spent = self.steps[i] + self.rejected[i] >= most;
             decided.special[i] = u8::from(passed | stuck | spent | self.fresh[i]);
@@ -359,25 +358,27 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             new.0 = program.output(&self.kink_file, g).0;
             for i in 0..W {
                 let (a, b) = (old.0[i], new.0[i]);
-                let crossed = (a < zero) & (b > zero) | (a > zero) & (b < zero);
+                let crossed = (a < zero) & (b >= zero) | (a > zero) & (b <= zero);
                 let q = a / (a - b);
                 first[i] = if crossed & (q < first[i]) { q } else { first[i] };
             }
         }
-        let near = T::of(control::AT_KINK);
+        let (share, floor) = (
+            T::of(control::at_kink(T::EPSILON)),
+            T::of(control::FLOOR_ULPS * T::EPSILON),
+        );
         for i in 0..W {
             let q = first[i];
-            let inside = decided.accepted[i] & !self.fresh[i] & (q > near) & (q < T::of(1.0) - near);
+            let (h, resume) = (self.h.0[i], self.resume.0[i]);
+            // A share of the step that kinks have not shortened, and no less than the floor: what is left of shorter
+            // ones is lost in rounding.
+            let near = share * larger(h, resume);
+            let near = larger(near, floor * larger(self.t.0[i], self.first_step.0[i]));
+            let inside = decided.accepted[i] & !self.fresh[i] & (h * q > near) & (h * (T::of(1.0) - q) > near);
             let crosses = decided.accepted[i] & (q < T::of(2.0)) & !inside;
             // The end of the shorter step is to lie behind the kink, not before it.
-            let shorter = self.h.0[i] * (q + T::of(0.1) * near);
-            let resume = self.resume.0[i];
-            let h = self.h.0[i];
-            let grown = if decided.next_h.0[i] > resume {
-                decided.next_h.0[i]
-            } else {
-                resume
-            };
+            let shorter = q.mul_add::<FMA>(h, T::of(0.1) * near);
+            let grown = larger(decided.next_h.0[i], resume);
             decided.accepted[i] &= !inside;
             decided.next_h.0[i] = if inside {
                 shorter
@@ -386,8 +387,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             } else {
                 decided.next_h.0[i]
             };
-            self.resume.0[i] = if inside & (resume < h) {
-                h
+            self.resume.0[i] = if inside {
+                larger(resume, h)
             } else if crosses {
                 zero
             } else {
@@ -440,12 +441,14 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             return;
         };
         for i in 0..W {
-            let t = if decided.accepted[i] {
-                self.t.0[i] + self.h.0[i]
+            // A refused step has not passed the end, and one that ends at a kink just before it must not be stretched.
+            let left = T::of(*end) - (self.t.0[i] + self.h.0[i]);
+            let next = decided.next_h.0[i];
+            decided.next_h.0[i] = if decided.accepted[i] {
+                stretched(next, left)
             } else {
-                self.t.0[i]
+                next
             };
-            decided.next_h.0[i] = stretched(decided.next_h.0[i], T::of(*end) - t);
         }
     }
 
@@ -802,6 +805,11 @@ fn cubic<T: Real, const FMA: bool>(p: &[T; 4], q: T) -> T {
     p[3].mul_add::<FMA>(q, p[2])
         .mul_add::<FMA>(q, p[1])
         .mul_add::<FMA>(q, p[0])
+}
+
+#[inline(always)]
+fn larger<T: Real>(a: T, b: T) -> T {
+    if a > b { a } else { b }
 }
 
 /// A step of `h`, or the `left` way where that is no more than a little further: no crumb is left at the end.

@@ -1,12 +1,20 @@
 //! WGSL text that depends on the scene or the method: constants, the model's right-hand side and guards, and the
 //! stages of a step, all straight-line code over named components (arrays would be indexed in memory).
 
-use crate::backend::constants::Constants;
+use super::text::{constants, function, literal, structure};
 use crate::backend::{By, Guards, Spec};
 use crate::integrator::{Tableau, control};
 use crate::model::Precision;
-use crate::program::{Instr, Primitive, Program};
 use std::fmt::Write;
+
+/// Fields t, h, before and first_step of the state.
+const SCALARS: usize = 4;
+
+/// Reals of a trajectory's state: y and k, the scalars, and with kinks the step size to resume and their values.
+pub fn state(spec: &Spec) -> usize {
+    let kinks = kinks(spec);
+    2 * spec.dim() + SCALARS + if kinks > 0 { 1 + kinks } else { 0 }
+}
 
 /// Invocations a workgroup.
 pub const WORKGROUP: u32 = 64;
@@ -24,6 +32,12 @@ pub struct Variant {
 pub fn stored(spec: &Spec) -> impl Iterator<Item = usize> + use<> {
     let by = spec.by;
     (0..spec.dim()).filter(move |c| by != By::Component(*c))
+}
+
+/// Kinks that steps are made to end at; a fixed step has no choice.
+pub fn kinks(spec: &Spec) -> usize {
+    let adaptive = spec.method.tableau().adaptive();
+    (spec.kinks.as_ref().filter(|_| adaptive)).map_or(0, |program| program.outputs.len())
 }
 
 /// Offsets into the buffer of run settings.
@@ -54,27 +68,6 @@ impl Settings {
             upper,
             levels: upper + variant.bounds,
         }
-    }
-}
-
-/// A number as WGSL text that gives exactly this value in `precision`.
-pub fn literal(x: f64, precision: Precision) -> String {
-    let most = match precision {
-        Precision::F32 => f64::from(f32::MAX),
-        Precision::F64 => f64::MAX,
-    };
-    if x.is_nan() {
-        return "not_a_number()".to_owned();
-    }
-    let x = x.clamp(-most, most);
-    let text = match precision {
-        Precision::F32 => format!("{:?}", x as f32),
-        Precision::F64 => format!("{x:?}lf"),
-    };
-    if x.is_sign_negative() {
-        format!("({text})")
-    } else {
-        text
     }
 }
 
@@ -122,6 +115,7 @@ impl<'a> Emitter<'a> {
             (self.spec.store, "STORE"),
             (self.variant.bounds > 0, "BOUNDS"),
             (self.variant.ceiling.is_some(), "CEILING"),
+            (kinks(self.spec) > 0, "KINKS"),
         ] {
             if holds {
                 list.push(name);
@@ -148,7 +142,31 @@ impl<'a> Emitter<'a> {
                 holds.join(" & ")
             );
         }
+        self.kinks(&mut text);
         text
+    }
+
+    /// The kinks' values, and where a step meets the first one.
+    fn kinks(&self, text: &mut String) {
+        let Some(program) = self.spec.kinks.as_ref().filter(|_| kinks(self.spec) > 0) else {
+            return;
+        };
+        structure(text, "Sides", program.outputs.len());
+        *text += &function("kink_values", program, "Sides", self.spec.precision);
+        let _ = writeln!(
+            text,
+            "// Fraction of a step up to its first kink, from the values at its ends; 2 where there is none.\n\
+             fn first_kink(begin: Sides, end: Sides) -> real {{\n    var first: real = 2.0;"
+        );
+        for g in 0..program.outputs.len() {
+            let (a, b) = (format!("begin.c{g}"), format!("end.c{g}"));
+            let _ = writeln!(
+                text,
+                "    let q{g} = {a} / ({a} - {b});\n    let crossed{g} = (({a} < 0.0) & ({b} >= 0.0)) | (({a} > 0.0) & ({b} <= 0.0));\n    \
+                 first = select(first, q{g}, crossed{g} & (q{g} < first));"
+            );
+        }
+        text.push_str("    return first;\n}\n");
     }
 
     /// The method: the stages of a step, its error, its dense output.
@@ -255,7 +273,7 @@ impl<'a> Emitter<'a> {
             "fn interpolate(y: Vector, k0: Vector, step: Step, h: real, q: real) -> Vector {{\n    if (q == 1.0) {{\n        \
              return step.y;\n    }}"
         );
-        for (j, d) in dense.iter().enumerate() {
+        for (j, d) in self.dense_stages() {
             let used = d.iter().rposition(|d| *d != 0.0).map_or(0, |last| last + 1);
             let horner = (d[..used].iter().rev()).fold(String::new(), |acc, d| {
                 let d = self.number(*d);
@@ -270,7 +288,9 @@ impl<'a> Emitter<'a> {
         self.stage_names(text);
         let components: Vec<String> = (0..self.dim)
             .map(|c| {
-                let terms: Vec<String> = (0..dense.len()).map(|j| format!("k{j}.c{c} * b{j}")).collect();
+                let terms: Vec<String> = (self.dense_stages())
+                    .map(|(j, _)| format!("k{j}.c{c} * b{j}"))
+                    .collect();
                 format!("y.c{c} + h * ({})", terms.join(" + "))
             })
             .collect();
@@ -293,6 +313,12 @@ impl<'a> Emitter<'a> {
             })
             .collect();
         let _ = writeln!(text, "    return Path({});\n}}", powers.join(", "));
+    }
+
+    /// The stages that the dense output depends on, with their weights.
+    fn dense_stages(&self) -> impl Iterator<Item = (usize, &'static [f64; 4])> + use<> {
+        let stages = self.tableau.dense.iter().enumerate();
+        stages.filter(|(_, d)| d.iter().any(|d| *d != 0.0))
     }
 
     fn stage_names(&self, text: &mut String) {
@@ -386,12 +412,19 @@ impl<'a> Emitter<'a> {
         };
         let _ = writeln!(text, "fn load_seed(i: u32) -> Vector {{\n    return {};\n}}", vector(0));
         let (y, k) = (vector(0), vector(self.dim));
+        let kinks = kinks(self.spec);
         let scalar = |k: usize| format!("state[i + {}u * control.stride]", 2 * self.dim + k);
         let counter = |k: usize| format!("counters[i + {k}u * control.stride]");
+        // What a step remembers of its kinks, behind the other fields.
+        let mut remembered = String::new();
+        if kinks > 0 {
+            let sides: Vec<String> = (0..kinks).map(|g| scalar(SCALARS + 1 + g)).collect();
+            let _ = write!(remembered, ", {}, Sides({})", scalar(SCALARS), sides.join(", "));
+        }
         let _ = write!(
             text,
             "fn load(i: u32) -> Lane {{\n    let next_level = {};\n    return Lane({y}, {k}, {}, {}, f32({}), {}, {}, \
-             next_level, {}, {}, level(next_level), 0u);\n}}\n",
+             next_level, {}, {}, level(next_level), 0u{remembered});\n}}\n",
             counter(1),
             scalar(0),
             scalar(1),
@@ -423,6 +456,12 @@ impl<'a> Emitter<'a> {
             .enumerate()
         {
             let _ = writeln!(text, "    {} = {field};", scalar(k));
+        }
+        if kinks > 0 {
+            let _ = writeln!(text, "    {} = lane.resume;", scalar(SCALARS));
+        }
+        for g in 0..kinks {
+            let _ = writeln!(text, "    {} = lane.sides.c{g};", scalar(SCALARS + 1 + g));
         }
         text.push_str("}\n");
         if self.spec.store {
@@ -463,6 +502,7 @@ impl<'a> Emitter<'a> {
             let _ = writeln!(text, "const {name}: real = {};", literal(value, self.spec.precision));
         };
         real("FIRST", self.tableau.first());
+        real("AT_KINK", control::at_kink(self.spec.precision.epsilon()));
         real("FLOOR", control::FLOOR_ULPS * self.spec.precision.epsilon());
         let mut single = |name: &str, value: f64| {
             let _ = writeln!(text, "const {name}: f32 = {};", literal(value, Precision::F32));
@@ -475,138 +515,5 @@ impl<'a> Emitter<'a> {
         single("GROW", control::GROW);
         single("LEAST_SQUARED_ERROR", control::LEAST_ERROR * control::LEAST_ERROR);
         text
-    }
-}
-
-/// The type `real` and the constants of the elementary functions.
-pub fn constants(precision: Precision) -> String {
-    use std::f64::consts;
-    let (least, most) = match precision {
-        Precision::F32 => (f64::from(f32::MIN_POSITIVE), f64::from(f32::MAX)),
-        Precision::F64 => (f64::MIN_POSITIVE, f64::MAX),
-    };
-    let (word, suffix, mantissa, bias) = match precision {
-        Precision::F32 => ("u32", "u", f32::MANTISSA_DIGITS - 1, 127),
-        Precision::F64 => ("u64", "lu", f64::MANTISSA_DIGITS - 1, 1023),
-    };
-    let (one, root_half) = match precision {
-        Precision::F32 => (
-            u64::from(1f32.to_bits()),
-            u64::from((consts::FRAC_1_SQRT_2 as f32).to_bits()),
-        ),
-        Precision::F64 => (1f64.to_bits(), consts::FRAC_1_SQRT_2.to_bits()),
-    };
-    let mut text = format!("alias real = {};\n", precision.name());
-    let table = Constants::of(precision);
-    let mut real = |name: &str, value: f64| {
-        let _ = writeln!(text, "const {name}: real = {};", literal(value, precision));
-    };
-    for (name, value) in [
-        ("EPSILON", precision.epsilon()),
-        ("SMALLEST_NORMAL", least),
-        ("LARGEST", most),
-        ("SUBNORMAL_SCALE", f64::from(mantissa).exp2()),
-        ("FRAC_2_PI", consts::FRAC_2_PI),
-        ("FRAC_PI_2", consts::FRAC_PI_2),
-        ("FRAC_PI_4", consts::FRAC_PI_4),
-        ("LOG2_E", consts::LOG2_E),
-        ("OVERFLOW", table.overflow),
-        ("UNDERFLOW", table.underflow),
-    ] {
-        real(name, value);
-    }
-    for (k, c) in table.pio2.iter().enumerate() {
-        real(&format!("PIO2_{k}"), *c);
-    }
-    for (k, c) in table.ln2.iter().enumerate() {
-        real(&format!("LN2_{k}"), *c);
-    }
-    let _ = writeln!(
-        text,
-        "alias bits = {word};\nconst MANTISSA: u32 = {mantissa}u;\nconst BIAS: i32 = {bias};"
-    );
-    for (name, value) in [
-        ("MANTISSA_MASK", (1u64 << mantissa) - 1),
-        ("ROOT_HALF", root_half),
-        ("ROOT_HALF_TO_ONE", one - root_half),
-    ] {
-        let _ = writeln!(text, "const {name}: bits = {value}{suffix};");
-    }
-    for (name, coefficients) in table.polynomials {
-        let horner = (coefficients.iter().map(|c| literal(*c, precision)))
-            .reduce(|acc, c| format!("({acc}) * x + {c}"))
-            .unwrap_or_default();
-        let _ = writeln!(
-            text,
-            "fn {name}_polynomial(x: real) -> real {{\n    return {horner};\n}}"
-        );
-    }
-    text
-}
-
-fn structure(text: &mut String, name: &str, count: usize) {
-    let fields: Vec<String> = (0..count).map(|c| format!("c{c}: real")).collect();
-    let _ = writeln!(text, "struct {name} {{ {}, }}", fields.join(", "));
-}
-
-/// A program as a function of `Inputs`.
-fn function(name: &str, program: &Program, output: &str, precision: Precision) -> String {
-    let mut text = format!("fn {name}(x: Inputs) -> {output} {{\n");
-    let mut value: Vec<String> = Vec::with_capacity(program.code.len());
-    for (i, instr) in program.code.iter().enumerate() {
-        let at = |v: u32| value[v as usize].as_str();
-        let expression = match *instr {
-            Instr::Input(k) => {
-                value.push(format!("x.c{k}"));
-                continue;
-            }
-            Instr::Const(c) => {
-                value.push(literal(c, precision));
-                continue;
-            }
-            Instr::Add(a, b) => format!("{} + {}", at(a), at(b)),
-            Instr::Sub(a, b) => format!("{} - {}", at(a), at(b)),
-            Instr::Mul(a, b) => format!("{} * {}", at(a), at(b)),
-            Instr::Div(a, b) => format!("{} / {}", at(a), at(b)),
-            Instr::Neg(a) => format!("-{}", at(a)),
-            Instr::MulAdd(a, b, c) => format!("{} * {} + {}", at(a), at(b), at(c)),
-            Instr::MulSub(a, b, c) => format!("{} * {} - {}", at(a), at(b), at(c)),
-            Instr::NegMulAdd(a, b, c) => format!("{} - {} * {}", at(c), at(a), at(b)),
-            Instr::Min(a, b) => format!("least({}, {})", at(a), at(b)),
-            Instr::Max(a, b) => format!("greatest({}, {})", at(a), at(b)),
-            Instr::Call(Primitive::Sin, a) if matches!(program.code.get(i + 1), Some(Instr::Call(Primitive::Cos, b)) if *b == a) =>
-            {
-                let _ = writeln!(text, "    let pair{i} = sin_cos({});", at(a));
-                value.push(format!("pair{i}.sine"));
-                continue;
-            }
-            Instr::Call(Primitive::Cos, a) if i > 0 && program.code[i - 1] == Instr::Call(Primitive::Sin, a) => {
-                value.push(format!("pair{}.cosine", i - 1));
-                continue;
-            }
-            Instr::Call(f, a) => format!("{}({})", primitive(f), at(a)),
-        };
-        let _ = writeln!(text, "    let v{i}: real = {expression};");
-        value.push(format!("v{i}"));
-    }
-    let outputs: Vec<&str> = program.outputs.iter().map(|o| value[*o as usize].as_str()).collect();
-    let _ = writeln!(text, "    return {output}({});\n}}", outputs.join(", "));
-    text
-}
-
-/// A primitive's function in real.wgsl, or WGSL's own where that is exact.
-pub fn primitive(f: Primitive) -> &'static str {
-    match f {
-        Primitive::Sin => "sine",
-        Primitive::Cos => "cosine",
-        Primitive::Exp => "exponential",
-        Primitive::Expm1 => "expm1_",
-        Primitive::Log => "logarithm",
-        Primitive::Log1p => "log1p_",
-        Primitive::Atan => "arctangent",
-        Primitive::Sqrt => "sqrt",
-        Primitive::Abs => "abs",
-        Primitive::Sign => "sign_",
-        Primitive::Step => "step_",
     }
 }

@@ -1,8 +1,8 @@
 //! A compiled kernel: its pipelines, and driving a batch through them.
 
 use super::adapter::Device;
-use super::emit::{Emitter, Settings, Variant, WORKGROUP, stored};
-use super::memory::{Memory, Shape, reals};
+use super::emit::{self, Emitter, Settings, Variant, WORKGROUP, stored};
+use super::memory::{Memory, Shape, binding_limit, reals};
 use super::results::{self, Written};
 use super::shader::{Fragment, Source, conditional};
 use crate::backend::{BackendError, Kernel, Run, Spec, Trajectories};
@@ -11,8 +11,6 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Most bytes of device memory a binding is given: batches are split to stay below.
-const LARGEST_BINDING: u64 = 256 << 20;
 /// Seconds a dispatch should last at most: far below any driver's watchdog, long against the cost of a dispatch.
 const DISPATCH_SECONDS: f64 = 0.1;
 /// Loop iterations an invocation may spend in a dispatch. The most that Mesa's llvmpipe allows a shader is 65535; a
@@ -300,17 +298,13 @@ impl Kernel for GpuKernel {
         let mut shape = Shape {
             trajectories: 1,
             dim,
+            state: emit::state(&self.spec),
             levels,
             sample: 1 + stored(&self.spec).count(),
             settings,
             real: self.real(),
         };
-        let limit = self
-            .device
-            .info
-            .max_binding
-            .min(self.device.info.max_buffer / 2)
-            .min(LARGEST_BINDING);
+        let limit = binding_limit(&self.device);
         let share = shape.largest_share() as u64;
         let groups = u64::from(self.device.device.limits().max_compute_workgroups_per_dimension);
         let most = (limit / share).min(groups * u64::from(WORKGROUP));

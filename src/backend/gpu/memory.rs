@@ -10,6 +10,8 @@ use wgpu::{Buffer, BufferUsages};
 pub struct Shape {
     pub trajectories: usize,
     pub dim: usize,
+    /// Reals of a trajectory's state.
+    pub state: usize,
     /// Stored levels; 0 where samples are not kept.
     pub levels: usize,
     /// Reals of a sample.
@@ -22,7 +24,7 @@ pub struct Shape {
 
 impl Shape {
     pub fn state(&self) -> usize {
-        (2 * self.dim + 4) * self.trajectories * self.real
+        self.state * self.trajectories * self.real
     }
     pub fn counters(&self) -> usize {
         4 * COUNTERS * self.trajectories
@@ -50,7 +52,8 @@ impl Shape {
         self.trajectories >= other.trajectories
             && self.samples() >= other.samples()
             && self.settings >= other.settings
-            && (self.dim, self.real, self.levels > 0) == (other.dim, other.real, other.levels > 0)
+            && (self.dim, self.state, self.real, self.levels > 0)
+                == (other.dim, other.state, other.real, other.levels > 0)
     }
 }
 
@@ -127,41 +130,60 @@ impl Memory {
         self.shape.holds(shape)
     }
 
-    /// Ends what `encoder` holds with copies of the leading bytes of buffers, waits for all of it and hands the bytes to
-    /// `read`.
+    /// Reads the leading bytes of buffers when what `encoder` holds is done; see [`read_back`].
     pub fn read<const N: usize, R>(
         &self,
         device: &Device,
-        mut encoder: wgpu::CommandEncoder,
+        encoder: wgpu::CommandEncoder,
         wanted: [(&Buffer, usize); N],
         read: impl FnOnce([&[u8]; N]) -> R,
     ) -> Result<R, BackendError> {
-        let mut at = 0;
-        let places = wanted.map(|(buffer, bytes)| {
-            encoder.copy_buffer_to_buffer(buffer, 0, &self.staging, at as u64, bytes as u64);
-            let place = at..at + bytes;
-            at += padded(bytes);
-            place
-        });
-        device.queue.submit([encoder.finish()]);
-        let (tell, told) = std::sync::mpsc::channel();
-        self.staging
-            .map_async(wgpu::MapMode::Read, ..at as u64, move |outcome| {
-                // Nobody waits any more where the receiver is gone.
-                let _ = tell.send(outcome);
-            });
-        device.device.poll(wgpu::PollType::wait_indefinitely())?;
-        device.check()?;
-        told.recv()
-            .map_err(|_| wgpu::BufferAsyncError)
-            .and_then(|outcome| outcome)?;
-        let outcome = self.staging.get_mapped_range(..at as u64).map(|view| {
-            let bytes: &[u8] = &view;
-            read(places.map(|place| &bytes[place]))
-        });
-        self.staging.unmap();
-        outcome.map_err(|_| wgpu::BufferAsyncError.into())
+        read_back(device, &self.staging, encoder, wanted, read)
     }
+}
+
+/// Ends what `encoder` holds with copies of the leading bytes of buffers, waits for all of it and hands the bytes to
+/// `read`. The staging buffer has room for all of them, each padded to 16 bytes.
+pub fn read_back<const N: usize, R>(
+    device: &Device,
+    staging: &Buffer,
+    mut encoder: wgpu::CommandEncoder,
+    wanted: [(&Buffer, usize); N],
+    read: impl FnOnce([&[u8]; N]) -> R,
+) -> Result<R, BackendError> {
+    let mut at = 0;
+    let places = wanted.map(|(buffer, bytes)| {
+        encoder.copy_buffer_to_buffer(buffer, 0, staging, at as u64, bytes as u64);
+        let place = at..at + bytes;
+        at += padded(bytes);
+        place
+    });
+    device.queue.submit([encoder.finish()]);
+    let (tell, told) = std::sync::mpsc::channel();
+    staging.map_async(wgpu::MapMode::Read, ..at as u64, move |outcome| {
+        // Nobody waits any more where the receiver is gone.
+        let _ = tell.send(outcome);
+    });
+    device.device.poll(wgpu::PollType::wait_indefinitely())?;
+    device.check()?;
+    told.recv()
+        .map_err(|_| wgpu::BufferAsyncError)
+        .and_then(|outcome| outcome)?;
+    let outcome = staging.get_mapped_range(..at as u64).map(|view| {
+        let bytes: &[u8] = &view;
+        read(places.map(|place| &bytes[place]))
+    });
+    staging.unmap();
+    outcome.map_err(|_| wgpu::BufferAsyncError.into())
+}
+
+/// Most bytes of device memory a binding is given: batches are split to stay below.
+const LARGEST_BINDING: u64 = 256 << 20;
+
+/// Bytes that one binding of this device is given at most.
+pub fn binding_limit(device: &Device) -> u64 {
+    let info = &device.info;
+    info.max_binding.min(info.max_buffer / 2).min(LARGEST_BINDING)
 }
 
 /// Room for `bytes` such that what follows is aligned for any number.

@@ -1,9 +1,11 @@
 //! The GPU backend: WGSL compute shaders through wgpu, one invocation a trajectory.
 //!
 //! A kernel's module is joined from `shaders/real.wgsl` (elementary functions), `shaders/block.wgsl` (the integrator)
-//! and generated text (constants, the model, the method's stages).
+//! and generated text (constants, the model, the method's stages). `shaders/elimination.wgsl` eliminates the linear
+//! equations of multiple shooting, one invocation a path.
 
 mod adapter;
+mod elimination;
 mod emit;
 mod kernel;
 mod memory;
@@ -11,10 +13,11 @@ mod results;
 mod shader;
 #[cfg(test)]
 mod tests;
+mod text;
 
 pub use adapter::{AdapterInfo, Selection, adapters};
 
-use super::{Backend, BackendError, Kernel, Spec};
+use super::{Backend, BackendError, Eliminator, Kernel, Spec};
 use crate::model::Precision;
 use adapter::Device;
 use std::sync::Arc;
@@ -41,6 +44,15 @@ impl Gpu {
         }))
     }
 
+    fn require(&self, precision: Precision) -> Result<(), BackendError> {
+        if self.device.supports(precision) {
+            return Ok(());
+        }
+        Err(BackendError::NoF64 {
+            adapter: self.device.info.name.clone(),
+        })
+    }
+
     /// The adapter behind the device.
     pub fn info(&self) -> &AdapterInfo {
         &self.device.info
@@ -65,13 +77,9 @@ impl Backend for Gpu {
     }
 
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
-        if !self.supports(spec.precision) {
-            return Err(BackendError::NoF64 {
-                adapter: self.device.info.name.clone(),
-            });
-        }
+        self.require(spec.precision)?;
         // Shader compilers recurse over long straight-line code, and take minutes over it.
-        let operations = spec.rate.operations();
+        let operations = spec.rate.operations() + spec.kinks.as_ref().map_or(0, |k| k.operations());
         if operations > MOST_OPERATIONS {
             return Err(BackendError::TooLong {
                 operations,
@@ -82,5 +90,11 @@ impl Backend for Gpu {
             Arc::clone(&self.device),
             spec.clone(),
         )?))
+    }
+
+    fn eliminator(&self, states: usize, precision: Precision) -> Result<Option<Box<dyn Eliminator>>, BackendError> {
+        self.require(precision)?;
+        let made = elimination::GpuEliminator::new(Arc::clone(&self.device), states, precision)?;
+        Ok(made.map(|e| -> Box<dyn Eliminator> { Box::new(e) }))
     }
 }

@@ -1,9 +1,9 @@
 //! The elementary functions on the device, and messages for shaders that do not validate.
 
 use super::adapter::{Device, Selection};
-use super::emit::{self, primitive};
 use super::memory::reals;
 use super::shader::{Fragment, Source, conditional};
+use super::text::{self, primitive};
 use crate::backend::BackendError;
 use crate::model::Precision;
 use crate::program::Primitive;
@@ -32,7 +32,7 @@ fn evaluate(device: &Device, precision: Precision, expression: &str, points: &[(
     let source = Source::new(&[
         Fragment {
             name: "constants",
-            text: emit::constants(precision),
+            text: text::constants(precision),
         },
         Fragment {
             name: "shaders/real.wgsl",
@@ -305,15 +305,16 @@ fn literals_give_the_same_number() {
         f64::MIN_POSITIVE,
         12_345_678.9,
     ] {
-        let text = emit::literal(x, Precision::F64);
+        let number = text::literal(x, Precision::F64);
         assert_eq!(
-            text.trim_matches(['(', ')'])
+            number
+                .trim_matches(['(', ')'])
                 .trim_end_matches("lf")
                 .parse::<f64>()
                 .unwrap(),
             x
         );
-        let text = emit::literal(x, Precision::F32);
-        assert_eq!(text.trim_matches(['(', ')']).parse::<f32>().unwrap(), x as f32);
+        let number = text::literal(x, Precision::F32);
+        assert_eq!(number.trim_matches(['(', ')']).parse::<f32>().unwrap(), x as f32);
     }
 }
