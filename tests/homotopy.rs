@@ -321,3 +321,100 @@ fn compressor_at_its_limits() {
         assert_eq!(answers.status(answers.targets.of_given[k]), PointStatus::OutsideGuard);
     }
 }
+
+/// Forward integration from the right costate loses a digit each time the unstable modes grow tenfold; nodes hold them.
+#[test]
+fn single_shooting_fails_where_multiple_shooting_holds() {
+    use costate::shooting::{Goal, Job, Path};
+    let swept = Swept::new(scene("pendulum", &[]), 2000);
+    let mut solver = swept.solver();
+    let target = [1.0 + 1.5, 0.0];
+    let answers = swept.points(&[1.0, 0.0]);
+    let entry = given(&answers, 0).expect("solved");
+    let closed_loop = &swept.plan.local.as_ref().expect("infinite horizon").riccati.eigenvalues;
+    let rate = closed_loop.iter().map(|e| e.norm()).fold(0.0, f64::max);
+    println!("horizon  forward error  bound 1e-10 exp(rate T)  multiple shooting's last correction, V's change");
+    for horizon in [5.0, 10.0, 20.0, 40.0, 80.0] {
+        // One segment: the state it ends in should be the equilibrium, but for what is left after this time.
+        let mut single = Path::new(entry.path.node(0));
+        single.push(horizon, entry.path.last());
+        let (end, _) = solver.ends(&single).expect("the CPU works");
+        let error = largest(end[..2].iter().copied());
+        // The same horizon in segments.
+        let mut path = entry.path.clone();
+        while path.horizon() < horizon {
+            path.push(1.0, &[0.0; 4]);
+        }
+        let mut jobs = vec![Job::new(path, Goal::State(target.to_vec()))];
+        solver.solve(&mut jobs).expect("the CPU works");
+        let solved = jobs[0]
+            .solved()
+            .unwrap_or_else(|| panic!("T = {horizon}: {:?}", jobs[0].failure()));
+        let change = (solved.value - entry.value).abs() / entry.value;
+        println!(
+            "{horizon:7}  {error:12.3e}  {:23.3e}  {:.1e}, {change:.1e}",
+            1e-10 * (rate * horizon).exp(),
+            solved.residual
+        );
+        assert!(solved.residual <= 1e-9 && change <= PROMISED, "T = {horizon}");
+        if horizon <= 5.0 {
+            assert!(error < 0.1, "still near at T = {horizon}: {error:e}");
+        }
+        if horizon >= 40.0 {
+            assert!(
+                !(error < 1.0),
+                "forward integration cannot end at the equilibrium after T = {horizon}: {error:e}"
+            );
+        }
+    }
+}
+
+/// A sweep and Newton iterations in f32 on a GPU end with answers in f64.
+#[test]
+fn gpu_drafts_end_as_f64_answers() {
+    use costate::backend::gpu::{Gpu, Selection};
+    use costate::model::Precision;
+    let gpu = Gpu::open(&Selection::Any).expect("an adapter").expect("an adapter");
+    for (name, axes) in [
+        ("pendulum", vec![spaced(-3.0, 1.5, 4), spaced(-4.0, 5.0, 4)]),
+        (
+            "moore_greitzer",
+            vec![vec![1.2, 1.3], vec![1.9, 2.1], vec![0.0, 0.1], vec![1.5]],
+        ),
+    ] {
+        let mut model = scene(name, &[]);
+        model.integrator.precision = Some(Precision::F32);
+        let on_gpu = Swept::on(model, &gpu, 400);
+        assert_eq!(on_gpu.plan.spec.precision, Precision::F32);
+        let request = costate::value::Request {
+            grids: vec![costate::value::Grid { axes: axes.clone() }],
+            limits: vec![f64::INFINITY],
+            one_sheet: true,
+            ..Default::default()
+        };
+        let mut solver = costate::value::solver(&on_gpu.plan, &gpu).expect("the GPU compiles it");
+        let drafted = on_gpu.solve_with(&mut solver, &request);
+        let exact = Swept::new(scene(name, &[]), 400).solve(&request);
+        assert_eq!(
+            (drafted.solved(), exact.solved()),
+            (drafted.targets.len(), exact.targets.len()),
+            "{name}"
+        );
+        for target in 0..exact.targets.len() {
+            let (a, b) = (
+                drafted.lowest(target).expect("solved"),
+                exact.lowest(target).expect("solved"),
+            );
+            assert!(
+                (a.value - b.value).abs() <= PROMISED * b.value,
+                "{name}: V {} not {}",
+                a.value,
+                b.value
+            );
+            assert!(
+                largest((0..a.p.len()).map(|i| a.p[i] - b.p[i])) <= PROMISED * largest(b.p.clone()),
+                "{name}: p"
+            );
+        }
+    }
+}

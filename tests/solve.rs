@@ -1,0 +1,138 @@
+//! `costate solve` and `costate homotopy` as a user runs them: files in, files out, refusals.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn folder(name: &str) -> PathBuf {
+    let path = std::env::temp_dir().join(format!("costate-solve-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&path).unwrap();
+    path
+}
+
+fn scenario(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios").join(name)
+}
+
+fn costate(arguments: &[&std::ffi::OsStr]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_costate"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn solve(name: &str, csv: &str) -> (Output, PathBuf) {
+    let folder = folder(name);
+    let points = folder.join("points.csv");
+    std::fs::write(&points, csv).unwrap();
+    let out = folder.join("out.h5");
+    let done = costate(&[
+        "solve".as_ref(),
+        scenario("pendulum.toml").as_ref(),
+        "--backend".as_ref(),
+        "cpu".as_ref(),
+        "--json".as_ref(),
+        "--points".as_ref(),
+        points.as_ref(),
+        "--out".as_ref(),
+        out.as_ref(),
+    ]);
+    (done, out)
+}
+
+#[test]
+fn bad_points_are_refused_with_their_place() {
+    for (name, csv, words) in [
+        (
+            "unknown",
+            "theta,omeg\n1,2\n",
+            vec!["line 1", "`omeg`", "did you mean `omega`"],
+        ),
+        ("twice", "theta,theta\n1,2\n", vec!["line 1", "twice"]),
+        ("number", "theta,omega\n1,2\n3,x\n", vec!["line 3", "`omega`", "`x`"]),
+        ("infinite", "theta\ninf\n", vec!["line 2", "not a finite number"]),
+        ("ragged", "theta,omega\n1\n", vec!["line 2"]),
+        ("empty", "theta,omega\n", vec!["no points"]),
+        ("nothing", "", vec!["header"]),
+    ] {
+        let (done, out) = solve(name, csv);
+        let text = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert_eq!(done.status.code(), Some(2), "{name}: {text}");
+        for word in words {
+            assert!(text.contains(word), "{name}: no `{word}` in: {text}");
+        }
+        assert!(!out.exists() && done.stdout.is_empty(), "{name}: nothing is written");
+    }
+    let missing = costate(&[
+        "solve".as_ref(),
+        scenario("pendulum.toml").as_ref(),
+        "--points".as_ref(),
+        "no-such-file.csv".as_ref(),
+    ]);
+    assert_eq!(missing.status.code(), Some(2));
+}
+
+#[test]
+fn a_scene_without_targets_has_no_homotopy() {
+    let folder = folder("none");
+    let file = folder.join("scene.toml");
+    let text = r#"
+        states = { x = {} }
+        controls = { u = {} }
+        dynamics = { x = "x + u" }
+        cost = { running = "0.5*(x^2 + u^2)" }
+        equilibrium = { x = 0, u = 0 }
+        region = { x = [-1, 1] }
+    "#;
+    std::fs::write(&file, text).unwrap();
+    let done = costate(&["homotopy".as_ref(), file.as_ref()]);
+    assert_eq!(done.status.code(), Some(2));
+    // One state, no [shoot_out]: points are solved all the same. V = (1 + sqrt 2) x^2 / 2.
+    let points = folder.join("points.csv");
+    std::fs::write(&points, "x\n0.5\n-2\n0\n0.5\n").unwrap();
+    let out = folder.join("out.h5");
+    let done = costate(&[
+        "solve".as_ref(),
+        file.as_ref(),
+        "--points".as_ref(),
+        points.as_ref(),
+        "--json".as_ref(),
+        "--out".as_ref(),
+        out.as_ref(),
+    ]);
+    let text = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert_eq!(done.status.code(), Some(0), "{text}");
+    let summary: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert_eq!(summary["homotopy"]["status"]["converged"], 4, "{summary}");
+    assert_eq!(summary["homotopy"]["distinct"], 3);
+    let file = rust_hdf5::H5File::open(&out).unwrap();
+    let v: Vec<f64> = file.dataset("points/V").unwrap().read_raw::<f64>().unwrap();
+    for (v, x) in v.iter().zip([0.5f64, -2.0, 0.0, 0.5]) {
+        let exact = 0.5 * (1.0 + 2f64.sqrt()) * x * x;
+        assert!((v - exact).abs() <= 1e-9 * exact, "{v} not {exact}");
+    }
+}
+
+/// The groups of a whole run, as xarray's engines see them.
+#[test]
+fn result_groups_open_in_xarray() {
+    let folder = folder("groups");
+    let out = folder.join("out.h5");
+    let text = std::fs::read_to_string(scenario("pendulum.toml")).unwrap();
+    let small = text
+        .replace("[-5.0, 3.5, 171]", "[-5.0, 3.5, 35]")
+        .replace("{ theta = 64, omega = 64 }", "{ theta = 15, omega = 13 }");
+    assert_ne!(small, text);
+    let file = folder.join("scene.toml");
+    std::fs::write(&file, small).unwrap();
+    let done = costate(&["run".as_ref(), file.as_ref(), "--out".as_ref(), out.as_ref()]);
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let python = std::env::var_os("COSTATE_TEST_PYTHON").unwrap_or_else(|| "python3".into());
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/check_answers.py");
+    let checked = Command::new(python).arg(script).arg(&out).output().unwrap();
+    assert!(
+        checked.status.success(),
+        "{}{}",
+        String::from_utf8_lossy(&checked.stdout),
+        String::from_utf8_lossy(&checked.stderr)
+    );
+}
