@@ -20,8 +20,11 @@ use std::collections::{BTreeMap, HashMap};
 
 /// Shortest steps, as shares of the way: from a swept trajectory, from a neighbour, and where nothing else has worked.
 const FROM_SWEEP: f64 = 1.0 / 4.0;
+const SHORT: f64 = 1.0 / 256.0;
 const FROM_NEIGHBOUR: f64 = 1.0 / 32.0;
 const LAST_RESORT: f64 = 1.0 / 4096.0;
+/// Swept trajectories tried for a target that nothing else has led to.
+const ATTEMPTS: usize = 3;
 /// Swept points within this many spacings of a target show which sheets there are.
 const REACH: f64 = 2.0;
 /// Swept points that are looked at.
@@ -173,8 +176,12 @@ impl<'a> Survey<'a> {
             self.from_sweep(solver, archive, &index, part, wanted)?;
             progress("from the sweep", self.solved(), self.targets.len());
         }
+        // The hard ones together in short steps: many at once cost little more than one.
+        let open: Vec<usize> = (0..self.targets.len()).filter(|t| self.is_open(*t)).collect();
+        let errands = self.nearest_guesses(&solver.scheme.end, archive, &index, &open, 0, SHORT);
+        self.send(solver, errands)?;
         self.spread(solver, wanted, FROM_NEIGHBOUR, progress)?;
-        self.last_resort(solver, wanted, progress)?;
+        self.last_resort(solver, archive, &index, wanted, progress)?;
         if wanted.sheets {
             self.around_folds(solver, wanted, progress)?;
         }
@@ -310,6 +317,11 @@ impl<'a> Survey<'a> {
                 });
             }
         }
+    }
+
+    /// Whether a target still needs a solution.
+    fn is_open(&self, target: usize) -> bool {
+        self.at[target].is_empty() && !self.is_refused(target)
     }
 
     fn is_refused(&self, target: usize) -> bool {
@@ -498,7 +510,7 @@ impl<'a> Survey<'a> {
             near.into_iter()
                 .enumerate()
                 .filter(move |(k, (_, _, distance))| (*k == 0 && anyhow) || ((*k == 0 || all) && *distance <= reach))
-                .map(|(_, (winding, place, _))| self.errand(end, archive, target, winding, place))
+                .map(|(_, (winding, place, _))| self.errand(end, archive, target, winding, place, FROM_SWEEP))
                 .collect::<Vec<_>>()
         })
         .collect()
@@ -511,13 +523,14 @@ impl<'a> Survey<'a> {
         target: usize,
         winding: usize,
         place: super::archive::Place,
+        least: f64,
     ) -> Errand {
         let path = archive.path(place, end, archive.value(place), self.duration);
         Errand {
             from: None,
             target,
             winding,
-            way: Approach::new(path, self.state(target, winding), FROM_SWEEP),
+            way: Approach::new(path, self.state(target, winding), least),
         }
     }
 
@@ -547,7 +560,7 @@ impl<'a> Survey<'a> {
                         let node = archive.node(*place);
                         *distance <= reach && known.iter().all(|e| is_elsewhere(e, &node, &self.scales))
                     })?;
-                    Some(self.errand(end, archive, target, winding, place))
+                    Some(self.errand(end, archive, target, winding, place, FROM_SWEEP))
                 })
             })
             .collect()
@@ -664,17 +677,32 @@ impl<'a> Survey<'a> {
         }
     }
 
-    /// Targets still without a solution, in the shortest steps.
-    fn last_resort(&mut self, solver: &mut Solver, wanted: Wanted, progress: Progress<'_>) -> Result<(), BackendError> {
-        let open = |this: &Self| (0..this.targets.len()).any(|t| this.at[t].is_empty() && !this.is_refused(t));
-        if !open(self) {
-            return Ok(());
-        }
+    /// Targets still without a solution, in the shortest steps: from neighbours, from the swept points nearest to them,
+    /// and from what that has given.
+    fn last_resort(
+        &mut self,
+        solver: &mut Solver,
+        archive: &Archive,
+        index: &Index,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
         let only = Wanted {
             sheets: false,
             ..wanted
         };
-        self.spread(solver, only, LAST_RESORT, progress)?;
+        for attempt in 0..=ATTEMPTS {
+            let open: Vec<usize> = (0..self.targets.len()).filter(|t| self.is_open(*t)).collect();
+            if open.is_empty() {
+                return Ok(());
+            }
+            self.spread(solver, only, LAST_RESORT, progress)?;
+            if attempt < ATTEMPTS {
+                let errands = self.nearest_guesses(&solver.scheme.end, archive, index, &open, attempt, LAST_RESORT);
+                self.send(solver, errands)?;
+                progress("in short steps", self.solved(), self.targets.len());
+            }
+        }
         for target in 0..self.targets.len() {
             if self.at[target].is_empty() && self.misses[target].is_none() {
                 let limited = self.targets.limits[target] < f64::INFINITY;
@@ -687,6 +715,42 @@ impl<'a> Survey<'a> {
             }
         }
         Ok(())
+    }
+
+    /// For each target the swept trajectory that is the `attempt`-th nearest to it.
+    fn nearest_guesses(
+        &self,
+        end: &End,
+        archive: &Archive,
+        index: &Index,
+        targets: &[usize],
+        attempt: usize,
+        least: f64,
+    ) -> Vec<Errand> {
+        let open = targets
+            .par_iter()
+            .filter(|t| self.at[**t].is_empty() && self.targets.limits[**t] == f64::INFINITY);
+        open.filter_map(|&target| {
+            let mut near: Vec<(usize, _, f64)> = (0..self.windings.len())
+                .flat_map(|winding| {
+                    let place = self.scaled(&self.state(target, winding));
+                    let near = index.near(&place, f64::INFINITY, MOST_NEAR);
+                    near.into_iter()
+                        .map(move |(place, distance)| (winding, place, distance))
+                })
+                .collect();
+            near.sort_by(|a, b| a.2.total_cmp(&b.2));
+            let mut trajectories: Vec<usize> = Vec::new();
+            let (winding, place, _) = near.into_iter().find(|(_, place, _)| {
+                if trajectories.contains(&place.trajectory) {
+                    return false;
+                }
+                trajectories.push(place.trajectory);
+                trajectories.len() == attempt + 1
+            })?;
+            Some(self.errand(end, archive, target, winding, place, least))
+        })
+        .collect()
     }
 
     /// Follows sheets around the folds in which they end between neighbours, and what is found there on from there.
