@@ -418,3 +418,36 @@ fn gpu_drafts_end_as_f64_answers() {
         }
     }
 }
+
+/// The compressor's variants, at states with saturated arcs and without.
+#[test]
+fn compressor_variants() {
+    for set in [
+        ("v_max", "0.2"),
+        ("v_max", "10"),
+        ("c", "1"),
+        ("c", "5"),
+        ("Phi0", "1.1"),
+        ("Phi0", "1.3"),
+        ("Phi0", "1.4"),
+    ] {
+        let swept = Swept::new(scene("moore_greitzer", &[set]), 600);
+        let g = swept.model.reference()[3];
+        let axes = vec![vec![1.1, 1.3], vec![1.7, 2.0], vec![0.0, 0.08], vec![g]];
+        let answers = swept.grid(axes);
+        assert_eq!(answers.solved(), 8, "{set:?}");
+        assert_eq!(answers.sheets, 1, "{set:?}");
+        for entry in &answers.entries {
+            let cost = swept
+                .plan
+                .system
+                .eval(&[swept.plan.system.rate[8]], entry.path.start(), &entry.p)[0];
+            // Ten times the tolerance, as a share of the terms of H, which cancel: L is one of them.
+            assert!(
+                entry.hamiltonian.abs() <= 1e-7 * cost,
+                "{set:?}: H = {:e}, L = {cost:e}",
+                entry.hamiltonian
+            );
+        }
+    }
+}

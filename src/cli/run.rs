@@ -30,10 +30,6 @@ impl Parts<'_> {
     }
 }
 
-/// Seeds of a sweep for first guesses: at least so many, and so many a target.
-const GUESS_SEEDS: usize = 1024;
-const GUESS_SEEDS_A_TARGET: usize = 4;
-
 pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
     let (model, hamiltonian) = load(&args.scene)?;
@@ -43,8 +39,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         precision: args.precision.and_then(|p| p.precision()),
         rtol: args.rtol,
         inner_levels: wanted.is_some(),
-        max_seeds: (wanted.as_ref().filter(|_| !parts.sweeps()))
-            .map(|w| GUESS_SEEDS.max(GUESS_SEEDS_A_TARGET.saturating_mul(w.count()))),
+        max_seeds: (wanted.as_ref().filter(|_| !parts.sweeps())).map(|w| value::guess_seeds(w.states, w.count())),
         unasked: wanted.is_some(),
     };
     let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), choices).map_err(|e| match e {

@@ -144,6 +144,20 @@ fn spaced(first: f64, last: f64, count: usize) -> Vec<f64> {
         .collect()
 }
 
+/// Seeds of a sweep that is made for first guesses alone. In many dimensions every further seed multiplies simplices, and
+/// continuation has to bridge the gaps anyway.
+pub fn guess_seeds(states: usize, targets: usize) -> usize {
+    const LEAST: usize = 1024;
+    const A_TARGET: usize = 4;
+    const MANY_STATES: usize = 7;
+    const FEW: usize = 128;
+    if states >= MANY_STATES {
+        FEW
+    } else {
+        LEAST.max(A_TARGET.saturating_mul(targets))
+    }
+}
+
 /// A solver for a plan: in f64 on the CPU lanes, after drafts on the backend where that is another one.
 ///
 /// # Errors

@@ -648,7 +648,8 @@ impl<'a> Survey<'a> {
                 .sum();
             return extremal.value() + change.min(0.0) <= self.targets.limits[to];
         }
-        wanted.sheets && extremal.value() <= wanted.value_max
+        // The cheapest are joined to each other however much they cost, so that their labels agree.
+        wanted.sheets && (extremal.value() <= wanted.value_max || self.lowest(extremal.target) == Some(e))
     }
 
     /// Whether an extremal fits one at a neighbouring target, and joins them.
