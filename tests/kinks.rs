@@ -160,7 +160,7 @@ fn backends_agree_at_kinks() {
             let tolerance = Tolerance {
                 relative: 10.0 * rtol(precision),
                 absolute: 10.0 * rtol(precision),
-                steps: |steps| 2 + 6 * 3 + steps / 8,
+                steps: |steps| 2 + 6 * 3 + steps / 4,
                 loose: &[],
             };
             let agreement = compare(a, b, tolerance).unwrap_or_else(|e| panic!("{method:?} {precision:?}: {e}"));

@@ -50,6 +50,11 @@ fn bad_points_are_refused_with_their_place() {
         ("twice", "theta,theta\n1,2\n", vec!["line 1", "twice"]),
         ("number", "theta,omega\n1,2\n3,x\n", vec!["line 3", "`omega`", "`x`"]),
         ("infinite", "theta\ninf\n", vec!["line 2", "not a finite number"]),
+        (
+            "lines",
+            "theta,omega\r\n1,2\r\n\r\n# no\r\n3,x\r\n",
+            vec!["line 5", "`omega`"],
+        ),
         ("ragged", "theta,omega\n1\n", vec!["line 2"]),
         ("empty", "theta,omega\n", vec!["no points"]),
         ("nothing", "", vec!["header"]),

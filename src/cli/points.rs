@@ -46,7 +46,8 @@ pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> 
         .from_path(path)
         .map_err(|source| PointsError::Read { path: at(), source })?;
     let names: Vec<&str> = model.states.iter().map(|s| s.variable.name.as_str()).collect();
-    let malformed = |source: csv::Error| match source.position().map(csv::Position::line) {
+    let whole = std::fs::read_to_string(path).unwrap_or_default();
+    let malformed = |source: csv::Error| match source.position().map(|p| line_of(&whole, p.byte())) {
         Some(line) => PointsError::Malformed {
             path: path.to_owned(),
             line,
@@ -93,7 +94,7 @@ pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> 
                 .filter(|v: &f64| v.is_finite())
                 .ok_or_else(|| PointsError::NotANumber {
                     path: at(),
-                    line: record.position().map_or(0, csv::Position::line),
+                    line: record.position().map_or(0, |p| line_of(&whole, p.byte())),
                     name: names[state].to_owned(),
                     text: text.to_owned(),
                 })?;
@@ -104,4 +105,17 @@ pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> 
         return Err(PointsError::Empty { path: at() });
     }
     Ok(points)
+}
+
+/// Line (from 1) of the record that a reader began to look for at a byte: blank lines and comments before it are not it.
+fn line_of(text: &str, byte: u64) -> u64 {
+    let mut at = (byte as usize).min(text.len());
+    while !text.is_char_boundary(at) {
+        at -= 1;
+    }
+    let before = text[..at].matches('\n').count();
+    let skipped = (text[at..].split('\n'))
+        .take_while(|line| line.trim().is_empty() || line.trim_start().starts_with('#'))
+        .count();
+    (before + skipped + 1) as u64
 }

@@ -107,6 +107,8 @@ impl Terminal {
 /// What a run has done.
 pub(super) struct Done<'a> {
     pub plan: &'a Plan,
+    /// Names of the states.
+    pub names: &'a [String],
     pub swept: &'a SweepReport,
     /// Whether the sweep is a result; else it gave first guesses.
     pub stored: bool,
@@ -202,6 +204,10 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
     if !answers.folds.is_empty() {
         lines.push(format!("folds: {} points", answers.folds.len()));
     }
+    lines.extend(missed(done, answers));
+    if answers.entries.is_empty() {
+        return lines;
+    }
     let residual = answers.entries.iter().map(|e| e.residual).fold(0.0, f64::max);
     let what = if done.plan.system.terminal.is_some() {
         None
@@ -225,6 +231,34 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         answers.targets.len() as f64 / answers.seconds.max(1e-9),
         answers.evaluations as f64 / answers.targets.len().max(1) as f64,
     ));
+    lines
+}
+
+/// The first few states that were not solved, with the reason and how far a continuation came.
+fn missed(done: &Done<'_>, answers: &Answers) -> Vec<String> {
+    const SHOWN: usize = 5;
+    let show = |x: &[f64]| {
+        let parts: Vec<String> = (done.names.iter().zip(x))
+            .map(|(name, x)| format!("{name} = {x:.6}"))
+            .collect();
+        parts.join(", ")
+    };
+    let open = |t: &usize| !matches!(answers.status(*t), PointStatus::Converged | PointStatus::AboveMax);
+    let missed: Vec<usize> = (0..answers.targets.len()).filter(open).collect();
+    let mut lines: Vec<String> = (missed.iter().take(SHOWN))
+        .map(|&t| {
+            let reason = answers.status(t).name().replace('_', " ");
+            let furthest = answers.misses[t].as_ref().and_then(|m| m.furthest.as_ref());
+            let furthest = furthest.map_or_else(String::new, |x| format!("; furthest {}", show(x)));
+            format!("  {reason}: {}{furthest}", show(answers.targets.state(t)))
+        })
+        .collect();
+    if missed.len() > SHOWN {
+        lines.push(format!(
+            "  and {} more: see status and furthest in the file",
+            missed.len() - SHOWN
+        ));
+    }
     lines
 }
 

@@ -119,8 +119,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     };
     record.write(&file)?;
     let path = file.finish()?;
+    let names: Vec<String> = model.states.iter().map(|s| s.variable.name.clone()).collect();
     let done = report::Done {
         plan: &plan,
+        names: &names,
         swept: &swept,
         stored,
         answers: answers.as_ref(),

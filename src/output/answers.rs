@@ -265,10 +265,13 @@ impl ResultFile {
         let mut columns = Columns::default();
         for k in 0..grid.len() {
             let target = answers.targets.of_given[first + k];
-            let entry = answers
-                .lowest(target)
-                .filter(|e| value_max.is_none_or(|most| e.value <= most));
-            columns.push(&names, entry, answers.status(target));
+            let lowest = answers.lowest(target);
+            let entry = lowest.filter(|e| value_max.is_none_or(|most| e.value <= most));
+            let status = match (lowest, entry) {
+                (Some(_), None) => PointStatus::AboveMax,
+                _ => answers.status(target),
+            };
+            columns.push(&names, entry, status);
         }
         let mut writer = self.group(&group)?;
         writer.write("V", &columns.value)?;

@@ -96,6 +96,17 @@ impl End {
         local.value_within(END_SHARE * value, f64::INFINITY)
     }
 
+    /// V and p of the linearization at a deviation, where there is an equilibrium: a guess anywhere, an answer nowhere.
+    pub fn linear(&self, s: &[f64]) -> Option<(f64, Vec<f64>)> {
+        match self {
+            End::Manifold(local) => {
+                let p = &local.riccati.p * nalgebra::DVector::from_column_slice(s);
+                Some((local.quadratic(s), p.iter().copied().collect()))
+            }
+            End::Terminal { .. } => None,
+        }
+    }
+
     /// Nodes `(s, p)` and durations that follow `s` on the local manifold until the end is deep enough for a
     /// trajectory of cost `value`; nothing where it is already, or on a finite horizon.
     pub fn tail(&self, s: &[f64], value: f64, duration: f64) -> (Vec<f64>, Vec<f64>) {

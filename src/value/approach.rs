@@ -3,6 +3,8 @@
 use crate::backend::BackendError;
 use crate::shooting::{Factors, Failure, Goal, Job, Path, Solved, Solver};
 
+/// Steps that a way may take for each halving of the shortest one.
+const TRIES: f64 = 10.0;
 /// Lengths of steps tried at once, each this much shorter than the one before.
 const LENGTHS: i32 = 3;
 const RATIO: f64 = 0.35;
@@ -22,6 +24,9 @@ pub struct Approach {
     least: f64,
     failure: Option<Failure>,
     evaluations: u32,
+    /// Steps tried so far, and the most.
+    tries: u32,
+    most: u32,
 }
 
 /// A target that was not reached.
@@ -47,6 +52,8 @@ impl Approach {
             least,
             failure: None,
             evaluations: 0,
+            tries: 0,
+            most: (TRIES * least.recip().log2()).ceil() as u32,
         }
     }
 
@@ -102,6 +109,7 @@ impl Approach {
         self.evaluations += tried.iter().map(|(job, _)| job.iterations).sum::<u32>();
         let last = tried.last().and_then(|(job, _)| job.failure());
         let count = tried.len() as i32;
+        self.tries += 1;
         match tried.into_iter().find(|(job, _)| job.solved().is_some()) {
             Some((job, share)) => {
                 let step = share - self.at.unwrap_or(0.0);
@@ -120,6 +128,9 @@ impl Approach {
                     self.failure = last.or(Some(Failure::Diverged));
                 }
             }
+        }
+        if self.tries >= self.most && self.at != Some(1.0) && self.failure.is_none() {
+            self.failure = last.or(Some(Failure::Iterations));
         }
         // Each step has its own budget.
         self.job.iterations = 0;

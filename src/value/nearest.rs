@@ -44,13 +44,16 @@ impl<const N: usize> Nearest for Tree<N> {
             let distance = square.sqrt();
             // Equal distances come in any order: one more than asked for settles who is among the last.
             let full = found.len() >= most && found.last().is_some_and(|(_, d)| distance > *d);
-            if full || (!found.is_empty() && distance > within) {
+            let outside = distance > within && found.last().is_some_and(|(_, d)| distance > *d);
+            if full || outside {
                 break;
             }
             found.push((entry.index, distance));
         }
         found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
         found.truncate(most);
+        let inside = found.iter().filter(|(_, distance)| *distance <= within).count();
+        found.truncate(inside.max(1));
         found
     }
 }

@@ -95,9 +95,10 @@ impl Answers {
     }
 
     pub fn status(&self, target: usize) -> PointStatus {
-        match &self.misses[target] {
-            Some(miss) => miss.status,
-            None => PointStatus::Converged,
+        match (&self.misses[target], self.of(target).first()) {
+            (_, Some(lowest)) if lowest.value > self.targets.limits[target] => PointStatus::AboveMax,
+            (Some(miss), _) => miss.status,
+            (None, _) => PointStatus::Converged,
         }
     }
 
@@ -207,6 +208,9 @@ pub fn solve(
     let value_max = (request.value_max)
         .or(model.sheets.value_max)
         .unwrap_or(BEYOND * plan.shoot_out.value_max.unwrap_or(f64::INFINITY));
+    // Where no state of interest costs more, nor need the sheets over it.
+    let interest = targets.limits.iter().copied().fold(0.0, f64::max);
+    let value_max = value_max.min(BEYOND * interest);
     let wanted = Wanted {
         value_max,
         sheets: !request.one_sheet,

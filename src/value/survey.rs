@@ -32,6 +32,8 @@ const MOST_NEAR: usize = 48;
 /// Sheets over one target, and windings, that are looked for.
 const MOST_SHEETS: usize = 8;
 const MOST_WINDINGS: i32 = 16;
+/// Ways in the shortest steps that are tried to one target.
+const MOST_WAYS: usize = 4;
 /// Targets looked at together.
 const COHORT: usize = 4096;
 
@@ -577,12 +579,17 @@ impl<'a> Survey<'a> {
         let neighbours = self.targets.neighbours();
         // Ways that failed, by group, target and winding, with the extremals they came from.
         let mut failed: HashMap<(usize, usize), ()> = HashMap::new();
+        let mut ways_to: HashMap<usize, usize> = HashMap::new();
         loop {
             let mut errands: BTreeMap<(usize, usize), (f64, Errand)> = BTreeMap::new();
             for e in 0..self.extremals.len() {
                 let (target, winding) = (self.extremals[e].target, self.extremals[e].winding);
                 for &to in &neighbours[target] {
                     if self.is_refused(to) || failed.contains_key(&(e, to)) {
+                        continue;
+                    }
+                    let tried = ways_to.get(&to).copied().unwrap_or(0);
+                    if least == LAST_RESORT && (tried >= MOST_WAYS || self.targets.limits[to] < f64::INFINITY) {
                         continue;
                     }
                     if self.joins(e, to) {
@@ -630,6 +637,7 @@ impl<'a> Survey<'a> {
             for (way, found) in asked.into_iter().zip(found) {
                 // A way is gone once: where it led nowhere or to what was known, nothing is left to do.
                 failed.insert(way, ());
+                *ways_to.entry(way.1).or_insert(0) += 1;
                 if let Some(index) = found {
                     self.groups.join(way.0, index);
                 }
@@ -698,6 +706,10 @@ impl<'a> Survey<'a> {
                 return Ok(());
             }
             self.spread(solver, only, LAST_RESORT, progress)?;
+            if attempt == 0 {
+                let errands = self.linear_guesses(&solver.scheme.end, &open, LAST_RESORT);
+                self.send(solver, errands)?;
+            }
             if attempt < ATTEMPTS {
                 let errands = self.nearest_guesses(&solver.scheme.end, archive, index, &open, attempt, LAST_RESORT);
                 self.send(solver, errands)?;
@@ -716,6 +728,33 @@ impl<'a> Survey<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Guesses that follow the linear closed loop, from a state on the way to the target near which it holds.
+    fn linear_guesses(&self, end: &End, targets: &[usize], least: f64) -> Vec<Errand> {
+        let open = targets
+            .iter()
+            .filter(|t| self.is_open(**t) && self.targets.limits[**t] == f64::INFINITY);
+        open.filter_map(|&target| {
+            let goal = self.state(target, 0);
+            let (value, _) = end.linear(&goal)?;
+            let near = self.plan.local.as_ref().map_or(0.0, |l| l.seed_value);
+            let share = (near / value).sqrt().min(1.0);
+            let s: Vec<f64> = goal.iter().map(|g| share * g).collect();
+            let (value, p) = end.linear(&s)?;
+            let mut path = Path::new(&[s.as_slice(), &p].concat());
+            let (nodes, durations) = end.tail(&s, value, self.duration);
+            for (node, duration) in nodes.chunks(2 * s.len()).zip(durations) {
+                path.push(duration, node);
+            }
+            Some(Errand {
+                from: None,
+                target,
+                winding: 0,
+                way: Approach::new(path, goal, least),
+            })
+        })
+        .collect()
     }
 
     /// For each target the swept trajectory that is the `attempt`-th nearest to it.
