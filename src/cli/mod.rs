@@ -179,6 +179,10 @@ enum CliError {
         "the scenario has neither [homotopy] nor [map]: no states to solve for (or use `costate solve --points FILE.csv`)"
     )]
     NoTargets,
+    #[error(
+        "a state named `{name}` cannot be an axis of [map], which has a variable of that name: rename the state, or remove [map]"
+    )]
+    MapName { name: String },
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]
@@ -190,7 +194,7 @@ impl CliError {
     fn status(&self) -> u8 {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
-            CliError::Points(_) | CliError::NoTargets => 2,
+            CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } => 2,
             _ => 1,
         }
     }

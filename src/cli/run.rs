@@ -188,6 +188,14 @@ fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliEr
         Parts::All | Parts::Homotopy => {
             let homotopy = model.homotopy.as_ref().map(Grid::homotopy);
             let map = model.map.as_ref().map(|m| Grid::map(m, model));
+            // Each state is an axis of the map, under its own name.
+            const TAKEN: [&str; 7] = ["V", "p", "u", "sheet", "status", "state", "control"];
+            let clash = model.states.iter().find(|s| TAKEN.contains(&s.variable.name.as_str()));
+            if let (Some(state), true) = (clash, map.is_some()) {
+                return Err(CliError::MapName {
+                    name: state.variable.name.clone(),
+                });
+            }
             if homotopy.is_none() && map.is_none() {
                 return match parts {
                     Parts::Homotopy => Err(CliError::NoTargets),

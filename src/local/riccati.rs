@@ -75,7 +75,7 @@ impl Riccati {
         let closed = &linear.a + &linear.g * &scaled;
         let p = DMatrix::from_fn(n, n, |i, j| scaled[(i, j)] / (widths[i] * widths[j]));
         let closed_loop = DMatrix::from_fn(n, n, |i, j| closed[(i, j)] * widths[i] / widths[j]);
-        let mut eigenvalues: Vec<_> = closed.complex_eigenvalues().iter().copied().collect();
+        let mut eigenvalues: Vec<_> = eigenvalues_of(&closed);
         eigenvalues.sort_by(|a, b| {
             (a.re, a.im)
                 .partial_cmp(&(b.re, b.im))
@@ -131,7 +131,7 @@ fn check_stabilizable(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Result<(), LocalErr
         let factor = scale / column.norm();
         column *= factor;
     }
-    for lambda in a.complex_eigenvalues().iter() {
+    for lambda in &eigenvalues_of(a) {
         if lambda.re < -ON_AXIS * scale {
             continue;
         }
@@ -179,8 +179,7 @@ fn check_imaginary_axis(l: &Linear, game: bool) -> Result<(), LocalError> {
     let (l, _) = balanced(l);
     let m = hamiltonian_matrix(&l);
     let scale = m.norm().max(f64::MIN_POSITIVE);
-    let nearest = m
-        .complex_eigenvalues()
+    let nearest = eigenvalues_of(&m)
         .iter()
         .copied()
         .min_by(|x, y| x.re.abs().total_cmp(&y.re.abs()));
@@ -294,4 +293,19 @@ fn check_positive(scaled: &DMatrix<f64>, model: &Model) -> Result<(), LocalError
         });
     }
     Ok(())
+}
+
+/// Eigenvalues of a matrix. The QR iteration may stand still on a defective one (a chain of integrators); a change of some
+/// roundings moves it on.
+fn eigenvalues_of(matrix: &DMatrix<f64>) -> Vec<Complex<f64>> {
+    const ITERATIONS: usize = 10_000;
+    let size = matrix.amax().max(f64::MIN_POSITIVE);
+    for change in [0.0, 1e-15, 1e-14, 1e-13, 1e-12] {
+        let noise = |i: usize, j: usize| change * size * ((i * 7 + j * 13 + 1) as f64).sin();
+        let moved = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| matrix[(i, j)] + noise(i, j));
+        if let Some(schur) = nalgebra::Schur::try_new(moved, f64::EPSILON, ITERATIONS) {
+            return schur.complex_eigenvalues().iter().copied().collect();
+        }
+    }
+    vec![Complex::new(f64::NAN, f64::NAN); matrix.nrows()]
 }

@@ -151,6 +151,30 @@ impl Solver {
         self.split(jobs, &long)
     }
 
+    /// States and adjoints `[point][2n]` between the nodes of some paths, `pieces - 1` of them in each segment.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn between_nodes(&mut self, paths: &[&Path], pieces: usize) -> Result<Vec<Vec<f64>>, BackendError> {
+        let parts: Vec<Path> = (paths.iter())
+            .map(|path| {
+                let mut part = Path {
+                    width: path.width,
+                    ..Path::default()
+                };
+                for (k, duration) in path.durations.iter().enumerate() {
+                    for q in 1..pieces {
+                        part.push(duration * q as f64 / pieces as f64, path.node(k));
+                    }
+                }
+                part.nodes.extend_from_slice(path.last());
+                part
+            })
+            .collect();
+        let all: Vec<(&Path, bool)> = parts.iter().map(|p| (p, false)).collect();
+        Ok(self.integrate(&all, false)?.into_iter().map(|done| done.ends).collect())
+    }
+
     /// Ends `[segment][2n]` and costs of a path's segments.
     ///
     /// # Errors

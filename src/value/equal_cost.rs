@@ -1,7 +1,7 @@
 //! The equal-cost boundary: where two sheets cost the same and the optimal feedback jumps.
 
 use super::approach::{Approach, follow};
-use super::extremal::Extremal;
+use super::extremal::{Extremal, same};
 use super::survey::{Survey, Wanted};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
@@ -54,6 +54,19 @@ impl Survey<'_> {
     /// # Errors
     /// Device failures only.
     pub fn equal_cost(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<Vec<BoundaryPoint>, BackendError> {
+        let (mut points, joined) = self.crossings(solver, wanted)?;
+        if joined {
+            // Sheets that were one after all have one label now.
+            self.label();
+            points = self.crossings(solver, wanted)?.0;
+        }
+        self.lines(&mut points);
+        Ok(points)
+    }
+
+    /// The points where sheets cross; and whether two turned out to be the same, which are joined.
+    fn crossings(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(Vec<BoundaryPoint>, bool), BackendError> {
+        let mut joined = false;
         let mut pairs = self.pairs(wanted);
         for _ in 0..MOST_ROUNDS {
             let active: Vec<usize> = (0..pairs.len())
@@ -77,12 +90,18 @@ impl Survey<'_> {
                     pairs[k].lost = true;
                     continue;
                 };
-                self.refine(&mut pairs[k], a, b);
+                let [i, j] = pairs[k].extremals;
+                let alike = self.extremals[i].winding == self.extremals[j].winding
+                    && same(a.0.path.adjoint(), b.0.path.adjoint(), &self.scales);
+                if alike {
+                    joined |= self.groups.join(i, j);
+                    pairs[k].lost = true;
+                } else {
+                    self.refine(&mut pairs[k], a, b);
+                }
             }
         }
-        let mut points: Vec<BoundaryPoint> = pairs.into_iter().filter_map(|p| p.done).collect();
-        self.lines(&mut points);
-        Ok(points)
+        Ok((pairs.into_iter().filter_map(|p| p.done).collect(), joined))
     }
 
     /// The state at a pair's place on its edge, as a deviation with the winding of one side.
@@ -99,6 +118,7 @@ impl Survey<'_> {
                 continue;
             };
             if self.sheet[i] == self.sheet[j]
+                || (0..self.targets.states).any(|k| self.base(a, k) != self.base(b, k))
                 || self.extremals[i].value().min(self.extremals[j].value()) > wanted.value_max
             {
                 continue;

@@ -22,6 +22,8 @@ const BEYOND: f64 = 2.0;
 /// Variation components that a lane of the CPU and an invocation of a GPU carry.
 const CPU_VARIATIONS: usize = 64;
 const GPU_VARIATIONS: usize = 16;
+/// Fold points nearer than this, in scaled units, are one.
+const SAME_FOLD: f64 = 1e-5;
 /// Newton's tolerance on a device in single precision, and the one of its segments.
 const DRAFT_TOLERANCE: f64 = 1e-4;
 const DRAFT_RTOL: f64 = 1e-5;
@@ -239,7 +241,18 @@ pub fn solve(
         })
         .collect();
     let reference = &plan.system.reference;
-    let folds = (survey.folds.iter())
+    let mut folds: Vec<&Fold> = Vec::new();
+    for fold in &survey.folds {
+        // The same point is met from both of its neighbours, and by each of the two sheets.
+        let near =
+            |a: &[f64], b: &[f64], scales: &[f64]| (0..a.len()).all(|i| (a[i] - b[i]).abs() <= SAME_FOLD * scales[i]);
+        let n = fold.s.len();
+        let known = |f: &&Fold| near(&f.s, &fold.s, &survey.scales[..n]) && near(&f.p, &fold.p, &survey.scales[n..]);
+        if !folds.iter().any(known) {
+            folds.push(fold);
+        }
+    }
+    let folds = (folds.into_iter())
         .map(|f| Fold {
             s: f.s.iter().zip(reference).map(|(s, x)| s + x).collect(),
             ..f.clone()
@@ -274,7 +287,9 @@ fn entry(plan: &Plan, survey: &Survey<'_>, index: usize) -> Entry {
     Entry {
         target: extremal.target,
         sheet: survey.sheet[index],
-        winding: survey.windings[extremal.winding].clone(),
+        winding: (survey.windings[extremal.winding].iter().enumerate())
+            .map(|(i, k)| k + survey.base(extremal.target, i))
+            .collect(),
         value: extremal.value(),
         p: p.to_vec(),
         u: values[..m].to_vec(),

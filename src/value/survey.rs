@@ -34,6 +34,12 @@ const MOST_SHEETS: usize = 8;
 const MOST_WINDINGS: i32 = 16;
 /// Ways in the shortest steps that are tried to one target.
 const MOST_WAYS: usize = 4;
+/// Times that what was found behind folds is followed to further folds.
+const FOLD_ROUNDS: usize = 3;
+/// Parts of a segment at whose ends guards are looked at.
+const GUARD_PIECES: usize = 8;
+/// Windings tried for a target that no swept point is near to.
+const FAR_WINDINGS: usize = 3;
 /// Targets looked at together.
 const COHORT: usize = 4096;
 
@@ -210,10 +216,27 @@ impl<'a> Survey<'a> {
         let (x, reference) = (self.targets.state(target), &self.plan.system.reference);
         (0..x.len())
             .map(|i| {
-                let turns = f64::from(self.windings[winding][i]) * self.plan.periods[i].unwrap_or(0.0);
+                let turns =
+                    f64::from(self.windings[winding][i] + self.base(target, i)) * self.plan.periods[i].unwrap_or(0.0);
                 x[i] - reference[i] + turns
             })
             .collect()
+    }
+
+    /// Periods that bring a target far outside the region back near it: windings count from there.
+    pub fn base(&self, target: usize, i: usize) -> i32 {
+        let Some(period) = self.plan.periods[i] else { return 0 };
+        let s = self.targets.state(target)[i] - self.plan.system.reference[i];
+        let [lo, hi] = self.plan.region[i];
+        if s >= lo - period && s <= hi + period {
+            return 0;
+        }
+        (((0.5 * (lo + hi) - s) / period).round()).clamp(-1e9, 1e9) as i32
+    }
+
+    /// Whether windings of two targets count from the same place.
+    fn same_base(&self, a: usize, b: usize) -> bool {
+        (0..self.targets.states).all(|i| self.base(a, i) == self.base(b, i))
     }
 
     fn scaled(&self, s: &[f64]) -> Vec<f64> {
@@ -255,14 +278,19 @@ impl<'a> Survey<'a> {
         for i in 0..n {
             let mut turns = vec![0];
             if let Some(period) = self.plan.periods[i] {
-                let along = || self.targets.x.iter().skip(i).step_by(n);
-                let lo = along().fold(f64::INFINITY, |a, x| a.min(*x)) - self.plan.system.reference[i];
-                let hi = along().fold(f64::NEG_INFINITY, |a, x| a.max(*x)) - self.plan.system.reference[i];
+                let along = |t: usize| {
+                    let turns = f64::from(self.base(t, i)) * period;
+                    self.targets.state(t)[i] - self.plan.system.reference[i] + turns
+                };
+                let lo = (0..self.targets.len()).map(along).fold(f64::INFINITY, f64::min);
+                let hi = (0..self.targets.len()).map(along).fold(f64::NEG_INFINITY, f64::max);
                 let [least, most] = index.extent.get(i).copied().unwrap_or([0.0, 0.0]);
                 let width = self.plan.widths[i];
                 for k in (1..=MOST_WINDINGS).flat_map(|k| [-k, k]) {
                     let shift = f64::from(k) * period;
-                    if lo + shift <= most * width && hi + shift >= least * width {
+                    // A sheet goes on beyond where it was swept.
+                    let beyond = 0.5 * period;
+                    if lo + shift <= most * width + beyond && hi + shift >= least * width - beyond {
                         turns.push(k);
                     }
                 }
@@ -359,6 +387,17 @@ impl<'a> Survey<'a> {
             })
     }
 
+    /// Whether trajectories stay inside the guards, at their nodes and between them.
+    pub(super) fn valid(&self, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<bool>, BackendError> {
+        if self.guards.is_none() {
+            return Ok(vec![true; paths.len()]);
+        }
+        let between = solver.between_nodes(paths, GUARD_PIECES)?;
+        Ok((paths.iter().zip(between))
+            .map(|(path, between)| self.inside(&path.nodes) && self.inside(&between))
+            .collect())
+    }
+
     /// Adds an extremal unless it is known; its index, and whether it is new.
     pub(super) fn add(&mut self, extremal: Extremal) -> (usize, bool) {
         let known = self.at[extremal.target].iter().copied().find(|e| {
@@ -382,13 +421,17 @@ impl<'a> Survey<'a> {
             .map(|e| (e.way, (e.from, e.target, e.winding)))
             .unzip();
         follow(solver, &mut ways)?;
-        let mut found = Vec::with_capacity(ways.len());
-        for (way, (from, target, winding)) in ways.into_iter().zip(rest) {
-            let (evaluations, outcome) = way.finish();
+        let finished: Vec<_> = ways.into_iter().map(Approach::finish).collect();
+        let paths = finished
+            .iter()
+            .filter_map(|(_, outcome)| outcome.as_ref().ok().map(|(job, _)| &job.path));
+        let mut valid = self.valid(solver, &paths.collect::<Vec<_>>())?.into_iter();
+        let mut found = Vec::with_capacity(finished.len());
+        for ((evaluations, outcome), (from, target, winding)) in finished.into_iter().zip(rest) {
             self.evaluations += u64::from(evaluations);
             found.push(match outcome {
                 Ok((job, solved)) => {
-                    if self.inside(&job.path.nodes) {
+                    if valid.next() == Some(true) {
                         let (index, _) = self.add(Extremal {
                             target,
                             winding,
@@ -511,8 +554,15 @@ impl<'a> Survey<'a> {
             let anyhow = self.targets.limits[target] == f64::INFINITY;
             near.into_iter()
                 .enumerate()
-                .filter(move |(k, (_, _, distance))| (*k == 0 && anyhow) || ((*k == 0 || all) && *distance <= reach))
-                .map(|(_, (winding, place, _))| self.errand(end, archive, target, winding, place, FROM_SWEEP))
+                .filter(move |(k, (_, _, distance))| {
+                    let tried = *k == 0 || (all && *k < FAR_WINDINGS);
+                    (tried && anyhow) || ((*k == 0 || all) && *distance <= reach)
+                })
+                .map(|(_, (winding, place, distance))| {
+                    // Nothing near tells which sheets there are: each winding's is followed all the way.
+                    let least = if distance > reach && anyhow { SHORT } else { FROM_SWEEP };
+                    self.errand(end, archive, target, winding, place, least)
+                })
                 .collect::<Vec<_>>()
         })
         .collect()
@@ -585,7 +635,7 @@ impl<'a> Survey<'a> {
             for e in 0..self.extremals.len() {
                 let (target, winding) = (self.extremals[e].target, self.extremals[e].winding);
                 for &to in &neighbours[target] {
-                    if self.is_refused(to) || failed.contains_key(&(e, to)) {
+                    if self.is_refused(to) || failed.contains_key(&(e, to)) || !self.same_base(target, to) {
                         continue;
                     }
                     let tried = ways_to.get(&to).copied().unwrap_or(0);
@@ -655,6 +705,9 @@ impl<'a> Survey<'a> {
                 .map(|i| extremal.adjoint()[i] * (goal[i] - from[i]))
                 .sum();
             return extremal.value() + change.min(0.0) <= self.targets.limits[to];
+        }
+        if self.at[to].len() >= MOST_SHEETS {
+            return false;
         }
         // The cheapest are joined to each other however much they cost, so that their labels agree.
         wanted.sheets && (extremal.value() <= wanted.value_max || self.lowest(extremal.target) == Some(e))
@@ -801,7 +854,7 @@ impl<'a> Survey<'a> {
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let mut tried: HashMap<(usize, usize), ()> = HashMap::new();
-        for _ in 0..MOST_SHEETS {
+        for _ in 0..FOLD_ROUNDS {
             let neighbours = self.targets.neighbours();
             let mut ways = Vec::new();
             for e in 0..self.extremals.len() {
@@ -810,7 +863,11 @@ impl<'a> Survey<'a> {
                     continue;
                 }
                 for &to in &neighbours[from] {
-                    if !self.is_refused(to) && !tried.contains_key(&(e, to)) && !self.joins(e, to) {
+                    if !self.is_refused(to)
+                        && self.same_base(from, to)
+                        && !tried.contains_key(&(e, to))
+                        && !self.joins(e, to)
+                    {
                         tried.insert((e, to), ());
                         ways.push((e, to));
                     }
@@ -831,7 +888,7 @@ impl<'a> Survey<'a> {
                 let winding = self.extremals[e].winding;
                 for (target, end) in [(self.extremals[e].target, found.at_start), (to, found.at_end)] {
                     let Some((job, solved)) = end else { continue };
-                    if !self.inside(&job.path.nodes) || solved.value > wanted.value_max {
+                    if !self.valid(solver, &[&job.path])?[0] || solved.value > wanted.value_max {
                         continue;
                     }
                     let (index, _) = self.add(Extremal {
@@ -858,7 +915,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Numbers the sheets by their least V.
-    fn label(&mut self) {
+    pub(super) fn label(&mut self) {
         let mut least: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
         for e in 0..self.extremals.len() {
             let root = self.groups.root(e);
