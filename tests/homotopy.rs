@@ -362,7 +362,7 @@ fn single_shooting_fails_where_multiple_shooting_holds() {
         }
         if horizon >= 40.0 {
             assert!(
-                !(error < 1.0),
+                error >= 1.0 || error.is_nan(),
                 "forward integration cannot end at the equilibrium after T = {horizon}: {error:e}"
             );
         }

@@ -40,7 +40,7 @@ impl Equations {
         let n = system.states;
         let columns = (1..=2 * n)
             .rev()
-            .find(|c| (2 * n) % c == 0 && 2 * n * c <= most)
+            .find(|c| (2 * n).is_multiple_of(*c) && 2 * n * c <= most)
             .unwrap_or(1);
         let mut graph = system.graph.clone();
         let duration = graph.symbol("segment duration", Kind::Parameter);

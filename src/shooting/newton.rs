@@ -399,7 +399,8 @@ impl Scheme {
             job.stage = Stage::Done;
             return;
         }
-        if !(norm <= (1.0 - 0.5 * trial.damping) * trial.norm) {
+        let contracts = norm <= (1.0 - 0.5 * trial.damping) * trial.norm;
+        if !contracts {
             return self.damp(job, trial, Failure::Diverged);
         }
         if job.iterations > MOST_ROUNDS {

@@ -58,7 +58,7 @@ impl Archive {
         for i in 0..batch.count() {
             self.seen += 1;
             let wanted = !self.whole || batch.status[i] == Status::Reached;
-            if !wanted || (self.seen - 1) % self.every != 0 {
+            if !wanted || !(self.seen - 1).is_multiple_of(self.every) {
                 continue;
             }
             self.points.push(0.0);

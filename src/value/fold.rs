@@ -54,11 +54,11 @@ enum Stage {
     Walk,
     /// Looks for the fold between two points, by the advance from the first.
     Locate {
-        behind: Point,
+        behind: Box<Point>,
         /// Advances at which the tangent leads on and back, with its share along the line.
         on: (f64, f64),
         back: (f64, f64),
-        ahead: Point,
+        ahead: Box<Point>,
         left: usize,
     },
     /// Solves for the state at an end of the line.
@@ -230,10 +230,10 @@ impl Walker {
         let (before, after) = (self.now.tangent[0], next.tangent[0]);
         if before > 0.0 && after <= 0.0 || before < 0.0 && after >= 0.0 {
             self.stage = Stage::Locate {
-                behind: self.now.clone(),
+                behind: Box::new(self.now.clone()),
                 on: (0.0, before),
                 back: (self.advance, after),
-                ahead: next,
+                ahead: Box::new(next),
                 left: LOCATE_STEPS,
             };
             return;
@@ -262,10 +262,10 @@ impl Walker {
         &mut self,
         job: Job,
         scales: &[f64],
-        behind: Point,
+        behind: Box<Point>,
         mut on: (f64, f64),
         mut back: (f64, f64),
-        ahead: Point,
+        ahead: Box<Point>,
         left: usize,
     ) {
         let advance = between(on, back);
@@ -278,7 +278,7 @@ impl Walker {
                     p: point.job.path.adjoint().to_vec(),
                     value: solved.value,
                 });
-                return self.go_on(ahead);
+                return self.go_on(*ahead);
             }
             if (along > 0.0) == (on.1 > 0.0) {
                 on = (advance, along);
@@ -296,7 +296,7 @@ impl Walker {
                 return;
             }
         }
-        self.go_on(ahead);
+        self.go_on(*ahead);
     }
 }
 

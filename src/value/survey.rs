@@ -181,7 +181,7 @@ impl<'a> Survey<'a> {
         self.refuse_outside();
         let order: Vec<usize> = (0..self.targets.len()).collect();
         for part in order.chunks(COHORT) {
-            self.from_sweep(solver, archive, &index, part, wanted)?;
+            self.swept(solver, archive, &index, part, wanted)?;
             progress("from the sweep", self.solved(), self.targets.len());
         }
         // The hard ones together in short steps: many at once cost little more than one.
@@ -500,7 +500,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Solves targets from the swept points near them.
-    fn from_sweep(
+    fn swept(
         &mut self,
         solver: &mut Solver,
         archive: &Archive,
