@@ -451,3 +451,68 @@ fn compressor_variants() {
         }
     }
 }
+
+const OSCILLATOR: &str = r#"
+    states = { x = {}, v = {} }
+    controls = { u = {} }
+    dynamics = { x = "v", v = "-x + u" }
+    cost = { running = "0.5*(x^2 + v^2 + u^2)" }
+    equilibrium = { x = 0, v = 0, u = 0 }
+    region = { x = [-1, 1], v = [-1, 1] }
+    shoot_out = { value_max = 0.3, spacing = 0.1, samples = 20 }
+"#;
+
+/// The trajectory from (1, 0) dips to v = -0.6 between its nodes.
+#[test]
+fn a_guard_is_kept_between_nodes() {
+    let swept = Swept::new(
+        parse(&format!("{OSCILLATOR}\nguards = {{ wall = \"v > -0.3\" }}\n")),
+        400,
+    );
+    let answers = swept.points(&[1.0, 0.0, 0.2, 0.0]);
+    let status = |k: usize| answers.status(answers.targets.of_given[k]);
+    assert_eq!(
+        (status(0), status(1)),
+        (PointStatus::LeavesGuard, PointStatus::Converged)
+    );
+}
+
+/// Alone and far outside the sweep: V is quadratic there too.
+#[test]
+fn a_single_target_far_away_is_reached() {
+    let swept = Swept::new(parse(OSCILLATOR), 400);
+    let p = &swept.plan.local.as_ref().expect("infinite horizon").riccati.p;
+    for scale in [3.0, 40.0] {
+        let x = nalgebra::DVector::from_vec(vec![scale, -0.7 * scale]);
+        let answers = swept.points(x.as_slice());
+        let exact = 0.5 * (x.transpose() * p * &x)[0];
+        let entry = given(&answers, 0).expect("solved");
+        assert!(
+            (entry.value - exact).abs() <= PROMISED * exact,
+            "{} not {exact}",
+            entry.value
+        );
+    }
+}
+
+/// An angle is the same angle any number of turns away.
+#[test]
+fn many_turns_away() {
+    let swept = Swept::new(scene("pendulum_rest", &[]), 2000);
+    let turns = [-50.0, -3.0, 0.0, 1.0, 50.0];
+    let points: Vec<f64> = turns
+        .iter()
+        .flat_map(|k| [0.3 + k * std::f64::consts::TAU, 0.1])
+        .collect();
+    let answers = swept.points(&points);
+    let value = |k: usize| given(&answers, k).expect("solved").value;
+    for k in 0..turns.len() {
+        // 300 rad are known to 6e-14.
+        assert!(
+            (value(k) - value(2)).abs() <= PROMISED * value(2),
+            "{} turns: {}",
+            turns[k],
+            value(k)
+        );
+    }
+}

@@ -493,3 +493,29 @@ fn the_error_told_is_not_below_the_true_one() {
         );
     }
 }
+
+/// A chain of integrators: its matrix is defective, and the QR iteration on it as it is stands still.
+#[test]
+fn a_triple_integrator_is_solved() {
+    let model = costate::scenario::parse(
+        r#"
+        states = { a = {}, b = {}, c = {} }
+        controls = { u = {} }
+        dynamics = { a = "b", b = "c", c = "u" }
+        cost = { running = "0.5*(a^2 + u^2)" }
+        equilibrium = { a = 0, b = 0, c = 0, u = 0 }
+        region = { a = [-1, 1], b = [-1, 1], c = [-1, 1] }
+        "#,
+        "test.toml",
+        &[],
+    )
+    .unwrap_or_else(|e| panic!("{}", e.render(false)));
+    let hamiltonian = costate::hamiltonian::Hamiltonian::derive(&model).unwrap();
+    let riccati = costate::local::Riccati::solve(&hamiltonian, &model).unwrap();
+    // s^3 + 2 s^2 + 2 s + 1: -1 and -1/2 +- sqrt(3)/2 i.
+    let mut real: Vec<f64> = riccati.eigenvalues.iter().map(|e| e.re).collect();
+    real.sort_by(f64::total_cmp);
+    for (found, exact) in real.iter().zip([-1.0, -0.5, -0.5]) {
+        assert!((found - exact).abs() < 1e-9, "{real:?}");
+    }
+}
