@@ -116,17 +116,20 @@ impl Equations {
         if size > 0.0 { size } else { 1.0 }
     }
 
+    /// A slope `dp/ds` (row-major) in scaled units.
+    pub fn scaled_slope(&self, slope: &[f64]) -> Vec<f64> {
+        let n = self.states;
+        (0..n * n)
+            .map(|q| slope[q] * self.scales[q % n] / self.scales[n + q / n])
+            .collect()
+    }
+
     /// Groups of columns a segment.
     pub fn groups(&self) -> usize {
         2 * self.states / self.columns
     }
 
-    /// Operations of the longer program.
-    pub fn operations(&self) -> usize {
-        self.varied.operations()
-    }
-
-    fn spec(&self, rate: &Program, method: Method, precision: Precision, store: bool) -> Spec {
+    fn spec(&self, rate: &Program, method: Method, precision: Precision) -> Spec {
         Spec {
             rate: rate.clone(),
             guards: None,
@@ -134,24 +137,23 @@ impl Equations {
             method,
             precision,
             by: By::Time,
-            store,
+            store: false,
         }
     }
 
-    pub fn plain_spec(&self, method: Method, precision: Precision, store: bool) -> Spec {
-        self.spec(&self.plain, method, precision, store)
+    pub fn plain_spec(&self, method: Method, precision: Precision) -> Spec {
+        self.spec(&self.plain, method, precision)
     }
 
     pub fn varied_spec(&self, method: Method, precision: Precision) -> Spec {
-        self.spec(&self.varied, method, precision, false)
+        self.spec(&self.varied, method, precision)
     }
 
-    /// Settings of the plain segments' integration; `pieces` equal parts of each segment are levels.
-    pub fn plain_run(&self, rtol: f64, max_steps: u32, pieces: usize) -> Run {
+    /// Settings of the plain segments' integration.
+    pub fn plain_run(&self, rtol: f64, max_steps: u32) -> Run {
         let mut atol: Vec<f64> = self.scales.iter().map(|s| rtol * s).collect();
         atol.extend([UNCONTROLLED, UNCONTROLLED, rtol * self.value_scale]);
-        let levels = (1..=pieces).map(|k| k as f64 / pieces as f64).collect();
-        Self::run(rtol, atol, max_steps, levels)
+        Self::run(rtol, atol, max_steps)
     }
 
     /// Settings of the integration with variations: steps are controlled by z alone, so that all groups of columns of a
@@ -162,16 +164,16 @@ impl Equations {
         let rtol = rtol * (2.0 * self.states as f64 / width as f64).sqrt();
         let mut atol: Vec<f64> = self.scales.iter().map(|s| rtol * s).collect();
         atol.resize(width, UNCONTROLLED);
-        Self::run(rtol, atol, max_steps, vec![1.0])
+        Self::run(rtol, atol, max_steps)
     }
 
-    fn run(rtol: f64, atol: Vec<f64>, max_steps: u32, levels: Vec<f64>) -> Run {
+    fn run(rtol: f64, atol: Vec<f64>, max_steps: u32) -> Run {
         Run {
             rtol,
             atol,
             step: 0.0,
             max_steps,
-            levels,
+            levels: vec![1.0],
             ceiling: None,
             bounds: Vec::new(),
         }

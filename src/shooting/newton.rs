@@ -268,11 +268,10 @@ impl Scheme {
     /// Tries a step unless it leads far from where the equations were linearized: what is found there would be an
     /// accident.
     fn try_within(&self, job: &mut Job, steps: Vec<f64>, t: f64) {
-        let norm = steps.iter().fold(0.0f64, |a, x| a.max(x.abs()));
+        let norm = largest(&steps);
         let scales = &self.equations.scales;
         let shift = match &job.goal {
-            Goal::State(s) => (s.iter().zip(job.path.start()).zip(scales))
-                .fold(0.0f64, |a, ((g, s), scale)| a.max(((g - s) / scale).abs())),
+            Goal::State(s) => largest(&self.wanted(&job.path, s)),
             Goal::Line { advance, .. } => advance.abs(),
         };
         let most = MOST_STEP * job.path.size(scales).max(shift);
@@ -283,7 +282,7 @@ impl Scheme {
     }
 
     fn try_step(&self, job: &mut Job, steps: Vec<f64>, t: f64, damping: f64) {
-        let norm = steps.iter().fold(0.0f64, |a, x| a.max(x.abs()));
+        let norm = largest(&steps);
         job.stage = Stage::Try(Trial {
             path: job.path.moved(&steps, &self.equations.scales, damping),
             t,
@@ -364,7 +363,7 @@ impl Scheme {
         let Some((residual, steps, t)) = found else {
             return self.damp(job, trial, done.failure.unwrap_or(Failure::Singular));
         };
-        let norm = steps.iter().fold(0.0f64, |a, x| a.max(x.abs()));
+        let norm = largest(&steps);
         let size = trial.path.size(&self.equations.scales);
         if trial.damping == 1.0 && norm <= ROUGH * size && !job.rough && !job.fine {
             // The matrix is good enough for what is left to do to the full tolerance.
@@ -424,9 +423,7 @@ impl Scheme {
             job.fail(Failure::Horizon);
             return false;
         }
-        for (node, duration) in nodes.chunks(2 * n).zip(durations) {
-            job.path.push(duration, node);
-        }
+        job.path.append(&nodes, &durations);
         job.stage = Stage::Linearize;
         false
     }
@@ -461,9 +458,7 @@ impl Scheme {
         let at = self.end.at(&last[..n]);
         value += at.value;
         let end = (0..n).map(|i| (at.gradient[i] - last[n + i]) / scales[n + i]).collect();
-        let hessian = (0..n * n)
-            .map(|q| at.hessian[q] * scales[q % n] / scales[n + q / n])
-            .collect();
+        let hessian = self.equations.scaled_slope(&at.hessian);
         Residual {
             defects,
             end,
@@ -471,4 +466,8 @@ impl Scheme {
             value,
         }
     }
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values.iter().fold(0.0, |a, x| a.max(x.abs()))
 }

@@ -26,6 +26,12 @@ impl Path {
         self.nodes.extend_from_slice(node);
     }
 
+    /// Adds segments that end at nodes `[segment][2n]`.
+    pub fn append(&mut self, nodes: &[f64], durations: &[f64]) {
+        self.durations.extend_from_slice(durations);
+        self.nodes.extend_from_slice(nodes);
+    }
+
     pub fn segments(&self) -> usize {
         self.durations.len()
     }

@@ -51,9 +51,9 @@ impl Solver {
         let method = Method::Dop853;
         let equations = &scheme.equations;
         Ok(Self {
-            plain: backend.compile(&equations.plain_spec(method, precision, false))?,
+            plain: backend.compile(&equations.plain_spec(method, precision))?,
             varied: backend.compile(&equations.varied_spec(method, precision))?,
-            plain_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.plain_run(r, SEGMENT_STEPS, 1)),
+            plain_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.plain_run(r, SEGMENT_STEPS)),
             varied_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.varied_run(r, SEGMENT_STEPS)),
             eliminator: backend.eliminator(equations.states, precision)?,
             scheme,
@@ -375,7 +375,7 @@ impl Scheme {
                 let size = self.equations.size(path.node(k));
                 for group in 0..groups {
                     let Some(row) = rows.next() else { return seeds };
-                    for ((y, z), size) in row.iter_mut().zip(path.node(k)).zip(std::iter::repeat(size)) {
+                    for (y, z) in row.iter_mut().zip(path.node(k)) {
                         *y = z / size;
                     }
                     row[n2] = *duration;
@@ -420,8 +420,7 @@ impl Scheme {
         let segments = ends.len() / (groups * width);
         done.costs = vec![0.0; segments];
         done.phi = vec![0.0; segments * n2 * n2];
-        for (k, (rows, phi)) in (ends.chunks(groups * width).zip(done.phi.chunks_mut(n2 * n2))).enumerate() {
-            debug_assert!(k < segments);
+        for (rows, phi) in ends.chunks(groups * width).zip(done.phi.chunks_mut(n2 * n2)) {
             done.ends.extend(rows[..n2].iter().map(|y| y * rows[n2 + 1]));
             for group in 0..groups {
                 for c in 0..columns {

@@ -10,4 +10,4 @@ mod surface;
 pub use fronts::{Coverage, Progress, SweepReport, sweep, sweep_keeping};
 pub use observe::Observed;
 pub use plan::{Choices, Plan, PlanError, Sampling};
-pub use surface::Surface;
+pub use surface::{Surface, holds as guard_holds};

@@ -208,7 +208,8 @@ impl Surface {
     }
 }
 
-fn holds(value: f64, strict: bool) -> bool {
+/// Whether a guard with this value is kept.
+pub fn holds(value: f64, strict: bool) -> bool {
     if strict { value > 0.0 } else { value >= 0.0 }
 }
 

@@ -147,9 +147,7 @@ impl Archive {
         }
         let s = path.last()[..self.width / 2].to_vec();
         let (nodes, durations) = end.tail(&s, value, duration);
-        for (node, duration) in nodes.chunks(self.width).zip(durations) {
-            path.push(duration, node);
-        }
+        path.append(&nodes, &durations);
         path
     }
 }

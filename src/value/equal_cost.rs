@@ -1,7 +1,7 @@
 //! The equal-cost boundary: where two sheets cost the same and the optimal feedback jumps.
 
 use super::approach::{Approach, follow};
-use super::extremal::{Extremal, same};
+use super::extremal::same;
 use super::survey::{Survey, Wanted};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
@@ -236,12 +236,5 @@ impl Survey<'_> {
             }
             line += 1;
         }
-    }
-
-    /// An extremal on a sheet at a target.
-    pub fn on_sheet(&self, target: usize, sheet: i32) -> Option<&Extremal> {
-        (self.at[target].iter())
-            .find(|e| self.sheet[**e] == sheet)
-            .map(|e| &self.extremals[*e])
     }
 }

@@ -14,9 +14,9 @@ use crate::backend::BackendError;
 use crate::backend::cpu::map::Evaluator;
 use crate::program::Program;
 use crate::shooting::{End, Failure, Path, Solved, Solver};
-use crate::sweep::Plan;
+use crate::sweep::{Plan, guard_holds as holds};
 use rayon::prelude::*;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 /// Shortest steps, as shares of the way: from a swept trajectory, from a neighbour, and where nothing else has worked.
 const FROM_SWEEP: f64 = 1.0 / 4.0;
@@ -312,10 +312,7 @@ impl<'a> Survey<'a> {
                     continue;
                 }
                 let at = solver.scheme.end.at(&s);
-                let n = s.len();
-                let slope = (0..n * n)
-                    .map(|q| at.hessian[q] * self.scales[q % n] / self.scales[n + q / n])
-                    .collect();
+                let slope = solver.scheme.equations.scaled_slope(&at.hessian);
                 let solved = Solved {
                     value: at.value,
                     slope: Some(slope),
@@ -415,8 +412,8 @@ impl<'a> Survey<'a> {
         (index, true)
     }
 
-    /// Follows errands; returns the extremals that each gave.
-    fn send(&mut self, solver: &mut Solver, errands: Vec<Errand>) -> Result<Vec<Option<usize>>, BackendError> {
+    /// Follows errands, and joins what they find to what they came from.
+    fn send(&mut self, solver: &mut Solver, errands: Vec<Errand>) -> Result<(), BackendError> {
         let (mut ways, rest): (Vec<Approach>, Vec<_>) = (errands.into_iter())
             .map(|e| (e.way, (e.from, e.target, e.winding)))
             .unzip();
@@ -426,10 +423,9 @@ impl<'a> Survey<'a> {
             .iter()
             .filter_map(|(_, outcome)| outcome.as_ref().ok().map(|(job, _)| &job.path));
         let mut valid = self.valid(solver, &paths.collect::<Vec<_>>())?.into_iter();
-        let mut found = Vec::with_capacity(finished.len());
         for ((evaluations, outcome), (from, target, winding)) in finished.into_iter().zip(rest) {
             self.evaluations += u64::from(evaluations);
-            found.push(match outcome {
+            match outcome {
                 Ok((job, solved)) => {
                     if valid.next() == Some(true) {
                         let (index, _) = self.add(Extremal {
@@ -442,20 +438,17 @@ impl<'a> Survey<'a> {
                         if let Some(from) = from {
                             self.groups.join(from, index);
                         }
-                        Some(index)
                     } else {
                         let at = self.targets.state(target).to_vec();
                         self.miss(target, PointStatus::LeavesGuard, Some(at), 0.0);
-                        None
                     }
                 }
                 Err(unreached) => {
                     self.unreached(from, target, winding, &unreached);
-                    None
                 }
-            });
+            }
         }
-        Ok(found)
+        Ok(())
     }
 
     /// Notes how far the way to a target led, if that is further than before.
@@ -627,15 +620,15 @@ impl<'a> Survey<'a> {
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let neighbours = self.targets.neighbours();
-        // Ways that failed, by group, target and winding, with the extremals they came from.
-        let mut failed: HashMap<(usize, usize), ()> = HashMap::new();
+        // Ways that were followed, from an extremal to a target: once is enough.
+        let mut gone: HashSet<(usize, usize)> = HashSet::new();
         let mut ways_to: HashMap<usize, usize> = HashMap::new();
         loop {
             let mut errands: BTreeMap<(usize, usize), (f64, Errand)> = BTreeMap::new();
             for e in 0..self.extremals.len() {
                 let (target, winding) = (self.extremals[e].target, self.extremals[e].winding);
                 for &to in &neighbours[target] {
-                    if self.is_refused(to) || failed.contains_key(&(e, to)) || !self.same_base(target, to) {
+                    if self.is_refused(to) || gone.contains(&(e, to)) || !self.same_base(target, to) {
                         continue;
                     }
                     let tried = ways_to.get(&to).copied().unwrap_or(0);
@@ -655,26 +648,14 @@ impl<'a> Survey<'a> {
                     let far = (goal.iter().zip(path.start()).zip(&self.plan.widths))
                         .map(|((g, s), w)| ((g - s) / w).powi(2))
                         .sum::<f64>();
-                    let slot = errands.entry((to, root));
-                    let shorter = match &slot {
-                        std::collections::btree_map::Entry::Occupied(o) => far < o.get().0,
-                        std::collections::btree_map::Entry::Vacant(_) => true,
-                    };
-                    if shorter {
+                    if errands.get(&(to, root)).is_none_or(|(shortest, _)| far < *shortest) {
                         let errand = Errand {
                             from: Some(e),
                             target: to,
                             winding,
                             way: Approach::from_solution(path.clone(), goal, least),
                         };
-                        match slot {
-                            std::collections::btree_map::Entry::Occupied(mut o) => {
-                                o.insert((far, errand));
-                            }
-                            std::collections::btree_map::Entry::Vacant(v) => {
-                                v.insert((far, errand));
-                            }
-                        }
+                        errands.insert((to, root), (far, errand));
                     }
                 }
             }
@@ -682,16 +663,12 @@ impl<'a> Survey<'a> {
                 return Ok(());
             }
             let errands: Vec<Errand> = errands.into_values().map(|(_, e)| e).collect();
-            let asked: Vec<(usize, usize)> = errands.iter().filter_map(|e| Some((e.from?, e.target))).collect();
-            let found = self.send(solver, errands)?;
-            for (way, found) in asked.into_iter().zip(found) {
-                // A way is gone once: where it led nowhere or to what was known, nothing is left to do.
-                failed.insert(way, ());
-                *ways_to.entry(way.1).or_insert(0) += 1;
-                if let Some(index) = found {
-                    self.groups.join(way.0, index);
-                }
+            for errand in &errands {
+                // Where a way leads nowhere, or to what is known, there is nothing left to do.
+                gone.extend(errand.from.map(|from| (from, errand.target)));
+                *ways_to.entry(errand.target).or_insert(0) += 1;
             }
+            self.send(solver, errands)?;
             progress("from neighbours", self.solved(), self.targets.len());
         }
     }
@@ -797,9 +774,7 @@ impl<'a> Survey<'a> {
             let (value, p) = end.linear(&s)?;
             let mut path = Path::new(&[s.as_slice(), &p].concat());
             let (nodes, durations) = end.tail(&s, value, self.duration);
-            for (node, duration) in nodes.chunks(2 * s.len()).zip(durations) {
-                path.push(duration, node);
-            }
+            path.append(&nodes, &durations);
             Some(Errand {
                 from: None,
                 target,
@@ -853,9 +828,9 @@ impl<'a> Survey<'a> {
         wanted: Wanted,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
-        let mut tried: HashMap<(usize, usize), ()> = HashMap::new();
+        let neighbours = self.targets.neighbours();
+        let mut tried: HashSet<(usize, usize)> = HashSet::new();
         for _ in 0..FOLD_ROUNDS {
-            let neighbours = self.targets.neighbours();
             let mut ways = Vec::new();
             for e in 0..self.extremals.len() {
                 let from = self.extremals[e].target;
@@ -865,10 +840,10 @@ impl<'a> Survey<'a> {
                 for &to in &neighbours[from] {
                     if !self.is_refused(to)
                         && self.same_base(from, to)
-                        && !tried.contains_key(&(e, to))
+                        && !tried.contains(&(e, to))
                         && !self.joins(e, to)
                     {
-                        tried.insert((e, to), ());
+                        tried.insert((e, to));
                         ways.push((e, to));
                     }
                 }
@@ -936,8 +911,4 @@ impl<'a> Survey<'a> {
             .map(|e| number[&self.groups.root(e)])
             .collect();
     }
-}
-
-fn holds(value: f64, strict: bool) -> bool {
-    if strict { value > 0.0 } else { value >= 0.0 }
 }

@@ -2,26 +2,15 @@
 #![allow(dead_code)] // each test file uses its part
 
 use costate::backend::{Backend, BackendError, cpu::Cpu};
-use costate::hamiltonian::Hamiltonian;
 use costate::model::Model;
 use costate::shooting::Solver;
 use costate::sweep::{Choices, Plan, sweep_keeping};
 use costate::value::{self, Answers, Archive, Entry, Grid, Request};
-use std::path::Path;
 
-/// A shipped scene, with parameters set as by `--set`.
-pub fn scene(name: &str, set: &[(&str, &str)]) -> Model {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("scenarios")
-        .join(name)
-        .with_extension("toml");
-    let set: Vec<_> = set.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
-    costate::scenario::load(&path, &set).unwrap_or_else(|e| panic!("{e}"))
-}
-
-pub fn parse(text: &str) -> Model {
-    costate::scenario::parse(text, "test.toml", &[]).unwrap_or_else(|e| panic!("{}", e.render(false)))
-}
+#[path = "../common_oracles/mod.rs"]
+mod common_oracles;
+#[allow(unused_imports)] // each test file uses its part
+pub use common_oracles::{parse, scene};
 
 /// A scene swept, ready to be solved at states.
 pub struct Swept {
@@ -32,7 +21,7 @@ pub struct Swept {
 
 impl Swept {
     pub fn on(model: Model, backend: &dyn Backend, most: usize) -> Self {
-        let hamiltonian = Hamiltonian::derive(&model).unwrap_or_else(|p| panic!("{p:?}"));
+        let hamiltonian = common_oracles::derive(&model);
         let choices = Choices {
             inner_levels: true,
             max_seeds: Some(most),
