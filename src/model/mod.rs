@@ -164,6 +164,14 @@ impl Precision {
         }
     }
 
+    /// Bytes of a number.
+    pub fn bytes(self) -> usize {
+        match self {
+            Precision::F32 => 4,
+            Precision::F64 => 8,
+        }
+    }
+
     /// Unit roundoff times two: the spacing of numbers at 1.
     pub fn epsilon(self) -> f64 {
         match self {

@@ -3,6 +3,7 @@
 //! A register holds one value for each of `W` trajectories; an instruction is a loop over the lanes which the compiler
 //! turns into SIMD. `W` is several SIMD vectors, so decoding an instruction is paid for by many operations.
 
+use super::arithmetic::Arithmetic;
 use super::real::Real;
 use crate::program::{Allocation, Instr, Primitive, Program};
 
@@ -182,8 +183,8 @@ impl LaneProgram {
                 Code::Sub => map2(to, a, b, |x, y| x - y),
                 Code::Mul => map2(to, a, b, |x, y| x * y),
                 Code::Div => map2(to, a, b, |x, y| x / y),
-                Code::Min => map2(to, a, b, T::least),
-                Code::Max => map2(to, a, b, T::greatest),
+                Code::Min => map2(to, a, b, |x, y| T::With::<FMA>::default().least(x, y)),
+                Code::Max => map2(to, a, b, |x, y| T::With::<FMA>::default().greatest(x, y)),
                 Code::Neg => map1(to, a, |x| -x),
                 // SAFETY: as above; `c` is only read.
                 Code::MulAdd => map3(to, a, b, unsafe { &(*c).0 }, |x, y, z| x.mul_add::<FMA>(y, z)),
@@ -193,20 +194,20 @@ impl LaneProgram {
                     // SAFETY: as above; `c` is neither `to` nor `a` here.
                     let cosine = unsafe { &mut (*c).0 };
                     for i in 0..W {
-                        (to[i], cosine[i]) = a[i].sin_cos::<FMA>();
+                        (to[i], cosine[i]) = T::With::<FMA>::default().sin_cos(a[i]);
                     }
                 }
-                Code::Sin => map1(to, a, |x| x.sin_cos::<FMA>().0),
-                Code::Cos => map1(to, a, |x| x.sin_cos::<FMA>().1),
-                Code::Exp => map1(to, a, T::exponential::<FMA>),
-                Code::Expm1 => map1(to, a, T::expm1::<FMA>),
-                Code::Log => map1(to, a, T::logarithm::<FMA>),
-                Code::Log1p => map1(to, a, T::log1p::<FMA>),
-                Code::Atan => map1(to, a, T::arctangent::<FMA>),
+                Code::Sin => map1(to, a, |x| T::With::<FMA>::default().sin_cos(x).0),
+                Code::Cos => map1(to, a, |x| T::With::<FMA>::default().sin_cos(x).1),
+                Code::Exp => map1(to, a, |x| T::With::<FMA>::default().exp(x)),
+                Code::Expm1 => map1(to, a, |x| T::With::<FMA>::default().expm1(x)),
+                Code::Log => map1(to, a, |x| T::With::<FMA>::default().log(x)),
+                Code::Log1p => map1(to, a, |x| T::With::<FMA>::default().log1p(x)),
+                Code::Atan => map1(to, a, |x| T::With::<FMA>::default().atan(x)),
                 Code::Sqrt => map1(to, a, T::root),
                 Code::Abs => map1(to, a, T::absolute),
-                Code::Sign => map1(to, a, T::sign),
-                Code::Step => map1(to, a, T::step),
+                Code::Sign => map1(to, a, |x| T::With::<FMA>::default().sign(x)),
+                Code::Step => map1(to, a, |x| T::With::<FMA>::default().step(x)),
             }
         }
     }

@@ -1,6 +1,9 @@
 //! The CPU backend: rayon over chunks of trajectories, SIMD lanes within a chunk, the instruction set chosen at run time.
 
+mod arithmetic;
 mod block;
+#[cfg(target_arch = "x86_64")]
+mod jit;
 pub mod lanes;
 pub mod map;
 pub mod real;
