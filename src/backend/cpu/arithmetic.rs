@@ -16,7 +16,6 @@ pub struct Format {
     pub one: u64,
     /// Bits of sqrt(1/2).
     pub half_root: u64,
-    pub magic_bits: u64,
     /// Smallest normal number.
     pub least: f64,
     pub pio2: [f64; 3],
@@ -39,7 +38,6 @@ macro_rules! format {
             magic: $magic,
             one: (1.0 as $t).to_bits() as u64,
             half_root: (std::f64::consts::FRAC_1_SQRT_2 as $t).to_bits() as u64,
-            magic_bits: ($magic as $t).to_bits() as u64,
             least: $t::MIN_POSITIVE as f64,
             pio2: $m::PIO2,
             ln2: $m::LN2,
@@ -157,6 +155,10 @@ pub trait Arithmetic {
 
     #[inline(always)]
     fn sin_cos(&mut self, x: Self::V) -> (Self::V, Self::V) {
+        self.expanded_sin_cos(x)
+    }
+    #[inline(always)]
+    fn expanded_sin_cos(&mut self, x: Self::V) -> (Self::V, Self::V) {
         let f = self.format();
         let magic = self.constant(f.magic);
         let per_quadrant = self.constant(std::f64::consts::FRAC_2_PI);
@@ -375,6 +377,11 @@ pub trait Arithmetic {
     /// One function of one argument.
     #[inline(always)]
     fn call(&mut self, function: Primitive, a: Self::V) -> Self::V {
+        self.expanded(function, a)
+    }
+    /// A function as arithmetic.
+    #[inline(always)]
+    fn expanded(&mut self, function: Primitive, a: Self::V) -> Self::V {
         match function {
             Primitive::Sin => self.sin_cos(a).0,
             Primitive::Cos => self.sin_cos(a).1,

@@ -29,11 +29,6 @@ pub trait Real:
     fn absolute(self) -> Self;
     fn root(self) -> Self;
     #[inline(always)]
-    #[allow(clippy::eq_op)] // the definition of a NaN
-    fn is_nan(self) -> bool {
-        self != self
-    }
-    #[inline(always)]
     #[allow(clippy::eq_op)] // infinite minus infinite is not a number
     fn is_finite(self) -> bool {
         self - self == Self::of(0.0)

@@ -1,7 +1,7 @@
 //! Registers for straight-line code: what is needed furthest in the future goes to memory (Belady 1966).
 
 use super::assembler::{Assembler, Base, Form, Operand, Register, VECTOR};
-use super::code::{Fused, Op, Value};
+use crate::backend::cpu::code::{Fused, Op, Value};
 use crate::model::Precision;
 use std::collections::HashMap;
 
@@ -144,6 +144,7 @@ impl Allocator<'_> {
                 self.asm.blend(to, rm, oy, rn);
             }
             Op::Fused(kind, a, b, c) => self.fused(i, kind, a, b, c),
+            Op::Call(f, _) => unreachable!("{f:?} was not expanded"),
         }
     }
 

@@ -1,6 +1,6 @@
 //! Encoding of the AVX2 instructions that vector code needs (Intel SDM volume 2, VEX prefix).
 
-use super::code::{Binary, Fused};
+use crate::backend::cpu::code::{Binary, Fused};
 use crate::backend::cpu::arithmetic::Comparison;
 use crate::model::Precision;
 

@@ -3,10 +3,8 @@
 
 mod allocate;
 mod assembler;
-mod code;
 
-pub use code::Recorder;
-
+use super::code::Recorder;
 use super::lanes::Lanes;
 use super::real::Real;
 use crate::model::Precision;
@@ -20,7 +18,7 @@ pub const MOST_OPERATIONS: usize = 200_000;
 /// A vector's bytes.
 #[repr(align(32))]
 #[derive(Clone, Copy)]
-struct Vector([u64; VECTOR / 8]);
+struct Vector(#[allow(dead_code)] [u64; VECTOR / 8]); // machine code reads it
 
 /// Compiled code for frames of `W` lanes.
 pub struct Executable {

@@ -46,7 +46,7 @@ fn program() -> impl Strategy<Value = Program> {
 
 fn agree<T: Real>(program: &Program, precision: Precision, points: &[f64]) -> Result<(), TestCaseError> {
     let (inputs, outputs) = (program.inputs, program.outputs.len());
-    let mut recorder = Recorder::new(precision);
+    let mut recorder = Recorder::new(precision, true);
     let loaded = recorder.loads(0..inputs);
     let values = recorder.program(program, &loaded);
     for (k, v) in values.iter().enumerate() {
@@ -108,7 +108,7 @@ fn parameters_are_given_with_each_call() {
     if !here() {
         return;
     }
-    let mut recorder = Recorder::new(Precision::F64);
+    let mut recorder = Recorder::new(Precision::F64, true);
     let (x, p) = (recorder.load(0), recorder.parameter(1));
     let sum = recorder.mul_add(x, p, p);
     recorder.store(sum, 1);

@@ -1,8 +1,12 @@
 //! Straight-line vector code in single-assignment form, and the recorder that makes it from [`Arithmetic`].
+//!
+//! Code works on a frame: slots of lanes, one for each quantity of a trajectory. It is compiled (`jit`) or interpreted
+//! (`lanes`); both give the same bits where both fuse products.
 
-use crate::backend::cpu::arithmetic::{Arithmetic, Comparison, DOUBLE, Format, SINGLE};
+use super::arithmetic::{Arithmetic, Comparison, DOUBLE, Format, SINGLE};
 use crate::model::Precision;
-use std::collections::HashMap;
+use crate::program::Primitive;
+use std::collections::{HashMap, HashSet};
 
 /// A value: the index of the operation that makes it.
 pub type Value = u32;
@@ -53,6 +57,8 @@ pub enum Op {
     ShiftRight(Value, u32),
     /// The second value where the first one's highest bit is set, else the third.
     Blend(Value, Value, Value),
+    /// A function left to the interpreter. A cosine directly follows the sine of the same value.
+    Call(Primitive, Value),
     /// Puts a value into a frame's slot.
     Store(Value, u32),
 }
@@ -62,7 +68,9 @@ impl Op {
     pub fn reads(&self) -> impl Iterator<Item = Value> + use<> {
         let list = match *self {
             Op::Load(_) | Op::Parameter(_) | Op::Pattern(_) => [None; 3],
-            Op::Sqrt(a) | Op::ShiftLeft(a, _) | Op::ShiftRight(a, _) | Op::Store(a, _) => [Some(a), None, None],
+            Op::Sqrt(a) | Op::ShiftLeft(a, _) | Op::ShiftRight(a, _) | Op::Call(_, a) | Op::Store(a, _) => {
+                [Some(a), None, None]
+            }
             Op::Binary(_, a, b) => [Some(a), Some(b), None],
             Op::Fused(_, a, b, c) | Op::Blend(a, b, c) => [Some(a), Some(b), Some(c)],
         };
@@ -75,6 +83,7 @@ impl Op {
             Op::Sqrt(a) => Op::Sqrt(map(a)),
             Op::ShiftLeft(a, n) => Op::ShiftLeft(map(a), n),
             Op::ShiftRight(a, n) => Op::ShiftRight(map(a), n),
+            Op::Call(f, a) => Op::Call(f, map(a)),
             Op::Store(a, s) => Op::Store(map(a), s),
             Op::Binary(k, a, b) => Op::Binary(k, map(a), map(b)),
             Op::Fused(k, a, b, c) => Op::Fused(k, map(a), map(b), map(c)),
@@ -88,19 +97,23 @@ pub struct Recorder {
     format: &'static Format,
     pub ops: Vec<Op>,
     known: HashMap<Op, Value>,
-    stored: Vec<u32>,
+    stored: HashSet<u32>,
+    /// Whether elementary functions become arithmetic.
+    expand: bool,
 }
 
 impl Recorder {
-    pub fn new(precision: Precision) -> Self {
+    /// `expand`: elementary functions become arithmetic; else they are calls, which only an interpreter can follow.
+    pub fn new(precision: Precision, expand: bool) -> Self {
         Self {
+            expand,
             format: match precision {
                 Precision::F32 => &SINGLE,
                 Precision::F64 => &DOUBLE,
             },
             ops: Vec::new(),
             known: HashMap::new(),
-            stored: Vec::new(),
+            stored: HashSet::new(),
         }
     }
 
@@ -129,8 +142,7 @@ impl Recorder {
     /// # Panics
     /// When the slot is stored to twice.
     pub fn store(&mut self, value: Value, slot: usize) {
-        assert!(!self.stored.contains(&(slot as u32)), "slot {slot} stored twice");
-        self.stored.push(slot as u32);
+        assert!(self.stored.insert(slot as u32), "slot {slot} stored twice");
         self.ops.push(Op::Store(value, slot as u32));
     }
 
@@ -266,6 +278,22 @@ impl Arithmetic for Recorder {
     }
     fn sub_bits(&mut self, a: Value, b: Value) -> Value {
         self.record(Op::Binary(Binary::SubBits, a, b))
+    }
+    fn sin_cos(&mut self, x: Value) -> (Value, Value) {
+        if self.expand {
+            return self.expanded_sin_cos(x);
+        }
+        let sine = self.record(Op::Call(Primitive::Sin, x));
+        (sine, self.record(Op::Call(Primitive::Cos, x)))
+    }
+    fn call(&mut self, function: Primitive, a: Value) -> Value {
+        match function {
+            Primitive::Sin => self.sin_cos(a).0,
+            Primitive::Cos => self.sin_cos(a).1,
+            Primitive::Sqrt => self.sqrt(a),
+            f if self.expand => self.expanded(f, a),
+            f => self.record(Op::Call(f, a)),
+        }
     }
     fn compare(&mut self, how: Comparison, a: Value, b: Value) -> Value {
         self.record(Op::Binary(Binary::Compare(how), a, b))
