@@ -165,26 +165,12 @@ impl crate::model::Method {
 
     /// The scheme for a relative tolerance.
     pub fn scheme(self, rtol: f64) -> Scheme {
-        self.tableau().map_or_else(|| Scheme::Taylor(taylor::order(rtol)), Scheme::RungeKutta)
+        self.tableau().map_or_else(|| Scheme::Taylor(control::taylor_order(rtol)), Scheme::RungeKutta)
     }
 
     /// Whether steps are chosen by the tolerance.
     pub fn adaptive(self) -> bool {
         self.tableau().is_none_or(Tableau::adaptive)
-    }
-}
-
-/// Order and step of Taylor's method (Jorba & Zou, "A software package for the numerical integration of ODEs by means of
-/// high-order Taylor methods", Experimental Mathematics 14 (2005), section 3).
-pub mod taylor {
-    /// The order at which the work for a given tolerance is least: steps are then about `radius / e^2`.
-    pub fn order(rtol: f64) -> usize {
-        ((-0.5 * rtol.ln()).ceil() as usize + 1).clamp(4, 24)
-    }
-
-    /// Share taken of the step at which the last term would be as large as the tolerance.
-    pub fn safety(order: usize) -> f64 {
-        (-0.7 / (order as f64 - 1.0)).exp()
     }
 }
 
@@ -206,6 +192,16 @@ pub mod control {
     pub const SHARE: f64 = 0.01;
     /// Weight of a companion estimate's mean square.
     pub const COMPANION: f64 = 0.01;
+    /// The order of Taylor's method at which the work for a tolerance is least: steps are then about `radius / e^2`
+    /// (Jorba & Zou, "A software package for the numerical integration of ODEs by means of high-order Taylor methods",
+    /// Experimental Mathematics 14 (2005), section 3).
+    pub fn taylor_order(rtol: f64) -> usize {
+        ((-0.5 * rtol.ln()).ceil() as usize + 1).clamp(4, 24)
+    }
+    /// Share taken of the step at which the last Taylor term would be as large as the tolerance (section 3 there).
+    pub fn taylor_safety(order: usize) -> f64 {
+        (-0.7 / (order as f64 - 1.0)).exp()
+    }
     pub const SHRINK: f64 = 0.2;
     pub const GROW: f64 = 5.0;
     /// The step floor in units of rounding of the time or the first step.

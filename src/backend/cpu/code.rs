@@ -146,6 +146,29 @@ impl Recorder {
         self.ops.push(Op::Store(value, slot as u32));
     }
 
+    /// The spacing of numbers at 1.
+    pub fn epsilon(&self) -> f64 {
+        1.0 / (1u64 << self.format.mantissa) as f64
+    }
+
+    /// The larger one; the second where either is not a number.
+    pub fn larger(&mut self, a: Value, b: Value) -> Value {
+        let less = self.compare(Comparison::Less, b, a);
+        self.select(less, a, b)
+    }
+
+    /// The smaller one; the second where either is not a number.
+    pub fn smaller(&mut self, a: Value, b: Value) -> Value {
+        let less = self.compare(Comparison::Less, a, b);
+        self.select(less, a, b)
+    }
+
+    /// Whether a mask is not set.
+    pub fn not(&mut self, mask: Value) -> Value {
+        let all = self.pattern(u64::MAX >> (64 - self.format.bits));
+        self.xor(mask, all)
+    }
+
     /// Slots that a frame must have.
     pub fn slots(&self) -> usize {
         let slot = |op: &Op| match op {

@@ -3,6 +3,7 @@
 mod arithmetic;
 mod block;
 mod code;
+mod decide;
 #[cfg(target_arch = "x86_64")]
 mod jit;
 mod lanes;
@@ -18,6 +19,7 @@ use crate::integrator::Scheme;
 use block::{Compiled, Output};
 use rayon::prelude::*;
 use std::collections::HashMap;
+use steps::Variant;
 
 /// Instruction sets the lanes are compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -135,19 +137,24 @@ impl Backend for Cpu {
 struct CpuKernel {
     spec: Spec,
     backend: Cpu,
-    /// Code by lanes and order, made when first needed.
-    compiled: HashMap<(usize, usize), Compiled>,
+    /// Code by lanes, order and variant, made when first needed.
+    compiled: HashMap<(usize, usize, Variant), Compiled>,
 }
 
 impl CpuKernel {
-    fn compiled(&mut self, width: usize, rtol: f64) -> &Compiled {
-        let scheme = self.spec.method.scheme(rtol);
+    fn compiled(&mut self, width: usize, run: &Run) -> &Compiled {
+        let scheme = self.spec.method.scheme(run.rtol);
+        let variant = Variant {
+            bounds: run.bounds.len(),
+            ceiling: run.ceiling.map(|(c, _)| c),
+        };
         let order = match scheme {
             Scheme::RungeKutta(_) => 0,
             Scheme::Taylor(order) => order,
         };
         let (spec, compile) = (&self.spec, self.backend.compile);
-        (self.compiled.entry((width, order))).or_insert_with(|| Compiled::new(spec, scheme, compile, width))
+        (self.compiled.entry((width, order, variant)))
+            .or_insert_with(|| Compiled::new(spec, scheme, variant, compile, width))
     }
 }
 
@@ -180,7 +187,7 @@ impl Kernel for CpuKernel {
             Precision::F32 => LANES_F32,
         };
         let simd = self.backend.simd;
-        let compiled = self.compiled(lanes, run.rtol);
+        let compiled = self.compiled(lanes, run);
         let chunk = if few {
             chunk.min(count.div_ceil(rayon::current_num_threads()).next_multiple_of(FEW_LANES))
         } else {

@@ -1,10 +1,67 @@
 //! Recording of a scene's integration steps as vector code.
 
-use super::arithmetic::Arithmetic;
+use super::arithmetic::{Arithmetic, Comparison};
 use super::code::{Recorder, Value};
-use super::taylor;
-use crate::backend::Spec;
+use super::real::Real;
+use super::{decide, taylor};
+use crate::backend::{Run, Spec};
 use crate::integrator::{Scheme, Tableau, control};
+use crate::program::Program;
+
+/// What a run, beyond its [`Spec`], asks of the code.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Variant {
+    /// Leading components with bounds.
+    pub bounds: usize,
+    /// Component with a ceiling.
+    pub ceiling: Option<usize>,
+}
+
+/// What a trajectory is between steps, as places in a frame. One such region is read by a step and another one written.
+#[derive(Clone, Copy, Debug)]
+pub struct State {
+    pub y: usize,
+    /// Derivative at y; kept for Runge-Kutta steps.
+    pub k: usize,
+    pub t: usize,
+    /// The step to attempt; for a Taylor step the longest one allowed.
+    pub wanted: usize,
+    /// Base-2 logarithm of the squared error of the step before.
+    pub before: usize,
+    /// Step size to go on with behind a kink; 0 where none is ahead.
+    pub resume: usize,
+    /// Accepted and refused steps so far.
+    pub steps: usize,
+    pub rejected: usize,
+    /// Values of the kinks at y.
+    pub kinks: usize,
+    pub end: usize,
+}
+
+impl State {
+    fn new(first: usize, spec: &Spec, scheme: Scheme) -> Self {
+        let dim = spec.dim();
+        let y = first;
+        let k = y + dim;
+        let t = match scheme {
+            Scheme::RungeKutta(_) => k + dim,
+            Scheme::Taylor(_) => k,
+        };
+        let kinks = t + 6;
+        Self {
+            y,
+            k,
+            t,
+            wanted: t + 1,
+            before: t + 2,
+            resume: t + 3,
+            steps: t + 4,
+            rejected: t + 5,
+            kinks,
+            end: kinks + spec.kinks.as_ref().map_or(0, |p| p.outputs.len()),
+        }
+    }
+}
 
 /// Where the quantities of a block's trajectories lie in its frame of lanes.
 #[derive(Clone, Copy, Debug)]
@@ -12,105 +69,202 @@ pub struct Layout {
     pub dim: usize,
     /// Leading components that derivatives depend on.
     pub inputs: usize,
-    /// The vector where the step begins.
-    pub y: usize,
+    /// Where the step begins, and what follows: the new point where the step is accepted, else the same again.
+    pub now: State,
+    pub next: State,
+    /// The level a trajectory comes to next; infinite for an idle lane.
+    pub next_at: usize,
+    pub first_step: usize,
+    /// The step attempted.
     pub h: usize,
-    /// Stage derivatives `[stage][component]`, or Taylor coefficients `[order - 1][component]`.
-    pub k: usize,
+    /// Derivatives at the inner stages `[stage - 1][component]`.
+    inner: usize,
+    stages: usize,
     /// Coefficients of the dense output `[power - 1][component]`.
     pub dense: usize,
-    pub y_new: usize,
     /// Squared error of a step in units of the tolerance; for a Taylor step 0, or not a number.
     pub error: usize,
-    /// Largest Taylor coefficients of the last two orders in units of the tolerance.
-    pub top: usize,
-    /// Values of the kinks and of the guards where the step ends.
-    pub kinks: usize,
+    /// Values of the guards at the new point.
     pub guards: usize,
+    /// Masks: steps accepted; lanes that must be looked at singly.
+    pub accepted: usize,
+    pub special: usize,
+    /// Squares of size and speed of a seed in units of the tolerance.
+    pub seed: usize,
     pub slots: usize,
 }
 
 impl Layout {
     pub fn new(spec: &Spec, scheme: Scheme) -> Self {
         let dim = spec.dim();
-        let (y, h, k) = (0, dim, dim + 1);
-        let (dense, y_new) = match scheme {
-            Scheme::RungeKutta(tableau) => {
-                let dense = k + tableau.stages() * dim;
-                (dense, dense + tableau.degree() * dim)
-            }
-            // The coefficients are the dense output.
-            Scheme::Taylor(order) => (k, k + order * dim),
+        let now = State::new(0, spec, scheme);
+        let next = State::new(now.end, spec, scheme);
+        let next_at = next.end;
+        let (first_step, inner) = (next_at + 1, next_at + 3);
+        let (stages, h) = match scheme {
+            Scheme::RungeKutta(tableau) => (tableau.stages(), now.wanted),
+            Scheme::Taylor(_) => (2, next_at + 2),
         };
-        let error = y_new + dim;
-        let top = error + 1;
-        let kinks = top + 2;
-        let guards = kinks + spec.kinks.as_ref().map_or(0, |p| p.outputs.len());
+        let dense = inner + (stages - 2) * dim;
+        let error = dense + scheme.degree() * dim;
+        let guards = error + 1;
+        let accepted = guards + spec.guards.as_ref().map_or(0, |g| g.program.outputs.len());
         Self {
             dim,
             inputs: spec.rate.inputs,
-            y,
+            now,
+            next,
+            next_at,
+            first_step,
             h,
-            k,
+            inner,
+            stages,
             dense,
-            y_new,
             error,
-            top,
-            kinks,
             guards,
-            slots: guards + spec.guards.as_ref().map_or(0, |g| g.program.outputs.len()),
+            accepted,
+            special: accepted + 1,
+            seed: accepted + 2,
+            slots: accepted + 4,
         }
     }
 
+    /// Derivatives at a stage of an accepted step; the last one is taken at the new point.
     pub fn stage(&self, s: usize) -> std::ops::Range<usize> {
-        self.k + s * self.dim..self.k + (s + 1) * self.dim
+        let first = match s {
+            0 => self.now.k,
+            s if s + 1 == self.stages => self.next.k,
+            s => self.inner + (s - 1) * self.dim,
+        };
+        first..first + self.dim
     }
 }
 
-/// Parameters of all codes: rtol, then the absolute tolerances.
-fn tolerances(r: &mut Recorder, layout: &Layout) -> (Value, Vec<Value>) {
-    (r.parameter(0), (1..=layout.dim).map(|c| r.parameter(c)).collect())
+/// Parameters of all codes.
+pub struct Parameters {
+    pub rtol: Value,
+    pub atol: Vec<Value>,
+    /// Attempted steps with which a trajectory is looked at.
+    pub step_limit: Value,
+    /// The last level where it is a time.
+    pub end: Value,
+    pub ceiling: Option<(usize, Value)>,
+    pub bounds: Vec<[Value; 2]>,
 }
 
-/// The derivative at `y`, the kinks there, and the sums of squares of both in units of the tolerance (into `top`).
-pub fn start(r: &mut Recorder, spec: &Spec, layout: &Layout) {
-    let y = r.loads(layout.y..layout.y + layout.dim);
+impl Parameters {
+    fn new(r: &mut Recorder, dim: usize, variant: Variant) -> Self {
+        let at = dim + 4;
+        Self {
+            rtol: r.parameter(0),
+            step_limit: r.parameter(1),
+            end: r.parameter(2),
+            ceiling: variant.ceiling.map(|c| (c, r.parameter(3))),
+            atol: (4..at).map(|c| r.parameter(c)).collect(),
+            bounds: (0..variant.bounds)
+                .map(|c| [r.parameter(at + 2 * c), r.parameter(at + 2 * c + 1)])
+                .collect(),
+        }
+    }
+
+    /// Their values in a run.
+    pub fn values<T: Real>(run: &Run) -> Vec<T> {
+        // Counts of steps are kept as numbers of the lanes' own kind.
+        let counts = 0.5 / T::EPSILON;
+        let mut list = vec![
+            run.rtol,
+            f64::from(run.max_steps.saturating_sub(1)).min(counts),
+            run.levels.last().copied().unwrap_or(f64::INFINITY),
+            run.ceiling.map_or(f64::INFINITY, |(_, v)| v),
+        ];
+        list.extend(&run.atol);
+        list.extend(run.bounds.iter().flatten());
+        list.into_iter().map(T::of).collect()
+    }
+}
+
+/// The derivative at a seed, the kinks there, and the sums of squares of size and speed.
+pub fn start(r: &mut Recorder, spec: &Spec, layout: &Layout, variant: Variant) {
+    let given = Parameters::new(r, layout.dim, variant);
+    let y = r.loads(layout.now.y..layout.now.y + layout.dim);
     let rate = r.program(&spec.rate, &y[..layout.inputs]);
-    let (rtol, atol) = tolerances(r, layout);
     let mut sums = [r.constant(0.0); 2];
     for c in 0..layout.dim {
         let size = r.abs(y[c]);
-        let scale = r.mul_add(rtol, size, atol[c]);
+        let scale = r.mul_add(given.rtol, size, given.atol[c]);
         for (sum, v) in sums.iter_mut().zip([y[c], rate[c]]) {
             let ratio = r.div(v, scale);
             *sum = r.mul_add(ratio, ratio, *sum);
         }
-        r.store(rate[c], layout.k + c);
+        r.store(rate[c], layout.dense + c);
     }
-    r.store(sums[0], layout.top);
-    r.store(sums[1], layout.top + 1);
-    ends(r, spec, layout, &y, false);
-}
-
-/// Kinks and guards at a point.
-fn ends(r: &mut Recorder, spec: &Spec, layout: &Layout, y: &[Value], guarded: bool) {
+    r.store(sums[0], layout.seed);
+    r.store(sums[1], layout.seed + 1);
     if let Some(program) = &spec.kinks {
         for (k, v) in r.program(program, &y[..program.inputs]).into_iter().enumerate() {
-            r.store(v, layout.kinks + k);
-        }
-    }
-    if let (Some(guards), true) = (&spec.guards, guarded) {
-        for (g, v) in r.program(&guards.program, &y[..guards.program.inputs]).into_iter().enumerate() {
-            r.store(v, layout.guards + g);
+            r.store(v, layout.next.kinks + k);
         }
     }
 }
 
-/// A Runge-Kutta step from `y` and the derivative there to the new point, the derivatives on the way, and the error.
-pub fn runge_kutta(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) {
+/// A step of a scheme, with the decisions about it.
+pub fn step(r: &mut Recorder, spec: &Spec, layout: &Layout, scheme: Scheme, variant: Variant) {
+    let given = Parameters::new(r, layout.dim, variant);
+    let y = r.loads(layout.now.y..layout.now.y + layout.dim);
+    let taken = match scheme {
+        Scheme::RungeKutta(tableau) => runge_kutta(r, spec, layout, tableau, &given, &y),
+        Scheme::Taylor(order) => taylor_step(r, spec, layout, order, &given, &y),
+    };
+    let decided = decide::Decision::new(r, spec, layout, scheme, &given, &taken);
+    decided.store(r, layout, &taken);
+}
+
+/// A step as attempted.
+pub struct Taken {
+    pub h: Value,
+    pub y: Vec<Value>,
+    pub y_new: Vec<Value>,
+    /// Derivatives at both ends, where they are kept.
+    pub k: Option<(Vec<Value>, Vec<Value>)>,
+    pub error: Value,
+    pub kinks: Vec<Value>,
+    pub guards: Vec<Value>,
+}
+
+impl Taken {
+    fn new(
+        r: &mut Recorder,
+        spec: &Spec,
+        h: Value,
+        y: &[Value],
+        y_new: Vec<Value>,
+        k: Option<(Vec<Value>, Vec<Value>)>,
+        error: Value,
+    ) -> Self {
+        let mut at_end = |program: &Program| r.program(program, &y_new[..program.inputs]);
+        Self {
+            kinks: spec.kinks.as_ref().map_or_else(Vec::new, &mut at_end),
+            guards: spec.guards.as_ref().map_or_else(Vec::new, |g| at_end(&g.program)),
+            h,
+            y: y.to_vec(),
+            y_new,
+            k,
+            error,
+        }
+    }
+}
+
+/// A Runge-Kutta step from `y` and the derivative there to the new point, with its error.
+fn runge_kutta(
+    r: &mut Recorder,
+    spec: &Spec,
+    layout: &Layout,
+    tableau: &Tableau,
+    given: &Parameters,
+    y: &[Value],
+) -> Taken {
     let (dim, inputs, stages) = (layout.dim, layout.inputs, tableau.stages());
-    let y = r.loads(layout.y..layout.y + dim);
-    let h = r.load(layout.h);
+    let h = r.load(layout.now.wanted);
     let mut k = vec![r.loads(layout.stage(0))];
     let mut y_new = Vec::new();
     for s in 1..stages {
@@ -123,17 +277,16 @@ pub fn runge_kutta(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tab
             })
             .collect();
         let rate = r.program(&spec.rate, &point[..inputs]);
-        for (v, slot) in rate.iter().zip(layout.stage(s)) {
-            r.store(*v, slot);
+        if s + 1 < stages {
+            for (v, slot) in rate.iter().zip(layout.stage(s)) {
+                r.store(*v, slot);
+            }
         }
         k.push(rate);
         y_new = point;
     }
-    for (c, v) in y_new.iter().enumerate() {
-        r.store(*v, layout.y_new + c);
-    }
     let error = if tableau.adaptive() {
-        estimate(r, layout, tableau, h, &y, &y_new, &k)
+        estimate(r, given, tableau, h, y, &y_new, &k)
     } else {
         // Zero times a finite number is zero; anything else is not a number.
         let zero = r.constant(0.0);
@@ -144,28 +297,26 @@ pub fn runge_kutta(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tab
         }
         sum
     };
-    r.store(error, layout.error);
-    ends(r, spec, layout, &y_new, true);
+    let last = k.pop().unwrap_or_default();
+    Taken::new(r, spec, h, y, y_new, Some((k.swap_remove(0), last)), error)
 }
 
 fn estimate(
     r: &mut Recorder,
-    layout: &Layout,
+    given: &Parameters,
     tableau: &Tableau,
     h: Value,
     y: &[Value],
     y_new: &[Value],
     k: &[Vec<Value>],
 ) -> Value {
-    let (rtol, atol) = tolerances(r, layout);
-    let share = r.constant(1.0 / layout.dim as f64);
+    let share = r.constant(1.0 / y.len() as f64);
     let zero = r.constant(0.0);
     let (mut total, mut other) = (zero, zero);
-    for c in 0..layout.dim {
+    for c in 0..y.len() {
         let (p, q) = (r.abs(y[c]), r.abs(y_new[c]));
-        let less = r.compare(super::arithmetic::Comparison::Less, q, p);
-        let size = r.select(less, p, q);
-        let scale = r.mul_add(rtol, size, atol[c]);
+        let size = r.larger(p, q);
+        let scale = r.mul_add(given.rtol, size, given.atol[c]);
         let unit = r.div(h, scale);
         let mut square = |weights: &[f64], sum: Value| {
             let e = r.weighted(weights.iter().zip(k).map(|(w, k)| (*w, k[c])));
@@ -186,7 +337,7 @@ fn estimate(
     let sum = r.mul_add(weight, other, total);
     let ratio = r.div(total, sum);
     let error = r.mul(total, ratio);
-    let some = r.compare(super::arithmetic::Comparison::Less, zero, sum);
+    let some = r.compare(Comparison::Less, zero, sum);
     r.select(some, error, total)
 }
 
@@ -194,7 +345,7 @@ fn estimate(
 /// `[power - 1][component]` in the fraction of the step, per unit of h.
 pub fn dense(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) {
     let h = r.load(layout.h);
-    let y = r.loads(layout.y..layout.y + layout.inputs);
+    let y = r.loads(layout.now.y..layout.now.y + layout.inputs);
     let mut k: Vec<Vec<Value>> = (0..tableau.stages()).map(|s| r.loads(layout.stage(s))).collect();
     for a in tableau.extra {
         let point: Vec<Value> = (0..layout.inputs)
@@ -213,49 +364,58 @@ pub fn dense(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) 
     }
 }
 
-/// Taylor coefficients of the solution at `y`, and the largest ones of the last two orders.
-pub fn expansion(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize) {
-    let y = r.loads(layout.y..layout.y + layout.dim);
-    let series = taylor::solution(r, &spec.rate, &y, order);
+/// A Taylor step: the solution's coefficients, the step at which the last ones are as large as the tolerance, and the
+/// polynomials' values there.
+fn taylor_step(
+    r: &mut Recorder,
+    spec: &Spec,
+    layout: &Layout,
+    order: usize,
+    given: &Parameters,
+    y: &[Value],
+) -> Taken {
+    let series = taylor::solution(r, &spec.rate, y, order);
     let zero = r.constant(0.0);
-    for (c, series) in series.iter().enumerate() {
-        for (j, v) in series.iter().enumerate().skip(1) {
-            r.store(v.unwrap_or(zero), layout.stage(j - 1).start + c);
-        }
-    }
-    let (rtol, atol) = tolerances(r, layout);
     let mut most = [zero; 2];
     for c in 0..layout.dim {
+        for (j, v) in series[c].iter().enumerate().skip(1) {
+            r.store(v.unwrap_or(zero), layout.dense + (j - 1) * layout.dim + c);
+        }
         let size = r.abs(y[c]);
-        let scale = r.mul_add(rtol, size, atol[c]);
+        let scale = r.mul_add(given.rtol, size, given.atol[c]);
         for (most, j) in most.iter_mut().zip([order - 1, order]) {
             let size = r.abs(series[c][j].unwrap_or(zero));
             let ratio = r.div(size, scale);
             *most = r.greatest(ratio, *most);
         }
     }
-    r.store(most[0], layout.top);
-    r.store(most[1], layout.top + 1);
-}
-
-/// The Taylor polynomial's value after a step of `h`.
-pub fn evaluation(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize) {
-    let h = r.load(layout.h);
-    let mut y_new = Vec::new();
-    let zero = r.constant(0.0);
-    let mut error = zero;
-    for c in 0..layout.dim {
-        let mut sum = r.load(layout.stage(order - 1).start + c);
-        for j in (0..order - 1).rev() {
-            let k = r.load(layout.stage(j).start + c);
-            sum = r.mul_add(sum, h, k);
-        }
-        let y = r.load(layout.y + c);
-        let v = r.mul_add(sum, h, y);
-        r.store(v, layout.y_new + c);
-        error = r.mul_add(zero, v, error);
-        y_new.push(v);
+    let mut reach = None;
+    for (most, j) in most.into_iter().zip([order - 1, order]) {
+        let log = decide::log2(r, most);
+        let share = r.constant(-1.0 / j as f64);
+        let log = r.mul(log, share);
+        reach = Some(reach.map_or(log, |other| r.smaller(log, other)));
     }
-    r.store(error, layout.error);
-    ends(r, spec, layout, &y_new, true);
+    let power = decide::exp2(r, reach.unwrap_or(zero));
+    let safety = r.constant(control::taylor_safety(order));
+    let reach = r.mul(power, safety);
+    // What is not finite takes no step, and is refused for it.
+    let (below, top) = (r.sub(most[0], most[0]), r.sub(most[1], most[1]));
+    let nothing = r.add(below, top);
+    let finite = r.compare(Comparison::Equal, nothing, zero);
+    let reach = r.select(finite, reach, zero);
+    let wanted = r.load(layout.now.wanted);
+    let h = decide::stretched(r, reach, wanted);
+    r.store(h, layout.h);
+    let mut error = zero;
+    let mut y_new = Vec::new();
+    for c in 0..layout.dim {
+        let mut sum = series[c][order].unwrap_or(zero);
+        for j in (0..order).rev() {
+            sum = r.mul_add(sum, h, series[c][j].unwrap_or(zero));
+        }
+        error = r.mul_add(zero, sum, error);
+        y_new.push(sum);
+    }
+    Taken::new(r, spec, h, y, y_new, None, error)
 }

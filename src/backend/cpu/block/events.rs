@@ -15,17 +15,15 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             last
         };
         let at = self.run.levels.get(next).copied().unwrap_or(f64::INFINITY);
-        self.next_at.0[lane] = T::of(if self.trajectory[lane].is_some() {
-            at
-        } else {
-            f64::INFINITY
-        });
+        let at = if self.trajectory[lane].is_some() { at } else { f64::INFINITY };
+        self.put(self.layout.next_at, lane, T::of(at));
     }
 
     /// Guards and levels within an accepted step; the status when the trajectory ends in it, with its last point in
     /// `y` and `t`.
     #[inline(always)]
     pub(super) fn events<const FMA: bool>(&mut self, lane: usize, out: &mut Output<'_>) -> Option<Status> {
+        let (now, next) = (self.layout.now, self.layout.next);
         let mut most = T::of(1.0);
         let mut ended = None;
         if !self.inside_at_end(lane) {
@@ -33,11 +31,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             ended = Some(Status::Guard);
         }
         let levels = &self.run.levels;
-        let h = self.h()[lane];
+        let h = self.h(lane);
         let by = self.kernel.spec.by;
         let (start, end) = match by {
-            By::Time => (self.t.0[lane], self.t.0[lane] + h),
-            By::Component(c) => (self.y(c)[lane], self.y_new(c)[lane]),
+            By::Time => (self.at(now.t, lane), self.at(next.t, lane)),
+            By::Component(c) => (self.at(now.y + c, lane), self.at(next.y + c, lane)),
         };
         while self.next_level[lane] < levels.len() {
             let k = self.next_level[lane];
@@ -64,12 +62,14 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         self.expect_level(lane);
         if ended.is_some() {
             for c in 0..self.layout.dim {
-                self.frame[self.layout.y + c].0[lane] = self.interpolate::<FMA>(lane, c, most);
+                let v = self.interpolate::<FMA>(lane, c, most);
+                self.put(next.y + c, lane, v);
             }
-            self.t.0[lane] = most.mul_add::<FMA>(h, self.t.0[lane]);
+            let t = most.mul_add::<FMA>(h, self.at(now.t, lane));
+            self.put(next.t, lane, t);
             // A level that ends the trajectory is met by definition.
             if let (Some(Status::Reached), By::Component(c)) = (ended, by) {
-                self.frame[self.layout.y + c].0[lane] = T::of(self.run.levels[self.run.levels.len() - 1]);
+                self.put(next.y + c, lane, T::of(self.run.levels[self.run.levels.len() - 1]));
             }
         }
         ended
@@ -80,9 +80,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         let Some(guards) = &self.kernel.spec.guards else {
             return true;
         };
-        let values: Vec<T> = (self.layout.guards..self.layout.slots)
-            .take(guards.strict.len())
-            .map(|slot| self.frame[slot].0[lane])
+        let values: Vec<T> = (self.layout.guards..self.layout.accepted)
+            .map(|slot| self.at(slot, lane))
             .collect();
         hold(&values, &guards.strict)
     }
@@ -100,7 +99,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     /// polynomial both are the time.
     #[inline(always)]
     fn argument(&self, lane: usize, q: T) -> (T, T) {
-        let time = q * self.h()[lane];
+        let time = q * self.h(lane);
         match self.kernel.scheme {
             Scheme::RungeKutta(_) => (q, time),
             Scheme::Taylor(_) => (time, time),
@@ -111,11 +110,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     #[inline(always)]
     fn polynomial<const FMA: bool>(&self, lane: usize, c: usize, z: T) -> (T, T) {
         let (first, dim, degree) = (self.layout.dense + c, self.layout.dim, self.kernel.scheme.degree());
-        let mut value = self.frame[first + (degree - 1) * dim].0[lane];
+        let mut value = self.at(first + (degree - 1) * dim, lane);
         let mut slope = T::of(0.0);
         for m in (0..degree - 1).rev() {
             slope = slope.mul_add::<FMA>(z, value);
-            value = value.mul_add::<FMA>(z, self.frame[first + m * dim].0[lane]);
+            value = value.mul_add::<FMA>(z, self.at(first + m * dim, lane));
         }
         (value, slope)
     }
@@ -124,12 +123,12 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     #[inline(always)]
     fn interpolate<const FMA: bool>(&mut self, lane: usize, c: usize, q: T) -> T {
         if q == T::of(1.0) {
-            return self.y_new(c)[lane];
+            return self.at(self.layout.next.y + c, lane);
         }
         self.densify::<FMA>();
         let (z, factor) = self.argument(lane, q);
         let (value, _) = self.polynomial::<FMA>(lane, c, z);
-        value.mul_add::<FMA>(factor, self.y(c)[lane])
+        value.mul_add::<FMA>(factor, self.at(self.layout.now.y + c, lane))
     }
 
     /// Fraction of the step at which the coordinate takes the value `level`, by Newton's method kept within a bracket.
@@ -143,7 +142,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             return guess;
         };
         self.densify::<FMA>();
-        let h = self.h()[lane];
+        let h = self.h(lane);
         let (mut lo, mut hi, mut q) = (T::of(0.0), T::of(1.0), guess);
         for _ in 0..30 {
             let (z, factor) = self.argument(lane, q);
@@ -176,7 +175,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         let dim = self.layout.dim;
         let start = (i * self.run.levels.len() + level) * (1 + dim);
         let to = &mut out.samples[start..start + 1 + dim];
-        to[0] = q.mul_add::<FMA>(self.h()[lane], self.t.0[lane]).f64();
+        to[0] = q.mul_add::<FMA>(self.h(lane), self.at(self.layout.now.t, lane)).f64();
         for c in 0..dim {
             to[1 + c] = self.interpolate::<FMA>(lane, c, q).f64();
         }

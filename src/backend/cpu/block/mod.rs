@@ -3,15 +3,14 @@
 //!
 //! `shaders/block.wgsl` mirrors this room.
 
-mod control;
 mod events;
 
 use super::lanes::Lanes;
 use super::real::Real;
 use super::routine::{Routine, Session};
-use super::steps::{self, Layout};
+use super::steps::{self, Layout, Parameters, Variant};
 use crate::backend::{By, Run, Spec, Status};
-use crate::integrator::{Scheme, control as constants};
+use crate::integrator::{Scheme, control};
 
 /// A kernel's code for blocks of a certain number of lanes.
 pub struct Compiled {
@@ -20,45 +19,27 @@ pub struct Compiled {
     layout: Layout,
     /// What a seed needs before its first step.
     start: Routine,
-    /// A Runge-Kutta step, or the expansion of a Taylor step.
     step: Routine,
-    /// The new point of a Taylor step.
-    evaluation: Option<Routine>,
     /// Dense output of a Runge-Kutta step.
     dense: Option<Routine>,
 }
 
 impl Compiled {
     /// `compile`: to machine code, where the machine allows it.
-    pub fn new(spec: &Spec, scheme: Scheme, compile: bool, width: usize) -> Self {
+    pub fn new(spec: &Spec, scheme: Scheme, variant: Variant, compile: bool, width: usize) -> Self {
         let layout = Layout::new(spec, scheme);
         let routine = |record: &dyn Fn(&mut super::code::Recorder)| Routine::new(compile, spec.precision, width, record);
-        let start = routine(&|r| steps::start(r, spec, &layout));
-        let (step, evaluation, dense) = match scheme {
-            Scheme::RungeKutta(tableau) => (
-                routine(&|r| steps::runge_kutta(r, spec, &layout, tableau)),
-                None,
-                Some(routine(&|r| steps::dense(r, spec, &layout, tableau))),
-            ),
-            Scheme::Taylor(order) => (
-                routine(&|r| steps::expansion(r, spec, &layout, order)),
-                Some(routine(&|r| steps::evaluation(r, spec, &layout, order))),
-                None,
-            ),
-        };
         Self {
+            start: routine(&|r| steps::start(r, spec, &layout, variant)),
+            step: routine(&|r| steps::step(r, spec, &layout, scheme, variant)),
+            dense: match scheme {
+                Scheme::RungeKutta(tableau) => Some(routine(&|r| steps::dense(r, spec, &layout, tableau))),
+                Scheme::Taylor(_) => None,
+            },
             spec: spec.clone(),
             scheme,
             layout,
-            start,
-            step,
-            evaluation,
-            dense,
         }
-    }
-
-    fn adaptive(&self) -> bool {
-        self.scheme.adaptive()
     }
 }
 
@@ -87,10 +68,9 @@ impl<'a, T: Real> Queue<'a, T> {
         let layout = &kernel.layout;
         let dim = layout.dim;
         let count = seeds.len() / dim;
-        let slots: Vec<usize> = layout
-            .stage(0)
-            .chain(layout.kinks..layout.guards)
-            .chain([layout.top, layout.top + 1])
+        let slots: Vec<usize> = (layout.dense..layout.dense + dim)
+            .chain(layout.next.kinks..layout.next.end)
+            .chain([layout.seed, layout.seed + 1])
             .collect();
         let width = slots.len();
         let mut starts = vec![T::of(0.0); count * width];
@@ -100,7 +80,7 @@ impl<'a, T: Real> Queue<'a, T> {
             let here = W.min(count - first);
             for c in 0..dim {
                 for i in 0..here {
-                    frame[layout.y + c].0[i] = T::of(seeds[(first + i) * dim + c]);
+                    frame[layout.now.y + c].0[i] = T::of(seeds[(first + i) * dim + c]);
                 }
             }
             session.run::<FMA>(&mut frame);
@@ -132,32 +112,16 @@ impl<'a, T: Real> Queue<'a, T> {
     }
 }
 
-/// Everything a block works on. What steps use is kept lane by lane in SIMD order; only lanes to which something happens
-/// (a level, an end) are looked at singly.
+/// Everything a block works on. Steps of all lanes, and what follows from them, are one piece of vector code; only lanes
+/// to which something happens (a level, an end) are looked at singly.
 struct Block<'a, T, const W: usize> {
     kernel: &'a Compiled,
     run: &'a Run,
     layout: Layout,
     frame: Vec<Lanes<T, W>>,
-    step: Session<'a, T, W>,
-    evaluation: Option<Session<'a, T, W>>,
     dense: Option<Session<'a, T, W>>,
     /// Whether the frame holds the dense output of the step at hand.
     densified: bool,
-    /// Values of the kinks where the step begins.
-    sides: Vec<Lanes<T, W>>,
-    /// Step size to go on with behind a kink; 0 where none is ahead.
-    resume: Lanes<T, W>,
-    t: Lanes<T, W>,
-    /// The step to attempt; for a Taylor step the longest one allowed.
-    wanted: Lanes<T, W>,
-    /// Squared error of the step before.
-    before: Lanes<f32, W>,
-    /// The level each lane comes to next; infinite for an idle lane.
-    next_at: Lanes<T, W>,
-    first_step: Lanes<T, W>,
-    steps: [u32; W],
-    rejected: [u32; W],
     /// Trajectory in the chunk; none when the queue has run dry.
     trajectory: [Option<usize>; W],
     next_level: [usize; W],
@@ -171,106 +135,93 @@ pub fn integrate<T: Real, const W: usize, const FMA: bool>(
     seeds: &[f64],
     out: &mut Output<'_>,
 ) {
-    let zero = Lanes::splat(T::of(0.0));
     let layout = kernel.layout;
-    let parameters: Vec<T> = [run.rtol].iter().chain(&run.atol).map(|v| T::of(*v)).collect();
+    let parameters = Parameters::values::<T>(run);
     let mut queue = Queue::new::<W, FMA>(kernel, &parameters, seeds);
+    let mut step = kernel.step.session::<T, W>(&parameters);
     let mut block = Block::<T, W> {
         kernel,
         run,
         layout,
-        frame: vec![zero; layout.slots],
-        step: kernel.step.session(&parameters),
-        evaluation: kernel.evaluation.as_ref().map(|r| r.session(&parameters)),
+        frame: vec![Lanes::splat(T::of(0.0)); layout.slots],
         dense: kernel.dense.as_ref().map(|r| r.session(&parameters)),
         densified: false,
-        sides: vec![zero; layout.guards - layout.kinks],
-        resume: zero,
-        t: zero,
-        wanted: zero,
-        before: Lanes::splat(1.0),
-        next_at: zero,
-        first_step: zero,
-        steps: [0; W],
-        rejected: [0; W],
         trajectory: [None; W],
         next_level: [0; W],
     };
+    let mut active = 0;
     for lane in 0..W {
-        block.refill(lane, &mut queue, out);
+        active += usize::from(block.refill(lane, &mut queue, out));
     }
-    while block.trajectory.iter().any(Option::is_some) {
-        block.attempt::<FMA>();
-        let decided = block.control::<FMA>();
-        let mut single = [false; W];
+    while active > 0 {
+        block.frame.copy_within(layout.next.y..layout.next.end, layout.now.y);
+        step.run::<FMA>(&mut block.frame);
+        block.densified = false;
         for lane in 0..W {
-            if decided.special[lane] != 0 && block.trajectory[lane].is_some() {
-                single[lane] = true;
-                if block.settle::<FMA>(lane, &decided, out) {
-                    block.refill(lane, &mut queue, out);
-                }
+            if block.set(layout.special, lane)
+                && block.trajectory[lane].is_some()
+                && block.settle::<FMA>(lane, out)
+                && !block.refill(lane, &mut queue, out)
+            {
+                active -= 1;
             }
         }
-        block.advance(&decided, &single);
     }
-}
-
-/// What the step control decided for each lane.
-struct Decision<T, const W: usize> {
-    accepted: [bool; W],
-    finite: [bool; W],
-    next_h: Lanes<T, W>,
-    /// Not 0 where a lane must be looked at singly.
-    special: [u8; W],
 }
 
 impl<T: Real, const W: usize> Block<'_, T, W> {
-    fn y(&self, c: usize) -> &[T; W] {
-        &self.frame[self.layout.y + c].0
+    fn at(&self, slot: usize, lane: usize) -> T {
+        self.frame[slot].0[lane]
     }
 
-    fn y_new(&self, c: usize) -> &[T; W] {
-        &self.frame[self.layout.y_new + c].0
+    fn put(&mut self, slot: usize, lane: usize, value: T) {
+        self.frame[slot].0[lane] = value;
     }
 
-    fn h(&self) -> &[T; W] {
-        &self.frame[self.layout.h].0
+    /// Whether a mask is set: all ones are not a number.
+    fn set(&self, mask: usize, lane: usize) -> bool {
+        !(self.at(mask, lane) == T::of(0.0))
     }
 
-    /// Puts the next trajectory of the queue that has a way to go into a lane, or idles it.
-    fn refill(&mut self, lane: usize, queue: &mut Queue<'_, T>, out: &mut Output<'_>) {
+    /// The step attempted.
+    fn h(&self, lane: usize) -> T {
+        self.at(self.layout.h, lane)
+    }
+
+    /// Puts the next trajectory of the queue that has a way to go into a lane; false where there is none, and the lane
+    /// idles.
+    fn refill(&mut self, lane: usize, queue: &mut Queue<'_, T>, out: &mut Output<'_>) -> bool {
         while let Some(i) = queue.take() {
             match self.place(lane, i, queue) {
-                None => return,
+                None => return true,
                 Some(ended) => _ = self.finish(lane, ended, out),
             }
         }
         self.trajectory[lane] = None;
         self.expect_level(lane);
+        false
     }
 
     /// Puts a trajectory at its beginning; its status where that is also its end.
     fn place(&mut self, lane: usize, i: usize, queue: &Queue<'_, T>) -> Option<Status> {
-        let dim = self.layout.dim;
+        let (dim, next) = (self.layout.dim, self.layout.next);
         let start = queue.start(i);
         for c in 0..dim {
-            self.frame[self.layout.y + c].0[lane] = T::of(queue.seeds[i * dim + c]);
-            if self.kernel.dense.is_some() {
-                self.frame[self.layout.k + c].0[lane] = start[c];
+            self.put(next.y + c, lane, T::of(queue.seeds[i * dim + c]));
+            if matches!(self.kernel.scheme, Scheme::RungeKutta(_)) {
+                self.put(next.k + c, lane, start[c]);
             }
         }
-        for (side, v) in self.sides.iter_mut().zip(&start[dim..]) {
-            side.0[lane] = *v;
+        for (g, v) in start[dim..queue.width - 2].iter().enumerate() {
+            self.put(next.kinks + g, lane, *v);
         }
-        self.t.0[lane] = T::of(0.0);
-        self.before.0[lane] = 1.0;
-        self.resume.0[lane] = T::of(0.0);
-        self.steps[lane] = 0;
-        self.rejected[lane] = 0;
+        for slot in [next.t, next.before, next.resume, next.steps, next.rejected] {
+            self.put(slot, lane, T::of(0.0));
+        }
         self.trajectory[lane] = Some(i);
         let coordinate = match self.kernel.spec.by {
             By::Time => T::of(0.0),
-            By::Component(c) => self.y(c)[lane],
+            By::Component(c) => self.at(next.y + c, lane),
         };
         self.next_level[lane] = self.run.levels.iter().take_while(|l| T::of(**l) <= coordinate).count();
         self.expect_level(lane);
@@ -282,14 +233,17 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             return Some(Status::Reached);
         }
         let first = self.first_step(size, speed);
-        self.first_step.0[lane] = T::of(first);
-        self.wanted.0[lane] = match self.kernel.scheme {
-            Scheme::Taylor(_) => T::of(f64::INFINITY),
-            Scheme::RungeKutta(_) => T::of(first),
+        self.put(self.layout.first_step, lane, T::of(first));
+        let mut wanted = match self.kernel.scheme {
+            Scheme::Taylor(_) => f64::INFINITY,
+            Scheme::RungeKutta(_) => first,
         };
-        if let (By::Time, Some(end)) = (self.kernel.spec.by, self.run.levels.last()) {
-            self.wanted.0[lane] = control::stretched(self.wanted.0[lane], T::of(*end));
+        if let (By::Time, Some(end)) = (self.kernel.spec.by, self.run.levels.last())
+            && wanted * (1.0 + 1e-3) >= *end
+        {
+            wanted = *end;
         }
+        self.put(next.wanted, lane, T::of(wanted));
         None
     }
 
@@ -298,86 +252,22 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         let share = match self.kernel.scheme {
             Scheme::RungeKutta(tableau) if !tableau.adaptive() => return self.run.step,
             Scheme::RungeKutta(tableau) => tableau.first(),
-            Scheme::Taylor(_) => constants::SHARE,
+            Scheme::Taylor(_) => control::SHARE,
         };
         let first = share * (size / speed).sqrt();
         // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the step limit.
         if first.is_finite() && first > 0.0 { first } else { share }
     }
 
-    /// One step of all lanes.
+    /// What happens in the step of one lane: events, samples, end of the trajectory. True when the lane is free.
     #[inline(always)]
-    fn attempt<const FMA: bool>(&mut self) {
-        self.densified = false;
-        match &mut self.evaluation {
-            None => {
-                self.frame[self.layout.h] = self.wanted;
-                self.step.run::<FMA>(&mut self.frame);
-            }
-            Some(evaluation) => {
-                self.step.run::<FMA>(&mut self.frame);
-                if let Scheme::Taylor(order) = self.kernel.scheme {
-                    let (below, top) = (self.frame[self.layout.top], self.frame[self.layout.top + 1]);
-                    control::taylor_steps(order, &below, &top, &self.wanted, &mut self.frame[self.layout.h]);
-                }
-                evaluation.run::<FMA>(&mut self.frame);
-            }
-        }
-    }
-
-    /// Finishes the step of all lanes to which nothing happened.
-    #[inline(always)]
-    fn advance(&mut self, decided: &Decision<T, W>, single: &[bool; W]) {
-        let mut moves = [false; W];
-        for i in 0..W {
-            moves[i] = decided.accepted[i] & !single[i];
-            let fails = !decided.accepted[i] & !single[i];
-            self.steps[i] += u32::from(moves[i]);
-            self.rejected[i] += u32::from(fails);
-        }
-        let h = self.frame[self.layout.h].0;
-        for i in 0..W {
-            self.t.0[i] = if moves[i] { self.t.0[i] + h[i] } else { self.t.0[i] };
-        }
-        for i in 0..W {
-            self.wanted.0[i] = if single[i] { self.wanted.0[i] } else { decided.next_h.0[i] };
-        }
-        let layout = self.layout;
-        for (k, old) in self.sides.iter_mut().enumerate() {
-            let new = &self.frame[layout.kinks + k].0;
-            for i in 0..W {
-                old.0[i] = if moves[i] { new[i] } else { old.0[i] };
-            }
-        }
-        let mut take = |to: usize, from: usize| {
-            let from = self.frame[from].0;
-            let to = &mut self.frame[to].0;
-            for i in 0..W {
-                to[i] = if moves[i] { from[i] } else { to[i] };
-            }
-        };
-        for c in 0..layout.dim {
-            take(layout.y + c, layout.y_new + c);
-        }
-        if let Scheme::RungeKutta(tableau) = self.kernel.scheme {
-            let last = layout.stage(tableau.stages() - 1).start;
-            for c in 0..layout.dim {
-                take(layout.k + c, last + c);
-            }
-        }
-    }
-
-    /// Finishes the step of one lane: events, samples, end of the trajectory. True when the lane is free.
-    #[inline(always)]
-    fn settle<const FMA: bool>(&mut self, lane: usize, decided: &Decision<T, W>, out: &mut Output<'_>) -> bool {
-        let next_h = decided.next_h.0[lane];
-        if !decided.accepted[lane] {
-            self.rejected[lane] += 1;
-            self.wanted.0[lane] = next_h;
-            let (t, first) = (self.t.0[lane].f64(), self.first_step.0[lane].f64());
-            let floor = constants::FLOOR_ULPS * T::EPSILON * t.max(first);
-            if next_h.f64() < floor || !self.kernel.adaptive() {
-                let status = if decided.finite[lane] {
+    fn settle<const FMA: bool>(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
+        let (now, next) = (self.layout.now, self.layout.next);
+        if !self.set(self.layout.accepted, lane) {
+            let reached = self.at(now.t, lane).f64().max(self.at(self.layout.first_step, lane).f64());
+            let floor = control::FLOOR_ULPS * T::EPSILON * reached;
+            if self.at(next.wanted, lane).f64() < floor || !self.kernel.scheme.adaptive() {
+                let status = if self.at(self.layout.error, lane).is_finite() {
                     Status::StepFloor
                 } else {
                     Status::NotFinite
@@ -386,53 +276,39 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             }
             return self.out_of_steps(lane, out);
         }
-        self.steps[lane] += 1;
-        for (k, old) in self.sides.iter_mut().enumerate() {
-            old.0[lane] = self.frame[self.layout.kinks + k].0[lane];
-        }
         if let Some(ended) = self.events::<FMA>(lane, out) {
             return self.finish(lane, ended, out);
         }
-        self.t.0[lane] = self.t.0[lane] + self.h()[lane];
-        self.wanted.0[lane] = next_h;
-        let layout = self.layout;
-        for c in 0..layout.dim {
-            self.frame[layout.y + c].0[lane] = self.y_new(c)[lane];
-        }
-        if let Scheme::RungeKutta(tableau) = self.kernel.scheme {
-            let last = layout.stage(tableau.stages() - 1).start;
-            for c in 0..layout.dim {
-                self.frame[layout.k + c].0[lane] = self.frame[last + c].0[lane];
-            }
-        }
         let outside = (self.run.bounds.iter().enumerate()).any(|(c, [lo, hi])| {
-            let y = self.y(c)[lane];
+            let y = self.at(next.y + c, lane);
             !(y >= T::of(*lo) && y <= T::of(*hi))
         });
         if outside {
             return self.finish(lane, Status::LeftRegion, out);
         }
-        if self.run.ceiling.is_some_and(|(c, v)| self.y(c)[lane] >= T::of(v)) {
+        if (self.run.ceiling).is_some_and(|(c, v)| self.at(next.y + c, lane) >= T::of(v)) {
             return self.finish(lane, Status::Reached, out);
         }
         self.out_of_steps(lane, out)
     }
 
     fn out_of_steps(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
-        self.steps[lane] + self.rejected[lane] >= self.run.max_steps && self.finish(lane, Status::StepLimit, out)
+        let next = self.layout.next;
+        let count = self.at(next.steps, lane).f64() + self.at(next.rejected, lane).f64();
+        count >= f64::from(self.run.max_steps).min(0.5 / T::EPSILON) && self.finish(lane, Status::StepLimit, out)
     }
 
     /// Writes a lane's result; the lane is then free.
     fn finish(&mut self, lane: usize, status: Status, out: &mut Output<'_>) -> bool {
         if let Some(i) = self.trajectory[lane] {
-            let dim = self.layout.dim;
+            let (dim, next) = (self.layout.dim, self.layout.next);
             for c in 0..dim {
-                out.end[i * dim + c] = self.y(c)[lane].f64();
+                out.end[i * dim + c] = self.at(next.y + c, lane).f64();
             }
-            out.end_time[i] = self.t.0[lane].f64();
+            out.end_time[i] = self.at(next.t, lane).f64();
             out.status[i] = status;
-            out.steps[i] = self.steps[lane];
-            out.rejected[i] = self.rejected[lane];
+            out.steps[i] = self.at(next.steps, lane).f64() as u32;
+            out.rejected[i] = self.at(next.rejected, lane).f64() as u32;
         }
         true
     }
