@@ -112,7 +112,7 @@ fn whole_sweep(c: &mut Criterion) {
     group.sample_size(10);
     for backend in backends() {
         for (precision, method) in combinations(backend.as_ref()) {
-            model.integrator.method = method;
+            model.integrator.method = Some(method);
             let choices = Choices {
                 precision: Some(precision),
                 ..Choices::default()

@@ -64,7 +64,7 @@ fn main() {
             })
             .collect();
         // A sweep's batch: stored samples, bounds, levels.
-        model.integrator.method = method;
+        model.integrator.method = Some(method);
         let rtol = if precision == Precision::F32 { 1e-5 } else { 1e-8 };
         let plan = Plan::new(
             &model,

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Mismatch, Side, Tolerance, any_gpu, compare};
-use costate::backend::cpu::Cpu;
+use costate::backend::cpu::{Cpu, Simd};
 use costate::backend::{Backend, By, Guards, Run, Spec, Status, Trajectories};
 use costate::expr::{Fun, Graph, Id, Kind};
 use costate::model::{Method, Precision};
@@ -220,7 +220,7 @@ fn tolerance(problem: &Problem, method: Method, precision: Precision) -> Toleran
         }
         // Steps that differ by rounding in the step control: each side is within its tolerance, times the growth.
         // In f32 the error estimate itself is known to 1 %, so now and then one side rejects what the other accepts.
-        Method::Tsit5 | Method::Dop853 => Tolerance {
+        Method::Tsit5 | Method::Dop853 | Method::Taylor => Tolerance {
             relative: 10.0 * rtol(precision),
             absolute: 10.0 * rtol(precision),
             steps: match (method, &problem.kinks) {
@@ -236,7 +236,7 @@ fn tolerance(problem: &Problem, method: Method, precision: Precision) -> Toleran
     }
 }
 
-const METHODS: [Method; 2] = [Method::Rk4, Method::Tsit5];
+const METHODS: [Method; 3] = [Method::Rk4, Method::Tsit5, Method::Dop853];
 const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
 
 #[test]
@@ -283,36 +283,95 @@ fn gpu_agrees_with_cpu() {
     }
 }
 
-/// Its dense output is of low order, so trajectories end at a time and nothing is located or stored on the way.
 #[test]
-fn ends_of_the_eighth_order_method_agree() {
-    let (cpu, gpu) = (Cpu::new(), any_gpu());
-    for mut problem in problems() {
-        problem.by = By::Time;
-        problem.guards = None;
-        problem.run = run(vec![3.0]);
-        for precision in PRECISIONS {
-            let spec = problem.spec(Method::Dop853, precision, false);
-            let run = problem.run(precision);
-            let seeds = problem.seeds(345);
+fn compiled_steps_compute_the_bits_of_interpreted_ones() {
+    let widest = Simd::detect();
+    if widest == Simd::Baseline {
+        return; // nothing is compiled here
+    }
+    let interpreting = Cpu::interpreting(widest).expect("the set was detected");
+    for problem in problems() {
+        for method in Method::ALL.map(|(_, m)| m) {
+            for (precision, store) in [(Precision::F32, true), (Precision::F64, true), (Precision::F64, false)] {
+                let spec = Spec {
+                    kinks: problem.kinks.clone(),
+                    ..problem.spec(method, precision, store)
+                };
+                let (run, seeds) = (problem.run(precision), problem.seeds(77));
+                let (a, b) = (
+                    integrate(&Cpu::new(), &spec, &run, &seeds),
+                    integrate(&interpreting, &spec, &run, &seeds),
+                );
+                let case = format!("{} {method:?} {precision:?} store {store}", problem.name);
+                assert_eq!(
+                    (&a.status, &a.steps, &a.rejected),
+                    (&b.status, &b.steps, &b.rejected),
+                    "{case}"
+                );
+                let bits = |v: &[f64]| v.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+                assert_eq!(bits(&a.end), bits(&b.end), "{case}: ends");
+                assert_eq!(bits(&a.samples), bits(&b.samples), "{case}: samples");
+            }
+        }
+    }
+}
+
+/// The interpreter without fused products, as on machines without AVX2, against the compiled steps.
+#[test]
+fn every_machine_computes_the_same_trajectories() {
+    let baseline = Cpu::interpreting(Simd::Baseline).expect("any machine has it");
+    for problem in problems() {
+        for method in [Method::Tsit5, Method::Taylor] {
+            let spec = problem.spec(method, Precision::F64, true);
+            let (run, seeds) = (problem.run(Precision::F64), problem.seeds(77));
             let (a, b) = (
-                integrate(&cpu, &spec, &run, &seeds),
-                integrate(&gpu, &spec, &run, &seeds),
+                integrate(&Cpu::new(), &spec, &run, &seeds),
+                integrate(&baseline, &spec, &run, &seeds),
             );
-            assert!(a.status.iter().all(|s| *s == Status::Reached));
             let (a, b) = (
                 Side {
-                    backend: cpu.name(),
+                    backend: "compiled",
                     result: &a,
                 },
                 Side {
-                    backend: gpu.name(),
+                    backend: "baseline",
+                    result: &b,
+                },
+            );
+            let case = format!("{} {method:?}", problem.name);
+            compare(a, b, tolerance(&problem, method, Precision::F64)).unwrap_or_else(|e| panic!("{case}: {e}"));
+        }
+    }
+}
+
+/// Taylor series, which only the CPU has, against Runge-Kutta steps: all samples, ends and times.
+#[test]
+fn taylor_agrees_with_runge_kutta() {
+    for problem in problems() {
+        for precision in PRECISIONS {
+            let result = |method| {
+                let spec = problem.spec(method, precision, true);
+                integrate(&Cpu::new(), &spec, &problem.run(precision), &problem.seeds(345))
+            };
+            let (a, b) = (result(Method::Taylor), result(Method::Dop853));
+            let (a, b) = (
+                Side {
+                    backend: "taylor",
+                    result: &a,
+                },
+                Side {
+                    backend: "dop853",
                     result: &b,
                 },
             );
             let case = format!("{} {precision:?}", problem.name);
-            let agreement =
-                compare(a, b, tolerance(&problem, Method::Dop853, precision)).unwrap_or_else(|e| panic!("{case}: {e}"));
+            let allowed = Tolerance {
+                // Their numbers of steps have nothing to do with each other.
+                steps: |_| u32::MAX,
+                ..tolerance(&problem, Method::Taylor, precision)
+            };
+            let agreement = compare(a, b, allowed).unwrap_or_else(|e| panic!("{case}: {e}"));
+            assert!(agreement.samples > 0, "{case}: nothing was sampled");
             println!("{case}: {:.3} of the tolerance", agreement.worst);
         }
     }

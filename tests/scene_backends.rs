@@ -24,7 +24,7 @@ const SAMPLES: usize = 12;
 fn scene(name: &str, method: Method) -> (Model, Hamiltonian) {
     let path = format!("{}/scenarios/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     let mut model = costate::scenario::load(path.as_ref(), &[]).expect("a shipped scene is valid");
-    model.integrator.method = method;
+    model.integrator.method = Some(method);
     model.integrator.step = (method == Method::Rk4).then_some(0.02);
     let shoot_out = model.shoot_out.as_mut().expect("shipped scenes are swept");
     shoot_out.samples = SAMPLES;
@@ -80,7 +80,7 @@ fn tolerance(plan: &Plan, seeds: &[f64], result: &Trajectories) -> Tolerance {
     let rounding = UNITS_A_STEP * plan.spec.precision.epsilon() * (steps * growth).sqrt();
     let relative = match plan.spec.method {
         Method::Rk4 => rounding,
-        Method::Tsit5 | Method::Dop853 => rounding + plan.run.rtol * steps,
+        Method::Tsit5 | Method::Dop853 | Method::Taylor => rounding + plan.run.rtol * steps,
     };
     // Components that pass through zero are measured against the scene's own sizes: those of V, the largest.
     let scale = result
@@ -102,7 +102,7 @@ fn tolerance(plan: &Plan, seeds: &[f64], result: &Trajectories) -> Tolerance {
 fn scenes_agree_on_both_backends() {
     let (cpu, gpu) = (Cpu::new(), any_gpu());
     for name in SCENES {
-        for method in [Method::Rk4, Method::Tsit5] {
+        for method in [Method::Rk4, Method::Tsit5, Method::Dop853] {
             let (model, hamiltonian) = scene(name, method);
             for precision in [Precision::F32, Precision::F64] {
                 // At the scenes' own rtol, f32's error estimates are partly rounding noise, and so would be its steps.

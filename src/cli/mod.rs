@@ -6,7 +6,7 @@ mod report;
 mod run;
 
 use crate::backend::BackendError;
-use crate::model::Precision;
+use crate::model::{Method, Precision};
 use crate::output::OutputError;
 use crate::scenario::{LoadError, ScenarioErrors};
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -80,6 +80,9 @@ struct RunArgs {
     /// Arithmetic of the integration [default: the scenario's]
     #[arg(long, value_enum)]
     precision: Option<PrecisionChoice>,
+    /// Integration method: rk4, tsit5, dop853, taylor [default: the scenario's]
+    #[arg(long, value_parser = method)]
+    method: Option<Method>,
     /// Relative tolerance [default: the scenario's]
     #[arg(long, value_parser = tolerance, allow_negative_numbers = true)]
     rtol: Option<f64>,
@@ -138,6 +141,14 @@ fn assignment(text: &str) -> Result<(String, String), String> {
         }
         _ => Err("expected NAME=VALUE".to_owned()),
     }
+}
+
+fn method(text: &str) -> Result<Method, String> {
+    let named = Method::ALL.iter().find(|(name, _)| *name == text);
+    named.map(|(_, m)| *m).ok_or_else(|| {
+        let names: Vec<&str> = Method::ALL.iter().map(|(name, _)| *name).collect();
+        format!("one of {}", names.join(", "))
+    })
 }
 
 fn at_least_two(text: &str) -> Result<usize, String> {

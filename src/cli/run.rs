@@ -37,6 +37,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let backend = open_backend(args)?;
     let choices = Choices {
         precision: args.precision.and_then(|p| p.precision()),
+        method: args.method,
         rtol: args.rtol,
         inner_levels: wanted.is_some(),
         max_seeds: (wanted.as_ref().filter(|_| !parts.sweeps())).map(|w| value::guess_seeds(w.states, w.count())),

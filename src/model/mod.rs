@@ -187,10 +187,10 @@ impl Precision {
     }
 }
 
-/// `[integrator]`. `precision: None` is "auto".
+/// `[integrator]`. `None` is "auto".
 #[derive(Clone, Debug)]
 pub struct Integrator {
-    pub method: Method,
+    pub method: Option<Method>,
     pub rtol: f64,
     pub atol: f64,
     /// Step of a fixed-step method; required for it.

@@ -221,7 +221,7 @@ impl<'a> Reader<'a> {
     /// `[integrator]`, or the defaults.
     pub fn integrator(&mut self, section: Option<&Section<'a>>) -> Integrator {
         let mut integrator = Integrator {
-            method: Method::Tsit5,
+            method: None,
             rtol: DEFAULT_RTOL,
             atol: DEFAULT_ATOL,
             step: None,
@@ -231,7 +231,7 @@ impl<'a> Reader<'a> {
         };
         let Some(section) = section else { return integrator };
         self.check_keys(section, &["method", "rtol", "atol", "step", "precision", "max_steps"]);
-        let method = section.get("method").map(|v| self.choice(v, "method", &Method::ALL));
+        let method = section.get("method").map(|v| self.choice(v, "method", &methods()));
         if let Some(rtol) = section
             .get("rtol")
             .and_then(|v| self.number_that(v, "rtol", "greater than 0 and at most 0.1", |r| r > 0.0 && r <= 0.1))
@@ -257,15 +257,15 @@ impl<'a> Reader<'a> {
             integrator.max_steps = steps;
         }
         // An unknown method says nothing about whether it needs a step.
-        if let Some(method) = method.unwrap_or(Some(Method::Tsit5)) {
+        if let Some(method) = method.unwrap_or(Some(None)) {
             integrator.method = method;
             self.check_step(section, method);
         }
         integrator
     }
 
-    fn check_step(&mut self, section: &Section<'a>, method: Method) {
-        let name = method.name();
+    fn check_step(&mut self, section: &Section<'a>, method: Option<Method>) {
+        let name = method.map_or("auto", Method::name);
         let given = section.get("step").is_some();
         if is_fixed_step(method) && !given {
             let message = format!("method {name} has a fixed step, which is not given");
@@ -284,6 +284,12 @@ fn default_resolution(states: usize) -> usize {
     (4096f64.powf(1.0 / states as f64).round() as usize).clamp(2, 101)
 }
 
-fn is_fixed_step(method: Method) -> bool {
-    method == Method::Rk4
+fn is_fixed_step(method: Option<Method>) -> bool {
+    method.is_some_and(|m| !m.adaptive())
+}
+
+/// Names of methods, and "auto".
+fn methods() -> Vec<(&'static str, Option<Method>)> {
+    let named = Method::ALL.iter().map(|(name, m)| (*name, Some(*m)));
+    named.chain([("auto", None)]).collect()
 }

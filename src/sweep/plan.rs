@@ -32,8 +32,21 @@ pub enum PlanError {
     TooManySamples { samples: usize, mebibytes: usize },
     #[error("the equations take {operations} operations; at most {MOST_OPERATIONS} are handled")]
     TooLong { operations: usize },
+    #[error("method {method} has a fixed step: give step = ... in [integrator]")]
+    NoStep { method: &'static str },
     #[error(transparent)]
     Local(#[from] LocalError),
+}
+
+/// The method that reaches a tolerance soonest on a backend (see benches/README.md for the measurements).
+fn best_method(backend: &dyn Backend, rtol: f64) -> Method {
+    if backend.offers(Method::Taylor) {
+        Method::Taylor
+    } else if rtol >= F32_RTOL {
+        Method::Tsit5
+    } else {
+        Method::Dop853
+    }
 }
 
 /// The first triangulation has `2^n` simplices (a finite horizon's `n!`).
@@ -47,6 +60,7 @@ const MOST_BYTES: usize = 64 << 20;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Choices {
     pub precision: Option<Precision>,
+    pub method: Option<Method>,
     pub rtol: Option<f64>,
     /// Whether trajectories are also sampled between the seeds and the first stored level, for first guesses of
     /// boundary value problems.
@@ -144,6 +158,10 @@ impl Plan {
         } else {
             Precision::F64
         });
+        let method = (choices.method.or(model.integrator.method)).unwrap_or_else(|| best_method(backend, rtol_asked));
+        if !method.adaptive() && model.integrator.step.is_none() {
+            return Err(PlanError::NoStep { method: method.name() });
+        }
         let rtol = rtol_asked.max(LEAST_RTOL * precision.epsilon());
         // A tighter rtol alone would leave what is small against the region, or V on the first fronts, as it was.
         let atol = model.integrator.atol * choices.rtol.map_or(1.0, |_| rtol / model.integrator.rtol);
@@ -236,7 +254,7 @@ impl Plan {
                 rate: Program::lower(&system.graph, &system.inputs, &rate),
                 guards,
                 kinks,
-                method: model.integrator.method,
+                method,
                 precision,
                 by,
                 store: true,

@@ -14,8 +14,8 @@ mod steps;
 mod taylor;
 
 use super::{Backend, BackendError, Kernel, Run, Spec, Status, Trajectories};
-use crate::model::Precision;
 use crate::integrator::Scheme;
+use crate::model::Precision;
 use block::{Compiled, Output};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -60,11 +60,11 @@ impl Simd {
     }
 }
 
-/// Lanes a block: several SIMD vectors, with the working set still in the first-level cache.
-const LANES_F64: usize = 32;
-const LANES_F32: usize = 64;
-/// Lanes where trajectories are few.
-const FEW_LANES: usize = 16;
+/// Lanes a block: compiled code needs a few vectors' worth, with the working set in the first-level cache; an interpreter
+/// needs more of them, to pay for decoding.
+const LANES_F64: usize = 16;
+const LANES_F32: usize = 32;
+const LANES_INTERPRETED: usize = 64;
 
 /// The CPU backend.
 #[derive(Clone, Copy, Debug)]
@@ -176,23 +176,15 @@ impl Kernel for CpuKernel {
         if count == 0 {
             return Ok(result);
         }
-        // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
-        let chunk = (count / (rayon::current_num_threads() * 4)).clamp(LANES_F64, 8192);
-        // A block costs the same whether its lanes are in use or not.
-        let precision = self.spec.precision;
-        let few = precision == Precision::F64 && count <= FEW_LANES * rayon::current_num_threads();
+        let (precision, Cpu { simd, compile }) = (self.spec.precision, self.backend);
         let lanes = match precision {
-            Precision::F64 if few => FEW_LANES,
+            _ if !compile => LANES_INTERPRETED,
             Precision::F64 => LANES_F64,
             Precision::F32 => LANES_F32,
         };
-        let simd = self.backend.simd;
         let compiled = self.compiled(lanes, run);
-        let chunk = if few {
-            chunk.min(count.div_ceil(rayon::current_num_threads()).next_multiple_of(FEW_LANES))
-        } else {
-            chunk
-        };
+        // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
+        let chunk = (count / (rayon::current_num_threads() * 4)).clamp(lanes, 8192);
         let width = levels * (1 + dim);
         // Without stored samples there is nothing to split; one chunk of an empty slice a task.
         let mut sample_chunks: Vec<&mut [f64]> = if width == 0 {
@@ -217,42 +209,56 @@ impl Kernel for CpuKernel {
                     rejected,
                     samples,
                 };
-                match precision {
-                    Precision::F64 if few => dispatch::<f64, FEW_LANES>(simd, compiled, run, seeds, &mut out),
-                    Precision::F64 => dispatch::<f64, LANES_F64>(simd, compiled, run, seeds, &mut out),
-                    Precision::F32 => dispatch::<f32, LANES_F32>(simd, compiled, run, seeds, &mut out),
+                let job = Job {
+                    kernel: compiled,
+                    run,
+                    seeds,
+                };
+                match (precision, compile) {
+                    (Precision::F64, true) => job.dispatch::<f64, LANES_F64>(simd, &mut out),
+                    (Precision::F32, true) => job.dispatch::<f32, LANES_F32>(simd, &mut out),
+                    (Precision::F64, false) => job.dispatch::<f64, LANES_INTERPRETED>(simd, &mut out),
+                    (Precision::F32, false) => job.dispatch::<f32, LANES_INTERPRETED>(simd, &mut out),
                 }
             });
         Ok(result)
     }
 }
 
-fn dispatch<T: real::Real, const W: usize>(
-    simd: Simd,
-    kernel: &Compiled,
-    run: &Run,
-    seeds: &[f64],
-    out: &mut Output<'_>,
-) {
-    match simd {
-        Simd::Baseline => block::integrate::<T, W, false>(kernel, run, seeds, out),
-        // SAFETY: the features were detected when the backend was made.
-        #[cfg(target_arch = "x86_64")]
-        Simd::Avx2 => unsafe { avx2::<T, W>(kernel, run, seeds, out) },
-        // SAFETY: as above.
-        #[cfg(target_arch = "x86_64")]
-        Simd::Avx512 => unsafe { avx512::<T, W>(kernel, run, seeds, out) },
+/// One chunk of trajectories.
+struct Job<'a> {
+    kernel: &'a Compiled,
+    run: &'a Run,
+    seeds: &'a [f64],
+}
+
+impl Job<'_> {
+    fn dispatch<T: real::Real, const W: usize>(&self, simd: Simd, out: &mut Output<'_>) {
+        match simd {
+            Simd::Baseline => self.integrate::<T, W, false>(out),
+            // SAFETY: the features were detected when the backend was made.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => unsafe { avx2::<T, W>(self, out) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => unsafe { avx512::<T, W>(self, out) },
+        }
+    }
+
+    #[inline(always)]
+    fn integrate<T: real::Real, const W: usize, const FMA: bool>(&self, out: &mut Output<'_>) {
+        block::integrate::<T, W, FMA>(self.kernel, self.run, self.seeds, out);
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn avx2<T: real::Real, const W: usize>(kernel: &Compiled, run: &Run, seeds: &[f64], out: &mut Output<'_>) {
-    block::integrate::<T, W, true>(kernel, run, seeds, out);
+fn avx2<T: real::Real, const W: usize>(job: &Job<'_>, out: &mut Output<'_>) {
+    job.integrate::<T, W, true>(out);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-fn avx512<T: real::Real, const W: usize>(kernel: &Compiled, run: &Run, seeds: &[f64], out: &mut Output<'_>) {
-    block::integrate::<T, W, true>(kernel, run, seeds, out);
+fn avx512<T: real::Real, const W: usize>(job: &Job<'_>, out: &mut Output<'_>) {
+    job.integrate::<T, W, true>(out);
 }

@@ -366,14 +366,7 @@ pub fn dense(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) 
 
 /// A Taylor step: the solution's coefficients, the step at which the last ones are as large as the tolerance, and the
 /// polynomials' values there.
-fn taylor_step(
-    r: &mut Recorder,
-    spec: &Spec,
-    layout: &Layout,
-    order: usize,
-    given: &Parameters,
-    y: &[Value],
-) -> Taken {
+fn taylor_step(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize, given: &Parameters, y: &[Value]) -> Taken {
     let series = taylor::solution(r, &spec.rate, y, order);
     let zero = r.constant(0.0);
     let mut most = [zero; 2];

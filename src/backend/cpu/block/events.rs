@@ -15,7 +15,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             last
         };
         let at = self.run.levels.get(next).copied().unwrap_or(f64::INFINITY);
-        let at = if self.trajectory[lane].is_some() { at } else { f64::INFINITY };
+        let at = if self.trajectory[lane].is_some() {
+            at
+        } else {
+            f64::INFINITY
+        };
         self.put(self.layout.next_at, lane, T::of(at));
     }
 
@@ -210,5 +214,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
 
 fn hold<T: Real>(values: &[T], strict: &[bool]) -> bool {
     let zero = T::of(0.0);
-    values.iter().zip(strict).all(|(v, strict)| if *strict { *v > zero } else { *v >= zero })
+    values
+        .iter()
+        .zip(strict)
+        .all(|(v, strict)| if *strict { *v > zero } else { *v >= zero })
 }

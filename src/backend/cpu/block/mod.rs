@@ -28,7 +28,8 @@ impl Compiled {
     /// `compile`: to machine code, where the machine allows it.
     pub fn new(spec: &Spec, scheme: Scheme, variant: Variant, compile: bool, width: usize) -> Self {
         let layout = Layout::new(spec, scheme);
-        let routine = |record: &dyn Fn(&mut super::code::Recorder)| Routine::new(compile, spec.precision, width, record);
+        let routine =
+            |record: &dyn Fn(&mut super::code::Recorder)| Routine::new(compile, spec.precision, width, record);
         Self {
             start: routine(&|r| steps::start(r, spec, &layout, variant)),
             step: routine(&|r| steps::step(r, spec, &layout, scheme, variant)),
@@ -264,7 +265,10 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     fn settle<const FMA: bool>(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
         let (now, next) = (self.layout.now, self.layout.next);
         if !self.set(self.layout.accepted, lane) {
-            let reached = self.at(now.t, lane).f64().max(self.at(self.layout.first_step, lane).f64());
+            let reached = self
+                .at(now.t, lane)
+                .f64()
+                .max(self.at(self.layout.first_step, lane).f64());
             let floor = control::FLOOR_ULPS * T::EPSILON * reached;
             if self.at(next.wanted, lane).f64() < floor || !self.kernel.scheme.adaptive() {
                 let status = if self.at(self.layout.error, lane).is_finite() {

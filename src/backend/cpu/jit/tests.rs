@@ -67,7 +67,7 @@ fn agree<T: Real>(program: &Program, precision: Precision, points: &[f64]) -> Re
         let want = T::With::<true>::default().program(program, &point);
         for (k, want) in want.iter().enumerate() {
             let got = frame[inputs + k].0[i];
-            let same = got.f64().to_bits() == want.f64().to_bits() || (got.is_nan() && want.is_nan());
+            let same = got.f64().to_bits() == want.f64().to_bits() || (got.f64().is_nan() && want.f64().is_nan());
             prop_assert!(same, "output {k}, lane {i}: {} for {}", got.f64(), want.f64());
         }
     }
