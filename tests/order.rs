@@ -3,7 +3,7 @@
 
 use costate::backend::{Backend, By, Run, Spec, Status, Trajectories, cpu::Cpu};
 use costate::expr::{Graph, Kind};
-use costate::integrator::{RK4, TSIT5, Tableau};
+use costate::integrator::{DOP853, RK4, TSIT5, Tableau};
 use costate::model::{Method, Precision};
 use costate::program::Program;
 
@@ -86,8 +86,13 @@ fn solution(t: &Tableau) -> Vec<f64> {
 fn dense(t: &Tableau, q: f64) -> Vec<f64> {
     t.dense
         .iter()
-        .map(|d| q * (d[0] + q * (d[1] + q * (d[2] + q * d[3]))))
+        .map(|d| d.iter().enumerate().map(|(i, d)| d * basis(t, i, q)).sum())
         .collect()
+}
+
+/// Basis polynomial of the dense output.
+fn basis(t: &Tableau, i: usize, q: f64) -> f64 {
+    (0..t.degree()).map(|m| t.power(i, m) * q.powi(m as i32 + 1)).sum()
 }
 
 const FRACTIONS: [f64; 7] = [0.05, 0.2, 0.37, 0.5, 0.71, 0.9, 0.99];
@@ -281,13 +286,81 @@ fn tsit5_errors_fall_with_its_order() {
     assert!((slope(&between) - 5.0).abs() <= SLACK);
 }
 
+/// The eighth order, at the end and, one lower at most, between steps; or more, before the leading term rules.
+#[test]
+fn dop853_errors_fall_with_its_order() {
+    let (mut ends, mut between) = (Vec::new(), Vec::new());
+    for digits in [5, 6, 7, 8, 9, 10, 11] {
+        let rtol = 10f64.powi(-digits);
+        let setting = |levels| Setting {
+            method: Method::Dop853,
+            precision: Precision::F64,
+            step: 0.0,
+            rtol,
+            by: By::Time,
+            levels,
+        };
+        let result = integrate(&setting(vec![LONG]));
+        assert!(distance(&result.end, LONG) <= f64::from(result.steps[0]) * 4.0 * rtol);
+        ends.push((f64::from(result.steps[0]), distance(&result.end, LONG)));
+        let result = integrate(&setting(times(LONG)));
+        let worst = (0..97).map(|k| distance(&result.sample(0, k)[1..], times(LONG)[k]));
+        between.push((f64::from(result.steps[0]), worst.fold(0.0, f64::max)));
+    }
+    let (at, inside) = (slope(&ends), slope(&between));
+    println!("dop853: order {at:.2} at the end, {inside:.2} between steps");
+    assert!(at >= 8.0 - SLACK, "{at} at the end");
+    assert!(inside >= 7.0 - SLACK, "{inside} between steps");
+}
+
+#[test]
+fn dop853_coefficients() {
+    // The conditions of up to five nodes, at the end and on the way, where later stages take part.
+    assert_eq!(order_of(&DOP853, &solution(&DOP853), 1.0), 5);
+    let mut t = DOP853.a.to_vec();
+    t.extend(DOP853.extra);
+    let whole: &'static [&'static [f64]] = Vec::leak(t);
+    let extended = Tableau { a: whole, ..DOP853 };
+    for q in FRACTIONS {
+        assert_eq!(order_of(&extended, &dense(&DOP853, q), q), 5, "dense output at {q}");
+    }
+}
+
+/// Order and step of Taylor's method follow from the tolerance: errors stay in proportion to it, and steps do not
+/// shrink with it.
+#[test]
+fn taylor_errors_fall_with_the_tolerance() {
+    for (precision, digits) in [(Precision::F64, 4..=13), (Precision::F32, 3..=5)] {
+        for digits in digits {
+            let rtol = 10f64.powi(-digits);
+            let result = integrate(&Setting {
+                method: Method::Taylor,
+                precision,
+                step: 0.0,
+                rtol,
+                by: By::Time,
+                levels: times(LONG),
+            });
+            let steps = f64::from(result.steps[0]);
+            let worst = (0..97).map(|k| distance(&result.sample(0, k)[1..], times(LONG)[k]));
+            let worst = worst.chain([distance(&result.end, LONG)]).fold(0.0, f64::max);
+            println!("taylor, rtol {rtol:e}: {worst:.1e} after {steps} steps");
+            assert!(worst <= steps * 4.0 * rtol, "{worst} at {rtol:e}");
+            // The order grows with the tolerance's digits, so that the number of steps hardly does.
+            assert!(steps <= 4.0 * LONG, "{steps} steps at {rtol:e}");
+        }
+    }
+}
+
 /// Levels of a component are met, at the right time: y = exp(sin t) rises until t = pi/2.
 #[test]
 fn levels_are_located() {
     let levels: Vec<f64> = (1..=40).map(|k| 1.0 + f64::from(k) * 0.04).collect();
-    for (precision, rtol) in [(Precision::F64, 1e-10), (Precision::F32, 1e-6)] {
+    let methods = [Method::Tsit5, Method::Dop853, Method::Taylor];
+    let settings = [(Precision::F64, 1e-10), (Precision::F32, 1e-6)];
+    for (method, (precision, rtol)) in methods.into_iter().flat_map(|m| settings.map(|s| (m, s))) {
         let setting = Setting {
-            method: Method::Tsit5,
+            method,
             precision,
             step: 0.0,
             rtol,

@@ -5,6 +5,7 @@ mod dop853;
 pub use dop853::DOP853;
 
 /// An explicit method whose last stage is the derivative at the new point ("first same as last").
+#[derive(Clone, Copy)]
 pub struct Tableau {
     /// Order of the advanced solution.
     pub order: u32,
@@ -17,9 +18,11 @@ pub struct Tableau {
     pub companion: &'static [f64],
     /// Further stages that only dense output takes, like rows of `a`.
     pub extra: &'static [&'static [f64]],
-    /// Dense output: weight of stage j at fraction q of the step is `q * (d[j][0] + q*(d[j][1] + q*(...)))`. All stages,
-    /// the further ones included, have as many coefficients.
+    /// Dense output: weight of stage j at fraction q of the step is the sum of `d[j][i]` times basis polynomial i. All
+    /// stages, the further ones included, have as many coefficients.
     pub dense: &'static [&'static [f64]],
+    /// The basis polynomials: coefficients of q, q^2, ... of each; empty where polynomial i is `q^(i+1)`.
+    pub basis: &'static [&'static [f64]],
 }
 
 impl Tableau {
@@ -44,6 +47,14 @@ impl Tableau {
         self.dense[0].len()
     }
 
+    /// Coefficient of `q^(m+1)` in basis polynomial i of the dense output.
+    pub fn power(&self, i: usize, m: usize) -> f64 {
+        match self.basis.get(i) {
+            Some(polynomial) => polynomial[m],
+            None => f64::from(u8::from(i == m)),
+        }
+    }
+
     /// Whether steps are chosen by an error estimate.
     pub const fn adaptive(&self) -> bool {
         !self.error.is_empty()
@@ -65,6 +76,7 @@ pub static RK4: Tableau = Tableau {
     // y0 + q h k1 + (3q^2 - 2q^3)(y1 - y0 - h k1) ... collected by stage, with k5 = f(y1):
     // h00 cancels; y1 - y0 = h (k1 + 2 k2 + 2 k3 + k4)/6.
     extra: &[],
+    basis: &[],
     dense: &[
         &[1.0, -2.0 + 0.5, 1.0 - 1.0 / 3.0, 0.0],
         &[0.0, 1.0, -2.0 / 3.0, 0.0],
@@ -115,6 +127,7 @@ pub static TSIT5: Tableau = Tableau {
     ],
     companion: &[],
     extra: &[],
+    basis: &[],
     dense: &[
         &[1.0, -2.763706197274826, 2.9132554618219126, -1.0530884977290216],
         &[0.0, 0.13169999999999998, -0.2234, 0.1017],

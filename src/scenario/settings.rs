@@ -272,7 +272,10 @@ impl<'a> Reader<'a> {
             let problem = Problem::at(section.key_span("method"), message, "needs a step");
             self.report(problem.with_help("add step = ..., in units of time"));
         } else if !is_fixed_step(method) && given {
-            let message = format!("method {name} chooses its steps itself");
+            let message = match method {
+                Some(_) => format!("method {name} chooses its steps itself"),
+                None => "without a method the steps are chosen for you".to_owned(),
+            };
             let problem = Problem::at(section.key_span("step"), message, "has no meaning here");
             self.report(problem.with_help("remove step, or write method = \"rk4\""));
         }

@@ -48,6 +48,11 @@ impl State {
             Scheme::Taylor(_) => k,
         };
         let kinks = t + 6;
+        // A Taylor step looks for kinks in its own polynomials.
+        let kept = match scheme {
+            Scheme::RungeKutta(_) => spec.kinks.as_ref().map_or(0, |p| p.outputs.len()),
+            Scheme::Taylor(_) => 0,
+        };
         Self {
             y,
             k,
@@ -58,7 +63,7 @@ impl State {
             steps: t + 4,
             rejected: t + 5,
             kinks,
-            end: kinks + spec.kinks.as_ref().map_or(0, |p| p.outputs.len()),
+            end: kinks + kept,
         }
     }
 }
@@ -200,7 +205,9 @@ pub fn start(r: &mut Recorder, spec: &Spec, layout: &Layout, variant: Variant) {
     }
     r.store(sums[0], layout.seed);
     r.store(sums[1], layout.seed + 1);
-    if let Some(program) = &spec.kinks {
+    if let Some(program) = &spec.kinks
+        && layout.next.kinks < layout.next.end
+    {
         for (k, v) in r.program(program, &y[..program.inputs]).into_iter().enumerate() {
             r.store(v, layout.next.kinks + k);
         }
@@ -243,7 +250,7 @@ impl Taken {
     ) -> Self {
         let mut at_end = |program: &Program| r.program(program, &y_new[..program.inputs]);
         Self {
-            kinks: spec.kinks.as_ref().map_or_else(Vec::new, &mut at_end),
+            kinks: (spec.kinks.as_ref().filter(|_| k.is_some())).map_or_else(Vec::new, &mut at_end),
             guards: spec.guards.as_ref().map_or_else(Vec::new, |g| at_end(&g.program)),
             h,
             y: y.to_vec(),
@@ -356,9 +363,12 @@ pub fn dense(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) 
             .collect();
         k.push(r.program(&spec.rate, &point));
     }
-    for m in 0..tableau.degree() {
-        for c in 0..layout.dim {
-            let sum = r.weighted(tableau.dense.iter().zip(&k).map(|(d, k)| (d[m], k[c])));
+    for c in 0..layout.dim {
+        let parts: Vec<Value> = (0..tableau.degree())
+            .map(|i| r.weighted(tableau.dense.iter().zip(&k).map(|(d, k)| (d[i], k[c]))))
+            .collect();
+        for m in 0..tableau.degree() {
+            let sum = r.weighted((0..tableau.degree()).map(|i| (tableau.power(i, m), parts[i])));
             r.store(sum, layout.dense + m * layout.dim + c);
         }
     }
@@ -398,7 +408,12 @@ fn taylor_step(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize, giv
     let finite = r.compare(Comparison::Equal, nothing, zero);
     let reach = r.select(finite, reach, zero);
     let wanted = r.load(layout.now.wanted);
-    let h = decide::stretched(r, reach, wanted);
+    let mut h = decide::stretched(r, reach, wanted);
+    if let Some(program) = &spec.kinks {
+        for kink in taylor::along(r, program, &series, order) {
+            h = up_to_kink(r, &kink, h);
+        }
+    }
     r.store(h, layout.h);
     let mut error = zero;
     let mut y_new = Vec::new();
@@ -411,4 +426,99 @@ fn taylor_step(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize, giv
         y_new.push(sum);
     }
     Taken::new(r, spec, h, y, y_new, None, error)
+}
+
+/// A step of `h`, or the way to just behind the first zero of a series in it: the branch taken where the step begins is
+/// kept to its end. A quarter of the step is taken to have one extremum at most, since steps stay well within the radius
+/// of convergence.
+fn up_to_kink(r: &mut Recorder, series: &[Option<Value>], h: Value) -> Value {
+    const POINTS: u32 = 4;
+    const ITERATIONS: u32 = 6;
+    let zero = r.constant(0.0);
+    let coefficient = |r: &mut Recorder, n: usize| series[n].unwrap_or_else(|| r.constant(0.0));
+    let top = series.len() - 1;
+    // Value and slope after the fraction q of the step.
+    let at = |r: &mut Recorder, q: Value| {
+        let t = r.mul(q, h);
+        let mut value = coefficient(r, top);
+        let mut slope = zero;
+        for n in (0..top).rev() {
+            slope = r.mul_add(slope, t, value);
+            let c = coefficient(r, n);
+            value = r.mul_add(value, t, c);
+        }
+        (value, r.mul(slope, h))
+    };
+    // The side on which the step begins: of the first coefficient that is not zero.
+    let (first, second) = (coefficient(r, 0), coefficient(r, 1));
+    let tie = r.compare(Comparison::Equal, first, zero);
+    let side = r.select(tie, second, first);
+    let beyond = |r: &mut Recorder, value: Value| {
+        let product = r.mul(side, value);
+        r.compare(Comparison::Less, product, zero)
+    };
+    let one = r.constant(1.0);
+    let (mut lo, mut hi) = (one, one);
+    let mut met = zero;
+    let part = 1.0 / f64::from(POINTS);
+    let ends: Vec<(Value, Value)> = (0..=POINTS)
+        .map(|k| {
+            let q = r.constant(f64::from(k) * part);
+            at(r, q)
+        })
+        .collect();
+    for k in (0..POINTS as usize).rev() {
+        let (q, length) = (r.constant(k as f64 * part), r.constant(part));
+        let whole = r.add(q, length);
+        // Where it turns back towards its side, the zeros lie to both sides of the extremum.
+        let ((_, begin), (value, end)) = (ends[k], ends[k + 1]);
+        let change = r.sub(begin, end);
+        let share = r.div(begin, change);
+        let turning = r.mul_add(share, length, q);
+        let (a, b) = (r.mul(side, begin), r.mul(side, end));
+        let (towards, back) = (
+            r.compare(Comparison::Less, a, zero),
+            r.compare(Comparison::Less, zero, b),
+        );
+        let turns = r.and(towards, back);
+        let (extreme, _) = at(r, turning);
+        let (at_end, at_turn) = (beyond(r, value), beyond(r, extreme));
+        let at_turn = r.and(at_turn, turns);
+        let behind = r.select(at_turn, turning, whole);
+        let crossed = r.or(at_end, at_turn);
+        lo = r.select(crossed, q, lo);
+        hi = r.select(crossed, behind, hi);
+        met = r.or(met, crossed);
+    }
+    // Newton's method within the bracket.
+    let half = r.constant(0.5);
+    let sum = r.add(lo, hi);
+    let mut q = r.mul(half, sum);
+    for _ in 0..ITERATIONS {
+        let (value, slope) = at(r, q);
+        let crossed = beyond(r, value);
+        hi = r.select(crossed, q, hi);
+        lo = r.select(crossed, lo, q);
+        let change = r.div(value, slope);
+        let next = r.sub(q, change);
+        let outside = [
+            r.compare(Comparison::Less, next, lo),
+            r.compare(Comparison::Less, hi, next),
+            r.compare(Comparison::Unordered, next, next),
+        ];
+        let outside = outside.into_iter().fold(zero, |all, mask| r.or(all, mask));
+        let sum = r.add(lo, hi);
+        let middle = r.mul(half, sum);
+        q = r.select(outside, middle, next);
+    }
+    let margin = r.constant(0.1 * control::at_kink(r.epsilon()));
+    let behind = r.add(q, margin);
+    let (value, _) = at(r, behind);
+    let crossed = beyond(r, value);
+    // Where the zero was not found so well, the step ends before it: the next one meets it again.
+    let some = r.compare(Comparison::Less, zero, lo);
+    let other = r.select(some, lo, hi);
+    let q = r.select(crossed, behind, other);
+    let q = r.select(met, q, one);
+    r.mul(q, h)
 }

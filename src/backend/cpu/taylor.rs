@@ -8,26 +8,14 @@ use super::code::{Recorder, Value};
 use crate::program::{Instr, Primitive, Program};
 
 /// Normalized coefficients in order; none where one is zero for certain.
-type Series = Vec<Option<Value>>;
+pub type Series = Vec<Option<Value>>;
 
 /// Coefficients of order 0 to `order` of the solution that begins at `y`.
 pub fn solution(r: &mut Recorder, rate: &Program, y: &[Value], order: usize) -> Vec<Series> {
     let mut solution: Vec<Series> = y.iter().map(|y| vec![Some(*y)]).collect();
-    let mut nodes = Nodes {
-        r,
-        series: vec![Vec::with_capacity(order); rate.code.len()],
-        scaled: vec![Vec::new(); rate.code.len()],
-        partner: vec![Vec::new(); rate.code.len()],
-        fixed: vec![None; rate.code.len()],
-    };
+    let mut nodes = Nodes::new(r, rate, order);
     for n in 0..order {
-        for (i, instr) in rate.code.iter().enumerate() {
-            let value = match *instr {
-                Instr::Input(k) => solution[k as usize][n],
-                _ => nodes.next(i, *instr, n),
-            };
-            nodes.series[i].push(value);
-        }
+        nodes.order(rate, n, |k| solution[k][n]);
         for (component, output) in solution.iter_mut().zip(&rate.outputs) {
             let value = nodes.series[*output as usize][n].map(|v| {
                 let share = nodes.r.constant(1.0 / (n + 1) as f64);
@@ -37,6 +25,16 @@ pub fn solution(r: &mut Recorder, rate: &Program, y: &[Value], order: usize) -> 
         }
     }
     solution
+}
+
+/// Coefficients of a program's outputs along a solution.
+pub fn along(r: &mut Recorder, program: &Program, solution: &[Series], order: usize) -> Vec<Series> {
+    let mut nodes = Nodes::new(r, program, order);
+    for n in 0..=order {
+        nodes.order(program, n, |k| solution[k][n]);
+    }
+    let take = |o: &u32| nodes.series[*o as usize].clone();
+    program.outputs.iter().map(take).collect()
 }
 
 struct Nodes<'a> {
@@ -50,7 +48,29 @@ struct Nodes<'a> {
     fixed: Vec<Option<Value>>,
 }
 
-impl Nodes<'_> {
+impl<'a> Nodes<'a> {
+    fn new(r: &'a mut Recorder, program: &Program, order: usize) -> Self {
+        let count = program.code.len();
+        Self {
+            r,
+            series: vec![Vec::with_capacity(order + 1); count],
+            scaled: vec![Vec::new(); count],
+            partner: vec![Vec::new(); count],
+            fixed: vec![None; count],
+        }
+    }
+
+    /// Coefficient `n` of all instructions, from those of the inputs.
+    fn order(&mut self, program: &Program, n: usize, input: impl Fn(usize) -> Option<Value>) {
+        for (i, instr) in program.code.iter().enumerate() {
+            let value = match *instr {
+                Instr::Input(k) => input(k as usize),
+                _ => self.next(i, *instr, n),
+            };
+            self.series[i].push(value);
+        }
+    }
+
     fn at(&self, v: u32, n: usize) -> Option<Value> {
         self.series[v as usize][n]
     }

@@ -198,6 +198,9 @@ impl<'a> Emitter<'a> {
                 }
             })
             .collect();
+        if terms.is_empty() {
+            return self.number(0.0);
+        }
         terms.join(" + ")
     }
 
@@ -289,15 +292,37 @@ impl<'a> Emitter<'a> {
             let arguments: Vec<String> = (0..self.inputs).map(|c| format!("y{s}_{c}")).collect();
             let _ = writeln!(text, "    let k{s} = rate(Inputs({}));", arguments.join(", "));
         }
-        let zero = self.number(0.0);
-        let vectors = names(&|m| {
-            let weights: Vec<f64> = tableau.dense.iter().map(|d| d[m]).collect();
-            let components: Vec<String> = (0..self.dim)
-                .map(|c| {
-                    let sum = self.combination(&weights, c);
-                    if sum.is_empty() { zero.clone() } else { sum }
+        let (zero, mut of) = (self.number(0.0), Vec::new());
+        for c in 0..self.dim {
+            let parts: Vec<String> = (0..degree)
+                .map(|i| {
+                    let weights: Vec<f64> = tableau.dense.iter().map(|d| d[i]).collect();
+                    let _ = writeln!(text, "    let f{i}_{c}: real = {};", self.combination(&weights, c));
+                    format!("f{i}_{c}")
                 })
                 .collect();
+            let power = |m: usize| {
+                let terms: Vec<String> = (0..degree)
+                    .map(|i| (tableau.power(i, m), &parts[i]))
+                    .filter(|(w, _)| *w != 0.0)
+                    .map(|(w, part)| {
+                        if w == 1.0 {
+                            part.clone()
+                        } else {
+                            format!("{part} * {}", self.number(w))
+                        }
+                    })
+                    .collect();
+                if terms.is_empty() {
+                    zero.clone()
+                } else {
+                    terms.join(" + ")
+                }
+            };
+            of.push((0..degree).map(power).collect::<Vec<_>>());
+        }
+        let vectors = names(&|m| {
+            let components: Vec<&str> = of.iter().map(|powers| powers[m].as_str()).collect();
             format!("Vector({})", components.join(", "))
         });
         let _ = writeln!(text, "    return Dense({});\n}}", vectors.join(", "));
