@@ -3,6 +3,7 @@
 mod block;
 pub mod lanes;
 pub mod map;
+mod peak;
 pub mod real;
 
 use super::{Backend, BackendError, Kernel, Run, Spec, Status, Trajectories};
@@ -10,6 +11,7 @@ use crate::model::Precision;
 use block::{Compiled, Output};
 use lanes::LaneProgram;
 use rayon::prelude::*;
+use std::time::Instant;
 
 /// Instruction sets the lanes are compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -117,7 +119,12 @@ impl Backend for Cpu {
             compiled,
             precision: spec.precision,
             simd: self.simd,
+            seconds: None,
         }))
+    }
+
+    fn peak(&self, precision: Precision) -> Result<Option<f64>, BackendError> {
+        Ok(Some(peak::peak(self.simd, precision)))
     }
 }
 
@@ -125,9 +132,15 @@ struct CpuKernel {
     compiled: Compiled,
     precision: Precision,
     simd: Simd,
+    /// Of the latest batch, on the lanes.
+    seconds: Option<f64>,
 }
 
 impl Kernel for CpuKernel {
+    fn kernel_seconds(&self) -> Option<f64> {
+        self.seconds
+    }
+
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
         let dim = self.compiled.dim;
         let count = seeds.len() / dim;
@@ -161,6 +174,7 @@ impl Kernel for CpuKernel {
         } else {
             result.samples.chunks_mut(chunk * width).collect()
         };
+        let begin = Instant::now();
         seeds
             .par_chunks(chunk * dim)
             .zip(result.end.par_chunks_mut(chunk * dim))
@@ -186,6 +200,7 @@ impl Kernel for CpuKernel {
                     Precision::F32 => dispatch::<f32, LANES_F32>(self.simd, &self.compiled, run, seeds, &mut out),
                 }
             });
+        self.seconds = Some(begin.elapsed().as_secs_f64());
         Ok(result)
     }
 }
