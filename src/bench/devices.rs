@@ -21,10 +21,7 @@ pub enum Which {
 ///
 /// # Errors
 /// When GPU adapters are asked for and there are none, or none of the name.
-pub fn open(
-    which: &[Which],
-    adapter: Option<&str>,
-) -> Result<(Vec<Box<dyn Backend>>, Vec<Missing>), BackendError> {
+pub fn open(which: &[Which], adapter: Option<&str>) -> Result<(Vec<Box<dyn Backend>>, Vec<Missing>), BackendError> {
     let asked = |w| which.contains(&w);
     let mut backends: Vec<Box<dyn Backend>> = Vec::new();
     let mut missing = Vec::new();

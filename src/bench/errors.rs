@@ -98,7 +98,13 @@ impl Meter {
 }
 
 /// Compares the leading trajectories that both have.
-pub fn compare(work: &Work, meter: &Meter, reference: &Reference, slopes: Option<&Slopes>, result: &Trajectories) -> Errors {
+pub fn compare(
+    work: &Work,
+    meter: &Meter,
+    reference: &Reference,
+    slopes: Option<&Slopes>,
+    result: &Trajectories,
+) -> Errors {
     let n = work.states();
     let (hamiltonian, _) = meter.values(result);
     let count = result.count().min(reference.result.count());
@@ -129,7 +135,14 @@ pub fn compare(work: &Work, meter: &Meter, reference: &Reference, slopes: Option
             let at = i * levels + level;
             let change = (hamiltonian[at] - reference.hamiltonian[at]).abs();
             // Where nothing is paid and nothing has changed.
-            see(&mut drift[i], if change == 0.0 { 0.0 } else { change / reference.running[i] });
+            see(
+                &mut drift[i],
+                if change == 0.0 {
+                    0.0
+                } else {
+                    change / reference.running[i]
+                },
+            );
         }
     }
     Errors {
@@ -185,7 +198,15 @@ mod tests {
     #[test]
     fn only_what_leaves_the_manifold_counts() {
         let widths = [2.0, 4.0];
-        let on = |x: f64, y: f64| [x, y, 3.0 * (2.0 * x + y), 3.0 * (x + 2.0 * y), 3.0 * (x * x + x * y + y * y)];
+        let on = |x: f64, y: f64| {
+            [
+                x,
+                y,
+                3.0 * (2.0 * x + y),
+                3.0 * (x + 2.0 * y),
+                3.0 * (x * x + x * y + y * y),
+            ]
+        };
         // dp/dx times the widths on both sides.
         let slope = [6.0 * 4.0, 3.0 * 8.0, 3.0 * 8.0, 6.0 * 16.0];
         let reference = on(0.7, -0.2);
@@ -199,7 +220,9 @@ mod tests {
         off[2] += 1e-3;
         let scale = reference[4].max(1.0);
         assert!((value_error(2, &off, &reference) - 1e-3 / scale).abs() < 1e-8);
-        let size = ((reference[2] * 2.0f64).powi(2) + (reference[3] * 4.0).powi(2)).sqrt().max(1.0);
+        let size = ((reference[2] * 2.0f64).powi(2) + (reference[3] * 4.0).powi(2))
+            .sqrt()
+            .max(1.0);
         let error = costate_error(2, &off, &reference, &slope, &widths);
         assert!((error - 2e-3 / size).abs() < 1e-12, "{error}");
     }

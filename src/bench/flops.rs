@@ -70,7 +70,14 @@ pub fn of_step(spec: &Spec) -> Option<f64> {
     }
     // Looked at once a step.
     let looked = [spec.kinks.as_ref(), spec.guards.as_ref().map(|g| &g.program)];
-    Some(total + looked.into_iter().flatten().map(|p| of_program(p, spec.precision)).sum::<f64>())
+    Some(
+        total
+            + looked
+                .into_iter()
+                .flatten()
+                .map(|p| of_program(p, spec.precision))
+                .sum::<f64>(),
+    )
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
 //! Taking the times: every variant once untimed, then all in turn, several times over.
 
+use super::BenchError;
 use super::errors::{Errors, Meter, Quantiles, compare};
 use super::flops;
 use super::pareto;
 use super::reference::{self, Reference, Slopes};
 use super::variants::{self, Ladder, Missing, Series, Steps, Wanted};
 use super::work::{Pass, Work};
-use super::BenchError;
 use crate::backend::{Backend, BackendError, Kernel, Status};
 use crate::model::{Method, Precision};
 use std::time::Instant;
@@ -165,7 +165,13 @@ pub fn measure(
     let meter = Meter::new(work);
     let checked = work.count().min(CHECKED);
     let methods = reference::methods_for(&options.wanted.methods);
-    let needed = |method| options.wanted.methods.iter().any(|m| reference::method_for(*m) == method);
+    let needed = |method| {
+        options
+            .wanted
+            .methods
+            .iter()
+            .any(|m| reference::method_for(*m) == method)
+    };
     let mut references = Vec::new();
     for &method in &methods {
         told(&format!("reference: {}", method.name()));
@@ -197,7 +203,10 @@ pub fn measure(
         devices.push(Device {
             backend: backend.name(),
             adapter: backend.adapter(),
-            peak: [peak(backend.as_ref(), Precision::F32)?, peak(backend.as_ref(), Precision::F64)?],
+            peak: [
+                peak(backend.as_ref(), Precision::F32)?,
+                peak(backend.as_ref(), Precision::F64)?,
+            ],
         });
     }
     let mut runners = compiled(work, backends, ladders, &mut missing, told);
@@ -240,7 +249,12 @@ pub fn measure(
     let round_seconds: f64 = rows.iter().map(|r| r.first_seconds).sum();
     let mut rounds = 0;
     while rounds < options.repeats.max(1) && (rounds == 0 || spent + round_seconds <= options.budget) {
-        told(&format!("round {} of {}: {} variants", rounds + 1, options.repeats, rows.len()));
+        told(&format!(
+            "round {} of {}: {} variants",
+            rounds + 1,
+            options.repeats,
+            rows.len()
+        ));
         // There and back, so that no variant always comes when the machine is warm.
         let order: Box<dyn Iterator<Item = usize>> = if rounds % 2 == 0 {
             Box::new(0..rows.len())

@@ -37,7 +37,15 @@ mod tests {
     #[test]
     fn the_front_is_what_nothing_beats() {
         let nan = f64::NAN;
-        let points = [(1.0, 1e-2), (2.0, 1e-4), (2.0, 1e-3), (3.0, 1e-4), (4.0, 1e-6), (0.5, nan), (nan, 0.0)];
+        let points = [
+            (1.0, 1e-2),
+            (2.0, 1e-4),
+            (2.0, 1e-3),
+            (3.0, 1e-4),
+            (4.0, 1e-6),
+            (0.5, nan),
+            (nan, 0.0),
+        ];
         assert_eq!(front(&points), [true, true, false, false, true, false, false]);
         // A twin is as good.
         assert_eq!(front(&[(1.0, 1.0), (1.0, 1.0)]), [true, true]);
@@ -47,7 +55,9 @@ mod tests {
     /// The definition, over a grid with many ties.
     #[test]
     fn the_front_agrees_with_its_definition() {
-        let points: Vec<(f64, f64)> = (0..97u32).map(|k| (f64::from(k * 37 % 11), f64::from(k * 53 % 13))).collect();
+        let points: Vec<(f64, f64)> = (0..97u32)
+            .map(|k| (f64::from(k * 37 % 11), f64::from(k * 53 % 13)))
+            .collect();
         let beaten = |p: &(f64, f64)| points.iter().any(|q| q.0 <= p.0 && q.1 <= p.1 && q != p);
         let expected: Vec<bool> = points.iter().map(|p| !beaten(p)).collect();
         assert_eq!(front(&points), expected);

@@ -28,7 +28,9 @@ const MOST_SLOPES: usize = 8 << 20;
 /// Methods that serve as references, the best first; each is measured against the first one that it is not.
 fn candidates() -> impl Iterator<Item = Method> {
     let named = |name: &str| Method::ALL.iter().find(|(n, _)| *n == name).map(|(_, m)| *m);
-    [Some(Method::Dop853), named("taylor"), Some(Method::Tsit5)].into_iter().flatten()
+    [Some(Method::Dop853), named("taylor"), Some(Method::Tsit5)]
+        .into_iter()
+        .flatten()
 }
 
 /// The method of the reference for a measured one.
@@ -79,12 +81,16 @@ impl Reference {
     /// Samples that exist.
     pub fn samples(&self) -> usize {
         let r = &self.result;
-        (0..r.count() * r.levels).filter(|k| !r.samples[k * (1 + r.dim)].is_nan()).count()
+        (0..r.count() * r.levels)
+            .filter(|k| !r.samples[k * (1 + r.dim)].is_nan())
+            .count()
     }
 
     /// Duration of the median trajectory, in the scene's unit of time.
     pub fn median_duration(&self) -> f64 {
-        let mut times: Vec<f64> = (self.result.end_time.iter().copied()).filter(|t| t.is_finite()).collect();
+        let mut times: Vec<f64> = (self.result.end_time.iter().copied())
+            .filter(|t| t.is_finite())
+            .collect();
         times.sort_by(f64::total_cmp);
         times.get(times.len() / 2).copied().unwrap_or(1.0)
     }
@@ -105,7 +111,10 @@ pub fn points(mut result: Trajectories) -> Trajectories {
             .flat_map(|((end, time), status)| {
                 let reached = *status == Status::Reached;
                 let keep = move |x: f64| if reached { x } else { f64::NAN };
-                std::iter::once(*time).chain(end.iter().copied()).map(keep).collect::<Vec<_>>()
+                std::iter::once(*time)
+                    .chain(end.iter().copied())
+                    .map(keep)
+                    .collect::<Vec<_>>()
             })
             .collect();
     }
@@ -141,14 +150,24 @@ impl Slopes {
     pub fn new(work: &Work, reference: &Reference, count: usize) -> Result<Self, BackendError> {
         let n = work.states();
         let levels = reference.result.levels;
-        let count = count.min(reference.result.count()).min(MOST_SLOPES / (levels * n * n)).max(1);
+        let count = count
+            .min(reference.result.count())
+            .min(MOST_SLOPES / (levels * n * n))
+            .max(1);
         let mut sides = Vec::new();
         let directions = if work.plan.system.terminal.is_some() { n } else { n - 1 };
         for k in 0..directions {
-            sides.push([neighbours(work, reference, count, k, 1.0)?, neighbours(work, reference, count, k, -1.0)?]);
+            sides.push([
+                neighbours(work, reference, count, k, 1.0)?,
+                neighbours(work, reference, count, k, -1.0)?,
+            ]);
         }
         let flow = work.plan.system.terminal.is_none().then(|| {
-            let rate = Program::lower(&work.plan.system.graph, &work.plan.system.inputs, &work.plan.system.rate[..2 * n]);
+            let rate = Program::lower(
+                &work.plan.system.graph,
+                &work.plan.system.inputs,
+                &work.plan.system.rate[..2 * n],
+            );
             let r = &reference.result;
             crate::backend::cpu::map::Evaluator::new(&rate).eval(&r.samples[1..], 1 + r.dim)
         });
@@ -196,7 +215,12 @@ fn neighbours(
     let mut inside = Vec::with_capacity(count);
     let mut seeds = Vec::with_capacity(count * dim);
     for (i, parameter) in work.parameters[..count].iter().enumerate() {
-        let seed = work.seed(&beside(parameter, k, side * NEIGHBOUR, work.plan.system.terminal.is_some()));
+        let seed = work.seed(&beside(
+            parameter,
+            k,
+            side * NEIGHBOUR,
+            work.plan.system.terminal.is_some(),
+        ));
         inside.push(seed.is_some());
         let own = || work.seeds[i * dim..(i + 1) * dim].to_vec();
         seeds.extend(seed.unwrap_or_else(own));

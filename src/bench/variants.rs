@@ -95,7 +95,10 @@ pub fn ladders(backends: &[Box<dyn Backend>], wanted: &Wanted, duration: f64) ->
                     method,
                 };
                 let steps = if is_fixed_step(method) {
-                    FIXED_STEPS.iter().map(|n| Steps::Fixed(two_digits(duration / n))).collect()
+                    FIXED_STEPS
+                        .iter()
+                        .map(|n| Steps::Fixed(two_digits(duration / n)))
+                        .collect()
                 } else {
                     (wanted.tolerances.iter())
                         .filter(|rtol| **rtol >= Plan::least_rtol(precision))

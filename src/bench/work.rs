@@ -224,7 +224,12 @@ impl Even {
             })
             .take(self.states)
             .collect();
-        let norm = direction.iter().map(|x| x * x).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
+        let norm = direction
+            .iter()
+            .map(|x| x * x)
+            .sum::<f64>()
+            .sqrt()
+            .max(f64::MIN_POSITIVE);
         direction.iter_mut().for_each(|x| *x /= norm);
         direction
     }
@@ -232,7 +237,8 @@ impl Even {
 
 /// A number in [0, 1) for each dimension (SplitMix64); seed 0 too starts off the corners.
 fn shift(seed: u64, dimension: u64) -> f64 {
-    let mut z = (seed.wrapping_mul(0xbf58_476d_1ce4_e5b9)).wrapping_add((dimension + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let mut z =
+        (seed.wrapping_mul(0xbf58_476d_1ce4_e5b9)).wrapping_add((dimension + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
