@@ -24,6 +24,11 @@ pub struct HostShare {
     pub trajectories: usize,
     /// All of it (s).
     pub wall_seconds: f64,
+    /// The same sweep before, with nothing written (s): the two overlap.
+    pub sweep_seconds: f64,
+    /// In calls that write, and flushing the finished file to the disk (s).
+    pub writing_seconds: f64,
+    pub finishing_seconds: f64,
     pub times: Meter,
     /// Bytes of the file.
     pub bytes: u64,

@@ -18,6 +18,9 @@ const WITH_SLOPES: usize = 1024;
 /// Trajectories of a reference that only tells how far the other one can be trusted.
 const FLOOR_CHECKED: usize = 512;
 
+/// Errors of more than a tenth are nobody's choice, however soon they are there.
+pub const USEFUL: f64 = 0.1;
+
 /// What is measured, and how long.
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -53,7 +56,7 @@ pub struct Row {
     pub flops: f64,
     /// That as a share of what the device was measured to do.
     pub peak_share: f64,
-    /// Whether no variant is faster with a smaller worst e_V. One that loses trajectories is never chosen.
+    /// Whether no variant is faster with a smaller worst e_V. One that loses trajectories or is of no use is never chosen.
     pub pareto: bool,
 }
 
@@ -76,10 +79,14 @@ impl Row {
         spread(&self.kernel_seconds)
     }
 
-    /// Seconds and worst e_V, for choosing; not numbers where trajectories were lost.
-    pub fn choice(&self, error: fn(&Quantiles) -> f64) -> (f64, f64) {
-        let lost = if self.errors.complete() { 0.0 } else { f64::NAN };
-        (self.median() + lost, error(&self.errors.value) + lost)
+    /// Seconds and worst e_V, for choosing; not numbers where trajectories were lost or an error is of no use.
+    pub fn choice(&self) -> (f64, f64) {
+        let worst = self.errors.value.worst;
+        if self.errors.complete() && worst <= USEFUL {
+            (self.median(), worst)
+        } else {
+            (f64::NAN, f64::NAN)
+        }
     }
 }
 
@@ -125,7 +132,7 @@ pub struct Bench {
 impl Bench {
     /// The fastest variant whose worst e_V is at most `wanted`.
     pub fn fastest(&self, wanted: f64) -> Option<&Row> {
-        let points = self.rows.iter().map(|r| r.choice(|q| q.worst));
+        let points = self.rows.iter().map(Row::choice);
         pareto::fastest(points, wanted).map(|i| &self.rows[i])
     }
 
@@ -288,7 +295,7 @@ pub fn measure(
 impl Bench {
     /// What follows from all times: rates, and who is on the front.
     fn conclude(&mut self, work: &Work) {
-        let points: Vec<(f64, f64)> = self.rows.iter().map(|r| r.choice(|q| q.worst)).collect();
+        let points: Vec<(f64, f64)> = self.rows.iter().map(Row::choice).collect();
         let count = self.trajectories as f64;
         for (row, pareto) in self.rows.iter_mut().zip(pareto::front(&points)) {
             row.pareto = pareto;
@@ -341,7 +348,7 @@ fn row(work: &Work, runner: &Runner, steps: Steps, pass: &Pass, errors: Errors) 
     Row {
         series: runner.ladder.series,
         steps,
-        atol: work.plan.atol * steps.rtol().map_or(1.0, |rtol| rtol / work.plan.run.rtol),
+        atol: written(work.plan.atol * steps.rtol().map_or(1.0, |rtol| rtol / work.plan.run.rtol)),
         compile_seconds: runner.compile_seconds,
         first_seconds: pass.seconds,
         seconds: Vec::new(),
@@ -354,6 +361,11 @@ fn row(work: &Work, runner: &Runner, steps: Steps, pass: &Pass, errors: Errors) 
         peak_share: f64::NAN,
         pareto: false,
     }
+}
+
+/// A number as one would write it: 1e-10 and not 1.0000000000000002e-10.
+fn written(x: f64) -> f64 {
+    format!("{x:.12e}").parse().unwrap_or(x)
 }
 
 /// By what the next rung takes longer, about: twice the steps, or a tenth of the tolerance at the lowest order.

@@ -1,13 +1,13 @@
 //! The picture: error against time, one line a series.
 
-use super::measure::{Bench, Row};
+use super::measure::{Bench, Row, USEFUL};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 /// Pixels. It stays legible at 800.
 const SIZE: (u32, u32) = (960, 620);
-const LEGEND: u32 = 250;
-const LINE: i32 = 19;
+const LEGEND: u32 = 264;
+const LINE: i32 = 20;
 /// Colours that the colour-blind tell apart (M. Okabe, K. Ito, Color Universal Design, 2008), without the yellow, which
 /// is too light for lines: one a backend and precision. The method is told by the mark.
 const COLOURS: [RGBColor; 7] = [
@@ -56,11 +56,11 @@ pub fn svg(bench: &Bench, title: &str) -> Result<String, PictureError> {
     Ok(text)
 }
 
-/// Microseconds a trajectory and worst e_V of what can be drawn.
+/// Microseconds a trajectory and worst e_V, of what is of use.
 fn place(bench: &Bench, row: &Row) -> Option<(f64, f64)> {
     let time = 1e6 * row.median() / bench.trajectories as f64;
     let error = row.errors.value.worst;
-    (time.is_finite() && error.is_finite()).then_some((time, error.max(LEAST)))
+    (time.is_finite() && error <= USEFUL).then_some((time, error.max(LEAST)))
 }
 
 /// Lines in the order of the rows, with what tells them apart.
@@ -117,7 +117,7 @@ fn draw(bench: &Bench, title: &str, area: &Area<'_>) -> Result<(), PictureError>
     }
     let mut chart = ChartBuilder::on(area)
         .margin(12)
-        .caption(shortened(title, 62), ("sans-serif", 19))
+        .caption(shortened(title, 62), ("sans-serif", 20))
         .x_label_area_size(48)
         .y_label_area_size(78)
         .build_cartesian_2d(x.log_scale(), y.log_scale())
@@ -128,8 +128,9 @@ fn draw(bench: &Bench, title: &str, area: &Area<'_>) -> Result<(), PictureError>
         .y_desc("worst error of V off the manifold, relative to max(1, V)")
         .x_label_formatter(&|x| plain(*x))
         .y_label_formatter(&|y| power(*y))
-        .axis_desc_style(("sans-serif", 16))
-        .label_style(("sans-serif", 15))
+        .axis_desc_style(("sans-serif", 18))
+        .label_style(("sans-serif", 17))
+        .x_max_light_lines(2)
         .bold_line_style(RGBColor(205, 205, 205))
         .light_line_style(RGBColor(240, 240, 240))
         .draw()
@@ -187,7 +188,7 @@ fn mark(area: &Area<'_>, at: (i32, i32), line: &Line) -> Result<(), PictureError
 
 /// The legend: series by device, then what else there is to say.
 fn explain(bench: &Bench, area: &Area<'_>) -> Result<(), PictureError> {
-    let style = ("sans-serif", 14).into_text_style(area);
+    let style = ("sans-serif", 16).into_text_style(area);
     let mut y = 48;
     let write = |text: &str, x: i32, y: i32| area.draw_text(text, &style, (x, y)).map_err(failed);
     let lines = lines(bench);
@@ -235,8 +236,12 @@ fn power(x: f64) -> String {
     }
 }
 
-/// A time without needless digits.
+/// A time without needless digits; of a decade's ten marks three are enough.
 fn plain(x: f64) -> String {
+    let first = x / 10f64.powf(x.log10().floor() + 1e-9);
+    if [1.0, 2.0, 5.0, 10.0].iter().all(|d| (first - d).abs() > 0.01) {
+        return String::new();
+    }
     let text = if x >= 1.0 { format!("{x:.1}") } else { format!("{x:.4}") };
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
@@ -275,8 +280,8 @@ mod tests {
         assert_eq!(power(1.0), "10\u{2070}");
         assert_eq!(power(2e-3), "2e-3");
         assert_eq!(
-            (plain(10.0), plain(0.05), plain(2.5)),
-            ("10".into(), "0.05".into(), "2.5".into())
+            (plain(10.0), plain(0.05), plain(60.0)),
+            ("10".into(), "0.05".into(), String::new())
         );
         assert_eq!(wrapped("one two three", 7), ["one two", "three"]);
         assert_eq!(shortened("abcdef", 4), "abc\u{2026}");

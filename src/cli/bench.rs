@@ -3,14 +3,14 @@
 use super::bench_report::{self, Done};
 use super::check::{at_equilibrium, load};
 use super::{BenchArgs, BenchBackend, CliError, PrecisionChoice, report, run};
-use crate::backend::Backend;
+use crate::backend::{Backend, BackendError};
 use crate::bench::devices::{self, Which};
 use crate::bench::host_share::{HostShare, Metered};
 use crate::bench::{BenchError, Options, Wanted, Work, measure, picture};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Model, Precision};
 use crate::output::{ResultFile, RunRecord, utc_timestamp, write_text};
-use crate::sweep::{Choices, Plan, PlanError};
+use crate::sweep::{Choices, Plan, PlanError, sweep};
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
 
@@ -173,25 +173,39 @@ fn host_share(
     count: usize,
     path: &Path,
 ) -> Result<HostShare, CliError> {
-    let begin = Instant::now();
-    let metered = Metered::new(backend);
     let choices = Choices {
         precision: args.precision.precision(),
         unasked: true,
         ..Choices::default()
     };
-    let mut plan = planned(model, hamiltonian, &metered, choices)?;
-    plan.shoot_out.spacing = ENDLESS;
-    plan.shoot_out.max_seeds = count;
+    let plan = || {
+        planned(model, hamiltonian, backend, choices).map(|mut plan| {
+            plan.shoot_out.spacing = ENDLESS;
+            plan.shoot_out.max_seeds = count;
+            plan
+        })
+    };
+    let begin = Instant::now();
+    sweep::<BackendError>(&plan()?, backend, &mut |_, _| {}, &mut |_| Ok(()))?;
+    let sweep_seconds = begin.elapsed().as_secs_f64();
+
+    let begin = Instant::now();
+    let metered = Metered::new(backend);
+    let plan = plan()?;
     let mut quiet = report::Terminal::new(&args.scene);
     let mut file = ResultFile::create(path)?;
     let mut writer = file.trajectories(&run::schema(model, &plan))?;
+    let mut writing_seconds = 0.0;
     let swept = run::sweep_into(&plan, &metered, &mut quiet, &mut |_, _| {}, &mut |block| {
+        let begin = Instant::now();
         writer.append(&block)?;
+        writing_seconds += begin.elapsed().as_secs_f64();
         Ok(())
     })?;
     drop(writer);
+    let ending = Instant::now();
     let path = file.finish()?;
+    let finishing_seconds = ending.elapsed().as_secs_f64();
     let wall_seconds = begin.elapsed().as_secs_f64();
     let bytes = std::fs::metadata(&path).map_or(0, |m| m.len());
     // It has served its purpose; where it cannot be removed it does no harm.
@@ -201,6 +215,9 @@ fn host_share(
         precision: plan.spec.precision,
         trajectories: swept.trajectories,
         wall_seconds,
+        sweep_seconds,
+        writing_seconds,
+        finishing_seconds,
         times: metered.times(),
         bytes,
     })

@@ -93,21 +93,21 @@ fn floor(bench: &Bench) -> String {
     )
 }
 
-const HEAD: &str = "             setting      |  e_V worst    99 %  median |  e_p worst  e_H worst | trajectories/s  spread   kernel/s |  steps  of peak";
+const HEAD: &str = "             setting      |  e_V worst    99 %  median |  e_p worst  e_H worst | trajectories/s    spread   kernel/s |  steps  of peak";
 
 fn line(bench: &Bench, row: &Row) -> String {
     let e = &row.errors;
     let rate = bench.trajectories_per_second(row);
     let [least, most] = row.spread();
     let spread = format!(
-        "{:+.0}{:+.0} %",
+        "{:+.0}/{:+.0} %",
         100.0 * (least / row.median() - 1.0),
         100.0 * (most / row.median() - 1.0)
     );
     let kernel = bench.kernel_trajectories_per_second(row);
     let share = |x: f64, text: String| if x.is_finite() { text } else { "-".to_owned() };
     format!(
-        "{}{} {} {:<6} {:<11} |  {:>9} {:>7} {:>7} |  {:>9}  {:>9} | {:>14} {:>8} {:>10} | {:>6.1} {:>8}{}",
+        "{}{} {} {:<6} {:<11} |  {:>9} {:>7} {:>7} |  {:>9}  {:>9} | {:>14} {:>9} {:>10} | {:>6.1} {:>8}{}",
         if row.pareto { '*' } else { ' ' },
         if e.complete() { ' ' } else { '!' },
         row.series.precision.name(),
@@ -190,7 +190,7 @@ fn recommended(done: &Done<'_>, wanted: f64) -> Vec<String> {
 
 fn shared(bench: &Bench, s: &HostShare) -> String {
     format!(
-        "a whole sweep of {} trajectories ({}, {}): {:.2} s, {:.0} % of it not in the kernel (kernel {:.2} s, calls with transfers {:.2} s, compiling {:.2} s; a file of {} MiB)",
+        "a whole sweep of {} trajectories ({}, {}): {:.2} s, {:.0} % of it not in the kernel (kernel {:.2} s, its calls with transfers {:.2} s, writing beside the sweep {:.2} s, flushing {} MiB to the disk {:.2} s; with nothing written the sweep takes {:.2} s)",
         s.trajectories,
         bench.devices[s.device].adapter,
         s.precision.name(),
@@ -198,8 +198,10 @@ fn shared(bench: &Bench, s: &HostShare) -> String {
         100.0 * s.share(),
         s.times.kernels,
         s.times.calls,
-        s.times.compiling,
-        s.bytes >> 20
+        s.writing_seconds,
+        s.bytes >> 20,
+        s.finishing_seconds,
+        s.sweep_seconds,
     )
 }
 
@@ -264,6 +266,8 @@ pub(super) fn as_json(done: &Done<'_>) -> Value {
             "adapter": bench.devices[s.device].adapter, "precision": s.precision.name(),
             "trajectories": s.trajectories, "wall_seconds": s.wall_seconds,
             "kernel_seconds": s.times.kernels, "call_seconds": s.times.calls, "compile_seconds": s.times.compiling,
+            "sweep_seconds": s.sweep_seconds, "writing_seconds": s.writing_seconds,
+            "finishing_seconds": s.finishing_seconds,
             "host_share": s.share(), "bytes": s.bytes,
         })).collect::<Vec<_>>(),
         "wall_seconds": done.seconds,

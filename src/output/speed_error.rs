@@ -215,7 +215,7 @@ impl ResultFile {
     /// [`OutputError`] on writing.
     pub fn host_shares(&mut self, bench: &Bench, shares: &[HostShare]) -> Result<(), OutputError> {
         type Seconds = (&'static str, &'static str, &'static str, fn(&HostShare) -> f64);
-        const TIMES: [Seconds; 5] = [
+        const TIMES: [Seconds; 8] = [
             (
                 "wall_seconds",
                 "s",
@@ -227,6 +227,18 @@ impl ResultFile {
                 s.times.calls
             }),
             ("compile_seconds", "s", "compiling the kernel", |s| s.times.compiling),
+            ("sweep_seconds", "s", "the same sweep with nothing written", |s| {
+                s.sweep_seconds
+            }),
+            ("writing_seconds", "s", "in calls that write, beside the sweep", |s| {
+                s.writing_seconds
+            }),
+            (
+                "finishing_seconds",
+                "s",
+                "flushing the finished file to the disk",
+                |s| s.finishing_seconds,
+            ),
             (
                 "host_share",
                 "1",
