@@ -1,4 +1,4 @@
-// The integrator, mirroring src/backend/cpu/block.rs: an invocation follows one trajectory through a bounded number of
+// The integrator, mirroring src/backend/cpu/block/: an invocation follows one trajectory through a bounded number of
 // attempted steps and keeps it in storage buffers in between.
 //
 // `Vector`, `Inputs`, `Step`, `attempt`, `interpolate` and what else is not here are generated (src/backend/gpu/emit.rs).
@@ -154,7 +154,8 @@ fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
             return;
         }
 //if STORE
-        if (pass_levels(i, lane, step, 1.0).out_of_work) {
+        let dense = densify((*lane).y, (*lane).k, step, (*lane).h);
+        if (pass_levels(i, lane, step, dense, 1.0).out_of_work) {
             return;
         }
 //end
@@ -224,16 +225,17 @@ fn commit(lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
 // Takes the lane's step again and ends the trajectory at the first guard or the last level in it.
 fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
     let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
+    let dense = densify((*lane).y, (*lane).k, step, (*lane).h);
     var most: real = 1.0;
     var ended = RUNNING;
 //if GUARDS
     if (guards_hold(inputs_of(step.y))) {
     } else {
-        most = last_inside(lane, step);
+        most = last_inside(lane, step, dense);
         ended = GUARD;
     }
 //end
-    let passed = pass_levels(i, lane, step, most);
+    let passed = pass_levels(i, lane, step, dense, most);
     (*lane).status = RUNNING;
     if (passed.out_of_work) {
         return;
@@ -247,7 +249,7 @@ fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
         commit(lane, step, decide(*lane, step), run);
         return;
     }
-    (*lane).y = interpolate((*lane).y, (*lane).k, step, (*lane).h, most);
+    (*lane).y = interpolate((*lane).y, dense, step, (*lane).h, most);
 //if BY_COMPONENT
     // A level that ends the trajectory is met by definition.
     if (ended == REACHED) {
@@ -272,14 +274,11 @@ fn is_passed(lane: Lane, finish: real) -> bool {
 }
 
 // The levels up to the fraction `most` of an accepted step.
-fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, most: real) -> Passed {
+fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, most: real) -> Passed {
     let t = (*lane).t;
     let h = (*lane).h;
     let begin = coordinate((*lane).y, t);
     let finish = coordinate(step.y, t + h);
-//if BY_COMPONENT
-    let along = path((*lane).k, step);
-//end
     var pending = is_passed(*lane, finish);
     var last: real = 1.0;
     var out_of_work = false;
@@ -289,12 +288,12 @@ fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, most: real) -> Pas
             let q = select(((*lane).level - begin) / (finish - begin), 1.0, (*lane).level == finish);
 //end
 //if BY_COMPONENT
-            let q = locate(lane, along, h, begin, finish);
+            let q = locate(lane, dense, h, begin, finish);
 //end
             pending = q <= most;
             if (pending) {
 //if STORE
-                store_sample(i, lane, step, q);
+                store_sample(i, lane, step, dense, q);
 //end
                 last = q;
                 (*lane).next_level += 1u;
@@ -315,7 +314,7 @@ fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, most: real) -> Pas
 
 //if BY_COMPONENT
 // Fraction of the step at which the coordinate takes the lane's level, by Newton's method kept within a bracket.
-fn locate(lane: ptr<function, Lane>, p: Path, h: real, begin: real, finish: real) -> real {
+fn locate(lane: ptr<function, Lane>, dense: Dense, h: real, begin: real, finish: real) -> real {
     let level = (*lane).level;
     let guess = (level - begin) / (finish - begin);
     var lo: real = 0.0;
@@ -323,13 +322,12 @@ fn locate(lane: ptr<function, Lane>, p: Path, h: real, begin: real, finish: real
     var q = select(guess, 1.0, level >= finish);
     var left = select(30u, 1u, level >= finish);
     loop {
-        let w = p.p0 + q * (p.p1 + q * (p.p2 + q * p.p3));
-        let residual = (begin - level) + w * q * h;
-        let slope = p.p0 + q * (2.0 * p.p1 + q * (3.0 * p.p2 + q * (4.0 * p.p3)));
+        let at = along(dense, q);
+        let residual = (begin - level) + at.way * h;
         let above = residual > 0.0;
         hi = select(hi, q, above);
         lo = select(q, lo, above);
-        let newton = q - residual / (slope * h);
+        let newton = q - residual / (at.slope * h);
         // A root at a bracket's end may be missed by rounding; halving the bracket then would lead away from it.
         let inside = (newton >= lo - 4.0 * EPSILON) & (newton <= hi + 4.0 * EPSILON);
         let next = select(0.5 * (lo + hi), newton, inside);
@@ -348,12 +346,12 @@ fn locate(lane: ptr<function, Lane>, p: Path, h: real, begin: real, finish: real
 
 //if GUARDS
 // Largest fraction of the step, to rounding, up to which the guards hold.
-fn last_inside(lane: ptr<function, Lane>, step: Step) -> real {
+fn last_inside(lane: ptr<function, Lane>, step: Step, dense: Dense) -> real {
     var lo: real = 0.0;
     var hi: real = 1.0;
     loop {
         let middle = 0.5 * (lo + hi);
-        let holds = guards_hold(inputs_of(interpolate((*lane).y, (*lane).k, step, (*lane).h, middle)));
+        let holds = guards_hold(inputs_of(interpolate((*lane).y, dense, step, (*lane).h, middle)));
         lo = select(lo, middle, holds);
         hi = select(middle, hi, holds);
         (*lane).work += 1u;
@@ -366,10 +364,10 @@ fn last_inside(lane: ptr<function, Lane>, step: Step) -> real {
 //end
 
 //if STORE
-fn store_sample(i: u32, lane: ptr<function, Lane>, step: Step, q: real) {
+fn store_sample(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, q: real) {
     let at = (i * control.levels + (*lane).next_level) * SAMPLE;
     samples[at] = (*lane).t + q * (*lane).h;
-    store_vector(at + 1u, interpolate((*lane).y, (*lane).k, step, (*lane).h, q));
+    store_vector(at + 1u, interpolate((*lane).y, dense, step, (*lane).h, q));
 }
 //end
 

@@ -148,6 +148,8 @@ pub enum BackendError {
     NoSuchAdapter { wanted: String, found: String },
     #[error("adapter `{adapter}` has no f64 arithmetic; use --precision f32 or --backend cpu")]
     NoF64 { adapter: String },
+    #[error("GPU kernels have no {method} method; use dop853, or --backend cpu")]
+    NoMethod { method: &'static str },
     #[error("the adapter refused a device: {0}")]
     Device(#[from] wgpu::RequestDeviceError),
     #[error("generated shader does not validate, in {fragment} line {line}: {message}")]
@@ -180,6 +182,8 @@ pub trait Backend: Send + Sync {
     fn adapter(&self) -> String;
     /// Whether kernels of this precision can be made.
     fn supports(&self, precision: Precision) -> bool;
+    /// Whether kernels of this method can be made.
+    fn offers(&self, method: Method) -> bool;
     /// # Errors
     /// When the precision is not supported or the generated code is refused.
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError>;

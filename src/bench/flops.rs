@@ -6,7 +6,8 @@
 
 use crate::backend::Spec;
 use crate::backend::constants::Constants;
-use crate::model::{Method, Precision};
+use crate::integrator::{Scheme, Tableau};
+use crate::model::Precision;
 use crate::program::{Instr, Primitive, Program};
 
 /// Operations of an evaluation of a program.
@@ -46,12 +47,19 @@ fn of_primitive(f: Primitive, precision: Precision) -> f64 {
     }
 }
 
-/// Operations of an attempted step; `None` for a method that is not a tableau's.
-pub fn of_step(spec: &Spec) -> Option<f64> {
-    if !matches!(spec.method, Method::Rk4 | Method::Tsit5 | Method::Dop853) {
-        return None;
-    }
-    let tableau = spec.method.tableau();
+/// Operations of an attempted step at a relative tolerance.
+pub fn of_step(spec: &Spec, rtol: f64) -> f64 {
+    let step = match spec.method.scheme(rtol) {
+        Scheme::RungeKutta(tableau) => of_stages(spec, tableau),
+        Scheme::Taylor(order) => of_expansion(spec, order),
+    };
+    // Looked at once a step.
+    let looked = [spec.kinks.as_ref(), spec.guards.as_ref().map(|g| &g.program)];
+    let looked = looked.into_iter().flatten();
+    step + looked.map(|p| of_program(p, spec.precision)).sum::<f64>()
+}
+
+fn of_stages(spec: &Spec, tableau: &Tableau) -> f64 {
     let dim = spec.dim() as f64;
     let inputs = spec.rate.inputs as f64;
     let used = |row: &[f64]| row.iter().filter(|x| **x != 0.0).count() as f64;
@@ -68,22 +76,46 @@ pub fn of_step(spec: &Spec) -> Option<f64> {
             total += dim * (2.0 * used(estimate) + 6.0);
         }
     }
-    // Looked at once a step.
-    let looked = [spec.kinks.as_ref(), spec.guards.as_ref().map(|g| &g.program)];
-    Some(
-        total
-            + looked
-                .into_iter()
-                .flatten()
-                .map(|p| of_program(p, spec.precision))
-                .sum::<f64>(),
-    )
+    total
+}
+
+/// Coefficients by the plain recurrences, and the polynomial at the step's end.
+fn of_expansion(spec: &Spec, order: usize) -> f64 {
+    let program = &spec.rate;
+    let fixed = |v: u32| matches!(program.code[v as usize], Instr::Const(_));
+    // A number changes nothing beyond the first coefficient, and multiplies each of another series once.
+    let sum = |a, b, n: f64| if n > 0.0 && (fixed(a) || fixed(b)) { 0.0 } else { 1.0 };
+    let product = |a, b, n: f64| if fixed(a) || fixed(b) { 1.0 } else { 2.0 * n + 1.0 };
+    let mut total = of_program(program, spec.precision);
+    for n in 1..order {
+        let n = n as f64;
+        for (i, instr) in program.code.iter().enumerate() {
+            total += match *instr {
+                Instr::Input(_) | Instr::Const(_) | Instr::Neg(_) | Instr::Min(..) | Instr::Max(..) => 0.0,
+                Instr::Add(a, b) | Instr::Sub(a, b) => sum(a, b, n),
+                Instr::Mul(a, b) => product(a, b, n),
+                Instr::Div(_, b) => 1.0 + if fixed(b) { 0.0 } else { 2.0 * n },
+                Instr::MulAdd(a, b, c) | Instr::MulSub(a, b, c) | Instr::NegMulAdd(a, b, c) => {
+                    product(a, b, n) + sum(c, c, n)
+                }
+                Instr::Call(Primitive::Cos, a) if i > 0 && program.code[i - 1] == Instr::Call(Primitive::Sin, a) => 0.0,
+                // Two series; one with its own; one with 1 + a^2.
+                Instr::Call(Primitive::Sin | Primitive::Cos, _) => 4.0 * n + 1.0,
+                Instr::Call(Primitive::Atan, _) => 4.0 * n + 3.0,
+                Instr::Call(Primitive::Abs | Primitive::Sign | Primitive::Step, _) => 0.0,
+                Instr::Call(..) => 2.0 * n + 1.0,
+            };
+        }
+    }
+    let (order, dim) = (order as f64, spec.dim() as f64);
+    total + dim * (order - 1.0) + dim * 2.0 * order
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::backend::By;
+    use crate::model::Method;
 
     /// x' = a x + b with x' of a second component 1: rk4 by hand.
     #[test]
@@ -111,6 +143,20 @@ mod tests {
         };
         // Three inner stages with one weight for one component, the last one with four for two; four rates.
         let expected = 4.0 * 3.0 + 3.0 * (2.0 * 2.0) + 2.0 * (2.0 * 5.0);
-        assert_eq!(of_step(&spec), Some(expected));
+        assert_eq!(of_step(&spec, 1e-6), expected);
+        let spec = Spec {
+            method: Method::Taylor,
+            ..spec
+        };
+        let order = match spec.method.scheme(1e-6) {
+            Scheme::Taylor(order) => order as f64,
+            Scheme::RungeKutta(_) => unreachable!("Taylor's method has no tableau"),
+        };
+        // Each further coefficient takes a product with a number and a quotient by one; what is added is a number.
+        let coefficients = 3.0 + (order - 1.0) * (1.0 + 1.0);
+        assert_eq!(
+            of_step(&spec, 1e-6),
+            coefficients + 2.0 * (order - 1.0) + 2.0 * 2.0 * order
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! How much of a whole sweep's time is not the kernel's: seeds, fronts, transfers, writing.
 
 use crate::backend::{Backend, BackendError, Eliminator, Kernel, Run, Spec, Trajectories};
-use crate::model::Precision;
+use crate::model::{Method, Precision};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -69,6 +69,9 @@ impl Backend for Metered<'_> {
     }
     fn supports(&self, precision: Precision) -> bool {
         self.inner.supports(precision)
+    }
+    fn offers(&self, method: Method) -> bool {
+        self.inner.offers(method)
     }
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
         let begin = Instant::now();

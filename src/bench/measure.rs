@@ -171,7 +171,6 @@ pub fn measure(
     let begin = Instant::now();
     let meter = Meter::new(work);
     let checked = work.count().min(CHECKED);
-    let methods = reference::methods_for(&options.wanted.methods);
     let needed = |method| {
         options
             .wanted
@@ -180,7 +179,7 @@ pub fn measure(
             .any(|m| reference::method_for(*m) == method)
     };
     let mut references = Vec::new();
-    for &method in &methods {
+    for method in reference::CANDIDATES {
         told(&format!("reference: {}", method.name()));
         let count = if needed(method) { checked } else { FLOOR_CHECKED };
         references.push(Reference::new(work, &meter, method, count)?);
@@ -194,7 +193,7 @@ pub fn measure(
     }
     told("slopes of p");
     let slopes = Slopes::new(work, &references[0], WITH_SLOPES)?;
-    let [first, second] = [&references[0], references.get(1).unwrap_or(&references[0])];
+    let [first, second] = [&references[0], &references[1]];
     let floor = Floor {
         methods: [first.method, second.method],
         trajectories: first.result.count().min(second.result.count()),
@@ -301,7 +300,7 @@ impl Bench {
             row.pareto = pareto;
             let spec = work.spec(row.series.method, row.series.precision);
             let attempts = (row.steps_taken + row.steps_rejected) * count;
-            row.flops = flops::of_step(&spec).map_or(f64::NAN, |f| f * attempts / row.kernel_median());
+            row.flops = flops::of_step(&spec, row.steps.rtol().unwrap_or(1.0)) * attempts / row.kernel_median();
             row.peak_share = row.flops / self.devices[row.series.device].peak[row.series.precision as usize];
         }
     }
@@ -370,7 +369,7 @@ fn written(x: f64) -> f64 {
 
 /// By what the next rung takes longer, about: twice the steps, or a tenth of the tolerance at the lowest order.
 fn growth(method: Method) -> f64 {
-    if variants::is_fixed_step(method) { 2.0 } else { 1.8 }
+    if method.adaptive() { 1.8 } else { 2.0 }
 }
 
 /// A series in words.

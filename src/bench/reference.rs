@@ -1,7 +1,7 @@
 //! What results are compared with: the same seeds in f64 at 1e-14, by another method than the one measured.
 
 use super::errors::Meter;
-use super::variants::{Steps, is_fixed_step};
+use super::variants::Steps;
 use super::work::Work;
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError, Status, Trajectories};
@@ -26,28 +26,11 @@ const MOST_STEPS: u32 = 10_000_000;
 const MOST_SLOPES: usize = 8 << 20;
 
 /// Methods that serve as references, the best first; each is measured against the first one that it is not.
-fn candidates() -> impl Iterator<Item = Method> {
-    let named = |name: &str| Method::ALL.iter().find(|(n, _)| *n == name).map(|(_, m)| *m);
-    [Some(Method::Dop853), named("taylor"), Some(Method::Tsit5)]
-        .into_iter()
-        .flatten()
-}
+pub const CANDIDATES: [Method; 2] = [Method::Dop853, Method::Taylor];
 
 /// The method of the reference for a measured one.
 pub fn method_for(measured: Method) -> Method {
-    candidates().find(|m| *m != measured).unwrap_or(Method::Tsit5)
-}
-
-/// Methods of all references for some measured ones, and one more where there is only one, to tell how far references
-/// can be trusted.
-pub fn methods_for(measured: &[Method]) -> Vec<Method> {
-    let mut methods = Vec::new();
-    for method in measured.iter().map(|m| method_for(*m)).chain(candidates()) {
-        if methods.len() < 2 && !methods.contains(&method) && !is_fixed_step(method) {
-            methods.push(method);
-        }
-    }
-    methods
+    CANDIDATES[usize::from(CANDIDATES[0] == measured)]
 }
 
 /// Reference trajectories, the leading ones of the work.

@@ -89,12 +89,19 @@ pub fn ladders(backends: &[Box<dyn Backend>], wanted: &Wanted, duration: f64) ->
                 continue;
             }
             for &method in &wanted.methods {
+                if !backend.offers(method) {
+                    missing.push(Missing {
+                        what: format!("{} {} {}", backend.adapter(), precision.name(), method.name()),
+                        why: "the backend has no such method".into(),
+                    });
+                    continue;
+                }
                 let series = Series {
                     device,
                     precision,
                     method,
                 };
-                let steps = if is_fixed_step(method) {
+                let steps = if !method.adaptive() {
                     FIXED_STEPS
                         .iter()
                         .map(|n| Steps::Fixed(two_digits(duration / n)))
@@ -112,11 +119,6 @@ pub fn ladders(backends: &[Box<dyn Backend>], wanted: &Wanted, duration: f64) ->
         }
     }
     (ladders, missing)
-}
-
-/// Whether a method takes the scenario's `step`.
-pub fn is_fixed_step(method: Method) -> bool {
-    method == Method::Rk4
 }
 
 /// A number that can be written into a scenario.
@@ -137,7 +139,7 @@ mod tests {
         assert_eq!(ladders.len(), 2 * Method::ALL.len());
         for ladder in &ladders {
             let finest = ladder.steps.last().unwrap();
-            match (is_fixed_step(ladder.series.method), ladder.series.precision) {
+            match (!ladder.series.method.adaptive(), ladder.series.precision) {
                 (true, _) => assert!(finest.step().unwrap() < 1e-3),
                 (false, Precision::F32) => assert_eq!(finest.rtol(), Some(1e-6)),
                 (false, Precision::F64) => assert_eq!(finest.rtol(), Some(1e-12)),

@@ -1,4 +1,8 @@
-//! Runge-Kutta methods as data: one tableau serves every backend.
+//! Integration methods as data: one tableau serves every backend.
+
+mod dop853;
+
+pub use dop853::DOP853;
 
 /// An explicit method whose last stage is the derivative at the new point ("first same as last").
 pub struct Tableau {
@@ -11,8 +15,11 @@ pub struct Tableau {
     /// Weights of a second estimate, of lower order, or empty. With the mean squares e and c of both in the tolerance's
     /// norm the squared error is `e^2 / (e + c/100)`.
     pub companion: &'static [f64],
-    /// Dense output: weight of stage j at fraction q of the step is `q * (d[j][0] + q*(d[j][1] + q*(d[j][2] + q*d[j][3])))`.
-    pub dense: &'static [[f64; 4]],
+    /// Further stages that only dense output takes, like rows of `a`.
+    pub extra: &'static [&'static [f64]],
+    /// Dense output: weight of stage j at fraction q of the step is `q * (d[j][0] + q*(d[j][1] + q*(...)))`. All stages,
+    /// the further ones included, have as many coefficients.
+    pub dense: &'static [&'static [f64]],
 }
 
 impl Tableau {
@@ -29,7 +36,12 @@ impl Tableau {
     /// First step: this fraction of |y|/|y'| in the tolerance's norm. A high order takes long steps, and many small ones
     /// at the beginning would be most of the work of a short trajectory.
     pub const fn first(&self) -> f64 {
-        if self.order > 5 { 0.1 } else { 0.01 }
+        if self.order > 5 { 0.1 } else { control::SHARE }
+    }
+
+    /// Powers of dense output.
+    pub const fn degree(&self) -> usize {
+        self.dense[0].len()
     }
 
     /// Whether steps are chosen by an error estimate.
@@ -52,12 +64,13 @@ pub static RK4: Tableau = Tableau {
     companion: &[],
     // y0 + q h k1 + (3q^2 - 2q^3)(y1 - y0 - h k1) ... collected by stage, with k5 = f(y1):
     // h00 cancels; y1 - y0 = h (k1 + 2 k2 + 2 k3 + k4)/6.
+    extra: &[],
     dense: &[
-        [1.0, -2.0 + 0.5, 1.0 - 1.0 / 3.0, 0.0],
-        [0.0, 1.0, -2.0 / 3.0, 0.0],
-        [0.0, 1.0, -2.0 / 3.0, 0.0],
-        [0.0, 0.5, -1.0 / 3.0, 0.0],
-        [0.0, -1.0, 1.0, 0.0],
+        &[1.0, -2.0 + 0.5, 1.0 - 1.0 / 3.0, 0.0],
+        &[0.0, 1.0, -2.0 / 3.0, 0.0],
+        &[0.0, 1.0, -2.0 / 3.0, 0.0],
+        &[0.0, 0.5, -1.0 / 3.0, 0.0],
+        &[0.0, -1.0, 1.0, 0.0],
     ],
 };
 
@@ -101,159 +114,78 @@ pub static TSIT5: Tableau = Tableau {
         0.015151515151515152,
     ],
     companion: &[],
+    extra: &[],
     dense: &[
-        [1.0, -2.763706197274826, 2.9132554618219126, -1.0530884977290216],
-        [0.0, 0.13169999999999998, -0.2234, 0.1017],
-        [0.0, 3.9302962368947516, -5.941033872131505, 2.490627285651253],
-        [0.0, -12.411077166933676, 30.33818863028232, -16.548102889244902],
-        [0.0, 37.50931341651104, -88.1789048947664, 47.37952196281928],
-        [0.0, -27.896526289197286, 65.09189467479366, -34.87065786149661],
-        [0.0, 1.5, -4.0, 2.5],
+        &[1.0, -2.763706197274826, 2.9132554618219126, -1.0530884977290216],
+        &[0.0, 0.13169999999999998, -0.2234, 0.1017],
+        &[0.0, 3.9302962368947516, -5.941033872131505, 2.490627285651253],
+        &[0.0, -12.411077166933676, 30.33818863028232, -16.548102889244902],
+        &[0.0, 37.50931341651104, -88.1789048947664, 47.37952196281928],
+        &[0.0, -27.896526289197286, 65.09189467479366, -34.87065786149661],
+        &[0.0, 1.5, -4.0, 2.5],
     ],
 };
 
-/// Order 8(5,3) method of E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I (1993), II.10
-/// (DOP853). Dense output is the cubic Hermite interpolant: this tableau is for steps that end where a value is wanted.
-pub static DOP853: Tableau = Tableau {
-    order: 8,
-    a: &[
-        &[0.05260015195876773],
-        &[0.0197250569845379, 0.0591751709536137],
-        &[0.02958758547680685, 0.0, 0.08876275643042054],
-        &[0.2413651341592667, 0.0, -0.8845494793282861, 0.924834003261792],
-        &[0.037037037037037035, 0.0, 0.0, 0.17082860872947386, 0.12546768756682242],
-        &[
-            0.037109375,
-            0.0,
-            0.0,
-            0.17025221101954405,
-            0.06021653898045596,
-            -0.017578125,
-        ],
-        &[
-            0.03709200011850479,
-            0.0,
-            0.0,
-            0.17038392571223998,
-            0.10726203044637328,
-            -0.015319437748624402,
-            0.008273789163814023,
-        ],
-        &[
-            0.6241109587160757,
-            0.0,
-            0.0,
-            -3.3608926294469414,
-            -0.868219346841726,
-            27.59209969944671,
-            20.154067550477894,
-            -43.48988418106996,
-        ],
-        &[
-            0.47766253643826434,
-            0.0,
-            0.0,
-            -2.4881146199716677,
-            -0.590290826836843,
-            21.230051448181193,
-            15.279233632882423,
-            -33.28821096898486,
-            -0.020331201708508627,
-        ],
-        &[
-            -0.9371424300859873,
-            0.0,
-            0.0,
-            5.186372428844064,
-            1.0914373489967295,
-            -8.149787010746927,
-            -18.52006565999696,
-            22.739487099350505,
-            2.4936055526796523,
-            -3.0467644718982196,
-        ],
-        &[
-            2.273310147516538,
-            0.0,
-            0.0,
-            -10.53449546673725,
-            -2.0008720582248625,
-            -17.9589318631188,
-            27.94888452941996,
-            -2.8589982771350235,
-            -8.87285693353063,
-            12.360567175794303,
-            0.6433927460157636,
-        ],
-        &[
-            0.054293734116568765,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            4.450312892752409,
-            1.8915178993145003,
-            -5.801203960010585,
-            0.3111643669578199,
-            -0.1521609496625161,
-            0.20136540080403034,
-            0.04471061572777259,
-        ],
-    ],
-    error: &[
-        0.01312004499419488,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        -1.2251564463762044,
-        -0.4957589496572502,
-        1.6643771824549864,
-        -0.35032884874997366,
-        0.3341791187130175,
-        0.08192320648511571,
-        -0.022355307863886294,
-        0.0,
-    ],
-    companion: &[
-        -0.18980075407240762,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        4.450312892752409,
-        1.8915178993145003,
-        -5.801203960010585,
-        -0.4226823213237919,
-        -0.1521609496625161,
-        0.20136540080403034,
-        0.02265179219836082,
-        0.0,
-    ],
-    dense: &[
-        [1.0, -1.8371187976502936, 0.8914125317668624, 0.0],
-        [0.0, 0.0, -0.0, 0.0],
-        [0.0, 0.0, -0.0, 0.0],
-        [0.0, 0.0, -0.0, 0.0],
-        [0.0, 0.0, -0.0, 0.0],
-        [0.0, 13.350938678257227, -8.900625785504818, 0.0],
-        [0.0, 5.674553697943501, -3.7830357986290006, 0.0],
-        [0.0, -17.403611880031754, 11.60240792002117, 0.0],
-        [0.0, 0.9334931008734597, -0.6223287339156398, 0.0],
-        [0.0, -0.45648284898754826, 0.3043218993250322, 0.0],
-        [0.0, 0.604096202412091, -0.4027308016080607, 0.0],
-        [0.0, 0.13413184718331778, -0.08942123145554517, 0.0],
-        [0.0, -1.0, 1.0, 0.0],
-    ],
-};
+/// What a kernel runs at each step.
+#[derive(Clone, Copy)]
+pub enum Scheme {
+    RungeKutta(&'static Tableau),
+    /// Taylor polynomials of this degree.
+    Taylor(usize),
+}
+
+impl Scheme {
+    /// Whether steps are chosen by the tolerance.
+    pub fn adaptive(self) -> bool {
+        match self {
+            Scheme::RungeKutta(tableau) => tableau.adaptive(),
+            Scheme::Taylor(_) => true,
+        }
+    }
+
+    /// Powers of dense output.
+    pub fn degree(self) -> usize {
+        match self {
+            Scheme::RungeKutta(tableau) => tableau.degree(),
+            Scheme::Taylor(order) => order,
+        }
+    }
+}
 
 impl crate::model::Method {
-    pub fn tableau(self) -> &'static Tableau {
+    /// The tableau of a Runge-Kutta method.
+    pub fn tableau(self) -> Option<&'static Tableau> {
         match self {
-            crate::model::Method::Rk4 => &RK4,
-            crate::model::Method::Tsit5 => &TSIT5,
-            crate::model::Method::Dop853 => &DOP853,
+            crate::model::Method::Rk4 => Some(&RK4),
+            crate::model::Method::Tsit5 => Some(&TSIT5),
+            crate::model::Method::Dop853 => Some(&DOP853),
+            crate::model::Method::Taylor => None,
         }
+    }
+
+    /// The scheme for a relative tolerance.
+    pub fn scheme(self, rtol: f64) -> Scheme {
+        self.tableau()
+            .map_or_else(|| Scheme::Taylor(taylor::order(rtol)), Scheme::RungeKutta)
+    }
+
+    /// Whether steps are chosen by the tolerance.
+    pub fn adaptive(self) -> bool {
+        self.tableau().is_none_or(Tableau::adaptive)
+    }
+}
+
+/// Order and step of Taylor's method (Jorba & Zou, "A software package for the numerical integration of ODEs by means of
+/// high-order Taylor methods", Experimental Mathematics 14 (2005), section 3).
+pub mod taylor {
+    /// The order at which the work for a given tolerance is least: steps are then about `radius / e^2`.
+    pub fn order(rtol: f64) -> usize {
+        ((-0.5 * rtol.ln()).ceil() as usize + 1).clamp(4, 24)
+    }
+
+    /// Share taken of the step at which the last term would be as large as the tolerance.
+    pub fn safety(order: usize) -> f64 {
+        (-0.7 / (order as f64 - 1.0)).exp()
     }
 }
 
@@ -271,6 +203,8 @@ pub mod control {
     pub const fn at_kink(epsilon: f64) -> f64 {
         if epsilon > 1e-10 { 1e-4 } else { 1e-6 }
     }
+    /// First step of methods of moderate order: this fraction of |y|/|y'|.
+    pub const SHARE: f64 = 0.01;
     /// Weight of a companion estimate's mean square.
     pub const COMPANION: f64 = 0.01;
     pub const SHRINK: f64 = 0.2;

@@ -137,12 +137,18 @@ pub struct Sheets {
 pub enum Method {
     Rk4,
     Tsit5,
-    /// For boundary value problems: it has no dense output of its order, which sampling by levels needs.
     Dop853,
+    /// Taylor series of an order that follows from the tolerance.
+    Taylor,
 }
 
 impl Method {
-    pub const ALL: [(&'static str, Method); 2] = [("rk4", Method::Rk4), ("tsit5", Method::Tsit5)];
+    pub const ALL: [(&'static str, Method); 4] = [
+        ("rk4", Method::Rk4),
+        ("tsit5", Method::Tsit5),
+        ("dop853", Method::Dop853),
+        ("taylor", Method::Taylor),
+    ];
 
     pub fn name(self) -> &'static str {
         Method::ALL.iter().find(|(_, m)| *m == self).map_or("?", |(n, _)| n)
@@ -161,6 +167,14 @@ impl Precision {
         match self {
             Precision::F32 => "f32",
             Precision::F64 => "f64",
+        }
+    }
+
+    /// Bytes of a number.
+    pub fn bytes(self) -> usize {
+        match self {
+            Precision::F32 => 4,
+            Precision::F64 => 8,
         }
     }
 

@@ -1,7 +1,11 @@
 //! Evaluating a program at many points in f64, for what is reported beside the integrated vector.
 
 use super::Simd;
-use super::lanes::LaneProgram;
+use super::arithmetic::Arithmetic;
+use super::code::Recorder;
+use super::lanes::Lanes;
+use super::routine::Routine;
+use crate::model::Precision;
 use crate::program::Program;
 use rayon::prelude::*;
 
@@ -11,17 +15,26 @@ const CHUNK: usize = 4096;
 
 /// A program for pointwise evaluation.
 pub struct Evaluator {
-    program: LaneProgram,
+    routine: Routine,
     inputs: usize,
+    outputs: usize,
     simd: Simd,
 }
 
 impl Evaluator {
     pub fn new(program: &Program) -> Self {
+        let simd = Simd::detect();
+        let record = |r: &mut Recorder| {
+            let inputs = r.loads(0..program.inputs);
+            for (k, v) in r.program(program, &inputs).into_iter().enumerate() {
+                r.store(v, program.inputs + k);
+            }
+        };
         Self {
-            program: LaneProgram::new(program),
+            routine: Routine::new(simd != Simd::Baseline, Precision::F64, LANES, record),
             inputs: program.inputs,
-            simd: Simd::detect(),
+            outputs: program.outputs.len(),
+            simd,
         }
     }
 
@@ -32,7 +45,7 @@ impl Evaluator {
     /// When `stride` is below the program's number of inputs.
     pub fn eval(&self, points: &[f64], stride: usize) -> Vec<f64> {
         assert!(stride >= self.inputs, "points are narrower than the program's inputs");
-        let outputs = self.program.outputs();
+        let outputs = self.outputs;
         let count = self.count(points, stride);
         let mut values = vec![0.0; count * outputs];
         if outputs == 0 {
@@ -65,19 +78,19 @@ impl Evaluator {
 
     #[inline(always)]
     fn chunk<const FMA: bool>(&self, points: &[f64], stride: usize, values: &mut [f64]) {
-        let outputs = self.program.outputs();
-        let mut file = self.program.registers::<f64, LANES>();
+        let outputs = self.outputs;
+        let mut session = self.routine.session::<f64, LANES>(&[]);
+        let mut frame = vec![Lanes::<f64, LANES>::splat(0.0); self.inputs + outputs];
         let count = self.count(points, stride);
         for first in (0..count).step_by(LANES) {
             let here = LANES.min(count - first);
-            for (k, input) in self.program.inputs(&mut file, self.inputs).iter_mut().enumerate() {
+            for (k, input) in frame[..self.inputs].iter_mut().enumerate() {
                 for i in 0..here {
                     input.0[i] = points[(first + i) * stride + k];
                 }
             }
-            self.program.run::<f64, LANES, FMA>(&mut file);
-            for k in 0..outputs {
-                let lane = self.program.output(&file, k);
+            session.run::<FMA>(&mut frame);
+            for (k, lane) in frame[self.inputs..].iter().enumerate() {
                 for i in 0..here {
                     values[(first + i) * outputs + k] = lane.0[i];
                 }

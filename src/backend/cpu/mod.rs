@@ -1,16 +1,24 @@
 //! The CPU backend: rayon over chunks of trajectories, SIMD lanes within a chunk, the instruction set chosen at run time.
 
+mod arithmetic;
 mod block;
-pub mod lanes;
+mod code;
+#[cfg(target_arch = "x86_64")]
+mod jit;
+mod lanes;
 pub mod map;
 mod peak;
-pub mod real;
+mod real;
+mod routine;
+mod steps;
+mod taylor;
 
 use super::{Backend, BackendError, Kernel, Run, Spec, Status, Trajectories};
+use crate::integrator::Scheme;
 use crate::model::Precision;
 use block::{Compiled, Output};
-use lanes::LaneProgram;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::time::Instant;
 
 /// Instruction sets the lanes are compiled for.
@@ -53,8 +61,8 @@ impl Simd {
 }
 
 /// Lanes a block: several SIMD vectors, with the working set still in the first-level cache.
-const LANES_F64: usize = 64;
-const LANES_F32: usize = 128;
+const LANES_F64: usize = 32;
+const LANES_F32: usize = 64;
 /// Lanes where trajectories are few.
 const FEW_LANES: usize = 16;
 
@@ -62,15 +70,22 @@ const FEW_LANES: usize = 16;
 #[derive(Clone, Copy, Debug)]
 pub struct Cpu {
     simd: Simd,
+    /// Whether equations become machine code.
+    compile: bool,
 }
 
 impl Cpu {
     pub fn new() -> Self {
-        Self { simd: Simd::detect() }
+        let simd = Simd::detect();
+        Self {
+            simd,
+            compile: simd != Simd::Baseline,
+        }
     }
 
-    /// A backend restricted to an instruction set the machine has; `None` where it has not.
-    pub fn with_simd(simd: Simd) -> Option<Self> {
+    /// A backend restricted to an instruction set the machine has, which interprets the equations; `None` where the
+    /// machine has not.
+    pub fn interpreting(simd: Simd) -> Option<Self> {
         let available = match simd {
             Simd::Baseline => true,
             #[cfg(target_arch = "x86_64")]
@@ -78,7 +93,7 @@ impl Cpu {
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => Simd::detect() == Simd::Avx512,
         };
-        available.then_some(Self { simd })
+        available.then_some(Self { simd, compile: false })
     }
 }
 
@@ -94,31 +109,27 @@ impl Backend for Cpu {
     }
 
     fn adapter(&self) -> String {
-        format!("CPU, {} threads, {}", rayon::current_num_threads(), self.simd.name())
+        let how = if self.compile { "compiled" } else { "interpreted" };
+        format!(
+            "CPU, {} threads, {}, {how}",
+            rayon::current_num_threads(),
+            self.simd.name()
+        )
     }
 
     fn supports(&self, _: Precision) -> bool {
         true
     }
 
+    fn offers(&self, _: crate::model::Method) -> bool {
+        true
+    }
+
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
-        let compiled = Compiled {
-            rate: LaneProgram::new(&spec.rate),
-            guards: spec
-                .guards
-                .as_ref()
-                .map(|g| (LaneProgram::new(&g.program), g.strict.clone())),
-            kinks: spec.kinks.as_ref().map(|k| (LaneProgram::new(k), k.inputs)),
-            inputs: spec.rate.inputs,
-            dim: spec.dim(),
-            tableau: spec.method.tableau(),
-            by: spec.by,
-            store: spec.store,
-        };
         Ok(Box::new(CpuKernel {
-            compiled,
-            precision: spec.precision,
-            simd: self.simd,
+            spec: spec.clone(),
+            backend: *self,
+            compiled: HashMap::new(),
             seconds: None,
         }))
     }
@@ -129,11 +140,24 @@ impl Backend for Cpu {
 }
 
 struct CpuKernel {
-    compiled: Compiled,
-    precision: Precision,
-    simd: Simd,
+    spec: Spec,
+    backend: Cpu,
+    /// Code by lanes and order, made when first needed.
+    compiled: HashMap<(usize, usize), Compiled>,
     /// Of the latest batch, on the lanes.
     seconds: Option<f64>,
+}
+
+impl CpuKernel {
+    fn compiled(&mut self, width: usize, rtol: f64) -> &Compiled {
+        let scheme = self.spec.method.scheme(rtol);
+        let order = match scheme {
+            Scheme::RungeKutta(_) => 0,
+            Scheme::Taylor(order) => order,
+        };
+        let (spec, compile) = (&self.spec, self.backend.compile);
+        (self.compiled.entry((width, order))).or_insert_with(|| Compiled::new(spec, scheme, compile, width))
+    }
 }
 
 impl Kernel for CpuKernel {
@@ -142,9 +166,9 @@ impl Kernel for CpuKernel {
     }
 
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
-        let dim = self.compiled.dim;
+        let dim = self.spec.dim();
         let count = seeds.len() / dim;
-        let levels = if self.compiled.store { run.levels.len() } else { 0 };
+        let levels = if self.spec.store { run.levels.len() } else { 0 };
         let mut result = Trajectories {
             dim,
             levels,
@@ -161,7 +185,15 @@ impl Kernel for CpuKernel {
         // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
         let chunk = (count / (rayon::current_num_threads() * 4)).clamp(LANES_F64, 8192);
         // A block costs the same whether its lanes are in use or not.
-        let few = count <= FEW_LANES * rayon::current_num_threads();
+        let precision = self.spec.precision;
+        let few = precision == Precision::F64 && count <= FEW_LANES * rayon::current_num_threads();
+        let lanes = match precision {
+            Precision::F64 if few => FEW_LANES,
+            Precision::F64 => LANES_F64,
+            Precision::F32 => LANES_F32,
+        };
+        let simd = self.backend.simd;
+        let compiled = self.compiled(lanes, run.rtol);
         let chunk = if few {
             chunk.min(count.div_ceil(rayon::current_num_threads()).next_multiple_of(FEW_LANES))
         } else {
@@ -192,12 +224,10 @@ impl Kernel for CpuKernel {
                     rejected,
                     samples,
                 };
-                match self.precision {
-                    Precision::F64 if few => {
-                        dispatch::<f64, FEW_LANES>(self.simd, &self.compiled, run, seeds, &mut out)
-                    }
-                    Precision::F64 => dispatch::<f64, LANES_F64>(self.simd, &self.compiled, run, seeds, &mut out),
-                    Precision::F32 => dispatch::<f32, LANES_F32>(self.simd, &self.compiled, run, seeds, &mut out),
+                match precision {
+                    Precision::F64 if few => dispatch::<f64, FEW_LANES>(simd, compiled, run, seeds, &mut out),
+                    Precision::F64 => dispatch::<f64, LANES_F64>(simd, compiled, run, seeds, &mut out),
+                    Precision::F32 => dispatch::<f32, LANES_F32>(simd, compiled, run, seeds, &mut out),
                 }
             });
         self.seconds = Some(begin.elapsed().as_secs_f64());

@@ -36,7 +36,7 @@ pub fn stored(spec: &Spec) -> impl Iterator<Item = usize> + use<> {
 
 /// Kinks that steps are made to end at; a fixed step has no choice.
 pub fn kinks(spec: &Spec) -> usize {
-    let adaptive = spec.method.tableau().adaptive();
+    let adaptive = spec.method.adaptive();
     (spec.kinks.as_ref().filter(|_| adaptive)).map_or(0, |program| program.outputs.len())
 }
 
@@ -81,11 +81,11 @@ pub struct Emitter<'a> {
 }
 
 impl<'a> Emitter<'a> {
-    pub fn new(spec: &'a Spec, variant: Variant) -> Self {
+    pub fn new(spec: &'a Spec, tableau: &'static Tableau, variant: Variant) -> Self {
         Self {
             spec,
             variant,
-            tableau: spec.method.tableau(),
+            tableau,
             dim: spec.dim(),
             inputs: spec.rate.inputs,
         }
@@ -266,59 +266,66 @@ impl<'a> Emitter<'a> {
         );
     }
 
+    /// The dense output: polynomials in the fraction of the step, made once for all points wanted in it.
     fn dense(&self, text: &mut String) {
-        let dense = self.tableau.dense;
+        let (tableau, degree) = (self.tableau, self.tableau.degree());
+        let names = |f: &dyn Fn(usize) -> String| (0..degree).map(f).collect::<Vec<_>>();
         let _ = writeln!(
             text,
-            "fn interpolate(y: Vector, k0: Vector, step: Step, h: real, q: real) -> Vector {{\n    if (q == 1.0) {{\n        \
-             return step.y;\n    }}"
+            "// y + h q (d0 + q (d1 + ...))\nstruct Dense {{ {}, }}",
+            names(&|m| format!("d{m}: Vector")).join(", ")
         );
-        for (j, d) in self.dense_stages() {
-            let used = d.iter().rposition(|d| *d != 0.0).map_or(0, |last| last + 1);
-            let horner = (d[..used].iter().rev()).fold(String::new(), |acc, d| {
-                let d = self.number(*d);
-                if acc.is_empty() {
-                    d
-                } else {
-                    format!("{d} + q * ({acc})")
-                }
-            });
-            let _ = writeln!(text, "    let b{j}: real = q * ({horner});");
-        }
+        let _ = writeln!(
+            text,
+            "fn densify(y: Vector, k0: Vector, step: Step, h: real) -> Dense {{"
+        );
         self.stage_names(text);
-        let components: Vec<String> = (0..self.dim)
-            .map(|c| {
-                let terms: Vec<String> = (self.dense_stages())
-                    .map(|(j, _)| format!("k{j}.c{c} * b{j}"))
-                    .collect();
-                format!("y.c{c} + h * ({})", terms.join(" + "))
+        for (e, a) in tableau.extra.iter().enumerate() {
+            let s = tableau.stages() + e;
+            for c in 0..self.inputs {
+                let sum = self.combination(a, c);
+                let _ = writeln!(text, "    let y{s}_{c} = y.c{c} + h * ({sum});");
+            }
+            let arguments: Vec<String> = (0..self.inputs).map(|c| format!("y{s}_{c}")).collect();
+            let _ = writeln!(text, "    let k{s} = rate(Inputs({}));", arguments.join(", "));
+        }
+        let zero = self.number(0.0);
+        let vectors = names(&|m| {
+            let weights: Vec<f64> = tableau.dense.iter().map(|d| d[m]).collect();
+            let components: Vec<String> = (0..self.dim)
+                .map(|c| {
+                    let sum = self.combination(&weights, c);
+                    if sum.is_empty() { zero.clone() } else { sum }
+                })
+                .collect();
+            format!("Vector({})", components.join(", "))
+        });
+        let _ = writeln!(text, "    return Dense({});\n}}", vectors.join(", "));
+        let horner = |c: usize| {
+            (0..degree - 1).rev().fold(format!("d.d{}.c{c}", degree - 1), |acc, m| {
+                format!("d.d{m}.c{c} + q * ({acc})")
             })
-            .collect();
-        let _ = writeln!(text, "    return Vector({});\n}}", components.join(", "));
-        let By::Component(c) = self.spec.by else {
-            return;
         };
         let _ = writeln!(
             text,
-            "// Dense output of the coordinate: y + h q (p0 + q (p1 + q (p2 + q p3)))."
+            "fn interpolate(y: Vector, d: Dense, step: Step, h: real, q: real) -> Vector {{\n    if (q == 1.0) {{\n        \
+             return step.y;\n    }}\n    let s = q * h;"
         );
-        let _ = writeln!(text, "struct Path {{ p0: real, p1: real, p2: real, p3: real, }}");
-        let _ = writeln!(text, "fn path(k0: Vector, step: Step) -> Path {{");
-        self.stage_names(text);
-        let powers: Vec<String> = (0..4)
-            .map(|m| {
-                let weights: Vec<f64> = dense.iter().map(|d| d[m]).collect();
-                let sum = self.combination(&weights, c);
-                if sum.is_empty() { "0.0".to_owned() } else { sum }
-            })
-            .collect();
-        let _ = writeln!(text, "    return Path({});\n}}", powers.join(", "));
-    }
-
-    /// The stages that the dense output depends on, with their weights.
-    fn dense_stages(&self) -> impl Iterator<Item = (usize, &'static [f64; 4])> + use<> {
-        let stages = self.tableau.dense.iter().enumerate();
-        stages.filter(|(_, d)| d.iter().any(|d| *d != 0.0))
+        let components: Vec<String> = (0..self.dim).map(|c| format!("y.c{c} + s * ({})", horner(c))).collect();
+        let _ = writeln!(text, "    return Vector({});\n}}", components.join(", "));
+        if let By::Component(c) = self.spec.by {
+            let slope = (0..degree - 1).rev().fold(
+                format!("{} * d.d{}.c{c}", self.number(degree as f64), degree - 1),
+                |acc, m| format!("{} * d.d{m}.c{c} + q * ({acc})", self.number((m + 1) as f64)),
+            );
+            let _ = writeln!(
+                text,
+                "// The coordinate's way since the begin of the step and its slope, per unit of h.\n\
+                 struct Along {{ way: real, slope: real, }}\n\
+                 fn along(d: Dense, q: real) -> Along {{\n    return Along(q * ({}), {slope});\n}}",
+                horner(c)
+            );
+        }
     }
 
     fn stage_names(&self, text: &mut String) {

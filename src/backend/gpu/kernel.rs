@@ -7,6 +7,7 @@ use super::memory::{Memory, Shape, binding_limit, reals};
 use super::results::{self, Written};
 use super::shader::{Fragment, Source, conditional};
 use crate::backend::{BackendError, Kernel, Run, Spec, Trajectories};
+use crate::integrator::Tableau;
 use crate::model::Precision;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -29,6 +30,7 @@ struct Pipelines {
 pub(super) struct GpuKernel {
     device: Arc<Device>,
     spec: Spec,
+    tableau: &'static Tableau,
     layout: wgpu::BindGroupLayout,
     pipelines: HashMap<Variant, Pipelines>,
     memory: Option<Memory>,
@@ -40,8 +42,8 @@ pub(super) struct GpuKernel {
 }
 
 /// The whole text of a kernel's module.
-pub(super) fn source(spec: &Spec, variant: Variant) -> Source {
-    let emitter = Emitter::new(spec, variant);
+pub(super) fn source(spec: &Spec, tableau: &'static Tableau, variant: Variant) -> Source {
+    let emitter = Emitter::new(spec, tableau, variant);
     let conditions = emitter.conditions();
     let mut block = conditional(include_str!("../../../shaders/block.wgsl"), &conditions);
     for (name, value) in emitter.names() {
@@ -73,8 +75,13 @@ pub(super) fn source(spec: &Spec, variant: Variant) -> Source {
 
 impl GpuKernel {
     pub fn new(device: Arc<Device>, spec: Spec) -> Result<Self, BackendError> {
+        let Some(tableau) = spec.method.tableau() else {
+            return Err(BackendError::NoMethod {
+                method: spec.method.name(),
+            });
+        };
         // Variants differ by checks that are added to this one.
-        source(&spec, Variant::default()).validate(device.info.f64_arithmetic)?;
+        source(&spec, tableau, Variant::default()).validate(device.info.f64_arithmetic)?;
         let bindings = if spec.store { 8 } else { 7 };
         let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..bindings)
             .map(|binding| wgpu::BindGroupLayoutEntry {
@@ -100,6 +107,7 @@ impl GpuKernel {
         Ok(Self {
             device,
             spec,
+            tableau,
             layout,
             pipelines: HashMap::new(),
             memory: None,
@@ -113,7 +121,7 @@ impl GpuKernel {
         if self.pipelines.contains_key(&variant) {
             return Ok(());
         }
-        let source = source(&self.spec, variant);
+        let source = source(&self.spec, self.tableau, variant);
         source.validate(self.device.info.f64_arithmetic)?;
         let device = &self.device.device;
         let descriptor = wgpu::ShaderModuleDescriptor {

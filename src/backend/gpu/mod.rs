@@ -78,6 +78,10 @@ impl Backend for Gpu {
         self.device.supports(precision)
     }
 
+    fn offers(&self, method: crate::model::Method) -> bool {
+        method.tableau().is_some()
+    }
+
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
         self.require(spec.precision)?;
         // Shader compilers recurse over long straight-line code, and take minutes over it.

@@ -1,0 +1,60 @@
+//! Vector code ready to run: compiled where the machine allows it, else interpreted.
+
+use super::code::Recorder;
+#[cfg(target_arch = "x86_64")]
+use super::jit::{Executable, Machine};
+use super::lanes::{Interpreted, Lanes};
+use super::real::Real;
+use crate::model::Precision;
+
+/// Code for frames of a certain number of lanes.
+pub enum Routine {
+    #[cfg(target_arch = "x86_64")]
+    Compiled(Executable),
+    Interpreted(Interpreted),
+}
+
+impl Routine {
+    /// `compile`: whether to try it. `record` may be called twice: once for the compiler, once for the interpreter.
+    pub fn new(compile: bool, precision: Precision, width: usize, record: impl Fn(&mut Recorder)) -> Self {
+        #[cfg(target_arch = "x86_64")]
+        if compile {
+            let mut recorder = Recorder::new(precision, true);
+            record(&mut recorder);
+            if let Some(executable) = Executable::new(recorder, precision, width) {
+                return Routine::Compiled(executable);
+            }
+        }
+        let _ = (compile, width);
+        let mut recorder = Recorder::new(precision, false);
+        record(&mut recorder);
+        Routine::Interpreted(Interpreted::new(recorder))
+    }
+
+    /// The code with values for its parameters and room to work; one a thread.
+    pub fn session<T: Real, const W: usize>(&self, parameters: &[T]) -> Session<'_, T, W> {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Routine::Compiled(executable) => Session::Compiled(executable.machine(parameters)),
+            Routine::Interpreted(code) => Session::Interpreted(code, code.registers(parameters)),
+        }
+    }
+}
+
+/// A [`Routine`] at work.
+pub enum Session<'a, T, const W: usize> {
+    #[cfg(target_arch = "x86_64")]
+    Compiled(Machine<'a>),
+    Interpreted(&'a Interpreted, Vec<Lanes<T, W>>),
+}
+
+impl<T: Real, const W: usize> Session<'_, T, W> {
+    #[inline(always)]
+    pub fn run<const FMA: bool>(&mut self, frame: &mut [Lanes<T, W>]) {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Session::Compiled(machine) => machine.run(frame),
+            Session::Interpreted(code, file) => code.run::<T, W, FMA>(file, frame),
+        }
+    }
+}
