@@ -18,6 +18,9 @@ const WITH_SLOPES: usize = 1024;
 /// Trajectories of a reference that only tells how far the other one can be trusted.
 const FLOOR_CHECKED: usize = 512;
 
+/// Share of the budget that the first passes may take.
+const FIRST_PASSES: f64 = 0.25;
+
 /// Errors of more than a tenth are nobody's choice, however soon they are there.
 pub const USEFUL: f64 = 0.1;
 
@@ -27,8 +30,8 @@ pub struct Options {
     pub wanted: Wanted,
     /// Timed passes of each variant.
     pub repeats: usize,
-    /// Seconds for all passes, references not included: half of it for the first ones. Timed passes come in whole
-    /// rounds, of which one is always done.
+    /// Seconds for all passes, references not included: a quarter of it for the first ones, so that three rounds of
+    /// timed passes have room. Rounds are whole, and one is always done.
     pub budget: f64,
 }
 
@@ -228,7 +231,7 @@ pub fn measure(
             };
             let series = runner.ladder.series;
             let expected = runner.last * growth(series.method);
-            if runner.stopped || (depth > 0 && spent + expected > 0.5 * options.budget) {
+            if runner.stopped || (depth > 0 && spent + expected > FIRST_PASSES * options.budget) {
                 if !runner.stopped {
                     missing.push(Missing {
                         what: format!("{} from {}", name(backends, series), setting(steps)),

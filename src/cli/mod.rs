@@ -143,7 +143,8 @@ struct BenchArgs {
     /// Timed passes of each variant.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeats: u32,
-    /// Seconds for all passes (at least one timed pass of what is measured is always done).
+    /// Seconds for all passes, references not included. What does not fit is named; every variant that is measured has
+    /// at least one timed pass.
     #[arg(long, default_value_t = 60.0, value_parser = seconds, allow_negative_numbers = true)]
     budget: f64,
     /// Recommend a setting for this error too. May be repeated.

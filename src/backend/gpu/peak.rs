@@ -65,10 +65,10 @@ pub(super) fn peak(device: &Device, precision: Precision) -> Result<f64, Backend
     let mut long = 0;
     while long < REPEATS {
         let seconds = probe.seconds(invocations)?;
-        rate = rate.max(f64::from(invocations) * f64::from(ROUNDS) * OPERATIONS / seconds);
         if seconds < LONG && invocations < most {
             invocations = (invocations * 2).min(most);
         } else {
+            rate = rate.max(f64::from(invocations) * f64::from(ROUNDS) * OPERATIONS / seconds);
             long += 1;
         }
     }
@@ -130,7 +130,7 @@ impl Probe<'_> {
             });
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, &group, &[]);
-            pass.dispatch_workgroups(invocations.div_ceil(super::emit::WORKGROUP), 1, 1);
+            pass.dispatch_workgroups(invocations.div_ceil(WORKGROUP), 1, 1);
         }
         let stamped = match &self.clock {
             Some(clock) => {
