@@ -35,15 +35,10 @@ fn main() {
             .0
     };
     let (by_taylor, by_dop853) = (reference(Method::Taylor), reference(Method::Dop853));
-    println!(
-        "# the references differ by {:.1e}",
-        errors(&by_taylor, &by_dop853)[count - 1]
-    );
+    println!("# the references differ by {:.1e}", errors(&by_taylor, &by_dop853)[count - 1]);
     let mut settings: Vec<(Method, Precision, f64, f64)> = Vec::new();
     for method in [Method::Tsit5, Method::Dop853, Method::Taylor] {
-        for rtol in [
-            1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13,
-        ] {
+        for rtol in [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13] {
             if method != Method::Tsit5 || rtol >= 1e-9 {
                 settings.push((method, Precision::F64, rtol, 0.0));
             }
@@ -81,11 +76,7 @@ fn main() {
             }
             times.sort_by(f64::total_cmp);
             let seconds = times[REPEATS / 2];
-            let reference = if method == Method::Taylor {
-                &by_dop853
-            } else {
-                &by_taylor
-            };
+            let reference = if method == Method::Taylor { &by_dop853 } else { &by_taylor };
             let errors = errors(&end, reference);
             println!(
                 "{{\"backend\": \"{}\", \"precision\": \"{}\", \"method\": \"{}\", \"setting\": \"{}\", \"n\": {count}, \"seconds\": {seconds:.6}, \"traj_per_s\": {:.0}, \"max_rel_err\": {:.2e}, \"median_rel_err\": {:.2e}}}",

@@ -17,11 +17,14 @@ pub enum Which {
     All,
 }
 
+/// Backends, and what cannot be had.
+pub type Opened = (Vec<Box<dyn Backend>>, Vec<Missing>);
+
 /// Opens backends, each once, and says what cannot be had. `adapter` restricts GPU adapters to one.
 ///
 /// # Errors
 /// When GPU adapters are asked for and there are none, or none of the name.
-pub fn open(which: &[Which], adapter: Option<&str>) -> Result<(Vec<Box<dyn Backend>>, Vec<Missing>), BackendError> {
+pub fn open(which: &[Which], adapter: Option<&str>) -> Result<Opened, BackendError> {
     let asked = |w| which.contains(&w);
     let mut backends: Vec<Box<dyn Backend>> = Vec::new();
     let mut missing = Vec::new();

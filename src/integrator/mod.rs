@@ -165,8 +165,7 @@ impl crate::model::Method {
 
     /// The scheme for a relative tolerance.
     pub fn scheme(self, rtol: f64) -> Scheme {
-        self.tableau()
-            .map_or_else(|| Scheme::Taylor(taylor::order(rtol)), Scheme::RungeKutta)
+        self.tableau().map_or_else(|| Scheme::Taylor(taylor::order(rtol)), Scheme::RungeKutta)
     }
 
     /// Whether steps are chosen by the tolerance.

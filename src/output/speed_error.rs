@@ -10,7 +10,7 @@ use crate::bench::{Bench, Row};
 type Column = (&'static str, &'static str, &'static str, fn(&Bench, &Row) -> f64);
 type Counted = (&'static str, &'static str, fn(&Row) -> usize);
 
-const COLUMNS: [Column; 26] = [
+const COLUMNS: [Column; 28] = [
     (
         "rtol",
         "1",
@@ -92,6 +92,13 @@ const COLUMNS: [Column; 26] = [
         "floating-point operations of the equations and the method a second in kernels",
         |_, r| r.flops,
     ),
+    (
+        "peak",
+        "1/s",
+        "what the device was measured to do in this precision",
+        |b, r| b.devices[r.series.device].peak[r.series.precision as usize],
+    ),
+    ("peak_share", "1", "flops as a share of peak", |_, r| r.peak_share),
 ];
 const VALUE: &str =
     "error of V off the manifold, |V - V_ref - p_ref.(x - x_ref)|/max(1, V_ref), largest of a trajectory";
@@ -137,21 +144,10 @@ impl ResultFile {
             .variable(text("method", "integration method", &|r| {
                 r.series.method.name().to_owned()
             }));
-        for (name, value) in self::attributes(bench) {
+        for (name, value) in attributes(bench) {
             group = group.attribute(name, value);
         }
         for (name, unit, what, _) in COLUMNS {
-            group = group.variable(Variable::f64(name, ["row"]).unit(unit).long_name(what));
-        }
-        let peak: [(&str, &str, fn(&Bench, &Row) -> f64); 2] = [
-            (
-                "peak",
-                "what the device was measured to do in this precision",
-                |b, r| b.devices[r.series.device].peak[r.series.precision as usize],
-            ),
-            ("peak_share", "flops as a share of peak", |_, r| r.peak_share),
-        ];
-        for ((name, what, _), unit) in peak.iter().zip(["1/s", "1"]) {
             group = group.variable(Variable::f64(name, ["row"]).unit(unit).long_name(what));
         }
         for (name, what, _) in COUNTS {
@@ -162,11 +158,7 @@ impl ResultFile {
             group = group.variable(Variable::i32(&format!("status_{status}"), ["row"]).long_name(&what));
         }
         let mut writer = self.group(&group)?;
-        for (name, value) in COLUMNS
-            .iter()
-            .map(|c| (c.0, c.3))
-            .chain(peak.iter().map(|c| (c.0, c.2)))
-        {
+        for (name, _, _, value) in COLUMNS {
             let values: Vec<f64> = rows.iter().map(|r| value(bench, r)).collect();
             writer.write(name, &values)?;
         }

@@ -243,7 +243,14 @@ pub trait Arithmetic {
 
     /// `v`, or the limits where x is beyond the exponent's range.
     #[inline(always)]
-    fn bounded_exp(&mut self, x: Self::V, v: Self::V, high: Self::V, low: Self::V, f: &'static Format) -> Self::V {
+    fn bounded_exp(
+        &mut self,
+        x: Self::V,
+        v: Self::V,
+        high: Self::V,
+        low: Self::V,
+        f: &'static Format,
+    ) -> Self::V {
         let (over, under) = (self.constant(f.overflow), self.constant(f.underflow));
         let above = self.compare(Comparison::Less, over, x);
         let v = self.select(above, high, v);

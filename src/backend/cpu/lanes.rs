@@ -121,9 +121,7 @@ impl Interpreted {
             }
             // The argument of a sine must outlive a cosine that joins it.
             let joined = matches!(op, Op::Call(Primitive::Sin, _));
-            let ended = |v: &u32| {
-                last[*v as usize] == i && place[*v as usize] & FRAME == 0 && place[*v as usize] >= fixed as u32
-            };
+            let ended = |v: &u32| last[*v as usize] == i && place[*v as usize] & FRAME == 0 && place[*v as usize] >= fixed as u32;
             if !joined {
                 let mut dead: Vec<u32> = op.reads().filter(ended).map(|v| place[v as usize]).collect();
                 dead.sort_unstable();
@@ -149,10 +147,7 @@ impl Interpreted {
         let mut arithmetic = T::With::<false>::default();
         let mut file = vec![Lanes::splat(T::of(0.0)); self.registers];
         let constants = self.constants.iter().map(|bits| arithmetic.pattern(*bits));
-        for (r, c) in file
-            .iter_mut()
-            .zip(parameters[..self.parameters].iter().copied().chain(constants))
-        {
+        for (r, c) in file.iter_mut().zip(parameters[..self.parameters].iter().copied().chain(constants)) {
             *r = Lanes::splat(c);
         }
         file
@@ -252,7 +247,13 @@ fn map2<T: Copy, const W: usize>(to: &mut [T; W], a: &[T; W], b: &[T; W], mut f:
 }
 
 #[inline(always)]
-fn map3<T: Copy, const W: usize>(to: &mut [T; W], a: &[T; W], b: &[T; W], c: &[T; W], mut f: impl FnMut(T, T, T) -> T) {
+fn map3<T: Copy, const W: usize>(
+    to: &mut [T; W],
+    a: &[T; W],
+    b: &[T; W],
+    c: &[T; W],
+    mut f: impl FnMut(T, T, T) -> T,
+) {
     for i in 0..W {
         to[i] = f(a[i], b[i], c[i]);
     }

@@ -14,8 +14,8 @@ mod steps;
 mod taylor;
 
 use super::{Backend, BackendError, Kernel, Run, Spec, Status, Trajectories};
-use crate::integrator::Scheme;
 use crate::model::Precision;
+use crate::integrator::Scheme;
 use block::{Compiled, Output};
 use rayon::prelude::*;
 use std::collections::HashMap;

@@ -217,16 +217,8 @@ mod tests {
         let check = |what: &str, error: f64, bound: f64| assert!(error < bound, "{what}: {error} units of rounding");
         // Two units of rounding: one for the reduction, one for the polynomial.
         let near = grid(-40.0, 40.0);
-        check(
-            "sin",
-            worst::<T>(&near, 0.5, |x| with::<T, FMA>().sin_cos(x).0, f64::sin),
-            2.0,
-        );
-        check(
-            "cos",
-            worst::<T>(&near, 0.5, |x| with::<T, FMA>().sin_cos(x).1, f64::cos),
-            2.0,
-        );
+        check("sin", worst::<T>(&near, 0.5, |x| with::<T, FMA>().sin_cos(x).0, f64::sin), 2.0);
+        check("cos", worst::<T>(&near, 0.5, |x| with::<T, FMA>().sin_cos(x).1, f64::cos), 2.0);
         check(
             "sin near 0",
             worst::<T>(&tiny, 1e-30, |x| with::<T, FMA>().sin_cos(x).0, f64::sin),
@@ -253,11 +245,7 @@ mod tests {
             worst::<T>(&positive, 1e-30, |x| with::<T, FMA>().log(x), f64::ln),
             2.0,
         );
-        check(
-            "log1p",
-            worst::<T>(&tiny, 1e-30, |x| with::<T, FMA>().log1p(x), f64::ln_1p),
-            3.0,
-        );
+        check("log1p", worst::<T>(&tiny, 1e-30, |x| with::<T, FMA>().log1p(x), f64::ln_1p), 3.0);
         check(
             "atan",
             worst::<T>(&grid(-30.0, 30.0), 1e-30, |x| with::<T, FMA>().atan(x), f64::atan),
@@ -294,9 +282,7 @@ mod tests {
             assert!(v.is_nan());
         }
         assert!(with::<T, true>().sin_cos(nan).0.is_nan() && with::<T, true>().sin_cos(inf).1.is_nan());
-        assert!(
-            with::<T, true>().least(nan, T::of(1.0)).is_nan() && with::<T, true>().greatest(T::of(1.0), nan).is_nan()
-        );
+        assert!(with::<T, true>().least(nan, T::of(1.0)).is_nan() && with::<T, true>().greatest(T::of(1.0), nan).is_nan());
     }
 
     #[test]

@@ -100,11 +100,7 @@ fn ends(r: &mut Recorder, spec: &Spec, layout: &Layout, y: &[Value], guarded: bo
         }
     }
     if let (Some(guards), true) = (&spec.guards, guarded) {
-        for (g, v) in r
-            .program(&guards.program, &y[..guards.program.inputs])
-            .into_iter()
-            .enumerate()
-        {
+        for (g, v) in r.program(&guards.program, &y[..guards.program.inputs]).into_iter().enumerate() {
             r.store(v, layout.guards + g);
         }
     }

@@ -178,11 +178,7 @@ impl Nodes<'_> {
         }
         let (x, y) = (x.unwrap_or(zero), y.unwrap_or(zero));
         if n == 0 {
-            return Some(if smaller {
-                self.r.least(x, y)
-            } else {
-                self.r.greatest(x, y)
-            });
+            return Some(if smaller { self.r.least(x, y) } else { self.r.greatest(x, y) });
         }
         if self.fixed[i].is_none() {
             let pair = |this: &Self, n| (this.at(a, n).unwrap_or(zero), this.at(b, n).unwrap_or(zero));
@@ -244,11 +240,7 @@ impl Nodes<'_> {
                 let inverse = match self.fixed[i] {
                     Some(inverse) => inverse,
                     None => {
-                        let whole = if f == Primitive::Log {
-                            first
-                        } else {
-                            self.r.add(first, one)
-                        };
+                        let whole = if f == Primitive::Log { first } else { self.r.add(first, one) };
                         let inverse = self.r.div(one, whole);
                         self.fixed[i] = Some(inverse);
                         inverse

@@ -216,11 +216,7 @@ pub(super) fn taylor_steps<T: Real, const W: usize>(
         // What is not finite takes no step, and is refused for it.
         let finite = below.0[i].is_finite() & top.0[i].is_finite();
         let reach = T::of(f64::from(if finite { reach } else { 0.0 }));
-        h.0[i] = if reach * T::of(1.0 + 1e-3) >= wanted.0[i] {
-            wanted.0[i]
-        } else {
-            reach
-        };
+        h.0[i] = if reach * T::of(1.0 + 1e-3) >= wanted.0[i] { wanted.0[i] } else { reach };
     }
 }
 

@@ -211,8 +211,5 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
 
 fn hold<T: Real>(values: &[T], strict: &[bool]) -> bool {
     let zero = T::of(0.0);
-    values
-        .iter()
-        .zip(strict)
-        .all(|(v, strict)| if *strict { *v > zero } else { *v >= zero })
+    values.iter().zip(strict).all(|(v, strict)| if *strict { *v > zero } else { *v >= zero })
 }

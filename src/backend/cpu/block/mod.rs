@@ -32,8 +32,7 @@ impl Compiled {
     /// `compile`: to machine code, where the machine allows it.
     pub fn new(spec: &Spec, scheme: Scheme, compile: bool, width: usize) -> Self {
         let layout = Layout::new(spec, scheme);
-        let routine =
-            |record: &dyn Fn(&mut super::code::Recorder)| Routine::new(compile, spec.precision, width, record);
+        let routine = |record: &dyn Fn(&mut super::code::Recorder)| Routine::new(compile, spec.precision, width, record);
         let start = routine(&|r| steps::start(r, spec, &layout));
         let (step, evaluation, dense) = match scheme {
             Scheme::RungeKutta(tableau) => (
@@ -341,11 +340,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             self.t.0[i] = if moves[i] { self.t.0[i] + h[i] } else { self.t.0[i] };
         }
         for i in 0..W {
-            self.wanted.0[i] = if single[i] {
-                self.wanted.0[i]
-            } else {
-                decided.next_h.0[i]
-            };
+            self.wanted.0[i] = if single[i] { self.wanted.0[i] } else { decided.next_h.0[i] };
         }
         let layout = self.layout;
         for (k, old) in self.sides.iter_mut().enumerate() {

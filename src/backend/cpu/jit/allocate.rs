@@ -163,11 +163,7 @@ impl Allocator<'_> {
         let last = (others.iter().position(|v| !inside(self, *v))).unwrap_or(1);
         let (m, v) = (others[last], others[1 - last]);
         let rv = self.bring(v, &all);
-        let om = if m == v {
-            Operand::Register(rv)
-        } else {
-            self.operand(m, &all)
-        };
+        let om = if m == v { Operand::Register(rv) } else { self.operand(m, &all) };
         let d = all[k];
         let to = if let Some(r) = self.register[d as usize] {
             let ends = dies(self, d) && !others.contains(&d);

@@ -1,7 +1,7 @@
 //! Encoding of the AVX2 instructions that vector code needs (Intel SDM volume 2, VEX prefix).
 
-use crate::backend::cpu::arithmetic::Comparison;
 use crate::backend::cpu::code::{Binary, Fused};
+use crate::backend::cpu::arithmetic::Comparison;
 use crate::model::Precision;
 
 /// A 256-bit register, 0 to 15.
@@ -158,11 +158,7 @@ impl Assembler {
     }
 
     pub fn copy(&mut self, to: Register, from: Operand) {
-        let opcode = if matches!(from, Operand::Register(_)) {
-            0x28
-        } else {
-            0x10
-        };
+        let opcode = if matches!(from, Operand::Register(_)) { 0x28 } else { 0x10 };
         self.vex(Map::M0F, 0, false, opcode, to, 0, from);
     }
 

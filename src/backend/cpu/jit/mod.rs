@@ -74,10 +74,7 @@ impl Executable {
         };
         Some(Self {
             code: memory.make_exec().ok()?,
-            pool: (0..parameters)
-                .map(|_| splat(0))
-                .chain(assembled.pool.iter().map(|b| splat(*b)))
-                .collect(),
+            pool: (0..parameters).map(|_| splat(0)).chain(assembled.pool.iter().map(|b| splat(*b))).collect(),
             parameters,
             spills: assembled.spills,
             slots,
@@ -130,12 +127,7 @@ impl Machine<'_> {
         unsafe {
             let code: extern "sysv64" fn(*mut Lanes<T, W>, *const Vector, usize, *mut Vector) =
                 std::mem::transmute(e.code.as_ptr());
-            code(
-                frame.as_mut_ptr(),
-                self.pool.as_ptr(),
-                e.groups,
-                self.spills.as_mut_ptr(),
-            );
+            code(frame.as_mut_ptr(), self.pool.as_ptr(), e.groups, self.spills.as_mut_ptr());
         }
     }
 }
