@@ -174,23 +174,16 @@ pub fn measure(
     let begin = Instant::now();
     let meter = Meter::new(work);
     let checked = work.count().min(CHECKED);
-    let needed = |method| {
-        options
-            .wanted
-            .methods
-            .iter()
-            .any(|m| reference::method_for(*m) == method)
-    };
+    let methods = reference::methods(work);
     let mut references = Vec::new();
-    for method in reference::CANDIDATES {
+    for (k, method) in methods.into_iter().enumerate() {
         told(&format!("reference: {}", method.name()));
-        let count = if needed(method) { checked } else { FLOOR_CHECKED };
+        // The second one is for what is measured by the first one's method, else only to tell how far they are apart.
+        let all = k == 0 || options.wanted.methods.contains(&methods[0]);
+        let count = if all { checked } else { FLOOR_CHECKED };
         references.push(Reference::new(work, &meter, method, count)?);
     }
-    let against = |method: Method| {
-        let wanted = reference::method_for(method);
-        references.iter().find(|r| r.method == wanted).unwrap_or(&references[0])
-    };
+    let against = |method: Method| &references[usize::from(method == methods[0])];
     if references.iter().any(|r| r.samples() == 0) {
         return Err(BenchError::NoReference { seeds: checked });
     }

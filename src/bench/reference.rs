@@ -25,12 +25,17 @@ const MOST_STEPS: u32 = 10_000_000;
 /// Numbers kept of the slopes.
 const MOST_SLOPES: usize = 8 << 20;
 
-/// Methods that serve as references, the best first; each is measured against the first one that it is not.
-pub const CANDIDATES: [Method; 2] = [Method::Dop853, Method::Taylor];
-
-/// The method of the reference for a measured one.
-pub fn method_for(measured: Method) -> Method {
-    CANDIDATES[usize::from(CANDIDATES[0] == measured)]
+/// Methods that serve as references, the first for all others, the second for the first.
+///
+/// Where the equations have kinks short steps are the safer ones: a long step may touch a kink twice and end on the side
+/// on which it began, and Taylor's are the longest.
+pub fn methods(work: &Work) -> [Method; 2] {
+    let second = if work.plan.spec.kinks.is_some() {
+        Method::Tsit5
+    } else {
+        Method::Taylor
+    };
+    [Method::Dop853, second]
 }
 
 /// Reference trajectories, the leading ones of the work.
