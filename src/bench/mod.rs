@@ -3,8 +3,8 @@
 //!
 //! - [`Work`] is what is integrated: seeds on the scene's own seed surface, the same for all variants;
 //! - [`devices`] opens what can integrate, [`variants`] lists what is to be measured and what cannot be;
-//! - [`reference`] and [`errors`] say how wrong a result is, off the manifold of optimal solutions;
-//! - [`measure`] takes the times, variants in turn; [`pareto`] chooses among them;
+//! - [`mod@reference`] and [`errors`] say how wrong a result is, off the manifold of optimal solutions;
+//! - [`measure()`] takes the times, variants in turn; [`pareto`] chooses among them;
 //! - [`flops`] and [`Backend::peak`](crate::backend::Backend::peak) give the share of what a device can do;
 //! - [`picture`] draws, [`ResultFile::speed_error`](crate::output::ResultFile::speed_error) stores;
 //! - [`host_share`] tells the kernel's time from all other time of a whole run.
