@@ -39,6 +39,7 @@
 //!
 //! Writing the blocks to HDF5 is [`output`]'s; the program around it all is [`cli`].
 pub mod backend;
+pub mod bench;
 pub mod cli;
 pub mod expr;
 pub mod hamiltonian;

@@ -196,6 +196,15 @@ pub trait Backend: Send + Sync {
         let _ = (states, precision);
         Ok(None)
     }
+    /// Floating-point operations a second that the device was measured to do (a multiply-add is two); `None` where
+    /// that is not known.
+    ///
+    /// # Errors
+    /// When the precision is not supported, and device failures.
+    fn peak(&self, precision: Precision) -> Result<Option<f64>, BackendError> {
+        let _ = precision;
+        Ok(None)
+    }
 }
 
 /// The linearized multiple-shooting equations of some paths (see [`crate::shooting::Factors`], which is the reference
@@ -246,6 +255,12 @@ pub trait Kernel: Send {
     /// # Errors
     /// Device failures only.
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError>;
+
+    /// Seconds of the latest [`Kernel::integrate`] in which trajectories were computed: without transfers, waiting for
+    /// a device and the host's own work. `None` where that is not known.
+    fn kernel_seconds(&self) -> Option<f64> {
+        None
+    }
 }
 
 /// Trajectories a batch so that its results stay within about 64 MiB.

@@ -1,11 +1,14 @@
 //! The command line: reads arguments, calls the library, prints.
 
+mod bench;
+mod bench_report;
 mod check;
 mod points;
 mod report;
 mod run;
 
 use crate::backend::BackendError;
+use crate::bench::BenchError;
 use crate::model::{Method, Precision};
 use crate::output::OutputError;
 use crate::scenario::{LoadError, ScenarioErrors};
@@ -32,6 +35,8 @@ enum Command {
     Homotopy(RunArgs),
     /// V, p and u at the states in a CSV file, in its order.
     Solve(SolveArgs),
+    /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
+    Bench(BenchArgs),
     /// Validate a scenario and print the derived equations and the local solution.
     Check(CheckArgs),
     /// List the GPU adapters found and what each can do.
@@ -109,6 +114,63 @@ struct SolveArgs {
     samples: usize,
 }
 
+#[derive(Args, Debug, Clone)]
+struct BenchArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// The result file; a picture is written beside it [default: out/<scenario>_bench.h5]
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// What to measure: the CPU and every GPU adapter (all; software adapters only where there is no hardware), every
+    /// adapter (gpu), the CPU, or what `run` would take (auto). May be repeated.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "all")]
+    backend: Vec<BenchBackend>,
+    /// Of the GPU adapters only the one whose name contains this.
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+    /// Only this arithmetic.
+    #[arg(long, value_enum, default_value_t = PrecisionChoice::Auto, hide_default_value = true)]
+    precision: PrecisionChoice,
+    /// Only this method. May be repeated.
+    #[arg(long, value_delimiter = ',', value_parser = method)]
+    method: Vec<Method>,
+    /// Only this relative tolerance. May be repeated [default: 1e-3, 1e-4, ... 1e-12].
+    #[arg(long, value_delimiter = ',', value_parser = tolerance, allow_negative_numbers = true)]
+    rtol: Vec<f64>,
+    /// Trajectories.
+    #[arg(long, default_value_t = 4096, value_parser = trajectories)]
+    trajectories: usize,
+    /// Shifts the seeds along the surface on which they are spread.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Timed passes of each variant.
+    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repeats: u32,
+    /// Seconds for all passes, references not included. What does not fit is named; every variant that is measured has
+    /// at least one timed pass.
+    #[arg(long, default_value_t = 60.0, value_parser = seconds, allow_negative_numbers = true)]
+    budget: f64,
+    /// Recommend a setting for this error too. May be repeated.
+    #[arg(long, value_delimiter = ',', value_parser = tolerance, allow_negative_numbers = true)]
+    error: Vec<f64>,
+    /// Keep only the ends of trajectories, instead of the points at all levels as a sweep does.
+    #[arg(long)]
+    ends: bool,
+    /// Also time whole sweeps of about so many trajectories, file included: how much of it is not the kernel's
+    /// [default: 1000,100000].
+    #[arg(long, value_name = "TRAJECTORIES", num_args = 0..=1, value_delimiter = ',', require_equals = true,
+          default_missing_value = "1000,100000", value_parser = trajectories)]
+    host_share: Vec<usize>,
+}
+
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
+enum BenchBackend {
+    All,
+    Auto,
+    Gpu,
+    Cpu,
+}
+
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
 enum BackendChoice {
     Auto,
@@ -143,18 +205,32 @@ fn assignment(text: &str) -> Result<(String, String), String> {
     }
 }
 
-fn method(text: &str) -> Result<Method, String> {
-    let named = Method::ALL.iter().find(|(name, _)| *name == text);
-    named.map(|(_, m)| *m).ok_or_else(|| {
-        let names: Vec<&str> = Method::ALL.iter().map(|(name, _)| *name).collect();
-        format!("one of {}", names.join(", "))
-    })
-}
-
 fn at_least_two(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if (2..=1_000_000).contains(&count) => Ok(count),
         _ => Err("a whole number from 2 to 1000000".to_owned()),
+    }
+}
+
+fn method(text: &str) -> Result<Method, String> {
+    let names: Vec<&str> = Method::ALL.iter().map(|(n, _)| *n).collect();
+    let found = Method::ALL.iter().find(|(n, _)| *n == text);
+    found
+        .map(|(_, m)| *m)
+        .ok_or_else(|| format!("the methods are {}", names.join(", ")))
+}
+
+fn trajectories(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if (1..=10_000_000).contains(&count) => Ok(count),
+        _ => Err("a whole number from 1 to 10000000".to_owned()),
+    }
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(time) if time > 0.0 && time <= 1e6 => Ok(time),
+        _ => Err("seconds, above 0 and at most 1e6".to_owned()),
     }
 }
 
@@ -194,6 +270,10 @@ enum CliError {
         "a state named `{name}` cannot be an axis of [map], which has a variable of that name: rename the state, or remove [map]"
     )]
     MapName { name: String },
+    #[error(transparent)]
+    Bench(#[from] BenchError),
+    #[error(transparent)]
+    Picture(#[from] crate::bench::picture::PictureError),
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]
@@ -240,6 +320,7 @@ pub fn main() -> ExitCode {
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
+        Command::Bench(args) => bench::bench(&args),
         Command::Check(args) => check::check(&args),
         Command::Adapters { json } => check::adapters(json),
     };

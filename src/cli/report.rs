@@ -26,7 +26,7 @@ impl Terminal {
         }
     }
 
-    fn say(&self, text: &str) -> std::io::Result<()> {
+    pub fn say(&self, text: &str) -> std::io::Result<()> {
         if self.quiet {
             return Ok(());
         }

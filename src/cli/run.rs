@@ -232,12 +232,12 @@ fn open_backend(args: &RunArgs) -> Result<Box<dyn Backend>, CliError> {
     }
 }
 
-fn default_output(scenario: &Path) -> PathBuf {
+pub(super) fn default_output(scenario: &Path) -> PathBuf {
     let stem = scenario.file_stem().unwrap_or_else(|| "result".as_ref());
     Path::new("out").join(stem).with_extension("h5")
 }
 
-fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
+pub(super) fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
     let axis = |v: &crate::model::Variable| Axis {
         name: v.name.clone(),
         unit: v.unit.clone(),
@@ -254,7 +254,7 @@ fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
 }
 
 /// Sweeps on a thread of its own while this one writes, so that writing costs no time of the sweep's.
-fn sweep_into(
+pub(super) fn sweep_into(
     plan: &Plan,
     backend: &dyn Backend,
     terminal: &mut report::Terminal,

@@ -1,7 +1,7 @@
 //! The file itself: there under its final name only when it is complete.
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -170,6 +170,34 @@ impl Drop for ResultFile {
     }
 }
 
+/// Puts a text file in place whole: written beside it under a hidden name, flushed and renamed.
+///
+/// # Errors
+/// [`OutputError::NoFileName`], [`OutputError::Create`], [`OutputError::Write`] and [`OutputError::Rename`]; an older
+/// file under the name is then still there.
+pub fn write_text(path: &Path, text: &str) -> Result<(), OutputError> {
+    let Some(name) = path.file_name() else {
+        return Err(OutputError::NoFileName { path: path.to_owned() });
+    };
+    let mut hidden = std::ffi::OsString::from(".");
+    hidden.push(name);
+    let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
+    hidden.push(format!(".{}-{serial}.tmp", std::process::id()));
+    let temporary = path.with_file_name(hidden);
+    let at = || path.to_owned();
+    let mut file = File::create(&temporary).map_err(|source| OutputError::Create { path: at(), source })?;
+    let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
+    drop(file);
+    let done = match written {
+        Ok(()) => fs::rename(&temporary, path).map_err(|source| OutputError::Rename { path: at(), source }),
+        Err(source) => Err(OutputError::Write { path: at(), source }),
+    };
+    if done.is_err() {
+        let _ = fs::remove_file(&temporary);
+    }
+    done
+}
+
 fn parent_directory(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -270,6 +298,20 @@ mod tests {
         fs::create_dir(&path).unwrap();
         assert!(matches!(file.finish(), Err(OutputError::Rename { .. })));
         assert_eq!(entries(directory.path()), ["result.h5"]);
+    }
+
+    #[test]
+    fn a_text_is_there_whole_or_not_at_all() {
+        let directory = TemporaryDirectory::new("text");
+        let path = directory.path().join("picture.svg");
+        for text in ["first", "second"] {
+            write_text(&path, text).unwrap();
+            assert_eq!(fs::read_to_string(&path).unwrap(), text);
+        }
+        let taken = directory.path().join("taken");
+        fs::create_dir(&taken).unwrap();
+        assert!(matches!(write_text(&taken, "no"), Err(OutputError::Rename { .. })));
+        assert_eq!(entries(directory.path()), ["picture.svg", "taken"]);
     }
 
     #[test]

@@ -35,6 +35,7 @@ mod error;
 mod file;
 mod record;
 mod spec;
+mod speed_error;
 #[cfg(test)]
 mod testing;
 mod trajectories;
@@ -42,7 +43,7 @@ mod trajectories;
 pub use attribute::AttributeValue;
 pub use dataset::{GroupWriter, Values};
 pub use error::OutputError;
-pub use file::ResultFile;
+pub use file::{ResultFile, write_text};
 pub use record::{RunRecord, utc_timestamp};
 pub use spec::{Compression, Dimension, Group, Variable};
 pub use trajectories::{Axis, TrajectoryBlock, TrajectorySchema, TrajectoryWriter};

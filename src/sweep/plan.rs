@@ -162,7 +162,7 @@ impl Plan {
         if !method.adaptive() && model.integrator.step.is_none() {
             return Err(PlanError::NoStep { method: method.name() });
         }
-        let rtol = rtol_asked.max(LEAST_RTOL * precision.epsilon());
+        let rtol = rtol_asked.max(Self::least_rtol(precision));
         // A tighter rtol alone would leave what is small against the region, or V on the first fronts, as it was.
         let atol = model.integrator.atol * choices.rtol.map_or(1.0, |_| rtol / model.integrator.rtol);
 
@@ -282,6 +282,11 @@ impl Plan {
             region,
             system,
         })
+    }
+
+    /// The tightest relative tolerance that a precision can meet.
+    pub fn least_rtol(precision: Precision) -> f64 {
+        LEAST_RTOL * precision.epsilon()
     }
 
     /// Stored points a trajectory.

@@ -8,6 +8,7 @@ mod decide;
 mod jit;
 mod lanes;
 pub mod map;
+mod peak;
 mod real;
 mod routine;
 mod steps;
@@ -19,6 +20,7 @@ use crate::model::Precision;
 use block::{Compiled, Output};
 use rayon::prelude::*;
 use std::collections::HashMap;
+use std::time::Instant;
 use steps::Variant;
 
 /// Instruction sets the lanes are compiled for.
@@ -130,7 +132,12 @@ impl Backend for Cpu {
             spec: spec.clone(),
             backend: *self,
             compiled: HashMap::new(),
+            seconds: None,
         }))
+    }
+
+    fn peak(&self, precision: Precision) -> Result<Option<f64>, BackendError> {
+        Ok(Some(peak::peak(self.simd, precision)))
     }
 }
 
@@ -139,6 +146,8 @@ struct CpuKernel {
     backend: Cpu,
     /// Code by lanes, order and variant, made when first needed.
     compiled: HashMap<(usize, usize, Variant), Compiled>,
+    /// Of the latest batch, on the lanes.
+    seconds: Option<f64>,
 }
 
 impl CpuKernel {
@@ -159,6 +168,10 @@ impl CpuKernel {
 }
 
 impl Kernel for CpuKernel {
+    fn kernel_seconds(&self) -> Option<f64> {
+        self.seconds
+    }
+
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
         let dim = self.spec.dim();
         let count = seeds.len() / dim;
@@ -192,6 +205,7 @@ impl Kernel for CpuKernel {
         } else {
             result.samples.chunks_mut(chunk * width).collect()
         };
+        let begin = Instant::now();
         seeds
             .par_chunks(chunk * dim)
             .zip(result.end.par_chunks_mut(chunk * dim))
@@ -221,6 +235,7 @@ impl Kernel for CpuKernel {
                     (Precision::F32, false) => job.dispatch::<f32, LANES_INTERPRETED>(simd, &mut out),
                 }
             });
+        self.seconds = Some(begin.elapsed().as_secs_f64());
         Ok(result)
     }
 }

@@ -123,13 +123,11 @@ impl Device {
             };
         };
         let info = describe(adapter);
+        // Time stamps are for figures only: a device without them does.
+        let clock = adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("costate"),
-            required_features: if info.f64_arithmetic {
-                F64
-            } else {
-                wgpu::Features::empty()
-            },
+            required_features: if info.f64_arithmetic { F64 | clock } else { clock },
             required_limits: adapter.limits(),
             ..Default::default()
         }))?;

@@ -1,6 +1,7 @@
 //! A compiled kernel: its pipelines, and driving a batch through them.
 
 use super::adapter::Device;
+use super::clock::Clock;
 use super::emit::{self, Emitter, Settings, Variant, WORKGROUP, stored};
 use super::memory::{Memory, Shape, binding_limit, reals};
 use super::results::{self, Written};
@@ -35,6 +36,9 @@ pub(super) struct GpuKernel {
     memory: Option<Memory>,
     /// Attempted steps a second over all trajectories, as measured so far.
     speed: Option<f64>,
+    clock: Option<Clock>,
+    /// In the passes of the latest batch.
+    seconds: f64,
 }
 
 /// The whole text of a kernel's module.
@@ -98,6 +102,7 @@ impl GpuKernel {
             label: Some("kernel"),
             entries: &entries,
         });
+        let clock = Clock::new(&device);
         device.check()?;
         Ok(Self {
             device,
@@ -107,6 +112,8 @@ impl GpuKernel {
             pipelines: HashMap::new(),
             memory: None,
             speed: None,
+            clock,
+            seconds: 0.0,
         })
     }
 
@@ -233,7 +240,10 @@ impl GpuKernel {
             queue.write_buffer(&memory.remaining, 0, &[0; 4]);
             let mut encoder = device.device.create_command_encoder(&Default::default());
             {
-                let mut pass = encoder.begin_compute_pass(&Default::default());
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                    label: None,
+                    timestamp_writes: self.clock.as_ref().map(Clock::writes),
+                });
                 pass.set_bind_group(0, &memory.bindings, &[]);
                 if !started {
                     pass.set_pipeline(&pipelines.start);
@@ -242,9 +252,18 @@ impl GpuKernel {
                 pass.set_pipeline(&pipelines.sweep);
                 pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
             }
-            let left = memory.read(&device, encoder, [(&memory.remaining, 4)], |[b]| {
-                u32::from_ne_bytes([b[0], b[1], b[2], b[3]])
-            })?;
+            let count = |b: &[u8]| u32::from_ne_bytes([b[0], b[1], b[2], b[3]]);
+            let left = match &self.clock {
+                Some(clock) => {
+                    let stamps = clock.resolve(&mut encoder);
+                    let wanted = [(&memory.remaining, 4), (stamps, Clock::BYTES)];
+                    let (left, seconds) =
+                        memory.read(&device, encoder, wanted, |[b, s]| (count(b), clock.seconds(s)))?;
+                    self.seconds += seconds;
+                    left
+                }
+                None => memory.read(&device, encoder, [(&memory.remaining, 4)], |[b]| count(b))?,
+            };
             started = true;
             // At most this much was done, so the measured speed is at most too high by what ended early.
             let seconds = before.elapsed().as_secs_f64();
@@ -289,6 +308,11 @@ fn bounded(work: f64) -> u32 {
 }
 
 impl Kernel for GpuKernel {
+    fn kernel_seconds(&self) -> Option<f64> {
+        // Some drivers offer a clock that stands still.
+        (self.clock.is_some() && self.seconds > 0.0).then_some(self.seconds)
+    }
+
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
         let dim = self.spec.dim();
         let count = seeds.len() / dim;
@@ -298,6 +322,7 @@ impl Kernel for GpuKernel {
         };
         let levels = if self.spec.store { run.levels.len() } else { 0 };
         let mut result = results::empty(count, dim, levels);
+        self.seconds = 0.0;
         if count == 0 {
             return Ok(result);
         }

@@ -5,10 +5,12 @@
 //! equations of multiple shooting, one invocation a path.
 
 mod adapter;
+mod clock;
 mod elimination;
 mod emit;
 mod kernel;
 mod memory;
+mod peak;
 mod results;
 mod shader;
 #[cfg(test)]
@@ -100,5 +102,10 @@ impl Backend for Gpu {
         self.require(precision)?;
         let made = elimination::GpuEliminator::new(Arc::clone(&self.device), states, precision)?;
         Ok(made.map(|e| -> Box<dyn Eliminator> { Box::new(e) }))
+    }
+
+    fn peak(&self, precision: Precision) -> Result<Option<f64>, BackendError> {
+        self.require(precision)?;
+        peak::peak(&self.device, precision).map(Some)
     }
 }

@@ -1,0 +1,224 @@
+//! `costate bench`.
+
+use super::bench_report::{self, Done};
+use super::check::{at_equilibrium, load};
+use super::{BenchArgs, BenchBackend, CliError, PrecisionChoice, report, run};
+use crate::backend::{Backend, BackendError};
+use crate::bench::devices::{self, Which};
+use crate::bench::host_share::{HostShare, Metered};
+use crate::bench::{BenchError, Options, Wanted, Work, measure, picture};
+use crate::hamiltonian::Hamiltonian;
+use crate::model::{Model, Precision};
+use crate::output::{ResultFile, RunRecord, utc_timestamp, write_text};
+use crate::sweep::{Choices, Plan, PlanError, sweep};
+use std::path::{Path, PathBuf};
+use std::time::{Instant, SystemTime};
+
+/// Largest gap that leaves no edge of a front alone: the cap on seeds ends such a sweep.
+const ENDLESS: f64 = 1e-12;
+
+pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
+    let (started, clock) = (SystemTime::now(), Instant::now());
+    let (model, hamiltonian) = load(&args.scene)?;
+    // Seeds and levels are those of the scene's own sweep, in f64 for the sake of the references.
+    let choices = Choices {
+        precision: Some(Precision::F64),
+        unasked: true,
+        ..Choices::default()
+    };
+    let cpu = crate::backend::cpu::Cpu::new();
+    let plan = planned(&model, &hamiltonian, &cpu, choices)?;
+    let which: Vec<Which> = args.backend.iter().map(|b| which(*b)).collect();
+    let (backends, unavailable) = devices::open(&which, args.adapter.as_deref())?;
+    let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
+    let terminal = report::Terminal::new(&args.scene);
+    let mut file = ResultFile::create(&path)?;
+
+    let work = Work::new(plan, &model, args.trajectories, args.seed, !args.ends).map_err(BenchError::from)?;
+    let options = options(args);
+    let bar = terminal.progress();
+    let mut bench = measure(&work, &backends, &options, &mut |what| bar.say(what))?;
+    bench.missing.splice(0..0, unavailable);
+    bar.clear();
+    let mut shares = Vec::new();
+    for &count in &args.host_share {
+        for (device, backend) in backends.iter().enumerate() {
+            let folder = file.path().with_extension("host_share.tmp.h5");
+            shares.push(host_share(
+                args,
+                &model,
+                &hamiltonian,
+                device,
+                backend.as_ref(),
+                count,
+                &folder,
+            )?);
+        }
+    }
+
+    file.speed_error(&bench)?;
+    let joined = |parts: Vec<&str>| {
+        let mut parts = parts;
+        parts.dedup();
+        parts.join(", ")
+    };
+    let record = RunRecord {
+        title: model.title.clone(),
+        scenario: model.text.clone(),
+        costate_version: env!("CARGO_PKG_VERSION").to_owned(),
+        git_revision: env!("COSTATE_GIT_REVISION").to_owned(),
+        command: std::env::args_os()
+            .map(|a| a.to_string_lossy().into_owned())
+            .collect::<Vec<_>>()
+            .join(" "),
+        created: utc_timestamp(started),
+        backend: joined(bench.devices.iter().map(|d| d.backend).collect()),
+        adapter: joined(bench.devices.iter().map(|d| d.adapter.as_str()).collect()),
+        precision: joined(options.wanted.precisions.iter().map(|p| p.name()).collect()),
+        method: joined(options.wanted.methods.iter().map(|m| m.name()).collect()),
+        rtol: work.plan.run.rtol,
+        atol: work.plan.atol,
+        wall_seconds: clock.elapsed().as_secs_f64(),
+    };
+    record.write(&file)?;
+    file.attribute("machine", devices::machine())?;
+    file.host_shares(&bench, &shares)?;
+    let picture = picture::svg(&bench, &format!("{}: error against time", model.title))?;
+    let path = file.finish()?;
+    let svg = path.with_extension("svg");
+    write_text(&svg, &picture)?;
+    let done = Done {
+        title: &model.title,
+        bench: &bench,
+        work: &work,
+        shares: &shares,
+        wanted: &wanted_errors(args),
+        path: &path,
+        picture: &svg,
+        seconds: clock.elapsed().as_secs_f64(),
+    };
+    if args.scene.json {
+        use std::io::Write as _;
+        writeln!(std::io::stdout(), "{:#}", bench_report::as_json(&done))?;
+    }
+    terminal.say(&bench_report::as_text(&done))?;
+    Ok(())
+}
+
+fn planned(
+    model: &Model,
+    hamiltonian: &Hamiltonian,
+    backend: &dyn Backend,
+    choices: Choices,
+) -> Result<Plan, CliError> {
+    Plan::new(model, hamiltonian, backend, choices).map_err(|e| match e {
+        PlanError::Local(e) => at_equilibrium(model, &e),
+        other => other.into(),
+    })
+}
+
+fn which(choice: BenchBackend) -> Which {
+    match choice {
+        BenchBackend::All => Which::All,
+        BenchBackend::Auto => Which::Auto,
+        BenchBackend::Gpu => Which::Gpu,
+        BenchBackend::Cpu => Which::Cpu,
+    }
+}
+
+fn options(args: &BenchArgs) -> Options {
+    let mut wanted = Wanted::default();
+    if args.precision != PrecisionChoice::Auto {
+        wanted.precisions = args.precision.precision().into_iter().collect();
+    }
+    if !args.method.is_empty() {
+        wanted.methods.retain(|m| args.method.contains(m));
+    }
+    if !args.rtol.is_empty() {
+        wanted.tolerances = args.rtol.clone();
+        wanted.tolerances.sort_by(|a, b| b.total_cmp(a));
+        wanted.tolerances.dedup();
+    }
+    Options {
+        wanted,
+        repeats: args.repeats as usize,
+        budget: args.budget,
+    }
+}
+
+/// Errors to recommend settings for, the largest first.
+fn wanted_errors(args: &BenchArgs) -> Vec<f64> {
+    let mut wanted = vec![1e-3, 1e-4, 1e-6, 1e-8, 1e-10];
+    wanted.extend(&args.error);
+    wanted.sort_by(|a, b| b.total_cmp(a));
+    wanted.dedup();
+    wanted
+}
+
+fn default_output(scenario: &Path) -> PathBuf {
+    let plain = run::default_output(scenario);
+    let mut name = plain.file_stem().unwrap_or_default().to_owned();
+    name.push("_bench.h5");
+    plain.with_file_name(name)
+}
+
+/// Sweeps the scene with its own settings until `count` trajectories are done, and writes them to a file that is removed
+/// again: everything that `run` does for a sweep but reading and deriving the scene.
+fn host_share(
+    args: &BenchArgs,
+    model: &Model,
+    hamiltonian: &Hamiltonian,
+    device: usize,
+    backend: &dyn Backend,
+    count: usize,
+    path: &Path,
+) -> Result<HostShare, CliError> {
+    let choices = Choices {
+        precision: args.precision.precision(),
+        unasked: true,
+        ..Choices::default()
+    };
+    let plan = || {
+        planned(model, hamiltonian, backend, choices).map(|mut plan| {
+            plan.shoot_out.spacing = ENDLESS;
+            plan.shoot_out.max_seeds = count;
+            plan
+        })
+    };
+    let begin = Instant::now();
+    sweep::<BackendError>(&plan()?, backend, &mut |_, _| {}, &mut |_| Ok(()))?;
+    let sweep_seconds = begin.elapsed().as_secs_f64();
+
+    let begin = Instant::now();
+    let metered = Metered::new(backend);
+    let plan = plan()?;
+    let mut quiet = report::Terminal::new(&args.scene);
+    let mut file = ResultFile::create(path)?;
+    let mut writer = file.trajectories(&run::schema(model, &plan))?;
+    let mut writing_seconds = 0.0;
+    let swept = run::sweep_into(&plan, &metered, &mut quiet, &mut |_, _| {}, &mut |block| {
+        let begin = Instant::now();
+        writer.append(&block)?;
+        writing_seconds += begin.elapsed().as_secs_f64();
+        Ok(())
+    })?;
+    drop(writer);
+    let ending = Instant::now();
+    let path = file.finish()?;
+    let finishing_seconds = ending.elapsed().as_secs_f64();
+    let wall_seconds = begin.elapsed().as_secs_f64();
+    let bytes = std::fs::metadata(&path).map_or(0, |m| m.len());
+    // It has served its purpose; where it cannot be removed it does no harm.
+    let _ = std::fs::remove_file(&path);
+    Ok(HostShare {
+        device,
+        precision: plan.spec.precision,
+        trajectories: swept.trajectories,
+        wall_seconds,
+        sweep_seconds,
+        writing_seconds,
+        finishing_seconds,
+        times: metered.times(),
+        bytes,
+    })
+}
