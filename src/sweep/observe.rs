@@ -126,7 +126,8 @@ impl Observed {
 }
 
 /// The guard that a trajectory has come nearest to at its end, by its value's share of the largest along the trajectory (one
-/// that is 0 all along, an invariant boundary, is not met); with that share.
+/// that is 0 all along, an invariant boundary, is not met); with that share. Of a trajectory without samples nothing is
+/// known but the end: the nearest value, and no share.
 fn nearest_guard(guards: &Evaluator, batch: &Trajectories, i: usize) -> (usize, f64) {
     let stride = 1 + batch.dim;
     let end = guards.eval(&batch.end[i * batch.dim..][..batch.dim], batch.dim);
@@ -136,15 +137,22 @@ fn nearest_guard(guards: &Evaluator, batch: &Trajectories, i: usize) -> (usize, 
         .flatten()
         .copied()
         .collect();
-    let along = if passed.is_empty() { Vec::new() } else { guards.eval(&passed[1..], stride) };
-    let share = |k: usize| {
-        let largest = (along.iter().skip(k).step_by(end.len())).fold(0.0f64, |a, v| a.max(v.abs()));
-        // Of a trajectory without samples nothing is known but the end.
-        let size = if along.is_empty() { 1.0 } else { largest };
-        if size > 0.0 { end[k].abs() / size } else { f64::INFINITY }
+    let least = |values: &dyn Fn(usize) -> f64| {
+        (0..end.len())
+            .map(|k| (k, values(k)))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .unwrap_or((0, f64::INFINITY))
     };
-    (0..end.len())
-        .map(|k| (k, share(k)))
-        .min_by(|a, b| a.1.total_cmp(&b.1))
-        .unwrap_or((0, f64::INFINITY))
+    if passed.is_empty() {
+        return (least(&|k| end[k].abs()).0, f64::INFINITY);
+    }
+    let along = guards.eval(&passed[1..], stride);
+    least(&|k| {
+        let largest = (along.iter().skip(k).step_by(end.len())).fold(0.0f64, |a, v| a.max(v.abs()));
+        if largest > 0.0 {
+            end[k].abs() / largest
+        } else {
+            f64::INFINITY
+        }
+    })
 }
