@@ -318,7 +318,7 @@ fn exact(model: &Model, points: &[f64], seeds: usize, [a, b, c]: [f64; 3], stiff
                 );
             }
         }
-        let found = stiffness::segments(&swept.plan, answers.entries.iter().map(|e| e.path.segments()));
+        let found = stiffness::segments(&swept.plan, answers.entries.iter().map(|e| e.path.segments()), 0);
         assert_eq!(found.is_some(), stiff, "{what}: {found:?}");
     });
 }
@@ -336,7 +336,7 @@ fn a_chain_is_solved_and_called_stiff() {
             .map(|i| (0..6).map(|j| 0.5 * x[i] * p[(i, j)] * x[j]).sum::<f64>())
             .sum();
         assert!((e.value - v).abs() <= SOLVED * v, "{what}: {} not {v}", e.value);
-        let found = stiffness::segments(&swept.plan, answers.entries.iter().map(|e| e.path.segments()));
+        let found = stiffness::segments(&swept.plan, answers.entries.iter().map(|e| e.path.segments()), 0);
         assert!(found.is_some(), "{what}");
     });
 }

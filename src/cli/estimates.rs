@@ -8,7 +8,7 @@ use crate::output::ResultFile;
 use crate::sweep::accuracy::{self, Accuracy, PROMISE, Spread};
 use crate::sweep::stiffness::{self, HeldSteps, Segments, Separation};
 use crate::sweep::{Plan, SweepReport};
-use crate::value::{self, Answers, SolvedAccuracy};
+use crate::value::{self, Answers, PointStatus, SolvedAccuracy};
 
 /// Estimates of one run; a part that was not run has none.
 #[derive(Default)]
@@ -33,7 +33,10 @@ impl Estimates {
         }
         if let Some(answers) = answers {
             this.solved = value::accuracy(plan, answers)?;
-            this.segments = stiffness::segments(plan, answers.entries.iter().map(|e| e.path.segments()));
+            let beyond = (0..answers.targets.len())
+                .filter(|t| answers.status(*t) == PointStatus::Horizon)
+                .count();
+            this.segments = stiffness::segments(plan, answers.entries.iter().map(|e| e.path.segments()), beyond);
         }
         Ok(this)
     }
@@ -123,26 +126,13 @@ impl Estimates {
             ));
         }
         if let Some(s) = self.separation.filter(Separation::hides_fronts) {
-            terminal.note(&format!(
-                "the closed loop's rates are far apart, {} and {} (ratio {:.0}): along the slow modes fronts come from seeds that \
-                 differ in digit {:.0} only, and {} has {:.0}. Trajectories are right, but no sweep backward in time covers those \
-                 parts: ask for states there ([homotopy], [map], costate solve), or leave the fast states out of the model (their \
-                 quasi-steady values instead){}",
-                show_eigenvalue(s.fastest),
-                show_eigenvalue(s.slowest),
-                s.ratio,
-                s.digits,
-                plan.spec.precision.name(),
-                s.resolved,
-                if plan.spec.precision == Precision::F32 { "; f64 sees further" } else { "" }
-            ));
+            terminal.note(&separation_note(plan, &s));
         }
         if let Some(h) = &self.held {
             terminal.note(&format!(
-                "stiff: {:.0} % of the steps are held by stability, not accuracy (mean h |lambda| = {:.1}, {} is stable to {:.1}): \
-                 trajectories last {:.0} time constants of the fastest rate, |lambda| = {:.3e}. The result is right, an explicit \
-                 method is slow: a larger step or tolerance does not help; leave the fast state out of the model (its \
-                 quasi-steady value instead)",
+                "stiff: {:.0} % of the steps are held by stability, not accuracy (mean h |lambda| = {:.1}; {} is stable to {:.1}); \
+                 trajectories last {:.0} time constants of the fastest rate, |lambda| = {:.3e}. The result is right, but an \
+                 explicit method is slow here and a larger tolerance does not help: replace the fast state by its quasi-steady value",
                 100.0 * h.share,
                 h.product,
                 plan.method().name(),
@@ -152,10 +142,13 @@ impl Estimates {
             ));
         }
         if let Some(s) = &self.segments {
+            let beyond = match s.beyond {
+                0 => String::new(),
+                n => format!("; {n} states (status horizon) would take more than are tried"),
+            };
             terminal.note(&format!(
-                "stiff: the fastest rate, {}, is {:.0} times the slowest, {}: a solution takes {:.0} segments, each some time \
-                 constants of the fastest mode long. The answers are right, explicit methods are slow: the time grows with that \
-                 ratio. Leave the fast states out of the model (their quasi-steady values instead) where it matters",
+                "stiff: the fastest rate, {}, is {:.0} times the slowest, {}: a solution takes {:.0} segments{beyond}. What is solved \
+                 is right, but the time grows with that ratio: replace the fast states by their quasi-steady values where it matters",
                 show_eigenvalue(s.separation.fastest),
                 s.separation.ratio,
                 show_eigenvalue(s.separation.slowest),
@@ -173,6 +166,7 @@ impl Estimates {
             "trajectories": a.sampled,
             "failed": a.failed,
             "points": a.compared,
+            "points_parted": a.parted,
             "method": a.method.name(),
             "rtol": a.rtol,
             "V": spread_json(a.value),
@@ -217,6 +211,32 @@ impl Estimates {
     }
 }
 
+fn separation_note(plan: &Plan, s: &Separation) -> String {
+    // Boundary value problems take some multiple of the ratio in segments, which has its limit.
+    const SOLVABLE: f64 = 1000.5;
+    let solve = if s.ratio <= SOLVABLE {
+        "ask for states there ([homotopy], [map], costate solve), or "
+    } else {
+        ""
+    };
+    let finer = if plan.spec.precision == Precision::F32 {
+        "; f64 sees further"
+    } else {
+        ""
+    };
+    format!(
+        "the closed loop's rates are far apart, {} and {} (ratio {:.0}): fronts along the slow modes come from seeds that differ in \
+         digit {:.0} at the earliest, and {} has {:.0}. What is swept is right, but those parts are not covered: {solve}replace the \
+         fast states by their quasi-steady values{finer}",
+        show_eigenvalue(s.fastest),
+        show_eigenvalue(s.slowest),
+        s.ratio,
+        s.digits,
+        plan.spec.precision.name(),
+        s.resolved,
+    )
+}
+
 fn swept_note(plan: &Plan, a: &Accuracy, terminal: &Terminal) {
     let Some(value) = a.value else {
         terminal
@@ -246,6 +266,14 @@ fn swept_note(plan: &Plan, a: &Accuracy, terminal: &Terminal) {
         terminal.note(&format!(
             "{} of {} sampled trajectories end otherwise than in a finer integration: do not trust where trajectories end",
             a.differ, a.sampled
+        ));
+    }
+    if a.met().is_none() {
+        terminal.note(&format!(
+            "the error of {} of {} sampled points could not be told: trajectories part so fast there that the same seed leads \
+             elsewhere in a finer integration; what remains is |H|",
+            a.parted,
+            a.parted + a.compared
         ));
     }
 }

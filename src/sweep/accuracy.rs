@@ -28,6 +28,10 @@ pub const SMALL: f64 = 1e-3;
 pub const PROMISE: f64 = 30.0;
 /// Share of the sample that may end otherwise than the reference does (at a guard it may graze, ...).
 const MAY_DIFFER: f64 = 0.05;
+/// Share of the points that may have slid too far to be compared.
+const MAY_PART: f64 = 0.05;
+/// An estimate below this many times what the curvature of V leaves in it cannot be told from that.
+const CURVATURE: f64 = 3.0;
 /// Trajectories with neighbours, and levels of each at which p and u are looked at.
 const WITH_NEIGHBOURS: usize = 64;
 const LEVELS: usize = 16;
@@ -65,8 +69,10 @@ pub struct Accuracy {
     /// Trajectories integrated again, and how many of them had failed in the run.
     pub sampled: usize,
     pub failed: usize,
-    /// Stored points compared.
+    /// Stored points compared, and those that have slid so far from their reference that what is left of their error after
+    /// the correction for it would be curvature of V.
     pub compared: usize,
+    pub parted: usize,
     pub method: Method,
     pub rtol: f64,
     /// Off-manifold error of V relative to `|V| + SMALL value_scale`, the seeds' own error included.
@@ -85,10 +91,14 @@ pub struct Accuracy {
 }
 
 impl Accuracy {
-    /// Whether the error asked for was met; `None` where nothing could be compared.
+    /// Whether the error asked for was met; `None` where too little could be compared to say so.
     pub fn met(&self) -> Option<bool> {
         let value = self.value?;
-        Some(value.worst <= self.bound && self.differ as f64 <= MAY_DIFFER * self.sampled as f64)
+        if value.worst > self.bound || self.differ as f64 > MAY_DIFFER * self.sampled as f64 {
+            return Some(false);
+        }
+        let points = (self.compared + self.parted) as f64;
+        (self.parted as f64 <= MAY_PART * points).then_some(true)
     }
 }
 
@@ -129,6 +139,7 @@ pub fn estimate(plan: &Plan, sample: &Sample) -> Result<Accuracy, BackendError> 
         sampled: sample.kept.len(),
         failed: sample.kept.iter().filter(|k| failures.contains(&k.status)).count(),
         compared: comparison.value.len(),
+        parted: comparison.parted,
         method: reference.method,
         rtol: reference.run.rtol,
         slid: comparison.slid,
@@ -213,6 +224,7 @@ struct Comparison<'a> {
     costate: Vec<f64>,
     control: Vec<f64>,
     slid: f64,
+    parted: usize,
     differ: usize,
 }
 
@@ -227,6 +239,7 @@ impl<'a> Comparison<'a> {
             costate: Vec::new(),
             control: Vec::new(),
             slid: 0.0,
+            parted: 0,
             differ: 0,
         }
     }
@@ -237,20 +250,37 @@ impl<'a> Comparison<'a> {
     }
 
     fn values(&mut self) {
-        let (n, v) = (self.n, 2 * self.n);
-        let seeds = self.plan.local.as_ref().map_or(0.0, |l| l.error);
         for i in 0..self.sample.kept.len() {
             for k in self.plan.inner..self.common(i) {
                 let (a, b) = (&self.sample.point(i, k)[1..], &self.again.sample(i, k)[1..]);
-                let slide: f64 = (0..n).map(|j| 0.5 * (a[n + j] + b[n + j]) * (a[j] - b[j])).sum();
-                let error = (a[v] - b[v] - slide).abs() + seeds;
-                self.value
-                    .push(relative(error, b[v].abs() + SMALL * self.plan.value_scale));
-                let far = (0..n).map(|j| ((a[j] - b[j]) / self.plan.widths[j]).abs());
-                self.slid = far.fold(self.slid, f64::max);
+                match self.value_error(a, b) {
+                    Some(error) => self.value.push(error),
+                    None => self.parted += 1,
+                }
+                self.slid = self.slid.max(self.slide(a, b));
             }
             self.differ += usize::from(self.ends_differ(i));
         }
+    }
+
+    /// Distance of a point from its reference, in widths of the region.
+    fn slide(&self, a: &[f64], b: &[f64]) -> f64 {
+        (0..self.n)
+            .map(|j| ((a[j] - b[j]) / self.plan.widths[j]).abs())
+            .fold(0.0, f64::max)
+    }
+
+    /// Relative error of V; `None` where it cannot be told from the curvature of V.
+    fn value_error(&self, a: &[f64], b: &[f64]) -> Option<f64> {
+        let (n, v) = (self.n, 2 * self.n);
+        let seeds = self.plan.local.as_ref().map_or(0.0, |l| l.error);
+        let size = b[v].abs() + SMALL * self.plan.value_scale;
+        let along = |w: &dyn Fn(usize) -> f64| (0..n).map(|j| w(j) * (a[j] - b[j])).sum::<f64>();
+        let error = (a[v] - b[v] - along(&|j| 0.5 * (a[n + j] + b[n + j]))).abs();
+        // The second-order term is right to the third order: its share that changes over the distance is not.
+        let curvature = 0.5 * along(&|j| a[n + j] - b[n + j]).abs() * self.slide(a, b);
+        let hidden = curvature > bound(self.plan) * size && error <= CURVATURE * curvature;
+        (!hidden).then(|| relative(error + seeds, size))
     }
 
     /// Whether one of the two goes on where the other has ended. Ends outside the region are seen at the end of a step
@@ -300,6 +330,9 @@ impl<'a> Comparison<'a> {
             let every = (common - plan.inner).div_ceil(LEVELS).max(1);
             for k in (plan.inner..common).rev().step_by(every) {
                 let (a, b) = (&self.sample.point(i, k)[1..], &self.again.sample(i, k)[1..]);
+                if self.value_error(a, b).is_none() {
+                    continue;
+                }
                 let beside = (first[i]..first[i + 1]).map(|j| &near.sample(j, k)[1..=2 * n]);
                 let along = rates.eval(&b[..2 * n], 2 * n);
                 let slope = self.along(&a[..n], &b[..2 * n], beside, &along);

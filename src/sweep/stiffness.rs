@@ -205,18 +205,25 @@ pub struct Segments {
     pub separation: Separation,
     /// Mean number of segments of a solution.
     pub mean: f64,
+    /// States that would take more than are tried.
+    pub beyond: usize,
 }
 
-/// Whether solutions take very many segments because the fastest mode is so much faster than the slowest.
-pub fn segments(plan: &Plan, counts: impl Iterator<Item = usize>) -> Option<Segments> {
+/// Whether solutions take very many segments because the fastest mode is so much faster than the slowest; `beyond`: states
+/// whose trajectories do not come near the equilibrium within the longest horizon that is tried.
+pub fn segments(plan: &Plan, counts: impl Iterator<Item = usize>, beyond: usize) -> Option<Segments> {
     let (mut sum, mut count) = (0, 0);
     for c in counts {
         (sum, count) = (sum + c, count + 1);
     }
     let mean = sum as f64 / count.max(1) as f64;
     separation(plan)
-        .filter(|s| s.ratio >= RATIO && mean >= MANY_SEGMENTS)
-        .map(|separation| Segments { separation, mean })
+        .filter(|s| s.ratio >= RATIO && (mean >= MANY_SEGMENTS || beyond > 0))
+        .map(|separation| Segments {
+            separation,
+            mean,
+            beyond,
+        })
 }
 
 #[cfg(test)]
