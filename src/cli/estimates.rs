@@ -219,11 +219,8 @@ fn separation_note(plan: &Plan, s: &Separation) -> String {
     } else {
         ""
     };
-    let finer = if plan.spec.precision == Precision::F32 {
-        "; f64 sees further"
-    } else {
-        ""
-    };
+    let enough = plan.spec.precision == Precision::F32 && s.digits < -Precision::F64.epsilon().log10();
+    let finer = if enough { ", or use --precision f64" } else { "" };
     format!(
         "the closed loop's rates are far apart, {} and {} (ratio {:.0}): fronts along the slow modes come from seeds that differ in \
          digit {:.0} at the earliest, and {} has {:.0}. What is swept is right, but those parts are not covered: {solve}replace the \
