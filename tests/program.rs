@@ -346,10 +346,14 @@ fn a_killed_run_leaves_no_result() {
 #[test]
 fn all_shipped_scenes_pass_check() {
     let here = directory("check");
-    let scenes = std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios")).expect("they are there");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
+    let scenes = contents(&folder).into_iter();
     let mut count = 0;
-    for scene in scenes {
-        let path = scene.expect("an entry can be read").path().display().to_string();
+    // One of the hard scenes is there to be refused (tests/estimates.rs).
+    for path in
+        scenes.filter(|p| p.extension().is_some_and(|e| e == "toml") && !p.ends_with("peak_infinite_horizon.toml"))
+    {
+        let path = path.display().to_string();
         let output = costate(&here, &["check", &path]);
         assert_eq!(output.status.code(), Some(0), "{path}: {}", text(&output.stderr));
         let said = text(&output.stdout);
@@ -358,6 +362,6 @@ fn all_shipped_scenes_pass_check() {
         }
         count += 1;
     }
-    assert!(count >= 6, "{count} scenes");
+    assert!(count >= 20, "{count} scenes");
     assert_eq!(contents(&here), Vec::<PathBuf>::new(), "checking writes nothing");
 }

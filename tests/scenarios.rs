@@ -165,3 +165,51 @@ fn the_finite_horizon_value_function_satisfies_its_equation() {
         );
     }
 }
+
+/// `atol` follows `rtol` where the file gives that alone.
+#[test]
+fn atol_follows_rtol() {
+    let scene = |integrator: &str| {
+        let text = format!(
+            "states = {{ x = {{}} }}\ncontrols = {{ u = {{}} }}\ndynamics = {{ x = \"u\" }}\n\
+             cost = {{ running = \"x^2 + u^2\" }}\nequilibrium = {{ x = 0, u = 0 }}\nregion = {{ x = [-1, 1] }}\n{integrator}"
+        );
+        let model = costate::scenario::parse(&text, "test.toml", &[]).unwrap_or_else(|e| panic!("{}", e.render(false)));
+        (model.integrator.rtol, model.integrator.atol)
+    };
+    assert_eq!(scene(""), (1e-6, 1e-9));
+    assert_eq!(scene("integrator = { rtol = 1e-3 }"), (1e-3, 1e-6));
+    assert_eq!(scene("integrator = { atol = 1e-7 }"), (1e-6, 1e-7));
+    assert_eq!(scene("integrator = { rtol = 1e-8, atol = 1e-7 }"), (1e-8, 1e-7));
+}
+
+/// An equilibrium is checked relative to the sizes of its states, and rounding is no fault.
+#[test]
+fn equilibria_of_small_and_large_states() {
+    let problems = |x: f64, at: &str, size: f64| {
+        let text = format!(
+            "parameters = {{ x0 = {x:e} }}\nstates = {{ x = {{}} }}\ncontrols = {{ u = {{}} }}\n\
+             dynamics = {{ x = \"x0 - x + u\" }}\ncost = {{ running = \"((x - x0)/{size:e})^2 + u^2\" }}\n\
+             equilibrium = {{ x = {at}, u = 0 }}\nregion = {{ x = [{:e}, {:e}] }}\n",
+            x - size,
+            x + size
+        );
+        match costate::scenario::parse(&text, "test.toml", &[]) {
+            Ok(_) => String::new(),
+            Err(e) => e.render(false),
+        }
+    };
+    for size in [1e-6, 1.0, 1e6] {
+        assert_eq!(problems(2.0 * size, "\"x0\"", size), "", "{size}");
+        // Ten digits, as one types a number.
+        assert_eq!(
+            problems(2.0 * size / 3.0, &format!("{:.10e}", 2.0 * size / 3.0), size),
+            "",
+            "{size}"
+        );
+        let off = problems(2.0 * size, &format!("{:e}", 2.0001 * size), size);
+        assert!(off.contains("this is no equilibrium"), "{size}: {off}");
+    }
+    // sin(pi) is not 0 in any arithmetic.
+    assert_eq!(problems(0.0, "\"sin(pi)\"", 1.0), "");
+}

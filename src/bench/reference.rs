@@ -26,17 +26,7 @@ const MOST_STEPS: u32 = 10_000_000;
 const MOST_SLOPES: usize = 8 << 20;
 
 /// Methods that serve as references, the first for all others, the second for the first.
-///
-/// Where the equations have kinks short steps are the safer ones: a long step may touch a kink twice and end on the side
-/// on which it began, and Taylor's are the longest.
-pub fn methods(work: &Work) -> [Method; 2] {
-    let second = if work.plan.spec.kinks.is_some() {
-        Method::Tsit5
-    } else {
-        Method::Taylor
-    };
-    [Method::Dop853, second]
-}
+pub const METHODS: [Method; 2] = [Method::Taylor, Method::Dop853];
 
 /// Reference trajectories, the leading ones of the work.
 pub struct Reference {

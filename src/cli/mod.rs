@@ -3,6 +3,7 @@
 mod bench;
 mod bench_report;
 mod check;
+mod estimates;
 mod points;
 mod report;
 mod run;
@@ -91,7 +92,7 @@ struct RunArgs {
     /// Relative tolerance [default: the scenario's]
     #[arg(long, value_parser = tolerance, allow_negative_numbers = true)]
     rtol: Option<f64>,
-    /// Seed of random choices. A sweep makes none; its result does not depend on it.
+    /// Seed of random choices: which trajectories and states the error is estimated from. Results do not depend on it.
     #[arg(long, default_value_t = 0)]
     seed: u64,
 }

@@ -1,6 +1,7 @@
 //! What a run prints: heading, progress, summary.
 
-use super::{CliError, RunArgs, SceneArgs};
+use super::estimates::Estimates;
+use super::{CliError, SceneArgs};
 use crate::backend::{Backend, Status};
 use crate::model::Model;
 use crate::output::RunRecord;
@@ -44,7 +45,7 @@ impl Terminal {
         }
     }
 
-    pub fn heading(&self, model: &Model, plan: &Plan, backend: &dyn Backend, args: &RunArgs) {
+    pub fn heading(&self, model: &Model, plan: &Plan, backend: &dyn Backend) {
         let head = format!(
             "{}\n{} on {}, {} {}, rtol {:e}",
             model.title,
@@ -76,9 +77,6 @@ impl Terminal {
                 local.error
             ));
         }
-        if args.seed != 0 {
-            self.note("--seed has no effect on a sweep, which makes no random choices");
-        }
     }
 
     pub fn progress(&self) -> Bar {
@@ -100,6 +98,7 @@ impl Terminal {
             writeln!(std::io::stdout(), "{:#}", as_json(done))?;
         }
         self.say(&as_text(done))?;
+        done.estimates.notes(done.plan, self);
         Ok(())
     }
 }
@@ -113,6 +112,7 @@ pub(super) struct Done<'a> {
     /// Whether the sweep is a result; else it gave first guesses.
     pub stored: bool,
     pub answers: Option<&'a Answers>,
+    pub estimates: &'a Estimates,
     pub record: &'a RunRecord,
     pub path: &'a Path,
     pub seconds: f64,
@@ -155,7 +155,7 @@ fn quantiles(drift: &[f64]) -> [f64; 3] {
 fn as_text(done: &Done<'_>) -> String {
     let mut lines = Vec::new();
     if done.stored {
-        lines.extend(sweep_text(done.plan, done.swept));
+        lines.extend(sweep_text(done.plan, done.swept, done.estimates));
     }
     if let Some(answers) = done.answers {
         lines.extend(answers_text(done, answers));
@@ -220,6 +220,7 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         ),
         None => format!("last corrections at most {residual:.1e} of a trajectory"),
     });
+    lines.extend(done.estimates.solved_text());
     let guess = if done.stored {
         String::new()
     } else {
@@ -278,7 +279,7 @@ fn relative_hamiltonian(plan: &Plan, answers: &Answers) -> [f64; 3] {
     quantiles(&all)
 }
 
-fn sweep_text(plan: &Plan, swept: &SweepReport) -> Vec<String> {
+fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<String> {
     let statuses = (swept.by_status.iter())
         .map(|(s, n)| format!("{n} {}", plan.status_name(*s).replace('_', " ")))
         .collect::<Vec<_>>();
@@ -339,6 +340,7 @@ fn sweep_text(plan: &Plan, swept: &SweepReport) -> Vec<String> {
     lines.push(format!(
         "{what} along trajectories, of the running cost: median {median:.1e}, 99 % {most:.1e}, largest {largest:.1e}"
     ));
+    lines.extend(estimates.swept_text());
     lines.push(format!(
         "{:.2} s integrating ({:.0} trajectories/s), {} steps, {} rejected, {} rounds",
         swept.integrate_seconds,
@@ -350,7 +352,7 @@ fn sweep_text(plan: &Plan, swept: &SweepReport) -> Vec<String> {
     lines
 }
 
-fn answers_json(plan: &Plan, answers: &Answers) -> serde_json::Value {
+fn answers_json(plan: &Plan, answers: &Answers, estimates: &Estimates) -> serde_json::Value {
     let statuses: serde_json::Map<String, serde_json::Value> = (by_status(answers).iter())
         .map(|(s, n)| (s.name().to_owned(), (*n).into()))
         .collect();
@@ -365,6 +367,7 @@ fn answers_json(plan: &Plan, answers: &Answers) -> serde_json::Value {
         "fold_points": answers.folds.len(),
         "largest_residual": answers.entries.iter().map(|e| e.residual).fold(0.0, f64::max),
         "hamiltonian_relative": { "median": relative[0], "p99": relative[1], "max": relative[2] },
+        "error_estimate": estimates.solved_json(),
         "integrations": answers.evaluations,
         "seconds": answers.seconds,
         "states_per_second": answers.targets.len() as f64 / answers.seconds.max(1e-9),
@@ -399,7 +402,7 @@ fn as_json(done: &Done<'_>) -> serde_json::Value {
         "atol": record.atol,
         "trajectories": swept.trajectories,
         "trajectories_stored": done.stored,
-        "homotopy": done.answers.map(|a| answers_json(plan, a)),
+        "homotopy": done.answers.map(|a| answers_json(plan, a, done.estimates)),
         "status": statuses,
         "coverage": {
             "spacing": plan.shoot_out.spacing,
@@ -413,6 +416,9 @@ fn as_json(done: &Done<'_>) -> serde_json::Value {
         "seed_error": plan.local.as_ref().map(|l| l.error),
         "hamiltonian": { "median": median, "p99": most, "max": largest },
         "hamiltonian_relative": { "median": relative[0], "p99": relative[1], "max": relative[2] },
+        "error_estimate": done.estimates.swept_json(),
+        "error_met": done.estimates.met(),
+        "stiffness": done.estimates.stiffness_json(),
         "steps": swept.steps,
         "rejected": swept.rejected,
         "rounds": swept.rounds,

@@ -1,6 +1,7 @@
 //! `costate run` and its parts.
 
 use super::check::{at_equilibrium, load};
+use super::estimates::Estimates;
 use super::report;
 use super::{BackendChoice, CliError, RunArgs, SolveArgs, points};
 use crate::backend::cpu::Cpu;
@@ -42,6 +43,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         inner_levels: wanted.is_some(),
         max_seeds: (wanted.as_ref().filter(|_| !parts.sweeps())).map(|w| value::guess_seeds(w.states, w.count())),
         unasked: wanted.is_some(),
+        seed: args.seed,
     };
     let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), choices).map_err(|e| match e {
         PlanError::Local(e) => at_equilibrium(&model, &e),
@@ -49,7 +51,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     })?;
     let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
     let mut terminal = report::Terminal::new(&args.scene);
-    terminal.heading(&model, &plan, backend.as_ref(), args);
+    terminal.heading(&model, &plan, backend.as_ref());
 
     let mut file = ResultFile::create(&path)?;
     let schema = schema(&model, &plan);
@@ -100,6 +102,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         }
         answers = Some(found);
     }
+    let estimates = Estimates::of(&plan, &swept, stored, answers.as_ref())?;
     let record = RunRecord {
         title: model.title.clone(),
         scenario: model.text.clone(),
@@ -119,6 +122,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         wall_seconds: clock.elapsed().as_secs_f64(),
     };
     record.write(&file)?;
+    estimates.write(&file)?;
     let path = file.finish()?;
     let names: Vec<String> = model.states.iter().map(|s| s.variable.name.clone()).collect();
     let done = report::Done {
@@ -127,6 +131,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         swept: &swept,
         stored,
         answers: answers.as_ref(),
+        estimates: &estimates,
         record: &record,
         path: &path,
         seconds: clock.elapsed().as_secs_f64(),

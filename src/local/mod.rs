@@ -4,6 +4,7 @@ mod riccati;
 mod seeds;
 mod series;
 
+pub(crate) use riccati::eigenvalues_of;
 pub use riccati::{Riccati, closed_loop_margin, show_eigenvalue};
 pub use seeds::{LocalSolution, SeedChoice};
 

@@ -297,7 +297,7 @@ fn check_positive(scaled: &DMatrix<f64>, model: &Model) -> Result<(), LocalError
 
 /// Eigenvalues of a matrix. The QR iteration may stand still on a defective one (a chain of integrators); a change of some
 /// roundings moves it on.
-fn eigenvalues_of(matrix: &DMatrix<f64>) -> Vec<Complex<f64>> {
+pub(crate) fn eigenvalues_of(matrix: &DMatrix<f64>) -> Vec<Complex<f64>> {
     const ITERATIONS: usize = 10_000;
     let size = matrix.amax().max(f64::MIN_POSITIVE);
     for change in [0.0, 1e-15, 1e-14, 1e-13, 1e-12] {

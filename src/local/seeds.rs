@@ -228,7 +228,10 @@ impl LocalSolution {
     pub fn at_state(&self, s: &[f64]) -> Vec<f64> {
         // z = t^-1 s = L' s
         let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
-        self.at(z.as_slice())
+        let mut at = self.at(z.as_slice());
+        // Not by way of z and back: a state that is 0 stays 0.
+        at[..s.len()].copy_from_slice(s);
+        at
     }
 }
 

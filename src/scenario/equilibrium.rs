@@ -8,9 +8,14 @@ use crate::model::{Control, Guard, Located, Span, Variable};
 use crate::scenario::Problem;
 use std::collections::HashMap;
 
-/// What may remain of f and L at the equilibrium, relative to the size of the terms they are made of (plus 1).
-/// Parameters are typed with some ten digits at best; rounding is far below.
+/// What may remain of f and L at the equilibrium, relative to the size of the terms they are made of, there and over the
+/// region: so states of any size are checked alike. Parameters are typed with some ten digits at best; rounding is far
+/// below.
 const TOLERANCE: f64 = 1e-9;
+/// What may remain in any case: sin(pi) is 1.2e-16, not 0.
+const ROUNDING: f64 = 1e-14;
+/// Points of the region at which terms are looked at.
+const POINTS: usize = 16;
 
 /// A value and the place it is given at.
 #[derive(Clone, Debug)]
@@ -35,6 +40,7 @@ pub(super) struct Scene<'s> {
     pub dynamics: &'s [Located],
     pub running: &'s Located,
     pub guards: &'s [Guard],
+    pub region: Option<&'s [[f64; 2]]>,
     pub finite: bool,
 }
 
@@ -119,6 +125,29 @@ impl<'a> Reader<'a> {
         }
     }
 
+    /// Largest size of an expression's terms at some points of the region, the other values as given; 1 where the region
+    /// is not known.
+    fn size_over(&self, expr: Id, values: &HashMap<Id, f64>, scene: &Scene<'_>) -> f64 {
+        let Some(region) = scene.region else { return 1.0 };
+        let mut values = values.clone();
+        (0..POINTS)
+            .map(|k| {
+                for (i, (state, [lo, hi])) in scene.states.iter().zip(region).enumerate() {
+                    // Corners first, then points between (a Kronecker sequence).
+                    let fraction = match k {
+                        0 => 0.0,
+                        1 => 1.0,
+                        2 => (i % 2) as f64,
+                        _ => (k as f64 * (i as f64 + 2.0).sqrt()).fract(),
+                    };
+                    values.insert(state.symbol, lo + (hi - lo) * fraction);
+                }
+                sized(&self.graph, expr, &values).1
+            })
+            .filter(|size| size.is_finite())
+            .fold(0.0, f64::max)
+    }
+
     /// Checks f = 0, L = 0 (not with a final time) and the guards at the equilibrium.
     pub fn check_equilibrium(&mut self, at: &Equilibrium, scene: &Scene<'_>) {
         let mut values = self.values.clone();
@@ -133,7 +162,7 @@ impl<'a> Reader<'a> {
         values.extend(scene.disturbances.iter().map(|w| (w.symbol, 0.0)));
         for (i, f) in scene.dynamics.iter().enumerate() {
             let (value, size) = sized(&self.graph, f.expr, &values);
-            if !is_zero(value, size) {
+            if !is_zero(value, size.max(self.size_over(f.expr, &values, scene))) {
                 let name = &scene.states[i].name;
                 let message = format!("this is no equilibrium: d{name}/dt is {value:.6e} there, not 0");
                 self.report(Problem::at(
@@ -144,6 +173,7 @@ impl<'a> Reader<'a> {
             }
         }
         let (value, size) = sized(&self.graph, scene.running.expr, &values);
+        let size = size.max(self.size_over(scene.running.expr, &values, scene));
         if !scene.finite && !is_zero(value, size) {
             let message = format!("the running cost is {value:.6e} at the equilibrium, not 0");
             let problem = Problem::at(at.span.clone(), message, format!("L = {value:.6e} here"));
@@ -155,7 +185,7 @@ impl<'a> Reader<'a> {
             let holds = if guard.strict {
                 value > 0.0
             } else {
-                value >= -TOLERANCE * (1.0 + size)
+                value >= -remainder(size.max(self.size_over(guard.condition.expr, &values, scene)))
             };
             if !holds {
                 let message = format!("guard `{}` does not hold at the equilibrium", guard.name);
@@ -166,8 +196,13 @@ impl<'a> Reader<'a> {
     }
 }
 
+/// What counts as zero among terms of this size.
+fn remainder(size: f64) -> f64 {
+    TOLERANCE * size + ROUNDING
+}
+
 fn is_zero(value: f64, size: f64) -> bool {
-    value.is_finite() && value.abs() <= TOLERANCE * (1.0 + size)
+    value.is_finite() && value.abs() <= remainder(size)
 }
 
 /// Value of an expression and the size of the terms that may have cancelled in it.

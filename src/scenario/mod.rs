@@ -24,7 +24,7 @@ mod tests;
 
 pub use problem::Problem;
 pub use report::ScenarioErrors;
-pub use settings::{DEFAULT_ATOL, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
+pub use settings::{DEFAULT_ATOL_SHARE, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
 pub(crate) use suggest::did_you_mean as suggestion;
 
 use crate::model::Model;

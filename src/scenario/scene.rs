@@ -231,6 +231,7 @@ impl<'a> Reader<'a> {
                         dynamics,
                         running,
                         guards,
+                        region: region.as_deref(),
                         finite,
                     },
                 );

@@ -14,10 +14,10 @@ use toml::de::DeValue;
 pub const DEFAULT_SPACING: f64 = 0.05;
 /// Stored points a trajectory unless `[shoot_out] samples` says otherwise.
 pub const DEFAULT_SAMPLES: usize = 200;
-/// Tolerances unless `[integrator]` says otherwise.
+/// Tolerance unless `[integrator]` says otherwise.
 pub const DEFAULT_RTOL: f64 = 1e-6;
-/// See [`DEFAULT_RTOL`].
-pub const DEFAULT_ATOL: f64 = 1e-9;
+/// `atol` unless `[integrator]` says otherwise, in units of `rtol`.
+pub const DEFAULT_ATOL_SHARE: f64 = 1e-3;
 
 /// Points of a grid.
 const MOST_POINTS: f64 = 2e6;
@@ -223,7 +223,7 @@ impl<'a> Reader<'a> {
         let mut integrator = Integrator {
             method: None,
             rtol: DEFAULT_RTOL,
-            atol: DEFAULT_ATOL,
+            atol: DEFAULT_ATOL_SHARE * DEFAULT_RTOL,
             step: None,
             precision: None,
             max_steps: DEFAULT_MAX_STEPS,
@@ -237,6 +237,7 @@ impl<'a> Reader<'a> {
             .and_then(|v| self.number_that(v, "rtol", "greater than 0 and at most 0.1", |r| r > 0.0 && r <= 0.1))
         {
             integrator.rtol = rtol;
+            integrator.atol = DEFAULT_ATOL_SHARE * rtol;
         }
         if let Some(atol) = section
             .get("atol")

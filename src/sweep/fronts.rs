@@ -3,6 +3,7 @@
 use super::complex::{Complex, Edge, Vertex, Waiting};
 use super::observe::Observed;
 use super::plan::Plan;
+use super::sample::{Sample, Sampler};
 use crate::backend::{Backend, BackendError, Kernel, Trajectories, batch_limit};
 use crate::model::Precision;
 use crate::output::TrajectoryBlock;
@@ -42,6 +43,8 @@ pub struct SweepReport {
     pub rounds: usize,
     /// Seconds in the backend.
     pub integrate_seconds: f64,
+    /// Some of the trajectories, drawn at random.
+    pub sample: Sample,
 }
 
 /// Told after each round: trajectories done, pairs that still wait for a seed.
@@ -85,6 +88,7 @@ struct Fronts<'a> {
     pending: Vec<Vertex>,
     /// The region in its own widths; endless along periodic states, whose every period meets it somewhere.
     bounds: Vec<[f32; 2]>,
+    sampler: Sampler,
     report: SweepReport,
 }
 
@@ -149,6 +153,7 @@ impl<'a> Fronts<'a> {
             deferred: Vec::new(),
             pending: Vec::new(),
             bounds,
+            sampler: Sampler::new(plan.seed, 8 * (plan.run.levels.len() + 1) * (1 + plan.spec.dim())),
             report: SweepReport::default(),
         };
         for (v, parameter) in parameters.into_iter().enumerate() {
@@ -202,6 +207,10 @@ impl<'a> Fronts<'a> {
             let start = std::time::Instant::now();
             let batch = kernel.integrate(&plan.run, &seeds)?;
             self.report.integrate_seconds += start.elapsed().as_secs_f64();
+            for (i, v) in vertices.iter().enumerate() {
+                let node = &self.nodes[v];
+                self.sampler.offer(i, &batch, &node.seed, &node.parameter);
+            }
             self.record(vertices, &batch);
             keep(&seeds, &batch);
             let (block, relative) = observed.block(plan, &batch);
@@ -364,6 +373,7 @@ impl<'a> Fronts<'a> {
     fn finished(mut self) -> SweepReport {
         self.report.coverage.uncovered = self.waiting.len();
         self.report.coverage.widest = self.report.coverage.widest.max(f64::from(self.waiting.widest()));
+        self.report.sample = (self.sampler).finish(self.plan.spec.dim(), self.plan.run.levels.len());
         self.report
     }
 }

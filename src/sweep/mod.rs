@@ -1,13 +1,18 @@
 //! Shooting out: seeds on the local solution (or the terminal cost) integrated backward in time, with new seeds between
 //! neighbours that part.
 
+pub mod accuracy;
 pub mod complex;
 mod fronts;
 mod observe;
 mod plan;
+mod sample;
+pub mod stiffness;
 mod surface;
 
+pub use accuracy::{Accuracy, Spread};
 pub use fronts::{Coverage, Progress, SweepReport, sweep, sweep_keeping};
 pub use observe::Observed;
 pub use plan::{Choices, Plan, PlanError, Sampling};
+pub use sample::{Kept, Sample, random};
 pub use surface::{Surface, holds as guard_holds};

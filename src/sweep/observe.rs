@@ -9,6 +9,9 @@ use crate::program::Program;
 /// Sheets are labelled when sheets are computed; a sweep leaves them open.
 pub const NO_SHEET: i32 = -1;
 
+/// A trajectory that cannot go on has met a guard whose value is below this share of its largest along the trajectory.
+const AT_BOUNDARY: f64 = 1e-4;
+
 /// Computes the reported quantities of a batch, in f64 from the stored states and adjoints.
 pub struct Observed {
     evaluator: Evaluator,
@@ -102,29 +105,54 @@ impl Observed {
         (block, relative)
     }
 
-    /// Status codes; a guard's own where one ended the trajectory: the one nearest to its boundary at the end.
+    /// Status codes; a guard's own where one ended the trajectory. Where the equations end with a guard (a root of what the
+    /// guard keeps positive) no step gets beyond it, and the trajectory stops at the boundary for want of a finite step:
+    /// that is the guard's doing too.
     fn statuses(&self, batch: &Trajectories) -> Vec<i32> {
-        let guards = match &self.guards {
-            Some(g) if batch.status.contains(&Status::Guard) => g.eval(&batch.end, batch.dim),
-            _ => Vec::new(),
-        };
-        let each = guards.len() / batch.count().max(1);
-        let nearest = |i: usize| {
-            let values = &guards[i * each..(i + 1) * each];
-            values
-                .iter()
-                .enumerate()
-                .min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))
-                .map_or(0, |(k, _)| k as i32)
-        };
-        (batch.status.iter().enumerate())
-            .map(|(i, s)| {
-                if *s == Status::Guard {
-                    GUARD_STATUS + nearest(i)
+        let stopped = |s: Status| matches!(s, Status::NotFinite | Status::StepFloor);
+        let code = |i: usize, s: Status| match &self.guards {
+            Some(guards) if s == Status::Guard || stopped(s) => {
+                let (guard, share) = nearest_guard(guards, batch, i);
+                if s == Status::Guard || share <= AT_BOUNDARY {
+                    GUARD_STATUS + guard as i32
                 } else {
-                    *s as i32
+                    s as i32
                 }
-            })
-            .collect()
+            }
+            _ => s as i32,
+        };
+        batch.status.iter().enumerate().map(|(i, s)| code(i, *s)).collect()
     }
+}
+
+/// The guard that a trajectory has come nearest to at its end, by its value's share of the largest along the trajectory (one
+/// that is 0 all along, an invariant boundary, is not met); with that share. Of a trajectory without samples nothing is
+/// known but the end: the nearest value, and no share.
+fn nearest_guard(guards: &Evaluator, batch: &Trajectories, i: usize) -> (usize, f64) {
+    let stride = 1 + batch.dim;
+    let end = guards.eval(&batch.end[i * batch.dim..][..batch.dim], batch.dim);
+    let passed: Vec<f64> = (0..batch.levels)
+        .map(|k| batch.sample(i, k))
+        .take_while(|s| !s[0].is_nan())
+        .flatten()
+        .copied()
+        .collect();
+    let least = |values: &dyn Fn(usize) -> f64| {
+        (0..end.len())
+            .map(|k| (k, values(k)))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .unwrap_or((0, f64::INFINITY))
+    };
+    if passed.is_empty() {
+        return (least(&|k| end[k].abs()).0, f64::INFINITY);
+    }
+    let along = guards.eval(&passed[1..], stride);
+    least(&|k| {
+        let largest = (along.iter().skip(k).step_by(end.len())).fold(0.0f64, |a, v| a.max(v.abs()));
+        if largest > 0.0 {
+            end[k].abs() / largest
+        } else {
+            f64::INFINITY
+        }
+    })
 }

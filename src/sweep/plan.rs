@@ -69,6 +69,8 @@ pub struct Choices {
     pub max_seeds: Option<usize>,
     /// Whether a scene without `[shoot_out]` is swept all the same, as far as its region may need.
     pub unasked: bool,
+    /// Seed of the random sample that the error is estimated from.
+    pub seed: u64,
 }
 
 /// The coordinate that the stored points of a sweep are levels of.
@@ -106,6 +108,8 @@ pub struct Plan {
     /// Region as deviations.
     pub region: Vec<[f64; 2]>,
     pub system: System,
+    /// Seed of random choices.
+    pub seed: u64,
 }
 
 impl Plan {
@@ -281,6 +285,7 @@ impl Plan {
             value_scale,
             region,
             system,
+            seed: choices.seed,
         })
     }
 

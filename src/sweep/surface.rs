@@ -125,6 +125,29 @@ impl Surface {
         }
     }
 
+    /// Seeds a small distance away, relative to the surface, in every direction of the manifold: along the surface, and
+    /// where it surrounds an equilibrium also outward.
+    pub fn near(&self, parameter: &[f64], distance: f64) -> Vec<Vec<f64>> {
+        // On a sphere a step along its largest coordinate leads nowhere; the others span the tangent plane.
+        let largest = (0..parameter.len()).max_by(|i, j| parameter[*i].abs().total_cmp(&parameter[*j].abs()));
+        (0..parameter.len())
+            .map(|i| {
+                if let (Kind::Sphere(local), true) = (&self.kind, Some(i) == largest) {
+                    let s = &self.seed(parameter)[..self.states];
+                    return local.at_state(&s.iter().map(|x| x * (1.0 + distance)).collect::<Vec<_>>());
+                }
+                // Toward the middle: a box has nothing beyond its faces, nor has what a guard limits.
+                let mut q = parameter.to_vec();
+                let inward = match self.kind {
+                    Kind::Sphere(_) => q[i] > 0.0,
+                    Kind::Box { .. } => q[i] > 0.5,
+                };
+                q[i] += if inward { -distance } else { distance };
+                self.seed(&self.toward(&q, &q, 0.0))
+            })
+            .collect()
+    }
+
     /// Whether a seed is inside all guards.
     pub fn inside(&self, seed: &[f64]) -> bool {
         self.guard_values(seed)

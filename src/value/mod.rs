@@ -1,5 +1,6 @@
 //! V, p and u at chosen states: every sheet, the lowest one, and where two cost the same.
 
+mod accuracy;
 mod approach;
 mod archive;
 mod equal_cost;
@@ -11,6 +12,7 @@ mod solve;
 mod survey;
 mod targets;
 
+pub use accuracy::{SolvedAccuracy, accuracy};
 pub use approach::{Approach, Unreached, follow};
 pub use archive::{Archive, Index, Place, segment_duration};
 pub use equal_cost::BoundaryPoint;

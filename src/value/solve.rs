@@ -12,7 +12,7 @@ use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
 use crate::sweep::Plan;
 
 /// Tolerance of the answers where the scene asks for less: they are of use as f64 numbers.
-const MOST_RTOL: f64 = 1e-9;
+pub(super) const MOST_RTOL: f64 = 1e-9;
 /// Segments are integrated to this share of it.
 const SEGMENT_SHARE: f64 = 0.1;
 /// Smallest tolerance of segments.
@@ -161,20 +161,28 @@ pub fn guess_seeds(states: usize, targets: usize) -> usize {
     }
 }
 
+/// What the CPU solves a plan's boundary value problems with.
+pub(super) fn scheme(plan: &Plan, tolerance: f64) -> Scheme {
+    scheme_of(plan, CPU_VARIATIONS, tolerance)
+}
+
+fn scheme_of(plan: &Plan, variations: usize, tolerance: f64) -> Scheme {
+    Scheme {
+        equations: Equations::new(&plan.system, &plan.widths, plan.value_scale, variations),
+        end: End::new(&plan.system, plan.local.as_ref()),
+        tolerance,
+        duration: segment_duration(plan),
+    }
+}
+
 /// A solver for a plan: in f64 on the CPU lanes, after drafts on the backend where that is another one.
 ///
 /// # Errors
 /// What the backend refuses to compile.
 pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError> {
     let asked = plan.rtol_asked.min(MOST_RTOL);
-    let scheme = |most: usize, tolerance: f64| Scheme {
-        equations: Equations::new(&plan.system, &plan.widths, plan.value_scale, most),
-        end: End::new(&plan.system, plan.local.as_ref()),
-        tolerance,
-        duration: segment_duration(plan),
-    };
     let rtol = (SEGMENT_SHARE * asked).max(LEAST_RTOL);
-    let host = Solver::new(&Cpu::new(), Precision::F64, scheme(CPU_VARIATIONS, asked), rtol)?;
+    let host = Solver::new(&Cpu::new(), Precision::F64, scheme(plan, asked), rtol)?;
     if backend.name() == "cpu" {
         return Ok(host);
     }
@@ -183,7 +191,7 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
         Precision::F32 => (DRAFT_TOLERANCE, DRAFT_RTOL),
         Precision::F64 => (asked, rtol),
     };
-    let draft = Solver::new(backend, precision, scheme(GPU_VARIATIONS, tolerance), rtol)?;
+    let draft = Solver::new(backend, precision, scheme_of(plan, GPU_VARIATIONS, tolerance), rtol)?;
     Ok(host.after(draft))
 }
 

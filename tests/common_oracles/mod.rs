@@ -76,10 +76,9 @@ impl Asked {
 /// Batches of one kernel with their seeds.
 type Calls = Arc<Mutex<Vec<(Vec<f64>, Trajectories)>>>;
 
-/// The CPU backend, with seeds and results of all batches kept.
-#[derive(Default)]
+/// A backend, with seeds and results of all batches kept.
 struct Recorder {
-    cpu: Cpu,
+    inner: Box<dyn Backend>,
     calls: Calls,
 }
 
@@ -90,13 +89,13 @@ struct RecordingKernel {
 
 impl Backend for Recorder {
     fn name(&self) -> &'static str {
-        self.cpu.name()
+        self.inner.name()
     }
     fn adapter(&self) -> String {
-        self.cpu.adapter()
+        self.inner.adapter()
     }
     fn supports(&self, precision: Precision) -> bool {
-        self.cpu.supports(precision)
+        self.inner.supports(precision)
     }
     fn offers(&self, _: Method) -> bool {
         true
@@ -104,7 +103,7 @@ impl Backend for Recorder {
 
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
         Ok(Box::new(RecordingKernel {
-            kernel: self.cpu.compile(spec)?,
+            kernel: self.inner.compile(spec)?,
             calls: self.calls.clone(),
         }))
     }
@@ -147,9 +146,17 @@ pub struct Sample<'a> {
 }
 
 impl Sweep {
+    /// On the CPU.
     pub fn of(model: &Model, asked: Asked) -> Self {
+        Self::on(Box::new(Cpu::new()), model, asked)
+    }
+
+    pub fn on(backend: Box<dyn Backend>, model: &Model, asked: Asked) -> Self {
         let hamiltonian = derive(model);
-        let backend = Recorder::default();
+        let backend = Recorder {
+            inner: backend,
+            calls: Calls::default(),
+        };
         let plan = Plan::new(model, &hamiltonian, &backend, asked.choices()).unwrap_or_else(|e| panic!("{e}"));
         let mut stored = TrajectoryBlock::default();
         let report = sweep(
