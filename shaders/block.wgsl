@@ -155,7 +155,14 @@ fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
         }
 //if STORE
         let dense = densify((*lane).y, (*lane).k, step, (*lane).h);
-        if (pass_levels(i, lane, step, dense, 1.0).out_of_work) {
+        let passed = pass_levels(i, lane, step, dense, 1.0, run);
+        if (passed.out_of_work) {
+            return;
+        }
+//end
+//if STORE BOUNDS
+        if (passed.outside) {
+            leave(lane, step, dense, passed.last);
             return;
         }
 //end
@@ -235,11 +242,17 @@ fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
         ended = GUARD;
     }
 //end
-    let passed = pass_levels(i, lane, step, dense, most);
+    let passed = pass_levels(i, lane, step, dense, most, run);
     (*lane).status = RUNNING;
     if (passed.out_of_work) {
         return;
     }
+//if STORE BOUNDS
+    if (passed.outside) {
+        leave(lane, step, dense, passed.last);
+        return;
+    }
+//end
     if ((*lane).next_level == control.levels) {
         most = passed.last;
         ended = REACHED;
@@ -261,9 +274,21 @@ fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
     (*lane).status = ended;
 }
 
+//if STORE BOUNDS
+// Ends a trajectory at a stored point outside the region.
+fn leave(lane: ptr<function, Lane>, step: Step, dense: Dense, q: real) {
+    (*lane).y = interpolate((*lane).y, dense, step, (*lane).h, q);
+    (*lane).t += q * (*lane).h;
+    (*lane).steps += 1u;
+    (*lane).status = LEFT_REGION;
+}
+//end
+
 struct Passed {
     // Fraction of the step at the last level passed.
     last: real,
+    // The point stored there is outside the region.
+    outside: bool,
     // The dispatch's work is used up: the step must be taken again for the levels left.
     out_of_work: bool,
 }
@@ -274,13 +299,14 @@ fn is_passed(lane: Lane, finish: real) -> bool {
 }
 
 // The levels up to the fraction `most` of an accepted step.
-fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, most: real) -> Passed {
+fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, most: real, run: Run) -> Passed {
     let t = (*lane).t;
     let h = (*lane).h;
     let begin = coordinate((*lane).y, t);
     let finish = coordinate(step.y, t + h);
     var pending = is_passed(*lane, finish);
     var last: real = 1.0;
+    var outside = false;
     var out_of_work = false;
     loop {
         if (pending) {
@@ -293,12 +319,20 @@ fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, most
             pending = q <= most;
             if (pending) {
 //if STORE
-                store_sample(i, lane, step, dense, q);
+                let stored = store_sample(i, lane, step, dense, q);
+//end
+//if STORE BOUNDS
+                if ((*lane).next_level + 1u < control.levels) {
+                    if (within(stored, run)) {
+                    } else {
+                        outside = true;
+                    }
+                }
 //end
                 last = q;
                 (*lane).next_level += 1u;
                 (*lane).level = level((*lane).next_level);
-                pending = is_passed(*lane, finish);
+                pending = select(is_passed(*lane, finish), false, outside);
             }
             if ((*lane).work > control.work) {
                 out_of_work = pending;
@@ -309,7 +343,7 @@ fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, most
             break if !pending;
         }
     }
-    return Passed(last, out_of_work);
+    return Passed(last, outside, out_of_work);
 }
 
 //if BY_COMPONENT
@@ -364,10 +398,12 @@ fn last_inside(lane: ptr<function, Lane>, step: Step, dense: Dense) -> real {
 //end
 
 //if STORE
-fn store_sample(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, q: real) {
+fn store_sample(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, q: real) -> Vector {
     let at = (i * control.levels + (*lane).next_level) * SAMPLE;
     samples[at] = (*lane).t + q * (*lane).h;
-    store_vector(at + 1u, interpolate((*lane).y, dense, step, (*lane).h, q));
+    let y = interpolate((*lane).y, dense, step, (*lane).h, q);
+    store_vector(at + 1u, y);
+    return y;
 }
 //end
 

@@ -38,6 +38,10 @@ const FACTOR: f64 = 4.0;
 /// Below this the true error is the rounding of x as stored, which the estimate, from deviations, does not see.
 const ROUNDING: f64 = 1e-13;
 
+/// The estimate begins at the run's own seeds. Their error, which is told beside it, may be a tenth of rtol in V on the
+/// first front; in p it is larger by the degree of the first term left out there, some 4 to 6.
+const SEEDS: f64 = 0.6;
+
 fn honest(name: &str, model: &Model, asked: Asked, right: impl Fn(&[f64]) -> (f64, Vec<f64>, f64)) {
     let sweep = Sweep::of(model, asked);
     let told = estimate(&sweep);
@@ -50,7 +54,7 @@ fn honest(name: &str, model: &Model, asked: Asked, right: impl Fn(&[f64]) -> (f6
             "{name} {asked:?}: {k} is overstated: {worst:?} {truth:?}"
         );
         assert!(
-            truth[k] <= FACTOR * worst[k] + ROUNDING,
+            truth[k] <= FACTOR * worst[k] + SEEDS * asked.rtol + ROUNDING,
             "{name} {asked:?}: {k} is understated: {worst:?} {truth:?}"
         );
     }

@@ -97,8 +97,8 @@ impl Backend for Recorder {
     fn supports(&self, precision: Precision) -> bool {
         self.inner.supports(precision)
     }
-    fn offers(&self, _: Method) -> bool {
-        true
+    fn offers(&self, method: Method) -> bool {
+        self.inner.offers(method)
     }
 
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {

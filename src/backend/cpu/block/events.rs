@@ -54,7 +54,13 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
                     break;
                 }
                 if self.kernel.spec.store {
-                    self.store_sample::<FMA>(lane, k, q, out);
+                    let inside = self.store_sample::<FMA>(lane, k, q, out);
+                    // Steps may be long: a stored point outside the region ends the trajectory like a step's end there.
+                    if !inside && !last {
+                        self.next_level[lane] += 1;
+                        (most, ended) = (q, Some(Status::LeftRegion));
+                        break;
+                    }
                 }
                 if last {
                     most = q;
@@ -173,9 +179,12 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         q
     }
 
+    /// Stores the point at a fraction of the step; whether it is within the region.
     #[inline(always)]
-    fn store_sample<const FMA: bool>(&mut self, lane: usize, level: usize, q: T, out: &mut Output<'_>) {
-        let Some(i) = self.trajectory[lane] else { return };
+    fn store_sample<const FMA: bool>(&mut self, lane: usize, level: usize, q: T, out: &mut Output<'_>) -> bool {
+        let Some(i) = self.trajectory[lane] else {
+            return true;
+        };
         let dim = self.layout.dim;
         let start = (i * self.run.levels.len() + level) * (1 + dim);
         let to = &mut out.samples[start..start + 1 + dim];
@@ -186,6 +195,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         if let By::Component(c) = self.kernel.spec.by {
             to[1 + c] = self.run.levels[level];
         }
+        let bounds = self.run.bounds.iter().zip(&to[1..]);
+        bounds.fold(true, |inside, ([lo, hi], x)| inside & (*x >= *lo) & (*x <= *hi))
     }
 
     /// Largest fraction of the step, to rounding, up to which the guards hold.
