@@ -109,6 +109,10 @@ impl Work {
     /// The plan's run with other steps. Absolute tolerances keep their proportion to the relative one.
     pub fn run(&self, steps: Steps) -> Run {
         let mut run = self.plan.run.clone();
+        if !self.store {
+            // Between stored points bounds are looked at where steps end, which is not the same for all methods.
+            run.bounds.clear();
+        }
         match steps {
             Steps::Tolerance(rtol) => {
                 let share = rtol / run.rtol;

@@ -179,6 +179,12 @@ impl Decision {
             self.accepted
         };
         fine = r.and(fine, above);
+        if matches!(scheme, Scheme::Taylor(_)) {
+            // Its steps are never refused for being too long; towards a singularity they only shrink.
+            let stuck = r.compare(Comparison::Less, taken.h, floor);
+            let moves = r.not(stuck);
+            fine = r.and(fine, moves);
+        }
         let (steps, rejected) = (r.load(layout.now.steps), r.load(layout.now.rejected));
         let count = r.add(steps, rejected);
         let some_left = r.compare(Comparison::Less, count, given.step_limit);

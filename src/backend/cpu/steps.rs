@@ -410,8 +410,15 @@ fn taylor_step(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize, giv
     let wanted = r.load(layout.now.wanted);
     let mut h = decide::stretched(r, reach, wanted);
     if let Some(program) = &spec.kinks {
+        // No step to a kink is below what counts as stuck.
+        let (t, first) = (r.load(layout.now.t), r.load(layout.first_step));
+        let reached = r.larger(t, first);
+        let unit = r.constant(2.0 * control::FLOOR_ULPS * r.epsilon());
+        let floor = r.mul(unit, reached);
         for kink in taylor::along(r, program, &series, order) {
-            h = up_to_kink(r, &kink, h);
+            let to = up_to_kink(r, &kink, h);
+            let to = r.larger(to, floor);
+            h = r.smaller(to, h);
         }
     }
     r.store(h, layout.h);

@@ -6,6 +6,9 @@ use crate::backend::cpu::real::Real;
 use crate::backend::{By, Status};
 use crate::integrator::Scheme;
 
+/// Levels looked at together.
+const AT_ONCE: usize = 8;
+
 impl<T: Real, const W: usize> Block<'_, T, W> {
     pub(super) fn expect_level(&mut self, lane: usize) {
         let last = self.run.levels.len().saturating_sub(1);
@@ -41,33 +44,34 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             By::Time => (self.at(now.t, lane), self.at(next.t, lane)),
             By::Component(c) => (self.at(now.y + c, lane), self.at(next.y + c, lane)),
         };
-        while self.next_level[lane] < levels.len() {
-            let k = self.next_level[lane];
-            let level = T::of(levels[k]);
-            if level > end {
+        let store = self.kernel.spec.store;
+        if !store {
+            self.next_level[lane] = levels.len() - 1;
+        }
+        let is_passed = |k: usize| k < levels.len() && T::of(levels[k]) <= end;
+        while ended != Some(Status::Reached) && is_passed(self.next_level[lane]) {
+            let first = self.next_level[lane];
+            let count = (1..AT_ONCE).take_while(|j| is_passed(first + j)).count() + 1;
+            let wanted = std::array::from_fn(|j| T::of(levels[first + j.min(count - 1)]));
+            let located = self.locate::<FMA>(lane, wanted, start, end);
+            // What lies behind a guard met is not passed.
+            let inside = located[..count].iter().take_while(|q| **q <= most).count();
+            let (stored, within) = if store {
+                self.store_samples::<FMA>(lane, first, &located, inside, out)
+            } else {
+                (inside, true)
+            };
+            self.next_level[lane] += stored;
+            if stored > 0 && (!within || self.next_level[lane] == levels.len()) {
+                most = located[stored - 1];
+                // Steps may be long: a stored point outside the region ends the trajectory like a step's end there.
+                let last = self.next_level[lane] == levels.len();
+                ended = Some(if last { Status::Reached } else { Status::LeftRegion });
                 break;
             }
-            let last = k + 1 == levels.len();
-            if self.kernel.spec.store || last {
-                let q = self.locate::<FMA>(lane, level, start, end);
-                if q > most {
-                    break;
-                }
-                if self.kernel.spec.store {
-                    let inside = self.store_sample::<FMA>(lane, k, q, out);
-                    // Steps may be long: a stored point outside the region ends the trajectory like a step's end there.
-                    if !inside && !last {
-                        self.next_level[lane] += 1;
-                        (most, ended) = (q, Some(Status::LeftRegion));
-                        break;
-                    }
-                }
-                if last {
-                    most = q;
-                    ended = Some(Status::Reached);
-                }
+            if stored < count {
+                break;
             }
-            self.next_level[lane] += 1;
         }
         self.expect_level(lane);
         if ended.is_some() {
@@ -116,15 +120,29 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         }
     }
 
-    /// `p0 + z (p1 + z (p2 + ...))` of a component, and its derivative.
+    /// Takes the lane's dense output in hand.
     #[inline(always)]
-    fn polynomial<const FMA: bool>(&self, lane: usize, c: usize, z: T) -> (T, T) {
-        let (first, dim, degree) = (self.layout.dense + c, self.layout.dim, self.kernel.scheme.degree());
-        let mut value = self.at(first + (degree - 1) * dim, lane);
-        let mut slope = T::of(0.0);
-        for m in (0..degree - 1).rev() {
-            slope = slope.mul_add::<FMA>(z, value);
-            value = value.mul_add::<FMA>(z, self.at(first + m * dim, lane));
+    fn gather<const FMA: bool>(&mut self, lane: usize) {
+        self.densify::<FMA>();
+        let (dim, degree) = (self.layout.dim, self.kernel.scheme.degree());
+        for c in 0..dim {
+            for m in 0..degree {
+                self.polynomials[c * degree + m] = self.frame[self.layout.dense + m * dim + c].0[lane];
+            }
+        }
+    }
+
+    /// `p0 + z (p1 + z (p2 + ...))` of a component in hand, and its derivative.
+    #[inline(always)]
+    fn polynomial<const FMA: bool, const N: usize>(&self, c: usize, z: &[T; N]) -> ([T; N], [T; N]) {
+        let degree = self.kernel.scheme.degree();
+        let p = &self.polynomials[c * degree..(c + 1) * degree];
+        let (mut value, mut slope) = ([p[degree - 1]; N], [T::of(0.0); N]);
+        for p in p[..degree - 1].iter().rev() {
+            for j in 0..N {
+                slope[j] = slope[j].mul_add::<FMA>(z[j], value[j]);
+                value[j] = value[j].mul_add::<FMA>(z[j], *p);
+            }
         }
         (value, slope)
     }
@@ -137,41 +155,58 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         }
         self.densify::<FMA>();
         let (z, factor) = self.argument(lane, q);
-        let (value, _) = self.polynomial::<FMA>(lane, c, z);
+        let (first, dim, degree) = (self.layout.dense + c, self.layout.dim, self.kernel.scheme.degree());
+        let mut value = self.at(first + (degree - 1) * dim, lane);
+        for m in (0..degree - 1).rev() {
+            value = value.mul_add::<FMA>(z, self.at(first + m * dim, lane));
+        }
         value.mul_add::<FMA>(factor, self.at(self.layout.now.y + c, lane))
     }
 
-    /// Fraction of the step at which the coordinate takes the value `level`, by Newton's method kept within a bracket.
+    /// Fractions of the step at which the coordinate takes some values, by Newton's method kept within brackets. Leaves
+    /// the lane's dense output in hand.
     #[inline(always)]
-    fn locate<const FMA: bool>(&mut self, lane: usize, level: T, start: T, end: T) -> T {
-        if level >= end {
-            return T::of(1.0);
+    fn locate<const FMA: bool>(&mut self, lane: usize, levels: [T; AT_ONCE], start: T, end: T) -> [T; AT_ONCE] {
+        let (zero, one) = (T::of(0.0), T::of(1.0));
+        let mut q: [T; AT_ONCE] = std::array::from_fn(|j| {
+            let guess = (levels[j] - start) / (end - start);
+            if levels[j] >= end { one } else { guess }
+        });
+        if !self.kernel.spec.store && q[0] == one {
+            return q;
         }
-        let guess = (level - start) / (end - start);
+        self.gather::<FMA>(lane);
         let By::Component(c) = self.kernel.spec.by else {
-            return guess;
+            return q;
         };
-        self.densify::<FMA>();
         let h = self.h(lane);
-        let (mut lo, mut hi, mut q) = (T::of(0.0), T::of(1.0), guess);
+        let (mut lo, mut hi) = ([zero; AT_ONCE], [one; AT_ONCE]);
+        // A root at a bracket's end may be missed by rounding; halving the bracket then would lead away from it.
+        let slack = T::of(4.0 * T::EPSILON);
         for _ in 0..30 {
-            let (z, factor) = self.argument(lane, q);
-            let (value, slope) = self.polynomial::<FMA>(lane, c, z);
-            let residual = value.mul_add::<FMA>(factor, start - level);
-            // d/dq of factor * value(z); z and factor are proportional to q.
-            let slope = slope.mul_add::<FMA>(z, value) * h;
-            if residual > T::of(0.0) {
-                hi = q;
-            } else {
-                lo = q;
+            let mut z = q;
+            let mut factor = q;
+            for j in 0..AT_ONCE {
+                (z[j], factor[j]) = self.argument(lane, q[j]);
             }
-            let newton = q - residual / slope;
-            // A root at a bracket's end may be missed by rounding; halving the bracket then would lead away from it.
-            let slack = T::of(4.0 * T::EPSILON);
-            let inside = newton >= lo - slack && newton <= hi + slack;
-            let next = if inside { newton } else { T::of(0.5) * (lo + hi) };
-            let moved = (next - q).absolute();
-            q = next;
+            let (value, slope) = self.polynomial::<FMA, AT_ONCE>(c, &z);
+            let mut moved = zero;
+            for j in 0..AT_ONCE {
+                let residual = value[j].mul_add::<FMA>(factor[j], start - levels[j]);
+                // d/dq of factor * value(z); z and factor are proportional to q.
+                let slope = slope[j].mul_add::<FMA>(z[j], value[j]) * h;
+                let above = residual > zero;
+                hi[j] = if above { q[j] } else { hi[j] };
+                lo[j] = if above { lo[j] } else { q[j] };
+                let newton = q[j] - residual / slope;
+                let inside = (newton >= lo[j] - slack) & (newton <= hi[j] + slack);
+                let next = if inside { newton } else { T::of(0.5) * (lo[j] + hi[j]) };
+                // The end of the step is found without a search.
+                let next = if levels[j] >= end { one } else { next };
+                let change = (next - q[j]).absolute();
+                moved = if change > moved { change } else { moved };
+                q[j] = next;
+            }
             if moved <= T::of(2.0 * T::EPSILON) {
                 break;
             }
@@ -179,24 +214,59 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         q
     }
 
-    /// Stores the point at a fraction of the step; whether it is within the region.
+    /// Stores the points at fractions of the step whose dense output is in hand, up to the first one outside the region;
+    /// how many, and whether all are within it.
     #[inline(always)]
-    fn store_sample<const FMA: bool>(&mut self, lane: usize, level: usize, q: T, out: &mut Output<'_>) -> bool {
+    fn store_samples<const FMA: bool>(
+        &self,
+        lane: usize,
+        level: usize,
+        q: &[T; AT_ONCE],
+        count: usize,
+        out: &mut Output<'_>,
+    ) -> (usize, bool) {
         let Some(i) = self.trajectory[lane] else {
-            return true;
+            return (count, true);
         };
-        let dim = self.layout.dim;
-        let start = (i * self.run.levels.len() + level) * (1 + dim);
-        let to = &mut out.samples[start..start + 1 + dim];
-        to[0] = q.mul_add::<FMA>(self.h(lane), self.at(self.layout.now.t, lane)).f64();
+        let (dim, now, next) = (self.layout.dim, self.layout.now, self.layout.next);
+        let (width, h, t) = (1 + dim, self.h(lane), self.at(now.t, lane));
+        let start = (i * self.run.levels.len() + level) * width;
+        let to = &mut out.samples[start..start + count * width];
+        let (mut z, mut factor) = (*q, *q);
+        for j in 0..AT_ONCE {
+            (z[j], factor[j]) = self.argument(lane, q[j]);
+        }
+        let mut inside = [true; AT_ONCE];
         for c in 0..dim {
-            to[1 + c] = self.interpolate::<FMA>(lane, c, q).f64();
+            let (mut value, _) = self.polynomial::<FMA, AT_ONCE>(c, &z);
+            let (begin, end) = (self.at(now.y + c, lane), self.at(next.y + c, lane));
+            for j in 0..AT_ONCE {
+                let v = value[j].mul_add::<FMA>(factor[j], begin);
+                value[j] = if q[j] == T::of(1.0) { end } else { v };
+            }
+            if let Some([lo, hi]) = self.run.bounds.get(c) {
+                let (lo, hi) = (T::of(*lo), T::of(*hi));
+                for j in 0..AT_ONCE {
+                    inside[j] &= (value[j] >= lo) & (value[j] <= hi);
+                }
+            }
+            for (row, v) in to.chunks_exact_mut(width).zip(&value) {
+                row[1 + c] = v.f64();
+            }
         }
-        if let By::Component(c) = self.kernel.spec.by {
-            to[1 + c] = self.run.levels[level];
+        for (j, row) in to.chunks_exact_mut(width).enumerate() {
+            row[0] = q[j].mul_add::<FMA>(h, t).f64();
+            if let By::Component(c) = self.kernel.spec.by {
+                row[1 + c] = self.run.levels[level + j];
+            }
         }
-        let bounds = self.run.bounds.iter().zip(&to[1..]);
-        bounds.fold(true, |inside, ([lo, hi], x)| inside & (*x >= *lo) & (*x <= *hi))
+        match inside[..count].iter().position(|inside| !inside) {
+            None => (count, true),
+            Some(outside) => {
+                to[(outside + 1) * width..].fill(f64::NAN);
+                (outside + 1, false)
+            }
+        }
     }
 
     /// Largest fraction of the step, to rounding, up to which the guards hold.

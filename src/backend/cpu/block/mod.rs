@@ -126,6 +126,8 @@ struct Block<'a, T, const W: usize> {
     /// Trajectory in the chunk; none when the queue has run dry.
     trajectory: [Option<usize>; W],
     next_level: [usize; W],
+    /// The dense output of the lane in hand, `[component][power]`.
+    polynomials: Vec<T>,
 }
 
 /// Integrates the trajectories of one chunk.
@@ -149,6 +151,7 @@ pub fn integrate<T: Real, const W: usize, const FMA: bool>(
         densified: false,
         trajectory: [None; W],
         next_level: [0; W],
+        polynomials: vec![T::of(0.0); layout.dim * kernel.scheme.degree()],
     };
     let mut active = 0;
     for lane in 0..W {
@@ -264,12 +267,12 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     #[inline(always)]
     fn settle<const FMA: bool>(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
         let (now, next) = (self.layout.now, self.layout.next);
+        let reached = self
+            .at(now.t, lane)
+            .f64()
+            .max(self.at(self.layout.first_step, lane).f64());
+        let floor = control::FLOOR_ULPS * T::EPSILON * reached;
         if !self.set(self.layout.accepted, lane) {
-            let reached = self
-                .at(now.t, lane)
-                .f64()
-                .max(self.at(self.layout.first_step, lane).f64());
-            let floor = control::FLOOR_ULPS * T::EPSILON * reached;
             if self.at(next.wanted, lane).f64() < floor || !self.kernel.scheme.adaptive() {
                 let status = if self.at(self.layout.error, lane).is_finite() {
                     Status::StepFloor
@@ -292,6 +295,9 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         }
         if (self.run.ceiling).is_some_and(|(c, v)| self.at(next.y + c, lane) >= T::of(v)) {
             return self.finish(lane, Status::Reached, out);
+        }
+        if matches!(self.kernel.scheme, Scheme::Taylor(_)) && self.h(lane).f64() < floor {
+            return self.finish(lane, Status::StepFloor, out);
         }
         self.out_of_steps(lane, out)
     }
