@@ -104,6 +104,30 @@ impl Case {
     }
 }
 
+/// Lanes take the next trajectory when theirs ends, so that trajectories of very different length keep them busy.
+#[test]
+fn lanes_stay_busy() {
+    for name in ["pendulum", "moore_greitzer"] {
+        for method in [Method::Tsit5, Method::Taylor] {
+            let mut case = Case::new(name, method, F64, false);
+            let seeds = case.seeds.repeat(4096 / SEEDS + 1);
+            let result = case.kernel.integrate(&case.run, &seeds).expect("the CPU does not fail");
+            let (least, most) = result
+                .steps
+                .iter()
+                .fold((u32::MAX, 0), |(a, b), s| (a.min(*s), b.max(*s)));
+            let occupancy = result.occupancy().expect("the CPU tells");
+            println!(
+                "{}: {least} to {most} steps, {:.3} of the lanes' steps",
+                case.name, occupancy
+            );
+            assert!(most > least, "{}: nothing to balance", case.name);
+            // What is lost is the end of each chunk, where the last trajectories are alone.
+            assert!(occupancy <= 1.0 && occupancy > 0.85, "{}: {occupancy}", case.name);
+        }
+    }
+}
+
 fn check(method: Method, asked: Asked) {
     // The second has guards and a clamp.
     for name in ["pendulum", "moore_greitzer"] {
@@ -121,6 +145,17 @@ fn tsit5_f64() {
 #[test]
 fn tsit5_f32() {
     check(Method::Tsit5, F32);
+}
+
+#[test]
+fn taylor() {
+    check(Method::Taylor, F64);
+    check(Method::Taylor, F32);
+}
+
+#[test]
+fn dop853() {
+    check(Method::Dop853, F64);
 }
 
 #[test]

@@ -122,6 +122,8 @@ pub struct Trajectories {
     /// Accepted and rejected steps.
     pub steps: Vec<u32>,
     pub rejected: Vec<u32>,
+    /// Steps that lanes were computed for, those with nothing to do included; 0 where the device does not tell.
+    pub lane_steps: u64,
     /// `[trajectory][level][1 + dim]`: backward time and vector at each level; NaN where a level was not passed.
     pub samples: Vec<f64>,
 }
@@ -129,6 +131,12 @@ pub struct Trajectories {
 impl Trajectories {
     pub fn count(&self) -> usize {
         self.status.len()
+    }
+
+    /// Share of the lanes' steps that were steps of a trajectory; none where the device does not tell.
+    pub fn occupancy(&self) -> Option<f64> {
+        let taken: u64 = self.steps.iter().chain(&self.rejected).map(|s| u64::from(*s)).sum();
+        (self.lane_steps > 0).then(|| taken as f64 / self.lane_steps as f64)
     }
 
     /// Backward time and vector of trajectory `i` at level `k`; the time is NaN where the level was not passed.

@@ -59,6 +59,8 @@ pub struct Row {
     pub flops: f64,
     /// That as a share of what the device was measured to do.
     pub peak_share: f64,
+    /// Share of the lanes' steps that were steps of a trajectory; not a number where the backend does not tell.
+    pub occupancy: f64,
     /// Whether no variant is faster with a smaller worst e_V. One that loses trajectories or is of no use is never chosen.
     pub pareto: bool,
 }
@@ -354,6 +356,11 @@ fn row(work: &Work, runner: &Runner, steps: Steps, pass: &Pass, errors: Errors) 
         errors,
         flops: f64::NAN,
         peak_share: f64::NAN,
+        occupancy: if pass.lane_steps == 0 {
+            f64::NAN
+        } else {
+            (pass.steps + pass.rejected) as f64 / pass.lane_steps as f64
+        },
         pareto: false,
     }
 }

@@ -41,6 +41,8 @@ pub struct Pass {
     /// Accepted and rejected steps of all trajectories.
     pub steps: u64,
     pub rejected: u64,
+    /// Steps that lanes were computed for; 0 where the backend does not tell.
+    pub lane_steps: u64,
 }
 
 impl Work {
@@ -161,6 +163,7 @@ impl Pass {
             *count += batch.status.iter().filter(|s| *s == status).count();
         }
         self.steps += batch.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
+        self.lane_steps += batch.lane_steps;
         self.rejected += batch.rejected.iter().map(|s| u64::from(*s)).sum::<u64>();
     }
 

@@ -230,7 +230,7 @@ pub(super) fn as_json(done: &Done<'_>) -> Value {
             "compile_seconds": r.compile_seconds, "first_seconds": r.first_seconds,
             "steps_mean": r.steps_taken, "rejected_mean": r.steps_rejected,
             "errors": errors(&r.errors), "status": statuses,
-            "flops": r.flops, "peak_share": r.peak_share, "pareto": r.pareto,
+            "flops": r.flops, "peak_share": r.peak_share, "lane_occupancy": r.occupancy, "pareto": r.pareto,
         })
     };
     let recommendation = |wanted: &f64| {

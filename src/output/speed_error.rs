@@ -10,7 +10,7 @@ use crate::bench::{Bench, Row};
 type Column = (&'static str, &'static str, &'static str, fn(&Bench, &Row) -> f64);
 type Counted = (&'static str, &'static str, fn(&Row) -> usize);
 
-const COLUMNS: [Column; 28] = [
+const COLUMNS: [Column; 29] = [
     (
         "rtol",
         "1",
@@ -99,6 +99,12 @@ const COLUMNS: [Column; 28] = [
         |b, r| b.devices[r.series.device].peak[r.series.precision as usize],
     ),
     ("peak_share", "1", "flops as a share of peak", |_, r| r.peak_share),
+    (
+        "lane_occupancy",
+        "1",
+        "share of the lanes' steps that were steps of a trajectory",
+        |_, r| r.occupancy,
+    ),
 ];
 const VALUE: &str =
     "error of V off the manifold, |V - V_ref - p_ref.(x - x_ref)|/max(1, V_ref), largest of a trajectory";

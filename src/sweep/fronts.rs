@@ -7,7 +7,9 @@ use super::sample::{Sample, Sampler};
 use crate::backend::{Backend, BackendError, Kernel, Trajectories, batch_limit};
 use crate::model::Precision;
 use crate::output::TrajectoryBlock;
+use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 /// Seeds a round: enough to fill a device, few enough that what is open stays small.
 const ROUND: usize = 8192;
@@ -96,14 +98,17 @@ struct Fronts<'a> {
 ///
 /// # Errors
 /// Failures of the backend, or of the sink (as its own error).
-pub fn sweep<E: From<BackendError>>(
+pub fn sweep<E: From<BackendError> + Send>(
     plan: &Plan,
     backend: &dyn Backend,
     progress: Progress<'_>,
-    sink: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+    sink: Sink<'_, E>,
 ) -> Result<SweepReport, E> {
     sweep_keeping(plan, backend, progress, &mut |_, _| {}, sink)
 }
+
+/// Takes finished blocks; on a thread of its own.
+pub type Sink<'a, E> = &'a mut (dyn FnMut(TrajectoryBlock) -> Result<(), E> + Send);
 
 /// Told of each batch: its seeds and what became of them.
 pub type Keep<'a> = &'a mut dyn FnMut(&[f64], &Trajectories);
@@ -112,25 +117,67 @@ pub type Keep<'a> = &'a mut dyn FnMut(&[f64], &Trajectories);
 ///
 /// # Errors
 /// As [`sweep`].
-pub fn sweep_keeping<E: From<BackendError>>(
+pub fn sweep_keeping<E: From<BackendError> + Send>(
     plan: &Plan,
     backend: &dyn Backend,
     progress: Progress<'_>,
     keep: Keep<'_>,
-    sink: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+    sink: Sink<'_, E>,
 ) -> Result<SweepReport, E> {
     let mut kernel = backend.compile(&plan.spec)?;
     let observed = Observed::new(plan);
     let mut fronts = Fronts::new(plan);
-    loop {
-        fronts.integrate(kernel.as_mut(), &observed, keep, sink)?;
-        fronts.judge();
-        fronts.report.rounds += 1;
-        progress(fronts.report.trajectories, fronts.waiting.len());
-        if !fronts.next_round() {
-            return Ok(fronts.finished());
+    std::thread::scope(|scope| {
+        // What is reported of a batch is computed while the next one is prepared and integrated; memory stays bounded.
+        let (send, receive) = sync_channel::<Trajectories>(1);
+        let observer = scope.spawn(move || observe(plan, &observed, receive, sink));
+        let finished = loop {
+            match fronts.integrate(kernel.as_mut(), keep, &send) {
+                Ok(true) => {}
+                // The observer has stopped; it says why.
+                Ok(false) => break Ok(()),
+                Err(e) => break Err(e),
+            }
+            fronts.judge();
+            fronts.report.rounds += 1;
+            progress(fronts.report.trajectories, fronts.waiting.len());
+            if !fronts.next_round() {
+                break Ok(());
+            }
+        };
+        drop(send);
+        let seen = match observer.join() {
+            Ok(seen) => seen?,
+            Err(panic) => std::panic::resume_unwind(panic),
+        };
+        finished?;
+        let mut report = fronts.finished();
+        (report.drift, report.relative_drift, report.by_status) = (seen.drift, seen.relative_drift, seen.by_status);
+        Ok(report)
+    })
+}
+
+/// What the trajectories of a sweep are told by.
+#[derive(Default)]
+struct Seen {
+    drift: Vec<f64>,
+    relative_drift: Vec<f64>,
+    by_status: BTreeMap<i32, usize>,
+}
+
+/// Hands on what is reported of each batch.
+fn observe<E>(plan: &Plan, observed: &Observed, batches: Receiver<Trajectories>, sink: Sink<'_, E>) -> Result<Seen, E> {
+    let mut seen = Seen::default();
+    for batch in batches {
+        let (block, relative) = observed.block(plan, &batch);
+        seen.drift.extend_from_slice(&block.hamiltonian_drift);
+        seen.relative_drift.extend(relative);
+        for code in &block.status {
+            *seen.by_status.entry(*code).or_default() += 1;
         }
+        sink(block)?;
     }
+    Ok(seen)
 }
 
 impl<'a> Fronts<'a> {
@@ -157,15 +204,15 @@ impl<'a> Fronts<'a> {
             report: SweepReport::default(),
         };
         for (v, parameter) in parameters.into_iter().enumerate() {
-            this.place(v as Vertex, parameter, false);
+            let parameter = plan.surface.nudged(parameter);
+            let seed = plan.surface.seed(&parameter);
+            this.place(v as Vertex, parameter, seed, false);
         }
         this
     }
 
     /// Enters a vertex, to be swept if it is inside the guards.
-    fn place(&mut self, vertex: Vertex, parameter: Vec<f64>, boundary: bool) {
-        let parameter = self.plan.surface.nudged(parameter);
-        let seed = self.plan.surface.seed(&parameter);
+    fn place(&mut self, vertex: Vertex, parameter: Vec<f64>, seed: Vec<f64>, boundary: bool) {
         let inside = self.plan.surface.inside(&seed);
         let boundary = boundary || (inside && self.plan.surface.on_boundary(&seed));
         let state = if inside {
@@ -186,13 +233,13 @@ impl<'a> Fronts<'a> {
         );
     }
 
-    fn integrate<E: From<BackendError>>(
+    /// Integrates what is pending; false where nobody takes the results any more.
+    fn integrate(
         &mut self,
         kernel: &mut dyn Kernel,
-        observed: &Observed,
         keep: Keep<'_>,
-        sink: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
-    ) -> Result<(), E> {
+        done: &SyncSender<Trajectories>,
+    ) -> Result<bool, BackendError> {
         let plan = self.plan;
         let dim = plan.spec.dim();
         let pending = std::mem::take(&mut self.pending);
@@ -213,15 +260,11 @@ impl<'a> Fronts<'a> {
             }
             self.record(vertices, &batch);
             keep(&seeds, &batch);
-            let (block, relative) = observed.block(plan, &batch);
-            self.report.drift.extend_from_slice(&block.hamiltonian_drift);
-            self.report.relative_drift.extend(relative);
-            for code in &block.status {
-                *self.report.by_status.entry(*code).or_default() += 1;
+            if done.send(batch).is_err() {
+                return Ok(false);
             }
-            sink(block)?;
         }
-        Ok(())
+        Ok(true)
     }
 
     fn record(&mut self, vertices: &[Vertex], batch: &Trajectories) {
@@ -249,9 +292,10 @@ impl<'a> Fronts<'a> {
     fn judge(&mut self) {
         let mut edges = std::mem::take(&mut self.deferred);
         edges.extend(self.complex.take_fresh());
-        for edge in edges {
+        let verdicts: Vec<Verdict> = edges.par_iter().map(|e| self.verdict(*e)).collect();
+        for (edge, verdict) in edges.into_iter().zip(verdicts) {
             let root = self.complex.root(edge).unwrap_or(0);
-            let (gap, known) = match self.verdict(edge) {
+            let (gap, known) = match verdict {
                 Verdict::Unknown => {
                     self.deferred.push(edge);
                     (None, false)
@@ -343,7 +387,9 @@ impl<'a> Fronts<'a> {
             (true, false) => surface.boundary(&b.parameter, &a.parameter),
             _ => surface.between(&a.parameter, &b.parameter),
         };
-        let middle = self.rounded(&surface.seed(&parameter));
+        let parameter = surface.nudged(parameter);
+        let seed = surface.seed(&parameter);
+        let middle = self.rounded(&seed);
         if middle == self.rounded(&a.seed) || middle == self.rounded(&b.seed) {
             // A boundary that coincides with its inner end leaves nothing between; a gap does.
             if !boundary {
@@ -354,7 +400,7 @@ impl<'a> Fronts<'a> {
             return;
         }
         if let Some(vertex) = self.complex.split(edge) {
-            self.place(vertex, parameter, boundary);
+            self.place(vertex, parameter, seed, boundary);
         }
     }
 

@@ -130,6 +130,7 @@ mod tests {
                 status: vec![Status::Reached; size],
                 steps: (next..next + size).map(|k| k as u32).collect(),
                 rejected: vec![0; size],
+                lane_steps: 0,
                 samples: Vec::new(),
             };
             (0..size).for_each(|i| sampler.offer(i, &trajectories, &[0.0], &[0.0]));

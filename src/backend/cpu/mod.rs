@@ -20,6 +20,7 @@ use crate::model::Precision;
 use block::{Compiled, Output};
 use rayon::prelude::*;
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 use steps::Variant;
 
@@ -184,6 +185,7 @@ impl Kernel for CpuKernel {
             status: vec![Status::NotFinite; count],
             steps: vec![0; count],
             rejected: vec![0; count],
+            lane_steps: 0,
             samples: vec![f64::NAN; count * levels * (1 + dim)],
         };
         if count == 0 {
@@ -206,6 +208,7 @@ impl Kernel for CpuKernel {
             result.samples.chunks_mut(chunk * width).collect()
         };
         let begin = Instant::now();
+        let lane_steps = AtomicU64::new(0);
         seeds
             .par_chunks(chunk * dim)
             .zip(result.end.par_chunks_mut(chunk * dim))
@@ -228,13 +231,15 @@ impl Kernel for CpuKernel {
                     run,
                     seeds,
                 };
-                match (precision, compile) {
+                let rounds = match (precision, compile) {
                     (Precision::F64, true) => job.dispatch::<f64, LANES_F64>(simd, &mut out),
                     (Precision::F32, true) => job.dispatch::<f32, LANES_F32>(simd, &mut out),
                     (Precision::F64, false) => job.dispatch::<f64, LANES_INTERPRETED>(simd, &mut out),
                     (Precision::F32, false) => job.dispatch::<f32, LANES_INTERPRETED>(simd, &mut out),
-                }
+                };
+                lane_steps.fetch_add(rounds * lanes as u64, Ordering::Relaxed);
             });
+        result.lane_steps = lane_steps.into_inner();
         self.seconds = Some(begin.elapsed().as_secs_f64());
         Ok(result)
     }
@@ -248,7 +253,8 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn dispatch<T: real::Real, const W: usize>(&self, simd: Simd, out: &mut Output<'_>) {
+    /// How many steps the block took.
+    fn dispatch<T: real::Real, const W: usize>(&self, simd: Simd, out: &mut Output<'_>) -> u64 {
         match simd {
             Simd::Baseline => self.integrate::<T, W, false>(out),
             // SAFETY: the features were detected when the backend was made.
@@ -261,19 +267,19 @@ impl Job<'_> {
     }
 
     #[inline(always)]
-    fn integrate<T: real::Real, const W: usize, const FMA: bool>(&self, out: &mut Output<'_>) {
-        block::integrate::<T, W, FMA>(self.kernel, self.run, self.seeds, out);
+    fn integrate<T: real::Real, const W: usize, const FMA: bool>(&self, out: &mut Output<'_>) -> u64 {
+        block::integrate::<T, W, FMA>(self.kernel, self.run, self.seeds, out)
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn avx2<T: real::Real, const W: usize>(job: &Job<'_>, out: &mut Output<'_>) {
-    job.integrate::<T, W, true>(out);
+fn avx2<T: real::Real, const W: usize>(job: &Job<'_>, out: &mut Output<'_>) -> u64 {
+    job.integrate::<T, W, true>(out)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-fn avx512<T: real::Real, const W: usize>(job: &Job<'_>, out: &mut Output<'_>) {
-    job.integrate::<T, W, true>(out);
+fn avx512<T: real::Real, const W: usize>(job: &Job<'_>, out: &mut Output<'_>) -> u64 {
+    job.integrate::<T, W, true>(out)
 }

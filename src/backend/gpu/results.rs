@@ -27,6 +27,7 @@ pub fn empty(count: usize, dim: usize, levels: usize) -> Trajectories {
         status: vec![Status::NotFinite; count],
         steps: vec![0; count],
         rejected: vec![0; count],
+        lane_steps: 0,
         samples: vec![0.0; count * levels * (1 + dim)],
     }
 }

@@ -130,14 +130,14 @@ struct Block<'a, T, const W: usize> {
     polynomials: Vec<T>,
 }
 
-/// Integrates the trajectories of one chunk.
+/// Integrates the trajectories of one chunk; how many steps the block took.
 #[inline(always)]
 pub fn integrate<T: Real, const W: usize, const FMA: bool>(
     kernel: &Compiled,
     run: &Run,
     seeds: &[f64],
     out: &mut Output<'_>,
-) {
+) -> u64 {
     let layout = kernel.layout;
     let parameters = Parameters::values::<T>(run);
     let mut queue = Queue::new::<W, FMA>(kernel, &parameters, seeds);
@@ -157,7 +157,9 @@ pub fn integrate<T: Real, const W: usize, const FMA: bool>(
     for lane in 0..W {
         active += usize::from(block.refill(lane, &mut queue, out));
     }
+    let mut rounds = 0;
     while active > 0 {
+        rounds += 1;
         block.frame.copy_within(layout.next.y..layout.next.end, layout.now.y);
         step.run::<FMA>(&mut block.frame);
         block.densified = false;
@@ -171,6 +173,7 @@ pub fn integrate<T: Real, const W: usize, const FMA: bool>(
             }
         }
     }
+    rounds
 }
 
 impl<T: Real, const W: usize> Block<'_, T, W> {
