@@ -23,7 +23,7 @@ NUMBERS = (
     "rtol", "atol", "step", "seconds_median", "seconds_min", "seconds_max", "trajectories_per_second",
     "kernel_seconds_median", "kernel_seconds_min", "kernel_seconds_max", "kernel_trajectories_per_second",
     "compile_seconds", "first_seconds", "steps_mean", "rejected_mean", "e_V_median", "e_V_p99", "e_V_worst",
-    "e_p_median", "e_p_p99", "e_p_worst", "e_H_median", "e_H_p99", "e_H_worst", "compared", "flops", "peak", "peak_share",
+    "e_p_median", "e_p_p99", "e_p_worst", "e_H_median", "e_H_p99", "e_H_worst", "compared", "flops", "peak", "peak_share", "lane_occupancy",
 )
 ROOT = ("title", "scenario", "costate_version", "git_revision", "command", "created", "backend", "adapter", "precision",
         "method", "rtol", "atol", "wall_seconds", "machine")

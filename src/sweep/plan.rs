@@ -40,10 +40,10 @@ pub enum PlanError {
 
 /// The method that reaches a tolerance soonest on a backend (see benches/README.md for the measurements).
 fn best_method(backend: &dyn Backend, rtol: f64) -> Method {
-    if backend.offers(Method::Taylor) {
-        Method::Taylor
-    } else if rtol >= F32_RTOL {
+    if rtol >= F32_RTOL {
         Method::Tsit5
+    } else if backend.offers(Method::Taylor) {
+        Method::Taylor
     } else {
         Method::Dop853
     }
