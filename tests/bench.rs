@@ -122,8 +122,19 @@ fn only_errors_off_the_manifold_are_counted() {
     assert!((found.compared - 0.9).abs() < 1e-12 && found.failed == 0 && !found.complete());
     let mut failed = reference.result.clone();
     failed.status[4] = costate::backend::Status::StepFloor;
+    // It came as far as its reference: nothing is lost.
     let found = compare(&work, &meter, &reference, None, &failed);
-    assert!(found.failed == 1 && !found.complete() && found.compared == 1.0);
+    assert!(found.failed == 0 && found.complete() && found.compared == 1.0);
+    let last = (4 * failed.levels + failed.levels - 1) * width;
+    failed.samples[last..last + width].fill(f64::NAN);
+    let found = compare(&work, &meter, &reference, None, &failed);
+    assert!(found.failed == 1 && !found.complete());
+    // Nor is one right that goes on where its reference has ended.
+    let mut ended = Reference::new(&work, &meter, Method::Tsit5, 30).unwrap();
+    let first = (4 * failed.levels + failed.levels - 4) * width;
+    ended.result.samples[first..first + 4 * width].fill(f64::NAN);
+    let found = compare(&work, &meter, &ended, None, &reference.result);
+    assert!(found.failed == 1 && !found.complete());
 }
 
 /// e_V of an integration against the true error of V at the states reached: they differ by the seeds' rounding, the
@@ -259,7 +270,7 @@ fn the_table_opens_in_xarray_and_agrees_with_the_summary() {
     assert!(loose["variant"]["errors"]["e_V"]["worst"].as_f64().unwrap() <= 2e-2);
     let text = String::from_utf8_lossy(&done.stderr).into_owned();
     assert!(
-        text.contains("[integrator]") && text.contains("for an error of 2e-2"),
+        text.contains("[integrator]") && text.contains("for V to 2e-2"),
         "{text}"
     );
     assert_eq!(summary["host_share"][0]["trajectories"], 60);

@@ -18,9 +18,6 @@ const WITH_SLOPES: usize = 1024;
 /// Trajectories of a reference that only tells how far the other one can be trusted.
 const FLOOR_CHECKED: usize = 512;
 
-/// Share of the budget that the first passes may take.
-const FIRST_PASSES: f64 = 0.25;
-
 /// Errors of more than a tenth are nobody's choice, however soon they are there.
 pub const USEFUL: f64 = 0.1;
 
@@ -216,7 +213,7 @@ pub fn measure(
     let mut runners = compiled(work, backends, ladders, &mut missing, told);
     let mut rows = Vec::new();
     let mut owners = Vec::new();
-    let mut spent = 0.0;
+    let (mut compiling, mut spent) = (0.0, 0.0);
     let deepest = runners.iter().map(|r| r.ladder.steps.len()).max().unwrap_or(0);
     // All from rough to fine at once: what the budget cuts off are the slowest of each series.
     for depth in 0..deepest {
@@ -226,7 +223,7 @@ pub fn measure(
             };
             let series = runner.ladder.series;
             let expected = runner.last * growth(series.method);
-            if runner.stopped || (depth > 0 && spent + expected > FIRST_PASSES * options.budget) {
+            if runner.stopped || (depth > 0 && compiling + expected > options.budget) {
                 if !runner.stopped {
                     missing.push(Missing {
                         what: format!("{} from {}", name(backends, series), setting(steps)),
@@ -238,8 +235,9 @@ pub fn measure(
             }
             told(&format!("{} {}", name(backends, series), setting(steps)));
             let mut pass = work.integrate(runner.kernel.as_mut(), &work.run(steps), &work.seeds, checked)?;
-            runner.last = pass.seconds;
-            spent += pass.seconds;
+            // The time without what a driver compiles in a first pass.
+            runner.last = pass.kernel_seconds.unwrap_or(pass.seconds);
+            compiling += pass.seconds;
             pass.kept = reference::points(std::mem::take(&mut pass.kept));
             let errors = compare(work, &meter, against(series.method), Some(&slopes), &pass.kept);
             rows.push(row(work, runner, steps, &pass, errors));
@@ -247,10 +245,13 @@ pub fn measure(
         }
     }
     if rows.is_empty() {
-        let why: Vec<String> = missing.iter().map(|m| format!("{}: {}", m.what, m.why)).collect();
+        let mut why: Vec<String> = missing.iter().map(|m| format!("{}: {}", m.what, m.why)).collect();
+        if why.is_empty() {
+            why.push("the tolerances asked for are below what the precision resolves".to_owned());
+        }
         return Err(BenchError::NothingLeft { why: why.join("; ") });
     }
-    let round_seconds: f64 = rows.iter().map(|r| r.first_seconds).sum();
+    let round_seconds: f64 = runners.iter().map(|r| r.last * r.ladder.steps.len() as f64).sum();
     let mut rounds = 0;
     while rounds < options.repeats.max(1) && (rounds == 0 || spent + round_seconds <= options.budget) {
         told(&format!(

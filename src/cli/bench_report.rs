@@ -172,16 +172,15 @@ fn section(row: &Row) -> Vec<String> {
 fn recommended(done: &Done<'_>, wanted: f64) -> Vec<String> {
     let bench = done.bench;
     let Some(row) = bench.fastest(wanted) else {
-        return vec![format!(
-            "for an error of {wanted:.0e}: no variant measured is that good"
-        )];
+        return vec![format!("for V to {wanted:.0e}: no variant measured is that good")];
     };
     let head = format!(
-        "for an error of {wanted:.0e}, {}: {} trajectories/s, worst e_V {:.1e}, 99 % {:.1e}",
+        "for V to {wanted:.0e}, {}: {} trajectories/s, worst e_V {:.1e}, 99 % {:.1e}, e_p {:.1e}",
         bench.devices[row.series.device].adapter,
         grouped(bench.trajectories_per_second(row)),
         row.errors.value.worst,
-        row.errors.value.p99
+        row.errors.value.p99,
+        row.errors.costate.worst
     );
     std::iter::once(head)
         .chain(section(row).into_iter().map(|l| format!("    {l}")))

@@ -51,6 +51,7 @@ impl Decision {
                 let (shrink, any) = (r.constant(control::SHRINK), r.constant(f64::INFINITY));
                 let shorter = r.mul(taken.h, shrink);
                 this.next_h = r.select(accepted, any, shorter);
+                this.before = r.select(accepted, taken.reach, before);
             }
         }
         if scheme.adaptive() && !taken.kinks.is_empty() {

@@ -26,7 +26,7 @@ pub struct State {
     pub t: usize,
     /// The step to attempt; for a Taylor step the longest one allowed.
     pub wanted: usize,
-    /// Base-2 logarithm of the squared error of the step before.
+    /// Base-2 logarithm of the squared error of the step before; of Taylor steps the size of that step.
     pub before: usize,
     /// Step size to go on with behind a kink; 0 where none is ahead.
     pub resume: usize,
@@ -236,6 +236,8 @@ pub struct Taken {
     pub error: Value,
     pub kinks: Vec<Value>,
     pub guards: Vec<Value>,
+    /// The step that a Taylor expansion allows, whatever else has shortened it.
+    pub reach: Value,
 }
 
 impl Taken {
@@ -257,6 +259,7 @@ impl Taken {
             y_new,
             k,
             error,
+            reach: h,
         }
     }
 }
@@ -407,6 +410,14 @@ fn taylor_step(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize, giv
     let nothing = r.add(below, top);
     let finite = r.compare(Comparison::Equal, nothing, zero);
     let reach = r.select(finite, reach, zero);
+    // Where a solution is a polynomial its last terms say nothing about how far it is followed at once: steps grow by a
+    // bounded factor. The first one is of the size |y|/|y'|.
+    let (before, first_step) = (r.load(layout.now.before), r.load(layout.first_step));
+    let (grow, begin) = (r.constant(control::GROW), r.constant(1.0 / control::SHARE));
+    let (most, first) = (r.mul(before, grow), r.mul(first_step, begin));
+    let begun = r.compare(Comparison::Less, zero, before);
+    let most = r.select(begun, most, first);
+    let reach = r.smaller(reach, most);
     let wanted = r.load(layout.now.wanted);
     let mut h = decide::stretched(r, reach, wanted);
     if let Some(program) = &spec.kinks {
@@ -432,7 +443,10 @@ fn taylor_step(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize, giv
         error = r.mul_add(zero, sum, error);
         y_new.push(sum);
     }
-    Taken::new(r, spec, h, y, y_new, None, error)
+    Taken {
+        reach,
+        ..Taken::new(r, spec, h, y, y_new, None, error)
+    }
 }
 
 /// A step of `h`, or the way to just behind the first zero of a series in it: the branch taken where the step begins is
@@ -457,9 +471,12 @@ fn up_to_kink(r: &mut Recorder, series: &[Option<Value>], h: Value) -> Value {
         (value, r.mul(slope, h))
     };
     // The side on which the step begins: of the first coefficient that is not zero.
-    let (first, second) = (coefficient(r, 0), coefficient(r, 1));
-    let tie = r.compare(Comparison::Equal, first, zero);
-    let side = r.select(tie, second, first);
+    let mut side = zero;
+    for n in (0..=top.min(2)).rev() {
+        let c = coefficient(r, n);
+        let tie = r.compare(Comparison::Equal, c, zero);
+        side = r.select(tie, side, c);
+    }
     let beyond = |r: &mut Recorder, value: Value| {
         let product = r.mul(side, value);
         r.compare(Comparison::Less, product, zero)
@@ -518,7 +535,8 @@ fn up_to_kink(r: &mut Recorder, series: &[Option<Value>], h: Value) -> Value {
         let middle = r.mul(half, sum);
         q = r.select(outside, middle, next);
     }
-    let margin = r.constant(0.1 * control::at_kink(r.epsilon()));
+    // The branch left behind is kept that little too long.
+    let margin = r.constant(r.epsilon().powf(2.0 / 3.0));
     let behind = r.add(q, margin);
     let (value, _) = at(r, behind);
     let crossed = beyond(r, value);

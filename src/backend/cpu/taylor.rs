@@ -6,6 +6,10 @@
 use super::arithmetic::{Arithmetic, Comparison};
 use super::code::{Recorder, Value};
 use crate::program::{Instr, Primitive, Program};
+use std::collections::HashMap;
+
+/// Orders looked at to see on which side of a kink a step begins.
+const HINT: usize = 2;
 
 /// Normalized coefficients in order; none where one is zero for certain.
 pub type Series = Vec<Option<Value>>;
@@ -13,7 +17,14 @@ pub type Series = Vec<Option<Value>>;
 /// Coefficients of order 0 to `order` of the solution that begins at `y`.
 pub fn solution(r: &mut Recorder, rate: &Program, y: &[Value], order: usize) -> Vec<Series> {
     let mut solution: Vec<Series> = y.iter().map(|y| vec![Some(*y)]).collect();
-    let mut nodes = Nodes::new(r, rate, order);
+    let sides = if has_kinks(rate) && order > HINT {
+        // Where the step begins on a kink, the coefficients that follow tell on which side it goes on.
+        let first = unsided(r, rate, y);
+        sides(r, rate, |k, n| first[k][n])
+    } else {
+        HashMap::new()
+    };
+    let mut nodes = Nodes::new(r, rate, order, sides);
     for n in 0..order {
         nodes.order(rate, n, |k| solution[k][n]);
         for (component, output) in solution.iter_mut().zip(&rate.outputs) {
@@ -27,9 +38,65 @@ pub fn solution(r: &mut Recorder, rate: &Program, y: &[Value], order: usize) -> 
     solution
 }
 
+/// The first coefficients of the solution, each kink taken as if the step began on neither side of it.
+fn unsided(r: &mut Recorder, rate: &Program, y: &[Value]) -> Vec<Series> {
+    let mut solution: Vec<Series> = y.iter().map(|y| vec![Some(*y)]).collect();
+    let mut nodes = Nodes::new(r, rate, HINT, HashMap::new());
+    for n in 0..HINT {
+        nodes.order(rate, n, |k| solution[k][n]);
+        for (component, output) in solution.iter_mut().zip(&rate.outputs) {
+            let value = nodes.series[*output as usize][n];
+            let value = nodes.scale(value, 1.0 / (n + 1) as f64);
+            component.push(value);
+        }
+    }
+    solution
+}
+
+fn has_kinks(program: &Program) -> bool {
+    program.code.iter().any(|i| kink(*i).is_some())
+}
+
+/// The values whose difference (or the one whose sign) a kink depends on.
+fn kink(instr: Instr) -> Option<(u32, Option<u32>)> {
+    match instr {
+        Instr::Min(a, b) | Instr::Max(a, b) => Some((a, Some(b))),
+        Instr::Call(Primitive::Abs | Primitive::Sign | Primitive::Step, a) => Some((a, None)),
+        _ => None,
+    }
+}
+
+/// For each instruction with a kink a number of the sign that its argument has where the step has just begun: its first
+/// coefficient that is not zero.
+fn sides(r: &mut Recorder, program: &Program, input: impl Fn(usize, usize) -> Option<Value>) -> HashMap<usize, Value> {
+    let mut nodes = Nodes::new(r, program, HINT, HashMap::new());
+    for n in 0..=HINT {
+        nodes.order(program, n, |k| input(k, n));
+    }
+    let zero = nodes.r.constant(0.0);
+    let mut sides = HashMap::new();
+    for (i, instr) in program.code.iter().enumerate() {
+        let Some((a, b)) = kink(*instr) else { continue };
+        let mut side = zero;
+        for n in (0..=HINT).rev() {
+            let other = b.and_then(|b| nodes.at(b, n));
+            let value = nodes.sub(nodes.at(a, n), other).unwrap_or(zero);
+            let nothing = nodes.r.compare(Comparison::Equal, value, zero);
+            side = nodes.r.select(nothing, side, value);
+        }
+        sides.insert(i, side);
+    }
+    sides
+}
+
 /// Coefficients of a program's outputs along a solution.
 pub fn along(r: &mut Recorder, program: &Program, solution: &[Series], order: usize) -> Vec<Series> {
-    let mut nodes = Nodes::new(r, program, order);
+    let sides = if has_kinks(program) && order > HINT {
+        sides(r, program, |k, n| solution[k][n])
+    } else {
+        HashMap::new()
+    };
+    let mut nodes = Nodes::new(r, program, order, sides);
     for n in 0..=order {
         nodes.order(program, n, |k| solution[k][n]);
     }
@@ -46,10 +113,12 @@ struct Nodes<'a> {
     partner: Vec<Series>,
     /// What is the same at all orders: a reciprocal, a branch.
     fixed: Vec<Option<Value>>,
+    /// The sides of kinks, where they are known.
+    sides: HashMap<usize, Value>,
 }
 
 impl<'a> Nodes<'a> {
-    fn new(r: &'a mut Recorder, program: &Program, order: usize) -> Self {
+    fn new(r: &'a mut Recorder, program: &Program, order: usize, sides: HashMap<usize, Value>) -> Self {
         let count = program.code.len();
         Self {
             r,
@@ -57,6 +126,7 @@ impl<'a> Nodes<'a> {
             scaled: vec![Vec::new(); count],
             partner: vec![Vec::new(); count],
             fixed: vec![None; count],
+            sides,
         }
     }
 
@@ -204,6 +274,9 @@ impl<'a> Nodes<'a> {
                 self.r.greatest(x, y)
             });
         }
+        if let (Some(side), None) = (self.sides.get(&i), self.fixed[i]) {
+            self.fixed[i] = Some(self.r.compare(Comparison::Less, *side, zero));
+        }
         if self.fixed[i].is_none() {
             let pair = |this: &Self, n| (this.at(a, n).unwrap_or(zero), this.at(b, n).unwrap_or(zero));
             let ((a0, b0), (a1, b1)) = (pair(self, 0), pair(self, 1));
@@ -335,7 +408,8 @@ impl<'a> Nodes<'a> {
                         // The sign of what comes first and is not zero.
                         let second = self.at(a, 1).unwrap_or(zero);
                         let nothing = self.r.compare(Comparison::Equal, first, zero);
-                        let leading = self.r.select(nothing, second, first);
+                        let either = self.r.select(nothing, second, first);
+                        let leading = self.sides.get(&i).copied().unwrap_or(either);
                         let bit = self.r.sign_bit();
                         let sign = self.r.and(leading, bit);
                         self.fixed[i] = Some(sign);
@@ -344,7 +418,10 @@ impl<'a> Nodes<'a> {
                 };
                 Some(self.r.xor(value, sign))
             }
-            Primitive::Sign | Primitive::Step => (n == 0).then(|| self.r.call(f, first)),
+            Primitive::Sign | Primitive::Step => (n == 0).then(|| {
+                let side = self.sides.get(&i).copied().unwrap_or(first);
+                self.r.call(f, side)
+            }),
         }
     }
 
