@@ -125,14 +125,15 @@ fn only_errors_off_the_manifold_are_counted() {
     // It came as far as its reference: nothing is lost.
     let found = compare(&work, &meter, &reference, None, &failed);
     assert!(found.failed == 0 && found.complete() && found.compared == 1.0);
-    let last = (4 * failed.levels + failed.levels - 1) * width;
-    failed.samples[last..last + width].fill(f64::NAN);
+    let row = 1 + failed.dim;
+    let last = (4 * failed.levels + failed.levels - 1) * row;
+    failed.samples[last..last + row].fill(f64::NAN);
     let found = compare(&work, &meter, &reference, None, &failed);
     assert!(found.failed == 1 && !found.complete());
     // Nor is one right that goes on where its reference has ended.
     let mut ended = Reference::new(&work, &meter, Method::Tsit5, 30).unwrap();
-    let first = (4 * failed.levels + failed.levels - 4) * width;
-    ended.result.samples[first..first + 4 * width].fill(f64::NAN);
+    let first = (4 * failed.levels + failed.levels - 4) * row;
+    ended.result.samples[first..first + 4 * row].fill(f64::NAN);
     let found = compare(&work, &meter, &ended, None, &reference.result);
     assert!(found.failed == 1 && !found.complete());
 }
@@ -373,6 +374,7 @@ fn what_cannot_be_measured_is_refused_and_nothing_is_written() {
     let pendulum = scenario("pendulum.toml");
     let out = folder.join("out.h5");
     for (scene, options, status, words) in [
+        (&pendulum, "--out table.svg", 2, "name the table .h5"),
         (&pendulum, "--method euler", 2, "the methods are rk4, tsit5"),
         (&pendulum, "--trajectories 0", 2, "whole number"),
         (&pendulum, "--rtol 2", 2, "relative tolerance"),

@@ -31,6 +31,9 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     let which: Vec<Which> = args.backend.iter().map(|b| which(*b)).collect();
     let (backends, unavailable) = devices::open(&which, args.adapter.as_deref())?;
     let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
+    if path.extension().is_some_and(|e| e == "svg") {
+        return Err(CliError::PictureName { path });
+    }
     let terminal = report::Terminal::new(&args.scene);
     let mut file = ResultFile::create(&path)?;
 

@@ -241,10 +241,12 @@ fn swept_note(plan: &Plan, a: &Accuracy, terminal: &Terminal) {
         return;
     };
     if value.worst > a.bound {
-        let remedy = if plan.run.rtol > plan.rtol_asked || plan.spec.precision == Precision::F32 {
-            "f32's rounding is the floor of what it reaches: use --precision f64, or ask for less"
-        } else if !plan.method().adaptive() {
+        let remedy = if !plan.method().adaptive() {
             "a fixed step controls no error: use a smaller one, or a method that chooses its steps"
+        } else if plan.spec.precision == Precision::F32 {
+            "f32's rounding is the floor of what it reaches: use --precision f64, or ask for less"
+        } else if plan.run.rtol > plan.rtol_asked {
+            "f64's rounding is the floor of what it reaches: ask for less"
         } else if plan
             .local
             .as_ref()

@@ -275,6 +275,8 @@ enum CliError {
     Bench(#[from] BenchError),
     #[error(transparent)]
     Picture(#[from] crate::bench::picture::PictureError),
+    #[error("--out {path}: the picture takes this name with .svg; name the table .h5", path = path.display())]
+    PictureName { path: PathBuf },
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]
@@ -286,7 +288,7 @@ impl CliError {
     fn status(&self) -> u8 {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
-            CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } => 2,
+            CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
             _ => 1,
         }
     }

@@ -35,7 +35,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
     let (model, hamiltonian) = load(&args.scene)?;
     let wanted = wanted(&model, parts)?;
-    let backend = open_backend(args)?;
+    let backend = open_backend(args, &model)?;
     let choices = Choices {
         precision: args.precision.and_then(|p| p.precision()),
         method: args.method,
@@ -223,14 +223,19 @@ fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliEr
     }
 }
 
-fn open_backend(args: &RunArgs) -> Result<Box<dyn Backend>, CliError> {
+fn open_backend(args: &RunArgs, model: &Model) -> Result<Box<dyn Backend>, CliError> {
     let selection = match (&args.adapter, args.backend) {
         (_, BackendChoice::Cpu) => return Ok(Box::new(Cpu::new())),
         (Some(name), _) => Selection::Named(name.clone()),
         (None, BackendChoice::Gpu) => Selection::Any,
         (None, BackendChoice::Auto) => Selection::Hardware,
     };
+    let method = args.method.or(model.integrator.method);
     match Gpu::open(&selection)? {
+        // Where the choice is ours, a method asked for counts.
+        Some(gpu) if selection == Selection::Hardware && method.is_some_and(|m| !gpu.offers(m)) => {
+            Ok(Box::new(Cpu::new()))
+        }
         Some(gpu) => Ok(Box::new(gpu)),
         // Only a search for hardware comes back empty.
         None => Ok(Box::new(Cpu::new())),
