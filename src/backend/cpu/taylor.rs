@@ -202,7 +202,7 @@ impl<'a> Nodes<'a> {
             sum = self.mul_add(a[j], a[n - j], sum);
         }
         let twice = sum.map(|s| self.r.add(s, s));
-        if n % 2 == 0 && n / 2 >= first {
+        if n.is_multiple_of(2) && n / 2 >= first {
             self.mul_add(a[n / 2], a[n / 2], twice)
         } else {
             twice

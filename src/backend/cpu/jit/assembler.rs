@@ -66,6 +66,7 @@ impl Assembler {
     }
 
     /// A 256-bit VEX instruction: `opcode reg, vvvv, operand`.
+    #[allow(clippy::too_many_arguments)] // the fields of an encoding
     fn vex(&mut self, map: Map, pp: u8, wide: bool, opcode: u8, reg: u8, vvvv: u8, operand: Operand) {
         let rm = match operand {
             Operand::Register(r) => r,

@@ -54,7 +54,7 @@ impl Executable {
         }
         let lanes = VECTOR / precision.bytes();
         let vectors = width / lanes;
-        let copies = if vectors % 2 == 0 { 2 } else { 1 };
+        let copies = if vectors.is_multiple_of(2) { 2 } else { 1 };
         let (slots, parameters) = (recorder.slots(), recorder.parameters());
         let ops = recorder.finish(copies);
         let layout = Layout {
