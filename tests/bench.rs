@@ -374,7 +374,6 @@ fn what_cannot_be_measured_is_refused_and_nothing_is_written() {
     let pendulum = scenario("pendulum.toml");
     let out = folder.join("out.h5");
     for (scene, options, status, words) in [
-        (&pendulum, "--out table.svg", 2, "name the table .h5"),
         (&pendulum, "--method euler", 2, "the methods are rk4, tsit5"),
         (&pendulum, "--trajectories 0", 2, "whole number"),
         (&pendulum, "--rtol 2", 2, "relative tolerance"),
@@ -407,6 +406,14 @@ fn what_cannot_be_measured_is_refused_and_nothing_is_written() {
         let left = std::fs::read_dir(&folder).unwrap().count();
         assert_eq!(left, 1, "{options}: something beside the scene is left");
     }
+    // The picture would take the table's name.
+    let done = bench(&pendulum, &folder.join("table.svg"), &["--backend", "cpu"]);
+    let text = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(
+        done.status.code() == Some(2) && text.contains("name the table .h5"),
+        "{text}"
+    );
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
 }
 
 /// A scene that asks for no sweep has trajectories all the same.
