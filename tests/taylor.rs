@@ -145,3 +145,44 @@ fn a_limited_double_integrator() {
         );
     }
 }
+
+/// A kink of the dynamics near the equilibrium: seeds stay on its near side, where their series holds. |H|, which sees
+/// seeds off the manifold, is then what the tolerance allows.
+#[test]
+fn seeds_stay_short_of_kinks() {
+    let scene = "states = { x = {}, v = {} }\ncontrols = { u = {} }\n\
+                 dynamics = { x = \"v\", v = \"-x + 0.5*abs(abs(x + 0.4) - 0.5) - 0.05 + u\" }\n\
+                 cost = { running = \"0.5*(x^2 + v^2 + u^2)\" }\nequilibrium = { x = 0, v = 0, u = 0 }\n\
+                 region = { x = [-1, 1], v = [-1, 1] }\nshoot_out = { spacing = 0.2, samples = 30, value_max = 1.0 }\n";
+    for method in [Method::Taylor, Method::Tsit5] {
+        let (plan, results) = integrate(scene, 1e-9, &[method]);
+        let n = plan.system.states;
+        let result = &results[0];
+        let (mut worst, mut points) = (0.0f64, 0);
+        for i in 0..result.count() {
+            for level in 0..result.levels {
+                let s = result.sample(i, level);
+                if s[0].is_nan() {
+                    continue;
+                }
+                let running = plan.system.rate[2 * n];
+                let values = plan.system.eval(
+                    &[plan.system.observer.hamiltonian, running],
+                    &s[1..=n],
+                    &s[1 + n..=2 * n],
+                );
+                worst = worst.max(values[0].abs() / values[1].abs());
+                points += 1;
+            }
+        }
+        println!(
+            "{}: |H| {worst:.1e} of the running cost at {points} points",
+            method.name()
+        );
+        assert!(
+            points > 500 && worst < 1e-6,
+            "{}: {worst:e} at {points} points",
+            method.name()
+        );
+    }
+}

@@ -4,6 +4,7 @@ use super::series::{Basis, Equation};
 use super::{LocalError, Riccati};
 use crate::hamiltonian::System;
 use crate::model::{Model, SeedValue};
+use crate::program::Program;
 use nalgebra::{DMatrix, DVector};
 
 /// Highest degree of V that is tried, and the most coefficients it may have.
@@ -399,7 +400,40 @@ fn range_limit(system: &System, model: &Model, riccati: &Riccati, t: &DMatrix<f6
             limit = limit.min(0.5 * (0.5 * room / gain).powi(2));
         }
     }
-    limit
+    short_of_kinks(system, riccati, t, limit)
+}
+
+/// A V, at most `limit`, whose ellipsoid no kink of the equations cuts: a series cannot follow them.
+fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: f64) -> f64 {
+    let n = system.states;
+    let mut graph = system.graph.clone();
+    let kinks = graph.kinks(&system.rate);
+    if kinks.is_empty() {
+        return limit;
+    }
+    let program = Program::lower(&graph, &system.inputs, &kinks);
+    let rest = program.eval(&vec![0.0; 2 * n]);
+    let cut = |radius: f64| {
+        probes(n).any(|d| {
+            let s = t * DVector::from_vec(d) * radius;
+            let p = &riccati.p * &s;
+            let point: Vec<f64> = s.iter().chain(p.iter()).copied().collect();
+            program
+                .eval(&point)
+                .iter()
+                .zip(&rest)
+                .any(|(g, at_rest)| g * at_rest < 0.0)
+        })
+    };
+    let mut radius = (2.0 * limit).sqrt();
+    if !cut(radius) {
+        return limit;
+    }
+    while cut(radius) && radius > 1e-12 {
+        radius *= 0.8;
+    }
+    // Between the directions looked at a kink may be a little nearer.
+    0.5 * (radius / PROBE_MARGIN).powi(2)
 }
 
 /// Error of the quadratic V at a radius from the residual of H there: H is the rate at which V is wrong, and it falls
