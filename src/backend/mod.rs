@@ -69,6 +69,24 @@ pub struct Run {
     pub bounds: Vec<[f64; 2]>,
 }
 
+/// What a run, beyond its [`Spec`], asks of generated code.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Variant {
+    /// Leading components with bounds.
+    pub bounds: usize,
+    /// Component with a ceiling.
+    pub ceiling: Option<usize>,
+}
+
+impl Run {
+    pub fn variant(&self) -> Variant {
+        Variant {
+            bounds: self.bounds.len(),
+            ceiling: self.ceiling.map(|(c, _)| c),
+        }
+    }
+}
+
 /// How a trajectory ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(i32)]

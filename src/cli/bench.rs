@@ -1,7 +1,7 @@
 //! `costate bench`.
 
 use super::bench_report::{self, Done};
-use super::check::{at_equilibrium, load};
+use super::check::{load, planned};
 use super::{BenchArgs, BenchBackend, CliError, PrecisionChoice, report, run};
 use crate::backend::{Backend, BackendError};
 use crate::bench::devices::{self, Which};
@@ -9,8 +9,8 @@ use crate::bench::host_share::{HostShare, Metered};
 use crate::bench::{BenchError, Options, Wanted, Work, measure, picture};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Model, Precision};
-use crate::output::{ResultFile, RunRecord, utc_timestamp, write_text};
-use crate::sweep::{Choices, Plan, PlanError, sweep};
+use crate::output::{ResultFile, RunRecord, write_text};
+use crate::sweep::{Choices, sweep};
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
 
@@ -66,15 +66,6 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
         parts.join(", ")
     };
     let record = RunRecord {
-        title: model.title.clone(),
-        scenario: model.text.clone(),
-        costate_version: env!("CARGO_PKG_VERSION").to_owned(),
-        git_revision: env!("COSTATE_GIT_REVISION").to_owned(),
-        command: std::env::args_os()
-            .map(|a| a.to_string_lossy().into_owned())
-            .collect::<Vec<_>>()
-            .join(" "),
-        created: utc_timestamp(started),
         backend: joined(bench.devices.iter().map(|d| d.backend).collect()),
         adapter: joined(bench.devices.iter().map(|d| d.adapter.as_str()).collect()),
         precision: joined(options.wanted.precisions.iter().map(|p| p.name()).collect()),
@@ -82,6 +73,7 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
         rtol: work.plan.run.rtol,
         atol: work.plan.atol,
         wall_seconds: clock.elapsed().as_secs_f64(),
+        ..RunRecord::begun(&model.title, &model.text, started)
     };
     record.write(&file)?;
     file.attribute("machine", devices::machine())?;
@@ -106,18 +98,6 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     }
     terminal.say(&bench_report::as_text(&done))?;
     Ok(())
-}
-
-fn planned(
-    model: &Model,
-    hamiltonian: &Hamiltonian,
-    backend: &dyn Backend,
-    choices: Choices,
-) -> Result<Plan, CliError> {
-    Plan::new(model, hamiltonian, backend, choices).map_err(|e| match e {
-        PlanError::Local(e) => at_equilibrium(model, &e),
-        other => other.into(),
-    })
 }
 
 fn which(choice: BenchBackend) -> Which {

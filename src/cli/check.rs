@@ -1,11 +1,13 @@
 //! `costate check` and `costate adapters`.
 
 use super::{CheckArgs, CliError};
+use crate::backend::Backend;
 use crate::backend::gpu;
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LocalError, Riccati, show_eigenvalue};
 use crate::model::{Horizon, Model};
 use crate::scenario::{self, Problem, ScenarioErrors};
+use crate::sweep::{Choices, Plan, PlanError};
 use std::fmt::Write as _;
 use std::io::Write as _;
 
@@ -18,8 +20,21 @@ pub(super) fn load(args: &super::SceneArgs) -> Result<(Model, Hamiltonian), CliE
     }
 }
 
+/// The plan of a scene's sweep; an error of the local solution has its place in the file.
+pub(super) fn planned(
+    model: &Model,
+    hamiltonian: &Hamiltonian,
+    backend: &dyn Backend,
+    choices: Choices,
+) -> Result<Plan, CliError> {
+    Plan::new(model, hamiltonian, backend, choices).map_err(|e| match e {
+        PlanError::Local(e) => at_equilibrium(model, &e),
+        other => other.into(),
+    })
+}
+
 /// The local solution's errors are the scene's: they are shown at its equilibrium.
-pub(super) fn at_equilibrium(model: &Model, error: &LocalError) -> CliError {
+fn at_equilibrium(model: &Model, error: &LocalError) -> CliError {
     let problem = match (&model.horizon, error, &model.shoot_out) {
         (_, LocalError::SeedTooLarge { .. }, Some(s)) => {
             Problem::at(s.span.clone(), error.to_string(), "this seed_value")

@@ -1,6 +1,6 @@
 //! `costate run` and its parts.
 
-use super::check::{at_equilibrium, load};
+use super::check::{load, planned};
 use super::estimates::Estimates;
 use super::report;
 use super::{BackendChoice, CliError, RunArgs, SolveArgs, points};
@@ -8,8 +8,8 @@ use crate::backend::cpu::Cpu;
 use crate::backend::gpu::{Gpu, Selection};
 use crate::backend::{Backend, BackendError, Trajectories};
 use crate::model::Model;
-use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema, utc_timestamp};
-use crate::sweep::{Choices, Plan, PlanError, SweepReport, sweep_keeping};
+use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema};
+use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::value::{self, Answers, Archive, Grid, Request};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
@@ -45,10 +45,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         unasked: wanted.is_some(),
         seed: args.seed,
     };
-    let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), choices).map_err(|e| match e {
-        PlanError::Local(e) => at_equilibrium(&model, &e),
-        other => other.into(),
-    })?;
+    let plan = planned(&model, &hamiltonian, backend.as_ref(), choices)?;
     let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
     let mut terminal = report::Terminal::new(&args.scene);
     terminal.heading(&model, &plan, backend.as_ref());
@@ -104,15 +101,6 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     }
     let estimates = Estimates::of(&plan, &swept, stored, answers.as_ref())?;
     let record = RunRecord {
-        title: model.title.clone(),
-        scenario: model.text.clone(),
-        costate_version: env!("CARGO_PKG_VERSION").to_owned(),
-        git_revision: env!("COSTATE_GIT_REVISION").to_owned(),
-        command: std::env::args_os()
-            .map(|a| a.to_string_lossy().into_owned())
-            .collect::<Vec<_>>()
-            .join(" "),
-        created: utc_timestamp(started),
         backend: backend.name().to_owned(),
         adapter: backend.adapter(),
         precision: plan.spec.precision.name().to_owned(),
@@ -120,6 +108,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         rtol: plan.run.rtol,
         atol: plan.atol,
         wall_seconds: clock.elapsed().as_secs_f64(),
+        ..RunRecord::begun(&model.title, &model.text, started)
     };
     record.write(&file)?;
     estimates.write(&file)?;

@@ -36,6 +36,22 @@ pub struct RunRecord {
 }
 
 impl RunRecord {
+    /// What is known when a run of this process begins.
+    pub fn begun(title: &str, scenario: &str, started: SystemTime) -> Self {
+        Self {
+            title: title.to_owned(),
+            scenario: scenario.to_owned(),
+            costate_version: env!("CARGO_PKG_VERSION").to_owned(),
+            git_revision: env!("COSTATE_GIT_REVISION").to_owned(),
+            command: std::env::args_os()
+                .map(|a| a.to_string_lossy().into_owned())
+                .collect::<Vec<_>>()
+                .join(" "),
+            created: utc_timestamp(started),
+            ..Self::default()
+        }
+    }
+
     /// Writes the record as root attributes.
     ///
     /// # Errors

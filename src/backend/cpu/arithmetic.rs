@@ -87,9 +87,8 @@ pub trait Arithmetic {
     fn xor(&mut self, a: Self::V, b: Self::V) -> Self::V;
     fn shift_left(&mut self, a: Self::V, by: u32) -> Self::V;
     fn shift_right(&mut self, a: Self::V, by: u32) -> Self::V;
-    /// Sum and difference of the bits as integers.
+    /// Sum of the bits as integers.
     fn add_bits(&mut self, a: Self::V, b: Self::V) -> Self::V;
-    fn sub_bits(&mut self, a: Self::V, b: Self::V) -> Self::V;
     fn compare(&mut self, how: Comparison, a: Self::V, b: Self::V) -> Self::Mask;
     /// The highest bit as a mask.
     fn top_bit(&mut self, a: Self::V) -> Self::Mask;

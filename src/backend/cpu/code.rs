@@ -21,13 +21,12 @@ pub enum Binary {
     Or,
     Xor,
     AddBits,
-    SubBits,
     Compare(Comparison),
 }
 
 impl Binary {
     pub fn commutes(self) -> bool {
-        !matches!(self, Binary::Sub | Binary::Div | Binary::SubBits | Binary::Compare(_))
+        !matches!(self, Binary::Sub | Binary::Div | Binary::Compare(_))
     }
 }
 
@@ -298,9 +297,6 @@ impl Arithmetic for Recorder {
     }
     fn add_bits(&mut self, a: Value, b: Value) -> Value {
         self.record(Op::Binary(Binary::AddBits, a, b))
-    }
-    fn sub_bits(&mut self, a: Value, b: Value) -> Value {
-        self.record(Op::Binary(Binary::SubBits, a, b))
     }
     fn sin_cos(&mut self, x: Value) -> (Value, Value) {
         if self.expand {

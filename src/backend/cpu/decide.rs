@@ -55,8 +55,7 @@ impl Decision {
             }
         }
         if scheme.adaptive() && !taken.kinks.is_empty() {
-            let exact = matches!(scheme, Scheme::Taylor(_));
-            this.meet_kinks(r, layout, taken, floor, exact);
+            this.meet_kinks(r, layout, taken, floor);
         }
         if spec.by == By::Time {
             // A refused step has not passed the end, and one that ends at a kink just before it must not be stretched.
@@ -98,7 +97,7 @@ impl Decision {
     }
 
     /// Refuses a step with a kink well inside, in favour of one that ends there.
-    fn meet_kinks(&mut self, r: &mut Recorder, layout: &Layout, taken: &Taken, floor: Value, exact: bool) {
+    fn meet_kinks(&mut self, r: &mut Recorder, layout: &Layout, taken: &Taken, floor: Value) {
         let (zero, one, two) = (r.constant(0.0), r.constant(1.0), r.constant(2.0));
         // Fraction of the step up to the first kink; 2 where there is none.
         let mut first = two;
@@ -129,13 +128,7 @@ impl Decision {
         let before = r.mul(h, q);
         let rest = r.sub(one, q);
         let behind = r.mul(h, rest);
-        let mut ahead = r.compare(Comparison::Less, near, before);
-        if exact {
-            // A Taylor step keeps the branch it began with: it must never begin just before a kink.
-            let twice = r.add(near, near);
-            let long = r.compare(Comparison::Less, twice, h);
-            ahead = r.or(ahead, long);
-        }
+        let ahead = r.compare(Comparison::Less, near, before);
         let met = r.compare(Comparison::Less, q, two);
         let met = r.and(met, self.accepted);
         let past = r.compare(Comparison::Less, near, behind);

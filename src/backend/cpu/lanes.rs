@@ -197,7 +197,6 @@ impl Interpreted {
                 Kind::Binary(Binary::Or) => map2(to, a, b, |x, y| m.or(x, y)),
                 Kind::Binary(Binary::Xor) => map2(to, a, b, |x, y| m.xor(x, y)),
                 Kind::Binary(Binary::AddBits) => map2(to, a, b, |x, y| m.add_bits(x, y)),
-                Kind::Binary(Binary::SubBits) => map2(to, a, b, |x, y| m.sub_bits(x, y)),
                 Kind::Binary(Binary::Compare(how)) => map2(to, a, b, |x, y| {
                     let (holds, all, none) = (m.compare(how, x, y), m.pattern(!0), m.pattern(0));
                     m.select(holds, all, none)

@@ -14,7 +14,7 @@ mod routine;
 mod steps;
 mod taylor;
 
-use super::{Backend, BackendError, Kernel, Run, Spec, Status, Trajectories};
+use super::{Backend, BackendError, Kernel, Run, Spec, Status, Trajectories, Variant};
 use crate::integrator::Scheme;
 use crate::model::Precision;
 use block::{Compiled, Output};
@@ -22,7 +22,6 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
-use steps::Variant;
 
 /// Instruction sets the lanes are compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -154,10 +153,7 @@ struct CpuKernel {
 impl CpuKernel {
     fn compiled(&mut self, width: usize, run: &Run) -> &Compiled {
         let scheme = self.spec.method.scheme(run.rtol);
-        let variant = Variant {
-            bounds: run.bounds.len(),
-            ceiling: run.ceiling.map(|(c, _)| c),
-        };
+        let variant = run.variant();
         let order = match scheme {
             Scheme::RungeKutta(_) => 0,
             Scheme::Taylor(order) => order,

@@ -160,10 +160,6 @@ macro_rules! real {
                 $t::from_bits(a.to_bits().wrapping_add(b.to_bits()))
             }
             #[inline(always)]
-            fn sub_bits(&mut self, a: $t, b: $t) -> $t {
-                $t::from_bits(a.to_bits().wrapping_sub(b.to_bits()))
-            }
-            #[inline(always)]
             #[allow(clippy::eq_op)] // the definition of a NaN
             fn compare(&mut self, how: Comparison, a: $t, b: $t) -> bool {
                 match how {

@@ -4,18 +4,9 @@ use super::arithmetic::{Arithmetic, Comparison};
 use super::code::{Recorder, Value};
 use super::real::Real;
 use super::{decide, taylor};
-use crate::backend::{Run, Spec};
+use crate::backend::{Run, Spec, Variant};
 use crate::integrator::{Scheme, Tableau, control};
 use crate::program::Program;
-
-/// What a run, beyond its [`Spec`], asks of the code.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct Variant {
-    /// Leading components with bounds.
-    pub bounds: usize,
-    /// Component with a ceiling.
-    pub ceiling: Option<usize>,
-}
 
 /// What a trajectory is between steps, as places in a frame. One such region is read by a step and another one written.
 #[derive(Clone, Copy, Debug)]

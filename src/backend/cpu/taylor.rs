@@ -16,15 +16,20 @@ pub type Series = Vec<Option<Value>>;
 
 /// Coefficients of order 0 to `order` of the solution that begins at `y`.
 pub fn solution(r: &mut Recorder, rate: &Program, y: &[Value], order: usize) -> Vec<Series> {
-    let mut solution: Vec<Series> = y.iter().map(|y| vec![Some(*y)]).collect();
     let sides = if has_kinks(rate) && order > HINT {
-        // Where the step begins on a kink, the coefficients that follow tell on which side it goes on.
-        let first = unsided(r, rate, y);
+        // Where the step begins on a kink, the coefficients that follow tell on which side it goes on: those of a
+        // solution for which it is on neither.
+        let first = follow(Nodes::new(r, rate, HINT, HashMap::new()), rate, y, HINT);
         sides(r, rate, |k, n| first[k][n])
     } else {
         HashMap::new()
     };
-    let mut nodes = Nodes::new(r, rate, order, sides);
+    follow(Nodes::new(r, rate, order, sides), rate, y, order)
+}
+
+/// The solution's coefficients, each order from the one before.
+fn follow(mut nodes: Nodes<'_>, rate: &Program, y: &[Value], order: usize) -> Vec<Series> {
+    let mut solution: Vec<Series> = y.iter().map(|y| vec![Some(*y)]).collect();
     for n in 0..order {
         nodes.order(rate, n, |k| solution[k][n]);
         for (component, output) in solution.iter_mut().zip(&rate.outputs) {
@@ -32,21 +37,6 @@ pub fn solution(r: &mut Recorder, rate: &Program, y: &[Value], order: usize) -> 
                 let share = nodes.r.constant(1.0 / (n + 1) as f64);
                 if n == 0 { v } else { nodes.r.mul(v, share) }
             });
-            component.push(value);
-        }
-    }
-    solution
-}
-
-/// The first coefficients of the solution, each kink taken as if the step began on neither side of it.
-fn unsided(r: &mut Recorder, rate: &Program, y: &[Value]) -> Vec<Series> {
-    let mut solution: Vec<Series> = y.iter().map(|y| vec![Some(*y)]).collect();
-    let mut nodes = Nodes::new(r, rate, HINT, HashMap::new());
-    for n in 0..HINT {
-        nodes.order(rate, n, |k| solution[k][n]);
-        for (component, output) in solution.iter_mut().zip(&rate.outputs) {
-            let value = nodes.series[*output as usize][n];
-            let value = nodes.scale(value, 1.0 / (n + 1) as f64);
             component.push(value);
         }
     }

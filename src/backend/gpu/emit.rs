@@ -2,7 +2,7 @@
 //! stages of a step, all straight-line code over named components (arrays would be indexed in memory).
 
 use super::text::{constants, function, literal, structure};
-use crate::backend::{By, Guards, Spec};
+use crate::backend::{By, Guards, Spec, Variant};
 use crate::integrator::{Tableau, control};
 use crate::model::Precision;
 use std::fmt::Write;
@@ -18,15 +18,6 @@ pub fn state(spec: &Spec) -> usize {
 
 /// Invocations a workgroup.
 pub const WORKGROUP: u32 = 64;
-
-/// What a run, beyond its [`Spec`], asks of the shader.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct Variant {
-    /// Leading components with bounds.
-    pub bounds: usize,
-    /// Component with a ceiling.
-    pub ceiling: Option<usize>,
-}
 
 /// Components of a stored sample: all but the coordinate, which is the level.
 pub fn stored(spec: &Spec) -> impl Iterator<Item = usize> + use<> {

@@ -2,11 +2,11 @@
 
 use super::adapter::Device;
 use super::clock::Clock;
-use super::emit::{self, Emitter, Settings, Variant, WORKGROUP, stored};
+use super::emit::{self, Emitter, Settings, WORKGROUP, stored};
 use super::memory::{Memory, Shape, binding_limit, reals};
 use super::results::{self, Written};
 use super::shader::{Fragment, Source, conditional};
-use crate::backend::{BackendError, Kernel, Run, Spec, Trajectories};
+use crate::backend::{BackendError, Kernel, Run, Spec, Trajectories, Variant};
 use crate::integrator::Tableau;
 use crate::model::Precision;
 use std::collections::HashMap;
@@ -316,10 +316,7 @@ impl Kernel for GpuKernel {
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
         let dim = self.spec.dim();
         let count = seeds.len() / dim;
-        let variant = Variant {
-            bounds: run.bounds.len(),
-            ceiling: run.ceiling.map(|(c, _)| c),
-        };
+        let variant = run.variant();
         let levels = if self.spec.store { run.levels.len() } else { 0 };
         let mut result = results::empty(count, dim, levels);
         self.seconds = 0.0;

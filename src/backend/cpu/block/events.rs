@@ -94,10 +94,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         let Some(guards) = &self.kernel.spec.guards else {
             return true;
         };
-        let values: Vec<T> = (self.layout.guards..self.layout.accepted)
-            .map(|slot| self.at(slot, lane))
-            .collect();
-        hold(&values, &guards.strict)
+        let values = (self.layout.guards..self.layout.accepted).map(|slot| self.at(slot, lane));
+        hold(values, &guards.strict)
     }
 
     /// Computes the dense output of all lanes' steps, once a step.
@@ -283,7 +281,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
                 .map(|c| self.interpolate::<FMA>(lane, c, middle))
                 .collect();
             let values = T::With::<FMA>::default().program(&guards.program, &point);
-            if hold(&values, &guards.strict) {
+            if hold(values.into_iter(), &guards.strict) {
                 lo = middle;
             } else {
                 hi = middle;
@@ -293,10 +291,9 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     }
 }
 
-fn hold<T: Real>(values: &[T], strict: &[bool]) -> bool {
+fn hold<T: Real>(values: impl Iterator<Item = T>, strict: &[bool]) -> bool {
     let zero = T::of(0.0);
     values
-        .iter()
         .zip(strict)
-        .all(|(v, strict)| if *strict { *v > zero } else { *v >= zero })
+        .all(|(v, strict)| if *strict { v > zero } else { v >= zero })
 }

@@ -8,8 +8,8 @@ mod events;
 use super::lanes::Lanes;
 use super::real::Real;
 use super::routine::{Routine, Session};
-use super::steps::{self, Layout, Parameters, Variant};
-use crate::backend::{By, Run, Spec, Status};
+use super::steps::{self, Layout, Parameters};
+use crate::backend::{By, Run, Spec, Status, Variant};
 use crate::integrator::{Scheme, control};
 
 /// A kernel's code for blocks of a certain number of lanes.

@@ -112,7 +112,6 @@ impl Assembler {
             Binary::Or => (p, 0x56),
             Binary::Xor => (p, 0x57),
             Binary::AddBits => (1, if double { 0xD4 } else { 0xFE }),
-            Binary::SubBits => (1, if double { 0xFB } else { 0xFA }),
             Binary::Compare(_) => (p, 0xC2),
         };
         self.vex(Map::M0F, pp, false, opcode, to, a, b);
