@@ -45,6 +45,7 @@ pub mod expr;
 pub mod hamiltonian;
 pub mod integrator;
 pub mod local;
+pub mod map;
 pub mod model;
 pub mod output;
 pub mod program;

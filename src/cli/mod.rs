@@ -7,6 +7,7 @@ mod estimates;
 mod points;
 mod report;
 mod run;
+mod value;
 
 use crate::backend::BackendError;
 use crate::bench::BenchError;
@@ -36,6 +37,8 @@ enum Command {
     Homotopy(RunArgs),
     /// V, p and u at the states in a CSV file, in its order.
     Solve(SolveArgs),
+    /// V, p and u at any state, interpolated from a result file, with an error estimate.
+    Value(ValueArgs),
     /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
     Bench(BenchArgs),
     /// Validate a scenario and print the derived equations and the local solution.
@@ -113,6 +116,33 @@ struct SolveArgs {
     /// Stored points a trajectory.
     #[arg(long, default_value_t = 200, value_parser = at_least_two)]
     samples: usize,
+}
+
+#[derive(Args, Debug, Clone)]
+struct ValueArgs {
+    /// The result file (.h5) of a run.
+    file: PathBuf,
+    /// A state; states not named are at the equilibrium. May be repeated.
+    #[arg(long, value_name = "NAME=VALUE,...", allow_hyphen_values = true)]
+    at: Vec<String>,
+    /// States: a CSV file whose header names states.
+    #[arg(long, value_name = "FILE.csv")]
+    points: Option<PathBuf>,
+    /// An axis of a grid; states not named are at the equilibrium. May be repeated.
+    #[arg(long, value_name = "NAME=FIRST:LAST:COUNT", conflicts_with_all = ["at", "points"], allow_hyphen_values = true)]
+    grid: Vec<String>,
+    /// Write a table (.csv) or a result file (.h5) instead of printing.
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Leave out the error estimates, which take most of the time.
+    #[arg(long)]
+    no_errors: bool,
+    /// Machine-readable values on standard output.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors and what was asked for as a table.
+    #[arg(long)]
+    quiet: bool,
 }
 
 #[derive(Args, Debug, Clone)]
@@ -272,6 +302,12 @@ enum CliError {
     )]
     MapName { name: String },
     #[error(transparent)]
+    Place(#[from] value::PlaceError),
+    #[error(transparent)]
+    Stored(#[from] crate::output::StoredError),
+    #[error(transparent)]
+    Map(#[from] crate::map::MapError),
+    #[error(transparent)]
     Bench(#[from] BenchError),
     #[error(transparent)]
     Picture(#[from] crate::bench::picture::PictureError),
@@ -288,6 +324,7 @@ impl CliError {
     fn status(&self) -> u8 {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
+            CliError::Place(_) | CliError::Stored(_) | CliError::Map(_) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
             _ => 1,
         }
@@ -302,6 +339,12 @@ impl CliError {
         // Nowhere is left to report a failure of this.
         let _ = writeln!(std::io::stderr(), "{}", text.trim_end());
     }
+}
+
+/// Writes to standard output as it is.
+fn print(text: &str) -> Result<(), CliError> {
+    std::io::stdout().lock().write_all(text.as_bytes())?;
+    Ok(())
 }
 
 /// Runs the program on the process's arguments.
@@ -323,6 +366,7 @@ pub fn main() -> ExitCode {
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
+        Command::Value(args) => value::value(&args),
         Command::Bench(args) => bench::bench(&args),
         Command::Check(args) => check::check(&args),
         Command::Adapters { json } => check::adapters(json),

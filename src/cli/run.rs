@@ -239,6 +239,15 @@ pub(super) fn default_output(scenario: &Path) -> PathBuf {
 }
 
 pub(super) fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
+    TrajectorySchema {
+        samples: plan.samples(),
+        status_flags: plan.status_flags(),
+        ..axes(model)
+    }
+}
+
+/// The axes alone.
+pub(super) fn axes(model: &Model) -> TrajectorySchema {
     let axis = |v: &crate::model::Variable| Axis {
         name: v.name.clone(),
         unit: v.unit.clone(),
@@ -248,8 +257,6 @@ pub(super) fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
         states: model.states.iter().map(|s| axis(&s.variable)).collect(),
         controls: model.controls.iter().map(|c| axis(&c.variable)).collect(),
         disturbances: model.disturbances.iter().map(axis).collect(),
-        samples: plan.samples(),
-        status_flags: plan.status_flags(),
         ..TrajectorySchema::default()
     }
 }

@@ -238,6 +238,22 @@ impl Model {
         self.parameters.iter().map(|p| (p.symbol, p.value)).collect()
     }
 
+    /// Index of the state of a name; else what is wrong with it, in words.
+    ///
+    /// # Errors
+    /// Text for a message: the names there are, and the one that may be meant.
+    pub fn state(&self, name: &str) -> Result<usize, String> {
+        let names = || self.states.iter().map(|s| s.variable.name.as_str());
+        names().position(|n| n == name).ok_or_else(|| {
+            let hint = crate::scenario::suggestion(name, names()).map_or_else(String::new, |s| format!("; {s}"));
+            let all: Vec<&str> = names().collect();
+            format!(
+                "`{name}` is not a state of the scenario (states: {}){hint}",
+                all.join(", ")
+            )
+        })
+    }
+
     /// The point deviations are taken from: the equilibrium, or the finite horizon's reference.
     pub fn reference(&self) -> &[f64] {
         match &self.horizon {
