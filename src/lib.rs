@@ -42,6 +42,7 @@ pub mod backend;
 pub mod bench;
 pub mod cli;
 pub mod expr;
+pub mod feedback;
 pub mod hamiltonian;
 pub mod integrator;
 pub mod local;
