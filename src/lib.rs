@@ -41,6 +41,7 @@
 pub mod backend;
 pub mod bench;
 pub mod cli;
+pub mod closed_loop;
 pub mod expr;
 pub mod feedback;
 pub mod hamiltonian;
