@@ -4,7 +4,8 @@
 //! sign between two samples, or the cubic through values and slopes has an extremum there, the trajectory is integrated
 //! again from the sample before to the estimated time, and once more from what is seen then. Values are of points of the
 //! trajectory in any case, so that they are as accurate as the integration; what is missed is the second order in the
-//! error of a time that is itself of high order. Kinks of the quantity are met by the intersection of tangents.
+//! error of a time that is itself of high order. Kinks of the quantity are met by the intersection of tangents, from
+//! ever nearer points on both sides.
 
 use super::equations::Equations;
 use crate::backend::cpu::map::Evaluator;
@@ -12,9 +13,15 @@ use crate::backend::{BackendError, Kernel, Run};
 use crate::model::{Extremum, Record};
 use rayon::prelude::*;
 
-/// Places looked at a trajectory and quantity, and how often each.
+/// Places looked at a trajectory and quantity, and how often each at most.
 const MOST_PLACES: usize = 4;
-const ROUNDS: usize = 2;
+const ROUNDS: usize = 5;
+/// A place is done where no more than this share of the tolerance can be gained.
+const GAIN: f64 = 0.1;
+/// Points on both sides of a kink are taken at this share of the bracket.
+const ASIDE: f64 = 1.0 / 32.0;
+/// A slope of this share of those around says that the quantity is smooth there.
+const FLAT: f64 = 0.1;
 
 /// Value and time derivative.
 type Point = (f64, f64);
@@ -28,6 +35,12 @@ struct Place {
     bracket: [(f64, Point); 2],
     /// What the quantity may reach.
     promise: f64,
+    /// Size of the quantity around.
+    size: f64,
+    /// The largest slope at the ends of the first bracket.
+    slope: f64,
+    /// The flattest slope seen inside.
+    flattest: f64,
 }
 
 /// What is known of one quantity along one trajectory; maxima with the opposite sign, so that all are minima.
@@ -58,7 +71,7 @@ impl View<'_> {
                 continue;
             }
             track.best = track.best.min(a.0).min(b.0);
-            let Some(promise) = promise(a, b, length).filter(|p| *p < track.best) else {
+            let Some(promise) = guess(a, b, length).filter(|p| *p < track.best) else {
                 continue;
             };
             track.places.retain(|p| p.promise < track.best);
@@ -69,6 +82,9 @@ impl View<'_> {
                 from: from.to_vec(),
                 bracket: [(0.0, a), (length, b)],
                 promise,
+                size: a.0.abs().max(b.0.abs()),
+                slope: a.1.abs().max(b.1.abs()),
+                flattest: f64::INFINITY,
             });
         }
     }
@@ -121,6 +137,9 @@ impl Records {
         }
         let dim = scaled.dim();
         for _ in 0..ROUNDS {
+            for track in &mut self.tracks {
+                track.places.retain(|p| p.promise < track.best - GAIN * run.rtol * p.size);
+            }
             let mut asked: Vec<(usize, usize, f64)> = Vec::new();
             let mut seeds = Vec::new();
             for (t, track) in self.tracks.iter().enumerate() {
@@ -188,13 +207,30 @@ impl Track {
 }
 
 impl Place {
-    /// Times at which the extremum may be, estimated from the bracket.
+    /// Times at which the extremum may be, estimated from the bracket: at first for want of knowing better as of a smooth
+    /// quantity and as of one with a kink.
     fn times(&self) -> Vec<f64> {
         let [(start, a), (end, b)] = self.bracket;
         let length = end - start;
-        let estimates = [cubic_minimum(a, b, length), crossing(a, b, length)];
-        let inside = estimates.into_iter().flatten().filter(|t| *t > 0.0 && *t < length);
-        inside.map(|t| start + t).collect()
+        let new = self.flattest == f64::INFINITY;
+        let smooth = self.smooth();
+        let mut estimates = Vec::with_capacity(4);
+        if new || smooth {
+            estimates.extend(cubic_minimum(a, b, length));
+        }
+        if !smooth && let Some(t) = crossing(a, b, length) {
+            estimates.push(t);
+            if !new {
+                estimates.extend([t - ASIDE * length, t + ASIDE * length]);
+            }
+        }
+        estimates.retain(|t| *t > 0.0 && *t < length);
+        estimates.into_iter().map(|t| start + t).collect()
+    }
+
+    /// Whether a slope much flatter than those around has been seen.
+    fn smooth(&self) -> bool {
+        self.flattest <= FLAT * self.slope
     }
 
     /// The neighbours of the lowest point seen between which the slope changes sign.
@@ -204,9 +240,14 @@ impl Place {
             .min_by(|a, b| points[*a].1.0.total_cmp(&points[*b].1.0))
             .unwrap_or(0);
         let side = if points[lowest].1.1 < 0.0 { lowest } else { lowest.saturating_sub(1) };
-        if let Some(&[a, b]) = points.get(side..side + 2) {
-            self.bracket = [a, b];
-        }
+        let Some(&[a, b]) = points.get(side..side + 2) else {
+            return;
+        };
+        let inside = points.iter().filter(|p| p.0 > self.bracket[0].0 && p.0 < self.bracket[1].0);
+        self.flattest = inside.map(|p| p.1.1.abs()).fold(self.flattest, f64::min);
+        self.bracket = [a, b];
+        let promise = if self.smooth() { promise } else { guess };
+        self.promise = promise(a.1, b.1, b.0 - a.0).unwrap_or(f64::INFINITY);
     }
 }
 
@@ -236,6 +277,14 @@ fn promise(a: Point, b: Point, length: f64) -> Option<f64> {
     let (da, db, rise) = (a.1 * length, b.1 * length, b.0 - a.0);
     let value = a.0 + x * (da + x * (3.0 * rise - 2.0 * da - db + x * (da + db - 2.0 * rise)));
     (value < a.0.min(b.0)).then_some(value)
+}
+
+/// The same where a kink may be between, towards which the quantity may bend: somewhat lower.
+fn guess(a: Point, b: Point, length: f64) -> Option<f64> {
+    const LOWER: f64 = 0.25;
+    let promise = promise(a, b, length)?;
+    let lower = LOWER * (a.0.max(b.0) - promise);
+    Some(if a.1 < 0.0 && b.1 > 0.0 { promise - lower } else { promise })
 }
 
 #[cfg(test)]
