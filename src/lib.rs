@@ -41,7 +41,9 @@
 pub mod backend;
 pub mod bench;
 pub mod cli;
+pub mod closed_loop;
 pub mod expr;
+pub mod feedback;
 pub mod hamiltonian;
 pub mod integrator;
 pub mod local;
