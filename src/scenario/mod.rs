@@ -18,6 +18,7 @@ mod report;
 mod scene;
 mod scope;
 mod settings;
+mod study;
 mod suggest;
 mod syntax_error;
 #[cfg(test)]

@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 15] = [
+const SECTIONS: [&str; 16] = [
     "parameters",
     "states",
     "controls",
@@ -32,6 +32,7 @@ const SECTIONS: [&str; 15] = [
     "map",
     "sheets",
     "closed_loop",
+    "study",
 ];
 const INTEGRATOR: &str = "integrator";
 /// Sections which only later versions read.
@@ -247,7 +248,7 @@ impl<'a> Reader<'a> {
         let map = sections.get("map").and_then(|s| self.map(s, &declared.states));
         let sheets = sections.get("sheets").map(|s| self.sheets(s)).unwrap_or_default();
         let integrator = self.integrator(sections.get(INTEGRATOR));
-        // Last, for it brings names of its own.
+        // [closed_loop] comes last, for it brings names of its own.
         let scope = LoopScope {
             states: &declared.states,
             controls: &declared.controls,
@@ -257,6 +258,7 @@ impl<'a> Reader<'a> {
             finite: cost.finite,
             fitted: fitted_laws(root),
         };
+        let study = sections.get("study").and_then(|s| self.study(s, &scope));
         let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
@@ -278,6 +280,7 @@ impl<'a> Reader<'a> {
             map,
             sheets,
             closed_loop,
+            study,
             integrator,
         })
     }
