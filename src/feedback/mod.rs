@@ -1,6 +1,9 @@
 //! Feedback laws that are fitted to the optimal trajectories: networks, their training and their export.
 
 mod network;
+mod regression;
+mod shape;
+mod training;
 mod weights;
 
 pub use network::{Activation, Layer, Network};

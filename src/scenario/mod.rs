@@ -8,6 +8,7 @@ mod build;
 mod declare;
 mod equations;
 mod equilibrium;
+mod feedback;
 mod lexer;
 mod parser;
 mod problem;

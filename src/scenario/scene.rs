@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 14] = [
+const SECTIONS: [&str; 15] = [
     "parameters",
     "states",
     "controls",
@@ -30,10 +30,11 @@ const SECTIONS: [&str; 14] = [
     "homotopy",
     "map",
     "sheets",
+    "feedback",
 ];
 const INTEGRATOR: &str = "integrator";
 /// Sections which only later versions read.
-const LATER: [&str; 3] = ["attenuation", "feedback", "closed_loop"];
+const LATER: [&str; 2] = ["attenuation", "closed_loop"];
 /// Sections whose strings are expressions.
 const EXPRESSIONS: [&str; 6] = ["parameters", "definitions", "dynamics", "cost", "equilibrium", "region"];
 
@@ -244,6 +245,10 @@ impl<'a> Reader<'a> {
             .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));
         let map = sections.get("map").and_then(|s| self.map(s, &declared.states));
         let sheets = sections.get("sheets").map(|s| self.sheets(s)).unwrap_or_default();
+        let feedback = sections
+            .get("feedback")
+            .map(|s| self.feedback(s, &declared, region.as_deref(), cost.finite))
+            .unwrap_or_default();
         let integrator = self.integrator(sections.get(INTEGRATOR));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
@@ -263,6 +268,7 @@ impl<'a> Reader<'a> {
             homotopy,
             map,
             sheets,
+            feedback,
             integrator,
         })
     }

@@ -6,7 +6,7 @@ mod archive;
 mod equal_cost;
 mod extremal;
 mod fold;
-mod nearest;
+pub(crate) mod nearest;
 mod sampled;
 mod solve;
 mod survey;
