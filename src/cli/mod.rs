@@ -4,6 +4,7 @@ mod bench;
 mod bench_report;
 mod check;
 mod estimates;
+mod fit;
 mod points;
 mod report;
 mod run;
@@ -38,6 +39,8 @@ enum Command {
     Solve(SolveArgs),
     /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
     Bench(BenchArgs),
+    /// Fit the laws of [feedback] to the trajectories of a result file.
+    Fit(FitArgs),
     /// Validate a scenario and print the derived equations and the local solution.
     Check(CheckArgs),
     /// List the GPU adapters found and what each can do.
@@ -164,6 +167,30 @@ struct BenchArgs {
     host_share: Vec<usize>,
 }
 
+#[derive(Args, Debug, Clone)]
+struct FitArgs {
+    /// The result file; the laws are written into it, as /feedback.
+    file: PathBuf,
+    /// Take [feedback] from this scenario, which has the same states and controls.
+    #[arg(long, value_name = "SCENE.toml")]
+    scene: Option<PathBuf>,
+    /// Where the laws' files are written (weights, C header, ONNX) [default: beside the result file]
+    #[arg(long, value_name = "DIR")]
+    out_dir: Option<PathBuf>,
+    /// Seed of the sets and the first weights [default: the scenario's]
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Trainings from different first weights [default: the scenario's]
+    #[arg(long, value_parser = at_least_one)]
+    starts: Option<usize>,
+    /// Machine-readable summary on standard output; everything else goes to standard error.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    quiet: bool,
+}
+
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
 enum BenchBackend {
     All,
@@ -203,6 +230,13 @@ fn assignment(text: &str) -> Result<(String, String), String> {
             Ok((name.trim().to_owned(), value.trim().to_owned()))
         }
         _ => Err("expected NAME=VALUE".to_owned()),
+    }
+}
+
+fn at_least_one(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if (1..=1000).contains(&count) => Ok(count),
+        _ => Err("a whole number from 1 to 1000".to_owned()),
     }
 }
 
@@ -277,6 +311,14 @@ enum CliError {
     Picture(#[from] crate::bench::picture::PictureError),
     #[error("--out {path}: the picture takes this name with .svg; name the table .h5", path = path.display())]
     PictureName { path: PathBuf },
+    #[error(transparent)]
+    Stored(#[from] crate::output::StoredError),
+    #[error(transparent)]
+    Fit(#[from] fit::FitCommandError),
+    #[error(transparent)]
+    Feedback(#[from] crate::feedback::FitError),
+    #[error("cannot create the directory {path}: {source}", path = path.display())]
+    OutDir { path: PathBuf, source: std::io::Error },
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]
@@ -289,6 +331,8 @@ impl CliError {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
+            CliError::Stored(crate::output::StoredError::Write(_)) => 1,
+            CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) => 2,
             _ => 1,
         }
     }
@@ -324,6 +368,7 @@ pub fn main() -> ExitCode {
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
         Command::Bench(args) => bench::bench(&args),
+        Command::Fit(args) => fit::command(&args),
         Command::Check(args) => check::check(&args),
         Command::Adapters { json } => check::adapters(json),
     };

@@ -204,7 +204,7 @@ impl Regression {
         pass: &mut Pass,
         row: &mut [f64],
     ) {
-        let mut subtract = |from: &mut [f64], what: &[f64], factor: f64| {
+        let subtract = |from: &mut [f64], what: &[f64], factor: f64| {
             from.iter_mut().zip(what).for_each(|(r, w)| *r -= factor * w);
         };
         if i < self.outputs {

@@ -50,10 +50,12 @@ impl Shape {
         self.sizes.len() - 1
     }
 
+    #[cfg(test)]
     pub fn inputs(&self) -> usize {
         self.sizes[0]
     }
 
+    #[cfg(test)]
     pub fn outputs(&self) -> usize {
         self.sizes[self.layers()]
     }

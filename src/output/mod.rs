@@ -44,7 +44,7 @@ mod trajectories;
 pub use attribute::AttributeValue;
 pub use dataset::{GroupWriter, Values};
 pub use error::OutputError;
-pub use file::{ResultFile, write_text};
+pub use file::{ResultFile, write_bytes, write_text};
 pub use record::{RunRecord, utc_timestamp};
 pub use spec::{Compression, Dimension, Group, Variable};
 pub use stored::{Array, Stored, StoredError, StoredGroup, StoredMap, StoredPoints, StoredTrajectories};
