@@ -5,6 +5,7 @@ mod bench_report;
 mod check;
 mod estimates;
 mod evaluate;
+mod fit;
 mod points;
 mod report;
 mod run;
@@ -49,6 +50,8 @@ enum Command {
     Evaluate(EvaluateArgs),
     /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
     Bench(BenchArgs),
+    /// Fit the laws of [feedback] to the trajectories of a result file.
+    Fit(FitArgs),
     /// Validate a scenario and print the derived equations and the local solution.
     Check(CheckArgs),
     /// List the GPU adapters found and what each can do.
@@ -253,6 +256,30 @@ struct BenchArgs {
     host_share: Vec<usize>,
 }
 
+#[derive(Args, Debug, Clone)]
+struct FitArgs {
+    /// The result file; the laws are written into it, as /feedback.
+    file: PathBuf,
+    /// Take [feedback] from this scenario, which has the same states and controls.
+    #[arg(long, value_name = "SCENE.toml")]
+    scene: Option<PathBuf>,
+    /// Where the laws' files are written (weights, C header, ONNX) [default: beside the result file]
+    #[arg(long, value_name = "DIR")]
+    out_dir: Option<PathBuf>,
+    /// Seed of the sets and the first weights [default: the scenario's]
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Trainings from different first weights [default: the scenario's]
+    #[arg(long, value_parser = at_least_one)]
+    starts: Option<usize>,
+    /// Machine-readable summary on standard output; everything else goes to standard error.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    quiet: bool,
+}
+
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
 enum BenchBackend {
     All,
@@ -292,6 +319,13 @@ fn assignment(text: &str) -> Result<(String, String), String> {
             Ok((name.trim().to_owned(), value.trim().to_owned()))
         }
         _ => Err("expected NAME=VALUE".to_owned()),
+    }
+}
+
+fn at_least_one(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if (1..=1000).contains(&count) => Ok(count),
+        _ => Err("a whole number from 1 to 1000".to_owned()),
     }
 }
 
@@ -386,6 +420,12 @@ enum CliError {
     NoLaws,
     #[error("the states and controls of {scene} are not those of {file}", scene = scene.display(), file = file.display())]
     OtherScene { scene: PathBuf, file: PathBuf },
+    #[error(transparent)]
+    Fit(#[from] fit::FitCommandError),
+    #[error(transparent)]
+    Feedback(#[from] crate::feedback::FitError),
+    #[error("cannot create the directory {path}: {source}", path = path.display())]
+    OutDir { path: PathBuf, source: std::io::Error },
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]
@@ -416,12 +456,13 @@ impl CliError {
     /// 2 for what the user wrote, 1 for what could not be done.
     fn status(&self) -> u8 {
         match self {
-            CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) | CliError::Stored(_) => 2,
+            CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
             CliError::Study(StudyError::Scene { .. } | StudyError::Plan { .. }) | CliError::NoStudy => 2,
             CliError::Place(_) | CliError::Map(_) => 2,
             CliError::Law(_) | CliError::NoClosedLoop | CliError::NoLaws | CliError::OtherScene { .. } => 2,
             CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
+            CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) => 2,
             _ => 1,
         }
     }
@@ -466,6 +507,7 @@ pub fn main() -> ExitCode {
         Command::Value(args) => value::value(&args),
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Bench(args) => bench::bench(&args),
+        Command::Fit(args) => fit::command(&args),
         Command::Check(args) => check::check(&args),
         Command::Adapters { json } => check::adapters(json),
     };

@@ -28,6 +28,11 @@ impl Terminal {
         }
     }
 
+    /// Of a command that reads no scenario.
+    pub fn with(quiet: bool, json: bool) -> Self {
+        Self { quiet, json }
+    }
+
     pub fn say(&self, text: &str) -> std::io::Result<()> {
         if self.quiet {
             return Ok(());

@@ -1,5 +1,9 @@
 //! A scene as the rest of the program sees it: symbols, expressions and settings. Nothing here knows TOML.
 
+mod feedback;
+
+pub use feedback::{Activation, Base, Feedback, LawOutput, Target};
+
 use crate::expr::{Graph, Id};
 use std::ops::Range;
 
@@ -333,6 +337,8 @@ pub struct Model {
     pub homotopy: Option<Homotopy>,
     pub map: Option<MapGrid>,
     pub sheets: Sheets,
+    /// Laws to fit.
+    pub feedback: Vec<Feedback>,
     pub closed_loop: Option<ClosedLoop>,
     pub study: Option<Study>,
     pub integrator: Integrator,

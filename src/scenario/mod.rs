@@ -9,6 +9,7 @@ mod closed_loop;
 mod declare;
 mod equations;
 mod equilibrium;
+mod feedback;
 mod lexer;
 mod parser;
 mod problem;

@@ -31,12 +31,13 @@ const SECTIONS: [&str; 16] = [
     "homotopy",
     "map",
     "sheets",
+    "feedback",
     "closed_loop",
     "study",
 ];
 const INTEGRATOR: &str = "integrator";
 /// Sections which only later versions read.
-const LATER: [&str; 2] = ["attenuation", "feedback"];
+const LATER: [&str; 1] = ["attenuation"];
 /// Sections whose strings are expressions.
 const EXPRESSIONS: [&str; 6] = ["parameters", "definitions", "dynamics", "cost", "equilibrium", "region"];
 
@@ -247,6 +248,10 @@ impl<'a> Reader<'a> {
             .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));
         let map = sections.get("map").and_then(|s| self.map(s, &declared.states));
         let sheets = sections.get("sheets").map(|s| self.sheets(s)).unwrap_or_default();
+        let feedback = sections
+            .get("feedback")
+            .map(|s| self.feedback(s, &declared, region.as_deref(), cost.finite))
+            .unwrap_or_default();
         let integrator = self.integrator(sections.get(INTEGRATOR));
         // [closed_loop] comes last, for it brings names of its own.
         let scope = LoopScope {
@@ -279,6 +284,7 @@ impl<'a> Reader<'a> {
             homotopy,
             map,
             sheets,
+            feedback,
             closed_loop,
             study,
             integrator,
