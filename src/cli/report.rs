@@ -374,7 +374,7 @@ fn answers_json(plan: &Plan, answers: &Answers, estimates: &Estimates) -> serde_
     })
 }
 
-fn as_json(done: &Done<'_>) -> serde_json::Value {
+pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
     let Done {
         plan,
         swept,

@@ -108,11 +108,11 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         rtol: plan.run.rtol,
         atol: plan.atol,
         wall_seconds: clock.elapsed().as_secs_f64(),
-        ..RunRecord::begun(&model.title, &model.text, started)
+        ..RunRecord::begun(&model, started)
     };
     record.write(&file)?;
     estimates.write(&file)?;
-    let path = file.finish()?;
+    let path = file.path().to_owned();
     let names: Vec<String> = model.states.iter().map(|s| s.variable.name.clone()).collect();
     let done = report::Done {
         plan: &plan,
@@ -125,6 +125,8 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         path: &path,
         seconds: clock.elapsed().as_secs_f64(),
     };
+    file.attribute("summary", report::as_json(&done).to_string())?;
+    file.finish()?;
     terminal.summary(&done)?;
     Ok(())
 }

@@ -210,6 +210,8 @@ pub struct Model {
     /// File name for messages, and the whole text for messages and the result file.
     pub file_name: String,
     pub text: String,
+    /// Parameters replaced from outside the text, with what they were given.
+    pub overrides: Vec<(String, String)>,
     pub graph: Graph,
     pub parameters: Vec<Parameter>,
     pub states: Vec<State>,

@@ -83,6 +83,35 @@ impl ResultFile {
         })
     }
 
+    /// A copy of the result file `path` without the groups named in `replace`, to which groups can be added;
+    /// [`ResultFile::finish`] puts it in the place of `path`.
+    ///
+    /// # Errors
+    /// As [`ResultFile::create`], and [`OutputError::Create`] where `path` cannot be copied.
+    pub fn extend(path: impl AsRef<Path>, replace: &[&str]) -> Result<Self, OutputError> {
+        let mut this = Self::create(path)?;
+        let create = |source| OutputError::Create {
+            path: this.final_path.clone(),
+            source,
+        };
+        drop(this.file.take());
+        fs::copy(&this.final_path, &this.temporary).map_err(create)?;
+        let file = (H5File::options().no_locking().open_rw(&this.temporary))
+            .map_err(|error| create_error(&this.final_path, error))?;
+        for group in replace {
+            if file
+                .root_group()
+                .group_names()
+                .is_ok_and(|names| names.iter().any(|n| n == group))
+            {
+                file.delete_group(group).map_err(|e| this.error(group, e))?;
+            }
+        }
+        this.groups = file.root_group().group_names().map_err(|e| this.error("/", e))?;
+        this.file = Some(file);
+        Ok(this)
+    }
+
     /// The name the file will have.
     #[must_use]
     pub fn path(&self) -> &Path {
@@ -312,6 +341,52 @@ mod tests {
         fs::create_dir(&taken).unwrap();
         assert!(matches!(write_text(&taken, "no"), Err(OutputError::Rename { .. })));
         assert_eq!(entries(directory.path()), ["picture.svg", "taken"]);
+    }
+
+    #[test]
+    fn a_file_is_extended_and_its_groups_replaced() {
+        use crate::output::{Dimension, Values, Variable};
+        let directory = TemporaryDirectory::new("extended");
+        let path = directory.path().join("result.h5");
+        let group = |name: &str| {
+            Group::new(name)
+                .dimension(Dimension::unlimited("row"))
+                .dimension(Dimension::names("state", ["phi", "omega"]))
+                .variable(Variable::f64("x", ["row", "state"]).unit("rad"))
+        };
+        let rows = |start: f64| -> Vec<f64> { (0..6000).map(|k| start + f64::from(k)).collect() };
+        let write = |file: &mut ResultFile, name: &str, start: f64| {
+            let values = rows(start);
+            let mut writer = file.group(&group(name)).unwrap();
+            writer.append(3000, &[("x", Values::F64(&values))]).unwrap();
+        };
+        let mut file = ResultFile::create(&path).unwrap();
+        file.attribute("title", "first").unwrap();
+        write(&mut file, "kept", 0.0);
+        write(&mut file, "fit", 1.0);
+        file.finish().unwrap();
+        let before = fs::read(&path).unwrap();
+        // Dropped: the file is as it was.
+        drop(ResultFile::extend(&path, &["fit"]).unwrap());
+        assert_eq!(fs::read(&path).unwrap(), before);
+        for start in [2.0, 3.0] {
+            let mut file = ResultFile::extend(&path, &["fit", "other"]).unwrap();
+            assert!(matches!(file.group(&group("kept")), Err(OutputError::Duplicate { .. })));
+            write(&mut file, "fit", start);
+            write(&mut file, "other", 10.0 * start);
+            file.finish().unwrap();
+            let back = H5File::open(&path).unwrap();
+            assert_eq!(back.attr_string("title").unwrap(), "first");
+            let read = |name: &str| back.dataset(name).unwrap().read_raw::<f64>().unwrap();
+            assert_eq!(read("kept/x"), rows(0.0));
+            assert_eq!(read("fit/x"), rows(start));
+            assert_eq!(read("other/x"), rows(10.0 * start));
+        }
+        assert_eq!(entries(directory.path()), ["result.h5"]);
+        assert!(matches!(
+            ResultFile::extend(directory.path().join("none.h5"), &[]),
+            Err(OutputError::Create { .. })
+        ));
     }
 
     #[test]

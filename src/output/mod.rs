@@ -36,6 +36,7 @@ mod file;
 mod record;
 mod spec;
 mod speed_error;
+mod stored;
 #[cfg(test)]
 mod testing;
 mod trajectories;
@@ -46,4 +47,5 @@ pub use error::OutputError;
 pub use file::{ResultFile, write_text};
 pub use record::{RunRecord, utc_timestamp};
 pub use spec::{Compression, Dimension, Group, Variable};
+pub use stored::{Array, Stored, StoredError, StoredGroup, StoredMap, StoredPoints, StoredTrajectories};
 pub use trajectories::{Axis, TrajectoryBlock, TrajectorySchema, TrajectoryWriter};

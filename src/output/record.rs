@@ -3,6 +3,7 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::{OutputError, ResultFile};
+use crate::model::Model;
 
 /// The root attributes of a result file: where its numbers come from.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -11,6 +12,10 @@ pub struct RunRecord {
     pub title: String,
     /// The scenario file's whole text.
     pub scenario: String,
+    /// The scenario file's path, absolute where that can be told.
+    pub scenario_file: String,
+    /// Parameters replaced on the command line: a line `name=value` each.
+    pub set: String,
     /// The version of this program.
     pub costate_version: String,
     /// The commit it was built from.
@@ -37,10 +42,14 @@ pub struct RunRecord {
 
 impl RunRecord {
     /// What is known when a run of this process begins.
-    pub fn begun(title: &str, scenario: &str, started: SystemTime) -> Self {
+    pub fn begun(model: &Model, started: SystemTime) -> Self {
+        let file = std::fs::canonicalize(&model.file_name);
+        let set: Vec<String> = model.overrides.iter().map(|(n, v)| format!("{n}={v}")).collect();
         Self {
-            title: title.to_owned(),
-            scenario: scenario.to_owned(),
+            title: model.title.clone(),
+            scenario: model.text.clone(),
+            scenario_file: file.map_or_else(|_| model.file_name.clone(), |f| f.display().to_string()),
+            set: set.join("\n"),
             costate_version: env!("CARGO_PKG_VERSION").to_owned(),
             git_revision: env!("COSTATE_GIT_REVISION").to_owned(),
             command: std::env::args_os()
@@ -52,6 +61,12 @@ impl RunRecord {
         }
     }
 
+    /// What `set` says, as `--set` gives it.
+    pub fn overrides(set: &str) -> Vec<(String, String)> {
+        let pairs = set.lines().filter_map(|l| l.split_once('='));
+        pairs.map(|(n, v)| (n.to_owned(), v.to_owned())).collect()
+    }
+
     /// Writes the record as root attributes.
     ///
     /// # Errors
@@ -60,6 +75,8 @@ impl RunRecord {
         let texts = [
             ("title", &self.title),
             ("scenario", &self.scenario),
+            ("scenario_file", &self.scenario_file),
+            ("set", &self.set),
             ("costate_version", &self.costate_version),
             ("git_revision", &self.git_revision),
             ("command", &self.command),

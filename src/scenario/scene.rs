@@ -249,6 +249,7 @@ impl<'a> Reader<'a> {
             title: title.unwrap_or_else(|| stem(file_name)),
             file_name: file_name.to_owned(),
             text: self.text.to_owned(),
+            overrides: overrides.to_vec(),
             graph: Default::default(),
             parameters,
             states: states?,

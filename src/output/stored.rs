@@ -1,0 +1,361 @@
+//! Reading a result file: its scene, and its groups as arrays.
+
+use super::error::OutputError;
+use super::record::RunRecord;
+use crate::hamiltonian::Hamiltonian;
+use crate::model::Model;
+use crate::scenario::{self, ScenarioErrors};
+use rust_hdf5::{H5Dataset, H5File, Hdf5Error};
+use std::path::{Path, PathBuf};
+
+/// Why a file could not be used as a result file.
+#[derive(Debug, thiserror::Error)]
+pub enum StoredError {
+    #[error("cannot read {path}: {source}", path = path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{path} is not an HDF5 file: {reason}", path = path.display())]
+    NotHdf5 { path: PathBuf, reason: String },
+    #[error("{path} is not a result file of costate: it has no attribute `scenario`", path = path.display())]
+    NoScenario { path: PathBuf },
+    /// The scene in the file is not one for this version.
+    #[error("the scene stored in {path} cannot be read: {errors}", path = path.display())]
+    Scenario { path: PathBuf, errors: Box<ScenarioErrors> },
+    #[error("{path}: `/{object}`: {reason}", path = path.display())]
+    Object {
+        path: PathBuf,
+        object: String,
+        reason: String,
+    },
+    #[error("{path} has no group /{group}{hint}", path = path.display())]
+    NoGroup {
+        path: PathBuf,
+        group: String,
+        hint: &'static str,
+    },
+    #[error(transparent)]
+    Write(#[from] OutputError),
+}
+
+/// An array of a file, row-major.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Array {
+    pub shape: Vec<usize>,
+    pub values: Vec<f64>,
+}
+
+/// A result file open for reading, with its scene read again: the scenario's text and the `--set` of the run that made
+/// it are in the file.
+pub struct Stored {
+    pub path: PathBuf,
+    pub model: Model,
+    pub hamiltonian: Hamiltonian,
+    file: H5File,
+}
+
+impl std::fmt::Debug for Stored {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Stored")
+            .field("path", &self.path)
+            .finish_non_exhaustive()
+    }
+}
+
+/// A group of a [`Stored`] file.
+pub struct StoredGroup<'s> {
+    stored: &'s Stored,
+    name: String,
+}
+
+/// `/trajectories` whole; arrays row-major, NaN where a trajectory has no value.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StoredTrajectories {
+    pub count: usize,
+    pub samples: usize,
+    /// `[trajectory][sample]`: time, 0 at the end at the equilibrium.
+    pub t: Vec<f64>,
+    /// `[trajectory][sample][state]`.
+    pub x: Vec<f64>,
+    /// `[trajectory][sample][state]`.
+    pub p: Vec<f64>,
+    /// `[trajectory][sample][control]`.
+    pub u: Vec<f64>,
+    /// `[trajectory][sample]`: V.
+    pub v: Vec<f64>,
+    /// `[trajectory][sample]`: H.
+    pub h: Vec<f64>,
+    pub status: Vec<i32>,
+    pub sheet: Vec<i32>,
+}
+
+/// Solutions at states: `/points` (the cheapest each) or `/points_sheets` (all of them).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StoredPoints {
+    pub count: usize,
+    /// `[point][state]`.
+    pub x: Vec<f64>,
+    pub v: Vec<f64>,
+    pub p: Vec<f64>,
+    pub u: Vec<f64>,
+    pub sheet: Vec<i32>,
+    /// Index of the state in `/points`.
+    pub point: Vec<i32>,
+}
+
+/// `/map`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StoredMap {
+    /// Values along the axis of each state.
+    pub axes: Vec<Vec<f64>>,
+    /// `[axis 0]..[axis n-1]`, last fastest; likewise the others.
+    pub v: Vec<f64>,
+    pub p: Vec<f64>,
+    pub u: Vec<f64>,
+    pub sheet: Vec<i32>,
+}
+
+impl Stored {
+    /// Opens a result file and reads its scene.
+    ///
+    /// # Errors
+    /// [`StoredError`] where it cannot be read, is no result file, or holds a scene that this version refuses.
+    pub fn open(path: &Path) -> Result<Self, StoredError> {
+        // The HDF5 layer's own message for a missing file does not say so.
+        std::fs::File::open(path).map_err(|source| StoredError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let file = (H5File::options().no_locking().open(path)).map_err(|e| StoredError::NotHdf5 {
+            path: path.to_owned(),
+            reason: e.to_string(),
+        })?;
+        let Ok(text) = file.attr_string("scenario") else {
+            return Err(StoredError::NoScenario { path: path.to_owned() });
+        };
+        let overrides = RunRecord::overrides(&file.attr_string("set").unwrap_or_default());
+        let name = file
+            .attr_string("scenario_file")
+            .unwrap_or_else(|_| "scenario".to_owned());
+        let wrong = |errors| StoredError::Scenario {
+            path: path.to_owned(),
+            errors: Box::new(errors),
+        };
+        let model = scenario::parse(&text, &name, &overrides).map_err(wrong)?;
+        let hamiltonian = Hamiltonian::derive(&model).map_err(|p| wrong(ScenarioErrors::new(&model, p)))?;
+        Ok(Self {
+            path: path.to_owned(),
+            model,
+            hamiltonian,
+            file,
+        })
+    }
+
+    /// A root attribute that is a text.
+    pub fn attribute(&self, name: &str) -> Option<String> {
+        self.file.attr_string(name).ok()
+    }
+
+    /// The run's summary as `--json` prints it; empty where the file has none.
+    pub fn summary(&self) -> serde_json::Value {
+        let text = self.attribute("summary").unwrap_or_default();
+        serde_json::from_str(&text).unwrap_or_default()
+    }
+
+    /// Whether a group is in the file.
+    pub fn has(&self, group: &str) -> bool {
+        self.file.root_group().group(group).is_ok()
+    }
+
+    /// A group; `None` where the file has none of that name.
+    pub fn group(&self, name: &str) -> Option<StoredGroup<'_>> {
+        self.has(name).then(|| StoredGroup {
+            stored: self,
+            name: name.to_owned(),
+        })
+    }
+
+    /// `/trajectories`; `None` where it is absent.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where it is not as this program writes it.
+    pub fn trajectories(&self) -> Result<Option<StoredTrajectories>, StoredError> {
+        let Some(group) = self.group("trajectories") else {
+            return Ok(None);
+        };
+        let (n, m) = (self.model.states.len(), self.model.controls.len());
+        let v = group.f64("V")?;
+        let &[count, samples] = v.shape.as_slice() else {
+            return Err(group.error("V", "not trajectory x sample"));
+        };
+        Ok(Some(StoredTrajectories {
+            count,
+            samples,
+            t: group.shaped("t", &[count, samples])?,
+            x: group.shaped("x", &[count, samples, n])?,
+            p: group.shaped("p", &[count, samples, n])?,
+            u: group.shaped("u", &[count, samples, m])?,
+            h: group.shaped("H", &[count, samples])?,
+            status: group.i32("status")?.1,
+            sheet: group.i32("sheet")?.1,
+            v: v.values,
+        }))
+    }
+
+    /// `/points`; `None` where it is absent. States without a solution have NaN.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where it is not as this program writes it.
+    pub fn points(&self) -> Result<Option<StoredPoints>, StoredError> {
+        let Some(group) = self.group("points") else {
+            return Ok(None);
+        };
+        let x = group.f64("x0")?;
+        let count = x.shape.first().copied().unwrap_or(0);
+        let mut points = self.solutions(&group, count)?;
+        points.x = x.values;
+        points.point = (0..count as i32).collect();
+        Ok(Some(points))
+    }
+
+    /// `/points_sheets`: every solution found at the states of `/points`; `None` where it is absent.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where it is not as this program writes it.
+    pub fn points_sheets(&self) -> Result<Option<StoredPoints>, StoredError> {
+        let (Some(group), Some(points)) = (self.group("points_sheets"), self.points()?) else {
+            return Ok(None);
+        };
+        let (_, point) = group.i32("point")?;
+        let n = self.model.states.len();
+        let mut entries = self.solutions(&group, point.len())?;
+        for &k in &point {
+            let at = usize::try_from(k).ok().and_then(|k| points.x.get(k * n..(k + 1) * n));
+            let at = at.ok_or_else(|| group.error("point", "names a point that /points does not have"))?;
+            entries.x.extend_from_slice(at);
+        }
+        entries.point = point;
+        Ok(Some(entries))
+    }
+
+    fn solutions(&self, group: &StoredGroup<'_>, count: usize) -> Result<StoredPoints, StoredError> {
+        let (n, m) = (self.model.states.len(), self.model.controls.len());
+        Ok(StoredPoints {
+            count,
+            v: group.shaped("V", &[count])?,
+            p: group.shaped("p", &[count, n])?,
+            u: group.shaped("u", &[count, m])?,
+            sheet: group.i32("sheet")?.1,
+            ..StoredPoints::default()
+        })
+    }
+
+    /// `/map`; `None` where it is absent.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where it is not as this program writes it.
+    pub fn map(&self) -> Result<Option<StoredMap>, StoredError> {
+        let Some(group) = self.group("map") else {
+            return Ok(None);
+        };
+        let mut axes = Vec::new();
+        for state in &self.model.states {
+            axes.push(group.f64(&state.variable.name)?.values);
+        }
+        let counts: Vec<usize> = axes.iter().map(Vec::len).collect();
+        let with = |last: usize| [counts.as_slice(), &[last]].concat();
+        Ok(Some(StoredMap {
+            v: group.shaped("V", &counts)?,
+            p: group.shaped("p", &with(self.model.states.len()))?,
+            u: group.shaped("u", &with(self.model.controls.len()))?,
+            sheet: group.i32("sheet")?.1,
+            axes,
+        }))
+    }
+}
+
+impl StoredGroup<'_> {
+    /// The datasets in it.
+    pub fn names(&self) -> Vec<String> {
+        let group = self.stored.file.root_group().group(&self.name);
+        group.and_then(|g| g.dataset_names()).unwrap_or_default()
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.names().iter().any(|n| n == name)
+    }
+
+    /// Numbers of any type, as f64.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where there is no such dataset of numbers.
+    pub fn f64(&self, name: &str) -> Result<Array, StoredError> {
+        let dataset = self.dataset(name)?;
+        let values = dataset.read_numeric_as::<f64>().map_err(|e| self.hdf5(name, &e))?;
+        Ok(Array {
+            shape: dataset.shape(),
+            values,
+        })
+    }
+
+    /// Integers and their shape.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where there is no such dataset of integers.
+    pub fn i32(&self, name: &str) -> Result<(Vec<usize>, Vec<i32>), StoredError> {
+        let dataset = self.dataset(name)?;
+        let values = dataset.read_numeric_as::<i32>().map_err(|e| self.hdf5(name, &e))?;
+        Ok((dataset.shape(), values))
+    }
+
+    /// Texts.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where there is no such dataset of texts.
+    pub fn texts(&self, name: &str) -> Result<Vec<String>, StoredError> {
+        (self.dataset(name)?.read_vlen_strings()).map_err(|e| self.hdf5(name, &e))
+    }
+
+    /// A text attribute of a dataset, or of the group itself.
+    pub fn attribute(&self, variable: Option<&str>, name: &str) -> Option<String> {
+        match variable {
+            Some(variable) => self.dataset(variable).ok()?.attr(name).ok()?.read_string().ok(),
+            None => {
+                let group = self.stored.file.root_group().group(&self.name).ok()?;
+                group.attr_string(name).ok()
+            }
+        }
+    }
+
+    /// Numbers of a given shape.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where the shape differs; a dataset with no elements may be absent.
+    pub fn shaped(&self, name: &str, shape: &[usize]) -> Result<Vec<f64>, StoredError> {
+        if shape.contains(&0) {
+            return Ok(Vec::new());
+        }
+        let array = self.f64(name)?;
+        if array.shape != shape {
+            let reason = format!("its shape is {:?}, not {shape:?}", array.shape);
+            return Err(self.error(name, &reason));
+        }
+        Ok(array.values)
+    }
+
+    /// An error that names a dataset of this group.
+    pub fn error(&self, name: &str, reason: &str) -> StoredError {
+        StoredError::Object {
+            path: self.stored.path.clone(),
+            object: format!("{}/{name}", self.name),
+            reason: reason.to_owned(),
+        }
+    }
+
+    fn dataset(&self, name: &str) -> Result<H5Dataset, StoredError> {
+        let path = format!("{}/{name}", self.name);
+        self.stored.file.dataset(&path).map_err(|e| self.hdf5(name, &e))
+    }
+
+    fn hdf5(&self, name: &str, error: &Hdf5Error) -> StoredError {
+        self.error(name, &error.to_string())
+    }
+}
