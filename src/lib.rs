@@ -48,6 +48,7 @@ pub mod local;
 pub mod model;
 pub mod output;
 pub mod program;
+pub mod report;
 pub mod scenario;
 pub mod shooting;
 pub mod sweep;

@@ -6,6 +6,7 @@ mod check;
 mod estimates;
 mod points;
 mod report;
+mod report_page;
 mod run;
 
 use crate::backend::BackendError;
@@ -38,6 +39,8 @@ enum Command {
     Solve(SolveArgs),
     /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
     Bench(BenchArgs),
+    /// One page of HTML with pictures of what a result file holds, and the pictures beside it as SVG and PNG.
+    Report(ReportArgs),
     /// Validate a scenario and print the derived equations and the local solution.
     Check(CheckArgs),
     /// List the GPU adapters found and what each can do.
@@ -164,6 +167,33 @@ struct BenchArgs {
     host_share: Vec<usize>,
 }
 
+#[derive(Args, Debug, Clone)]
+struct ReportArgs {
+    /// The result file (HDF5).
+    file: PathBuf,
+    /// The page; pictures go into a folder of its name without `.html` [default: <FILE>_report.html]
+    #[arg(long, value_name = "PAGE.html")]
+    out: Option<PathBuf>,
+    /// States that pictures of a plane hold fixed; others are at the equilibrium. A value may be an expression.
+    #[arg(long, value_name = "NAME=VALUE,...", value_delimiter = ',', value_parser = assignment)]
+    slice: Vec<(String, String)>,
+    /// The two states of the plane [default: the first two that --slice does not name]
+    #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
+    axes: Vec<String>,
+    /// Levels of the contours of V: numbers or expressions, such as `exp(-4),exp(-3)`.
+    #[arg(long, value_name = "V,...", value_delimiter = ',', allow_hyphen_values = true)]
+    levels: Vec<String>,
+    /// Width of the pictures in pixels; text keeps its size [default: 900]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(320..=4000))]
+    width: Option<u32>,
+    /// Machine-readable summary on standard output.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    quiet: bool,
+}
+
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
 enum BenchBackend {
     All,
@@ -277,6 +307,12 @@ enum CliError {
     Picture(#[from] crate::bench::picture::PictureError),
     #[error("--out {path}: the picture takes this name with .svg; name the table .h5", path = path.display())]
     PictureName { path: PathBuf },
+    #[error(transparent)]
+    Stored(#[from] crate::output::StoredError),
+    #[error(transparent)]
+    Report(#[from] crate::report::ReportError),
+    #[error(transparent)]
+    ReportOption(#[from] report_page::OptionError),
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]
@@ -289,6 +325,8 @@ impl CliError {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
+            CliError::Stored(_) | CliError::ReportOption(_) => 2,
+            CliError::Report(crate::report::ReportError::Options(_) | crate::report::ReportError::Stored(_)) => 2,
             _ => 1,
         }
     }
@@ -324,6 +362,7 @@ pub fn main() -> ExitCode {
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
         Command::Bench(args) => bench::bench(&args),
+        Command::Report(args) => report_page::report(&args),
         Command::Check(args) => check::check(&args),
         Command::Adapters { json } => check::adapters(json),
     };

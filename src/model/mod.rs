@@ -132,6 +132,17 @@ pub struct Sheets {
     pub value_max: Option<f64>,
 }
 
+/// `[report]`: what pictures show.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Report {
+    /// Of contours of V; empty: to be chosen.
+    pub levels: Vec<f64>,
+    /// States that are held fixed, and where; others are at the reference.
+    pub slice: Vec<(String, f64)>,
+    /// The two states of a plane; the first two without.
+    pub axes: Option<[String; 2]>,
+}
+
 /// Integration method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Method {
@@ -229,6 +240,7 @@ pub struct Model {
     pub homotopy: Option<Homotopy>,
     pub map: Option<MapGrid>,
     pub sheets: Sheets,
+    pub report: Option<Report>,
     pub integrator: Integrator,
 }
 

@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 14] = [
+const SECTIONS: [&str; 15] = [
     "parameters",
     "states",
     "controls",
@@ -30,6 +30,7 @@ const SECTIONS: [&str; 14] = [
     "homotopy",
     "map",
     "sheets",
+    "report",
 ];
 const INTEGRATOR: &str = "integrator";
 /// Sections which only later versions read.
@@ -244,6 +245,9 @@ impl<'a> Reader<'a> {
             .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));
         let map = sections.get("map").and_then(|s| self.map(s, &declared.states));
         let sheets = sections.get("sheets").map(|s| self.sheets(s)).unwrap_or_default();
+        let report = sections
+            .get("report")
+            .and_then(|s| self.report_section(s, &declared.states, region.as_deref()));
         let integrator = self.integrator(sections.get(INTEGRATOR));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
@@ -264,6 +268,7 @@ impl<'a> Reader<'a> {
             homotopy,
             map,
             sheets,
+            report,
             integrator,
         })
     }

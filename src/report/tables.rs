@@ -1,0 +1,1 @@
+//! Tables of numbers: the run's key figures, laws.
