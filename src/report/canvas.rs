@@ -140,6 +140,16 @@ pub trait Canvas {
     /// What an odd number of the closed `rings` is around, filled.
     fn area(&mut self, rings: &[Vec<Point>], ink: Ink, opacity: f64);
 
+    /// Filled polygons with edges in one style, each over the ones before.
+    fn faces(&mut self, faces: &[(Vec<Point>, Rgb)], edge: Stroke) {
+        for (ring, colour) in faces {
+            self.area(std::slice::from_ref(ring), Ink::Colour(*colour), 1.0);
+            if let Some(first) = ring.first() {
+                self.lines(&[[ring.as_slice(), &[*first]].concat()], edge);
+            }
+        }
+    }
+
     /// Round dots of diameter `width`.
     fn dots(&mut self, at: &[Point], width: f64, ink: Ink, opacity: f64);
 

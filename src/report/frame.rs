@@ -248,7 +248,6 @@ impl Frame {
 pub enum Mark {
     Line(Stroke),
     Dot(Ink),
-    Patch(Ink, f64),
 }
 
 /// Rows of a legend, above the axes where it hides nothing.
@@ -293,9 +292,6 @@ impl Legend<'_> {
                 match *mark {
                     Mark::Line(stroke) => canvas.line([x, y], [x + MARK, y], stroke),
                     Mark::Dot(ink) => canvas.dots(&[[x + 0.5 * MARK, y]], 8.0, ink, 1.0),
-                    Mark::Patch(ink, opacity) => {
-                        canvas.rectangle(Rect::new(x + 2.0, y - 6.0, x + MARK - 2.0, y + 6.0), ink, opacity);
-                    }
                 }
                 let label = text::shortened(label, TEXT, width - MARK - GAP);
                 canvas.text([x + MARK + GAP + 2.0, y], &label, Style::new(Anchor::Start));

@@ -8,6 +8,7 @@ mod canvas;
 mod colours;
 pub mod contour;
 mod equations;
+mod flow;
 mod frame;
 mod names;
 mod page;
@@ -178,10 +179,13 @@ fn put(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
 
 /// Takes away the pictures of an earlier report, known by their names: the folder may hold other things.
 fn clear(folder: &Path) {
-    for name in pictures::NAMES {
-        for kind in ["svg", "png"] {
-            // What is not there, or cannot be removed, is no reason to stop.
-            let _ = std::fs::remove_file(folder.join(format!("{name}.{kind}")));
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for path in entries.filter_map(|e| Some(e.ok()?.path())) {
+        let kind = path.extension().is_some_and(|e| e == "svg" || e == "png");
+        let name = path.file_stem().is_some_and(|s| pictures::is_picture(&s.to_string_lossy()));
+        if kind && name {
+            // What cannot be removed is no reason to stop.
+            let _ = std::fs::remove_file(&path);
         }
     }
 }

@@ -28,22 +28,80 @@ pub struct GridField {
     u: Vec<f64>,
     sheet: Vec<i32>,
     controls: usize,
-    /// Points without a value because V is above a limit: a sheet may continue towards them.
-    above: Vec<bool>,
 }
 
 impl GridField {
-    /// From `/map`; `above` as [`GridField::above`], or empty.
-    pub fn of_map(map: &StoredMap, controls: usize, above: Vec<bool>) -> Self {
-        Self {
+    /// From `/map`. Points that are in `above` (or nothing is) have no value because V is above `limit`: next to known
+    /// ones they are given one, at least the limit, so that regions up to the limit end where V passes it.
+    pub fn of_map(map: &StoredMap, controls: usize, above: &[bool], limit: f64) -> Self {
+        let mut field = Self {
             axes: map.axes.clone(),
             v: map.v.clone(),
             p: map.p.clone(),
             u: map.u.clone(),
             sheet: map.sheet.clone(),
             controls,
-            above,
+        };
+        // Twice: corners of the grid's cells are reached by way of their neighbours.
+        for _ in 0..2 {
+            field.extend(above, limit);
         }
+        field
+    }
+
+    /// Gives points `above` that are next to known ones the values that their nearest neighbours' p and its change foretell.
+    fn extend(&mut self, above: &[bool], limit: f64) {
+        let n = self.axes.len();
+        let mut new = Vec::new();
+        for k in (0..self.v.len()).filter(|k| above.get(*k).copied().unwrap_or(false) && self.v[*k].is_nan()) {
+            if let Some((v, p, from)) = self.foretold(k) {
+                new.push((k, v.max(limit * (1.0 + 1e-9)), p, from));
+            }
+        }
+        for (k, v, p, from) in new {
+            self.v[k] = v;
+            self.p[k * n..(k + 1) * n].copy_from_slice(&p);
+            let m = self.controls;
+            let u = self.u[from * m..(from + 1) * m].to_vec();
+            self.u[k * m..(k + 1) * m].copy_from_slice(&u);
+            self.sheet[k] = self.sheet[from];
+        }
+    }
+
+    /// V and p at a point from two known ones of one sheet in a row next to it, where V is least; and the nearer of these.
+    fn foretold(&self, k: usize) -> Option<(f64, Vec<f64>, usize)> {
+        let n = self.axes.len();
+        let mut stride = 1;
+        let mut best: Option<(f64, Vec<f64>, usize)> = None;
+        for d in (0..n).rev() {
+            let count = self.axes[d].len();
+            let place = k / stride % count;
+            for up in [false, true] {
+                let inside = if up { place + 2 < count } else { place >= 2 };
+                if !inside {
+                    continue;
+                }
+                let step = |by: usize| if up { k + by * stride } else { k - by * stride };
+                let at = |by: usize| self.axes[d][if up { place + by } else { place - by }];
+                let (near, far) = (step(1), step(2));
+                if !self.v[near].is_finite() || !self.v[far].is_finite() || self.sheet[near] != self.sheet[far] {
+                    continue;
+                }
+                let (h, before) = (at(0) - at(1), at(1) - at(2));
+                let p: Vec<f64> = (0..n)
+                    .map(|i| {
+                        let (a, b) = (self.p[near * n + i], self.p[far * n + i]);
+                        a + (a - b) * h / before
+                    })
+                    .collect();
+                let v = self.v[near] + 0.5 * h * (self.p[near * n + d] + p[d]);
+                if best.as_ref().is_none_or(|(least, ..)| v < *least) {
+                    best = Some((v, p, near));
+                }
+            }
+            stride *= count;
+        }
+        best
     }
 
     /// From `/points`, where these are all points of a grid, each once.
@@ -80,7 +138,6 @@ impl GridField {
             sheet: order.iter().map(|k| points.sheet[*k]).collect(),
             axes,
             controls,
-            above: Vec::new(),
         })
     }
 
@@ -141,19 +198,16 @@ impl GridField {
 impl Field for GridField {
     fn at(&self, x: &[f64]) -> Option<Local> {
         let corners = self.corners(x)?;
-        let unknown = |k: usize| !self.v[k].is_finite();
-        let beyond = |k: usize| self.above.get(k).copied().unwrap_or(false);
-        if corners.iter().any(|(k, _)| unknown(*k) && !beyond(*k)) {
+        if corners.iter().any(|(k, _)| !self.v[*k].is_finite()) {
             return None;
         }
-        let known: Vec<(usize, f64)> = corners.iter().filter(|(k, _)| !unknown(*k)).copied().collect();
-        let mut sheets: Vec<i32> = known.iter().map(|(k, _)| self.sheet[*k]).collect();
+        let mut sheets: Vec<i32> = corners.iter().map(|(k, _)| self.sheet[*k]).collect();
         sheets.sort_unstable();
         sheets.dedup();
-        let slope = if sheets.len() == 1 && known.len() == corners.len() { 0.5 } else { 1.0 };
+        let slope = if sheets.len() == 1 { 0.5 } else { 1.0 };
         let best = (sheets.iter())
             .map(|sheet| {
-                let own: Vec<_> = (known.iter()).filter(|(k, _)| self.sheet[*k] == *sheet).copied().collect();
+                let own: Vec<_> = (corners.iter()).filter(|(k, _)| self.sheet[*k] == *sheet).copied().collect();
                 (self.sheet_value(x, &own, slope), *sheet, own)
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -293,7 +347,7 @@ mod tests {
 
     #[test]
     fn quadratic_pieces_are_exact_and_not_mixed() {
-        let field = GridField::of_map(&map(9), 1, vec![]);
+        let field = GridField::of_map(&map(9), 1, &[], 0.0);
         let mut seen = [0, 0];
         for x in even([-1.97, 1.93], 37) {
             for y in even([-1.9, 1.99], 41) {
@@ -322,15 +376,43 @@ mod tests {
         let mut map = map(9);
         map.v[4 * 9 + 4] = f64::NAN;
         let x = [map.axes[0][4] + 0.1, map.axes[1][4] - 0.1];
-        assert!(GridField::of_map(&map, 1, vec![]).at(&x).is_none());
-        let above = (0..81).map(|k| k == 4 * 9 + 4).collect();
-        assert!(GridField::of_map(&map, 1, above).at(&x).is_some());
+        assert!(GridField::of_map(&map, 1, &[], 0.0).at(&x).is_none());
+        // One well, known up to a limit: it is continued by its own quadratic, on the grid's side of the limit.
+        let limit = 6.0;
+        let axis = even([-3.0, 3.0], 13);
+        let mut well = StoredMap {
+            axes: vec![axis.clone(), axis.clone()],
+            ..StoredMap::default()
+        };
+        let mut above = Vec::new();
+        for x in &axis {
+            for y in &axis {
+                let v = x * x + y * y;
+                above.push(v > limit);
+                let known = |w: f64| if v > limit { f64::NAN } else { w };
+                well.v.push(known(v));
+                well.p.extend([known(2.0 * x), known(2.0 * y)]);
+                well.u.push(known(*x));
+                well.sheet.push(if v > limit { -1 } else { 0 });
+            }
+        }
+        let field = GridField::of_map(&well, 1, &above, limit);
+        for x in even([-2.4, 2.4], 33) {
+            for y in even([-2.4, 2.4], 33) {
+                let v = x * x + y * y;
+                if v < limit + 1.0 {
+                    let found = field.at(&[x, y]).unwrap();
+                    assert!((found.v - v).abs() < 1e-9, "{x} {y}: {} {v}", found.v);
+                    assert_eq!(found.sheet, 0);
+                }
+            }
+        }
     }
 
     #[test]
     fn points_of_a_grid_in_any_order() {
         let whole = map(5);
-        let field = GridField::of_map(&whole, 1, vec![]);
+        let field = GridField::of_map(&whole, 1, &[], 0.0);
         let order: Vec<usize> = (0..25).map(|k| k * 7 % 25).collect();
         let mut points = StoredPoints {
             count: 25,
@@ -351,7 +433,7 @@ mod tests {
 
     #[test]
     fn cells_between_sheets_are_cut() {
-        let field = GridField::of_map(&map(17), 1, vec![]);
+        let field = GridField::of_map(&map(17), 1, &[], 0.0);
         let axis = even([-2.0, 2.0], 33);
         let plane = Plane::new(&field, [0, 1], &[0.0, 0.0], axis.clone(), axis).unwrap();
         assert_eq!(plane.sheets(), [0, 1]);

@@ -41,6 +41,7 @@ pub struct Source<'s> {
     sheets: Result<Option<StoredPoints>, String>,
     field: Result<Option<GridField>, String>,
     plane: OnceCell<Option<Plane>>,
+    largest: OnceCell<f64>,
 }
 
 impl<'s> Source<'s> {
@@ -69,6 +70,7 @@ impl<'s> Source<'s> {
             sheets,
             field,
             plane: OnceCell::new(),
+            largest: OnceCell::new(),
         })
     }
 
@@ -127,7 +129,10 @@ impl<'s> Source<'s> {
         if least >= -1e-9 * most.abs() && most > 0.0 {
             one_two_five(most)
         } else {
-            ticks::linear(least, most, 12).into_iter().map(|t| t.value).collect()
+            // From below the least to above the largest: all is covered.
+            let step = ticks::step(most - least, 12);
+            let (first, last) = ((least / step).floor() as i64, (most / step).ceil() as i64);
+            (first..=last).map(|k| k as f64 * step).collect()
         }
     }
 
@@ -136,6 +141,15 @@ impl<'s> Source<'s> {
         let asked = self.model.map.as_ref().and_then(|m| m.value_max);
         let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         asked.map_or(most, |a| a.min(most))
+    }
+
+    /// The largest size of V along trajectories; 0 without any.
+    pub fn largest(&self) -> f64 {
+        *self.largest.get_or_init(|| {
+            let stored = self.trajectories().ok().flatten();
+            let values = stored.into_iter().flat_map(|t| t.v.iter()).filter(|v| v.is_finite());
+            values.fold(0.0, |a: f64, v| a.max(v.abs()))
+        })
     }
 
     /// Whether the horizon is infinite: V grows from 0 at the equilibrium.
@@ -246,11 +260,12 @@ fn field(stored: &Stored, points: &Result<Option<StoredPoints>, String>) -> Resu
     let (n, m) = (stored.model.states.len(), stored.model.controls.len());
     if let Some(map) = stored.map().map_err(|e| e.to_string())? {
         let status = stored.group("map").map(|g| g.i32("status"));
-        let above = match status {
+        let above: Vec<bool> = match status {
             Some(Ok((_, status))) => status.iter().map(|s| *s == PointStatus::AboveMax as i32).collect(),
             _ => Vec::new(),
         };
-        return Ok(Some(GridField::of_map(&map, m, above)));
+        let limit = stored.model.map.as_ref().and_then(|m| m.value_max).unwrap_or(f64::INFINITY);
+        return Ok(Some(GridField::of_map(&map, m, &above, limit)));
     }
     let points = points.as_ref().map_err(Clone::clone)?;
     let grid = points.as_ref().and_then(|p| GridField::of_points(p, n, m));

@@ -4,6 +4,7 @@
 //! style sheet may replace them on a dark ground.
 
 use super::canvas::{Anchor, Canvas, Ink, Point, Stroke, Style};
+use super::colours::Rgb;
 use super::text;
 use std::fmt::Write as _;
 
@@ -180,6 +181,21 @@ impl Canvas for Svg {
             inked("fill", ink),
             opacity("fill", alpha)
         ));
+    }
+
+    fn faces(&mut self, faces: &[(Vec<Point>, Rgb)], edge: Stroke) {
+        self.push(format_args!(
+            "<g{} stroke-width=\"{}\"{}>\n",
+            inked("stroke", edge.ink),
+            short(edge.width, 2),
+            opacity("stroke", edge.opacity)
+        ));
+        for (ring, fill) in faces {
+            let mut d = String::new();
+            path(ring, true, &mut d);
+            self.push(format_args!("<path fill=\"{}\" d=\"{d}\"/>\n", colour(Ink::Colour(*fill))));
+        }
+        self.push(format_args!("</g>\n"));
     }
 
     fn dots(&mut self, at: &[Point], width: f64, ink: Ink, alpha: f64) {

@@ -92,8 +92,8 @@ fn between(from: f64, to: f64, most: usize) -> Vec<Tick> {
 /// 10 to the `exponent`.
 pub fn power(exponent: i64) -> String {
     match exponent {
-        0 => "1".to_owned(),
-        1 => "10".to_owned(),
+        0..=3 => 10i64.pow(exponent as u32).to_string(),
+        -2..0 => number(10f64.powi(exponent as i32), 10f64.powi(exponent as i32)),
         _ => format!("10{}", raised(exponent)),
     }
 }
@@ -175,7 +175,7 @@ mod tests {
 
     #[test]
     fn powers_of_ten() {
-        assert_eq!(labels(&logarithmic(1e-3, 100.0, 10)), ["10\u{207b}\u{b3}", "10\u{207b}\u{b2}", "10\u{207b}\u{b9}", "1", "10", "10\u{b2}"]);
+        assert_eq!(labels(&logarithmic(1e-3, 100.0, 10)), ["10\u{207b}\u{b3}", "0.01", "0.1", "1", "10", "100"]);
         assert!(labels(&logarithmic(1e-16, 1.0, 5)).len() <= 5);
         assert_eq!(labels(&logarithmic(0.9, 6.0, 10)), ["1", "2", "5"]);
     }

@@ -2,6 +2,7 @@
 
 use super::Made;
 use super::boundary::Boundary;
+use super::bands::fill;
 use crate::report::canvas::{Anchor, Canvas, Ink, Point, Rect, Stroke, Style, TEXT};
 use crate::report::colours;
 use crate::report::contour::{self, Grid};
@@ -82,8 +83,11 @@ impl Contours {
 
     /// The band from one level to the next has one colour.
     fn colour(&self, value: f64) -> colours::Rgb {
-        let below = self.levels.partition_point(|l| *l <= value);
-        colours::value((below as f64 / self.levels.len().max(1) as f64).min(1.0))
+        self.shade(self.levels.partition_point(|l| *l <= value))
+    }
+
+    fn shade(&self, band: usize) -> colours::Rgb {
+        colours::value((band as f64 / self.levels.len().max(1) as f64).min(1.0))
     }
 
     fn grid(&self) -> Grid<'_> {
@@ -92,22 +96,6 @@ impl Contours {
             y: &self.plane.y,
             values: &self.plane.v,
             cut: &self.plane.cut,
-        }
-    }
-
-    fn fill(&self, canvas: &mut dyn Canvas, frame: &Frame) {
-        let mut uncut = self.grid();
-        // Bands meet at the boundary; only lines end there.
-        uncut.cut = &[];
-        let mut bounds = vec![f64::NEG_INFINITY];
-        bounds.extend(&self.levels);
-        for (k, bound) in bounds.iter().enumerate() {
-            let rings: Vec<Vec<Point>> = contour::region(&uncut, *bound).iter().map(|r| frame.ring(r)).collect();
-            let ink = match self.levels.get(k) {
-                Some(next) => Ink::Colour(self.colour(if bound.is_finite() { *bound } else { next - 1e-9 * next.abs() - 1e-300 })),
-                None => Ink::Paper,
-            };
-            canvas.area(&rings, ink, 1.0);
         }
     }
 }
@@ -194,8 +182,13 @@ impl Drawing for Contours {
         let frame = Frame::within(Rect::new(area.left, top, area.right - room, area.bottom), x, y);
         legend.draw(canvas, [area.left, area.top], area.width());
         frame.under(canvas);
-        self.fill(canvas, &frame);
+        // Bands meet at the boundary; only lines end there.
+        let whole = Grid { cut: &[], ..self.grid() };
+        fill(canvas, &frame, &whole, &self.levels, &|k| self.shade(k), false);
         let mut labels = Labels { taken: Vec::new() };
+        if let Some([x, y]) = self.rest.and_then(|r| frame.dots([r]).first().copied()) {
+            labels.taken.push(Rect::new(x - 6.0, y - 6.0, x + 6.0, y + 6.0));
+        }
         let mut placed = Vec::new();
         for level in &self.levels {
             let lines: Vec<Vec<[f64; 2]>> = contour::lines(&self.grid(), *level).into_iter().map(|l| l.points).collect();

@@ -5,13 +5,15 @@ use super::boundary::Boundary;
 use crate::output::StoredTrajectories;
 use crate::report::canvas::{Canvas, Ink, Rect, Stroke};
 use crate::report::colours;
+use crate::report::flow::Flow;
 use crate::report::frame::{Axis, Bar, Frame, Legend, Mark};
 use crate::report::plane::Field;
 use crate::report::ticks::significant;
 use crate::report::{Drawing, Picture, Source};
+use std::collections::BTreeMap;
 
 /// Trajectories of a picture.
-const SHOWN: usize = 96;
+const SHOWN: usize = 90;
 /// Fronts of a picture.
 const FRONTS: usize = 6;
 /// Bands of V that trajectories are coloured by.
@@ -20,6 +22,9 @@ const BANDS: usize = 10;
 /// interpolation on the map may be off by is less.
 const ABOVE: f64 = 0.01;
 const ABOVE_ALL: f64 = 0.002;
+/// Sheet of a sample where there is no telling, and where another sheet is cheaper.
+const UNKNOWN: i32 = -1;
+const DEARER: i32 = -2;
 
 type Path = Vec<[f64; 2]>;
 
@@ -32,10 +37,21 @@ struct Phase {
     faint: Vec<Path>,
     fronts: Vec<Path>,
     boundary: Boundary,
-    rest: Option<[f64; 2]>,
+    rest: Vec<[f64; 2]>,
     legend: Vec<(Mark, String)>,
     /// Ends of the bands of V, where colours show V.
     bands: Vec<f64>,
+}
+
+/// A trajectory as seen in the region: states with a period may be shifted by some.
+#[derive(Clone)]
+struct Seen {
+    number: usize,
+    shift: Vec<f64>,
+    /// The sheet of each sample.
+    sheets: Vec<i32>,
+    /// Its outermost point in the picture.
+    outer: [f64; 2],
 }
 
 pub fn picture(source: &Source<'_>) -> Made {
@@ -44,16 +60,14 @@ pub fn picture(source: &Source<'_>) -> Made {
         return Err("it needs two states".to_owned());
     }
     let two = source.model.states.len() == 2;
-    let ring = if two && source.infinite() { in_order(source, t) } else { (0..t.count).collect() };
     let field = if two { source.field()? } else { None };
-    let sheets = field.map(|f| sheets_along(t, f));
-    let coloured_by_sheet = sheets.as_ref().is_some_and(|s| {
-        let mut all: Vec<i32> = s.iter().copied().filter(|s| *s >= 0).collect();
-        all.sort_unstable();
-        all.dedup();
-        all.len() > 1
-    });
-    let shown = chosen(&ring, SHOWN);
+    let shifts = if two { shifts(source) } else { vec![vec![0.0; source.model.states.len()]] };
+    let all = seen(source, t, field.map(|f| f as &dyn Field), &shifts);
+    let shown = spread(source, &all, SHOWN);
+    let mut sheets: Vec<i32> = all.iter().flat_map(|s| s.sheets.iter().copied()).filter(|s| *s >= 0).collect();
+    sheets.sort_unstable();
+    sheets.dedup();
+    let rest = source.model.reference();
     let mut drawing = Phase {
         labels: source.labels(),
         ranges: source.axes.map(|k| source.model.region[k]),
@@ -61,7 +75,10 @@ pub fn picture(source: &Source<'_>) -> Made {
         faint: Vec::new(),
         fronts: Vec::new(),
         boundary: Boundary::read(source)?,
-        rest: source.infinite().then(|| source.axes.map(|k| source.model.reference()[k])),
+        rest: (shifts.iter())
+            .filter(|_| source.infinite())
+            .map(|s| source.axes.map(|k| rest[k] + s[k]))
+            .collect(),
         legend: Vec::new(),
         bands: Vec::new(),
     };
@@ -71,22 +88,22 @@ pub fn picture(source: &Source<'_>) -> Made {
         t.count,
         if two { "" } else { ", projected: lines that cross differ in the other states" },
     );
-    match &sheets {
-        Some(sheets) if coloured_by_sheet => {
-            drawing.by_sheet(source, t, sheets, &shown);
-            caption += "A colour is a sheet: a family of optimal trajectories that reaches the equilibrium in its own way. ";
-            if !drawing.faint.is_empty() {
-                caption += "Thin grey: where a trajectory's own cost is above what another sheet offers, it is an extremal but \
-                            not optimal. ";
-            }
+    let mut flow = Flow::new(source.model, &source.stored.hamiltonian);
+    if sheets.len() > 1 {
+        drawing.by_sheet(source, t, &mut flow, &shown);
+        caption += "A colour is a sheet: a family of optimal trajectories that goes its own way. ";
+        if !drawing.faint.is_empty() {
+            caption += "Grey: where another sheet offers less, a trajectory is not optimal (or it is not known whether it is). ";
         }
-        _ => {
-            drawing.by_value(source, t, &shown);
-            caption += "Colour: V, the cost from there on. ";
+        if shifts.len() > 1 {
+            caption += "Trajectories that leave on one side of the period come in on the other. ";
         }
+    } else {
+        drawing.by_value(source, t, &mut flow, &shown);
+        caption += "Colour: V, the cost from there on. ";
     }
     if two && source.infinite() {
-        let levels = drawing.draw_fronts(source, t, &ring, sheets.as_deref());
+        let levels = drawing.draw_fronts(source, t, &all);
         if !levels.is_empty() {
             caption += &format!("Black: fronts of equal cost, V = {}. ", levels.join(", "));
             let line = Mark::Line(Stroke::new(Ink::Text, 1.3));
@@ -98,7 +115,7 @@ pub fn picture(source: &Source<'_>) -> Made {
         drawing.legend.push((Mark::Line(dark), "equal cost: the control jumps".to_owned()));
     }
     caption += if source.infinite() {
-        "Motion is towards the dot, the equilibrium; within the innermost ends V is below the first sample."
+        "Motion is towards the dot, the equilibrium; trajectories are stored from the first front on."
     } else {
         "Motion is towards the terminal cost."
     };
@@ -110,102 +127,119 @@ pub fn picture(source: &Source<'_>) -> Made {
     }))
 }
 
-/// At most `most`, evenly spread.
-pub fn chosen<T: Copy>(all: &[T], most: usize) -> Vec<T> {
-    let count = all.len().min(most);
-    (0..count).map(|k| all[k * all.len() / count]).collect()
+/// Whole periods by which a state of the region may be away from where a trajectory was swept.
+fn shifts(source: &Source<'_>) -> Vec<Vec<f64>> {
+    let mut all = vec![Vec::new()];
+    for state in &source.model.states {
+        let steps: Vec<f64> = state.period.map_or_else(|| vec![0.0], |p| (-2..=2).map(|k| f64::from(k) * p).collect());
+        all = all.iter().flat_map(|s| steps.iter().map(move |d| [s.as_slice(), &[*d]].concat())).collect();
+    }
+    all
 }
 
-/// Trajectories of two states in the order in which they lie around the equilibrium, by their innermost points.
-fn in_order(source: &Source<'_>, t: &StoredTrajectories) -> Vec<usize> {
-    let at = source.model.reference();
-    let width = source.model.region.iter().map(|[a, b]| b - a).collect::<Vec<_>>();
-    let angle = |k: &usize| {
-        let last = (k * t.samples..(k + 1) * t.samples).rev().find(|s| t.v[*s].is_finite());
-        last.map_or(f64::NAN, |s| {
-            let of = |i: usize| (t.x[2 * s + i] - at[i]) / width[i];
-            of(1).atan2(of(0))
-        })
-    };
-    let mut order: Vec<(f64, usize)> = (0..t.count).map(|k| (angle(&k), k)).filter(|(a, _)| a.is_finite()).collect();
-    order.sort_by(|a, b| a.0.total_cmp(&b.0));
-    order.into_iter().map(|(_, k)| k).collect()
-}
-
-/// The sheet of each sample, -1 where there is no value, -2 where another sheet is cheaper there or further in.
-fn sheets_along(t: &StoredTrajectories, field: &dyn Field) -> Vec<i32> {
-    let n = t.x.len() / t.v.len().max(1);
-    let largest = t.v.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
-    let mut sheets = vec![-1; t.v.len()];
+/// Every trajectory with every shift that brings it into the picture.
+fn seen(source: &Source<'_>, t: &StoredTrajectories, field: Option<&dyn Field>, shifts: &[Vec<f64>]) -> Vec<Seen> {
+    let n = source.model.states.len();
+    let mut all = Vec::new();
     for k in 0..t.count {
-        let mut current = -1;
-        // Time runs forward: outward is backward.
-        for s in (k * t.samples..(k + 1) * t.samples).rev() {
-            let v = t.v[s];
-            if !v.is_finite() {
-                continue;
-            }
-            if current != -2
-                && let Some(local) = field.at(&t.x[s * n..(s + 1) * n])
-            {
-                current = if v > local.v + ABOVE * local.v.abs() + ABOVE_ALL * largest { -2 } else { local.sheet };
-            }
-            sheets[s] = current;
+        for shift in shifts {
+            let at = |s: usize| -> Vec<f64> { t.x[s * n..(s + 1) * n].iter().zip(shift).map(|(x, d)| x + d).collect() };
+            // Time runs forward: the first sample is the outermost.
+            let inside = (k * t.samples..(k + 1) * t.samples).filter(|s| t.v[*s].is_finite()).map(at).find(|x| {
+                source.axes.iter().all(|i| {
+                    let [from, to] = source.model.region[*i];
+                    x[*i] >= from && x[*i] <= to
+                })
+            });
+            let Some(x) = inside else { continue };
+            all.push(Seen {
+                number: k,
+                sheets: field.map_or_else(Vec::new, |f| sheets_along(source, t, f, k, shift)),
+                shift: shift.clone(),
+                outer: source.axes.map(|i| x[i]),
+            });
         }
-        // What the map does not reach further in is on the sheet of what follows.
-        let range = k * t.samples..(k + 1) * t.samples;
-        if let Some(inner) = range.clone().rev().map(|s| sheets[s]).find(|s| *s >= 0) {
-            for s in range.rev().take_while(|s| sheets[*s] == -1 || !t.v[*s].is_finite()).collect::<Vec<_>>() {
-                if t.v[s].is_finite() {
-                    sheets[s] = inner;
-                }
-            }
+    }
+    all
+}
+
+/// The sheet of each sample of a trajectory. With a finite horizon V is known at the initial time only.
+fn sheets_along(source: &Source<'_>, t: &StoredTrajectories, field: &dyn Field, k: usize, shift: &[f64]) -> Vec<i32> {
+    let n = shift.len();
+    let range = k * t.samples..(k + 1) * t.samples;
+    let told = |s: usize| -> Option<i32> {
+        let x: Vec<f64> = t.x[s * n..(s + 1) * n].iter().zip(shift).map(|(x, d)| x + d).collect();
+        let local = field.at(&x)?;
+        let most = local.v + ABOVE * local.v.abs() + ABOVE_ALL * source.largest();
+        Some(if t.v[s] > most { DEARER } else { local.sheet })
+    };
+    if !source.infinite() {
+        let sheet = range.clone().find(|s| t.v[*s].is_finite()).and_then(told).unwrap_or(UNKNOWN);
+        return vec![sheet; t.samples];
+    }
+    let mut sheets = vec![UNKNOWN; t.samples];
+    let mut current = UNKNOWN;
+    // Outward is backward: what is dearer stays so.
+    for s in range.clone().rev().filter(|s| t.v[*s].is_finite()) {
+        if current != DEARER
+            && let Some(sheet) = told(s)
+        {
+            current = sheet;
         }
+        sheets[s - range.start] = current;
+    }
+    // What the map does not reach further in is on the sheet of what follows.
+    if let Some(first) = sheets.iter().rposition(|s| *s >= 0) {
+        let sheet = sheets[first];
+        sheets[first..].fill(sheet);
     }
     sheets
 }
 
-impl Phase {
-    fn place(source: &Source<'_>, t: &StoredTrajectories, s: usize) -> [f64; 2] {
-        let n = source.model.states.len();
-        source.axes.map(|k| t.x[s * n + k])
-    }
-
-    /// Pieces of one trajectory of equal class; `None` parts them.
-    fn pieces<C: PartialEq + Copy>(
-        source: &Source<'_>,
-        t: &StoredTrajectories,
-        k: usize,
-        class: impl Fn(usize) -> Option<C>,
-    ) -> Vec<(C, Path)> {
-        let mut pieces: Vec<(C, Path)> = Vec::new();
-        let mut open: Option<C> = None;
-        for s in k * t.samples..(k + 1) * t.samples {
-            let at = Self::place(source, t, s);
-            let here = if t.v[s].is_finite() { class(s) } else { None };
-            let Some(c) = here else {
-                open = None;
-                continue;
-            };
-            match pieces.last_mut().filter(|_| open.is_some()) {
-                // The last piece reaches up to where the next begins.
-                Some((last, path)) => {
-                    path.push(at);
-                    if *last != c {
-                        pieces.push((c, vec![at]));
-                    }
-                }
-                None => pieces.push((c, vec![at])),
-            }
-            open = Some(c);
+/// At most `most`, their outer ends as far from each other as can be had one by one.
+fn spread(source: &Source<'_>, all: &[Seen], most: usize) -> Vec<Seen> {
+    let widths = source.axes.map(|k| source.model.region[k][1] - source.model.region[k][0]);
+    let mut nearest = vec![f64::INFINITY; all.len()];
+    let mut chosen = Vec::new();
+    let mut next = (!all.is_empty()).then_some(0);
+    while let Some(k) = next.filter(|_| chosen.len() < most) {
+        chosen.push(all[k].clone());
+        for (d, s) in nearest.iter_mut().zip(all) {
+            let apart = |i: usize| (s.outer[i] - all[k].outer[i]) / widths[i];
+            *d = d.min(apart(0).hypot(apart(1)));
         }
-        pieces
+        next = (0..all.len()).max_by(|a, b| nearest[*a].total_cmp(&nearest[*b])).filter(|k| nearest[*k] > 1e-6);
     }
+    chosen
+}
 
-    fn by_sheet(&mut self, source: &Source<'_>, t: &StoredTrajectories, sheets: &[i32], shown: &[usize]) {
-        let mut by_class: std::collections::BTreeMap<i32, Vec<Path>> = std::collections::BTreeMap::new();
-        for k in shown {
-            for (sheet, path) in Self::pieces(source, t, *k, |s| Some(sheets[s])) {
+/// Pieces of one trajectory of equal class; where a class ends the next begins.
+fn pieces(
+    source: &Source<'_>,
+    t: &StoredTrajectories,
+    flow: &mut Flow<'_>,
+    seen: &Seen,
+    class: impl Fn(usize) -> i32,
+) -> Vec<(i32, Path)> {
+    let mut pieces: Vec<(i32, Path)> = Vec::new();
+    for (s, _, x) in flow.path(t, seen.number) {
+        let at = source.axes.map(|k| x[k] + seen.shift[k]);
+        let here = class(s);
+        if let Some((_, path)) = pieces.last_mut() {
+            path.push(at);
+        }
+        if pieces.last().is_none_or(|(c, _)| *c != here) {
+            pieces.push((here, vec![at]));
+        }
+    }
+    pieces
+}
+
+impl Phase {
+    fn by_sheet(&mut self, source: &Source<'_>, t: &StoredTrajectories, flow: &mut Flow<'_>, shown: &[Seen]) {
+        let mut by_class: BTreeMap<i32, Vec<Path>> = BTreeMap::new();
+        for seen in shown {
+            for (sheet, path) in pieces(source, t, flow, seen, |s| seen.sheets[s - seen.number * t.samples]) {
                 if sheet < 0 {
                     self.faint.push(path);
                 } else {
@@ -220,66 +254,92 @@ impl Phase {
             self.coloured.push((colour, paths));
         }
         if !self.faint.is_empty() {
-            let mark = Mark::Line(Stroke::new(Ink::Muted, 0.8).opacity(0.6));
+            let mark = Mark::Line(Stroke::new(Ink::Muted, 1.0).opacity(0.6));
             self.legend.push((mark, "not optimal".to_owned()));
         }
     }
 
-    fn by_value(&mut self, source: &Source<'_>, t: &StoredTrajectories, shown: &[usize]) {
+    fn by_value(&mut self, source: &Source<'_>, t: &StoredTrajectories, flow: &mut Flow<'_>, shown: &[Seen]) {
         let values = t.v.iter().copied().filter(|v| v.is_finite());
         let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
         let zero = if source.infinite() { least.min(0.0) } else { least };
         self.bands = (0..=BANDS).map(|k| zero + (most - zero) * k as f64 / BANDS as f64).collect();
         let band = |v: f64| (((v - zero) / (most - zero) * BANDS as f64) as usize).min(BANDS - 1);
         let mut by_band: Vec<Vec<Path>> = vec![Vec::new(); BANDS];
-        for k in shown {
-            for (b, path) in Self::pieces(source, t, *k, |s| Some(band(t.v[s]))) {
-                by_band[b].push(path);
+        for seen in shown {
+            for (b, path) in pieces(source, t, flow, seen, |s| band(t.v[s]) as i32) {
+                by_band[b as usize].push(path);
             }
         }
         self.coloured = (by_band.into_iter().enumerate()).map(|(b, paths)| (band_colour(b), paths)).collect();
     }
 
     /// Some fronts, cut where they are not optimal and where neighbours are far apart; their V.
-    fn draw_fronts(&mut self, source: &Source<'_>, t: &StoredTrajectories, ring: &[usize], sheets: Option<&[i32]>) -> Vec<String> {
+    fn draw_fronts(&mut self, source: &Source<'_>, t: &StoredTrajectories, all: &[Seen]) -> Vec<String> {
         let value = |j: usize| {
-            let values = ring.iter().map(|k| t.v[k * t.samples + j]).filter(|v| v.is_finite());
+            let values = (0..t.count).map(|k| t.v[k * t.samples + j]).filter(|v| v.is_finite());
             values.fold(f64::NAN, f64::max)
         };
-        let spacing = source.model.shoot_out.as_ref().map_or(0.05, |s| s.spacing);
         let most = value(0);
         if !most.is_finite() {
             return Vec::new();
         }
+        let mut by_shift: BTreeMap<String, Vec<&Seen>> = BTreeMap::new();
+        for seen in all {
+            by_shift.entry(format!("{:?}", seen.shift)).or_default().push(seen);
+        }
+        let mut rings: Vec<Vec<&Seen>> = by_shift.into_values().collect();
+        rings.iter_mut().for_each(|ring| in_order(source, t, ring));
         let mut levels = Vec::new();
         let mut before = usize::MAX;
-        for f in 1..=FRONTS {
+        for f in 2..=FRONTS + 1 {
             // Even steps of the square root of V: about even in place.
-            let wanted = most * (f as f64 / FRONTS as f64).powi(2);
+            let wanted = most * (f as f64 / (FRONTS + 1) as f64).powi(2);
             let nearest = (0..t.samples)
                 .filter(|j| value(*j).is_finite())
                 .min_by(|a, b| (value(*a) - wanted).abs().total_cmp(&(value(*b) - wanted).abs()));
             let Some(j) = nearest.filter(|j| *j != before) else { continue };
             before = j;
-            let widths = source.axes.map(|k| source.model.region[k][1] - source.model.region[k][0]);
-            let mut path: Path = Vec::new();
-            for k in ring.iter().chain(ring.first()) {
-                let s = k * t.samples + j;
-                let good = t.v[s].is_finite() && sheets.is_none_or(|sheets| sheets[s] != -2);
-                let at = Self::place(source, t, s);
-                let near = path.last().is_some_and(|p| (0..2).all(|i| (p[i] - at[i]).abs() <= 3.0 * spacing * widths[i]));
-                if (!good || !near) && !path.is_empty() {
-                    self.fronts.push(std::mem::take(&mut path));
-                }
-                if good {
-                    path.push(at);
-                }
+            for ring in &rings {
+                self.front(source, t, ring, j);
             }
-            self.fronts.push(path);
             levels.push(significant(value(j), 3));
         }
         levels
     }
+
+    fn front(&mut self, source: &Source<'_>, t: &StoredTrajectories, ring: &[&Seen], j: usize) {
+        let spacing = source.model.shoot_out.as_ref().map_or(0.05, |s| s.spacing);
+        let widths = source.axes.map(|k| source.model.region[k][1] - source.model.region[k][0]);
+        let mut path: Path = Vec::new();
+        for seen in ring.iter().chain(ring.first()) {
+            let s = seen.number * t.samples + j;
+            let good = t.v[s].is_finite() && seen.sheets.get(j).is_none_or(|s| *s != DEARER);
+            let at = source.axes.map(|k| t.x[2 * s + k] + seen.shift[k]);
+            let near = path.last().is_some_and(|p| (0..2).all(|i| (p[i] - at[i]).abs() <= 3.0 * spacing * widths[i]));
+            if (!good || !near) && !path.is_empty() {
+                self.fronts.push(std::mem::take(&mut path));
+            }
+            if good {
+                path.push(at);
+            }
+        }
+        self.fronts.push(path);
+    }
+}
+
+/// Puts trajectories of two states in the order in which they lie around the equilibrium, by their innermost points.
+fn in_order(source: &Source<'_>, t: &StoredTrajectories, ring: &mut [&Seen]) {
+    let at = source.model.reference();
+    let width = source.model.region.iter().map(|[a, b]| b - a).collect::<Vec<_>>();
+    let angle = |seen: &Seen| {
+        let last = (seen.number * t.samples..(seen.number + 1) * t.samples).rev().find(|s| t.v[*s].is_finite());
+        last.map_or(f64::NAN, |s| {
+            let of = |i: usize| (t.x[2 * s + i] - at[i]) / width[i];
+            of(1).atan2(of(0))
+        })
+    };
+    ring.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
 }
 
 fn band_colour(band: usize) -> colours::Rgb {
@@ -309,7 +369,7 @@ impl Drawing for Phase {
         let room = if self.bands.is_empty() { 0.0 } else { bar.width(area.bottom - top) };
         let frame = Frame::within(Rect::new(area.left, top, area.right - room, area.bottom), x, y);
         frame.under(canvas);
-        canvas.lines(&frame.lines(&self.faint), Stroke::new(Ink::Muted, 0.8).opacity(0.45));
+        canvas.lines(&frame.lines(&self.faint), Stroke::new(Ink::Muted, 0.8).opacity(0.4));
         let width = if self.bands.is_empty() { 1.1 } else { 1.3 };
         for (colour, paths) in &self.coloured {
             canvas.lines(&frame.lines(paths), Stroke::new(Ink::Colour(*colour), width).opacity(0.9));
@@ -318,11 +378,9 @@ impl Drawing for Phase {
         canvas.lines(&frame.lines(&self.boundary.lines), Stroke::new(Ink::Paper, 5.0).opacity(0.7));
         canvas.lines(&frame.lines(&self.boundary.lines), Stroke::new(Ink::Text, 3.0));
         canvas.dots(&frame.dots(self.boundary.points.iter().copied()), 6.0, Ink::Text, 1.0);
-        if let Some(rest) = self.rest {
-            let dots = frame.dots([rest]);
-            canvas.dots(&dots, 10.0, Ink::Paper, 1.0);
-            canvas.dots(&dots, 7.0, Ink::Text, 1.0);
-        }
+        let dots = frame.dots(self.rest.iter().copied());
+        canvas.dots(&dots, 10.0, Ink::Paper, 1.0);
+        canvas.dots(&dots, 7.0, Ink::Text, 1.0);
         frame.over(canvas);
         if !self.bands.is_empty() {
             bar.draw(canvas, frame.area.right + 14.0, frame.area.top, frame.area.bottom);

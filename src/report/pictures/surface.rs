@@ -8,7 +8,7 @@ use crate::report::plane::Plane;
 use crate::report::{Drawing, Picture, Source, ticks};
 
 /// Cells along each axis, at most: what can be told apart, and a small file.
-const CELLS: usize = 44;
+const CELLS: usize = 40;
 /// The direction of sight: turned about the vertical, and raised above the horizontal.
 const TURN: f64 = -0.93;
 const RAISE: f64 = 0.52;
@@ -71,6 +71,22 @@ fn thinned(plane: &Plane) -> Plane {
     }
 }
 
+/// The part of a polygon with heights of at most `most`.
+fn below(ring: &[[f64; 3]], most: f64) -> Vec<[f64; 3]> {
+    let mut cut = Vec::with_capacity(ring.len() + 1);
+    for k in 0..ring.len() {
+        let (a, b) = (ring[k], ring[(k + 1) % ring.len()]);
+        if a[2] <= most {
+            cut.push(a);
+        }
+        if (a[2] <= most) != (b[2] <= most) {
+            let s = (most - a[2]) / (b[2] - a[2]);
+            cut.push([0, 1, 2].map(|i| a[i] + s * (b[i] - a[i])));
+        }
+    }
+    cut
+}
+
 /// From the unit box to the picture.
 struct View {
     scale: f64,
@@ -126,8 +142,8 @@ impl Surface {
         ]
     }
 
-    /// Cells that are drawn, the furthest first: corners, mean height, slope against the light.
-    fn cells(&self) -> Vec<([[f64; 3]; 4], f64)> {
+    /// Cells that are drawn, the furthest first: corners, mean V.
+    fn cells(&self) -> Vec<(Vec<[f64; 3]>, f64)> {
         let ny = self.plane.y.len();
         let mut cells = Vec::new();
         for i in 0..self.plane.x.len() - 1 {
@@ -135,21 +151,18 @@ impl Surface {
                 let places = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)];
                 let at = |(i, j): (usize, usize)| self.plane.v[i * ny + j];
                 let values = places.map(at);
-                // A cell that rises above the box by much would stand out of the picture.
                 let fits = values.iter().all(|v| v.is_finite()) && values.iter().any(|v| *v <= self.most);
                 if !fits {
                     continue;
                 }
-                let corners = places.map(|(i, j)| {
-                    let mut p = self.unit(i, j);
-                    p[2] = p[2].min(HIGH);
-                    p
-                });
+                let corners = below(&places.map(|(i, j)| self.unit(i, j)), HIGH);
                 let mean = values.iter().map(|v| v.min(self.most)).sum::<f64>() / 4.0;
-                cells.push((corners, mean));
+                if corners.len() > 2 {
+                    cells.push((corners, mean));
+                }
             }
         }
-        let depth = |c: &[[f64; 3]; 4]| c.iter().map(|p| seen([p[0], p[1], 0.0])[2]).sum::<f64>();
+        let depth = |c: &[[f64; 3]]| c.iter().map(|p| seen([p[0], p[1], 0.0])[2]).sum::<f64>() / c.len() as f64;
         cells.sort_by(|a, b| depth(&a.0).total_cmp(&depth(&b.0)));
         cells
     }
@@ -160,6 +173,9 @@ impl Surface {
         let mut lines: Vec<Vec<Point>> = vec![base.iter().chain([&base[0]]).map(|p| view.at(*p)).collect()];
         let ends = |v: &[f64]| [v[0], v[v.len() - 1]];
         let ranges = [ends(&self.plane.x), ends(&self.plane.y)];
+        // The upright axis stands at the corner that is furthest left.
+        let corner = (base.iter()).min_by(|a, b| seen(**a)[0].total_cmp(&seen(**b)[0])).copied().unwrap_or_default();
+        let foot = view.at(corner);
         // The edges in front: x at the nearer end of y and the other way round.
         let near = |k: usize| {
             let mut ends = [[0.5, 0.5, 0.0]; 2];
@@ -180,6 +196,11 @@ impl Surface {
             let anchor = if left { Anchor::End } else { Anchor::Start };
             for tick in ticks::linear(from, to, 6) {
                 lines.push(vec![at(tick.value, 0.0), at(tick.value, 0.02)]);
+                // At the corner of the upright axis labels would meet.
+                let beside = at(tick.value, 0.0);
+                if (beside[0] - foot[0]).hypot(beside[1] - foot[1]) < 16.0 {
+                    continue;
+                }
                 let [x, y] = at(tick.value, 0.03);
                 canvas.text([x, y + 6.0], &tick.label, Style::new(anchor));
             }
@@ -188,8 +209,6 @@ impl Surface {
             style.ink = Ink::Text;
             canvas.text([x, y + LINE], &self.labels[k], style);
         }
-        // Upright, at the corner that is furthest left.
-        let corner = (base.iter()).min_by(|a, b| seen(**a)[0].total_cmp(&seen(**b)[0])).copied().unwrap_or_default();
         let upright = |v: f64| view.at([corner[0], corner[1], HIGH * (v - self.least) / (self.most - self.least)]);
         lines.push(vec![upright(self.least), upright(self.most)]);
         for tick in ticks::linear(self.least, self.most, 6) {
@@ -212,13 +231,11 @@ impl Drawing for Surface {
         let inner = Rect::new(area.left + 50.0, area.top + 26.0, area.right - 30.0, area.bottom - 2.6 * LINE);
         let view = View::new(inner);
         self.axes(canvas, &view);
-        for (corners, mean) in self.cells() {
+        let face = |(corners, mean): (Vec<[f64; 3]>, f64)| {
             let ring: Vec<Point> = corners.iter().map(|p| view.at(*p)).collect();
-            let share = (mean - self.least) / (self.most - self.least);
-            let colour = colours::value(share);
-            canvas.area(std::slice::from_ref(&ring), Ink::Colour(colour), 1.0);
-            let edge = Stroke::new(Ink::Colour(colours::mixed(colour, [255, 255, 255], 0.35)), 0.5);
-            canvas.lines(&[[ring.clone(), vec![ring[0]]].concat()], edge);
-        }
+            (ring, colours::value((mean - self.least) / (self.most - self.least)))
+        };
+        let faces: Vec<(Vec<Point>, colours::Rgb)> = self.cells().into_iter().map(face).collect();
+        canvas.faces(&faces, Stroke::new(Ink::Colour([255, 255, 255]), 0.5).opacity(0.4));
     }
 }
