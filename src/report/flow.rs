@@ -65,7 +65,7 @@ impl<'s> Flow<'s> {
 }
 
 /// Cubic through two values and slopes, at the share `q` of an interval of length `h`.
-fn hermite(q: f64, h: f64, [a, da]: [f64; 2], [b, db]: [f64; 2]) -> f64 {
+pub fn hermite(q: f64, h: f64, [a, da]: [f64; 2], [b, db]: [f64; 2]) -> f64 {
     let r = 1.0 - q;
     r * r * (1.0 + 2.0 * q) * a + q * q * (1.0 + 2.0 * r) * b + h * q * r * (r * da - q * db)
 }

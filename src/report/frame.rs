@@ -111,6 +111,7 @@ pub struct Frame {
     /// Whether ticks have labels: panels beside or above each other share them.
     pub x_labels: bool,
     pub y_labels: bool,
+    pub y_ticks: bool,
 }
 
 impl Frame {
@@ -131,6 +132,7 @@ impl Frame {
             area,
             x_labels: true,
             y_labels: true,
+            y_ticks: true,
         }
     }
 
@@ -219,7 +221,7 @@ impl Frame {
                 canvas.text([x, a.bottom + TICK + GAP + 0.5 * TEXT], &tick.label, style);
             }
         }
-        let ticks = self.y.ticks(a.height(), ROOM_Y);
+        let ticks = if self.y_ticks { self.y.ticks(a.height(), ROOM_Y) } else { Vec::new() };
         let mut widest = 0.0f64;
         for tick in &ticks {
             let y = self.at([self.x.range[0], tick.value])[1];
@@ -237,7 +239,7 @@ impl Frame {
         }
         if self.y_labels && !self.y.label.is_empty() {
             let x = a.left - TICK - 2.0 * GAP - widest - 0.5 * LINE;
-            let label = text::shortened(&self.y.label, TEXT, a.height() + 40.0);
+            let label = text::shortened(&self.y.label, TEXT, a.height() + 12.0);
             canvas.text([x, 0.5 * (a.top + a.bottom)], &label, style.upward());
         }
     }

@@ -1,6 +1,8 @@
 //! V over a plane of two states, made from what is known at the points of a grid.
 
+use crate::map::ValueMap;
 use crate::output::{StoredMap, StoredPoints};
+use rayon::prelude::*;
 
 /// What is known of the value function at a state.
 #[derive(Clone, Debug, PartialEq)]
@@ -11,7 +13,7 @@ pub struct Local {
 }
 
 /// The value function at any state that the data reach.
-pub trait Field {
+pub trait Field: Sync {
     fn at(&self, x: &[f64]) -> Option<Local>;
 }
 
@@ -141,6 +143,11 @@ impl GridField {
         })
     }
 
+    /// The largest size of V at its points.
+    pub fn largest(&self) -> f64 {
+        self.v.iter().filter(|v| v.is_finite()).fold(0.0, |a, v| a.max(v.abs()))
+    }
+
     /// States along which it extends.
     pub fn extent(&self) -> Vec<usize> {
         (0..self.axes.len()).filter(|k| self.axes[*k].len() > 1).collect()
@@ -221,6 +228,17 @@ impl Field for GridField {
     }
 }
 
+impl Field for ValueMap {
+    fn at(&self, x: &[f64]) -> Option<Local> {
+        let value = self.without_errors(x).lowest.ok()?;
+        Some(Local {
+            v: value.v,
+            u: value.u,
+            sheet: value.sheet,
+        })
+    }
+}
+
 /// V over two states, the others fixed.
 #[derive(Clone, Debug)]
 pub struct Plane {
@@ -232,7 +250,7 @@ pub struct Plane {
     pub v: Vec<f64>,
     pub u: Vec<Vec<f64>>,
     pub sheet: Vec<i32>,
-    /// Cells whose corners are on different sheets, or between whose corners V jumps.
+    /// Cells whose corners are on different sheets.
     pub cut: Vec<bool>,
     /// The whole state, of which the two are replaced.
     pub base: Vec<f64>,
@@ -241,17 +259,19 @@ pub struct Plane {
 impl Plane {
     /// A field over `x` x `y`; `None` where it has no value at all.
     pub fn new(field: &dyn Field, axes: [usize; 2], base: &[f64], x: Vec<f64>, y: Vec<f64>) -> Option<Self> {
-        let (mut v, mut u, mut sheet) = (Vec::new(), Vec::new(), Vec::new());
-        let mut state = base.to_vec();
-        for a in &x {
-            for b in &y {
-                (state[axes[0]], state[axes[1]]) = (*a, *b);
-                let local = field.at(&state);
-                v.push(local.as_ref().map_or(f64::NAN, |l| l.v));
-                sheet.push(local.as_ref().map_or(-1, |l| l.sheet));
-                u.push(local.map(|l| l.u).unwrap_or_default());
-            }
-        }
+        let row = |a: &f64| -> Vec<Option<Local>> {
+            let mut state = base.to_vec();
+            state[axes[0]] = *a;
+            let at = |b: &f64| {
+                state[axes[1]] = *b;
+                field.at(&state)
+            };
+            y.iter().map(at).collect()
+        };
+        let found: Vec<Option<Local>> = x.par_iter().map(row).collect::<Vec<_>>().concat();
+        let v = found.iter().map(|l| l.as_ref().map_or(f64::NAN, |l| l.v)).collect();
+        let sheet = found.iter().map(|l| l.as_ref().map_or(-1, |l| l.sheet)).collect();
+        let u = found.into_iter().map(|l| l.map(|l| l.u).unwrap_or_default()).collect();
         let mut plane = Self {
             axes,
             x,
@@ -272,7 +292,10 @@ impl Plane {
         for i in 0..nx.saturating_sub(1) {
             for j in 0..ny.saturating_sub(1) {
                 let corners = [i * ny + j, (i + 1) * ny + j, (i + 1) * ny + j + 1, i * ny + j + 1];
-                cut.push(corners.iter().any(|k| self.sheet[*k] != self.sheet[corners[0]]));
+                // What has no label goes with any.
+                let mut labels = corners.iter().map(|k| self.sheet[*k]).filter(|s| *s >= 0);
+                let first = labels.next();
+                cut.push(labels.any(|s| Some(s) != first));
             }
         }
         cut
@@ -286,7 +309,7 @@ impl Plane {
     /// Sheets that are on it, ascending.
     pub fn sheets(&self) -> Vec<i32> {
         let mut all: Vec<i32> = (self.sheet.iter().zip(&self.v))
-            .filter(|(_, v)| v.is_finite())
+            .filter(|(s, v)| v.is_finite() && **s >= 0)
             .map(|(s, _)| *s)
             .collect();
         all.sort_unstable();

@@ -1,8 +1,9 @@
 //! What the pictures are made of, read once.
 
-use super::plane::{Field, GridField, Plane, even, refined};
+use super::plane::{GridField, Plane, even, refined};
 use super::ticks::significant;
 use super::{names, ticks};
+use crate::map::ValueMap;
 use crate::model::{Model, Report};
 use crate::output::{Stored, StoredPoints, StoredTrajectories};
 use crate::value::PointStatus;
@@ -41,7 +42,6 @@ pub struct Source<'s> {
     sheets: Result<Option<StoredPoints>, String>,
     field: Result<Option<GridField>, String>,
     plane: OnceCell<Option<Plane>>,
-    largest: OnceCell<f64>,
 }
 
 impl<'s> Source<'s> {
@@ -70,7 +70,6 @@ impl<'s> Source<'s> {
             sheets,
             field,
             plane: OnceCell::new(),
-            largest: OnceCell::new(),
         })
     }
 
@@ -98,7 +97,24 @@ impl<'s> Source<'s> {
     /// V over the plane of the two states, where the data cover some of it.
     pub fn plane(&self) -> Result<Option<&Plane>, String> {
         let field = self.field()?;
-        Ok(self.plane.get_or_init(|| field.and_then(|f| self.make_plane(f))).as_ref())
+        let made = self.plane.get_or_init(|| {
+            // The map as it is, or what can be told from all solutions of the file.
+            let map = field.filter(|_| self.stored.has("map")).and_then(|f| self.make_plane(f));
+            map.or_else(|| self.scattered()).or_else(|| field.and_then(|f| self.make_plane(f)))
+        });
+        Ok(made.as_ref())
+    }
+
+    /// From solutions that form no map. With a finite horizon only solved states are of the initial time.
+    fn scattered(&self) -> Option<Plane> {
+        let known = self.infinite() && (self.stored.has("trajectories") || self.stored.has("points"));
+        if !known || self.axes[0] == self.axes[1] {
+            return None;
+        }
+        let map = ValueMap::new(self.stored).ok()?;
+        let along = |k: usize| even(self.model.region[k], COARSE);
+        let [a, b] = self.axes;
+        Plane::new(&map, self.axes, &self.base, along(a), along(b))
     }
 
     fn make_plane(&self, field: &GridField) -> Option<Plane> {
@@ -109,13 +125,6 @@ impl<'s> Source<'s> {
         // Slopes make much of few points.
         let along = |k: usize| refined(&field.axes[k], FINE);
         Plane::new(field, self.axes, &self.base, along(a), along(b))
-    }
-
-    /// A plane of another kind of knowledge of V.
-    pub fn plane_of(&self, field: &dyn Field) -> Option<Plane> {
-        let [a, b] = self.axes;
-        let along = |k: usize| even(self.model.region[k], COARSE);
-        (a != b).then(|| Plane::new(field, self.axes, &self.base, along(a), along(b))).flatten()
     }
 
     /// The levels of contours of V on a plane.
@@ -141,15 +150,6 @@ impl<'s> Source<'s> {
         let asked = self.model.map.as_ref().and_then(|m| m.value_max);
         let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         asked.map_or(most, |a| a.min(most))
-    }
-
-    /// The largest size of V along trajectories; 0 without any.
-    pub fn largest(&self) -> f64 {
-        *self.largest.get_or_init(|| {
-            let stored = self.trajectories().ok().flatten();
-            let values = stored.into_iter().flat_map(|t| t.v.iter()).filter(|v| v.is_finite());
-            values.fold(0.0, |a: f64, v| a.max(v.abs()))
-        })
     }
 
     /// Whether the horizon is infinite: V grows from 0 at the equilibrium.

@@ -51,7 +51,7 @@ impl ScenarioErrors {
         Self::of(&model.file_name, &model.text, problems)
     }
 
-    pub(super) fn of(file_name: &str, text: &str, mut problems: Vec<Problem>) -> Self {
+    pub(crate) fn of(file_name: &str, text: &str, mut problems: Vec<Problem>) -> Self {
         problems.sort_by_key(|p| p.span.as_ref().map_or((usize::MAX, 0), |s| (s.start, s.end)));
         problems.dedup();
         Self {

@@ -8,18 +8,16 @@ use crate::report::frame::Frame;
 /// Fills the bands between levels (ascending, at least one): band 0 is below the first; what is above the last is band
 /// `levels.len()` if `open`, else left out.
 pub fn fill(canvas: &mut dyn Canvas, frame: &Frame, grid: &Grid<'_>, levels: &[f64], shade: &dyn Fn(usize) -> Rgb, open: bool) {
-    let rings = |level: f64| -> Vec<Vec<Point>> { contour::region(grid, level).iter().map(|r| frame.ring(r)).collect() };
-    // What is above the last level is taken out of every band, by the even-odd rule; painted over, it would leave coloured
-    // edges.
-    let above = match levels.last() {
-        Some(last) if !open => rings(*last),
-        _ => Vec::new(),
+    // What is below a level, the greatest first, each over the one before: no gaps between bands.
+    let negative: Vec<f64> = grid.values.iter().map(|v| -v).collect();
+    let below = Grid {
+        values: &negative,
+        ..*grid
     };
-    let bounds = std::iter::once(f64::NEG_INFINITY).chain(levels.iter().copied());
-    let bands = levels.len() + usize::from(open);
-    for (k, level) in bounds.enumerate().take(bands) {
-        let mut band = rings(level);
-        band.extend(above.iter().cloned());
-        canvas.area(&band, Ink::Colour(shade(k)), 1.0);
+    let whole = open.then_some((levels.len(), f64::INFINITY));
+    let bands = whole.into_iter().chain(levels.iter().copied().enumerate().rev());
+    for (k, level) in bands {
+        let rings: Vec<Vec<Point>> = contour::region(&below, -level).iter().map(|r| frame.ring(r)).collect();
+        canvas.area(&rings, Ink::Colour(shade(k)), 1.0);
     }
 }

@@ -5,8 +5,10 @@ use crate::report::canvas::{Canvas, Dash, Ink, Rect, Stroke};
 use crate::report::frame::{Axis, Frame, Legend, Mark, dashed, range};
 
 /// Height of a panel's inside.
-const HEIGHT: f64 = 150.0;
+const HEIGHT: f64 = 162.0;
 const GAP: f64 = 16.0;
+/// Smaller values are what rounding leaves of 0.
+const NOTHING: f64 = 1e-13;
 /// Columns are no narrower.
 const NARROWEST: f64 = 380.0;
 
@@ -67,6 +69,9 @@ impl Panel {
         let values = self.curves.iter().flat_map(|c| c.points.iter().map(|p| p[1]));
         let found = range(values.clone());
         let mut shown = self.range.or(found).unwrap_or([0.0, 1.0]);
+        if shown.iter().all(|v| v.abs() < NOTHING) {
+            shown = [-1.0, 1.0];
+        }
         // Bounds that are far away would flatten the curves.
         let wide = (shown[1] - shown[0]).max(1e-300);
         for bound in &self.bounds {

@@ -7,7 +7,7 @@ use crate::report::canvas::{Canvas, Ink, Rect, Stroke};
 use crate::report::colours;
 use crate::report::flow::Flow;
 use crate::report::frame::{Axis, Bar, Frame, Legend, Mark};
-use crate::report::plane::Field;
+use crate::report::plane::{Field, GridField};
 use crate::report::ticks::significant;
 use crate::report::{Drawing, Picture, Source};
 use std::collections::BTreeMap;
@@ -62,7 +62,7 @@ pub fn picture(source: &Source<'_>) -> Made {
     let two = source.model.states.len() == 2;
     let field = if two { source.field()? } else { None };
     let shifts = if two { shifts(source) } else { vec![vec![0.0; source.model.states.len()]] };
-    let all = seen(source, t, field.map(|f| f as &dyn Field), &shifts);
+    let all = seen(source, t, field, &shifts);
     let shown = spread(source, &all, SHOWN);
     let mut sheets: Vec<i32> = all.iter().flat_map(|s| s.sheets.iter().copied()).filter(|s| *s >= 0).collect();
     sheets.sort_unstable();
@@ -138,14 +138,17 @@ fn shifts(source: &Source<'_>) -> Vec<Vec<f64>> {
 }
 
 /// Every trajectory with every shift that brings it into the picture.
-fn seen(source: &Source<'_>, t: &StoredTrajectories, field: Option<&dyn Field>, shifts: &[Vec<f64>]) -> Vec<Seen> {
+fn seen(source: &Source<'_>, t: &StoredTrajectories, field: Option<&GridField>, shifts: &[Vec<f64>]) -> Vec<Seen> {
     let n = source.model.states.len();
     let mut all = Vec::new();
     for k in 0..t.count {
         for shift in shifts {
             let at = |s: usize| -> Vec<f64> { t.x[s * n..(s + 1) * n].iter().zip(shift).map(|(x, d)| x + d).collect() };
-            // Time runs forward: the first sample is the outermost.
-            let inside = (k * t.samples..(k + 1) * t.samples).filter(|s| t.v[*s].is_finite()).map(at).find(|x| {
+            // Time runs forward: the first sample is the outermost. With a finite horizon it is the only one that V is
+            // known for.
+            let looked_at = if source.infinite() { t.samples } else { 1 };
+            let samples = (k * t.samples..(k + 1) * t.samples).filter(|s| t.v[*s].is_finite());
+            let inside = samples.take(looked_at).map(at).find(|x| {
                 source.axes.iter().all(|i| {
                     let [from, to] = source.model.region[*i];
                     x[*i] >= from && x[*i] <= to
@@ -164,13 +167,14 @@ fn seen(source: &Source<'_>, t: &StoredTrajectories, field: Option<&dyn Field>, 
 }
 
 /// The sheet of each sample of a trajectory. With a finite horizon V is known at the initial time only.
-fn sheets_along(source: &Source<'_>, t: &StoredTrajectories, field: &dyn Field, k: usize, shift: &[f64]) -> Vec<i32> {
+fn sheets_along(source: &Source<'_>, t: &StoredTrajectories, field: &GridField, k: usize, shift: &[f64]) -> Vec<i32> {
     let n = shift.len();
+    let largest = field.largest();
     let range = k * t.samples..(k + 1) * t.samples;
     let told = |s: usize| -> Option<i32> {
         let x: Vec<f64> = t.x[s * n..(s + 1) * n].iter().zip(shift).map(|(x, d)| x + d).collect();
         let local = field.at(&x)?;
-        let most = local.v + ABOVE * local.v.abs() + ABOVE_ALL * source.largest();
+        let most = local.v + ABOVE * local.v.abs() + ABOVE_ALL * largest;
         Some(if t.v[s] > most { DEARER } else { local.sheet })
     };
     if !source.infinite() {

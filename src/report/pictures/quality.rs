@@ -9,8 +9,8 @@ use crate::report::{Drawing, Picture, Source, text};
 
 /// Bins a decade.
 const BINS: f64 = 4.0;
-/// Anything smaller is counted as this.
-const LEAST: f64 = 1e-17;
+/// Anything smaller is rounding, or exact by chance, and counted in the first bin.
+const LEAST: f64 = 1e-16;
 /// Trajectories, and samples of each, that are looked at.
 const TRAJECTORIES: usize = 400;
 const SAMPLES: usize = 25;
@@ -139,7 +139,7 @@ impl Quality {
     fn range(&self) -> [f64; 2] {
         let values = self.rows.iter().flat_map(|r| r.values.iter().copied());
         let all = values.chain(self.estimates.iter().flat_map(|e| e.quantiles)).chain(self.asked);
-        let [from, to] = range(all.map(|v| v.max(LEAST))).unwrap_or([1e-12, 1e-6]);
+        let [from, to] = range(all.filter(|v| *v > LEAST)).unwrap_or([1e-12, 1e-6]);
         [10f64.powf(from.log10().floor()), 10f64.powf(to.log10().ceil())]
     }
 
@@ -199,7 +199,7 @@ impl Drawing for Quality {
             canvas.text([left, top + 0.5 * LINE], "estimated errors", style);
             let inside = Rect::new(left, top + LINE, right, top + LINE + 12.0 + LINE * self.estimates.len() as f64);
             let mut frame = Frame::around(inside, x, Axis::linear("", [0.0, 1.0]));
-            frame.y_labels = false;
+            frame.y_ticks = false;
             self.marks(canvas, &frame);
         }
     }

@@ -4,6 +4,7 @@ use super::Made;
 use super::panels::{Curve, Panel, Panels};
 use crate::output::StoredPoints;
 use crate::report::canvas::{Ink, Stroke};
+use crate::report::flow::hermite;
 use crate::report::frame::Mark;
 use crate::report::ticks::significant;
 use crate::report::{Picture, Source, colours, names};
@@ -48,6 +49,8 @@ impl Slice {
 struct Entry {
     x: f64,
     v: f64,
+    /// dV/dx along the line.
+    slope: f64,
     u: Vec<f64>,
     sheet: i32,
 }
@@ -64,6 +67,7 @@ pub fn picture(source: &Source<'_>) -> Made {
         .map(|k| Entry {
             x: all.x[k * n + slice.axis],
             v: all.v[k],
+            slope: all.p[k * n + slice.axis],
             u: all.u[k * m..(k + 1) * m].to_vec(),
             sheet: all.sheet[k],
         })
@@ -76,14 +80,14 @@ pub fn picture(source: &Source<'_>) -> Made {
     steps.sort_by(f64::total_cmp);
     steps.dedup();
     let branches = branches(&entries, &steps);
-    let cheapest = cheapest(&entries, &steps);
     let mut sheets: Vec<i32> = entries.iter().map(|e| e.sheet).collect();
     sheets.sort_unstable();
     sheets.dedup();
+    // Of a single sheet all is the cheapest.
+    let cheapest = if sheets.len() > 1 { cheapest(&entries, &steps) } else { Vec::new() };
     let crossings = crossings(source, &slice)?;
     let below = Stroke::new(Ink::Text, 7.0).opacity(0.18);
-    let panel = |label: String, of: &dyn Fn(&Entry) -> f64| {
-        let line = |k: &Vec<usize>| k.iter().map(|k| [entries[*k].x, of(&entries[*k])]).collect::<Vec<_>>();
+    let panel = |label: String, line: &dyn Fn(&Vec<usize>) -> Vec<[f64; 2]>| {
         let mut curves: Vec<Curve> = (cheapest.iter()).map(|k| Curve { points: line(k), stroke: below }).collect();
         curves.extend(branches.iter().map(|k| Curve {
             points: line(k),
@@ -95,10 +99,11 @@ pub fn picture(source: &Source<'_>) -> Made {
             ..Panel::default()
         }
     };
-    let mut panels = vec![panel("V".to_owned(), &|e| e.v)];
+    let mut panels = vec![panel("V".to_owned(), &|k| curve(k.iter().map(|k| &entries[*k]).collect()))];
     panels[0].dots = crossings.clone();
     for (c, control) in model.controls.iter().enumerate() {
-        let mut one = panel(names::label(&control.variable), &|e| e.u[c]);
+        let line = |k: &Vec<usize>| k.iter().map(|k| [entries[*k].x, entries[*k].u[c]]).collect();
+        let mut one = panel(names::label(&control.variable), &line);
         one.bounds = [control.min, control.max].into_iter().flatten().collect();
         panels.push(one);
     }
@@ -122,8 +127,8 @@ pub fn picture(source: &Source<'_>) -> Made {
     let at = if fixed.is_empty() { String::new() } else { format!(" at {}", fixed.join(", ")) };
     let crossed: Vec<String> = crossings.iter().map(|c| significant(c[0], 5)).collect();
     let mut caption = format!(
-        "Every solution of the necessary conditions found{at}, one colour a sheet. The optimal one is the lowest, with the grey band; \
-         beneath, the control each of them asks for.",
+        "Every solution of the necessary conditions found{at}, one colour a sheet{}. Beneath, the control that each of them asks for.",
+        if sheets.len() > 1 { ". The optimal one is the lowest, with the grey band" } else { "" }
     );
     if !crossed.is_empty() {
         caption += &format!(
@@ -146,6 +151,22 @@ pub fn picture(source: &Source<'_>) -> Made {
             log: false,
         }),
     }))
+}
+
+/// V along a branch: between two states the cubic with their V and slopes.
+fn curve(entries: Vec<&Entry>) -> Vec<[f64; 2]> {
+    const BETWEEN: usize = 8;
+    let mut points: Vec<[f64; 2]> = Vec::new();
+    for pair in entries.windows(2) {
+        let (a, b) = (pair[0], pair[1]);
+        let h = b.x - a.x;
+        points.extend((0..BETWEEN).map(|k| {
+            let q = k as f64 / BETWEEN as f64;
+            [a.x + q * h, hermite(q, h, [a.v, a.slope], [b.v, b.slope])]
+        }));
+    }
+    points.extend(entries.last().map(|e| [e.x, e.v]));
+    points
 }
 
 /// Entries by sheet in the line's order, parted where a state has none. Where a sheet has several solutions at a state

@@ -71,6 +71,14 @@ fn thinned(plane: &Plane) -> Plane {
     }
 }
 
+/// The box's base.
+const BASE: [[f64; 3]; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
+
+/// The corner of the base that is furthest left: the upright axis stands there.
+fn corner() -> [f64; 3] {
+    BASE.into_iter().min_by(|a, b| seen(*a)[0].total_cmp(&seen(*b)[0])).unwrap_or_default()
+}
+
 /// The part of a polygon with heights of at most `most`.
 fn below(ring: &[[f64; 3]], most: f64) -> Vec<[f64; 3]> {
     let mut cut = Vec::with_capacity(ring.len() + 1);
@@ -105,10 +113,10 @@ fn seen([x, y, z]: [f64; 3]) -> [f64; 3] {
 }
 
 impl View {
-    fn new(area: Rect) -> Self {
-        let corners = (0..8).map(|k| seen([f64::from(k & 1), f64::from(k >> 1 & 1), HIGH * f64::from(k >> 2 & 1)]));
+    /// A view of which `drawn` fills `area`.
+    fn new(area: Rect, drawn: impl Iterator<Item = [f64; 3]>) -> Self {
         let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-        for c in corners {
+        for c in drawn.map(seen) {
             for k in 0..2 {
                 bounds[k] = [bounds[k][0].min(c[k]), bounds[k][1].max(c[k])];
             }
@@ -169,12 +177,10 @@ impl Surface {
 
     fn axes(&self, canvas: &mut dyn Canvas, view: &View) {
         let muted = Stroke::new(Ink::Muted, 1.0);
-        let base = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
-        let mut lines: Vec<Vec<Point>> = vec![base.iter().chain([&base[0]]).map(|p| view.at(*p)).collect()];
+        let mut lines: Vec<Vec<Point>> = vec![BASE.iter().chain([&BASE[0]]).map(|p| view.at(*p)).collect()];
         let ends = |v: &[f64]| [v[0], v[v.len() - 1]];
         let ranges = [ends(&self.plane.x), ends(&self.plane.y)];
-        // The upright axis stands at the corner that is furthest left.
-        let corner = (base.iter()).min_by(|a, b| seen(**a)[0].total_cmp(&seen(**b)[0])).copied().unwrap_or_default();
+        let corner = corner();
         let foot = view.at(corner);
         // The edges in front: x at the nearer end of y and the other way round.
         let near = |k: usize| {
@@ -229,13 +235,16 @@ impl Drawing for Surface {
 
     fn draw(&self, canvas: &mut dyn Canvas, area: Rect) {
         let inner = Rect::new(area.left + 50.0, area.top + 26.0, area.right - 30.0, area.bottom - 2.6 * LINE);
-        let view = View::new(inner);
+        let cells = self.cells();
+        let corner = corner();
+        let base = BASE.into_iter().chain([[corner[0], corner[1], HIGH]]);
+        let view = View::new(inner, base.chain(cells.iter().flat_map(|(c, _)| c.iter().copied())));
         self.axes(canvas, &view);
         let face = |(corners, mean): (Vec<[f64; 3]>, f64)| {
             let ring: Vec<Point> = corners.iter().map(|p| view.at(*p)).collect();
             (ring, colours::value((mean - self.least) / (self.most - self.least)))
         };
-        let faces: Vec<(Vec<Point>, colours::Rgb)> = self.cells().into_iter().map(face).collect();
+        let faces: Vec<(Vec<Point>, colours::Rgb)> = cells.into_iter().map(face).collect();
         canvas.faces(&faces, Stroke::new(Ink::Colour([255, 255, 255]), 0.5).opacity(0.4));
     }
 }
