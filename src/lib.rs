@@ -41,11 +41,13 @@
 pub mod backend;
 pub mod bench;
 pub mod cli;
+pub mod closed_loop;
 pub mod expr;
 pub mod feedback;
 pub mod hamiltonian;
 pub mod integrator;
 pub mod local;
+pub mod map;
 pub mod model;
 pub mod output;
 pub mod program;

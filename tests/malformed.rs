@@ -170,6 +170,11 @@ fn settings() {
 }
 
 #[test]
+fn closed_loops() {
+    check(include_str!("malformed/closed_loop.cases"));
+}
+
+#[test]
 fn toml_itself() {
     check(include_str!("malformed/toml.cases"));
 }

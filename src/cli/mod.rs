@@ -4,15 +4,18 @@ mod bench;
 mod bench_report;
 mod check;
 mod estimates;
+mod evaluate;
 mod fit;
 mod points;
 mod report;
 mod run;
+mod value;
 
 use crate::backend::BackendError;
 use crate::bench::BenchError;
+use crate::closed_loop::{LawError, LoopError};
 use crate::model::{Method, Precision};
-use crate::output::OutputError;
+use crate::output::{OutputError, StoredError};
 use crate::scenario::{LoadError, ScenarioErrors};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::io::{IsTerminal, Write};
@@ -37,6 +40,10 @@ enum Command {
     Homotopy(RunArgs),
     /// V, p and u at the states in a CSV file, in its order.
     Solve(SolveArgs),
+    /// V, p and u at any state, interpolated from a result file, with an error estimate.
+    Value(ValueArgs),
+    /// Simulate feedback laws from many initial states, as [closed_loop] asks, and put what came of it into the result file.
+    Evaluate(EvaluateArgs),
     /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
     Bench(BenchArgs),
     /// Fit the laws of [feedback] to the trajectories of a result file.
@@ -116,6 +123,84 @@ struct SolveArgs {
     /// Stored points a trajectory.
     #[arg(long, default_value_t = 200, value_parser = at_least_two)]
     samples: usize,
+}
+
+#[derive(Args, Debug, Clone)]
+struct ValueArgs {
+    /// The result file (.h5) of a run.
+    file: PathBuf,
+    /// A state; states not named are at the equilibrium. May be repeated.
+    #[arg(long, value_name = "NAME=VALUE,...", allow_hyphen_values = true)]
+    at: Vec<String>,
+    /// States: a CSV file whose header names states.
+    #[arg(long, value_name = "FILE.csv")]
+    points: Option<PathBuf>,
+    /// An axis of a grid; states not named are at the equilibrium. May be repeated.
+    #[arg(long, value_name = "NAME=FIRST:LAST:COUNT", conflicts_with_all = ["at", "points"], allow_hyphen_values = true)]
+    grid: Vec<String>,
+    /// Write a table (.csv) or a result file (.h5) instead of printing.
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Leave out the error estimates, which take most of the time.
+    #[arg(long)]
+    no_errors: bool,
+    /// Machine-readable values on standard output.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors and what was asked for as a table.
+    #[arg(long)]
+    quiet: bool,
+}
+
+#[derive(Args, Debug, Clone)]
+struct EvaluateArgs {
+    /// A result file, or a scenario (.toml) for laws that need none.
+    file: PathBuf,
+    /// Take the scene, with its [closed_loop], from here; states and controls must be those of the result file.
+    #[arg(long, value_name = "SCENE.toml")]
+    scene: Option<PathBuf>,
+    /// Replace a parameter. May be repeated. Not for a result file's own scene.
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = assignment)]
+    set: Vec<(String, String)>,
+    /// Only these laws [default: those of the scene]
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    laws: Vec<String>,
+    /// Also the law of this weights file. May be repeated.
+    #[arg(long, value_name = "FILE.toml")]
+    weights: Vec<PathBuf>,
+    /// So many initial states at random in the ranges of the scene's grid.
+    #[arg(long, value_name = "N", value_parser = trajectories)]
+    random: Option<usize>,
+    /// Solve for V at the initial states, instead of taking it from the result file.
+    #[arg(long)]
+    solve: bool,
+    /// Write here [default: into the result file; out/<scenario>_closed_loop.h5 for a scenario]
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Where to compute: a hardware GPU if there is one and else the CPU (auto), any GPU adapter, or the CPU.
+    #[arg(long, value_enum, default_value_t = BackendChoice::Auto)]
+    backend: BackendChoice,
+    /// Use the adapter whose name contains this.
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+    /// Arithmetic of the integration [default: the scenario's]
+    #[arg(long, value_enum)]
+    precision: Option<PrecisionChoice>,
+    /// Integration method: rk4, tsit5, dop853, taylor [default: the scenario's]
+    #[arg(long, value_parser = method)]
+    method: Option<Method>,
+    /// Relative tolerance [default: the scenario's]
+    #[arg(long, value_parser = tolerance, allow_negative_numbers = true)]
+    rtol: Option<f64>,
+    /// Seed of random initial states.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Machine-readable summary on standard output; everything else goes to standard error.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    quiet: bool,
 }
 
 #[derive(Args, Debug, Clone)]
@@ -306,13 +391,27 @@ enum CliError {
     )]
     MapName { name: String },
     #[error(transparent)]
+    Place(#[from] value::PlaceError),
+    #[error(transparent)]
+    Map(#[from] crate::map::MapError),
+    #[error(transparent)]
     Bench(#[from] BenchError),
     #[error(transparent)]
     Picture(#[from] crate::bench::picture::PictureError),
     #[error("--out {path}: the picture takes this name with .svg; name the table .h5", path = path.display())]
     PictureName { path: PathBuf },
     #[error(transparent)]
-    Stored(#[from] crate::output::StoredError),
+    Stored(#[from] StoredError),
+    #[error(transparent)]
+    Law(LawError),
+    #[error(transparent)]
+    Loop(LoopError),
+    #[error("the scenario has no [closed_loop] section: nothing to simulate (--scene takes it from another scenario)")]
+    NoClosedLoop,
+    #[error("no law to simulate: none of those that the scenario asks for is there")]
+    NoLaws,
+    #[error("the states and controls of {scene} are not those of {file}", scene = scene.display(), file = file.display())]
+    OtherScene { scene: PathBuf, file: PathBuf },
     #[error(transparent)]
     Fit(#[from] fit::FitCommandError),
     #[error(transparent)]
@@ -325,14 +424,36 @@ enum CliError {
     Stdout(#[from] std::io::Error),
 }
 
+impl From<LawError> for CliError {
+    fn from(error: LawError) -> Self {
+        match error {
+            LawError::Scenario(errors) => CliError::Scenario(errors),
+            other => CliError::Law(other),
+        }
+    }
+}
+
+impl From<LoopError> for CliError {
+    fn from(error: LoopError) -> Self {
+        match error {
+            LoopError::Law(error) => error.into(),
+            LoopError::Plan(error) => error.into(),
+            LoopError::Backend(error) => error.into(),
+            other => CliError::Loop(other),
+        }
+    }
+}
+
 impl CliError {
     /// 2 for what the user wrote, 1 for what could not be done.
     fn status(&self) -> u8 {
         match self {
-            CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
+            CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) | CliError::Stored(_) => 2,
+            CliError::Place(_) | CliError::Map(_) => 2,
+            CliError::Law(_) | CliError::NoClosedLoop | CliError::NoLaws | CliError::OtherScene { .. } => 2,
+            CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
-            CliError::Stored(crate::output::StoredError::Write(_)) => 1,
-            CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) => 2,
+            CliError::Fit(_) | CliError::Feedback(_) => 2,
             _ => 1,
         }
     }
@@ -346,6 +467,12 @@ impl CliError {
         // Nowhere is left to report a failure of this.
         let _ = writeln!(std::io::stderr(), "{}", text.trim_end());
     }
+}
+
+/// Writes to standard output as it is.
+fn print(text: &str) -> Result<(), CliError> {
+    std::io::stdout().lock().write_all(text.as_bytes())?;
+    Ok(())
 }
 
 /// Runs the program on the process's arguments.
@@ -367,6 +494,8 @@ pub fn main() -> ExitCode {
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
+        Command::Value(args) => value::value(&args),
+        Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Bench(args) => bench::bench(&args),
         Command::Fit(args) => fit::command(&args),
         Command::Check(args) => check::check(&args),

@@ -145,7 +145,7 @@ impl Bar {
 const FAILURES: [Status; 3] = [Status::StepFloor, Status::StepLimit, Status::NotFinite];
 
 /// Quantiles of |H|: median, 99 %, largest.
-fn quantiles(drift: &[f64]) -> [f64; 3] {
+pub(super) fn quantiles(drift: &[f64]) -> [f64; 3] {
     let mut sorted: Vec<f64> = drift.iter().copied().filter(|d| !d.is_nan()).collect();
     sorted.sort_by(f64::total_cmp);
     let at = |q: f64| {

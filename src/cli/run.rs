@@ -7,7 +7,7 @@ use super::{BackendChoice, CliError, RunArgs, SolveArgs, points};
 use crate::backend::cpu::Cpu;
 use crate::backend::gpu::{Gpu, Selection};
 use crate::backend::{Backend, BackendError, Trajectories};
-use crate::model::Model;
+use crate::model::{Method, Model};
 use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema};
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::value::{self, Answers, Archive, Grid, Request};
@@ -35,7 +35,8 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
     let (model, hamiltonian) = load(&args.scene)?;
     let wanted = wanted(&model, parts)?;
-    let backend = open_backend(args, &model)?;
+    let method = args.method.or(model.integrator.method);
+    let backend = open_backend(args.backend, args.adapter.as_deref(), method)?;
     let choices = Choices {
         precision: args.precision.and_then(|p| p.precision()),
         method: args.method,
@@ -214,14 +215,18 @@ fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliEr
     }
 }
 
-fn open_backend(args: &RunArgs, model: &Model) -> Result<Box<dyn Backend>, CliError> {
-    let selection = match (&args.adapter, args.backend) {
+/// The backend asked for, fit for the method asked for where the choice is ours.
+pub(super) fn open_backend(
+    choice: BackendChoice,
+    adapter: Option<&str>,
+    method: Option<Method>,
+) -> Result<Box<dyn Backend>, CliError> {
+    let selection = match (adapter, choice) {
         (_, BackendChoice::Cpu) => return Ok(Box::new(Cpu::new())),
-        (Some(name), _) => Selection::Named(name.clone()),
+        (Some(name), _) => Selection::Named(name.to_owned()),
         (None, BackendChoice::Gpu) => Selection::Any,
         (None, BackendChoice::Auto) => Selection::Hardware,
     };
-    let method = args.method.or(model.integrator.method);
     match Gpu::open(&selection)? {
         // Where the choice is ours, a method asked for counts.
         Some(gpu) if selection == Selection::Hardware && method.is_some_and(|m| !gpu.offers(m)) => {
@@ -239,6 +244,15 @@ pub(super) fn default_output(scenario: &Path) -> PathBuf {
 }
 
 pub(super) fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
+    TrajectorySchema {
+        samples: plan.samples(),
+        status_flags: plan.status_flags(),
+        ..axes(model)
+    }
+}
+
+/// The axes alone.
+pub(super) fn axes(model: &Model) -> TrajectorySchema {
     let axis = |v: &crate::model::Variable| Axis {
         name: v.name.clone(),
         unit: v.unit.clone(),
@@ -248,8 +262,6 @@ pub(super) fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
         states: model.states.iter().map(|s| axis(&s.variable)).collect(),
         controls: model.controls.iter().map(|c| axis(&c.variable)).collect(),
         disturbances: model.disturbances.iter().map(axis).collect(),
-        samples: plan.samples(),
-        status_flags: plan.status_flags(),
         ..TrajectorySchema::default()
     }
 }

@@ -136,6 +136,97 @@ pub struct Sheets {
     pub value_max: Option<f64>,
 }
 
+/// Where the closed loop starts along one state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Start {
+    Fixed(f64),
+    /// `count` is absent only where states are drawn at random.
+    Range {
+        first: f64,
+        last: f64,
+        count: Option<usize>,
+    },
+}
+
+/// A law given in `[closed_loop.law]`.
+#[derive(Clone, Debug)]
+pub struct GivenLaw {
+    pub name: String,
+    pub formula: Formula,
+    pub span: Span,
+}
+
+/// How a given law is written.
+#[derive(Clone, Debug)]
+pub enum Formula {
+    /// An expression of states for each control, or state to be commanded, by name.
+    Expressions(Vec<(String, Located)>),
+    /// A file of weights; a relative name is looked for beside the scene.
+    Weights { file: String, span: Span },
+}
+
+/// What of a recorded expression is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extremum {
+    Min,
+    Max,
+    Final,
+}
+
+/// A quantity recorded along the closed loop: an extremum, or the last value, of an expression of states and controls.
+#[derive(Clone, Debug)]
+pub struct Record {
+    pub name: String,
+    pub extremum: Extremum,
+    pub of: Located,
+    /// As written.
+    pub text: String,
+}
+
+/// The initial states from which a recorded quantity keeps within a bound.
+#[derive(Clone, Debug)]
+pub struct OperatingSet {
+    pub name: String,
+    /// Index of the quantity.
+    pub record: usize,
+    /// Inside is `quantity >= bound` rather than `<=`.
+    pub at_least: bool,
+    pub bound: f64,
+    /// As written.
+    pub text: String,
+}
+
+/// `[closed_loop]`.
+#[derive(Clone, Debug)]
+pub struct ClosedLoop {
+    pub final_time: f64,
+    /// Intervals between the points at which quantities are recorded.
+    pub samples: usize,
+    /// One a state.
+    pub initial: Vec<Start>,
+    /// So many initial states at random, uniform in the ranges of `initial`, instead of their grid.
+    pub random: Option<usize>,
+    /// Names of the laws asked for; `None`: all there are.
+    pub laws: Option<Vec<(String, Span)>>,
+    pub given: Vec<GivenLaw>,
+    pub records: Vec<Record>,
+    pub sets: Vec<OperatingSet>,
+    /// Rate at which a commanded state is followed.
+    pub track: Option<f64>,
+    /// Share of the region's mean of 1/2 d'Pd below which a trajectory's end counts as at the equilibrium.
+    pub converged: f64,
+    /// How far outside the region a trajectory is followed, as a fraction of the region's width on each side.
+    pub margin: f64,
+    /// Time between updates of the map's law.
+    pub period: Option<f64>,
+    pub span: Span,
+}
+
+/// `[closed_loop] converged` unless given.
+pub const DEFAULT_CONVERGED: f64 = 1e-3;
+/// `[closed_loop] margin` unless given: room for a surge cycle or a swing.
+pub const DEFAULT_LOOP_MARGIN: f64 = 5.0;
+
 /// Integration method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Method {
@@ -235,6 +326,7 @@ pub struct Model {
     pub sheets: Sheets,
     /// Laws to fit.
     pub feedback: Vec<Feedback>,
+    pub closed_loop: Option<ClosedLoop>,
     pub integrator: Integrator,
 }
 
@@ -242,6 +334,22 @@ impl Model {
     /// Value of every parameter symbol.
     pub fn parameter_values(&self) -> std::collections::HashMap<Id, f64> {
         self.parameters.iter().map(|p| (p.symbol, p.value)).collect()
+    }
+
+    /// Index of the state of a name; else what is wrong with it, in words.
+    ///
+    /// # Errors
+    /// Text for a message: the names there are, and the one that may be meant.
+    pub fn state(&self, name: &str) -> Result<usize, String> {
+        let names = || self.states.iter().map(|s| s.variable.name.as_str());
+        names().position(|n| n == name).ok_or_else(|| {
+            let hint = crate::scenario::suggestion(name, names()).map_or_else(String::new, |s| format!("; {s}"));
+            let all: Vec<&str> = names().collect();
+            format!(
+                "`{name}` is not a state of the scenario (states: {}){hint}",
+                all.join(", ")
+            )
+        })
     }
 
     /// The point deviations are taken from: the equilibrium, or the finite horizon's reference.

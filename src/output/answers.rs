@@ -7,7 +7,7 @@ use crate::value::{Answers, Entry, Grid, PointStatus};
 const NO_SHEET: i32 = -1;
 
 /// Units and names that the groups of a scene share.
-struct Names<'a> {
+pub(super) struct Names<'a> {
     schema: &'a TrajectorySchema,
     state_unit: String,
     costate_unit: String,
@@ -17,7 +17,7 @@ struct Names<'a> {
 }
 
 impl<'a> Names<'a> {
-    fn new(schema: &'a TrajectorySchema) -> Self {
+    pub fn new(schema: &'a TrajectorySchema) -> Self {
         let cost = schema.cost_unit.clone().unwrap_or_else(|| "1".to_owned());
         let time = schema.time_unit.as_deref().unwrap_or("s");
         let costates: Vec<String> = schema.states.iter().map(|s| quotient(&cost, s.unit())).collect();
@@ -31,7 +31,7 @@ impl<'a> Names<'a> {
         }
     }
 
-    fn axes(&self, group: Group) -> Group {
+    pub fn axes(&self, group: Group) -> Group {
         let group = with_axes(group, "state", &self.schema.states);
         let cost = &self.cost;
         let costates = self.schema.states.iter().map(|s| quotient(cost, s.unit()));
@@ -42,7 +42,7 @@ impl<'a> Names<'a> {
     }
 
     /// V, p, u and the sheet over some dimensions.
-    fn solution(&self, mut group: Group, dims: &[&str]) -> Group {
+    pub fn solution(&self, mut group: Group, dims: &[&str]) -> Group {
         let over = |last: &'static str| dims.iter().copied().chain([last]).collect::<Vec<_>>();
         group = group
             .variable(
@@ -68,7 +68,15 @@ impl<'a> Names<'a> {
         )
     }
 
-    fn state(&self, name: &str, dims: &[&str], what: &str) -> Variable {
+    pub fn cost(&self) -> &str {
+        &self.cost
+    }
+
+    pub fn control_unit(&self) -> &str {
+        &self.control_unit
+    }
+
+    pub fn state(&self, name: &str, dims: &[&str], what: &str) -> Variable {
         Variable::f64(name, dims.iter().copied())
             .unit(&self.state_unit)
             .long_name(what)

@@ -1,6 +1,5 @@
 //! Reading a result file: its scene, and its groups as arrays.
 
-use super::error::OutputError;
 use super::record::RunRecord;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
@@ -32,8 +31,6 @@ pub enum StoredError {
         group: String,
         hint: &'static str,
     },
-    #[error(transparent)]
-    Write(#[from] OutputError),
 }
 
 /// An array of a file, row-major.

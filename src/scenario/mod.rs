@@ -5,6 +5,7 @@
 //! definitions, and then the other sections, so that the order of sections in the file does not matter.
 
 mod build;
+mod closed_loop;
 mod declare;
 mod equations;
 mod equilibrium;

@@ -1,5 +1,6 @@
 //! A file as a whole: its sections, and the order in which they are read.
 
+use super::closed_loop::{LoopScope, fitted_laws};
 use super::declare::Declarations;
 use super::equations::Cost;
 use super::equilibrium::{Equilibrium, Scene};
@@ -15,7 +16,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 15] = [
+const SECTIONS: [&str; 16] = [
     "parameters",
     "states",
     "controls",
@@ -31,10 +32,11 @@ const SECTIONS: [&str; 15] = [
     "map",
     "sheets",
     "feedback",
+    "closed_loop",
 ];
 const INTEGRATOR: &str = "integrator";
 /// Sections which only later versions read.
-const LATER: [&str; 2] = ["attenuation", "closed_loop"];
+const LATER: [&str; 1] = ["attenuation"];
 /// Sections whose strings are expressions.
 const EXPRESSIONS: [&str; 6] = ["parameters", "definitions", "dynamics", "cost", "equilibrium", "region"];
 
@@ -250,6 +252,17 @@ impl<'a> Reader<'a> {
             .map(|s| self.feedback(s, &declared, region.as_deref(), cost.finite))
             .unwrap_or_default();
         let integrator = self.integrator(sections.get(INTEGRATOR));
+        // Last, for it brings names of its own.
+        let scope = LoopScope {
+            states: &declared.states,
+            controls: &declared.controls,
+            reference: reference.as_deref(),
+            region: region.as_deref(),
+            final_time: cost.terminal.as_ref().map(|t| t.final_time),
+            finite: cost.finite,
+            fitted: fitted_laws(root),
+        };
+        let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
             file_name: file_name.to_owned(),
@@ -270,6 +283,7 @@ impl<'a> Reader<'a> {
             map,
             sheets,
             feedback,
+            closed_loop,
             integrator,
         })
     }

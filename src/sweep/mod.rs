@@ -13,6 +13,7 @@ mod surface;
 pub use accuracy::{Accuracy, Spread};
 pub use fronts::{Coverage, Progress, SweepReport, sweep, sweep_keeping};
 pub use observe::Observed;
-pub use plan::{Choices, Plan, PlanError, Sampling};
+pub(crate) use plan::MOST_OPERATIONS;
+pub use plan::{Choices, GUARD_STATUS, Numerics, Plan, PlanError, Sampling};
 pub use sample::{Kept, Sample, random};
 pub use surface::{Surface, holds as guard_holds};

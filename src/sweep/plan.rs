@@ -52,7 +52,7 @@ fn best_method(backend: &dyn Backend, rtol: f64) -> Method {
 /// The first triangulation has `2^n` simplices (a finite horizon's `n!`).
 const MOST_STATES: usize = 10;
 /// Instructions of one right-hand side: registers are numbered in 16 bits.
-const MOST_OPERATIONS: usize = 30_000;
+pub(crate) const MOST_OPERATIONS: usize = 30_000;
 /// Bytes that the points of one trajectory may take.
 const MOST_BYTES: usize = 64 << 20;
 
@@ -82,6 +82,48 @@ pub enum Sampling {
     Time,
     /// Arc length in widths of the region, where V is not monotone along trajectories.
     ArcLength,
+}
+
+/// With what something is integrated.
+#[derive(Clone, Copy, Debug)]
+pub struct Numerics {
+    pub precision: Precision,
+    pub method: Method,
+    /// Tolerance asked; the one used may be larger where the precision is too low for it.
+    pub rtol_asked: f64,
+    pub rtol: f64,
+    /// Absolute tolerance in units of each component's scale: the scene's, in proportion where another `rtol` is asked.
+    pub atol: f64,
+}
+
+impl Numerics {
+    /// What a scene, the command line and a backend make of it.
+    ///
+    /// # Errors
+    /// [`PlanError::NoStep`].
+    pub fn choose(model: &Model, backend: &dyn Backend, choices: Choices) -> Result<Self, PlanError> {
+        let rtol_asked = choices.rtol.unwrap_or(model.integrator.rtol);
+        let asked = choices.precision.or(model.integrator.precision);
+        let precision = asked.unwrap_or(if rtol_asked >= F32_RTOL || !backend.supports(Precision::F64) {
+            Precision::F32
+        } else {
+            Precision::F64
+        });
+        let method = (choices.method.or(model.integrator.method)).unwrap_or_else(|| best_method(backend, rtol_asked));
+        if !method.adaptive() && model.integrator.step.is_none() {
+            return Err(PlanError::NoStep { method: method.name() });
+        }
+        let rtol = rtol_asked.max(Plan::least_rtol(precision));
+        // A tighter rtol alone would leave what is small against the region, or V on the first fronts, as it was.
+        let atol = model.integrator.atol * choices.rtol.map_or(1.0, |_| rtol / model.integrator.rtol);
+        Ok(Self {
+            precision,
+            method,
+            rtol_asked,
+            rtol,
+            atol,
+        })
+    }
 }
 
 /// Everything a sweep needs besides a backend.
@@ -155,20 +197,13 @@ impl Plan {
         if operations > MOST_OPERATIONS {
             return Err(PlanError::TooLong { operations });
         }
-        let rtol_asked = choices.rtol.unwrap_or(model.integrator.rtol);
-        let asked = choices.precision.or(model.integrator.precision);
-        let precision = asked.unwrap_or(if rtol_asked >= F32_RTOL || !backend.supports(Precision::F64) {
-            Precision::F32
-        } else {
-            Precision::F64
-        });
-        let method = (choices.method.or(model.integrator.method)).unwrap_or_else(|| best_method(backend, rtol_asked));
-        if !method.adaptive() && model.integrator.step.is_none() {
-            return Err(PlanError::NoStep { method: method.name() });
-        }
-        let rtol = rtol_asked.max(Self::least_rtol(precision));
-        // A tighter rtol alone would leave what is small against the region, or V on the first fronts, as it was.
-        let atol = model.integrator.atol * choices.rtol.map_or(1.0, |_| rtol / model.integrator.rtol);
+        let Numerics {
+            precision,
+            method,
+            rtol_asked,
+            rtol,
+            atol,
+        } = Numerics::choose(model, backend, choices)?;
 
         let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
         let region: Vec<[f64; 2]> = (model.region.iter().zip(&system.reference))

@@ -19,6 +19,6 @@ pub use equal_cost::BoundaryPoint;
 pub use extremal::Extremal;
 pub use fold::Fold;
 pub use sampled::sampled;
-pub use solve::{Answers, Entry, EqualCost, Request, guess_seeds, solve, solver};
+pub use solve::{Answers, Entry, EqualCost, Request, guess_seeds, solve, solver, spaced};
 pub use survey::{Miss, PointStatus, Progress, Survey, Wanted};
 pub use targets::{Grid, Targets};

@@ -135,7 +135,8 @@ impl Grid {
     }
 }
 
-fn spaced(first: f64, last: f64, count: usize) -> Vec<f64> {
+/// `count` values from `first` to `last`, both met exactly.
+pub fn spaced(first: f64, last: f64, count: usize) -> Vec<f64> {
     (0..count)
         .map(|k| {
             if k + 1 == count {

@@ -1,0 +1,329 @@
+//! `costate evaluate`: laws simulated side by side.
+
+use super::report::Terminal;
+use super::run::{default_output, open_backend};
+use super::{CliError, EvaluateArgs, SceneArgs};
+use crate::backend::Backend;
+use crate::closed_loop::{Available, Chart, Evaluation, GROUPS, Initial, Laws, Setting, Weights, solved_values};
+use crate::hamiltonian::Hamiltonian;
+use crate::model::{ClosedLoop, Model};
+use crate::output::{ResultFile, RunRecord, Stored};
+use crate::scenario::{self, ScenarioErrors};
+use crate::sweep::Choices;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::{Instant, SystemTime};
+
+/// What the command line, or a run that ends with an evaluation, asks for beside the scene.
+#[derive(Default)]
+pub(super) struct Wanted {
+    pub choices: Choices,
+    pub laws: Option<Vec<String>>,
+    pub weights: Vec<Weights>,
+    pub random: Option<usize>,
+    /// V at the initial states is solved for.
+    pub solve: bool,
+}
+
+pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
+    let (started, clock) = (SystemTime::now(), Instant::now());
+    let stored = match args.file.extension() {
+        Some(end) if end.eq_ignore_ascii_case("toml") => None,
+        _ => Some(Stored::open(&args.file)?),
+    };
+    let other = match (&stored, &args.scene) {
+        (Some(_), None) => None,
+        (Some(stored), Some(scene)) => Some(other_scene(stored, scene, &args.set)?),
+        (None, _) => Some(derived(&args.file, &args.set)?),
+    };
+    let (model, hamiltonian) = match (&other, &stored) {
+        (Some((model, hamiltonian)), _) => (model, hamiltonian),
+        (None, Some(stored)) => (&stored.model, &stored.hamiltonian),
+        (None, None) => return Err(CliError::NoClosedLoop),
+    };
+    let backend = open_backend(
+        args.backend,
+        args.adapter.as_deref(),
+        args.method.or(model.integrator.method),
+    )?;
+    let wanted = Wanted {
+        choices: Choices {
+            precision: args.precision.and_then(|p| p.precision()),
+            method: args.method,
+            rtol: args.rtol,
+            seed: args.seed,
+            ..Choices::default()
+        },
+        laws: (!args.laws.is_empty()).then(|| args.laws.clone()),
+        weights: args
+            .weights
+            .iter()
+            .map(|path| weights(path))
+            .collect::<Result<_, _>>()?,
+        random: args.random,
+        solve: args.solve,
+    };
+    let terminal = Terminal::new(&SceneArgs {
+        scenario: args.file.clone(),
+        set: Vec::new(),
+        json: args.json,
+        quiet: args.quiet,
+    });
+    let mut file = match (&stored, &args.out) {
+        (Some(_), None) => ResultFile::extend(&args.file, &GROUPS)?,
+        (Some(_), Some(out)) => ResultFile::create(out)?,
+        (None, out) => ResultFile::create(out.clone().unwrap_or_else(|| own_output(&args.file)))?,
+    };
+    let (evaluation, numerics) = perform(
+        stored.as_ref(),
+        (model, hamiltonian),
+        &wanted,
+        backend.as_ref(),
+        &terminal,
+        &mut file,
+    )?;
+    if stored.is_none() || args.out.is_some() {
+        let record = RunRecord {
+            backend: backend.name().to_owned(),
+            adapter: backend.adapter(),
+            precision: numerics.precision.name().to_owned(),
+            method: numerics.method.name().to_owned(),
+            rtol: numerics.rtol,
+            atol: numerics.atol,
+            wall_seconds: clock.elapsed().as_secs_f64(),
+            ..RunRecord::begun(model, started)
+        };
+        record.write(&file)?;
+    }
+    let path = file.finish()?;
+    if args.json {
+        writeln!(std::io::stdout(), "{:#}", as_json(&evaluation, &path))?;
+    }
+    terminal.say(&format!(
+        "{:.2} s, written to {}",
+        clock.elapsed().as_secs_f64(),
+        path.display()
+    ))?;
+    Ok(())
+}
+
+/// Simulates the laws of a scene's `[closed_loop]` and writes what came of it; `stored` has fitted laws and a map.
+pub(super) fn perform(
+    stored: Option<&Stored>,
+    (model, hamiltonian): (&Model, &Hamiltonian),
+    wanted: &Wanted,
+    backend: &dyn Backend,
+    terminal: &Terminal,
+    file: &mut ResultFile,
+) -> Result<(Evaluation, crate::sweep::Numerics), CliError> {
+    let scene = model.closed_loop.as_ref().ok_or(CliError::NoClosedLoop)?;
+    let laws = Laws::new(model, hamiltonian, scene.track);
+    let setting = Setting::new(&laws, scene, backend, wanted.choices)?;
+    let chart: Option<Box<dyn Chart>> = None;
+    let chart = chart.as_deref();
+    let available = Available {
+        map: chart.is_some(),
+        fitted: stored.map(fitted).transpose()?.unwrap_or_default(),
+        added: wanted.weights.clone(),
+    };
+    let chosen = available.choose(&laws, scene, wanted.laws.as_deref())?;
+    for name in &chosen.missing {
+        terminal.note(&format!(
+            "law `{name}` is left out: there is none in the result file (yet)"
+        ));
+    }
+    if chosen.laws.is_empty() {
+        return Err(CliError::NoLaws);
+    }
+    let initial = Initial::new(model, scene, wanted.random, wanted.choices.seed)?;
+    let bar = terminal.progress();
+    let values = if wanted.solve {
+        let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
+        Some(solved_values(
+            model,
+            hamiltonian,
+            backend,
+            wanted.choices,
+            &initial.x,
+            &mut told,
+        )?)
+    } else {
+        known_values(stored, model, &initial, chart)?
+    };
+    let evaluation = setting.evaluate(&chosen.laws, initial, chart, values, backend, &mut |law| {
+        bar.say(&format!("closed loop of {law}"));
+    })?;
+    bar.clear();
+    evaluation.write(&setting, file)?;
+    terminal.say(&as_text(&evaluation, &setting, scene))?;
+    Ok((evaluation, setting.numerics))
+}
+
+/// V of the states solved for in a result file and, elsewhere, of its map; `None` where nothing is known.
+fn known_values(
+    stored: Option<&Stored>,
+    model: &Model,
+    initial: &Initial,
+    chart: Option<&dyn Chart>,
+) -> Result<Option<Vec<f64>>, CliError> {
+    let Some(points) = stored.map(Stored::points).transpose()?.flatten() else {
+        return Ok(None);
+    };
+    let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
+    let mut values = initial.looked_up(&points.x, &points.v, &widths);
+    if values.iter().any(|v| v.is_nan()) && chart.is_some() {
+        let charted = initial.values(chart);
+        (values.iter_mut().zip(charted).filter(|(v, _)| v.is_nan())).for_each(|(v, c)| *v = c);
+    }
+    Ok(Some(values))
+}
+
+fn derived(path: &Path, set: &[(String, String)]) -> Result<(Model, Hamiltonian), CliError> {
+    let model = scenario::load(path, set)?;
+    match Hamiltonian::derive(&model) {
+        Ok(hamiltonian) => Ok((model, hamiltonian)),
+        Err(problems) => Err(ScenarioErrors::new(&model, problems).into()),
+    }
+}
+
+/// Another scene with the states and controls of the stored one, and the parameters that the stored run was given.
+pub(super) fn other_scene(
+    stored: &Stored,
+    path: &Path,
+    set: &[(String, String)],
+) -> Result<(Model, Hamiltonian), CliError> {
+    let overrides = [stored.model.overrides.as_slice(), set].concat();
+    let (model, hamiltonian) = derived(path, &overrides)?;
+    let states = |m: &Model| m.states.iter().map(|s| s.variable.name.clone()).collect::<Vec<_>>();
+    let controls = |m: &Model| m.controls.iter().map(|c| c.variable.name.clone()).collect::<Vec<_>>();
+    if states(&model) != states(&stored.model) || controls(&model) != controls(&stored.model) {
+        return Err(CliError::OtherScene {
+            scene: path.to_owned(),
+            file: stored.path.clone(),
+        });
+    }
+    Ok((model, hamiltonian))
+}
+
+fn weights(path: &PathBuf) -> Result<Weights, CliError> {
+    let text = std::fs::read_to_string(path).map_err(|source| {
+        CliError::Law(crate::closed_loop::LawError::Read {
+            path: path.clone(),
+            source,
+        })
+    })?;
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(Weights {
+        name: stem,
+        text,
+        file: path.display().to_string(),
+    })
+}
+
+/// The laws fitted into a result file.
+fn fitted(stored: &Stored) -> Result<Vec<Weights>, CliError> {
+    let Some(group) = stored.group("feedback") else {
+        return Ok(Vec::new());
+    };
+    let (names, texts) = (group.texts("law")?, group.texts("toml")?);
+    let file = |name: &str| format!("/feedback of {}, law {name}", stored.path.display());
+    Ok((names.into_iter().zip(texts))
+        .map(|(name, text)| Weights {
+            file: file(&name),
+            name,
+            text,
+        })
+        .collect())
+}
+
+fn own_output(scenario: &Path) -> PathBuf {
+    let path = default_output(scenario);
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    path.with_file_name(format!("{stem}_closed_loop.h5"))
+}
+
+/// Laws side by side.
+fn as_text(e: &Evaluation, setting: &Setting<'_>, scene: &ClosedLoop) -> String {
+    let numerics = &setting.numerics;
+    let known = e.values.iter().filter(|v| !v.is_nan()).count();
+    let mut t = format!(
+        "closed loop from {} initial states to t = {}: {} on {}, {} {}, rtol {:e}; V known at {known}\n",
+        e.initial.count(),
+        scene.final_time,
+        e.backend,
+        e.adapter,
+        numerics.precision.name(),
+        numerics.method.name(),
+        numerics.rtol
+    );
+    let mut rows: Vec<Vec<String>> = vec![
+        ["law", "converged", "J/V - 1 median", "99 %"]
+            .into_iter()
+            .map(str::to_owned)
+            .chain(e.records.iter().map(|(name, _)| name.clone()))
+            .chain(e.asked.iter().map(|s| s.name.clone()))
+            .chain(["states/s", "ended"].map(str::to_owned))
+            .collect(),
+    ];
+    for (law, sets) in e.laws.iter().zip(&e.sets) {
+        let spread = e.spread(law);
+        let number = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{v:.2e}"));
+        let mut row = vec![
+            law.name.clone(),
+            format!("{:.2} %", 100.0 * law.share_converged()),
+            number(spread.map(|s| s.median)),
+            number(spread.map(|s| s.p99)),
+        ];
+        row.extend((0..e.records.len()).map(|k| format!("{:.5}", e.worst(law, k))));
+        row.extend(sets.iter().map(|s| format!("{:.2} %", 100.0 * s.share)));
+        row.push(format!("{:.0}", law.rate()));
+        row.push(e.status_text(law));
+        rows.push(row);
+    }
+    let widths: Vec<usize> = (0..rows[0].len())
+        .map(|c| rows.iter().map(|r| r[c].chars().count()).max().unwrap_or(0))
+        .collect();
+    for row in rows {
+        let cells = row.iter().zip(&widths).enumerate().map(|(c, (cell, width))| {
+            if c == 0 || c + 1 == widths.len() {
+                format!("{cell:<width$}")
+            } else {
+                format!("{cell:>width$}")
+            }
+        });
+        // Writing to a String cannot fail.
+        let _ = writeln!(t, "{}", cells.collect::<Vec<_>>().join("  ").trim_end());
+    }
+    t.trim_end().to_owned()
+}
+
+fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {
+    let laws: Vec<_> = (e.laws.iter().zip(&e.sets))
+        .map(|(law, sets)| {
+            let spread = e
+                .spread(law)
+                .map(|s| serde_json::json!({ "median": s.median, "p99": s.p99, "max": s.worst, "count": s.count }));
+            let records: serde_json::Map<_, _> = (e.records.iter().enumerate())
+                .map(|(k, (name, _))| (name.clone(), serde_json::json!(e.worst(law, k))))
+                .collect();
+            let sets: serde_json::Map<_, _> = (e.asked.iter().zip(sets))
+                .map(|(set, r)| {
+                    (
+                        set.name.clone(),
+                        serde_json::json!({ "share": r.share, "area": r.area }),
+                    )
+                })
+                .collect();
+            serde_json::json!({
+                "name": law.name, "source": law.source, "share_converged": law.share_converged(),
+                "suboptimality": spread, "worst": records, "sets": sets, "statuses": e.statuses(law),
+                "seconds": law.seconds, "states_per_second": law.rate(),
+            })
+        })
+        .collect();
+    serde_json::json!({
+        "file": path, "initial_states": e.initial.count(), "backend": e.backend, "adapter": e.adapter,
+        "values_known": e.values.iter().filter(|v| !v.is_nan()).count(), "laws": laws,
+    })
+}

@@ -1,0 +1,369 @@
+//! `costate value`: V, p and u interpolated from a result file.
+
+use super::report::Terminal;
+use super::{CliError, SceneArgs, ValueArgs, points, run};
+use crate::map::{At, Value, ValueMap};
+use crate::model::Model;
+use crate::output::{Places, ResultFile, RunRecord, Stored, write_text};
+use rayon::prelude::*;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::time::{Instant, SystemTime};
+
+/// What is wrong with the places asked for.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum PlaceError {
+    #[error("no states are asked for: give --at NAME=VALUE,..., --points FILE.csv or --grid NAME=FIRST:LAST:COUNT")]
+    Nothing,
+    #[error("--{option} {text}: {reason}")]
+    Malformed {
+        option: &'static str,
+        text: String,
+        reason: String,
+    },
+    #[error("--out {path}: a table ends in .csv, a result file in .h5", path = path.display())]
+    Extension { path: std::path::PathBuf },
+    #[error("--out {path} is the file that is read", path = path.display())]
+    Itself { path: std::path::PathBuf },
+}
+
+/// Most points of a grid.
+const MOST_POINTS: usize = 20_000_000;
+
+pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
+    let (started, clock) = (SystemTime::now(), Instant::now());
+    let terminal = Terminal::new(&SceneArgs {
+        scenario: args.file.clone(),
+        set: Vec::new(),
+        json: args.json,
+        quiet: args.quiet,
+    });
+    if args.at.is_empty() && args.points.is_none() && args.grid.is_empty() {
+        return Err(PlaceError::Nothing.into());
+    }
+    if let Some(out) = &args.out {
+        let extension = out.extension().and_then(|e| e.to_str());
+        if !matches!(extension, Some("csv" | "h5")) {
+            return Err(PlaceError::Extension { path: out.clone() }.into());
+        }
+        let same =
+            |a: &Path, b: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b));
+        if same(out, &args.file) {
+            return Err(PlaceError::Itself { path: out.clone() }.into());
+        }
+    }
+    let stored = Stored::open(&args.file)?;
+    let model = &stored.model;
+    let grid = grid(&args.grid, model)?;
+    let mut states = Vec::new();
+    for at in &args.at {
+        states.extend(single(at, model)?);
+    }
+    if let Some(path) = &args.points {
+        states.extend(points::read(path, model)?);
+    }
+    if let Some(axes) = &grid {
+        states = product(axes);
+    }
+    let map = ValueMap::new(&stored)?;
+    let found: Vec<At> = (states.par_chunks(map.states()))
+        .map(|x| {
+            if args.no_errors {
+                map.without_errors(x)
+            } else {
+                map.at(x)
+            }
+        })
+        .collect();
+    let many = grid.is_some() || args.points.is_some();
+    match &args.out {
+        Some(out) if out.extension().is_some_and(|e| e == "h5") => {
+            let mut file = ResultFile::create(out)?;
+            let places = match &grid {
+                Some(axes) => Places::Grid(axes),
+                None => Places::Points(&states),
+            };
+            file.interpolated(&run::axes(model), &places, &found)?;
+            let record = RunRecord {
+                backend: "cpu".to_owned(),
+                precision: "f64".to_owned(),
+                method: "interpolation".to_owned(),
+                wall_seconds: clock.elapsed().as_secs_f64(),
+                ..RunRecord::begun(model, started)
+            };
+            record.write(&file)?;
+            file.attribute("source", args.file.display().to_string())?;
+            file.finish()?;
+        }
+        Some(out) => write_text(out, &table(model, &states, &found)?)?,
+        None if args.json => {
+            let all: Vec<_> = (states.chunks(map.states()).zip(&found))
+                .map(|(x, at)| as_json(model, x, at))
+                .collect();
+            super::print(&format!("{:#}\n", serde_json::Value::from(all)))?;
+            return Ok(());
+        }
+        None if many => super::print(&table(model, &states, &found)?)?,
+        None => {
+            for (x, at) in states.chunks(map.states()).zip(&found) {
+                terminal.say(&as_text(model, x, at))?;
+            }
+        }
+    }
+    if let Some(out) = &args.out {
+        let known = found.iter().filter(|at| at.lowest.is_ok()).count();
+        let errors: Vec<f64> = found
+            .iter()
+            .filter_map(|at| at.lowest.as_ref().ok())
+            .map(|v| v.v_error)
+            .collect();
+        let [median, most, worst] = super::report::quantiles(&errors);
+        let mut text = format!("{known} of {} states known, from {} sites", found.len(), map.sites());
+        if worst.is_finite() {
+            let _ = write!(
+                text,
+                "; error of V: median {median:.1e}, 99 % {most:.1e}, largest {worst:.1e}"
+            );
+        }
+        let _ = write!(
+            text,
+            "\n{:.2} s, written to {}",
+            clock.elapsed().as_secs_f64(),
+            out.display()
+        );
+        terminal.say(&text)?;
+        if args.json {
+            let summary = serde_json::json!({
+                "file": out.display().to_string(), "states": found.len(), "known": known, "sites": map.sites(),
+                "V_error": { "median": median, "p99": most, "max": worst },
+            });
+            super::print(&format!("{summary:#}\n"))?;
+        }
+    }
+    Ok(())
+}
+
+/// `name=value,...`; states not named are at the reference point.
+fn single(text: &str, model: &Model) -> Result<Vec<f64>, CliError> {
+    let wrong = |reason: String| PlaceError::Malformed {
+        option: "at",
+        text: text.to_owned(),
+        reason,
+    };
+    let mut x = model.reference().to_vec();
+    let mut given = Vec::new();
+    for part in text.split(',') {
+        let (name, value) = part
+            .split_once('=')
+            .ok_or_else(|| wrong(format!("`{part}` is not NAME=VALUE")))?;
+        let state = model.state(name.trim()).map_err(&wrong)?;
+        if given.contains(&state) {
+            return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
+        }
+        given.push(state);
+        x[state] = number(value).map_err(&wrong)?;
+    }
+    Ok(x)
+}
+
+fn number(text: &str) -> Result<f64, String> {
+    let value: Option<f64> = text.trim().parse().ok();
+    (value.filter(|v| v.is_finite())).ok_or_else(|| format!("`{}` is not a finite number", text.trim()))
+}
+
+/// The axes of `--grid name=first:last:count` or `name=value`, repeated or separated by commas; `None` without any.
+fn grid(texts: &[String], model: &Model) -> Result<Option<Vec<Vec<f64>>>, CliError> {
+    if texts.is_empty() {
+        return Ok(None);
+    }
+    let mut axes: Vec<Vec<f64>> = model.reference().iter().map(|x| vec![*x]).collect();
+    let mut given = Vec::new();
+    for text in texts.iter().flat_map(|t| t.split(',')) {
+        let wrong = |reason: String| PlaceError::Malformed {
+            option: "grid",
+            text: text.to_owned(),
+            reason,
+        };
+        let shape = || wrong("expected NAME=FIRST:LAST:COUNT or NAME=VALUE".to_owned());
+        let (name, range) = text.split_once('=').ok_or_else(shape)?;
+        let state = model.state(name.trim()).map_err(&wrong)?;
+        if given.contains(&state) {
+            return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
+        }
+        given.push(state);
+        let parts: Vec<&str> = range.split(':').collect();
+        axes[state] = match parts.as_slice() {
+            [value] => vec![number(value).map_err(&wrong)?],
+            [first, last, count] => {
+                let (first, last) = (number(first).map_err(&wrong)?, number(last).map_err(&wrong)?);
+                let count: Option<usize> = count.trim().parse().ok();
+                let count = count.filter(|c| (2..=1_000_000).contains(c));
+                let count = count.ok_or_else(|| wrong("a count is a whole number from 2 to 1000000".to_owned()))?;
+                if last <= first {
+                    return Err(wrong("the last value must be above the first".to_owned()).into());
+                }
+                crate::value::spaced(first, last, count)
+            }
+            _ => return Err(shape().into()),
+        };
+    }
+    let points = axes.iter().fold(1usize, |a, axis| a.saturating_mul(axis.len()));
+    if points > MOST_POINTS {
+        let reason = format!("{points} points; at most {MOST_POINTS}");
+        let text = texts.join(",");
+        return Err(PlaceError::Malformed {
+            option: "grid",
+            text,
+            reason,
+        }
+        .into());
+    }
+    Ok(Some(axes))
+}
+
+/// All states of a grid, last axis fastest.
+fn product(axes: &[Vec<f64>]) -> Vec<f64> {
+    let count: usize = axes.iter().map(Vec::len).product();
+    let mut states = vec![0.0; count * axes.len()];
+    for (k, x) in states.chunks_mut(axes.len()).enumerate() {
+        let mut rest = k;
+        for (value, axis) in x.iter_mut().zip(axes).rev() {
+            *value = axis[rest % axis.len()];
+            rest /= axis.len();
+        }
+    }
+    states
+}
+
+fn names(model: &Model) -> (Vec<&str>, Vec<&str>) {
+    (
+        model.states.iter().map(|s| s.variable.name.as_str()).collect(),
+        model.controls.iter().map(|c| c.variable.name.as_str()).collect(),
+    )
+}
+
+/// How a value is known, in words.
+fn how(value: &Value) -> String {
+    if value.sites == 0 {
+        return "from the local solution about the equilibrium".to_owned();
+    }
+    let solved = if value.solved > 0 {
+        format!(" ({} of them solved states)", value.solved)
+    } else {
+        String::new()
+    };
+    format!(
+        "interpolated from {} sites{solved}, the nearest {:.1e} of the region away",
+        value.sites, value.nearest
+    )
+}
+
+fn sheet(value: &Value) -> String {
+    if value.sites == 0 {
+        "at the equilibrium".to_owned()
+    } else if value.sheet < 0 {
+        "sheet -1 (no labelled solution is near: run with [homotopy] or [map] for labels)".to_owned()
+    } else {
+        format!("sheet {}", value.sheet)
+    }
+}
+
+fn as_text(model: &Model, x: &[f64], at: &At) -> String {
+    let (states, controls) = names(model);
+    let list = |names: &[&str], values: &[f64]| {
+        let parts: Vec<String> = names.iter().zip(values).map(|(n, v)| format!("{n} = {v}")).collect();
+        parts.join(", ")
+    };
+    let mut lines = vec![list(&states, x)];
+    match &at.lowest {
+        Err(unknown) => lines.push(format!("  V is not known: {unknown}")),
+        Ok(here) => {
+            let error = |e: f64| {
+                if e.is_finite() {
+                    format!(" (error about {e:.1e})")
+                } else {
+                    String::new()
+                }
+            };
+            lines.push(format!("  V = {:.10}{}", here.v, error(here.v_error)));
+            let costates: Vec<String> = states.iter().map(|s| format!("p_{s}")).collect();
+            let costates: Vec<&str> = costates.iter().map(String::as_str).collect();
+            let relative = if here.p_error.is_finite() {
+                format!(" (relative error about {:.1e})", here.p_error)
+            } else {
+                String::new()
+            };
+            lines.push(format!("  {}{relative}", list(&costates, &here.p)));
+            if !controls.is_empty() {
+                lines.push(format!("  {}{}", list(&controls, &here.u), error(here.u_error)));
+            }
+            lines.push(format!("  {}; {}", sheet(here), how(here)));
+        }
+    }
+    for other in &at.others {
+        lines.push(format!(
+            "  also: V = {:.10}, {} ({})",
+            other.v,
+            list(&controls, &other.u),
+            sheet(other)
+        ));
+    }
+    lines.join("\n")
+}
+
+fn as_json(model: &Model, x: &[f64], at: &At) -> serde_json::Value {
+    let (states, controls) = names(model);
+    let object = |names: &[&str], values: &[f64]| -> serde_json::Value {
+        let pairs = names
+            .iter()
+            .zip(values)
+            .map(|(n, v)| ((*n).to_owned(), serde_json::json!(v)));
+        serde_json::Value::Object(pairs.collect())
+    };
+    let value = |v: &Value| {
+        serde_json::json!({
+            "V": v.v, "p": object(&states, &v.p), "u": object(&controls, &v.u), "sheet": v.sheet,
+            "V_error": v.v_error, "p_error": v.p_error, "u_error": v.u_error, "sites": v.sites,
+            "solved_sites": v.solved, "nearest": v.nearest, "how": how(v),
+        })
+    };
+    serde_json::json!({
+        "x": object(&states, x),
+        "value": at.lowest.as_ref().ok().map(value),
+        "unknown": at.lowest.as_ref().err().map(ToString::to_string),
+        "other_sheets": at.others.iter().map(value).collect::<Vec<_>>(),
+    })
+}
+
+/// A CSV table; empty fields where V is not known.
+fn table(model: &Model, states: &[f64], found: &[At]) -> Result<String, CliError> {
+    let (names, controls) = names(model);
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let mut header: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
+    header.push("V".to_owned());
+    header.extend(names.iter().map(|n| format!("p_{n}")));
+    header.extend(controls.iter().map(|n| (*n).to_owned()));
+    header.extend(["sheet", "V_error", "p_error", "u_error"].map(str::to_owned));
+    let columns = header.len();
+    let csv = |e: csv::Error| CliError::Stdout(std::io::Error::other(e));
+    writer.write_record(&header).map_err(csv)?;
+    for (x, at) in states.chunks(names.len()).zip(found) {
+        let mut row: Vec<String> = x.iter().map(f64::to_string).collect();
+        if let Ok(here) = &at.lowest {
+            row.extend([here.v].iter().chain(&here.p).chain(&here.u).map(f64::to_string));
+            row.push(here.sheet.to_string());
+            let errors = [here.v_error, here.p_error, here.u_error];
+            row.extend(
+                errors
+                    .iter()
+                    .map(|e| if e.is_finite() { e.to_string() } else { String::new() }),
+            );
+        }
+        row.resize(columns, String::new());
+        writer.write_record(&row).map_err(csv)?;
+    }
+    let bytes = writer
+        .into_inner()
+        .map_err(|e| CliError::Stdout(std::io::Error::other(e.to_string())))?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}

@@ -1,0 +1,225 @@
+//! A closed loop as programs: what is integrated, what is recorded.
+
+use super::law::Law;
+use crate::backend::{By, Guards, Spec};
+use crate::expr::{Deviation, Graph, Id, Kind};
+use crate::hamiltonian::{GuardExpr, Hamiltonian};
+use crate::model::{Horizon, Method, Model, Precision, Record};
+use crate::program::Program;
+use std::collections::HashMap;
+
+/// Equations of a scene under a law, in deviations `s = x - reference` and forward time.
+///
+/// The integrated vector is `(s, q, H, J)`: q and the upper triangle of H (row by row) only where the law is that of a
+/// chart, whose `p = q + H s` they hold constant. `J' = L`. [`Equations::scaled`] has a duration T before J, by which
+/// all rates are multiplied.
+pub(super) struct Equations {
+    graph: Graph,
+    pub states: usize,
+    pub controls: usize,
+    pub charted: bool,
+    /// Symbols of the integrated vector but for J.
+    inputs: Vec<Id>,
+    rate: Vec<Id>,
+    guards: Vec<GuardExpr>,
+    /// Of each record its expression and the time derivative of that.
+    recorded: Vec<Id>,
+    control: Vec<Id>,
+    terminal: Option<Id>,
+    pub reference: Vec<f64>,
+}
+
+impl Equations {
+    pub fn new(model: &Model, hamiltonian: &Hamiltonian, law: &Law, records: &[Record]) -> Self {
+        let mut graph = law.graph.clone();
+        let n = model.states.len();
+        let zero = graph.constant(0.0);
+        let mut symbols: HashMap<Id, Deviation> = HashMap::new();
+        for (symbol, at) in model.parameter_values() {
+            symbols.insert(symbol, Deviation { at, change: zero });
+        }
+        let mut inputs = Vec::new();
+        for (state, &at) in model.states.iter().zip(model.reference()) {
+            let change = graph.symbol(&format!("d_{}", state.variable.name), Kind::State);
+            symbols.insert(state.variable.symbol, Deviation { at, change });
+            inputs.push(change);
+        }
+        if law.charted {
+            let p = chart_symbols(&mut graph, &mut inputs, n);
+            for (&symbol, change) in hamiltonian.p.iter().zip(p) {
+                symbols.insert(symbol, Deviation { at: 0.0, change });
+            }
+        }
+        let mut replaced: HashMap<Id, Id> = (model.controls.iter().zip(&law.control))
+            .map(|(c, u)| (c.variable.symbol, *u))
+            .collect();
+        replaced.extend(model.disturbances.iter().map(|w| (w.symbol, zero)));
+        let roots: Vec<Id> = (model.dynamics.iter().map(|f| f.expr))
+            .chain([model.running.expr])
+            .chain(records.iter().map(|r| r.of.expr))
+            .chain(model.controls.iter().map(|c| c.variable.symbol))
+            .chain(hamiltonian.guards.iter().map(|g| g.condition.expr))
+            .chain(match &model.horizon {
+                Horizon::Finite { terminal, .. } => Some(terminal.expr),
+                Horizon::Infinite { .. } => None,
+            })
+            .collect();
+        let closed = graph.substitute(&roots, &replaced);
+        let forms = graph.deviations(&closed, &symbols);
+        let mut whole = forms
+            .into_iter()
+            .map(|f| graph.whole(f))
+            .collect::<Vec<_>>()
+            .into_iter();
+        let mut take = |count: usize| whole.by_ref().take(count).collect::<Vec<Id>>();
+        let (f, running) = (take(n), take(1)[0]);
+        let (values, control) = (take(records.len()), take(model.controls.len()));
+        let guards = (hamiltonian.guards.iter().zip(take(hamiltonian.guards.len())))
+            .map(|(g, expr)| GuardExpr {
+                name: g.name.clone(),
+                expr,
+                strict: g.strict,
+            })
+            .collect();
+        let terminal = take(1).first().copied();
+        let mut recorded = Vec::new();
+        for value in values {
+            let terms: Vec<Id> = (0..n)
+                .map(|i| {
+                    let slope = graph.diff(value, inputs[i]);
+                    graph.mul(slope, f[i])
+                })
+                .collect();
+            recorded.extend([value, graph.sum(&terms)]);
+        }
+        let mut rate = f;
+        rate.resize(inputs.len(), zero);
+        rate.push(running);
+        Self {
+            states: n,
+            controls: model.controls.len(),
+            charted: law.charted,
+            inputs,
+            rate,
+            guards,
+            recorded,
+            control,
+            terminal,
+            reference: model.reference().to_vec(),
+            graph,
+        }
+    }
+
+    /// The same over `tau` from 0 to 1, T being the duration: a component before J.
+    pub fn scaled(&self) -> Self {
+        let mut graph = self.graph.clone();
+        let duration = graph.symbol("duration", Kind::State);
+        let mut inputs = self.inputs.clone();
+        inputs.push(duration);
+        let mut rate: Vec<Id> = self.rate.iter().map(|r| graph.mul(duration, *r)).collect();
+        rate.insert(inputs.len() - 1, graph.constant(0.0));
+        Self {
+            graph,
+            inputs,
+            rate,
+            guards: Vec::new(),
+            recorded: self.recorded.clone(),
+            control: self.control.clone(),
+            reference: self.reference.clone(),
+            ..*self
+        }
+    }
+
+    /// Components of the integrated vector.
+    pub fn dim(&self) -> usize {
+        self.rate.len()
+    }
+
+    /// Index of J.
+    pub fn cost(&self) -> usize {
+        self.dim() - 1
+    }
+
+    /// Operations of a right-hand side.
+    pub fn operations(&self) -> usize {
+        self.program(&self.rate).code.len()
+    }
+
+    fn program(&self, roots: &[Id]) -> Program {
+        Program::lower(&self.graph, &self.inputs, roots)
+    }
+
+    pub fn spec(&self, method: Method, precision: Precision, store: bool) -> Spec {
+        let mut graph = self.graph.clone();
+        let kinks = graph.kinks(&self.rate);
+        let guards: Vec<Id> = self.guards.iter().map(|g| g.expr).collect();
+        Spec {
+            rate: self.program(&self.rate),
+            guards: (!guards.is_empty()).then(|| Guards {
+                program: self.program(&guards),
+                strict: self.guards.iter().map(|g| g.strict).collect(),
+            }),
+            kinks: (!kinks.is_empty()).then(|| Program::lower(&graph, &self.inputs, &kinks)),
+            method,
+            precision,
+            by: By::Time,
+            store,
+        }
+    }
+
+    /// Values and time derivatives of the records, then the controls.
+    pub fn observed(&self) -> Program {
+        self.program(&[self.recorded.as_slice(), &self.control].concat())
+    }
+
+    /// Values of the guards.
+    pub fn guard_values(&self) -> Option<Program> {
+        let exprs: Vec<Id> = self.guards.iter().map(|g| g.expr).collect();
+        (!exprs.is_empty()).then(|| self.program(&exprs))
+    }
+
+    /// The terminal cost, where the horizon is finite.
+    pub fn terminal(&self) -> Option<Program> {
+        self.terminal.map(|t| self.program(&[t]))
+    }
+}
+
+/// Adds q and H to the inputs; returns `p = q + H s`.
+fn chart_symbols(graph: &mut Graph, inputs: &mut Vec<Id>, n: usize) -> Vec<Id> {
+    let s = inputs.clone();
+    let q: Vec<Id> = (0..n).map(|i| graph.symbol(&format!("q_{i}"), Kind::Adjoint)).collect();
+    inputs.extend(&q);
+    let mut h = vec![vec![q[0]; n]; n];
+    for i in 0..n {
+        for j in i..n {
+            let entry = graph.symbol(&format!("H_{i}_{j}"), Kind::Adjoint);
+            inputs.push(entry);
+            (h[i][j], h[j][i]) = (entry, entry);
+        }
+    }
+    (0..n)
+        .map(|i| {
+            let mut terms = vec![q[i]];
+            for j in 0..n {
+                terms.push(graph.mul(h[i][j], s[j]));
+            }
+            graph.sum(&terms)
+        })
+        .collect()
+}
+
+/// Writes a chart's answer at `s` into the components behind s: `q = p - H s`, then H's upper triangle.
+pub(super) fn set_chart(vector: &mut [f64], p: &[f64], hessian: &[f64]) {
+    let n = p.len();
+    let mut place = 2 * n;
+    for i in 0..n {
+        // Symmetric in what is kept: half the sum of both triangles.
+        let entry = |j: usize| 0.5 * (hessian[i * n + j] + hessian[j * n + i]);
+        let bent: f64 = (0..n).map(|j| entry(j) * vector[j]).sum();
+        vector[n + i] = p[i] - bent;
+        for j in i..n {
+            vector[place] = entry(j);
+            place += 1;
+        }
+    }
+}

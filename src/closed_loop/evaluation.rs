@@ -1,0 +1,191 @@
+//! What came of a simulation: costs against V, shares, operating sets.
+
+use super::sets::{Line, area, contour};
+use super::simulate::Path;
+use super::{Initial, Setting};
+use crate::backend::{Backend, Status};
+use crate::model::{Extremum, OperatingSet};
+use std::collections::BTreeMap;
+
+/// One law, from all initial states.
+#[derive(Clone, Debug, Default)]
+pub struct LawResult {
+    pub name: String,
+    pub source: String,
+    /// `[initial]`: running cost up to the end, and what the linear solution (or the terminal cost) says is left; NaN where
+    /// the trajectory ended early.
+    pub cost: Vec<f64>,
+    /// `[initial][record]`.
+    pub records: Vec<f64>,
+    pub converged: Vec<bool>,
+    pub status: Vec<i32>,
+    pub t_end: Vec<f64>,
+    pub paths: Vec<Path>,
+    /// Time taken, compilation not included.
+    pub seconds: f64,
+}
+
+/// Quantiles of J/V - 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    pub median: f64,
+    pub p99: f64,
+    pub worst: f64,
+    /// Initial states they are of.
+    pub count: usize,
+}
+
+/// An operating set under one law.
+#[derive(Clone, Debug, Default)]
+pub struct SetResult {
+    /// Of the initial states.
+    pub share: f64,
+    /// In the units of the grid's two axes; NaN where it has not two.
+    pub area: f64,
+    pub lines: Vec<Line>,
+}
+
+/// All laws from the same initial states.
+#[derive(Clone, Debug)]
+pub struct Evaluation {
+    pub initial: Initial,
+    /// V at the initial states; NaN where not known.
+    pub values: Vec<f64>,
+    pub laws: Vec<LawResult>,
+    /// `[law][set]`.
+    pub sets: Vec<Vec<SetResult>>,
+    pub backend: String,
+    pub adapter: String,
+    /// Names of records and what is kept of them.
+    pub records: Vec<(String, Extremum)>,
+    pub asked: Vec<OperatingSet>,
+    /// What the codes mean that occur.
+    pub status_names: BTreeMap<i32, String>,
+    /// Below this cost V is too small for J/V - 1 to say anything.
+    least_value: f64,
+}
+
+impl Evaluation {
+    pub(super) fn new(
+        setting: &Setting<'_>,
+        initial: Initial,
+        values: Vec<f64>,
+        laws: Vec<LawResult>,
+        backend: &dyn Backend,
+    ) -> Self {
+        let scene = setting.closed_loop;
+        let mut this = Self {
+            sets: Vec::new(),
+            backend: backend.name().to_owned(),
+            adapter: backend.adapter(),
+            records: scene.records.iter().map(|r| (r.name.clone(), r.extremum)).collect(),
+            asked: scene.sets.clone(),
+            status_names: (laws.iter().flat_map(|l| &l.status))
+                .map(|s| (*s, setting.status_name(*s)))
+                .collect(),
+            // What is left of the absolute tolerance.
+            least_value: 1e3 * setting.numerics.atol * setting.value_scale,
+            initial,
+            values,
+            laws,
+        };
+        this.sets = (this.laws.iter())
+            .map(|law| scene.sets.iter().map(|set| this.set(law, set)).collect())
+            .collect();
+        this
+    }
+
+    /// A state is inside where its trajectory went to its end and the quantity keeps within the bound.
+    fn set(&self, law: &LawResult, set: &OperatingSet) -> SetResult {
+        let levels: Vec<f64> = (0..self.initial.count())
+            .map(|i| {
+                let value = law.records[i * self.records.len() + set.record];
+                let room = if set.at_least {
+                    value - set.bound
+                } else {
+                    set.bound - value
+                };
+                if law.status[i] == Status::Reached as i32 {
+                    room
+                } else {
+                    f64::NAN
+                }
+            })
+            .collect();
+        let share = levels.iter().filter(|l| **l >= 0.0).count() as f64 / levels.len().max(1) as f64;
+        match self.initial.axes.as_slice() {
+            [(_, a), (_, b)] => SetResult {
+                share,
+                area: area([a, b], &levels),
+                lines: contour([a, b], &levels),
+            },
+            _ => SetResult {
+                share,
+                area: f64::NAN,
+                lines: Vec::new(),
+            },
+        }
+    }
+
+    /// J/V - 1 from each initial state; NaN where V is not known, or the trajectory did not converge.
+    pub fn suboptimality(&self, law: &LawResult) -> Vec<f64> {
+        (law.cost.iter().zip(&self.values).zip(&law.converged))
+            .map(|((j, v), converged)| {
+                if *converged && *v > self.least_value {
+                    j / v - 1.0
+                } else {
+                    f64::NAN
+                }
+            })
+            .collect()
+    }
+
+    /// Its quantiles; `None` where there is none.
+    pub fn spread(&self, law: &LawResult) -> Option<Spread> {
+        let mut known: Vec<f64> = self.suboptimality(law).into_iter().filter(|s| !s.is_nan()).collect();
+        known.sort_by(f64::total_cmp);
+        let at = |q: f64| {
+            known
+                .get(((known.len() as f64 * q).ceil() as usize).saturating_sub(1))
+                .copied()
+        };
+        Some(Spread {
+            median: at(0.5)?,
+            p99: at(0.99)?,
+            worst: at(1.0)?,
+            count: known.len(),
+        })
+    }
+
+    /// The worst of a record under a law: the lowest minimum, the highest maximum or last value; NaN where there is none.
+    pub fn worst(&self, law: &LawResult, record: usize) -> f64 {
+        let count = self.records.len();
+        let values = law.records.iter().skip(record).step_by(count).filter(|v| !v.is_nan());
+        match self.records[record].1 {
+            Extremum::Min => values.copied().reduce(f64::min),
+            Extremum::Max | Extremum::Final => values.copied().reduce(f64::max),
+        }
+        .unwrap_or(f64::NAN)
+    }
+
+    /// How many trajectories ended how, by name.
+    pub fn statuses(&self, law: &LawResult) -> BTreeMap<&str, usize> {
+        let mut counts = BTreeMap::new();
+        for status in &law.status {
+            *counts.entry(self.status_names[status].as_str()).or_default() += 1;
+        }
+        counts
+    }
+}
+
+impl LawResult {
+    /// Of the initial states.
+    pub fn share_converged(&self) -> f64 {
+        self.converged.iter().filter(|c| **c).count() as f64 / self.converged.len().max(1) as f64
+    }
+
+    /// Initial states a second.
+    pub fn rate(&self) -> f64 {
+        self.status.len() as f64 / self.seconds
+    }
+}

@@ -1,0 +1,379 @@
+//! Batches of closed-loop trajectories on a backend.
+
+use super::equations::{Equations, set_chart};
+use super::law::Law;
+use super::record::Records;
+use super::{Chart, LoopError, Setting};
+use crate::backend::cpu::map::Evaluator;
+use crate::backend::{Backend, Kernel, Run, Status, Trajectories, batch_limit};
+use crate::sweep::GUARD_STATUS;
+use rayon::prelude::*;
+
+/// Status of a trajectory whose chart has no answer where it has come to.
+pub const OUTSIDE_MAP: i32 = 8;
+/// A trajectory that cannot go on has met a guard whose value is below this share of that at its start.
+const AT_GUARD: f64 = 1e-4;
+/// Trajectories of a batch under a chart's law.
+const CHARTED_BATCH: usize = 16384;
+
+/// A trajectory kept whole, `samples + 1` points; NaN after its end.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Path {
+    /// Index of its initial state.
+    pub initial: usize,
+    pub t: Vec<f64>,
+    /// `[point][state]`.
+    pub x: Vec<f64>,
+    /// `[point][control]`.
+    pub u: Vec<f64>,
+}
+
+/// How closed-loop trajectories went, in the order of their initial states.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Flights {
+    /// `[trajectory][state]`: deviation from the reference at the end.
+    pub end: Vec<f64>,
+    pub t_end: Vec<f64>,
+    /// [`Status`] codes, [`OUTSIDE_MAP`], and from [`GUARD_STATUS`] on the guards.
+    pub status: Vec<i32>,
+    /// Integral of the running cost up to the end.
+    pub cost: Vec<f64>,
+    /// Terminal cost at the end, where the horizon is finite.
+    pub terminal: Vec<f64>,
+    /// `[trajectory][record]`.
+    pub records: Vec<f64>,
+    pub paths: Vec<Path>,
+}
+
+/// A law's kernels.
+pub(super) struct Simulator<'s> {
+    setting: &'s Setting<'s>,
+    equations: Equations,
+    kernel: Box<dyn Kernel>,
+    scaled: Option<(Equations, Box<dyn Kernel>)>,
+    observer: Evaluator,
+    guards: Option<Evaluator>,
+    terminal: Option<Evaluator>,
+}
+
+/// A batch while it flies.
+struct Batch {
+    dim: usize,
+    /// `[trajectory][dim]`.
+    start: Vec<f64>,
+    end: Vec<f64>,
+    t_end: Vec<f64>,
+    status: Vec<i32>,
+    records: Records,
+    /// Trajectories of the batch kept whole, with their paths.
+    kept: Vec<(usize, Path)>,
+}
+
+impl<'s> Simulator<'s> {
+    pub fn new(setting: &'s Setting<'s>, law: &Law, backend: &dyn Backend) -> Result<Self, LoopError> {
+        let scene = setting.closed_loop;
+        let equations = Equations::new(setting.model, setting.hamiltonian, law, &scene.records);
+        let operations = equations.operations();
+        if operations > crate::sweep::MOST_OPERATIONS {
+            return Err(LoopError::TooLong {
+                law: law.name.clone(),
+                operations,
+            });
+        }
+        let (method, precision) = (setting.numerics.method, setting.numerics.precision);
+        let kernel = backend.compile(&equations.spec(method, precision, !law.charted))?;
+        let scaled = if scene.records.is_empty() {
+            None
+        } else {
+            let scaled = equations.scaled();
+            let kernel = backend.compile(&scaled.spec(method, precision, false))?;
+            Some((scaled, kernel))
+        };
+        Ok(Self {
+            setting,
+            kernel,
+            scaled,
+            observer: Evaluator::new(&equations.observed()),
+            guards: equations.guard_values().map(|g| Evaluator::new(&g)),
+            terminal: equations.terminal().map(|t| Evaluator::new(&t)),
+            equations,
+        })
+    }
+
+    /// From states `x0` (`[trajectory][state]`); those at the indices `kept` are kept whole. A law of a chart needs one.
+    pub fn fly(&mut self, x0: &[f64], kept: &[usize], chart: Option<&dyn Chart>) -> Result<Flights, LoopError> {
+        let n = self.equations.states;
+        let samples = self.setting.closed_loop.samples;
+        let size = if self.equations.charted {
+            CHARTED_BATCH
+        } else {
+            batch_limit(self.equations.dim(), samples)
+        };
+        let mut flights = Flights::default();
+        for (k, chunk) in x0.chunks(size * n).enumerate() {
+            let mut batch = self.batch(chunk, k * size, kept);
+            match chart.filter(|_| self.equations.charted) {
+                Some(chart) => self.by_chart(&mut batch, chart)?,
+                None => self.by_formula(&mut batch)?,
+            }
+            self.finish(batch, &mut flights)?;
+        }
+        Ok(flights)
+    }
+
+    fn batch(&self, x0: &[f64], first: usize, kept: &[usize]) -> Batch {
+        let (n, dim) = (self.equations.states, self.equations.dim());
+        let count = x0.len() / n;
+        let mut start = vec![0.0; count * dim];
+        for (vector, x) in start.chunks_exact_mut(dim).zip(x0.chunks_exact(n)) {
+            for i in 0..n {
+                vector[i] = x[i] - self.equations.reference[i];
+            }
+        }
+        let here = |initial: &&usize| (first..first + count).contains(*initial);
+        let path = |initial: usize| Path {
+            initial,
+            ..Path::default()
+        };
+        Batch {
+            dim,
+            end: start.clone(),
+            t_end: vec![0.0; count],
+            status: vec![Status::Reached as i32; count],
+            records: Records::new(&self.setting.closed_loop.records, count),
+            kept: (kept.iter().filter(here).map(|i| (i - first, path(*i)))).collect(),
+            start,
+        }
+    }
+
+    /// What the kernel is run with, for components of these scales; `levels` of time.
+    fn run(&self, equations: &Equations, levels: Vec<f64>) -> Run {
+        let (setting, numerics) = (self.setting, &self.setting.numerics);
+        // Constant components have no error: any finite tolerance will do.
+        let mut atol = vec![1e30; equations.dim()];
+        for (atol, width) in atol.iter_mut().zip(&setting.widths) {
+            *atol = numerics.atol * width;
+        }
+        atol[equations.cost()] = numerics.atol * setting.value_scale;
+        Run {
+            rtol: numerics.rtol,
+            atol,
+            step: setting.model.integrator.step.unwrap_or(0.0),
+            max_steps: u32::try_from(setting.model.integrator.max_steps).unwrap_or(u32::MAX),
+            levels,
+            ceiling: None,
+            bounds: setting.bounds.clone(),
+        }
+    }
+
+    /// A law that is a formula: each trajectory at once.
+    fn by_formula(&mut self, batch: &mut Batch) -> Result<(), LoopError> {
+        let scene = self.setting.closed_loop;
+        let times: Vec<f64> = (1..=scene.samples)
+            .map(|k| scene.final_time * k as f64 / scene.samples as f64)
+            .collect();
+        let run = self.run(&self.equations, times);
+        let flown = self.kernel.integrate(&run, &batch.start)?;
+        let dim = batch.dim;
+        let width = self.observer_width();
+        let first = self.observer.eval(&batch.start, dim);
+        if !scene.records.is_empty() {
+            let along = self.observer.eval(&flown.samples[1..], dim + 1);
+            let last = self.observer.eval(&flown.end, dim);
+            let start = &batch.start;
+            batch.records.each(|i, view| {
+                let (mut t, mut from) = (0.0, &start[i * dim..][..dim]);
+                let mut before = &first[i * width..][..width];
+                for k in 0..flown.levels {
+                    let sample = flown.sample(i, k);
+                    if sample[0].is_nan() {
+                        break;
+                    }
+                    let here = &along[(i * flown.levels + k) * width..][..width];
+                    view.see(sample[0] - t, from, [before, here]);
+                    (t, from, before) = (sample[0], &sample[1..], here);
+                }
+                let rest = flown.end_time[i] - t;
+                if rest > 0.0 {
+                    view.see(rest, from, [before, &last[i * width..][..width]]);
+                }
+            });
+        }
+        for (i, path) in &mut batch.kept {
+            let start = [0.0]
+                .iter()
+                .chain(&batch.start[*i * dim..][..dim])
+                .copied()
+                .collect::<Vec<_>>();
+            let points = [start.as_slice()]
+                .into_iter()
+                .chain((0..flown.levels).map(|k| flown.sample(*i, k)));
+            for point in points {
+                self.keep(path, point[0], &point[1..]);
+            }
+        }
+        self.settle(batch, &flown);
+        Ok(())
+    }
+
+    /// Numbers of a row of the observer.
+    fn observer_width(&self) -> usize {
+        2 * self.setting.closed_loop.records.len() + self.equations.controls
+    }
+
+    fn keep(&self, path: &mut Path, t: f64, vector: &[f64]) {
+        let n = self.equations.states;
+        path.t.push(t);
+        path.x.extend((0..n).map(|i| vector[i] + self.equations.reference[i]));
+        let controls = &self.observer.eval(vector, vector.len())[2 * self.setting.closed_loop.records.len()..];
+        path.u
+            .extend(controls.iter().map(|u| if t.is_nan() { f64::NAN } else { *u }));
+    }
+
+    /// Ends and statuses of a batch integrated as a whole.
+    fn settle(&self, batch: &mut Batch, flown: &Trajectories) {
+        let dim = batch.dim;
+        for i in 0..flown.count() {
+            let (start, end) = (&batch.start[i * dim..][..dim], &flown.end[i * dim..][..dim]);
+            batch.status[i] = self.code(flown.status[i], start, end);
+        }
+        batch.end.clone_from(&flown.end);
+        batch.t_end.clone_from(&flown.end_time);
+    }
+
+    /// The status with the guard's own number where one ended the trajectory: also where its equations end with a guard, so
+    /// that no step gets beyond it.
+    fn code(&self, status: Status, start: &[f64], end: &[f64]) -> i32 {
+        let stopped = matches!(status, Status::NotFinite | Status::StepFloor);
+        let Some(guards) = self.guards.as_ref().filter(|_| stopped || status == Status::Guard) else {
+            return status as i32;
+        };
+        let (at_start, at_end) = (guards.eval(start, start.len()), guards.eval(end, end.len()));
+        // One that is 0 from the beginning is an invariant boundary, not met.
+        let share = |k: usize| {
+            if at_start[k] == 0.0 && at_end[k] >= 0.0 {
+                f64::INFINITY
+            } else {
+                at_end[k] / at_start[k].abs()
+            }
+        };
+        let nearest = (0..at_end.len()).min_by(|a, b| share(*a).total_cmp(&share(*b)));
+        match nearest {
+            Some(k) if status == Status::Guard || share(k) <= AT_GUARD => GUARD_STATUS + k as i32,
+            _ => status as i32,
+        }
+    }
+
+    /// The law of a chart: between updates that of its quadratic model at the state of the last one.
+    fn by_chart(&mut self, batch: &mut Batch, chart: &dyn Chart) -> Result<(), LoopError> {
+        let scene = self.setting.closed_loop;
+        let sampling = scene.final_time / scene.samples as f64;
+        let updates = scene
+            .period
+            .map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
+        let step = sampling / updates as f64;
+        let run = self.run(&self.equations, vec![step]);
+        let (n, dim, width) = (self.equations.states, batch.dim, self.observer_width());
+        let mut alive: Vec<usize> = (0..batch.status.len()).collect();
+        for k in 0..scene.samples * updates {
+            let t = step * k as f64;
+            let reference = &self.equations.reference;
+            let answers: Vec<_> = (alive.par_iter())
+                .map(|i| {
+                    let s = &batch.end[i * dim..][..n];
+                    let x: Vec<f64> = s.iter().zip(reference).map(|(s, x)| s + x).collect();
+                    chart.local(&x)
+                })
+                .collect();
+            for (&i, answer) in alive.iter().zip(&answers) {
+                match answer {
+                    Some(a) => set_chart(&mut batch.end[i * dim..][..dim], &a.p, &a.hessian),
+                    None => (batch.status[i], batch.t_end[i]) = (OUTSIDE_MAP, t),
+                }
+            }
+            alive.retain(|i| batch.status[*i] == Status::Reached as i32);
+            if alive.is_empty() {
+                break;
+            }
+            if k % updates == 0 {
+                self.keep_alive(batch, &alive, t);
+            }
+            let seeds: Vec<f64> = alive
+                .iter()
+                .flat_map(|i| &batch.end[i * dim..][..dim])
+                .copied()
+                .collect();
+            let flown = self.kernel.integrate(&run, &seeds)?;
+            if !scene.records.is_empty() {
+                let (before, after) = (self.observer.eval(&seeds, dim), self.observer.eval(&flown.end, dim));
+                batch.records.each(|i, view| {
+                    if let Ok(j) = alive.binary_search(&i) {
+                        let row = |values: &[f64]| values[j * width..][..width].to_vec();
+                        let ends = [row(&before), row(&after)];
+                        view.see(flown.end_time[j], &seeds[j * dim..][..dim], [&ends[0], &ends[1]]);
+                    }
+                });
+            }
+            for (j, &i) in alive.iter().enumerate() {
+                let end = &flown.end[j * dim..][..dim];
+                batch.status[i] = self.code(flown.status[j], &batch.start[i * dim..][..dim], end);
+                batch.t_end[i] = t + flown.end_time[j];
+                batch.end[i * dim..][..dim].copy_from_slice(end);
+            }
+            alive.retain(|i| batch.status[*i] == Status::Reached as i32);
+        }
+        self.keep_alive(batch, &alive, scene.final_time);
+        for (_, path) in &mut batch.kept {
+            let missing = scene.samples + 1 - path.t.len();
+            path.t.extend(vec![f64::NAN; missing]);
+            path.x.extend(vec![f64::NAN; missing * n]);
+            path.u.extend(vec![f64::NAN; missing * self.equations.controls]);
+        }
+        Ok(())
+    }
+
+    fn keep_alive(&self, batch: &mut Batch, alive: &[usize], t: f64) {
+        let dim = batch.dim;
+        for (i, path) in &mut batch.kept {
+            if alive.binary_search(i).is_ok() {
+                self.keep(path, t, &batch.end[*i * dim..][..dim]);
+            }
+        }
+    }
+
+    fn finish(&mut self, mut batch: Batch, flights: &mut Flights) -> Result<(), LoopError> {
+        if let Some((scaled, kernel)) = &mut self.scaled {
+            let scaled: &Equations = scaled;
+            // Neither bounds nor guards: these ended the trajectory where they were met.
+            let (numerics, scene) = (&self.setting.numerics, self.setting.closed_loop);
+            let mut atol = vec![1e30; scaled.dim()];
+            for (atol, width) in atol.iter_mut().zip(&self.setting.widths) {
+                *atol = numerics.atol * width;
+            }
+            let run = Run {
+                rtol: numerics.rtol,
+                atol,
+                // Time runs from 0 to 1 over at most one interval.
+                step: self.setting.model.integrator.step.unwrap_or(0.0) * scene.samples as f64 / scene.final_time,
+                max_steps: u32::MAX,
+                levels: vec![1.0],
+                ceiling: None,
+                bounds: Vec::new(),
+            };
+            batch.records.refine(scaled, kernel.as_mut(), &run, &self.observer)?;
+        }
+        let (n, dim) = (self.equations.states, batch.dim);
+        if let Some(terminal) = &self.terminal {
+            flights.terminal.extend(terminal.eval(&batch.end, dim));
+        }
+        for end in batch.end.chunks_exact(dim) {
+            flights.end.extend_from_slice(&end[..n]);
+            flights.cost.push(end[dim - 1]);
+        }
+        flights.t_end.extend(batch.t_end);
+        flights.status.extend(batch.status);
+        flights.records.extend(batch.records.values());
+        flights.paths.extend(batch.kept.into_iter().map(|(_, path)| path));
+        Ok(())
+    }
+}

@@ -1,0 +1,617 @@
+//! The value map: V, p and u at any state, interpolated from scattered solutions.
+//!
+//! Each site (a state at which V and p are known) carries a cubic polynomial with the site's V and p and curvature fitted
+//! to the sites around it; polynomials of the sites around a state are blended (the modified Shepard method of Franke &
+//! Nielson 1980 and Renka 1988, here with gradients). Sites on different sheets are told apart by what their polynomials
+//! say at the state: on one sheet they agree. The lowest sheet counts. The error is that of leaving sites out: what
+//! the others, fitted again, say where a site is.
+//!
+//! ```no_run
+//! use costate::{map::ValueMap, output::Stored};
+//! let map = ValueMap::new(&Stored::open("out/pendulum.h5".as_ref())?)?;
+//! match map.at(&[2.0, 0.0]).lowest {
+//!     Ok(here) => println!("V = {} within about {}, u = {:?}", here.v, here.v_error, here.u),
+//!     Err(unknown) => println!("{unknown}"),
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod nodal;
+mod sites;
+
+pub use sites::Source;
+
+use crate::backend::cpu::Cpu;
+use crate::output::{Stored, StoredError};
+use crate::program::Program;
+use crate::sweep::{Choices, Plan, PlanError};
+use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
+use nodal::{Neighbour, Nodal, Prediction};
+use sites::{Sites, UNLABELLED};
+use std::sync::OnceLock;
+
+/// Why a file gives no value map.
+#[derive(Debug, thiserror::Error)]
+pub enum MapError {
+    #[error(transparent)]
+    Stored(#[from] StoredError),
+    #[error("{path} holds no values: neither /trajectories nor /points nor /map has any", path = path.display())]
+    Empty { path: std::path::PathBuf },
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    #[error("{states} states: values are looked up for at most {MOST_DIMENSIONS}")]
+    TooManyStates { states: usize },
+}
+
+/// Why V is not known at a state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unknown {
+    #[error("no solutions are near this state")]
+    Far,
+    #[error("this state lies at the edge of what was computed")]
+    Edge,
+}
+
+/// V, its derivatives and u at a state, on one sheet.
+#[derive(Clone, Debug)]
+pub struct Value {
+    pub v: f64,
+    /// `dV/dx`, one a state.
+    pub p: Vec<f64>,
+    /// `d2V/dx2`, row-major.
+    pub hessian: Vec<f64>,
+    pub u: Vec<f64>,
+    /// Label of the sheet as in the file; -1 where no labelled solution is near.
+    pub sheet: i32,
+    /// Errors of V, of p (largest component relative to |p|, each times the region's width) and of u (largest) that
+    /// leaving out sites around shows. NaN where they were not asked for. Of V it is no less than what the sites that were
+    /// blended disagree by.
+    pub v_error: f64,
+    pub p_error: f64,
+    pub u_error: f64,
+    /// Sites that were blended; 0 where the local solution about the equilibrium gives the values.
+    pub sites: usize,
+    /// Of them, how many are solved states.
+    pub solved: usize,
+    /// Distance to the nearest, in widths of the region.
+    pub nearest: f64,
+    /// Periods by which the state was moved to where the sites are.
+    pub winding: Vec<i32>,
+}
+
+/// What is known at a state.
+#[derive(Clone, Debug)]
+pub struct At {
+    pub lowest: Result<Value, Unknown>,
+    /// Other sheets, by rising V.
+    pub others: Vec<Value>,
+}
+
+/// Interpolates V, p and u; see the module's text.
+pub struct ValueMap {
+    sites: Sites,
+    tree: Box<dyn Nearest>,
+    nodal: Vec<OnceLock<Option<Nodal>>>,
+    left_out: Vec<OnceLock<[f64; 3]>>,
+    plan: Plan,
+    control: Program,
+    /// Windings to try, one a combination of periodic states.
+    windings: Vec<Vec<i32>>,
+}
+
+/// Candidates looked at for each one wanted.
+const LOOK: usize = 8;
+/// A site counts as a neighbour only if no chosen one is nearer to it than this share of its own distance: neighbours on
+/// all sides rather than many on one trajectory.
+const SPREAD: f64 = 0.5;
+/// Share of the other neighbours that one must be consistent with.
+const AGREED: f64 = 0.6;
+/// Sheets for whose sites there is room among those looked at.
+const SHEETS: usize = 3;
+/// Sites further away than this many times the reach of their own fit say nothing.
+const BEYOND: f64 = 0.8;
+/// At the edge: length of the mean unit vector to the sites around.
+const ONE_SIDED: f64 = 0.85;
+/// Sites by leaving out which the error at a state is told.
+const LEFT_OUT: usize = 4;
+/// Nearer than this, in widths, a place is a site.
+const SAME: f64 = 1e-12;
+/// Most windings to either side.
+const MOST_WINDINGS: i32 = 3;
+
+/// What one site says at a place.
+struct Opinion {
+    site: usize,
+    winding: usize,
+    distance: f64,
+    /// From the place to the site, scaled.
+    to: Vec<f64>,
+    says: Prediction,
+}
+
+impl ValueMap {
+    /// Reads all values of a result file.
+    ///
+    /// # Errors
+    /// [`MapError`].
+    pub fn new(stored: &Stored) -> Result<Self, MapError> {
+        let states = stored.model.states.len();
+        if states > MOST_DIMENSIONS {
+            return Err(MapError::TooManyStates { states });
+        }
+        let choices = Choices {
+            unasked: true,
+            ..Choices::default()
+        };
+        let plan = Plan::new(&stored.model, &stored.hamiltonian, &Cpu::new(), choices)?;
+        let sites = Sites::collect(stored, &plan)?;
+        if sites.source.iter().all(|s| *s == Source::Local) {
+            return Err(MapError::Empty {
+                path: stored.path.clone(),
+            });
+        }
+        let control = Program::lower(&plan.system.graph, &plan.system.inputs, &plan.system.observer.control);
+        let blank = |count: usize| (0..count).map(|_| OnceLock::new()).collect::<Vec<_>>();
+        let mut this = Self {
+            tree: index(&sites.z, states),
+            nodal: blank(sites.len()),
+            left_out: (0..sites.len()).map(|_| OnceLock::new()).collect(),
+            windings: Vec::new(),
+            control,
+            plan,
+            sites,
+        };
+        this.windings = this.possible_windings();
+        Ok(this)
+    }
+
+    /// States n.
+    pub fn states(&self) -> usize {
+        self.sites.n
+    }
+
+    /// Sites that are interpolated between.
+    pub fn sites(&self) -> usize {
+        self.sites.len()
+    }
+
+    /// Windings for which a state of the region may lie among the sites.
+    fn possible_windings(&self) -> Vec<Vec<i32>> {
+        let n = self.sites.n;
+        let mut all = vec![vec![0; n]];
+        for i in 0..n {
+            let Some(period) = self.plan.periods[i] else { continue };
+            let period = period / self.plan.widths[i];
+            let coordinates = || self.sites.z.iter().skip(i).step_by(n);
+            let lowest = coordinates().copied().fold(f64::INFINITY, f64::min);
+            let highest = coordinates().copied().fold(f64::NEG_INFINITY, f64::max);
+            let w = self.plan.widths[i];
+            let [lo, hi] = self.plan.region[i].map(|s| s / w);
+            let least = (((lowest - hi) / period).ceil() as i32).max(-MOST_WINDINGS);
+            let most = (((highest - lo) / period).floor() as i32).min(MOST_WINDINGS);
+            all = (all.iter())
+                .flat_map(|base| {
+                    (least.min(0)..=most.max(0)).map(|k| {
+                        let mut winding = base.clone();
+                        winding[i] = k;
+                        winding
+                    })
+                })
+                .collect();
+        }
+        all
+    }
+
+    /// V, p and u at a state (absolute), with errors.
+    pub fn at(&self, x: &[f64]) -> At {
+        let mut at = self.without_errors(x);
+        let values = at.lowest.iter_mut().chain(&mut at.others);
+        for value in values.filter(|v| v.sites > 0) {
+            self.estimate(x, value);
+        }
+        at
+    }
+
+    /// The same with NaN for the errors: for many states.
+    pub fn without_errors(&self, x: &[f64]) -> At {
+        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        if let Some(value) = self.near_equilibrium(&s) {
+            return At {
+                lowest: Ok(value),
+                others: Vec::new(),
+            };
+        }
+        let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
+        let opinions = self.opinions(&z, None);
+        if opinions.is_empty() {
+            return At {
+                lowest: Err(Unknown::Far),
+                others: Vec::new(),
+            };
+        }
+        let mut values: Vec<Value> = (self.sheets(&opinions).iter())
+            .filter_map(|members| self.blended(&s, &opinions, members))
+            .collect();
+        values.sort_by(|a, b| a.v.total_cmp(&b.v));
+        let mut values = values.into_iter();
+        At {
+            lowest: values.next().ok_or(Unknown::Edge),
+            others: values.collect(),
+        }
+    }
+
+    /// V, p, Hessian and u on the lowest sheet without errors, as fast as can be: what a controller asks for. Where only one
+    /// sheet is near, the nearest site alone speaks; else as [`ValueMap::without_errors`].
+    pub fn local(&self, x: &[f64]) -> Option<Value> {
+        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        if let Some(value) = self.near_equilibrium(&s) {
+            return Some(value);
+        }
+        let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
+        match self.uncontested(&z) {
+            Some(opinion) => {
+                let says = opinion.says.clone();
+                Some(self.value(&s, &opinion, says))
+            }
+            None => self.without_errors(x).lowest.ok(),
+        }
+    }
+
+    /// The nearest site's opinion on the sheet of least V, where no other sheet's sites are around those nearest.
+    fn uncontested(&self, z: &[f64]) -> Option<Opinion> {
+        let mut best: Option<Opinion> = None;
+        for (w, winding) in self.windings.iter().enumerate() {
+            let place: Vec<f64> = (0..z.len()).map(|i| z[i] + self.turn(winding, i)).collect();
+            let &(site, distance) = self.tree.near(&place, f64::INFINITY, 1).first()?;
+            let nodal = self.nodal[site].get_or_init(|| self.fit(site, None)).as_ref()?;
+            if distance > BEYOND * nodal.reach {
+                continue;
+            }
+            if nodal.contested || distance > 0.5 * nodal.reach {
+                return None;
+            }
+            let opinion = self.opinion(&place, w, site, distance, None)?;
+            if best.as_ref().is_none_or(|b| opinion.says.v < b.says.v) {
+                best = Some(opinion);
+            }
+        }
+        best
+    }
+
+    /// Whether a sample (x, V) of an extremal is, as far as the map can tell, on the lowest sheet.
+    pub fn is_lowest(&self, x: &[f64], v: f64) -> bool {
+        // Interpolation errs; a sheet that is better by less than this is as good.
+        const MARGIN: f64 = 1e-3;
+        self.local(x)
+            .is_none_or(|here| v <= here.v + MARGIN * here.v.abs().max(v.abs()))
+    }
+
+    fn near_equilibrium(&self, s: &[f64]) -> Option<Value> {
+        let local = self.plan.local.as_ref()?;
+        let mut winding = vec![0; s.len()];
+        let mut s = s.to_vec();
+        for (i, period) in self.plan.periods.iter().enumerate() {
+            if let Some(period) = period {
+                let k = (s[i] / period).round();
+                s[i] -= k * period;
+                winding[i] = -k as i32;
+            }
+        }
+        let quadratic = local.quadratic(&s);
+        if quadratic > local.seed_value {
+            return None;
+        }
+        let (v, p, hessian) = local.expansion(&s);
+        let u = self.control(&s, &p);
+        let error = local.error_where(quadratic);
+        let relative = if v > 0.0 { error / v } else { 0.0 };
+        Some(Value {
+            v,
+            u,
+            hessian,
+            p,
+            sheet: UNLABELLED,
+            v_error: error,
+            p_error: relative,
+            u_error: 0.0,
+            sites: 0,
+            solved: 0,
+            nearest: 0.0,
+            winding,
+        })
+    }
+
+    fn control(&self, s: &[f64], p: &[f64]) -> Vec<f64> {
+        self.control.eval(&[s, p].concat())
+    }
+
+    /// Sites near a place that lie on different sides of it, by distance; `without` is passed over.
+    fn around(&self, place: &[f64], most: usize, without: &[usize]) -> Vec<(usize, f64)> {
+        let near = self.tree.near(place, f64::INFINITY, LOOK * most);
+        let mut chosen: Vec<(usize, f64)> = Vec::with_capacity(most);
+        for (site, distance) in near {
+            if without.contains(&site) {
+                continue;
+            }
+            let crowded = chosen.iter().any(|(other, _)| {
+                self.sites.consistent(site, *other)
+                    && distance_between(self.sites.z(site), self.sites.z(*other)) < SPREAD * distance
+            });
+            if !crowded {
+                chosen.push((site, distance));
+                if chosen.len() == most {
+                    break;
+                }
+            }
+        }
+        chosen
+    }
+
+    fn nodal(&self, site: usize, without: Option<usize>) -> Option<Nodal> {
+        match without {
+            Some(without) => self.fit(site, Some(without)),
+            None => self.nodal[site].get_or_init(|| self.fit(site, None)).clone(),
+        }
+    }
+
+    fn fit(&self, site: usize, without: Option<usize>) -> Option<Nodal> {
+        let n = self.sites.n;
+        let (z, v, q) = (self.sites.z(site), self.sites.v[site], self.sites.q(site));
+        let most = nodal::wanted(n);
+        let excluded: Vec<usize> = without.into_iter().chain([site]).collect();
+        // Twice as many: some will belong to other sheets.
+        let mut near = self.around(z, 2 * most, &excluded);
+        let all = near.len();
+        near.retain(|(k, d)| *d > SAME && self.sites.consistent(site, *k));
+        let contested = near.len() < all;
+        let agreed: Vec<bool> = (near.iter())
+            .map(|(k, _)| {
+                let with = near.iter().filter(|(j, _)| self.sites.consistent(*k, *j)).count();
+                with as f64 >= AGREED * near.len() as f64
+            })
+            .collect();
+        let neighbours: Vec<Neighbour> = (near.iter().zip(agreed))
+            .filter(|(_, agreed)| *agreed)
+            .take(most)
+            .map(|(&(k, distance), _)| {
+                let d: Vec<f64> = self.sites.z(k).iter().zip(z).map(|(a, b)| a - b).collect();
+                Neighbour {
+                    distance,
+                    beyond_tangent: self.sites.v[k] - v - q.iter().zip(&d).map(|(q, d)| q * d).sum::<f64>(),
+                    dq: self.sites.q(k).iter().zip(q).map(|(a, b)| a - b).collect(),
+                    d,
+                }
+            })
+            .collect();
+        let used = neighbours.len();
+        let fitted = nodal::fit(n, neighbours).map(|mut f| {
+            f.contested |= contested || used < near.len().min(most);
+            f
+        });
+        match self.sites.hessian.get(&site) {
+            Some(hessian) => {
+                let reach = fitted.map_or(0.0, |f| f.reach);
+                Some(Nodal::of_hessian(n, hessian, reach))
+            }
+            None => fitted,
+        }
+    }
+
+    fn opinion(
+        &self,
+        place: &[f64],
+        winding: usize,
+        site: usize,
+        distance: f64,
+        without: Option<usize>,
+    ) -> Option<Opinion> {
+        let nodal = self.nodal(site, without)?;
+        if distance > BEYOND * nodal.reach {
+            return None;
+        }
+        let to: Vec<f64> = self.sites.z(site).iter().zip(place).map(|(z, p)| z - p).collect();
+        let d: Vec<f64> = to.iter().map(|t| -t).collect();
+        Some(Opinion {
+            site,
+            winding,
+            distance,
+            says: nodal.at(self.sites.v[site], self.sites.q(site), &d),
+            to,
+        })
+    }
+
+    /// What the sites around a place say there, by distance.
+    fn opinions(&self, z: &[f64], without: Option<usize>) -> Vec<Opinion> {
+        let n = self.sites.n;
+        let most = SHEETS * (2 * n + 4);
+        let excluded: Vec<usize> = without.into_iter().collect();
+        let mut opinions = Vec::new();
+        for (w, winding) in self.windings.iter().enumerate() {
+            let place: Vec<f64> = (0..n).map(|i| z[i] + self.turn(winding, i)).collect();
+            let near = self.around(&place, most, &excluded);
+            opinions.extend(
+                near.into_iter()
+                    .filter_map(|(site, d)| self.opinion(&place, w, site, d, without)),
+            );
+        }
+        opinions.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.site.cmp(&b.site)));
+        opinions
+    }
+
+    fn turn(&self, winding: &[i32], i: usize) -> f64 {
+        f64::from(winding[i]) * self.plan.periods[i].unwrap_or(0.0) / self.plan.widths[i]
+    }
+
+    /// Opinions that agree, sheet by sheet; of each the nearest comes first.
+    fn sheets(&self, opinions: &[Opinion]) -> Vec<Vec<usize>> {
+        let mut sheets: Vec<Vec<usize>> = Vec::new();
+        for k in 0..opinions.len() {
+            match (sheets.iter_mut()).find(|members| self.agree(&opinions[members[0]], &opinions[k])) {
+                Some(members) => members.push(k),
+                None => sheets.push(vec![k]),
+            }
+        }
+        sheets
+    }
+
+    /// Whether two sites mean the same sheet: they differ by less than a part of what their polynomials change by from
+    /// site to place.
+    fn agree(&self, a: &Opinion, b: &Opinion) -> bool {
+        const OF_CHANGE: f64 = 0.5;
+        const OF_SIZE: f64 = 0.02;
+        let norm = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let change = |o: &Opinion| distance_between(&o.says.q, self.sites.q(o.site));
+        let changed = change(a).max(change(b));
+        let size = norm(&a.says.q).max(norm(&b.says.q));
+        let q = OF_CHANGE * changed + OF_SIZE * size;
+        let distance = a.distance.max(b.distance).max(SAME);
+        distance_between(&a.says.q, &b.says.q) <= q && (a.says.v - b.says.v).abs() <= q * distance
+    }
+
+    fn blended(&self, s: &[f64], opinions: &[Opinion], members: &[usize]) -> Option<Value> {
+        let n = self.sites.n;
+        let first = &opinions[members[0]];
+        let exact = first.distance < SAME;
+        if !exact && !surrounded(n, members.iter().map(|k| &opinions[*k])) {
+            return None;
+        }
+        let (says, disagreement) = blend(n, opinions, members);
+        let value = self.value(s, first, says);
+        let used = if exact { &members[..1] } else { members };
+        let mut labels = used.iter().map(|k| self.sites.sheet[opinions[*k].site]);
+        let solved = used
+            .iter()
+            .filter(|k| self.sites.source[opinions[**k].site] == Source::Solved);
+        Some(Value {
+            sheet: labels.find(|s| *s != UNLABELLED).unwrap_or(UNLABELLED),
+            v_error: disagreement,
+            sites: used.len(),
+            solved: solved.count(),
+            ..value
+        })
+    }
+
+    /// What a prediction means in the scene's units; errors NaN.
+    fn value(&self, s: &[f64], from: &Opinion, says: Prediction) -> Value {
+        let n = self.sites.n;
+        let w = &self.plan.widths;
+        let p: Vec<f64> = says.q.iter().zip(w).map(|(q, w)| q / w).collect();
+        let winding = self.windings[from.winding].clone();
+        let moved: Vec<f64> = (0..n).map(|i| s[i] + self.turn(&winding, i) * w[i]).collect();
+        Value {
+            v: says.v,
+            u: self.control(&moved, &p),
+            p,
+            hessian: (0..n * n).map(|k| says.hessian[k] / (w[k / n] * w[k % n])).collect(),
+            sheet: self.sites.sheet[from.site],
+            v_error: f64::NAN,
+            p_error: f64::NAN,
+            u_error: f64::NAN,
+            sites: 1,
+            solved: usize::from(self.sites.source[from.site] == Source::Solved),
+            nearest: from.distance,
+            winding,
+        }
+    }
+
+    /// Errors of a value: the largest shown by leaving out one of the sites around that are on its sheet.
+    fn estimate(&self, x: &[f64], value: &mut Value) {
+        let n = self.sites.n;
+        let place: Vec<f64> = (0..n)
+            .map(|i| {
+                let s = x[i] - self.plan.system.reference[i];
+                s / self.plan.widths[i] + self.turn(&value.winding, i)
+            })
+            .collect();
+        let q: Vec<f64> = value.p.iter().zip(&self.plan.widths).map(|(p, w)| p * w).collect();
+        let size = q.iter().fold(0.0f64, |a, q| a.max(q.abs()));
+        let near = self.around(&place, SHEETS * (2 * n + 4), &[]);
+        let alike = near.iter().filter(|(site, distance)| {
+            (self.opinion(&place, 0, *site, *distance, None)).is_some_and(|o| {
+                let far = distance_between(&o.says.q, &q);
+                far <= 0.5 * distance_between(&o.says.q, self.sites.q(*site)) + 0.02 * size
+            })
+        });
+        let mut worst = [f64::NAN; 3];
+        for (site, _) in alike.take(LEFT_OUT) {
+            let errors = self.left_out[*site].get_or_init(|| self.leave_out(*site));
+            for (worst, error) in worst.iter_mut().zip(errors) {
+                *worst = worst.max(*error);
+            }
+        }
+        value.v_error = value.v_error.max(worst[0]);
+        value.p_error = worst[1] / size.max(f64::MIN_POSITIVE);
+        value.u_error = worst[2];
+    }
+
+    /// Errors of V, q (largest component) and u at a site where it is not used; NaN where the others do not reach it.
+    fn leave_out(&self, site: usize) -> [f64; 3] {
+        let (z, v, q) = (self.sites.z(site), self.sites.v[site], self.sites.q(site));
+        let opinions = self.opinions(z, Some(site));
+        // The site's own sheet is the one whose p is nearest.
+        let sheets = self.sheets(&opinions);
+        let blends = sheets.iter().map(|members| blend(self.sites.n, &opinions, members).0);
+        let nearest = blends.min_by(|a, b| distance_between(&a.q, q).total_cmp(&distance_between(&b.q, q)));
+        let Some(says) = nearest else { return [f64::NAN; 3] };
+        let w = &self.plan.widths;
+        let s: Vec<f64> = z.iter().zip(w).map(|(z, w)| z * w).collect();
+        let unscaled = |q: &[f64]| q.iter().zip(w).map(|(q, w)| q / w).collect::<Vec<f64>>();
+        let (u, other) = (self.control(&s, &unscaled(q)), self.control(&s, &unscaled(&says.q)));
+        let largest = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
+        [(says.v - v).abs(), largest(&says.q, q), largest(&u, &other)]
+    }
+}
+
+/// Blends what the members say, with weights that are infinite at a site and 0 at the furthest; and how far they are
+/// apart in V (weighted root mean square).
+fn blend(n: usize, opinions: &[Opinion], members: &[usize]) -> (Prediction, f64) {
+    let first = &opinions[members[0]];
+    if first.distance < SAME || members.len() == 1 {
+        return (first.says.clone(), 0.0);
+    }
+    let reach = 1.1 * opinions[members[members.len() - 1]].distance;
+    let mut sum = Prediction {
+        v: 0.0,
+        q: vec![0.0; n],
+        hessian: vec![0.0; n * n],
+    };
+    let weights: Vec<f64> = (members.iter().map(|k| opinions[*k].distance))
+        .map(|d| ((reach - d) / (reach * d)).powi(2))
+        .collect();
+    let total: f64 = weights.iter().sum();
+    for (k, weight) in members.iter().zip(&weights) {
+        let o = &opinions[*k];
+        sum.v += weight * o.says.v;
+        for (a, b) in sum.q.iter_mut().zip(&o.says.q) {
+            *a += weight * b;
+        }
+        for (a, b) in sum.hessian.iter_mut().zip(&o.says.hessian) {
+            *a += weight * b;
+        }
+    }
+    sum.v /= total;
+    sum.q.iter_mut().chain(&mut sum.hessian).for_each(|a| *a /= total);
+    let squares = members
+        .iter()
+        .zip(&weights)
+        .map(|(k, w)| w * (opinions[*k].says.v - sum.v).powi(2));
+    let apart = (squares.sum::<f64>() / total).sqrt();
+    (sum, apart)
+}
+
+/// Whether sites lie on all sides of a place.
+fn surrounded<'o>(n: usize, members: impl Iterator<Item = &'o Opinion>) -> bool {
+    let mut mean = vec![0.0; n];
+    let mut count = 0.0;
+    for o in members {
+        count += 1.0;
+        for (m, t) in mean.iter_mut().zip(&o.to) {
+            *m += t / o.distance.max(SAME);
+        }
+    }
+    count >= 2.0 && mean.iter().map(|m| m * m).sum::<f64>().sqrt() <= ONE_SIDED * count
+}
+
+fn distance_between(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}

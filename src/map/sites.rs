@@ -1,0 +1,233 @@
+//! Where V and p are known: swept samples, solved states, map nodes, and the local solution near the equilibrium.
+
+use crate::model::Horizon;
+use crate::output::{Stored, StoredError};
+use crate::sweep::Plan;
+use std::collections::HashMap;
+
+/// No sheet number is known.
+pub(super) const UNLABELLED: i32 = -1;
+/// Finest and coarsest distance between sites that is wanted, in widths of the region: of the scene's `spacing`.
+const COARSEST: f64 = 0.05;
+/// Distance from the equilibrium within which sites may lie closer, in proportion.
+const NEAR: f64 = 0.3;
+const FINEST: f64 = 1e-3;
+/// Largest error of the local solution at a site of it, relative to V there.
+const LOCAL_ERROR: f64 = 1e-5;
+
+/// Where a site's numbers come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Source {
+    /// A sample of a swept trajectory.
+    Sample,
+    /// A state solved for (`/points_sheets` or `/map`).
+    Solved,
+    /// The local solution about the equilibrium.
+    Local,
+}
+
+/// Scattered data in scaled coordinates: `z = (x - reference) / width`, `q = p * width`.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Sites {
+    pub n: usize,
+    pub z: Vec<f64>,
+    pub v: Vec<f64>,
+    pub q: Vec<f64>,
+    pub sheet: Vec<i32>,
+    pub source: Vec<Source>,
+    /// Row-major Hessian where it is known, of local sites.
+    pub hessian: HashMap<usize, Vec<f64>>,
+}
+
+impl Sites {
+    /// All sites of a file, thinned to about half the distance between neighbouring trajectories.
+    ///
+    /// # Errors
+    /// [`StoredError`] where groups are not as this program writes them.
+    pub fn collect(stored: &Stored, plan: &Plan) -> Result<Self, StoredError> {
+        let mut all = Gathering::new(plan);
+        if let Some(entries) = stored.points_sheets()? {
+            for k in 0..entries.count {
+                all.add(&entries.x, &entries.v, &entries.p, k, entries.sheet[k], Source::Solved);
+            }
+        }
+        if let Some(map) = stored.map()? {
+            let n = plan.system.states;
+            let mut x = Vec::with_capacity(map.v.len() * n);
+            for k in 0..map.v.len() {
+                let mut rest = k;
+                let mut at = vec![0.0; n];
+                for i in (0..n).rev() {
+                    at[i] = map.axes[i][rest % map.axes[i].len()];
+                    rest /= map.axes[i].len();
+                }
+                x.extend(at);
+            }
+            for k in 0..map.v.len() {
+                all.add(&x, &map.v, &map.p, k, map.sheet[k], Source::Solved);
+            }
+        }
+        // V of a finite horizon depends on time: only at its beginning is it the value function asked for.
+        let begins = match stored.model.horizon {
+            Horizon::Finite { final_time, .. } => -final_time * (1.0 - 1e-9),
+            Horizon::Infinite { .. } => f64::INFINITY,
+        };
+        if let Some(swept) = stored.trajectories()? {
+            for k in (0..swept.count * swept.samples).filter(|k| swept.t[*k] <= begins) {
+                let sheet = swept.sheet[k / swept.samples];
+                all.add(&swept.x, &swept.v, &swept.p, k, sheet, Source::Sample);
+            }
+        }
+        all.add_local(plan);
+        Ok(all.sites)
+    }
+
+    pub fn len(&self) -> usize {
+        self.v.len()
+    }
+
+    pub fn z(&self, i: usize) -> &[f64] {
+        &self.z[i * self.n..(i + 1) * self.n]
+    }
+
+    pub fn q(&self, i: usize) -> &[f64] {
+        &self.q[i * self.n..(i + 1) * self.n]
+    }
+
+    /// Whether two sites can lie on one smooth sheet: the trapezoidal rule over p gives the difference of V to within a
+    /// part of what p changes by.
+    pub fn consistent(&self, i: usize, j: usize) -> bool {
+        let labels = [self.sheet[i], self.sheet[j]];
+        if !labels.contains(&UNLABELLED) && labels[0] != labels[1] {
+            return false;
+        }
+        consistent((self.z(i), self.v[i], self.q(i)), (self.z(j), self.v[j], self.q(j)))
+    }
+}
+
+type Datum<'d> = (&'d [f64], f64, &'d [f64]);
+
+fn consistent((za, va, qa): Datum<'_>, (zb, vb, qb): Datum<'_>) -> bool {
+    // Third derivatives of V bend p over the distance by at most this share of its change.
+    const BEND: f64 = 0.2;
+    const FLOOR: f64 = 0.01;
+    let (mut mean, mut change, mut size, mut distance) = (0.0, 0.0, 0.0, 0.0);
+    for i in 0..za.len() {
+        let d = zb[i] - za[i];
+        mean += 0.5 * (qa[i] + qb[i]) * d;
+        change += (qb[i] - qa[i]).powi(2);
+        size += (0.5 * (qa[i].abs() + qb[i].abs())).powi(2);
+        distance += d * d;
+    }
+    let distance = distance.sqrt();
+    (vb - va - mean).abs() <= (BEND * change.sqrt() + FLOOR * size.sqrt()) * distance
+}
+
+/// Sites as they are added; near ones of the same sheet are dropped.
+struct Gathering<'p> {
+    plan: &'p Plan,
+    sites: Sites,
+    spacing: f64,
+    cells: HashMap<(i32, Vec<i64>), Vec<usize>>,
+}
+
+impl<'p> Gathering<'p> {
+    fn new(plan: &'p Plan) -> Self {
+        Self {
+            plan,
+            sites: Sites {
+                n: plan.system.states,
+                ..Sites::default()
+            },
+            spacing: 0.5 * plan.shoot_out.spacing.min(COARSEST),
+            cells: HashMap::new(),
+        }
+    }
+
+    /// Row `k` of arrays `[row][state]`; what is not finite is left out.
+    fn add(&mut self, x: &[f64], v: &[f64], p: &[f64], k: usize, sheet: i32, source: Source) {
+        let n = self.sites.n;
+        let row = k * n..(k + 1) * n;
+        let reference = &self.plan.system.reference;
+        let s: Vec<f64> = x[row.clone()].iter().zip(reference).map(|(x, r)| x - r).collect();
+        self.add_deviation(&s, v[k], &p[row], sheet, source);
+    }
+
+    fn add_deviation(&mut self, s: &[f64], v: f64, p: &[f64], sheet: i32, source: Source) -> Option<usize> {
+        let n = self.sites.n;
+        let widths = &self.plan.widths;
+        let z: Vec<f64> = s.iter().zip(widths).map(|(s, w)| s / w).collect();
+        let q: Vec<f64> = p.iter().zip(widths).map(|(p, w)| p * w).collect();
+        if !v.is_finite() || z.iter().chain(&q).any(|c| !c.is_finite()) {
+            return None;
+        }
+        let radius = z.iter().map(|z| z * z).sum::<f64>().sqrt();
+        // Cells of about the wanted distance, in powers of two of it.
+        let level = (radius / NEAR).clamp(FINEST, 1.0).log2().floor();
+        let size = self.spacing * level.exp2() / (n as f64).sqrt();
+        let cell = z.iter().map(|z| (z / size).floor() as i64).collect();
+        let here = self.cells.entry((level as i32, cell)).or_default();
+        let sites = &mut self.sites;
+        // Solved states are exact: all are kept.
+        let taken = |&k: &usize| consistent((sites.z(k), sites.v[k], sites.q(k)), (&z, v, &q));
+        if source == Source::Sample && here.iter().any(taken) {
+            return None;
+        }
+        here.push(sites.v.len());
+        sites.z.extend_from_slice(&z);
+        sites.q.extend_from_slice(&q);
+        sites.v.push(v);
+        sites.sheet.push(sheet);
+        sites.source.push(source);
+        Some(sites.v.len() - 1)
+    }
+
+    /// The equilibrium, and ellipsoids about it as far as the local solution is good.
+    fn add_local(&mut self, plan: &Plan) {
+        let Some(local) = &plan.local else { return };
+        let n = self.sites.n;
+        let mut directions: Vec<Vec<f64>> = Vec::new();
+        for i in 0..n {
+            for sign in [1.0, -1.0] {
+                let mut d = vec![0.0; n];
+                d[i] = sign;
+                directions.push(d.clone());
+                for j in 0..i {
+                    for other in [1.0, -1.0] {
+                        let mut d = d.clone();
+                        d[j] = other;
+                        directions.push(d);
+                    }
+                }
+            }
+        }
+        let mut levels = vec![];
+        let mut level = local.seed_value;
+        // Outward to where the samples begin, each twice as far; the error of V is relative to V.
+        while local.error_where(level) <= LOCAL_ERROR * level && level < plan.value_scale && levels.len() < 8 {
+            levels.push(level);
+            level *= 4.0;
+        }
+        let zero = vec![0.0; n];
+        self.add_with_hessian(&zero);
+        for level in levels {
+            for direction in &directions {
+                let s: Vec<f64> = direction.iter().zip(&plan.widths).map(|(d, w)| d * w).collect();
+                let size = (level / local.quadratic(&s).max(f64::MIN_POSITIVE)).sqrt();
+                let s: Vec<f64> = s.iter().map(|s| s * size).collect();
+                self.add_with_hessian(&s);
+            }
+        }
+    }
+
+    fn add_with_hessian(&mut self, s: &[f64]) {
+        let Some(local) = &self.plan.local else { return };
+        let (v, p, hessian) = local.expansion(s);
+        let n = self.sites.n;
+        if let Some(k) = self.add_deviation(s, v, &p, UNLABELLED, Source::Local) {
+            let w = &self.plan.widths;
+            let scaled = (0..n * n).map(|k| hessian[k] * w[k / n] * w[k % n]).collect();
+            self.sites.hessian.insert(k, scaled);
+        }
+    }
+}

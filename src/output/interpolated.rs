@@ -1,0 +1,103 @@
+//! `/map` and `/points` of `costate value`: interpolated values with their errors.
+
+use super::answers::Names;
+use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Variable};
+use crate::map::{At, Unknown, Value};
+
+/// Whether a value is known, as files write it.
+const KNOWN: i32 = 0;
+
+fn code(at: &At) -> i32 {
+    match at.lowest {
+        Ok(_) => KNOWN,
+        Err(Unknown::Far) => 1,
+        Err(Unknown::Edge) => 2,
+    }
+}
+
+fn flags() -> [(i32, &'static str); 3] {
+    [(KNOWN, "interpolated"), (1, "far from data"), (2, "edge of data")]
+}
+
+/// Where values are wanted.
+pub enum Places<'p> {
+    /// A grid: one axis a state.
+    Grid(&'p [Vec<f64>]),
+    /// `[point][state]`.
+    Points(&'p [f64]),
+}
+
+impl ResultFile {
+    /// Writes interpolated values, to `/map` for a grid (last axis fastest), to `/points` for single states.
+    ///
+    /// # Errors
+    /// [`OutputError`] on writing.
+    pub fn interpolated(
+        &mut self,
+        schema: &TrajectorySchema,
+        places: &Places<'_>,
+        values: &[At],
+    ) -> Result<(), OutputError> {
+        let names = Names::new(schema);
+        let (group, dims): (Group, Vec<&str>) = match places {
+            Places::Grid(axes) => {
+                let mut group = Group::new("map").attribute("title", "value function on a regular grid, interpolated");
+                for (axis, values) in schema.states.iter().zip(*axes) {
+                    let dimension = Dimension::values(&axis.name, values.clone(), axis.unit());
+                    group = group.dimension(dimension.long_name(axis.description()));
+                }
+                (group, schema.states.iter().map(|s| s.name.as_str()).collect())
+            }
+            Places::Points(_) => {
+                let group = Group::new("points")
+                    .attribute("title", "value function at chosen states, interpolated")
+                    .dimension(Dimension::index("point", values.len()));
+                (group, vec!["point"])
+            }
+        };
+        let mut group = names.solution(names.axes(group), &dims);
+        if let Places::Points(_) = places {
+            group = group.variable(names.state("x0", &["point", "state"], "chosen state"));
+        }
+        let error = |name: &str, what: &str| Variable::f64(name, dims.iter().copied()).long_name(what);
+        group = group
+            .variable(error("V_error", "error of V that leaving data out shows").unit(names.cost()))
+            .variable(error(
+                "p_error",
+                "error of p that leaving data out shows, relative to p",
+            ))
+            .variable(error("u_error", "error of u that leaving data out shows").unit(names.control_unit()))
+            .variable(
+                Variable::i32("status", dims.iter().copied())
+                    .long_name("whether the value is known")
+                    .flags(flags()),
+            );
+        let mut writer = self.group(&group)?;
+        let (n, m) = (schema.states.len(), schema.controls.len());
+        let known = |at: &At| at.lowest.as_ref().ok().cloned();
+        let scalar = |f: &dyn Fn(&Value) -> f64| -> Vec<f64> {
+            values.iter().map(|at| known(at).map_or(f64::NAN, |v| f(&v))).collect()
+        };
+        let vector = |width: usize, f: &dyn Fn(&Value) -> Vec<f64>| -> Vec<f64> {
+            (values.iter())
+                .flat_map(|at| known(at).map_or_else(|| vec![f64::NAN; width], |v| f(&v)))
+                .collect()
+        };
+        writer.write("V", &scalar(&|v| v.v))?;
+        writer.write("p", &vector(n, &|v| v.p.clone()))?;
+        if m > 0 {
+            writer.write("u", &vector(m, &|v| v.u.clone()))?;
+        }
+        let sheet: Vec<i32> = values.iter().map(|at| known(at).map_or(-1, |v| v.sheet)).collect();
+        writer.write("sheet", &sheet)?;
+        writer.write("V_error", &scalar(&|v| v.v_error))?;
+        writer.write("p_error", &scalar(&|v| v.p_error))?;
+        writer.write("u_error", &scalar(&|v| v.u_error))?;
+        let status: Vec<i32> = values.iter().map(code).collect();
+        writer.write("status", &status)?;
+        if let Places::Points(points) = places {
+            writer.write("x0", *points)?;
+        }
+        Ok(())
+    }
+}
