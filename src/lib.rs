@@ -53,5 +53,6 @@ pub mod output;
 pub mod program;
 pub mod scenario;
 pub mod shooting;
+pub mod study;
 pub mod sweep;
 pub mod value;

@@ -9,6 +9,7 @@ mod fit;
 mod points;
 mod report;
 mod run;
+mod study;
 mod value;
 
 use crate::backend::BackendError;
@@ -17,6 +18,7 @@ use crate::closed_loop::{LawError, LoopError};
 use crate::model::{Method, Precision};
 use crate::output::{OutputError, StoredError};
 use crate::scenario::{LoadError, ScenarioErrors};
+use crate::study::StudyError;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -42,6 +44,8 @@ enum Command {
     Solve(SolveArgs),
     /// V, p and u at any state, interpolated from a result file, with an error estimate.
     Value(ValueArgs),
+    /// Only [study]: the optimal trajectory from one state for several values of parameters.
+    Study(RunArgs),
     /// Simulate feedback laws from many initial states, as [closed_loop] asks, and put what came of it into the result file.
     Evaluate(EvaluateArgs),
     /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
@@ -391,6 +395,10 @@ enum CliError {
     )]
     MapName { name: String },
     #[error(transparent)]
+    Study(#[from] crate::study::StudyError),
+    #[error("the scenario has no [study]")]
+    NoStudy,
+    #[error(transparent)]
     Place(#[from] value::PlaceError),
     #[error(transparent)]
     Map(#[from] crate::map::MapError),
@@ -449,6 +457,7 @@ impl CliError {
     fn status(&self) -> u8 {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) | CliError::Stored(_) => 2,
+            CliError::Study(StudyError::Scene { .. } | StudyError::Plan { .. }) | CliError::NoStudy => 2,
             CliError::Place(_) | CliError::Map(_) => 2,
             CliError::Law(_) | CliError::NoClosedLoop | CliError::NoLaws | CliError::OtherScene { .. } => 2,
             CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
@@ -494,6 +503,7 @@ pub fn main() -> ExitCode {
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
+        Command::Study(args) => study::study(&args),
         Command::Value(args) => value::value(&args),
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Bench(args) => bench::bench(&args),

@@ -19,6 +19,7 @@ mod report;
 mod scene;
 mod scope;
 mod settings;
+mod study;
 mod suggest;
 mod syntax_error;
 #[cfg(test)]

@@ -33,6 +33,7 @@ const SECTIONS: [&str; 16] = [
     "sheets",
     "feedback",
     "closed_loop",
+    "study",
 ];
 const INTEGRATOR: &str = "integrator";
 /// Sections which only later versions read.
@@ -252,7 +253,7 @@ impl<'a> Reader<'a> {
             .map(|s| self.feedback(s, &declared, region.as_deref(), cost.finite))
             .unwrap_or_default();
         let integrator = self.integrator(sections.get(INTEGRATOR));
-        // Last, for it brings names of its own.
+        // [closed_loop] comes last, for it brings names of its own.
         let scope = LoopScope {
             states: &declared.states,
             controls: &declared.controls,
@@ -262,6 +263,7 @@ impl<'a> Reader<'a> {
             finite: cost.finite,
             fitted: fitted_laws(root),
         };
+        let study = sections.get("study").and_then(|s| self.study(s, &scope));
         let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
@@ -284,6 +286,7 @@ impl<'a> Reader<'a> {
             sheets,
             feedback,
             closed_loop,
+            study,
             integrator,
         })
     }
