@@ -56,11 +56,7 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
             ..Choices::default()
         },
         laws: (!args.laws.is_empty()).then(|| args.laws.clone()),
-        weights: args
-            .weights
-            .iter()
-            .map(|path| weights(path))
-            .collect::<Result<_, _>>()?,
+        weights: args.weights.iter().map(weights).collect::<Result<_, _>>()?,
         random: args.random,
         solve: args.solve,
     };

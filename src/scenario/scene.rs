@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 16] = [
+const SECTIONS: [&str; 17] = [
     "parameters",
     "states",
     "controls",
