@@ -140,7 +140,11 @@ impl<'s> Simulator<'s> {
             end: start.clone(),
             t_end: vec![0.0; count],
             status: vec![Status::Reached as i32; count],
-            records: Records::new(&self.setting.closed_loop.records, count),
+            records: Records::new(
+                &self.setting.closed_loop.records,
+                self.equations.switch_columns(),
+                count,
+            ),
             kept: (kept.iter().filter(here).map(|i| (i - first, path(*i)))).collect(),
             start,
         }
@@ -218,14 +222,14 @@ impl<'s> Simulator<'s> {
 
     /// Numbers of a row of the observer.
     fn observer_width(&self) -> usize {
-        2 * self.setting.closed_loop.records.len() + self.equations.controls
+        self.equations.switch_columns().end
     }
 
     fn keep(&self, path: &mut Path, t: f64, vector: &[f64]) {
         let n = self.equations.states;
         path.t.push(t);
         path.x.extend((0..n).map(|i| vector[i] + self.equations.reference[i]));
-        let controls = &self.observer.eval(vector, vector.len())[2 * self.setting.closed_loop.records.len()..];
+        let controls = &self.observer.eval(vector, vector.len())[self.equations.control_columns()];
         path.u
             .extend(controls.iter().map(|u| if t.is_nan() { f64::NAN } else { *u }));
     }

@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 17] = [
+const SECTIONS: [&str; 18] = [
     "parameters",
     "states",
     "controls",
@@ -32,6 +32,7 @@ const SECTIONS: [&str; 17] = [
     "map",
     "sheets",
     "feedback",
+    "report",
     "closed_loop",
     "study",
 ];
@@ -252,6 +253,9 @@ impl<'a> Reader<'a> {
             .get("feedback")
             .map(|s| self.feedback(s, &declared, region.as_deref(), cost.finite))
             .unwrap_or_default();
+        let report = sections
+            .get("report")
+            .and_then(|s| self.report_section(s, &declared.states, region.as_deref()));
         let integrator = self.integrator(sections.get(INTEGRATOR));
         // [closed_loop] comes last, for it brings names of its own.
         let scope = LoopScope {
@@ -285,6 +289,7 @@ impl<'a> Reader<'a> {
             map,
             sheets,
             feedback,
+            report,
             closed_loop,
             study,
             integrator,
