@@ -131,7 +131,10 @@ impl GridField {
             return None;
         }
         let rows = |values: &[f64], width: usize| -> Vec<f64> {
-            order.iter().flat_map(|k| values[k * width..(k + 1) * width].to_vec()).collect()
+            order
+                .iter()
+                .flat_map(|k| values[k * width..(k + 1) * width].to_vec())
+                .collect()
         };
         Some(Self {
             v: rows(&points.v, 1),
@@ -214,7 +217,10 @@ impl Field for GridField {
         let slope = if sheets.len() == 1 { 0.5 } else { 1.0 };
         let best = (sheets.iter())
             .map(|sheet| {
-                let own: Vec<_> = (corners.iter()).filter(|(k, _)| self.sheet[*k] == *sheet).copied().collect();
+                let own: Vec<_> = (corners.iter())
+                    .filter(|(k, _)| self.sheet[*k] == *sheet)
+                    .copied()
+                    .collect();
                 (self.sheet_value(x, &own, slope), *sheet, own)
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -332,7 +338,9 @@ pub fn refined(axis: &[f64], wanted: usize) -> Vec<f64> {
 /// `count` even places.
 pub fn even([from, to]: [f64; 2], count: usize) -> Vec<f64> {
     let last = count.max(2) - 1;
-    (0..=last).map(|k| from + (to - from) * k as f64 / last as f64).collect()
+    (0..=last)
+        .map(|k| from + (to - from) * k as f64 / last as f64)
+        .collect()
 }
 
 #[cfg(test)]
@@ -378,7 +386,9 @@ mod tests {
                 let (v, _, sheet) = two_wells(x, y);
                 let mixed = {
                     let corners = field.corners(&[x, y]).unwrap();
-                    corners.iter().any(|(k, _)| field.sheet[*k] != field.sheet[corners[0].0])
+                    corners
+                        .iter()
+                        .any(|(k, _)| field.sheet[*k] != field.sheet[corners[0].0])
                 };
                 // In a cell with both sheets each continues from its own corners: second order, curvature 2, cells of 0.5.
                 let tolerance = if mixed { 0.5 * 2.0 * 2.0 * 0.5f64.powi(2) } else { 1e-12 };

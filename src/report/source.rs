@@ -18,9 +18,18 @@ const COARSE: usize = 81;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum OptionsError {
     #[error("{what}: the scene has no state `{name}`{hint}")]
-    UnknownState { what: &'static str, name: String, hint: String },
+    UnknownState {
+        what: &'static str,
+        name: String,
+        hint: String,
+    },
     #[error("--slice {name}={value}: outside the region, which is {from} to {to}")]
-    SliceOutside { name: String, value: f64, from: f64, to: f64 },
+    SliceOutside {
+        name: String,
+        value: f64,
+        from: f64,
+        to: f64,
+    },
     #[error("--slice {name}: it is one of the picture's axes; choose others with --axes")]
     SliceOfAxis { name: String },
     #[error("--axes: two different states are needed")]
@@ -81,12 +90,22 @@ impl<'s> Source<'s> {
 
     /// `/points`.
     pub fn points(&self) -> Result<Option<&StoredPoints>, String> {
-        Ok(self.points.as_ref().map_err(Clone::clone)?.as_ref().filter(|p| p.count > 0))
+        Ok(self
+            .points
+            .as_ref()
+            .map_err(Clone::clone)?
+            .as_ref()
+            .filter(|p| p.count > 0))
     }
 
     /// `/points_sheets`.
     pub fn sheets(&self) -> Result<Option<&StoredPoints>, String> {
-        Ok(self.sheets.as_ref().map_err(Clone::clone)?.as_ref().filter(|p| p.count > 0))
+        Ok(self
+            .sheets
+            .as_ref()
+            .map_err(Clone::clone)?
+            .as_ref()
+            .filter(|p| p.count > 0))
     }
 
     /// The value function where solved states form a grid.
@@ -99,8 +118,11 @@ impl<'s> Source<'s> {
         let field = self.field()?;
         let made = self.plane.get_or_init(|| {
             // The map as it is, or what can be told from all solutions of the file.
-            let map = field.filter(|_| self.stored.has("map")).and_then(|f| self.make_plane(f));
-            map.or_else(|| self.scattered()).or_else(|| field.and_then(|f| self.make_plane(f)))
+            let map = field
+                .filter(|_| self.stored.has("map"))
+                .and_then(|f| self.make_plane(f));
+            map.or_else(|| self.scattered())
+                .or_else(|| field.and_then(|f| self.make_plane(f)))
         });
         Ok(made.as_ref())
     }
@@ -211,12 +233,16 @@ fn merged(choice: &Report, scene: Option<&Report>) -> Report {
 
 fn state(model: &Model, name: &str, what: &'static str) -> Result<usize, OptionsError> {
     let names = || model.states.iter().map(|s| s.variable.name.as_str());
-    names().position(|n| n == name).ok_or_else(|| OptionsError::UnknownState {
-        what,
-        name: name.to_owned(),
-        hint: crate::scenario::suggestion(name, names())
-            .map_or_else(|| format!("; its states: {}", names().collect::<Vec<_>>().join(", ")), |s| format!("; {s}")),
-    })
+    names()
+        .position(|n| n == name)
+        .ok_or_else(|| OptionsError::UnknownState {
+            what,
+            name: name.to_owned(),
+            hint: crate::scenario::suggestion(name, names()).map_or_else(
+                || format!("; its states: {}", names().collect::<Vec<_>>().join(", ")),
+                |s| format!("; {s}"),
+            ),
+        })
 }
 
 fn axes(model: &Model, choice: &Report) -> Result<[usize; 2], OptionsError> {
@@ -264,7 +290,12 @@ fn field(stored: &Stored, points: &Result<Option<StoredPoints>, String>) -> Resu
             Some(Ok((_, status))) => status.iter().map(|s| *s == PointStatus::AboveMax as i32).collect(),
             _ => Vec::new(),
         };
-        let limit = stored.model.map.as_ref().and_then(|m| m.value_max).unwrap_or(f64::INFINITY);
+        let limit = stored
+            .model
+            .map
+            .as_ref()
+            .and_then(|m| m.value_max)
+            .unwrap_or(f64::INFINITY);
         return Ok(Some(GridField::of_map(&map, m, &above, limit)));
     }
     let points = points.as_ref().map_err(Clone::clone)?;

@@ -42,7 +42,11 @@ pub fn picture(source: &Source<'_>) -> Made {
             "Height and colour are V over {}{}. Its slope is p = dV/dx. {}Missing: not known, or above {}.",
             super::contours::over(source),
             source.fixed(),
-            if plane.sheets().len() > 1 { "Where two sheets meet there is a crease, which is left open. " } else { "" },
+            if plane.sheets().len() > 1 {
+                "Where two sheets meet there is a crease, which is left open. "
+            } else {
+                ""
+            },
             ticks::significant(drawing.most, 3)
         ),
         drawing: Box::new(drawing),
@@ -58,7 +62,10 @@ fn thinned(plane: &Plane) -> Plane {
     let (rows, columns) = (keep(plane.x.len()), keep(plane.y.len()));
     let ny = plane.y.len();
     let pick = |i: &usize, j: &usize| i * ny + j;
-    let all: Vec<usize> = rows.iter().flat_map(|i| columns.iter().map(move |j| pick(i, j))).collect();
+    let all: Vec<usize> = rows
+        .iter()
+        .flat_map(|i| columns.iter().map(move |j| pick(i, j)))
+        .collect();
     Plane {
         axes: plane.axes,
         x: rows.iter().map(|i| plane.x[*i]).collect(),
@@ -76,7 +83,9 @@ const BASE: [[f64; 3]; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], 
 
 /// The corner of the base that is furthest left: the upright axis stands there.
 fn corner() -> [f64; 3] {
-    BASE.into_iter().min_by(|a, b| seen(*a)[0].total_cmp(&seen(*b)[0])).unwrap_or_default()
+    BASE.into_iter()
+        .min_by(|a, b| seen(*a)[0].total_cmp(&seen(*b)[0]))
+        .unwrap_or_default()
 }
 
 /// The part of a polygon with heights of at most `most`.
@@ -234,7 +243,12 @@ impl Drawing for Surface {
     }
 
     fn draw(&self, canvas: &mut dyn Canvas, area: Rect) {
-        let inner = Rect::new(area.left + 50.0, area.top + 26.0, area.right - 30.0, area.bottom - 2.6 * LINE);
+        let inner = Rect::new(
+            area.left + 50.0,
+            area.top + 26.0,
+            area.right - 30.0,
+            area.bottom - 2.6 * LINE,
+        );
         let cells = self.cells();
         let corner = corner();
         let base = BASE.into_iter().chain([[corner[0], corner[1], HIGH]]);
