@@ -8,7 +8,9 @@ mod evaluate;
 mod fit;
 mod points;
 mod report;
+mod report_page;
 mod run;
+mod study;
 mod value;
 
 use crate::backend::BackendError;
@@ -17,6 +19,7 @@ use crate::closed_loop::{LawError, LoopError};
 use crate::model::{Method, Precision};
 use crate::output::{OutputError, StoredError};
 use crate::scenario::{LoadError, ScenarioErrors};
+use crate::study::StudyError;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -42,12 +45,16 @@ enum Command {
     Solve(SolveArgs),
     /// V, p and u at any state, interpolated from a result file, with an error estimate.
     Value(ValueArgs),
+    /// Only [study]: the optimal trajectory from one state for several values of parameters.
+    Study(RunArgs),
     /// Simulate feedback laws from many initial states, as [closed_loop] asks, and put what came of it into the result file.
     Evaluate(EvaluateArgs),
     /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
     Bench(BenchArgs),
     /// Fit the laws of [feedback] to the trajectories of a result file.
     Fit(FitArgs),
+    /// One page of HTML with pictures of what a result file holds, and the pictures beside it as SVG and PNG.
+    Report(ReportArgs),
     /// Validate a scenario and print the derived equations and the local solution.
     Check(CheckArgs),
     /// List the GPU adapters found and what each can do.
@@ -276,6 +283,33 @@ struct FitArgs {
     quiet: bool,
 }
 
+#[derive(Args, Debug, Clone)]
+struct ReportArgs {
+    /// The result file (HDF5).
+    file: PathBuf,
+    /// The page; pictures go into a folder of its name without `.html` [default: <FILE>_report.html]
+    #[arg(long, value_name = "PAGE.html")]
+    out: Option<PathBuf>,
+    /// States that pictures of a plane hold fixed; others are at the equilibrium. A value may be an expression.
+    #[arg(long, value_name = "NAME=VALUE,...", value_delimiter = ',', value_parser = assignment)]
+    slice: Vec<(String, String)>,
+    /// The two states of the plane [default: the first two that --slice does not name]
+    #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
+    axes: Vec<String>,
+    /// Levels of the contours of V: numbers or expressions, such as `exp(-4),exp(-3)`.
+    #[arg(long, value_name = "V,...", value_delimiter = ',', allow_hyphen_values = true)]
+    levels: Vec<String>,
+    /// Width of the pictures in pixels; text keeps its size [default: 900]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(320..=4000))]
+    width: Option<u32>,
+    /// Machine-readable summary on standard output.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    quiet: bool,
+}
+
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
 enum BenchBackend {
     All,
@@ -391,6 +425,10 @@ enum CliError {
     )]
     MapName { name: String },
     #[error(transparent)]
+    Study(#[from] crate::study::StudyError),
+    #[error("the scenario has no [study]")]
+    NoStudy,
+    #[error(transparent)]
     Place(#[from] value::PlaceError),
     #[error(transparent)]
     Map(#[from] crate::map::MapError),
@@ -400,6 +438,10 @@ enum CliError {
     Picture(#[from] crate::bench::picture::PictureError),
     #[error("--out {path}: the picture takes this name with .svg; name the table .h5", path = path.display())]
     PictureName { path: PathBuf },
+    #[error(transparent)]
+    Report(#[from] crate::report::ReportError),
+    #[error(transparent)]
+    ReportOption(#[from] report_page::OptionError),
     #[error(transparent)]
     Stored(#[from] StoredError),
     #[error(transparent)]
@@ -449,11 +491,14 @@ impl CliError {
     fn status(&self) -> u8 {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
+            CliError::Study(StudyError::Scene { .. } | StudyError::Plan { .. }) | CliError::NoStudy => 2,
             CliError::Place(_) | CliError::Map(_) => 2,
             CliError::Law(_) | CliError::NoClosedLoop | CliError::NoLaws | CliError::OtherScene { .. } => 2,
             CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
             CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) => 2,
+            CliError::ReportOption(_) => 2,
+            CliError::Report(crate::report::ReportError::Options(_) | crate::report::ReportError::Stored(_)) => 2,
             _ => 1,
         }
     }
@@ -494,10 +539,12 @@ pub fn main() -> ExitCode {
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
+        Command::Study(args) => study::study(&args),
         Command::Value(args) => value::value(&args),
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Bench(args) => bench::bench(&args),
         Command::Fit(args) => fit::command(&args),
+        Command::Report(args) => report_page::report(&args),
         Command::Check(args) => check::check(&args),
         Command::Adapters { json } => check::adapters(json),
     };

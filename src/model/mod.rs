@@ -136,6 +136,17 @@ pub struct Sheets {
     pub value_max: Option<f64>,
 }
 
+/// `[report]`: what pictures show.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Report {
+    /// Of contours of V; empty: to be chosen.
+    pub levels: Vec<f64>,
+    /// States that are held fixed, and where; others are at the reference.
+    pub slice: Vec<(String, f64)>,
+    /// The two states of a plane; the first two without.
+    pub axes: Option<[String; 2]>,
+}
+
 /// Where the closed loop starts along one state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Start {
@@ -219,6 +230,19 @@ pub struct ClosedLoop {
     pub margin: f64,
     /// Time between updates of the map's law.
     pub period: Option<f64>,
+    pub span: Span,
+}
+
+/// `[study]`: the optimal trajectory from one state, for several values of parameters.
+#[derive(Clone, Debug)]
+pub struct Study {
+    /// Parameters and their values; all combinations are studied.
+    pub vary: Vec<(String, Vec<f64>)>,
+    /// The state, for the parameters' present values.
+    pub from: Vec<f64>,
+    pub records: Vec<Record>,
+    /// Stored points a trajectory.
+    pub samples: usize,
     pub span: Span,
 }
 
@@ -326,7 +350,9 @@ pub struct Model {
     pub sheets: Sheets,
     /// Laws to fit.
     pub feedback: Vec<Feedback>,
+    pub report: Option<Report>,
     pub closed_loop: Option<ClosedLoop>,
+    pub study: Option<Study>,
     pub integrator: Integrator,
 }
 

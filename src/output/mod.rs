@@ -38,6 +38,7 @@ mod record;
 mod spec;
 mod speed_error;
 mod stored;
+mod study;
 #[cfg(test)]
 mod testing;
 mod trajectories;

@@ -25,7 +25,7 @@ const BUILT_IN: [&str; 2] = ["map", "lqr"];
 /// The fitted law of a `[feedback]` without names.
 const FITTED: &str = "network";
 /// Variables of the result's group, which a recorded quantity cannot be named like.
-const TAKEN: [&str; 11] = [
+const TAKEN: [&str; 14] = [
     "law",
     "initial",
     "state",
@@ -37,6 +37,9 @@ const TAKEN: [&str; 11] = [
     "status",
     "t_end",
     "control",
+    "variant",
+    "sheets",
+    "duration",
 ];
 const KEYS: [&str; 12] = [
     "final_time",
@@ -77,7 +80,11 @@ pub(super) fn fitted_laws(root: &DeTable<'_>) -> Vec<String> {
         .filter(|(k, v)| named(k.get_ref(), v.get_ref()))
         .map(|(k, _)| k.get_ref().to_string())
         .collect();
-    if names.is_empty() { vec![FITTED.to_owned()] } else { names }
+    if names.is_empty() {
+        vec![FITTED.to_owned()]
+    } else {
+        names
+    }
 }
 
 impl<'a> Reader<'a> {
@@ -102,7 +109,9 @@ impl<'a> Reader<'a> {
         let initial = self.starts(section, scope, random.is_some());
         let given = self.given_laws(section, scope);
         let laws = section.get("laws").and_then(|v| self.law_names(v, &given, scope));
-        let records = section.get("record").map(|v| self.records(section, v, scope));
+        let records = section
+            .get("record")
+            .map(|v| self.records("closed_loop", section, v, scope));
         let records = records.unwrap_or_default();
         let sets = section.get("sets").map(|v| self.sets(section, v, &records));
         if self.problems.len() > before {
@@ -231,13 +240,7 @@ impl<'a> Reader<'a> {
         all
     }
 
-    fn formula(
-        &mut self,
-        name: &str,
-        span: Span,
-        value: &'a Value<'a>,
-        scope: &LoopScope<'_, 'a>,
-    ) -> Option<Formula> {
+    fn formula(&mut self, name: &str, span: Span, value: &'a Value<'a>, scope: &LoopScope<'_, 'a>) -> Option<Formula> {
         let what = format!("law `{}`", shorten(name));
         let table = self.table(value, span.clone(), &what)?;
         if let Some(file) = table.get("weights") {
@@ -301,9 +304,16 @@ impl<'a> Reader<'a> {
         Some(names)
     }
 
-    fn records(&mut self, section: &Section<'a>, value: &'a Value<'a>, scope: &LoopScope<'_, 'a>) -> Vec<Record> {
+    /// Recorded quantities of a section, `[closed_loop]` or `[study]`.
+    pub fn records(
+        &mut self,
+        of: &str,
+        section: &Section<'a>,
+        value: &'a Value<'a>,
+        scope: &LoopScope<'_, 'a>,
+    ) -> Vec<Record> {
         let span = section.key_span("record");
-        let Some(table) = self.table(value, span, "[closed_loop.record]") else {
+        let Some(table) = self.table(value, span, &format!("[{of}.record]")) else {
             return Vec::new();
         };
         let mut all = Vec::new();

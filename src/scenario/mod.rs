@@ -16,9 +16,11 @@ mod problem;
 mod quoted;
 mod reader;
 mod report;
+mod report_section;
 mod scene;
 mod scope;
 mod settings;
+mod study;
 mod suggest;
 mod syntax_error;
 #[cfg(test)]
@@ -26,6 +28,7 @@ mod tests;
 
 pub use problem::Problem;
 pub use report::ScenarioErrors;
+pub use report_section::{constant, definitions};
 pub use settings::{DEFAULT_ATOL_SHARE, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
 pub(crate) use suggest::did_you_mean as suggestion;
 

@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 16] = [
+const SECTIONS: [&str; 18] = [
     "parameters",
     "states",
     "controls",
@@ -32,7 +32,9 @@ const SECTIONS: [&str; 16] = [
     "map",
     "sheets",
     "feedback",
+    "report",
     "closed_loop",
+    "study",
 ];
 const INTEGRATOR: &str = "integrator";
 /// Sections which only later versions read.
@@ -251,8 +253,11 @@ impl<'a> Reader<'a> {
             .get("feedback")
             .map(|s| self.feedback(s, &declared, region.as_deref(), cost.finite))
             .unwrap_or_default();
+        let report = sections
+            .get("report")
+            .and_then(|s| self.report_section(s, &declared.states, region.as_deref()));
         let integrator = self.integrator(sections.get(INTEGRATOR));
-        // Last, for it brings names of its own.
+        // [closed_loop] comes last, for it brings names of its own.
         let scope = LoopScope {
             states: &declared.states,
             controls: &declared.controls,
@@ -262,6 +267,7 @@ impl<'a> Reader<'a> {
             finite: cost.finite,
             fitted: fitted_laws(root),
         };
+        let study = sections.get("study").and_then(|s| self.study(s, &scope));
         let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
@@ -283,7 +289,9 @@ impl<'a> Reader<'a> {
             map,
             sheets,
             feedback,
+            report,
             closed_loop,
+            study,
             integrator,
         })
     }

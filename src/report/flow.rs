@@ -1,0 +1,87 @@
+//! The optimal motion between stored samples.
+
+use crate::expr::Id;
+use crate::hamiltonian::Hamiltonian;
+use crate::model::Model;
+use crate::output::StoredTrajectories;
+use std::collections::HashMap;
+
+/// Points between two samples.
+const BETWEEN: usize = 8;
+
+/// Evaluates the equations of a scene at samples.
+pub struct Flow<'s> {
+    hamiltonian: &'s Hamiltonian,
+    values: HashMap<Id, f64>,
+    roots: Vec<Id>,
+}
+
+impl<'s> Flow<'s> {
+    pub fn new(model: &Model, hamiltonian: &'s Hamiltonian) -> Self {
+        let mut roots = hamiltonian.state_rate.clone();
+        roots.push(hamiltonian.running);
+        Self {
+            hamiltonian,
+            values: model.parameter_values(),
+            roots,
+        }
+    }
+
+    /// x' and, last, the running cost.
+    pub fn at(&mut self, x: &[f64], p: &[f64]) -> Vec<f64> {
+        let h = self.hamiltonian;
+        self.values.extend(h.x.iter().copied().zip(x.iter().copied()));
+        self.values.extend(h.p.iter().copied().zip(p.iter().copied()));
+        h.graph.eval(&self.roots, &self.values)
+    }
+
+    /// The state at each sample of a trajectory and at some times between samples (cubic Hermite interpolation), with the
+    /// number of the sample before and the time.
+    pub fn path(&mut self, t: &StoredTrajectories, k: usize) -> Vec<(usize, f64, Vec<f64>)> {
+        let n = self.hamiltonian.x.len();
+        let mut path: Vec<(usize, f64, Vec<f64>)> = Vec::new();
+        let mut before: Option<(usize, Vec<f64>)> = None;
+        for s in k * t.samples..(k + 1) * t.samples {
+            if !t.v[s].is_finite() {
+                before = None;
+                continue;
+            }
+            let x = &t.x[s * n..(s + 1) * n];
+            let rate = self.at(x, &t.p[s * n..(s + 1) * n]);
+            if let Some((last, slope)) = &before {
+                let from = &t.x[last * n..(last + 1) * n];
+                let h = t.t[s] - t.t[*last];
+                for j in 1..BETWEEN {
+                    let q = j as f64 / BETWEEN as f64;
+                    let state = (0..n).map(|i| hermite(q, h, [from[i], slope[i]], [x[i], rate[i]])).collect();
+                    path.push((*last, t.t[*last] + q * h, state));
+                }
+            }
+            path.push((s, t.t[s], x.to_vec()));
+            before = Some((s, rate));
+        }
+        path
+    }
+}
+
+/// Cubic through two values and slopes, at the share `q` of an interval of length `h`.
+pub fn hermite(q: f64, h: f64, [a, da]: [f64; 2], [b, db]: [f64; 2]) -> f64 {
+    let r = 1.0 - q;
+    r * r * (1.0 + 2.0 * q) * a + q * q * (1.0 + 2.0 * r) * b + h * q * r * (r * da - q * db)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cubic_is_exact() {
+        let f = |x: f64| x * x * x - 2.0 * x;
+        let d = |x: f64| 3.0 * x * x - 2.0;
+        let (a, h) = (-0.5, 1.7);
+        for q in [0.0, 0.3, 0.9, 1.0] {
+            let found = hermite(q, h, [f(a), d(a)], [f(a + h), d(a + h)]);
+            assert!((found - f(a + q * h)).abs() < 1e-12);
+        }
+    }
+}

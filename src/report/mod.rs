@@ -1,0 +1,191 @@
+//! The report of a result file: one page of HTML with its pictures in it, and the pictures beside it as SVG and PNG.
+//!
+//! Data flows one way: [`Source`] reads a [`Stored`] file once; each file of `pictures/` makes a [`Picture`] of it, where
+//! the file has the data; `canvas` is what drawing code knows, with `svg` and `raster` behind it; `page` puts all
+//! together. A picture that cannot be made is named in the page with the reason, and stops nothing.
+
+mod canvas;
+mod colours;
+pub mod contour;
+mod equations;
+mod flow;
+mod frame;
+mod names;
+mod page;
+mod pictures;
+pub mod plane;
+mod raster;
+mod shape;
+mod source;
+mod svg;
+mod tables;
+mod text;
+mod ticks;
+
+pub use source::{OptionsError, Source};
+
+use crate::model::Report;
+use crate::output::{OutputError, Stored, StoredError, write_text};
+use canvas::{Anchor, Canvas, Rect, Style, TITLE};
+use raster::{Raster, RasterError};
+use std::path::{Path, PathBuf};
+use svg::Svg;
+
+/// Width of pictures in pixels unless asked otherwise.
+pub const DEFAULT_WIDTH: u32 = 900;
+/// Room of a picture's title.
+const TITLE_ROOM: f64 = 30.0;
+const MARGIN: f64 = 8.0;
+
+/// What is asked for on the command line. `choice` goes before the scene's `[report]`.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// The page; default: the result file's name with `_report.html`.
+    pub out: Option<PathBuf>,
+    pub choice: Report,
+    /// Width of the pictures in pixels; default: [`DEFAULT_WIDTH`].
+    pub width: Option<u32>,
+}
+
+/// What was written.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Written {
+    pub page: PathBuf,
+    /// Its size in bytes.
+    pub bytes: usize,
+    /// Where the pictures are.
+    pub folder: PathBuf,
+    /// Names of the pictures, in the page's order: `folder/NAME.svg` and `folder/NAME.png`.
+    pub pictures: Vec<String>,
+    /// Pictures that could not be made, with the reason.
+    pub missing: Vec<(String, String)>,
+}
+
+/// Why there is no report.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    #[error(transparent)]
+    Options(#[from] OptionsError),
+    #[error(transparent)]
+    Stored(#[from] StoredError),
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    #[error("cannot write {path}: {source}", path = path.display())]
+    Write { path: PathBuf, source: std::io::Error },
+}
+
+/// Something that can be drawn at any size.
+pub trait Drawing {
+    /// Height that suits a width.
+    fn height(&self, width: f64) -> f64;
+
+    fn draw(&self, canvas: &mut dyn Canvas, area: Rect);
+}
+
+/// A picture and what is said about it.
+pub struct Picture {
+    /// Name of its files.
+    pub name: String,
+    pub title: String,
+    /// What is seen, and how to read it.
+    pub caption: String,
+    pub drawing: Box<dyn Drawing>,
+}
+
+impl Picture {
+    fn size(&self, width: f64) -> [f64; 2] {
+        [width, (TITLE_ROOM + self.drawing.height(width - 2.0 * MARGIN) + MARGIN).round()]
+    }
+
+    fn draw(&self, canvas: &mut dyn Canvas) {
+        let [width, height] = canvas.size();
+        let title = text::shortened(&self.title, TITLE, width - 2.0 * MARGIN);
+        canvas.text([MARGIN, 0.5 * TITLE_ROOM + 1.0], &title, Style::new(Anchor::Start).size(TITLE));
+        let area = Rect::new(MARGIN, TITLE_ROOM, width - MARGIN, height - MARGIN);
+        self.drawing.draw(canvas, area);
+    }
+
+    /// As SVG text, so wide.
+    pub fn svg(&self, width: f64) -> String {
+        let mut canvas = Svg::new(self.size(width));
+        self.draw(&mut canvas);
+        canvas.finish(&self.title)
+    }
+
+    /// As the bytes of a PNG file, so wide.
+    ///
+    /// # Errors
+    /// [`RasterError`].
+    pub fn png(&self, width: f64) -> Result<Vec<u8>, RasterError> {
+        let mut canvas = Raster::new(self.size(width))?;
+        self.draw(&mut canvas);
+        canvas.png()
+    }
+}
+
+/// The page's name for a result file: `out/x.h5` -> `out/x_report.html`.
+pub fn default_page(file: &Path) -> PathBuf {
+    let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    file.with_file_name(format!("{stem}_report.html"))
+}
+
+/// Writes the report of a result file: the page, and a folder of its name (without `.html`) with the pictures. Pictures of
+/// an earlier report of that name are replaced.
+///
+/// # Errors
+/// [`ReportError::Options`] where the options do not fit the scene; else where nothing can be written. What cannot be
+/// drawn is no error: it is in [`Written::missing`] and on the page.
+pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError> {
+    let source = Source::new(stored, &options.choice)?;
+    let (pictures, mut missing) = pictures::all(&source);
+    let page = options.out.clone().unwrap_or_else(|| default_page(&stored.path));
+    let folder = page.with_extension("");
+    let folder = if folder == page { page.with_extension("pictures") } else { folder };
+    std::fs::create_dir_all(&folder).map_err(|source| ReportError::Write {
+        path: folder.clone(),
+        source,
+    })?;
+    clear(&folder);
+    let width = f64::from(options.width.unwrap_or(DEFAULT_WIDTH));
+    let mut drawn = Vec::new();
+    for picture in &pictures {
+        let svg = picture.svg(width);
+        write_text(&folder.join(format!("{}.svg", picture.name)), &svg)?;
+        match picture.png(width) {
+            Ok(bytes) => put(&folder.join(format!("{}.png", picture.name)), &bytes)?,
+            Err(e) => missing.push((format!("{}.png", picture.name), e.to_string())),
+        }
+        drawn.push(svg);
+    }
+    let html = page::html(&source, &pictures, &drawn, &missing, &folder);
+    write_text(&page, &html)?;
+    Ok(Written {
+        page,
+        bytes: html.len(),
+        folder,
+        pictures: pictures.into_iter().map(|p| p.name).collect(),
+        missing,
+    })
+}
+
+fn put(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
+    std::fs::write(path, bytes).map_err(|source| ReportError::Write {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Takes away the pictures of an earlier report, known by their names: the folder may hold other things.
+fn clear(folder: &Path) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for path in entries.filter_map(|e| Some(e.ok()?.path())) {
+        let kind = path.extension().is_some_and(|e| e == "svg" || e == "png");
+        let name = path.file_stem().is_some_and(|s| pictures::is_picture(&s.to_string_lossy()));
+        if kind && name {
+            // What cannot be removed is no reason to stop.
+            let _ = std::fs::remove_file(&path);
+        }
+    }
+}

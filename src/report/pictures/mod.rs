@@ -1,0 +1,58 @@
+//! Each picture: what it needs of the file, and how it is drawn.
+
+mod bands;
+mod boundary;
+mod closed_loop;
+mod contours;
+mod histories;
+mod panels;
+mod phase;
+mod quality;
+mod slices;
+mod speed;
+mod surface;
+
+use super::{Picture, Source};
+
+/// What a picture's maker gives: a picture, none where the file has no data for it, or why it cannot be made.
+type Made = Result<Option<Picture>, String>;
+type Maker = fn(&Source<'_>) -> Made;
+
+/// Pictures by the names of their files, in the page's order.
+const BEFORE: [(&str, Maker); 5] = [
+    ("phase", phase::picture),
+    ("contours", contours::picture),
+    ("surface", surface::picture),
+    ("slice", slices::picture),
+    ("histories", histories::picture),
+];
+/// Those after the maps of closed loops.
+const AFTER: [(&str, Maker); 3] = [
+    ("closed_loop_histories", histories::closed_loop),
+    ("errors", quality::picture),
+    ("speed", speed::picture),
+];
+
+/// Whether a file's name (without its kind) is that of a picture.
+pub fn is_picture(name: &str) -> bool {
+    BEFORE.iter().chain(&AFTER).any(|(n, _)| *n == name) || name.starts_with("closed_loop_")
+}
+
+/// All pictures that the file has data for, in the page's order; and those that could not be made.
+pub fn all(source: &Source<'_>) -> (Vec<Picture>, Vec<(String, String)>) {
+    let (mut pictures, mut missing) = (Vec::new(), Vec::new());
+    let make = |makers: &[(&str, Maker)], pictures: &mut Vec<Picture>, missing: &mut Vec<(String, String)>| {
+        for (name, make) in makers {
+            match make(source) {
+                Ok(picture) => pictures.extend(picture),
+                Err(reason) => missing.push(((*name).to_owned(), reason)),
+            }
+        }
+    };
+    make(&BEFORE, &mut pictures, &mut missing);
+    let (maps, without) = closed_loop::pictures(source);
+    pictures.extend(maps);
+    missing.extend(without);
+    make(&AFTER, &mut pictures, &mut missing);
+    (pictures, missing)
+}

@@ -1,0 +1,472 @@
+//! V over a plane of two states, made from what is known at the points of a grid.
+
+use crate::map::ValueMap;
+use crate::output::{StoredMap, StoredPoints};
+use rayon::prelude::*;
+
+/// What is known of the value function at a state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Local {
+    pub v: f64,
+    pub u: Vec<f64>,
+    pub sheet: i32,
+}
+
+/// The value function at any state that the data reach.
+pub trait Field: Sync {
+    fn at(&self, x: &[f64]) -> Option<Local>;
+}
+
+/// A regular grid of solutions, one axis a state; an axis of one value holds only there.
+///
+/// Between points, V is the mean of `V_i + p_i . (x - x_i) / 2` over the corners of the cell with the weights of
+/// multilinear interpolation, which is exact for a quadratic V. In a cell whose corners are on several sheets each sheet
+/// continues by its own corners' `V_i + p_i . (x - x_i)`, and the cheapest counts: nothing is mixed across sheets.
+#[derive(Clone, Debug)]
+pub struct GridField {
+    pub axes: Vec<Vec<f64>>,
+    v: Vec<f64>,
+    p: Vec<f64>,
+    u: Vec<f64>,
+    sheet: Vec<i32>,
+    controls: usize,
+}
+
+impl GridField {
+    /// From `/map`. Points that are in `above` (or nothing is) have no value because V is above `limit`: next to known
+    /// ones they are given one, at least the limit, so that regions up to the limit end where V passes it.
+    pub fn of_map(map: &StoredMap, controls: usize, above: &[bool], limit: f64) -> Self {
+        let mut field = Self {
+            axes: map.axes.clone(),
+            v: map.v.clone(),
+            p: map.p.clone(),
+            u: map.u.clone(),
+            sheet: map.sheet.clone(),
+            controls,
+        };
+        // Twice: corners of the grid's cells are reached by way of their neighbours.
+        for _ in 0..2 {
+            field.extend(above, limit);
+        }
+        field
+    }
+
+    /// Gives points `above` that are next to known ones the values that their nearest neighbours' p and its change foretell.
+    fn extend(&mut self, above: &[bool], limit: f64) {
+        let n = self.axes.len();
+        let mut new = Vec::new();
+        for k in (0..self.v.len()).filter(|k| above.get(*k).copied().unwrap_or(false) && self.v[*k].is_nan()) {
+            if let Some((v, p, from)) = self.foretold(k) {
+                new.push((k, v.max(limit * (1.0 + 1e-9)), p, from));
+            }
+        }
+        for (k, v, p, from) in new {
+            self.v[k] = v;
+            self.p[k * n..(k + 1) * n].copy_from_slice(&p);
+            let m = self.controls;
+            let u = self.u[from * m..(from + 1) * m].to_vec();
+            self.u[k * m..(k + 1) * m].copy_from_slice(&u);
+            self.sheet[k] = self.sheet[from];
+        }
+    }
+
+    /// V and p at a point from two known ones of one sheet in a row next to it, where V is least; and the nearer of these.
+    fn foretold(&self, k: usize) -> Option<(f64, Vec<f64>, usize)> {
+        let n = self.axes.len();
+        let mut stride = 1;
+        let mut best: Option<(f64, Vec<f64>, usize)> = None;
+        for d in (0..n).rev() {
+            let count = self.axes[d].len();
+            let place = k / stride % count;
+            for up in [false, true] {
+                let inside = if up { place + 2 < count } else { place >= 2 };
+                if !inside {
+                    continue;
+                }
+                let step = |by: usize| if up { k + by * stride } else { k - by * stride };
+                let at = |by: usize| self.axes[d][if up { place + by } else { place - by }];
+                let (near, far) = (step(1), step(2));
+                if !self.v[near].is_finite() || !self.v[far].is_finite() || self.sheet[near] != self.sheet[far] {
+                    continue;
+                }
+                let (h, before) = (at(0) - at(1), at(1) - at(2));
+                let p: Vec<f64> = (0..n)
+                    .map(|i| {
+                        let (a, b) = (self.p[near * n + i], self.p[far * n + i]);
+                        a + (a - b) * h / before
+                    })
+                    .collect();
+                let v = self.v[near] + 0.5 * h * (self.p[near * n + d] + p[d]);
+                if best.as_ref().is_none_or(|(least, ..)| v < *least) {
+                    best = Some((v, p, near));
+                }
+            }
+            stride *= count;
+        }
+        best
+    }
+
+    /// From `/points`, where these are all points of a grid, each once.
+    pub fn of_points(points: &StoredPoints, states: usize, controls: usize) -> Option<Self> {
+        let mut axes: Vec<Vec<f64>> = (0..states)
+            .map(|k| points.x.iter().skip(k).step_by(states).copied().collect())
+            .collect();
+        for axis in &mut axes {
+            axis.sort_by(f64::total_cmp);
+            axis.dedup();
+        }
+        let count: usize = axes.iter().map(Vec::len).product();
+        if count != points.count || count < 2 {
+            return None;
+        }
+        let mut order = vec![usize::MAX; count];
+        for (k, x) in points.x.chunks(states).enumerate() {
+            let mut place = 0;
+            for (axis, x) in axes.iter().zip(x) {
+                place = place * axis.len() + axis.binary_search_by(|a| a.total_cmp(x)).ok()?;
+            }
+            order[place] = k;
+        }
+        if order.contains(&usize::MAX) {
+            return None;
+        }
+        let rows = |values: &[f64], width: usize| -> Vec<f64> {
+            order.iter().flat_map(|k| values[k * width..(k + 1) * width].to_vec()).collect()
+        };
+        Some(Self {
+            v: rows(&points.v, 1),
+            p: rows(&points.p, states),
+            u: rows(&points.u, controls),
+            sheet: order.iter().map(|k| points.sheet[*k]).collect(),
+            axes,
+            controls,
+        })
+    }
+
+    /// The largest size of V at its points.
+    pub fn largest(&self) -> f64 {
+        self.v.iter().filter(|v| v.is_finite()).fold(0.0, |a, v| a.max(v.abs()))
+    }
+
+    /// States along which it extends.
+    pub fn extent(&self) -> Vec<usize> {
+        (0..self.axes.len()).filter(|k| self.axes[*k].len() > 1).collect()
+    }
+
+    /// The corners of the cell around `x` and their weights.
+    fn corners(&self, x: &[f64]) -> Option<Vec<(usize, f64)>> {
+        let mut corners = vec![(0usize, 1.0f64)];
+        for (axis, &x) in self.axes.iter().zip(x) {
+            let (first, last) = (*axis.first()?, *axis.last()?);
+            let slack = 1e-9 * (last - first).abs().max(first.abs()).max(1e-9);
+            if x < first - slack || x > last + slack {
+                return None;
+            }
+            let above = axis.partition_point(|a| *a <= x).clamp(1, axis.len().max(2) - 1);
+            let ends: Vec<(usize, f64)> = match axis.get(above) {
+                Some(next) => {
+                    let s = ((x - axis[above - 1]) / (next - axis[above - 1])).clamp(0.0, 1.0);
+                    vec![(above - 1, 1.0 - s), (above, s)]
+                }
+                None => vec![(0, 1.0)],
+            };
+            corners = (corners.iter())
+                .flat_map(|(place, w)| ends.iter().map(move |(k, s)| (place * axis.len() + k, w * s)))
+                .filter(|(_, w)| *w > 0.0)
+                .collect();
+        }
+        Some(corners)
+    }
+
+    /// The state of a point.
+    fn state(&self, mut place: usize) -> Vec<f64> {
+        let mut x = vec![0.0; self.axes.len()];
+        for (k, axis) in self.axes.iter().enumerate().rev() {
+            x[k] = axis[place % axis.len()];
+            place /= axis.len();
+        }
+        x
+    }
+
+    /// V of one sheet from some corners; `slope` is the share of the gradients' terms.
+    fn sheet_value(&self, x: &[f64], corners: &[(usize, f64)], slope: f64) -> f64 {
+        let n = self.axes.len();
+        let (mut total, mut weight) = (0.0, 0.0);
+        for (k, w) in corners {
+            let from = self.state(*k);
+            let along: f64 = (0..n).map(|i| self.p[k * n + i] * (x[i] - from[i])).sum();
+            total += w * (self.v[*k] + slope * along);
+            weight += w;
+        }
+        total / weight
+    }
+}
+
+impl Field for GridField {
+    fn at(&self, x: &[f64]) -> Option<Local> {
+        let corners = self.corners(x)?;
+        if corners.iter().any(|(k, _)| !self.v[*k].is_finite()) {
+            return None;
+        }
+        let mut sheets: Vec<i32> = corners.iter().map(|(k, _)| self.sheet[*k]).collect();
+        sheets.sort_unstable();
+        sheets.dedup();
+        let slope = if sheets.len() == 1 { 0.5 } else { 1.0 };
+        let best = (sheets.iter())
+            .map(|sheet| {
+                let own: Vec<_> = (corners.iter()).filter(|(k, _)| self.sheet[*k] == *sheet).copied().collect();
+                (self.sheet_value(x, &own, slope), *sheet, own)
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (v, sheet, own) = best;
+        let weight: f64 = own.iter().map(|(_, w)| w).sum();
+        let m = self.controls;
+        let u = (0..m)
+            .map(|c| own.iter().map(|(k, w)| w * self.u[k * m + c]).sum::<f64>() / weight)
+            .collect();
+        Some(Local { v, u, sheet })
+    }
+}
+
+impl Field for ValueMap {
+    fn at(&self, x: &[f64]) -> Option<Local> {
+        let value = self.without_errors(x).lowest.ok()?;
+        Some(Local {
+            v: value.v,
+            u: value.u,
+            sheet: value.sheet,
+        })
+    }
+}
+
+/// V over two states, the others fixed.
+#[derive(Clone, Debug)]
+pub struct Plane {
+    /// The two states.
+    pub axes: [usize; 2],
+    pub x: Vec<f64>,
+    pub y: Vec<f64>,
+    /// `[i * y.len() + j]`; NaN where unknown. Likewise the others.
+    pub v: Vec<f64>,
+    pub u: Vec<Vec<f64>>,
+    pub sheet: Vec<i32>,
+    /// Cells whose corners are on different sheets.
+    pub cut: Vec<bool>,
+    /// The whole state, of which the two are replaced.
+    pub base: Vec<f64>,
+}
+
+impl Plane {
+    /// A field over `x` x `y`; `None` where it has no value at all.
+    pub fn new(field: &dyn Field, axes: [usize; 2], base: &[f64], x: Vec<f64>, y: Vec<f64>) -> Option<Self> {
+        let row = |a: &f64| -> Vec<Option<Local>> {
+            let mut state = base.to_vec();
+            state[axes[0]] = *a;
+            let at = |b: &f64| {
+                state[axes[1]] = *b;
+                field.at(&state)
+            };
+            y.iter().map(at).collect()
+        };
+        let found: Vec<Option<Local>> = x.par_iter().map(row).collect::<Vec<_>>().concat();
+        let v = found.iter().map(|l| l.as_ref().map_or(f64::NAN, |l| l.v)).collect();
+        let sheet = found.iter().map(|l| l.as_ref().map_or(-1, |l| l.sheet)).collect();
+        let u = found.into_iter().map(|l| l.map(|l| l.u).unwrap_or_default()).collect();
+        let mut plane = Self {
+            axes,
+            x,
+            y,
+            v,
+            u,
+            sheet,
+            cut: Vec::new(),
+            base: base.to_vec(),
+        };
+        plane.cut = plane.cuts();
+        plane.v.iter().any(|v| v.is_finite()).then_some(plane)
+    }
+
+    fn cuts(&self) -> Vec<bool> {
+        let (nx, ny) = (self.x.len(), self.y.len());
+        let mut cut = Vec::with_capacity(nx.saturating_sub(1) * ny.saturating_sub(1));
+        for i in 0..nx.saturating_sub(1) {
+            for j in 0..ny.saturating_sub(1) {
+                let corners = [i * ny + j, (i + 1) * ny + j, (i + 1) * ny + j + 1, i * ny + j + 1];
+                // What has no label goes with any.
+                let mut labels = corners.iter().map(|k| self.sheet[*k]).filter(|s| *s >= 0);
+                let first = labels.next();
+                cut.push(labels.any(|s| Some(s) != first));
+            }
+        }
+        cut
+    }
+
+    /// Control `k` at all points.
+    pub fn control(&self, k: usize) -> Vec<f64> {
+        self.u.iter().map(|u| u.get(k).copied().unwrap_or(f64::NAN)).collect()
+    }
+
+    /// Sheets that are on it, ascending.
+    pub fn sheets(&self) -> Vec<i32> {
+        let mut all: Vec<i32> = (self.sheet.iter().zip(&self.v))
+            .filter(|(s, v)| v.is_finite() && **s >= 0)
+            .map(|(s, _)| *s)
+            .collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+}
+
+/// The points of an axis and as many between each two that there are about `wanted` in all.
+pub fn refined(axis: &[f64], wanted: usize) -> Vec<f64> {
+    let parts = (wanted / axis.len().max(1)).clamp(1, 16);
+    let mut fine: Vec<f64> = axis
+        .windows(2)
+        .flat_map(|w| (0..parts).map(move |k| w[0] + (w[1] - w[0]) * k as f64 / parts as f64))
+        .collect();
+    fine.extend(axis.last());
+    fine
+}
+
+/// `count` even places.
+pub fn even([from, to]: [f64; 2], count: usize) -> Vec<f64> {
+    let last = count.max(2) - 1;
+    (0..=last).map(|k| from + (to - from) * k as f64 / last as f64).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The cheaper of (x - 1)^2 + x y and (x + 1)^2 + x y + y^2 / 2, on sheets 0 and 1.
+    fn two_wells(x: f64, y: f64) -> (f64, [f64; 2], i32) {
+        let a = (x - 1.0) * (x - 1.0) + x * y;
+        let b = (x + 1.0) * (x + 1.0) + x * y + 0.5 * y * y;
+        if a <= b {
+            (a, [2.0 * (x - 1.0) + y, x], 0)
+        } else {
+            (b, [2.0 * (x + 1.0) + y, x + y], 1)
+        }
+    }
+
+    fn map(count: usize) -> StoredMap {
+        let axis = even([-2.0, 2.0], count);
+        let mut map = StoredMap {
+            axes: vec![axis.clone(), axis.clone()],
+            ..StoredMap::default()
+        };
+        for x in &axis {
+            for y in &axis {
+                let (v, p, sheet) = two_wells(*x, *y);
+                map.v.push(v);
+                map.p.extend(p);
+                map.u.push(*x);
+                map.sheet.push(sheet);
+            }
+        }
+        map
+    }
+
+    #[test]
+    fn quadratic_pieces_are_exact_and_not_mixed() {
+        let field = GridField::of_map(&map(9), 1, &[], 0.0);
+        let mut seen = [0, 0];
+        for x in even([-1.97, 1.93], 37) {
+            for y in even([-1.9, 1.99], 41) {
+                let local = field.at(&[x, y]).unwrap();
+                let (v, _, sheet) = two_wells(x, y);
+                let mixed = {
+                    let corners = field.corners(&[x, y]).unwrap();
+                    corners.iter().any(|(k, _)| field.sheet[*k] != field.sheet[corners[0].0])
+                };
+                // In a cell with both sheets each continues from its own corners: second order, curvature 2, cells of 0.5.
+                let tolerance = if mixed { 0.5 * 2.0 * 2.0 * 0.5f64.powi(2) } else { 1e-12 };
+                assert!((local.v - v).abs() <= tolerance, "{x} {y}");
+                if !mixed {
+                    assert_eq!(local.sheet, sheet);
+                    assert!((local.u[0] - x).abs() < 1e-12);
+                    seen[sheet as usize] += 1;
+                }
+            }
+        }
+        assert!(seen.iter().all(|s| *s > 200), "{seen:?}");
+        assert!(field.at(&[2.1, 0.0]).is_none());
+    }
+
+    #[test]
+    fn holes_stay_holes_but_what_is_above_a_limit() {
+        let mut map = map(9);
+        map.v[4 * 9 + 4] = f64::NAN;
+        let x = [map.axes[0][4] + 0.1, map.axes[1][4] - 0.1];
+        assert!(GridField::of_map(&map, 1, &[], 0.0).at(&x).is_none());
+        // One well, known up to a limit: it is continued by its own quadratic, on the grid's side of the limit.
+        let limit = 6.0;
+        let axis = even([-3.0, 3.0], 13);
+        let mut well = StoredMap {
+            axes: vec![axis.clone(), axis.clone()],
+            ..StoredMap::default()
+        };
+        let mut above = Vec::new();
+        for x in &axis {
+            for y in &axis {
+                let v = x * x + y * y;
+                above.push(v > limit);
+                let known = |w: f64| if v > limit { f64::NAN } else { w };
+                well.v.push(known(v));
+                well.p.extend([known(2.0 * x), known(2.0 * y)]);
+                well.u.push(known(*x));
+                well.sheet.push(if v > limit { -1 } else { 0 });
+            }
+        }
+        let field = GridField::of_map(&well, 1, &above, limit);
+        for x in even([-2.4, 2.4], 33) {
+            for y in even([-2.4, 2.4], 33) {
+                let v = x * x + y * y;
+                if v < limit + 1.0 {
+                    let found = field.at(&[x, y]).unwrap();
+                    assert!((found.v - v).abs() < 1e-9, "{x} {y}: {} {v}", found.v);
+                    assert_eq!(found.sheet, 0);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn points_of_a_grid_in_any_order() {
+        let whole = map(5);
+        let field = GridField::of_map(&whole, 1, &[], 0.0);
+        let order: Vec<usize> = (0..25).map(|k| k * 7 % 25).collect();
+        let mut points = StoredPoints {
+            count: 25,
+            ..StoredPoints::default()
+        };
+        for k in order {
+            points.x.extend(field.state(k));
+            points.v.push(whole.v[k]);
+            points.p.extend(&whole.p[2 * k..2 * k + 2]);
+            points.u.push(whole.u[k]);
+            points.sheet.push(whole.sheet[k]);
+        }
+        let same = GridField::of_points(&points, 2, 1).unwrap();
+        assert_eq!((same.v, same.p, same.sheet), (field.v, field.p, field.sheet));
+        points.x[0] += 0.1;
+        assert!(GridField::of_points(&points, 2, 1).is_none());
+    }
+
+    #[test]
+    fn cells_between_sheets_are_cut() {
+        let field = GridField::of_map(&map(17), 1, &[], 0.0);
+        let axis = even([-2.0, 2.0], 33);
+        let plane = Plane::new(&field, [0, 1], &[0.0, 0.0], axis.clone(), axis).unwrap();
+        assert_eq!(plane.sheets(), [0, 1]);
+        for i in 0..32 {
+            for j in 0..32 {
+                let at = |di: usize, dj: usize| plane.sheet[(i + di) * 33 + j + dj];
+                let same = at(0, 0) == at(1, 0) && at(0, 0) == at(0, 1) && at(0, 0) == at(1, 1);
+                assert_eq!(plane.cut[i * 32 + j], !same);
+            }
+        }
+        assert_eq!(refined(&[0.0, 1.0, 3.0], 6), [0.0, 0.5, 1.0, 2.0, 3.0]);
+    }
+}
