@@ -1,6 +1,6 @@
 //! What the pictures are made of, read once.
 
-use super::plane::{GridField, Plane, even, refined};
+use super::plane::{GridField, Plane, refined};
 use super::ticks::significant;
 use super::{names, ticks};
 use crate::map::ValueMap;
@@ -11,8 +11,8 @@ use std::cell::OnceCell;
 
 /// Points along each axis of the planes that are drawn, about.
 const FINE: usize = 160;
-/// The same where each point is a search.
-const COARSE: usize = 81;
+/// The same where each point is a search: between these, V is told by p.
+const COARSE: usize = 41;
 
 /// Options that do not fit the scene.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -112,9 +112,13 @@ impl<'s> Source<'s> {
             return None;
         }
         let map = ValueMap::new(self.stored).ok()?;
-        let along = |k: usize| even(self.model.region[k], COARSE);
-        let [a, b] = self.axes;
-        Plane::new(&map, self.axes, &self.base, along(a), along(b))
+        let swept = self.trajectories().ok().flatten().map(|t| &t.v);
+        let solved = self.points().ok().flatten().map(|p| &p.v);
+        let known = [swept, solved].into_iter().flatten().flatten().copied().filter(|v| v.is_finite());
+        let limit = known.fold(f64::NEG_INFINITY, f64::max);
+        let field = GridField::of_value_map(&map, self.axes, &self.base, &self.model.region, COARSE, limit)?;
+        let plane = self.make_plane(&field)?;
+        Some(Plane { limit, ..plane })
     }
 
     fn make_plane(&self, field: &GridField) -> Option<Plane> {
@@ -122,7 +126,6 @@ impl<'s> Source<'s> {
         if a == b || [a, b].iter().any(|k| field.axes[*k].len() < 2) {
             return None;
         }
-        // Slopes make much of few points.
         let along = |k: usize| refined(&field.axes[k], FINE);
         Plane::new(field, self.axes, &self.base, along(a), along(b))
     }
@@ -133,7 +136,7 @@ impl<'s> Source<'s> {
             return self.levels.clone();
         }
         let values: Vec<f64> = plane.v.iter().copied().filter(|v| v.is_finite()).collect();
-        let most = self.value_max(&values);
+        let most = self.value_max(&values).min(plane.limit);
         let least = values.iter().copied().fold(f64::INFINITY, f64::min);
         if least >= -1e-9 * most.abs() && most > 0.0 {
             one_two_five(most)

@@ -27,7 +27,7 @@ pub fn picture(source: &Source<'_>) -> Made {
     let Some([least, most]) = range(plane.v.iter().copied()) else {
         return Ok(None);
     };
-    let top = source.levels(plane).last().copied().unwrap_or(most).min(most);
+    let top = source.levels(plane).last().copied().unwrap_or(most).min(most).min(plane.limit);
     let thin = thinned(plane);
     let drawing = Surface {
         least: if source.infinite() { least.min(0.0) } else { least },
@@ -68,6 +68,7 @@ fn thinned(plane: &Plane) -> Plane {
         sheet: all.iter().map(|k| plane.sheet[*k]).collect(),
         cut: Vec::new(),
         base: plane.base.clone(),
+        limit: plane.limit,
     }
 }
 
