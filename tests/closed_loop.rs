@@ -78,7 +78,10 @@ fn the_linear_law_is_the_exponential_and_costs_v() {
             assert!(error <= allowed, "end from {x:?}: {error:e}");
         }
         let error = (result.cost[i] - quadratic(&p, x)).abs();
-        assert!(error <= allowed * (1.0 + quadratic(&p, x)), "cost from {x:?}: {error:e}");
+        assert!(
+            error <= allowed * (1.0 + quadratic(&p, x)),
+            "cost from {x:?}: {error:e}"
+        );
         assert!(result.converged[i] && result.status[i] == 0);
     }
 }
@@ -101,7 +104,10 @@ fn a_detuned_gain_costs_what_the_lyapunov_equation_says() {
         }
         let exact = quadratic(&s, x) / values[i] - 1.0;
         assert!(exact > 0.01, "this gain is not optimal");
-        assert!((suboptimality[i] - exact).abs() <= 10.0 * FEW_STEPS * TIGHT.rtol, "{x:?}");
+        assert!(
+            (suboptimality[i] - exact).abs() <= 10.0 * FEW_STEPS * TIGHT.rtol,
+            "{x:?}"
+        );
     }
     let spread = e.spread(&e.laws[0]).unwrap();
     assert_eq!(spread.count, 24);
@@ -137,7 +143,10 @@ impl Chart for Known {
         let cross = 0.5 + x * y;
         Some(Expansion {
             v,
-            p: vec![x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y, 0.5 * x + 2.0 * y + 0.5 * x * x * y],
+            p: vec![
+                x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
+                0.5 * x + 2.0 * y + 0.5 * x * x * y,
+            ],
             hessian: vec![1.0 + 0.5 * x.cos() + 0.5 * y * y, cross, cross, 2.0 + 0.5 * x * x],
         })
     }
@@ -171,7 +180,10 @@ fn the_optimal_law_costs_v_as_an_expression_and_as_a_chart() {
     };
     let (fine, finest) = (excess("0.125"), excess("0.0625"));
     println!("excess {exact:.1e} as an expression, {coarse:.1e}, {fine:.1e}, {finest:.1e} as a chart");
-    assert!(fine <= coarse / 8.0 && finest <= fine / 8.0, "{coarse:e} {fine:e} {finest:e}");
+    assert!(
+        fine <= coarse / 8.0 && finest <= fine / 8.0,
+        "{coarse:e} {fine:e} {finest:e}"
+    );
     assert!(finest <= 1e-4, "{finest:e}");
 }
 
@@ -181,7 +193,10 @@ fn saturation_is_applied_inside_the_dynamics() {
     let text = SPRING
         .replace("u = {} }", "u = { min = -0.3, max = 0.2 } }")
         .replace("detuned = { u = \"-0.3*x - 0.4*v\" }", "hard = { u = \"-2*x - 3*v\" }")
-        .replace("v_end = \"final(v)\"", "v_end = \"final(v)\"\nmost = \"max(u)\"\nleast = \"min(v + u)\"");
+        .replace(
+            "v_end = \"final(v)\"",
+            "v_end = \"final(v)\"\nmost = \"max(u)\"\nleast = \"min(v + u)\"",
+        );
     let scene = Scene::new(&text);
     let result = scene.tightly("hard");
     let law = |y: &[f64]| (-2.0 * y[0] - 3.0 * y[1]).clamp(-0.3, 0.2);
@@ -203,7 +218,10 @@ fn saturation_is_applied_inside_the_dynamics() {
             let error = result.records[4 * i + c] - expected[c];
             // At a kink the reference, which has only its steps' ends, misses a step's way.
             let missed = if c == 3 { 2e-4 } else { 0.0 };
-            assert!(error <= ALLOWED && error >= -ALLOWED - missed, "record {c} from {x:?}: {error:e}");
+            assert!(
+                error <= ALLOWED && error >= -ALLOWED - missed,
+                "record {c} from {x:?}: {error:e}"
+            );
         }
         // What is left at the end is the local solution's.
         let rest = quadratic(&lyapunov(optimal_gain()), &end);
@@ -287,7 +305,10 @@ fn extrema_are_found_between_samples() {
         let exact = [r, -r, 0.0, r, -0.5 * r * r, r.exp()];
         for c in 0..6 {
             let error = (result.records[6 * i + c] - exact[c]).abs();
-            assert!(error <= FEW_STEPS * TIGHT.rtol * 3.0, "quantity {c} from {x:?}: {error:e}");
+            assert!(
+                error <= FEW_STEPS * TIGHT.rtol * 3.0,
+                "quantity {c} from {x:?}: {error:e}"
+            );
         }
     }
 }
@@ -321,7 +342,11 @@ fn backends_and_precisions_agree() {
             let law = &e.laws[0];
             assert_eq!(law.status, exact.status, "{case}");
             assert_eq!(law.converged, exact.converged, "{case}");
-            let pairs = law.records.iter().zip(&exact.records).chain(law.cost.iter().zip(&exact.cost));
+            let pairs = law
+                .records
+                .iter()
+                .zip(&exact.records)
+                .chain(law.cost.iter().zip(&exact.cost));
             let worst = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             println!("{case}: {worst:.1e} of {allowed:.0e}");
             assert!(worst <= allowed, "{case}: {worst:e}");
@@ -394,9 +419,21 @@ sets = { low = "highest <= 1.2" }
     let (cpu, gpu) = (Cpu::new(), any_gpu());
     let backends: [&dyn Backend; 2] = [&cpu, &gpu];
     for backend in backends {
-        let e = scene.evaluate(backend, PRECISIONS[1], &["none", "held", "lqr"], scene.initial(), None, None);
+        let e = scene.evaluate(
+            backend,
+            PRECISIONS[1],
+            &["none", "held", "lqr"],
+            scene.initial(),
+            None,
+            None,
+        );
         let none = &e.laws[0];
-        assert_eq!(none.status, [Status::LeftRegion as i32, 0, GUARD_STATUS], "{}", backend.name());
+        assert_eq!(
+            none.status,
+            [Status::LeftRegion as i32, 0, GUARD_STATUS],
+            "{}",
+            backend.name()
+        );
         let counts = e.statuses(none);
         assert_eq!(counts["left_region"] + counts["reached"] + counts["guard_upper"], 3);
         assert!((none.t_end[2] - 1.5f64.ln()).abs() < 1e-6, "{}", none.t_end[2]);
@@ -427,13 +464,18 @@ fn where_the_chart_ends_the_trajectory_ends() {
     let cpu = Cpu::new();
     let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], scene.initial(), Some(&Bounded), None);
     let law = &e.laws[0];
-    let outside: Vec<usize> = (0..e.initial.count()).filter(|i| e.initial.state(*i)[0] >= 0.5).collect();
+    let outside: Vec<usize> = (0..e.initial.count())
+        .filter(|i| e.initial.state(*i)[0] >= 0.5)
+        .collect();
     assert!(outside.len() == 14);
     for i in outside {
         assert_eq!((law.status[i], law.t_end[i]), (OUTSIDE_MAP, 0.0));
         assert!(law.cost[i].is_nan() && e.values[i].is_nan() && !law.converged[i]);
     }
-    assert_eq!(e.statuses(law)["outside_map"], law.status.iter().filter(|s| **s == OUTSIDE_MAP).count());
+    assert_eq!(
+        e.statuses(law)["outside_map"],
+        law.status.iter().filter(|s| **s == OUTSIDE_MAP).count()
+    );
 }
 
 /// The set of starts from which the free swing stays within 0.8 is a disk.
@@ -443,7 +485,10 @@ fn an_operating_set_has_its_area() {
         .replace("final_time = 8.0", "final_time = 7.0")
         .replace("[-1, 1, 5], v = [-1, 1, 5]", "[-1, 1, 41], v = [-1, 1, 31]")
         .replace("detuned = { u = \"-0.3*x - 0.4*v\" }", "free = { u = \"0*x\" }")
-        .replace("x_end = \"final(x)\"\nv_end = \"final(v)\"", "reach = \"max(abs(x))\"\n[closed_loop.sets]\nnear = \"reach <= 0.8\"\nfar = \"1.0 - 0.2 <= reach\"");
+        .replace(
+            "x_end = \"final(x)\"\nv_end = \"final(v)\"",
+            "reach = \"max(abs(x))\"\n[closed_loop.sets]\nnear = \"reach <= 0.8\"\nfar = \"1.0 - 0.2 <= reach\"",
+        );
     let scene = Scene::new(&text);
     let cpu = Cpu::new();
     let e = scene.evaluate(&cpu, PRECISIONS[1], &["free"], scene.initial(), None, None);

@@ -42,7 +42,11 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         (None, Some(stored)) => (&stored.model, &stored.hamiltonian),
         (None, None) => return Err(CliError::NoClosedLoop),
     };
-    let backend = open_backend(args.backend, args.adapter.as_deref(), args.method.or(model.integrator.method))?;
+    let backend = open_backend(
+        args.backend,
+        args.adapter.as_deref(),
+        args.method.or(model.integrator.method),
+    )?;
     let wanted = Wanted {
         choices: Choices {
             precision: args.precision.and_then(|p| p.precision()),
@@ -52,7 +56,11 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
             ..Choices::default()
         },
         laws: (!args.laws.is_empty()).then(|| args.laws.clone()),
-        weights: args.weights.iter().map(|path| weights(path)).collect::<Result<_, _>>()?,
+        weights: args
+            .weights
+            .iter()
+            .map(|path| weights(path))
+            .collect::<Result<_, _>>()?,
         random: args.random,
         solve: args.solve,
     };
@@ -92,7 +100,11 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     if args.json {
         writeln!(std::io::stdout(), "{:#}", as_json(&evaluation, &path))?;
     }
-    terminal.say(&format!("{:.2} s, written to {}", clock.elapsed().as_secs_f64(), path.display()))?;
+    terminal.say(&format!(
+        "{:.2} s, written to {}",
+        clock.elapsed().as_secs_f64(),
+        path.display()
+    ))?;
     Ok(())
 }
 
@@ -117,7 +129,9 @@ pub(super) fn perform(
     };
     let chosen = available.choose(&laws, scene, wanted.laws.as_deref())?;
     for name in &chosen.missing {
-        terminal.note(&format!("law `{name}` is left out: there is none in the result file (yet)"));
+        terminal.note(&format!(
+            "law `{name}` is left out: there is none in the result file (yet)"
+        ));
     }
     if chosen.laws.is_empty() {
         return Err(CliError::NoLaws);
@@ -126,7 +140,14 @@ pub(super) fn perform(
     let bar = terminal.progress();
     let values = if wanted.solve {
         let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
-        Some(solved_values(model, hamiltonian, backend, wanted.choices, &initial.x, &mut told)?)
+        Some(solved_values(
+            model,
+            hamiltonian,
+            backend,
+            wanted.choices,
+            &initial.x,
+            &mut told,
+        )?)
     } else {
         known_values(stored, model, &initial, chart)?
     };
@@ -276,14 +297,19 @@ fn as_text(e: &Evaluation, setting: &Setting<'_>, scene: &ClosedLoop) -> String 
 fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {
     let laws: Vec<_> = (e.laws.iter().zip(&e.sets))
         .map(|(law, sets)| {
-            let spread = e.spread(law).map(|s| {
-                serde_json::json!({ "median": s.median, "p99": s.p99, "max": s.worst, "count": s.count })
-            });
+            let spread = e
+                .spread(law)
+                .map(|s| serde_json::json!({ "median": s.median, "p99": s.p99, "max": s.worst, "count": s.count }));
             let records: serde_json::Map<_, _> = (e.records.iter().enumerate())
                 .map(|(k, (name, _))| (name.clone(), serde_json::json!(e.worst(law, k))))
                 .collect();
             let sets: serde_json::Map<_, _> = (e.asked.iter().zip(sets))
-                .map(|(set, r)| (set.name.clone(), serde_json::json!({ "share": r.share, "area": r.area })))
+                .map(|(set, r)| {
+                    (
+                        set.name.clone(),
+                        serde_json::json!({ "share": r.share, "area": r.area }),
+                    )
+                })
                 .collect();
             serde_json::json!({
                 "name": law.name, "source": law.source, "share_converged": law.share_converged(),

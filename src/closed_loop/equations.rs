@@ -66,7 +66,11 @@ impl Equations {
             .collect();
         let closed = graph.substitute(&roots, &replaced);
         let forms = graph.deviations(&closed, &symbols);
-        let mut whole = forms.into_iter().map(|f| graph.whole(f)).collect::<Vec<_>>().into_iter();
+        let mut whole = forms
+            .into_iter()
+            .map(|f| graph.whole(f))
+            .collect::<Vec<_>>()
+            .into_iter();
         let mut take = |count: usize| whole.by_ref().take(count).collect::<Vec<Id>>();
         let (f, running) = (take(n), take(1)[0]);
         let (values, control) = (take(records.len()), take(model.controls.len()));

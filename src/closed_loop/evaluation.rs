@@ -100,8 +100,16 @@ impl Evaluation {
         let levels: Vec<f64> = (0..self.initial.count())
             .map(|i| {
                 let value = law.records[i * self.records.len() + set.record];
-                let room = if set.at_least { value - set.bound } else { set.bound - value };
-                if law.status[i] == Status::Reached as i32 { room } else { f64::NAN }
+                let room = if set.at_least {
+                    value - set.bound
+                } else {
+                    set.bound - value
+                };
+                if law.status[i] == Status::Reached as i32 {
+                    room
+                } else {
+                    f64::NAN
+                }
             })
             .collect();
         let share = levels.iter().filter(|l| **l >= 0.0).count() as f64 / levels.len().max(1) as f64;
@@ -136,7 +144,11 @@ impl Evaluation {
     pub fn spread(&self, law: &LawResult) -> Option<Spread> {
         let mut known: Vec<f64> = self.suboptimality(law).into_iter().filter(|s| !s.is_nan()).collect();
         known.sort_by(f64::total_cmp);
-        let at = |q: f64| known.get(((known.len() as f64 * q).ceil() as usize).saturating_sub(1)).copied();
+        let at = |q: f64| {
+            known
+                .get(((known.len() as f64 * q).ceil() as usize).saturating_sub(1))
+                .copied()
+        };
         Some(Spread {
             median: at(0.5)?,
             p99: at(0.99)?,

@@ -46,7 +46,9 @@ impl Initial {
                     count: Some(count),
                 } => {
                     let step = |k: usize| first + (last - first) * k as f64 / (count - 1) as f64;
-                    let values: Vec<f64> = (0..count).map(|k| if k + 1 == count { last } else { step(k) }).collect();
+                    let values: Vec<f64> = (0..count)
+                        .map(|k| if k + 1 == count { last } else { step(k) })
+                        .collect();
                     axes.push((i, values.clone()));
                     values
                 }
@@ -119,7 +121,9 @@ impl Initial {
             } else {
                 vec![(count - 1) / 2]
             };
-            all = (all.iter()).flat_map(|i| picks.iter().map(move |j| i * count + j)).collect();
+            all = (all.iter())
+                .flat_map(|i| picks.iter().map(move |j| i * count + j))
+                .collect();
         }
         all.sort_unstable();
         all.dedup();

@@ -296,14 +296,7 @@ impl<'s> Laws<'s> {
 
     /// `u = (d/dt c + rate (c - x_i) - free)/gain`, so that `x_i - c` decays at `rate` as far as u's bounds allow; without
     /// `d/dt c` where that would depend on u itself.
-    fn follow(
-        &self,
-        graph: &mut Graph,
-        actuator: &Actuator,
-        command: Id,
-        given: &[Option<Id>],
-        rate: f64,
-    ) -> Id {
+    fn follow(&self, graph: &mut Graph, actuator: &Actuator, command: Id, given: &[Option<Id>], rate: f64) -> Id {
         let symbols: HashMap<Id, Id> = (self.model.controls.iter().zip(given))
             .filter_map(|(c, expr)| Some((c.variable.symbol, (*expr)?)))
             .collect();

@@ -58,7 +58,10 @@ pub enum LoopError {
     Plan(#[from] PlanError),
     #[error(transparent)]
     Backend(#[from] BackendError),
-    #[error("law `{law}` takes {operations} operations; at most {} are handled", crate::sweep::MOST_OPERATIONS)]
+    #[error(
+        "law `{law}` takes {operations} operations; at most {} are handled",
+        crate::sweep::MOST_OPERATIONS
+    )]
     TooLong { law: String, operations: usize },
     #[error("law `{law}` needs the value map")]
     NoChart { law: String },
@@ -155,7 +158,8 @@ impl<'s> Setting<'s> {
 
     /// Status codes and their meanings.
     pub fn status_flags(&self) -> Vec<(i32, String)> {
-        let general = (Status::ALL.iter().filter(|(s, _)| *s != Status::Guard)).map(|(s, n)| (*s as i32, (*n).to_owned()));
+        let general =
+            (Status::ALL.iter().filter(|(s, _)| *s != Status::Guard)).map(|(s, n)| (*s as i32, (*n).to_owned()));
         let guards = (self.hamiltonian.guards.iter().enumerate())
             .map(|(k, g)| (GUARD_STATUS + k as i32, format!("guard_{}", g.name)));
         general
@@ -241,13 +245,17 @@ impl<'s> Setting<'s> {
         for (i, &status) in result.status.iter().enumerate() {
             let reached = status == Status::Reached as i32;
             let left = self.quadratic(&self.nearest(&flights.end[i * n..][..n]).0);
-            result.converged.push(reached && (finite || left <= self.closed_loop.converged * self.scale));
+            result
+                .converged
+                .push(reached && (finite || left <= self.closed_loop.converged * self.scale));
             let rest = match flights.terminal.get(i) {
                 Some(terminal) => *terminal,
                 None if self.local => left,
                 None => 0.0,
             };
-            result.cost.push(if reached { flights.cost[i] + rest } else { f64::NAN });
+            result
+                .cost
+                .push(if reached { flights.cost[i] + rest } else { f64::NAN });
         }
         result
     }
@@ -285,5 +293,7 @@ fn mean_over_region(metric: &DMatrix<f64>, model: &Model) -> f64 {
         centre[i] * centre[j] + if i == j { width * width / 12.0 } else { 0.0 }
     };
     let n = centre.len();
-    (0..n * n).map(|k| 0.5 * metric[(k / n, k % n)] * moment(k / n, k % n)).sum()
+    (0..n * n)
+        .map(|k| 0.5 * metric[(k / n, k % n)] * moment(k / n, k % n))
+        .sum()
 }

@@ -138,7 +138,9 @@ impl Records {
         let dim = scaled.dim();
         for _ in 0..ROUNDS {
             for track in &mut self.tracks {
-                track.places.retain(|p| p.promise < track.best - GAIN * run.rtol * p.size);
+                track
+                    .places
+                    .retain(|p| p.promise < track.best - GAIN * run.rtol * p.size);
             }
             let mut asked: Vec<(usize, usize, f64)> = Vec::new();
             let mut seeds = Vec::new();
@@ -239,11 +241,17 @@ impl Place {
         let lowest = (0..points.len())
             .min_by(|a, b| points[*a].1.0.total_cmp(&points[*b].1.0))
             .unwrap_or(0);
-        let side = if points[lowest].1.1 < 0.0 { lowest } else { lowest.saturating_sub(1) };
+        let side = if points[lowest].1.1 < 0.0 {
+            lowest
+        } else {
+            lowest.saturating_sub(1)
+        };
         let Some(&[a, b]) = points.get(side..side + 2) else {
             return;
         };
-        let inside = points.iter().filter(|p| p.0 > self.bracket[0].0 && p.0 < self.bracket[1].0);
+        let inside = points
+            .iter()
+            .filter(|p| p.0 > self.bracket[0].0 && p.0 < self.bracket[1].0);
         self.flattest = inside.map(|p| p.1.1.abs()).fold(self.flattest, f64::min);
         self.bracket = [a, b];
         let promise = if self.smooth() { promise } else { guess };
@@ -263,7 +271,11 @@ fn cubic_minimum(a: Point, b: Point, length: f64) -> Option<f64> {
     let (c1, c2, c3) = (da, 3.0 * rise - 2.0 * da - db, da + db - 2.0 * rise);
     let root = (c2 * c2 - 3.0 * c3 * c1).sqrt();
     // The form without cancellation; the slope rises where 3 c3 x + c2 = root > 0.
-    let x = if c2 >= 0.0 { -c1 / (c2 + root) } else { (root - c2) / (3.0 * c3) };
+    let x = if c2 >= 0.0 {
+        -c1 / (c2 + root)
+    } else {
+        (root - c2) / (3.0 * c3)
+    };
     (x > 0.0 && x < 1.0).then_some(x * length)
 }
 
@@ -284,7 +296,11 @@ fn guess(a: Point, b: Point, length: f64) -> Option<f64> {
     const LOWER: f64 = 0.25;
     let promise = promise(a, b, length)?;
     let lower = LOWER * (a.0.max(b.0) - promise);
-    Some(if a.1 < 0.0 && b.1 > 0.0 { promise - lower } else { promise })
+    Some(if a.1 < 0.0 && b.1 > 0.0 {
+        promise - lower
+    } else {
+        promise
+    })
 }
 
 #[cfg(test)]

@@ -34,7 +34,9 @@ pub fn area(axes: [&[f64]; 2], levels: &[f64]) -> f64 {
             }
         }
         let cross = |p: [f64; 2], q: [f64; 2]| p[0] * q[1] - p[1] * q[0];
-        let twice: f64 = (0..inside.len()).map(|k| cross(inside[k], inside[(k + 1) % inside.len()])).sum();
+        let twice: f64 = (0..inside.len())
+            .map(|k| cross(inside[k], inside[(k + 1) % inside.len()]))
+            .sum();
         total += 0.5 * twice.abs();
     });
     total
@@ -81,7 +83,11 @@ pub fn contour(axes: [&[f64]; 2], levels: &[f64]) -> Vec<Line> {
         let mut next = Some(first);
         while let Some(k) = next {
             used[k] = true;
-            edge = if pieces[k][0] == edge { pieces[k][1] } else { pieces[k][0] };
+            edge = if pieces[k][0] == edge {
+                pieces[k][1]
+            } else {
+                pieces[k][0]
+            };
             line.push(at[&edge]);
             next = of[&edge].iter().copied().find(|k| !used[*k]);
         }
@@ -160,14 +166,19 @@ mod tests {
             // Linear interpolation: off by at most an eighth of the squared spacing times the curvature, 2.
             assert!((x.hypot(*y) - 0.7).abs() < 0.05f64.powi(2), "{x} {y}");
         }
-        let length: f64 = lines[0].windows(2).map(|w| (w[0][0] - w[1][0]).hypot(w[0][1] - w[1][1])).sum();
+        let length: f64 = lines[0]
+            .windows(2)
+            .map(|w| (w[0][0] - w[1][0]).hypot(w[0][1] - w[1][1]))
+            .sum();
         assert!((length - 1.4 * PI).abs() < 0.02, "{length}");
     }
 
     #[test]
     fn a_half_plane_is_exact_and_its_line_open() {
         let axis: Vec<f64> = (0..5).map(f64::from).collect();
-        let levels: Vec<f64> = (axis.iter()).flat_map(|x| axis.iter().map(move |y| x + y - 3.5)).collect();
+        let levels: Vec<f64> = (axis.iter())
+            .flat_map(|x| axis.iter().map(move |y| x + y - 3.5))
+            .collect();
         assert!((area([&axis, &axis], &levels) - (16.0 - 0.5 * 3.5 * 3.5)).abs() < 1e-12);
         let lines = contour([&axis, &axis], &levels);
         assert_eq!(lines.len(), 1);
@@ -184,7 +195,11 @@ mod tests {
         assert!(contour([&axis, &axis], &levels).is_empty());
         levels[0] = f64::NAN;
         levels[1] = -1.0;
-        assert!((area([&axis, &axis], &levels) - 1.375).abs() < 1e-12, "{}", area([&axis, &axis], &levels));
+        assert!(
+            (area([&axis, &axis], &levels) - 1.375).abs() < 1e-12,
+            "{}",
+            area([&axis, &axis], &levels)
+        );
         assert_eq!(area([&axis, &axis], &[f64::NAN; 9]), 0.0);
     }
 }

@@ -70,7 +70,10 @@ impl Evaluation {
         writer.write("V", &self.values)?;
         writer.write("J", &self.all(|l| l.cost.clone()))?;
         writer.write("suboptimality", &self.all(|l| self.suboptimality(l)))?;
-        writer.write("converged", &self.all(|l| l.converged.iter().map(|c| i32::from(*c)).collect()))?;
+        writer.write(
+            "converged",
+            &self.all(|l| l.converged.iter().map(|c| i32::from(*c)).collect()),
+        )?;
         writer.write("status", &self.all(|l| l.status.clone()))?;
         writer.write("t_end", &self.all(|l| l.t_end.clone()))?;
         let count = self.records.len();
@@ -83,7 +86,11 @@ impl Evaluation {
 
     fn write_laws(&self, file: &mut ResultFile) -> Result<(), OutputError> {
         let columns: [(&str, &str, &str); 8] = [
-            ("share_converged", "1", "share of initial states from which the law converges"),
+            (
+                "share_converged",
+                "1",
+                "share of initial states from which the law converges",
+            ),
             ("suboptimality_median", "1", "median of J/V - 1"),
             ("suboptimality_p99", "1", "99 % quantile of J/V - 1"),
             ("suboptimality_max", "1", "largest J/V - 1"),
@@ -94,8 +101,16 @@ impl Evaluation {
         ];
         let mut group = Group::new("closed_loop_laws")
             .dimension(self.laws_dimension())
-            .variable(Variable::text("source", "law", self.laws.iter().map(|l| l.source.as_str())))
-            .variable(Variable::text("statuses", "law", self.laws.iter().map(|l| self.status_text(l))))
+            .variable(Variable::text(
+                "source",
+                "law",
+                self.laws.iter().map(|l| l.source.as_str()),
+            ))
+            .variable(Variable::text(
+                "statuses",
+                "law",
+                self.laws.iter().map(|l| self.status_text(l)),
+            ))
             .attribute("backend", self.backend.as_str())
             .attribute("adapter", self.adapter.as_str());
         for (name, unit, long_name) in columns {
@@ -144,13 +159,16 @@ impl Evaluation {
         let group = Group::new("operating_sets")
             .dimension(self.laws_dimension())
             .dimension(Dimension::names("set", names()))
-            .variable(Variable::text("condition", "set", self.asked.iter().map(|s| s.text.as_str())))
+            .variable(Variable::text(
+                "condition",
+                "set",
+                self.asked.iter().map(|s| s.text.as_str()),
+            ))
             .variable(Variable::f64("share", both).long_name("share of initial states inside"))
             .variable(Variable::f64("area", both).long_name("area inside, in the units of the grid's axes"));
         let mut writer = file.group(&group)?;
-        let flat = |of: fn(&super::evaluation::SetResult) -> f64| -> Vec<f64> {
-            self.sets.iter().flatten().map(of).collect()
-        };
+        let flat =
+            |of: fn(&super::evaluation::SetResult) -> f64| -> Vec<f64> { self.sets.iter().flatten().map(of).collect() };
         writer.write("share", &flat(|s| s.share))?;
         writer.write("area", &flat(|s| s.area))?;
         drop(writer);
@@ -172,12 +190,20 @@ impl Evaluation {
         if x.is_empty() {
             return Ok(());
         }
-        let axes = self.initial.axes.iter().map(|(i, _)| setting.model.states[*i].variable.name.as_str());
+        let axes = self
+            .initial
+            .axes
+            .iter()
+            .map(|(i, _)| setting.model.states[*i].variable.name.as_str());
         let laws: Vec<&str> = self.laws.iter().map(|l| l.name.as_str()).collect();
         let vertex = |name: &str, flags: &[&str]| {
             let flags: Vec<(i32, &str)> = flags.iter().enumerate().map(|(k, n)| (k as i32, *n)).collect();
             let variable = Variable::i32(name, ["vertex"]);
-            if flags.is_empty() { variable } else { variable.flags(flags) }
+            if flags.is_empty() {
+                variable
+            } else {
+                variable.flags(flags)
+            }
         };
         let group = Group::new("operating_contours")
             .dimension(Dimension::index("vertex", columns[0].len()))

@@ -53,9 +53,22 @@ impl GridField {
 
     /// From what a value map says at `count` x `count` states of a plane of the region; V above `limit` is left out, as what
     /// it foretells beyond its data. None of the states known: no field.
-    pub fn of_value_map(map: &ValueMap, axes: [usize; 2], base: &[f64], region: &[[f64; 2]], count: usize, limit: f64) -> Option<Self> {
+    pub fn of_value_map(
+        map: &ValueMap,
+        axes: [usize; 2],
+        base: &[f64],
+        region: &[[f64; 2]],
+        count: usize,
+        limit: f64,
+    ) -> Option<Self> {
         let n = base.len();
-        let along = |k: usize| if axes.contains(&k) { even(region[k], count) } else { vec![base[k]] };
+        let along = |k: usize| {
+            if axes.contains(&k) {
+                even(region[k], count)
+            } else {
+                vec![base[k]]
+            }
+        };
         let mut field = Self {
             axes: (0..n).map(along).collect(),
             v: Vec::new(),
@@ -112,13 +125,17 @@ impl GridField {
             let (mut stride, mut around, mut unknown) = (1, 0, 0);
             for axis in self.axes.iter().rev() {
                 let place = k / stride % axis.len();
-                let sides = [(place > 0).then(|| k - stride), (place + 1 < axis.len()).then(|| k + stride)];
+                let sides = [
+                    (place > 0).then(|| k - stride),
+                    (place + 1 < axis.len()).then(|| k + stride),
+                ];
                 for side in sides.into_iter().flatten() {
                     if known(side) { around += 1 } else { unknown += 1 }
                 }
                 stride *= axis.len();
             }
-            if around >= 2 && unknown <= 1
+            if around >= 2
+                && unknown <= 1
                 && let Some(value) = self.foretold(k)
             {
                 new.push((k, value));
@@ -129,12 +146,15 @@ impl GridField {
         }
     }
 
-    /// Gives points `above` that are next to known ones the values that their nearest neighbours' p and its change foretell.
+    /// Gives points that are known to be, or foretold to be, above the limit and are next to known ones the values that their nearest neighbours' p and its change foretell.
     fn extend(&mut self, above: &[bool], limit: f64) {
         let mut new = Vec::new();
-        for k in (0..self.v.len()).filter(|k| above.get(*k).copied().unwrap_or(false) && self.v[*k].is_nan()) {
-            if let Some((v, p, from)) = self.foretold(k) {
-                new.push((k, v.max(limit * (1.0 + 1e-9)), p, from));
+        for k in (0..self.v.len()).filter(|k| self.v[*k].is_nan()) {
+            let known_above = above.get(k).copied().unwrap_or(false);
+            match self.foretold(k) {
+                Some((v, p, from)) if known_above => new.push((k, v.max(limit * (1.0 + 1e-9)), p, from)),
+                Some((v, p, from)) if v >= limit => new.push((k, v, p, from)),
+                _ => {}
             }
         }
         for (k, v, p, from) in new {
@@ -212,7 +232,10 @@ impl GridField {
             return None;
         }
         let rows = |values: &[f64], width: usize| -> Vec<f64> {
-            order.iter().flat_map(|k| values[k * width..(k + 1) * width].to_vec()).collect()
+            order
+                .iter()
+                .flat_map(|k| values[k * width..(k + 1) * width].to_vec())
+                .collect()
         };
         Some(Self {
             v: rows(&points.v, 1),
@@ -227,6 +250,14 @@ impl GridField {
     /// The largest size of V at its points.
     pub fn largest(&self) -> f64 {
         self.v.iter().filter(|v| v.is_finite()).fold(0.0, |a, v| a.max(v.abs()))
+    }
+
+    /// The value of an axis that has but one.
+    pub fn fixed(&self, k: usize) -> Option<f64> {
+        match self.axes[k].as_slice() {
+            [one] => Some(*one),
+            _ => None,
+        }
     }
 
     /// States along which it extends.
@@ -295,7 +326,10 @@ impl Field for GridField {
         let slope = if sheets.len() == 1 { 0.5 } else { 1.0 };
         let best = (sheets.iter())
             .map(|sheet| {
-                let own: Vec<_> = (corners.iter()).filter(|(k, _)| self.sheet[*k] == *sheet).copied().collect();
+                let own: Vec<_> = (corners.iter())
+                    .filter(|(k, _)| self.sheet[*k] == *sheet)
+                    .copied()
+                    .collect();
                 (self.sheet_value(x, &own, slope), *sheet, own)
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -405,7 +439,9 @@ pub fn refined(axis: &[f64], wanted: usize) -> Vec<f64> {
 /// `count` even places.
 pub fn even([from, to]: [f64; 2], count: usize) -> Vec<f64> {
     let last = count.max(2) - 1;
-    (0..=last).map(|k| from + (to - from) * k as f64 / last as f64).collect()
+    (0..=last)
+        .map(|k| from + (to - from) * k as f64 / last as f64)
+        .collect()
 }
 
 #[cfg(test)]
@@ -451,7 +487,9 @@ mod tests {
                 let (v, _, sheet) = two_wells(x, y);
                 let mixed = {
                     let corners = field.corners(&[x, y]).unwrap();
-                    corners.iter().any(|(k, _)| field.sheet[*k] != field.sheet[corners[0].0])
+                    corners
+                        .iter()
+                        .any(|(k, _)| field.sheet[*k] != field.sheet[corners[0].0])
                 };
                 // In a cell with both sheets each continues from its own corners: second order, curvature 2, cells of 0.5.
                 let tolerance = if mixed { 0.5 * 2.0 * 2.0 * 0.5f64.powi(2) } else { 1e-12 };

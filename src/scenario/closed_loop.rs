@@ -77,7 +77,11 @@ pub(super) fn fitted_laws(root: &DeTable<'_>) -> Vec<String> {
         .filter(|(k, v)| named(k.get_ref(), v.get_ref()))
         .map(|(k, _)| k.get_ref().to_string())
         .collect();
-    if names.is_empty() { vec![FITTED.to_owned()] } else { names }
+    if names.is_empty() {
+        vec![FITTED.to_owned()]
+    } else {
+        names
+    }
 }
 
 impl<'a> Reader<'a> {
@@ -231,13 +235,7 @@ impl<'a> Reader<'a> {
         all
     }
 
-    fn formula(
-        &mut self,
-        name: &str,
-        span: Span,
-        value: &'a Value<'a>,
-        scope: &LoopScope<'_, 'a>,
-    ) -> Option<Formula> {
+    fn formula(&mut self, name: &str, span: Span, value: &'a Value<'a>, scope: &LoopScope<'_, 'a>) -> Option<Formula> {
         let what = format!("law `{}`", shorten(name));
         let table = self.table(value, span.clone(), &what)?;
         if let Some(file) = table.get("weights") {

@@ -81,7 +81,9 @@ impl Scene {
     /// One law on the CPU, tightly.
     pub fn tightly(&self, name: &str) -> LawResult {
         let cpu = costate::backend::cpu::Cpu::new();
-        self.evaluate(&cpu, TIGHT, &[name], self.initial(), None, None).laws.remove(0)
+        self.evaluate(&cpu, TIGHT, &[name], self.initial(), None, None)
+            .laws
+            .remove(0)
     }
 }
 
