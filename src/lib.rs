@@ -54,5 +54,6 @@ pub mod program;
 pub mod report;
 pub mod scenario;
 pub mod shooting;
+pub mod study;
 pub mod sweep;
 pub mod value;

@@ -6,6 +6,7 @@ use super::{CliError, EvaluateArgs, SceneArgs};
 use crate::backend::Backend;
 use crate::closed_loop::{Available, Chart, Evaluation, GROUPS, Initial, Laws, Setting, Weights, solved_values};
 use crate::hamiltonian::Hamiltonian;
+use crate::map::ValueMap;
 use crate::model::{ClosedLoop, Model};
 use crate::output::{ResultFile, RunRecord, Stored};
 use crate::scenario::{self, ScenarioErrors};
@@ -120,8 +121,10 @@ pub(super) fn perform(
     let scene = model.closed_loop.as_ref().ok_or(CliError::NoClosedLoop)?;
     let laws = Laws::new(model, hamiltonian, scene.track);
     let setting = Setting::new(&laws, scene, backend, wanted.choices)?;
-    let chart: Option<Box<dyn Chart>> = None;
-    let chart = chart.as_deref();
+    // Without a law that asks for it the map still tells V.
+    let map = stored.filter(|s| s.has("trajectories") || s.has("points") || s.has("map")).map(ValueMap::new);
+    let map = map.transpose()?;
+    let chart = map.as_ref().map(|m| m as &dyn Chart);
     let available = Available {
         map: chart.is_some(),
         fitted: stored.map(fitted).transpose()?.unwrap_or_default(),

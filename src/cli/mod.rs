@@ -5,10 +5,12 @@ mod bench_report;
 mod check;
 mod estimates;
 mod evaluate;
+mod fit;
 mod points;
 mod report;
 mod report_page;
 mod run;
+mod study;
 mod value;
 
 use crate::backend::BackendError;
@@ -17,6 +19,7 @@ use crate::closed_loop::{LawError, LoopError};
 use crate::model::{Method, Precision};
 use crate::output::{OutputError, StoredError};
 use crate::scenario::{LoadError, ScenarioErrors};
+use crate::study::StudyError;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -42,10 +45,14 @@ enum Command {
     Solve(SolveArgs),
     /// V, p and u at any state, interpolated from a result file, with an error estimate.
     Value(ValueArgs),
+    /// Only [study]: the optimal trajectory from one state for several values of parameters.
+    Study(RunArgs),
     /// Simulate feedback laws from many initial states, as [closed_loop] asks, and put what came of it into the result file.
     Evaluate(EvaluateArgs),
     /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
     Bench(BenchArgs),
+    /// Fit the laws of [feedback] to the trajectories of a result file.
+    Fit(FitArgs),
     /// One page of HTML with pictures of what a result file holds, and the pictures beside it as SVG and PNG.
     Report(ReportArgs),
     /// Validate a scenario and print the derived equations and the local solution.
@@ -253,6 +260,30 @@ struct BenchArgs {
 }
 
 #[derive(Args, Debug, Clone)]
+struct FitArgs {
+    /// The result file; the laws are written into it, as /feedback.
+    file: PathBuf,
+    /// Take [feedback] from this scenario, which has the same states and controls.
+    #[arg(long, value_name = "SCENE.toml")]
+    scene: Option<PathBuf>,
+    /// Where the laws' files are written (weights, C header, ONNX) [default: beside the result file]
+    #[arg(long, value_name = "DIR")]
+    out_dir: Option<PathBuf>,
+    /// Seed of the sets and the first weights [default: the scenario's]
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Trainings from different first weights [default: the scenario's]
+    #[arg(long, value_parser = at_least_one)]
+    starts: Option<usize>,
+    /// Machine-readable summary on standard output; everything else goes to standard error.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    quiet: bool,
+}
+
+#[derive(Args, Debug, Clone)]
 struct ReportArgs {
     /// The result file (HDF5).
     file: PathBuf,
@@ -318,6 +349,13 @@ fn assignment(text: &str) -> Result<(String, String), String> {
             Ok((name.trim().to_owned(), value.trim().to_owned()))
         }
         _ => Err("expected NAME=VALUE".to_owned()),
+    }
+}
+
+fn at_least_one(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if (1..=1000).contains(&count) => Ok(count),
+        _ => Err("a whole number from 1 to 1000".to_owned()),
     }
 }
 
@@ -387,6 +425,10 @@ enum CliError {
     )]
     MapName { name: String },
     #[error(transparent)]
+    Study(#[from] crate::study::StudyError),
+    #[error("the scenario has no [study]")]
+    NoStudy,
+    #[error(transparent)]
     Place(#[from] value::PlaceError),
     #[error(transparent)]
     Map(#[from] crate::map::MapError),
@@ -412,6 +454,12 @@ enum CliError {
     NoLaws,
     #[error("the states and controls of {scene} are not those of {file}", scene = scene.display(), file = file.display())]
     OtherScene { scene: PathBuf, file: PathBuf },
+    #[error(transparent)]
+    Fit(#[from] fit::FitCommandError),
+    #[error(transparent)]
+    Feedback(#[from] crate::feedback::FitError),
+    #[error("cannot create the directory {path}: {source}", path = path.display())]
+    OutDir { path: PathBuf, source: std::io::Error },
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]
@@ -442,11 +490,13 @@ impl CliError {
     /// 2 for what the user wrote, 1 for what could not be done.
     fn status(&self) -> u8 {
         match self {
-            CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) | CliError::Stored(_) => 2,
+            CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
+            CliError::Study(StudyError::Scene { .. } | StudyError::Plan { .. }) | CliError::NoStudy => 2,
             CliError::Place(_) | CliError::Map(_) => 2,
             CliError::Law(_) | CliError::NoClosedLoop | CliError::NoLaws | CliError::OtherScene { .. } => 2,
             CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
+            CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) => 2,
             CliError::ReportOption(_) => 2,
             CliError::Report(crate::report::ReportError::Options(_) | crate::report::ReportError::Stored(_)) => 2,
             _ => 1,
@@ -489,9 +539,11 @@ pub fn main() -> ExitCode {
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
+        Command::Study(args) => study::study(&args),
         Command::Value(args) => value::value(&args),
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Bench(args) => bench::bench(&args),
+        Command::Fit(args) => fit::command(&args),
         Command::Report(args) => report_page::report(&args),
         Command::Check(args) => check::check(&args),
         Command::Adapters { json } => check::adapters(json),

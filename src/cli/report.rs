@@ -5,6 +5,7 @@ use super::{CliError, SceneArgs};
 use crate::backend::{Backend, Status};
 use crate::model::Model;
 use crate::output::RunRecord;
+use crate::study::Variant;
 use crate::sweep::{Plan, Sampling, SweepReport};
 use crate::value::{Answers, EqualCost, PointStatus};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -25,6 +26,11 @@ impl Terminal {
             quiet: args.quiet,
             json: args.json,
         }
+    }
+
+    /// Of a command that reads no scenario.
+    pub fn with(quiet: bool, json: bool) -> Self {
+        Self { quiet, json }
     }
 
     pub fn say(&self, text: &str) -> std::io::Result<()> {
@@ -113,6 +119,9 @@ pub(super) struct Done<'a> {
     pub stored: bool,
     pub answers: Option<&'a Answers>,
     pub estimates: &'a Estimates,
+    pub model: &'a Model,
+    /// Of the scene's [study].
+    pub variants: &'a [Variant],
     pub record: &'a RunRecord,
     pub path: &'a Path,
     pub seconds: f64,
@@ -159,6 +168,10 @@ fn as_text(done: &Done<'_>) -> String {
     }
     if let Some(answers) = done.answers {
         lines.extend(answers_text(done, answers));
+    }
+    if !done.variants.is_empty() {
+        lines.push("study:".to_owned());
+        lines.push(super::study::table(done.model, done.variants));
     }
     lines.push(format!("{:.2} s, written to {}", done.seconds, done.path.display()));
     lines.join("\n")
@@ -402,6 +415,7 @@ pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
         "atol": record.atol,
         "trajectories": swept.trajectories,
         "trajectories_stored": done.stored,
+        "study": super::study::as_json(done.model, done.variants),
         "homotopy": done.answers.map(|a| answers_json(plan, a, done.estimates)),
         "status": statuses,
         "coverage": {

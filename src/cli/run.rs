@@ -100,6 +100,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         }
         answers = Some(found);
     }
+    let variants = match parts {
+        Parts::All => super::study::write(&mut file, &model, backend.as_ref(), choices, &terminal)?,
+        _ => Vec::new(),
+    };
     let estimates = Estimates::of(&plan, &swept, stored, answers.as_ref())?;
     let record = RunRecord {
         backend: backend.name().to_owned(),
@@ -123,6 +127,8 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         answers: answers.as_ref(),
         estimates: &estimates,
         record: &record,
+        variants: &variants,
+        model: &model,
         path: &path,
         seconds: clock.elapsed().as_secs_f64(),
     };

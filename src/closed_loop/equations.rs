@@ -4,9 +4,10 @@ use super::law::Law;
 use crate::backend::{By, Guards, Spec};
 use crate::expr::{Deviation, Graph, Id, Kind};
 use crate::hamiltonian::{GuardExpr, Hamiltonian};
-use crate::model::{Horizon, Method, Model, Precision, Record};
+use crate::model::{Extremum, Horizon, Method, Model, Precision, Record};
 use crate::program::Program;
 use std::collections::HashMap;
+use std::ops::Range;
 
 /// Equations of a scene under a law, in deviations `s = x - reference` and forward time.
 ///
@@ -25,6 +26,8 @@ pub(super) struct Equations {
     /// Of each record its expression and the time derivative of that.
     recorded: Vec<Id>,
     control: Vec<Id>,
+    /// At whose zeros a recorded expression has a kink.
+    switches: Vec<Id>,
     terminal: Option<Id>,
     pub reference: Vec<f64>,
 }
@@ -82,6 +85,9 @@ impl Equations {
             })
             .collect();
         let terminal = take(1).first().copied();
+        let sought = records.iter().zip(&values).filter(|(r, _)| r.extremum != Extremum::Final);
+        let sought: Vec<Id> = sought.map(|(_, value)| *value).collect();
+        let switches = graph.kinks(&sought);
         let mut recorded = Vec::new();
         for value in values {
             let terms: Vec<Id> = (0..n)
@@ -104,6 +110,7 @@ impl Equations {
             guards,
             recorded,
             control,
+            switches,
             terminal,
             reference: model.reference().to_vec(),
             graph,
@@ -125,6 +132,7 @@ impl Equations {
             guards: Vec::new(),
             recorded: self.recorded.clone(),
             control: self.control.clone(),
+            switches: self.switches.clone(),
             reference: self.reference.clone(),
             ..*self
         }
@@ -167,9 +175,20 @@ impl Equations {
         }
     }
 
-    /// Values and time derivatives of the records, then the controls.
+    /// Values and time derivatives of the records, then the controls, then the arguments at whose zeros records have kinks.
     pub fn observed(&self) -> Program {
-        self.program(&[self.recorded.as_slice(), &self.control].concat())
+        self.program(&[self.recorded.as_slice(), &self.control, &self.switches].concat())
+    }
+
+    /// Columns of [`Self::observed`] with the controls.
+    pub fn control_columns(&self) -> Range<usize> {
+        self.recorded.len()..self.recorded.len() + self.controls
+    }
+
+    /// Columns of [`Self::observed`] with the arguments of kinks.
+    pub fn switch_columns(&self) -> Range<usize> {
+        let first = self.recorded.len() + self.controls;
+        first..first + self.switches.len()
     }
 
     /// Values of the guards.

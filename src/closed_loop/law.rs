@@ -1,11 +1,11 @@
 //! Feedback laws as expressions: the controls of a scene as functions of its states, saturated as in the scene.
 
 use crate::expr::{Graph, Id};
-use crate::feedback::{Network, NetworkError};
+use crate::feedback::{self, NetworkError};
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LocalError, Riccati};
 use crate::model::{Formula, GivenLaw, Horizon, Model, Span};
-use crate::scenario::{Problem, ScenarioErrors, suggestion};
+use crate::scenario::{Problem, ScenarioErrors};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -132,22 +132,11 @@ impl<'s> Laws<'s> {
 
     /// The law of a value function of which p is known around each state.
     pub fn chart(&self, name: &str) -> Law {
+        let graph = self.hamiltonian.graph.clone();
         Law {
             charted: true,
-            ..self.optimal(name, &[], "the value map")
+            ..self.law(name, graph, self.hamiltonian.unclamped.clone(), "the value map")
         }
-    }
-
-    /// `u*(x, p(x))` with expressions of p; the Hamiltonian's symbols where none are given.
-    pub fn optimal(&self, name: &str, p: &[Id], source: &str) -> Law {
-        self.optimal_in(self.hamiltonian.graph.clone(), name, p, source)
-    }
-
-    /// As [`Self::optimal`], p being of an extension of the Hamiltonian's graph.
-    pub fn optimal_in(&self, mut graph: Graph, name: &str, p: &[Id], source: &str) -> Law {
-        let map: HashMap<Id, Id> = self.hamiltonian.p.iter().copied().zip(p.iter().copied()).collect();
-        let control = graph.substitute(&self.hamiltonian.unclamped, &map);
-        self.law(name, graph, control, source)
     }
 
     /// A law of `[closed_loop.law]`; weights files are looked for beside the scene.
@@ -179,32 +168,19 @@ impl<'s> Laws<'s> {
         }
     }
 
-    /// The law of a weights file's text; `file` is for messages.
+    /// The law of a weights file's text, a network's or of a value function's; `file` is for messages.
     ///
     /// # Errors
     /// What is wrong with it.
     pub fn weights(&self, name: &str, text: &str, file: &str) -> Result<Law, LawError> {
-        let network = Network::from_toml(text, file)?;
-        let mut graph = self.hamiltonian.graph.clone();
-        let inputs = self.symbols_of(name, &network.inputs)?;
-        let values = network.expressions(&mut graph, &inputs);
-        let outputs: Vec<(String, Id)> = network.outputs.iter().cloned().zip(values).collect();
-        self.of_outputs(name, graph, &outputs, file)
-    }
-
-    fn symbols_of(&self, law: &str, names: &[String]) -> Result<Vec<Id>, LawError> {
-        let states = || self.model.states.iter().map(|s| s.variable.name.as_str());
-        let find = |name: &String| {
-            let found = self.model.states.iter().find(|s| s.variable.name == *name);
-            found.map(|s| s.variable.symbol).ok_or_else(|| {
-                let help = suggestion(name, states()).map_or_else(String::new, |s| format!("; {s}"));
-                LawError::Unfit {
-                    law: law.to_owned(),
-                    reason: format!("its input `{name}` is no state of the scene{help}"),
-                }
-            })
-        };
-        names.iter().map(find).collect()
+        let form = feedback::Law::from_toml(text, file)?
+            .closed_form(self.model, self.hamiltonian)
+            .map_err(|e| LawError::Unfit {
+                law: name.to_owned(),
+                reason: e.to_string(),
+            })?;
+        let outputs: Vec<(String, Id)> = form.outputs.into_iter().zip(form.commands).collect();
+        self.of_outputs(name, form.graph, &outputs, file)
     }
 
     /// A law that gives controls, or states to be commanded, by name.

@@ -26,6 +26,7 @@ pub use write::GROUPS;
 
 use crate::backend::{Backend, BackendError, Status};
 use crate::hamiltonian::Hamiltonian;
+use crate::map::ValueMap;
 use crate::model::{ClosedLoop, Horizon, Model};
 use crate::sweep::{Choices, GUARD_STATUS, Numerics, PlanError};
 use nalgebra::DMatrix;
@@ -47,6 +48,16 @@ pub struct Expansion {
     pub p: Vec<f64>,
     /// `[state][state]`: d2V/dx2.
     pub hessian: Vec<f64>,
+}
+
+impl Chart for ValueMap {
+    fn local(&self, x: &[f64]) -> Option<Expansion> {
+        ValueMap::local(self, x).map(|here| Expansion {
+            v: here.v,
+            p: here.p,
+            hessian: here.hessian,
+        })
+    }
 }
 
 /// Why a closed loop could not be simulated.

@@ -5,17 +5,20 @@
 //! again from the sample before to the estimated time, and once more from what is seen then. Values are of points of the
 //! trajectory in any case, so that they are as accurate as the integration; what is missed is the second order in the
 //! error of a time that is itself of high order. Kinks of the quantity are met by the intersection of tangents, from
-//! ever nearer points on both sides.
+//! ever nearer points on both sides, and looked for where an argument of min, max or abs changes its sign.
 
 use super::equations::Equations;
 use crate::backend::cpu::map::Evaluator;
-use crate::backend::{BackendError, Kernel, Run};
+use crate::backend::{BackendError, Kernel, Run, Status};
 use crate::model::{Extremum, Record};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Places looked at a trajectory and quantity, and how often each at most.
 const MOST_PLACES: usize = 4;
 const ROUNDS: usize = 5;
+/// Kinks looked for a trajectory.
+const MOST_CROSSINGS: usize = 64;
 /// A place is done where no more than this share of the tolerance can be gained.
 const GAIN: f64 = 0.1;
 /// Points on both sides of a kink are taken at this share of the bracket.
@@ -51,16 +54,48 @@ struct Track {
     last: f64,
 }
 
+/// Where an argument of min, max or abs in a recorded expression changes its sign: there the quantity has a kink, and two
+/// of them between samples may hide an extremum from the slopes at these.
+#[derive(Clone, Debug)]
+struct Crossing {
+    /// The integrated vector at the stretch's beginning.
+    from: Vec<f64>,
+    /// Place of the argument in the observer's rows.
+    column: usize,
+    /// Times since then, and the argument there (halved where an end stays, the Illinois method).
+    bracket: [(f64, f64); 2],
+    /// Which end the last step replaced.
+    replaced: Option<usize>,
+    /// The argument's size in the beginning.
+    size: f64,
+    done: bool,
+}
+
 /// The records of one trajectory.
 pub(super) struct View<'r> {
     kinds: &'r [Extremum],
+    switches: &'r Range<usize>,
     tracks: &'r mut [Track],
+    crossings: &'r mut Vec<Crossing>,
 }
 
 impl View<'_> {
     /// A stretch of the trajectory, `length` long, from the vector `from`; `ends` are the records' values and slopes (and
     /// what else the evaluator gives) at its ends.
     pub fn see(&mut self, length: f64, from: &[f64], ends: [&[f64]; 2]) {
+        for column in self.switches.clone() {
+            let [a, b] = ends.map(|e| e[column]);
+            if (a < 0.0 && b > 0.0 || a > 0.0 && b < 0.0) && self.crossings.len() < MOST_CROSSINGS {
+                self.crossings.push(Crossing {
+                    from: from.to_vec(),
+                    column,
+                    bracket: [(0.0, a), (length, b)],
+                    replaced: None,
+                    size: a.abs().max(b.abs()),
+                    done: false,
+                });
+            }
+        }
         for (k, (kind, track)) in self.kinds.iter().zip(self.tracks.iter_mut()).enumerate() {
             let sign = sign(*kind);
             let [a, b] = ends.map(|e| (sign * e[2 * k], sign * e[2 * k + 1]));
@@ -93,11 +128,21 @@ impl View<'_> {
 /// The records of a batch of trajectories.
 pub(super) struct Records {
     kinds: Vec<Extremum>,
+    switches: Range<usize>,
     tracks: Vec<Track>,
+    /// One list a trajectory.
+    crossings: Vec<Vec<Crossing>>,
+}
+
+/// A point of a trajectory that is asked for.
+enum Asked {
+    Place { track: usize, place: usize },
+    Crossing { trajectory: usize, crossing: usize },
 }
 
 impl Records {
-    pub fn new(records: &[Record], trajectories: usize) -> Self {
+    /// `switches`: which columns of the observer's rows are the arguments at whose zeros records have kinks.
+    pub fn new(records: &[Record], switches: Range<usize>, trajectories: usize) -> Self {
         let track = Track {
             best: f64::INFINITY,
             places: Vec::new(),
@@ -106,17 +151,27 @@ impl Records {
         Self {
             kinds: records.iter().map(|r| r.extremum).collect(),
             tracks: vec![track; trajectories * records.len()],
+            crossings: vec![Vec::new(); trajectories],
+            switches,
         }
     }
 
     /// Gives each trajectory's records, in parallel, to `look` with the trajectory's index.
     pub fn each(&mut self, look: impl Fn(usize, &mut View<'_>) + Sync) {
-        let kinds = &self.kinds;
+        let (kinds, switches) = (&self.kinds, &self.switches);
         if kinds.is_empty() {
             return;
         }
-        (self.tracks.par_chunks_mut(kinds.len()).enumerate())
-            .for_each(|(i, tracks)| look(i, &mut View { kinds, tracks }));
+        let all = self.tracks.par_chunks_mut(kinds.len()).zip(&mut self.crossings);
+        all.enumerate().for_each(|(i, (tracks, crossings))| {
+            let mut view = View {
+                kinds,
+                switches,
+                tracks,
+                crossings,
+            };
+            look(i, &mut view);
+        });
     }
 
     /// Looks for the extrema between samples. `kernel` integrates [`Equations::scaled`].
@@ -130,58 +185,99 @@ impl Records {
         run: &Run,
         evaluator: &Evaluator,
     ) -> Result<(), BackendError> {
-        let count = self.kinds.len();
         for track in &mut self.tracks {
             track.places.retain(|p| p.promise < track.best);
             track.keep_best();
         }
-        let dim = scaled.dim();
         for _ in 0..ROUNDS {
             for track in &mut self.tracks {
                 track
                     .places
                     .retain(|p| p.promise < track.best - GAIN * run.rtol * p.size);
             }
-            let mut asked: Vec<(usize, usize, f64)> = Vec::new();
-            let mut seeds = Vec::new();
-            for (t, track) in self.tracks.iter().enumerate() {
-                for (p, place) in track.places.iter().enumerate() {
-                    for time in place.times() {
-                        asked.push((t, p, time));
-                        // T stands before J.
-                        let (vector, cost) = place.from.split_at(place.from.len() - 1);
-                        seeds.extend_from_slice(vector);
-                        seeds.push(time);
-                        seeds.extend_from_slice(cost);
-                    }
-                }
-            }
+            let (asked, seeds) = self.ask();
             if asked.is_empty() {
                 return Ok(());
             }
             let ended = kernel.integrate(run, &seeds)?;
-            let values = evaluator.eval(&ended.end, dim);
+            let values = evaluator.eval(&ended.end, scaled.dim());
             let width = values.len() / asked.len();
-            let mut seen: Vec<Vec<Vec<(f64, Point)>>> = (self.tracks.iter())
-                .map(|t| t.places.iter().map(|p| p.bracket.to_vec()).collect())
+            let rows: Vec<Option<&[f64]>> = (values.chunks_exact(width).zip(&ended.status))
+                .map(|(row, status)| (*status == Status::Reached).then_some(row))
                 .collect();
-            for (j, (t, p, time)) in asked.iter().enumerate() {
-                let (k, row) = (t % count, &values[j * width..][..width]);
-                let sign = sign(self.kinds[k]);
-                let point = (sign * row[2 * k], sign * row[2 * k + 1]);
-                if ended.status[j] != crate::backend::Status::Reached || point.0.is_nan() || point.1.is_nan() {
-                    continue;
-                }
-                self.tracks[*t].best = self.tracks[*t].best.min(point.0);
-                seen[*t][*p].push((*time, point));
-            }
-            for (track, seen) in self.tracks.iter_mut().zip(seen) {
-                for (place, points) in track.places.iter_mut().zip(seen) {
-                    place.narrow(points);
+            self.answer(&asked, &rows, run.rtol);
+        }
+        Ok(())
+    }
+
+    /// Points to look at, with the times since their stretch's beginning, and the seeds that lead there.
+    fn ask(&self) -> (Vec<(Asked, f64)>, Vec<f64>) {
+        let (mut asked, mut seeds) = (Vec::new(), Vec::new());
+        let mut seed = |from: &[f64], time: f64| {
+            // T stands before J.
+            let (vector, cost) = from.split_at(from.len() - 1);
+            seeds.extend_from_slice(vector);
+            seeds.push(time);
+            seeds.extend_from_slice(cost);
+        };
+        for (t, track) in self.tracks.iter().enumerate() {
+            for (p, place) in track.places.iter().enumerate() {
+                for time in place.times() {
+                    asked.push((Asked::Place { track: t, place: p }, time));
+                    seed(&place.from, time);
                 }
             }
         }
-        Ok(())
+        for (i, crossings) in self.crossings.iter().enumerate() {
+            for (c, crossing) in crossings.iter().enumerate().filter(|(_, c)| !c.done) {
+                let [(t0, a), (t1, b)] = crossing.bracket;
+                let time = (t0 * b - t1 * a) / (b - a);
+                let what = Asked::Crossing {
+                    trajectory: i,
+                    crossing: c,
+                };
+                asked.push((what, time));
+                seed(&crossing.from, time);
+            }
+        }
+        (asked, seeds)
+    }
+
+    /// Takes in what was seen: the observer's rows, none where the point was not reached.
+    fn answer(&mut self, asked: &[(Asked, f64)], rows: &[Option<&[f64]>], rtol: f64) {
+        let count = self.kinds.len();
+        let mut seen: Vec<Vec<Vec<(f64, Point)>>> = (self.tracks.iter())
+            .map(|t| t.places.iter().map(|p| p.bracket.to_vec()).collect())
+            .collect();
+        for ((what, time), row) in asked.iter().zip(rows) {
+            let row = row.unwrap_or_default();
+            match *what {
+                Asked::Place { track, place } if !row.is_empty() => {
+                    let (k, all) = (track % count, &mut self.tracks[track]);
+                    let sign = sign(self.kinds[k]);
+                    let point = (sign * row[2 * k], sign * row[2 * k + 1]);
+                    if !point.0.is_nan() && !point.1.is_nan() {
+                        all.best = all.best.min(point.0);
+                        seen[track][place].push((*time, point));
+                    }
+                }
+                Asked::Crossing { trajectory, crossing } => {
+                    let crossing = &mut self.crossings[trajectory][crossing];
+                    crossing.narrow(*time, row.get(crossing.column).copied().unwrap_or(f64::NAN), rtol);
+                    for (k, kind) in self.kinds.iter().enumerate().filter(|_| !row.is_empty()) {
+                        // `min` leaves NaN out.
+                        let track = &mut self.tracks[trajectory * count + k];
+                        track.best = track.best.min(sign(*kind) * row[2 * k]);
+                    }
+                }
+                Asked::Place { .. } => {}
+            }
+        }
+        for (track, seen) in self.tracks.iter_mut().zip(seen) {
+            for (place, points) in track.places.iter_mut().zip(seen) {
+                place.narrow(points);
+            }
+        }
     }
 
     /// `[trajectory][record]`: the values; NaN where nothing was seen.
@@ -199,6 +295,19 @@ impl Records {
 
 fn sign(kind: Extremum) -> f64 {
     if kind == Extremum::Max { -1.0 } else { 1.0 }
+}
+
+impl Crossing {
+    /// One step of the Illinois method.
+    fn narrow(&mut self, time: f64, value: f64, rtol: f64) {
+        let side = usize::from((value < 0.0) != (self.bracket[0].1 < 0.0));
+        self.bracket[side] = (time, value);
+        if self.replaced == Some(side) {
+            self.bracket[1 - side].1 *= 0.5;
+        }
+        self.replaced = Some(side);
+        self.done = value.is_nan() || value.abs() <= GAIN * rtol * self.size;
+    }
 }
 
 impl Track {

@@ -140,7 +140,11 @@ impl<'s> Simulator<'s> {
             end: start.clone(),
             t_end: vec![0.0; count],
             status: vec![Status::Reached as i32; count],
-            records: Records::new(&self.setting.closed_loop.records, count),
+            records: Records::new(
+                &self.setting.closed_loop.records,
+                self.equations.switch_columns(),
+                count,
+            ),
             kept: (kept.iter().filter(here).map(|i| (i - first, path(*i)))).collect(),
             start,
         }
@@ -200,14 +204,8 @@ impl<'s> Simulator<'s> {
             });
         }
         for (i, path) in &mut batch.kept {
-            let start = [0.0]
-                .iter()
-                .chain(&batch.start[*i * dim..][..dim])
-                .copied()
-                .collect::<Vec<_>>();
-            let points = [start.as_slice()]
-                .into_iter()
-                .chain((0..flown.levels).map(|k| flown.sample(*i, k)));
+            let start = [0.0].iter().chain(&batch.start[*i * dim..][..dim]).copied().collect::<Vec<_>>();
+            let points = [start.as_slice()].into_iter().chain((0..flown.levels).map(|k| flown.sample(*i, k)));
             for point in points {
                 self.keep(path, point[0], &point[1..]);
             }
@@ -218,16 +216,15 @@ impl<'s> Simulator<'s> {
 
     /// Numbers of a row of the observer.
     fn observer_width(&self) -> usize {
-        2 * self.setting.closed_loop.records.len() + self.equations.controls
+        self.equations.switch_columns().end
     }
 
     fn keep(&self, path: &mut Path, t: f64, vector: &[f64]) {
         let n = self.equations.states;
         path.t.push(t);
         path.x.extend((0..n).map(|i| vector[i] + self.equations.reference[i]));
-        let controls = &self.observer.eval(vector, vector.len())[2 * self.setting.closed_loop.records.len()..];
-        path.u
-            .extend(controls.iter().map(|u| if t.is_nan() { f64::NAN } else { *u }));
+        let controls = &self.observer.eval(vector, vector.len())[self.equations.control_columns()];
+        path.u.extend(controls.iter().map(|u| if t.is_nan() { f64::NAN } else { *u }));
     }
 
     /// Ends and statuses of a batch integrated as a whole.
@@ -268,9 +265,7 @@ impl<'s> Simulator<'s> {
     fn by_chart(&mut self, batch: &mut Batch, chart: &dyn Chart) -> Result<(), LoopError> {
         let scene = self.setting.closed_loop;
         let sampling = scene.final_time / scene.samples as f64;
-        let updates = scene
-            .period
-            .map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
+        let updates = scene.period.map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
         let step = sampling / updates as f64;
         let run = self.run(&self.equations, vec![step]);
         let (n, dim, width) = (self.equations.states, batch.dim, self.observer_width());
@@ -298,11 +293,7 @@ impl<'s> Simulator<'s> {
             if k % updates == 0 {
                 self.keep_alive(batch, &alive, t);
             }
-            let seeds: Vec<f64> = alive
-                .iter()
-                .flat_map(|i| &batch.end[i * dim..][..dim])
-                .copied()
-                .collect();
+            let seeds: Vec<f64> = alive.iter().flat_map(|i| &batch.end[i * dim..][..dim]).copied().collect();
             let flown = self.kernel.integrate(&run, &seeds)?;
             if !scene.records.is_empty() {
                 let (before, after) = (self.observer.eval(&seeds, dim), self.observer.eval(&flown.end, dim));

@@ -1,7 +1,28 @@
 //! Feedback laws that are fitted to the optimal trajectories: networks, their training and their export.
+//!
+//! [`fit`] takes samples of optimal trajectories ([`Samples`]) and what a scene's `[feedback]` asks for, trains a
+//! [`Network`] by Levenberg-Marquardt, and returns a [`Law`] with what it is worth on trajectories it has not seen.
 
+mod fit;
+mod header;
+mod law;
 mod network;
+mod onnx;
+mod quality;
+mod record;
+mod regression;
+mod samples;
+mod shape;
+mod training;
 mod weights;
 
+pub use fit::{Data, FitError, FittedLaw, fit};
+pub use header::header;
+pub use law::{ClosedForm, Law, LawError, Meaning, Optimal, Polynomial};
 pub use network::{Activation, Layer, Network};
+pub use onnx::{OnnxError, onnx};
+pub use quality::{Errors, Quality, Residual};
+pub use record::{Exports, Fitted, GROUP};
+pub use samples::{Optimality, Samples, Selection, Sets};
+pub use training::Step;
 pub use weights::NetworkError;

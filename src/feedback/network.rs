@@ -1,27 +1,10 @@
 //! Feedforward networks: layers of affine maps with an elementwise function between them.
 
 use crate::expr::{Fun, Graph, Id};
+pub use crate::model::Activation;
 use nalgebra::{DMatrix, DVector};
 
-/// The function of the hidden units.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Activation {
-    /// 1 / (1 + exp(-z))
-    Logistic,
-    Tanh,
-}
-
 impl Activation {
-    pub const ALL: [(&'static str, Activation); 2] = [("logistic", Activation::Logistic), ("tanh", Activation::Tanh)];
-
-    /// Its name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Activation::Logistic => "logistic",
-            Activation::Tanh => "tanh",
-        }
-    }
-
     /// Its value, for any z.
     pub fn value(self, z: f64) -> f64 {
         match self {

@@ -1,5 +1,9 @@
 //! A scene as the rest of the program sees it: symbols, expressions and settings. Nothing here knows TOML.
 
+mod feedback;
+
+pub use feedback::{Activation, Base, Feedback, LawOutput, Target};
+
 use crate::expr::{Graph, Id};
 use std::ops::Range;
 
@@ -229,6 +233,19 @@ pub struct ClosedLoop {
     pub span: Span,
 }
 
+/// `[study]`: the optimal trajectory from one state, for several values of parameters.
+#[derive(Clone, Debug)]
+pub struct Study {
+    /// Parameters and their values; all combinations are studied.
+    pub vary: Vec<(String, Vec<f64>)>,
+    /// The state, for the parameters' present values.
+    pub from: Vec<f64>,
+    pub records: Vec<Record>,
+    /// Stored points a trajectory.
+    pub samples: usize,
+    pub span: Span,
+}
+
 /// `[closed_loop] converged` unless given.
 pub const DEFAULT_CONVERGED: f64 = 1e-3;
 /// `[closed_loop] margin` unless given: room for a surge cycle or a swing.
@@ -331,8 +348,11 @@ pub struct Model {
     pub homotopy: Option<Homotopy>,
     pub map: Option<MapGrid>,
     pub sheets: Sheets,
+    /// Laws to fit.
+    pub feedback: Vec<Feedback>,
     pub report: Option<Report>,
     pub closed_loop: Option<ClosedLoop>,
+    pub study: Option<Study>,
     pub integrator: Integrator,
 }
 

@@ -83,7 +83,7 @@ impl<'a> Names<'a> {
     }
 }
 
-fn status<'d>(dims: impl IntoIterator<Item = &'d str>) -> Variable {
+pub(super) fn status<'d>(dims: impl IntoIterator<Item = &'d str>) -> Variable {
     Variable::i32("status", dims)
         .long_name("whether the point was solved, or why not")
         .flags(PointStatus::ALL.map(|(s, name)| (s as i32, name)))

@@ -205,6 +205,14 @@ impl Drop for ResultFile {
 /// [`OutputError::NoFileName`], [`OutputError::Create`], [`OutputError::Write`] and [`OutputError::Rename`]; an older
 /// file under the name is then still there.
 pub fn write_text(path: &Path, text: &str) -> Result<(), OutputError> {
+    write_bytes(path, text.as_bytes())
+}
+
+/// As [`write_text`], for a file of any kind.
+///
+/// # Errors
+/// Those of [`write_text`].
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
     let Some(name) = path.file_name() else {
         return Err(OutputError::NoFileName { path: path.to_owned() });
     };
@@ -215,7 +223,7 @@ pub fn write_text(path: &Path, text: &str) -> Result<(), OutputError> {
     let temporary = path.with_file_name(hidden);
     let at = || path.to_owned();
     let mut file = File::create(&temporary).map_err(|source| OutputError::Create { path: at(), source })?;
-    let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
+    let written = file.write_all(bytes).and_then(|()| file.sync_all());
     drop(file);
     let done = match written {
         Ok(()) => fs::rename(&temporary, path).map_err(|source| OutputError::Rename { path: at(), source }),

@@ -38,6 +38,7 @@ mod record;
 mod spec;
 mod speed_error;
 mod stored;
+mod study;
 #[cfg(test)]
 mod testing;
 mod trajectories;
@@ -45,7 +46,7 @@ mod trajectories;
 pub use attribute::AttributeValue;
 pub use dataset::{GroupWriter, Values};
 pub use error::OutputError;
-pub use file::{ResultFile, write_text};
+pub use file::{ResultFile, write_bytes, write_text};
 pub use interpolated::Places;
 pub use record::{RunRecord, utc_timestamp};
 pub use spec::{Compression, Dimension, Group, Variable};

@@ -25,7 +25,7 @@ const BUILT_IN: [&str; 2] = ["map", "lqr"];
 /// The fitted law of a `[feedback]` without names.
 const FITTED: &str = "network";
 /// Variables of the result's group, which a recorded quantity cannot be named like.
-const TAKEN: [&str; 11] = [
+const TAKEN: [&str; 14] = [
     "law",
     "initial",
     "state",
@@ -37,6 +37,9 @@ const TAKEN: [&str; 11] = [
     "status",
     "t_end",
     "control",
+    "variant",
+    "sheets",
+    "duration",
 ];
 const KEYS: [&str; 12] = [
     "final_time",
@@ -106,7 +109,9 @@ impl<'a> Reader<'a> {
         let initial = self.starts(section, scope, random.is_some());
         let given = self.given_laws(section, scope);
         let laws = section.get("laws").and_then(|v| self.law_names(v, &given, scope));
-        let records = section.get("record").map(|v| self.records(section, v, scope));
+        let records = section
+            .get("record")
+            .map(|v| self.records("closed_loop", section, v, scope));
         let records = records.unwrap_or_default();
         let sets = section.get("sets").map(|v| self.sets(section, v, &records));
         if self.problems.len() > before {
@@ -299,9 +304,16 @@ impl<'a> Reader<'a> {
         Some(names)
     }
 
-    fn records(&mut self, section: &Section<'a>, value: &'a Value<'a>, scope: &LoopScope<'_, 'a>) -> Vec<Record> {
+    /// Recorded quantities of a section, `[closed_loop]` or `[study]`.
+    pub fn records(
+        &mut self,
+        of: &str,
+        section: &Section<'a>,
+        value: &'a Value<'a>,
+        scope: &LoopScope<'_, 'a>,
+    ) -> Vec<Record> {
         let span = section.key_span("record");
-        let Some(table) = self.table(value, span, "[closed_loop.record]") else {
+        let Some(table) = self.table(value, span, &format!("[{of}.record]")) else {
             return Vec::new();
         };
         let mut all = Vec::new();

@@ -149,22 +149,15 @@ impl<'a> Reader<'a> {
     pub fn guards(&mut self, section: &Section<'a>) -> Vec<Guard> {
         section
             .entries()
-            .filter_map(|(name, _, value)| self.one_guard(name, value))
+            .filter_map(|(name, _, value)| self.condition(name, &format!("guard `{}`", shorten(name)), value))
             .collect()
     }
 
-    fn one_guard(&mut self, name: &str, value: &'a Value<'a>) -> Option<Guard> {
-        let what = format!("guard `{}`", shorten(name));
+    /// A comparison of expressions in the states; `what` is for messages.
+    pub fn condition(&mut self, name: &str, what: &str, value: &'a Value<'a>) -> Option<Guard> {
         let allowed = Kinds::PARAMETER.and(Kinds::STATE);
         let rule = "parameters, states and definitions without controls";
-        let (left, relation, right) = self.guard(
-            value,
-            &Use {
-                what: &what,
-                allowed,
-                rule,
-            },
-        )?;
+        let (left, relation, right) = self.guard(value, &Use { what, allowed, rule })?;
         let expr = match relation {
             Relation::Less | Relation::LessEqual => self.graph.sub(right, left),
             Relation::Greater | Relation::GreaterEqual => self.graph.sub(left, right),

@@ -9,6 +9,7 @@ mod closed_loop;
 mod declare;
 mod equations;
 mod equilibrium;
+mod feedback;
 mod lexer;
 mod parser;
 mod problem;
@@ -19,6 +20,7 @@ mod report_section;
 mod scene;
 mod scope;
 mod settings;
+mod study;
 mod suggest;
 mod syntax_error;
 #[cfg(test)]

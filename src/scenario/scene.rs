@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 16] = [
+const SECTIONS: [&str; 18] = [
     "parameters",
     "states",
     "controls",
@@ -31,12 +31,14 @@ const SECTIONS: [&str; 16] = [
     "homotopy",
     "map",
     "sheets",
+    "feedback",
     "report",
     "closed_loop",
+    "study",
 ];
 const INTEGRATOR: &str = "integrator";
 /// Sections which only later versions read.
-const LATER: [&str; 2] = ["attenuation", "feedback"];
+const LATER: [&str; 1] = ["attenuation"];
 /// Sections whose strings are expressions.
 const EXPRESSIONS: [&str; 6] = ["parameters", "definitions", "dynamics", "cost", "equilibrium", "region"];
 
@@ -247,11 +249,15 @@ impl<'a> Reader<'a> {
             .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));
         let map = sections.get("map").and_then(|s| self.map(s, &declared.states));
         let sheets = sections.get("sheets").map(|s| self.sheets(s)).unwrap_or_default();
+        let feedback = sections
+            .get("feedback")
+            .map(|s| self.feedback(s, &declared, region.as_deref(), cost.finite))
+            .unwrap_or_default();
         let report = sections
             .get("report")
             .and_then(|s| self.report_section(s, &declared.states, region.as_deref()));
         let integrator = self.integrator(sections.get(INTEGRATOR));
-        // Last, for it brings names of its own.
+        // [closed_loop] comes last, for it brings names of its own.
         let scope = LoopScope {
             states: &declared.states,
             controls: &declared.controls,
@@ -261,6 +267,7 @@ impl<'a> Reader<'a> {
             finite: cost.finite,
             fitted: fitted_laws(root),
         };
+        let study = sections.get("study").and_then(|s| self.study(s, &scope));
         let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
@@ -281,8 +288,10 @@ impl<'a> Reader<'a> {
             homotopy,
             map,
             sheets,
+            feedback,
             report,
             closed_loop,
+            study,
             integrator,
         })
     }

@@ -36,7 +36,7 @@ impl<'a> Reader<'a> {
         for state in states {
             let name = shorten(state.name);
             all.push(match section.get(state.name) {
-                Some(value) => self.interval(value, &name),
+                Some(value) => self.interval(value, &format!("the region of `{name}`")),
                 None => {
                     let message = format!("state `{name}` has no bounds in [region]");
                     let help = format!("add {name} = [lower, upper]");
@@ -48,12 +48,11 @@ impl<'a> Reader<'a> {
         all.into_iter().collect()
     }
 
-    fn interval(&mut self, value: &'a Value<'a>, name: &str) -> Option<[f64; 2]> {
-        let what = format!("the region of `{name}`");
-        let [lower, upper] = self.array(value, &what, "[lower, upper]", 2)? else {
+    pub fn interval(&mut self, value: &'a Value<'a>, what: &str) -> Option<[f64; 2]> {
+        let [lower, upper] = self.array(value, what, "[lower, upper]", 2)? else {
             return None;
         };
-        let bounds = (self.number(lower, &what), self.number(upper, &what));
+        let bounds = (self.number(lower, what), self.number(upper, what));
         let (Some(lower), Some(upper)) = bounds else {
             return None;
         };

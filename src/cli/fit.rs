@@ -1,0 +1,281 @@
+//! `costate fit`: laws from the trajectories of a result file.
+
+use super::report::{Bar, Terminal};
+use super::{CliError, FitArgs};
+use crate::feedback::{Data, Exports, Fitted, FittedLaw, GROUP, Optimality, Samples, Step, fit};
+use crate::model::{Feedback, Model};
+use crate::output::{ResultFile, Stored};
+use crate::scenario;
+use serde_json::{Value, json};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// Why laws were not fitted.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum FitCommandError {
+    #[error("{path} asks for no law: it has no [feedback] (or take one from another scenario with --scene)", path = path.display())]
+    NoFeedback { path: PathBuf },
+    #[error("{scene} is another problem than that of {file}: its {what} are {there}, not {here}", scene = scene.display(), file = file.display())]
+    OtherScene {
+        scene: PathBuf,
+        file: PathBuf,
+        what: &'static str,
+        there: String,
+        here: String,
+    },
+    #[error("{path} holds neither trajectories nor solved states to fit a law to", path = path.display())]
+    NoData { path: PathBuf },
+}
+
+/// Laws of a scene as fitted, with what was written of each.
+pub(super) struct Done {
+    pub fitted: Fitted,
+    pub exports: Vec<Exports>,
+}
+
+pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
+    let stored = Stored::open(&args.file)?;
+    let terminal = Terminal::with(args.quiet, args.json);
+    let other = args
+        .scene
+        .as_deref()
+        .map(|scene| scene_of(scene, &stored))
+        .transpose()?;
+    let scene = other.as_ref().unwrap_or(&stored.model);
+    if scene.feedback.is_empty() {
+        let path = args.scene.clone().unwrap_or_else(|| args.file.clone());
+        return Err(FitCommandError::NoFeedback { path }.into());
+    }
+    let mut laws = scene.feedback.clone();
+    for law in &mut laws {
+        law.seed = args.seed.unwrap_or(law.seed);
+        law.starts = args.starts.unwrap_or(law.starts);
+    }
+    let known = |_: &[f64], _: f64| None;
+    let done = fit_laws(&stored, scene, &laws, &known, args.out_dir.as_deref(), &terminal)?;
+    if args.json {
+        let all: Vec<Value> = done
+            .fitted
+            .laws
+            .iter()
+            .zip(&done.exports)
+            .map(|(l, e)| as_json(l, e))
+            .collect();
+        writeln!(std::io::stdout(), "{:#}", json!({ "file": args.file, "laws": all }))?;
+    }
+    terminal.say(&done.text())?;
+    Ok(())
+}
+
+/// Another scene, whose states and controls must be those of the file.
+fn scene_of(path: &Path, stored: &Stored) -> Result<Model, CliError> {
+    let scene = scenario::load(path, &[])?;
+    let states = |m: &Model| names(m.states.iter().map(|s| &s.variable.name));
+    let controls = |m: &Model| names(m.controls.iter().map(|c| &c.variable.name));
+    for (what, there, here) in [
+        ("states", states(&scene), states(&stored.model)),
+        ("controls", controls(&scene), controls(&stored.model)),
+    ] {
+        if there != here {
+            return Err(CliError::Fit(FitCommandError::OtherScene {
+                scene: path.to_owned(),
+                file: stored.path.clone(),
+                what,
+                there,
+                here,
+            }));
+        }
+    }
+    Ok(scene)
+}
+
+fn names<'n>(names: impl Iterator<Item = &'n String>) -> String {
+    names.map(String::as_str).collect::<Vec<_>>().join(", ")
+}
+
+/// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws' files beside it or to
+/// `directory`. `known` may tell which samples are optimal: see [`Samples::select`].
+pub(super) fn fit_laws(
+    stored: &Stored,
+    scene: &Model,
+    laws: &[Feedback],
+    known: &Optimality<'_>,
+    directory: Option<&Path>,
+    terminal: &Terminal,
+) -> Result<Done, CliError> {
+    let samples = Samples::of(stored)?;
+    if samples.is_empty() {
+        return Err(FitCommandError::NoData {
+            path: stored.path.clone(),
+        }
+        .into());
+    }
+    let data = Data {
+        model: &stored.model,
+        hamiltonian: &stored.hamiltonian,
+        samples: &samples,
+        known,
+    };
+    let bar = terminal.progress();
+    let mut fitted = Fitted::default();
+    for law in laws {
+        let made = fit(data, scene, law, &Shown::new(&bar, law).report());
+        fitted.laws.push(made.inspect_err(|_| bar.clear())?);
+    }
+    bar.clear();
+    let mut file = ResultFile::extend(&stored.path, &[GROUP])?;
+    fitted.write(&mut file)?;
+    file.finish()?;
+    let stem = stored.path.file_stem().unwrap_or_default().to_string_lossy();
+    let beside = stored.path.parent().unwrap_or(Path::new(""));
+    let directory = directory.unwrap_or(beside);
+    if !directory.as_os_str().is_empty() {
+        std::fs::create_dir_all(directory).map_err(|source| CliError::OutDir {
+            path: directory.to_owned(),
+            source,
+        })?;
+    }
+    let exports = fitted.export(directory, &stem, &stored.model)?;
+    Ok(Done { fitted, exports })
+}
+
+/// What the bar says of a fit: the steps of all starts together, and the best of them so far.
+struct Shown<'b> {
+    bar: &'b Bar,
+    law: &'b Feedback,
+    /// Steps taken, and the smallest validation residual.
+    so_far: Mutex<(usize, f64)>,
+}
+
+impl<'b> Shown<'b> {
+    fn new(bar: &'b Bar, law: &'b Feedback) -> Self {
+        bar.say(&format!("law {}: selecting data", law.name));
+        Self {
+            bar,
+            law,
+            so_far: Mutex::new((0, f64::INFINITY)),
+        }
+    }
+
+    fn report(self) -> impl Fn(Step) + Sync + 'b {
+        move |step| {
+            // A panic elsewhere is reported there.
+            let Ok(mut so_far) = self.so_far.lock() else { return };
+            so_far.0 += 1;
+            so_far.1 = so_far.1.min(step.validation);
+            let (steps, best) = *so_far;
+            let starts = self.law.starts;
+            self.bar.say(&format!(
+                "law {}: {steps} steps of {starts} starts, residual on the validation set {best:.2e}",
+                self.law.name
+            ));
+        }
+    }
+}
+
+impl Done {
+    /// For a person, one paragraph a law.
+    pub fn text(&self) -> String {
+        let laws = self.fitted.laws.iter().zip(&self.exports);
+        laws.map(|(law, exports)| law_text(law, exports))
+            .collect::<Vec<_>>()
+            .join("\n")
+    }
+}
+
+fn law_text(l: &FittedLaw, exports: &Exports) -> String {
+    let sizes = l.law.network.layers.iter().map(|layer| layer.bias.len().to_string());
+    let sizes = [vec![l.law.network.inputs.len().to_string()], sizes.collect()]
+        .concat()
+        .join("-");
+    let what = match l.form.value {
+        Some(_) => "V; u = u*(x, dV/dx)".to_owned(),
+        None => l.form.outputs.join(", "),
+    };
+    let base = if l.law.base.is_some() {
+        " beside the local solution"
+    } else {
+        ""
+    };
+    let q = &l.quality;
+    let mut lines = vec![
+        format!(
+            "law {}: {what}: a {sizes} {} network{base}, {} weights, {:.0} flops a call",
+            l.name,
+            l.law.network.activation.name(),
+            l.parameters,
+            l.flops
+        ),
+        format!(
+            "  data: {} of {} samples in the box, {} of them not optimal; {} + {} + {} samples of {} + {} + {} trajectories \
+             (training, validation, test)",
+            l.selection.selected,
+            l.selection.offered,
+            l.selection.not_optimal,
+            l.sets[0],
+            l.sets[1],
+            l.sets[2],
+            l.trajectories[0],
+            l.trajectories[1],
+            l.trajectories[2]
+        ),
+        format!(
+            "  u on test trajectories: mean error {:.2e}, largest {:.2e} (of mean |u|); mean error {:.2e} of the range",
+            q.u.mean, q.u.max, q.u.mean_of_range
+        ),
+    ];
+    if let (Some(v), Some(p), Some(h)) = (&q.v, &q.p, &q.hjb) {
+        lines.push(format!(
+            "  V: mean error {:.2e}, largest {:.2e} (of mean V); p: mean error {:.2e}, largest {:.2e} (of mean |p|)",
+            v.mean, v.max, p.mean, p.max
+        ));
+        lines.push(format!(
+            "  |H(x, dV/dx)| over the mean running cost {:.3e}: median {:.1e}, 90 % {:.1e}, 99 % {:.1e}, largest {:.1e}",
+            h.scale, h.median, h.q90, h.q99, h.max
+        ));
+    }
+    let files = exports.files.iter().map(|f| f.display().to_string());
+    lines.push(format!(
+        "  {:.1} s, {} starts, best after {} steps (seed {}); {}",
+        l.seconds,
+        l.starts,
+        l.iterations,
+        l.seed,
+        files.collect::<Vec<_>>().join(", ")
+    ));
+    if let Some(reason) = &exports.without_onnx {
+        lines.push(format!("  no ONNX model: {reason}"));
+    }
+    lines.join("\n")
+}
+
+fn as_json(l: &FittedLaw, exports: &Exports) -> Value {
+    let errors =
+        |e: &crate::feedback::Errors| json!({ "mean": e.mean, "max": e.max, "mean_of_range": e.mean_of_range });
+    let q = &l.quality;
+    json!({
+        "name": l.name,
+        "kind": l.law.meaning.name(),
+        "outputs": l.form.outputs,
+        "parameters": l.parameters,
+        "flops": l.flops,
+        "samples": l.sets,
+        "trajectories": l.trajectories,
+        "not_optimal": l.selection.not_optimal,
+        "u_error": errors(&q.u),
+        "V_error": q.v.as_ref().map(errors),
+        "p_error": q.p.as_ref().map(errors),
+        "hjb_residual": q.hjb.map(|h| json!({
+            "running_cost_scale": h.scale, "median": h.median, "q90": h.q90, "q99": h.q99, "max": h.max,
+        })),
+        "training_residual": l.residuals[0],
+        "validation_residual": l.residuals[1],
+        "iterations": l.iterations,
+        "starts": l.starts,
+        "seed": l.seed,
+        "seconds": l.seconds,
+        "files": exports.files,
+        "without_onnx": exports.without_onnx,
+    })
+}

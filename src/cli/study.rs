@@ -1,0 +1,146 @@
+//! `costate study`, and the study of a run.
+
+use super::check::load;
+use super::report::Terminal;
+use super::run::{axes, default_output, open_backend};
+use super::{CliError, RunArgs};
+use crate::backend::Backend;
+use crate::model::Model;
+use crate::output::{ResultFile, RunRecord};
+use crate::study::{Variant, study as studied};
+use crate::sweep::Choices;
+use crate::value::PointStatus;
+use std::time::{Instant, SystemTime};
+
+pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
+    let (started, clock) = (SystemTime::now(), Instant::now());
+    let (model, _) = load(&args.scene)?;
+    if model.study.is_none() {
+        return Err(CliError::NoStudy);
+    }
+    let backend = open_backend(
+        args.backend,
+        args.adapter.as_deref(),
+        args.method.or(model.integrator.method),
+    )?;
+    let terminal = Terminal::new(&args.scene);
+    terminal.say(&model.title)?;
+    let path = args.out.clone().unwrap_or_else(|| {
+        let path = default_output(&args.scene.scenario);
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        path.with_file_name(format!("{stem}_study.h5"))
+    });
+    let mut file = ResultFile::create(&path)?;
+    let variants = write(&mut file, &model, backend.as_ref(), choices(args), &terminal)?;
+    let record = RunRecord {
+        backend: backend.name().to_owned(),
+        adapter: backend.adapter(),
+        rtol: args.rtol.unwrap_or(model.integrator.rtol),
+        atol: model.integrator.atol,
+        wall_seconds: clock.elapsed().as_secs_f64(),
+        ..RunRecord::begun(&model, started)
+    };
+    record.write(&file)?;
+    let path = file.finish()?;
+    terminal.say(&table(&model, &variants))?;
+    terminal.say(&format!(
+        "{:.2} s, written to {}",
+        clock.elapsed().as_secs_f64(),
+        path.display()
+    ))?;
+    if args.scene.json {
+        super::print(&format!("{:#}\n", as_json(&model, &variants)))?;
+    }
+    Ok(())
+}
+
+fn choices(args: &RunArgs) -> Choices {
+    Choices {
+        precision: args.precision.and_then(|p| p.precision()),
+        method: args.method,
+        rtol: args.rtol,
+        seed: args.seed,
+        ..Choices::default()
+    }
+}
+
+/// Makes the scene's study and writes its groups.
+pub(super) fn write(
+    file: &mut ResultFile,
+    model: &Model,
+    backend: &dyn Backend,
+    choices: Choices,
+    terminal: &Terminal,
+) -> Result<Vec<Variant>, CliError> {
+    let Some(asked) = &model.study else {
+        return Ok(Vec::new());
+    };
+    let bar = terminal.progress();
+    let mut told = |done: usize, of: usize| bar.say(&format!("study: {done} of {of} variants"));
+    let variants = studied(model, backend, choices, &mut told)?;
+    bar.clear();
+    file.study(&axes(model), asked, &variants)?;
+    Ok(variants)
+}
+
+/// The table of a study, in columns.
+pub(super) fn table(model: &Model, variants: &[Variant]) -> String {
+    let Some(asked) = &model.study else {
+        return String::new();
+    };
+    let mut rows: Vec<Vec<String>> = vec![
+        (asked.vary.iter().map(|(name, _)| name.clone()))
+            .chain(["V".to_owned()])
+            .chain(asked.records.iter().map(|r| r.name.clone()))
+            .collect(),
+    ];
+    for v in variants {
+        let numbers = v.parameters.iter().chain([&v.value]).chain(&v.records);
+        let mut row: Vec<String> = numbers.map(|x| format!("{:.6}", x)).collect();
+        for (cell, value) in row.iter_mut().zip(&v.parameters) {
+            *cell = value.to_string();
+        }
+        if v.status != PointStatus::Converged {
+            row.push(v.status.name().replace('_', " "));
+        }
+        rows.push(row);
+    }
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns)
+        .map(|c| {
+            rows.iter()
+                .filter_map(|r| r.get(c))
+                .map(|t| t.chars().count())
+                .max()
+                .unwrap_or(0)
+        })
+        .collect();
+    let lines: Vec<String> = (rows.iter())
+        .map(|r| {
+            let cells: Vec<String> = r.iter().zip(&widths).map(|(t, w)| format!("{t:>w$}")).collect();
+            cells.join("  ")
+        })
+        .collect();
+    lines.join("\n")
+}
+
+pub(super) fn as_json(model: &Model, variants: &[Variant]) -> serde_json::Value {
+    let Some(asked) = &model.study else {
+        return serde_json::Value::Null;
+    };
+    let rows: Vec<serde_json::Value> = (variants.iter())
+        .map(|v| {
+            let mut row = serde_json::Map::new();
+            for ((name, _), value) in asked.vary.iter().zip(&v.parameters) {
+                row.insert(name.clone(), (*value).into());
+            }
+            row.insert("V".to_owned(), v.value.into());
+            row.insert("status".to_owned(), v.status.name().into());
+            for (record, value) in asked.records.iter().zip(&v.records) {
+                row.insert(record.name.clone(), (*value).into());
+            }
+            row.into()
+        })
+        .collect();
+    rows.into()
+}

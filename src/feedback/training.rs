@@ -1,0 +1,181 @@
+//! Levenberg-Marquardt with early stopping, from several random starts.
+//!
+//! The steps solve `(J'J + d I) s = -J'r` (in normalized variables, so one damping d fits all weights); d follows the
+//! ratio of actual to predicted decrease (Nielsen 1999). The `levenberg-marquardt` crate is not used: it keeps the whole
+//! Jacobian (residuals x weights) for a QR factorization, and is bound to an older nalgebra.
+
+use super::regression::{Normal, Regression};
+use super::shape::Shape;
+use crate::sweep::random;
+use nalgebra::DVector;
+use rayon::prelude::*;
+
+/// First damping, relative to the largest diagonal entry of the normal matrix.
+const FIRST_DAMPING: f64 = 1e-3;
+/// A training that gains less than this relatively in `patience` steps has converged.
+const STALLED: f64 = 1e-4;
+/// Residuals of this size in normalized variables are rounding.
+const ROUNDING: f64 = 1e-13;
+
+/// How a training goes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rules {
+    pub starts: usize,
+    pub seed: u64,
+    pub iterations: usize,
+    pub patience: usize,
+}
+
+/// A step that has been taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    pub start: usize,
+    pub iteration: usize,
+    /// Root mean squares of the normalized residuals.
+    pub training: f64,
+    pub validation: f64,
+}
+
+/// The best weights of a training.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Trained {
+    pub start: usize,
+    pub weights: Vec<f64>,
+    /// Steps up to these weights.
+    pub iterations: usize,
+    pub training: f64,
+    pub validation: f64,
+}
+
+/// Trains from all starts and returns the one best on the validation set. Neither the order in which starts finish nor
+/// the number of threads changes it. `progress` is called from all threads.
+pub(super) fn train(
+    shape: &Shape,
+    training: &Regression,
+    validation: &Regression,
+    rules: Rules,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Trained {
+    let all: Vec<Trained> = (0..rules.starts)
+        .into_par_iter()
+        .map(|start| from_start(shape, training, validation, rules, start, progress))
+        .collect();
+    let best = all.into_iter().min_by(|a, b| a.validation.total_cmp(&b.validation));
+    best.expect("there is at least one start")
+}
+
+/// A normally distributed number (Box and Muller).
+fn normal(seed: u64, index: u64) -> f64 {
+    let unit = |k| (random(seed, 2 * index + k) as f64 + 0.5) / 2f64.powi(64);
+    (-2.0 * unit(0).ln()).sqrt() * (std::f64::consts::TAU * unit(1)).cos()
+}
+
+/// Random weights, so that what goes into the units is of the order of 1 and their centres are spread over the data.
+fn initial(shape: &Shape, seed: u64) -> Vec<f64> {
+    let mut weights = vec![0.0; shape.parameters()];
+    let last = shape.sizes.len() - 2;
+    // A logistic unit is half as steep as tanh.
+    let steep = match shape.activation {
+        crate::model::Activation::Logistic => 2.0,
+        crate::model::Activation::Tanh => 1.0,
+    };
+    for (l, [begin, biases, end]) in shape.places().into_iter().enumerate() {
+        let size = if l < last { steep } else { 1.0 } / (shape.sizes[l] as f64).sqrt();
+        (begin..biases).for_each(|i| weights[i] = size * normal(seed, i as u64));
+        if l < last {
+            (biases..end).for_each(|i| weights[i] = steep * normal(seed, i as u64));
+        }
+    }
+    weights
+}
+
+fn from_start(
+    shape: &Shape,
+    training: &Regression,
+    validation: &Regression,
+    rules: Rules,
+    start: usize,
+    progress: &(dyn Fn(Step) + Sync),
+) -> Trained {
+    let mean = |cost: f64, r: &Regression| (2.0 * cost / r.residuals().max(1) as f64).sqrt();
+    let validate = |weights: &[f64]| mean(validation.cost(shape, weights), validation);
+    let mut weights = initial(shape, random(rules.seed, start as u64));
+    let mut equations = training.normal(shape, &weights);
+    let mut damping = FIRST_DAMPING * equations.matrix.diagonal().amax().max(f64::MIN_POSITIVE);
+    let mut growth = 2.0;
+    let mut best = Trained {
+        start,
+        validation: validate(&weights),
+        training: mean(equations.cost, training),
+        iterations: 0,
+        weights: weights.clone(),
+    };
+    let (mut since, mut before) = (0, f64::INFINITY);
+    for iteration in 1..=rules.iterations {
+        let Some((moved, cost)) = step(shape, training, &weights, &equations, &mut damping, &mut growth) else {
+            break;
+        };
+        weights = moved;
+        let (trained, validated) = (mean(cost, training), validate(&weights));
+        progress(Step {
+            start,
+            iteration,
+            training: trained,
+            validation: validated,
+        });
+        if validated < best.validation {
+            let gained = validated < (1.0 - STALLED) * before;
+            if gained {
+                (since, before) = (0, validated);
+            }
+            best = Trained {
+                start,
+                weights: weights.clone(),
+                iterations: iteration,
+                training: trained,
+                validation: validated,
+            };
+        }
+        since += 1;
+        if since > rules.patience || trained < ROUNDING {
+            break;
+        }
+        equations = training.normal(shape, &weights);
+    }
+    best
+}
+
+/// The next weights and their cost; none where no step is short enough to help.
+fn step(
+    shape: &Shape,
+    training: &Regression,
+    weights: &[f64],
+    equations: &Normal,
+    damping: &mut f64,
+    growth: &mut f64,
+) -> Option<(Vec<f64>, f64)> {
+    let largest = equations.matrix.diagonal().amax();
+    while *damping <= 1e10 * largest {
+        let mut matrix = equations.matrix.clone();
+        (0..weights.len()).for_each(|i| matrix[(i, i)] += *damping);
+        if let Some(factor) = matrix.cholesky() {
+            let step = factor.solve(&(-&equations.gradient));
+            let moved: Vec<f64> = weights.iter().zip(step.iter()).map(|(w, s)| w + s).collect();
+            let cost = training.cost(shape, &moved);
+            let ratio = (equations.cost - cost) / predicted(&step, equations, *damping);
+            if cost < equations.cost && ratio > 0.0 {
+                *damping *= (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0);
+                *growth = 2.0;
+                return Some((moved, cost));
+            }
+        }
+        *damping *= *growth;
+        *growth *= 2.0;
+    }
+    None
+}
+
+/// Decrease of the cost that the linearized residuals promise.
+fn predicted(step: &DVector<f64>, equations: &Normal, damping: f64) -> f64 {
+    0.5 * (damping * step.norm_squared() - step.dot(&equations.gradient))
+}

@@ -1,0 +1,177 @@
+//! A study: the optimal trajectory from one state for several values of a scene's parameters.
+
+use crate::backend::{Backend, BackendError, Trajectories};
+use crate::expr::Id;
+use crate::hamiltonian::Hamiltonian;
+use crate::model::{Extremum, Model, Record};
+use crate::output::TrajectoryBlock;
+use crate::program::Program;
+use crate::scenario::{self, ScenarioErrors};
+use crate::sweep::{Choices, Plan, PlanError, sweep_keeping};
+use crate::value::{self, Archive, PointStatus, Request};
+use std::collections::HashMap;
+
+/// Points of a trajectory that recorded quantities are taken from: what an extremum may be missed by is of the second order
+/// in their distance.
+const LOOKED_AT: usize = 4001;
+
+/// Why a study could not be made. A variant that has no solution is a row with its status, no error.
+#[derive(Debug, thiserror::Error)]
+pub enum StudyError {
+    #[error("variant {variant}: {errors}")]
+    Scene {
+        variant: String,
+        errors: Box<ScenarioErrors>,
+    },
+    #[error("variant {variant}: {source}")]
+    Plan { variant: String, source: PlanError },
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+}
+
+/// One variant's optimal trajectory.
+#[derive(Clone, Debug)]
+pub struct Variant {
+    /// Values of the varied parameters, in the scene's order.
+    pub parameters: Vec<f64>,
+    pub x0: Vec<f64>,
+    pub status: PointStatus,
+    /// NaN without a solution, like all that follows.
+    pub value: f64,
+    pub u: Vec<f64>,
+    /// Solutions found.
+    pub sheets: usize,
+    /// Time from `x0` to where the local solution takes over.
+    pub duration: f64,
+    /// The recorded quantities.
+    pub records: Vec<f64>,
+    /// The trajectory, where there is one.
+    pub trajectory: Option<TrajectoryBlock>,
+}
+
+/// All variants of the scene's `[study]`: every combination of the varied parameters' values, the last parameter's
+/// fastest. `progress` is told how many are done.
+///
+/// # Errors
+/// [`StudyError`].
+///
+/// # Panics
+/// Without a `[study]`.
+pub fn study(
+    model: &Model,
+    backend: &dyn Backend,
+    choices: Choices,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<Vec<Variant>, StudyError> {
+    let asked = model.study.as_ref().expect("the scene has a [study]");
+    let count: usize = asked.vary.iter().map(|(_, values)| values.len()).product();
+    let mut all = Vec::with_capacity(count);
+    for k in 0..count {
+        progress(k, count);
+        let mut rest = k;
+        let mut parameters = vec![0.0; asked.vary.len()];
+        for (parameter, (_, values)) in parameters.iter_mut().zip(&asked.vary).rev() {
+            *parameter = values[rest % values.len()];
+            rest /= values.len();
+        }
+        let set: Vec<(String, String)> = (asked.vary.iter().zip(&parameters))
+            .map(|((name, _), value)| (name.clone(), format!("{value:?}")))
+            .collect();
+        let name = set
+            .iter()
+            .map(|(n, v)| format!("{n} = {v}"))
+            .collect::<Vec<_>>()
+            .join(", ");
+        all.push(variant(model, &set, &name, parameters, backend, choices)?);
+    }
+    Ok(all)
+}
+
+fn variant(
+    model: &Model,
+    set: &[(String, String)],
+    name: &str,
+    parameters: Vec<f64>,
+    backend: &dyn Backend,
+    choices: Choices,
+) -> Result<Variant, StudyError> {
+    let scene = |errors| StudyError::Scene {
+        variant: name.to_owned(),
+        errors: Box::new(errors),
+    };
+    let overrides = [model.overrides.as_slice(), set].concat();
+    let model = scenario::parse(&model.text, &model.file_name, &overrides).map_err(scene)?;
+    let hamiltonian = Hamiltonian::derive(&model).map_err(|p| scene(ScenarioErrors::new(&model, p)))?;
+    let asked = model
+        .study
+        .as_ref()
+        .expect("the scene has a [study] whatever the parameters");
+    let choices = Choices {
+        inner_levels: true,
+        unasked: true,
+        max_seeds: Some(value::guess_seeds(model.states.len(), 1)),
+        ..choices
+    };
+    let plan = Plan::new(&model, &hamiltonian, backend, choices).map_err(|source| StudyError::Plan {
+        variant: name.to_owned(),
+        source,
+    })?;
+    let mut archive = Archive::new(&plan);
+    let mut keep = |seeds: &[f64], batch: &Trajectories| archive.keep(seeds, batch);
+    sweep_keeping::<BackendError>(&plan, backend, &mut |_, _| {}, &mut keep, &mut |_| Ok(()))?;
+    let mut solver = value::solver(&plan, backend)?;
+    let request = Request {
+        points: asked.from.clone(),
+        ..Request::default()
+    };
+    let found = value::solve(&plan, &model, &mut solver, &archive, &request, &mut |_, _, _| {})?;
+    let target = found.targets.of_given[0];
+    let mut row = Variant {
+        parameters,
+        x0: asked.from.clone(),
+        status: found.status(target),
+        value: f64::NAN,
+        u: vec![f64::NAN; model.controls.len()],
+        sheets: found.of(target).len(),
+        duration: f64::NAN,
+        records: vec![f64::NAN; asked.records.len()],
+        trajectory: None,
+    };
+    let Some(entry) = found.lowest(target) else {
+        return Ok(row);
+    };
+    row.value = entry.value;
+    row.u = entry.u.clone();
+    row.duration = entry.path.horizon();
+    let fine = value::sampled(&plan, &mut solver, &[entry], LOOKED_AT)?;
+    row.records = recorded(&model, &asked.records, &fine);
+    row.trajectory = Some(value::sampled(&plan, &mut solver, &[entry], asked.samples)?);
+    Ok(row)
+}
+
+/// The recorded quantities along a sampled trajectory.
+fn recorded(model: &Model, records: &[Record], block: &TrajectoryBlock) -> Vec<f64> {
+    let mut graph = model.graph.clone();
+    let numbers: HashMap<Id, Id> = (model.parameter_values().into_iter())
+        .map(|(symbol, value)| (symbol, graph.constant(value)))
+        .collect();
+    let of: Vec<Id> = records.iter().map(|r| r.of.expr).collect();
+    let of = graph.substitute(&of, &numbers);
+    let inputs: Vec<Id> = (model.states.iter().map(|s| s.variable.symbol))
+        .chain(model.controls.iter().map(|c| c.variable.symbol))
+        .collect();
+    let program = Program::lower(&graph, &inputs, &of);
+    let (n, m) = (model.states.len(), model.controls.len());
+    let mut values = records.iter().map(|_| f64::NAN).collect::<Vec<_>>();
+    for q in 0..block.v.len() {
+        let at = [&block.x[q * n..(q + 1) * n], &block.u[q * m..(q + 1) * m]].concat();
+        for ((value, here), record) in values.iter_mut().zip(program.eval(&at)).zip(records) {
+            *value = match record.extremum {
+                Extremum::Min => value.min(here),
+                Extremum::Max => value.max(here),
+                Extremum::Final => here,
+            };
+        }
+    }
+    values
+}

@@ -1,0 +1,34 @@
+//! Reading back what a fit wrote.
+
+use costate::output::Stored;
+use std::path::{Path, PathBuf};
+
+/// An empty directory of the test's own.
+pub fn scratch(name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("feedback-{name}"));
+    let _ = std::fs::remove_dir_all(&directory);
+    std::fs::create_dir_all(&directory).unwrap();
+    directory
+}
+
+/// `/feedback` of a file with one law.
+pub struct Points {
+    pub law: Vec<String>,
+    pub error: f64,
+    pub flops: f64,
+    pub toml: String,
+}
+
+impl Points {
+    pub fn read(path: &Path) -> Self {
+        let stored = Stored::open(path).unwrap();
+        let group = stored.group("feedback").expect("a group /feedback");
+        let number = |name: &str| group.f64(name).unwrap().values[0];
+        Self {
+            law: group.texts("name").unwrap(),
+            error: number("u_mean_relative_error"),
+            flops: number("flops"),
+            toml: group.texts("toml").unwrap().remove(0),
+        }
+    }
+}
