@@ -9,7 +9,9 @@ use std::process::{Command, Output};
 use std::sync::OnceLock;
 
 fn scenario(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios").join(format!("{name}.toml"))
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("scenarios")
+        .join(format!("{name}.toml"))
 }
 
 fn folder() -> &'static Path {
@@ -23,7 +25,10 @@ fn folder() -> &'static Path {
 
 fn costate(arguments: &[&dyn AsRef<OsStr>]) -> Output {
     let program = env!("CARGO_BIN_EXE_costate");
-    Command::new(program).args(arguments.iter().map(AsRef::as_ref)).output().unwrap()
+    Command::new(program)
+        .args(arguments.iter().map(AsRef::as_ref))
+        .output()
+        .unwrap()
 }
 
 fn done(output: Output) -> String {
@@ -36,7 +41,15 @@ fn done(output: Output) -> String {
 fn result(name: &str, command: &str) -> PathBuf {
     let path = folder().join(format!("{name}-{command}.h5"));
     let scene = scenario(name);
-    done(costate(&[&command, &scene, &"--backend", &"cpu", &"--quiet", &"--out", &path]));
+    done(costate(&[
+        &command,
+        &scene,
+        &"--backend",
+        &"cpu",
+        &"--quiet",
+        &"--out",
+        &path,
+    ]));
     path
 }
 
@@ -90,15 +103,29 @@ fn values_are_those_of_an_exact_solution() {
     }
     assert!(errors.len() > 200);
     // Neighbours are 0.025 of the region apart, a cubic's error is of the fourth order: 1e-6 of the fourth derivatives.
-    println!("V {:.1e} {:.1e}, p {:.1e}, u {:.1e}", quantile(&errors, 0.5), quantile(&errors, 1.0), quantile(&slopes, 1.0), quantile(&controls, 1.0));
+    println!(
+        "V {:.1e} {:.1e}, p {:.1e}, u {:.1e}",
+        quantile(&errors, 0.5),
+        quantile(&errors, 1.0),
+        quantile(&slopes, 1.0),
+        quantile(&controls, 1.0)
+    );
     assert!(quantile(&errors, 0.5) < 3e-6 && quantile(&errors, 1.0) < 1e-3, "V");
     assert!(quantile(&slopes, 0.5) < 1e-4 && quantile(&slopes, 1.0) < 1e-2, "p");
     assert!(quantile(&controls, 0.5) < 2e-4 && quantile(&controls, 1.0) < 2e-2, "u");
     // Haste costs the blending, an order of magnitude.
     assert!(quick < 5e-3, "{quick}");
     // The estimate is of the right size: rarely below the error, seldom far above.
-    assert!(quantile(&over, 0.95) < 1.0, "error above its estimate: {}", quantile(&over, 0.95));
-    assert!(quantile(&over, 0.5) > 1e-3, "the estimate says nothing: {}", quantile(&over, 0.5));
+    assert!(
+        quantile(&over, 0.95) < 1.0,
+        "error above its estimate: {}",
+        quantile(&over, 0.95)
+    );
+    assert!(
+        quantile(&over, 0.5) > 1e-3,
+        "the estimate says nothing: {}",
+        quantile(&over, 0.5)
+    );
 }
 
 #[test]
@@ -135,7 +162,17 @@ fn the_pendulum_is_as_solved() {
     std::fs::write(&points, text).unwrap();
     let solved = folder().join("pendulum-solved.h5");
     let scene = scenario("pendulum");
-    done(costate(&[&"solve", &scene, &"--backend", &"cpu", &"--quiet", &"--points", &points, &"--out", &solved]));
+    done(costate(&[
+        &"solve",
+        &scene,
+        &"--backend",
+        &"cpu",
+        &"--quiet",
+        &"--points",
+        &points,
+        &"--out",
+        &solved,
+    ]));
     let solved = Stored::open(&solved).unwrap().points().unwrap().unwrap();
     let map = ValueMap::new(&Stored::open(pendulum()).unwrap()).unwrap();
     let (mut errors, mut controls) = (Vec::new(), Vec::new());
@@ -150,7 +187,13 @@ fn the_pendulum_is_as_solved() {
         controls.push((here.u[0] - solved.u[k]).abs());
     }
     assert!(errors.len() > 80, "{}", errors.len());
-    println!("V {:.1e} {:.1e}, u {:.1e} {:.1e}", quantile(&errors, 0.5), quantile(&errors, 1.0), quantile(&controls, 0.5), quantile(&controls, 0.98));
+    println!(
+        "V {:.1e} {:.1e}, u {:.1e} {:.1e}",
+        quantile(&errors, 0.5),
+        quantile(&errors, 1.0),
+        quantile(&controls, 0.5),
+        quantile(&controls, 0.98)
+    );
     // u ranges over 60; on the wrong sheet it would be off by 20 or more.
     assert!(quantile(&errors, 0.5) < 2e-6 && quantile(&errors, 1.0) < 2e-3);
     assert!(quantile(&controls, 0.5) < 1e-3 && quantile(&controls, 0.98) < 0.5);
@@ -160,13 +203,23 @@ fn the_pendulum_is_as_solved() {
 fn both_sides_of_the_equal_cost_state_are_told() {
     // theta = 2.40894 on omega = 0 (tests/sheets.rs): before it u = -11, behind it 23.
     let map = ValueMap::new(&Stored::open(pendulum()).unwrap()).unwrap();
-    for (theta, least, most) in [(2.40, -12.0, -10.0), (2.4085, -12.0, -10.0), (2.4095, 22.0, 25.0), (2.42, 22.0, 25.0)] {
+    for (theta, least, most) in [
+        (2.40, -12.0, -10.0),
+        (2.4085, -12.0, -10.0),
+        (2.4095, 22.0, 25.0),
+        (2.42, 22.0, 25.0),
+    ] {
         let at = map.at(&[theta, 0.0]);
         let here = at.lowest.unwrap();
         assert!((least..most).contains(&here.u[0]), "theta = {theta}: u = {}", here.u[0]);
         let other = at.others.first().expect("the other sheet is near");
         assert!(!(least..most).contains(&other.u[0]) && other.v > here.v);
-        assert!(other.v - here.v < 5.0, "they cost nearly the same: {} {}", here.v, other.v);
+        assert!(
+            other.v - here.v < 5.0,
+            "they cost nearly the same: {} {}",
+            here.v,
+            other.v
+        );
     }
 }
 
@@ -187,11 +240,26 @@ fn tables_grids_and_json_agree() {
     let file = pendulum();
     let table = done(costate(&[&"value", &file, &"--grid", &"theta=-2:1:4,omega=-1:1:3"]));
     let rows: Vec<Vec<&str>> = table.lines().map(|l| l.split(',').collect()).collect();
-    assert_eq!(rows[0], ["theta", "omega", "V", "p_theta", "p_omega", "u", "sheet", "V_error", "p_error", "u_error"]);
+    assert_eq!(
+        rows[0],
+        [
+            "theta", "omega", "V", "p_theta", "p_omega", "u", "sheet", "V_error", "p_error", "u_error"
+        ]
+    );
     assert_eq!(rows.len(), 13);
     assert_eq!(rows[2][..2], ["-2", "0"]);
     let grid = folder().join("grid.h5");
-    done(costate(&[&"value", &file, &"--grid", &"theta=-2:1:4", &"--grid", &"omega=-1:1:3", &"--out", &grid, &"--quiet"]));
+    done(costate(&[
+        &"value",
+        &file,
+        &"--grid",
+        &"theta=-2:1:4",
+        &"--grid",
+        &"omega=-1:1:3",
+        &"--out",
+        &grid,
+        &"--quiet",
+    ]));
     let stored = Stored::open(&grid).unwrap();
     let map = stored.map().unwrap().unwrap();
     assert_eq!(map.axes, [vec![-2.0, -1.0, 0.0, 1.0], vec![-1.0, 0.0, 1.0]]);
@@ -202,7 +270,10 @@ fn tables_grids_and_json_agree() {
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json[0]["value"]["V"].as_f64().unwrap().to_bits(), map.v[1].to_bits());
     let text = done(costate(&[&"value", &file, &"--at", &"theta=-2"]));
-    assert!(text.contains("theta = -2, omega = 0") && text.contains("interpolated from"), "{text}");
+    assert!(
+        text.contains("theta = -2, omega = 0") && text.contains("interpolated from"),
+        "{text}"
+    );
     // A file that was made by interpolation is a result file like others.
     let again = done(costate(&[&"value", &grid, &"--at", &"theta=-2,omega=0", &"--json"]));
     let again: serde_json::Value = serde_json::from_str(&again).unwrap();
@@ -225,12 +296,17 @@ fn bad_requests_are_refused() {
         (&[&file, &"--grid", &"theta=0:1"], "FIRST:LAST:COUNT"),
         (&[&file, &"--grid", &"theta=0:1:100000,omega=0:1:100000"], "at most"),
         (&[&file, &"--at", &"theta=1", &"--out", &"x.txt"], ".csv"),
-        (&[&file, &"--at", &"theta=1", &"--out", &file], "is the file that is read"),
+        (
+            &[&file, &"--at", &"theta=1", &"--out", &file],
+            "is the file that is read",
+        ),
         (&[&text, &"--at", &"theta=1"], "not an HDF5 file"),
         (&[&missing, &"--at", &"theta=1"], "cannot read"),
     ];
     for (arguments, words) in cases {
-        let all: Vec<&dyn AsRef<OsStr>> = std::iter::once(&"value" as &dyn AsRef<OsStr>).chain(arguments.iter().copied()).collect();
+        let all: Vec<&dyn AsRef<OsStr>> = std::iter::once(&"value" as &dyn AsRef<OsStr>)
+            .chain(arguments.iter().copied())
+            .collect();
         let output = costate(&all);
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{words}: {errors}");
@@ -252,28 +328,59 @@ fn compressor(x: &[f64], v: f64, phi0: f64) -> ([f64; 4], f64) {
         4.0 * r * (1.0 - phi * phi - r),
         v,
     ];
-    (rate, (phi - phi0).powi(2) + (psi - psi0).powi(2) + r * r + (gamma - gamma0).powi(2) + v * v)
+    (
+        rate,
+        (phi - phi0).powi(2) + (psi - psi0).powi(2) + r * r + (gamma - gamma0).powi(2) + v * v,
+    )
 }
 
 #[test]
 fn the_compressor_study_has_the_published_figures() {
     let path = folder().join("study.h5");
-    done(costate(&[&"study", &scenario("moore_greitzer"), &"--backend", &"cpu", &"--quiet", &"--out", &path]));
+    done(costate(&[
+        &"study",
+        &scenario("moore_greitzer"),
+        &"--backend",
+        &"cpu",
+        &"--quiet",
+        &"--out",
+        &path,
+    ]));
     let stored = Stored::open(&path).unwrap();
     let study = stored.group("study").unwrap();
     let column = |name: &str| study.f64(name).unwrap().values;
     assert_eq!(column("Phi0"), [1.1, 1.2, 1.3, 1.4]);
     assert_eq!(study.i32("status").unwrap().1, [0; 4]);
-    let (v, psi, gamma, rate) = (column("V"), column("lowest_Psi"), column("highest_gamma"), column("highest_rate"));
+    let (v, psi, gamma, rate) = (
+        column("V"),
+        column("lowest_Psi"),
+        column("highest_gamma"),
+        column("highest_rate"),
+    );
     // Hardt (1999) at Phi0 = 1.2: V = 0.0533, Psi down to 1.975, gamma up to 1.536, its rate between 0.072 and 0.075 (by
     // collocation 0.07506): as many digits as are printed.
-    assert!((v[1] - 0.0533).abs() < 5e-5 && (psi[1] - 1.975).abs() < 5e-4, "{} {}", v[1], psi[1]);
-    assert!((gamma[1] - 1.536).abs() < 5e-4 && (rate[1] - 0.0750577).abs() < 2e-6, "{} {}", gamma[1], rate[1]);
+    assert!(
+        (v[1] - 0.0533).abs() < 5e-5 && (psi[1] - 1.975).abs() < 5e-4,
+        "{} {}",
+        v[1],
+        psi[1]
+    );
+    assert!(
+        (gamma[1] - 1.536).abs() < 5e-4 && (rate[1] - 0.0750577).abs() < 2e-6,
+        "{} {}",
+        gamma[1],
+        rate[1]
+    );
     // Nearer to the peak recovery is dearer, and no rate is above the limit.
     assert!(v.windows(2).all(|w| w[0] > w[1]));
     assert!(rate.iter().all(|r| *r <= 0.1 + 1e-12));
     let paths = stored.group("study_trajectories").unwrap();
-    let (t, x, u, along) = (paths.f64("t").unwrap(), paths.f64("x").unwrap(), paths.f64("u").unwrap(), paths.f64("V").unwrap());
+    let (t, x, u, along) = (
+        paths.f64("t").unwrap(),
+        paths.f64("x").unwrap(),
+        paths.f64("u").unwrap(),
+        paths.f64("V").unwrap(),
+    );
     let samples = t.shape[1];
     for (k, phi0) in [1.1, 1.2, 1.3, 1.4].into_iter().enumerate() {
         let at = |q: usize| (k * samples + q, &x.values[(k * samples + q) * 4..][..4]);

@@ -299,7 +299,7 @@ fn as_text(e: &Evaluation, setting: &Setting<'_>, scene: &ClosedLoop) -> String 
     t.trim_end().to_owned()
 }
 
-fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {
+pub(super) fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {
     let laws: Vec<_> = (e.laws.iter().zip(&e.sets))
         .map(|(law, sets)| {
             let spread = e
