@@ -290,6 +290,7 @@ fn samples_are_those_of_the_box_moved_by_periods() {
     for k in 0..2 {
         // A period is taken off, which costs a few units in the last place of 4 pi.
         assert!((selected.x[2 * k] - 1.0).abs() < 1e-14, "{:?}", selected.x);
+        assert_eq!(selected.before_moving()[2 * k], rows[k].0[0]);
     }
 }
 

@@ -22,6 +22,9 @@ pub struct Samples {
     /// `[sample][control]`
     pub u: Vec<f64>,
     pub v: Vec<f64>,
+    /// x before it was moved by periods: the cost of a state with a period may tell how often it has gone round. Empty
+    /// where nothing was moved.
+    pub unmoved: Vec<f64>,
     /// The trajectory of each; a solved state is one by itself.
     pub trajectory: Vec<u32>,
 }
@@ -109,6 +112,15 @@ impl Samples {
         &self.p[k * self.states..][..self.states]
     }
 
+    /// All x as they were before they were moved by periods.
+    pub fn before_moving(&self) -> &[f64] {
+        if self.unmoved.is_empty() {
+            &self.x
+        } else {
+            &self.unmoved
+        }
+    }
+
     pub fn u_of(&self, k: usize) -> &[f64] {
         &self.u[k * self.controls..][..self.controls]
     }
@@ -123,6 +135,9 @@ impl Samples {
         for &k in which {
             taken.extend(self.x_of(k), self.p_of(k), self.u_of(k), &self.v[k..=k]);
             taken.trajectory.push(self.trajectory[k]);
+            if !self.unmoved.is_empty() {
+                taken.unmoved.extend(&self.unmoved[k * self.states..][..self.states]);
+            }
         }
         taken
     }
@@ -158,6 +173,9 @@ impl Samples {
         let conditions = graph.substitute(&expressions, &numbers);
         let program = Program::lower(&graph, &symbols, &conditions);
         let mut moved = self.clone();
+        if scene.states.iter().any(|s| s.period.is_some()) {
+            moved.unmoved = self.before_moving().to_vec();
+        }
         let mut kept = Vec::new();
         for k in 0..self.len() {
             let x = &mut moved.x[k * self.states..][..self.states];
