@@ -245,7 +245,9 @@ mod tests {
     }
 
     fn sampled(x: &[f64], y: &[f64], f: impl Fn(f64, f64) -> f64) -> Vec<f64> {
-        x.iter().flat_map(|x| y.iter().map(|y| f(*x, *y)).collect::<Vec<_>>()).collect()
+        x.iter()
+            .flat_map(|x| y.iter().map(|y| f(*x, *y)).collect::<Vec<_>>())
+            .collect()
     }
 
     #[test]
@@ -289,7 +291,10 @@ mod tests {
         }
         // Outside the circle is the region; the square less the disc.
         let outside = area(&region(&grid, 0.64));
-        assert!((outside - (4.0 - std::f64::consts::PI * 0.64)).abs() < 1e-4, "{outside}");
+        assert!(
+            (outside - (4.0 - std::f64::consts::PI * 0.64)).abs() < 1e-4,
+            "{outside}"
+        );
     }
 
     #[test]
@@ -340,7 +345,11 @@ mod tests {
         };
         let found = lines(&holed, 1.5);
         assert_eq!(found.len(), 2);
-        assert!(found.iter().all(|l| l.points.iter().all(|p| p[0] <= 1.0 || p[0] >= 3.0)));
+        assert!(
+            found
+                .iter()
+                .all(|l| l.points.iter().all(|p| p[0] <= 1.0 || p[0] >= 3.0))
+        );
         assert!((area(&region(&holed, -1.0)) - 12.0).abs() < 1e-12);
     }
 

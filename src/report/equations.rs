@@ -25,7 +25,10 @@ pub fn of(model: &Model) -> Vec<Equations> {
         let long = v.long_name.as_deref().map_or_else(String::new, |l| format!(": {l}"));
         format!("{}{long}{}{more}", v.name, names::unit(v.unit.as_deref()))
     };
-    add("States", model.states.iter().map(|s| variable(&s.variable, "")).collect());
+    add(
+        "States",
+        model.states.iter().map(|s| variable(&s.variable, "")).collect(),
+    );
     let controls = model.controls.iter().map(|c| {
         let bounds = match (c.min, c.max) {
             (Some(a), Some(b)) => format!(", from {a} to {b}"),
@@ -36,23 +39,34 @@ pub fn of(model: &Model) -> Vec<Equations> {
         variable(&c.variable, &bounds)
     });
     add("Controls", controls.collect());
-    let dynamics = (model.states.iter().zip(&model.dynamics)).map(|(s, d)| format!("{}' = {}", s.variable.name, written(&d.span)));
+    let dynamics =
+        (model.states.iter().zip(&model.dynamics)).map(|(s, d)| format!("{}' = {}", s.variable.name, written(&d.span)));
     add("Dynamics", dynamics.collect());
     add("Running cost", vec![format!("L = {}", written(&model.running.span))]);
     match &model.horizon {
         Horizon::Infinite { x, u, .. } => {
             let states = model.states.iter().map(|s| &s.variable.name).zip(x);
             let controls = model.controls.iter().map(|c| &c.variable.name).zip(u);
-            let values = states.chain(controls).map(|(name, v)| format!("{name} = {}", super::ticks::significant(*v, 6)));
+            let values = states
+                .chain(controls)
+                .map(|(name, v)| format!("{name} = {}", super::ticks::significant(*v, 6)));
             add("Equilibrium", vec![values.collect::<Vec<_>>().join(", ")]);
         }
-        Horizon::Finite { terminal, final_time, .. } => {
+        Horizon::Finite {
+            terminal, final_time, ..
+        } => {
             let at = super::ticks::significant(*final_time, 6);
-            add("Terminal cost", vec![format!("{} at t = {at}", written(&terminal.span))]);
+            add(
+                "Terminal cost",
+                vec![format!("{} at t = {at}", written(&terminal.span))],
+            );
         }
     }
     let definitions = crate::scenario::definitions(&model.text);
-    add("Definitions", definitions.iter().map(|(k, v)| format!("{k} = {}", tidy(v))).collect());
+    add(
+        "Definitions",
+        definitions.iter().map(|(k, v)| format!("{k} = {}", tidy(v))).collect(),
+    );
     add(
         "Parameters",
         vec![
@@ -70,6 +84,9 @@ pub fn of(model: &Model) -> Vec<Equations> {
 fn tidy(text: &str) -> String {
     let text = text.trim();
     let quotes = ["\"\"\"", "'''", "\"", "'"];
-    let inner = quotes.iter().find_map(|q| text.strip_prefix(q).and_then(|t| t.strip_suffix(q))).unwrap_or(text);
+    let inner = quotes
+        .iter()
+        .find_map(|q| text.strip_prefix(q).and_then(|t| t.strip_suffix(q)))
+        .unwrap_or(text);
     inner.split_whitespace().collect::<Vec<_>>().join(" ")
 }

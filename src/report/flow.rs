@@ -53,7 +53,9 @@ impl<'s> Flow<'s> {
                 let h = t.t[s] - t.t[*last];
                 for j in 1..BETWEEN {
                     let q = j as f64 / BETWEEN as f64;
-                    let state = (0..n).map(|i| hermite(q, h, [from[i], slope[i]], [x[i], rate[i]])).collect();
+                    let state = (0..n)
+                        .map(|i| hermite(q, h, [from[i], slope[i]], [x[i], rate[i]]))
+                        .collect();
                     path.push((*last, t.t[*last] + q * h, state));
                 }
             }

@@ -40,9 +40,21 @@ impl Axis {
 
     /// Both ends above 0.
     pub fn log(label: impl Into<String>, range: [f64; 2]) -> Self {
-        let from = if range[0] > 0.0 && range[0].is_finite() { range[0] } else { 1e-16 };
-        let to = if range[1] > from && range[1].is_finite() { range[1] } else { from };
-        let range = if to / from < 1.5 { [from / 1.5, to * 1.5] } else { [from, to] };
+        let from = if range[0] > 0.0 && range[0].is_finite() {
+            range[0]
+        } else {
+            1e-16
+        };
+        let to = if range[1] > from && range[1].is_finite() {
+            range[1]
+        } else {
+            from
+        };
+        let range = if to / from < 1.5 {
+            [from / 1.5, to * 1.5]
+        } else {
+            [from, to]
+        };
         Self {
             label: label.into(),
             range,
@@ -143,7 +155,9 @@ impl Frame {
 
     /// Room on the left for ticks, labels and the axis's name, of an axis so high.
     pub fn beside(y: &Axis, height: f64) -> f64 {
-        let widest = (y.ticks(height, ROOM_Y).iter()).map(|t| text::width(&t.label, TEXT)).fold(0.0, f64::max);
+        let widest = (y.ticks(height, ROOM_Y).iter())
+            .map(|t| text::width(&t.label, TEXT))
+            .fold(0.0, f64::max);
         let name = if y.label.is_empty() { 0.0 } else { LINE + GAP };
         TICK + GAP + widest + name + 2.0
     }
@@ -201,7 +215,12 @@ impl Frame {
             let x = self.at([tick.value, self.y.range[0]])[0];
             lines.push(vec![[x, self.area.top], [x, self.area.bottom]]);
         }
-        for tick in self.y.ticks(self.area.height(), ROOM_Y).iter().filter(|t| !t.label.is_empty()) {
+        for tick in self
+            .y
+            .ticks(self.area.height(), ROOM_Y)
+            .iter()
+            .filter(|t| !t.label.is_empty())
+        {
             let y = self.at([self.x.range[0], tick.value])[1];
             lines.push(vec![[self.area.left, y], [self.area.right, y]]);
         }
@@ -221,7 +240,11 @@ impl Frame {
                 canvas.text([x, a.bottom + TICK + GAP + 0.5 * TEXT], &tick.label, style);
             }
         }
-        let ticks = if self.y_ticks { self.y.ticks(a.height(), ROOM_Y) } else { Vec::new() };
+        let ticks = if self.y_ticks {
+            self.y.ticks(a.height(), ROOM_Y)
+        } else {
+            Vec::new()
+        };
         let mut widest = 0.0f64;
         for tick in &ticks {
             let y = self.at([self.x.range[0], tick.value])[1];
@@ -235,7 +258,11 @@ impl Frame {
         canvas.lines(&lines, Stroke::new(Ink::Muted, 1.0));
         if self.x_labels && !self.x.label.is_empty() {
             let label = text::shortened(&self.x.label, TEXT, a.width() + 60.0);
-            canvas.text([0.5 * (a.left + a.right), a.bottom + TICK + GAP + LINE + 0.5 * LINE], &label, style);
+            canvas.text(
+                [0.5 * (a.left + a.right), a.bottom + TICK + GAP + LINE + 0.5 * LINE],
+                &label,
+                style,
+            );
         }
         if self.y_labels && !self.y.label.is_empty() {
             let x = a.left - TICK - 2.0 * GAP - widest - 0.5 * LINE;
@@ -314,7 +341,9 @@ pub struct Bar<'a> {
 
 impl Bar<'_> {
     pub fn width(&self, height: f64) -> f64 {
-        let widest = (self.axis.ticks(height, ROOM_Y).iter()).map(|t| text::width(&t.label, TEXT)).fold(0.0, f64::max);
+        let widest = (self.axis.ticks(height, ROOM_Y).iter())
+            .map(|t| text::width(&t.label, TEXT))
+            .fold(0.0, f64::max);
         14.0 + TICK + GAP + widest + LINE + GAP
     }
 
@@ -348,12 +377,21 @@ impl Bar<'_> {
                 1.0,
             );
         }
-        let mut lines = vec![[Rect::new(left, top, right, bottom).corners().to_vec(), vec![[left, top]]].concat()];
+        let mut lines = vec![
+            [
+                Rect::new(left, top, right, bottom).corners().to_vec(),
+                vec![[left, top]],
+            ]
+            .concat(),
+        ];
         let ticks = self.axis.ticks(height, ROOM_Y);
         let mut widest = 0.0f64;
         for tick in &ticks {
             let at = y(tick.value);
-            lines.push(vec![[right, at], [right + if tick.label.is_empty() { 2.5 } else { TICK }, at]]);
+            lines.push(vec![
+                [right, at],
+                [right + if tick.label.is_empty() { 2.5 } else { TICK }, at],
+            ]);
             widest = widest.max(text::width(&tick.label, TEXT));
             canvas.text([right + TICK + GAP, at], &tick.label, Style::new(Anchor::Start));
         }

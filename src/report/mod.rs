@@ -96,13 +96,20 @@ pub struct Picture {
 
 impl Picture {
     fn size(&self, width: f64) -> [f64; 2] {
-        [width, (TITLE_ROOM + self.drawing.height(width - 2.0 * MARGIN) + MARGIN).round()]
+        [
+            width,
+            (TITLE_ROOM + self.drawing.height(width - 2.0 * MARGIN) + MARGIN).round(),
+        ]
     }
 
     fn draw(&self, canvas: &mut dyn Canvas) {
         let [width, height] = canvas.size();
         let title = text::shortened(&self.title, TITLE, width - 2.0 * MARGIN);
-        canvas.text([MARGIN, 0.5 * TITLE_ROOM + 1.0], &title, Style::new(Anchor::Start).size(TITLE));
+        canvas.text(
+            [MARGIN, 0.5 * TITLE_ROOM + 1.0],
+            &title,
+            Style::new(Anchor::Start).size(TITLE),
+        );
         let area = Rect::new(MARGIN, TITLE_ROOM, width - MARGIN, height - MARGIN);
         self.drawing.draw(canvas, area);
     }
@@ -127,7 +134,10 @@ impl Picture {
 
 /// The page's name for a result file: `out/x.h5` -> `out/x_report.html`.
 pub fn default_page(file: &Path) -> PathBuf {
-    let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let stem = file
+        .file_stem()
+        .map(|s| s.to_string_lossy().into_owned())
+        .unwrap_or_default();
     file.with_file_name(format!("{stem}_report.html"))
 }
 
@@ -142,7 +152,11 @@ pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError>
     let (pictures, mut missing) = pictures::all(&source);
     let page = options.out.clone().unwrap_or_else(|| default_page(&stored.path));
     let folder = page.with_extension("");
-    let folder = if folder == page { page.with_extension("pictures") } else { folder };
+    let folder = if folder == page {
+        page.with_extension("pictures")
+    } else {
+        folder
+    };
     std::fs::create_dir_all(&folder).map_err(|source| ReportError::Write {
         path: folder.clone(),
         source,
@@ -182,7 +196,9 @@ fn clear(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for path in entries.filter_map(|e| Some(e.ok()?.path())) {
         let kind = path.extension().is_some_and(|e| e == "svg" || e == "png");
-        let name = path.file_stem().is_some_and(|s| pictures::is_picture(&s.to_string_lossy()));
+        let name = path
+            .file_stem()
+            .is_some_and(|s| pictures::is_picture(&s.to_string_lossy()));
         if kind && name {
             // What cannot be removed is no reason to stop.
             let _ = std::fs::remove_file(&path);

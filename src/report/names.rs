@@ -3,14 +3,54 @@
 use crate::model::Variable;
 
 const GREEK: [(&str, char); 48] = [
-    ("alpha", 'α'), ("beta", 'β'), ("gamma", 'γ'), ("delta", 'δ'), ("epsilon", 'ε'), ("zeta", 'ζ'), ("eta", 'η'),
-    ("theta", 'θ'), ("iota", 'ι'), ("kappa", 'κ'), ("lambda", 'λ'), ("mu", 'μ'), ("nu", 'ν'), ("xi", 'ξ'),
-    ("omicron", 'ο'), ("pi", 'π'), ("rho", 'ρ'), ("sigma", 'σ'), ("tau", 'τ'), ("upsilon", 'υ'), ("phi", 'φ'),
-    ("chi", 'χ'), ("psi", 'ψ'), ("omega", 'ω'),
-    ("Alpha", 'Α'), ("Beta", 'Β'), ("Gamma", 'Γ'), ("Delta", 'Δ'), ("Epsilon", 'Ε'), ("Zeta", 'Ζ'), ("Eta", 'Η'),
-    ("Theta", 'Θ'), ("Iota", 'Ι'), ("Kappa", 'Κ'), ("Lambda", 'Λ'), ("Mu", 'Μ'), ("Nu", 'Ν'), ("Xi", 'Ξ'),
-    ("Omicron", 'Ο'), ("Pi", 'Π'), ("Rho", 'Ρ'), ("Sigma", 'Σ'), ("Tau", 'Τ'), ("Upsilon", 'Υ'), ("Phi", 'Φ'),
-    ("Chi", 'Χ'), ("Psi", 'Ψ'), ("Omega", 'Ω'),
+    ("alpha", 'α'),
+    ("beta", 'β'),
+    ("gamma", 'γ'),
+    ("delta", 'δ'),
+    ("epsilon", 'ε'),
+    ("zeta", 'ζ'),
+    ("eta", 'η'),
+    ("theta", 'θ'),
+    ("iota", 'ι'),
+    ("kappa", 'κ'),
+    ("lambda", 'λ'),
+    ("mu", 'μ'),
+    ("nu", 'ν'),
+    ("xi", 'ξ'),
+    ("omicron", 'ο'),
+    ("pi", 'π'),
+    ("rho", 'ρ'),
+    ("sigma", 'σ'),
+    ("tau", 'τ'),
+    ("upsilon", 'υ'),
+    ("phi", 'φ'),
+    ("chi", 'χ'),
+    ("psi", 'ψ'),
+    ("omega", 'ω'),
+    ("Alpha", 'Α'),
+    ("Beta", 'Β'),
+    ("Gamma", 'Γ'),
+    ("Delta", 'Δ'),
+    ("Epsilon", 'Ε'),
+    ("Zeta", 'Ζ'),
+    ("Eta", 'Η'),
+    ("Theta", 'Θ'),
+    ("Iota", 'Ι'),
+    ("Kappa", 'Κ'),
+    ("Lambda", 'Λ'),
+    ("Mu", 'Μ'),
+    ("Nu", 'Ν'),
+    ("Xi", 'Ξ'),
+    ("Omicron", 'Ο'),
+    ("Pi", 'Π'),
+    ("Rho", 'Ρ'),
+    ("Sigma", 'Σ'),
+    ("Tau", 'Τ'),
+    ("Upsilon", 'Υ'),
+    ("Phi", 'Φ'),
+    ("Chi", 'Χ'),
+    ("Psi", 'Ψ'),
+    ("Omega", 'Ω'),
 ];
 
 /// A name with the Greek letter that it spells, and its number lowered: `Phi0` is Φ₀.
@@ -24,7 +64,9 @@ pub fn symbol(name: &str) -> String {
     if lone && number.is_empty() {
         return name.to_owned();
     }
-    let lowered = number.bytes().filter_map(|b| char::from_u32(0x2080 + u32::from(b - b'0')));
+    let lowered = number
+        .bytes()
+        .filter_map(|b| char::from_u32(0x2080 + u32::from(b - b'0')));
     std::iter::once(*greek).chain(lowered).collect()
 }
 

@@ -32,7 +32,13 @@ svg .st{stroke:var(--text)}svg .sm{stroke:var(--muted)}svg .sg{stroke:var(--grid
 ";
 
 /// The page's text; `drawn` are the pictures as SVG, `folder` is where their files are.
-pub fn html(source: &Source<'_>, pictures: &[Picture], drawn: &[String], missing: &[(String, String)], folder: &Path) -> String {
+pub fn html(
+    source: &Source<'_>,
+    pictures: &[Picture],
+    drawn: &[String],
+    missing: &[(String, String)],
+    folder: &Path,
+) -> String {
     let mut page = Page(String::new());
     let title = escaped(&source.model.title);
     page.add(&format!(
@@ -44,7 +50,10 @@ pub fn html(source: &Source<'_>, pictures: &[Picture], drawn: &[String], missing
     page.contents(pictures, &tables);
     page.problem(source);
     page.figures(source);
-    let folder = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let folder = folder
+        .file_name()
+        .map(|n| n.to_string_lossy().into_owned())
+        .unwrap_or_default();
     for (picture, svg) in pictures.iter().zip(drawn) {
         page.figure(picture, svg, &folder);
     }
@@ -52,7 +61,12 @@ pub fn html(source: &Source<'_>, pictures: &[Picture], drawn: &[String], missing
         page.table(table);
     }
     page.missing(missing.iter().chain(&unreadable));
-    let file = source.stored.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let file = source
+        .stored
+        .path
+        .file_name()
+        .map(|n| n.to_string_lossy().into_owned())
+        .unwrap_or_default();
     page.add(&format!(
         "<p class=\"note\">Report of {} by costate {}. Pictures as files: folder {}.</p>\n</main>\n</body>\n</html>\n",
         escaped(&file),
@@ -75,7 +89,12 @@ impl Page {
         }
         self.add("<nav>\n");
         for p in pictures {
-            let _ = writeln!(self.0, "<a href=\"#{}\">{}</a>", escaped(&p.name), escaped(&short(&p.title)));
+            let _ = writeln!(
+                self.0,
+                "<a href=\"#{}\">{}</a>",
+                escaped(&p.name),
+                escaped(&short(&p.title))
+            );
         }
         for t in tables {
             let _ = writeln!(self.0, "<a href=\"#{}\">{}</a>", anchor(&t.title), escaped(&t.title));
@@ -87,7 +106,11 @@ impl Page {
         self.add("<div class=\"card\">\n<dl>\n");
         for group in equations::of(source.model) {
             let lines = escaped(&group.lines.join("\n"));
-            let _ = writeln!(self.0, "<dt>{}</dt><dd><pre>{lines}</pre></dd>", escaped(&group.heading));
+            let _ = writeln!(
+                self.0,
+                "<dt>{}</dt><dd><pre>{lines}</pre></dd>",
+                escaped(&group.heading)
+            );
         }
         self.add("</dl>\n</div>\n");
     }
@@ -102,7 +125,13 @@ impl Page {
 
     fn figure(&mut self, picture: &Picture, svg: &str, folder: &str) {
         let name = escaped(&picture.name);
-        let link = |kind: &str| format!("<a href=\"{}/{name}.{kind}\">{}</a>", encoded(folder), kind.to_uppercase());
+        let link = |kind: &str| {
+            format!(
+                "<a href=\"{}/{name}.{kind}\">{}</a>",
+                encoded(folder),
+                kind.to_uppercase()
+            )
+        };
         let _ = write!(
             self.0,
             "<figure id=\"{name}\">\n{svg}<figcaption>{} ({}, {})</figcaption>\n</figure>\n",
@@ -113,7 +142,12 @@ impl Page {
     }
 
     fn table(&mut self, table: &Table) {
-        let _ = write!(self.0, "<h2 id=\"{}\">{}</h2>\n<div class=\"wide\"><table>\n<tr>", anchor(&table.title), escaped(&table.title));
+        let _ = write!(
+            self.0,
+            "<h2 id=\"{}\">{}</h2>\n<div class=\"wide\"><table>\n<tr>",
+            anchor(&table.title),
+            escaped(&table.title)
+        );
         for column in &table.columns {
             let _ = write!(self.0, "<th>{}</th>", escaped(column));
         }
@@ -125,7 +159,11 @@ impl Page {
             }
             self.add("</tr>\n");
         }
-        let _ = writeln!(self.0, "</table></div>\n<p class=\"note\">{}</p>", escaped(&table.caption));
+        let _ = writeln!(
+            self.0,
+            "</table></div>\n<p class=\"note\">{}</p>",
+            escaped(&table.caption)
+        );
     }
 
     fn missing<'m>(&mut self, missing: impl Iterator<Item = &'m (String, String)>) {

@@ -41,7 +41,12 @@ impl Raster {
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
         // Every pixel is opaque: the ground is, and what is drawn over an opaque pixel leaves it so.
-        let rgb: Vec<u8> = self.pixmap.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+        let rgb: Vec<u8> = self
+            .pixmap
+            .data()
+            .chunks_exact(4)
+            .flat_map(|p| [p[0], p[1], p[2]])
+            .collect();
         let mut writer = encoder.write_header()?;
         writer.write_image_data(&rgb)?;
         writer.finish()?;
@@ -72,7 +77,11 @@ fn path(lines: &[Vec<Point>], closed: bool) -> Option<Path> {
     for line in lines {
         for (k, [x, y]) in line.iter().enumerate() {
             let (x, y) = (*x as f32, *y as f32);
-            if k == 0 { builder.move_to(x, y) } else { builder.line_to(x, y) }
+            if k == 0 {
+                builder.move_to(x, y)
+            } else {
+                builder.line_to(x, y)
+            }
         }
         if closed && !line.is_empty() {
             builder.close();

@@ -44,7 +44,10 @@ fn segment(from: Point, to: Point, area: Rect) -> Option<(Point, Point)> {
         return None;
     }
     let at = |s: f64| [from[0] + s * along[0], from[1] + s * along[1]];
-    Some((if enter > 0.0 { at(enter) } else { from }, if leave < 1.0 { at(leave) } else { to }))
+    Some((
+        if enter > 0.0 { at(enter) } else { from },
+        if leave < 1.0 { at(leave) } else { to },
+    ))
 }
 
 /// A polygon cut to a rectangle (Sutherland & Hodgman).
@@ -92,7 +95,11 @@ pub fn thinned(line: &[Point]) -> Vec<Point> {
             pending.extend([(first, k), (k, last)]);
         }
     }
-    line.iter().zip(keep).filter(|(_, keep)| *keep).map(|(p, _)| *p).collect()
+    line.iter()
+        .zip(keep)
+        .filter(|(_, keep)| *keep)
+        .map(|(p, _)| *p)
+        .collect()
 }
 
 /// Distance of a point from a line between two.
@@ -124,10 +131,7 @@ mod tests {
         let parts = clipped(&[[-5.0, 5.0], [5.0, 5.0], [5.0, 15.0], [8.0, 15.0], [8.0, -5.0]], AREA);
         assert_eq!(
             parts,
-            [
-                vec![[0.0, 5.0], [5.0, 5.0], [5.0, 10.0]],
-                vec![[8.0, 10.0], [8.0, 0.0]]
-            ]
+            [vec![[0.0, 5.0], [5.0, 5.0], [5.0, 10.0]], vec![[8.0, 10.0], [8.0, 0.0]]]
         );
         let parts = clipped(&[[1.0, 1.0], [2.0, 3.0], [f64::NAN, 2.0], [4.0, 4.0], [5.0, 4.0]], AREA);
         assert_eq!(parts.len(), 2);
@@ -153,7 +157,10 @@ mod tests {
         let thin = thinned(&circle);
         assert!(thin.len() < 100, "{}", thin.len());
         for p in &circle {
-            let near = thin.windows(2).map(|w| distance(*p, w[0], w[1])).fold(f64::INFINITY, f64::min);
+            let near = thin
+                .windows(2)
+                .map(|w| distance(*p, w[0], w[1]))
+                .fold(f64::INFINITY, f64::min);
             assert!(near <= TOLERANCE + 1e-12);
         }
     }

@@ -1,6 +1,6 @@
 //! What the pictures are made of, read once.
 
-use super::plane::{GridField, Plane, even, refined};
+use super::plane::{GridField, Plane, refined};
 use super::ticks::significant;
 use super::{names, ticks};
 use crate::map::ValueMap;
@@ -11,16 +11,27 @@ use std::cell::OnceCell;
 
 /// Points along each axis of the planes that are drawn, about.
 const FINE: usize = 160;
-/// The same where each point is a search.
-const COARSE: usize = 81;
+/// Solved states along an axis from which a plane is drawn.
+const LEAST: usize = 5;
+/// The same where each point is a search: between these, V is told by p.
+const COARSE: usize = 41;
 
 /// Options that do not fit the scene.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum OptionsError {
     #[error("{what}: the scene has no state `{name}`{hint}")]
-    UnknownState { what: &'static str, name: String, hint: String },
+    UnknownState {
+        what: &'static str,
+        name: String,
+        hint: String,
+    },
     #[error("--slice {name}={value}: outside the region, which is {from} to {to}")]
-    SliceOutside { name: String, value: f64, from: f64, to: f64 },
+    SliceOutside {
+        name: String,
+        value: f64,
+        from: f64,
+        to: f64,
+    },
     #[error("--slice {name}: it is one of the picture's axes; choose others with --axes")]
     SliceOfAxis { name: String },
     #[error("--axes: two different states are needed")]
@@ -52,13 +63,17 @@ impl<'s> Source<'s> {
     pub fn new(stored: &'s Stored, choice: &Report) -> Result<Self, OptionsError> {
         let model = &stored.model;
         let merged = merged(choice, model.report.as_ref());
-        let axes = axes(model, &merged)?;
-        let base = base(model, &merged, axes)?;
+        // Before anything is read: a mistake is told at once.
+        let asked = axes(model, &merged, None)?;
+        base(model, &merged, asked, None)?;
         let text = |e: crate::output::StoredError| e.to_string();
         let trajectories = stored.trajectories().map_err(text);
         let points = stored.points().map_err(text);
         let sheets = stored.points_sheets().map_err(text);
         let field = field(stored, &points);
+        let grid = field.as_ref().ok().and_then(Option::as_ref);
+        let axes = axes(model, &merged, grid)?;
+        let base = base(model, &merged, axes, grid)?;
         Ok(Self {
             stored,
             model,
@@ -81,12 +96,22 @@ impl<'s> Source<'s> {
 
     /// `/points`.
     pub fn points(&self) -> Result<Option<&StoredPoints>, String> {
-        Ok(self.points.as_ref().map_err(Clone::clone)?.as_ref().filter(|p| p.count > 0))
+        Ok(self
+            .points
+            .as_ref()
+            .map_err(Clone::clone)?
+            .as_ref()
+            .filter(|p| p.count > 0))
     }
 
     /// `/points_sheets`.
     pub fn sheets(&self) -> Result<Option<&StoredPoints>, String> {
-        Ok(self.sheets.as_ref().map_err(Clone::clone)?.as_ref().filter(|p| p.count > 0))
+        Ok(self
+            .sheets
+            .as_ref()
+            .map_err(Clone::clone)?
+            .as_ref()
+            .filter(|p| p.count > 0))
     }
 
     /// The value function where solved states form a grid.
@@ -98,9 +123,8 @@ impl<'s> Source<'s> {
     pub fn plane(&self) -> Result<Option<&Plane>, String> {
         let field = self.field()?;
         let made = self.plane.get_or_init(|| {
-            // The map as it is, or what can be told from all solutions of the file.
-            let map = field.filter(|_| self.stored.has("map")).and_then(|f| self.make_plane(f));
-            map.or_else(|| self.scattered()).or_else(|| field.and_then(|f| self.make_plane(f)))
+            // Solved states on a grid, or what can be told from all solutions of the file.
+            field.and_then(|f| self.make_plane(f)).or_else(|| self.scattered())
         });
         Ok(made.as_ref())
     }
@@ -112,17 +136,25 @@ impl<'s> Source<'s> {
             return None;
         }
         let map = ValueMap::new(self.stored).ok()?;
-        let along = |k: usize| even(self.model.region[k], COARSE);
-        let [a, b] = self.axes;
-        Plane::new(&map, self.axes, &self.base, along(a), along(b))
+        let swept = self.trajectories().ok().flatten().map(|t| &t.v);
+        let solved = self.points().ok().flatten().map(|p| &p.v);
+        let known = [swept, solved]
+            .into_iter()
+            .flatten()
+            .flatten()
+            .copied()
+            .filter(|v| v.is_finite());
+        let limit = known.fold(f64::NEG_INFINITY, f64::max);
+        let field = GridField::of_value_map(&map, self.axes, &self.base, &self.model.region, COARSE, limit)?;
+        let plane = self.make_plane(&field)?;
+        Some(Plane { limit, ..plane })
     }
 
     fn make_plane(&self, field: &GridField) -> Option<Plane> {
         let [a, b] = self.axes;
-        if a == b || [a, b].iter().any(|k| field.axes[*k].len() < 2) {
+        if a == b || [a, b].iter().any(|k| field.axes[*k].len() < LEAST) {
             return None;
         }
-        // Slopes make much of few points.
         let along = |k: usize| refined(&field.axes[k], FINE);
         Plane::new(field, self.axes, &self.base, along(a), along(b))
     }
@@ -133,7 +165,7 @@ impl<'s> Source<'s> {
             return self.levels.clone();
         }
         let values: Vec<f64> = plane.v.iter().copied().filter(|v| v.is_finite()).collect();
-        let most = self.value_max(&values);
+        let most = self.value_max(&values).min(plane.limit);
         let least = values.iter().copied().fold(f64::INFINITY, f64::min);
         if least >= -1e-9 * most.abs() && most > 0.0 {
             one_two_five(most)
@@ -211,19 +243,28 @@ fn merged(choice: &Report, scene: Option<&Report>) -> Report {
 
 fn state(model: &Model, name: &str, what: &'static str) -> Result<usize, OptionsError> {
     let names = || model.states.iter().map(|s| s.variable.name.as_str());
-    names().position(|n| n == name).ok_or_else(|| OptionsError::UnknownState {
-        what,
-        name: name.to_owned(),
-        hint: crate::scenario::suggestion(name, names())
-            .map_or_else(|| format!("; its states: {}", names().collect::<Vec<_>>().join(", ")), |s| format!("; {s}")),
-    })
+    names()
+        .position(|n| n == name)
+        .ok_or_else(|| OptionsError::UnknownState {
+            what,
+            name: name.to_owned(),
+            hint: crate::scenario::suggestion(name, names()).map_or_else(
+                || format!("; its states: {}", names().collect::<Vec<_>>().join(", ")),
+                |s| format!("; {s}"),
+            ),
+        })
 }
 
-fn axes(model: &Model, choice: &Report) -> Result<[usize; 2], OptionsError> {
+fn axes(model: &Model, choice: &Report, grid: Option<&GridField>) -> Result<[usize; 2], OptionsError> {
     let Some([a, b]) = &choice.axes else {
-        // The first two that are not asked to be fixed.
+        // The first two that are not asked to be fixed, those of a grid before others.
         let fixed = |k: &usize| choice.slice.iter().any(|(n, _)| *n == model.states[*k].variable.name);
-        let mut free = (0..model.states.len()).filter(|k| !fixed(k));
+        let along = |k: &usize| grid.is_none_or(|g| g.fixed(*k).is_none());
+        let mut free: Vec<usize> = (0..model.states.len()).filter(|k| !fixed(k)).collect();
+        free.sort_by_key(|k| !along(k));
+        free.truncate(2);
+        free.sort_unstable();
+        let mut free = free.into_iter();
         let first = free.next().unwrap_or(0);
         return Ok([first, free.next().unwrap_or(first)]);
     };
@@ -234,8 +275,12 @@ fn axes(model: &Model, choice: &Report) -> Result<[usize; 2], OptionsError> {
     Ok(found)
 }
 
-fn base(model: &Model, choice: &Report, axes: [usize; 2]) -> Result<Vec<f64>, OptionsError> {
+/// The reference, or where a grid is if that has but one place along a state.
+fn base(model: &Model, choice: &Report, axes: [usize; 2], grid: Option<&GridField>) -> Result<Vec<f64>, OptionsError> {
     let mut base = model.reference().to_vec();
+    for (k, x) in base.iter_mut().enumerate() {
+        *x = grid.and_then(|g| g.fixed(k)).unwrap_or(*x);
+    }
     for (name, value) in &choice.slice {
         let k = state(model, name, "--slice")?;
         let [from, to] = model.region[k];
@@ -264,7 +309,12 @@ fn field(stored: &Stored, points: &Result<Option<StoredPoints>, String>) -> Resu
             Some(Ok((_, status))) => status.iter().map(|s| *s == PointStatus::AboveMax as i32).collect(),
             _ => Vec::new(),
         };
-        let limit = stored.model.map.as_ref().and_then(|m| m.value_max).unwrap_or(f64::INFINITY);
+        let limit = stored
+            .model
+            .map
+            .as_ref()
+            .and_then(|m| m.value_max)
+            .unwrap_or(f64::INFINITY);
         return Ok(Some(GridField::of_map(&map, m, &above, limit)));
     }
     let points = points.as_ref().map_err(Clone::clone)?;

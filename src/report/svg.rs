@@ -108,7 +108,10 @@ fn short(v: f64, decimals: usize) -> String {
     match text {
         "-0" | "" => "0".to_owned(),
         _ => text.strip_prefix("0.").map_or_else(
-            || text.strip_prefix("-0.").map_or_else(|| text.to_owned(), |rest| format!("-.{rest}")),
+            || {
+                text.strip_prefix("-0.")
+                    .map_or_else(|| text.to_owned(), |rest| format!("-.{rest}"))
+            },
             |rest| format!(".{rest}"),
         ),
     }
@@ -123,7 +126,11 @@ fn path(line: &[Point], closed: bool, out: &mut String) {
         let numbers = |v: [i64; 2]| {
             let [x, y] = v.map(|v| short(v as f64 / 10.0, 1));
             // A sign or a point parts numbers as well as a blank does; a point does so only after another point.
-            let blank = if y.starts_with('-') || (y.starts_with('.') && x.contains('.')) { "" } else { " " };
+            let blank = if y.starts_with('-') || (y.starts_with('.') && x.contains('.')) {
+                ""
+            } else {
+                " "
+            };
             format!("{x}{blank}{y}")
         };
         match last {
@@ -193,7 +200,10 @@ impl Canvas for Svg {
         for (ring, fill) in faces {
             let mut d = String::new();
             path(ring, true, &mut d);
-            self.push(format_args!("<path fill=\"{}\" d=\"{d}\"/>\n", colour(Ink::Colour(*fill))));
+            self.push(format_args!(
+                "<path fill=\"{}\" d=\"{d}\"/>\n",
+                colour(Ink::Colour(*fill))
+            ));
         }
         self.push(format_args!("</g>\n"));
     }
@@ -227,7 +237,11 @@ impl Canvas for Svg {
         };
         let down = text::baseline(style.size);
         let place = if style.upward {
-            format!(" transform=\"translate({} {}) rotate(-90)\"", short(x + down, 1), short(y, 1))
+            format!(
+                " transform=\"translate({} {}) rotate(-90)\"",
+                short(x + down, 1),
+                short(y, 1)
+            )
         } else {
             format!(" x=\"{}\" y=\"{}\"", short(x, 1), short(y + down, 1))
         };
@@ -240,7 +254,10 @@ impl Canvas for Svg {
                 " fill=\"#ffffff\"",
             ));
         }
-        self.push(format_args!("<text{common}{}>{words}</text>\n", inked("fill", style.ink)));
+        self.push(format_args!(
+            "<text{common}{}>{words}</text>\n",
+            inked("fill", style.ink)
+        ));
     }
 }
 

@@ -15,9 +15,21 @@ pub struct Table {
 
 /// Groups that are shown as tables: name, title, caption.
 const GROUPS: [(&str, &str, &str); 4] = [
-    ("feedback", "Fitted laws", "Errors are of held-out trajectories; the whole law is in the result file."),
-    ("closed_loop_laws", "Closed loops", "One row a law, all from the same initial states. J/V \u{2212} 1 is the loss against the optimum."),
-    ("operating_sets", "Operating sets", "Share of initial states inside, and area in the units of the grid's axes."),
+    (
+        "feedback",
+        "Fitted laws",
+        "Errors are of held-out trajectories; the whole law is in the result file.",
+    ),
+    (
+        "closed_loop_laws",
+        "Closed loops",
+        "One row a law, all from the same initial states. J/V \u{2212} 1 is the loss against the optimum.",
+    ),
+    (
+        "operating_sets",
+        "Operating sets",
+        "Share of initial states inside, and area in the units of the grid's axes.",
+    ),
     ("study", "Study", "One row a case."),
 ];
 /// Longer texts are no cells.
@@ -27,7 +39,9 @@ const LONGEST: usize = 60;
 pub fn all(source: &Source<'_>) -> (Vec<Table>, Vec<(String, String)>) {
     let (mut tables, mut missing) = (Vec::new(), Vec::new());
     for (name, title, caption) in GROUPS {
-        let Some(group) = source.stored.group(name) else { continue };
+        let Some(group) = source.stored.group(name) else {
+            continue;
+        };
         match of_group(&group, title, caption) {
             Some(table) => tables.push(table),
             None => missing.push((title.to_owned(), format!("/{name} has no column of a row's length"))),
@@ -44,8 +58,11 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
         .find_map(|d| Some((*d, group.texts(d).ok().or_else(|| numbered(group, d))?)))?;
     let mut columns = vec![index.to_owned()];
     let mut rows: Vec<Vec<String>> = labels.iter().map(|l| vec![l.clone()]).collect();
-    let others: Vec<(String, Vec<String>)> =
-        all.iter().filter(|n| *n != index).filter_map(|n| Some((n.clone(), group.texts(n).ok()?))).collect();
+    let others: Vec<(String, Vec<String>)> = all
+        .iter()
+        .filter(|n| *n != index)
+        .filter_map(|n| Some((n.clone(), group.texts(n).ok()?)))
+        .collect();
     for name in all.iter().filter(|n| *n != index && *n != "toml") {
         if let Some((_, texts)) = others.iter().find(|(n, _)| n == name) {
             if texts.len() == rows.len() && texts.iter().all(|t| t.len() <= LONGEST && !t.contains('\n')) {
@@ -59,11 +76,15 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
         match array.shape.as_slice() {
             [count] if *count == rows.len() => {
                 columns.push(format!("{}{unit}", heading(name)));
-                rows.iter_mut().zip(&array.values).for_each(|(row, v)| row.push(significant(*v, 4)));
+                rows.iter_mut()
+                    .zip(&array.values)
+                    .for_each(|(row, v)| row.push(significant(*v, 4)));
             }
             [count, width] if *count == rows.len() => {
                 // The second dimension's names.
-                let Some((_, parts)) = others.iter().find(|(_, t)| t.len() == *width) else { continue };
+                let Some((_, parts)) = others.iter().find(|(_, t)| t.len() == *width) else {
+                    continue;
+                };
                 for (k, part) in parts.iter().enumerate() {
                     columns.push(format!("{} {part}{unit}", heading(name)));
                     for (row, values) in rows.iter_mut().zip(array.values.chunks(*width)) {
@@ -106,18 +127,37 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
             Some(format!("{name} {}", significant(worst, 2)))
         };
         let parts: Vec<String> = ["V", "p", "u"].iter().filter_map(|n| one(n)).collect();
-        if parts.is_empty() { String::new() } else { format!("worst of a sample: {}", parts.join(", ")) }
+        if parts.is_empty() {
+            String::new()
+        } else {
+            format!("worst of a sample: {}", parts.join(", "))
+        }
     };
     let counts = |at: &Value| -> String {
-        let Some(map) = at.as_object() else { return String::new() };
-        map.iter().map(|(k, v)| format!("{v} {}", k.replace('_', " "))).collect::<Vec<_>>().join(", ")
+        let Some(map) = at.as_object() else {
+            return String::new();
+        };
+        map.iter()
+            .map(|(k, v)| format!("{v} {}", k.replace('_', " ")))
+            .collect::<Vec<_>>()
+            .join(", ")
     };
     if s["trajectories_stored"].as_bool().unwrap_or(false) {
         add("Trajectories", counts(&s["status"]));
         let gaps = &s["coverage"];
-        let open = gaps["gaps_for_want_of_seeds"].as_u64().unwrap_or(0) + gaps["gaps_indistinguishable"].as_u64().unwrap_or(0);
-        let widest = gaps["widest_gap"].as_f64().map_or_else(String::new, |w| format!(", the widest {} of the region", significant(w, 3)));
-        add("Fronts", if open == 0 { "covered".to_owned() } else { format!("{open} gaps left{widest}") });
+        let open =
+            gaps["gaps_for_want_of_seeds"].as_u64().unwrap_or(0) + gaps["gaps_indistinguishable"].as_u64().unwrap_or(0);
+        let widest = gaps["widest_gap"].as_f64().map_or_else(String::new, |w| {
+            format!(", the widest {} of the region", significant(w, 3))
+        });
+        add(
+            "Fronts",
+            if open == 0 {
+                "covered".to_owned()
+            } else {
+                format!("{open} gaps left{widest}")
+            },
+        );
         add("Errors of the sweep", errors(&s["error_estimate"]));
     } else if let Ok(Some(t)) = source.trajectories() {
         add("Trajectories", t.count.to_string());
@@ -126,21 +166,43 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
     if solved.is_object() {
         add("Solved states", counts(&solved["status"]));
         let number = |key: &str| solved[key].as_u64().unwrap_or(0);
-        add("Solutions", format!("{} on {} sheets", number("solutions"), number("sheets")));
+        add(
+            "Solutions",
+            format!("{} on {} sheets", number("solutions"), number("sheets")),
+        );
         add("Errors of solved states", errors(&solved["error_estimate"]));
     }
     if let Some(met) = s["error_met"].as_bool() {
         add("Promised accuracy", if met { "met" } else { "NOT met" }.to_owned());
     }
     let text = |name: &str| source.stored.attribute(name).unwrap_or_default();
-    add("Backend", [text("backend"), text("adapter")].join(" on ").trim_matches(|c| c == ' ').to_owned());
-    let tolerance = s["rtol"].as_f64().map_or_else(String::new, |r| format!(", rtol {}", significant(r, 2)));
-    add("Arithmetic", format!("{} {}{tolerance}", text("precision"), text("method")).trim().to_owned());
+    add(
+        "Backend",
+        [text("backend"), text("adapter")]
+            .join(" on ")
+            .trim_matches(|c| c == ' ')
+            .to_owned(),
+    );
+    let tolerance = s["rtol"]
+        .as_f64()
+        .map_or_else(String::new, |r| format!(", rtol {}", significant(r, 2)));
+    add(
+        "Arithmetic",
+        format!("{} {}{tolerance}", text("precision"), text("method"))
+            .trim()
+            .to_owned(),
+    );
     if let Some(seconds) = s["wall_seconds"].as_f64() {
         add("Time", format!("{} s", significant(seconds, 3)));
     }
     add("Created", text("created"));
     add("Command", text("command"));
-    add("Version", [text("costate_version"), text("git_revision")].join(" ").trim().to_owned());
+    add(
+        "Version",
+        [text("costate_version"), text("git_revision")]
+            .join(" ")
+            .trim()
+            .to_owned(),
+    );
     all
 }

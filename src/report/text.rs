@@ -119,7 +119,8 @@ pub fn shortened(text: &str, size: f64, most: f64) -> String {
 /// Digits (and signs) raised, as in powers of ten.
 pub fn raised(n: i64) -> String {
     const DIGITS: [char; 10] = [
-        '\u{2070}', '\u{b9}', '\u{b2}', '\u{b3}', '\u{2074}', '\u{2075}', '\u{2076}', '\u{2077}', '\u{2078}', '\u{2079}',
+        '\u{2070}', '\u{b9}', '\u{b2}', '\u{b3}', '\u{2074}', '\u{2075}', '\u{2076}', '\u{2077}', '\u{2078}',
+        '\u{2079}',
     ];
     let sign = if n < 0 { "\u{207b}" } else { "" };
     let digits = n.unsigned_abs().to_string();
@@ -144,7 +145,11 @@ mod tests {
         });
         assert!((top + 100.0 * CAPITALS).abs() < 0.5, "{top}");
         // Greek, powers and what is missing.
-        for text in ["\u{3b8}\u{3c8}\u{394}", "10\u{207b}\u{b9}\u{b2}", "\u{2212}\u{221e}\u{2264}\u{2211}"] {
+        for text in [
+            "\u{3b8}\u{3c8}\u{394}",
+            "10\u{207b}\u{b9}\u{b2}",
+            "\u{2212}\u{221e}\u{2264}\u{2211}",
+        ] {
             let missing = face().unwrap().glyph_index('\u{fffd}').unwrap();
             assert!(glyphs(text, 10.0).all(|(g, _)| g != missing), "{text}");
         }

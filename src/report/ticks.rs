@@ -37,7 +37,9 @@ pub fn linear(from: f64, to: f64, most: usize) -> Vec<Tick> {
 pub fn step(width: f64, most: usize) -> f64 {
     let least = width / most as f64;
     let power = 10f64.powf(least.log10().floor());
-    let factor = [1.0, 2.0, 5.0, 10.0].into_iter().find(|f| f * power >= least * (1.0 - 1e-9));
+    let factor = [1.0, 2.0, 5.0, 10.0]
+        .into_iter()
+        .find(|f| f * power >= least * (1.0 - 1e-9));
     factor.unwrap_or(10.0) * power
 }
 
@@ -86,7 +88,11 @@ fn between(from: f64, to: f64, most: usize) -> Vec<Tick> {
             label: number(value, value),
         })
         .collect();
-    if ticks.len() >= 2 { ticks } else { linear(from, to, most.min(4)) }
+    if ticks.len() >= 2 {
+        ticks
+    } else {
+        linear(from, to, most.min(4))
+    }
 }
 
 /// 10 to the `exponent`.
@@ -122,14 +128,21 @@ pub fn number(value: f64, step: f64) -> String {
 /// A number to about `digits` significant digits, for a text.
 pub fn significant(value: f64, digits: i32) -> String {
     if value == 0.0 || !value.is_finite() {
-        return if value.is_nan() { "\u{2013}".to_owned() } else { format!("{value}") };
+        return if value.is_nan() {
+            "\u{2013}".to_owned()
+        } else {
+            format!("{value}")
+        };
     }
     let size = 10f64.powf(value.abs().log10().floor());
     let unit = size * 10f64.powi(1 - digits);
     let rounded = (value / unit).round() * unit;
     let text = number(rounded, unit);
     match text.split_once('\u{b7}') {
-        Some((mantissa, rest)) => format!("{}\u{b7}{rest}", trimmed(mantissa, true)),
+        Some((mantissa, rest)) => match trimmed(mantissa, true).as_str() {
+            "1" => rest.to_owned(),
+            shorter => format!("{shorter}\u{b7}{rest}"),
+        },
         None => trimmed(&text, true),
     }
 }
@@ -156,18 +169,31 @@ mod tests {
     use super::*;
 
     fn labels(ticks: &[Tick]) -> Vec<&str> {
-        ticks.iter().map(|t| t.label.as_str()).filter(|l| !l.is_empty()).collect()
+        ticks
+            .iter()
+            .map(|t| t.label.as_str())
+            .filter(|l| !l.is_empty())
+            .collect()
     }
 
     #[test]
     fn steps_of_one_two_five() {
-        assert_eq!(labels(&linear(0.0, 1.0, 6)), ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"].map(|s| if s == "0.0" { "0" } else { s }));
-        assert_eq!(labels(&linear(-3.9, 2.4, 7)), ["\u{2212}3", "\u{2212}2", "\u{2212}1", "0", "1", "2"]);
+        assert_eq!(
+            labels(&linear(0.0, 1.0, 6)),
+            ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"].map(|s| if s == "0.0" { "0" } else { s })
+        );
+        assert_eq!(
+            labels(&linear(-3.9, 2.4, 7)),
+            ["\u{2212}3", "\u{2212}2", "\u{2212}1", "0", "1", "2"]
+        );
         assert_eq!(labels(&linear(0.0, 185.0, 5)), ["0", "50", "100", "150"]);
         for most in 2..12 {
             for width in [1e-7, 0.3, 1.0, 7.0, 99.0, 3e8] {
                 let ticks = linear(-0.3 * width, 0.7 * width, most);
-                assert!(ticks.len() <= most + 1 && !ticks.is_empty(), "{most} {width}: {ticks:?}");
+                assert!(
+                    ticks.len() <= most + 1 && !ticks.is_empty(),
+                    "{most} {width}: {ticks:?}"
+                );
             }
         }
         assert_eq!(linear(1.0, 1.0, 5).len(), 1);
@@ -175,7 +201,10 @@ mod tests {
 
     #[test]
     fn powers_of_ten() {
-        assert_eq!(labels(&logarithmic(1e-3, 100.0, 10)), ["10\u{207b}\u{b3}", "0.01", "0.1", "1", "10", "100"]);
+        assert_eq!(
+            labels(&logarithmic(1e-3, 100.0, 10)),
+            ["10\u{207b}\u{b3}", "0.01", "0.1", "1", "10", "100"]
+        );
         assert!(labels(&logarithmic(1e-16, 1.0, 5)).len() <= 5);
         assert_eq!(labels(&logarithmic(0.9, 6.0, 10)), ["1", "2", "5"]);
     }

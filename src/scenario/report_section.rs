@@ -56,7 +56,10 @@ impl<'a> Reader<'a> {
             // A single one is good, too.
             return self.number(value, "the level").into_iter().collect();
         };
-        array.iter().filter_map(|v| self.number(v, "a level of [report]")).collect()
+        array
+            .iter()
+            .filter_map(|v| self.number(v, "a level of [report]"))
+            .collect()
     }
 
     fn report_axes(&mut self, value: &'a Value<'a>, states: &[Declared<'a>]) -> Option<[String; 2]> {
@@ -77,7 +80,11 @@ impl<'a> Reader<'a> {
         }
         let [a, b] = <[String; 2]>::try_from(found).ok()?;
         if a == b {
-            return self.refuse(value.span(), "the two axes of [report] are the same", "two different states");
+            return self.refuse(
+                value.span(),
+                "the two axes of [report] are the same",
+                "two different states",
+            );
         }
         Some([a, b])
     }
@@ -96,18 +103,32 @@ pub fn constant(text: &str, model: &Model) -> Result<f64, String> {
             kinds: Kinds::PARAMETER,
         };
         let role = Role::Parameter;
-        reader.scope.declare(&parameter.name, Entry { role, span: 0..0, meaning });
+        reader.scope.declare(
+            &parameter.name,
+            Entry {
+                role,
+                span: 0..0,
+                meaning,
+            },
+        );
     }
     let typed = shorten(text);
     let origin = Origin::CommandLine(typed.clone());
     let built = reader.parse_and_build(text, &origin, &Use::number("this"));
     let Some(built) = built else {
-        let problem = reader.problems.first().map_or_else(|| "not a number".to_owned(), |p| p.message.clone());
+        let problem = reader
+            .problems
+            .first()
+            .map_or_else(|| "not a number".to_owned(), |p| p.message.clone());
         let prefix = format!("--set {typed}: ");
         return Err(problem.strip_prefix(&prefix).unwrap_or(&problem).to_owned());
     };
     let number = reader.graph.eval(&[built.expr], &reader.values)[0];
-    if number.is_finite() { Ok(number) } else { Err(format!("it is {number}")) }
+    if number.is_finite() {
+        Ok(number)
+    } else {
+        Err(format!("it is {number}"))
+    }
 }
 
 /// Names and texts of a scene's definitions, as written; none where the text is no TOML.
@@ -121,5 +142,8 @@ pub fn definitions(text: &str) -> Vec<(String, String)> {
         DeValue::String(s) => s.to_string(),
         _ => text.get(v.span()).unwrap_or_default().to_owned(),
     };
-    table.iter().map(|(k, v)| (k.get_ref().to_string(), written(v))).collect()
+    table
+        .iter()
+        .map(|(k, v)| (k.get_ref().to_string(), written(v)))
+        .collect()
 }

@@ -7,7 +7,14 @@ use crate::report::frame::Frame;
 
 /// Fills the bands between levels (ascending, at least one): band 0 is below the first; what is above the last is band
 /// `levels.len()` if `open`, else left out.
-pub fn fill(canvas: &mut dyn Canvas, frame: &Frame, grid: &Grid<'_>, levels: &[f64], shade: &dyn Fn(usize) -> Rgb, open: bool) {
+pub fn fill(
+    canvas: &mut dyn Canvas,
+    frame: &Frame,
+    grid: &Grid<'_>,
+    levels: &[f64],
+    shade: &dyn Fn(usize) -> Rgb,
+    open: bool,
+) {
     // What is below a level, the greatest first, each over the one before: no gaps between bands.
     let negative: Vec<f64> = grid.values.iter().map(|v| -v).collect();
     let below = Grid {

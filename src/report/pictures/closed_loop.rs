@@ -11,10 +11,21 @@ use crate::report::ticks::{self, significant};
 use crate::report::{Drawing, Picture, Source, names, text};
 
 /// Variables of `/closed_loop` that are no recorded quantities.
-const OTHERS: [&str; 9] = ["x0", "V", "J", "suboptimality", "converged", "status", "t_end", "law", "initial"];
+const OTHERS: [&str; 9] = [
+    "x0",
+    "V",
+    "J",
+    "suboptimality",
+    "converged",
+    "status",
+    "t_end",
+    "law",
+    "initial",
+];
 /// A panel's inside is no narrower.
 const NARROWEST: f64 = 230.0;
-const BETWEEN: f64 = 16.0;
+/// The last label of an axis and the first of the next stand between panels.
+const BETWEEN: f64 = 34.0;
 /// Bands of a map.
 const BANDS: usize = 10;
 /// J/V - 1 below this is drawn as this: it is what the error of V and of the integration leave.
@@ -87,7 +98,10 @@ pub fn pictures(source: &Source<'_>) -> (Vec<Picture>, Vec<(String, String)>) {
 /// Recorded quantities in the file's order, and the loss against the optimum.
 fn quantities(group: &StoredGroup<'_>) -> Vec<String> {
     let states = ["state", "axis"];
-    let recorded = group.names().into_iter().filter(|n| !OTHERS.contains(&n.as_str()) && !states.contains(&n.as_str()));
+    let recorded = group
+        .names()
+        .into_iter()
+        .filter(|n| !OTHERS.contains(&n.as_str()) && !states.contains(&n.as_str()));
     let mut all: Vec<String> = recorded.collect();
     if group.has("suboptimality") {
         all.push("suboptimality".to_owned());
@@ -124,10 +138,11 @@ impl Loops {
         let mut values = values.values;
         let loss = name == "suboptimality";
         if loss {
-            for v in &mut values {
+            for v in values.iter_mut().filter(|v| v.is_finite()) {
                 *v = v.max(LEAST_LOSS);
             }
-            if values.iter().all(|v| v.is_nan()) {
+            // V is not known at the initial states.
+            if values.iter().all(|v| !v.is_finite()) {
                 return Ok(None);
             }
         }
@@ -140,7 +155,11 @@ impl Loops {
             (Some(what), _) => format!("{}: {what}", name.replace('_', " ")),
             (None, _) => name.replace('_', " "),
         };
-        let bar = if loss { "J/V \u{2212} 1".to_owned() } else { what.unwrap_or_else(|| name.to_owned()) };
+        let bar = if loss {
+            "J/V \u{2212} 1".to_owned()
+        } else {
+            what.unwrap_or_else(|| name.to_owned())
+        };
         match self.place(source, group) {
             Some(place) => self.map(source, place, name, &values, title, bar).map(Some),
             None => Ok(Some(self.curves(source, group, name, &values, title, bar))),
@@ -151,7 +170,11 @@ impl Loops {
     fn place(&self, source: &Source<'_>, group: &StoredGroup<'_>) -> Option<Place> {
         let n = source.model.states.len();
         let index = |name: &str| source.model.states.iter().position(|s| s.variable.name == name);
-        let axes: Vec<usize> = group.attribute(None, "axes")?.split_whitespace().filter_map(index).collect();
+        let axes: Vec<usize> = group
+            .attribute(None, "axes")?
+            .split_whitespace()
+            .filter_map(index)
+            .collect();
         if axes.len() < 2 {
             return None;
         }
@@ -167,9 +190,10 @@ impl Loops {
         let base: Vec<f64> = (0..n)
             .map(|k| {
                 let all = values(k);
-                let near = all.iter().copied().min_by(|a, b| {
-                    (a - source.base[k]).abs().total_cmp(&(b - source.base[k]).abs())
-                });
+                let near = all
+                    .iter()
+                    .copied()
+                    .min_by(|a, b| (a - source.base[k]).abs().total_cmp(&(b - source.base[k]).abs()));
                 near.unwrap_or(source.base[k])
             })
             .collect();
@@ -182,28 +206,62 @@ impl Loops {
                 nodes[i * y.len() + j] = k;
             }
         }
-        (!nodes.contains(&usize::MAX)).then_some(Place { axes, x, y, nodes, base })
+        (!nodes.contains(&usize::MAX)).then_some(Place {
+            axes,
+            x,
+            y,
+            nodes,
+            base,
+        })
     }
 
-    fn map(&self, source: &Source<'_>, place: Place, name: &str, values: &[f64], title: String, bar: String) -> Result<Picture, String> {
+    fn map(
+        &self,
+        source: &Source<'_>,
+        place: Place,
+        name: &str,
+        values: &[f64],
+        title: String,
+        bar: String,
+    ) -> Result<Picture, String> {
         let loss = name == "suboptimality";
         let (sets, lines) = operating(source, &place)?;
         let law = |k: usize| OneLaw {
             name: self.laws[k].clone(),
             values: place.nodes.iter().map(|i| values[k * self.count + i]).collect(),
-            converged: place.nodes.iter().map(|i| f64::from(self.converged[k * self.count + i])).collect(),
-            sets: lines.iter().filter(|(l, ..)| *l == k).map(|(_, s, l)| (*s, l.clone())).collect(),
+            converged: place
+                .nodes
+                .iter()
+                .map(|i| f64::from(self.converged[k * self.count + i]))
+                .collect(),
+            sets: lines
+                .iter()
+                .filter(|(l, ..)| *l == k)
+                .map(|(_, s, l)| (*s, l.clone()))
+                .collect(),
         };
         let laws: Vec<OneLaw> = (0..self.laws.len()).map(law).collect();
         let shown: Vec<f64> = laws.iter().flat_map(|l| l.values.iter().copied()).collect();
         let levels = if loss { decades(&shown) } else { even(&shown) };
         let fixed: Vec<String> = (0..source.model.states.len())
             .filter(|k| !place.axes.contains(k))
-            .map(|k| format!("{} = {}", names::symbol(&source.model.states[k].variable.name), significant(place.base[k], 4)))
+            .map(|k| {
+                format!(
+                    "{} = {}",
+                    names::symbol(&source.model.states[k].variable.name),
+                    significant(place.base[k], 4)
+                )
+            })
             .collect();
-        let at = if fixed.is_empty() { String::new() } else { format!(" at {}", fixed.join(", ")) };
+        let at = if fixed.is_empty() {
+            String::new()
+        } else {
+            format!(" at {}", fixed.join(", "))
+        };
         let pale = laws.iter().any(|l| l.converged.contains(&0.0));
-        let mut caption = format!("Each point is an initial state{at}; its colour is what the closed loop from there recorded, one panel a law, one scale for all.");
+        let mut caption = format!(
+            "Each point is an initial state{at}; its colour is what the closed loop from there recorded, one panel a law, one scale for all."
+        );
         if loss {
             caption += " 10\u{207b}\u{b2} is one per cent more cost than the optimum.";
         }
@@ -231,7 +289,15 @@ impl Loops {
     }
 
     /// Where there is no grid of two states: along one, or how values are distributed.
-    fn curves(&self, source: &Source<'_>, group: &StoredGroup<'_>, name: &str, values: &[f64], title: String, bar: String) -> Picture {
+    fn curves(
+        &self,
+        source: &Source<'_>,
+        group: &StoredGroup<'_>,
+        name: &str,
+        values: &[f64],
+        title: String,
+        bar: String,
+    ) -> Picture {
         let n = source.model.states.len();
         let axis = group.attribute(None, "axes").and_then(|a| {
             let name = a.split_whitespace().next()?.to_owned();
@@ -262,12 +328,18 @@ impl Loops {
         let (x_label, caption) = match axis {
             Some(a) => {
                 panel.label = bar;
-                (names::label(&source.model.states[a].variable), "What the closed loop from each initial state recorded.")
+                (
+                    names::label(&source.model.states[a].variable),
+                    "What the closed loop from each initial state recorded.",
+                )
             }
             None => {
                 panel.label = "share of initial states".to_owned();
                 panel.range = Some([0.0, 1.0]);
-                (bar, "The share of the random initial states from which the closed loop recorded at most so much.")
+                (
+                    bar,
+                    "The share of the random initial states from which the closed loop recorded at most so much.",
+                )
             }
         };
         Picture {
@@ -291,7 +363,10 @@ impl Loops {
 type Boundaries = Vec<(usize, usize, Vec<Vec<[f64; 2]>>)>;
 
 fn operating(source: &Source<'_>, place: &Place) -> Result<(Vec<String>, Boundaries), String> {
-    let (Some(sets), Some(lines)) = (source.stored.group("operating_sets"), source.stored.group("operating_contours")) else {
+    let (Some(sets), Some(lines)) = (
+        source.stored.group("operating_sets"),
+        source.stored.group("operating_contours"),
+    ) else {
         return Ok((Vec::new(), Vec::new()));
     };
     let names = sets.texts("set").map_err(wrong)?;
@@ -319,7 +394,9 @@ fn operating(source: &Source<'_>, place: &Place) -> Result<(Vec<String>, Boundar
         if !found.iter().any(|(a, b, _)| (*a, *b) == (l, s)) {
             found.push((l, s, Vec::new()));
         }
-        let Some((.., lines)) = found.iter_mut().find(|(a, b, _)| (*a, *b) == (l, s)) else { continue };
+        let Some((.., lines)) = found.iter_mut().find(|(a, b, _)| (*a, *b) == (l, s)) else {
+            continue;
+        };
         if before != Some(key) {
             lines.push(Vec::new());
         }
@@ -352,10 +429,21 @@ fn even(values: &[f64]) -> Vec<f64> {
 
 /// Powers of ten and three times these.
 fn decades(values: &[f64]) -> Vec<f64> {
-    let most = values.iter().copied().filter(|v| v.is_finite()).fold(LEAST_LOSS * 10.0, f64::max).min(1e3);
+    let most = values
+        .iter()
+        .copied()
+        .filter(|v| v.is_finite())
+        .fold(LEAST_LOSS * 10.0, f64::max)
+        .min(1e3);
     let last = (most.log10() * 2.0).ceil() as i32;
     let first = ((LEAST_LOSS.log10() * 2.0).round() as i32).max(last - 12);
-    let level = |k: i32| if k % 2 == 0 { 10f64.powi(k / 2) } else { 3.0 * 10f64.powi((k - 1).div_euclid(2)) };
+    let level = |k: i32| {
+        if k % 2 == 0 {
+            10f64.powi(k / 2)
+        } else {
+            3.0 * 10f64.powi((k - 1).div_euclid(2))
+        }
+    };
     (first..=last).map(level).collect()
 }
 
@@ -391,10 +479,20 @@ impl Map {
             cut: &[],
         };
         frame.under(canvas);
-        fill(canvas, frame, &grid(&law.values), &self.levels, &|k| self.shade(k), true);
+        fill(
+            canvas,
+            frame,
+            &grid(&law.values),
+            &self.levels,
+            &|k| self.shade(k),
+            true,
+        );
         let bad: Vec<f64> = law.converged.iter().map(|c| 1.0 - c).collect();
         if bad.contains(&1.0) {
-            let rings: Vec<Vec<Point>> = contour::region(&grid(&bad), 0.5).iter().map(|r| frame.ring(r)).collect();
+            let rings: Vec<Vec<Point>> = contour::region(&grid(&bad), 0.5)
+                .iter()
+                .map(|r| frame.ring(r))
+                .collect();
             canvas.area(&rings, Ink::Paper, 0.6);
             let edges: Vec<Vec<[f64; 2]>> = contour::lines(&grid(&bad), 0.5).into_iter().map(|l| l.points).collect();
             canvas.lines(&frame.lines(&edges), Stroke::new(Ink::Text, 1.2).dash(Dash::Dashed));
@@ -407,7 +505,11 @@ impl Map {
         frame.over(canvas);
         let a = frame.area;
         let name = text::shortened(&law.name, 13.0, a.width());
-        canvas.text([0.5 * (a.left + a.right), a.top - 0.5 * LINE], &name, Style::new(Anchor::Middle));
+        canvas.text(
+            [0.5 * (a.left + a.right), a.top - 0.5 * LINE],
+            &name,
+            Style::new(Anchor::Middle),
+        );
     }
 }
 
@@ -437,7 +539,11 @@ impl Drawing for Map {
         let x = Axis::linear(self.labels[0].clone(), ends(&self.x));
         let y = Axis::linear(self.labels[1].clone(), ends(&self.y));
         let bounds = ends(&self.levels);
-        let axis = if self.log { Axis::log("", bounds) } else { Axis::linear("", bounds) };
+        let axis = if self.log {
+            Axis::log("", bounds)
+        } else {
+            Axis::linear("", bounds)
+        };
         let colour = |v: f64| self.shade(self.levels.partition_point(|l| *l <= v));
         let bar = Bar {
             label: &self.bar,

@@ -1,8 +1,8 @@
 //! V over a plane as filled contours.
 
 use super::Made;
-use super::boundary::Boundary;
 use super::bands::fill;
+use super::boundary::Boundary;
 use crate::report::canvas::{Anchor, Canvas, Ink, Point, Rect, Stroke, Style, TEXT};
 use crate::report::colours;
 use crate::report::contour::{self, Grid};
@@ -13,7 +13,10 @@ use crate::report::{Drawing, Picture, Source, names, text};
 
 struct Contours {
     plane: Plane,
+    /// Ends of the bands; nothing is shown above the last.
     levels: Vec<f64>,
+    /// Levels with a line.
+    lines: Vec<f64>,
     /// What of V lies outside all levels.
     least: f64,
     boundary: Boundary,
@@ -36,6 +39,11 @@ pub fn picture(source: &Source<'_>) -> Made {
             significant(most, 3)
         ));
     }
+    // Bands that end above all that is known would only take colours from the others.
+    let end = most.min(plane.limit);
+    let asked = levels.clone();
+    let mut levels: Vec<f64> = levels.into_iter().filter(|l| *l < end).collect();
+    levels.extend(asked.iter().copied().find(|l| *l >= end).map(|l| l.min(plane.limit)));
     let boundary = Boundary::read(source)?;
     let sheets = plane.sheets().len();
     let mut caption = format!(
@@ -44,15 +52,18 @@ pub fn picture(source: &Source<'_>) -> Made {
         source.fixed()
     );
     if sheets > 1 {
-        caption += " Lines have a kink where the cheapest solution changes from one sheet to another: the dark line.";
+        caption += " Lines have a kink where the cheapest solution changes from one sheet to another: the thick line.";
     }
-    caption += " White: not known, or above the last level.";
+    caption += " Blank: not known, or above the last level.";
     let drawing = Contours {
         plane: plane.clone(),
         levels,
+        lines: asked.into_iter().filter(|l| *l <= end).collect(),
         least,
         boundary,
-        rest: source.infinite().then(|| source.axes.map(|k| source.model.reference()[k])),
+        rest: source
+            .infinite()
+            .then(|| source.axes.map(|k| source.model.reference()[k])),
         labels: source.labels(),
         bar: "V, cost from the state on".to_owned(),
     };
@@ -66,7 +77,9 @@ pub fn picture(source: &Source<'_>) -> Made {
 
 /// `θ and ω`.
 pub fn over(source: &Source<'_>) -> String {
-    let [a, b] = source.axes.map(|k| names::symbol(&source.model.states[k].variable.name));
+    let [a, b] = source
+        .axes
+        .map(|k| names::symbol(&source.model.states[k].variable.name));
     format!("{a} and {b}")
 }
 
@@ -74,7 +87,8 @@ impl Contours {
     /// Levels are mostly spread over decades.
     fn scale(&self) -> Axis {
         let (first, last) = (self.levels[0], self.levels[self.levels.len() - 1]);
-        if self.levels.len() > 1 && first > 0.0 && last / first > 20.0 {
+        let ratio = (last / first).powf(1.0 / (self.levels.len().max(2) as f64 - 1.0));
+        if first > 0.0 && ratio > 1.5 {
             Axis::log("", [first, last])
         } else {
             Axis::linear("", [self.least.min(first), last])
@@ -108,7 +122,11 @@ struct Labels {
 impl Labels {
     /// Writes `label` on the longest of some lines, in the middle of its straightest part that is free.
     fn write(&mut self, canvas: &mut dyn Canvas, lines: &[Vec<Point>], label: &str, area: Rect) {
-        let length = |l: &Vec<Point>| l.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1])).sum::<f64>();
+        let length = |l: &Vec<Point>| {
+            l.windows(2)
+                .map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]))
+                .sum::<f64>()
+        };
         let width = text::width(label, TEXT - 1.0);
         let Some(line) = lines.iter().max_by(|a, b| length(a).total_cmp(&length(b))) else {
             return;
@@ -118,9 +136,25 @@ impl Labels {
         }
         // Candidates along the line; the one furthest from the labels that are there.
         let dense = resampled(line, 8.0);
-        let room = |p: &Point| Rect::new(p[0] - 0.5 * width - 3.0, p[1] - 8.0, p[0] + 0.5 * width + 3.0, p[1] + 8.0);
-        let inside = |r: &Rect| r.left > area.left + 2.0 && r.right < area.right - 2.0 && r.top > area.top + 2.0 && r.bottom < area.bottom - 2.0;
-        let free = |r: &Rect| self.taken.iter().all(|t| r.right < t.left || r.left > t.right || r.bottom < t.top || r.top > t.bottom);
+        let room = |p: &Point| {
+            Rect::new(
+                p[0] - 0.5 * width - 3.0,
+                p[1] - 8.0,
+                p[0] + 0.5 * width + 3.0,
+                p[1] + 8.0,
+            )
+        };
+        let inside = |r: &Rect| {
+            r.left > area.left + 2.0
+                && r.right < area.right - 2.0
+                && r.top > area.top + 2.0
+                && r.bottom < area.bottom - 2.0
+        };
+        let free = |r: &Rect| {
+            self.taken
+                .iter()
+                .all(|t| r.right < t.left || r.left > t.right || r.bottom < t.top || r.top > t.bottom)
+        };
         let distance = |p: &Point| {
             let to = |t: &Rect| (0.5 * (t.left + t.right) - p[0]).hypot(0.5 * (t.top + t.bottom) - p[1]);
             self.taken.iter().map(to).fold(1e3, f64::min)
@@ -162,7 +196,7 @@ impl Drawing for Contours {
         let x = Axis::linear(self.labels[0].clone(), ends(&self.plane.x));
         let y = Axis::linear(self.labels[1].clone(), ends(&self.plane.y));
         let mut entries = Vec::new();
-        let thick = Stroke::new(Ink::Colour([20, 20, 20]), 2.6);
+        let thick = Stroke::new(Ink::Text, 2.6);
         if !self.boundary.is_empty() {
             entries.push((Mark::Line(thick), "equal cost: the optimal control jumps".to_owned()));
         }
@@ -183,27 +217,35 @@ impl Drawing for Contours {
         legend.draw(canvas, [area.left, area.top], area.width());
         frame.under(canvas);
         // Bands meet at the boundary; only lines end there.
-        let whole = Grid { cut: &[], ..self.grid() };
+        let whole = Grid {
+            cut: &[],
+            ..self.grid()
+        };
         fill(canvas, &frame, &whole, &self.levels, &|k| self.shade(k), false);
         let mut labels = Labels { taken: Vec::new() };
         if let Some([x, y]) = self.rest.and_then(|r| frame.dots([r]).first().copied()) {
             labels.taken.push(Rect::new(x - 6.0, y - 6.0, x + 6.0, y + 6.0));
         }
         let mut placed = Vec::new();
-        for level in &self.levels {
-            let lines: Vec<Vec<[f64; 2]>> = contour::lines(&self.grid(), *level).into_iter().map(|l| l.points).collect();
+        for level in &self.lines {
+            let lines: Vec<Vec<[f64; 2]>> = contour::lines(&self.grid(), *level)
+                .into_iter()
+                .map(|l| l.points)
+                .collect();
             let lines = frame.lines(&lines);
             canvas.lines(&lines, Stroke::new(Ink::Colour([255, 255, 255]), 1.0).opacity(0.85));
             placed.push(lines);
         }
-        canvas.lines(&frame.lines(&self.boundary.lines), thick);
+        let boundary = frame.lines(&self.boundary.lines);
+        canvas.lines(&boundary, Stroke::new(Ink::Paper, 4.6).opacity(0.7));
+        canvas.lines(&boundary, thick);
         canvas.dots(&frame.dots(self.boundary.points.iter().copied()), 5.0, thick.ink, 1.0);
         if let Some(rest) = self.rest {
             let dots = frame.dots([rest]);
             canvas.dots(&dots, 9.0, Ink::Colour([255, 255, 255]), 1.0);
             canvas.dots(&dots, 6.0, Ink::Colour([20, 20, 20]), 1.0);
         }
-        for (level, lines) in self.levels.iter().zip(&placed).rev() {
+        for (level, lines) in self.lines.iter().zip(&placed).rev() {
             labels.write(canvas, lines, &significant(*level, 3), frame.area);
         }
         frame.over(canvas);

@@ -15,7 +15,9 @@ const SHOWN: usize = 5;
 const STARTS: usize = 3;
 
 pub fn picture(source: &Source<'_>) -> Made {
-    let Some(t) = source.trajectories()? else { return Ok(None) };
+    let Some(t) = source.trajectories()? else {
+        return Ok(None);
+    };
     let shown = far_apart(source.model, t, SHOWN);
     if shown.is_empty() {
         return Ok(None);
@@ -27,7 +29,9 @@ pub fn picture(source: &Source<'_>) -> Made {
     for (place, k) in shown.iter().enumerate() {
         let stroke = Stroke::new(Ink::Colour(colours::class(place)), 1.7);
         let path = flow.path(t, *k);
-        let Some(start) = path.first().map(|(_, time, _)| *time) else { continue };
+        let Some(start) = path.first().map(|(_, time, _)| *time) else {
+            continue;
+        };
         for (i, panel) in panels.iter_mut().enumerate() {
             let points: Vec<[f64; 2]> = if i < n {
                 path.iter().map(|(_, time, x)| [time - start, x[i]]).collect()
@@ -48,8 +52,16 @@ pub fn picture(source: &Source<'_>) -> Made {
         caption: format!(
             "{} optimal trajectories whose initial states are far apart, from their first point on{}{}.",
             shown.len(),
-            if source.infinite() { "; dotted: the equilibrium" } else { "" },
-            if has_bounds(source.model) { "; dashed: a control's bounds" } else { "" },
+            if source.infinite() {
+                "; dotted: the equilibrium"
+            } else {
+                ""
+            },
+            if has_bounds(source.model) {
+                "; dashed: a control's bounds"
+            } else {
+                ""
+            },
         ),
         drawing: Box::new(Panels {
             x_label: "time (s)".to_owned(),
@@ -65,10 +77,16 @@ pub fn picture(source: &Source<'_>) -> Made {
 
 /// Closed loops of several laws from the same initial states.
 pub fn closed_loop(source: &Source<'_>) -> Made {
-    let Some(group) = source.stored.group("closed_loop_trajectories") else { return Ok(None) };
+    let Some(group) = source.stored.group("closed_loop_trajectories") else {
+        return Ok(None);
+    };
     let text = |e: crate::output::StoredError| e.to_string();
     let laws = group.texts("law").map_err(text)?;
-    let (t, x, u) = (group.f64("t").map_err(text)?, group.f64("x").map_err(text)?, group.f64("u").map_err(text)?);
+    let (t, x, u) = (
+        group.f64("t").map_err(text)?,
+        group.f64("x").map_err(text)?,
+        group.f64("u").map_err(text)?,
+    );
     let (n, m) = (source.model.states.len(), source.model.controls.len());
     let (&[count, starts, samples], true) = (t.shape.as_slice(), x.values.len() == t.values.len() * n) else {
         return Err("/closed_loop_trajectories: t is not law x trajectory x sample".to_owned());
@@ -85,7 +103,13 @@ pub fn closed_loop(source: &Source<'_>) -> Made {
             let range = (law * starts + start) * samples..(law * starts + start + 1) * samples;
             let stroke = Stroke::new(Ink::Colour(colours::class(law)), 1.7).dash(DASHES[place % 3]);
             for (i, panel) in panels.iter_mut().enumerate() {
-                let value = |s: usize| if i < n { x.values[s * n + i] } else { u.values[s * m + i - n] };
+                let value = |s: usize| {
+                    if i < n {
+                        x.values[s * n + i]
+                    } else {
+                        u.values[s * m + i - n]
+                    }
+                };
                 let points = range.clone().map(|s| [t.values[s], value(s)]).collect();
                 panel.curves.push(Curve { points, stroke });
             }
@@ -129,7 +153,8 @@ fn panels(model: &Model) -> Vec<Panel> {
         Horizon::Finite { .. } => None,
     };
     let states = model.states.iter().map(|s| (&s.variable, Vec::new()));
-    let controls = (model.controls.iter()).map(|c| (&c.variable, [c.min, c.max].into_iter().flatten().collect::<Vec<_>>()));
+    let controls =
+        (model.controls.iter()).map(|c| (&c.variable, [c.min, c.max].into_iter().flatten().collect::<Vec<_>>()));
     (states.chain(controls).enumerate())
         .map(|(k, (variable, bounds))| Panel {
             label: names::label(variable),
@@ -151,10 +176,17 @@ fn far_apart(model: &Model, t: &StoredTrajectories, most: usize) -> Vec<usize> {
     };
     // Some thousands are as good as all.
     let stride = t.count.div_ceil(4000).max(1);
-    let all: Vec<(usize, Vec<f64>)> = (0..t.count).step_by(stride).filter_map(|k| Some((k, place(k)?))).collect();
+    let all: Vec<(usize, Vec<f64>)> = (0..t.count)
+        .step_by(stride)
+        .filter_map(|k| Some((k, place(k)?)))
+        .collect();
     let inside = |x: &[f64]| x.iter().all(|v| (0.0..=1.0).contains(v));
     let within: Vec<&(usize, Vec<f64>)> = all.iter().filter(|(_, x)| inside(x)).collect();
-    let all: Vec<&(usize, Vec<f64>)> = if within.len() >= most { within } else { all.iter().collect() };
+    let all: Vec<&(usize, Vec<f64>)> = if within.len() >= most {
+        within
+    } else {
+        all.iter().collect()
+    };
     let mut nearest = vec![f64::INFINITY; all.len()];
     let mut chosen = Vec::new();
     let mut next = (!all.is_empty()).then_some(0);
@@ -164,7 +196,9 @@ fn far_apart(model: &Model, t: &StoredTrajectories, most: usize) -> Vec<usize> {
             let apart: f64 = other.1.iter().zip(&all[k].1).map(|(a, b)| (a - b) * (a - b)).sum();
             *d = d.min(apart);
         }
-        next = (0..all.len()).max_by(|a, b| nearest[*a].total_cmp(&nearest[*b])).filter(|k| nearest[*k] > 0.0);
+        next = (0..all.len())
+            .max_by(|a, b| nearest[*a].total_cmp(&nearest[*b]))
+            .filter(|k| nearest[*k] > 0.0);
     }
     chosen
 }

@@ -50,7 +50,9 @@ pub struct Panels {
 
 impl Panels {
     fn columns(&self, width: f64) -> usize {
-        ((width / NARROWEST) as usize).clamp(1, self.columns.max(1)).min(self.panels.len().max(1))
+        ((width / NARROWEST) as usize)
+            .clamp(1, self.columns.max(1))
+            .min(self.panels.len().max(1))
     }
 
     fn rows(&self, width: f64) -> usize {
@@ -58,9 +60,17 @@ impl Panels {
     }
 
     fn x(&self) -> Axis {
-        let all = self.panels.iter().flat_map(|p| p.curves.iter()).flat_map(|c| c.points.iter().map(|p| p[0]));
+        let all = self
+            .panels
+            .iter()
+            .flat_map(|p| p.curves.iter())
+            .flat_map(|c| c.points.iter().map(|p| p[0]));
         let found = range(all.filter(|v| !self.log || *v > 0.0)).unwrap_or([0.0, 1.0]);
-        if self.log { Axis::log(self.x_label.clone(), found) } else { Axis::linear(self.x_label.clone(), found) }
+        if self.log {
+            Axis::log(self.x_label.clone(), found)
+        } else {
+            Axis::linear(self.x_label.clone(), found)
+        }
     }
 }
 
@@ -110,7 +120,11 @@ impl Panel {
 impl Drawing for Panels {
     fn height(&self, width: f64) -> f64 {
         let rows = self.rows(width) as f64;
-        Legend { entries: &self.legend }.height(width) + rows * self.tall * HEIGHT + (rows - 1.0) * GAP + Frame::below(true) + 7.0
+        Legend { entries: &self.legend }.height(width)
+            + rows * self.tall * HEIGHT
+            + (rows - 1.0) * GAP
+            + Frame::below(true)
+            + 7.0
     }
 
     fn draw(&self, canvas: &mut dyn Canvas, area: Rect) {

@@ -13,7 +13,9 @@ use crate::report::{Drawing, Picture, Source};
 use std::collections::BTreeMap;
 
 /// Trajectories of a picture.
-const SHOWN: usize = 90;
+const SHOWN: usize = 64;
+/// Of those that are nowhere optimal, of which there are more the more sheets there are.
+const OTHERS: usize = 12;
 /// Fronts of a picture.
 const FRONTS: usize = 6;
 /// Bands of V that trajectories are coloured by.
@@ -55,16 +57,29 @@ struct Seen {
 }
 
 pub fn picture(source: &Source<'_>) -> Made {
-    let Some(t) = source.trajectories()? else { return Ok(None) };
+    let Some(t) = source.trajectories()? else {
+        return Ok(None);
+    };
     if source.axes[0] == source.axes[1] {
         return Err("it needs two states".to_owned());
     }
     let two = source.model.states.len() == 2;
     let field = if two { source.field()? } else { None };
-    let shifts = if two { shifts(source) } else { vec![vec![0.0; source.model.states.len()]] };
+    let shifts = if two {
+        shifts(source)
+    } else {
+        vec![vec![0.0; source.model.states.len()]]
+    };
     let all = seen(source, t, field, &shifts);
-    let shown = spread(source, &all, SHOWN);
-    let mut sheets: Vec<i32> = all.iter().flat_map(|s| s.sheets.iter().copied()).filter(|s| *s >= 0).collect();
+    let optimal = |s: &&Seen| s.sheets.is_empty() || s.sheets.iter().any(|s| *s >= 0);
+    let (best, others): (Vec<&Seen>, Vec<&Seen>) = all.iter().partition(optimal);
+    let mut shown = spread(source, &best, SHOWN);
+    shown.extend(spread(source, &others, OTHERS));
+    let mut sheets: Vec<i32> = all
+        .iter()
+        .flat_map(|s| s.sheets.iter().copied())
+        .filter(|s| *s >= 0)
+        .collect();
     sheets.sort_unstable();
     sheets.dedup();
     let rest = source.model.reference();
@@ -86,7 +101,11 @@ pub fn picture(source: &Source<'_>) -> Made {
         "{} of {} optimal trajectories{}. ",
         shown.len(),
         t.count,
-        if two { "" } else { ", projected: lines that cross differ in the other states" },
+        if two {
+            ""
+        } else {
+            ", projected: lines that cross differ in the other states"
+        },
     );
     let mut flow = Flow::new(source.model, &source.stored.hamiltonian);
     if sheets.len() > 1 {
@@ -105,14 +124,16 @@ pub fn picture(source: &Source<'_>) -> Made {
     if two && source.infinite() {
         let levels = drawing.draw_fronts(source, t, &all);
         if !levels.is_empty() {
-            caption += &format!("Black: fronts of equal cost, V = {}. ", levels.join(", "));
+            caption += &format!("Across them: fronts of equal cost, V = {}. ", levels.join(", "));
             let line = Mark::Line(Stroke::new(Ink::Text, 1.3));
             drawing.legend.push((line, "front of equal cost".to_owned()));
         }
     }
     if !drawing.boundary.is_empty() {
         let dark = Stroke::new(Ink::Text, 3.0);
-        drawing.legend.push((Mark::Line(dark), "equal cost: the control jumps".to_owned()));
+        drawing
+            .legend
+            .push((Mark::Line(dark), "equal cost: the control jumps".to_owned()));
     }
     caption += if source.infinite() {
         "Motion is towards the dot, the equilibrium; trajectories are stored from the first front on."
@@ -131,8 +152,13 @@ pub fn picture(source: &Source<'_>) -> Made {
 fn shifts(source: &Source<'_>) -> Vec<Vec<f64>> {
     let mut all = vec![Vec::new()];
     for state in &source.model.states {
-        let steps: Vec<f64> = state.period.map_or_else(|| vec![0.0], |p| (-2..=2).map(|k| f64::from(k) * p).collect());
-        all = all.iter().flat_map(|s| steps.iter().map(move |d| [s.as_slice(), &[*d]].concat())).collect();
+        let steps: Vec<f64> = state
+            .period
+            .map_or_else(|| vec![0.0], |p| (-2..=2).map(|k| f64::from(k) * p).collect());
+        all = all
+            .iter()
+            .flat_map(|s| steps.iter().map(move |d| [s.as_slice(), &[*d]].concat()))
+            .collect();
     }
     all
 }
@@ -178,7 +204,11 @@ fn sheets_along(source: &Source<'_>, t: &StoredTrajectories, field: &GridField, 
         Some(if t.v[s] > most { DEARER } else { local.sheet })
     };
     if !source.infinite() {
-        let sheet = range.clone().find(|s| t.v[*s].is_finite()).and_then(told).unwrap_or(UNKNOWN);
+        let sheet = range
+            .clone()
+            .find(|s| t.v[*s].is_finite())
+            .and_then(told)
+            .unwrap_or(UNKNOWN);
         return vec![sheet; t.samples];
     }
     let mut sheets = vec![UNKNOWN; t.samples];
@@ -201,18 +231,22 @@ fn sheets_along(source: &Source<'_>, t: &StoredTrajectories, field: &GridField, 
 }
 
 /// At most `most`, their outer ends as far from each other as can be had one by one.
-fn spread(source: &Source<'_>, all: &[Seen], most: usize) -> Vec<Seen> {
-    let widths = source.axes.map(|k| source.model.region[k][1] - source.model.region[k][0]);
+fn spread(source: &Source<'_>, all: &[&Seen], most: usize) -> Vec<Seen> {
+    let widths = source
+        .axes
+        .map(|k| source.model.region[k][1] - source.model.region[k][0]);
     let mut nearest = vec![f64::INFINITY; all.len()];
     let mut chosen = Vec::new();
     let mut next = (!all.is_empty()).then_some(0);
     while let Some(k) = next.filter(|_| chosen.len() < most) {
-        chosen.push(all[k].clone());
+        chosen.push(Seen::clone(all[k]));
         for (d, s) in nearest.iter_mut().zip(all) {
             let apart = |i: usize| (s.outer[i] - all[k].outer[i]) / widths[i];
             *d = d.min(apart(0).hypot(apart(1)));
         }
-        next = (0..all.len()).max_by(|a, b| nearest[*a].total_cmp(&nearest[*b])).filter(|k| nearest[*k] > 1e-6);
+        next = (0..all.len())
+            .max_by(|a, b| nearest[*a].total_cmp(&nearest[*b]))
+            .filter(|k| nearest[*k] > 1e-6);
     }
     chosen
 }
@@ -267,7 +301,9 @@ impl Phase {
         let values = t.v.iter().copied().filter(|v| v.is_finite());
         let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
         let zero = if source.infinite() { least.min(0.0) } else { least };
-        self.bands = (0..=BANDS).map(|k| zero + (most - zero) * k as f64 / BANDS as f64).collect();
+        self.bands = (0..=BANDS)
+            .map(|k| zero + (most - zero) * k as f64 / BANDS as f64)
+            .collect();
         let band = |v: f64| (((v - zero) / (most - zero) * BANDS as f64) as usize).min(BANDS - 1);
         let mut by_band: Vec<Vec<Path>> = vec![Vec::new(); BANDS];
         for seen in shown {
@@ -275,7 +311,9 @@ impl Phase {
                 by_band[b as usize].push(path);
             }
         }
-        self.coloured = (by_band.into_iter().enumerate()).map(|(b, paths)| (band_colour(b), paths)).collect();
+        self.coloured = (by_band.into_iter().enumerate())
+            .map(|(b, paths)| (band_colour(b), paths))
+            .collect();
     }
 
     /// Some fronts, cut where they are not optimal and where neighbours are far apart; their V.
@@ -302,7 +340,9 @@ impl Phase {
             let nearest = (0..t.samples)
                 .filter(|j| value(*j).is_finite())
                 .min_by(|a, b| (value(*a) - wanted).abs().total_cmp(&(value(*b) - wanted).abs()));
-            let Some(j) = nearest.filter(|j| *j != before) else { continue };
+            let Some(j) = nearest.filter(|j| *j != before) else {
+                continue;
+            };
             before = j;
             for ring in &rings {
                 self.front(source, t, ring, j);
@@ -314,13 +354,17 @@ impl Phase {
 
     fn front(&mut self, source: &Source<'_>, t: &StoredTrajectories, ring: &[&Seen], j: usize) {
         let spacing = source.model.shoot_out.as_ref().map_or(0.05, |s| s.spacing);
-        let widths = source.axes.map(|k| source.model.region[k][1] - source.model.region[k][0]);
+        let widths = source
+            .axes
+            .map(|k| source.model.region[k][1] - source.model.region[k][0]);
         let mut path: Path = Vec::new();
         for seen in ring.iter().chain(ring.first()) {
             let s = seen.number * t.samples + j;
             let good = t.v[s].is_finite() && seen.sheets.get(j).is_none_or(|s| *s != DEARER);
             let at = source.axes.map(|k| t.x[2 * s + k] + seen.shift[k]);
-            let near = path.last().is_some_and(|p| (0..2).all(|i| (p[i] - at[i]).abs() <= 3.0 * spacing * widths[i]));
+            let near = path
+                .last()
+                .is_some_and(|p| (0..2).all(|i| (p[i] - at[i]).abs() <= 3.0 * spacing * widths[i]));
             if (!good || !near) && !path.is_empty() {
                 self.fronts.push(std::mem::take(&mut path));
             }
@@ -337,7 +381,9 @@ fn in_order(source: &Source<'_>, t: &StoredTrajectories, ring: &mut [&Seen]) {
     let at = source.model.reference();
     let width = source.model.region.iter().map(|[a, b]| b - a).collect::<Vec<_>>();
     let angle = |seen: &Seen| {
-        let last = (seen.number * t.samples..(seen.number + 1) * t.samples).rev().find(|s| t.v[*s].is_finite());
+        let last = (seen.number * t.samples..(seen.number + 1) * t.samples)
+            .rev()
+            .find(|s| t.v[*s].is_finite());
         last.map_or(f64::NAN, |s| {
             let of = |i: usize| (t.x[2 * s + i] - at[i]) / width[i];
             of(1).atan2(of(0))
@@ -361,7 +407,13 @@ impl Drawing for Phase {
         let legend = Legend { entries: &self.legend };
         legend.draw(canvas, [area.left, area.top], area.width());
         let top = area.top + legend.height(area.width());
-        let axis = Axis::linear("", [self.bands.first().copied().unwrap_or(0.0), self.bands.last().copied().unwrap_or(1.0)]);
+        let axis = Axis::linear(
+            "",
+            [
+                self.bands.first().copied().unwrap_or(0.0),
+                self.bands.last().copied().unwrap_or(1.0),
+            ],
+        );
         let width = axis.range[1] - axis.range[0];
         let colour = |v: f64| band_colour((((v - axis.range[0]) / width * BANDS as f64) as usize).min(BANDS - 1));
         let bar = Bar {
@@ -370,16 +422,26 @@ impl Drawing for Phase {
             bands: &self.bands,
             colour: &colour,
         };
-        let room = if self.bands.is_empty() { 0.0 } else { bar.width(area.bottom - top) };
+        let room = if self.bands.is_empty() {
+            0.0
+        } else {
+            bar.width(area.bottom - top)
+        };
         let frame = Frame::within(Rect::new(area.left, top, area.right - room, area.bottom), x, y);
         frame.under(canvas);
         canvas.lines(&frame.lines(&self.faint), Stroke::new(Ink::Muted, 0.8).opacity(0.4));
         let width = if self.bands.is_empty() { 1.1 } else { 1.3 };
         for (colour, paths) in &self.coloured {
-            canvas.lines(&frame.lines(paths), Stroke::new(Ink::Colour(*colour), width).opacity(0.9));
+            canvas.lines(
+                &frame.lines(paths),
+                Stroke::new(Ink::Colour(*colour), width).opacity(0.9),
+            );
         }
         canvas.lines(&frame.lines(&self.fronts), Stroke::new(Ink::Text, 1.3));
-        canvas.lines(&frame.lines(&self.boundary.lines), Stroke::new(Ink::Paper, 5.0).opacity(0.7));
+        canvas.lines(
+            &frame.lines(&self.boundary.lines),
+            Stroke::new(Ink::Paper, 5.0).opacity(0.7),
+        );
         canvas.lines(&frame.lines(&self.boundary.lines), Stroke::new(Ink::Text, 3.0));
         canvas.dots(&frame.dots(self.boundary.points.iter().copied()), 6.0, Ink::Text, 1.0);
         let dots = frame.dots(self.rest.iter().copied());

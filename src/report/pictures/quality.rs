@@ -39,14 +39,20 @@ pub fn picture(source: &Source<'_>) -> Made {
     let swept = along_trajectories(source)?;
     if !swept.is_empty() {
         rows.push(Row {
-            label: format!("{change} along {} trajectories, of the largest running cost", swept.len()),
+            label: format!(
+                "{change} along {} trajectories, of the largest running cost",
+                swept.len()
+            ),
             values: swept,
         });
     }
     rows.extend(at_points(source)?);
     let summary = source.stored.summary();
     let mut estimates = Vec::new();
-    for (what, at) in [("swept", &summary["error_estimate"]), ("solved", &summary["homotopy"]["error_estimate"])] {
+    for (what, at) in [
+        ("swept", &summary["error_estimate"]),
+        ("solved", &summary["homotopy"]["error_estimate"]),
+    ] {
         estimates.extend(estimates_of(what, at));
     }
     if rows.is_empty() && estimates.is_empty() {
@@ -59,7 +65,11 @@ pub fn picture(source: &Source<'_>) -> Made {
     }
     if !estimates.is_empty() {
         caption += "Estimates compare a random sample with a finer integration: dot median, bar 99 %, ring largest";
-        caption += if asked.is_some() { "; dashed: what is promised of V. " } else { ". " };
+        caption += if asked.is_some() {
+            "; dashed: what is promised of V. "
+        } else {
+            ". "
+        };
     }
     Ok(Some(Picture {
         name: "errors".to_owned(),
@@ -83,7 +93,9 @@ fn along_trajectories(source: &Source<'_>) -> Result<Vec<f64>, String> {
     let mut flow = Flow::new(source.model, &source.stored.hamiltonian);
     let mut all = Vec::new();
     for k in (0..t.count).step_by(t.count.div_ceil(TRAJECTORIES)) {
-        let finite: Vec<usize> = (k * t.samples..(k + 1) * t.samples).filter(|s| t.v[*s].is_finite()).collect();
+        let finite: Vec<usize> = (k * t.samples..(k + 1) * t.samples)
+            .filter(|s| t.v[*s].is_finite())
+            .collect();
         let cost = (finite.iter().step_by(finite.len().div_ceil(SAMPLES).max(1)))
             .map(|s| flow.at(&t.x[s * n..(s + 1) * n], &t.p[s * n..(s + 1) * n])[n].abs())
             .fold(0.0, f64::max);
@@ -138,7 +150,9 @@ fn estimates_of(what: &str, at: &serde_json::Value) -> Vec<Estimate> {
 impl Quality {
     fn range(&self) -> [f64; 2] {
         let values = self.rows.iter().flat_map(|r| r.values.iter().copied());
-        let all = values.chain(self.estimates.iter().flat_map(|e| e.quantiles)).chain(self.asked);
+        let all = values
+            .chain(self.estimates.iter().flat_map(|e| e.quantiles))
+            .chain(self.asked);
         let [from, to] = range(all.filter(|v| *v > LEAST)).unwrap_or([1e-12, 1e-6]);
         [10f64.powf(from.log10().floor()), 10f64.powf(to.log10().ceil())]
     }
@@ -163,7 +177,11 @@ impl Quality {
 
 impl Drawing for Quality {
     fn height(&self, _: f64) -> f64 {
-        let estimates = if self.estimates.is_empty() { 0.0 } else { LINE + 26.0 + LINE * self.estimates.len() as f64 };
+        let estimates = if self.estimates.is_empty() {
+            0.0
+        } else {
+            LINE + 26.0 + LINE * self.estimates.len() as f64
+        };
         self.rows.len() as f64 * (HIGH + LINE + 10.0) + estimates + Frame::below(true)
     }
 
@@ -197,7 +215,12 @@ impl Drawing for Quality {
         if !self.estimates.is_empty() {
             let style = Style::new(Anchor::Start);
             canvas.text([left, top + 0.5 * LINE], "estimated errors", style);
-            let inside = Rect::new(left, top + LINE, right, top + LINE + 12.0 + LINE * self.estimates.len() as f64);
+            let inside = Rect::new(
+                left,
+                top + LINE,
+                right,
+                top + LINE + 12.0 + LINE * self.estimates.len() as f64,
+            );
             let mut frame = Frame::around(inside, x, Axis::linear("", [0.0, 1.0]));
             frame.y_ticks = false;
             self.marks(canvas, &frame);

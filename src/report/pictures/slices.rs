@@ -33,7 +33,12 @@ impl Slice {
             })
             .collect();
         let axis = (0..n).rev().max_by_key(|k| values[*k].len())?;
-        let nearest = |k: usize| values[k].iter().copied().min_by(|a, b| (a - base[k]).abs().total_cmp(&(b - base[k]).abs()));
+        let nearest = |k: usize| {
+            values[k]
+                .iter()
+                .copied()
+                .min_by(|a, b| (a - base[k]).abs().total_cmp(&(b - base[k]).abs()))
+        };
         let at: Vec<f64> = (0..n).map(nearest).collect::<Option<_>>()?;
         let slice = Self { axis, at };
         let count = points.x.chunks(n).filter(|x| slice.has(x, 1e-9)).count();
@@ -61,7 +66,9 @@ pub fn picture(source: &Source<'_>) -> Made {
     };
     let model = source.model;
     let (n, m) = (model.states.len(), model.controls.len());
-    let Some(slice) = Slice::find(points, &source.base) else { return Ok(None) };
+    let Some(slice) = Slice::find(points, &source.base) else {
+        return Ok(None);
+    };
     let mut entries: Vec<Entry> = (0..all.count)
         .filter(|k| slice.has(&all.x[k * n..(k + 1) * n], 1e-9) && all.v[*k].is_finite())
         .map(|k| Entry {
@@ -76,7 +83,12 @@ pub fn picture(source: &Source<'_>) -> Made {
         return Ok(None);
     }
     entries.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.v.total_cmp(&b.v)));
-    let mut steps: Vec<f64> = points.x.chunks(n).filter(|x| slice.has(x, 1e-9)).map(|x| x[slice.axis]).collect();
+    let mut steps: Vec<f64> = points
+        .x
+        .chunks(n)
+        .filter(|x| slice.has(x, 1e-9))
+        .map(|x| x[slice.axis])
+        .collect();
     steps.sort_by(f64::total_cmp);
     steps.dedup();
     let branches = branches(&entries, &steps);
@@ -84,11 +96,20 @@ pub fn picture(source: &Source<'_>) -> Made {
     sheets.sort_unstable();
     sheets.dedup();
     // Of a single sheet all is the cheapest.
-    let cheapest = if sheets.len() > 1 { cheapest(&entries, &steps) } else { Vec::new() };
+    let cheapest = if sheets.len() > 1 {
+        cheapest(&entries, &steps)
+    } else {
+        Vec::new()
+    };
     let crossings = crossings(source, &slice)?;
     let below = Stroke::new(Ink::Text, 7.0).opacity(0.18);
     let panel = |label: String, line: &dyn Fn(&Vec<usize>) -> Vec<[f64; 2]>| {
-        let mut curves: Vec<Curve> = (cheapest.iter()).map(|k| Curve { points: line(k), stroke: below }).collect();
+        let mut curves: Vec<Curve> = (cheapest.iter())
+            .map(|k| Curve {
+                points: line(k),
+                stroke: below,
+            })
+            .collect();
         curves.extend(branches.iter().map(|k| Curve {
             points: line(k),
             stroke: Stroke::new(Ink::Colour(colours::class(entries[k[0]].sheet.max(0) as usize)), 1.8),
@@ -99,7 +120,9 @@ pub fn picture(source: &Source<'_>) -> Made {
             ..Panel::default()
         }
     };
-    let mut panels = vec![panel("V".to_owned(), &|k| curve(k.iter().map(|k| &entries[*k]).collect()))];
+    let mut panels = vec![panel("V".to_owned(), &|k| {
+        curve(k.iter().map(|k| &entries[*k]).collect())
+    })];
     panels[0].dots = crossings.clone();
     for (c, control) in model.controls.iter().enumerate() {
         let line = |k: &Vec<usize>| k.iter().map(|k| [entries[*k].x, entries[*k].u[c]]).collect();
@@ -121,14 +144,28 @@ pub fn picture(source: &Source<'_>) -> Made {
     }
     let fixed: Vec<String> = (0..n)
         .filter(|k| *k != slice.axis)
-        .map(|k| format!("{} = {}", names::symbol(&model.states[k].variable.name), significant(slice.at[k], 4)))
+        .map(|k| {
+            format!(
+                "{} = {}",
+                names::symbol(&model.states[k].variable.name),
+                significant(slice.at[k], 4)
+            )
+        })
         .collect();
     let axis = &model.states[slice.axis].variable;
-    let at = if fixed.is_empty() { String::new() } else { format!(" at {}", fixed.join(", ")) };
+    let at = if fixed.is_empty() {
+        String::new()
+    } else {
+        format!(" at {}", fixed.join(", "))
+    };
     let crossed: Vec<String> = crossings.iter().map(|c| significant(c[0], 5)).collect();
     let mut caption = format!(
         "Every solution of the necessary conditions found{at}, one colour a sheet{}. Beneath, the control that each of them asks for.",
-        if sheets.len() > 1 { ". The optimal one is the lowest, with the grey band" } else { "" }
+        if sheets.len() > 1 {
+            ". The optimal one is the lowest, with the grey band"
+        } else {
+            ""
+        }
     );
     if !crossed.is_empty() {
         caption += &format!(
@@ -218,14 +255,21 @@ fn cheapest(entries: &[Entry], steps: &[f64]) -> Vec<Vec<usize>> {
 
 /// Points of `/equal_cost` on the line: place and V.
 fn crossings(source: &Source<'_>, slice: &Slice) -> Result<Vec<[f64; 2]>, String> {
-    let Some(group) = source.stored.group("equal_cost") else { return Ok(Vec::new()) };
+    let Some(group) = source.stored.group("equal_cost") else {
+        return Ok(Vec::new());
+    };
     let text = |e: crate::output::StoredError| e.to_string();
-    let (x, v) = (group.f64("x").map_err(text)?.values, group.f64("V").map_err(text)?.values);
+    let (x, v) = (
+        group.f64("x").map_err(text)?.values,
+        group.f64("V").map_err(text)?.values,
+    );
     let n = source.base.len();
     let on = x.chunks(n).zip(v).filter(|(x, _)| slice.has(x, 1e-7));
     let mut found: Vec<[f64; 2]> = on.map(|(x, v)| [x[slice.axis], v]).collect();
     found.sort_by(|a, b| a[0].total_cmp(&b[0]));
     // A map's edge and the line's own may both have found it.
-    found.dedup_by(|a, b| (a[0] - b[0]).abs() <= 1e-6 * a[0].abs().max(1.0) && (a[1] - b[1]).abs() <= 1e-6 * a[1].abs().max(1.0));
+    found.dedup_by(|a, b| {
+        (a[0] - b[0]).abs() <= 1e-6 * a[0].abs().max(1.0) && (a[1] - b[1]).abs() <= 1e-6 * a[1].abs().max(1.0)
+    });
     Ok(found)
 }

@@ -24,7 +24,9 @@ struct Speed {
 }
 
 pub fn picture(source: &Source<'_>) -> Made {
-    let Some(group) = source.stored.group("speed_error") else { return Ok(None) };
+    let Some(group) = source.stored.group("speed_error") else {
+        return Ok(None);
+    };
     let speed = read(&group).map_err(|e| e.to_string())?;
     if speed.series.is_empty() {
         return Err("no variant has an error below 0.1".to_owned());
@@ -40,8 +42,15 @@ pub fn picture(source: &Source<'_>) -> Made {
 }
 
 fn read(group: &StoredGroup<'_>) -> Result<Speed, StoredError> {
-    let [adapter, precision, method] = [group.texts("adapter")?, group.texts("precision")?, group.texts("method")?];
-    let (error, rate) = (group.f64("e_V_worst")?.values, group.f64("trajectories_per_second")?.values);
+    let [adapter, precision, method] = [
+        group.texts("adapter")?,
+        group.texts("precision")?,
+        group.texts("method")?,
+    ];
+    let (error, rate) = (
+        group.f64("e_V_worst")?.values,
+        group.f64("trajectories_per_second")?.values,
+    );
     let best = group.i32("pareto")?.1;
     let mut devices: Vec<String> = Vec::new();
     let mut methods: Vec<&str> = Vec::new();

@@ -1,11 +1,11 @@
 //! V over a plane as a surface, seen from above at a slant.
 
 use super::Made;
-use crate::report::canvas::{Anchor, Canvas, Ink, Point, Rect, Stroke, Style};
+use crate::report::canvas::{Anchor, Canvas, Ink, Point, Rect, Stroke, Style, TEXT};
 use crate::report::colours;
 use crate::report::frame::{LINE, range};
 use crate::report::plane::Plane;
-use crate::report::{Drawing, Picture, Source, ticks};
+use crate::report::{Drawing, Picture, Source, text, ticks};
 
 /// Cells along each axis, at most: what can be told apart, and a small file.
 const CELLS: usize = 40;
@@ -27,7 +27,13 @@ pub fn picture(source: &Source<'_>) -> Made {
     let Some([least, most]) = range(plane.v.iter().copied()) else {
         return Ok(None);
     };
-    let top = source.levels(plane).last().copied().unwrap_or(most).min(most);
+    let top = source
+        .levels(plane)
+        .last()
+        .copied()
+        .unwrap_or(most)
+        .min(most)
+        .min(plane.limit);
     let thin = thinned(plane);
     let drawing = Surface {
         least: if source.infinite() { least.min(0.0) } else { least },
@@ -42,7 +48,11 @@ pub fn picture(source: &Source<'_>) -> Made {
             "Height and colour are V over {}{}. Its slope is p = dV/dx. {}Missing: not known, or above {}.",
             super::contours::over(source),
             source.fixed(),
-            if plane.sheets().len() > 1 { "Where two sheets meet there is a crease, which is left open. " } else { "" },
+            if plane.sheets().len() > 1 {
+                "Where two sheets meet there is a crease, which is left open. "
+            } else {
+                ""
+            },
             ticks::significant(drawing.most, 3)
         ),
         drawing: Box::new(drawing),
@@ -58,7 +68,10 @@ fn thinned(plane: &Plane) -> Plane {
     let (rows, columns) = (keep(plane.x.len()), keep(plane.y.len()));
     let ny = plane.y.len();
     let pick = |i: &usize, j: &usize| i * ny + j;
-    let all: Vec<usize> = rows.iter().flat_map(|i| columns.iter().map(move |j| pick(i, j))).collect();
+    let all: Vec<usize> = rows
+        .iter()
+        .flat_map(|i| columns.iter().map(move |j| pick(i, j)))
+        .collect();
     Plane {
         axes: plane.axes,
         x: rows.iter().map(|i| plane.x[*i]).collect(),
@@ -68,6 +81,7 @@ fn thinned(plane: &Plane) -> Plane {
         sheet: all.iter().map(|k| plane.sheet[*k]).collect(),
         cut: Vec::new(),
         base: plane.base.clone(),
+        limit: plane.limit,
     }
 }
 
@@ -76,7 +90,9 @@ const BASE: [[f64; 3]; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], 
 
 /// The corner of the base that is furthest left: the upright axis stands there.
 fn corner() -> [f64; 3] {
-    BASE.into_iter().min_by(|a, b| seen(*a)[0].total_cmp(&seen(*b)[0])).unwrap_or_default()
+    BASE.into_iter()
+        .min_by(|a, b| seen(*a)[0].total_cmp(&seen(*b)[0]))
+        .unwrap_or_default()
 }
 
 /// The part of a polygon with heights of at most `most`.
@@ -175,7 +191,7 @@ impl Surface {
         cells
     }
 
-    fn axes(&self, canvas: &mut dyn Canvas, view: &View) {
+    fn axes(&self, canvas: &mut dyn Canvas, view: &View, area: Rect) {
         let muted = Stroke::new(Ink::Muted, 1.0);
         let mut lines: Vec<Vec<Point>> = vec![BASE.iter().chain([&BASE[0]]).map(|p| view.at(*p)).collect()];
         let ends = |v: &[f64]| [v[0], v[v.len() - 1]];
@@ -211,9 +227,15 @@ impl Surface {
                 canvas.text([x, y + 6.0], &tick.label, Style::new(anchor));
             }
             let [x, y] = at(0.5 * (from + to), 0.13);
-            let mut style = Style::new(anchor);
-            style.ink = Ink::Text;
-            canvas.text([x, y + LINE], &self.labels[k], style);
+            // Not beyond the picture's edges.
+            let label = text::shortened(&self.labels[k], TEXT, 0.5 * area.width());
+            let long = text::width(&label, TEXT);
+            let x = if left {
+                x.max(area.left + long)
+            } else {
+                x.min(area.right - long)
+            };
+            canvas.text([x, y + LINE], &label, Style::new(anchor));
         }
         let upright = |v: f64| view.at([corner[0], corner[1], HIGH * (v - self.least) / (self.most - self.least)]);
         lines.push(vec![upright(self.least), upright(self.most)]);
@@ -234,12 +256,17 @@ impl Drawing for Surface {
     }
 
     fn draw(&self, canvas: &mut dyn Canvas, area: Rect) {
-        let inner = Rect::new(area.left + 50.0, area.top + 26.0, area.right - 30.0, area.bottom - 2.6 * LINE);
+        let inner = Rect::new(
+            area.left + 50.0,
+            area.top + 26.0,
+            area.right - 30.0,
+            area.bottom - 2.6 * LINE,
+        );
         let cells = self.cells();
         let corner = corner();
         let base = BASE.into_iter().chain([[corner[0], corner[1], HIGH]]);
         let view = View::new(inner, base.chain(cells.iter().flat_map(|(c, _)| c.iter().copied())));
-        self.axes(canvas, &view);
+        self.axes(canvas, &view, area);
         let face = |(corners, mean): (Vec<[f64; 3]>, f64)| {
             let ring: Vec<Point> = corners.iter().map(|p| view.at(*p)).collect();
             (ring, colours::value((mean - self.least) / (self.most - self.least)))
