@@ -39,6 +39,8 @@ pub enum MapError {
     Empty { path: std::path::PathBuf },
     #[error(transparent)]
     Plan(#[from] PlanError),
+    #[error(transparent)]
+    Backend(#[from] crate::backend::BackendError),
     #[error("{states} states: values are looked up for at most {MOST_DIMENSIONS}")]
     TooManyStates { states: usize },
 }
