@@ -42,16 +42,16 @@ pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
         law.seed = args.seed.unwrap_or(law.seed);
         law.starts = args.starts.unwrap_or(law.starts);
     }
-    let done = fit_laws(&stored, scene, &laws, args.out_dir.as_deref(), &terminal)?;
+    let done = fit_laws(
+        &stored,
+        scene,
+        &laws,
+        &Beside::of(&args.file, args.out_dir.as_deref()),
+        &terminal,
+    )?;
     if args.json {
-        let all: Vec<Value> = done
-            .fitted
-            .laws
-            .iter()
-            .zip(&done.exports)
-            .map(|(l, e)| as_json(l, e))
-            .collect();
-        writeln!(std::io::stdout(), "{:#}", json!({ "file": args.file, "laws": all }))?;
+        let summary = json!({ "file": args.file, "laws": laws_json(&done) });
+        writeln!(std::io::stdout(), "{summary:#}")?;
     }
     terminal.say(&done.text())?;
     Ok(())
@@ -64,13 +64,28 @@ fn judge(stored: &Stored) -> Option<ValueMap> {
     (periodic || stored.has("points_sheets")).then(|| ValueMap::new(stored).ok())?
 }
 
-/// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws' files beside it or to
-/// `directory`.
+/// Where the laws' files go, and what their names begin with.
+pub(super) struct Beside {
+    directory: PathBuf,
+    stem: String,
+}
+
+impl Beside {
+    /// Beside a result file, unless a directory is given.
+    pub fn of(path: &Path, directory: Option<&Path>) -> Self {
+        Self {
+            directory: directory.or(path.parent()).unwrap_or(Path::new("")).to_owned(),
+            stem: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        }
+    }
+}
+
+/// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws' files to where they go.
 pub(super) fn fit_laws(
     stored: &Stored,
     scene: &Model,
     laws: &[Feedback],
-    directory: Option<&Path>,
+    beside: &Beside,
     terminal: &Terminal,
 ) -> Result<Done, CliError> {
     let samples = Samples::of(stored)?;
@@ -99,16 +114,14 @@ pub(super) fn fit_laws(
     let mut file = ResultFile::extend(&stored.path, &[GROUP])?;
     fitted.write(&mut file)?;
     file.finish()?;
-    let stem = stored.path.file_stem().unwrap_or_default().to_string_lossy();
-    let beside = stored.path.parent().unwrap_or(Path::new(""));
-    let directory = directory.unwrap_or(beside);
+    let directory = &beside.directory;
     if !directory.as_os_str().is_empty() {
         std::fs::create_dir_all(directory).map_err(|source| CliError::OutDir {
-            path: directory.to_owned(),
+            path: directory.clone(),
             source,
         })?;
     }
-    let exports = fitted.export(directory, &stem, &stored.model)?;
+    let exports = fitted.export(directory, &beside.stem, &stored.model)?;
     Ok(Done { fitted, exports })
 }
 
@@ -220,6 +233,12 @@ fn law_text(l: &FittedLaw, exports: &Exports) -> String {
         lines.push(format!("  no ONNX model: {reason}"));
     }
     lines.join("\n")
+}
+
+/// All laws, for `--json`.
+pub(super) fn laws_json(done: &Done) -> Value {
+    let laws = done.fitted.laws.iter().zip(&done.exports);
+    laws.map(|(l, e)| as_json(l, e)).collect()
 }
 
 fn as_json(l: &FittedLaw, exports: &Exports) -> Value {

@@ -1,6 +1,6 @@
 //! V over a plane of two states, made from what is known at the points of a grid.
 
-use crate::map::ValueMap;
+use crate::map::{Value, ValueMap};
 use crate::output::{StoredMap, StoredPoints};
 use rayon::prelude::*;
 
@@ -51,23 +51,124 @@ impl GridField {
         field
     }
 
-    /// Gives points `above` that are next to known ones the values that their nearest neighbours' p and its change foretell.
-    fn extend(&mut self, above: &[bool], limit: f64) {
-        let n = self.axes.len();
+    /// From what a value map says at `count` x `count` states of a plane of the region; V above `limit` is left out, as what
+    /// it foretells beyond its data. None of the states known: no field.
+    pub fn of_value_map(
+        map: &ValueMap,
+        axes: [usize; 2],
+        base: &[f64],
+        region: &[[f64; 2]],
+        count: usize,
+        limit: f64,
+    ) -> Option<Self> {
+        let n = base.len();
+        let along = |k: usize| {
+            if axes.contains(&k) {
+                even(region[k], count)
+            } else {
+                vec![base[k]]
+            }
+        };
+        let mut field = Self {
+            axes: (0..n).map(along).collect(),
+            v: Vec::new(),
+            p: Vec::new(),
+            u: Vec::new(),
+            sheet: Vec::new(),
+            controls: 0,
+        };
+        let total: usize = field.axes.iter().map(Vec::len).product();
+        let says = |k: usize| map.without_errors(&field.state(k)).lowest.ok();
+        let found: Vec<Option<Value>> = (0..total).into_par_iter().map(says).collect();
+        field.controls = found.iter().flatten().next()?.u.len();
+        let mut above = Vec::with_capacity(total);
+        for value in found {
+            let over = value.as_ref().is_some_and(|v| v.v > limit);
+            above.push(over);
+            match value.filter(|_| !over) {
+                Some(value) => {
+                    field.v.push(value.v);
+                    field.p.extend(value.p);
+                    field.u.extend(value.u);
+                    field.sheet.push(value.sheet);
+                }
+                None => {
+                    field.v.push(f64::NAN);
+                    field.p.extend(vec![f64::NAN; n]);
+                    field.u.extend(vec![f64::NAN; field.controls]);
+                    field.sheet.push(-1);
+                }
+            }
+        }
+        field.label();
+        field.extend(&above, limit);
+        field.extend(&above, limit);
+        field.close();
+        Some(field)
+    }
+
+    /// Gives solutions without a label that of all others, where these have but one.
+    fn label(&mut self) {
+        let mut labels: Vec<i32> = self.sheet.iter().copied().filter(|s| *s >= 0).collect();
+        labels.sort_unstable();
+        labels.dedup();
+        if let [one] = labels.as_slice() {
+            self.sheet.fill(*one);
+        }
+    }
+
+    /// Gives single unknown points amid known ones the values that their neighbours foretell.
+    fn close(&mut self) {
+        let known = |k: usize| self.v[k].is_finite();
         let mut new = Vec::new();
-        for k in (0..self.v.len()).filter(|k| above.get(*k).copied().unwrap_or(false) && self.v[*k].is_nan()) {
-            if let Some((v, p, from)) = self.foretold(k) {
-                new.push((k, v.max(limit * (1.0 + 1e-9)), p, from));
+        for k in (0..self.v.len()).filter(|k| !known(*k)) {
+            let (mut stride, mut around, mut unknown) = (1, 0, 0);
+            for axis in self.axes.iter().rev() {
+                let place = k / stride % axis.len();
+                let sides = [
+                    (place > 0).then(|| k - stride),
+                    (place + 1 < axis.len()).then(|| k + stride),
+                ];
+                for side in sides.into_iter().flatten() {
+                    if known(side) { around += 1 } else { unknown += 1 }
+                }
+                stride *= axis.len();
+            }
+            if around >= 2
+                && unknown <= 1
+                && let Some(value) = self.foretold(k)
+            {
+                new.push((k, value));
+            }
+        }
+        for (k, (v, p, from)) in new {
+            self.set(k, v, &p, from);
+        }
+    }
+
+    /// Gives points that are known to be, or foretold to be, above the limit and are next to known ones the values that their nearest neighbours' p and its change foretell.
+    fn extend(&mut self, above: &[bool], limit: f64) {
+        let mut new = Vec::new();
+        for k in (0..self.v.len()).filter(|k| self.v[*k].is_nan()) {
+            let known_above = above.get(k).copied().unwrap_or(false);
+            match self.foretold(k) {
+                Some((v, p, from)) if known_above => new.push((k, v.max(limit * (1.0 + 1e-9)), p, from)),
+                Some((v, p, from)) if v >= limit => new.push((k, v, p, from)),
+                _ => {}
             }
         }
         for (k, v, p, from) in new {
-            self.v[k] = v;
-            self.p[k * n..(k + 1) * n].copy_from_slice(&p);
-            let m = self.controls;
-            let u = self.u[from * m..(from + 1) * m].to_vec();
-            self.u[k * m..(k + 1) * m].copy_from_slice(&u);
-            self.sheet[k] = self.sheet[from];
+            self.set(k, v, &p, from);
         }
+    }
+
+    /// Sets a point's V and p, the rest as at another one.
+    fn set(&mut self, k: usize, v: f64, p: &[f64], from: usize) {
+        let (n, m) = (self.axes.len(), self.controls);
+        self.v[k] = v;
+        self.p[k * n..(k + 1) * n].copy_from_slice(p);
+        self.u.copy_within(from * m..(from + 1) * m, k * m);
+        self.sheet[k] = self.sheet[from];
     }
 
     /// V and p at a point from two known ones of one sheet in a row next to it, where V is least; and the nearer of these.
@@ -149,6 +250,14 @@ impl GridField {
     /// The largest size of V at its points.
     pub fn largest(&self) -> f64 {
         self.v.iter().filter(|v| v.is_finite()).fold(0.0, |a, v| a.max(v.abs()))
+    }
+
+    /// The value of an axis that has but one.
+    pub fn fixed(&self, k: usize) -> Option<f64> {
+        match self.axes[k].as_slice() {
+            [one] => Some(*one),
+            _ => None,
+        }
     }
 
     /// States along which it extends.
@@ -234,17 +343,6 @@ impl Field for GridField {
     }
 }
 
-impl Field for ValueMap {
-    fn at(&self, x: &[f64]) -> Option<Local> {
-        let value = self.without_errors(x).lowest.ok()?;
-        Some(Local {
-            v: value.v,
-            u: value.u,
-            sheet: value.sheet,
-        })
-    }
-}
-
 /// V over two states, the others fixed.
 #[derive(Clone, Debug)]
 pub struct Plane {
@@ -260,6 +358,8 @@ pub struct Plane {
     pub cut: Vec<bool>,
     /// The whole state, of which the two are replaced.
     pub base: Vec<f64>,
+    /// V above this is not known.
+    pub limit: f64,
 }
 
 impl Plane {
@@ -287,6 +387,7 @@ impl Plane {
             sheet,
             cut: Vec::new(),
             base: base.to_vec(),
+            limit: f64::INFINITY,
         };
         plane.cut = plane.cuts();
         plane.v.iter().any(|v| v.is_finite()).then_some(plane)

@@ -1,6 +1,6 @@
 //! What the pictures are made of, read once.
 
-use super::plane::{GridField, Plane, even, refined};
+use super::plane::{GridField, Plane, refined};
 use super::ticks::significant;
 use super::{names, ticks};
 use crate::map::ValueMap;
@@ -11,8 +11,10 @@ use std::cell::OnceCell;
 
 /// Points along each axis of the planes that are drawn, about.
 const FINE: usize = 160;
-/// The same where each point is a search.
-const COARSE: usize = 81;
+/// Solved states along an axis from which a plane is drawn.
+const LEAST: usize = 5;
+/// The same where each point is a search: between these, V is told by p.
+const COARSE: usize = 41;
 
 /// Options that do not fit the scene.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -61,13 +63,17 @@ impl<'s> Source<'s> {
     pub fn new(stored: &'s Stored, choice: &Report) -> Result<Self, OptionsError> {
         let model = &stored.model;
         let merged = merged(choice, model.report.as_ref());
-        let axes = axes(model, &merged)?;
-        let base = base(model, &merged, axes)?;
+        // Before anything is read: a mistake is told at once.
+        let asked = axes(model, &merged, None)?;
+        base(model, &merged, asked, None)?;
         let text = |e: crate::output::StoredError| e.to_string();
         let trajectories = stored.trajectories().map_err(text);
         let points = stored.points().map_err(text);
         let sheets = stored.points_sheets().map_err(text);
         let field = field(stored, &points);
+        let grid = field.as_ref().ok().and_then(Option::as_ref);
+        let axes = axes(model, &merged, grid)?;
+        let base = base(model, &merged, axes, grid)?;
         Ok(Self {
             stored,
             model,
@@ -117,12 +123,8 @@ impl<'s> Source<'s> {
     pub fn plane(&self) -> Result<Option<&Plane>, String> {
         let field = self.field()?;
         let made = self.plane.get_or_init(|| {
-            // The map as it is, or what can be told from all solutions of the file.
-            let map = field
-                .filter(|_| self.stored.has("map"))
-                .and_then(|f| self.make_plane(f));
-            map.or_else(|| self.scattered())
-                .or_else(|| field.and_then(|f| self.make_plane(f)))
+            // Solved states on a grid, or what can be told from all solutions of the file.
+            field.and_then(|f| self.make_plane(f)).or_else(|| self.scattered())
         });
         Ok(made.as_ref())
     }
@@ -134,17 +136,25 @@ impl<'s> Source<'s> {
             return None;
         }
         let map = ValueMap::new(self.stored).ok()?;
-        let along = |k: usize| even(self.model.region[k], COARSE);
-        let [a, b] = self.axes;
-        Plane::new(&map, self.axes, &self.base, along(a), along(b))
+        let swept = self.trajectories().ok().flatten().map(|t| &t.v);
+        let solved = self.points().ok().flatten().map(|p| &p.v);
+        let known = [swept, solved]
+            .into_iter()
+            .flatten()
+            .flatten()
+            .copied()
+            .filter(|v| v.is_finite());
+        let limit = known.fold(f64::NEG_INFINITY, f64::max);
+        let field = GridField::of_value_map(&map, self.axes, &self.base, &self.model.region, COARSE, limit)?;
+        let plane = self.make_plane(&field)?;
+        Some(Plane { limit, ..plane })
     }
 
     fn make_plane(&self, field: &GridField) -> Option<Plane> {
         let [a, b] = self.axes;
-        if a == b || [a, b].iter().any(|k| field.axes[*k].len() < 2) {
+        if a == b || [a, b].iter().any(|k| field.axes[*k].len() < LEAST) {
             return None;
         }
-        // Slopes make much of few points.
         let along = |k: usize| refined(&field.axes[k], FINE);
         Plane::new(field, self.axes, &self.base, along(a), along(b))
     }
@@ -155,7 +165,7 @@ impl<'s> Source<'s> {
             return self.levels.clone();
         }
         let values: Vec<f64> = plane.v.iter().copied().filter(|v| v.is_finite()).collect();
-        let most = self.value_max(&values);
+        let most = self.value_max(&values).min(plane.limit);
         let least = values.iter().copied().fold(f64::INFINITY, f64::min);
         if least >= -1e-9 * most.abs() && most > 0.0 {
             one_two_five(most)
@@ -245,11 +255,16 @@ fn state(model: &Model, name: &str, what: &'static str) -> Result<usize, Options
         })
 }
 
-fn axes(model: &Model, choice: &Report) -> Result<[usize; 2], OptionsError> {
+fn axes(model: &Model, choice: &Report, grid: Option<&GridField>) -> Result<[usize; 2], OptionsError> {
     let Some([a, b]) = &choice.axes else {
-        // The first two that are not asked to be fixed.
+        // The first two that are not asked to be fixed, those of a grid before others.
         let fixed = |k: &usize| choice.slice.iter().any(|(n, _)| *n == model.states[*k].variable.name);
-        let mut free = (0..model.states.len()).filter(|k| !fixed(k));
+        let along = |k: &usize| grid.is_none_or(|g| g.fixed(*k).is_none());
+        let mut free: Vec<usize> = (0..model.states.len()).filter(|k| !fixed(k)).collect();
+        free.sort_by_key(|k| !along(k));
+        free.truncate(2);
+        free.sort_unstable();
+        let mut free = free.into_iter();
         let first = free.next().unwrap_or(0);
         return Ok([first, free.next().unwrap_or(first)]);
     };
@@ -260,8 +275,12 @@ fn axes(model: &Model, choice: &Report) -> Result<[usize; 2], OptionsError> {
     Ok(found)
 }
 
-fn base(model: &Model, choice: &Report, axes: [usize; 2]) -> Result<Vec<f64>, OptionsError> {
+/// The reference, or where a grid is if that has but one place along a state.
+fn base(model: &Model, choice: &Report, axes: [usize; 2], grid: Option<&GridField>) -> Result<Vec<f64>, OptionsError> {
     let mut base = model.reference().to_vec();
+    for (k, x) in base.iter_mut().enumerate() {
+        *x = grid.and_then(|g| g.fixed(k)).unwrap_or(*x);
+    }
     for (name, value) in &choice.slice {
         let k = state(model, name, "--slice")?;
         let [from, to] = model.region[k];

@@ -139,7 +139,10 @@ pub fn significant(value: f64, digits: i32) -> String {
     let rounded = (value / unit).round() * unit;
     let text = number(rounded, unit);
     match text.split_once('\u{b7}') {
-        Some((mantissa, rest)) => format!("{}\u{b7}{rest}", trimmed(mantissa, true)),
+        Some((mantissa, rest)) => match trimmed(mantissa, true).as_str() {
+            "1" => rest.to_owned(),
+            shorter => format!("{shorter}\u{b7}{rest}"),
+        },
         None => trimmed(&text, true),
     }
 }

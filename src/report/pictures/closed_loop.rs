@@ -24,7 +24,8 @@ const OTHERS: [&str; 9] = [
 ];
 /// A panel's inside is no narrower.
 const NARROWEST: f64 = 230.0;
-const BETWEEN: f64 = 16.0;
+/// The last label of an axis and the first of the next stand between panels.
+const BETWEEN: f64 = 34.0;
 /// Bands of a map.
 const BANDS: usize = 10;
 /// J/V - 1 below this is drawn as this: it is what the error of V and of the integration leave.
@@ -137,10 +138,11 @@ impl Loops {
         let mut values = values.values;
         let loss = name == "suboptimality";
         if loss {
-            for v in &mut values {
+            for v in values.iter_mut().filter(|v| v.is_finite()) {
                 *v = v.max(LEAST_LOSS);
             }
-            if values.iter().all(|v| v.is_nan()) {
+            // V is not known at the initial states.
+            if values.iter().all(|v| !v.is_finite()) {
                 return Ok(None);
             }
         }

@@ -13,7 +13,10 @@ use crate::report::{Drawing, Picture, Source, names, text};
 
 struct Contours {
     plane: Plane,
+    /// Ends of the bands; nothing is shown above the last.
     levels: Vec<f64>,
+    /// Levels with a line.
+    lines: Vec<f64>,
     /// What of V lies outside all levels.
     least: f64,
     boundary: Boundary,
@@ -36,6 +39,11 @@ pub fn picture(source: &Source<'_>) -> Made {
             significant(most, 3)
         ));
     }
+    // Bands that end above all that is known would only take colours from the others.
+    let end = most.min(plane.limit);
+    let asked = levels.clone();
+    let mut levels: Vec<f64> = levels.into_iter().filter(|l| *l < end).collect();
+    levels.extend(asked.iter().copied().find(|l| *l >= end).map(|l| l.min(plane.limit)));
     let boundary = Boundary::read(source)?;
     let sheets = plane.sheets().len();
     let mut caption = format!(
@@ -44,12 +52,13 @@ pub fn picture(source: &Source<'_>) -> Made {
         source.fixed()
     );
     if sheets > 1 {
-        caption += " Lines have a kink where the cheapest solution changes from one sheet to another: the dark line.";
+        caption += " Lines have a kink where the cheapest solution changes from one sheet to another: the thick line.";
     }
-    caption += " White: not known, or above the last level.";
+    caption += " Blank: not known, or above the last level.";
     let drawing = Contours {
         plane: plane.clone(),
         levels,
+        lines: asked.into_iter().filter(|l| *l <= end).collect(),
         least,
         boundary,
         rest: source
@@ -78,7 +87,8 @@ impl Contours {
     /// Levels are mostly spread over decades.
     fn scale(&self) -> Axis {
         let (first, last) = (self.levels[0], self.levels[self.levels.len() - 1]);
-        if self.levels.len() > 1 && first > 0.0 && last / first > 20.0 {
+        let ratio = (last / first).powf(1.0 / (self.levels.len().max(2) as f64 - 1.0));
+        if first > 0.0 && ratio > 1.5 {
             Axis::log("", [first, last])
         } else {
             Axis::linear("", [self.least.min(first), last])
@@ -186,7 +196,7 @@ impl Drawing for Contours {
         let x = Axis::linear(self.labels[0].clone(), ends(&self.plane.x));
         let y = Axis::linear(self.labels[1].clone(), ends(&self.plane.y));
         let mut entries = Vec::new();
-        let thick = Stroke::new(Ink::Colour([20, 20, 20]), 2.6);
+        let thick = Stroke::new(Ink::Text, 2.6);
         if !self.boundary.is_empty() {
             entries.push((Mark::Line(thick), "equal cost: the optimal control jumps".to_owned()));
         }
@@ -217,7 +227,7 @@ impl Drawing for Contours {
             labels.taken.push(Rect::new(x - 6.0, y - 6.0, x + 6.0, y + 6.0));
         }
         let mut placed = Vec::new();
-        for level in &self.levels {
+        for level in &self.lines {
             let lines: Vec<Vec<[f64; 2]>> = contour::lines(&self.grid(), *level)
                 .into_iter()
                 .map(|l| l.points)
@@ -226,14 +236,16 @@ impl Drawing for Contours {
             canvas.lines(&lines, Stroke::new(Ink::Colour([255, 255, 255]), 1.0).opacity(0.85));
             placed.push(lines);
         }
-        canvas.lines(&frame.lines(&self.boundary.lines), thick);
+        let boundary = frame.lines(&self.boundary.lines);
+        canvas.lines(&boundary, Stroke::new(Ink::Paper, 4.6).opacity(0.7));
+        canvas.lines(&boundary, thick);
         canvas.dots(&frame.dots(self.boundary.points.iter().copied()), 5.0, thick.ink, 1.0);
         if let Some(rest) = self.rest {
             let dots = frame.dots([rest]);
             canvas.dots(&dots, 9.0, Ink::Colour([255, 255, 255]), 1.0);
             canvas.dots(&dots, 6.0, Ink::Colour([20, 20, 20]), 1.0);
         }
-        for (level, lines) in self.levels.iter().zip(&placed).rev() {
+        for (level, lines) in self.lines.iter().zip(&placed).rev() {
             labels.write(canvas, lines, &significant(*level, 3), frame.area);
         }
         frame.over(canvas);

@@ -13,7 +13,9 @@ use crate::report::{Drawing, Picture, Source};
 use std::collections::BTreeMap;
 
 /// Trajectories of a picture.
-const SHOWN: usize = 90;
+const SHOWN: usize = 64;
+/// Of those that are nowhere optimal, of which there are more the more sheets there are.
+const OTHERS: usize = 12;
 /// Fronts of a picture.
 const FRONTS: usize = 6;
 /// Bands of V that trajectories are coloured by.
@@ -69,7 +71,10 @@ pub fn picture(source: &Source<'_>) -> Made {
         vec![vec![0.0; source.model.states.len()]]
     };
     let all = seen(source, t, field, &shifts);
-    let shown = spread(source, &all, SHOWN);
+    let optimal = |s: &&Seen| s.sheets.is_empty() || s.sheets.iter().any(|s| *s >= 0);
+    let (best, others): (Vec<&Seen>, Vec<&Seen>) = all.iter().partition(optimal);
+    let mut shown = spread(source, &best, SHOWN);
+    shown.extend(spread(source, &others, OTHERS));
     let mut sheets: Vec<i32> = all
         .iter()
         .flat_map(|s| s.sheets.iter().copied())
@@ -119,7 +124,7 @@ pub fn picture(source: &Source<'_>) -> Made {
     if two && source.infinite() {
         let levels = drawing.draw_fronts(source, t, &all);
         if !levels.is_empty() {
-            caption += &format!("Black: fronts of equal cost, V = {}. ", levels.join(", "));
+            caption += &format!("Across them: fronts of equal cost, V = {}. ", levels.join(", "));
             let line = Mark::Line(Stroke::new(Ink::Text, 1.3));
             drawing.legend.push((line, "front of equal cost".to_owned()));
         }
@@ -226,7 +231,7 @@ fn sheets_along(source: &Source<'_>, t: &StoredTrajectories, field: &GridField, 
 }
 
 /// At most `most`, their outer ends as far from each other as can be had one by one.
-fn spread(source: &Source<'_>, all: &[Seen], most: usize) -> Vec<Seen> {
+fn spread(source: &Source<'_>, all: &[&Seen], most: usize) -> Vec<Seen> {
     let widths = source
         .axes
         .map(|k| source.model.region[k][1] - source.model.region[k][0]);
@@ -234,7 +239,7 @@ fn spread(source: &Source<'_>, all: &[Seen], most: usize) -> Vec<Seen> {
     let mut chosen = Vec::new();
     let mut next = (!all.is_empty()).then_some(0);
     while let Some(k) = next.filter(|_| chosen.len() < most) {
-        chosen.push(all[k].clone());
+        chosen.push(Seen::clone(all[k]));
         for (d, s) in nearest.iter_mut().zip(all) {
             let apart = |i: usize| (s.outer[i] - all[k].outer[i]) / widths[i];
             *d = d.min(apart(0).hypot(apart(1)));

@@ -1,11 +1,11 @@
 //! V over a plane as a surface, seen from above at a slant.
 
 use super::Made;
-use crate::report::canvas::{Anchor, Canvas, Ink, Point, Rect, Stroke, Style};
+use crate::report::canvas::{Anchor, Canvas, Ink, Point, Rect, Stroke, Style, TEXT};
 use crate::report::colours;
 use crate::report::frame::{LINE, range};
 use crate::report::plane::Plane;
-use crate::report::{Drawing, Picture, Source, ticks};
+use crate::report::{Drawing, Picture, Source, text, ticks};
 
 /// Cells along each axis, at most: what can be told apart, and a small file.
 const CELLS: usize = 40;
@@ -27,7 +27,13 @@ pub fn picture(source: &Source<'_>) -> Made {
     let Some([least, most]) = range(plane.v.iter().copied()) else {
         return Ok(None);
     };
-    let top = source.levels(plane).last().copied().unwrap_or(most).min(most);
+    let top = source
+        .levels(plane)
+        .last()
+        .copied()
+        .unwrap_or(most)
+        .min(most)
+        .min(plane.limit);
     let thin = thinned(plane);
     let drawing = Surface {
         least: if source.infinite() { least.min(0.0) } else { least },
@@ -75,6 +81,7 @@ fn thinned(plane: &Plane) -> Plane {
         sheet: all.iter().map(|k| plane.sheet[*k]).collect(),
         cut: Vec::new(),
         base: plane.base.clone(),
+        limit: plane.limit,
     }
 }
 
@@ -184,7 +191,7 @@ impl Surface {
         cells
     }
 
-    fn axes(&self, canvas: &mut dyn Canvas, view: &View) {
+    fn axes(&self, canvas: &mut dyn Canvas, view: &View, area: Rect) {
         let muted = Stroke::new(Ink::Muted, 1.0);
         let mut lines: Vec<Vec<Point>> = vec![BASE.iter().chain([&BASE[0]]).map(|p| view.at(*p)).collect()];
         let ends = |v: &[f64]| [v[0], v[v.len() - 1]];
@@ -220,9 +227,15 @@ impl Surface {
                 canvas.text([x, y + 6.0], &tick.label, Style::new(anchor));
             }
             let [x, y] = at(0.5 * (from + to), 0.13);
-            let mut style = Style::new(anchor);
-            style.ink = Ink::Text;
-            canvas.text([x, y + LINE], &self.labels[k], style);
+            // Not beyond the picture's edges.
+            let label = text::shortened(&self.labels[k], TEXT, 0.5 * area.width());
+            let long = text::width(&label, TEXT);
+            let x = if left {
+                x.max(area.left + long)
+            } else {
+                x.min(area.right - long)
+            };
+            canvas.text([x, y + LINE], &label, Style::new(anchor));
         }
         let upright = |v: f64| view.at([corner[0], corner[1], HIGH * (v - self.least) / (self.most - self.least)]);
         lines.push(vec![upright(self.least), upright(self.most)]);
@@ -253,7 +266,7 @@ impl Drawing for Surface {
         let corner = corner();
         let base = BASE.into_iter().chain([[corner[0], corner[1], HIGH]]);
         let view = View::new(inner, base.chain(cells.iter().flat_map(|(c, _)| c.iter().copied())));
-        self.axes(canvas, &view);
+        self.axes(canvas, &view, area);
         let face = |(corners, mean): (Vec<[f64; 3]>, f64)| {
             let ring: Vec<Point> = corners.iter().map(|p| view.at(*p)).collect();
             (ring, colours::value((mean - self.least) / (self.most - self.least)))
