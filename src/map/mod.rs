@@ -113,7 +113,7 @@ const AGREED: f64 = 0.6;
 /// Sheets for whose sites there is room among those looked at.
 const SHEETS: usize = 3;
 /// Sites further away than this many times the reach of their own fit say nothing.
-const BEYOND: f64 = 0.8;
+const BEYOND: f64 = 1.0;
 /// Within this share of it a place counts as inside even if all sites are on one side: at an invariant boundary there
 /// are none beyond.
 const INSIDE: f64 = 0.5;
@@ -315,8 +315,11 @@ impl ValueMap {
     /// Whether sites of another sheet that may be the lowest lie around one.
     fn is_contested(&self, site: usize) -> bool {
         *self.contested[site].get_or_init(|| {
-            let near = self.tree.near(self.sites.z(site), f64::INFINITY, LOOK * (self.sites.n + 1));
-            near.iter().any(|(k, _)| !self.sites.consistent(site, *k) && !self.is_dominated(*k))
+            let near = self
+                .tree
+                .near(self.sites.z(site), f64::INFINITY, LOOK * (self.sites.n + 1));
+            near.iter()
+                .any(|(k, _)| !self.sites.consistent(site, *k) && !self.is_dominated(*k))
         })
     }
 

@@ -1,8 +1,8 @@
 //! Where V and p are known: swept samples, solved states, map nodes, and the local solution near the equilibrium.
 
-use crate::model::Horizon;
 use super::MapError;
 use crate::backend::{BackendError, cpu::Cpu};
+use crate::model::Horizon;
 use crate::model::SeedValue;
 use crate::output::Stored;
 use crate::sweep::{Choices, Plan, sweep};
@@ -80,7 +80,12 @@ impl Sites {
                 let sheet = swept.sheet[k / swept.samples];
                 all.add(&swept.x, &swept.v, &swept.p, k, sheet, Source::Sample);
             }
-            let least = swept.v.iter().copied().filter(|v| *v > 0.0).fold(f64::INFINITY, f64::min);
+            let least = swept
+                .v
+                .iter()
+                .copied()
+                .filter(|v| *v > 0.0)
+                .fold(f64::INFINITY, f64::min);
             all.add_inner(stored, plan, least)?;
         }
         all.add_local(plan);
@@ -187,11 +192,13 @@ impl<'p> Gathering<'p> {
         Some(sites.v.len() - 1)
     }
 
-    /// Fills the gap between the seeds and the first stored samples by a small sweep of its own.
+    /// Levels of V at equal distances leave gaps near the equilibrium: the first is far from the seeds, and between the first
+    /// few the radius grows by half and more. A small sweep of its own fills them.
     fn add_inner(&mut self, stored: &Stored, plan: &Plan, least: f64) -> Result<(), MapError> {
         /// Distance between neighbours on the outermost front, of its largest radius.
         const SPACING: f64 = 0.15;
-        const SAMPLES: usize = 8;
+        const LEVELS: usize = 8;
+        const SAMPLES: usize = 4 * LEVELS;
         const MOST_SEEDS: usize = 4000;
         let Some(local) = &plan.local else { return Ok(()) };
         if !least.is_finite() || least <= 2.0 * local.seed_value {
@@ -202,12 +209,12 @@ impl<'p> Gathering<'p> {
             .map(|i| {
                 let mut s = vec![0.0; n];
                 s[i] = plan.widths[i];
-                (least / local.quadratic(&s).max(f64::MIN_POSITIVE)).sqrt()
+                (LEVELS as f64 * least / local.quadratic(&s).max(f64::MIN_POSITIVE)).sqrt()
             })
             .fold(0.0, f64::max);
         let mut model = stored.model.clone();
         let mut inner = plan.shoot_out.clone();
-        inner.value_max = Some(1.1 * least);
+        inner.value_max = Some(LEVELS as f64 * least);
         inner.samples = SAMPLES;
         inner.spacing = SPACING * radius;
         inner.max_seeds = MOST_SEEDS;
