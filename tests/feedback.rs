@@ -2,6 +2,7 @@
 
 mod feedback_support;
 
+use costate::closed_loop::Laws;
 use costate::feedback::{Data, FittedLaw, Law, Meaning, Network, Samples, fit, header, onnx};
 use costate::hamiltonian::Hamiltonian;
 use costate::model::{Feedback, Model};
@@ -289,6 +290,7 @@ fn samples_are_those_of_the_box_moved_by_periods() {
     for k in 0..2 {
         // A period is taken off, which costs a few units in the last place of 4 pi.
         assert!((selected.x[2 * k] - 1.0).abs() < 1e-14, "{:?}", selected.x);
+        assert_eq!(selected.before_moving()[2 * k], rows[k].0[0]);
     }
 }
 
@@ -559,6 +561,7 @@ fn places() -> Vec<[f64; 2]> {
 #[test]
 fn closed_forms_are_the_laws() {
     for (law, model) in laws() {
+        let hamiltonian = Hamiltonian::derive(&model).unwrap();
         for x in places() {
             let names = law.law.network.inputs.iter();
             let inputs: Vec<f64> = names
@@ -580,6 +583,17 @@ fn closed_forms_are_the_laws() {
                 (got - expected).abs() <= 1e-12 * (1.0 + expected.abs()),
                 "{got} {expected}"
             );
+        }
+        // As the closed loop reads the file.
+        let toml = law.law.to_toml();
+        let read = Laws::new(&model, &hamiltonian, None)
+            .weights("law", &toml, "law.toml")
+            .unwrap();
+        for x in places() {
+            let mut at = model.parameter_values();
+            at.extend(hamiltonian.x.iter().copied().zip(x));
+            let (u, wanted) = (read.graph.eval(&read.control, &at)[0], expected(&law, &x)[0]);
+            assert!((u - wanted).abs() <= 1e-12 * (1.0 + wanted.abs()), "{u} {wanted}");
         }
         let again = Law::from_toml(&law.law.to_toml(), "law.toml").unwrap();
         assert_eq!(again, law.law);
@@ -750,7 +764,7 @@ fn a_result_file_gets_its_laws() {
         .unwrap();
     assert_eq!(refused.status.code(), Some(2));
     assert!(
-        String::from_utf8_lossy(&refused.stderr).contains("its states are y, v, not x, v"),
+        String::from_utf8_lossy(&refused.stderr).contains("are not those of"),
         "{refused:?}"
     );
     std::fs::remove_dir_all(directory).unwrap();

@@ -57,11 +57,7 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
             ..Choices::default()
         },
         laws: (!args.laws.is_empty()).then(|| args.laws.clone()),
-        weights: args
-            .weights
-            .iter()
-            .map(|path| weights(path))
-            .collect::<Result<_, _>>()?,
+        weights: args.weights.iter().map(weights).collect::<Result<_, _>>()?,
         random: args.random,
         solve: args.solve,
     };
@@ -122,7 +118,9 @@ pub(super) fn perform(
     let laws = Laws::new(model, hamiltonian, scene.track);
     let setting = Setting::new(&laws, scene, backend, wanted.choices)?;
     // Without a law that asks for it the map still tells V.
-    let map = stored.filter(|s| s.has("trajectories") || s.has("points") || s.has("map")).map(ValueMap::new);
+    let map = stored
+        .filter(|s| s.has("trajectories") || s.has("points") || s.has("map"))
+        .map(ValueMap::new);
     let map = map.transpose()?;
     let chart = map.as_ref().map(|m| m as &dyn Chart);
     let available = Available {
@@ -191,7 +189,11 @@ fn derived(path: &Path, set: &[(String, String)]) -> Result<(Model, Hamiltonian)
 }
 
 /// Another scene with the states and controls of the stored one, and the parameters that the stored run was given.
-fn other_scene(stored: &Stored, path: &Path, set: &[(String, String)]) -> Result<(Model, Hamiltonian), CliError> {
+pub(super) fn other_scene(
+    stored: &Stored,
+    path: &Path,
+    set: &[(String, String)],
+) -> Result<(Model, Hamiltonian), CliError> {
     let overrides = [stored.model.overrides.as_slice(), set].concat();
     let (model, hamiltonian) = derived(path, &overrides)?;
     let states = |m: &Model| m.states.iter().map(|s| s.variable.name.clone()).collect::<Vec<_>>();
@@ -297,7 +299,7 @@ fn as_text(e: &Evaluation, setting: &Setting<'_>, scene: &ClosedLoop) -> String 
     t.trim_end().to_owned()
 }
 
-fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {
+pub(super) fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {
     let laws: Vec<_> = (e.laws.iter().zip(&e.sets))
         .map(|(law, sets)| {
             let spread = e

@@ -1,11 +1,12 @@
 //! `costate fit`: laws from the trajectories of a result file.
 
+use super::evaluate::other_scene;
 use super::report::{Bar, Terminal};
 use super::{CliError, FitArgs};
-use crate::feedback::{Data, Exports, Fitted, FittedLaw, GROUP, Optimality, Samples, Step, fit};
+use crate::feedback::{Data, Exports, Fitted, FittedLaw, GROUP, Samples, Step, fit};
+use crate::map::ValueMap;
 use crate::model::{Feedback, Model};
 use crate::output::{ResultFile, Stored};
-use crate::scenario;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -16,14 +17,6 @@ use std::sync::Mutex;
 pub(super) enum FitCommandError {
     #[error("{path} asks for no law: it has no [feedback] (or take one from another scenario with --scene)", path = path.display())]
     NoFeedback { path: PathBuf },
-    #[error("{scene} is another problem than that of {file}: its {what} are {there}, not {here}", scene = scene.display(), file = file.display())]
-    OtherScene {
-        scene: PathBuf,
-        file: PathBuf,
-        what: &'static str,
-        there: String,
-        here: String,
-    },
     #[error("{path} holds neither trajectories nor solved states to fit a law to", path = path.display())]
     NoData { path: PathBuf },
 }
@@ -37,11 +30,8 @@ pub(super) struct Done {
 pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
     let stored = Stored::open(&args.file)?;
     let terminal = Terminal::with(args.quiet, args.json);
-    let other = args
-        .scene
-        .as_deref()
-        .map(|scene| scene_of(scene, &stored))
-        .transpose()?;
+    let other = (args.scene.as_deref()).map(|scene| other_scene(&stored, scene, &[]).map(|(model, _)| model));
+    let other = other.transpose()?;
     let scene = other.as_ref().unwrap_or(&stored.model);
     if scene.feedback.is_empty() {
         let path = args.scene.clone().unwrap_or_else(|| args.file.clone());
@@ -52,56 +42,50 @@ pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
         law.seed = args.seed.unwrap_or(law.seed);
         law.starts = args.starts.unwrap_or(law.starts);
     }
-    let known = |_: &[f64], _: f64| None;
-    let done = fit_laws(&stored, scene, &laws, &known, args.out_dir.as_deref(), &terminal)?;
+    let done = fit_laws(
+        &stored,
+        scene,
+        &laws,
+        &Beside::of(&args.file, args.out_dir.as_deref()),
+        &terminal,
+    )?;
     if args.json {
-        let all: Vec<Value> = done
-            .fitted
-            .laws
-            .iter()
-            .zip(&done.exports)
-            .map(|(l, e)| as_json(l, e))
-            .collect();
-        writeln!(std::io::stdout(), "{:#}", json!({ "file": args.file, "laws": all }))?;
+        let summary = json!({ "file": args.file, "laws": laws_json(&done) });
+        writeln!(std::io::stdout(), "{summary:#}")?;
     }
     terminal.say(&done.text())?;
     Ok(())
 }
 
-/// Another scene, whose states and controls must be those of the file.
-fn scene_of(path: &Path, stored: &Stored) -> Result<Model, CliError> {
-    let scene = scenario::load(path, &[])?;
-    let states = |m: &Model| names(m.states.iter().map(|s| &s.variable.name));
-    let controls = |m: &Model| names(m.controls.iter().map(|c| &c.variable.name));
-    for (what, there, here) in [
-        ("states", states(&scene), states(&stored.model)),
-        ("controls", controls(&scene), controls(&stored.model)),
-    ] {
-        if there != here {
-            return Err(CliError::Fit(FitCommandError::OtherScene {
-                scene: path.to_owned(),
-                file: stored.path.clone(),
-                what,
-                there,
-                here,
-            }));
+/// Who knows which samples are optimal: the value map, where solutions of several sheets may be in the file. Where it has
+/// no objection, neighbouring samples decide.
+fn judge(stored: &Stored) -> Option<ValueMap> {
+    let periodic = stored.model.states.iter().any(|s| s.period.is_some());
+    (periodic || stored.has("points_sheets")).then(|| ValueMap::new(stored).ok())?
+}
+
+/// Where the laws' files go, and what their names begin with.
+pub(super) struct Beside {
+    directory: PathBuf,
+    stem: String,
+}
+
+impl Beside {
+    /// Beside a result file, unless a directory is given.
+    pub fn of(path: &Path, directory: Option<&Path>) -> Self {
+        Self {
+            directory: directory.or(path.parent()).unwrap_or(Path::new("")).to_owned(),
+            stem: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         }
     }
-    Ok(scene)
 }
 
-fn names<'n>(names: impl Iterator<Item = &'n String>) -> String {
-    names.map(String::as_str).collect::<Vec<_>>().join(", ")
-}
-
-/// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws' files beside it or to
-/// `directory`. `known` may tell which samples are optimal: see [`Samples::select`].
+/// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws' files to where they go.
 pub(super) fn fit_laws(
     stored: &Stored,
     scene: &Model,
     laws: &[Feedback],
-    known: &Optimality<'_>,
-    directory: Option<&Path>,
+    beside: &Beside,
     terminal: &Terminal,
 ) -> Result<Done, CliError> {
     let samples = Samples::of(stored)?;
@@ -111,13 +95,16 @@ pub(super) fn fit_laws(
         }
         .into());
     }
+    let bar = terminal.progress();
+    bar.say("reading the value map");
+    let map = judge(stored);
+    let known = |x: &[f64], v: f64| map.as_ref().filter(|map| !map.is_lowest(x, v)).map(|_| false);
     let data = Data {
         model: &stored.model,
         hamiltonian: &stored.hamiltonian,
         samples: &samples,
-        known,
+        known: &known,
     };
-    let bar = terminal.progress();
     let mut fitted = Fitted::default();
     for law in laws {
         let made = fit(data, scene, law, &Shown::new(&bar, law).report());
@@ -127,16 +114,14 @@ pub(super) fn fit_laws(
     let mut file = ResultFile::extend(&stored.path, &[GROUP])?;
     fitted.write(&mut file)?;
     file.finish()?;
-    let stem = stored.path.file_stem().unwrap_or_default().to_string_lossy();
-    let beside = stored.path.parent().unwrap_or(Path::new(""));
-    let directory = directory.unwrap_or(beside);
+    let directory = &beside.directory;
     if !directory.as_os_str().is_empty() {
         std::fs::create_dir_all(directory).map_err(|source| CliError::OutDir {
-            path: directory.to_owned(),
+            path: directory.clone(),
             source,
         })?;
     }
-    let exports = fitted.export(directory, &stem, &stored.model)?;
+    let exports = fitted.export(directory, &beside.stem, &stored.model)?;
     Ok(Done { fitted, exports })
 }
 
@@ -248,6 +233,12 @@ fn law_text(l: &FittedLaw, exports: &Exports) -> String {
         lines.push(format!("  no ONNX model: {reason}"));
     }
     lines.join("\n")
+}
+
+/// All laws, for `--json`.
+pub(super) fn laws_json(done: &Done) -> Value {
+    let laws = done.fitted.laws.iter().zip(&done.exports);
+    laws.map(|(l, e)| as_json(l, e)).collect()
 }
 
 fn as_json(l: &FittedLaw, exports: &Exports) -> Value {

@@ -1,5 +1,6 @@
 //! The command line: reads arguments, calls the library, prints.
 
+mod afterwards;
 mod bench;
 mod bench_report;
 mod check;
@@ -112,6 +113,9 @@ struct RunArgs {
     /// Seed of random choices: which trajectories and states the error is estimated from. Results do not depend on it.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Make no report (page and pictures) at the end of `run`.
+    #[arg(long)]
+    no_report: bool,
 }
 
 #[derive(Args, Debug, Clone)]

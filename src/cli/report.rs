@@ -100,9 +100,6 @@ impl Terminal {
     }
 
     pub fn summary(&self, done: &Done<'_>) -> Result<(), CliError> {
-        if self.json {
-            writeln!(std::io::stdout(), "{:#}", as_json(done))?;
-        }
         self.say(&as_text(done))?;
         done.estimates.notes(done.plan, self);
         Ok(())
@@ -173,7 +170,6 @@ fn as_text(done: &Done<'_>) -> String {
         lines.push("study:".to_owned());
         lines.push(super::study::table(done.model, done.variants));
     }
-    lines.push(format!("{:.2} s, written to {}", done.seconds, done.path.display()));
     lines.join("\n")
 }
 

@@ -1,5 +1,6 @@
 //! `costate run` and its parts.
 
+use super::afterwards::{self, Draft};
 use super::check::{load, planned};
 use super::estimates::Estimates;
 use super::report;
@@ -35,6 +36,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
     let (model, hamiltonian) = load(&args.scene)?;
     let wanted = wanted(&model, parts)?;
+    let all = matches!(parts, Parts::All);
+    if all {
+        afterwards::check(&model, &hamiltonian)?;
+    }
     let method = args.method.or(model.integrator.method);
     let backend = open_backend(args.backend, args.adapter.as_deref(), method)?;
     let choices = Choices {
@@ -51,7 +56,13 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let mut terminal = report::Terminal::new(&args.scene);
     terminal.heading(&model, &plan, backend.as_ref());
 
+    // The final name first: what is wrong with it is said before the work is done.
     let mut file = ResultFile::create(&path)?;
+    let path = file.path().to_owned();
+    let draft = (all && afterwards::wanted(&model)).then(|| Draft::of(&path));
+    if let Some(draft) = &draft {
+        file = ResultFile::create(draft.hidden())?;
+    }
     let schema = schema(&model, &plan);
     let stored = parts.sweeps() && model.shoot_out.is_some();
     let mut writer = if stored {
@@ -100,9 +111,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         }
         answers = Some(found);
     }
-    let variants = match parts {
-        Parts::All => super::study::write(&mut file, &model, backend.as_ref(), choices, &terminal)?,
-        _ => Vec::new(),
+    let variants = if all {
+        super::study::write(&mut file, &model, backend.as_ref(), choices, &terminal)?
+    } else {
+        Vec::new()
     };
     let estimates = Estimates::of(&plan, &swept, stored, answers.as_ref())?;
     let record = RunRecord {
@@ -117,7 +129,6 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     };
     record.write(&file)?;
     estimates.write(&file)?;
-    let path = file.path().to_owned();
     let names: Vec<String> = model.states.iter().map(|s| s.variable.name.clone()).collect();
     let done = report::Done {
         plan: &plan,
@@ -132,9 +143,28 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         path: &path,
         seconds: clock.elapsed().as_secs_f64(),
     };
-    file.attribute("summary", report::as_json(&done).to_string())?;
+    let mut summary = report::as_json(&done);
+    file.attribute("summary", summary.to_string())?;
     file.finish()?;
     terminal.summary(&done)?;
+    if let Some(draft) = draft {
+        let scene = (&model, &hamiltonian);
+        let laws = afterwards::laws(&draft, scene, backend.as_ref(), choices, &terminal)?;
+        for key in ["feedback", "closed_loop"] {
+            summary[key] = laws[key].clone();
+        }
+        draft.publish()?;
+    }
+    let page = (all && !args.no_report)
+        .then(|| afterwards::page(&path, &terminal))
+        .flatten();
+    summary["report"] = serde_json::json!(page);
+    if args.scene.json {
+        super::print(&format!("{summary:#}\n"))?;
+    }
+    let report = page.map_or_else(String::new, |p| format!("; report: {}", p.display()));
+    let seconds = clock.elapsed().as_secs_f64();
+    terminal.say(&format!("{seconds:.2} s, written to {}{report}", path.display()))?;
     Ok(())
 }
 

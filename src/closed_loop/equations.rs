@@ -85,7 +85,10 @@ impl Equations {
             })
             .collect();
         let terminal = take(1).first().copied();
-        let sought = records.iter().zip(&values).filter(|(r, _)| r.extremum != Extremum::Final);
+        let sought = records
+            .iter()
+            .zip(&values)
+            .filter(|(r, _)| r.extremum != Extremum::Final);
         let sought: Vec<Id> = sought.map(|(_, value)| *value).collect();
         let switches = graph.kinks(&sought);
         let mut recorded = Vec::new();

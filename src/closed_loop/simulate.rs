@@ -204,8 +204,14 @@ impl<'s> Simulator<'s> {
             });
         }
         for (i, path) in &mut batch.kept {
-            let start = [0.0].iter().chain(&batch.start[*i * dim..][..dim]).copied().collect::<Vec<_>>();
-            let points = [start.as_slice()].into_iter().chain((0..flown.levels).map(|k| flown.sample(*i, k)));
+            let start = [0.0]
+                .iter()
+                .chain(&batch.start[*i * dim..][..dim])
+                .copied()
+                .collect::<Vec<_>>();
+            let points = [start.as_slice()]
+                .into_iter()
+                .chain((0..flown.levels).map(|k| flown.sample(*i, k)));
             for point in points {
                 self.keep(path, point[0], &point[1..]);
             }
@@ -224,7 +230,8 @@ impl<'s> Simulator<'s> {
         path.t.push(t);
         path.x.extend((0..n).map(|i| vector[i] + self.equations.reference[i]));
         let controls = &self.observer.eval(vector, vector.len())[self.equations.control_columns()];
-        path.u.extend(controls.iter().map(|u| if t.is_nan() { f64::NAN } else { *u }));
+        path.u
+            .extend(controls.iter().map(|u| if t.is_nan() { f64::NAN } else { *u }));
     }
 
     /// Ends and statuses of a batch integrated as a whole.
@@ -265,7 +272,9 @@ impl<'s> Simulator<'s> {
     fn by_chart(&mut self, batch: &mut Batch, chart: &dyn Chart) -> Result<(), LoopError> {
         let scene = self.setting.closed_loop;
         let sampling = scene.final_time / scene.samples as f64;
-        let updates = scene.period.map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
+        let updates = scene
+            .period
+            .map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
         let step = sampling / updates as f64;
         let run = self.run(&self.equations, vec![step]);
         let (n, dim, width) = (self.equations.states, batch.dim, self.observer_width());
@@ -293,7 +302,11 @@ impl<'s> Simulator<'s> {
             if k % updates == 0 {
                 self.keep_alive(batch, &alive, t);
             }
-            let seeds: Vec<f64> = alive.iter().flat_map(|i| &batch.end[i * dim..][..dim]).copied().collect();
+            let seeds: Vec<f64> = alive
+                .iter()
+                .flat_map(|i| &batch.end[i * dim..][..dim])
+                .copied()
+                .collect();
             let flown = self.kernel.integrate(&run, &seeds)?;
             if !scene.records.is_empty() {
                 let (before, after) = (self.observer.eval(&seeds, dim), self.observer.eval(&flown.end, dim));

@@ -103,9 +103,11 @@ impl Quality {
         quality.v = Some(Errors::of(data.v.iter().zip(&rows).map(|(v, row)| (*v, row[outputs]))));
         let fitted: Vec<f64> = rows.iter().flat_map(|row| row[outputs + 1..].to_vec()).collect();
         quality.p = Some(slope_errors(model, data, &fitted));
-        let running = at_samples(model, hamiltonian, &[hamiltonian.running], &data.x, &data.p);
+        // V is one function on the circle, of which each piece belongs to a number of rounds.
+        let line = data.before_moving();
+        let running = at_samples(model, hamiltonian, &[hamiltonian.running], line, &data.p);
         let scale = running.iter().map(|l| l.abs()).sum::<f64>() / running.len() as f64;
-        let residual = at_samples(model, hamiltonian, &[hamiltonian.value], &data.x, &fitted);
+        let residual = at_samples(model, hamiltonian, &[hamiltonian.value], line, &fitted);
         let mut sorted: Vec<f64> = residual.iter().map(|h| h.abs() / scale).collect();
         sorted.sort_by(f64::total_cmp);
         quality.hjb = Some(Residual {

@@ -104,7 +104,7 @@ impl Regression {
         out.extend(shape.forward(weights, x, pass).iter().zip(y).map(|(n, y)| n - y));
         if let Some(anchor) = anchor {
             out.iter_mut().zip(&anchor.values).for_each(|(r, v)| *r -= v);
-            let distance = x.iter().zip(&self.pinned_at()[..]).map(|(x, at)| x - at);
+            let distance = x.iter().zip(self.pinned_at()).map(|(x, at)| x - at);
             out[0] -= distance.zip(&anchor.slopes).map(|(d, s)| d * s).sum::<f64>();
         }
         if !self.slopes.is_empty() {

@@ -22,6 +22,9 @@ pub struct Samples {
     /// `[sample][control]`
     pub u: Vec<f64>,
     pub v: Vec<f64>,
+    /// x before it was moved by periods: the cost of a state with a period may tell how often it has gone round. Empty
+    /// where nothing was moved.
+    pub unmoved: Vec<f64>,
     /// The trajectory of each; a solved state is one by itself.
     pub trajectory: Vec<u32>,
 }
@@ -41,7 +44,7 @@ pub struct Selection {
     pub offered: usize,
     /// Of them in the box, under the conditions.
     pub selected: usize,
-    /// Of these not the cheapest solution at their state.
+    /// Of those of these that were looked at, not the cheapest solution at their state.
     pub not_optimal: usize,
     /// What was left after thinning.
     pub kept: usize,
@@ -52,6 +55,8 @@ pub type Optimality<'f> = dyn Fn(&[f64], f64) -> Option<bool> + Sync + 'f;
 
 /// Samples among which dearer sheets are looked for: an evenly spread part of more.
 const MOST_COMPARED: usize = 300_000;
+/// So many times the samples wanted are looked at.
+const SPARE: usize = 3;
 /// Neighbours that a sample is compared with.
 const NEIGHBOURS: usize = 12;
 /// By so much of the largest V a sample must be dearer than what a neighbour foretells.
@@ -107,6 +112,15 @@ impl Samples {
         &self.p[k * self.states..][..self.states]
     }
 
+    /// All x as they were before they were moved by periods.
+    pub fn before_moving(&self) -> &[f64] {
+        if self.unmoved.is_empty() {
+            &self.x
+        } else {
+            &self.unmoved
+        }
+    }
+
     pub fn u_of(&self, k: usize) -> &[f64] {
         &self.u[k * self.controls..][..self.controls]
     }
@@ -121,6 +135,9 @@ impl Samples {
         for &k in which {
             taken.extend(self.x_of(k), self.p_of(k), self.u_of(k), &self.v[k..=k]);
             taken.trajectory.push(self.trajectory[k]);
+            if !self.unmoved.is_empty() {
+                taken.unmoved.extend(&self.unmoved[k * self.states..][..self.states]);
+            }
         }
         taken
     }
@@ -135,11 +152,13 @@ impl Samples {
         };
         let inside = self.inside(scene, law);
         counts.selected = inside.len();
-        let spread = inside.thinned(&law.bounds, MOST_COMPARED, law.seed);
-        let optimal: Vec<bool> = spread.optimal(&law.bounds, known);
-        let kept: Vec<usize> = (0..spread.len()).filter(|k| optimal[*k]).collect();
-        counts.not_optimal = spread.len() - kept.len();
-        let samples = spread.take(&kept).thinned(&law.bounds, law.max_samples, law.seed);
+        let spread = inside.take(&inside.thinned(&law.bounds, MOST_COMPARED, law.seed));
+        // Some are left out, for which there are others then.
+        let candidates = spread.thinned(&law.bounds, SPARE * law.max_samples, law.seed);
+        let kept = spread.optimal(&candidates, &law.bounds, known);
+        counts.not_optimal = candidates.len() - kept.len();
+        let optimal = spread.take(&kept);
+        let samples = optimal.take(&optimal.thinned(&law.bounds, law.max_samples, law.seed));
         counts.kept = samples.len();
         (samples, counts)
     }
@@ -154,6 +173,9 @@ impl Samples {
         let conditions = graph.substitute(&expressions, &numbers);
         let program = Program::lower(&graph, &symbols, &conditions);
         let mut moved = self.clone();
+        if scene.states.iter().any(|s| s.period.is_some()) {
+            moved.unmoved = self.before_moving().to_vec();
+        }
         let mut kept = Vec::new();
         for k in 0..self.len() {
             let x = &mut moved.x[k * self.states..][..self.states];
@@ -186,11 +208,11 @@ impl Samples {
         moved.take(&kept)
     }
 
-    /// At most `most` samples, as evenly spread over the box as they can be: the box is divided into about so many
+    /// Numbers of at most `most` samples, as evenly spread over the box as they can be: the box is divided into about so many
     /// cells, and cells give one sample each, in turn, as long as they have some.
-    fn thinned(self, bounds: &[[f64; 2]], most: usize, seed: u64) -> Samples {
+    fn thinned(&self, bounds: &[[f64; 2]], most: usize, seed: u64) -> Vec<usize> {
         if self.len() <= most {
-            return self;
+            return (0..self.len()).collect();
         }
         let divisions = (most as f64).powf(1.0 / self.states as f64).ceil().max(1.0);
         let cell = |k: usize| -> Vec<u32> {
@@ -210,16 +232,16 @@ impl Samples {
         turns.sort_unstable();
         let mut kept: Vec<usize> = turns[..most].iter().map(|(_, place)| order[*place]).collect();
         kept.sort_unstable();
-        self.take(&kept)
+        kept
     }
 
-    /// Which samples are the cheapest solution at their state. Where `known` cannot tell, a sample is taken for dearer
+    /// Which of the candidates are the cheapest solution at their state. Where `known` cannot tell, a sample is taken for dearer
     /// if a neighbour of another trajectory, extrapolated along its p, is cheaper by more than the bend of V between
     /// the two (the difference of their p) can be.
-    fn optimal(&self, bounds: &[[f64; 2]], known: &Optimality<'_>) -> Vec<bool> {
+    fn optimal(&self, candidates: &[usize], bounds: &[[f64; 2]], known: &Optimality<'_>) -> Vec<usize> {
         let n = self.states;
         if self.is_empty() || n > MOST_DIMENSIONS {
-            return vec![true; self.len()];
+            return candidates.to_vec();
         }
         let widths: Vec<f64> = bounds.iter().map(|[lower, upper]| upper - lower).collect();
         let scaled: Vec<f64> = (self.x.iter().enumerate()).map(|(i, x)| x / widths[i % n]).collect();
@@ -234,13 +256,12 @@ impl Samples {
             }
             self.v[k] > self.v[other] + rise + bend + slack
         };
-        (0..self.len())
-            .into_par_iter()
-            .map(|k| {
+        (candidates.par_iter().copied())
+            .filter(|&k| {
                 if let Some(optimal) = known(self.x_of(k), self.v[k]) {
                     return optimal;
                 }
-                let near = tree.near(&scaled[k * n..][..n], f64::INFINITY, 2 * NEIGHBOURS);
+                let near = tree.near(&scaled[k * n..][..n], f64::INFINITY, 4 * NEIGHBOURS);
                 let others = near.iter().filter(|(j, _)| self.trajectory[*j] != self.trajectory[k]);
                 !others.take(NEIGHBOURS).any(|(j, _)| cheaper(k, *j))
             })

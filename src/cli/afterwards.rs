@@ -1,0 +1,141 @@
+//! What a run does with its result: fits laws, simulates them, makes the report.
+//!
+//! Until then the result has a hidden name of its own, so that a run which is killed leaves nothing under the final one.
+
+use super::evaluate::{self, Wanted};
+use super::fit::{Beside, fit_laws};
+use super::report::Terminal;
+use super::{CliError, fit};
+use crate::backend::Backend;
+use crate::closed_loop::{Available, GROUPS, Laws};
+use crate::hamiltonian::Hamiltonian;
+use crate::model::Model;
+use crate::output::{OutputError, ResultFile, Stored};
+use crate::report::{self, Options};
+use crate::sweep::Choices;
+use std::path::{Path, PathBuf};
+
+/// A result file under a hidden name; gone when dropped before [`Draft::publish`].
+pub(super) struct Draft {
+    hidden: PathBuf,
+    path: PathBuf,
+}
+
+impl Draft {
+    /// The draft of what will be `path`.
+    pub fn of(path: &Path) -> Self {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let hidden = path.with_file_name(format!(".{name}.{}.draft", std::process::id()));
+        Self {
+            hidden,
+            path: path.to_owned(),
+        }
+    }
+
+    pub fn hidden(&self) -> &Path {
+        &self.hidden
+    }
+
+    /// Gives the draft its name.
+    ///
+    /// # Errors
+    /// [`OutputError::Rename`].
+    pub fn publish(self) -> Result<(), OutputError> {
+        std::fs::rename(&self.hidden, &self.path).map_err(|source| OutputError::Rename {
+            path: self.path.clone(),
+            source,
+        })
+    }
+}
+
+impl Drop for Draft {
+    fn drop(&mut self) {
+        // Nothing better can be done about a file that cannot be removed than to leave it hidden.
+        let _ = std::fs::remove_file(&self.hidden);
+    }
+}
+
+/// Whether anything is left to do when a scene has been swept and solved.
+pub(super) fn wanted(model: &Model) -> bool {
+    !model.feedback.is_empty() || model.closed_loop.is_some()
+}
+
+/// Finds mistakes in the scene's laws before a long run does.
+pub(super) fn check(model: &Model, hamiltonian: &Hamiltonian) -> Result<(), CliError> {
+    if let Some(scene) = &model.closed_loop {
+        let laws = Laws::new(model, hamiltonian, scene.track);
+        let available = Available {
+            map: true,
+            fitted: Vec::new(),
+            added: Vec::new(),
+        };
+        available.choose(&laws, scene, None)?;
+    }
+    Ok(())
+}
+
+/// Fits and simulates the scene's laws, in the draft. What cannot be done is said and left out: the sweep is not lost for it.
+pub(super) fn laws(
+    draft: &Draft,
+    (model, hamiltonian): (&Model, &Hamiltonian),
+    backend: &dyn Backend,
+    choices: Choices,
+    terminal: &Terminal,
+) -> Result<serde_json::Value, CliError> {
+    let mut done = serde_json::json!({ "feedback": null, "closed_loop": null });
+    if !model.feedback.is_empty() {
+        let stored = Stored::open(draft.hidden())?;
+        match fit_laws(
+            &stored,
+            model,
+            &model.feedback,
+            &Beside::of(&draft.path, None),
+            terminal,
+        ) {
+            Ok(fitted) => {
+                terminal.say(&fitted.text())?;
+                done["feedback"] = fit::laws_json(&fitted);
+            }
+            Err(e) => terminal.note(&format!("no law was fitted: {e}")),
+        }
+    }
+    if model.closed_loop.is_some() {
+        let stored = Stored::open(draft.hidden())?;
+        let mut file = ResultFile::extend(draft.hidden(), &GROUPS)?;
+        let wanted = Wanted {
+            choices: Choices {
+                rtol: choices.rtol,
+                precision: choices.precision,
+                method: choices.method,
+                seed: choices.seed,
+                ..Choices::default()
+            },
+            ..Wanted::default()
+        };
+        let scene = (model, hamiltonian);
+        match evaluate::perform(Some(&stored), scene, &wanted, backend, terminal, &mut file) {
+            Ok((evaluation, _)) => {
+                file.finish()?;
+                done["closed_loop"] = evaluate::as_json(&evaluation, &draft.path);
+            }
+            Err(e) => terminal.note(&format!("no closed loop was simulated: {e}")),
+        }
+    }
+    Ok(done)
+}
+
+/// The report of a finished file; a failure is a note.
+pub(super) fn page(path: &Path, terminal: &Terminal) -> Option<PathBuf> {
+    let bar = terminal.progress();
+    bar.say("report");
+    let written = Stored::open(path).map_err(|e| e.to_string());
+    let written = written.and_then(|stored| report::write(&stored, &Options::default()).map_err(|e| e.to_string()));
+    bar.clear();
+    match written {
+        Ok(written) => Some(written.page),
+        Err(reason) => {
+            terminal.note(&format!("no report was made: {reason}"));
+            None
+        }
+    }
+}

@@ -1,0 +1,423 @@
+//! The value map and `costate value` against exact value functions and independently solved states; `[study]` against
+//! published figures and its own equations.
+
+use costate::map::{Unknown, ValueMap};
+use costate::output::Stored;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+fn scenario(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("scenarios")
+        .join(format!("{name}.toml"))
+}
+
+fn folder() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let path = std::env::temp_dir().join(format!("costate-value-{}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        path
+    })
+}
+
+fn costate(arguments: &[&dyn AsRef<OsStr>]) -> Output {
+    let program = env!("CARGO_BIN_EXE_costate");
+    Command::new(program)
+        .args(arguments.iter().map(AsRef::as_ref))
+        .output()
+        .unwrap()
+}
+
+fn done(output: Output) -> String {
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// The result file of a scene's sweep or run, made once.
+fn result(name: &str, command: &str) -> PathBuf {
+    let path = folder().join(format!("{name}-{command}.h5"));
+    let scene = scenario(name);
+    done(costate(&[
+        &command,
+        &scene,
+        &"--backend",
+        &"cpu",
+        &"--quiet",
+        &"--out",
+        &path,
+    ]));
+    path
+}
+
+fn pendulum() -> &'static Path {
+    static FILE: OnceLock<PathBuf> = OnceLock::new();
+    FILE.get_or_init(|| result("pendulum", "run"))
+}
+
+/// Points of the unit square that lie evenly and at no simple fraction.
+fn spread(count: usize) -> impl Iterator<Item = [f64; 2]> {
+    (1..=count).map(|k| [(k as f64 * 0.754877666).fract(), (k as f64 * 0.569840291).fract()])
+}
+
+fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[((sorted.len() - 1) as f64 * share).round() as usize]
+}
+
+/// V, dV/dx and u of scenarios/manufactured.toml, by hand.
+fn manufactured(x: f64, y: f64) -> (f64, [f64; 2], f64) {
+    let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
+    let v_y = x / 2.0 + 2.0 * y + x * x * y / 2.0;
+    (v, [x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y, v_y], -v_y / 0.5)
+}
+
+#[test]
+fn values_are_those_of_an_exact_solution() {
+    let map = ValueMap::new(&Stored::open(&result("manufactured", "shoot-out")).unwrap()).unwrap();
+    let (mut errors, mut slopes, mut controls, mut over) = (vec![], vec![], vec![], vec![]);
+    let mut quick = 0.0f64;
+    for [a, b] in spread(400) {
+        let (x, y) = (3.0 * a - 1.5, 3.0 * b - 1.5);
+        let (v, p, u) = manufactured(x, y);
+        // The sweep goes to V = 3.
+        if v > 2.7 {
+            continue;
+        }
+        let at = map.at(&[x, y]);
+        assert!(at.others.is_empty(), "one sheet at {x}, {y}");
+        let here = at.lowest.unwrap_or_else(|e| panic!("{x}, {y} (V = {v}): {e}"));
+        let scale = v.max(0.01);
+        errors.push((here.v - v).abs() / scale);
+        slopes.push((0..2).map(|i| (here.p[i] - p[i]).abs()).fold(0.0, f64::max) / scale.sqrt());
+        controls.push((here.u[0] - u).abs() / scale.sqrt());
+        if here.v_error > 0.0 {
+            over.push((here.v - v).abs() / here.v_error);
+        }
+        let local = map.local(&[x, y]).expect("known at as without haste");
+        quick = quick.max((local.v - v).abs() / scale);
+    }
+    assert!(errors.len() > 200);
+    // Neighbours are 0.025 of the region apart, a cubic's error is of the fourth order: 1e-6 of the fourth derivatives.
+    println!(
+        "V {:.1e} {:.1e}, p {:.1e}, u {:.1e}",
+        quantile(&errors, 0.5),
+        quantile(&errors, 1.0),
+        quantile(&slopes, 1.0),
+        quantile(&controls, 1.0)
+    );
+    assert!(quantile(&errors, 0.5) < 3e-6 && quantile(&errors, 1.0) < 1e-3, "V");
+    assert!(quantile(&slopes, 0.5) < 1e-4 && quantile(&slopes, 1.0) < 1e-2, "p");
+    assert!(quantile(&controls, 0.5) < 2e-4 && quantile(&controls, 1.0) < 2e-2, "u");
+    // Haste costs the blending, an order of magnitude.
+    assert!(quick < 5e-3, "{quick}");
+    // The estimate is of the right size: rarely below the error, seldom far above.
+    assert!(
+        quantile(&over, 0.95) < 1.0,
+        "error above its estimate: {}",
+        quantile(&over, 0.95)
+    );
+    assert!(
+        quantile(&over, 0.5) > 1e-3,
+        "the estimate says nothing: {}",
+        quantile(&over, 0.5)
+    );
+}
+
+#[test]
+fn sheets_are_not_mixed_where_the_answer_is_known() {
+    let map = ValueMap::new(&Stored::open(&result("hopf_lax", "run")).unwrap()).unwrap();
+    // Hopf and Lax: V = min over the end point of the terminal cost + distance^2 / (2 T), the y direction by itself.
+    let exact = |x: f64, y: f64| {
+        let phi = |e: f64| e.powi(4) / 4.0 - e * e + 0.1 * e + (x - e).powi(2) / 4.0;
+        let coarse = (-4000..=4000).map(|k| f64::from(k) * 1e-3);
+        let best = coarse.min_by(|a, b| phi(*a).total_cmp(&phi(*b))).unwrap();
+        let fine = (-1000..=1000).map(|k| best + f64::from(k) * 1e-6);
+        fine.map(phi).fold(f64::INFINITY, f64::min) + y * y / 2.0 / (1.0 + 2.0)
+    };
+    let mut known = 0;
+    for [a, b] in spread(300) {
+        let (x, y) = (4.0 * a - 2.0, 1.6 * b - 0.8);
+        let Ok(here) = map.at(&[x, y]).lowest else { continue };
+        known += 1;
+        let v = exact(x, y);
+        // At the line of equal cost V has a kink, not a gap: an answer from the wrong sheet is too large by no more than
+        // the sheets part, which a hundredth of the region away is 0.04.
+        assert!((here.v - v).abs() < 2e-3, "{x}, {y}: {} for {v}", here.v);
+    }
+    assert!(known > 270, "{known} of 300");
+}
+
+#[test]
+fn the_pendulum_is_as_solved() {
+    let points = folder().join("pendulum.csv");
+    let mut text = "theta,omega\n".to_owned();
+    for [a, b] in spread(120) {
+        text += &format!("{},{}\n", -3.8 + 6.1 * a, -6.0 + 14.0 * b);
+    }
+    std::fs::write(&points, text).unwrap();
+    let solved = folder().join("pendulum-solved.h5");
+    let scene = scenario("pendulum");
+    done(costate(&[
+        &"solve",
+        &scene,
+        &"--backend",
+        &"cpu",
+        &"--quiet",
+        &"--points",
+        &points,
+        &"--out",
+        &solved,
+    ]));
+    let solved = Stored::open(&solved).unwrap().points().unwrap().unwrap();
+    let map = ValueMap::new(&Stored::open(pendulum()).unwrap()).unwrap();
+    let (mut errors, mut controls) = (Vec::new(), Vec::new());
+    for k in 0..solved.count {
+        let x = &solved.x[2 * k..2 * k + 2];
+        // The scene's sweep and map go to V = 185.
+        if solved.v[k].is_nan() || solved.v[k] > 180.0 {
+            continue;
+        }
+        let here = map.at(x).lowest.unwrap_or_else(|e| panic!("{x:?}: {e}"));
+        errors.push((here.v - solved.v[k]).abs() / solved.v[k].max(1.0));
+        controls.push((here.u[0] - solved.u[k]).abs());
+    }
+    assert!(errors.len() > 80, "{}", errors.len());
+    println!(
+        "V {:.1e} {:.1e}, u {:.1e} {:.1e}",
+        quantile(&errors, 0.5),
+        quantile(&errors, 1.0),
+        quantile(&controls, 0.5),
+        quantile(&controls, 0.98)
+    );
+    // u ranges over 60; on the wrong sheet it would be off by 20 or more.
+    assert!(quantile(&errors, 0.5) < 2e-6 && quantile(&errors, 1.0) < 2e-3);
+    assert!(quantile(&controls, 0.5) < 1e-3 && quantile(&controls, 0.98) < 0.5);
+}
+
+#[test]
+fn both_sides_of_the_equal_cost_state_are_told() {
+    // theta = 2.40894 on omega = 0 (tests/sheets.rs): before it u = -11, behind it 23.
+    let map = ValueMap::new(&Stored::open(pendulum()).unwrap()).unwrap();
+    for (theta, least, most) in [
+        (2.40, -12.0, -10.0),
+        (2.4085, -12.0, -10.0),
+        (2.4095, 22.0, 25.0),
+        (2.42, 22.0, 25.0),
+    ] {
+        let at = map.at(&[theta, 0.0]);
+        let here = at.lowest.unwrap();
+        assert!((least..most).contains(&here.u[0]), "theta = {theta}: u = {}", here.u[0]);
+        let other = at.others.first().expect("the other sheet is near");
+        assert!(!(least..most).contains(&other.u[0]) && other.v > here.v);
+        assert!(
+            other.v - here.v < 5.0,
+            "they cost nearly the same: {} {}",
+            here.v,
+            other.v
+        );
+    }
+}
+
+#[test]
+fn what_is_not_known_is_said() {
+    let map = ValueMap::new(&Stored::open(pendulum()).unwrap()).unwrap();
+    assert_eq!(map.at(&[0.0, 60.0]).lowest.unwrap_err(), Unknown::Far);
+    // V there is 414 (solved), the file goes to 185, its slice to 370.
+    assert!(map.at(&[-3.3087, -10.2913]).lowest.is_err());
+    let at = map.at(&[-1.5, 0.0]).lowest.unwrap();
+    assert_eq!((at.v, at.sites), (0.0, 0));
+    // g sin(-1.5)
+    assert!((at.u[0] + 9.81 * 1.5f64.sin()).abs() < 1e-12);
+}
+
+#[test]
+fn tables_grids_and_json_agree() {
+    let file = pendulum();
+    let table = done(costate(&[&"value", &file, &"--grid", &"theta=-2:1:4,omega=-1:1:3"]));
+    let rows: Vec<Vec<&str>> = table.lines().map(|l| l.split(',').collect()).collect();
+    assert_eq!(
+        rows[0],
+        [
+            "theta", "omega", "V", "p_theta", "p_omega", "u", "sheet", "V_error", "p_error", "u_error"
+        ]
+    );
+    assert_eq!(rows.len(), 13);
+    assert_eq!(rows[2][..2], ["-2", "0"]);
+    let grid = folder().join("grid.h5");
+    done(costate(&[
+        &"value",
+        &file,
+        &"--grid",
+        &"theta=-2:1:4",
+        &"--grid",
+        &"omega=-1:1:3",
+        &"--out",
+        &grid,
+        &"--quiet",
+    ]));
+    let stored = Stored::open(&grid).unwrap();
+    let map = stored.map().unwrap().unwrap();
+    assert_eq!(map.axes, [vec![-2.0, -1.0, 0.0, 1.0], vec![-1.0, 0.0, 1.0]]);
+    for (row, v) in rows[1..].iter().zip(&map.v) {
+        assert_eq!(row[2].parse::<f64>().unwrap().to_bits(), v.to_bits());
+    }
+    let json = done(costate(&[&"value", &file, &"--at", &"theta=-2,omega=0", &"--json"]));
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json[0]["value"]["V"].as_f64().unwrap().to_bits(), map.v[1].to_bits());
+    let text = done(costate(&[&"value", &file, &"--at", &"theta=-2"]));
+    assert!(
+        text.contains("theta = -2, omega = 0") && text.contains("interpolated from"),
+        "{text}"
+    );
+    // A file that was made by interpolation is a result file like others.
+    let again = done(costate(&[&"value", &grid, &"--at", &"theta=-2,omega=0", &"--json"]));
+    let again: serde_json::Value = serde_json::from_str(&again).unwrap();
+    assert_eq!(again[0]["value"]["V"], json[0]["value"]["V"]);
+}
+
+#[test]
+fn bad_requests_are_refused() {
+    let file = pendulum();
+    let text = folder().join("text.h5");
+    std::fs::write(&text, "no HDF5").unwrap();
+    let missing = folder().join("missing.h5");
+    let cases: [(&[&dyn AsRef<OsStr>], &str); 12] = [
+        (&[&file], "no states are asked for"),
+        (&[&file, &"--at", &"thet=1"], "did you mean `theta`"),
+        (&[&file, &"--at", &"theta"], "not NAME=VALUE"),
+        (&[&file, &"--at", &"theta=x"], "not a finite number"),
+        (&[&file, &"--at", &"theta=1,theta=2"], "twice"),
+        (&[&file, &"--grid", &"theta=1:0:5"], "above the first"),
+        (&[&file, &"--grid", &"theta=0:1"], "FIRST:LAST:COUNT"),
+        (&[&file, &"--grid", &"theta=0:1:100000,omega=0:1:100000"], "at most"),
+        (&[&file, &"--at", &"theta=1", &"--out", &"x.txt"], ".csv"),
+        (
+            &[&file, &"--at", &"theta=1", &"--out", &file],
+            "is the file that is read",
+        ),
+        (&[&text, &"--at", &"theta=1"], "not an HDF5 file"),
+        (&[&missing, &"--at", &"theta=1"], "cannot read"),
+    ];
+    for (arguments, words) in cases {
+        let all: Vec<&dyn AsRef<OsStr>> = std::iter::once(&"value" as &dyn AsRef<OsStr>)
+            .chain(arguments.iter().copied())
+            .collect();
+        let output = costate(&all);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{words}: {errors}");
+        assert!(errors.contains(words), "no `{words}` in {errors}");
+        assert!(output.stdout.is_empty());
+    }
+    assert!(!Path::new("x.txt").exists());
+}
+
+/// The compressor's equations by hand: x' and L.
+fn compressor(x: &[f64], v: f64, phi0: f64) -> ([f64; 4], f64) {
+    let characteristic = |phi: f64| 0.1469 + 1.0 + 1.5 * phi - 0.5 * phi.powi(3);
+    let [phi, psi, r, gamma] = [x[0], x[1], x[2], x[3]];
+    let psi0 = characteristic(phi0);
+    let gamma0 = (phi0 + 1.0) / psi0.sqrt();
+    let rate = [
+        -psi + characteristic(phi) - 3.0 * phi * r,
+        phi + 1.0 - gamma * psi.sqrt(),
+        4.0 * r * (1.0 - phi * phi - r),
+        v,
+    ];
+    (
+        rate,
+        (phi - phi0).powi(2) + (psi - psi0).powi(2) + r * r + (gamma - gamma0).powi(2) + v * v,
+    )
+}
+
+#[test]
+fn the_compressor_study_has_the_published_figures() {
+    let path = folder().join("study.h5");
+    done(costate(&[
+        &"study",
+        &scenario("moore_greitzer"),
+        &"--backend",
+        &"cpu",
+        &"--quiet",
+        &"--out",
+        &path,
+    ]));
+    let stored = Stored::open(&path).unwrap();
+    let study = stored.group("study").unwrap();
+    let column = |name: &str| study.f64(name).unwrap().values;
+    assert_eq!(column("Phi0"), [1.1, 1.2, 1.3, 1.4]);
+    assert_eq!(study.i32("status").unwrap().1, [0; 4]);
+    let (v, psi, gamma, rate) = (
+        column("V"),
+        column("lowest_Psi"),
+        column("highest_gamma"),
+        column("highest_rate"),
+    );
+    // Hardt (1999) at Phi0 = 1.2: V = 0.0533, Psi down to 1.975, gamma up to 1.536, its rate between 0.072 and 0.075 (by
+    // collocation 0.07506): as many digits as are printed.
+    assert!(
+        (v[1] - 0.0533).abs() < 5e-5 && (psi[1] - 1.975).abs() < 5e-4,
+        "{} {}",
+        v[1],
+        psi[1]
+    );
+    assert!(
+        (gamma[1] - 1.536).abs() < 5e-4 && (rate[1] - 0.0750577).abs() < 2e-6,
+        "{} {}",
+        gamma[1],
+        rate[1]
+    );
+    // Nearer to the peak recovery is dearer, and no rate is above the limit.
+    assert!(v.windows(2).all(|w| w[0] > w[1]));
+    assert!(rate.iter().all(|r| *r <= 0.1 + 1e-12));
+    let paths = stored.group("study_trajectories").unwrap();
+    let (t, x, u, along) = (
+        paths.f64("t").unwrap(),
+        paths.f64("x").unwrap(),
+        paths.f64("u").unwrap(),
+        paths.f64("V").unwrap(),
+    );
+    let samples = t.shape[1];
+    for (k, phi0) in [1.1, 1.2, 1.3, 1.4].into_iter().enumerate() {
+        let at = |q: usize| (k * samples + q, &x.values[(k * samples + q) * 4..][..4]);
+        // From where it was asked, V of the table; then x' = f and V' = -L by central differences (error h^2/6 of third
+        // derivatives; clamps switch, hence the root mean square).
+        assert!((at(0).1[0] - phi0).abs() < 1e-12 && (at(0).1[2] - 0.12).abs() < 1e-12);
+        assert!((along.values[k * samples] - v[k]).abs() < 1e-8 * v[k]);
+        let (mut off, mut size) = (0.0, 0.0);
+        for q in 1..samples - 1 {
+            let (i, here) = at(q);
+            let h = t.values[i + 1] - t.values[i - 1];
+            let (f, l) = compressor(here, u.values[i], phi0);
+            for (j, f) in f.iter().enumerate() {
+                let slope = (at(q + 1).1[j] - at(q - 1).1[j]) / h;
+                off += (slope - f).powi(2);
+                size += f * f;
+            }
+            off += ((along.values[i + 1] - along.values[i - 1]) / h + l).powi(2);
+            size += l * l;
+        }
+        let relative = (off / size as f64).sqrt();
+        assert!(relative < 0.02, "Phi0 = {phi0}: {relative}");
+    }
+}
+
+#[test]
+fn a_scene_without_a_study_has_none() {
+    let output = costate(&[&"study", &scenario("pendulum")]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("no [study]"));
+    // A variant that is no scene: the equilibrium needs Phi0 above 1, or R grows.
+    let bad = folder().join("bad.toml");
+    let text = std::fs::read_to_string(scenario("moore_greitzer")).unwrap();
+    std::fs::write(&bad, text.replace("[1.1, 1.2, 1.3, 1.4]", "[1.2, 0.9]")).unwrap();
+    let out = folder().join("bad.h5");
+    let output = costate(&[&"study", &bad, &"--backend", &"cpu", &"--out", &out]);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{errors}");
+    assert!(errors.contains("Phi0 = 0.9") && !out.exists(), "{errors}");
+}
