@@ -65,6 +65,7 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
     for name in all.iter().filter(|n| *n != index && *n != "toml") {
         if let Some((_, texts)) = others.iter().find(|(n, _)| n == name) {
             if !is_coordinate(name)
+                && *texts != labels
                 && texts.len() == rows.len()
                 && texts.iter().all(|t| t.len() <= LONGEST && !t.contains('\n'))
             {
