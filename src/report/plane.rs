@@ -479,7 +479,7 @@ mod tests {
 
     #[test]
     fn quadratic_pieces_are_exact_and_not_mixed() {
-        let field = GridField::of_map(&map(9), 1, &[], 0.0);
+        let field = GridField::of_map(&map(9), 1, &[], f64::INFINITY);
         let mut seen = [0, 0];
         for x in even([-1.97, 1.93], 37) {
             for y in even([-1.9, 1.99], 41) {
@@ -510,7 +510,7 @@ mod tests {
         let mut map = map(9);
         map.v[4 * 9 + 4] = f64::NAN;
         let x = [map.axes[0][4] + 0.1, map.axes[1][4] - 0.1];
-        assert!(GridField::of_map(&map, 1, &[], 0.0).at(&x).is_none());
+        assert!(GridField::of_map(&map, 1, &[], f64::INFINITY).at(&x).is_none());
         // One well, known up to a limit: it is continued by its own quadratic, on the grid's side of the limit.
         let limit = 6.0;
         let axis = even([-3.0, 3.0], 13);
@@ -546,7 +546,7 @@ mod tests {
     #[test]
     fn points_of_a_grid_in_any_order() {
         let whole = map(5);
-        let field = GridField::of_map(&whole, 1, &[], 0.0);
+        let field = GridField::of_map(&whole, 1, &[], f64::INFINITY);
         let order: Vec<usize> = (0..25).map(|k| k * 7 % 25).collect();
         let mut points = StoredPoints {
             count: 25,
@@ -567,7 +567,7 @@ mod tests {
 
     #[test]
     fn cells_between_sheets_are_cut() {
-        let field = GridField::of_map(&map(17), 1, &[], 0.0);
+        let field = GridField::of_map(&map(17), 1, &[], f64::INFINITY);
         let axis = even([-2.0, 2.0], 33);
         let plane = Plane::new(&field, [0, 1], &[0.0, 0.0], axis.clone(), axis).unwrap();
         assert_eq!(plane.sheets(), [0, 1]);

@@ -30,7 +30,7 @@ const GROUPS: [(&str, &str, &str); 4] = [
         "Operating sets",
         "Share of initial states inside, and area in the units of the grid's axes.",
     ),
-    ("study", "Study", "One row a case."),
+    ("study", "Study", "One row a variant."),
 ];
 /// Longer texts are no cells.
 const LONGEST: usize = 60;
@@ -54,25 +54,29 @@ pub fn all(source: &Source<'_>) -> (Vec<Table>, Vec<(String, String)>) {
 fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table> {
     let all = group.names();
     // The dimension along which most variables extend: the first one with names.
-    let (index, labels) = (["law", "case", "name", "row"].iter())
+    let (index, labels) = (["law", "variant", "row"].iter())
         .find_map(|d| Some((*d, group.texts(d).ok().or_else(|| numbered(group, d))?)))?;
     let mut columns = vec![index.to_owned()];
     let mut rows: Vec<Vec<String>> = labels.iter().map(|l| vec![l.clone()]).collect();
-    let others: Vec<(String, Vec<String>)> = all
-        .iter()
+    let others: Vec<(String, Vec<String>)> = (all.iter())
         .filter(|n| *n != index)
         .filter_map(|n| Some((n.clone(), group.texts(n).ok()?)))
         .collect();
     for name in all.iter().filter(|n| *n != index && *n != "toml") {
         if let Some((_, texts)) = others.iter().find(|(n, _)| n == name) {
-            if texts.len() == rows.len() && texts.iter().all(|t| t.len() <= LONGEST && !t.contains('\n')) {
+            if !is_coordinate(name)
+                && *texts != labels
+                && texts.len() == rows.len()
+                && texts.iter().all(|t| t.len() <= LONGEST && !t.contains('\n'))
+            {
                 columns.push(heading(name));
                 rows.iter_mut().zip(texts).for_each(|(row, t)| row.push(t.clone()));
             }
             continue;
         }
         let Ok(array) = group.f64(name) else { continue };
-        let unit = names::unit(group.attribute(Some(name), "units").as_deref());
+        let unit = group.attribute(Some(name), "units").filter(|u| !u.starts_with("see "));
+        let unit = names::unit(unit.as_deref());
         match array.shape.as_slice() {
             [count] if *count == rows.len() => {
                 columns.push(format!("{}{unit}", heading(name)));
@@ -82,7 +86,11 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
             }
             [count, width] if *count == rows.len() => {
                 // The second dimension's names.
-                let Some((_, parts)) = others.iter().find(|(_, t)| t.len() == *width) else {
+                let own = if name == "u" { "control" } else { "state" };
+                let fits = |(n, t): &&(String, Vec<String>)| is_coordinate(n) && !n.contains('_') && t.len() == *width;
+                let mut all = others.iter().filter(fits).collect::<Vec<_>>();
+                all.sort_by_key(|(n, _)| n != own);
+                let Some((_, parts)) = all.first() else {
                     continue;
                 };
                 for (k, part) in parts.iter().enumerate() {
@@ -101,6 +109,13 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
         rows,
         caption: caption.to_owned(),
     })
+}
+
+/// Names along a dimension, or what is said of them.
+fn is_coordinate(name: &str) -> bool {
+    ["state", "control", "set", "output", "input"].contains(&name)
+        || name.ends_with("_units")
+        || name.ends_with("_long_name")
 }
 
 fn numbered(group: &StoredGroup<'_>, dimension: &str) -> Option<Vec<String>> {

@@ -12,7 +12,7 @@ pub struct Tick {
 /// Steps of 1, 2 or 5 times a power of ten, at most `most` ticks (at least 2) from `from` to `to`.
 pub fn linear(from: f64, to: f64, most: usize) -> Vec<Tick> {
     let width = to - from;
-    if !(width > 0.0) || !width.is_finite() {
+    if width <= 0.0 || !width.is_finite() {
         return vec![Tick {
             value: from,
             label: number(from, 0.0),
@@ -116,7 +116,7 @@ pub fn number(value: f64, step: f64) -> String {
         let scale = 10f64.powf(exponent);
         let digits = decimals(unit / scale);
         let mantissa = trimmed(&format!("{:.digits$}", value / scale), step == 0.0);
-        return match mantissa.as_str() {
+        return match trimmed(&mantissa, true).as_str() {
             "1" => format!("10{}", raised(exponent as i64)),
             "-1" => format!("\u{2212}10{}", raised(exponent as i64)),
             _ => minus(&format!("{mantissa}\u{b7}10{}", raised(exponent as i64))),

@@ -89,7 +89,8 @@ impl Contours {
         let (first, last) = (self.levels[0], self.levels[self.levels.len() - 1]);
         let ratio = (last / first).powf(1.0 / (self.levels.len().max(2) as f64 - 1.0));
         if first > 0.0 && ratio > 1.5 {
-            Axis::log("", [first, last])
+            // One band more: what is below the first level.
+            Axis::log("", [first / ratio, last])
         } else {
             Axis::linear("", [self.least.min(first), last])
         }
