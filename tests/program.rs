@@ -128,10 +128,24 @@ fn the_result_goes_where_it_should() {
     let output = costate(&here, &["run", &shipped("manufactured"), "--backend", "cpu"]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let file = here.join("out").join("manufactured.h5");
+    let (page, pictures) = (
+        here.join("out/manufactured_report.html"),
+        here.join("out/manufactured_report"),
+    );
+    let (drawn, rest): (Vec<PathBuf>, Vec<PathBuf>) =
+        contents(&here).into_iter().partition(|p| p.starts_with(&pictures));
     assert_eq!(
-        contents(&here),
-        [here.join("out"), file.clone()],
-        "the default, and nothing beside it"
+        rest,
+        [here.join("out"), file.clone(), page],
+        "the default, and nothing beside it but the report"
+    );
+    assert!(
+        drawn.len() > 2
+            && drawn
+                .iter()
+                .skip(1)
+                .all(|p| p.extension().is_some_and(|e| e == "svg" || e == "png")),
+        "{drawn:?}"
     );
     assert!(
         std::fs::read(&file)
@@ -349,9 +363,10 @@ fn all_shipped_scenes_pass_check() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
     let scenes = contents(&folder).into_iter();
     let mut count = 0;
-    // One of the hard scenes is there to be refused (tests/estimates.rs).
+    // One of the hard scenes is there to be refused (tests/estimates.rs); the other is a file of weights.
+    const NO_SCENES: [&str; 2] = ["peak_infinite_horizon.toml", "hardt_network.toml"];
     for path in
-        scenes.filter(|p| p.extension().is_some_and(|e| e == "toml") && !p.ends_with("peak_infinite_horizon.toml"))
+        scenes.filter(|p| p.extension().is_some_and(|e| e == "toml") && !NO_SCENES.iter().any(|n| p.ends_with(n)))
     {
         let path = path.display().to_string();
         let output = costate(&here, &["check", &path]);

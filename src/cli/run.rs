@@ -37,9 +37,6 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (model, hamiltonian) = load(&args.scene)?;
     let wanted = wanted(&model, parts)?;
     let all = matches!(parts, Parts::All);
-    if all {
-        afterwards::check(&model, &hamiltonian)?;
-    }
     let method = args.method.or(model.integrator.method);
     let backend = open_backend(args.backend, args.adapter.as_deref(), method)?;
     let choices = Choices {
@@ -52,6 +49,9 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         seed: args.seed,
     };
     let plan = planned(&model, &hamiltonian, backend.as_ref(), choices)?;
+    if all {
+        afterwards::check(&model, &hamiltonian)?;
+    }
     let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
     let mut terminal = report::Terminal::new(&args.scene);
     terminal.heading(&model, &plan, backend.as_ref());

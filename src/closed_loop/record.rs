@@ -390,7 +390,8 @@ fn cubic_minimum(a: Point, b: Point, length: f64) -> Option<f64> {
 
 /// The lowest value that a quantity may reach between two points, if lower than at both.
 fn promise(a: Point, b: Point, length: f64) -> Option<f64> {
-    if let Some(t) = crossing(a, b, length) {
+    // Tangents that meet elsewhere say nothing of what is between.
+    if let Some(t) = crossing(a, b, length).filter(|t| *t > 0.0 && *t < length) {
         return Some((a.0 + a.1 * t).min(a.0).min(b.0));
     }
     let t = cubic_minimum(a, b, length)?;

@@ -444,11 +444,26 @@ impl ValueMap {
         distance: f64,
         without: Option<usize>,
     ) -> Option<Opinion> {
+        let to: Vec<f64> = self.sites.z(site).iter().zip(place).map(|(z, p)| z - p).collect();
+        if distance < SAME {
+            let n = self.sites.n;
+            let nodal = self.nodal(site, without);
+            let bare = Nodal::of_hessian(n, &vec![0.0; n * n], 0.0);
+            let says = nodal
+                .unwrap_or(bare)
+                .at(self.sites.v[site], self.sites.q(site), &vec![0.0; n]);
+            return Some(Opinion {
+                site,
+                winding,
+                distance,
+                to,
+                says,
+            });
+        }
         let nodal = self.nodal(site, without)?;
         if distance > BEYOND * nodal.reach {
             return None;
         }
-        let to: Vec<f64> = self.sites.z(site).iter().zip(place).map(|(z, p)| z - p).collect();
         let d: Vec<f64> = to.iter().map(|t| -t).collect();
         Some(Opinion {
             site,
@@ -512,7 +527,7 @@ impl ValueMap {
         let first = &opinions[members[0]];
         let exact = first.distance < SAME;
         let reach = self.nodal(first.site, None).map_or(0.0, |f| f.reach);
-        if first.distance > INSIDE * reach && !surrounded(n, members.iter().map(|k| &opinions[*k])) {
+        if !exact && first.distance > INSIDE * reach && !surrounded(n, members.iter().map(|k| &opinions[*k])) {
             return None;
         }
         let (says, disagreement) = blend(n, opinions, members);

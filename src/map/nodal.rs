@@ -302,6 +302,7 @@ mod tests {
             assert!((a - b).abs() < 1e-6);
         }
     }
+
     #[test]
     fn neighbours_on_a_line_say_nothing_off_it() {
         let line = |k: usize| {
@@ -320,18 +321,18 @@ mod tests {
     #[test]
     fn a_neighbour_of_another_sheet_is_left_out() {
         let neighbour = |k: usize| {
-            let angle = k as f64 * 0.9;
-            let d = vec![0.1 * angle.cos(), 0.1 * angle.sin()];
-            let other = if k == 3 { 7.0 } else { 0.0 };
+            let (angle, distance) = (k as f64 * 0.9, 0.06 + 0.01 * (k % 5) as f64);
+            let d = vec![distance * angle.cos(), distance * angle.sin()];
+            let other = if k == 3 { 0.15 } else { 0.0 };
             Neighbour {
-                distance: 0.1,
+                distance,
                 // V = a^2 + a b, and one that is not of it.
                 beyond_tangent: d[0] * d[0] + d[0] * d[1] + 0.1 * other,
                 dq: vec![2.0 * d[0] + d[1] + other, d[0] - other],
                 d,
             }
         };
-        let nodal = fit(2, (0..9).map(neighbour).collect()).unwrap();
+        let nodal = fit(2, (0..14).map(neighbour).collect()).unwrap();
         let there = nodal.at(0.0, &[0.0, 0.0], &[0.02, 0.03]);
         assert!((there.v - (4e-4 + 6e-4)).abs() < 1e-10, "{}", there.v);
     }
