@@ -546,3 +546,36 @@ law = { none = { u = "0" } }
     let result = scene.tightly("none");
     assert_eq!(result.converged, [true; 4]);
 }
+
+/// A band without answers is bridged with the last one.
+#[test]
+fn a_gap_in_the_chart_is_bridged() {
+    struct Gapped;
+    impl Chart for Gapped {
+        fn local(&self, x: &[f64]) -> Option<Expansion> {
+            Known.local(x).filter(|_| !(0.2..0.3).contains(&x[0].hypot(x[1])))
+        }
+    }
+    let scene = Scene::new(&manufactured().replace("samples = 60", "samples = 60\nperiod = 0.05"));
+    let all = scene.initial();
+    // Not those that start in it.
+    let starts: Vec<f64> = (0..all.count())
+        .map(|i| all.state(i))
+        .filter(|x| x[0].hypot(x[1]) > 0.4)
+        .flatten()
+        .copied()
+        .collect();
+    let initial = Initial {
+        x: starts,
+        axes: Vec::new(),
+        ..all
+    };
+    let cpu = Cpu::new();
+    let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], initial.clone(), Some(&Gapped), None);
+    assert!(e.laws[0].held > 0.0 && e.laws[0].held < 0.2);
+    let excess = largest_excess(&e.laws[0], &e.initial);
+    // V is of the third order beyond the last answer, at most 0.15 away: J to the square of 0.02.
+    assert!(excess < 1e-3, "{excess:e}");
+    let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], initial, Some(&Known), None);
+    assert_eq!(e.laws[0].held, 0.0);
+}

@@ -118,10 +118,11 @@ pub(super) fn perform(
     let laws = Laws::new(model, hamiltonian, scene.track);
     let setting = Setting::new(&laws, scene, backend, wanted.choices)?;
     // Without a law that asks for it the map still tells V.
-    let map = stored
-        .filter(|s| s.has("trajectories") || s.has("points") || s.has("map"))
-        .map(ValueMap::new);
-    let map = map.transpose()?;
+    let map = stored.filter(|s| s.has("trajectories") || s.has("points") || s.has("map"));
+    let map = map.and_then(|s| {
+        let unknown = |e| terminal.note(&format!("no value map: {e}"));
+        ValueMap::new(s).map_err(unknown).ok()
+    });
     let chart = map.as_ref().map(|m| m as &dyn Chart);
     let available = Available {
         map: chart.is_some(),
@@ -157,6 +158,13 @@ pub(super) fn perform(
     })?;
     bar.clear();
     evaluation.write(&setting, file)?;
+    for law in evaluation.laws.iter().filter(|l| l.held > 0.0) {
+        terminal.note(&format!(
+            "law `{}`: at {:.1} % of its updates the map had no answer, and the last one was held",
+            law.name,
+            100.0 * law.held
+        ));
+    }
     terminal.say(&as_text(&evaluation, &setting, scene))?;
     Ok((evaluation, setting.numerics))
 }
@@ -318,7 +326,7 @@ pub(super) fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {
                 .collect();
             serde_json::json!({
                 "name": law.name, "source": law.source, "share_converged": law.share_converged(),
-                "suboptimality": spread, "worst": records, "sets": sets, "statuses": e.statuses(law),
+                "suboptimality": spread, "worst": records, "sets": sets, "statuses": e.statuses(law), "held": law.held,
                 "seconds": law.seconds, "states_per_second": law.rate(),
             })
         })

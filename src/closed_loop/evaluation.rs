@@ -21,6 +21,8 @@ pub struct LawResult {
     pub status: Vec<i32>,
     pub t_end: Vec<f64>,
     pub paths: Vec<Path>,
+    /// Share of the updates of a chart's law at which the last answer was held for want of one.
+    pub held: f64,
     /// Time taken, compilation not included.
     pub seconds: f64,
 }

@@ -250,6 +250,7 @@ impl<'s> Setting<'s> {
             status: flights.status,
             t_end: flights.t_end,
             paths: flights.paths,
+            held: flights.held as f64 / flights.updates.max(1) as f64,
             seconds,
             ..LawResult::default()
         };

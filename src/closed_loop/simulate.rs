@@ -13,6 +13,8 @@ use rayon::prelude::*;
 pub const OUTSIDE_MAP: i32 = 8;
 /// A trajectory that cannot go on has met a guard whose value is below this share of that at its start.
 const AT_GUARD: f64 = 1e-4;
+/// Longest share of the final time over which a chart's last answer is held where it has none.
+const HOLD: f64 = 0.25;
 /// Trajectories of a batch under a chart's law.
 const CHARTED_BATCH: usize = 16384;
 
@@ -40,6 +42,9 @@ pub struct Flights {
     pub cost: Vec<f64>,
     /// Terminal cost at the end, where the horizon is finite.
     pub terminal: Vec<f64>,
+    /// Updates of a chart's law, and those at which the last answer was held for want of one.
+    pub updates: usize,
+    pub held: usize,
     /// `[trajectory][record]`.
     pub records: Vec<f64>,
     pub paths: Vec<Path>,
@@ -67,6 +72,8 @@ struct Batch {
     records: Records,
     /// Trajectories of the batch kept whole, with their paths.
     kept: Vec<(usize, Path)>,
+    updates: usize,
+    held: usize,
 }
 
 impl<'s> Simulator<'s> {
@@ -146,6 +153,8 @@ impl<'s> Simulator<'s> {
                 count,
             ),
             kept: (kept.iter().filter(here).map(|i| (i - first, path(*i)))).collect(),
+            updates: 0,
+            held: 0,
             start,
         }
     }
@@ -268,7 +277,8 @@ impl<'s> Simulator<'s> {
         }
     }
 
-    /// The law of a chart: between updates that of its quadratic model at the state of the last one.
+    /// The law of a chart: between updates that of its quadratic model at the state of the last one. A gap in the chart is
+    /// bridged with the model before it.
     fn by_chart(&mut self, batch: &mut Batch, chart: &dyn Chart) -> Result<(), LoopError> {
         let scene = self.setting.closed_loop;
         let sampling = scene.final_time / scene.samples as f64;
@@ -279,6 +289,8 @@ impl<'s> Simulator<'s> {
         let run = self.run(&self.equations, vec![step]);
         let (n, dim, width) = (self.equations.states, batch.dim, self.observer_width());
         let mut alive: Vec<usize> = (0..batch.status.len()).collect();
+        let patience = (HOLD * (scene.samples * updates) as f64) as usize;
+        let mut waited = vec![0; alive.len()];
         for k in 0..scene.samples * updates {
             let t = step * k as f64;
             let reference = &self.equations.reference;
@@ -289,9 +301,17 @@ impl<'s> Simulator<'s> {
                     chart.local(&x)
                 })
                 .collect();
+            batch.updates += alive.len();
             for (&i, answer) in alive.iter().zip(&answers) {
                 match answer {
-                    Some(a) => set_chart(&mut batch.end[i * dim..][..dim], &a.p, &a.hessian),
+                    Some(a) => {
+                        set_chart(&mut batch.end[i * dim..][..dim], &a.p, &a.hessian);
+                        waited[i] = 0;
+                    }
+                    None if k > 0 && waited[i] < patience => {
+                        waited[i] += 1;
+                        batch.held += 1;
+                    }
                     None => (batch.status[i], batch.t_end[i]) = (OUTSIDE_MAP, t),
                 }
             }
@@ -374,6 +394,8 @@ impl<'s> Simulator<'s> {
             flights.end.extend_from_slice(&end[..n]);
             flights.cost.push(end[dim - 1]);
         }
+        flights.updates += batch.updates;
+        flights.held += batch.held;
         flights.t_end.extend(batch.t_end);
         flights.status.extend(batch.status);
         flights.records.extend(batch.records.values());

@@ -85,7 +85,7 @@ impl Evaluation {
     }
 
     fn write_laws(&self, file: &mut ResultFile) -> Result<(), OutputError> {
-        let columns: [(&str, &str, &str); 8] = [
+        let columns: [(&str, &str, &str); 9] = [
             (
                 "share_converged",
                 "1",
@@ -98,6 +98,11 @@ impl Evaluation {
             ("seconds", "s", "time of the simulation"),
             ("rate", "1/s", "initial states a second"),
             ("failed", "1", "trajectories that ended early"),
+            (
+                "held",
+                "1",
+                "share of the map law's updates without an answer of the map",
+            ),
         ];
         let mut group = Group::new("closed_loop_laws")
             .dimension(self.laws_dimension())
@@ -120,7 +125,7 @@ impl Evaluation {
             group = group.variable(Variable::f64(&format!("worst_{name}"), ["law"]));
         }
         let mut writer = file.group(&group)?;
-        let row = |law: &LawResult| -> [f64; 8] {
+        let row = |law: &LawResult| -> [f64; 9] {
             let spread = self.spread(law);
             let of = |get: fn(&super::Spread) -> f64| spread.as_ref().map_or(f64::NAN, get);
             let failed = law.status.iter().filter(|s| **s != 0).count();
@@ -133,9 +138,10 @@ impl Evaluation {
                 law.seconds,
                 law.rate(),
                 failed as f64,
+                law.held,
             ]
         };
-        let rows: Vec<[f64; 8]> = self.laws.iter().map(row).collect();
+        let rows: Vec<[f64; 9]> = self.laws.iter().map(row).collect();
         for (k, (name, ..)) in columns.iter().enumerate() {
             writer.write(name, &rows.iter().map(|r| r[k]).collect::<Vec<f64>>())?;
         }

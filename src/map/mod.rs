@@ -39,6 +39,8 @@ pub enum MapError {
     Empty { path: std::path::PathBuf },
     #[error(transparent)]
     Plan(#[from] PlanError),
+    #[error(transparent)]
+    Backend(#[from] crate::backend::BackendError),
     #[error("{states} states: values are looked up for at most {MOST_DIMENSIONS}")]
     TooManyStates { states: usize },
 }
@@ -93,6 +95,8 @@ pub struct ValueMap {
     tree: Box<dyn Nearest>,
     nodal: Vec<OnceLock<Option<Nodal>>>,
     left_out: Vec<OnceLock<[f64; 3]>>,
+    dominated: Vec<OnceLock<bool>>,
+    contested: Vec<OnceLock<bool>>,
     plan: Plan,
     control: Program,
     /// Windings to try, one a combination of periodic states.
@@ -109,7 +113,13 @@ const AGREED: f64 = 0.6;
 /// Sheets for whose sites there is room among those looked at.
 const SHEETS: usize = 3;
 /// Sites further away than this many times the reach of their own fit say nothing.
-const BEYOND: f64 = 0.8;
+const BEYOND: f64 = 1.0;
+/// Within this share of it a place counts as inside even if all sites are on one side: at an invariant boundary there
+/// are none beyond.
+const INSIDE: f64 = 0.5;
+/// Nearest sites among which one of the lowest sheet is looked for in haste, and the distance (in widths) at which none is.
+const HASTY: usize = 12;
+const FAR: f64 = 0.5;
 /// At the edge: length of the mean unit vector to the sites around.
 const ONE_SIDED: f64 = 0.85;
 /// Sites by leaving out which the error at a state is told.
@@ -151,11 +161,15 @@ impl ValueMap {
             });
         }
         let control = Program::lower(&plan.system.graph, &plan.system.inputs, &plan.system.observer.control);
-        let blank = |count: usize| (0..count).map(|_| OnceLock::new()).collect::<Vec<_>>();
+        fn blank<T>(count: usize) -> Vec<OnceLock<T>> {
+            (0..count).map(|_| OnceLock::new()).collect()
+        }
         let mut this = Self {
             tree: index(&sites.z, states),
             nodal: blank(sites.len()),
-            left_out: (0..sites.len()).map(|_| OnceLock::new()).collect(),
+            left_out: blank(sites.len()),
+            dominated: blank(sites.len()),
+            contested: blank(sites.len()),
             windings: Vec::new(),
             control,
             plan,
@@ -257,17 +271,24 @@ impl ValueMap {
         }
     }
 
-    /// The nearest site's opinion on the sheet of least V, where no other sheet's sites are around those nearest.
+    /// The opinion of the nearest site on the lowest sheet, where no other sheet is as low around it.
     fn uncontested(&self, z: &[f64]) -> Option<Opinion> {
         let mut best: Option<Opinion> = None;
         for (w, winding) in self.windings.iter().enumerate() {
             let place: Vec<f64> = (0..z.len()).map(|i| z[i] + self.turn(winding, i)).collect();
-            let &(site, distance) = self.tree.near(&place, f64::INFINITY, 1).first()?;
-            let nodal = self.nodal[site].get_or_init(|| self.fit(site, None)).as_ref()?;
-            if distance > BEYOND * nodal.reach {
+            let near = self.tree.near(&place, f64::INFINITY, HASTY);
+            if near.first().is_none_or(|(_, distance)| *distance > FAR) {
                 continue;
             }
-            if nodal.contested || distance > 0.5 * nodal.reach {
+            let Some(&(site, distance)) = near.iter().find(|(site, _)| !self.is_dominated(*site)) else {
+                // All of another sheet, or none is left to ask.
+                continue;
+            };
+            let reach = self.nodal[site].get_or_init(|| self.fit(site, None)).as_ref()?.reach;
+            if distance > BEYOND * reach {
+                continue;
+            }
+            if distance > INSIDE * reach || self.is_contested(site) {
                 return None;
             }
             let opinion = self.opinion(&place, w, site, distance, None)?;
@@ -276,6 +297,30 @@ impl ValueMap {
             }
         }
         best
+    }
+
+    /// Whether another sheet is cheaper where a site is, by more than interpolation errs.
+    fn is_dominated(&self, site: usize) -> bool {
+        const MARGIN: f64 = 0.02;
+        *self.dominated[site].get_or_init(|| {
+            let w = &self.plan.widths;
+            let x: Vec<f64> = (self.sites.z(site).iter().zip(w).zip(&self.plan.system.reference))
+                .map(|((z, w), r)| z * w + r)
+                .collect();
+            let v = self.sites.v[site];
+            (self.without_errors(&x).lowest).is_ok_and(|here| here.v < v - MARGIN * v.abs())
+        })
+    }
+
+    /// Whether sites of another sheet that may be the lowest lie around one.
+    fn is_contested(&self, site: usize) -> bool {
+        *self.contested[site].get_or_init(|| {
+            let near = self
+                .tree
+                .near(self.sites.z(site), f64::INFINITY, LOOK * (self.sites.n + 1));
+            near.iter()
+                .any(|(k, _)| !self.sites.consistent(site, *k) && !self.is_dominated(*k))
+        })
     }
 
     /// Whether a sample (x, V) of an extremal is, as far as the map can tell, on the lowest sheet.
@@ -361,9 +406,7 @@ impl ValueMap {
         let excluded: Vec<usize> = without.into_iter().chain([site]).collect();
         // Twice as many: some will belong to other sheets.
         let mut near = self.around(z, 2 * most, &excluded);
-        let all = near.len();
         near.retain(|(k, d)| *d > SAME && self.sites.consistent(site, *k));
-        let contested = near.len() < all;
         let agreed: Vec<bool> = (near.iter())
             .map(|(k, _)| {
                 let with = near.iter().filter(|(j, _)| self.sites.consistent(*k, *j)).count();
@@ -383,11 +426,7 @@ impl ValueMap {
                 }
             })
             .collect();
-        let used = neighbours.len();
-        let fitted = nodal::fit(n, neighbours).map(|mut f| {
-            f.contested |= contested || used < near.len().min(most);
-            f
-        });
+        let fitted = nodal::fit(n, neighbours);
         match self.sites.hessian.get(&site) {
             Some(hessian) => {
                 let reach = fitted.map_or(0.0, |f| f.reach);
@@ -472,7 +511,8 @@ impl ValueMap {
         let n = self.sites.n;
         let first = &opinions[members[0]];
         let exact = first.distance < SAME;
-        if !exact && !surrounded(n, members.iter().map(|k| &opinions[*k])) {
+        let reach = self.nodal(first.site, None).map_or(0.0, |f| f.reach);
+        if first.distance > INSIDE * reach && !surrounded(n, members.iter().map(|k| &opinions[*k])) {
             return None;
         }
         let (says, disagreement) = blend(n, opinions, members);

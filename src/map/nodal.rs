@@ -11,8 +11,6 @@ pub(super) struct Nodal {
     third: Vec<f64>,
     /// How far the sites used are away.
     pub reach: f64,
-    /// Whether sites of another sheet lie among them.
-    pub contested: bool,
 }
 
 /// What a nodal polynomial says at a place.
@@ -61,7 +59,6 @@ pub(super) fn wanted(n: usize) -> usize {
 /// Neighbours that turn out not to belong are left out, and a polynomial that explains the rest badly is none.
 pub(super) fn fit(n: usize, mut neighbours: Vec<Neighbour>) -> Option<Nodal> {
     const ROUNDS: usize = 3;
-    let mut dropped = false;
     for _ in 0..ROUNDS {
         let nodal = least_squares(n, &neighbours)?;
         let misfits: Vec<f64> = neighbours.iter().map(|b| nodal.misfit(b)).collect();
@@ -71,13 +68,9 @@ pub(super) fn fit(n: usize, mut neighbours: Vec<Neighbour>) -> Option<Nodal> {
         // A good fit needs none of this: neighbours further away are naturally further off.
         let explained = misfits.iter().all(|m| *m <= UNEXPLAINED);
         if explained {
-            return Some(Nodal {
-                contested: dropped,
-                ..nodal
-            });
+            return Some(nodal);
         }
         let before = neighbours.len();
-        dropped = true;
         let mut keep = misfits.iter().map(|m| *m <= bound);
         neighbours.retain(|_| keep.next().unwrap_or(false));
         if neighbours.len() == before {
@@ -139,7 +132,6 @@ fn least_squares(n: usize, neighbours: &[Neighbour]) -> Option<Nodal> {
         second: (0..squares).map(|k| scaled(k, 2)).collect(),
         third: (squares..columns).map(|k| scaled(k, 3)).collect(),
         reach,
-        contested: false,
     })
 }
 
@@ -188,7 +180,6 @@ impl Nodal {
             second,
             third: Vec::new(),
             reach,
-            contested: false,
         }
     }
 

@@ -1,8 +1,11 @@
 //! Where V and p are known: swept samples, solved states, map nodes, and the local solution near the equilibrium.
 
+use super::MapError;
+use crate::backend::{BackendError, cpu::Cpu};
 use crate::model::Horizon;
-use crate::output::{Stored, StoredError};
-use crate::sweep::Plan;
+use crate::model::SeedValue;
+use crate::output::Stored;
+use crate::sweep::{Choices, Plan, sweep};
 use std::collections::HashMap;
 
 /// No sheet number is known.
@@ -43,8 +46,8 @@ impl Sites {
     /// All sites of a file, thinned to about half the distance between neighbouring trajectories.
     ///
     /// # Errors
-    /// [`StoredError`] where groups are not as this program writes them.
-    pub fn collect(stored: &Stored, plan: &Plan) -> Result<Self, StoredError> {
+    /// [`MapError`] where groups are not as this program writes them.
+    pub fn collect(stored: &Stored, plan: &Plan) -> Result<Self, MapError> {
         let mut all = Gathering::new(plan);
         if let Some(entries) = stored.points_sheets()? {
             for k in 0..entries.count {
@@ -77,6 +80,13 @@ impl Sites {
                 let sheet = swept.sheet[k / swept.samples];
                 all.add(&swept.x, &swept.v, &swept.p, k, sheet, Source::Sample);
             }
+            let least = swept
+                .v
+                .iter()
+                .copied()
+                .filter(|v| *v > 0.0)
+                .fold(f64::INFINITY, f64::min);
+            all.add_inner(stored, plan, least)?;
         }
         all.add_local(plan);
         Ok(all.sites)
@@ -180,6 +190,45 @@ impl<'p> Gathering<'p> {
         sites.sheet.push(sheet);
         sites.source.push(source);
         Some(sites.v.len() - 1)
+    }
+
+    /// Levels of V at equal distances leave gaps near the equilibrium: the first is far from the seeds, and between the first
+    /// few the radius grows by half and more. A small sweep of its own fills them.
+    fn add_inner(&mut self, stored: &Stored, plan: &Plan, least: f64) -> Result<(), MapError> {
+        /// Distance between neighbours on the outermost front, of its largest radius.
+        const SPACING: f64 = 0.15;
+        const LEVELS: usize = 8;
+        const SAMPLES: usize = 4 * LEVELS;
+        const MOST_SEEDS: usize = 4000;
+        let Some(local) = &plan.local else { return Ok(()) };
+        if !least.is_finite() || least <= 2.0 * local.seed_value {
+            return Ok(());
+        }
+        let n = self.sites.n;
+        let radius = (0..n)
+            .map(|i| {
+                let mut s = vec![0.0; n];
+                s[i] = plan.widths[i];
+                (LEVELS as f64 * least / local.quadratic(&s).max(f64::MIN_POSITIVE)).sqrt()
+            })
+            .fold(0.0, f64::max);
+        let mut model = stored.model.clone();
+        let mut inner = plan.shoot_out.clone();
+        inner.value_max = Some(LEVELS as f64 * least);
+        inner.samples = SAMPLES;
+        inner.spacing = SPACING * radius;
+        inner.max_seeds = MOST_SEEDS;
+        inner.seed_value = SeedValue::Auto;
+        model.shoot_out = Some(inner);
+        let backend = Cpu::new();
+        let plan = Plan::new(&model, &stored.hamiltonian, &backend, Choices::default())?;
+        sweep::<BackendError>(&plan, &backend, &mut |_, _| {}, &mut |block| {
+            for k in 0..block.v.len() {
+                self.add(&block.x, &block.v, &block.p, k, UNLABELLED, Source::Sample);
+            }
+            Ok(())
+        })?;
+        Ok(())
     }
 
     /// The equilibrium, and ellipsoids about it as far as the local solution is good.

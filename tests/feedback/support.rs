@@ -1,7 +1,8 @@
-//! Reading back what a fit wrote.
+//! Directories, commands, and reading back what a fit wrote.
 
 use costate::output::Stored;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// An empty directory of the test's own.
 pub fn scratch(name: &str) -> PathBuf {
@@ -31,4 +32,12 @@ impl Points {
             toml: group.texts("toml").unwrap().remove(0),
         }
     }
+}
+
+/// What a command prints, which must succeed.
+pub fn output(command: &mut Command) -> String {
+    let done = command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"));
+    let errors = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(done.status.success(), "{command:?}: {errors}");
+    String::from_utf8(done.stdout).unwrap()
 }
