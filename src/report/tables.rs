@@ -2,7 +2,7 @@
 
 use super::ticks::significant;
 use super::{Source, names};
-use crate::output::StoredGroup;
+use crate::output::{Array, StoredGroup};
 use serde_json::Value;
 
 /// A table; the first column names the rows.
@@ -54,13 +54,13 @@ pub fn all(source: &Source<'_>) -> (Vec<Table>, Vec<(String, String)>) {
 fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table> {
     let all = group.names();
     // The dimension along which most variables extend: the first one with names.
-    let (index, labels) = (["law", "variant", "row"].iter())
-        .find_map(|d| Some((*d, group.texts(d).ok().or_else(|| numbered(group, d))?)))?;
+    let (index, labels) =
+        (["law", "variant", "row"].iter()).find_map(|d| Some((*d, texts(group, d).or_else(|| numbered(group, d))?)))?;
     let mut columns = vec![index.to_owned()];
     let mut rows: Vec<Vec<String>> = labels.iter().map(|l| vec![l.clone()]).collect();
     let others: Vec<(String, Vec<String>)> = (all.iter())
         .filter(|n| *n != index)
-        .filter_map(|n| Some((n.clone(), group.texts(n).ok()?)))
+        .filter_map(|n| Some((n.clone(), texts(group, n)?)))
         .collect();
     for name in all.iter().filter(|n| *n != index && *n != "toml") {
         if let Some((_, texts)) = others.iter().find(|(n, _)| n == name) {
@@ -74,7 +74,7 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
             }
             continue;
         }
-        let Ok(array) = group.f64(name) else { continue };
+        let Some(array) = numbers(group, name) else { continue };
         let unit = group.attribute(Some(name), "units").filter(|u| !u.starts_with("see "));
         let unit = names::unit(unit.as_deref());
         match array.shape.as_slice() {
@@ -118,9 +118,31 @@ fn is_coordinate(name: &str) -> bool {
         || name.ends_with("_long_name")
 }
 
+/// Numbers, integers too.
+fn numbers(group: &StoredGroup<'_>, name: &str) -> Option<Array> {
+    let integers = || {
+        let (shape, values) = group.i32(name).ok()?;
+        let values = values.into_iter().map(f64::from).collect();
+        Some(Array { shape, values })
+    };
+    group.f64(name).ok().or_else(integers)
+}
+
+/// Texts; numbers are none.
+fn texts(group: &StoredGroup<'_>, name: &str) -> Option<Vec<String>> {
+    group.texts(name).ok().filter(|t| !t.is_empty())
+}
+
 fn numbered(group: &StoredGroup<'_>, dimension: &str) -> Option<Vec<String>> {
-    let values = group.f64(dimension).ok()?.values;
-    Some(values.iter().map(|v| significant(*v, 6)).collect())
+    if !group.has(dimension) {
+        return None;
+    }
+    if let Ok(values) = group.f64(dimension) {
+        return Some(values.values.iter().map(|v| significant(*v, 6)).collect());
+    }
+    // 64-bit integers are not read as f64: rows are counted.
+    let count = (group.names().iter()).find_map(|n| group.f64(n).ok()?.shape.first().copied())?;
+    Some((0..count).map(|k| k.to_string()).collect())
 }
 
 fn heading(name: &str) -> String {
