@@ -149,7 +149,8 @@ fn sheets_are_not_mixed_where_the_answer_is_known() {
         // the sheets part, which a hundredth of the region away is 0.04.
         assert!((here.v - v).abs() < 2e-3, "{x}, {y}: {} for {v}", here.v);
     }
-    assert!(known > 270, "{known} of 300");
+    // What the file holds lies a quarter of the region apart in y: a third of the states has nothing on all sides.
+    assert!(known > 180, "{known} of 300");
 }
 
 #[test]
