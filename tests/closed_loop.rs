@@ -257,7 +257,8 @@ fn a_commanded_state_is_followed_within_the_rate_limit() {
     let initial = scene.initial();
     let dx = |x: f64, g: f64| -0.5 * x + x.sin() - g;
     // With the command's own rate where it depends on other states alone, else without.
-    let laws: [(&str, &dyn Fn(f64, f64) -> f64); 2] = [
+    type Control<'c> = &'c dyn Fn(f64, f64) -> f64;
+    let laws: [(&str, Control<'_>); 2] = [
         ("commanded", &|x, g| {
             let (command, slope) = (1.5 * x + 0.2 * x * x, 1.5 + 0.4 * x);
             (slope * dx(x, g) + 7.0 * (command - g) + 0.1 * g) / 2.0

@@ -402,7 +402,7 @@ fn the_compressor_study_has_the_published_figures() {
             off += ((along.values[i + 1] - along.values[i - 1]) / h + l).powi(2);
             size += l * l;
         }
-        let relative = (off / size as f64).sqrt();
+        let relative = (off / size).sqrt();
         assert!(relative < 0.02, "Phi0 = {phi0}: {relative}");
     }
 }

@@ -236,7 +236,7 @@ fn fitted(stored: &Stored) -> Result<Vec<Weights>, CliError> {
         return Ok(Vec::new());
     };
     let (names, texts) = (group.texts("law")?, group.texts("toml")?);
-    let file = |name: &str| format!("/feedback of {}, law {name}", stored.path.display());
+    let file = |name: &str| format!("/feedback, law {name}");
     Ok((names.into_iter().zip(texts))
         .map(|(name, text)| Weights {
             file: file(&name),

@@ -286,7 +286,13 @@ impl StoredGroup<'_> {
     /// [`StoredError::Object`] where there is no such dataset of numbers.
     pub fn f64(&self, name: &str) -> Result<Array, StoredError> {
         let dataset = self.dataset(name)?;
-        let values = dataset.read_numeric_as::<f64>().map_err(|e| self.hdf5(name, &e))?;
+        // Only what loses nothing is converted: 64-bit integers are not.
+        let integers = || {
+            let whole = dataset.read_numeric_as::<i64>()?;
+            Ok(whole.into_iter().map(|v| v as f64).collect())
+        };
+        let values = dataset.read_numeric_as::<f64>().or_else(|_| integers());
+        let values = values.map_err(|e: Hdf5Error| self.hdf5(name, &e))?;
         Ok(Array {
             shape: dataset.shape(),
             values,
