@@ -513,7 +513,7 @@ fn bad_options_and_files_are_the_users() {
         (&["report", file, "--axes", "x"], "two states"),
         (&["report", file, "--axes", "x,velocity"], "no state `velocity`"),
         (&["report", file, "--levels", "1,exp(q)"], "q"),
-        (&["report", no_result.to_str().unwrap()], "not an HDF5 file"),
+        (&["report", no_result.to_str().unwrap()], "not a result file"),
         (&["report", "/nowhere/result.h5"], "cannot read"),
     ];
     for (args, said) in cases {

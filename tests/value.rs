@@ -244,7 +244,7 @@ fn tables_grids_and_json_agree() {
     assert_eq!(
         rows[0],
         [
-            "theta", "omega", "V", "p_theta", "p_omega", "u", "sheet", "V_error", "p_error", "u_error"
+            "theta", "omega", "V", "p_theta", "p_omega", "u", "sheet", "V_error", "p_error", "u_error", "status"
         ]
     );
     assert_eq!(rows.len(), 13);
@@ -301,7 +301,7 @@ fn bad_requests_are_refused() {
             &[&file, &"--at", &"theta=1", &"--out", &file],
             "is the file that is read",
         ),
-        (&[&text, &"--at", &"theta=1"], "not an HDF5 file"),
+        (&[&text, &"--at", &"theta=1"], "not a result file"),
         (&[&missing, &"--at", &"theta=1"], "cannot read"),
     ];
     for (arguments, words) in cases {

@@ -56,6 +56,7 @@ pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
         Horizon::Infinite { .. } => Some(Riccati::solve(&hamiltonian, &model).map_err(|e| at_equilibrium(&model, &e))?),
         Horizon::Finite { .. } => None,
     };
+    super::afterwards::check(&model, &hamiltonian)?;
     if args.scene.quiet {
         return Ok(());
     }

@@ -11,6 +11,7 @@ use crate::model::{ClosedLoop, Model};
 use crate::output::{ResultFile, RunRecord, Stored};
 use crate::scenario::{self, ScenarioErrors};
 use crate::sweep::Choices;
+use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -33,6 +34,9 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         Some(end) if end.eq_ignore_ascii_case("toml") => None,
         _ => Some(Stored::open(&args.file)?),
     };
+    if stored.is_some() && args.scene.is_none() && !args.set.is_empty() {
+        return Err(CliError::SetOfResult);
+    }
     let other = match (&stored, &args.scene) {
         (Some(_), None) => None,
         (Some(stored), Some(scene)) => Some(other_scene(stored, scene, &args.set)?),
@@ -151,7 +155,7 @@ pub(super) fn perform(
             &mut told,
         )?)
     } else {
-        known_values(stored, model, &initial, chart)?
+        Some(known_values(stored, model, &initial, map.as_ref(), terminal)?)
     };
     let evaluation = setting.evaluate(&chosen.laws, initial, chart, values, backend, &mut |law| {
         bar.say(&format!("closed loop of {law}"));
@@ -169,23 +173,69 @@ pub(super) fn perform(
     Ok((evaluation, setting.numerics))
 }
 
-/// V of the states solved for in a result file and, elsewhere, of its map; `None` where nothing is known.
+/// V of the states solved for in a result file and, elsewhere, of its map, as far as that is good; NaN where it is not known.
 fn known_values(
     stored: Option<&Stored>,
     model: &Model,
     initial: &Initial,
-    chart: Option<&dyn Chart>,
-) -> Result<Option<Vec<f64>>, CliError> {
-    let Some(points) = stored.map(Stored::points).transpose()?.flatten() else {
-        return Ok(None);
-    };
-    let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
-    let mut values = initial.looked_up(&points.x, &points.v, &widths);
-    if values.iter().any(|v| v.is_nan()) && chart.is_some() {
-        let charted = initial.values(chart);
-        (values.iter_mut().zip(charted).filter(|(v, _)| v.is_nan())).for_each(|(v, c)| *v = c);
+    map: Option<&ValueMap>,
+    terminal: &Terminal,
+) -> Result<Vec<f64>, CliError> {
+    /// Largest estimated error of V, of V.
+    const GOOD: f64 = 0.01;
+    /// States at which it is estimated, which takes a hundred times longer than V.
+    const ESTIMATED: usize = 5000;
+    let unknown = vec![f64::NAN; initial.count()];
+    let Some(stored) = stored else { return Ok(unknown) };
+    if !same_problem(&stored.model, model) {
+        terminal.note("V in the file is of another problem (other parameters, equations or cost): J is not compared with it (--solve finds V)");
+        return Ok(unknown);
     }
-    Ok(Some(values))
+    let mut values = match stored.points()? {
+        Some(points) => {
+            let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
+            initial.looked_up(&points.x, &points.v, &widths)
+        }
+        None => unknown,
+    };
+    let Some(map) = map else { return Ok(values) };
+    let estimated = initial.count() <= ESTIMATED;
+    let charted: Vec<Option<f64>> = (initial.x.par_chunks(model.states.len()).zip(&values))
+        .map(|(x, known)| match known.is_nan() {
+            false => Some(*known),
+            true if !estimated => Some(map.local(x).map_or(f64::NAN, |here| here.v)),
+            true => match map.at(x).lowest {
+                Ok(here) if here.v_error > GOOD * here.v.abs() => None,
+                here => Some(here.map_or(f64::NAN, |here| here.v)),
+            },
+        })
+        .collect();
+    let doubtful = charted.iter().filter(|v| v.is_none()).count();
+    if doubtful > 0 {
+        terminal.note(&format!(
+            "at {doubtful} initial states V's estimated error is above 1 %: J is not compared with it there (--solve finds V)"
+        ));
+    }
+    for (value, charted) in values.iter_mut().zip(charted) {
+        *value = charted.unwrap_or(f64::NAN);
+    }
+    Ok(values)
+}
+
+/// Whether two scenes have the same equations, cost and parameters, so that V of one is V of the other.
+fn same_problem(a: &Model, b: &Model) -> bool {
+    let shown = |m: &Model| -> Vec<String> {
+        let cost = std::iter::once(m.running.expr);
+        let exprs = m.dynamics.iter().map(|f| f.expr).chain(cost);
+        let parameters = m.parameters.iter().map(|p| format!("{} = {:?}", p.name, p.value));
+        let controls = m.controls.iter().map(|c| format!("{:?} {:?}", c.min, c.max));
+        exprs
+            .map(|e| m.graph.show(e))
+            .chain(parameters)
+            .chain(controls)
+            .collect()
+    };
+    shown(a) == shown(b) && a.reference() == b.reference()
 }
 
 fn derived(path: &Path, set: &[(String, String)]) -> Result<(Model, Hamiltonian), CliError> {

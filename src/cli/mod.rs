@@ -458,6 +458,8 @@ enum CliError {
     NoLaws,
     #[error("the states and controls of {scene} are not those of {file}", scene = scene.display(), file = file.display())]
     OtherScene { scene: PathBuf, file: PathBuf },
+    #[error("--set does not change a result file's own scene: give the scene too (--scene SCENE.toml --set ...)")]
+    SetOfResult,
     #[error(transparent)]
     Fit(#[from] fit::FitCommandError),
     #[error(transparent)]
@@ -497,7 +499,11 @@ impl CliError {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
             CliError::Study(StudyError::Scene { .. } | StudyError::Plan { .. }) | CliError::NoStudy => 2,
             CliError::Place(_) | CliError::Map(_) => 2,
-            CliError::Law(_) | CliError::NoClosedLoop | CliError::NoLaws | CliError::OtherScene { .. } => 2,
+            CliError::Law(_)
+            | CliError::NoClosedLoop
+            | CliError::NoLaws
+            | CliError::OtherScene { .. }
+            | CliError::SetOfResult => 2,
             CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
             CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) => 2,

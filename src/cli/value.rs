@@ -343,7 +343,7 @@ fn table(model: &Model, states: &[f64], found: &[At]) -> Result<String, CliError
     header.push("V".to_owned());
     header.extend(names.iter().map(|n| format!("p_{n}")));
     header.extend(controls.iter().map(|n| (*n).to_owned()));
-    header.extend(["sheet", "V_error", "p_error", "u_error"].map(str::to_owned));
+    header.extend(["sheet", "V_error", "p_error", "u_error", "status"].map(str::to_owned));
     let columns = header.len();
     let csv = |e: csv::Error| CliError::Stdout(std::io::Error::other(e));
     writer.write_record(&header).map_err(csv)?;
@@ -359,7 +359,12 @@ fn table(model: &Model, states: &[f64], found: &[At]) -> Result<String, CliError
                     .map(|e| if e.is_finite() { e.to_string() } else { String::new() }),
             );
         }
-        row.resize(columns, String::new());
+        row.resize(columns - 1, String::new());
+        row.push(
+            at.lowest
+                .as_ref()
+                .map_or_else(ToString::to_string, |_| "known".to_owned()),
+        );
         writer.write_record(&row).map_err(csv)?;
     }
     let bytes = writer

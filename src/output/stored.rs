@@ -12,8 +12,12 @@ use std::path::{Path, PathBuf};
 pub enum StoredError {
     #[error("cannot read {path}: {source}", path = path.display())]
     Read { path: PathBuf, source: std::io::Error },
-    #[error("{path} is not an HDF5 file: {reason}", path = path.display())]
-    NotHdf5 { path: PathBuf, reason: String },
+    #[error("{path} is not a result file (HDF5): {reason}{hint}", path = path.display())]
+    NotHdf5 {
+        path: PathBuf,
+        reason: String,
+        hint: &'static str,
+    },
     #[error("{path} is not a result file of costate: it has no attribute `scenario`", path = path.display())]
     NoScenario { path: PathBuf },
     /// The scene in the file is not one for this version.
@@ -124,6 +128,11 @@ impl Stored {
         let file = (H5File::options().no_locking().open(path)).map_err(|e| StoredError::NotHdf5 {
             path: path.to_owned(),
             reason: e.to_string(),
+            hint: if path.extension().is_some_and(|e| e == "toml") {
+                "; this may be a scene: `costate run` makes a result file of it"
+            } else {
+                ""
+            },
         })?;
         let Ok(text) = file.attr_string("scenario") else {
             return Err(StoredError::NoScenario { path: path.to_owned() });

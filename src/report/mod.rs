@@ -124,7 +124,7 @@ impl Picture {
     /// As the bytes of a PNG file, so wide.
     ///
     /// # Errors
-    /// [`RasterError`].
+    /// Where encoding fails.
     pub fn png(&self, width: f64) -> Result<Vec<u8>, RasterError> {
         let mut canvas = Raster::new(self.size(width))?;
         self.draw(&mut canvas);
