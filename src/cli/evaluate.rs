@@ -4,7 +4,9 @@ use super::report::Terminal;
 use super::run::{default_output, open_backend};
 use super::{CliError, EvaluateArgs, SceneArgs};
 use crate::backend::Backend;
-use crate::closed_loop::{Available, Chart, Evaluation, GROUPS, Initial, Laws, Setting, Weights, solved_values};
+use crate::closed_loop::{
+    Available, Chart, Evaluation, GROUPS, Initial, LQR, Laws, MAP, Setting, Weights, solved_values,
+};
 use crate::hamiltonian::Hamiltonian;
 use crate::map::ValueMap;
 use crate::model::{ClosedLoop, Model};
@@ -30,6 +32,13 @@ pub(super) struct Wanted {
 
 pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
+    let inputs: Vec<&Path> = [&args.file]
+        .into_iter()
+        .chain(&args.scene)
+        .chain(&args.weights)
+        .map(PathBuf::as_path)
+        .collect();
+    super::check_out(args.out.as_deref(), &[], &inputs)?;
     let stored = match args.file.extension() {
         Some(end) if end.eq_ignore_ascii_case("toml") => None,
         _ => Some(Stored::open(&args.file)?),
@@ -133,6 +142,15 @@ pub(super) fn perform(
         fitted: stored.map(fitted).transpose()?.unwrap_or_default(),
         added: wanted.weights.clone(),
     };
+    if let Some(twice) = (available.added.iter()).find(|w| {
+        [LQR, MAP].contains(&w.name.as_str())
+            || available.fitted.iter().any(|f| f.name == w.name)
+            || scene.given.iter().any(|g| g.name == w.name)
+    }) {
+        return Err(CliError::SameLaw {
+            name: twice.name.clone(),
+        });
+    }
     let chosen = available.choose(&laws, scene, wanted.laws.as_deref())?;
     for name in &chosen.missing {
         terminal.note(&format!(
@@ -382,7 +400,7 @@ pub(super) fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {
         })
         .collect();
     serde_json::json!({
-        "file": path, "initial_states": e.initial.count(), "backend": e.backend, "adapter": e.adapter,
+        "file": path.display().to_string(), "initial_states": e.initial.count(), "backend": e.backend, "adapter": e.adapter,
         "values_known": e.values.iter().filter(|v| !v.is_nan()).count(), "laws": laws,
     })
 }

@@ -50,7 +50,7 @@ pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
         &terminal,
     )?;
     if args.json {
-        let summary = json!({ "file": args.file, "laws": laws_json(&done) });
+        let summary = json!({ "file": args.file.display().to_string(), "laws": laws_json(&done) });
         writeln!(std::io::stdout(), "{summary:#}")?;
     }
     terminal.say(&done.text())?;
@@ -120,6 +120,16 @@ pub(super) fn fit_laws(
             path: directory.clone(),
             source,
         })?;
+    }
+    for law in &fitted.laws {
+        let weights = directory.join(format!("{}_{}.toml", beside.stem, law.name));
+        let scene = std::fs::canonicalize(&scene.file_name);
+        if scene.is_ok_and(|s| std::fs::canonicalize(&weights).is_ok_and(|w| w == s)) {
+            return Err(CliError::OverScene {
+                name: law.name.clone(),
+                path: weights,
+            });
+        }
     }
     let exports = fitted.export(directory, &beside.stem, &stored.model)?;
     Ok(Done { fitted, exports })
@@ -266,7 +276,7 @@ fn as_json(l: &FittedLaw, exports: &Exports) -> Value {
         "starts": l.starts,
         "seed": l.seed,
         "seconds": l.seconds,
-        "files": exports.files,
+        "files": exports.files.iter().map(|f| f.display().to_string()).collect::<Vec<_>>(),
         "without_onnx": exports.without_onnx,
     })
 }

@@ -23,7 +23,7 @@ use crate::scenario::{LoadError, ScenarioErrors};
 use crate::study::StudyError;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::io::{IsTerminal, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Value functions and optimal feedback of nonlinear systems over a region, by bicharacteristics.
@@ -458,6 +458,12 @@ enum CliError {
     NoLaws,
     #[error("the states and controls of {scene} are not those of {file}", scene = scene.display(), file = file.display())]
     OtherScene { scene: PathBuf, file: PathBuf },
+    #[error("--out {path}: {reason}", path = path.display())]
+    BadOut { path: PathBuf, reason: &'static str },
+    #[error("law `{name}` would be written to {path}, which is the scene: give another --out", path = path.display())]
+    OverScene { name: String, path: PathBuf },
+    #[error("--weights: a law named `{name}` is there already: rename the file", name = name)]
+    SameLaw { name: String },
     #[error("--set does not change a result file's own scene: give the scene too (--scene SCENE.toml --set ...)")]
     SetOfResult,
     #[error(transparent)]
@@ -504,6 +510,7 @@ impl CliError {
             | CliError::NoLaws
             | CliError::OtherScene { .. }
             | CliError::SetOfResult => 2,
+            CliError::BadOut { .. } | CliError::OverScene { .. } | CliError::SameLaw { .. } => 2,
             CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
             CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) => 2,
@@ -521,6 +528,32 @@ impl CliError {
         };
         // Nowhere is left to report a failure of this.
         let _ = writeln!(std::io::stderr(), "{}", text.trim_end());
+    }
+}
+
+/// Refuses to write over what is read, and HDF5 under the name of something else.
+fn check_out(out: Option<&Path>, ending: &[&str], inputs: &[&Path]) -> Result<(), CliError> {
+    let Some(out) = out else { return Ok(()) };
+    let bad = |reason| CliError::BadOut {
+        path: out.to_owned(),
+        reason,
+    };
+    let same = |a: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(out).is_ok_and(|b| a == b));
+    if inputs.iter().any(|i| same(i)) {
+        return Err(bad("this file is read"));
+    }
+    let end = out
+        .extension()
+        .map(|e| e.to_string_lossy().to_lowercase())
+        .unwrap_or_default();
+    match ending {
+        // Any name but those of other kinds of file.
+        [] if ["toml", "csv", "html", "svg", "png", "txt", "json"].contains(&end.as_str()) => {
+            Err(bad("a result file is HDF5; name it .h5"))
+        }
+        [] => Ok(()),
+        some if some.contains(&end.as_str()) => Ok(()),
+        _ => Err(bad("name the page .html")),
     }
 }
 

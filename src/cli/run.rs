@@ -34,6 +34,7 @@ impl Parts<'_> {
 
 pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
+    super::check_out(args.out.as_deref(), &[], &[&args.scene.scenario])?;
     let (model, hamiltonian) = load(&args.scene)?;
     let wanted = wanted(&model, parts)?;
     let all = matches!(parts, Parts::All);
@@ -158,7 +159,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let page = (all && !args.no_report)
         .then(|| afterwards::page(&path, &terminal))
         .flatten();
-    summary["report"] = serde_json::json!(page);
+    summary["report"] = serde_json::json!(page.as_ref().map(|p| p.display().to_string()));
     if args.scene.json {
         super::print(&format!("{summary:#}\n"))?;
     }

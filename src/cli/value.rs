@@ -7,7 +7,7 @@ use crate::model::Model;
 use crate::output::{Places, ResultFile, RunRecord, Stored, write_text};
 use rayon::prelude::*;
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
 
 /// What is wrong with the places asked for.
@@ -23,8 +23,6 @@ pub(super) enum PlaceError {
     },
     #[error("--out {path}: a table ends in .csv, a result file in .h5", path = path.display())]
     Extension { path: std::path::PathBuf },
-    #[error("--out {path} is the file that is read", path = path.display())]
-    Itself { path: std::path::PathBuf },
 }
 
 /// Most points of a grid.
@@ -46,11 +44,12 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         if !matches!(extension, Some("csv" | "h5")) {
             return Err(PlaceError::Extension { path: out.clone() }.into());
         }
-        let same =
-            |a: &Path, b: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b));
-        if same(out, &args.file) {
-            return Err(PlaceError::Itself { path: out.clone() }.into());
-        }
+        let inputs: Vec<&Path> = [&args.file]
+            .into_iter()
+            .chain(&args.points)
+            .map(PathBuf::as_path)
+            .collect();
+        super::check_out(Some(out), &["csv", "h5"], &inputs)?;
     }
     let stored = Stored::open(&args.file)?;
     let model = &stored.model;

@@ -52,6 +52,8 @@ struct Track {
     best: f64,
     places: Vec<Place>,
     last: f64,
+    /// Whether the quantity was no number somewhere on the way: then it has no extremum.
+    undefined: bool,
 }
 
 /// Where an argument of min, max or abs in a recorded expression changes its sign: there the quantity has a kink, and two
@@ -99,9 +101,8 @@ impl View<'_> {
         for (k, (kind, track)) in self.kinds.iter().zip(self.tracks.iter_mut()).enumerate() {
             let sign = sign(*kind);
             let [a, b] = ends.map(|e| (sign * e[2 * k], sign * e[2 * k + 1]));
-            if !b.0.is_nan() {
-                track.last = sign * b.0;
-            }
+            track.last = sign * b.0;
+            track.undefined |= a.0.is_nan() || b.0.is_nan();
             if *kind == Extremum::Final {
                 continue;
             }
@@ -147,6 +148,7 @@ impl Records {
             best: f64::INFINITY,
             places: Vec::new(),
             last: f64::NAN,
+            undefined: false,
         };
         Self {
             kinds: records.iter().map(|r| r.extremum).collect(),
@@ -286,7 +288,7 @@ impl Records {
         (self.tracks.iter().enumerate())
             .map(|(t, track)| match self.kinds[t % count] {
                 Extremum::Final => track.last,
-                kind if track.best.is_finite() => sign(kind) * track.best,
+                kind if track.best.is_finite() && !track.undefined => sign(kind) * track.best,
                 _ => f64::NAN,
             })
             .collect()

@@ -105,8 +105,8 @@ fn formula(graph: &Graph, id: Id, names: &HashMap<Id, String>) -> Option<String>
                 Op::Mul => format!("{a} * {b}"),
                 Op::Div => format!("{a} / {b}"),
                 Op::Pow => format!("pow({a}, {b})"),
-                Op::Min => format!("fmin({a}, {b})"),
-                Op::Max => format!("fmax({a}, {b})"),
+                Op::Min => format!("({a} < {b} || {a} != {a} ? {a} : {b})"),
+                Op::Max => format!("({a} > {b} || {a} != {a} ? {a} : {b})"),
             }
         }
     })

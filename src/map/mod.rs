@@ -24,7 +24,7 @@ pub use sites::Source;
 use crate::backend::cpu::Cpu;
 use crate::output::{Stored, StoredError};
 use crate::program::Program;
-use crate::sweep::{Choices, Plan, PlanError};
+use crate::sweep::{Choices, Plan, PlanError, Sampling};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
 use nodal::{Neighbour, Nodal, Prediction};
 use sites::{Sites, UNLABELLED};
@@ -292,11 +292,19 @@ impl ValueMap {
                 return None;
             }
             let opinion = self.opinion(&place, w, site, distance, None)?;
+            if self.is_absurd(&opinion.says) {
+                return None;
+            }
             if best.as_ref().is_none_or(|b| opinion.says.v < b.says.v) {
                 best = Some(opinion);
             }
         }
         best
+    }
+
+    /// Where the running cost is nowhere negative nor is V.
+    fn is_absurd(&self, says: &Prediction) -> bool {
+        self.plan.sampling == Sampling::Value && says.v < 0.0
     }
 
     /// Whether another sheet is cheaper where a site is, by more than interpolation errs.
@@ -527,10 +535,17 @@ impl ValueMap {
         let first = &opinions[members[0]];
         let exact = first.distance < SAME;
         let reach = self.nodal(first.site, None).map_or(0.0, |f| f.reach);
-        if !exact && first.distance > INSIDE * reach && !surrounded(n, members.iter().map(|k| &opinions[*k])) {
+        // One voice that nobody confirms is not heard.
+        let confirmed = exact || members.len() > 1;
+        if !confirmed
+            || !exact && first.distance > INSIDE * reach && !surrounded(n, members.iter().map(|k| &opinions[*k]))
+        {
             return None;
         }
         let (says, disagreement) = blend(n, opinions, members);
+        if self.is_absurd(&says) {
+            return None;
+        }
         let value = self.value(s, first, says);
         let used = if exact { &members[..1] } else { members };
         let mut labels = used.iter().map(|k| self.sites.sheet[opinions[*k].site]);

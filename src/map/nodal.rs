@@ -61,7 +61,11 @@ pub(super) fn fit(n: usize, mut neighbours: Vec<Neighbour>) -> Option<Nodal> {
     const ROUNDS: usize = 3;
     for _ in 0..ROUNDS {
         let nodal = least_squares(n, &neighbours)?;
-        let misfits: Vec<f64> = neighbours.iter().map(|b| nodal.misfit(b)).collect();
+        // What q changes by at the neighbours, by the data: a wild polynomial is no measure of itself.
+        let mut changes: Vec<f64> = neighbours.iter().map(|b| norm(&b.dq)).collect();
+        changes.sort_by(f64::total_cmp);
+        let usual = changes[changes.len() / 2].max(f64::MIN_POSITIVE);
+        let misfits: Vec<f64> = neighbours.iter().map(|b| nodal.misfit(b, usual)).collect();
         let mut sorted = misfits.clone();
         sorted.sort_by(f64::total_cmp);
         let bound = OUTLIER * sorted[sorted.len() / 2].max(f64::EPSILON);
@@ -78,6 +82,10 @@ pub(super) fn fit(n: usize, mut neighbours: Vec<Neighbour>) -> Option<Nodal> {
         }
     }
     None
+}
+
+fn norm(v: &[f64]) -> f64 {
+    v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
 /// Whether neighbours lie in all directions, or rather on a line, a plane.
@@ -183,18 +191,12 @@ impl Nodal {
         }
     }
 
-    /// How far a neighbour's q is off, of what q changes by there and at the neighbours on the whole (a change of 0 is no
-    /// measure).
-    fn misfit(&self, near: &Neighbour) -> f64 {
+    /// How far a neighbour's q is off, of what q changes by there and usually.
+    fn misfit(&self, near: &Neighbour, usual: f64) -> f64 {
         let zero = vec![0.0; near.d.len()];
         let says = self.at(0.0, &zero, &near.d);
-        let norm = |v: &mut dyn Iterator<Item = f64>| v.map(|v| v * v).sum::<f64>().sqrt();
-        let off = norm(&mut says.q.iter().zip(&near.dq).map(|(a, b)| a - b));
-        let n = near.d.len() as f64;
-        let curvature = norm(&mut says.hessian.iter().copied()) / n.sqrt();
-        off / norm(&mut near.dq.iter().copied())
-            .max(curvature * near.distance)
-            .max(f64::MIN_POSITIVE)
+        let off: Vec<f64> = says.q.iter().zip(&near.dq).map(|(a, b)| a - b).collect();
+        norm(&off) / norm(&near.dq).max(usual)
     }
 
     /// V, its slope and curvature at `site + d`.

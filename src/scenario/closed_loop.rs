@@ -104,7 +104,7 @@ impl<'a> Reader<'a> {
         );
         let (margin, period) = (positive_number("margin"), positive_number("period"));
         let final_time = self.loop_time(section, given_time, scope);
-        let samples = section.get("samples").and_then(|v| self.count(v, "samples", 2));
+        let samples = section.get("samples").and_then(|v| self.sample_count(v));
         let random = section.get("random").and_then(|v| self.count(v, "random", 1));
         let initial = self.starts(section, scope, random.is_some());
         let given = self.given_laws(section, scope);

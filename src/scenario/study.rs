@@ -12,6 +12,8 @@ use toml::de::DeValue;
 const KEYS: [&str; 4] = ["vary", "from", "record", "samples"];
 /// Variants of one study.
 const MOST_VARIANTS: usize = 10_000;
+/// Stored points of one trajectory.
+const MOST_SAMPLES: usize = 100_000;
 /// Columns of the table that a parameter cannot be named like.
 const TAKEN: [&str; 9] = [
     "V", "x0", "u", "status", "sheets", "duration", "variant", "state", "control",
@@ -29,7 +31,7 @@ impl<'a> Reader<'a> {
             None => Vec::new(),
         };
         let from = self.study_state(section, scope);
-        let samples = section.get("samples").and_then(|v| self.count(v, "samples", 2));
+        let samples = section.get("samples").and_then(|v| self.sample_count(v));
         let records = section.get("record").map(|v| self.records("study", section, v, scope));
         let variants = vary
             .iter()
@@ -46,6 +48,13 @@ impl<'a> Reader<'a> {
             samples: samples.unwrap_or(DEFAULT_SAMPLES),
             span: section.span.clone(),
         })
+    }
+
+    /// Stored points of a trajectory.
+    pub fn sample_count(&mut self, value: &'a Value<'a>) -> Option<usize> {
+        let wanted = format!("a whole number from 2 to {MOST_SAMPLES}");
+        let fits = |v: f64| v.fract() == 0.0 && (2.0..=MOST_SAMPLES as f64).contains(&v);
+        self.number_that(value, "samples", &wanted, fits).map(|v| v as usize)
     }
 
     fn varied(&mut self, value: &'a Value<'a>, section: &Section<'a>) -> Vec<(String, Vec<f64>)> {
