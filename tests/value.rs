@@ -474,7 +474,12 @@ shoot_out = { value_max = 2.0, spacing = 0.1, samples = 50 }
             here.v
         );
         assert!(v.is_finite(), "{state:?} was not solved");
-        errors.push((here.v - v).abs() / v);
+        // Towards |x + v| = 0.5 the slope of V goes to infinity: there only the first digit is asked for.
+        let error = (here.v - v).abs() / v;
+        assert!(error < 0.1, "{state:?}: {} for {v}", here.v);
+        if (state[0] + state[1]).abs() < 0.45 {
+            errors.push(error);
+        }
         assert!(
             map.local(state).is_none_or(|hasty| (hasty.v - v).abs() < 0.1 * v),
             "{state:?}"
