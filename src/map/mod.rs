@@ -16,6 +16,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod errors;
+mod hasty;
 mod nodal;
 mod sites;
 
@@ -24,7 +26,7 @@ pub use sites::Source;
 use crate::backend::cpu::Cpu;
 use crate::output::{Stored, StoredError};
 use crate::program::Program;
-use crate::sweep::{Choices, Plan, PlanError, Sampling};
+use crate::sweep::{Choices, Plan, PlanError};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
 use nodal::{Neighbour, Nodal, Prediction};
 use sites::{Sites, UNLABELLED};
@@ -117,13 +119,8 @@ const BEYOND: f64 = 1.0;
 /// Within this share of it a place counts as inside even if all sites are on one side: at an invariant boundary there
 /// are none beyond.
 const INSIDE: f64 = 0.5;
-/// Nearest sites among which one of the lowest sheet is looked for in haste, and the distance (in widths) at which none is.
-const HASTY: usize = 12;
-const FAR: f64 = 0.5;
 /// At the edge: length of the mean unit vector to the sites around.
 const ONE_SIDED: f64 = 0.85;
-/// Sites by leaving out which the error at a state is told.
-const LEFT_OUT: usize = 4;
 /// Nearer than this, in widths, a place is a site.
 const SAME: f64 = 1e-12;
 /// Most windings to either side.
@@ -252,83 +249,6 @@ impl ValueMap {
             lowest: values.next().ok_or(Unknown::Edge),
             others: values.collect(),
         }
-    }
-
-    /// V, p, Hessian and u on the lowest sheet without errors, as fast as can be: what a controller asks for. Where only one
-    /// sheet is near, the nearest site alone speaks; else as [`ValueMap::without_errors`].
-    pub fn local(&self, x: &[f64]) -> Option<Value> {
-        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
-        if let Some(value) = self.near_equilibrium(&s) {
-            return Some(value);
-        }
-        let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
-        match self.uncontested(&z) {
-            Some(opinion) => {
-                let says = opinion.says.clone();
-                Some(self.value(&s, &opinion, says))
-            }
-            None => self.without_errors(x).lowest.ok(),
-        }
-    }
-
-    /// The opinion of the nearest site on the lowest sheet, where no other sheet is as low around it.
-    fn uncontested(&self, z: &[f64]) -> Option<Opinion> {
-        let mut best: Option<Opinion> = None;
-        for (w, winding) in self.windings.iter().enumerate() {
-            let place: Vec<f64> = (0..z.len()).map(|i| z[i] + self.turn(winding, i)).collect();
-            let near = self.tree.near(&place, f64::INFINITY, HASTY);
-            if near.first().is_none_or(|(_, distance)| *distance > FAR) {
-                continue;
-            }
-            let Some(&(site, distance)) = near.iter().find(|(site, _)| !self.is_dominated(*site)) else {
-                // All of another sheet, or none is left to ask.
-                continue;
-            };
-            let reach = self.nodal[site].get_or_init(|| self.fit(site, None)).as_ref()?.reach;
-            if distance > BEYOND * reach {
-                continue;
-            }
-            if distance > INSIDE * reach || self.is_contested(site) {
-                return None;
-            }
-            let opinion = self.opinion(&place, w, site, distance, None)?;
-            if self.is_absurd(&opinion.says) {
-                return None;
-            }
-            if best.as_ref().is_none_or(|b| opinion.says.v < b.says.v) {
-                best = Some(opinion);
-            }
-        }
-        best
-    }
-
-    /// Where the running cost is nowhere negative nor is V.
-    fn is_absurd(&self, says: &Prediction) -> bool {
-        self.plan.sampling == Sampling::Value && says.v < 0.0
-    }
-
-    /// Whether another sheet is cheaper where a site is, by more than interpolation errs.
-    fn is_dominated(&self, site: usize) -> bool {
-        const MARGIN: f64 = 0.02;
-        *self.dominated[site].get_or_init(|| {
-            let w = &self.plan.widths;
-            let x: Vec<f64> = (self.sites.z(site).iter().zip(w).zip(&self.plan.system.reference))
-                .map(|((z, w), r)| z * w + r)
-                .collect();
-            let v = self.sites.v[site];
-            (self.without_errors(&x).lowest).is_ok_and(|here| here.v < v - MARGIN * v.abs())
-        })
-    }
-
-    /// Whether sites of another sheet that may be the lowest lie around one.
-    fn is_contested(&self, site: usize) -> bool {
-        *self.contested[site].get_or_init(|| {
-            let near = self
-                .tree
-                .near(self.sites.z(site), f64::INFINITY, LOOK * (self.sites.n + 1));
-            near.iter()
-                .any(|(k, _)| !self.sites.consistent(site, *k) && !self.is_dominated(*k))
-        })
     }
 
     /// Whether a sample (x, V) of an extremal is, as far as the map can tell, on the lowest sheet.
@@ -582,53 +502,6 @@ impl ValueMap {
             nearest: from.distance,
             winding,
         }
-    }
-
-    /// Errors of a value: the largest shown by leaving out one of the sites around that are on its sheet.
-    fn estimate(&self, x: &[f64], value: &mut Value) {
-        let n = self.sites.n;
-        let place: Vec<f64> = (0..n)
-            .map(|i| {
-                let s = x[i] - self.plan.system.reference[i];
-                s / self.plan.widths[i] + self.turn(&value.winding, i)
-            })
-            .collect();
-        let q: Vec<f64> = value.p.iter().zip(&self.plan.widths).map(|(p, w)| p * w).collect();
-        let size = q.iter().fold(0.0f64, |a, q| a.max(q.abs()));
-        let near = self.around(&place, SHEETS * (2 * n + 4), &[]);
-        let alike = near.iter().filter(|(site, distance)| {
-            (self.opinion(&place, 0, *site, *distance, None)).is_some_and(|o| {
-                let far = distance_between(&o.says.q, &q);
-                far <= 0.5 * distance_between(&o.says.q, self.sites.q(*site)) + 0.02 * size
-            })
-        });
-        let mut worst = [f64::NAN; 3];
-        for (site, _) in alike.take(LEFT_OUT) {
-            let errors = self.left_out[*site].get_or_init(|| self.leave_out(*site));
-            for (worst, error) in worst.iter_mut().zip(errors) {
-                *worst = worst.max(*error);
-            }
-        }
-        value.v_error = value.v_error.max(worst[0]);
-        value.p_error = worst[1] / size.max(f64::MIN_POSITIVE);
-        value.u_error = worst[2];
-    }
-
-    /// Errors of V, q (largest component) and u at a site where it is not used; NaN where the others do not reach it.
-    fn leave_out(&self, site: usize) -> [f64; 3] {
-        let (z, v, q) = (self.sites.z(site), self.sites.v[site], self.sites.q(site));
-        let opinions = self.opinions(z, Some(site));
-        // The site's own sheet is the one whose p is nearest.
-        let sheets = self.sheets(&opinions);
-        let blends = sheets.iter().map(|members| blend(self.sites.n, &opinions, members).0);
-        let nearest = blends.min_by(|a, b| distance_between(&a.q, q).total_cmp(&distance_between(&b.q, q)));
-        let Some(says) = nearest else { return [f64::NAN; 3] };
-        let w = &self.plan.widths;
-        let s: Vec<f64> = z.iter().zip(w).map(|(z, w)| z * w).collect();
-        let unscaled = |q: &[f64]| q.iter().zip(w).map(|(q, w)| q / w).collect::<Vec<f64>>();
-        let (u, other) = (self.control(&s, &unscaled(q)), self.control(&s, &unscaled(&says.q)));
-        let largest = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
-        [(says.v - v).abs(), largest(&says.q, q), largest(&u, &other)]
     }
 }
 

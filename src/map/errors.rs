@@ -1,0 +1,55 @@
+//! What leaving out data shows of a value's error.
+
+use super::{SHEETS, Value, ValueMap, blend, distance_between};
+
+/// Sites by leaving out which the error at a state is told.
+const LEFT_OUT: usize = 4;
+
+impl ValueMap {
+    /// Errors of a value: the largest shown by leaving out one of the sites around that are on its sheet.
+    pub(super) fn estimate(&self, x: &[f64], value: &mut Value) {
+        let n = self.sites.n;
+        let place: Vec<f64> = (0..n)
+            .map(|i| {
+                let s = x[i] - self.plan.system.reference[i];
+                s / self.plan.widths[i] + self.turn(&value.winding, i)
+            })
+            .collect();
+        let q: Vec<f64> = value.p.iter().zip(&self.plan.widths).map(|(p, w)| p * w).collect();
+        let size = q.iter().fold(0.0f64, |a, q| a.max(q.abs()));
+        let near = self.around(&place, SHEETS * (2 * n + 4), &[]);
+        let alike = near.iter().filter(|(site, distance)| {
+            (self.opinion(&place, 0, *site, *distance, None)).is_some_and(|o| {
+                let far = distance_between(&o.says.q, &q);
+                far <= 0.5 * distance_between(&o.says.q, self.sites.q(*site)) + 0.02 * size
+            })
+        });
+        let mut worst = [f64::NAN; 3];
+        for (site, _) in alike.take(LEFT_OUT) {
+            let errors = self.left_out[*site].get_or_init(|| self.leave_out(*site));
+            for (worst, error) in worst.iter_mut().zip(errors) {
+                *worst = worst.max(*error);
+            }
+        }
+        value.v_error = value.v_error.max(worst[0]);
+        value.p_error = worst[1] / size.max(f64::MIN_POSITIVE);
+        value.u_error = worst[2];
+    }
+
+    /// Errors of V, q (largest component) and u at a site where it is not used; NaN where the others do not reach it.
+    fn leave_out(&self, site: usize) -> [f64; 3] {
+        let (z, v, q) = (self.sites.z(site), self.sites.v[site], self.sites.q(site));
+        let opinions = self.opinions(z, Some(site));
+        // The site's own sheet is the one whose p is nearest.
+        let sheets = self.sheets(&opinions);
+        let blends = sheets.iter().map(|members| blend(self.sites.n, &opinions, members).0);
+        let nearest = blends.min_by(|a, b| distance_between(&a.q, q).total_cmp(&distance_between(&b.q, q)));
+        let Some(says) = nearest else { return [f64::NAN; 3] };
+        let w = &self.plan.widths;
+        let s: Vec<f64> = z.iter().zip(w).map(|(z, w)| z * w).collect();
+        let unscaled = |q: &[f64]| q.iter().zip(w).map(|(q, w)| q / w).collect::<Vec<f64>>();
+        let (u, other) = (self.control(&s, &unscaled(q)), self.control(&s, &unscaled(&says.q)));
+        let largest = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
+        [(says.v - v).abs(), largest(&says.q, q), largest(&u, &other)]
+    }
+}
