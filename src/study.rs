@@ -1,14 +1,14 @@
 //! A study: the optimal trajectory from one state for several values of a scene's parameters.
 
-use crate::backend::{Backend, BackendError, Trajectories};
+use crate::backend::{Backend, BackendError};
 use crate::expr::Id;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Extremum, Model, Record};
 use crate::output::TrajectoryBlock;
 use crate::program::Program;
 use crate::scenario::{self, ScenarioErrors};
-use crate::sweep::{Choices, Plan, PlanError, sweep_keeping};
-use crate::value::{self, Archive, PointStatus, Request};
+use crate::sweep::{Choices, PlanError};
+use crate::value::{self, Grid, PointStatus, StatesError};
 use std::collections::HashMap;
 
 /// Points of a trajectory that recorded quantities are taken from: what an extremum may be missed by is of the second order
@@ -64,16 +64,13 @@ pub fn study(
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Vec<Variant>, StudyError> {
     let asked = model.study.as_ref().expect("the scene has a [study]");
-    let count: usize = asked.vary.iter().map(|(_, values)| values.len()).product();
+    let axes: Vec<Vec<f64>> = asked.vary.iter().map(|(_, values)| values.clone()).collect();
+    let count = axes.iter().map(Vec::len).product();
+    let combinations = Grid { axes }.points();
     let mut all = Vec::with_capacity(count);
     for k in 0..count {
         progress(k, count);
-        let mut rest = k;
-        let mut parameters = vec![0.0; asked.vary.len()];
-        for (parameter, (_, values)) in parameters.iter_mut().zip(&asked.vary).rev() {
-            *parameter = values[rest % values.len()];
-            rest /= values.len();
-        }
+        let parameters = combinations[k * asked.vary.len()..][..asked.vary.len()].to_vec();
         let set: Vec<(String, String)> = (asked.vary.iter().zip(&parameters))
             .map(|((name, _), value)| (name.clone(), format!("{value:?}")))
             .collect();
@@ -106,25 +103,14 @@ fn variant(
         .study
         .as_ref()
         .expect("the scene has a [study] whatever the parameters");
-    let choices = Choices {
-        inner_levels: true,
-        unasked: true,
-        max_seeds: Some(value::guess_seeds(model.states.len(), 1)),
-        ..choices
-    };
-    let plan = Plan::new(&model, &hamiltonian, backend, choices).map_err(|source| StudyError::Plan {
-        variant: name.to_owned(),
-        source,
+    let solving = value::solve_states(&model, &hamiltonian, backend, choices, &asked.from, &mut |_, _, _| {});
+    let (plan, mut solver, found) = solving.map_err(|e| match e {
+        StatesError::Plan(source) => StudyError::Plan {
+            variant: name.to_owned(),
+            source,
+        },
+        StatesError::Backend(e) => e.into(),
     })?;
-    let mut archive = Archive::new(&plan);
-    let mut keep = |seeds: &[f64], batch: &Trajectories| archive.keep(seeds, batch);
-    sweep_keeping::<BackendError>(&plan, backend, &mut |_, _| {}, &mut keep, &mut |_| Ok(()))?;
-    let mut solver = value::solver(&plan, backend)?;
-    let request = Request {
-        points: asked.from.clone(),
-        ..Request::default()
-    };
-    let found = value::solve(&plan, &model, &mut solver, &archive, &request, &mut |_, _, _| {})?;
     let target = found.targets.of_given[0];
     let mut row = Variant {
         parameters,

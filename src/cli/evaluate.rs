@@ -2,7 +2,7 @@
 
 use super::report::Terminal;
 use super::run::{default_output, open_backend};
-use super::{CliError, EvaluateArgs, SceneArgs};
+use super::{CliError, EvaluateArgs};
 use crate::backend::Backend;
 use crate::closed_loop::{
     Available, Chart, Evaluation, GROUPS, Initial, LQR, Laws, MAP, Setting, Weights, solved_values,
@@ -74,12 +74,7 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         random: args.random,
         solve: args.solve,
     };
-    let terminal = Terminal::new(&SceneArgs {
-        scenario: args.file.clone(),
-        set: Vec::new(),
-        json: args.json,
-        quiet: args.quiet,
-    });
+    let terminal = Terminal::with(args.quiet, args.json);
     let mut file = match (&stored, &args.out) {
         (Some(_), None) => ResultFile::extend(&args.file, &GROUPS)?,
         (Some(_), Some(out)) => ResultFile::create(out)?,

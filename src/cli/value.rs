@@ -1,10 +1,11 @@
 //! `costate value`: V, p and u interpolated from a result file.
 
 use super::report::Terminal;
-use super::{CliError, SceneArgs, ValueArgs, points, run};
+use super::{CliError, ValueArgs, points, run};
 use crate::map::{At, Value, ValueMap};
 use crate::model::Model;
 use crate::output::{Places, ResultFile, RunRecord, Stored, write_text};
+use crate::value::Grid;
 use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -30,12 +31,7 @@ const MOST_POINTS: usize = 20_000_000;
 
 pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
-    let terminal = Terminal::new(&SceneArgs {
-        scenario: args.file.clone(),
-        set: Vec::new(),
-        json: args.json,
-        quiet: args.quiet,
-    });
+    let terminal = Terminal::with(args.quiet, args.json);
     if args.at.is_empty() && args.points.is_none() && args.grid.is_empty() {
         return Err(PlaceError::Nothing.into());
     }
@@ -62,7 +58,7 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         states.extend(points::read(path, model)?);
     }
     if let Some(axes) = &grid {
-        states = product(axes);
+        states = Grid { axes: axes.clone() }.points();
     }
     let map = ValueMap::new(&stored)?;
     let found: Vec<At> = (states.par_chunks(map.states()))
@@ -218,20 +214,6 @@ fn grid(texts: &[String], model: &Model) -> Result<Option<Vec<Vec<f64>>>, CliErr
         .into());
     }
     Ok(Some(axes))
-}
-
-/// All states of a grid, last axis fastest.
-fn product(axes: &[Vec<f64>]) -> Vec<f64> {
-    let count: usize = axes.iter().map(Vec::len).product();
-    let mut states = vec![0.0; count * axes.len()];
-    for (k, x) in states.chunks_mut(axes.len()).enumerate() {
-        let mut rest = k;
-        for (value, axis) in x.iter_mut().zip(axes).rev() {
-            *value = axis[rest % axis.len()];
-            rest /= axis.len();
-        }
-    }
-    states
 }
 
 fn names(model: &Model) -> (Vec<&str>, Vec<&str>) {

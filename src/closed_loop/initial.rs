@@ -3,6 +3,7 @@
 use super::{Chart, LoopError};
 use crate::model::{ClosedLoop, Model, Start};
 use crate::sweep::random;
+use crate::value::{Grid, spaced};
 use rayon::prelude::*;
 
 /// Picks along each of the first two axes of a grid (and of random states in all) that are kept whole.
@@ -45,30 +46,16 @@ impl Initial {
                     last,
                     count: Some(count),
                 } => {
-                    let step = |k: usize| first + (last - first) * k as f64 / (count - 1) as f64;
-                    let values: Vec<f64> = (0..count)
-                        .map(|k| if k + 1 == count { last } else { step(k) })
-                        .collect();
+                    let values = spaced(first, last, count);
                     axes.push((i, values.clone()));
                     values
                 }
             };
             all.push(values);
         }
-        let count: usize = all.iter().map(Vec::len).product();
-        let mut x = Vec::with_capacity(count * all.len());
-        for k in 0..count {
-            let mut rest = k;
-            let mut places = vec![0; all.len()];
-            for (place, values) in places.iter_mut().zip(&all).rev() {
-                *place = rest % values.len();
-                rest /= values.len();
-            }
-            x.extend(all.iter().zip(places).map(|(values, place)| values[place]));
-        }
         Ok(Self {
-            x,
             states: all.len(),
+            x: Grid { axes: all }.points(),
             axes,
         })
     }

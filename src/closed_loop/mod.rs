@@ -69,6 +69,8 @@ pub enum LoopError {
     Plan(#[from] PlanError),
     #[error(transparent)]
     Backend(#[from] BackendError),
+    #[error(transparent)]
+    States(#[from] crate::value::StatesError),
     #[error(
         "law `{law}` takes {operations} operations; at most {} are handled",
         crate::sweep::MOST_OPERATIONS

@@ -1,10 +1,10 @@
 //! V at the initial states, by solving for it.
 
-use crate::backend::{Backend, BackendError};
+use crate::backend::Backend;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
-use crate::sweep::{Choices, Plan, sweep_keeping};
-use crate::value::{self, Archive, Request};
+use crate::sweep::Choices;
+use crate::value::{self, Progress};
 
 use super::LoopError;
 
@@ -18,33 +18,10 @@ pub fn solved_values(
     backend: &dyn Backend,
     choices: Choices,
     states: &[f64],
-    progress: &mut dyn FnMut(&str, usize, usize),
+    progress: Progress<'_>,
 ) -> Result<Vec<f64>, LoopError> {
-    let n = model.states.len();
-    let choices = Choices {
-        inner_levels: true,
-        unasked: true,
-        max_seeds: Some(value::guess_seeds(n, states.len() / n)),
-        ..choices
-    };
-    let plan = Plan::new(model, hamiltonian, backend, choices)?;
-    let mut archive = Archive::new(&plan);
-    sweep_keeping::<BackendError>(
-        &plan,
-        backend,
-        &mut |_, _| {},
-        &mut |seeds, batch| archive.keep(seeds, batch),
-        &mut |_| Ok(()),
-    )?;
-    let mut solver = value::solver(&plan, backend)?;
-    let request = Request {
-        points: states.to_vec(),
-        ..Request::default()
-    };
-    let found = value::solve(&plan, model, &mut solver, &archive, &request, &mut |what, done, of| {
-        progress(what, done, of);
-    })?;
-    Ok((0..states.len() / n)
+    let (_, _, found) = value::solve_states(model, hamiltonian, backend, choices, states, progress)?;
+    Ok((0..states.len() / model.states.len())
         .map(|k| found.lowest(found.targets.of_given[k]).map_or(f64::NAN, |e| e.value))
         .collect())
 }

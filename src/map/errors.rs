@@ -1,6 +1,6 @@
 //! What leaving out data shows of a value's error.
 
-use super::{SHEETS, Value, ValueMap, blend, distance_between};
+use super::{OF_CHANGE, OF_SIZE, SHEETS, Value, ValueMap, blend, distance_between};
 
 /// Sites by leaving out which the error at a state is told.
 const LEFT_OUT: usize = 4;
@@ -21,7 +21,7 @@ impl ValueMap {
         let alike = near.iter().filter(|(site, distance)| {
             (self.opinion(&place, 0, *site, *distance, None)).is_some_and(|o| {
                 let far = distance_between(&o.says.q, &q);
-                far <= 0.5 * distance_between(&o.says.q, self.sites.q(*site)) + 0.02 * size
+                far <= OF_CHANGE * distance_between(&o.says.q, self.sites.q(*site)) + OF_SIZE * size
             })
         });
         let mut worst = [f64::NAN; 3];

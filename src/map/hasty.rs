@@ -39,7 +39,7 @@ impl ValueMap {
                 // All of another sheet, or none is left to ask.
                 continue;
             };
-            let reach = self.nodal[site].get_or_init(|| self.fit(site, None)).as_ref()?.reach;
+            let reach = self.nodal(site, None)?.reach;
             if distance > BEYOND * reach {
                 continue;
             }

@@ -30,6 +30,7 @@ use crate::sweep::{Choices, Plan, PlanError};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
 use nodal::{Neighbour, Nodal, Prediction};
 use sites::{Sites, UNLABELLED};
+use std::borrow::Cow;
 use std::sync::OnceLock;
 
 /// Why a file gives no value map.
@@ -121,6 +122,10 @@ const BEYOND: f64 = 1.0;
 const INSIDE: f64 = 0.5;
 /// At the edge: length of the mean unit vector to the sites around.
 const ONE_SIDED: f64 = 0.85;
+/// Two say the same of p at a place if they differ by less than these shares of what it changes by on the way, and of its
+/// size.
+const OF_CHANGE: f64 = 0.5;
+const OF_SIZE: f64 = 0.02;
 /// Nearer than this, in widths, a place is a site.
 const SAME: f64 = 1e-12;
 /// Most windings to either side.
@@ -320,10 +325,10 @@ impl ValueMap {
         chosen
     }
 
-    fn nodal(&self, site: usize, without: Option<usize>) -> Option<Nodal> {
+    fn nodal(&self, site: usize, without: Option<usize>) -> Option<Cow<'_, Nodal>> {
         match without {
-            Some(without) => self.fit(site, Some(without)),
-            None => self.nodal[site].get_or_init(|| self.fit(site, None)).clone(),
+            Some(without) => self.fit(site, Some(without)).map(Cow::Owned),
+            None => (self.nodal[site].get_or_init(|| self.fit(site, None)).as_ref()).map(Cow::Borrowed),
         }
     }
 
@@ -373,25 +378,15 @@ impl ValueMap {
         without: Option<usize>,
     ) -> Option<Opinion> {
         let to: Vec<f64> = self.sites.z(site).iter().zip(place).map(|(z, p)| z - p).collect();
-        if distance < SAME {
-            let n = self.sites.n;
-            let nodal = self.nodal(site, without);
-            let bare = Nodal::of_hessian(n, &vec![0.0; n * n], 0.0);
-            let says = nodal
-                .unwrap_or(bare)
-                .at(self.sites.v[site], self.sites.q(site), &vec![0.0; n]);
-            return Some(Opinion {
-                site,
-                winding,
-                distance,
-                to,
-                says,
-            });
-        }
-        let nodal = self.nodal(site, without)?;
-        if distance > BEYOND * nodal.reach {
-            return None;
-        }
+        let nodal = match self.nodal(site, without) {
+            Some(nodal) if distance < SAME || distance <= BEYOND * nodal.reach => nodal,
+            // Where a site is, its own V and p are known whatever its neighbours say.
+            None if distance < SAME => {
+                let n = self.sites.n;
+                Cow::Owned(Nodal::of_hessian(n, &vec![0.0; n * n], 0.0))
+            }
+            _ => return None,
+        };
         let d: Vec<f64> = to.iter().map(|t| -t).collect();
         Some(Opinion {
             site,
@@ -439,8 +434,6 @@ impl ValueMap {
     /// Whether two sites mean the same sheet: they differ by less than a part of what their polynomials change by from
     /// site to place.
     fn agree(&self, a: &Opinion, b: &Opinion) -> bool {
-        const OF_CHANGE: f64 = 0.5;
-        const OF_SIZE: f64 = 0.02;
         let norm = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
         let change = |o: &Opinion| distance_between(&o.says.q, self.sites.q(o.site));
         let changed = change(a).max(change(b));

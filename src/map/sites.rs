@@ -2,10 +2,10 @@
 
 use super::MapError;
 use crate::backend::{BackendError, cpu::Cpu};
-use crate::model::Horizon;
-use crate::model::SeedValue;
+use crate::model::{Horizon, SeedValue};
 use crate::output::Stored;
 use crate::sweep::{Choices, Plan, sweep};
+use crate::value::Grid;
 use std::collections::HashMap;
 
 /// No sheet number is known.
@@ -55,17 +55,7 @@ impl Sites {
             }
         }
         if let Some(map) = stored.map()? {
-            let n = plan.system.states;
-            let mut x = Vec::with_capacity(map.v.len() * n);
-            for k in 0..map.v.len() {
-                let mut rest = k;
-                let mut at = vec![0.0; n];
-                for i in (0..n).rev() {
-                    at[i] = map.axes[i][rest % map.axes[i].len()];
-                    rest /= map.axes[i].len();
-                }
-                x.extend(at);
-            }
+            let x = Grid { axes: map.axes }.points();
             for k in 0..map.v.len() {
                 all.add(&x, &map.v, &map.p, k, map.sheet[k], Source::Solved);
             }

@@ -9,6 +9,7 @@ mod fold;
 pub(crate) mod nearest;
 mod sampled;
 mod solve;
+mod states;
 mod survey;
 mod targets;
 
@@ -20,5 +21,6 @@ pub use extremal::Extremal;
 pub use fold::Fold;
 pub use sampled::sampled;
 pub use solve::{Answers, Entry, EqualCost, Request, guess_seeds, solve, solver, spaced};
+pub use states::{StatesError, solve_states};
 pub use survey::{Miss, PointStatus, Progress, Survey, Wanted};
 pub use targets::{Grid, Targets};

@@ -1,0 +1,54 @@
+//! Single states solved for from a scene alone: a sweep for first guesses, then the solutions.
+
+use super::{Answers, Archive, Progress, Request, guess_seeds, solve, solver};
+use crate::backend::{Backend, BackendError};
+use crate::hamiltonian::Hamiltonian;
+use crate::model::Model;
+use crate::shooting::Solver;
+use crate::sweep::{Choices, Plan, PlanError, sweep_keeping};
+
+/// Why states could not be solved for.
+#[derive(Debug, thiserror::Error)]
+pub enum StatesError {
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+}
+
+/// All solutions at states (`[state][n]`), as `costate solve` finds them, with the plan and the solver they were found with.
+///
+/// # Errors
+/// Where the scene cannot be swept for first guesses; device failures.
+pub fn solve_states(
+    model: &Model,
+    hamiltonian: &Hamiltonian,
+    backend: &dyn Backend,
+    choices: Choices,
+    states: &[f64],
+    progress: Progress<'_>,
+) -> Result<(Plan, Solver, Answers), StatesError> {
+    let n = model.states.len();
+    let choices = Choices {
+        inner_levels: true,
+        unasked: true,
+        max_seeds: Some(guess_seeds(n, states.len() / n)),
+        ..choices
+    };
+    let plan = Plan::new(model, hamiltonian, backend, choices)?;
+    let mut archive = Archive::new(&plan);
+    sweep_keeping::<BackendError>(
+        &plan,
+        backend,
+        &mut |_, _| {},
+        &mut |seeds, batch| archive.keep(seeds, batch),
+        &mut |_| Ok(()),
+    )?;
+    let mut solver = solver(&plan, backend)?;
+    let request = Request {
+        points: states.to_vec(),
+        ..Request::default()
+    };
+    let found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
+    Ok((plan, solver, found))
+}
