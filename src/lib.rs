@@ -51,6 +51,7 @@ pub mod map;
 pub mod model;
 pub mod output;
 pub mod program;
+pub(crate) mod quantile;
 pub mod report;
 pub mod scenario;
 pub mod shooting;

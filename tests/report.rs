@@ -30,36 +30,24 @@ fn result(name: &str) -> PathBuf {
         .join(format!("{name}.h5"));
     if !done.iter().any(|n| n == name) {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        let scene = format!("{}/scenarios/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-        let run = costate(&[
-            "homotopy",
-            &scene,
-            "--backend",
-            "cpu",
-            "--quiet",
-            "--out",
-            path.to_str().unwrap(),
-        ]);
-        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        make("homotopy", name, &path);
         done.push(name.to_owned());
     }
     path
 }
 
+/// The result file of a command on a shipped scene.
+fn make(command: &str, name: &str, path: &Path) {
+    let scene = format!("{}/scenarios/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+    let out = path.to_str().unwrap();
+    let run = costate(&[command, &scene, "--backend", "cpu", "--quiet", "--out", out]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
 /// The result of a sweep and more.
 fn whole(name: &str) -> PathBuf {
     let path = folder(&format!("whole_{name}")).join("result.h5");
-    let scene = format!("{}/scenarios/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-    let run = costate(&[
-        "run",
-        &scene,
-        "--backend",
-        "cpu",
-        "--quiet",
-        "--out",
-        path.to_str().unwrap(),
-    ]);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    make("run", name, &path);
     path
 }
 

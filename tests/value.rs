@@ -2,7 +2,7 @@
 //! published figures and its own equations.
 
 use costate::map::{Unknown, ValueMap};
-use costate::output::Stored;
+use costate::output::{Stored, StoredPoints};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -37,20 +37,39 @@ fn done(output: Output) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// The result file of a scene's sweep or run, made once.
+/// The result file of a shipped scene's sweep or run.
 fn result(name: &str, command: &str) -> PathBuf {
+    made(name, command, &scenario(name))
+}
+
+/// The result file of a command on a scene.
+fn made(name: &str, command: &str, scene: &Path) -> PathBuf {
     let path = folder().join(format!("{name}-{command}.h5"));
-    let scene = scenario(name);
+    let arguments: [&dyn AsRef<OsStr>; 7] = [&command, &scene, &"--backend", &"cpu", &"--quiet", &"--out", &path];
+    done(costate(&arguments));
+    path
+}
+
+/// Two-dimensional states as `costate solve` solves them.
+fn solved(name: &str, scene: &Path, header: &str, states: &[[f64; 2]]) -> StoredPoints {
+    let (points, path) = (
+        folder().join(format!("{name}.csv")),
+        folder().join(format!("{name}-solved.h5")),
+    );
+    let rows: Vec<String> = states.iter().map(|[a, b]| format!("{a},{b}\n")).collect();
+    std::fs::write(&points, format!("{header}\n{}", rows.concat())).unwrap();
     done(costate(&[
-        &command,
+        &"solve",
         &scene,
         &"--backend",
         &"cpu",
         &"--quiet",
+        &"--points",
+        &points,
         &"--out",
         &path,
     ]));
-    path
+    Stored::open(&path).unwrap().points().unwrap().unwrap()
 }
 
 fn pendulum() -> &'static Path {
@@ -155,26 +174,8 @@ fn sheets_are_not_mixed_where_the_answer_is_known() {
 
 #[test]
 fn the_pendulum_is_as_solved() {
-    let points = folder().join("pendulum.csv");
-    let mut text = "theta,omega\n".to_owned();
-    for [a, b] in spread(120) {
-        text += &format!("{},{}\n", -3.8 + 6.1 * a, -6.0 + 14.0 * b);
-    }
-    std::fs::write(&points, text).unwrap();
-    let solved = folder().join("pendulum-solved.h5");
-    let scene = scenario("pendulum");
-    done(costate(&[
-        &"solve",
-        &scene,
-        &"--backend",
-        &"cpu",
-        &"--quiet",
-        &"--points",
-        &points,
-        &"--out",
-        &solved,
-    ]));
-    let solved = Stored::open(&solved).unwrap().points().unwrap().unwrap();
+    let states: Vec<[f64; 2]> = spread(120).map(|[a, b]| [-3.8 + 6.1 * a, -6.0 + 14.0 * b]).collect();
+    let solved = solved("pendulum", &scenario("pendulum"), "theta,omega", &states);
     let map = ValueMap::new(&Stored::open(pendulum()).unwrap()).unwrap();
     let (mut errors, mut controls) = (Vec::new(), Vec::new());
     for k in 0..solved.count {
@@ -434,35 +435,9 @@ region = { x = [-1, 1], v = [-1, 1] }
 shoot_out = { value_max = 2.0, spacing = 0.1, samples = 50 }
 "#;
     std::fs::write(&scene, text).unwrap();
-    let (swept, points, solved) = (
-        folder().join("weak.h5"),
-        folder().join("weak.csv"),
-        folder().join("weak-solved.h5"),
-    );
-    done(costate(&[
-        &"shoot-out",
-        &scene,
-        &"--backend",
-        &"cpu",
-        &"--quiet",
-        &"--out",
-        &swept,
-    ]));
+    let swept = made("weak", "shoot-out", &scene);
     let states: Vec<[f64; 2]> = spread(250).map(|[a, b]| [2.0 * a - 1.0, 2.0 * b - 1.0]).collect();
-    let rows: Vec<String> = states.iter().map(|[x, v]| format!("{x},{v}\n")).collect();
-    std::fs::write(&points, "x,v\n".to_owned() + &rows.concat()).unwrap();
-    done(costate(&[
-        &"solve",
-        &scene,
-        &"--backend",
-        &"cpu",
-        &"--quiet",
-        &"--points",
-        &points,
-        &"--out",
-        &solved,
-    ]));
-    let solved = Stored::open(&solved).unwrap().points().unwrap().unwrap();
+    let solved = solved("weak", &scene, "x,v", &states);
     let map = ValueMap::new(&Stored::open(&swept).unwrap()).unwrap();
     let (mut known, mut errors) = (0, Vec::new());
     for (state, v) in states.iter().zip(&solved.v) {

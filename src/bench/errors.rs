@@ -17,6 +17,7 @@ use super::work::Work;
 use crate::backend::cpu::map::Evaluator;
 use crate::backend::{Status, Trajectories};
 use crate::program::Program;
+use crate::quantile::nearest_rank;
 
 /// Median, 99 % and largest of an error over trajectories; NaN where there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,14 +32,10 @@ impl Quantiles {
     pub fn of(values: &[f64]) -> Self {
         let mut sorted: Vec<f64> = values.iter().copied().filter(|x| !x.is_nan()).collect();
         sorted.sort_by(f64::total_cmp);
-        let at = |q: f64| {
-            let rank = (q * sorted.len() as f64).ceil() as usize;
-            sorted.get(rank.max(1) - 1).copied().unwrap_or(f64::NAN)
-        };
         Self {
-            median: at(0.5),
-            p99: at(0.99),
-            worst: at(1.0),
+            median: nearest_rank(&sorted, 0.5),
+            p99: nearest_rank(&sorted, 0.99),
+            worst: nearest_rank(&sorted, 1.0),
         }
     }
 }

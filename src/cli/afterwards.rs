@@ -103,13 +103,7 @@ pub(super) fn laws(
         let stored = Stored::open(draft.hidden())?;
         let mut file = ResultFile::extend(draft.hidden(), &GROUPS)?;
         let wanted = Wanted {
-            choices: Choices {
-                rtol: choices.rtol,
-                precision: choices.precision,
-                method: choices.method,
-                seed: choices.seed,
-                ..Choices::default()
-            },
+            choices,
             ..Wanted::default()
         };
         let scene = (model, hamiltonian);

@@ -1,7 +1,8 @@
 //! `costate evaluate`: laws simulated side by side.
 
+use super::columns::columns;
 use super::report::Terminal;
-use super::run::{default_output, open_backend};
+use super::run::default_output;
 use super::{CliError, EvaluateArgs};
 use crate::backend::Backend;
 use crate::closed_loop::{
@@ -14,7 +15,6 @@ use crate::output::{ResultFile, RunRecord, Stored};
 use crate::scenario::{self, ScenarioErrors};
 use crate::sweep::Choices;
 use rayon::prelude::*;
-use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
@@ -56,19 +56,9 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         (None, Some(stored)) => (&stored.model, &stored.hamiltonian),
         (None, None) => return Err(CliError::NoClosedLoop),
     };
-    let backend = open_backend(
-        args.backend,
-        args.adapter.as_deref(),
-        args.method.or(model.integrator.method),
-    )?;
+    let backend = args.numerics.open(model)?;
     let wanted = Wanted {
-        choices: Choices {
-            precision: args.precision.and_then(|p| p.precision()),
-            method: args.method,
-            rtol: args.rtol,
-            seed: args.seed,
-            ..Choices::default()
-        },
+        choices: args.numerics.choices(args.seed),
         laws: (!args.laws.is_empty()).then(|| args.laws.clone()),
         weights: args.weights.iter().map(weights).collect::<Result<_, _>>()?,
         random: args.random,
@@ -319,7 +309,7 @@ fn own_output(scenario: &Path) -> PathBuf {
 fn as_text(e: &Evaluation, setting: &Setting<'_>, scene: &ClosedLoop) -> String {
     let numerics = &setting.numerics;
     let known = e.values.iter().filter(|v| !v.is_nan()).count();
-    let mut t = format!(
+    let t = format!(
         "closed loop from {} initial states to t = {}: {} on {}, {} {}, rtol {:e}; V known at {known}\n",
         e.initial.count(),
         scene.final_time,
@@ -353,21 +343,7 @@ fn as_text(e: &Evaluation, setting: &Setting<'_>, scene: &ClosedLoop) -> String 
         row.push(e.status_text(law));
         rows.push(row);
     }
-    let widths: Vec<usize> = (0..rows[0].len())
-        .map(|c| rows.iter().map(|r| r[c].chars().count()).max().unwrap_or(0))
-        .collect();
-    for row in rows {
-        let cells = row.iter().zip(&widths).enumerate().map(|(c, (cell, width))| {
-            if c == 0 || c + 1 == widths.len() {
-                format!("{cell:<width$}")
-            } else {
-                format!("{cell:>width$}")
-            }
-        });
-        // Writing to a String cannot fail.
-        let _ = writeln!(t, "{}", cells.collect::<Vec<_>>().join("  ").trim_end());
-    }
-    t.trim_end().to_owned()
+    t + &columns(&rows, &[0, rows[0].len() - 1])
 }
 
 pub(super) fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {

@@ -4,6 +4,7 @@ mod afterwards;
 mod bench;
 mod bench_report;
 mod check;
+mod columns;
 mod estimates;
 mod evaluate;
 mod fit;
@@ -14,13 +15,14 @@ mod run;
 mod study;
 mod value;
 
-use crate::backend::BackendError;
+use crate::backend::{Backend, BackendError};
 use crate::bench::BenchError;
 use crate::closed_loop::{LawError, LoopError};
-use crate::model::{Method, Precision};
+use crate::model::{Method, Model, Precision};
 use crate::output::{OutputError, StoredError};
 use crate::scenario::{LoadError, ScenarioErrors};
 use crate::study::StudyError;
+use crate::sweep::Choices;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -88,13 +90,9 @@ struct CheckArgs {
     scene: SceneArgs,
 }
 
+/// Where and how exactly to integrate.
 #[derive(Args, Debug, Clone)]
-struct RunArgs {
-    #[command(flatten)]
-    scene: SceneArgs,
-    /// The result file [default: out/<scenario>.h5]
-    #[arg(long)]
-    out: Option<PathBuf>,
+struct NumericsArgs {
     /// Where to compute: a hardware GPU if there is one and else the CPU (auto), any GPU adapter, or the CPU.
     #[arg(long, value_enum, default_value_t = BackendChoice::Auto)]
     backend: BackendChoice,
@@ -110,6 +108,17 @@ struct RunArgs {
     /// Relative tolerance [default: the scenario's]
     #[arg(long, value_parser = tolerance, allow_negative_numbers = true)]
     rtol: Option<f64>,
+}
+
+#[derive(Args, Debug, Clone)]
+struct RunArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// The result file [default: out/<scenario>.h5]
+    #[arg(long)]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    numerics: NumericsArgs,
     /// Seed of random choices: which trajectories and states the error is estimated from. Results do not depend on it.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -188,21 +197,8 @@ struct EvaluateArgs {
     /// Write here [default: into the result file; out/<scenario>_closed_loop.h5 for a scenario]
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Where to compute: a hardware GPU if there is one and else the CPU (auto), any GPU adapter, or the CPU.
-    #[arg(long, value_enum, default_value_t = BackendChoice::Auto)]
-    backend: BackendChoice,
-    /// Use the adapter whose name contains this.
-    #[arg(long, value_name = "NAME")]
-    adapter: Option<String>,
-    /// Arithmetic of the integration [default: the scenario's]
-    #[arg(long, value_enum)]
-    precision: Option<PrecisionChoice>,
-    /// Integration method: rk4, tsit5, dop853, taylor [default: the scenario's]
-    #[arg(long, value_parser = method)]
-    method: Option<Method>,
-    /// Relative tolerance [default: the scenario's]
-    #[arg(long, value_parser = tolerance, allow_negative_numbers = true)]
-    rtol: Option<f64>,
+    #[command(flatten)]
+    numerics: NumericsArgs,
     /// Seed of random initial states.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -334,6 +330,24 @@ enum PrecisionChoice {
     Auto,
     F32,
     F64,
+}
+
+impl NumericsArgs {
+    /// The backend asked for, fit for the method that is asked for here or by the scene.
+    fn open(&self, model: &Model) -> Result<Box<dyn Backend>, CliError> {
+        let method = self.method.or(model.integrator.method);
+        run::open_backend(self.backend, self.adapter.as_deref(), method)
+    }
+
+    fn choices(&self, seed: u64) -> Choices {
+        Choices {
+            precision: self.precision.and_then(PrecisionChoice::precision),
+            method: self.method,
+            rtol: self.rtol,
+            seed,
+            ..Choices::default()
+        }
+    }
 }
 
 impl PrecisionChoice {

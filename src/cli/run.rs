@@ -38,16 +38,12 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (model, hamiltonian) = load(&args.scene)?;
     let wanted = wanted(&model, parts)?;
     let all = matches!(parts, Parts::All);
-    let method = args.method.or(model.integrator.method);
-    let backend = open_backend(args.backend, args.adapter.as_deref(), method)?;
+    let backend = args.numerics.open(&model)?;
     let choices = Choices {
-        precision: args.precision.and_then(|p| p.precision()),
-        method: args.method,
-        rtol: args.rtol,
         inner_levels: wanted.is_some(),
         max_seeds: (wanted.as_ref().filter(|_| !parts.sweeps())).map(|w| value::guess_seeds(w.states, w.count())),
         unasked: wanted.is_some(),
-        seed: args.seed,
+        ..args.numerics.choices(args.seed)
     };
     let plan = planned(&model, &hamiltonian, backend.as_ref(), choices)?;
     if all {

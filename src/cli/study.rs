@@ -1,8 +1,9 @@
 //! `costate study`, and the study of a run.
 
 use super::check::load;
+use super::columns::columns;
 use super::report::Terminal;
-use super::run::{axes, default_output, open_backend};
+use super::run::{axes, default_output};
 use super::{CliError, RunArgs};
 use crate::backend::Backend;
 use crate::model::Model;
@@ -19,11 +20,7 @@ pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
     if model.study.is_none() {
         return Err(CliError::NoStudy);
     }
-    let backend = open_backend(
-        args.backend,
-        args.adapter.as_deref(),
-        args.method.or(model.integrator.method),
-    )?;
+    let backend = args.numerics.open(&model)?;
     let terminal = Terminal::new(&args.scene);
     terminal.say(&model.title)?;
     let path = args.out.clone().unwrap_or_else(|| {
@@ -32,11 +29,17 @@ pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
         path.with_file_name(format!("{stem}_study.h5"))
     });
     let mut file = ResultFile::create(&path)?;
-    let variants = write(&mut file, &model, backend.as_ref(), choices(args), &terminal)?;
+    let variants = write(
+        &mut file,
+        &model,
+        backend.as_ref(),
+        args.numerics.choices(args.seed),
+        &terminal,
+    )?;
     let record = RunRecord {
         backend: backend.name().to_owned(),
         adapter: backend.adapter(),
-        rtol: args.rtol.unwrap_or(model.integrator.rtol),
+        rtol: args.numerics.rtol.unwrap_or(model.integrator.rtol),
         atol: model.integrator.atol,
         wall_seconds: clock.elapsed().as_secs_f64(),
         ..RunRecord::begun(&model, started)
@@ -53,16 +56,6 @@ pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
         super::print(&format!("{:#}\n", as_json(&model, &variants)))?;
     }
     Ok(())
-}
-
-fn choices(args: &RunArgs) -> Choices {
-    Choices {
-        precision: args.precision.and_then(|p| p.precision()),
-        method: args.method,
-        rtol: args.rtol,
-        seed: args.seed,
-        ..Choices::default()
-    }
 }
 
 /// Makes the scene's study and writes its groups.
@@ -106,23 +99,7 @@ pub(super) fn table(model: &Model, variants: &[Variant]) -> String {
         }
         rows.push(row);
     }
-    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..columns)
-        .map(|c| {
-            rows.iter()
-                .filter_map(|r| r.get(c))
-                .map(|t| t.chars().count())
-                .max()
-                .unwrap_or(0)
-        })
-        .collect();
-    let lines: Vec<String> = (rows.iter())
-        .map(|r| {
-            let cells: Vec<String> = r.iter().zip(&widths).map(|(t, w)| format!("{t:>w$}")).collect();
-            cells.join("  ")
-        })
-        .collect();
-    lines.join("\n")
+    columns(&rows, &[])
 }
 
 pub(super) fn as_json(model: &Model, variants: &[Variant]) -> serde_json::Value {

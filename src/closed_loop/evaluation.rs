@@ -5,6 +5,7 @@ use super::simulate::Path;
 use super::{Initial, Setting};
 use crate::backend::{Backend, Status};
 use crate::model::{Extremum, OperatingSet};
+use crate::quantile::nearest_rank;
 use std::collections::BTreeMap;
 
 /// One law, from all initial states.
@@ -146,15 +147,10 @@ impl Evaluation {
     pub fn spread(&self, law: &LawResult) -> Option<Spread> {
         let mut known: Vec<f64> = self.suboptimality(law).into_iter().filter(|s| !s.is_nan()).collect();
         known.sort_by(f64::total_cmp);
-        let at = |q: f64| {
-            known
-                .get(((known.len() as f64 * q).ceil() as usize).saturating_sub(1))
-                .copied()
-        };
-        Some(Spread {
-            median: at(0.5)?,
-            p99: at(0.99)?,
-            worst: at(1.0)?,
+        (!known.is_empty()).then(|| Spread {
+            median: nearest_rank(&known, 0.5),
+            p99: nearest_rank(&known, 0.99),
+            worst: nearest_rank(&known, 1.0),
             count: known.len(),
         })
     }

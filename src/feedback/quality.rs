@@ -5,6 +5,7 @@ use super::samples::{Samples, at_samples};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::program::Program;
+use crate::quantile::nearest_rank as quantile;
 use rayon::prelude::*;
 
 /// Errors of one quantity over samples. Differences are in absolute value.
@@ -68,12 +69,6 @@ impl Errors {
             mean_of_range: self.mean_of_range.max(other.mean_of_range),
         }
     }
-}
-
-/// The smallest value that a share of all sorted values does not exceed.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let place = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(place.max(1) - 1).copied().unwrap_or(f64::NAN)
 }
 
 impl Quality {

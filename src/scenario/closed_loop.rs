@@ -14,7 +14,7 @@ use crate::model::{
     Span, Start,
 };
 use crate::scenario::Problem;
-use toml::de::{DeTable, DeValue};
+use toml::de::DeValue;
 
 /// Points at which quantities are recorded unless `samples` says otherwise.
 const DEFAULT_SAMPLES: usize = 200;
@@ -22,8 +22,6 @@ const DEFAULT_SAMPLES: usize = 200;
 const MOST_STATES: f64 = 1e7;
 /// Laws that need no table of their own.
 const BUILT_IN: [&str; 2] = ["map", "lqr"];
-/// The fitted law of a `[feedback]` without names.
-const FITTED: &str = "network";
 /// Variables of the result's group, which a recorded quantity cannot be named like.
 const TAKEN: [&str; 14] = [
     "law",
@@ -67,24 +65,6 @@ pub(super) struct LoopScope<'s, 'a> {
     pub finite: bool,
     /// Names of the laws that the scene fits.
     pub fitted: Vec<String>,
-}
-
-/// Names of the laws that `[feedback]` asks for.
-pub(super) fn fitted_laws(root: &DeTable<'_>) -> Vec<String> {
-    let Some(DeValue::Table(table)) = root.get("feedback").map(|v| v.get_ref()) else {
-        return Vec::new();
-    };
-    // `box` is a table of a single law.
-    let named = |key: &str, value: &DeValue<'_>| key != "box" && matches!(value, DeValue::Table(_));
-    let names: Vec<String> = (table.iter())
-        .filter(|(k, v)| named(k.get_ref(), v.get_ref()))
-        .map(|(k, _)| k.get_ref().to_string())
-        .collect();
-    if names.is_empty() {
-        vec![FITTED.to_owned()]
-    } else {
-        names
-    }
 }
 
 impl<'a> Reader<'a> {

@@ -49,6 +49,22 @@ enum Fit {
     Value,
 }
 
+/// Whether the section has a table a law.
+fn is_divided(section: &Section<'_>) -> bool {
+    let table = |v: &Value<'_>| matches!(v.get_ref(), DeValue::Table(_));
+    let mut entries = section.entries().peekable();
+    entries.peek().is_some() && entries.all(|(key, _, value)| table(value) && !KEYS.contains(&key))
+}
+
+/// Names of the laws that the section asks for, right or wrong.
+pub(super) fn law_names(section: &Section<'_>) -> Vec<String> {
+    if is_divided(section) {
+        section.entries().map(|(name, ..)| name.to_owned()).collect()
+    } else {
+        vec![ONLY.to_owned()]
+    }
+}
+
 impl<'a> Reader<'a> {
     /// All laws of `[feedback]`; `finite`: the horizon is.
     pub fn feedback(
@@ -62,12 +78,7 @@ impl<'a> Reader<'a> {
             let message = "[feedback] needs an infinite horizon: with a final time the law depends on time";
             self.report(Problem::at(section.span.clone(), message, "remove this"));
         }
-        let tables = |v: &Value<'_>| matches!(v.get_ref(), DeValue::Table(_));
-        let named = section.entries().next().is_some()
-            && section
-                .entries()
-                .all(|(key, _, value)| tables(value) && !KEYS.contains(&key));
-        if !named {
+        if !is_divided(section) {
             return self.law(ONLY, section, declared, region).into_iter().collect();
         }
         let mut laws = Vec::new();

@@ -1,9 +1,10 @@
 //! A file as a whole: its sections, and the order in which they are read.
 
-use super::closed_loop::{LoopScope, fitted_laws};
+use super::closed_loop::LoopScope;
 use super::declare::Declarations;
 use super::equations::Cost;
 use super::equilibrium::{Equilibrium, Scene};
+use super::feedback::law_names;
 use super::parser::{parse_expression, parse_guard};
 use super::reader::{Reader, Section};
 use super::report::position;
@@ -265,7 +266,7 @@ impl<'a> Reader<'a> {
             region: region.as_deref(),
             final_time: cost.terminal.as_ref().map(|t| t.final_time),
             finite: cost.finite,
-            fitted: fitted_laws(root),
+            fitted: sections.get("feedback").map(law_names).unwrap_or_default(),
         };
         let study = sections.get("study").and_then(|s| self.study(s, &scope));
         let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));

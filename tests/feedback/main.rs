@@ -433,24 +433,21 @@ fn a_result_file_gets_its_laws() {
             > 3
     );
     // No law, and another problem.
+    let fit = || {
+        costate()
+            .arg("fit")
+            .arg(&out)
+            .arg("--scene")
+            .arg(&other)
+            .output()
+            .unwrap()
+    };
     std::fs::write(&other, scene.split("[feedback]").next().unwrap()).unwrap();
-    let refused = costate()
-        .arg("fit")
-        .arg(&out)
-        .arg("--scene")
-        .arg(&other)
-        .output()
-        .unwrap();
+    let refused = fit();
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("asks for no law"));
     std::fs::write(&other, scene.replace("{ x =", "{ y =").replace("x^2", "y^2")).unwrap();
-    let refused = costate()
-        .arg("fit")
-        .arg(&out)
-        .arg("--scene")
-        .arg(&other)
-        .output()
-        .unwrap();
+    let refused = fit();
     assert_eq!(refused.status.code(), Some(2));
     assert!(
         String::from_utf8_lossy(&refused.stderr).contains("are not those of"),
