@@ -8,7 +8,7 @@
 //!
 //! ```no_run
 //! use costate::{map::ValueMap, output::Stored};
-//! let map = ValueMap::new(&Stored::open("out/pendulum.h5".as_ref())?)?;
+//! let map = ValueMap::new(&Stored::open("out/scene.h5".as_ref())?)?;
 //! match map.at(&[2.0, 0.0]).lowest {
 //!     Ok(here) => println!("V = {} within about {}, u = {:?}", here.v, here.v_error, here.u),
 //!     Err(unknown) => println!("{unknown}"),

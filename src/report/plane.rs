@@ -438,10 +438,7 @@ pub fn refined(axis: &[f64], wanted: usize) -> Vec<f64> {
 
 /// `count` even places.
 pub fn even([from, to]: [f64; 2], count: usize) -> Vec<f64> {
-    let last = count.max(2) - 1;
-    (0..=last)
-        .map(|k| from + (to - from) * k as f64 / last as f64)
-        .collect()
+    crate::value::spaced(from, to, count.max(2))
 }
 
 #[cfg(test)]
