@@ -493,13 +493,13 @@ impl<'a> Survey<'a> {
             .map(|(a, b)| (a - b).powi(2))
             .sum::<f64>()
             .sqrt();
-        let fold = |s: Option<f64>| s.unwrap_or(1.0);
-        let began = fold(from.map(|e| self.extremals[e].solved.fold));
+        // Compared with where the way began; a guess from the sweep is no solution, and what is usual stands for it.
+        let began = from.map_or_else(|| self.usual_fold(), |e| self.extremals[e].solved.fold);
         let ended = unreached.job.as_ref().and_then(|j| j.solved()).map(|s| s.fold);
         let status = match unreached.failure {
             Failure::NotFinite => PointStatus::NotFinite,
             Failure::Horizon => PointStatus::Horizon,
-            _ if from.is_some() && fold(ended) < NEAR_FOLD * began => PointStatus::Fold,
+            _ if ended.is_some_and(|ended| ended < NEAR_FOLD * began) => PointStatus::Fold,
             _ => PointStatus::NotReached,
         };
         let reference = &self.plan.system.reference;
@@ -510,6 +510,16 @@ impl<'a> Survey<'a> {
             .map(|i| unreached.furthest[i] + reference[i] - (turns[i] + reference[i] - state[i]))
             .collect();
         self.miss(target, status, Some(furthest), left);
+    }
+
+    /// Median of the extremals' distances from folds; 0 where there are none.
+    fn usual_fold(&self) -> f64 {
+        let mut all: Vec<f64> = self.extremals.iter().map(|e| e.solved.fold).collect();
+        let middle = all.len() / 2;
+        if all.is_empty() {
+            return 0.0;
+        }
+        *all.select_nth_unstable_by(middle, f64::total_cmp).1
     }
 
     fn miss(&mut self, target: usize, status: PointStatus, furthest: Option<Vec<f64>>, left: f64) {
