@@ -199,7 +199,7 @@ impl<'a> Survey<'a> {
             progress("from the sweep", self.solved(), self.targets.len());
         }
         // The hard ones together in short steps: many at once cost little more than one.
-        let open: Vec<usize> = (0..self.targets.len()).filter(|t| self.is_open(*t)).collect();
+        let open = self.hopeful();
         let errands = self.nearest_guesses(&solver.scheme.end, archive, &index, &open, 0, SHORT);
         self.send(solver, errands)?;
         self.spread(solver, wanted, FROM_NEIGHBOUR, progress)?;
@@ -367,9 +367,19 @@ impl<'a> Survey<'a> {
     }
 
     fn is_refused(&self, target: usize) -> bool {
-        self.misses[target]
-            .as_ref()
-            .is_some_and(|m| m.status == PointStatus::OutsideGuard)
+        self.missed_by(target, PointStatus::OutsideGuard)
+    }
+
+    fn missed_by(&self, target: usize, status: PointStatus) -> bool {
+        self.misses[target].as_ref().is_some_and(|m| m.status == status)
+    }
+
+    /// Targets that still need a solution, and may have one: behind a fold there is none in a game.
+    fn hopeful(&self) -> Vec<usize> {
+        let behind = |t: usize| self.plan.game && self.missed_by(t, PointStatus::Fold);
+        (0..self.targets.len())
+            .filter(|t| self.is_open(*t) && !behind(*t))
+            .collect()
     }
 
     /// Whether all nodes are inside the guards, but for rounding.
@@ -770,7 +780,7 @@ impl<'a> Survey<'a> {
             ..wanted
         };
         for attempt in 0..=ATTEMPTS {
-            let open: Vec<usize> = (0..self.targets.len()).filter(|t| self.is_open(*t)).collect();
+            let open = self.hopeful();
             if open.is_empty() {
                 return Ok(());
             }
