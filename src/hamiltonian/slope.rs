@@ -9,10 +9,16 @@
 
 use super::System;
 use crate::expr::{Graph, Id, Kind};
+use crate::model::Precision;
 
-/// A slope this many times its scale is infinite: the fold then lies a millionth of the trajectory's own time scale ahead, and
-/// is extrapolated to.
-pub const INFINITE: f64 = 1e6;
+/// A slope this many times its scale counts as infinite: the fold then lies as small a part of the trajectory's own time
+/// scale ahead, and is extrapolated to. In single precision steps that follow the slope further are lost in rounding.
+pub fn infinite(precision: Precision) -> f64 {
+    match precision {
+        Precision::F64 => 1e6,
+        Precision::F32 => 1e3,
+    }
+}
 
 /// The equation of X.
 #[derive(Clone, Debug)]
@@ -27,8 +33,8 @@ pub struct Slope {
 
 impl Slope {
     /// The equation along a system's characteristics; enters its expressions into `graph`, the system's own or a copy.
-    /// `units` are the scales of X's entries (row-major).
-    pub fn new(graph: &mut Graph, system: &System, units: &[f64]) -> Self {
+    /// `units` are the scales of X's entries (row-major); the guard is positive up to `limit` of them.
+    pub fn new(graph: &mut Graph, system: &System, units: &[f64], limit: f64) -> Self {
         let n = system.states;
         let mut symbols = Vec::new();
         let zero = graph.constant(0.0);
@@ -67,7 +73,7 @@ impl Slope {
         }
         let squares: Vec<Id> = (0..n * n)
             .map(|q| {
-                let unit = graph.constant(1.0 / (INFINITE * units[q]));
+                let unit = graph.constant(1.0 / (limit * units[q]));
                 let scaled = graph.mul(x[q / n][q % n], unit);
                 graph.powi(scaled, 2)
             })

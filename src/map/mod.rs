@@ -26,9 +26,10 @@ pub use sites::Source;
 use crate::backend::cpu::Cpu;
 use crate::output::{Stored, StoredError};
 use crate::program::Program;
-use crate::sweep::{Choices, Plan, PlanError};
+use crate::sweep::{Choices, Plan, PlanError, spread_over};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
 use nodal::{Neighbour, Nodal, Prediction};
+use rayon::prelude::*;
 use sites::{Sites, UNLABELLED};
 use std::borrow::Cow;
 use std::sync::OnceLock;
@@ -55,7 +56,7 @@ pub enum Unknown {
     Far,
     #[error("this state lies at the edge of what was computed")]
     Edge,
-    /// In a game, where the lowest of several is not the value.
+    /// In a game, where the lowest of several is not the value (see [`crate::value::Answers::overlap`]).
     #[error("several sheets lie over this state: none is the value")]
     SeveralSheets,
 }
@@ -90,9 +91,9 @@ pub struct Value {
 /// What is known at a state.
 #[derive(Clone, Debug)]
 pub struct At {
-    /// In a game the only sheet.
+    /// In a game the only sheet, or the lowest where it is below the level at which the manifold overlaps.
     pub lowest: Result<Value, Unknown>,
-    /// Other sheets, by rising V; in a game all, where there are several.
+    /// Other sheets, by rising V; all where none is the value.
     pub others: Vec<Value>,
 }
 
@@ -104,6 +105,7 @@ pub struct ValueMap {
     left_out: Vec<OnceLock<[f64; 3]>>,
     dominated: Vec<OnceLock<bool>>,
     contested: Vec<OnceLock<bool>>,
+    overlap: OnceLock<f64>,
     plan: Plan,
     control: Program,
     /// Windings to try, one a combination of periodic states.
@@ -176,6 +178,7 @@ impl ValueMap {
             left_out: blank(sites.len()),
             dominated: blank(sites.len()),
             contested: blank(sites.len()),
+            overlap: OnceLock::new(),
             windings: Vec::new(),
             control,
             plan,
@@ -253,7 +256,7 @@ impl ValueMap {
             .filter_map(|members| self.blended(&s, &opinions, members))
             .collect();
         values.sort_by(|a, b| a.v.total_cmp(&b.v));
-        if self.plan.game && values.len() > 1 {
+        if self.plan.game && values.len() > 1 && values[0].v >= self.overlap() {
             return At {
                 lowest: Err(Unknown::SeveralSheets),
                 others: values,
@@ -266,12 +269,36 @@ impl ValueMap {
         }
     }
 
+    /// The level of V at which the manifold of a game overlaps itself: the least V of a second sheet over any of some states
+    /// of the region; without an equilibrium below everything.
+    fn overlap(&self) -> f64 {
+        const LOOKED_AT: usize = 2048;
+        *self.overlap.get_or_init(|| {
+            if self.plan.local.is_none() {
+                return f64::NEG_INFINITY;
+            }
+            let points = spread_over(&self.plan.region, LOOKED_AT);
+            (points.par_iter())
+                .filter_map(|s| {
+                    let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
+                    let opinions = self.opinions(&z, None);
+                    let sheets = self.sheets(&opinions);
+                    let mut values: Vec<f64> = (sheets.iter())
+                        .filter_map(|members| Some(self.blended(s, &opinions, members)?.v))
+                        .collect();
+                    values.sort_by(f64::total_cmp);
+                    values.get(1).copied()
+                })
+                .reduce(|| f64::INFINITY, f64::min)
+        })
+    }
+
     /// Whether a sample (x, V) of an extremal is, as far as the map can tell, on the lowest sheet (in a game the only one).
     pub fn is_lowest(&self, x: &[f64], v: f64) -> bool {
         // Interpolation errs; a sheet that is better by less than this is as good.
         const MARGIN: f64 = 1e-3;
-        if self.plan.game {
-            return !matches!(self.without_errors(x).lowest, Err(Unknown::SeveralSheets));
+        if self.plan.game && matches!(self.without_errors(x).lowest, Err(Unknown::SeveralSheets)) {
+            return false;
         }
         self.local(x)
             .is_none_or(|here| v <= here.v + MARGIN * here.v.abs().max(v.abs()))

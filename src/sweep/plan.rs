@@ -3,7 +3,7 @@
 use super::surface::Surface;
 use crate::backend::{Backend, By, Guards, Run, Spec, Status};
 use crate::expr::Kind;
-use crate::hamiltonian::{Hamiltonian, INFINITE, Slope, System};
+use crate::hamiltonian::{Hamiltonian, Slope, System, infinite};
 use crate::local::{LocalError, LocalSolution, Riccati, SeedChoice};
 use crate::model::{Horizon, Method, Model, Precision, SampleBy, SeedValue, ShootOut};
 use crate::program::Program;
@@ -253,7 +253,7 @@ impl Plan {
         let slope_units = slope_units(&end, &widths, value_scale);
         let folds = (game || shoot_out.folds).then(|| {
             let mut graph = system.graph.clone();
-            let slope = Slope::new(&mut graph, &system, &slope_units);
+            let slope = Slope::new(&mut graph, &system, &slope_units, infinite(precision));
             (graph, slope)
         });
         let mut rate = system.rate.clone();
@@ -380,7 +380,7 @@ impl Plan {
             let n = self.system.states;
             let slope = &end[first..first + Slope::len(n)];
             let size = Slope::product(slope, slope, &self.slope_units, n).sqrt();
-            size.is_nan() || size >= NEARLY * INFINITE
+            size.is_nan() || size >= NEARLY * infinite(self.spec.precision)
         })
     }
 
@@ -483,17 +483,24 @@ fn value_is_monotone(system: &System, region: &[[f64; 2]]) -> bool {
     const POINTS: usize = 4096;
     let program = Program::lower(&system.graph, &system.inputs, &[system.least_running]);
     let n = system.states;
-    let mut points = vec![0.0; POINTS * 2 * n];
-    for (k, point) in points.chunks_mut(2 * n).enumerate() {
-        // A Kronecker sequence: even cover in any dimension, the same in every run.
-        for (i, [lo, hi]) in region.iter().enumerate() {
-            let fraction = ((k as f64 + 0.5) * (i as f64 + 2.0).sqrt()).fract();
-            point[i] = lo + (hi - lo) * fraction;
-        }
-    }
+    let points: Vec<f64> = (spread_over(region, POINTS).into_iter())
+        .flat_map(|s| s.into_iter().chain(std::iter::repeat_n(0.0, n)))
+        .collect();
     let scale = |v: &[f64]| v.iter().fold(0.0f64, |a, b| a.max(b.abs()));
     let values = crate::backend::cpu::map::Evaluator::new(&program).eval(&points, 2 * n);
     let rounding = 1e-12 * scale(&values);
     // Outside its domain the model says nothing about the sign.
     values.iter().all(|l| l.is_nan() || *l >= -rounding)
+}
+
+/// States spread evenly over a box, the same in every run: a Kronecker sequence.
+pub fn spread_over(region: &[[f64; 2]], count: usize) -> Vec<Vec<f64>> {
+    let place = |k: usize| {
+        let along = region.iter().enumerate().map(|(i, [lo, hi])| {
+            let fraction = ((k as f64 + 0.5) * (i as f64 + 2.0).sqrt()).fract();
+            lo + (hi - lo) * fraction
+        });
+        along.collect()
+    };
+    (0..count).map(place).collect()
 }

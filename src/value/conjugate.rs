@@ -3,7 +3,7 @@
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError, By, Guards, Kernel, Run, Spec, Status};
 use crate::expr::Kind;
-use crate::hamiltonian::Slope;
+use crate::hamiltonian::{Slope, infinite};
 use crate::model::{Method, Precision};
 use crate::program::Program;
 use crate::shooting::{End, Path};
@@ -29,7 +29,7 @@ impl ConjugatePoints {
     pub fn new(plan: &Plan) -> Result<Self, BackendError> {
         let n = plan.system.states;
         let mut graph = plan.system.graph.clone();
-        let slope = Slope::new(&mut graph, &plan.system, &plan.slope_units);
+        let slope = Slope::new(&mut graph, &plan.system, &plan.slope_units, infinite(Precision::F64));
         let duration = graph.symbol("segment duration", Kind::Parameter);
         let inputs = [plan.system.inputs.as_slice(), &slope.symbols, &[duration]].concat();
         let mut rate: Vec<_> = (plan.system.rate[..2 * n].iter().chain(&slope.rate))

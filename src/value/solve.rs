@@ -9,7 +9,7 @@ use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
 use crate::model::{GridAxis, Homotopy, MapGrid, Model, Precision};
 use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
-use crate::sweep::Plan;
+use crate::sweep::{Plan, spread_over};
 
 /// Tolerance of the answers where the scene asks for less: they are of use as f64 numbers.
 pub(super) const MOST_RTOL: f64 = 1e-9;
@@ -70,8 +70,10 @@ pub struct EqualCost {
 
 /// What was found.
 pub struct Answers {
-    /// Whether several sheets have no answer (see [`Self::answer`]).
-    pub game: bool,
+    /// Of a game the least V of a second sheet over any state: the part of the manifold with V below it lies over the states
+    /// one-to-one, whatever further sheets there are above. Without an equilibrium below everything; infinite where sheets
+    /// nowhere overlap. `None` where cost is minimized.
+    pub overlap: Option<f64>,
     pub targets: Targets,
     /// All solutions, by target, then by V.
     pub entries: Vec<Entry>,
@@ -88,11 +90,17 @@ pub struct Answers {
 }
 
 impl Answers {
-    /// The solution that is the answer at a target: that of least V. In a game the only one, if its V is not negative: the
-    /// least of several is not the value there.
+    /// The solution that is the answer at a target: that of least V. In a game only where it is the only one without a fold,
+    /// or below the level of V at which the manifold overlaps itself, and not negative.
     pub fn answer(&self, target: usize) -> Option<&Entry> {
         let first = self.of(target).first();
-        first.filter(|e| !self.game || (self.of(target).len() == 1 && e.value >= 0.0))
+        first.filter(|e| self.overlap.is_none() || (!self.is_ambiguous(target) && e.value >= 0.0))
+    }
+
+    /// Of a game whether several sheets lie over a target and none of them is the value.
+    fn is_ambiguous(&self, target: usize) -> bool {
+        let level = self.overlap.unwrap_or(f64::INFINITY);
+        matches!(self.of(target), [lowest, _, ..] if lowest.value >= level)
     }
 
     /// All solutions at a target, by rising V.
@@ -102,8 +110,8 @@ impl Answers {
 
     pub fn status(&self, target: usize) -> PointStatus {
         match (&self.misses[target], self.of(target)) {
-            (_, [_, _, ..]) if self.game => PointStatus::SeveralSheets,
-            (_, [only]) if self.game && only.value < 0.0 => PointStatus::NegativeValue,
+            _ if self.is_ambiguous(target) => PointStatus::SeveralSheets,
+            (_, [only, ..]) if self.overlap.is_some() && only.value < 0.0 => PointStatus::NegativeValue,
             (_, [lowest, ..]) if lowest.value > self.targets.limits[target] => PointStatus::AboveMax,
             (Some(miss), _) => miss.status,
             (None, _) => PointStatus::Converged,
@@ -237,6 +245,7 @@ pub fn solve(
     } else {
         survey.equal_cost(solver, wanted)?
     };
+    let overlap = (plan.game.then(|| overlap_level(plan, &survey, solver, archive, wanted))).transpose()?;
     let mut entries: Vec<Entry> = Vec::with_capacity(survey.extremals.len());
     let mut first = vec![0];
     for target in 0..targets.len() {
@@ -272,7 +281,7 @@ pub fn solve(
         })
         .collect();
     Ok(Answers {
-        game: plan.game,
+        overlap,
         sheets: survey.sheet.iter().copied().max().map_or(0, |s| s as usize + 1),
         misses: survey.misses.clone(),
         evaluations: survey.evaluations,
@@ -284,6 +293,32 @@ pub fn solve(
         folds,
         targets,
     })
+}
+
+/// See [`Answers::overlap`]. A few targets do not show it: where sheets overlap over one of them others are looked at.
+fn overlap_level(
+    plan: &Plan,
+    survey: &Survey<'_>,
+    solver: &mut Solver,
+    archive: &Archive,
+    wanted: Wanted,
+) -> Result<f64, BackendError> {
+    const ENOUGH: usize = 400;
+    if plan.local.is_none() {
+        return Ok(f64::NEG_INFINITY);
+    }
+    let mut level = survey.second_value();
+    if level.is_finite() && survey.targets.len() < ENOUGH {
+        let reference = &plan.system.reference;
+        let points: Vec<f64> = (spread_over(&plan.region, ENOUGH).iter())
+            .flat_map(|s| s.iter().zip(reference).map(|(s, x)| s + x))
+            .collect();
+        let targets = Targets::new(plan.system.states, &[], &[], &points, &plan.widths);
+        let mut others = Survey::new(plan, &targets, solver)?;
+        others.run(solver, archive, wanted, &mut |_, _, _| {})?;
+        level = level.min(others.second_value());
+    }
+    Ok(level)
 }
 
 fn entry(plan: &Plan, survey: &Survey<'_>, index: usize) -> Entry {

@@ -217,6 +217,16 @@ impl<'a> Survey<'a> {
         self.at.iter().filter(|list| !list.is_empty()).count()
     }
 
+    /// The least V of a second extremal over any target; infinite where there is none.
+    pub fn second_value(&self) -> f64 {
+        let second = |list: &Vec<usize>| {
+            let mut values: Vec<f64> = list.iter().map(|e| self.extremals[*e].value()).collect();
+            values.sort_by(f64::total_cmp);
+            values.get(1).copied().unwrap_or(f64::INFINITY)
+        };
+        self.at.iter().map(second).fold(f64::INFINITY, f64::min)
+    }
+
     /// The extremal of least V at a target.
     pub fn lowest(&self, target: usize) -> Option<usize> {
         let value = |e: &usize| self.extremals[*e].value();
