@@ -1,6 +1,7 @@
 //! `costate check` and `costate adapters`.
 
 use super::{CheckArgs, CliError};
+use crate::attenuation;
 use crate::backend::Backend;
 use crate::backend::gpu;
 use crate::hamiltonian::Hamiltonian;
@@ -14,9 +15,11 @@ use std::io::Write as _;
 /// Reads a scene and derives its equations; problems of both are reported with their places.
 pub(super) fn load(args: &super::SceneArgs) -> Result<(Model, Hamiltonian), CliError> {
     let model = scenario::load(&args.scenario, &args.set)?;
-    match Hamiltonian::derive(&model) {
-        Ok(hamiltonian) => Ok((model, hamiltonian)),
-        Err(problems) => Err(ScenarioErrors::new(&model, problems).into()),
+    let hamiltonian = Hamiltonian::derive(&model).map_err(|problems| ScenarioErrors::new(&model, problems))?;
+    // Before anything is computed or written, whatever the command.
+    match attenuation::refusal(&model, &hamiltonian) {
+        Some(refused) => Err(refused.into()),
+        None => Ok((model, hamiltonian)),
     }
 }
 

@@ -248,11 +248,17 @@ fn by_hamiltonian(linear: &Linearization) -> Verdict {
     let Some(basis) = stable_subspace(&m) else { return axis };
     let (upper, lower) = (basis.view((0, 0), (n, n)), basis.view((n, 0), (n, n)));
     let inner = upper.adjoint() * lower;
-    let eigenvalues = ((&inner + inner.adjoint()) * Complex::new(0.5, 0.0)).symmetric_eigenvalues();
-    if eigenvalues.min() >= -ROUNDING {
-        Verdict::Allowed
-    } else {
+    let eigen = ((&inner + inner.adjoint()) * Complex::new(0.5, 0.0)).symmetric_eigen();
+    let negative = |k: usize| {
+        let direction = eigen.eigenvectors.column(k);
+        // A direction of infinite P, or one that P does not see.
+        let infinite = (upper * direction).norm() < (lower * direction).norm();
+        eigen.eigenvalues[k] < if infinite { 0.0 } else { -ROUNDING }
+    };
+    if (0..n).any(negative) {
         Verdict::Refused(Cause::Unbounded)
+    } else {
+        Verdict::Allowed
     }
 }
 
