@@ -158,20 +158,26 @@ fn outcome(
     };
     let (other, hamiltonian) = with_value(model, parameter, value).map_err(scene)?;
     let count = states.len() / model.states.len();
-    match value::solve_states(&other, &hamiltonian, backend, choices, states, progress) {
-        Ok((_, _, answers)) => {
+    match value::solve_states_folding(&other, &hamiltonian, backend, choices, states, progress) {
+        Ok((_, _, answers, folds)) => {
             let targets = &answers.targets.of_given;
             let status: Vec<PointStatus> = targets.iter().map(|t| answers.status(*t)).collect();
             let v = |(t, s): (&usize, &PointStatus)| match s {
-                PointStatus::Converged => answers.lowest(*t).map_or(f64::NAN, |e| e.value),
+                PointStatus::Converged => answers.answer(*t).map_or(f64::NAN, |e| e.value),
                 _ => f64::NAN,
             };
             let v = targets.iter().zip(&status).map(v).collect();
-            Ok(Outcome { status, v, failure: None })
+            Ok(Outcome {
+                status,
+                v,
+                folds: folds.into_iter().map(|f| f.x).collect(),
+                failure: None,
+            })
         }
         Err(StatesError::Plan(e)) => Ok(Outcome {
             status: vec![PointStatus::NoGuess; count],
             v: vec![f64::NAN; count],
+            folds: Vec::new(),
             failure: Some(e.to_string()),
         }),
         Err(StatesError::Backend(e)) => Err(e.into()),

@@ -23,6 +23,8 @@ pub struct Outcome {
     pub status: Vec<PointStatus>,
     /// NaN where not valid.
     pub v: Vec<f64>,
+    /// States where trajectories met folds.
+    pub folds: Vec<Vec<f64>>,
     /// Why the scene could not be swept at this level.
     pub failure: Option<String>,
 }

@@ -5,6 +5,7 @@ mod linearization;
 mod riccati;
 mod seeds;
 mod series;
+mod shape;
 
 pub use attenuation::{AttenuationError, Cause, LinearAttenuation, linear_attenuation};
 pub use linearization::Linearization;

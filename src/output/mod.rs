@@ -29,7 +29,9 @@
 //! ```
 
 mod answers;
+mod attenuation;
 mod attribute;
+mod caustic;
 mod dataset;
 mod error;
 mod file;
@@ -43,6 +45,7 @@ mod study;
 mod testing;
 mod trajectories;
 
+pub use attenuation::ATTENUATION_GROUPS;
 pub use attribute::AttributeValue;
 pub use dataset::{GroupWriter, Values};
 pub use error::OutputError;
