@@ -16,7 +16,10 @@ pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioError
     }
     let error = Riccati::solve(hamiltonian, model).err()?;
     let Some(asked) = &model.attenuation else {
-        let told = matches!(error, LocalError::ImaginaryAxis { .. } | LocalError::BelowAttenuation { .. });
+        let told = matches!(
+            error,
+            LocalError::ImaginaryAxis { .. } | LocalError::BelowAttenuation { .. }
+        );
         let problem = Problem::at(span.clone(), error.to_string(), "linearized here")
             .with_help("name the parameter that is its level in [attenuation], to be told the smallest one allowed");
         return told.then(|| ScenarioErrors::new(model, vec![problem]));

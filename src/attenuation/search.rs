@@ -202,7 +202,11 @@ pub fn search<E>(
 
 /// The value at a share of the way, by the logarithm.
 fn between(from: f64, to: f64, share: f64) -> f64 {
-    if share == 0.0 { from } else { from * (to / from).powf(share) }
+    if share == 0.0 {
+        from
+    } else {
+        from * (to / from).powf(share)
+    }
 }
 
 /// Neighbouring values between which coverage becomes complete for good.

@@ -67,7 +67,9 @@ pub(super) fn write(
     terminal: &Terminal,
 ) -> Result<Attenuated, CliError> {
     let bar = terminal.progress();
-    let found = smallest(model, backend, choices, &mut |what| bar.say(&format!("attenuation: {what}")));
+    let found = smallest(model, backend, choices, &mut |what| {
+        bar.say(&format!("attenuation: {what}"))
+    });
     bar.clear();
     let found = found?;
     file.attenuation(&axes(model), &found)?;
@@ -95,11 +97,7 @@ fn pictures(path: &Path, terminal: &Terminal) -> Vec<String> {
 /// gamma* in a line.
 pub(super) fn star_text(parameter: &str, linear: &LinearAttenuation) -> String {
     if linear.cause == Cause::None {
-        return format!(
-            "{parameter}* at or below {}, {}",
-            linear.star,
-            linear.cause.explained()
-        );
+        return format!("{parameter}* at or below {}, {}", linear.star, linear.cause.explained());
     }
     format!(
         "{parameter}* = {:.12} (Riccati equation), {:.12} (Hamiltonian matrix), relative difference {:.1e}\n  {}: {}",
@@ -173,7 +171,10 @@ pub(super) fn text(found: &Attenuated) -> String {
     let below = search.covering_below();
     if !below.is_empty() {
         let below: Vec<String> = below.iter().map(|v| format!("{v:.6}")).collect();
-        lines.push(format!("  covered below that nevertheless: {name} = {}", below.join(", ")));
+        lines.push(format!(
+            "  covered below that nevertheless: {name} = {}",
+            below.join(", ")
+        ));
     }
     let mut rows = vec![vec![name.clone(), "covered".to_owned(), "not valid".to_owned()]];
     rows.extend((search.rows.iter()).map(|r| vec![format!("{:.6}", r.value), percent(r), failing(r)]));

@@ -64,19 +64,33 @@ pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
         Horizon::Finite { .. } => None,
     };
     super::afterwards::check(&model, &hamiltonian)?;
-    let smallest = (model.attenuation.as_ref()).map(|a| attenuation::linear(&model, a)).transpose()?;
+    let smallest = (model.attenuation.as_ref())
+        .map(|a| attenuation::linear(&model, a))
+        .transpose()?;
     let smallest = model.attenuation.as_ref().zip(smallest);
     if args.scene.quiet {
         return Ok(());
     }
     let mut out = std::io::stdout().lock();
     if args.scene.json {
-        writeln!(out, "{:#}", as_json(&model, &hamiltonian, riccati.as_ref(), smallest.as_ref().map(|(_, l)| l)))?;
+        writeln!(
+            out,
+            "{:#}",
+            as_json(
+                &model,
+                &hamiltonian,
+                riccati.as_ref(),
+                smallest.as_ref().map(|(_, l)| l)
+            )
+        )?;
     } else {
         write!(out, "{}", as_text(&model, &hamiltonian, riccati.as_ref()))?;
         if let Some((asked, linear)) = &smallest {
             let text = super::attenuation::star_text(&asked.parameter, linear);
-            writeln!(out, "\nSmallest level of attenuation that the linearization allows\n  {text}")?;
+            writeln!(
+                out,
+                "\nSmallest level of attenuation that the linearization allows\n  {text}"
+            )?;
         }
     }
     Ok(())

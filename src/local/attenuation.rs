@@ -153,11 +153,17 @@ pub fn linear_attenuation<E: std::error::Error + 'static>(
         let (below, above) = (between(lo, found.lo, k), between(found.hi, hi, k));
         if below < found.lo && riccati(below)? == Verdict::Allowed {
             let infeasible = found.lo;
-            return Err(AttenuationError::NotMonotone { feasible: below, infeasible });
+            return Err(AttenuationError::NotMonotone {
+                feasible: below,
+                infeasible,
+            });
         }
         if above > found.hi && riccati(above)? != Verdict::Allowed {
             let feasible = found.hi;
-            return Err(AttenuationError::NotMonotone { feasible, infeasible: above });
+            return Err(AttenuationError::NotMonotone {
+                feasible,
+                infeasible: above,
+            });
         }
     }
     let mut alone = |value: f64| Ok(by_hamiltonian(&at(value)?));
@@ -204,7 +210,10 @@ fn by_riccati(linear: &Linearization) -> Verdict {
     let projector = DMatrix::identity(2 * n, 2 * n) - sign;
     let svd = projector.svd(true, false);
     let Some(basis) = svd.u else { return axis };
-    let (upper, lower) = (basis.view((0, 0), (n, n)).into_owned(), basis.view((n, 0), (n, n)).into_owned());
+    let (upper, lower) = (
+        basis.view((0, 0), (n, n)).into_owned(),
+        basis.view((n, 0), (n, n)).into_owned(),
+    );
     let smallest = |m: &DMatrix<f64>| m.singular_values().min();
     let direct = smallest(&upper) >= smallest(&lower);
     let (over, under, equation) = if direct {
@@ -316,7 +325,11 @@ mod tests {
         // Real, complex and double eigenvalues.
         let a = DMatrix::from_row_slice(3, 3, &[0.0, 1.0, 0.0, -2.0, 0.3, 1.0, 0.5, 0.0, 1.5]);
         let g = -DMatrix::from_row_slice(3, 3, &[1.0, 0.2, 0.0, 0.2, 2.0, 0.3, 0.0, 0.3, 1.5]);
-        let linear = Linearization { a, g, q: DMatrix::identity(3, 3) };
+        let linear = Linearization {
+            a,
+            g,
+            q: DMatrix::identity(3, 3),
+        };
         let m = linear.hamiltonian_matrix();
         let basis = stable_subspace(&m).unwrap();
         let image = m.map(|x| Complex::new(x, 0.0)) * &basis;

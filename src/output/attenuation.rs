@@ -52,7 +52,10 @@ impl ResultFile {
             return Ok(());
         }
         let mut group = Group::new("attenuation_caustic")
-            .attribute("title", "where trajectories meet folds, at the levels of /attenuation_regions")
+            .attribute(
+                "title",
+                "where trajectories meet folds, at the levels of /attenuation_regions",
+            )
             .expected_rows(Some(folds.len()))
             .dimension(Dimension::unlimited("vertex"))
             .dimension(level());
@@ -121,7 +124,8 @@ impl ResultFile {
         let column = |f: &dyn Fn(&crate::attenuation::Row) -> f64| rows.iter().map(f).collect::<Vec<f64>>();
         writer.write("value", &column(&|r| r.value))?;
         writer.write("coverage", &column(&|r| r.coverage()))?;
-        let whole = |f: &dyn Fn(&crate::attenuation::Row) -> usize| rows.iter().map(|r| f(r) as i32).collect::<Vec<_>>();
+        let whole =
+            |f: &dyn Fn(&crate::attenuation::Row) -> usize| rows.iter().map(|r| f(r) as i32).collect::<Vec<_>>();
         writer.write("valid", &whole(&|r| r.valid()))?;
         writer.write("wanted", &whole(&|r| r.wanted()))?;
         writer.write("swept", &whole(&|r| usize::from(r.outcome.failure.is_none())))?;

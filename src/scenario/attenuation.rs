@@ -34,7 +34,9 @@ impl<'a> Reader<'a> {
                 "[attenuation] is for scenes with [disturbances], of which this one has none",
                 "nothing to attenuate",
             );
-            self.report(problem.with_help("declare the disturbances in [disturbances], and weigh them in the cost: - 0.5*gamma^2*w^2"));
+            self.report(problem.with_help(
+                "declare the disturbances in [disturbances], and weigh them in the cost: - 0.5*gamma^2*w^2",
+            ));
         } else if finite {
             let message = "[attenuation] is of the infinite horizon; this scene has a final time";
             self.report(Problem::at(section.span.clone(), message, "remove this"));
@@ -66,7 +68,11 @@ impl<'a> Reader<'a> {
     }
 
     /// The parameter named, which must be a number in the file: it is replaced by others.
-    fn level_parameter<'d>(&mut self, section: &Section<'a>, parameters: &'d [Declared<'a>]) -> Option<&'d Declared<'a>> {
+    fn level_parameter<'d>(
+        &mut self,
+        section: &Section<'a>,
+        parameters: &'d [Declared<'a>],
+    ) -> Option<&'d Declared<'a>> {
         let Some(value) = section.get("parameter") else {
             let problem = Problem::at(
                 section.span.clone(),
@@ -108,7 +114,11 @@ impl<'a> Reader<'a> {
 
     fn level_values(&mut self, value: &'a Value<'a>) -> Vec<f64> {
         let DeValue::Array(array) = value.get_ref() else {
-            self.report(Problem::at(value.span(), "levels must be a list", "expected [..., ...]"));
+            self.report(Problem::at(
+                value.span(),
+                "levels must be a list",
+                "expected [..., ...]",
+            ));
             return Vec::new();
         };
         if array.is_empty() || array.len() > MOST_LEVELS {

@@ -268,7 +268,8 @@ impl<'a> Reader<'a> {
             finite: cost.finite,
             fitted: sections.get("feedback").map(law_names).unwrap_or_default(),
         };
-        let attenuation = (sections.get("attenuation")).and_then(|s| self.attenuation(s, &declared, region.as_deref(), cost.finite));
+        let attenuation =
+            (sections.get("attenuation")).and_then(|s| self.attenuation(s, &declared, region.as_deref(), cost.finite));
         let study = sections.get("study").and_then(|s| self.study(s, &scope));
         let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));
         Some(Model {

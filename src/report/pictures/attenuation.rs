@@ -11,6 +11,8 @@ use crate::value::PointStatus;
 
 /// From this ratio of the largest value to the smallest on, the axis of values is logarithmic.
 const DECADE: f64 = 8.0;
+/// Colour of folds.
+const FOLD: Ink = Ink::Colour([213, 94, 0]);
 
 fn scalar(group: &StoredGroup<'_>, name: &str) -> Result<f64, StoredError> {
     Ok(group.f64(name)?.values.first().copied().unwrap_or(f64::NAN))
@@ -20,16 +22,16 @@ fn scalar(group: &StoredGroup<'_>, name: &str) -> Result<f64, StoredError> {
 pub fn key_figure(source: &Source<'_>) -> Option<String> {
     let group = source.stored.group("attenuation")?;
     let name = names::symbol(&group.attribute(None, "parameter")?);
-    let (star, smallest) = (
-        scalar(&group, "star").ok()?,
-        scalar(&group, "smallest_covering").ok()?,
-    );
+    let (star, smallest) = (scalar(&group, "star").ok()?, scalar(&group, "smallest_covering").ok()?);
     let covers = if smallest.is_finite() {
         format!("the states are covered from {name} = {} on", significant(smallest, 6))
     } else {
         "the states are not covered at any level looked at".to_owned()
     };
-    Some(format!("{name}* = {} of the linearization; {covers}", significant(star, 10)))
+    Some(format!(
+        "{name}* = {} of the linearization; {covers}",
+        significant(star, 10)
+    ))
 }
 
 struct Coverage {
@@ -65,7 +67,11 @@ fn read_coverage(group: &StoredGroup<'_>) -> Result<Coverage, StoredError> {
     let thick = |k: usize, dash: Dash| Stroke::new(Ink::Colour(colours::class(k)), 2.0).dash(dash);
     let said = [
         ("star", format!("{name}* of the linearization"), thick(1, Dash::Dashed)),
-        ("smallest_covering", "smallest that covers".to_owned(), thick(2, Dash::Solid)),
+        (
+            "smallest_covering",
+            "smallest that covers".to_owned(),
+            thick(2, Dash::Solid),
+        ),
         ("own", "the scene's own".to_owned(), thick(6, Dash::Dotted)),
     ];
     for (variable, words, stroke) in said {
@@ -84,7 +90,10 @@ fn read_coverage(group: &StoredGroup<'_>) -> Result<Coverage, StoredError> {
 impl Coverage {
     fn legend(&self) -> Vec<(Mark, String)> {
         let curve = Mark::Dot(Ink::Colour(colours::class(0)));
-        let marks = self.marks.iter().map(|(_, stroke, words)| (Mark::Line(*stroke), words.clone()));
+        let marks = self
+            .marks
+            .iter()
+            .map(|(_, stroke, words)| (Mark::Line(*stroke), words.clone()));
         std::iter::once((curve, "solved".to_owned())).chain(marks).collect()
     }
 }
@@ -110,7 +119,11 @@ impl Drawing for Coverage {
         };
         let [least, _] = range(self.curve.iter().map(|p| p[1])).unwrap_or([0.0, 100.0]);
         // What happens among the last percents is to be seen, too.
-        let least = if least > 60.0 { (least / 10.0).floor() * 10.0 } else { 0.0 };
+        let least = if least > 60.0 {
+            (least / 10.0).floor() * 10.0
+        } else {
+            0.0
+        };
         let y = Axis::linear("states covered (%)", [least.min(90.0), 100.0]).padded(0.04);
         let frame = Frame::within(Rect::new(area.left, top, area.right, area.bottom), x.padded(0.03), y);
         frame.under(canvas);
@@ -154,7 +167,9 @@ pub fn validity(source: &Source<'_>) -> Made {
     let name = names::symbol(&group.attribute(None, "parameter").unwrap_or_default());
     let plane = validity.axes.len() == 2;
     let mut caption = if plane {
-        format!("At each level {name} the value function is valid on the region of its colour, which grows with {name}: each lies over the larger ones.")
+        format!(
+            "At each level {name} the value function is valid on the region of its colour, which grows with {name}: each lies over the larger ones."
+        )
     } else {
         format!("The value function at each level {name}, as far as it is valid.")
     };
@@ -163,7 +178,7 @@ pub fn validity(source: &Source<'_>) -> Made {
     }
     Ok(Some(Picture {
         name: "validity".to_owned(),
-        title: format!("Where the value function is valid{fixed}"),
+        title: format!("Where the value function is valid, by level of attenuation{fixed}"),
         caption,
         drawing: Box::new(validity),
     }))
@@ -190,12 +205,20 @@ fn read_validity(source: &Source<'_>, group: &StoredGroup<'_>) -> Result<Option<
     // The others at the grid's value nearest to the report's.
     let near = |k: usize| {
         let distance = |i: &usize| (grid[k][*i] - source.base[k]).abs();
-        (0..grid[k].len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
+        (0..grid[k].len())
+            .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+            .unwrap_or(0)
     };
     let mut at: Vec<usize> = (0..n).map(near).collect();
     let fixed: Vec<String> = (0..n)
         .filter(|k| !shown.contains(k))
-        .map(|k| format!("{} = {}", names::symbol(&states[k].variable.name), significant(grid[k][at[k]], 4)))
+        .map(|k| {
+            format!(
+                "{} = {}",
+                names::symbol(&states[k].variable.name),
+                significant(grid[k][at[k]], 4)
+            )
+        })
         .collect();
     let count: usize = grid.iter().map(Vec::len).product();
     let folds = folds(source, n)?;
@@ -220,7 +243,10 @@ fn read_validity(source: &Source<'_>, group: &StoredGroup<'_>) -> Result<Option<
             }
         }
         let valid = status.iter().filter(|s| **s == PointStatus::Converged as i32).count();
-        let wanted = status.iter().filter(|s| **s != PointStatus::OutsideGuard as i32).count();
+        let wanted = status
+            .iter()
+            .filter(|s| **s != PointStatus::OutsideGuard as i32)
+            .count();
         let share = significant(100.0 * valid as f64 / wanted.max(1) as f64, 3);
         regions.push(Region {
             // Dark is hard to reach: the smallest level.
@@ -242,7 +268,11 @@ fn read_validity(source: &Source<'_>, group: &StoredGroup<'_>) -> Result<Option<
         regions,
         rest: (shown.len() == 2).then(|| [reference[shown[0]], reference[shown[1]]]),
     };
-    let fixed = if fixed.is_empty() { String::new() } else { format!(" at {}", fixed.join(", ")) };
+    let fixed = if fixed.is_empty() {
+        String::new()
+    } else {
+        format!(" at {}", fixed.join(", "))
+    };
     Ok(Some((validity, fixed)))
 }
 
@@ -252,7 +282,9 @@ fn folds(source: &Source<'_>, n: usize) -> Result<Vec<(usize, Vec<f64>)>, Stored
         return Ok(Vec::new());
     };
     let (level, x) = (group.i32("level_index")?.1, group.f64("x")?.values);
-    Ok((level.iter().zip(x.chunks(n))).map(|(l, x)| (*l as usize, x.to_vec())).collect())
+    Ok((level.iter().zip(x.chunks(n)))
+        .map(|(l, x)| (*l as usize, x.to_vec()))
+        .collect())
 }
 
 impl Validity {
@@ -260,7 +292,7 @@ impl Validity {
         let line = |r: &Region| (Mark::Line(Stroke::new(Ink::Colour(r.colour), 9.0)), r.label.clone());
         let mut all: Vec<(Mark, String)> = self.regions.iter().rev().map(line).collect();
         if self.folds && self.axes.len() == 2 {
-            all.push((Mark::Dot(Ink::Text), "folds".to_owned()));
+            all.push((Mark::Dot(FOLD), "folds met".to_owned()));
         }
         all
     }
@@ -280,8 +312,8 @@ impl Validity {
         }
         for region in &self.regions {
             let dots = frame.dots(region.folds.iter().copied());
-            canvas.dots(&dots, 3.4, Ink::Paper, 0.9);
-            canvas.dots(&dots, 2.2, Ink::Text, 1.0);
+            canvas.dots(&dots, 4.4, Ink::Colour([255, 255, 255]), 1.0);
+            canvas.dots(&dots, 3.0, FOLD, 1.0);
         }
         if let Some(rest) = self.rest {
             let dots = frame.dots([rest]);
