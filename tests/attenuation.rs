@@ -233,7 +233,12 @@ fn random_games_of_four_states() {
         let above = riccati(&text, found.star * (1.0 + 1e-4)).unwrap_or_else(|e| panic!("{e}"));
         assert!(above.p.amax() > 100.0, "P is large just above gamma*: {}", above.p);
         let below = riccati(&text, found.star * (1.0 - 1e-4));
-        assert!(matches!(below, Err(LocalError::BelowAttenuation { .. })), "{below:?}");
+        // A little below, eigenvalues may meet on the axis, too.
+        let refused = matches!(
+            below,
+            Err(LocalError::BelowAttenuation { .. } | LocalError::ImaginaryAxis { .. })
+        );
+        assert!(refused, "{below:?}");
     }
     println!("axis, unbounded: {causes:?}");
     assert!(causes[0] > 0 && causes[1] > 0, "both causes are met: {causes:?}");
@@ -572,7 +577,7 @@ fn the_command_and_its_file() {
     assert!(json["attenuation"]["smallest_covering"].is_f64(), "{json}");
     assert!(Stored::open(&ran).unwrap().has("attenuation_regions"));
     let page = std::fs::read_to_string(folder.join("run_report.html")).unwrap();
-    for part in ["id=\"coverage\"", "id=\"validity\"", "0.894427191 of the linearization"] {
+    for part in ["id=\"coverage\"", "id=\"validity\"", "0.89443 of the linearization"] {
         assert!(page.contains(part), "{part}");
     }
     let done = costate("check", &scene, &[]);

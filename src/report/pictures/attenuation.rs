@@ -30,7 +30,7 @@ pub fn key_figure(source: &Source<'_>) -> Option<String> {
     };
     Some(format!(
         "{name}* = {} of the linearization; {covers}",
-        significant(star, 10)
+        significant(star, 5)
     ))
 }
 
