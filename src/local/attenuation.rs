@@ -250,8 +250,7 @@ fn by_hamiltonian(linear: &Linearization) -> Verdict {
     }
     let m = linear.balanced().0.hamiltonian_matrix();
     let near = nearest_to_axis(&eigenvalues_of(&m)).map_or(0.0, |e| e.re.abs());
-    // NaN is no distance either.
-    if !(near >= ON_AXIS * m.norm()) {
+    if near.is_nan() || near < ON_AXIS * m.norm() {
         return axis;
     }
     let Some(basis) = stable_subspace(&m) else { return axis };
