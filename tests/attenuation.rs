@@ -153,7 +153,7 @@ fn agrees(found: &LinearAttenuation, exact: f64, cause: Cause) {
 #[test]
 fn stable_scalar_meets_the_axis() {
     for (a, b, r, own) in [(-1.0, 0.5, 1.0, 2.0), (-3.0, 2.0, 0.1, 0.01), (-0.2, 0.0, 1.0, 100.0)] {
-        let exact = (b * b / r + a * a as f64).sqrt().recip();
+        let exact = f64::hypot(a, b / f64::sqrt(r)).recip();
         agrees(&Game::new(1, &[a], &[b], &[1.0], r, own).star(), exact, Cause::Axis);
     }
 }
