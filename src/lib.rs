@@ -38,6 +38,7 @@
 //! ```
 //!
 //! Writing the blocks to HDF5 is [`output`]'s; the program around it all is [`cli`].
+pub mod attenuation;
 pub mod backend;
 pub mod bench;
 pub mod cli;

@@ -175,6 +175,11 @@ fn closed_loops() {
 }
 
 #[test]
+fn attenuation() {
+    check(include_str!("malformed/attenuation.cases"));
+}
+
+#[test]
 fn toml_itself() {
     check(include_str!("malformed/toml.cases"));
 }

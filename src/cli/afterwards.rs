@@ -5,12 +5,12 @@
 use super::evaluate::{self, Wanted};
 use super::fit::{Beside, fit_laws};
 use super::report::Terminal;
-use super::{CliError, fit};
+use super::{CliError, attenuation, fit};
 use crate::backend::Backend;
 use crate::closed_loop::{Available, GROUPS, Laws};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
-use crate::output::{OutputError, ResultFile, Stored};
+use crate::output::{ATTENUATION_GROUPS, OutputError, ResultFile, Stored};
 use crate::report::{self, Options};
 use crate::sweep::Choices;
 use std::path::{Path, PathBuf};
@@ -57,7 +57,7 @@ impl Drop for Draft {
 
 /// Whether anything is left to do when a scene has been swept and solved.
 pub(super) fn wanted(model: &Model) -> bool {
-    !model.feedback.is_empty() || model.closed_loop.is_some()
+    !model.feedback.is_empty() || model.closed_loop.is_some() || model.attenuation.is_some()
 }
 
 /// Finds mistakes in the scene's laws before a long run does.
@@ -82,7 +82,7 @@ pub(super) fn laws(
     choices: Choices,
     terminal: &Terminal,
 ) -> Result<serde_json::Value, CliError> {
-    let mut done = serde_json::json!({ "feedback": null, "closed_loop": null });
+    let mut done = serde_json::json!({ "feedback": null, "closed_loop": null, "attenuation": null });
     if !model.feedback.is_empty() {
         let stored = Stored::open(draft.hidden())?;
         match fit_laws(
@@ -113,6 +113,17 @@ pub(super) fn laws(
                 done["closed_loop"] = evaluate::as_json(&evaluation, &draft.path);
             }
             Err(e) => terminal.note(&format!("no closed loop was simulated: {e}")),
+        }
+    }
+    if model.attenuation.is_some() {
+        let mut file = ResultFile::extend(draft.hidden(), &ATTENUATION_GROUPS)?;
+        match attenuation::write(&mut file, model, backend, choices, terminal) {
+            Ok(found) => {
+                file.finish()?;
+                terminal.say(&attenuation::text(&found))?;
+                done["attenuation"] = attenuation::as_json(&found);
+            }
+            Err(e) => terminal.note(&format!("no smallest level of attenuation was found: {e}")),
         }
     }
     Ok(done)

@@ -1,10 +1,11 @@
 //! `costate check` and `costate adapters`.
 
 use super::{CheckArgs, CliError};
+use crate::attenuation;
 use crate::backend::Backend;
 use crate::backend::gpu;
 use crate::hamiltonian::Hamiltonian;
-use crate::local::{LocalError, Riccati, show_eigenvalue};
+use crate::local::{LinearAttenuation, LocalError, Riccati, show_eigenvalue};
 use crate::model::{Horizon, Model};
 use crate::scenario::{self, Problem, ScenarioErrors};
 use crate::sweep::{Choices, Plan, PlanError};
@@ -13,10 +14,16 @@ use std::io::Write as _;
 
 /// Reads a scene and derives its equations; problems of both are reported with their places.
 pub(super) fn load(args: &super::SceneArgs) -> Result<(Model, Hamiltonian), CliError> {
-    let model = scenario::load(&args.scenario, &args.set)?;
-    match Hamiltonian::derive(&model) {
-        Ok(hamiltonian) => Ok((model, hamiltonian)),
-        Err(problems) => Err(ScenarioErrors::new(&model, problems).into()),
+    derived(scenario::load(&args.scenario, &args.set)?)
+}
+
+/// A scene with its equations; a game whose level of attenuation its linearization does not allow is refused.
+pub(super) fn derived(model: Model) -> Result<(Model, Hamiltonian), CliError> {
+    let hamiltonian = Hamiltonian::derive(&model).map_err(|problems| ScenarioErrors::new(&model, problems))?;
+    // Before anything is computed or written, whatever the command.
+    match attenuation::refusal(&model, &hamiltonian) {
+        Some(refused) => Err(refused.into()),
+        None => Ok((model, hamiltonian)),
     }
 }
 
@@ -57,14 +64,34 @@ pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
         Horizon::Finite { .. } => None,
     };
     super::afterwards::check(&model, &hamiltonian)?;
+    let smallest = (model.attenuation.as_ref())
+        .map(|a| attenuation::linear(&model, a))
+        .transpose()?;
+    let smallest = model.attenuation.as_ref().zip(smallest);
     if args.scene.quiet {
         return Ok(());
     }
     let mut out = std::io::stdout().lock();
     if args.scene.json {
-        writeln!(out, "{:#}", as_json(&model, &hamiltonian, riccati.as_ref()))?;
+        writeln!(
+            out,
+            "{:#}",
+            as_json(
+                &model,
+                &hamiltonian,
+                riccati.as_ref(),
+                smallest.as_ref().map(|(_, l)| l)
+            )
+        )?;
     } else {
         write!(out, "{}", as_text(&model, &hamiltonian, riccati.as_ref()))?;
+        if let Some((asked, linear)) = &smallest {
+            let text = super::attenuation::star_text(&asked.parameter, linear);
+            writeln!(
+                out,
+                "\nSmallest level of attenuation that the linearization allows\n  {text}"
+            )?;
+        }
     }
     Ok(())
 }
@@ -149,7 +176,12 @@ fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String 
     t
 }
 
-fn as_json(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> serde_json::Value {
+fn as_json(
+    model: &Model,
+    h: &Hamiltonian,
+    riccati: Option<&Riccati>,
+    smallest: Option<&LinearAttenuation>,
+) -> serde_json::Value {
     let g = &h.graph;
     let shown = |ids: &[crate::expr::Id]| ids.iter().map(|i| g.show(*i)).collect::<Vec<_>>();
     serde_json::json!({
@@ -165,6 +197,7 @@ fn as_json(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> serde_j
         "reference": model.reference(),
         "riccati": riccati.map(|r| r.p.row_iter().map(|row| row.iter().copied().collect::<Vec<_>>()).collect::<Vec<_>>()),
         "riccati_residual": riccati.map(|r| r.residual),
+        "attenuation": smallest.map(super::attenuation::star_json),
         "closed_loop_eigenvalues": riccati.map(|r| r.eigenvalues.iter().map(|e| [e.re, e.im]).collect::<Vec<_>>()),
     })
 }

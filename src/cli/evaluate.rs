@@ -12,7 +12,7 @@ use crate::hamiltonian::Hamiltonian;
 use crate::map::ValueMap;
 use crate::model::{ClosedLoop, Model};
 use crate::output::{ResultFile, RunRecord, Stored};
-use crate::scenario::{self, ScenarioErrors};
+use crate::scenario;
 use crate::sweep::Choices;
 use rayon::prelude::*;
 use std::io::Write as _;
@@ -243,10 +243,7 @@ fn same_problem(a: &Model, b: &Model) -> bool {
 
 fn derived(path: &Path, set: &[(String, String)]) -> Result<(Model, Hamiltonian), CliError> {
     let model = scenario::load(path, set)?;
-    match Hamiltonian::derive(&model) {
-        Ok(hamiltonian) => Ok((model, hamiltonian)),
-        Err(problems) => Err(ScenarioErrors::new(&model, problems).into()),
-    }
+    super::check::derived(model)
 }
 
 /// Another scene with the states and controls of the stored one, and the parameters that the stored run was given.

@@ -1,6 +1,7 @@
 //! The command line: reads arguments, calls the library, prints.
 
 mod afterwards;
+mod attenuation;
 mod bench;
 mod bench_report;
 mod check;
@@ -15,6 +16,7 @@ mod run;
 mod study;
 mod value;
 
+use crate::attenuation::SmallestError;
 use crate::backend::{Backend, BackendError};
 use crate::bench::BenchError;
 use crate::closed_loop::{LawError, LoopError};
@@ -50,6 +52,8 @@ enum Command {
     Value(ValueArgs),
     /// Only [study]: the optimal trajectory from one state for several values of parameters.
     Study(RunArgs),
+    /// Only [attenuation]: the smallest level of attenuation, of the linearization and of a region, with pictures.
+    Attenuation(RunArgs),
     /// Simulate feedback laws from many initial states, as [closed_loop] asks, and put what came of it into the result file.
     Evaluate(EvaluateArgs),
     /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
@@ -444,6 +448,10 @@ enum CliError {
     MapName { name: String },
     #[error(transparent)]
     Study(#[from] crate::study::StudyError),
+    #[error(transparent)]
+    Attenuation(#[from] crate::attenuation::SmallestError),
+    #[error("the scenario has no [attenuation]")]
+    NoAttenuation,
     #[error("the scenario has no [study]")]
     NoStudy,
     #[error(transparent)]
@@ -518,6 +526,8 @@ impl CliError {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
             CliError::Study(StudyError::Scene { .. } | StudyError::Plan { .. }) | CliError::NoStudy => 2,
+            CliError::Attenuation(SmallestError::Backend(_)) => 1,
+            CliError::Attenuation(_) | CliError::NoAttenuation => 2,
             CliError::Place(_) | CliError::Map(_) => 2,
             CliError::Law(_)
             | CliError::NoClosedLoop
@@ -597,6 +607,7 @@ pub fn main() -> ExitCode {
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
         Command::Study(args) => study::study(&args),
+        Command::Attenuation(args) => attenuation::attenuation(&args),
         Command::Value(args) => value::value(&args),
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Bench(args) => bench::bench(&args),

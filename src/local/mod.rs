@@ -1,10 +1,14 @@
 //! The solution near the equilibrium: Riccati matrix, closed loop, higher terms of V, and the seeds of the sweep.
 
+mod attenuation;
+mod linearization;
 mod riccati;
 mod seeds;
 mod series;
 mod shape;
 
+pub use attenuation::{AttenuationError, Cause, LinearAttenuation, linear_attenuation};
+pub use linearization::Linearization;
 pub(crate) use riccati::eigenvalues_of;
 pub use riccati::{Riccati, closed_loop_margin, show_eigenvalue};
 pub use seeds::{LocalSolution, SeedChoice};
@@ -36,6 +40,10 @@ pub enum LocalError {
         largest: f64,
         direction: String,
     },
+    #[error(
+        "the game Riccati solution is not positive semidefinite (eigenvalues from {smallest:.3e} to {largest:.3e}): the attenuation asked is below what the linearization allows"
+    )]
+    BelowAttenuation { smallest: f64, largest: f64 },
     #[error("the closed loop is not stable: eigenvalue {eigenvalue}")]
     NotStable { eigenvalue: String },
     #[error("seed_value {value:e} is too large: {reason}")]

@@ -1,6 +1,7 @@
 //! The stabilizing solution of the algebraic Riccati equation of the linearization (for a game, the game equation).
 
 use super::LocalError;
+use super::linearization::{Linearization, widths};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use nalgebra::{Complex, DMatrix, DVector};
@@ -9,7 +10,7 @@ use nalgebra::{Complex, DMatrix, DVector};
 const RESIDUAL: f64 = 1e-10;
 /// Eigenvalues nearer to the imaginary axis than this, relative to the matrix, count as on it: a double eigenvalue
 /// there is computed to the square root of the rounding error.
-const ON_AXIS: f64 = 1e-7;
+pub(super) const ON_AXIS: f64 = 1e-7;
 /// Relative size under which a singular or eigenvalue counts as zero.
 const RANK: f64 = 1e-10;
 
@@ -29,14 +30,6 @@ pub fn closed_loop_margin(r: &Riccati) -> f64 {
     r.eigenvalues.iter().map(|e| -e.re).fold(f64::INFINITY, f64::min)
 }
 
-/// Linearization in coordinates scaled by the region's widths, so that units do not matter.
-struct Linear {
-    a: DMatrix<f64>,
-    /// `H_pp = -B R^-1 B'` (plus the disturbance's part in a game).
-    g: DMatrix<f64>,
-    q: DMatrix<f64>,
-}
-
 impl Riccati {
     /// Solves for the scene's equilibrium.
     ///
@@ -44,18 +37,9 @@ impl Riccati {
     /// The cases of [`LocalError`] up to `NotStable`, each with the number that decides.
     pub fn solve(hamiltonian: &Hamiltonian, model: &Model) -> Result<Self, LocalError> {
         let n = hamiltonian.states();
-        let h = hamiltonian.hessian_at(model);
-        let block = |row: usize, col: usize| DMatrix::from_fn(n, n, |i, j| h[(row * n + i) * 2 * n + col * n + j]);
-        let widths = DVector::from_iterator(n, model.region.iter().map(|[lo, hi]| hi - lo));
-        let linear = Linear {
-            a: DMatrix::from_fn(n, n, |i, j| block(1, 0)[(i, j)] * widths[j] / widths[i]),
-            g: DMatrix::from_fn(n, n, |i, j| block(1, 1)[(i, j)] / (widths[i] * widths[j])),
-            q: DMatrix::from_fn(n, n, |i, j| block(0, 0)[(i, j)] * widths[i] * widths[j]),
-        };
-        if [&linear.a, &linear.g, &linear.q]
-            .iter()
-            .any(|m| m.iter().any(|x| !x.is_finite()))
-        {
+        let widths = widths(model);
+        let linear = Linearization::new(hamiltonian, model);
+        if !linear.is_finite() {
             return Err(LocalError::NoSolution {
                 reason: "the second derivatives of H at the equilibrium are not finite (a root or logarithm at the edge of its domain?)".into(),
             });
@@ -86,7 +70,7 @@ impl Riccati {
                 eigenvalue: show_eigenvalue(*e),
             });
         }
-        check_positive(&scaled, model)?;
+        check_positive(&scaled, model, game)?;
         Ok(Self {
             p,
             closed_loop,
@@ -151,38 +135,10 @@ fn check_stabilizable(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Result<(), LocalErr
     Ok(())
 }
 
-fn hamiltonian_matrix(l: &Linear) -> DMatrix<f64> {
-    let n = l.a.nrows();
-    let mut m = DMatrix::zeros(2 * n, 2 * n);
-    m.view_mut((0, 0), (n, n)).copy_from(&l.a);
-    m.view_mut((0, n), (n, n)).copy_from(&l.g);
-    m.view_mut((n, 0), (n, n)).copy_from(&-&l.q);
-    m.view_mut((n, n), (n, n)).copy_from(&-l.a.transpose());
-    m
-}
-
-/// The matrix with adjoints scaled so that its off-diagonal blocks are of like size; eigenvalues are unchanged.
-fn balanced(l: &Linear) -> (Linear, f64) {
-    let (g, q) = (l.g.norm(), l.q.norm());
-    let factor = if g > 0.0 && q > 0.0 { (q / g).sqrt() } else { 1.0 };
-    (
-        Linear {
-            a: l.a.clone(),
-            g: &l.g * factor,
-            q: &l.q / factor,
-        },
-        factor,
-    )
-}
-
-fn check_imaginary_axis(l: &Linear, game: bool) -> Result<(), LocalError> {
-    let (l, _) = balanced(l);
-    let m = hamiltonian_matrix(&l);
+fn check_imaginary_axis(l: &Linearization, game: bool) -> Result<(), LocalError> {
+    let m = l.balanced().0.hamiltonian_matrix();
     let scale = m.norm().max(f64::MIN_POSITIVE);
-    let nearest = eigenvalues_of(&m)
-        .iter()
-        .copied()
-        .min_by(|x, y| x.re.abs().total_cmp(&y.re.abs()));
+    let nearest = nearest_to_axis(&eigenvalues_of(&m));
     match nearest {
         Some(e) if e.re.abs() < ON_AXIS * scale => Err(LocalError::ImaginaryAxis {
             eigenvalue: show_eigenvalue(e),
@@ -197,17 +153,16 @@ fn check_imaginary_axis(l: &Linear, game: bool) -> Result<(), LocalError> {
     }
 }
 
-/// Matrix sign iteration for the stable invariant subspace, then Newton steps on the equation.
-fn stabilizing(l: &Linear) -> Result<DMatrix<f64>, LocalError> {
-    let n = l.a.nrows();
-    let no = |reason: &str| LocalError::NoSolution { reason: reason.into() };
-    let (b, factor) = balanced(l);
-    let mut z = hamiltonian_matrix(&b);
+/// The eigenvalue nearest to the imaginary axis.
+pub(super) fn nearest_to_axis(eigenvalues: &[Complex<f64>]) -> Option<Complex<f64>> {
+    (eigenvalues.iter().copied()).min_by(|x, y| x.re.abs().total_cmp(&y.re.abs()))
+}
+
+/// The matrix sign function, by Newton's iteration (J. D. Roberts 1980); `None` where it meets a singular matrix.
+pub(super) fn sign(matrix: DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let mut z = matrix;
     for _ in 0..100 {
-        let lu = z.clone().lu();
-        let inverse = lu
-            .try_inverse()
-            .ok_or_else(|| no("the sign iteration met a singular matrix"))?;
+        let inverse = z.clone().lu().try_inverse()?;
         // Scaling by norms speeds the first iterations; near the limit it is 1.
         let c = (z.norm() / inverse.norm()).sqrt();
         let next = (&z / c + &inverse * c) * 0.5;
@@ -217,6 +172,15 @@ fn stabilizing(l: &Linear) -> Result<DMatrix<f64>, LocalError> {
             break;
         }
     }
+    Some(z)
+}
+
+/// Matrix sign iteration for the stable invariant subspace, then Newton steps on the equation.
+fn stabilizing(l: &Linearization) -> Result<DMatrix<f64>, LocalError> {
+    let n = l.a.nrows();
+    let no = |reason: &str| LocalError::NoSolution { reason: reason.into() };
+    let (b, factor) = l.balanced();
+    let z = sign(b.hamiltonian_matrix()).ok_or_else(|| no("the sign iteration met a singular matrix"))?;
     // (sign + I) [I; P] = 0
     let identity = DMatrix::<f64>::identity(n, n);
     let mut left = DMatrix::zeros(2 * n, n);
@@ -236,7 +200,12 @@ fn stabilizing(l: &Linear) -> Result<DMatrix<f64>, LocalError> {
         ));
     }
     let p = svd.solve(&right, 0.0).map_err(no)?;
-    let mut p = (&p + p.transpose()) * (0.5 * factor);
+    Ok(polished(l, (&p + p.transpose()) * (0.5 * factor)).0)
+}
+
+/// Newton steps on the Riccati equation as long as they lower its relative residual, which is returned with the solution.
+pub(super) fn polished(l: &Linearization, p: DMatrix<f64>) -> (DMatrix<f64>, f64) {
+    let mut p = p;
     let mut best = relative_residual(l, &p);
     for _ in 0..8 {
         let Some(step) = newton_step(l, &p) else { break };
@@ -247,20 +216,20 @@ fn stabilizing(l: &Linear) -> Result<DMatrix<f64>, LocalError> {
         }
         (p, best) = (next, residual);
     }
-    Ok(p)
+    (p, best)
 }
 
-fn equation(l: &Linear, p: &DMatrix<f64>) -> DMatrix<f64> {
+fn equation(l: &Linearization, p: &DMatrix<f64>) -> DMatrix<f64> {
     l.a.transpose() * p + p * &l.a + p * &l.g * p + &l.q
 }
 
-fn relative_residual(l: &Linear, p: &DMatrix<f64>) -> f64 {
+fn relative_residual(l: &Linearization, p: &DMatrix<f64>) -> f64 {
     let terms = 2.0 * (p * &l.a).norm() + (p * &l.g * p).norm() + l.q.norm();
     equation(l, p).norm() / terms.max(f64::MIN_POSITIVE)
 }
 
 /// Solves `Ac' X + X Ac = -residual` as a linear system of n^2 unknowns.
-fn newton_step(l: &Linear, p: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+fn newton_step(l: &Linearization, p: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = l.a.nrows();
     // n^2 x n^2 elimination; beyond this the sign iteration's own accuracy must do.
     if n > 24 {
@@ -274,10 +243,13 @@ fn newton_step(l: &Linear, p: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(DMatrix::from_column_slice(n, n, x.as_slice()))
 }
 
-fn check_positive(scaled: &DMatrix<f64>, model: &Model) -> Result<(), LocalError> {
+fn check_positive(scaled: &DMatrix<f64>, model: &Model, game: bool) -> Result<(), LocalError> {
     let eigen = scaled.clone().symmetric_eigen();
     let (k, smallest) = eigen.eigenvalues.argmin();
     let largest = eigen.eigenvalues.max();
+    if game && smallest < -RANK * largest.abs() {
+        return Err(LocalError::BelowAttenuation { smallest, largest });
+    }
     if smallest.is_nan() || smallest <= RANK * largest {
         let v = eigen.eigenvectors.column(k);
         let names = model.states.iter().map(|s| s.variable.name.as_str());

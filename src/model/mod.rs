@@ -262,6 +262,24 @@ pub struct Study {
     pub span: Span,
 }
 
+/// `[attenuation]`: the smallest level of a disturbance's attenuation that the linearization, and that a region, allows.
+#[derive(Clone, Debug)]
+pub struct Attenuation {
+    /// The parameter that is the level; larger is easier.
+    pub parameter: String,
+    /// Where its value stands in `[parameters]`.
+    pub parameter_span: Span,
+    /// Values that are searched; `None`: from the scene's own value on.
+    pub range: Option<[f64; 2]>,
+    /// Relative, of the smallest value that covers the states.
+    pub tolerance: f64,
+    /// The states at which coverage is judged: a grid, one axis a state.
+    pub axes: Vec<GridAxis>,
+    /// Values whose regions of validity are stored; empty: to be chosen.
+    pub levels: Vec<f64>,
+    pub span: Span,
+}
+
 /// `[closed_loop] converged` unless given.
 pub const DEFAULT_CONVERGED: f64 = 1e-3;
 /// `[closed_loop] margin` unless given: room for a surge cycle or a swing.
@@ -369,10 +387,16 @@ pub struct Model {
     pub report: Option<Report>,
     pub closed_loop: Option<ClosedLoop>,
     pub study: Option<Study>,
+    pub attenuation: Option<Attenuation>,
     pub integrator: Integrator,
 }
 
 impl Model {
+    /// The present value of a parameter; `None` where there is none of this name.
+    pub fn parameter(&self, name: &str) -> Option<f64> {
+        self.parameters.iter().find(|p| p.name == name).map(|p| p.value)
+    }
+
     /// Whether there is a disturbance, and H = min max.
     pub fn is_game(&self) -> bool {
         !self.disturbances.is_empty()

@@ -29,6 +29,7 @@
 //! ```
 
 mod answers;
+mod attenuation;
 mod attribute;
 mod caustic;
 mod dataset;
@@ -44,6 +45,7 @@ mod study;
 mod testing;
 mod trajectories;
 
+pub use attenuation::ATTENUATION_GROUPS;
 pub use attribute::AttributeValue;
 pub use dataset::{GroupWriter, Values};
 pub use error::OutputError;

@@ -25,7 +25,7 @@ mod ticks;
 pub use source::{OptionsError, Source};
 
 use crate::model::Report;
-use crate::output::{OutputError, Stored, StoredError, write_text};
+use crate::output::{OutputError, Stored, StoredError, write_bytes, write_text};
 use canvas::{Anchor, Canvas, Rect, Style, TITLE};
 use raster::{Raster, RasterError};
 use std::path::{Path, PathBuf};
@@ -182,6 +182,45 @@ pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError>
         pictures: pictures.into_iter().map(|p| p.name).collect(),
         missing,
     })
+}
+
+/// The pictures of the smallest level of attenuation.
+pub const ATTENUATION_PICTURES: [&str; 2] = ["coverage", "validity"];
+
+/// What was written beside a result file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Beside {
+    /// The SVG files.
+    pub pictures: Vec<String>,
+    /// Pictures that could not be made, with the reason.
+    pub missing: Vec<(String, String)>,
+}
+
+/// Writes single pictures of a result file beside it, as `out/x_NAME.svg` and `.png`; those that the file has no data for
+/// are left out.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportError> {
+    let source = Source::new(stored, &Report::default())?;
+    let stem = (stored.path.file_stem()).map_or_else(String::new, |s| s.to_string_lossy().into_owned());
+    let mut done = Beside::default();
+    for name in names {
+        let picture = match pictures::named(&source, name) {
+            Ok(Some(picture)) => picture,
+            Ok(None) => continue,
+            Err(reason) => {
+                done.missing.push(((*name).to_owned(), reason));
+                continue;
+            }
+        };
+        let path = stored.path.with_file_name(format!("{stem}_{name}.svg"));
+        let width = f64::from(DEFAULT_WIDTH);
+        write_text(&path, &picture.svg(width))?;
+        write_bytes(&path.with_extension("png"), &picture.png(width)?)?;
+        done.pictures.push(path.display().to_string());
+    }
+    Ok(done)
 }
 
 fn put(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {

@@ -209,6 +209,10 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
         );
         add("Errors of solved states", errors(&solved["error_estimate"]));
     }
+    add(
+        "Attenuation",
+        super::pictures::attenuation_figure(source).unwrap_or_default(),
+    );
     if let Some(met) = s["error_met"].as_bool() {
         add("Promised accuracy", if met { "met" } else { "NOT met" }.to_owned());
     }

@@ -4,6 +4,7 @@
 //! with its place in the text. Reading order: the names of all sections, the parameters (each from earlier ones), the
 //! definitions, and then the other sections, so that the order of sections in the file does not matter.
 
+mod attenuation;
 mod build;
 mod closed_loop;
 mod declare;

@@ -17,7 +17,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 18] = [
+const SECTIONS: [&str; 19] = [
     "parameters",
     "states",
     "controls",
@@ -36,10 +36,9 @@ const SECTIONS: [&str; 18] = [
     "report",
     "closed_loop",
     "study",
+    "attenuation",
 ];
 const INTEGRATOR: &str = "integrator";
-/// Sections which only later versions read.
-const LATER: [&str; 1] = ["attenuation"];
 /// Sections whose strings are expressions.
 const EXPRESSIONS: [&str; 6] = ["parameters", "definitions", "dynamics", "cost", "equilibrium", "region"];
 
@@ -136,12 +135,6 @@ impl<'a> Reader<'a> {
                 if let Some(section) = self.table(value, span, &format!("[{name}]")) {
                     sections.insert(known, section);
                 }
-            } else if LATER.contains(&name) {
-                self.report(Problem::at(
-                    span,
-                    format!("[{name}] is not supported by this version"),
-                    "remove this",
-                ));
             } else {
                 let help = did_you_mean(name, known.clone().chain(["title"]))
                     .unwrap_or_else(|| format!("sections: {}", known.collect::<Vec<_>>().join(", ")));
@@ -275,6 +268,8 @@ impl<'a> Reader<'a> {
             finite: cost.finite,
             fitted: sections.get("feedback").map(law_names).unwrap_or_default(),
         };
+        let attenuation =
+            (sections.get("attenuation")).and_then(|s| self.attenuation(s, &declared, region.as_deref(), cost.finite));
         let study = sections.get("study").and_then(|s| self.study(s, &scope));
         let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));
         Some(Model {
@@ -300,6 +295,7 @@ impl<'a> Reader<'a> {
             report,
             closed_loop,
             study,
+            attenuation,
             integrator,
         })
     }

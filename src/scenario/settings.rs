@@ -170,27 +170,34 @@ impl<'a> Reader<'a> {
         states: &[Declared<'a>],
         reference: Option<&[f64]>,
     ) -> Option<Homotopy> {
-        self.entries_of(section, states, "states");
-        let mut axes = Vec::with_capacity(states.len());
-        for (i, state) in states.iter().enumerate() {
-            axes.push(match section.get(state.name) {
-                Some(value) => self.axis(value, &shorten(state.name)),
-                None => reference.and_then(|r| r.get(i)).map(|&x| GridAxis::Fixed(x)),
-            });
-        }
-        let axes = axes.into_iter().collect::<Option<Vec<_>>>()?;
-        let points = axes.iter().map(|a| match a {
-            GridAxis::Fixed(_) => 1.0,
-            GridAxis::Range { count, .. } => *count as f64,
-        });
-        self.grid_size(section, points.product())?;
+        let fixed = |i: usize| reference.and_then(|r| r.get(i)).map(|&x| GridAxis::Fixed(x));
+        let axes = self.grid_axes(section, states, &fixed)?;
+        self.grid_size(section, grid_points(&axes))?;
         Some(Homotopy {
             axes,
             span: section.span.clone(),
         })
     }
 
-    fn grid_size(&mut self, section: &Section<'a>, points: f64) -> Option<()> {
+    /// One axis a state; `default` is that of a state which the section does not name.
+    pub fn grid_axes(
+        &mut self,
+        section: &Section<'a>,
+        states: &[Declared<'a>],
+        default: &dyn Fn(usize) -> Option<GridAxis>,
+    ) -> Option<Vec<GridAxis>> {
+        self.entries_of(section, states, "states");
+        let axes: Vec<Option<GridAxis>> = (states.iter().enumerate())
+            .map(|(i, state)| match section.get(state.name) {
+                Some(value) => self.axis(value, &shorten(state.name)),
+                None => default(i),
+            })
+            .collect();
+        axes.into_iter().collect()
+    }
+
+    /// Refuses a grid of too many points.
+    pub fn grid_size(&mut self, section: &Section<'a>, points: f64) -> Option<()> {
         if points <= MOST_POINTS {
             return Some(());
         }
@@ -321,6 +328,15 @@ impl<'a> Reader<'a> {
             self.report(problem.with_help("remove step, or write method = \"rk4\""));
         }
     }
+}
+
+/// Points of a grid.
+pub(super) fn grid_points(axes: &[GridAxis]) -> f64 {
+    let of = |a: &GridAxis| match a {
+        GridAxis::Fixed(_) => 1.0,
+        GridAxis::Range { count, .. } => *count as f64,
+    };
+    axes.iter().map(of).product()
 }
 
 /// Points along each axis of a map that does not say: some thousands in all.

@@ -23,6 +23,6 @@ pub use extremal::Extremal;
 pub use fold::Fold;
 pub use sampled::sampled;
 pub use solve::{Answers, Entry, EqualCost, Request, guess_seeds, solve, solver, spaced};
-pub use states::{StatesError, solve_states};
+pub use states::{StatesError, solve_states, solve_states_folding};
 pub use survey::{Miss, PointStatus, Progress, Survey, Wanted};
 pub use targets::{Grid, Targets};

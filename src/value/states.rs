@@ -5,7 +5,7 @@ use crate::backend::{Backend, BackendError};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::shooting::Solver;
-use crate::sweep::{Choices, Plan, PlanError, sweep_keeping};
+use crate::sweep::{Choices, FoldPoint, Plan, PlanError, sweep_keeping};
 
 /// Why states could not be solved for.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +28,22 @@ pub fn solve_states(
     states: &[f64],
     progress: Progress<'_>,
 ) -> Result<(Plan, Solver, Answers), StatesError> {
+    let (plan, solver, found, _) = solve_states_folding(model, hamiltonian, backend, choices, states, progress)?;
+    Ok((plan, solver, found))
+}
+
+/// As [`solve_states`], and where the sweep for first guesses met folds.
+///
+/// # Errors
+/// Those of [`solve_states`].
+pub fn solve_states_folding(
+    model: &Model,
+    hamiltonian: &Hamiltonian,
+    backend: &dyn Backend,
+    choices: Choices,
+    states: &[f64],
+    progress: Progress<'_>,
+) -> Result<(Plan, Solver, Answers, Vec<FoldPoint>), StatesError> {
     let n = model.states.len();
     let choices = Choices {
         inner_levels: true,
@@ -37,7 +53,7 @@ pub fn solve_states(
     };
     let plan = Plan::new(model, hamiltonian, backend, choices)?;
     let mut archive = Archive::new(&plan);
-    sweep_keeping::<BackendError>(
+    let swept = sweep_keeping::<BackendError>(
         &plan,
         backend,
         &mut |_, _| {},
@@ -50,5 +66,5 @@ pub fn solve_states(
         ..Request::default()
     };
     let found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
-    Ok((plan, solver, found))
+    Ok((plan, solver, found, swept.folds))
 }

@@ -1,5 +1,6 @@
 //! Each picture: what it needs of the file, and how it is drawn.
 
+mod attenuation;
 mod bands;
 mod boundary;
 mod closed_loop;
@@ -12,6 +13,8 @@ mod slices;
 mod speed;
 mod surface;
 
+pub use attenuation::key_figure as attenuation_figure;
+
 use super::{Picture, Source};
 
 /// What a picture's maker gives: a picture, none where the file has no data for it, or why it cannot be made.
@@ -19,12 +22,14 @@ type Made = Result<Option<Picture>, String>;
 type Maker = fn(&Source<'_>) -> Made;
 
 /// Pictures by the names of their files, in the page's order.
-const BEFORE: [(&str, Maker); 5] = [
+const BEFORE: [(&str, Maker); 7] = [
     ("phase", phase::picture),
     ("contours", contours::picture),
     ("surface", surface::picture),
     ("slice", slices::picture),
     ("histories", histories::picture),
+    ("coverage", attenuation::coverage),
+    ("validity", attenuation::validity),
 ];
 /// Those after the maps of closed loops.
 const AFTER: [(&str, Maker); 3] = [
@@ -36,6 +41,12 @@ const AFTER: [(&str, Maker); 3] = [
 /// Whether a file's name (without its kind) is that of a picture.
 pub fn is_picture(name: &str) -> bool {
     BEFORE.iter().chain(&AFTER).any(|(n, _)| *n == name) || name.starts_with("closed_loop_")
+}
+
+/// One picture by its name.
+pub fn named(source: &Source<'_>, name: &str) -> Made {
+    let maker = BEFORE.iter().chain(&AFTER).find(|(n, _)| *n == name);
+    maker.map_or(Ok(None), |(_, make)| make(source))
 }
 
 /// All pictures that the file has data for, in the page's order; and those that could not be made.

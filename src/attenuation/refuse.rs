@@ -1,0 +1,47 @@
+//! A scene whose level of attenuation is below what its linearization allows is refused, with what would be allowed.
+
+use crate::hamiltonian::Hamiltonian;
+use crate::local::{Cause, LocalError, Riccati};
+use crate::model::{Horizon, Model};
+use crate::scenario::{Problem, ScenarioErrors};
+
+/// The refusal of a game whose linearization has no solution because of its level; `None` where it has one, or lacks it for
+/// another reason (which the local solution's own error tells).
+pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioErrors> {
+    let Horizon::Infinite { span, .. } = &model.horizon else {
+        return None;
+    };
+    if model.disturbances.is_empty() {
+        return None;
+    }
+    let error = Riccati::solve(hamiltonian, model).err()?;
+    let Some(asked) = &model.attenuation else {
+        let told = matches!(
+            error,
+            LocalError::ImaginaryAxis { .. } | LocalError::BelowAttenuation { .. }
+        );
+        let problem = Problem::at(span.clone(), error.to_string(), "linearized here")
+            .with_help("name the parameter that is its level in [attenuation], to be told the smallest one allowed");
+        return told.then(|| ScenarioErrors::new(model, vec![problem]));
+    };
+    let (name, own) = (&asked.parameter, model.parameter(&asked.parameter)?);
+    // Where there is no gamma*, the reason for that is more than this refusal could say.
+    let linear = super::linear(model, asked).ok()?;
+    if linear.cause == Cause::None || own >= linear.star {
+        return None;
+    }
+    let set = model.overrides.iter().rev().find(|(n, _)| n == name);
+    let from = set.map_or_else(String::new, |(n, v)| format!(" (--set {n}={v})"));
+    let message = format!(
+        "{name} = {own}{from} is below {name}* = {:.10}, the smallest level of attenuation that the linearization allows",
+        linear.star
+    );
+    let problem = Problem {
+        message,
+        // What --set replaces is not to blame.
+        span: set.is_none().then(|| asked.parameter_span.clone()),
+        label: format!("must be above {:.10}", linear.star),
+        help: Some(format!("{name}*: {}", linear.cause.explained())),
+    };
+    Some(ScenarioErrors::new(model, vec![problem]))
+}
