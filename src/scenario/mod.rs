@@ -7,6 +7,7 @@
 mod build;
 mod closed_loop;
 mod declare;
+mod dissipation;
 mod equations;
 mod equilibrium;
 mod feedback;
