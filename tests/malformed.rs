@@ -175,6 +175,11 @@ fn closed_loops() {
 }
 
 #[test]
+fn dissipation() {
+    check(include_str!("malformed/dissipation.cases"));
+}
+
+#[test]
 fn toml_itself() {
     check(include_str!("malformed/toml.cases"));
 }

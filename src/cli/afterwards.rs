@@ -2,12 +2,12 @@
 //!
 //! Until then the result has a hidden name of its own, so that a run which is killed leaves nothing under the final one.
 
-use super::evaluate::{self, Wanted};
+use super::evaluate::{self, Sources, Wanted};
 use super::fit::{Beside, fit_laws};
 use super::report::Terminal;
-use super::{CliError, fit};
+use super::{CliError, dissipation, fit};
 use crate::backend::Backend;
-use crate::closed_loop::{Available, GROUPS, Laws};
+use crate::closed_loop::{self, Available, GROUPS, Laws};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::output::{OutputError, ResultFile, Stored};
@@ -57,7 +57,7 @@ impl Drop for Draft {
 
 /// Whether anything is left to do when a scene has been swept and solved.
 pub(super) fn wanted(model: &Model) -> bool {
-    !model.feedback.is_empty() || model.closed_loop.is_some()
+    !model.feedback.is_empty() || model.closed_loop.is_some() || model.dissipation.is_some()
 }
 
 /// Finds mistakes in the scene's laws before a long run does.
@@ -82,7 +82,7 @@ pub(super) fn laws(
     choices: Choices,
     terminal: &Terminal,
 ) -> Result<serde_json::Value, CliError> {
-    let mut done = serde_json::json!({ "feedback": null, "closed_loop": null });
+    let mut done = serde_json::json!({ "feedback": null, "closed_loop": null, "dissipation": null });
     if !model.feedback.is_empty() {
         let stored = Stored::open(draft.hidden())?;
         match fit_laws(
@@ -99,20 +99,33 @@ pub(super) fn laws(
             Err(e) => terminal.note(&format!("no law was fitted: {e}")),
         }
     }
+    if model.closed_loop.is_none() && model.dissipation.is_none() {
+        return Ok(done);
+    }
+    let stored = Stored::open(draft.hidden())?;
+    let wanted = Wanted {
+        choices,
+        ..Wanted::default()
+    };
+    let (from, scene) = (Sources::new(Some(&stored), &wanted, terminal)?, (model, hamiltonian));
     if model.closed_loop.is_some() {
-        let stored = Stored::open(draft.hidden())?;
         let mut file = ResultFile::extend(draft.hidden(), &GROUPS)?;
-        let wanted = Wanted {
-            choices,
-            ..Wanted::default()
-        };
-        let scene = (model, hamiltonian);
-        match evaluate::perform(Some(&stored), scene, &wanted, backend, terminal, &mut file) {
+        match evaluate::perform(&from, scene, &wanted, backend, terminal, &mut file) {
             Ok((evaluation, _)) => {
                 file.finish()?;
                 done["closed_loop"] = evaluate::as_json(&evaluation, &draft.path);
             }
             Err(e) => terminal.note(&format!("no closed loop was simulated: {e}")),
+        }
+    }
+    if model.dissipation.is_some() {
+        let mut file = ResultFile::extend(draft.hidden(), &closed_loop::dissipation::GROUPS)?;
+        match dissipation::perform(&from, scene, &wanted, backend, terminal, &mut file) {
+            Ok(check) => {
+                file.finish()?;
+                done["dissipation"] = dissipation::as_json(&check);
+            }
+            Err(e) => terminal.note(&format!("the dissipation inequality was not checked: {e}")),
         }
     }
     Ok(done)

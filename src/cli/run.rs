@@ -147,7 +147,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     if let Some(draft) = draft {
         let scene = (&model, &hamiltonian);
         let laws = afterwards::laws(&draft, scene, backend.as_ref(), choices, &terminal)?;
-        for key in ["feedback", "closed_loop"] {
+        for key in ["feedback", "closed_loop", "dissipation"] {
             summary[key] = laws[key].clone();
         }
         draft.publish()?;

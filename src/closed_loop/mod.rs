@@ -5,8 +5,10 @@
 //! are followed to their extrema between samples; [`Evaluation`] says what came of it.
 
 mod choose;
+pub mod dissipation;
 mod equations;
 mod evaluation;
+mod forcing;
 mod initial;
 mod law;
 mod record;
@@ -30,7 +32,7 @@ use crate::map::ValueMap;
 use crate::model::{ClosedLoop, Horizon, Model};
 use crate::sweep::{Choices, GUARD_STATUS, Numerics, PlanError};
 use nalgebra::DMatrix;
-use simulate::Simulator;
+use simulate::{Simulator, Starts};
 use std::time::Instant;
 
 /// A value function that is known around states: what the law of a value map is taken from.
@@ -38,6 +40,11 @@ pub trait Chart: Sync {
     /// V, its gradient and its second derivatives at a state; `None` where they are not known. A state with a period may be
     /// any number of periods away.
     fn local(&self, x: &[f64]) -> Option<Expansion>;
+
+    /// Estimated error of V at a state; NaN where nothing is known of it.
+    fn uncertainty(&self, _x: &[f64]) -> f64 {
+        f64::NAN
+    }
 }
 
 /// V to the second order around a state.
@@ -57,6 +64,10 @@ impl Chart for ValueMap {
             p: here.p,
             hessian: here.hessian,
         })
+    }
+
+    fn uncertainty(&self, x: &[f64]) -> f64 {
+        self.at(x).lowest.map_or(f64::NAN, |here| here.v_error)
     }
 }
 
@@ -82,6 +93,18 @@ pub enum LoopError {
     NoRange,
     #[error("the axis of `{axis}` has no count, which a grid needs (or give random = N)")]
     NoCount { axis: String },
+    #[error(
+        "V is not known: there is no value map, and the scene is not linear with a quadratic cost (or has no stabilizing P >= 0), where V would be exact without one"
+    )]
+    NoValue,
+    #[error(
+        "[dissipation] {key} = \"auto\" follows from the closed loop's eigenvalues, of which there are none here: give {key}"
+    )]
+    NoRates { key: &'static str },
+    #[error("[dissipation] amplitude = \"auto\" is the largest w* over the region, which is 0: give amplitude")]
+    NoAmplitude,
+    #[error("V is known at none of the initial states of [dissipation]")]
+    NoStates,
 }
 
 /// What all laws are simulated with.
@@ -202,9 +225,15 @@ impl<'s> Setting<'s> {
             return Err(LoopError::NoChart { law: law.name.clone() });
         }
         let clock = Instant::now();
-        let mut simulator = Simulator::new(self, law, backend)?;
+        let mut simulator = Simulator::new(self, law, None, backend)?;
         let compiled = clock.elapsed().as_secs_f64();
-        let mut flights = simulator.fly(&initial.x, &initial.kept(), chart)?;
+        let kept = initial.kept();
+        let starts = Starts {
+            x: &initial.x,
+            kept: &kept,
+            ..Starts::default()
+        };
+        let mut flights = simulator.fly(starts, chart, None)?;
         if law.charted {
             self.unwind(&mut simulator, initial, &mut flights, chart)?;
         }
@@ -231,7 +260,14 @@ impl<'s> Setting<'s> {
                 x.extend((from.iter().zip(&turns).zip(&self.periods)).map(|((x, k), p)| x - k * p.unwrap_or(0.0)));
             }
         }
-        let again = simulator.fly(&x, &[], chart)?;
+        let again = simulator.fly(
+            Starts {
+                x: &x,
+                ..Starts::default()
+            },
+            chart,
+            None,
+        )?;
         for (j, i) in moved.into_iter().enumerate() {
             flights.cost[i] = again.cost[j];
             flights.status[i] = again.status[j];

@@ -54,12 +54,10 @@ impl<'a> Reader<'a> {
         let final_time = self.auto_or_positive(section, "final_time");
         let period = (section.get("period")).and_then(|v| self.number_that(v, "period", "greater than 0", |v| v > 0.0));
         let samples = section.get("samples").and_then(|v| self.sample_count(v));
-        let amplitude = (section.get("amplitude").filter(|v| !is_auto(v)))
-            .and_then(|v| self.amplitudes(v, section, scope));
+        let amplitude =
+            (section.get("amplitude").filter(|v| !is_auto(v))).and_then(|v| self.amplitudes(v, section, scope));
         let frequencies = (section.get("frequencies").filter(|v| !is_auto(v))).and_then(|v| self.band(v));
-        let initial = section
-            .get("initial")
-            .and_then(|_| self.starts(section, scope, false));
+        let initial = section.get("initial").and_then(|_| self.starts(section, scope, false));
         let given: Vec<&str> = match closed_loop.and_then(|s| s.get("law")).map(|v| v.get_ref()) {
             Some(DeValue::Table(table)) => table.keys().map(|k| k.get_ref().as_ref()).collect(),
             _ => Vec::new(),
