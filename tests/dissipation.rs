@@ -375,7 +375,7 @@ fn backends_and_precisions_agree() {
                     both.map(|(a, b)| (a - b).abs() / (1.0 + b.abs())).fold(0.0, f64::max)
                 };
                 let worst = [pairs(|l| &l.done), pairs(|l| &l.supplied), pairs(|l| &l.ratio)];
-                println!("{} {precision:?}: {worst:.1e?} of {allowed:.0e}", backend.name());
+                println!("{} {precision:?}: {worst:?} of {allowed:.0e}", backend.name());
                 assert!(
                     worst.iter().all(|w| *w <= allowed),
                     "{} {precision:?}: {worst:?}",
