@@ -123,7 +123,7 @@ fn variant(
         records: vec![f64::NAN; asked.records.len()],
         trajectory: None,
     };
-    let Some(entry) = found.lowest(target) else {
+    let Some(entry) = found.answer(target) else {
         return Ok(row);
     };
     row.value = entry.value;

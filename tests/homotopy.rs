@@ -32,7 +32,7 @@ fn manufactured_value_at_every_target() {
     assert_eq!(answers.sheets, 1);
     for target in 0..answers.targets.len() {
         let x = answers.targets.state(target);
-        let entry = answers.lowest(target).expect("solved");
+        let entry = answers.answer(target).expect("solved");
         let (v, p) = manufactured(x[0], x[1]);
         assert!(
             (entry.value - v).abs() <= PROMISED * v,
@@ -108,7 +108,7 @@ fn finite_horizon() {
     let answers = swept.grid(axes);
     for target in 0..answers.targets.len() {
         let x = answers.targets.state(target);
-        let entry = answers.lowest(target).expect("solved");
+        let entry = answers.answer(target).expect("solved");
         let (y, v) = (x[0] + x[1] * tau, x[1]);
         let d = (tau.powi(3) / 3.0 + 1.0 / s) * (tau + 1.0 / s) - tau.powi(4) / 4.0;
         let (a, b, c) = (
@@ -402,8 +402,8 @@ fn gpu_drafts_end_as_f64_answers() {
         );
         for target in 0..exact.targets.len() {
             let (a, b) = (
-                drafted.lowest(target).expect("solved"),
-                exact.lowest(target).expect("solved"),
+                drafted.answer(target).expect("solved"),
+                exact.answer(target).expect("solved"),
             );
             assert!(
                 (a.value - b.value).abs() <= PROMISED * b.value,

@@ -115,7 +115,7 @@ fn a_symmetric_pendulum_is_torn_at_the_top() {
     // (theta, omega) -> (-theta, -omega).
     for target in 0..answers.targets.len() {
         let mirrored = answers.targets.len() - 1 - target;
-        let (a, b) = (answers.lowest(target), answers.lowest(mirrored));
+        let (a, b) = (answers.answer(target), answers.answer(mirrored));
         let (a, b) = (a.expect("solved"), b.expect("solved"));
         assert!(
             (a.value - b.value).abs() <= 1e-8 * a.value.max(1e-300),
@@ -187,7 +187,7 @@ fn a_map_shares_its_sheets_with_the_points() {
     let mut sheets_on_map = std::collections::BTreeSet::new();
     for k in 43..answers.targets.of_given.len() {
         let target = answers.targets.of_given[k];
-        match answers.lowest(target) {
+        match answers.answer(target) {
             Some(e) => {
                 sheets_on_map.insert(e.sheet);
             }
@@ -195,7 +195,7 @@ fn a_map_shares_its_sheets_with_the_points() {
         }
     }
     let on_slice: std::collections::BTreeSet<i32> = (0..43)
-        .filter_map(|k| Some(answers.lowest(answers.targets.of_given[k])?.sheet))
+        .filter_map(|k| Some(answers.answer(answers.targets.of_given[k])?.sheet))
         .collect();
     assert!(on_slice.is_subset(&sheets_on_map), "{on_slice:?} {sheets_on_map:?}");
     assert!(answers.sheets <= 4, "{} sheets", answers.sheets);

@@ -82,11 +82,8 @@ impl Work {
     /// The integrated vector at a parameter; `None` outside the guards.
     pub fn seed(&self, parameter: &[f64]) -> Option<Vec<f64>> {
         let surface = &self.plan.surface;
-        let mut seed = surface.seed(&surface.nudged(parameter.to_vec()));
-        let inside = surface.inside(&seed);
-        // Arc length, where it is integrated, starts from 0.
-        seed.resize(self.plan.spec.dim(), 0.0);
-        inside.then_some(seed)
+        let seed = surface.seed(&surface.nudged(parameter.to_vec()));
+        surface.inside(&seed).then(|| self.plan.start(&seed))
     }
 
     pub fn count(&self) -> usize {

@@ -80,6 +80,9 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         Ok(())
     })?;
     drop(writer);
+    if stored {
+        file.caustic(&schema, &swept.folds)?;
+    }
     if swept.trajectories == 0 {
         return Err(CliError::NothingSwept {
             outside: swept.coverage.outside_guards,
@@ -97,7 +100,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
             && solve.trajectories
         {
             let entries: Vec<_> = (0..wanted.points())
-                .filter_map(|k| found.lowest(found.targets.of_given[k]))
+                .filter_map(|k| found.answer(found.targets.of_given[k]))
                 .collect();
             let block = value::sampled(&plan, &mut solver, &entries, solve.samples)?;
             let schema = TrajectorySchema {

@@ -22,6 +22,6 @@ pub fn solved_values(
 ) -> Result<Vec<f64>, LoopError> {
     let (_, _, found) = value::solve_states(model, hamiltonian, backend, choices, states, progress)?;
     Ok((0..states.len() / model.states.len())
-        .map(|k| found.lowest(found.targets.of_given[k]).map_or(f64::NAN, |e| e.value))
+        .map(|k| found.answer(found.targets.of_given[k]).map_or(f64::NAN, |e| e.value))
         .collect())
 }

@@ -6,8 +6,10 @@
 //! (Hardt 1999, chapter V).
 
 mod optimal;
+mod slope;
 mod system;
 
+pub use slope::Slope;
 pub use system::{GuardExpr, Observer, System, Terminal};
 
 use crate::expr::{Graph, Id, Kind};

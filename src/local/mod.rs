@@ -3,6 +3,7 @@
 mod riccati;
 mod seeds;
 mod series;
+mod shape;
 
 pub(crate) use riccati::eigenvalues_of;
 pub use riccati::{Riccati, closed_loop_margin, show_eigenvalue};

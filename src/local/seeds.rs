@@ -1,6 +1,7 @@
 //! Seeds: points of the stable manifold on a small ellipsoid about the equilibrium.
 
 use super::series::{Basis, Equation};
+use super::shape::shape;
 use super::{LocalError, Riccati};
 use crate::hamiltonian::System;
 use crate::model::{Model, SeedValue};
@@ -28,11 +29,12 @@ pub struct SeedChoice {
     pub outer: f64,
 }
 
-/// V and p near the equilibrium, and the ellipsoid `s'Ps/2 = seed_value` on which the sweep starts.
+/// V and p near the equilibrium, and the ellipsoid `s'Ss/2 = seed_value` on which the sweep starts: S is P but where V falls
+/// along some trajectories of a game (see `shape`).
 #[derive(Clone, Debug)]
 pub struct LocalSolution {
     pub riccati: Riccati,
-    /// `s = t z` with `t'Pt = I`.
+    /// `s = t z` with `t'St = I`.
     t: DMatrix<f64>,
     /// `p = t^-T dV/dz`.
     to_adjoint: DMatrix<f64>,
@@ -60,7 +62,9 @@ impl LocalSolution {
     /// [`LocalError`]; `SeedTooLarge` where a given seed value leads out of the range of the local solution.
     pub fn new(system: &System, model: &Model, riccati: Riccati, choice: SeedChoice) -> Result<Self, LocalError> {
         let n = system.states;
-        let factor = riccati.p.clone().cholesky().ok_or(LocalError::NoSolution {
+        let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
+        let shape = shape(&riccati, &widths).unwrap_or_else(|| riccati.p.clone());
+        let factor = shape.cholesky().ok_or(LocalError::NoSolution {
             reason: "P has no Cholesky factor".into(),
         })?;
         let l = factor.l();
@@ -78,7 +82,7 @@ impl LocalSolution {
             hamiltonian: system.observer.hamiltonian,
             inputs: &system.inputs,
         };
-        let (value, known) = equation.expand(&basis, &t, &riccati.closed_loop);
+        let (value, known) = equation.expand(&basis, &t, &riccati);
 
         let sizes = part_sizes(&basis, &value, n);
         let limit = range_limit(system, model, &riccati, &t, choice.ceiling);
@@ -166,7 +170,7 @@ impl LocalSolution {
         0.5 * radius * radius
     }
 
-    /// Estimated error of V at a place where the quadratic V is `value`.
+    /// Estimated error of V on the ellipsoid `s'Ss/2 = value`.
     pub fn error_where(&self, value: f64) -> f64 {
         let radius = (2.0 * value).sqrt();
         (self.neglected.iter())
@@ -199,13 +203,13 @@ impl LocalSolution {
         )
     }
 
-    /// `s'Ps/2`.
+    /// `s'Ss/2`, by which the range of the local solution is told. At least `s'Ps/2`; the same but in some games.
     pub fn quadratic(&self, s: &[f64]) -> f64 {
         let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
         0.5 * z.norm_squared()
     }
 
-    /// The seed `(s, p, V)` for a direction (a unit vector in the coordinates where P is the identity) in which the
+    /// The seed `(s, p, V)` for a direction (a unit vector in the coordinates where S is the identity) in which the
     /// linearized trajectory passes the outer ellipsoid.
     ///
     /// The modes of the closed loop grow at different rates backward in time, so that most of a front far out comes from
@@ -236,7 +240,7 @@ impl LocalSolution {
     }
 }
 
-/// The linear closed loop in coordinates where V is `|z|^2 / 2`.
+/// The linear closed loop in coordinates where `s'Ss` is `|z|^2`.
 #[derive(Clone, Debug)]
 struct Flow {
     rate: DMatrix<f64>,
@@ -281,7 +285,7 @@ impl Flow {
         sum
     }
 
-    /// The point where the trajectory from a direction on the outer sphere meets the inner sphere. V never rises along
+    /// The point where the trajectory from a direction on the outer sphere meets the inner sphere. `|z|` never rises along
     /// the flow: the longest steps that stay outside come first, Newton's method finds the rest of the time.
     fn inward(&self, direction: &[f64]) -> Vec<f64> {
         let norm = |z: &[f64]| z.iter().map(|x| x * x).sum::<f64>().sqrt();

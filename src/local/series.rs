@@ -3,6 +3,7 @@
 //! V is sought as a sum of homogeneous polynomials V_2 + V_3 + ...; the degree-k part of H(s, dV/ds) = 0 is a linear
 //! equation for V_k (E. G. Al'brekht, On the optimal stabilization of nonlinear systems, J. Appl. Math. Mech. 25, 1961).
 
+use super::Riccati;
 use crate::expr::{Fun, Graph, Id, Kind, Op};
 use nalgebra::{DMatrix, DVector};
 use std::collections::HashMap;
@@ -200,20 +201,23 @@ impl Equation<'_> {
         result.into_iter().next().unwrap_or_else(|| basis.zero())
     }
 
-    /// Coefficients of V in coordinates z, `s = t z` with `t'Pt = I`, through the basis's degree. Stops early, at the
+    /// Coefficients of V in coordinates z, `s = t z`, through the basis's degree. Stops early, at the
     /// degree returned, where the equations have no series (a kink at the equilibrium).
-    pub fn expand(&self, basis: &Basis, t: &DMatrix<f64>, closed_loop: &DMatrix<f64>) -> (Vec<f64>, usize) {
+    pub fn expand(&self, basis: &Basis, t: &DMatrix<f64>, riccati: &Riccati) -> (Vec<f64>, usize) {
         let n = basis.variables;
+        let quadratic = rounded_identity(t.transpose() * &riccati.p * t);
         let mut v = basis.zero();
-        for i in basis.start[2]..basis.start[3] {
-            if basis.exponents[i].contains(&2) {
-                v[i] = 0.5;
+        for k in basis.start[2]..basis.start[3] {
+            let e = &basis.exponents[k];
+            let mut factors = (0..n).flat_map(|i| (0..e[i]).map(move |_| i));
+            if let (Some(i), Some(j)) = (factors.next(), factors.next()) {
+                v[k] = if i == j { 0.5 } else { 1.0 } * quadratic[(i, j)];
             }
         }
         let Some(inverse) = t.clone().try_inverse() else {
             return (v, 2);
         };
-        let rate = &inverse * closed_loop * t;
+        let rate = &inverse * &riccati.closed_loop * t;
         for k in 3..=basis.degree {
             let q = basis.gradient(&v);
             let mut inputs = HashMap::new();
@@ -242,6 +246,17 @@ impl Equation<'_> {
             }
         }
         (v, basis.degree)
+    }
+}
+
+/// Where t comes of P itself, `t'Pt` is the identity but for rounding.
+fn rounded_identity(m: DMatrix<f64>) -> DMatrix<f64> {
+    const ROUNDING: f64 = 1e-9;
+    let identity = DMatrix::identity(m.nrows(), m.ncols());
+    if (&m - &identity).amax() <= ROUNDING {
+        identity
+    } else {
+        m
     }
 }
 

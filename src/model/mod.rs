@@ -97,8 +97,24 @@ pub struct ShootOut {
     pub max_seeds: usize,
     /// How far outside the region a trajectory is followed, as a fraction of the region's width on each side.
     pub margin: f64,
+    /// What stored points are levels of; `None`: V where it is monotone along trajectories.
+    pub sample_by: Option<SampleBy>,
+    /// Longest trajectory where points are levels of arc length, in widths of the region.
+    pub arc_length: f64,
+    /// Whether trajectories end where the manifold folds, which in a game they always do.
+    pub folds: bool,
     pub span: Span,
 }
+
+/// What the stored points of a trajectory on an infinite horizon are levels of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SampleBy {
+    Value,
+    ArcLength,
+}
+
+/// Length of a trajectory sampled by arc length unless `[shoot_out] arc_length` says otherwise.
+pub const DEFAULT_ARC_LENGTH: f64 = 8.0;
 
 /// Largest number of seeds unless `[shoot_out] max_seeds` says otherwise.
 pub const DEFAULT_MAX_SEEDS: usize = 100_000;
@@ -379,6 +395,11 @@ pub struct Model {
 }
 
 impl Model {
+    /// Whether there is a disturbance, and H = min max.
+    pub fn is_game(&self) -> bool {
+        !self.disturbances.is_empty()
+    }
+
     /// Value of every parameter symbol.
     pub fn parameter_values(&self) -> std::collections::HashMap<Id, f64> {
         self.parameters.iter().map(|p| (p.symbol, p.value)).collect()

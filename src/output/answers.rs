@@ -76,6 +76,12 @@ impl<'a> Names<'a> {
         &self.control_unit
     }
 
+    pub fn costate(&self, name: &str, dims: &[&str]) -> Variable {
+        Variable::f64(name, dims.iter().copied())
+            .unit(&self.costate_unit)
+            .long_name("costate")
+    }
+
     pub fn state(&self, name: &str, dims: &[&str], what: &str) -> Variable {
         Variable::f64(name, dims.iter().copied())
             .unit(&self.state_unit)
@@ -165,7 +171,7 @@ impl ResultFile {
         let (mut iterations, mut sheets) = (Vec::new(), Vec::new());
         let (mut residual, mut h) = (Vec::new(), Vec::new());
         for &target in given {
-            let entry = answers.lowest(target);
+            let entry = answers.answer(target);
             columns.push(&names, entry, answers.status(target));
             let state = answers.targets.state(target);
             x0.extend_from_slice(state);
@@ -273,7 +279,7 @@ impl ResultFile {
         let mut columns = Columns::default();
         for k in 0..grid.len() {
             let target = answers.targets.of_given[first + k];
-            let lowest = answers.lowest(target);
+            let lowest = answers.answer(target);
             let entry = lowest.filter(|e| value_max.is_none_or(|most| e.value <= most));
             let status = match (lowest, entry) {
                 (Some(_), None) => PointStatus::AboveMax,
@@ -308,11 +314,7 @@ impl ResultFile {
         group = names.axes(group);
         group = group
             .variable(names.state("x", &["vertex", "state"], "state"))
-            .variable(
-                Variable::f64("p", ["vertex", "state"])
-                    .unit(&names.costate_unit)
-                    .long_name("costate"),
-            )
+            .variable(names.costate("p", &["vertex", "state"]))
             .variable(
                 Variable::f64("V", ["vertex"])
                     .unit(&names.cost)

@@ -30,6 +30,7 @@
 
 mod answers;
 mod attribute;
+mod caustic;
 mod dataset;
 mod error;
 mod file;

@@ -234,6 +234,18 @@ impl<'a> Reader<'a> {
         self.number_that(value, what, &wanted, fits).map(|v| v as usize)
     }
 
+    /// A truth value.
+    pub fn yes_or_no(&mut self, value: &'a Value<'a>, what: &str) -> Option<bool> {
+        match value.get_ref() {
+            DeValue::Boolean(value) => Some(*value),
+            _ => self.refuse(
+                value.span(),
+                format!("{what} must be true or false"),
+                "expected true or false",
+            ),
+        }
+    }
+
     /// One of the named choices.
     pub fn choice<T: Copy>(&mut self, value: &'a Value<'a>, what: &str, choices: &[(&str, T)]) -> Option<T> {
         let text = self.string(value, what)?;

@@ -207,7 +207,12 @@ impl<'a> Reader<'a> {
         let declared = self.declarations(&sections);
         let parameters = self.parameters(&declared.parameters, overrides);
         self.definitions(&declared.definitions);
-        let states = self.states(&declared.states);
+        let game = !declared.disturbances.is_empty();
+        let mut states = self.states(&declared.states);
+        // In a game the lower of V(x) and V(x + period) is no value: an angle counts as it is written.
+        if let (true, Some(states)) = (game, &mut states) {
+            states.iter_mut().for_each(|s| s.period = None);
+        }
         let controls = self.controls(&declared.controls);
         let disturbances = self.disturbances(&declared.disturbances);
         let dynamics = sections
@@ -245,7 +250,9 @@ impl<'a> Reader<'a> {
             }
         }
         let reference = reference(equilibrium.as_ref(), region.as_deref(), cost.finite);
-        let shoot_out = sections.get("shoot_out").and_then(|s| self.shoot_out(s, cost.finite));
+        let shoot_out = sections
+            .get("shoot_out")
+            .and_then(|s| self.shoot_out(s, cost.finite, game));
         let homotopy = sections
             .get("homotopy")
             .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));

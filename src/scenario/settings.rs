@@ -4,8 +4,8 @@ use super::declare::Declared;
 use super::reader::{Reader, Section, Value};
 use super::syntax_error::shorten;
 use crate::model::{
-    DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS, GridAxis, Homotopy, Integrator, MapGrid, Method, Precision,
-    SeedValue, Sheets, ShootOut,
+    DEFAULT_ARC_LENGTH, DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS, GridAxis, Homotopy, Integrator, MapGrid,
+    Method, Precision, SampleBy, SeedValue, Sheets, ShootOut,
 };
 use crate::scenario::Problem;
 use toml::de::DeValue;
@@ -21,6 +21,23 @@ pub const DEFAULT_ATOL_SHARE: f64 = 1e-3;
 
 /// Points of a grid.
 const MOST_POINTS: f64 = 2e6;
+
+const SHOOT_OUT_KEYS: [&str; 9] = [
+    "value_max",
+    "spacing",
+    "seed_value",
+    "samples",
+    "max_seeds",
+    "margin",
+    "sample_by",
+    "arc_length",
+    "folds",
+];
+const SAMPLE_BY: [(&str, Option<SampleBy>); 3] = [
+    ("value", Some(SampleBy::Value)),
+    ("arc_length", Some(SampleBy::ArcLength)),
+    ("auto", None),
+];
 
 const PRECISIONS: [(&str, Option<Precision>); 3] = [
     ("f32", Some(Precision::F32)),
@@ -63,12 +80,9 @@ impl<'a> Reader<'a> {
         Some([lower, upper])
     }
 
-    /// `[shoot_out]`; `finite`: the horizon is.
-    pub fn shoot_out(&mut self, section: &Section<'a>, finite: bool) -> Option<ShootOut> {
-        self.check_keys(
-            section,
-            &["value_max", "spacing", "seed_value", "samples", "max_seeds", "margin"],
-        );
+    /// `[shoot_out]`; `finite`: the horizon is; `game`: there are disturbances.
+    pub fn shoot_out(&mut self, section: &Section<'a>, finite: bool, game: bool) -> Option<ShootOut> {
+        self.check_keys(section, &SHOOT_OUT_KEYS);
         let before = self.problems.len();
         let positive = |v: f64| v > 0.0;
         let value_max = section
@@ -91,6 +105,18 @@ impl<'a> Reader<'a> {
         let margin = section
             .get("margin")
             .and_then(|v| self.number_that(v, "margin", "at least 0", |m| m >= 0.0));
+        let sample_by = (section.get("sample_by")).and_then(|v| self.sample_by(v, finite, game));
+        let arc_length = (section.get("arc_length")).and_then(|v| {
+            self.number_that(v, "arc_length", "greater than 0 and at most 1000", |a| {
+                a > 0.0 && a <= 1e3
+            })
+        });
+        let folds = section.get("folds").and_then(|v| self.yes_or_no(v, "folds"));
+        if let (true, Some(false)) = (game, folds) {
+            let message =
+                "with disturbances trajectories end where the manifold folds: behind a fold nothing is certified";
+            self.report(Problem::at(section.key_span("folds"), message, "remove this"));
+        }
         (self.problems.len() == before).then(|| ShootOut {
             value_max,
             spacing: spacing.unwrap_or(DEFAULT_SPACING),
@@ -98,8 +124,23 @@ impl<'a> Reader<'a> {
             samples: samples.unwrap_or(DEFAULT_SAMPLES),
             max_seeds: max_seeds.unwrap_or(DEFAULT_MAX_SEEDS),
             margin: margin.unwrap_or(DEFAULT_MARGIN),
+            sample_by,
+            arc_length: arc_length.unwrap_or(DEFAULT_ARC_LENGTH),
+            folds: folds.unwrap_or(false),
             span: section.span.clone(),
         })
+    }
+
+    fn sample_by(&mut self, value: &'a Value<'a>, finite: bool, game: bool) -> Option<SampleBy> {
+        let by = self.choice(value, "sample_by", &SAMPLE_BY)??;
+        let message = match by {
+            _ if finite => "with a final time the stored points are levels of time",
+            SampleBy::Value if game => {
+                "with disturbances V may fall and rise along a trajectory: its points are no levels of V"
+            }
+            _ => return Some(by),
+        };
+        self.refuse(value.span(), message, "remove this, or write \"auto\"")
     }
 
     fn seed_value(&mut self, section: &Section<'a>, value_max: Option<f64>, finite: bool) -> SeedValue {

@@ -126,7 +126,7 @@ pub fn estimate(plan: &Plan, sample: &Sample) -> Result<Accuracy, BackendError> 
     let clock = std::time::Instant::now();
     let mut reference = Reference::new(plan)?;
     let seeds: Vec<&[f64]> = sample.kept.iter().map(|k| k.seed.as_slice()).collect();
-    let again = reference.integrate(&seeds)?;
+    let again = reference.integrate(plan, &seeds)?;
     let mut comparison = Comparison::new(plan, sample, &again);
     comparison.values();
     if sample.levels > plan.inner {
@@ -177,7 +177,7 @@ impl Reference {
         })
     }
 
-    fn integrate(&mut self, seeds: &[&[f64]]) -> Result<Trajectories, BackendError> {
+    fn integrate(&mut self, plan: &Plan, seeds: &[&[f64]]) -> Result<Trajectories, BackendError> {
         let mut all = Trajectories {
             dim: self.dim,
             levels: self.run.levels.len(),
@@ -186,9 +186,7 @@ impl Reference {
         for chunk in seeds.chunks(batch_limit(self.dim, self.run.levels.len())) {
             let mut batch = Vec::with_capacity(chunk.len() * self.dim);
             for seed in chunk {
-                let end = batch.len() + self.dim;
-                batch.extend_from_slice(seed);
-                batch.resize(end, 0.0);
+                batch.extend(plan.start(seed));
             }
             let result = self.kernel.integrate(&self.run, &batch)?;
             all.end.extend(result.end);
@@ -315,7 +313,7 @@ impl<'a> Comparison<'a> {
             seeds.extend(near.into_iter().filter(|s| plan.surface.inside(s)));
             first.push(seeds.len());
         }
-        let near = reference.integrate(&seeds.iter().map(Vec::as_slice).collect::<Vec<_>>())?;
+        let near = reference.integrate(plan, &seeds.iter().map(Vec::as_slice).collect::<Vec<_>>())?;
         // Rates of (s, p): the manifold's tangent along the trajectory.
         let rates = Evaluator::new(&Program::lower(
             &plan.system.graph,

@@ -1,5 +1,6 @@
 //! Refinement of fronts: neighbours further apart than the spacing on any front get a seed between them.
 
+use super::caustic::FoldPoint;
 use super::complex::{Complex, Edge, Vertex, Waiting};
 use super::observe::Observed;
 use super::plan::Plan;
@@ -45,6 +46,8 @@ pub struct SweepReport {
     pub rounds: usize,
     /// Seconds in the backend.
     pub integrate_seconds: f64,
+    /// Where trajectories have ended in folds of the manifold.
+    pub folds: Vec<FoldPoint>,
     /// Some of the trajectories, drawn at random.
     pub sample: Sample,
 }
@@ -153,6 +156,7 @@ pub fn sweep_keeping<E: From<BackendError> + Send>(
         finished?;
         let mut report = fronts.finished();
         (report.drift, report.relative_drift, report.by_status) = (seen.drift, seen.relative_drift, seen.by_status);
+        report.folds = seen.folds;
         Ok(report)
     })
 }
@@ -163,6 +167,7 @@ struct Seen {
     drift: Vec<f64>,
     relative_drift: Vec<f64>,
     by_status: BTreeMap<i32, usize>,
+    folds: Vec<FoldPoint>,
 }
 
 /// Hands on what is reported of each batch.
@@ -170,6 +175,8 @@ fn observe<E>(plan: &Plan, observed: &Observed, batches: Receiver<Trajectories>,
     let mut seen = Seen::default();
     for batch in batches {
         let (block, relative) = observed.block(plan, &batch);
+        seen.folds
+            .extend(observed.folds(plan, &batch, &block.status, seen.drift.len()));
         seen.drift.extend_from_slice(&block.hamiltonian_drift);
         seen.relative_drift.extend(relative);
         for code in &block.status {
@@ -246,10 +253,7 @@ impl<'a> Fronts<'a> {
         for vertices in pending.chunks(batch_limit(dim, plan.run.levels.len())) {
             let mut seeds = Vec::with_capacity(vertices.len() * dim);
             for v in vertices {
-                let first = seeds.len();
-                seeds.extend_from_slice(&self.nodes[v].seed);
-                // Arc length, where it is integrated, starts from 0.
-                seeds.resize(first + dim, 0.0);
+                seeds.extend(plan.start(&self.nodes[v].seed));
             }
             let start = std::time::Instant::now();
             let batch = kernel.integrate(&plan.run, &seeds)?;

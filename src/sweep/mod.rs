@@ -2,6 +2,7 @@
 //! neighbours that part.
 
 pub mod accuracy;
+mod caustic;
 pub mod complex;
 mod fronts;
 mod observe;
@@ -11,9 +12,10 @@ pub mod stiffness;
 mod surface;
 
 pub use accuracy::{Accuracy, Spread};
+pub use caustic::FoldPoint;
 pub use fronts::{Coverage, Progress, SweepReport, sweep, sweep_keeping};
 pub use observe::Observed;
 pub(crate) use plan::MOST_OPERATIONS;
-pub use plan::{Choices, GUARD_STATUS, Numerics, Plan, PlanError, Sampling};
+pub use plan::{Choices, FOLD_STATUS, GUARD_STATUS, Numerics, Plan, PlanError, Sampling};
 pub use sample::{Kept, Sample, random};
 pub use surface::{Surface, holds as guard_holds};

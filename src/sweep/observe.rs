@@ -1,6 +1,7 @@
 //! From a backend's samples to what is stored: x, t as they happen, u, w, H.
 
-use super::plan::{GUARD_STATUS, Plan, Sampling};
+use super::caustic::{FoldPoint, Folds};
+use super::plan::{FOLD_STATUS, GUARD_STATUS, Plan, Sampling};
 use crate::backend::cpu::map::Evaluator;
 use crate::backend::{Status, Trajectories};
 use crate::output::TrajectoryBlock;
@@ -16,6 +17,7 @@ const AT_BOUNDARY: f64 = 1e-4;
 pub struct Observed {
     evaluator: Evaluator,
     guards: Option<Evaluator>,
+    folds: Option<Folds>,
     controls: usize,
     disturbances: usize,
 }
@@ -36,6 +38,7 @@ impl Observed {
         Self {
             evaluator: Evaluator::new(&program),
             guards,
+            folds: Folds::new(plan),
             controls: o.control.len(),
             disturbances: o.disturbance.len(),
         }
@@ -65,7 +68,7 @@ impl Observed {
             w: Vec::with_capacity(total * k),
             v: Vec::with_capacity(total),
             h: Vec::with_capacity(total),
-            status: self.statuses(batch),
+            status: self.statuses(plan, batch),
             sheet: vec![NO_SHEET; count],
             steps: batch.steps.iter().map(|s| *s as i32).collect(),
             rejected: batch.rejected.iter().map(|s| *s as i32).collect(),
@@ -105,16 +108,31 @@ impl Observed {
         (block, relative)
     }
 
+    /// The folds in which trajectories of a batch have ended, `status` being those of its block and `first` the index of its
+    /// first trajectory.
+    pub fn folds(&self, plan: &Plan, batch: &Trajectories, status: &[i32], first: usize) -> Vec<FoldPoint> {
+        let Some(folds) = &self.folds else { return Vec::new() };
+        (0..batch.count())
+            .filter(|i| status[*i] == FOLD_STATUS)
+            .filter_map(|i| folds.ahead(plan, batch, i, first + i))
+            .collect()
+    }
+
     /// Status codes; a guard's own where one ended the trajectory. Where the equations end with a guard (a root of what the
     /// guard keeps positive) no step gets beyond it, and the trajectory stops at the boundary for want of a finite step:
     /// that is the guard's doing too.
-    fn statuses(&self, batch: &Trajectories) -> Vec<i32> {
+    fn statuses(&self, plan: &Plan, batch: &Trajectories) -> Vec<i32> {
         let stopped = |s: Status| matches!(s, Status::NotFinite | Status::StepFloor);
         let code = |i: usize, s: Status| match &self.guards {
             Some(guards) if s == Status::Guard || stopped(s) => {
                 let (guard, share) = nearest_guard(guards, batch, i);
                 if s == Status::Guard || share <= AT_BOUNDARY {
-                    GUARD_STATUS + guard as i32
+                    // The fold's is the last of a plan's guards.
+                    if guard == plan.system.guards.len() {
+                        FOLD_STATUS
+                    } else {
+                        GUARD_STATUS + guard as i32
+                    }
                 } else {
                     s as i32
                 }

@@ -2,10 +2,12 @@
 
 use super::surface::Surface;
 use crate::backend::{Backend, By, Guards, Run, Spec, Status};
-use crate::hamiltonian::{Hamiltonian, System};
+use crate::expr::Kind;
+use crate::hamiltonian::{Hamiltonian, Slope, System};
 use crate::local::{LocalError, LocalSolution, Riccati, SeedChoice};
-use crate::model::{Horizon, Method, Model, Precision, SeedValue, ShootOut};
+use crate::model::{Horizon, Method, Model, Precision, SampleBy, SeedValue, ShootOut};
 use crate::program::Program;
+use crate::shooting::End;
 
 /// An explicit f64 needs no more than this tolerance to be asked for; above it f32 does.
 const F32_RTOL: f64 = 1e-5;
@@ -13,19 +15,19 @@ const F32_RTOL: f64 = 1e-5;
 const LEAST_RTOL: f64 = 4.0;
 /// Share of the tolerance that the seeds may use up.
 const SEED_SHARE: f64 = 0.1;
-/// Length of a trajectory, in widths of the region, where it is sampled by arc length.
-const ARC_LENGTH: f64 = 8.0;
+/// A trajectory along which V may fall again is given up at this many times `value_max`.
+const BEYOND_VALUE: f64 = 10.0;
 
 /// Status code of the first guard; the others follow.
 pub const GUARD_STATUS: i32 = 16;
+/// Status code of a trajectory that ends where the manifold folds.
+pub const FOLD_STATUS: i32 = 15;
 
 /// Why a scene cannot be swept.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     #[error("the scenario has no [shoot_out] section")]
     NoShootOut,
-    #[error("scenes with [disturbances] are derived and checked, but not yet swept")]
-    Game,
     #[error("{states} states: the surface of seeds is triangulated for at most {MOST_STATES}")]
     TooManyStates { states: usize },
     #[error("samples = {samples}: one trajectory's points would take {mebibytes} MiB")]
@@ -150,6 +152,13 @@ pub struct Plan {
     /// Region as deviations.
     pub region: Vec<[f64; 2]>,
     pub system: System,
+    /// Whether H is `min max`: then what is certified ends at folds and no sheet is better than another.
+    pub game: bool,
+    /// Where the slope's upper triangle begins in the integrated vector, if it is integrated.
+    pub slope: Option<usize>,
+    /// Scales of the slope's entries (row-major).
+    pub slope_units: Vec<f64>,
+    end: End,
     /// Seed of random choices.
     pub seed: u64,
 }
@@ -173,9 +182,6 @@ impl Plan {
         shoot_out.max_seeds = choices
             .max_seeds
             .map_or(shoot_out.max_seeds, |m| m.min(shoot_out.max_seeds));
-        if !model.disturbances.is_empty() {
-            return Err(PlanError::Game);
-        }
         let n = model.states.len();
         let limit = if matches!(model.horizon, Horizon::Finite { .. }) {
             MOST_STATES - 3
@@ -212,8 +218,12 @@ impl Plan {
         let periodic: Vec<bool> = model.states.iter().map(|s| s.period.is_some()).collect();
         let sampling = match model.horizon {
             Horizon::Finite { .. } => Sampling::Time,
-            Horizon::Infinite { .. } if value_is_monotone(&system, &region) => Sampling::Value,
-            Horizon::Infinite { .. } => Sampling::ArcLength,
+            Horizon::Infinite { .. } => match shoot_out.sample_by {
+                Some(SampleBy::Value) => Sampling::Value,
+                Some(SampleBy::ArcLength) => Sampling::ArcLength,
+                None if !model.is_game() && value_is_monotone(&system, &region) => Sampling::Value,
+                None => Sampling::ArcLength,
+            },
         };
         let value_max = shoot_out.value_max.unwrap_or(f64::INFINITY);
         let samples = shoot_out.samples;
@@ -237,8 +247,19 @@ impl Plan {
             }
         };
 
+        let game = model.is_game();
+        let end = End::new(&system, local.as_ref());
+        let slope_units = slope_units(&end, &widths, value_scale);
+        let folds = (game || shoot_out.folds).then(|| {
+            let mut graph = system.graph.clone();
+            let slope = Slope::new(&mut graph, &system, &slope_units);
+            (graph, slope)
+        });
         let mut rate = system.rate.clone();
+        // What is integrated beside (s, p) depends on them alone, but for the slope.
+        let mut inputs = system.inputs.clone();
         let value = 2 * n;
+        let ceiling = (value, if game { BEYOND_VALUE * value_max } else { value_max });
         let steps = |end: f64| {
             (1..=samples)
                 .map(|k| end * k as f64 / samples as f64)
@@ -248,15 +269,11 @@ impl Plan {
             Sampling::Value => (By::Component(value), steps(value_max), None),
             Sampling::Time => {
                 let time = system.terminal.as_ref().map_or(0.0, |t| t.time);
-                (
-                    By::Time,
-                    steps(time),
-                    value_max.is_finite().then_some((value, value_max)),
-                )
+                (By::Time, steps(time), value_max.is_finite().then_some(ceiling))
             }
             Sampling::ArcLength => {
                 rate.push(system.arc_rate);
-                (By::Component(value + 1), steps(ARC_LENGTH), Some((value, value_max)))
+                (By::Component(value + 1), steps(shoot_out.arc_length), Some(ceiling))
             }
         };
         let seed_value = local.as_ref().map_or(0.0, |l| l.seed_value);
@@ -277,20 +294,28 @@ impl Plan {
                 [lo - margin, hi + margin]
             })
             .collect();
-        let mut graph = system.graph.clone();
+        let mut graph = folds.as_ref().map_or(&system.graph, |(graph, _)| graph).clone();
         let switches = graph.kinks(&rate);
-        let kinks = (!switches.is_empty()).then(|| Program::lower(&graph, &system.inputs, &switches));
-        let guards = (!system.guards.is_empty()).then(|| Guards {
-            program: Program::lower(
-                &system.graph,
-                &system.inputs,
-                &system.guards.iter().map(|g| g.expr).collect::<Vec<_>>(),
-            ),
-            strict: system.guards.iter().map(|g| g.strict).collect(),
+        let mut conditions: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
+        let mut strict: Vec<bool> = system.guards.iter().map(|g| g.strict).collect();
+        let slope = folds.map(|(_, slope)| {
+            let first = rate.len();
+            inputs.extend((2 * n..first).map(|k| graph.symbol(&format!("component {k}"), Kind::State)));
+            inputs.extend(&slope.symbols);
+            rate.extend(&slope.rate);
+            scales.extend(Slope::packed(&slope_units, n));
+            conditions.push(slope.guard);
+            strict.push(true);
+            first
+        });
+        let kinks = (!switches.is_empty()).then(|| Program::lower(&graph, &inputs, &switches));
+        let guards = (!conditions.is_empty()).then(|| Guards {
+            program: Program::lower(&graph, &inputs, &conditions),
+            strict,
         });
         Ok(Self {
             spec: Spec {
-                rate: Program::lower(&system.graph, &system.inputs, &rate),
+                rate: Program::lower(&graph, &inputs, &rate),
                 guards,
                 kinks,
                 method,
@@ -320,8 +345,24 @@ impl Plan {
             value_scale,
             region,
             system,
+            game,
+            slope,
+            slope_units,
+            end,
             seed: choices.seed,
         })
+    }
+
+    /// The integrated vector at a seed `(s, p, V)`: arc length from 0, the slope of the local solution or of the terminal
+    /// cost.
+    pub fn start(&self, seed: &[f64]) -> Vec<f64> {
+        let n = self.system.states;
+        let mut start = seed.to_vec();
+        start.resize(self.slope.unwrap_or(self.spec.dim()), 0.0);
+        if self.slope.is_some() {
+            start.extend(Slope::packed(&self.end.at(&seed[..n]).hessian, n));
+        }
+        start
     }
 
     /// The tightest relative tolerance that a precision can meet.
@@ -343,7 +384,8 @@ impl Plan {
         let general = Status::ALL
             .iter()
             .filter(|(s, _)| *s != Status::Guard)
-            .map(|(s, n)| (*s as i32, (*n).to_owned()));
+            .map(|(s, n)| (*s as i32, (*n).to_owned()))
+            .chain(self.slope.map(|_| (FOLD_STATUS, "fold".to_owned())));
         let guards = self
             .system
             .guards
@@ -360,6 +402,16 @@ impl Plan {
             .find(|(c, _)| *c == code)
             .map_or_else(|| format!("status_{code}"), |(_, n)| n)
     }
+}
+
+/// Scales of the slope's entries (row-major): V's scale over those of the states, or what the slope is at the equilibrium
+/// where that is more.
+fn slope_units(end: &End, widths: &[f64], value_scale: f64) -> Vec<f64> {
+    let n = widths.len();
+    let at_rest = end.at(&vec![0.0; n]).hessian;
+    let steepest = (0..n).map(|i| (at_rest[i * n + i] * widths[i].powi(2)).abs());
+    let scale = steepest.filter(|x| x.is_finite()).fold(value_scale, f64::max);
+    (0..n * n).map(|q| scale / (widths[q / n] * widths[q % n])).collect()
 }
 
 /// A sweep for first guesses where the scene asks for none: up to the largest quadratic V of the region's corners.
@@ -385,6 +437,9 @@ fn unasked_sweep(model: &Model, hamiltonian: &Hamiltonian) -> Result<ShootOut, P
         samples: 64,
         max_seeds: 4096,
         margin: crate::model::DEFAULT_MARGIN,
+        sample_by: None,
+        arc_length: crate::model::DEFAULT_ARC_LENGTH,
+        folds: false,
         span: 0..0,
     })
 }

@@ -48,7 +48,7 @@ impl SolvedAccuracy {
 pub fn accuracy(plan: &Plan, answers: &Answers) -> Result<Option<SolvedAccuracy>, BackendError> {
     let clock = std::time::Instant::now();
     let mut entries: Vec<(u64, &Entry)> = (0..answers.targets.len())
-        .filter_map(|t| answers.lowest(t).map(|e| (random(plan.seed, t as u64), e)))
+        .filter_map(|t| answers.answer(t).map(|e| (random(plan.seed, t as u64), e)))
         .collect();
     entries.sort_by_key(|e| e.0);
     entries.truncate(MOST);

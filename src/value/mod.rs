@@ -3,6 +3,7 @@
 mod accuracy;
 mod approach;
 mod archive;
+mod conjugate;
 mod equal_cost;
 mod extremal;
 mod fold;
@@ -16,6 +17,7 @@ mod targets;
 pub use accuracy::{SolvedAccuracy, accuracy};
 pub use approach::{Approach, Unreached, follow};
 pub use archive::{Archive, Index, Place, segment_duration};
+pub use conjugate::ConjugatePoints;
 pub use equal_cost::BoundaryPoint;
 pub use extremal::Extremal;
 pub use fold::Fold;

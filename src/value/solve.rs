@@ -70,6 +70,8 @@ pub struct EqualCost {
 
 /// What was found.
 pub struct Answers {
+    /// Whether several sheets have no answer (see [`Self::answer`]).
+    pub game: bool,
     pub targets: Targets,
     /// All solutions, by target, then by V.
     pub entries: Vec<Entry>,
@@ -86,9 +88,11 @@ pub struct Answers {
 }
 
 impl Answers {
-    /// The solution of least V at a target.
-    pub fn lowest(&self, target: usize) -> Option<&Entry> {
-        self.of(target).first()
+    /// The solution that is the answer at a target: that of least V. In a game the only one, if its V is not negative: the
+    /// least of several is not the value there.
+    pub fn answer(&self, target: usize) -> Option<&Entry> {
+        let first = self.of(target).first();
+        first.filter(|e| !self.game || (self.of(target).len() == 1 && e.value >= 0.0))
     }
 
     /// All solutions at a target, by rising V.
@@ -97,18 +101,18 @@ impl Answers {
     }
 
     pub fn status(&self, target: usize) -> PointStatus {
-        match (&self.misses[target], self.of(target).first()) {
-            (_, Some(lowest)) if lowest.value > self.targets.limits[target] => PointStatus::AboveMax,
+        match (&self.misses[target], self.of(target)) {
+            (_, [_, _, ..]) if self.game => PointStatus::SeveralSheets,
+            (_, [only]) if self.game && only.value < 0.0 => PointStatus::NegativeValue,
+            (_, [lowest, ..]) if lowest.value > self.targets.limits[target] => PointStatus::AboveMax,
             (Some(miss), _) => miss.status,
             (None, _) => PointStatus::Converged,
         }
     }
 
-    /// Targets with a solution.
+    /// Targets with an answer.
     pub fn solved(&self) -> usize {
-        (0..self.targets.len())
-            .filter(|t| self.first[*t] < self.first[t + 1])
-            .count()
+        (0..self.targets.len()).filter(|t| self.answer(*t).is_some()).count()
     }
 }
 
@@ -226,9 +230,9 @@ pub fn solve(
         value_max,
         sheets: !request.one_sheet,
     };
-    let mut survey = Survey::new(plan, &targets, solver);
+    let mut survey = Survey::new(plan, &targets, solver)?;
     survey.run(solver, archive, wanted, progress)?;
-    let boundary = if request.one_sheet {
+    let boundary = if request.one_sheet || plan.game {
         Vec::new()
     } else {
         survey.equal_cost(solver, wanted)?
@@ -268,6 +272,7 @@ pub fn solve(
         })
         .collect();
     Ok(Answers {
+        game: plan.game,
         sheets: survey.sheet.iter().copied().max().map_or(0, |s| s as usize + 1),
         misses: survey.misses.clone(),
         evaluations: survey.evaluations,

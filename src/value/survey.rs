@@ -7,6 +7,7 @@
 
 use super::approach::{Approach, Unreached, follow};
 use super::archive::{Archive, Index, segment_duration};
+use super::conjugate::ConjugatePoints;
 use super::extremal::{Extremal, is_elsewhere, misfit, same};
 use super::fold::{self, Fold};
 use super::targets::{Groups, Targets};
@@ -17,6 +18,7 @@ use crate::shooting::{End, Failure, Path, Solved, Solver};
 use crate::sweep::{Plan, guard_holds as holds};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::sync::{Mutex, PoisonError};
 
 /// Shortest steps, as shares of the way: from a swept trajectory, from a neighbour, and where nothing else has worked.
 const FROM_SWEEP: f64 = 1.0 / 4.0;
@@ -54,7 +56,7 @@ pub enum PointStatus {
     LeavesGuard = 2,
     /// Newton's method did not converge on the way to the target.
     NotReached = 3,
-    /// The sheet ends in a fold on the way to the target.
+    /// The sheet ends in a fold on the way to the target. Of a game: no solution without a fold along it was found.
     Fold = 4,
     /// The equations are not defined on the way to the target.
     NotFinite = 5,
@@ -64,10 +66,14 @@ pub enum PointStatus {
     NoGuess = 7,
     /// Its V, as far as its neighbours tell, is above what is of interest: it was not tried.
     AboveMax = 8,
+    /// Of a game: several sheets without a fold lie over it, none of which is the value.
+    SeveralSheets = 9,
+    /// Of a game: the cost is negative there, which certifies nothing.
+    NegativeValue = 10,
 }
 
 impl PointStatus {
-    pub const ALL: [(PointStatus, &'static str); 9] = [
+    pub const ALL: [(PointStatus, &'static str); 11] = [
         (PointStatus::Converged, "converged"),
         (PointStatus::OutsideGuard, "outside_guard"),
         (PointStatus::LeavesGuard, "leaves_guard"),
@@ -77,6 +83,8 @@ impl PointStatus {
         (PointStatus::Horizon, "horizon"),
         (PointStatus::NoGuess, "no_guess"),
         (PointStatus::AboveMax, "above_value_max"),
+        (PointStatus::SeveralSheets, "several_sheets"),
+        (PointStatus::NegativeValue, "negative_value"),
     ];
 
     pub fn name(self) -> &'static str {
@@ -126,6 +134,9 @@ pub struct Survey<'a> {
     pub(super) scales: Vec<f64>,
     duration: f64,
     guards: Option<(Evaluator, Vec<bool>)>,
+    /// In a game, where extremals with a fold along them are none.
+    /// (Locked only so that a survey may be read by several threads.)
+    conjugate: Option<Mutex<ConjugatePoints>>,
 }
 
 /// Told what is done and how many targets are solved of how many.
@@ -140,14 +151,16 @@ struct Errand {
 }
 
 impl<'a> Survey<'a> {
-    pub fn new(plan: &'a Plan, targets: &'a Targets, solver: &Solver) -> Self {
+    /// # Errors
+    /// When a kernel cannot be compiled.
+    pub fn new(plan: &'a Plan, targets: &'a Targets, solver: &Solver) -> Result<Self, BackendError> {
         let guards = (!plan.system.guards.is_empty()).then(|| {
             let exprs: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
             let program = Program::lower(&plan.system.graph, &plan.system.inputs, &exprs);
             let strict = plan.system.guards.iter().map(|g| g.strict).collect();
             (Evaluator::new(&program), strict)
         });
-        Self {
+        Ok(Self {
             plan,
             targets,
             extremals: Vec::new(),
@@ -161,7 +174,8 @@ impl<'a> Survey<'a> {
             scales: solver.scheme.equations.scales.clone(),
             duration: segment_duration(plan),
             guards,
-        }
+            conjugate: (plan.game.then(|| ConjugatePoints::new(plan)).transpose()?).map(Mutex::new),
+        })
     }
 
     /// Finds the extremals.
@@ -190,7 +204,8 @@ impl<'a> Survey<'a> {
         self.send(solver, errands)?;
         self.spread(solver, wanted, FROM_NEIGHBOUR, progress)?;
         self.last_resort(solver, archive, &index, wanted, progress)?;
-        if wanted.sheets {
+        // Nothing behind a fold counts in a game.
+        if wanted.sheets && !self.plan.game {
             self.around_folds(solver, wanted, progress)?;
         }
         self.label();
@@ -384,6 +399,19 @@ impl<'a> Survey<'a> {
             })
     }
 
+    /// What is wrong with trajectories, if anything: that they leave a guard, or in a game that they have a fold.
+    fn wrong(&mut self, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Option<PointStatus>>, BackendError> {
+        let guarded = self.valid(solver, paths)?.into_iter();
+        let mut wrong: Vec<_> = guarded.map(|v| (!v).then_some(PointStatus::LeavesGuard)).collect();
+        if let Some(conjugate) = &mut self.conjugate {
+            let conjugate = conjugate.get_mut().unwrap_or_else(PoisonError::into_inner);
+            for (wrong, regular) in wrong.iter_mut().zip(conjugate.absent(paths)?) {
+                *wrong = wrong.or((!regular).then_some(PointStatus::Fold));
+            }
+        }
+        Ok(wrong)
+    }
+
     /// Whether trajectories stay inside the guards, at their nodes and between them.
     pub(super) fn valid(&self, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<bool>, BackendError> {
         if self.guards.is_none() {
@@ -422,12 +450,12 @@ impl<'a> Survey<'a> {
         let paths = finished
             .iter()
             .filter_map(|(_, outcome)| outcome.as_ref().ok().map(|(job, _)| &job.path));
-        let mut valid = self.valid(solver, &paths.collect::<Vec<_>>())?.into_iter();
+        let mut wrong = self.wrong(solver, &paths.collect::<Vec<_>>())?.into_iter();
         for ((evaluations, outcome), (from, target, winding)) in finished.into_iter().zip(rest) {
             self.evaluations += u64::from(evaluations);
             match outcome {
-                Ok((job, solved)) => {
-                    if valid.next() == Some(true) {
+                Ok((job, solved)) => match wrong.next().flatten() {
+                    None => {
                         let (index, _) = self.add(Extremal {
                             target,
                             winding,
@@ -438,11 +466,12 @@ impl<'a> Survey<'a> {
                         if let Some(from) = from {
                             self.groups.join(from, index);
                         }
-                    } else {
-                        let at = self.targets.state(target).to_vec();
-                        self.miss(target, PointStatus::LeavesGuard, Some(at), 0.0);
                     }
-                }
+                    Some(status) => {
+                        let at = self.targets.state(target).to_vec();
+                        self.miss(target, status, Some(at), 0.0);
+                    }
+                },
                 Err(unreached) => {
                     self.unreached(from, target, winding, &unreached);
                 }

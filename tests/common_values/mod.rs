@@ -83,7 +83,7 @@ impl Swept {
 
 /// The lowest solution of the k-th state given.
 pub fn given(answers: &Answers, k: usize) -> Option<&Entry> {
-    answers.lowest(answers.targets.of_given[k])
+    answers.answer(answers.targets.of_given[k])
 }
 
 pub fn spaced(first: f64, last: f64, count: usize) -> Vec<f64> {
