@@ -54,7 +54,7 @@ fn checked(
 ) -> Dissipation {
     let wanted = scene.model.dissipation.as_ref().expect("the scene has [dissipation]");
     let laws = Laws::new(&scene.model, &scene.hamiltonian, None);
-    let certificate = Certificate::of(&laws, chart).unwrap();
+    let certificate = Certificate::of(&laws, chart, None).unwrap();
     let flight = flight(&scene.model, wanted, laws.riccati()).unwrap();
     let chosen: Vec<Law> = (names.iter())
         .map(|name| match *name {
@@ -82,6 +82,11 @@ fn checked(
         &mut |_| {},
     )
     .unwrap_or_else(|e| panic!("{}: {e}", backend.name()))
+}
+
+fn same_cases(a: &Dissipation, b: &Dissipation) {
+    let both = [a, b].map(|d| (&d.cases.kind, &d.cases.x0, &d.cases.waves));
+    assert!(both[0] == both[1], "other disturbances");
 }
 
 fn tightly(scene: &Scene, names: &[&str], chart: Option<&dyn Chart>) -> Dissipation {
@@ -146,7 +151,7 @@ fn a_law_that_is_not_good_enough_is_found_out() {
     let d = tightly(&with(SPRING, lines), &["h2", "map"], None);
     let (held, verdict) = d.laws[0].verdict(&d.cases);
     println!("{verdict}");
-    assert!(!held && verdict.starts_with("VIOLATED"), "{verdict}");
+    assert!(!held && verdict.contains("VIOLATED"), "{verdict}");
     let sinusoidal = of_kind(&d, DisturbanceKind::Sinusoidal);
     let worst = sinusoidal.map(|k| d.laws[0].ratio[k]).fold(0.0, f64::max);
     // The gain's square over gamma^2, but for the beginning.
@@ -157,6 +162,7 @@ fn a_law_that_is_not_good_enough_is_found_out() {
     // Explained by an error of V it is not: V is exact.
     let summary = d.laws[0].summaries(&d.cases);
     assert!(summary.iter().all(|s| s.violated == s.unexplained));
+    assert!(summary.iter().map(|s| s.exceeded).sum::<usize>() > 100, "{verdict}");
 }
 
 /// V of another gamma certifies nothing of this one: the claim is too strong.
@@ -368,7 +374,7 @@ fn backends_and_precisions_agree() {
                 (&nonlinear, Some(&chart as &dyn Chart), &charted),
             ] {
                 let d = checked(scene, &["map"], backend, asked, chart, 0);
-                assert_eq!(d.cases, reference.cases);
+                same_cases(&d, reference);
                 assert_eq!(d.numerics.precision, precision);
                 let pairs = |of: fn(&LawCheck) -> &Vec<f64>| {
                     let both = of(&d.laws[0]).iter().zip(of(&reference.laws[0]));
@@ -393,7 +399,7 @@ fn a_seed_and_nothing_else_decides() {
     let all = tightly(&scene, &["map"], None);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let alone = pool.install(|| tightly(&scene, &["map"], None));
-    assert_eq!(all.cases, alone.cases);
+    same_cases(&all, &alone);
     assert_eq!(all.laws[0].done, alone.laws[0].done);
     assert_eq!(all.laws[0].violation, alone.laws[0].violation);
     let other = checked(&scene, &["map"], &Cpu::new(), TIGHT, None, 1);

@@ -9,9 +9,12 @@
 //! E(T) + V(x(T)) <= W(T) + V(x(0)),    E = int_0^T l dt,    W = int_0^T s dt,
 //! ```
 //!
-//! with equality for `w = w*(x, p)`; so `E/(W + V(x(0))) <= 1` in whatever factors the scene writes its cost. Nothing of this is used
-//! here: laws are flown under random, sinusoidal and worst-case disturbances, E and W are integrated beside the state, and the
+//! with equality for `w = w*(x, p)`; so `E/(W + V(x(0))) <= 1`, the gain, in whatever factors the scene writes its cost. Nothing of this
+//! is used here: laws are flown under random, sinusoidal and worst-case disturbances, E and W are integrated beside the state, and the
 //! inequality is looked at whenever V is known. A law that is not good enough, or a V that is none, is found out.
+//!
+//! The gain needs V at initial states only, which are solved for; the sharper inequality needs V along trajectories, where the map's
+//! errors count. Both are told apart.
 
 mod cases;
 mod certificate;
@@ -20,8 +23,8 @@ mod write;
 
 pub use super::forcing::Wave;
 pub use cases::{Cases, DisturbanceKind};
-pub use certificate::Certificate;
-pub use verdict::{LawCheck, Summary};
+pub use certificate::{Certificate, Origin, Solver};
+pub use verdict::{LawCheck, Summary, ratio_text};
 pub use write::GROUPS;
 
 use super::forcing::Forcing;
@@ -50,6 +53,7 @@ pub struct Dissipation {
     pub cases: Cases,
     /// `[case]`: V at the initial state; NaN where it is not known.
     pub v0: Vec<f64>,
+    pub origin: Vec<Origin>,
     pub laws: Vec<LawCheck>,
     /// Where V is from, in words.
     pub value: &'static str,
@@ -114,7 +118,7 @@ pub fn check(
     };
     let setting = Setting::new(laws, flight, backend, choices)?;
     let (cases, frequencies) = Cases::draw(laws, asked, certificate, choices.seed)?;
-    let v0: Vec<f64> = certificate.values(&cases.x0, cases.states);
+    let (v0, origin) = certificate.initial(&cases.x0, laws.model.reference())?;
     if v0.iter().all(|v| v.is_nan()) {
         return Err(LoopError::NoStates);
     }
@@ -130,6 +134,7 @@ pub fn check(
         frequencies,
         cases,
         v0,
+        origin,
     };
     for law in chosen {
         progress(&law.name);

@@ -1,6 +1,6 @@
 //! Whether the inequality held.
 
-use super::{Cases, Certificate, Dissipation, DisturbanceKind, Law, Setting, TOLERANCE};
+use super::{Cases, Certificate, Dissipation, DisturbanceKind, Law, Origin, Setting, TOLERANCE};
 use crate::backend::Status;
 use crate::closed_loop::Path;
 use crate::quantile::nearest_rank;
@@ -45,7 +45,12 @@ impl Track {
         };
         // `max` leaves NaN out.
         self.ratio = self.ratio.max(of_budget(done));
-        let violation = of_budget(done + v - budget);
+        // At the beginning it is V against itself.
+        let violation = if t > 0.0 {
+            of_budget(done + v - budget)
+        } else {
+            f64::NAN
+        };
         if self.violation.is_nan() || violation > self.violation {
             (self.violation, self.budget) = (violation, budget);
             self.at = s.to_vec();
@@ -91,6 +96,8 @@ pub struct Summary {
     pub left: usize,
     pub median_ratio: f64,
     pub worst_ratio: f64,
+    /// Ratios above 1 by more than [`TOLERANCE`]: the gain is not kept, whatever V is along the trajectory.
+    pub exceeded: usize,
     pub worst_violation: f64,
     /// Violations beyond [`TOLERANCE`], and those beyond what errors of V explain besides.
     pub violated: usize,
@@ -114,7 +121,11 @@ impl LawCheck {
                     return f64::NAN;
                 }
                 let at: Vec<f64> = track.at.iter().zip(reference).map(|(s, r)| s + r).collect();
-                let error = certificate.uncertainty(&at) + certificate.uncertainty(of.cases.state(case));
+                let at_start = match of.origin[case] {
+                    Origin::Interpolated => certificate.uncertainty(of.cases.state(case)),
+                    _ => 0.0,
+                };
+                let error = certificate.uncertainty(&at) + at_start;
                 error / track.budget
             })
             .collect();
@@ -173,6 +184,7 @@ impl LawCheck {
                 median_ratio: quantile(0.5),
                 worst_ratio: quantile(1.0),
                 worst_violation: own.iter().map(|k| self.violation[*k]).fold(f64::NAN, f64::max),
+                exceeded: ratios.iter().filter(|r| **r > 1.0 + TOLERANCE).count(),
                 unexplained: violated.iter().filter(|k| !explains(k)).count(),
                 violated: violated.len(),
             }
@@ -181,37 +193,51 @@ impl LawCheck {
         all.filter(|s| s.count > 0).collect()
     }
 
-    /// What came of it in a sentence, and whether the inequality held for all.
+    /// Whether the gain was kept by all, E <= W + V(x(0)) up to [`TOLERANCE`]; and what came of it in words.
     pub fn verdict(&self, cases: &Cases) -> (bool, String) {
         let all = self.summaries(cases);
-        let (violated, unexplained) = all.iter().fold((0, 0), |(a, b), s| (a + s.violated, b + s.unexplained));
-        let judged: usize = all.iter().map(|s| s.judged).sum();
-        let worst = all.iter().map(|s| s.worst_violation).fold(f64::NAN, f64::max);
-        let held = if violated == 0 {
-            format!("no violation beyond {TOLERANCE:e} in {judged} (largest {worst:.1e})")
-        } else if unexplained == 0 {
-            format!(
-                "{violated} of {judged} violations beyond {TOLERANCE:e}, the largest {worst:.1e}; V's estimated errors explain all of them"
-            )
-        } else {
-            format!(
-                "VIOLATED by {violated} of {judged}, the largest {worst:.1e}; V's estimated errors do not explain {unexplained}"
-            )
-        };
+        let sum = |of: fn(&Summary) -> usize| all.iter().map(of).sum::<usize>();
+        let (judged, exceeded) = (sum(|s| s.judged), sum(|s| s.exceeded));
         let closest = all.iter().filter(|s| s.judged > 0);
-        let closest = closest.max_by(|a, b| a.worst_ratio.total_cmp(&b.worst_ratio));
-        let close = match closest {
-            Some(s) if s.kind == DisturbanceKind::Worst => {
-                format!("; the worst case comes closest, ratio {:.6}", s.worst_ratio)
-            }
-            Some(s) if all.iter().any(|s| s.kind == DisturbanceKind::Worst) => format!(
-                "; NOT the worst case but a {} disturbance comes closest, ratio {:.6}",
-                s.kind.name(),
-                s.worst_ratio
-            ),
-            Some(s) => format!("; largest ratio {:.6}", s.worst_ratio),
-            None => String::new(),
+        let Some(closest) = closest.max_by(|a, b| a.worst_ratio.total_cmp(&b.worst_ratio)) else {
+            return (true, "V is known at no initial state".to_owned());
         };
-        (violated == 0, held + &close)
+        let ratio = ratio_text(closest.worst_ratio);
+        let gain = match exceeded {
+            0 => format!("E <= W + V0 in all {judged}, no violation beyond {TOLERANCE:e}"),
+            _ => format!("E <= W + V0 VIOLATED by {exceeded} of {judged}"),
+        };
+        let close = match closest.kind {
+            DisturbanceKind::Worst => format!("the worst case comes closest (ratio {ratio})"),
+            kind if all.iter().any(|s| s.kind == DisturbanceKind::Worst && s.judged > 0) => {
+                format!(
+                    "NOT the worst case but a {} disturbance comes closest (ratio {ratio})",
+                    kind.name()
+                )
+            }
+            _ => format!("largest ratio {ratio}"),
+        };
+        let worst = all.iter().map(|s| s.worst_violation).fold(f64::NAN, f64::max);
+        let sharper = match (sum(|s| s.violated), sum(|s| s.unexplained)) {
+            (0, _) => format!("nor with V(x(t)) beside E (largest {worst:.1e})"),
+            (violated, 0) => format!(
+                "with V(x(t)) beside E {violated} beyond it, at most {worst:.1e}, all within V's estimated errors"
+            ),
+            (violated, unexplained) => format!(
+                "with V(x(t)) beside E {violated} beyond it, at most {worst:.1e}, of which V's estimated errors do not explain {unexplained}"
+            ),
+        };
+        (exceeded == 0, format!("{gain}; {close}; {sharper}"))
+    }
+}
+
+/// A ratio whose distance from 1 matters.
+pub fn ratio_text(ratio: f64) -> String {
+    const NEAR: f64 = 1e-3;
+    let short = 1.0 - ratio;
+    match short.abs() < NEAR {
+        true if short < 0.0 => format!("1 + {:.1e}", -short),
+        true => format!("1 - {short:.1e}"),
+        false => format!("{ratio:.4}"),
     }
 }

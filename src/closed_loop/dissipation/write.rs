@@ -1,6 +1,6 @@
 //! A check in a result file.
 
-use super::{Dissipation, DisturbanceKind, LawCheck, TOLERANCE};
+use super::{Dissipation, DisturbanceKind, LawCheck, Origin, Summary, TOLERANCE};
 use crate::closed_loop::Path;
 use crate::model::Model;
 use crate::output::{Dimension, Group, OutputError, ResultFile, Variable};
@@ -58,6 +58,7 @@ impl Dissipation {
             .variable(Variable::i32("kind", ["case"]).flags(kinds))
             .variable(Variable::f64("x0", ["case", "state"]).long_name("initial state"))
             .variable(Variable::f64("V0", ["case"]).long_name("value function at the initial state"))
+            .variable(Variable::i32("V0_from", ["case"]).flags((0..).zip(Origin::ALL).map(|(k, (name, _))| (k, name))))
             .variable(Variable::f64("amplitude", ["case", "disturbance"]).long_name("amplitude of the disturbance"))
             .variable(Variable::i32("status", both).flags(self.status_flags.clone()))
             .attribute("value_function", self.value)
@@ -79,6 +80,8 @@ impl Dissipation {
         writer.write("kind", &self.cases.kind.iter().map(place).collect::<Vec<i32>>())?;
         writer.write("x0", &self.cases.x0)?;
         writer.write("V0", &self.v0)?;
+        let origin = |from: &Origin| Origin::ALL.iter().position(|(_, o)| o == from).unwrap_or(0) as i32;
+        writer.write("V0_from", &self.origin.iter().map(origin).collect::<Vec<i32>>())?;
         writer.write("amplitude", &self.cases.amplitude)?;
         let status: Vec<i32> = self.laws.iter().flat_map(|l| &l.status).copied().collect();
         writer.write("status", &status)?;
@@ -90,7 +93,7 @@ impl Dissipation {
 
     /// A row a law and kind.
     fn write_kinds(&self, file: &mut ResultFile) -> Result<(), OutputError> {
-        const COLUMNS: [(&str, &str); 8] = [
+        const COLUMNS: [(&str, &str); 9] = [
             ("count", "disturbances"),
             ("judged", "disturbances from states where V is known"),
             (
@@ -99,6 +102,7 @@ impl Dissipation {
             ),
             ("median_ratio", "median of E_z/(W + V0)"),
             ("worst_ratio", "largest E_z/(W + V0)"),
+            ("exceeded", "ratios above 1 beyond the tolerance"),
             ("worst_violation", "largest relative violation of the inequality"),
             ("violated", "violations beyond the tolerance"),
             (
@@ -117,19 +121,24 @@ impl Dissipation {
             group = group.variable(Variable::f64(name, ["row"]).unit("1").long_name(long_name));
         }
         let mut writer = file.group(&group)?;
+        let row = |s: &Summary| {
+            let [count, judged, left, exceeded, violated, unexplained] =
+                [s.count, s.judged, s.left, s.exceeded, s.violated, s.unexplained].map(|c| c as f64);
+            let [median, worst, violation] = [s.median_ratio, s.worst_ratio, s.worst_violation];
+            [
+                count,
+                judged,
+                left,
+                median,
+                worst,
+                exceeded,
+                violation,
+                violated,
+                unexplained,
+            ]
+        };
         for (k, (name, _)) in COLUMNS.iter().enumerate() {
-            let column: Vec<f64> = (rows.iter())
-                .map(|(_, s)| {
-                    let counts = [s.count, s.judged, s.left].map(|c| c as f64);
-                    let ratios = [s.median_ratio, s.worst_ratio, s.worst_violation];
-                    [counts, ratios]
-                        .concat()
-                        .into_iter()
-                        .chain([s.violated, s.unexplained].map(|c| c as f64))
-                        .nth(k)
-                })
-                .map(|v| v.unwrap_or(f64::NAN))
-                .collect();
+            let column: Vec<f64> = rows.iter().map(|(_, s)| row(s)[k]).collect();
             writer.write(name, &column)?;
         }
         Ok(())

@@ -4,6 +4,7 @@ mod bands;
 mod boundary;
 mod closed_loop;
 mod contours;
+mod dissipation;
 mod histories;
 mod panels;
 mod phase;
@@ -27,8 +28,10 @@ const BEFORE: [(&str, Maker); 5] = [
     ("histories", histories::picture),
 ];
 /// Those after the maps of closed loops.
-const AFTER: [(&str, Maker); 3] = [
+const AFTER: [(&str, Maker); 5] = [
     ("closed_loop_histories", histories::closed_loop),
+    ("dissipation", dissipation::picture),
+    ("dissipation_histories", dissipation::histories),
     ("errors", quality::picture),
     ("speed", speed::picture),
 ];
