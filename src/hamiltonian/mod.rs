@@ -9,7 +9,7 @@ mod optimal;
 mod slope;
 mod system;
 
-pub use slope::Slope;
+pub use slope::{INFINITE, Slope};
 pub use system::{GuardExpr, Observer, System, Terminal};
 
 use crate::expr::{Graph, Id, Kind};

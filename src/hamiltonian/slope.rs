@@ -9,11 +9,10 @@
 
 use super::System;
 use crate::expr::{Graph, Id, Kind};
-use nalgebra::DMatrix;
 
 /// A slope this many times its scale is infinite: the fold then lies a millionth of the trajectory's own time scale ahead, and
 /// is extrapolated to.
-const INFINITE: f64 = 1e6;
+pub const INFINITE: f64 = 1e6;
 
 /// The equation of X.
 #[derive(Clone, Debug)]
@@ -92,17 +91,15 @@ impl Slope {
             .collect()
     }
 
-    /// The matrix of an upper triangle.
-    pub fn unpacked(upper: &[f64], states: usize) -> DMatrix<f64> {
-        let mut matrix = DMatrix::zeros(states, states);
-        let mut entries = upper.iter();
-        for i in 0..states {
-            for j in i..states {
-                let entry = entries.next().copied().unwrap_or(f64::NAN);
-                matrix[(i, j)] = entry;
-                matrix[(j, i)] = entry;
-            }
-        }
-        matrix
+    /// Product of two matrices entry by entry, summed, in scaled units; of upper triangles.
+    pub fn product(a: &[f64], b: &[f64], units: &[f64], states: usize) -> f64 {
+        let n = states;
+        let places = (0..n).flat_map(|i| (i..n).map(move |j| (i, j)));
+        (places.zip(a.iter().zip(b)))
+            .map(|((i, j), (a, b))| {
+                let twice = if i == j { 1.0 } else { 2.0 };
+                twice * a * b / units[i * n + j].powi(2)
+            })
+            .sum()
     }
 }

@@ -62,9 +62,13 @@ impl ValueMap {
         self.plan.sampling == Sampling::Value && says.v < 0.0
     }
 
-    /// Whether another sheet is cheaper where a site is, by more than interpolation errs.
+    /// Whether another sheet is cheaper where a site is, by more than interpolation errs. In a game none is better than
+    /// another.
     fn is_dominated(&self, site: usize) -> bool {
         const MARGIN: f64 = 0.02;
+        if self.plan.game {
+            return false;
+        }
         *self.dominated[site].get_or_init(|| {
             let w = &self.plan.widths;
             let x: Vec<f64> = (self.sites.z(site).iter().zip(w).zip(&self.plan.system.reference))

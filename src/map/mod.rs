@@ -3,7 +3,7 @@
 //! Each site (a state at which V and p are known) carries a cubic polynomial with the site's V and p and curvature fitted
 //! to the sites around it; polynomials of the sites around a state are blended (the modified Shepard method of Franke &
 //! Nielson 1980 and Renka 1988, here with gradients). Sites on different sheets are told apart by what their polynomials
-//! say at the state: on one sheet they agree. The lowest sheet counts. The error is that of leaving sites out: what
+//! say at the state: on one sheet they agree. The lowest sheet counts; in a game there is a value only where there is one sheet. The error is that of leaving sites out: what
 //! the others, fitted again, say where a site is.
 //!
 //! ```no_run
@@ -55,6 +55,9 @@ pub enum Unknown {
     Far,
     #[error("this state lies at the edge of what was computed")]
     Edge,
+    /// In a game, where the lowest of several is not the value.
+    #[error("several sheets lie over this state: none is the value")]
+    SeveralSheets,
 }
 
 /// V, its derivatives and u at a state, on one sheet.
@@ -87,8 +90,9 @@ pub struct Value {
 /// What is known at a state.
 #[derive(Clone, Debug)]
 pub struct At {
+    /// In a game the only sheet.
     pub lowest: Result<Value, Unknown>,
-    /// Other sheets, by rising V.
+    /// Other sheets, by rising V; in a game all, where there are several.
     pub others: Vec<Value>,
 }
 
@@ -249,6 +253,12 @@ impl ValueMap {
             .filter_map(|members| self.blended(&s, &opinions, members))
             .collect();
         values.sort_by(|a, b| a.v.total_cmp(&b.v));
+        if self.plan.game && values.len() > 1 {
+            return At {
+                lowest: Err(Unknown::SeveralSheets),
+                others: values,
+            };
+        }
         let mut values = values.into_iter();
         At {
             lowest: values.next().ok_or(Unknown::Edge),
@@ -256,10 +266,13 @@ impl ValueMap {
         }
     }
 
-    /// Whether a sample (x, V) of an extremal is, as far as the map can tell, on the lowest sheet.
+    /// Whether a sample (x, V) of an extremal is, as far as the map can tell, on the lowest sheet (in a game the only one).
     pub fn is_lowest(&self, x: &[f64], v: f64) -> bool {
         // Interpolation errs; a sheet that is better by less than this is as good.
         const MARGIN: f64 = 1e-3;
+        if self.plan.game {
+            return !matches!(self.without_errors(x).lowest, Err(Unknown::SeveralSheets));
+        }
         self.local(x)
             .is_none_or(|here| v <= here.v + MARGIN * here.v.abs().max(v.abs()))
     }

@@ -4,7 +4,7 @@ use super::MapError;
 use crate::backend::{BackendError, cpu::Cpu};
 use crate::model::{Horizon, SeedValue};
 use crate::output::Stored;
-use crate::sweep::{Choices, Plan, sweep};
+use crate::sweep::{Choices, Plan, Sampling, sweep};
 use crate::value::Grid;
 use std::collections::HashMap;
 
@@ -195,7 +195,7 @@ impl<'p> Gathering<'p> {
             return Ok(());
         }
         let n = self.sites.n;
-        let radius = (0..n)
+        let mut radius = (0..n)
             .map(|i| {
                 let mut s = vec![0.0; n];
                 s[i] = plan.widths[i];
@@ -204,7 +204,12 @@ impl<'p> Gathering<'p> {
             .fold(0.0, f64::max);
         let mut model = stored.model.clone();
         let mut inner = plan.shoot_out.clone();
-        inner.value_max = Some(LEVELS as f64 * least);
+        if plan.sampling == Sampling::ArcLength {
+            inner.arc_length *= LEVELS as f64 / inner.samples as f64;
+            radius = inner.arc_length;
+        } else {
+            inner.value_max = Some(LEVELS as f64 * least);
+        }
         inner.samples = SAMPLES;
         inner.spacing = SPACING * radius;
         inner.max_seeds = MOST_SEEDS;

@@ -12,11 +12,17 @@ fn code(at: &At) -> i32 {
         Ok(_) => KNOWN,
         Err(Unknown::Far) => 1,
         Err(Unknown::Edge) => 2,
+        Err(Unknown::SeveralSheets) => 3,
     }
 }
 
-fn flags() -> [(i32, &'static str); 3] {
-    [(KNOWN, "interpolated"), (1, "far from data"), (2, "edge of data")]
+fn flags() -> [(i32, &'static str); 4] {
+    [
+        (KNOWN, "interpolated"),
+        (1, "far from data"),
+        (2, "edge of data"),
+        (3, "several sheets"),
+    ]
 }
 
 /// Where values are wanted.

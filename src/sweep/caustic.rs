@@ -3,6 +3,7 @@
 use super::plan::Plan;
 use crate::backend::Trajectories;
 use crate::backend::cpu::map::Evaluator;
+use crate::hamiltonian::Slope;
 
 /// A point of the caustic: `det dx/dseed = 0`.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,17 +37,10 @@ impl Folds {
         let n = plan.system.states;
         let end = &batch.end[i * batch.dim..][..batch.dim];
         let rate = self.rates.eval(end, batch.dim);
-        let mut entry = self.first;
-        let (mut square, mut product) = (0.0, 0.0);
-        for row in 0..n {
-            for column in row..n {
-                let weight = if row == column { 1.0 } else { 2.0 } / plan.slope_units[row * n + column].powi(2);
-                square += weight * end[entry] * end[entry];
-                product += weight * end[entry] * rate[entry];
-                entry += 1;
-            }
-        }
-        let left = square / product;
+        let last = self.first + Slope::len(n);
+        let (slope, change) = (&end[self.first..last], &rate[self.first..last]);
+        let product = |other: &[f64]| Slope::product(slope, other, &plan.slope_units, n);
+        let left = product(slope) / product(change);
         let left = if left.is_finite() && left >= 0.0 { left } else { 0.0 };
         let at = |k: usize| end[k] + left * rate[k];
         let end_time = plan.system.terminal.as_ref().map_or(0.0, |t| t.time);

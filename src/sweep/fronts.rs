@@ -5,7 +5,7 @@ use super::complex::{Complex, Edge, Vertex, Waiting};
 use super::observe::Observed;
 use super::plan::Plan;
 use super::sample::{Sample, Sampler};
-use crate::backend::{Backend, BackendError, Kernel, Trajectories, batch_limit};
+use crate::backend::{Backend, BackendError, Kernel, Status, Trajectories, batch_limit};
 use crate::model::Precision;
 use crate::output::TrajectoryBlock;
 use rayon::prelude::*;
@@ -69,8 +69,14 @@ enum NodeState {
     Pending,
     /// Outside a guard: not swept.
     Outside,
+    Swept(Swept),
+}
+
+struct Swept {
     /// Deviations in widths of the region at each level passed.
-    Swept(Vec<f32>),
+    path: Vec<f32>,
+    /// The same where the trajectory has ended in a fold.
+    fold: Option<Vec<f32>>,
 }
 
 /// What an edge turns out to need.
@@ -283,8 +289,13 @@ impl<'a> Fronts<'a> {
                 path.extend(sample[1..=n].iter().zip(&self.plan.widths).map(|(s, w)| (s / w) as f32));
             }
             path.shrink_to_fit();
+            let end = &batch.end[i * batch.dim..][..batch.dim];
+            let fold = (batch.status[i] != Status::Reached && self.plan.is_folded(end)).then(|| {
+                let scaled = end[..n].iter().zip(&self.plan.widths).map(|(s, w)| (s / w) as f32);
+                scaled.collect()
+            });
             if let Some(node) = self.nodes.get_mut(v) {
-                node.state = NodeState::Swept(path);
+                node.state = NodeState::Swept(Swept { path, fold });
             }
             self.report.trajectories += 1;
             self.report.steps += u64::from(batch.steps[i]);
@@ -326,7 +337,8 @@ impl<'a> Fronts<'a> {
         };
         match (&a.state, &b.state) {
             (NodeState::Swept(x), NodeState::Swept(y)) => {
-                let gap = self.widest_gap(x, y);
+                let front = self.widest_gap(&x.path, &y.path);
+                let gap = front.max(self.gap_on_caustic(x, y));
                 if f64::from(gap) > self.plan.shoot_out.spacing {
                     Verdict::Gap(gap)
                 } else {
@@ -346,17 +358,40 @@ impl<'a> Fronts<'a> {
         let n = self.plan.system.states;
         let mut widest = 0.0f32;
         for (x, y) in a.chunks_exact(n).zip(b.chunks_exact(n)) {
-            let meets = x
-                .iter()
-                .zip(y)
-                .zip(&self.bounds)
-                .all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi);
-            if meets {
+            if self.may_meet_region(x, y) {
                 let gap = x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
                 widest = widest.max(gap);
             }
         }
         widest
+    }
+
+    /// Whether a piece of front between two states (in widths of the region) may lie in the region.
+    fn may_meet_region(&self, x: &[f32], y: &[f32]) -> bool {
+        (x.iter().zip(y).zip(&self.bounds)).all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi)
+    }
+
+    /// Gap between the folds that neighbours end in. Where one of them goes on, or its fold is elsewhere although they have
+    /// come close together, the caustic has an end between them, and the gap is closed when they are `CLOSE`.
+    fn gap_on_caustic(&self, a: &Swept, b: &Swept) -> f32 {
+        const CLOSE: f64 = 1.0 / 32.0;
+        let n = self.plan.system.states;
+        let distance = |x: &[f32], y: &[f32]| x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
+        let last = a.path.len().min(b.path.len());
+        let apart = if last < n {
+            f32::INFINITY
+        } else {
+            distance(&a.path[last - n..last], &b.path[last - n..last])
+        };
+        if f64::from(apart) <= CLOSE * self.plan.shoot_out.spacing {
+            return 0.0;
+        }
+        match (&a.fold, &b.fold) {
+            (Some(x), Some(y)) if self.may_meet_region(x, y) => distance(x, y),
+            // Any gap above the spacing will do.
+            (Some(x), None) | (None, Some(x)) if self.may_meet_region(x, x) => 1.0,
+            _ => 0.0,
+        }
     }
 
     /// Splits waiting edges until the round is full; false when nothing is left to do.

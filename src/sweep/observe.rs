@@ -34,7 +34,9 @@ impl Observed {
             .chain([o.hamiltonian, running])
             .collect();
         let program = Program::lower(&plan.system.graph, &plan.system.inputs, &roots);
-        let guards = plan.spec.guards.as_ref().map(|g| Evaluator::new(&g.program));
+        let guards: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
+        let guards = (!guards.is_empty())
+            .then(|| Evaluator::new(&Program::lower(&plan.system.graph, &plan.system.inputs, &guards)));
         Self {
             evaluator: Evaluator::new(&program),
             guards,
@@ -127,19 +129,22 @@ impl Observed {
             Some(guards) if s == Status::Guard || stopped(s) => {
                 let (guard, share) = nearest_guard(guards, batch, i);
                 if s == Status::Guard || share <= AT_BOUNDARY {
-                    // The fold's is the last of a plan's guards.
-                    if guard == plan.system.guards.len() {
-                        FOLD_STATUS
-                    } else {
-                        GUARD_STATUS + guard as i32
-                    }
+                    GUARD_STATUS + guard as i32
                 } else {
                     s as i32
                 }
             }
             _ => s as i32,
         };
-        batch.status.iter().enumerate().map(|(i, s)| code(i, *s)).collect()
+        let ended = |i: usize, s: Status| {
+            let at = &batch.end[i * batch.dim..][..batch.dim];
+            if (s == Status::Guard || stopped(s)) && plan.is_folded(at) {
+                FOLD_STATUS
+            } else {
+                code(i, s)
+            }
+        };
+        batch.status.iter().enumerate().map(|(i, s)| ended(i, *s)).collect()
     }
 }
 

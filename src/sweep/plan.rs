@@ -3,7 +3,7 @@
 use super::surface::Surface;
 use crate::backend::{Backend, By, Guards, Run, Spec, Status};
 use crate::expr::Kind;
-use crate::hamiltonian::{Hamiltonian, Slope, System};
+use crate::hamiltonian::{Hamiltonian, INFINITE, Slope, System};
 use crate::local::{LocalError, LocalSolution, Riccati, SeedChoice};
 use crate::model::{Horizon, Method, Model, Precision, SampleBy, SeedValue, ShootOut};
 use crate::program::Program;
@@ -15,7 +15,8 @@ const F32_RTOL: f64 = 1e-5;
 const LEAST_RTOL: f64 = 4.0;
 /// Share of the tolerance that the seeds may use up.
 const SEED_SHARE: f64 = 0.1;
-/// A trajectory along which V may fall again is given up at this many times `value_max`.
+/// A trajectory along which V may fall again is given up at this many times `value_max`, or the quadratic V of the region's
+/// corners where that is more.
 const BEYOND_VALUE: f64 = 10.0;
 
 /// Status code of the first guard; the others follow.
@@ -259,7 +260,13 @@ impl Plan {
         // What is integrated beside (s, p) depends on them alone, but for the slope.
         let mut inputs = system.inputs.clone();
         let value = 2 * n;
-        let ceiling = (value, if game { BEYOND_VALUE * value_max } else { value_max });
+        let ceiling = if game {
+            let corners = local.as_ref().map_or(0.0, |l| largest_quadratic(model, &l.riccati));
+            BEYOND_VALUE * value_max.max(corners)
+        } else {
+            value_max
+        };
+        let ceiling = (value, ceiling);
         let steps = |end: f64| {
             (1..=samples)
                 .map(|k| end * k as f64 / samples as f64)
@@ -365,6 +372,18 @@ impl Plan {
         start
     }
 
+    /// Whether the last point of a trajectory that has ended is at a fold.
+    pub fn is_folded(&self, end: &[f64]) -> bool {
+        // The end is where the slope counts as infinite, to rounding.
+        const NEARLY: f64 = 0.5;
+        self.slope.is_some_and(|first| {
+            let n = self.system.states;
+            let slope = &end[first..first + Slope::len(n)];
+            let size = Slope::product(slope, slope, &self.slope_units, n).sqrt();
+            size.is_nan() || size >= NEARLY * INFINITE
+        })
+    }
+
     /// The tightest relative tolerance that a precision can meet.
     pub fn least_rtol(precision: Precision) -> f64 {
         LEAST_RTOL * precision.epsilon()
@@ -418,17 +437,7 @@ fn slope_units(end: &End, widths: &[f64], value_scale: f64) -> Vec<f64> {
 fn unasked_sweep(model: &Model, hamiltonian: &Hamiltonian) -> Result<ShootOut, PlanError> {
     let value_max = match &model.horizon {
         Horizon::Finite { .. } => None,
-        Horizon::Infinite { x, .. } => {
-            let p = Riccati::solve(hamiltonian, model)?.p;
-            let n = x.len();
-            let corners = (0..1usize << n.min(MOST_STATES)).map(|c| {
-                let side = |i: usize| model.region[i][c >> i & 1] - x[i];
-                (0..n)
-                    .map(|i| (0..n).map(|j| 0.5 * side(i) * p[(i, j)] * side(j)).sum::<f64>())
-                    .sum::<f64>()
-            });
-            Some(corners.fold(0.0, f64::max))
-        }
+        Horizon::Infinite { .. } => Some(largest_quadratic(model, &Riccati::solve(hamiltonian, model)?)),
     };
     Ok(ShootOut {
         value_max,
@@ -442,6 +451,19 @@ fn unasked_sweep(model: &Model, hamiltonian: &Hamiltonian) -> Result<ShootOut, P
         folds: false,
         span: 0..0,
     })
+}
+
+/// Largest quadratic V of the region's corners.
+fn largest_quadratic(model: &Model, riccati: &Riccati) -> f64 {
+    let (p, x) = (&riccati.p, model.reference());
+    let n = x.len();
+    let corners = (0..1usize << n.min(MOST_STATES)).map(|c| {
+        let side = |i: usize| model.region[i][c >> i & 1] - x[i];
+        (0..n)
+            .map(|i| (0..n).map(|j| 0.5 * side(i) * p[(i, j)] * side(j)).sum::<f64>())
+            .sum::<f64>()
+    });
+    corners.fold(0.0, f64::max)
 }
 
 /// Levels between the seeds' V and the first one asked for, each a few times the one before.
