@@ -8,6 +8,7 @@ mod choose;
 pub mod dissipation;
 mod equations;
 mod evaluation;
+mod flights;
 mod forcing;
 mod initial;
 mod law;
@@ -19,10 +20,11 @@ mod write;
 
 pub use choose::{Available, Chosen, LQR, MAP, Weights};
 pub use evaluation::{Evaluation, LawResult, SetResult, Spread};
+pub use flights::{Flights, Path};
 pub use initial::Initial;
 pub use law::{Law, LawError, Laws};
 pub use sets::{Line, area, contour};
-pub use simulate::{Flights, OUTSIDE_MAP, Path};
+pub use simulate::OUTSIDE_MAP;
 pub use values::solved_values;
 pub use write::GROUPS;
 
@@ -31,8 +33,9 @@ use crate::hamiltonian::Hamiltonian;
 use crate::map::ValueMap;
 use crate::model::{ClosedLoop, Horizon, Model};
 use crate::sweep::{Choices, GUARD_STATUS, Numerics, PlanError};
+use flights::Starts;
 use nalgebra::DMatrix;
-use simulate::{Simulator, Starts};
+use simulate::Simulator;
 use std::time::Instant;
 
 /// A value function that is known around states: what the law of a value map is taken from.
@@ -66,8 +69,12 @@ impl Chart for ValueMap {
         })
     }
 
+    /// With what [`Chart::local`], which is in haste, differs by from all sites around.
     fn uncertainty(&self, x: &[f64]) -> f64 {
-        self.at(x).lowest.map_or(f64::NAN, |here| here.v_error)
+        match (self.at(x).lowest, ValueMap::local(self, x)) {
+            (Ok(here), Some(hasty)) => here.v_error + (here.v - hasty.v).abs(),
+            _ => f64::NAN,
+        }
     }
 }
 

@@ -27,8 +27,9 @@ pub use certificate::{Certificate, Origin, Solver};
 pub use verdict::{LawCheck, Summary, ratio_text};
 pub use write::GROUPS;
 
+use super::flights::{Seen, Starts};
 use super::forcing::Forcing;
-use super::simulate::{Seen, Simulator, Starts};
+use super::simulate::Simulator;
 use super::{Chart, Law, Laws, LoopError, MAP, Setting};
 use crate::backend::Backend;
 use crate::local::{Riccati, closed_loop_margin};
