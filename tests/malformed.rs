@@ -180,6 +180,11 @@ fn attenuation() {
 }
 
 #[test]
+fn dissipation() {
+    check(include_str!("malformed/dissipation.cases"));
+}
+
+#[test]
 fn toml_itself() {
     check(include_str!("malformed/toml.cases"));
 }

@@ -59,6 +59,8 @@ fn all_scenes_are_read() {
         ("linear_quadratic.toml", 4, 2),
         ("manufactured.toml", 2, 1),
         ("finite_horizon.toml", 2, 1),
+        ("linear_game.toml", 2, 1),
+        ("manufactured_game.toml", 2, 1),
     ] {
         let model = scene(name, &[]);
         assert_eq!((model.states.len(), model.controls.len()), (states, controls), "{name}");

@@ -2,12 +2,12 @@
 //!
 //! Until then the result has a hidden name of its own, so that a run which is killed leaves nothing under the final one.
 
-use super::evaluate::{self, Wanted};
+use super::evaluate::{self, Sources, Wanted};
 use super::fit::{Beside, fit_laws};
 use super::report::Terminal;
-use super::{CliError, attenuation, fit};
+use super::{CliError, attenuation, dissipation, fit};
 use crate::backend::Backend;
-use crate::closed_loop::{Available, GROUPS, Laws};
+use crate::closed_loop::{self, Available, GROUPS, Laws};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::output::{ATTENUATION_GROUPS, OutputError, ResultFile, Stored};
@@ -57,7 +57,8 @@ impl Drop for Draft {
 
 /// Whether anything is left to do when a scene has been swept and solved.
 pub(super) fn wanted(model: &Model) -> bool {
-    !model.feedback.is_empty() || model.closed_loop.is_some() || model.attenuation.is_some()
+    let loops = model.closed_loop.is_some() || model.dissipation.is_some();
+    loops || !model.feedback.is_empty() || model.attenuation.is_some()
 }
 
 /// Finds mistakes in the scene's laws before a long run does.
@@ -82,7 +83,8 @@ pub(super) fn laws(
     choices: Choices,
     terminal: &Terminal,
 ) -> Result<serde_json::Value, CliError> {
-    let mut done = serde_json::json!({ "feedback": null, "closed_loop": null, "attenuation": null });
+    let mut done =
+        serde_json::json!({ "feedback": null, "closed_loop": null, "dissipation": null, "attenuation": null });
     if !model.feedback.is_empty() {
         let stored = Stored::open(draft.hidden())?;
         match fit_laws(
@@ -99,21 +101,8 @@ pub(super) fn laws(
             Err(e) => terminal.note(&format!("no law was fitted: {e}")),
         }
     }
-    if model.closed_loop.is_some() {
-        let stored = Stored::open(draft.hidden())?;
-        let mut file = ResultFile::extend(draft.hidden(), &GROUPS)?;
-        let wanted = Wanted {
-            choices,
-            ..Wanted::default()
-        };
-        let scene = (model, hamiltonian);
-        match evaluate::perform(Some(&stored), scene, &wanted, backend, terminal, &mut file) {
-            Ok((evaluation, _)) => {
-                file.finish()?;
-                done["closed_loop"] = evaluate::as_json(&evaluation, &draft.path);
-            }
-            Err(e) => terminal.note(&format!("no closed loop was simulated: {e}")),
-        }
+    if model.closed_loop.is_some() || model.dissipation.is_some() {
+        loops(draft, (model, hamiltonian), backend, choices, terminal, &mut done)?;
     }
     if model.attenuation.is_some() {
         let mut file = ResultFile::extend(draft.hidden(), &ATTENUATION_GROUPS)?;
@@ -127,6 +116,45 @@ pub(super) fn laws(
         }
     }
     Ok(done)
+}
+
+/// Closed loops and the check by simulation; what came of them goes into `done`.
+fn loops(
+    draft: &Draft,
+    scene: (&Model, &Hamiltonian),
+    backend: &dyn Backend,
+    choices: Choices,
+    terminal: &Terminal,
+    done: &mut serde_json::Value,
+) -> Result<(), CliError> {
+    let stored = Stored::open(draft.hidden())?;
+    let wanted = Wanted {
+        choices,
+        ..Wanted::default()
+    };
+    let from = Sources::new(Some(&stored), &wanted, terminal)?;
+    let model = scene.0;
+    if model.closed_loop.is_some() {
+        let mut file = ResultFile::extend(draft.hidden(), &GROUPS)?;
+        match evaluate::perform(&from, scene, &wanted, backend, terminal, &mut file) {
+            Ok((evaluation, _)) => {
+                file.finish()?;
+                done["closed_loop"] = evaluate::as_json(&evaluation, &draft.path);
+            }
+            Err(e) => terminal.note(&format!("no closed loop was simulated: {e}")),
+        }
+    }
+    if model.dissipation.is_some() {
+        let mut file = ResultFile::extend(draft.hidden(), &closed_loop::dissipation::GROUPS)?;
+        match dissipation::perform(&from, scene, &wanted, backend, terminal, &mut file) {
+            Ok(check) => {
+                file.finish()?;
+                done["dissipation"] = dissipation::as_json(&check);
+            }
+            Err(e) => terminal.note(&format!("the dissipation inequality was not checked: {e}")),
+        }
+    }
+    Ok(())
 }
 
 /// The report of a finished file; a failure is a note.

@@ -3,10 +3,10 @@
 use super::columns::columns;
 use super::report::Terminal;
 use super::run::default_output;
-use super::{CliError, EvaluateArgs};
+use super::{CliError, EvaluateArgs, dissipation};
 use crate::backend::Backend;
 use crate::closed_loop::{
-    Available, Chart, Evaluation, GROUPS, Initial, LQR, Laws, MAP, Setting, Weights, solved_values,
+    self, Available, Chart, Evaluation, GROUPS, Initial, LQR, Law, Laws, MAP, Setting, Weights, solved_values,
 };
 use crate::hamiltonian::Hamiltonian;
 use crate::map::ValueMap;
@@ -56,6 +56,9 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         (None, Some(stored)) => (&stored.model, &stored.hamiltonian),
         (None, None) => return Err(CliError::NoClosedLoop),
     };
+    if model.closed_loop.is_none() && model.dissipation.is_none() {
+        return Err(CliError::NoClosedLoop);
+    }
     let backend = args.numerics.open(model)?;
     let wanted = Wanted {
         choices: args.numerics.choices(args.seed),
@@ -66,18 +69,37 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     };
     let terminal = Terminal::with(args.quiet, args.json);
     let mut file = match (&stored, &args.out) {
-        (Some(_), None) => ResultFile::extend(&args.file, &GROUPS)?,
+        (Some(_), None) => {
+            // Of what is simulated again nothing old is left.
+            let parts = [
+                (model.closed_loop.is_some(), GROUPS.as_slice()),
+                (model.dissipation.is_some(), &closed_loop::dissipation::GROUPS),
+            ];
+            let replaced: Vec<&str> = (parts.iter().filter(|(there, _)| *there))
+                .flat_map(|(_, groups)| groups.iter().copied())
+                .collect();
+            ResultFile::extend(&args.file, &replaced)?
+        }
         (Some(_), Some(out)) => ResultFile::create(out)?,
         (None, out) => ResultFile::create(out.clone().unwrap_or_else(|| own_output(&args.file)))?,
     };
-    let (evaluation, numerics) = perform(
-        stored.as_ref(),
-        (model, hamiltonian),
-        &wanted,
-        backend.as_ref(),
-        &terminal,
-        &mut file,
-    )?;
+    let from = Sources::new(stored.as_ref(), &wanted, &terminal)?;
+    let scene = (model, hamiltonian);
+    let mut summary = serde_json::json!({});
+    let mut numerics = None;
+    if model.closed_loop.is_some() {
+        let (evaluation, own) = perform(&from, scene, &wanted, backend.as_ref(), &terminal, &mut file)?;
+        (summary, numerics) = (as_json(&evaluation, file.path()), Some(own));
+    }
+    if model.dissipation.is_some() {
+        let check = dissipation::perform(&from, scene, &wanted, backend.as_ref(), &terminal, &mut file)?;
+        summary["file"] = serde_json::json!(file.path().display().to_string());
+        summary["dissipation"] = dissipation::as_json(&check);
+        numerics = numerics.or(Some(check.numerics));
+    }
+    let Some(numerics) = numerics else {
+        return Err(CliError::NoClosedLoop);
+    };
     if stored.is_none() || args.out.is_some() {
         let record = RunRecord {
             backend: backend.name().to_owned(),
@@ -93,7 +115,7 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     }
     let path = file.finish()?;
     if args.json {
-        writeln!(std::io::stdout(), "{:#}", as_json(&evaluation, &path))?;
+        writeln!(std::io::stdout(), "{summary:#}")?;
     }
     terminal.say(&format!(
         "{:.2} s, written to {}",
@@ -103,9 +125,71 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Simulates the laws of a scene's `[closed_loop]` and writes what came of it; `stored` has fitted laws and a map.
+/// What laws and V are taken from besides the scene.
+pub(super) struct Sources<'s> {
+    pub stored: Option<&'s Stored>,
+    pub map: Option<ValueMap>,
+    available: Available,
+}
+
+impl<'s> Sources<'s> {
+    /// A result file's map and fitted laws, and those of the command line.
+    pub fn new(stored: Option<&'s Stored>, wanted: &Wanted, terminal: &Terminal) -> Result<Self, CliError> {
+        // Without a law that asks for it the map still tells V.
+        let map = stored.filter(|s| s.has("trajectories") || s.has("points") || s.has("map"));
+        let map = map.and_then(|s| {
+            let unknown = |e| terminal.note(&format!("no value map: {e}"));
+            ValueMap::new(s).map_err(unknown).ok()
+        });
+        let available = Available {
+            map: map.is_some(),
+            fitted: stored.map(fitted).transpose()?.unwrap_or_default(),
+            added: wanted.weights.clone(),
+        };
+        Ok(Self { stored, map, available })
+    }
+
+    pub fn chart(&self) -> Option<&dyn Chart> {
+        self.map.as_ref().map(|m| m as &dyn Chart)
+    }
+
+    /// The laws that a section asks for; `map` says whether the law of V is there.
+    pub fn choose(
+        &self,
+        laws: &Laws<'_>,
+        scene: &ClosedLoop,
+        (wanted, map): (&Wanted, bool),
+        terminal: &Terminal,
+    ) -> Result<Vec<Law>, CliError> {
+        let available = Available {
+            map,
+            ..self.available.clone()
+        };
+        if let Some(twice) = (available.added.iter()).find(|w| {
+            [LQR, MAP].contains(&w.name.as_str())
+                || available.fitted.iter().any(|f| f.name == w.name)
+                || scene.given.iter().any(|g| g.name == w.name)
+        }) {
+            return Err(CliError::SameLaw {
+                name: twice.name.clone(),
+            });
+        }
+        let chosen = available.choose(laws, scene, wanted.laws.as_deref())?;
+        for name in &chosen.missing {
+            terminal.note(&format!(
+                "law `{name}` is left out: there is none in the result file (yet)"
+            ));
+        }
+        if chosen.laws.is_empty() {
+            return Err(CliError::NoLaws);
+        }
+        Ok(chosen.laws)
+    }
+}
+
+/// Simulates the laws of a scene's `[closed_loop]` and writes what came of it.
 pub(super) fn perform(
-    stored: Option<&Stored>,
+    from: &Sources<'_>,
     (model, hamiltonian): (&Model, &Hamiltonian),
     wanted: &Wanted,
     backend: &dyn Backend,
@@ -115,36 +199,8 @@ pub(super) fn perform(
     let scene = model.closed_loop.as_ref().ok_or(CliError::NoClosedLoop)?;
     let laws = Laws::new(model, hamiltonian, scene.track);
     let setting = Setting::new(&laws, scene, backend, wanted.choices)?;
-    // Without a law that asks for it the map still tells V.
-    let map = stored.filter(|s| s.has("trajectories") || s.has("points") || s.has("map"));
-    let map = map.and_then(|s| {
-        let unknown = |e| terminal.note(&format!("no value map: {e}"));
-        ValueMap::new(s).map_err(unknown).ok()
-    });
-    let chart = map.as_ref().map(|m| m as &dyn Chart);
-    let available = Available {
-        map: chart.is_some(),
-        fitted: stored.map(fitted).transpose()?.unwrap_or_default(),
-        added: wanted.weights.clone(),
-    };
-    if let Some(twice) = (available.added.iter()).find(|w| {
-        [LQR, MAP].contains(&w.name.as_str())
-            || available.fitted.iter().any(|f| f.name == w.name)
-            || scene.given.iter().any(|g| g.name == w.name)
-    }) {
-        return Err(CliError::SameLaw {
-            name: twice.name.clone(),
-        });
-    }
-    let chosen = available.choose(&laws, scene, wanted.laws.as_deref())?;
-    for name in &chosen.missing {
-        terminal.note(&format!(
-            "law `{name}` is left out: there is none in the result file (yet)"
-        ));
-    }
-    if chosen.laws.is_empty() {
-        return Err(CliError::NoLaws);
-    }
+    let chart = from.chart();
+    let chosen = from.choose(&laws, scene, (wanted, chart.is_some()), terminal)?;
     let initial = Initial::new(model, scene, wanted.random, wanted.choices.seed)?;
     let bar = terminal.progress();
     let values = if wanted.solve {
@@ -158,9 +214,9 @@ pub(super) fn perform(
             &mut told,
         )?)
     } else {
-        Some(known_values(stored, model, &initial, map.as_ref(), terminal)?)
+        Some(known_values(from, model, &initial, terminal)?)
     };
-    let evaluation = setting.evaluate(&chosen.laws, initial, chart, values, backend, &mut |law| {
+    let evaluation = setting.evaluate(&chosen, initial, chart, values, backend, &mut |law| {
         bar.say(&format!("closed loop of {law}"));
     })?;
     bar.clear();
@@ -178,10 +234,9 @@ pub(super) fn perform(
 
 /// V of the states solved for in a result file and, elsewhere, of its map, as far as that is good; NaN where it is not known.
 fn known_values(
-    stored: Option<&Stored>,
+    from: &Sources<'_>,
     model: &Model,
     initial: &Initial,
-    map: Option<&ValueMap>,
     terminal: &Terminal,
 ) -> Result<Vec<f64>, CliError> {
     /// Largest estimated error of V, of V.
@@ -189,7 +244,7 @@ fn known_values(
     /// States at which it is estimated, which takes a hundred times longer than V.
     const ESTIMATED: usize = 5000;
     let unknown = vec![f64::NAN; initial.count()];
-    let Some(stored) = stored else { return Ok(unknown) };
+    let Some(stored) = from.stored else { return Ok(unknown) };
     if !same_problem(&stored.model, model) {
         terminal.note("V in the file is of another problem (other parameters, equations or cost): J is not compared with it (--solve finds V)");
         return Ok(unknown);
@@ -201,7 +256,7 @@ fn known_values(
         }
         None => unknown,
     };
-    let Some(map) = map else { return Ok(values) };
+    let Some(map) = &from.map else { return Ok(values) };
     let estimated = initial.count() <= ESTIMATED;
     let charted: Vec<Option<f64>> = (initial.x.par_chunks(model.states.len()).zip(&values))
         .map(|(x, known)| match known.is_nan() {
@@ -226,7 +281,7 @@ fn known_values(
 }
 
 /// Whether two scenes have the same equations, cost and parameters, so that V of one is V of the other.
-fn same_problem(a: &Model, b: &Model) -> bool {
+pub(super) fn same_problem(a: &Model, b: &Model) -> bool {
     let shown = |m: &Model| -> Vec<String> {
         let cost = std::iter::once(m.running.expr);
         let exprs = m.dynamics.iter().map(|f| f.expr).chain(cost);

@@ -6,6 +6,7 @@ mod bench;
 mod bench_report;
 mod check;
 mod columns;
+mod dissipation;
 mod estimates;
 mod evaluate;
 mod fit;
@@ -474,7 +475,9 @@ enum CliError {
     Law(LawError),
     #[error(transparent)]
     Loop(LoopError),
-    #[error("the scenario has no [closed_loop] section: nothing to simulate (--scene takes it from another scenario)")]
+    #[error(
+        "the scenario has neither [closed_loop] nor [dissipation]: nothing to simulate (--scene takes it from another scenario)"
+    )]
     NoClosedLoop,
     #[error("no law to simulate: none of those that the scenario asks for is there")]
     NoLaws,

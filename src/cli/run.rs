@@ -150,7 +150,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     if let Some(draft) = draft {
         let scene = (&model, &hamiltonian);
         let laws = afterwards::laws(&draft, scene, backend.as_ref(), choices, &terminal)?;
-        for key in ["feedback", "closed_loop", "attenuation"] {
+        for key in ["feedback", "closed_loop", "dissipation", "attenuation"] {
             summary[key] = laws[key].clone();
         }
         draft.publish()?;

@@ -1,11 +1,13 @@
 //! A closed loop as programs: what is integrated, what is recorded.
 
+use super::forcing::{Forcing, Motion};
 use super::law::Law;
 use crate::backend::{By, Guards, Spec};
 use crate::expr::{Deviation, Graph, Id, Kind};
 use crate::hamiltonian::{GuardExpr, Hamiltonian};
 use crate::model::{Extremum, Horizon, Method, Model, Precision, Record};
 use crate::program::Program;
+use nalgebra::DMatrix;
 use std::collections::HashMap;
 use std::ops::Range;
 
@@ -14,11 +16,17 @@ use std::ops::Range;
 /// The integrated vector is `(s, q, H, J)`: q and the upper triangle of H (row by row) only where the law is that of a
 /// chart, whose `p = q + H s` they hold constant. `J' = L`. [`Equations::scaled`] has a duration T before J, by which
 /// all rates are multiplied.
+///
+/// With a [`Forcing`] it is `(s, q, H, d, W, J)`: d is what a trajectory's disturbance is made of, `W' = L(x, u, 0) - L(x, u, w)` what
+/// the disturbance pays for, and `J' = L(x, u, 0)`. Without one w = 0.
 pub(super) struct Equations {
     graph: Graph,
     pub states: usize,
     pub controls: usize,
+    /// Whether q and H are there.
     pub charted: bool,
+    /// Components of d; none without a forcing.
+    pub forcing: Range<usize>,
     /// Symbols of the integrated vector but for J.
     inputs: Vec<Id>,
     rate: Vec<Id>,
@@ -26,6 +34,7 @@ pub(super) struct Equations {
     /// Of each record its expression and the time derivative of that.
     recorded: Vec<Id>,
     control: Vec<Id>,
+    disturbance: Vec<Id>,
     /// At whose zeros a recorded expression has a kink.
     switches: Vec<Id>,
     terminal: Option<Id>,
@@ -33,7 +42,13 @@ pub(super) struct Equations {
 }
 
 impl Equations {
-    pub fn new(model: &Model, hamiltonian: &Hamiltonian, law: &Law, records: &[Record]) -> Self {
+    pub fn new(
+        model: &Model,
+        hamiltonian: &Hamiltonian,
+        law: &Law,
+        records: &[Record],
+        forcing: Option<&Forcing>,
+    ) -> Self {
         let mut graph = law.graph.clone();
         let n = model.states.len();
         let zero = graph.constant(0.0);
@@ -47,18 +62,38 @@ impl Equations {
             symbols.insert(state.variable.symbol, Deviation { at, change });
             inputs.push(change);
         }
-        if law.charted {
-            let p = chart_symbols(&mut graph, &mut inputs, n);
-            for (&symbol, change) in hamiltonian.p.iter().zip(p) {
-                symbols.insert(symbol, Deviation { at: 0.0, change });
-            }
+        let quadratic = forcing.and_then(|f| f.quadratic.as_ref());
+        let charted = quadratic.is_none() && (law.charted || forcing.is_some());
+        let p = match quadratic {
+            Some(matrix) => linear(&mut graph, matrix, &inputs),
+            None if charted => chart_symbols(&mut graph, &mut inputs, n),
+            None => Vec::new(),
+        };
+        for (&symbol, change) in hamiltonian.p.iter().zip(p) {
+            symbols.insert(symbol, Deviation { at: 0.0, change });
         }
+        let first = inputs.len();
+        let motion = forcing.map(|_| Motion::new(model, hamiltonian, &mut graph));
+        for &change in motion.iter().flat_map(|m| &m.components) {
+            symbols.insert(change, Deviation { at: 0.0, change });
+            inputs.push(change);
+        }
+        let forced = first..inputs.len();
         let mut replaced: HashMap<Id, Id> = (model.controls.iter().zip(&law.control))
             .map(|(c, u)| (c.variable.symbol, *u))
             .collect();
-        replaced.extend(model.disturbances.iter().map(|w| (w.symbol, zero)));
+        let disturbances = || model.disturbances.iter().map(|w| w.symbol);
+        let without: HashMap<Id, Id> = disturbances().map(|w| (w, zero)).collect();
+        let running = graph.substitute(&[model.running.expr], &without)[0];
+        let supply = motion.as_ref().map(|m| m.supply);
+        replaced.extend(match &motion {
+            Some(motion) => disturbances().zip(motion.disturbance.clone()).collect(),
+            None => without,
+        });
         let roots: Vec<Id> = (model.dynamics.iter().map(|f| f.expr))
-            .chain([model.running.expr])
+            .chain([running])
+            .chain(supply)
+            .chain(disturbances().filter(|_| forcing.is_some()))
             .chain(records.iter().map(|r| r.of.expr))
             .chain(model.controls.iter().map(|c| c.variable.symbol))
             .chain(hamiltonian.guards.iter().map(|g| g.condition.expr))
@@ -76,6 +111,8 @@ impl Equations {
             .into_iter();
         let mut take = |count: usize| whole.by_ref().take(count).collect::<Vec<Id>>();
         let (f, running) = (take(n), take(1)[0]);
+        let supply = take(usize::from(forcing.is_some())).first().copied();
+        let disturbance = take(forcing.map_or(0, |_| model.disturbances.len()));
         let (values, control) = (take(records.len()), take(model.controls.len()));
         let guards = (hamiltonian.guards.iter().zip(take(hamiltonian.guards.len())))
             .map(|(g, expr)| GuardExpr {
@@ -103,11 +140,18 @@ impl Equations {
         }
         let mut rate = f;
         rate.resize(inputs.len(), zero);
+        if let (Some(supply), Some(motion)) = (supply, &motion) {
+            rate[first + motion.time] = graph.constant(1.0);
+            rate.push(supply);
+            inputs.push(graph.symbol("supplied", Kind::State));
+        }
         rate.push(running);
         Self {
             states: n,
             controls: model.controls.len(),
-            charted: law.charted,
+            charted,
+            forcing: forced,
+            disturbance,
             inputs,
             rate,
             guards,
@@ -135,6 +179,8 @@ impl Equations {
             guards: Vec::new(),
             recorded: self.recorded.clone(),
             control: self.control.clone(),
+            disturbance: self.disturbance.clone(),
+            forcing: self.forcing.clone(),
             switches: self.switches.clone(),
             reference: self.reference.clone(),
             ..*self
@@ -149,6 +195,11 @@ impl Equations {
     /// Index of J.
     pub fn cost(&self) -> usize {
         self.dim() - 1
+    }
+
+    /// Index of W, where there is a forcing.
+    pub fn supplied(&self) -> Option<usize> {
+        (!self.forcing.is_empty()).then_some(self.forcing.end)
     }
 
     /// Operations of a right-hand side.
@@ -178,9 +229,18 @@ impl Equations {
         }
     }
 
-    /// Values and time derivatives of the records, then the controls, then the arguments at whose zeros records have kinks.
+    /// Values and time derivatives of the records, then the controls, then the arguments at whose zeros records have kinks,
+    /// then the disturbances of a forcing.
     pub fn observed(&self) -> Program {
-        self.program(&[self.recorded.as_slice(), &self.control, &self.switches].concat())
+        self.program(
+            &[
+                self.recorded.as_slice(),
+                &self.control,
+                &self.switches,
+                &self.disturbance,
+            ]
+            .concat(),
+        )
     }
 
     /// Columns of [`Self::observed`] with the controls.
@@ -194,6 +254,12 @@ impl Equations {
         first..first + self.switches.len()
     }
 
+    /// Columns of [`Self::observed`] with the disturbances; none without a forcing.
+    pub fn disturbance_columns(&self) -> Range<usize> {
+        let first = self.switch_columns().end;
+        first..first + self.disturbance.len()
+    }
+
     /// Values of the guards.
     pub fn guard_values(&self) -> Option<Program> {
         let exprs: Vec<Id> = self.guards.iter().map(|g| g.expr).collect();
@@ -204,6 +270,21 @@ impl Equations {
     pub fn terminal(&self) -> Option<Program> {
         self.terminal.map(|t| self.program(&[t]))
     }
+}
+
+/// `P s`.
+fn linear(graph: &mut Graph, p: &DMatrix<f64>, s: &[Id]) -> Vec<Id> {
+    (0..s.len())
+        .map(|i| {
+            let terms: Vec<Id> = (s.iter().enumerate())
+                .map(|(j, s)| {
+                    let entry = graph.constant(p[(i, j)]);
+                    graph.mul(entry, *s)
+                })
+                .collect();
+            graph.sum(&terms)
+        })
+        .collect()
 }
 
 /// Adds q and H to the inputs; returns `p = q + H s`.

@@ -1,7 +1,7 @@
 //! What came of a simulation: costs against V, shares, operating sets.
 
+use super::Path;
 use super::sets::{Line, area, contour};
-use super::simulate::Path;
 use super::{Initial, Setting};
 use crate::backend::{Backend, Status};
 use crate::model::{Extremum, OperatingSet};

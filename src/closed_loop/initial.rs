@@ -27,14 +27,18 @@ impl Initial {
     pub fn new(model: &Model, asked: &ClosedLoop, random: Option<usize>, seed: u64) -> Result<Self, LoopError> {
         match random.or(asked.random) {
             Some(count) => Self::random(asked, count, seed),
-            None => Self::grid(model, asked),
+            None => Self::of_axes(model, &asked.initial),
         }
     }
 
-    fn grid(model: &Model, asked: &ClosedLoop) -> Result<Self, LoopError> {
+    /// The grid of some axes, one a state.
+    ///
+    /// # Errors
+    /// [`LoopError::NoCount`].
+    pub fn of_axes(model: &Model, starts: &[Start]) -> Result<Self, LoopError> {
         let mut all: Vec<Vec<f64>> = Vec::new();
         let mut axes = Vec::new();
-        for (i, start) in asked.initial.iter().enumerate() {
+        for (i, start) in starts.iter().enumerate() {
             let values = match *start {
                 Start::Fixed(x) => vec![x],
                 Start::Range { count: None, .. } => {

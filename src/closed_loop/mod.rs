@@ -5,8 +5,11 @@
 //! are followed to their extrema between samples; [`Evaluation`] says what came of it.
 
 mod choose;
+pub mod dissipation;
 mod equations;
 mod evaluation;
+mod flights;
+mod forcing;
 mod initial;
 mod law;
 mod record;
@@ -17,10 +20,11 @@ mod write;
 
 pub use choose::{Available, Chosen, LQR, MAP, Weights};
 pub use evaluation::{Evaluation, LawResult, SetResult, Spread};
+pub use flights::{Flights, Path};
 pub use initial::Initial;
 pub use law::{Law, LawError, Laws};
 pub use sets::{Line, area, contour};
-pub use simulate::{Flights, OUTSIDE_MAP, Path};
+pub use simulate::OUTSIDE_MAP;
 pub use values::solved_values;
 pub use write::GROUPS;
 
@@ -29,6 +33,7 @@ use crate::hamiltonian::Hamiltonian;
 use crate::map::ValueMap;
 use crate::model::{ClosedLoop, Horizon, Model};
 use crate::sweep::{Choices, GUARD_STATUS, Numerics, PlanError};
+use flights::Starts;
 use nalgebra::DMatrix;
 use simulate::Simulator;
 use std::time::Instant;
@@ -38,6 +43,11 @@ pub trait Chart: Sync {
     /// V, its gradient and its second derivatives at a state; `None` where they are not known. A state with a period may be
     /// any number of periods away.
     fn local(&self, x: &[f64]) -> Option<Expansion>;
+
+    /// Estimated error of V at a state; NaN where nothing is known of it.
+    fn uncertainty(&self, _x: &[f64]) -> f64 {
+        f64::NAN
+    }
 }
 
 /// V to the second order around a state.
@@ -57,6 +67,14 @@ impl Chart for ValueMap {
             p: here.p,
             hessian: here.hessian,
         })
+    }
+
+    /// With what [`Chart::local`], which is in haste, differs by from all sites around.
+    fn uncertainty(&self, x: &[f64]) -> f64 {
+        match (self.at(x).lowest, ValueMap::local(self, x)) {
+            (Ok(here), Some(hasty)) => here.v_error + (here.v - hasty.v).abs(),
+            _ => f64::NAN,
+        }
     }
 }
 
@@ -82,6 +100,18 @@ pub enum LoopError {
     NoRange,
     #[error("the axis of `{axis}` has no count, which a grid needs (or give random = N)")]
     NoCount { axis: String },
+    #[error(
+        "V is not known: there is no value map, and the scene is not linear with a quadratic cost (or has no stabilizing P >= 0), where V would be exact without one"
+    )]
+    NoValue,
+    #[error(
+        "[dissipation] {key} = \"auto\" follows from the closed loop's eigenvalues, of which there are none here: give {key}"
+    )]
+    NoRates { key: &'static str },
+    #[error("[dissipation] amplitude = \"auto\" is the largest w* over the region, which is 0: give amplitude")]
+    NoAmplitude,
+    #[error("V is known at none of the initial states of [dissipation]")]
+    NoStates,
 }
 
 /// What all laws are simulated with.
@@ -202,9 +232,15 @@ impl<'s> Setting<'s> {
             return Err(LoopError::NoChart { law: law.name.clone() });
         }
         let clock = Instant::now();
-        let mut simulator = Simulator::new(self, law, backend)?;
+        let mut simulator = Simulator::new(self, law, None, backend)?;
         let compiled = clock.elapsed().as_secs_f64();
-        let mut flights = simulator.fly(&initial.x, &initial.kept(), chart)?;
+        let kept = initial.kept();
+        let starts = Starts {
+            x: &initial.x,
+            kept: &kept,
+            ..Starts::default()
+        };
+        let mut flights = simulator.fly(starts, chart, None)?;
         if law.charted {
             self.unwind(&mut simulator, initial, &mut flights, chart)?;
         }
@@ -231,7 +267,14 @@ impl<'s> Setting<'s> {
                 x.extend((from.iter().zip(&turns).zip(&self.periods)).map(|((x, k), p)| x - k * p.unwrap_or(0.0)));
             }
         }
-        let again = simulator.fly(&x, &[], chart)?;
+        let again = simulator.fly(
+            Starts {
+                x: &x,
+                ..Starts::default()
+            },
+            chart,
+            None,
+        )?;
         for (j, i) in moved.into_iter().enumerate() {
             flights.cost[i] = again.cost[j];
             flights.status[i] = again.status[j];

@@ -1,9 +1,11 @@
 //! Batches of closed-loop trajectories on a backend.
 
 use super::equations::{Equations, set_chart};
+use super::flights::{Flights, Path, Seen, Starts, Watch};
+use super::forcing::Forcing;
 use super::law::Law;
 use super::record::Records;
-use super::{Chart, LoopError, Setting};
+use super::{Chart, Expansion, LoopError, Setting};
 use crate::backend::cpu::map::Evaluator;
 use crate::backend::{Backend, Kernel, Run, Status, Trajectories, batch_limit};
 use crate::sweep::GUARD_STATUS;
@@ -17,38 +19,6 @@ const AT_GUARD: f64 = 1e-4;
 const HOLD: f64 = 0.25;
 /// Trajectories of a batch under a chart's law.
 const CHARTED_BATCH: usize = 16384;
-
-/// A trajectory kept whole, `samples + 1` points; NaN after its end.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Path {
-    /// Index of its initial state.
-    pub initial: usize,
-    pub t: Vec<f64>,
-    /// `[point][state]`.
-    pub x: Vec<f64>,
-    /// `[point][control]`.
-    pub u: Vec<f64>,
-}
-
-/// How closed-loop trajectories went, in the order of their initial states.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Flights {
-    /// `[trajectory][state]`: deviation from the reference at the end.
-    pub end: Vec<f64>,
-    pub t_end: Vec<f64>,
-    /// [`Status`] codes, [`OUTSIDE_MAP`], and from [`GUARD_STATUS`] on the guards.
-    pub status: Vec<i32>,
-    /// Integral of the running cost up to the end.
-    pub cost: Vec<f64>,
-    /// Terminal cost at the end, where the horizon is finite.
-    pub terminal: Vec<f64>,
-    /// Updates of a chart's law, and those at which the last answer was held for want of one.
-    pub updates: usize,
-    pub held: usize,
-    /// `[trajectory][record]`.
-    pub records: Vec<f64>,
-    pub paths: Vec<Path>,
-}
 
 /// A law's kernels.
 pub(super) struct Simulator<'s> {
@@ -64,6 +34,8 @@ pub(super) struct Simulator<'s> {
 /// A batch while it flies.
 struct Batch {
     dim: usize,
+    /// Number of the first trajectory.
+    first: usize,
     /// `[trajectory][dim]`.
     start: Vec<f64>,
     end: Vec<f64>,
@@ -77,9 +49,15 @@ struct Batch {
 }
 
 impl<'s> Simulator<'s> {
-    pub fn new(setting: &'s Setting<'s>, law: &Law, backend: &dyn Backend) -> Result<Self, LoopError> {
+    /// Under disturbances where there is a forcing.
+    pub fn new(
+        setting: &'s Setting<'s>,
+        law: &Law,
+        forcing: Option<&Forcing>,
+        backend: &dyn Backend,
+    ) -> Result<Self, LoopError> {
         let scene = setting.closed_loop;
-        let equations = Equations::new(setting.model, setting.hamiltonian, law, &scene.records);
+        let equations = Equations::new(setting.model, setting.hamiltonian, law, &scene.records, forcing);
         let operations = equations.operations();
         if operations > crate::sweep::MOST_OPERATIONS {
             return Err(LoopError::TooLong {
@@ -88,7 +66,7 @@ impl<'s> Simulator<'s> {
             });
         }
         let (method, precision) = (setting.numerics.method, setting.numerics.precision);
-        let kernel = backend.compile(&equations.spec(method, precision, !law.charted))?;
+        let kernel = backend.compile(&equations.spec(method, precision, !equations.charted))?;
         let scaled = if scene.records.is_empty() {
             None
         } else {
@@ -107,8 +85,13 @@ impl<'s> Simulator<'s> {
         })
     }
 
-    /// From states `x0` (`[trajectory][state]`); those at the indices `kept` are kept whole. A law of a chart needs one.
-    pub fn fly(&mut self, x0: &[f64], kept: &[usize], chart: Option<&dyn Chart>) -> Result<Flights, LoopError> {
+    /// What is asked of a chart needs one.
+    pub fn fly(
+        &mut self,
+        starts: Starts<'_>,
+        chart: Option<&dyn Chart>,
+        mut watch: Option<Watch<'_>>,
+    ) -> Result<Flights, LoopError> {
         let n = self.equations.states;
         let samples = self.setting.closed_loop.samples;
         let size = if self.equations.charted {
@@ -117,24 +100,31 @@ impl<'s> Simulator<'s> {
             batch_limit(self.equations.dim(), samples)
         };
         let mut flights = Flights::default();
-        for (k, chunk) in x0.chunks(size * n).enumerate() {
-            let mut batch = self.batch(chunk, k * size, kept);
+        for (k, chunk) in starts.x.chunks(size * n).enumerate() {
+            let mut batch = self.batch(chunk, k * size, starts);
             match chart.filter(|_| self.equations.charted) {
-                Some(chart) => self.by_chart(&mut batch, chart)?,
-                None => self.by_formula(&mut batch)?,
+                Some(chart) => self.by_chart(&mut batch, chart, &mut watch)?,
+                None => self.by_formula(&mut batch, &mut watch)?,
             }
             self.finish(batch, &mut flights)?;
         }
         Ok(flights)
     }
 
-    fn batch(&self, x0: &[f64], first: usize, kept: &[usize]) -> Batch {
+    fn batch(&self, x0: &[f64], first: usize, starts: Starts<'_>) -> Batch {
         let (n, dim) = (self.equations.states, self.equations.dim());
         let count = x0.len() / n;
         let mut start = vec![0.0; count * dim];
         for (vector, x) in start.chunks_exact_mut(dim).zip(x0.chunks_exact(n)) {
             for i in 0..n {
                 vector[i] = x[i] - self.equations.reference[i];
+            }
+        }
+        let forced = self.equations.forcing.clone();
+        if !forced.is_empty() {
+            let own = starts.forcing[first * forced.len()..].chunks_exact(forced.len());
+            for (vector, forcing) in start.chunks_exact_mut(dim).zip(own) {
+                vector[forced.clone()].copy_from_slice(forcing);
             }
         }
         let here = |initial: &&usize| (first..first + count).contains(*initial);
@@ -144,6 +134,7 @@ impl<'s> Simulator<'s> {
         };
         Batch {
             dim,
+            first,
             end: start.clone(),
             t_end: vec![0.0; count],
             status: vec![Status::Reached as i32; count],
@@ -152,7 +143,7 @@ impl<'s> Simulator<'s> {
                 self.equations.switch_columns(),
                 count,
             ),
-            kept: (kept.iter().filter(here).map(|i| (i - first, path(*i)))).collect(),
+            kept: (starts.kept.iter().filter(here).map(|i| (i - first, path(*i)))).collect(),
             updates: 0,
             held: 0,
             start,
@@ -167,7 +158,9 @@ impl<'s> Simulator<'s> {
         for (atol, width) in atol.iter_mut().zip(&setting.widths) {
             *atol = numerics.atol * width;
         }
-        atol[equations.cost()] = numerics.atol * setting.value_scale;
+        for integral in [Some(equations.cost()), equations.supplied()].into_iter().flatten() {
+            atol[integral] = numerics.atol * setting.value_scale;
+        }
         Run {
             rtol: numerics.rtol,
             atol,
@@ -180,7 +173,7 @@ impl<'s> Simulator<'s> {
     }
 
     /// A law that is a formula: each trajectory at once.
-    fn by_formula(&mut self, batch: &mut Batch) -> Result<(), LoopError> {
+    fn by_formula(&mut self, batch: &mut Batch, watch: &mut Option<Watch<'_>>) -> Result<(), LoopError> {
         let scene = self.setting.closed_loop;
         let times: Vec<f64> = (1..=scene.samples)
             .map(|k| scene.final_time * k as f64 / scene.samples as f64)
@@ -212,6 +205,18 @@ impl<'s> Simulator<'s> {
                 }
             });
         }
+        if let Some(watch) = watch {
+            for i in 0..flown.count() {
+                self.show(watch, batch.first + i, 0.0, &batch.start[i * dim..][..dim], None);
+                for k in 0..flown.levels {
+                    let sample = flown.sample(i, k);
+                    if sample[0].is_nan() {
+                        break;
+                    }
+                    self.show(watch, batch.first + i, sample[0], &sample[1..], None);
+                }
+            }
+        }
         for (i, path) in &mut batch.kept {
             let start = [0.0]
                 .iter()
@@ -231,16 +236,33 @@ impl<'s> Simulator<'s> {
 
     /// Numbers of a row of the observer.
     fn observer_width(&self) -> usize {
-        self.equations.switch_columns().end
+        self.equations.disturbance_columns().end
+    }
+
+    fn show(&self, watch: &mut Watch<'_>, trajectory: usize, t: f64, vector: &[f64], v: Option<f64>) {
+        watch(Seen {
+            trajectory,
+            t,
+            s: &vector[..self.equations.states],
+            cost: vector[self.equations.cost()],
+            supplied: self.equations.supplied().map_or(0.0, |k| vector[k]),
+            v,
+        });
     }
 
     fn keep(&self, path: &mut Path, t: f64, vector: &[f64]) {
         let n = self.equations.states;
         path.t.push(t);
         path.x.extend((0..n).map(|i| vector[i] + self.equations.reference[i]));
-        let controls = &self.observer.eval(vector, vector.len())[self.equations.control_columns()];
-        path.u
-            .extend(controls.iter().map(|u| if t.is_nan() { f64::NAN } else { *u }));
+        let seen = self.observer.eval(vector, vector.len());
+        let known =
+            |values: &[f64]| -> Vec<f64> { values.iter().map(|v| if t.is_nan() { f64::NAN } else { *v }).collect() };
+        path.u.extend(known(&seen[self.equations.control_columns()]));
+        path.w.extend(known(&seen[self.equations.disturbance_columns()]));
+        if let Some(supplied) = self.equations.supplied() {
+            path.supplied.extend(known(&[vector[supplied]]));
+            path.cost.extend(known(&[vector[self.equations.cost()]]));
+        }
     }
 
     /// Ends and statuses of a batch integrated as a whole.
@@ -278,8 +300,13 @@ impl<'s> Simulator<'s> {
     }
 
     /// The law of a chart: between updates that of its quadratic model at the state of the last one. A gap in the chart is
-    /// bridged with the model before it.
-    fn by_chart(&mut self, batch: &mut Batch, chart: &dyn Chart) -> Result<(), LoopError> {
+    /// bridged with the model before it, but not under a forcing: V certifies nothing there.
+    fn by_chart(
+        &mut self,
+        batch: &mut Batch,
+        chart: &dyn Chart,
+        watch: &mut Option<Watch<'_>>,
+    ) -> Result<(), LoopError> {
         let scene = self.setting.closed_loop;
         let sampling = scene.final_time / scene.samples as f64;
         let updates = scene
@@ -289,24 +316,25 @@ impl<'s> Simulator<'s> {
         let run = self.run(&self.equations, vec![step]);
         let (n, dim, width) = (self.equations.states, batch.dim, self.observer_width());
         let mut alive: Vec<usize> = (0..batch.status.len()).collect();
-        let patience = (HOLD * (scene.samples * updates) as f64) as usize;
+        let patience = if self.equations.supplied().is_some() {
+            0
+        } else {
+            (HOLD * (scene.samples * updates) as f64) as usize
+        };
         let mut waited = vec![0; alive.len()];
         for k in 0..scene.samples * updates {
             let t = step * k as f64;
-            let reference = &self.equations.reference;
-            let answers: Vec<_> = (alive.par_iter())
-                .map(|i| {
-                    let s = &batch.end[i * dim..][..n];
-                    let x: Vec<f64> = s.iter().zip(reference).map(|(s, x)| s + x).collect();
-                    chart.local(&x)
-                })
-                .collect();
+            let answers = self.asked(chart, batch, &alive);
             batch.updates += alive.len();
             for (&i, answer) in alive.iter().zip(&answers) {
                 match answer {
                     Some(a) => {
-                        set_chart(&mut batch.end[i * dim..][..dim], &a.p, &a.hessian);
+                        let vector = &mut batch.end[i * dim..][..dim];
+                        set_chart(vector, &a.p, &a.hessian);
                         waited[i] = 0;
+                        if let Some(watch) = watch {
+                            self.show(watch, batch.first + i, t, vector, Some(a.v));
+                        }
                     }
                     None if k > 0 && waited[i] < patience => {
                         waited[i] += 1;
@@ -346,14 +374,45 @@ impl<'s> Simulator<'s> {
             }
             alive.retain(|i| batch.status[*i] == Status::Reached as i32);
         }
+        if let Some(watch) = watch {
+            for (&i, answer) in alive.iter().zip(self.asked(chart, batch, &alive)) {
+                if let Some(a) = answer {
+                    self.show(
+                        watch,
+                        batch.first + i,
+                        scene.final_time,
+                        &batch.end[i * dim..][..dim],
+                        Some(a.v),
+                    );
+                }
+            }
+        }
         self.keep_alive(batch, &alive, scene.final_time);
         for (_, path) in &mut batch.kept {
             let missing = scene.samples + 1 - path.t.len();
             path.t.extend(vec![f64::NAN; missing]);
             path.x.extend(vec![f64::NAN; missing * n]);
             path.u.extend(vec![f64::NAN; missing * self.equations.controls]);
+            if self.equations.supplied().is_some() {
+                path.w
+                    .extend(vec![f64::NAN; missing * self.equations.disturbance_columns().len()]);
+                path.supplied.extend(vec![f64::NAN; missing]);
+                path.cost.extend(vec![f64::NAN; missing]);
+            }
         }
         Ok(())
+    }
+
+    /// What the chart says where these trajectories are.
+    fn asked(&self, chart: &dyn Chart, batch: &Batch, alive: &[usize]) -> Vec<Option<Expansion>> {
+        let (n, dim, reference) = (self.equations.states, batch.dim, &self.equations.reference);
+        (alive.par_iter())
+            .map(|i| {
+                let s = &batch.end[i * dim..][..n];
+                let x: Vec<f64> = s.iter().zip(reference).map(|(s, x)| s + x).collect();
+                chart.local(&x)
+            })
+            .collect()
     }
 
     fn keep_alive(&self, batch: &mut Batch, alive: &[usize], t: f64) {

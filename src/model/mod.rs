@@ -249,6 +249,27 @@ pub struct ClosedLoop {
     pub span: Span,
 }
 
+/// `[dissipation]`: the L2 gain that V certifies, checked by simulation. `None` is "auto".
+#[derive(Clone, Debug)]
+pub struct Dissipation {
+    /// Disturbances under each law.
+    pub disturbances: usize,
+    pub final_time: Option<f64>,
+    /// Largest amplitude, one a disturbance.
+    pub amplitude: Option<Vec<f64>>,
+    /// Between which frequencies sinusoids lie, rad a unit of time.
+    pub frequencies: Option<[f64; 2]>,
+    /// Names of the laws asked for; `None`: the optimal one.
+    pub laws: Option<Vec<(String, Span)>>,
+    /// One a state; `None`: spread over where V is known.
+    pub initial: Option<Vec<Start>>,
+    /// Intervals between the times at which the inequality is checked.
+    pub samples: usize,
+    /// Time between updates of p from a value map.
+    pub period: Option<f64>,
+    pub span: Span,
+}
+
 /// `[study]`: the optimal trajectory from one state, for several values of parameters.
 #[derive(Clone, Debug)]
 pub struct Study {
@@ -386,6 +407,7 @@ pub struct Model {
     pub feedback: Vec<Feedback>,
     pub report: Option<Report>,
     pub closed_loop: Option<ClosedLoop>,
+    pub dissipation: Option<Dissipation>,
     pub study: Option<Study>,
     pub attenuation: Option<Attenuation>,
     pub integrator: Integrator,

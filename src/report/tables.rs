@@ -14,7 +14,7 @@ pub struct Table {
 }
 
 /// Groups that are shown as tables: name, title, caption.
-const GROUPS: [(&str, &str, &str); 4] = [
+const GROUPS: [(&str, &str, &str); 5] = [
     (
         "feedback",
         "Fitted laws",
@@ -29,6 +29,12 @@ const GROUPS: [(&str, &str, &str); 4] = [
         "operating_sets",
         "Operating sets",
         "Share of initial states inside, and area in the units of the grid's axes.",
+    ),
+    (
+        "dissipation_kinds",
+        "Dissipation inequality",
+        "E_z + V(x(t)) \u{2264} W + V0 under disturbances of each kind: E_z is what they did, W what they paid for. A ratio is E_z/(W + V0); \
+         violations are relative to W + V0.",
     ),
     ("study", "Study", "One row a variant."),
 ];

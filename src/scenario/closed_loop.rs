@@ -58,6 +58,7 @@ const KEYS: [&str; 12] = [
 pub(super) struct LoopScope<'s, 'a> {
     pub states: &'s [Declared<'a>],
     pub controls: &'s [Declared<'a>],
+    pub disturbances: &'s [Declared<'a>],
     pub reference: Option<&'s [f64]>,
     pub region: Option<&'s [[f64; 2]]>,
     /// A finite horizon's.
@@ -88,7 +89,8 @@ impl<'a> Reader<'a> {
         let random = section.get("random").and_then(|v| self.count(v, "random", 1));
         let initial = self.starts(section, scope, random.is_some());
         let given = self.given_laws(section, scope);
-        let laws = section.get("laws").and_then(|v| self.law_names(v, &given, scope));
+        let names: Vec<&str> = given.iter().map(|g| g.name.as_str()).collect();
+        let laws = section.get("laws").and_then(|v| self.law_names(v, &names, scope));
         let records = section
             .get("record")
             .map(|v| self.records("closed_loop", section, v, scope));
@@ -132,7 +134,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn starts(&mut self, section: &Section<'a>, scope: &LoopScope<'_, 'a>, random: bool) -> Option<Vec<Start>> {
+    /// The entry `initial` of a section; without one, where states are drawn at random, the region.
+    pub fn starts(&mut self, section: &Section<'a>, scope: &LoopScope<'_, 'a>, random: bool) -> Option<Vec<Start>> {
         let Some(value) = section.get("initial") else {
             if random {
                 let ranges = scope.region?.iter().map(|[first, last]| Start::Range {
@@ -253,11 +256,11 @@ impl<'a> Reader<'a> {
         Some(Formula::Expressions(all))
     }
 
-    /// The names of the laws to simulate.
-    fn law_names(
+    /// The names of the laws to simulate, of which `given` are the scene's own.
+    pub fn law_names(
         &mut self,
         value: &'a Value<'a>,
-        given: &[GivenLaw],
+        given: &[&str],
         scope: &LoopScope<'_, 'a>,
     ) -> Option<Vec<(String, Span)>> {
         let DeValue::Array(array) = value.get_ref() else {
@@ -267,7 +270,7 @@ impl<'a> Reader<'a> {
         };
         let known: Vec<&str> = (BUILT_IN.iter().copied())
             .chain(scope.fitted.iter().map(String::as_str))
-            .chain(given.iter().map(|g| g.name.as_str()))
+            .chain(given.iter().copied())
             .collect();
         let mut names = Vec::new();
         for entry in array.iter() {

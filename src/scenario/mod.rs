@@ -8,6 +8,7 @@ mod attenuation;
 mod build;
 mod closed_loop;
 mod declare;
+mod dissipation;
 mod equations;
 mod equilibrium;
 mod feedback;

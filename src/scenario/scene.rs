@@ -17,7 +17,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 19] = [
+const SECTIONS: [&str; 20] = [
     "parameters",
     "states",
     "controls",
@@ -35,6 +35,7 @@ const SECTIONS: [&str; 19] = [
     "feedback",
     "report",
     "closed_loop",
+    "dissipation",
     "study",
     "attenuation",
 ];
@@ -262,6 +263,7 @@ impl<'a> Reader<'a> {
         let scope = LoopScope {
             states: &declared.states,
             controls: &declared.controls,
+            disturbances: &declared.disturbances,
             reference: reference.as_deref(),
             region: region.as_deref(),
             final_time: cost.terminal.as_ref().map(|t| t.final_time),
@@ -271,6 +273,9 @@ impl<'a> Reader<'a> {
         let attenuation =
             (sections.get("attenuation")).and_then(|s| self.attenuation(s, &declared, region.as_deref(), cost.finite));
         let study = sections.get("study").and_then(|s| self.study(s, &scope));
+        let dissipation = sections
+            .get("dissipation")
+            .and_then(|s| self.dissipation(s, sections.get("closed_loop"), &scope));
         let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
@@ -294,6 +299,7 @@ impl<'a> Reader<'a> {
             feedback,
             report,
             closed_loop,
+            dissipation,
             study,
             attenuation,
             integrator,

@@ -1,4 +1,5 @@
 //! What the tests of the closed loop share: scenes evaluated, and an integrator of their own.
+#![allow(dead_code)] // every test crate uses a part
 
 use costate::backend::Backend;
 use costate::closed_loop::{Chart, Evaluation, Initial, Law, LawResult, Laws, Setting};

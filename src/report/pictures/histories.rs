@@ -147,7 +147,7 @@ fn has_bounds(model: &Model) -> bool {
 }
 
 /// A panel for each state and control, still empty.
-fn panels(model: &Model) -> Vec<Panel> {
+pub fn panels(model: &Model) -> Vec<Panel> {
     let rest: Option<Vec<f64>> = match &model.horizon {
         Horizon::Infinite { x, u, .. } => Some([x.as_slice(), u].concat()),
         Horizon::Finite { .. } => None,

@@ -5,6 +5,7 @@ mod bands;
 mod boundary;
 mod closed_loop;
 mod contours;
+mod dissipation;
 mod histories;
 mod panels;
 mod phase;
@@ -32,8 +33,10 @@ const BEFORE: [(&str, Maker); 7] = [
     ("validity", attenuation::validity),
 ];
 /// Those after the maps of closed loops.
-const AFTER: [(&str, Maker); 3] = [
+const AFTER: [(&str, Maker); 5] = [
     ("closed_loop_histories", histories::closed_loop),
+    ("dissipation", dissipation::picture),
+    ("dissipation_histories", dissipation::histories),
     ("errors", quality::picture),
     ("speed", speed::picture),
 ];
