@@ -358,17 +358,17 @@ fn the_limit_is_digit_for_digit() {
         let n = a.n;
         // Rounding may differ where terms of 1e-18 are added in another order; along trajectories such differences grow,
         // but on the manifold V stays a function of x.
-        let (mut compared, mut worst, mut same) = (0, 0.0f64, 0);
+        let (mut seeds, mut compared, mut worst, mut same) = (0, 0, 0.0f64, 0);
         for i in 0..a.count().min(b.count()) {
             let (v, width) = (2 * n, 2 * n + 1);
-            assert_eq!(
-                a.seeds[i * a.raw.dim..][..width],
-                b.seeds[i * b.raw.dim..][..width],
-                "seed {i} of {name}"
-            );
+            // The first surface of seeds is the same, the seeds put between neighbours differ where the two give up at
+            // different V.
+            if a.seeds[i * a.raw.dim..][..width] != b.seeds[i * b.raw.dim..][..width] {
+                break;
+            }
+            seeds += 1;
             for k in 0..a.levels() {
                 let (x, y) = (&a.raw.sample(i, k)[1..], &b.raw.sample(i, k)[1..]);
-                // The two give up at different V.
                 if x[0].is_nan() || y[0].is_nan() {
                     break;
                 }
@@ -379,7 +379,7 @@ fn the_limit_is_digit_for_digit() {
             }
         }
         println!("{name}: {compared} samples, {same} with the same bits, V differs by {worst:.1e}");
-        assert!(compared > 500, "{compared} samples");
+        assert!(seeds >= 64 && compared > 500, "{seeds} seeds, {compared} samples");
         assert!(worst <= 1e-12, "{name}: V differs by {worst:e}");
     }
 }

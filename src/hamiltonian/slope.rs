@@ -16,7 +16,7 @@ use crate::model::Precision;
 pub fn infinite(precision: Precision) -> f64 {
     match precision {
         Precision::F64 => 1e6,
-        Precision::F32 => 1e3,
+        Precision::F32 => 1e4,
     }
 }
 
