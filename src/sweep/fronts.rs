@@ -376,6 +376,9 @@ impl<'a> Fronts<'a> {
     fn gap_on_caustic(&self, a: &Swept, b: &Swept) -> f32 {
         const CLOSE: f64 = 1.0 / 32.0;
         let n = self.plan.system.states;
+        if self.plan.slope.is_none() {
+            return 0.0;
+        }
         let distance = |x: &[f32], y: &[f32]| x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
         let last = a.path.len().min(b.path.len());
         let apart = if last < n {
@@ -386,10 +389,15 @@ impl<'a> Fronts<'a> {
         if f64::from(apart) <= CLOSE * self.plan.shoot_out.spacing {
             return 0.0;
         }
+        // What the longer one passes alone may lie in the region although the shorter one ends outside.
+        let longer = if a.path.len() > b.path.len() { &a.path } else { &b.path };
+        let alone = || longer[last..].chunks_exact(n).any(|x| self.may_meet_region(x, x));
         match (&a.fold, &b.fold) {
-            (Some(x), Some(y)) if self.may_meet_region(x, y) => distance(x, y),
+            (Some(x), Some(y)) if self.may_meet_region(x, y) || alone() => distance(x, y),
             // Any gap above the spacing will do.
-            (Some(x), None) | (None, Some(x)) if self.may_meet_region(x, x) => 1.0,
+            (Some(x), None) | (None, Some(x)) if self.may_meet_region(x, x) || alone() => 1.0,
+            // One has left for good, the other comes back.
+            (None, None) if alone() => 1.0,
             _ => 0.0,
         }
     }

@@ -295,7 +295,8 @@ pub fn solve(
     })
 }
 
-/// See [`Answers::overlap`]. A few targets do not show it: where sheets overlap over one of them others are looked at.
+/// See [`Answers::overlap`]. Where sheets overlap over a target, states that lead to where they part are looked at as well:
+/// those along the trajectories of the higher sheets, and of few targets states spread over the region.
 fn overlap_level(
     plan: &Plan,
     survey: &Survey<'_>,
@@ -304,20 +305,32 @@ fn overlap_level(
     wanted: Wanted,
 ) -> Result<f64, BackendError> {
     const ENOUGH: usize = 400;
+    const FOLLOWED: usize = 16;
     if plan.local.is_none() {
         return Ok(f64::NEG_INFINITY);
     }
-    let mut level = survey.second_value();
-    if level.is_finite() && survey.targets.len() < ENOUGH {
-        let reference = &plan.system.reference;
-        let points: Vec<f64> = (spread_over(&plan.region, ENOUGH).iter())
-            .flat_map(|s| s.iter().zip(reference).map(|(s, x)| s + x))
-            .collect();
-        let targets = Targets::new(plan.system.states, &[], &[], &points, &plan.widths);
-        let mut others = Survey::new(plan, &targets, solver)?;
-        others.run(solver, archive, wanted, &mut |_, _, _| {})?;
-        level = level.min(others.second_value());
+    let mut second: Vec<usize> = (0..survey.targets.len()).filter_map(|t| survey.second(t)).collect();
+    second.sort_by(|a, b| survey.extremals[*a].value().total_cmp(&survey.extremals[*b].value()));
+    let Some(lowest) = second.first() else {
+        return Ok(f64::INFINITY);
+    };
+    let n = plan.system.states;
+    let paths = second.iter().take(FOLLOWED).map(|e| &survey.extremals[*e].path);
+    let mut deviations: Vec<f64> = (paths.flat_map(|p| (1..=p.segments()).flat_map(|k| &p.node(k)[..n])))
+        .copied()
+        .collect();
+    if survey.targets.len() < ENOUGH {
+        deviations.extend(spread_over(&plan.region, ENOUGH).concat());
     }
+    let points: Vec<f64> = (deviations.iter().enumerate())
+        .map(|(k, s)| s + plan.system.reference[k % n])
+        .collect();
+    let targets = Targets::new(n, &[], &[], &points, &plan.widths);
+    let mut others = Survey::new(plan, &targets, solver)?;
+    others.run(solver, archive, wanted, &mut |_, _, _| {})?;
+    let level = (0..targets.len())
+        .filter_map(|t| Some(others.extremals[others.second(t)?].value()))
+        .fold(survey.extremals[*lowest].value(), f64::min);
     Ok(level)
 }
 

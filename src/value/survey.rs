@@ -217,14 +217,11 @@ impl<'a> Survey<'a> {
         self.at.iter().filter(|list| !list.is_empty()).count()
     }
 
-    /// The least V of a second extremal over any target; infinite where there is none.
-    pub fn second_value(&self) -> f64 {
-        let second = |list: &Vec<usize>| {
-            let mut values: Vec<f64> = list.iter().map(|e| self.extremals[*e].value()).collect();
-            values.sort_by(f64::total_cmp);
-            values.get(1).copied().unwrap_or(f64::INFINITY)
-        };
-        self.at.iter().map(second).fold(f64::INFINITY, f64::min)
+    /// The second extremal by V at a target.
+    pub fn second(&self, target: usize) -> Option<usize> {
+        let mut here = self.at[target].clone();
+        here.sort_by(|a, b| self.extremals[*a].value().total_cmp(&self.extremals[*b].value()));
+        here.get(1).copied()
     }
 
     /// The extremal of least V at a target.
