@@ -56,7 +56,7 @@ pub enum Unknown {
     Far,
     #[error("this state lies at the edge of what was computed")]
     Edge,
-    /// In a game, where the lowest of several is not the value (see [`crate::value::Answers::overlap`]).
+    /// In a game, where the lowest of several is not the value (see [`ValueMap`]).
     #[error("several sheets lie over this state: none is the value")]
     SeveralSheets,
 }
@@ -97,7 +97,9 @@ pub struct At {
     pub others: Vec<Value>,
 }
 
-/// Interpolates V, p and u; see the module's text.
+/// Interpolates V, p and u; see the module's text. In a game a state has a value where one sheet lies over it, or where V of
+/// the lowest is below the least V of a second sheet over the region: the part of the manifold below that level lies over the
+/// region one-to-one.
 pub struct ValueMap {
     sites: Sites,
     tree: Box<dyn Nearest>,

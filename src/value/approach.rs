@@ -20,8 +20,9 @@ pub struct Approach {
     /// Share of the way on which the job is solved; none before it is solved at all.
     at: Option<f64>,
     step: f64,
-    /// Shortest step that is tried, as a share of the way.
+    /// Shortest and longest step that is tried, as a share of the way.
     least: f64,
+    longest: f64,
     failure: Option<Failure>,
     evaluations: u32,
     /// Steps tried so far, and the most.
@@ -50,6 +51,7 @@ impl Approach {
             at: None,
             step: 1.0,
             least,
+            longest: 1.0,
             failure: None,
             evaluations: 0,
             tries: 0,
@@ -61,6 +63,16 @@ impl Approach {
     pub fn from_solution(path: Path, to: Vec<f64>, least: f64) -> Self {
         Self {
             at: Some(0.0),
+            ..Self::new(path, to, least)
+        }
+    }
+
+    /// From a guess at its own state, in steps of at most a share of the way: without the leaps by which Newton's method may
+    /// come to another sheet.
+    pub fn along(path: Path, to: Vec<f64>, least: f64, longest: f64) -> Self {
+        Self {
+            step: longest,
+            longest,
             ..Self::new(path, to, least)
         }
     }
@@ -116,7 +128,8 @@ impl Approach {
                 self.step = match self.at {
                     Some(_) => 2.0 * step,
                     None => 0.5,
-                };
+                }
+                .min(self.longest);
                 self.at = Some(share);
                 self.job = job;
             }

@@ -9,7 +9,7 @@ use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
 use crate::model::{GridAxis, Homotopy, MapGrid, Model, Precision};
 use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
-use crate::sweep::{Plan, spread_over};
+use crate::sweep::Plan;
 
 /// Tolerance of the answers where the scene asks for less: they are of use as f64 numbers.
 pub(super) const MOST_RTOL: f64 = 1e-9;
@@ -70,10 +70,10 @@ pub struct EqualCost {
 
 /// What was found.
 pub struct Answers {
-    /// Of a game the least V of a second sheet over any state: the part of the manifold with V below it lies over the states
-    /// one-to-one, whatever further sheets there are above. Without an equilibrium below everything; infinite where sheets
-    /// nowhere overlap. `None` where cost is minimized.
-    pub overlap: Option<f64>,
+    /// Whether H is `min max`, and the cheapest of several sheets is not the answer (see [`Self::answer`]).
+    pub game: bool,
+    /// Of a game with an equilibrium the entry at each target on the sheet of the equilibrium.
+    pub principal: Option<Vec<Option<usize>>>,
     pub targets: Targets,
     /// All solutions, by target, then by V.
     pub entries: Vec<Entry>,
@@ -90,17 +90,30 @@ pub struct Answers {
 }
 
 impl Answers {
-    /// The solution that is the answer at a target: that of least V. In a game only where it is the only one without a fold,
-    /// or below the level of V at which the manifold overlaps itself, and not negative.
+    /// The solution that is the answer at a target: that of least V. In a game the one on the sheet that the equilibrium's
+    /// becomes along the straight line to the target, if it does not fold on that line nor along the trajectory, and V is not
+    /// negative; without an equilibrium the only one.
     pub fn answer(&self, target: usize) -> Option<&Entry> {
-        let first = self.of(target).first();
-        first.filter(|e| self.overlap.is_none() || (!self.is_ambiguous(target) && e.value >= 0.0))
+        let entry = match &self.principal {
+            _ if !self.game => return self.of(target).first(),
+            Some(principal) => principal[target].map(|e| &self.entries[e]),
+            None => match self.of(target) {
+                [only] => Some(only),
+                _ => None,
+            },
+        };
+        entry.filter(|e| e.value >= 0.0)
     }
 
-    /// Of a game whether several sheets lie over a target and none of them is the value.
-    fn is_ambiguous(&self, target: usize) -> bool {
-        let level = self.overlap.unwrap_or(f64::INFINITY);
-        matches!(self.of(target), [lowest, _, ..] if lowest.value >= level)
+    /// Of a game the status of a target without an answer.
+    fn unanswered(&self, target: usize) -> PointStatus {
+        let negative = |e: usize| self.entries[e].value < 0.0;
+        match (&self.principal, self.of(target).len()) {
+            (Some(principal), _) if principal[target].is_some_and(negative) => PointStatus::NegativeValue,
+            (None, 2..) => PointStatus::SeveralSheets,
+            (None, 1) => PointStatus::NegativeValue,
+            _ => (self.misses[target].as_ref()).map_or(PointStatus::NoGuess, |m| m.status),
+        }
     }
 
     /// All solutions at a target, by rising V.
@@ -109,12 +122,12 @@ impl Answers {
     }
 
     pub fn status(&self, target: usize) -> PointStatus {
-        match (&self.misses[target], self.of(target)) {
-            _ if self.is_ambiguous(target) => PointStatus::SeveralSheets,
-            (_, [only, ..]) if self.overlap.is_some() && only.value < 0.0 => PointStatus::NegativeValue,
-            (_, [lowest, ..]) if lowest.value > self.targets.limits[target] => PointStatus::AboveMax,
-            (Some(miss), _) => miss.status,
-            (None, _) => PointStatus::Converged,
+        match (self.answer(target), &self.misses[target]) {
+            (None, _) if self.game => self.unanswered(target),
+            (Some(answer), _) if answer.value > self.targets.limits[target] => PointStatus::AboveMax,
+            (Some(_), _) if self.game => PointStatus::Converged,
+            (_, Some(miss)) => miss.status,
+            (_, None) => PointStatus::Converged,
         }
     }
 
@@ -245,13 +258,18 @@ pub fn solve(
     } else {
         survey.equal_cost(solver, wanted)?
     };
-    let overlap = (plan.game.then(|| overlap_level(plan, &survey, solver, archive, wanted))).transpose()?;
     let mut entries: Vec<Entry> = Vec::with_capacity(survey.extremals.len());
     let mut first = vec![0];
+    let mut principal = Vec::new();
     for target in 0..targets.len() {
-        let mut here: Vec<Entry> = survey.at[target].iter().map(|e| entry(plan, &survey, *e)).collect();
-        here.sort_by(|a, b| a.value.total_cmp(&b.value).then(a.sheet.cmp(&b.sheet)));
-        entries.extend(here);
+        let mut here: Vec<(usize, Entry)> = (survey.at[target].iter())
+            .map(|e| (*e, entry(plan, &survey, *e)))
+            .collect();
+        here.sort_by(|(_, a), (_, b)| a.value.total_cmp(&b.value).then(a.sheet.cmp(&b.sheet)));
+        let wanted = survey.principal.get(target).copied().flatten();
+        let place = wanted.and_then(|wanted| here.iter().position(|(e, _)| *e == wanted));
+        principal.push(place.map(|k| entries.len() + k));
+        entries.extend(here.into_iter().map(|(_, e)| e));
         first.push(entries.len());
     }
     let control = |s: &[f64], p: &[f64]| plan.system.eval(&plan.system.observer.control, s, p);
@@ -281,7 +299,8 @@ pub fn solve(
         })
         .collect();
     Ok(Answers {
-        overlap,
+        game: plan.game,
+        principal: (!survey.principal.is_empty()).then_some(principal),
         sheets: survey.sheet.iter().copied().max().map_or(0, |s| s as usize + 1),
         misses: survey.misses.clone(),
         evaluations: survey.evaluations,
@@ -293,45 +312,6 @@ pub fn solve(
         folds,
         targets,
     })
-}
-
-/// See [`Answers::overlap`]. Where sheets overlap over a target, states that lead to where they part are looked at as well:
-/// those along the trajectories of the higher sheets, and of few targets states spread over the region.
-fn overlap_level(
-    plan: &Plan,
-    survey: &Survey<'_>,
-    solver: &mut Solver,
-    archive: &Archive,
-    wanted: Wanted,
-) -> Result<f64, BackendError> {
-    const ENOUGH: usize = 400;
-    const FOLLOWED: usize = 16;
-    if plan.local.is_none() {
-        return Ok(f64::NEG_INFINITY);
-    }
-    let mut second: Vec<usize> = (0..survey.targets.len()).filter_map(|t| survey.second(t)).collect();
-    second.sort_by(|a, b| survey.extremals[*a].value().total_cmp(&survey.extremals[*b].value()));
-    let Some(lowest) = second.first() else {
-        return Ok(f64::INFINITY);
-    };
-    let n = plan.system.states;
-    let paths = second.iter().take(FOLLOWED).map(|e| &survey.extremals[*e].path);
-    let mut deviations: Vec<f64> = (paths.flat_map(|p| (1..=p.segments()).flat_map(|k| &p.node(k)[..n])))
-        .copied()
-        .collect();
-    if survey.targets.len() < ENOUGH {
-        deviations.extend(spread_over(&plan.region, ENOUGH).concat());
-    }
-    let points: Vec<f64> = (deviations.iter().enumerate())
-        .map(|(k, s)| s + plan.system.reference[k % n])
-        .collect();
-    let targets = Targets::new(n, &[], &[], &points, &plan.widths);
-    let mut others = Survey::new(plan, &targets, solver)?;
-    others.run(solver, archive, wanted, &mut |_, _, _| {})?;
-    let level = (0..targets.len())
-        .filter_map(|t| Some(others.extremals[others.second(t)?].value()))
-        .fold(survey.extremals[*lowest].value(), f64::min);
-    Ok(level)
 }
 
 fn entry(plan: &Plan, survey: &Survey<'_>, index: usize) -> Entry {

@@ -126,6 +126,8 @@ pub struct Survey<'a> {
     /// Numbers of periods along each state.
     pub windings: Vec<Vec<i32>>,
     pub misses: Vec<Option<Miss>>,
+    /// Of a game with an equilibrium the extremal at each target on the sheet of the equilibrium; else empty.
+    pub principal: Vec<Option<usize>>,
     pub folds: Vec<Fold>,
     /// Label of each extremal's sheet: 0 is that of the least V.
     pub sheet: Vec<i32>,
@@ -167,6 +169,7 @@ impl<'a> Survey<'a> {
             at: vec![Vec::new(); targets.len()],
             windings: Vec::new(),
             misses: vec![None; targets.len()],
+            principal: Vec::new(),
             folds: Vec::new(),
             sheet: Vec::new(),
             evaluations: 0,
@@ -193,6 +196,9 @@ impl<'a> Survey<'a> {
         self.windings = self.all_windings(&index);
         self.near_end(solver);
         self.refuse_outside();
+        if self.plan.game && self.plan.local.is_some() {
+            return self.principal_sheet(solver, archive, &index, wanted, progress);
+        }
         let order: Vec<usize> = (0..self.targets.len()).collect();
         for part in order.chunks(COHORT) {
             self.swept(solver, archive, &index, part, wanted)?;
@@ -212,16 +218,41 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
+    /// Of a game with an equilibrium: the sheet of the equilibrium, continued along the straight line to each target as long
+    /// as it does not fold, and what other sheets the sweep shows there.
+    fn principal_sheet(
+        &mut self,
+        solver: &mut Solver,
+        archive: &Archive,
+        index: &Index,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        self.principal = self.at.iter().map(|list| list.first().copied()).collect();
+        let open: Vec<usize> = (0..self.targets.len()).filter(|t| self.is_open(*t)).collect();
+        for part in open.chunks(COHORT) {
+            let errands = self.rays(&solver.scheme.end, part);
+            for (target, reached) in self.send(solver, errands)? {
+                self.principal[target] = reached;
+            }
+            progress("from the equilibrium", self.solved(), self.targets.len());
+        }
+        if wanted.sheets {
+            let misses = self.misses.clone();
+            let all: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+            for part in all.chunks(COHORT) {
+                self.swept(solver, archive, index, part, wanted)?;
+            }
+            // What is found beside a principal sheet that ends does not make up for it.
+            self.misses = misses;
+        }
+        self.label();
+        Ok(())
+    }
+
     /// Targets with a solution.
     pub fn solved(&self) -> usize {
         self.at.iter().filter(|list| !list.is_empty()).count()
-    }
-
-    /// The second extremal by V at a target.
-    pub fn second(&self, target: usize) -> Option<usize> {
-        let mut here = self.at[target].clone();
-        here.sort_by(|a, b| self.extremals[*a].value().total_cmp(&self.extremals[*b].value()));
-        here.get(1).copied()
     }
 
     /// The extremal of least V at a target.
@@ -457,8 +488,9 @@ impl<'a> Survey<'a> {
         (index, true)
     }
 
-    /// Follows errands, and joins what they find to what they came from.
-    fn send(&mut self, solver: &mut Solver, errands: Vec<Errand>) -> Result<(), BackendError> {
+    /// Follows errands, and joins what they find to what they came from. Of each its target, and the extremal there if it was
+    /// reached.
+    fn send(&mut self, solver: &mut Solver, errands: Vec<Errand>) -> Result<Vec<(usize, Option<usize>)>, BackendError> {
         let (mut ways, rest): (Vec<Approach>, Vec<_>) = (errands.into_iter())
             .map(|e| (e.way, (e.from, e.target, e.winding)))
             .unzip();
@@ -468,8 +500,13 @@ impl<'a> Survey<'a> {
             .iter()
             .filter_map(|(_, outcome)| outcome.as_ref().ok().map(|(job, _)| &job.path));
         let mut wrong = self.wrong(solver, &paths.collect::<Vec<_>>())?.into_iter();
-        for ((evaluations, outcome), (from, target, winding)) in finished.into_iter().zip(rest) {
+        let mut reached = Vec::new();
+        // Solutions first: by them it is told why other ways have failed.
+        let (found, lost): (Vec<_>, Vec<_>) =
+            (finished.into_iter().zip(rest)).partition(|((_, outcome), _)| outcome.is_ok());
+        for ((evaluations, outcome), (from, target, winding)) in found.into_iter().chain(lost) {
             self.evaluations += u64::from(evaluations);
+            reached.push((target, None));
             match outcome {
                 Ok((job, solved)) => match wrong.next().flatten() {
                     None => {
@@ -483,6 +520,8 @@ impl<'a> Survey<'a> {
                         if let Some(from) = from {
                             self.groups.join(from, index);
                         }
+                        reached.pop();
+                        reached.push((target, Some(index)));
                     }
                     Some(status) => {
                         let at = self.targets.state(target).to_vec();
@@ -494,7 +533,7 @@ impl<'a> Survey<'a> {
                 }
             }
         }
-        Ok(())
+        Ok(reached)
     }
 
     /// Notes how far the way to a target led, if that is further than before.
@@ -822,15 +861,7 @@ impl<'a> Survey<'a> {
             .iter()
             .filter(|t| self.is_open(**t) && self.targets.limits[**t] == f64::INFINITY);
         open.filter_map(|&target| {
-            let goal = self.state(target, 0);
-            let (value, _) = end.linear(&goal)?;
-            let near = self.plan.local.as_ref().map_or(0.0, |l| l.seed_value);
-            let share = (near / value).sqrt().min(1.0);
-            let s: Vec<f64> = goal.iter().map(|g| share * g).collect();
-            let (value, p) = end.linear(&s)?;
-            let mut path = Path::new(&[s.as_slice(), &p].concat());
-            let (nodes, durations) = end.tail(&s, value, self.duration);
-            path.append(&nodes, &durations);
+            let (path, goal) = self.linear_path(end, target)?;
             Some(Errand {
                 from: None,
                 target,
@@ -839,6 +870,48 @@ impl<'a> Survey<'a> {
             })
         })
         .collect()
+    }
+
+    /// Straight ways from the local solution to targets.
+    fn rays(&self, end: &End, targets: &[usize]) -> Vec<Errand> {
+        const LONGEST: f64 = 1.0 / 8.0;
+        // Of the distance from the equilibrium where the way begins.
+        const SHORTEST: f64 = 1.0 / 64.0;
+        let near = self.plan.local.as_ref().map_or(0.0, |l| l.seed_value);
+        let ray = |&target: &usize| {
+            let goal = self.state(target, 0);
+            let share = self
+                .plan
+                .local
+                .as_ref()
+                .map(|l| (near / l.quadratic(&goal)).sqrt().min(1.0))?;
+            let s: Vec<f64> = goal.iter().map(|g| share * g).collect();
+            let at = end.at(&s);
+            let mut path = Path::new(&[s.as_slice(), &at.gradient].concat());
+            let (nodes, durations) = end.tail(&s, at.value, self.duration);
+            path.append(&nodes, &durations);
+            Some(Errand {
+                from: None,
+                target,
+                winding: 0,
+                way: Approach::along(path, goal, SHORT.min(SHORTEST * share), LONGEST),
+            })
+        };
+        targets.iter().filter_map(ray).collect()
+    }
+
+    /// A path of the linear closed loop from a state on the way to a target near which it holds; with the target's state.
+    fn linear_path(&self, end: &End, target: usize) -> Option<(Path, Vec<f64>)> {
+        let goal = self.state(target, 0);
+        let (value, _) = end.linear(&goal)?;
+        let near = self.plan.local.as_ref().map_or(0.0, |l| l.seed_value);
+        let share = (near / value).sqrt().min(1.0);
+        let s: Vec<f64> = goal.iter().map(|g| share * g).collect();
+        let (value, p) = end.linear(&s)?;
+        let mut path = Path::new(&[s.as_slice(), &p].concat());
+        let (nodes, durations) = end.tail(&s, value, self.duration);
+        path.append(&nodes, &durations);
+        Some((path, goal))
     }
 
     /// For each target the swept trajectory that is the `attempt`-th nearest to it.
