@@ -197,6 +197,35 @@ fn where_sheets_overlap_there_is_no_value() {
     assert!(one > 20 && several > 10, "{one} and {several}");
 }
 
+/// Sheets of ever higher V lie over the states (swings about the hanging position and back), and which of them are found
+/// depends on the sweep. The answer is that of the equilibrium's own sheet, whoever else is asked for.
+#[test]
+fn other_sheets_do_not_change_the_answer() {
+    let model = scene("pendulum_game", &[("gamma", "1.867499")]);
+    let swept = Swept::new(model, 4000);
+    let grid = swept.grid(vec![spaced(-3.9, 1.5, 10), spaced(-8.0, 13.0, 8)]);
+    let several = (0..grid.targets.len()).filter(|t| grid.of(*t).len() > 1).count();
+    assert!(several > 0, "the scene has states with several sheets");
+    let mut compared = 0;
+    for target in (0..grid.targets.len()).step_by(7) {
+        let x = grid.targets.state(target).to_vec();
+        let alone = swept.points(&x);
+        let only = alone.targets.of_given[0];
+        assert_eq!(grid.status(target), alone.status(only), "at {x:?}");
+        let (Some(a), Some(b)) = (grid.answer(target), alone.answer(only)) else {
+            continue;
+        };
+        assert!(
+            (a.value - b.value).abs() <= 1e-9 * a.value,
+            "V at {x:?}: {} and {}",
+            a.value,
+            b.value
+        );
+        compared += 1;
+    }
+    assert!(compared > 8, "{compared} states");
+}
+
 /// Double integrator with w beside u: with S = 1/r - 1/gamma^2 the game Riccati equation is that of minimal cost with
 /// control weight 1/S.
 const DOUBLE_INTEGRATOR: &str = r#"

@@ -70,7 +70,10 @@ impl Terminal {
                 plan.run.rtol
             ));
         }
-        if plan.sampling == Sampling::ArcLength {
+        let asked = model.shoot_out.as_ref().is_some_and(|s| s.sample_by.is_some());
+        if plan.sampling == Sampling::ArcLength && plan.game {
+            self.note("a game: V may fall and rise along trajectories, which are sampled by arc length and end where the manifold folds");
+        } else if plan.sampling == Sampling::ArcLength && !asked {
             self.note("the running cost is negative in places: V is not monotone along trajectories, which are sampled by arc length");
         }
         if let Some(local) = &plan.local

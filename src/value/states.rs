@@ -63,6 +63,8 @@ pub fn solve_states_folding(
     let mut solver = solver(&plan, backend)?;
     let request = Request {
         points: states.to_vec(),
+        // In a game only the equilibrium's own sheet counts.
+        one_sheet: plan.game && plan.local.is_some(),
         ..Request::default()
     };
     let found = solve(&plan, model, &mut solver, &archive, &request, progress)?;

@@ -237,6 +237,10 @@ impl<'a> Survey<'a> {
             }
             progress("from the equilibrium", self.solved(), self.targets.len());
         }
+        let reached: Vec<usize> = self.principal.iter().flatten().copied().collect();
+        for pair in reached.windows(2) {
+            self.groups.join(pair[0], pair[1]);
+        }
         if wanted.sheets {
             let misses = self.misses.clone();
             let all: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
