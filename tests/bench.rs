@@ -360,7 +360,7 @@ states = { x = {} }
 controls = { u = {} }
 disturbances = { w = {} }
 dynamics = { x = "x + u + w" }
-cost = { running = "0.5*(x^2 + u^2 - 4*w^2)" }
+cost = { running = "0.5*(x^2 + u^2 - 0.25*w^2)" }
 equilibrium = { x = 0, u = 0 }
 region = { x = [-1, 1] }
 shoot_out = { value_max = 1.0 }
@@ -382,7 +382,7 @@ fn what_cannot_be_measured_is_refused_and_nothing_is_written() {
         (&pendulum, "--backend abacus", 2, "possible values"),
         (&pendulum, "--set no_such=1", 2, "no_such"),
         (&pendulum, "--host-share=many", 2, "whole number"),
-        (&game, "--backend cpu", 2, "disturbances"),
+        (&game, "--backend cpu", 2, "attenuation"),
         (&folder.join("absent.toml"), "--backend cpu", 2, "absent.toml"),
         (
             &pendulum,

@@ -495,3 +495,84 @@ fn the_pendulum_folds_where_the_jacobian_vanishes() {
     }
     assert!(checked >= 4, "{checked} folds");
 }
+
+/// A folder of its own for a test, with the files given.
+fn folder(name: &str, files: &[(&str, &str)]) -> std::path::PathBuf {
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("game_{name}"));
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("the target folder can be written");
+    for (file, text) in files {
+        std::fs::write(folder.join(file), text).expect("the target folder can be written");
+    }
+    folder
+}
+
+fn costate(folder: &std::path::Path, arguments: &str) -> (Option<i32>, String) {
+    let done = std::process::Command::new(env!("CARGO_BIN_EXE_costate"))
+        .current_dir(folder)
+        .args(arguments.split(' '))
+        .output()
+        .expect("the program starts");
+    let text = [done.stdout, done.stderr].concat();
+    (done.status.code(), String::from_utf8_lossy(&text).into_owned())
+}
+
+/// Interpolation goes on smoothly behind a fold; H(x, p) = 0 has no solution there.
+#[test]
+fn the_value_map_ends_at_the_fold() {
+    let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/folding_game.toml"));
+    let text = text
+        .expect("the scene is there")
+        .replace("[attenuation]\nparameter = \"gamma\"\n", "");
+    let folder = folder("value", &[("scene.toml", &text)]);
+    let (status, text) = costate(&folder, "run scene.toml --backend cpu --no-report --out out.h5");
+    assert_eq!(status, Some(0), "{text}");
+    // The fold is at |x + 0.3 y^2| = 1.2663.
+    let (status, text) = costate(
+        &folder,
+        "value out.h5 --at x=1.2,y=0 --at x=1.3,y=0 --at x=-1.35,y=0.1 --at x=1.0,y=1.0",
+    );
+    assert_eq!(status, Some(0), "{text}");
+    assert_eq!(text.matches("not known").count(), 3, "{text}");
+    assert!(text.contains("x = 1.2, y = 0\n  V = 0.8"), "{text}");
+}
+
+const OSCILLATOR: &str = r#"
+parameters = { g = 2.0 }
+states = { x = {}, v = {} }
+controls = { u = {} }
+disturbances = { w = {} }
+dynamics = { x = "v", v = "-x - v + u + w" }
+cost = { running = "0.5*(x^2 + v^2 + u^2 - g^2*w^2)" }
+equilibrium = { x = 0, v = 0, u = 0 }
+region = { x = [-1e9, 1e9], v = [-1e9, 1e9] }
+attenuation = { parameter = "g" }
+"#;
+
+/// At g = 1 control and disturbance cancel and H_pp is 0: that must not be taken for an eigenvalue on the axis, whatever
+/// the units.
+#[test]
+fn gamma_star_does_not_depend_on_where_the_search_begins() {
+    let folder = folder("star", &[("scene.toml", OSCILLATOR)]);
+    // With S = 1 - 1/g^2: lambda^4 + lambda^2 (1 - S) + 1 + S has a double root -(1 - S)/2 < 0 in lambda^2 where
+    // (1 - S)^2 = 4 (1 + S), S = 3 - sqrt(12).
+    let star = (1.0 / (12f64.sqrt() - 2.0)).sqrt();
+    for g in ["2", "1", "0.9", "3.7"] {
+        let (status, text) = costate(&folder, &format!("check scene.toml --set g={g}"));
+        assert_eq!(status, Some(0), "{text}");
+        assert!(text.contains(&format!("g* = {star:.9}")), "no {star:.9} in {text}");
+    }
+}
+
+/// A term linear in w makes a disturbance of the equilibrium itself worth its cost: it is none of the game's.
+#[test]
+fn inputs_must_be_extremal_at_the_equilibrium() {
+    for (what, name) in [("+ w", "disturbance is w"), ("+ 0.1*u", "control is u")] {
+        let scene = OSCILLATOR.replace("- g^2*w^2)", &format!("- g^2*w^2) {what}"));
+        let folder = folder("linear_term", &[("scene.toml", &scene)]);
+        let (status, text) = costate(&folder, "homotopy scene.toml --out out.h5");
+        assert_eq!(status, Some(2), "{text}");
+        assert!(text.contains(name), "{text}");
+        assert!(!folder.join("out.h5").exists());
+    }
+}

@@ -33,7 +33,7 @@ pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioError
     let set = model.overrides.iter().rev().find(|(n, _)| n == name);
     let from = set.map_or_else(String::new, |(n, v)| format!(" (--set {n}={v})"));
     let message = format!(
-        "{name} = {own}{from} is below {name}* = {:.10}, the smallest level of attenuation that the linearization allows",
+        "{name} = {own}{from} is not above {name}* = {:.10}, the smallest level of attenuation that the linearization allows",
         linear.star
     );
     let problem = Problem {

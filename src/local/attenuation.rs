@@ -84,6 +84,9 @@ pub enum AttenuationError<E: std::error::Error + 'static> {
     NotPositive { value: f64 },
 }
 
+/// Part of gamma* below it at which the cause is asked for.
+const NEARLY: f64 = 1e-6;
+
 /// Whether the linearization allows a level.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Verdict {
@@ -169,10 +172,15 @@ pub fn linear_attenuation<E: std::error::Error + 'static>(
     let mut alone = |value: f64| Ok(by_hamiltonian(&at(value)?));
     // What the other method says of the bracket's ends is not asked: it has to find its own way from there.
     let second = Bracket { lo, hi, cause }.narrow(&mut alone)?;
+    // Exactly at an infinite P either may be said: the cause is asked for a little below.
+    let cause = match by_hamiltonian(&at((found.lo * (1.0 - NEARLY)).max(lo))?) {
+        Verdict::Refused(cause) => cause,
+        Verdict::Allowed => second.cause,
+    };
     Ok(LinearAttenuation {
         star: found.hi,
         hamiltonian: second.hi,
-        cause: second.cause,
+        cause,
     })
 }
 

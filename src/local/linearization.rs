@@ -54,7 +54,14 @@ impl Linearization {
     /// many times larger. Eigenvalues are unchanged.
     pub fn balanced(&self) -> (Self, f64) {
         let (g, q) = (self.g.norm(), self.q.norm());
-        let factor = if g > 0.0 && q > 0.0 { (q / g).sqrt() } else { 1.0 };
+        // Without one of them the other is made of the size of A.
+        let a = self.a.norm();
+        let factor = match (g > 0.0, q > 0.0) {
+            (true, true) => (q / g).sqrt(),
+            (false, true) if a > 0.0 => q / a,
+            (true, false) if a > 0.0 => a / g,
+            _ => 1.0,
+        };
         let balanced = Self {
             a: self.a.clone(),
             g: &self.g * factor,

@@ -44,6 +44,15 @@ pub enum LocalError {
         "the game Riccati solution is not positive semidefinite (eigenvalues from {smallest:.3e} to {largest:.3e}): the attenuation asked is below what the linearization allows"
     )]
     BelowAttenuation { smallest: f64, largest: f64 },
+    #[error(
+        "the equilibrium is not one of the optimal inputs: at p = 0 the {role} is {name} = {value:.6e}, not {wanted:.6e} (a term linear in `{name}` in the cost?)"
+    )]
+    NotStationary {
+        role: &'static str,
+        name: String,
+        value: f64,
+        wanted: f64,
+    },
     #[error("the closed loop is not stable: eigenvalue {eigenvalue}")]
     NotStable { eigenvalue: String },
     #[error("seed_value {value:e} is too large: {reason}")]

@@ -3,7 +3,7 @@
 use super::LocalError;
 use super::linearization::{Linearization, widths};
 use crate::hamiltonian::Hamiltonian;
-use crate::model::Model;
+use crate::model::{Horizon, Model};
 use nalgebra::{Complex, DMatrix, DVector};
 
 /// Largest accepted `|A'P + PA + P H_pp P + Q|` relative to its terms.
@@ -44,6 +44,7 @@ impl Riccati {
                 reason: "the second derivatives of H at the equilibrium are not finite (a root or logarithm at the edge of its domain?)".into(),
             });
         }
+        check_stationary(hamiltonian, model)?;
         let input = input_matrix(hamiltonian, model, &widths);
         check_stabilizable(&linear.a, &input)?;
         let game = !model.disturbances.is_empty();
@@ -86,6 +87,33 @@ pub fn show_eigenvalue(e: Complex<f64>) -> String {
         format!("{:.6}", e.re)
     } else {
         format!("{:.6} {} {:.6}i", e.re, if e.im < 0.0 { '-' } else { '+' }, e.im.abs())
+    }
+}
+
+/// The extremal inputs at the equilibrium and p = 0 must be those of the equilibrium, or it is none of the characteristics.
+fn check_stationary(hamiltonian: &Hamiltonian, model: &Model) -> Result<(), LocalError> {
+    const ROUNDING: f64 = 1e-7;
+    let Horizon::Infinite { u, .. } = &model.horizon else {
+        return Ok(());
+    };
+    let values = hamiltonian.point(model);
+    let found = |exprs: &[crate::expr::Id]| hamiltonian.graph.eval(exprs, &values);
+    let controls = (model.controls.iter().zip(found(&hamiltonian.unclamped)).zip(u))
+        .map(|((c, value), wanted)| ("optimal control", &c.variable.name, value, *wanted));
+    let disturbances = (model.disturbances.iter().zip(found(&hamiltonian.disturbance)))
+        .map(|(w, value)| ("worst-case disturbance", &w.name, value, 0.0));
+    let off = |(_, _, value, wanted): &(&str, &String, f64, f64)| {
+        let size = wanted.abs().max(if *wanted == 0.0 { 1.0 } else { 0.0 });
+        (value - wanted).abs() > ROUNDING * size
+    };
+    match controls.chain(disturbances).find(off) {
+        Some((role, name, value, wanted)) => Err(LocalError::NotStationary {
+            role,
+            name: name.clone(),
+            value,
+            wanted,
+        }),
+        None => Ok(()),
     }
 }
 

@@ -20,7 +20,7 @@ impl ValueMap {
         match self.uncontested(&z) {
             Some(opinion) => {
                 let says = opinion.says.clone();
-                Some(self.value(&s, &opinion, says))
+                Some(self.value(&s, &opinion, says)).filter(|value| self.solves_isaacs(&s, &value.p))
             }
             None => self.without_errors(x).lowest.ok(),
         }

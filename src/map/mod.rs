@@ -110,6 +110,8 @@ pub struct ValueMap {
     overlap: OnceLock<f64>,
     plan: Plan,
     control: Program,
+    /// Of a game H, L and the states' rates.
+    isaacs: Option<Program>,
     /// Windings to try, one a combination of periodic states.
     windings: Vec<Vec<i32>>,
 }
@@ -171,6 +173,12 @@ impl ValueMap {
             });
         }
         let control = Program::lower(&plan.system.graph, &plan.system.inputs, &plan.system.observer.control);
+        let isaacs = plan.game.then(|| {
+            let system = &plan.system;
+            let running = system.rate[2 * states];
+            let roots = [&[system.observer.hamiltonian, running], &system.rate[..states]].concat();
+            Program::lower(&system.graph, &system.inputs, &roots)
+        });
         fn blank<T>(count: usize) -> Vec<OnceLock<T>> {
             (0..count).map(|_| OnceLock::new()).collect()
         }
@@ -182,6 +190,7 @@ impl ValueMap {
             contested: blank(sites.len()),
             overlap: OnceLock::new(),
             windings: Vec::new(),
+            isaacs,
             control,
             plan,
             sites,
@@ -256,6 +265,7 @@ impl ValueMap {
         }
         let mut values: Vec<Value> = (self.sheets(&opinions).iter())
             .filter_map(|members| self.blended(&s, &opinions, members))
+            .filter(|value| self.solves_isaacs(&s, &value.p))
             .collect();
         values.sort_by(|a, b| a.v.total_cmp(&b.v));
         if self.plan.game && values.len() > 1 && values[0].v >= self.overlap() {
@@ -339,6 +349,17 @@ impl ValueMap {
             nearest: 0.0,
             winding,
         })
+    }
+
+    /// Of a game whether `H(x, p)` is about 0: behind a fold no p makes it so, whatever interpolation says.
+    fn solves_isaacs(&self, s: &[f64], p: &[f64]) -> bool {
+        // Of the terms of H, whose sum it is.
+        const RESIDUAL: f64 = 3e-3;
+        let Some(program) = &self.isaacs else { return true };
+        let values = program.eval(&[s, p].concat());
+        let (h, running) = (values[0], values[1]);
+        let power: f64 = values[2..].iter().zip(p).map(|(f, p)| (f * p).abs()).sum();
+        h.abs() <= RESIDUAL * (running.abs() + power)
     }
 
     fn control(&self, s: &[f64], p: &[f64]) -> Vec<f64> {

@@ -247,8 +247,10 @@ impl<'p> Gathering<'p> {
         }
         let mut levels = vec![];
         let mut level = local.seed_value;
-        // Outward to where the samples begin, each twice as far; the error of V is relative to V.
-        while local.error_where(level) <= LOCAL_ERROR * level && level < plan.value_scale && levels.len() < 8 {
+        // Outward to where the samples begin, each twice as far; the error of V is relative to V. Beyond the reach controls
+        // meet their bounds.
+        let reach = local.value_within(f64::INFINITY, plan.value_scale);
+        while local.error_where(level) <= LOCAL_ERROR * level && level < reach && levels.len() < 8 {
             levels.push(level);
             level *= 4.0;
         }

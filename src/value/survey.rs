@@ -231,9 +231,15 @@ impl<'a> Survey<'a> {
         self.principal = self.at.iter().map(|list| list.first().copied()).collect();
         let open: Vec<usize> = (0..self.targets.len()).filter(|t| self.is_open(*t)).collect();
         for part in open.chunks(COHORT) {
-            let errands = self.rays(&solver.scheme.end, part);
-            for (target, reached) in self.send(solver, errands)? {
-                self.principal[target] = reached;
+            // Where Newton's method fails for another reason than a fold, shorter steps may do.
+            for longest in [1.0 / 8.0, 1.0 / 64.0] {
+                let left: Vec<usize> = (part.iter().copied())
+                    .filter(|t| self.principal[*t].is_none() && !self.missed_by(*t, PointStatus::Fold))
+                    .collect();
+                let errands = self.rays(&solver.scheme.end, &left, longest);
+                for (target, reached) in self.send(solver, errands)? {
+                    self.principal[target] = reached;
+                }
             }
             progress("from the equilibrium", self.solved(), self.targets.len());
         }
@@ -877,8 +883,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Straight ways from the local solution to targets.
-    fn rays(&self, end: &End, targets: &[usize]) -> Vec<Errand> {
-        const LONGEST: f64 = 1.0 / 8.0;
+    fn rays(&self, end: &End, targets: &[usize], longest: f64) -> Vec<Errand> {
         // Of the distance from the equilibrium where the way begins.
         const SHORTEST: f64 = 1.0 / 64.0;
         let near = self.plan.local.as_ref().map_or(0.0, |l| l.seed_value);
@@ -898,7 +903,7 @@ impl<'a> Survey<'a> {
                 from: None,
                 target,
                 winding: 0,
-                way: Approach::along(path, goal, SHORT.min(SHORTEST * share), LONGEST),
+                way: Approach::along(path, goal, SHORT.min(SHORTEST * share), longest),
             })
         };
         targets.iter().filter_map(ray).collect()

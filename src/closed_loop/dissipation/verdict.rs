@@ -90,7 +90,7 @@ pub struct LawCheck {
 pub struct Summary {
     pub kind: DisturbanceKind,
     pub count: usize,
-    /// Those whose V is known at the beginning.
+    /// Those along which V is known beyond the beginning.
     pub judged: usize,
     /// Of these those that ended early, and are judged up to there.
     pub left: usize,
@@ -157,7 +157,8 @@ impl LawCheck {
 
     fn judged(&self, cases: &Cases, kind: DisturbanceKind) -> Vec<usize> {
         (0..cases.count())
-            .filter(|k| cases.kind[*k] == kind && !self.ratio[*k].is_nan())
+            // Of one that ends at once nothing was seen.
+            .filter(|k| cases.kind[*k] == kind && !self.ratio[*k].is_nan() && !self.violation[*k].is_nan())
             .collect()
     }
 
@@ -200,7 +201,8 @@ impl LawCheck {
         let (judged, exceeded) = (sum(|s| s.judged), sum(|s| s.exceeded));
         let closest = all.iter().filter(|s| s.judged > 0);
         let Some(closest) = closest.max_by(|a, b| a.worst_ratio.total_cmp(&b.worst_ratio)) else {
-            return (true, "V is known at no initial state".to_owned());
+            let text = "nothing could be judged: V is known at no initial state, or no further than there";
+            return (false, text.to_owned());
         };
         let ratio = ratio_text(closest.worst_ratio);
         let gain = match exceeded {

@@ -1,6 +1,7 @@
 //! The smallest level of attenuation: coverage against the level, and regions of validity.
 
 use super::Made;
+use super::phase::FOLD;
 use crate::output::{StoredError, StoredGroup};
 use crate::report::canvas::{Canvas, Dash, Ink, Rect, Stroke};
 use crate::report::contour::{self, Grid};
@@ -11,8 +12,6 @@ use crate::value::PointStatus;
 
 /// From this ratio of the largest value to the smallest on, the axis of values is logarithmic.
 const DECADE: f64 = 8.0;
-/// Colour of folds.
-const FOLD: Ink = Ink::Colour([213, 94, 0]);
 
 fn scalar(group: &StoredGroup<'_>, name: &str) -> Result<f64, StoredError> {
     Ok(group.f64(name)?.values.first().copied().unwrap_or(f64::NAN))
@@ -51,10 +50,10 @@ pub fn coverage(source: &Source<'_>) -> Made {
     let name = &coverage.name;
     Ok(Some(Picture {
         name: "coverage".to_owned(),
-        title: format!("Share of the states with a valid value function against the level {name}"),
+        title: format!("Share of the states with a valid value function against {name}"),
         caption: format!(
             "Each dot is a level of attenuation at which all states were solved for. Below {name}* the linearization has no \
-             solution at all; from the smallest covering level on V certifies the gain {name} from every one of the states."
+             solution at all; at the smallest covering level and the higher ones looked at V is valid at every one of the states."
         ),
         drawing: Box::new(coverage),
     }))
@@ -168,7 +167,7 @@ pub fn validity(source: &Source<'_>) -> Made {
     let plane = validity.axes.len() == 2;
     let mut caption = if plane {
         format!(
-            "At each level {name} the value function is valid on the region of its colour, which grows with {name}: each lies over the larger ones."
+            "At each level {name} the value function is valid at the states of the region of its colour (drawn to half-way to the next state); the smaller region lies over the larger ones."
         )
     } else {
         format!("The value function at each level {name}, as far as it is valid.")

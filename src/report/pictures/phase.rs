@@ -2,7 +2,7 @@
 
 use super::Made;
 use super::boundary::Boundary;
-use crate::output::StoredTrajectories;
+use crate::output::{StoredError, StoredTrajectories};
 use crate::report::canvas::{Canvas, Ink, Rect, Stroke};
 use crate::report::colours;
 use crate::report::flow::Flow;
@@ -24,6 +24,8 @@ const BANDS: usize = 10;
 /// interpolation on the map may be off by is less.
 const ABOVE: f64 = 0.01;
 const ABOVE_ALL: f64 = 0.002;
+/// Colour of folds.
+pub(super) const FOLD: Ink = Ink::Colour([213, 94, 0]);
 /// Sheet of a sample where there is no telling, and where another sheet is cheaper.
 const UNKNOWN: i32 = -1;
 const DEARER: i32 = -2;
@@ -40,6 +42,8 @@ struct Phase {
     fronts: Vec<Path>,
     boundary: Boundary,
     rest: Vec<[f64; 2]>,
+    /// Where trajectories end in folds.
+    caustic: Vec<[f64; 2]>,
     legend: Vec<(Mark, String)>,
     /// Ends of the bands of V, where colours show V.
     bands: Vec<f64>,
@@ -54,6 +58,16 @@ struct Seen {
     sheets: Vec<i32>,
     /// Its outermost point in the picture.
     outer: [f64; 2],
+}
+
+/// Points of `/caustic` in the plane.
+fn caustic(source: &Source<'_>) -> Result<Vec<[f64; 2]>, StoredError> {
+    let Some(group) = source.stored.group("caustic") else {
+        return Ok(Vec::new());
+    };
+    let n = source.model.states.len();
+    let x = group.f64("x")?.values;
+    Ok(x.chunks(n).map(|x| source.axes.map(|k| x[k])).collect())
 }
 
 pub fn picture(source: &Source<'_>) -> Made {
@@ -94,6 +108,11 @@ pub fn picture(source: &Source<'_>) -> Made {
             .filter(|_| source.infinite())
             .map(|s| source.axes.map(|k| rest[k] + s[k]))
             .collect(),
+        caustic: if two {
+            caustic(source).map_err(|e| e.to_string())?
+        } else {
+            Vec::new()
+        },
         legend: Vec::new(),
         bands: Vec::new(),
     };
@@ -121,7 +140,8 @@ pub fn picture(source: &Source<'_>) -> Made {
         drawing.by_value(source, t, &mut flow, &shown);
         caption += "Colour: V, the cost from there on. ";
     }
-    if two && source.infinite() {
+    // Samples of a game are no levels of V.
+    if two && source.infinite() && !source.model.is_game() {
         let levels = drawing.draw_fronts(source, t, &all);
         if !levels.is_empty() {
             caption += &format!("Across them: fronts of equal cost, V = {}. ", levels.join(", "));
@@ -134,6 +154,10 @@ pub fn picture(source: &Source<'_>) -> Made {
         drawing
             .legend
             .push((Mark::Line(dark), "equal cost: the control jumps".to_owned()));
+    }
+    if !drawing.caustic.is_empty() {
+        let what = "fold of the manifold: V is valid up to here";
+        drawing.legend.push((Mark::Dot(FOLD), what.to_owned()));
     }
     caption += if source.infinite() {
         "Motion is towards the dot, the equilibrium; trajectories are stored from the first front on."
@@ -298,7 +322,13 @@ impl Phase {
     }
 
     fn by_value(&mut self, source: &Source<'_>, t: &StoredTrajectories, flow: &mut Flow<'_>, shown: &[Seen]) {
-        let values = t.v.iter().copied().filter(|v| v.is_finite());
+        // What lies outside the picture would take the colours of what is in it.
+        let shown_here = |k: usize| {
+            let x = &t.x[k * source.model.states.len()..][..source.model.states.len()];
+            (x.iter().zip(&source.model.region)).all(|(x, [lo, hi])| (lo..=hi).contains(&x))
+        };
+        let values = (0..t.v.len()).filter(|k| t.v[*k].is_finite() && (!source.model.is_game() || shown_here(*k)));
+        let values = values.map(|k| t.v[k]);
         let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
         let zero = if source.infinite() { least.min(0.0) } else { least };
         self.bands = (0..=BANDS)
@@ -444,6 +474,9 @@ impl Drawing for Phase {
         );
         canvas.lines(&frame.lines(&self.boundary.lines), Stroke::new(Ink::Text, 3.0));
         canvas.dots(&frame.dots(self.boundary.points.iter().copied()), 6.0, Ink::Text, 1.0);
+        let folds = frame.dots(self.caustic.iter().copied());
+        canvas.dots(&folds, 6.0, Ink::Paper, 1.0);
+        canvas.dots(&folds, 4.5, FOLD, 1.0);
         let dots = frame.dots(self.rest.iter().copied());
         canvas.dots(&dots, 10.0, Ink::Paper, 1.0);
         canvas.dots(&dots, 7.0, Ink::Text, 1.0);
