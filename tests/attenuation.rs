@@ -485,7 +485,7 @@ fn a_level_below_gamma_star_is_refused() {
         for (scene, words) in [
             (
                 &named,
-                ["gamma = 0.8 is below gamma* = 0.8944271910", "named.toml:2:24"],
+                ["gamma = 0.8 is not above gamma* = 0.8944271910", "named.toml:2:24"],
             ),
             (&anonymous, ["below what the linearization allows", "[attenuation]"]),
         ] {

@@ -425,7 +425,7 @@ fn a_scene_without_a_sweep_is_measured_over_its_region() {
         &file,
         GAME.replace("disturbances = { w = {} }\n", "")
             .replace(" + w", "")
-            .replace(" - 4*w^2", "")
+            .replace(" - 0.25*w^2", "")
             .replace("shoot_out = { value_max = 1.0 }\n", ""),
     )
     .unwrap();
