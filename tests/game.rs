@@ -9,9 +9,7 @@ use costate::model::Precision;
 use costate::sweep::{FOLD_STATUS, FoldPoint};
 use costate::value::PointStatus;
 
-#[path = "common_oracles/mod.rs"]
-mod common_oracles;
-use common_oracles::{Asked, F32, F64, Sweep, parameter};
+use common_values::common_oracles::{Asked, F32, F64, Sweep, parameter};
 
 /// `scenarios/folding_game.toml`: V, costate and fold of its first scalar game.
 struct Folding {

@@ -5,7 +5,7 @@ use crate::local::{Cause, LocalError, Riccati};
 use crate::model::{Horizon, Model};
 use crate::scenario::{Problem, ScenarioErrors};
 
-/// The refusal of a game whose linearization has no solution because of its level; `None` where it has one, or lacks it for
+/// The refusal of a game whose linearization has no solution because of its level, or which is not at rest at its equilibrium; `None` where it has one, or lacks it for
 /// another reason (which the local solution's own error tells).
 pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioErrors> {
     let Horizon::Infinite { span, .. } = &model.horizon else {
@@ -15,6 +15,11 @@ pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioError
         return None;
     }
     let error = Riccati::solve(hamiltonian, model).err()?;
+    if let LocalError::NotStationary { .. } = error {
+        // No level mends that.
+        let problem = Problem::at(span.clone(), error.to_string(), "no equilibrium of the game");
+        return Some(ScenarioErrors::new(model, vec![problem]));
+    }
     let Some(asked) = &model.attenuation else {
         let told = matches!(
             error,

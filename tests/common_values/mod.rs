@@ -8,7 +8,7 @@ use costate::sweep::{Choices, Plan, sweep_keeping};
 use costate::value::{self, Answers, Archive, Entry, Grid, Request};
 
 #[path = "../common_oracles/mod.rs"]
-mod common_oracles;
+pub mod common_oracles;
 #[allow(unused_imports)] // each test file uses its part
 pub use common_oracles::{parse, scene};
 
