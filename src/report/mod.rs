@@ -200,7 +200,7 @@ pub struct Beside {
 /// are left out.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportError> {
     let source = Source::new(stored, &Report::default())?;
     let stem = (stored.path.file_stem()).map_or_else(String::new, |s| s.to_string_lossy().into_owned());

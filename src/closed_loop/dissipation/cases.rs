@@ -26,7 +26,7 @@ const STRIDE: u64 = 1 << 20;
 /// What moves the disturbance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DisturbanceKind {
-    /// Band-limited noise: [`WAVES`] sinusoids of equal size, one in each part of the band (even on a logarithmic scale), with random
+    /// Band-limited noise: eight sinusoids of equal size, one in each part of the band (even on a logarithmic scale), with random
     /// frequencies and phases.
     Random,
     /// One sinusoid, its frequency anywhere in the band.
