@@ -114,6 +114,13 @@ impl Complex {
         (Self::new(1 << n, &simplices), corners)
     }
 
+    /// The simplices' vertices, in order of creation.
+    pub fn simplices(&self) -> Vec<Vec<Vertex>> {
+        let mut all: Vec<(&u32, &Simplex)> = self.simplices.iter().collect();
+        all.sort_by_key(|(id, _)| **id);
+        all.into_iter().map(|(_, s)| s.vertices.clone()).collect()
+    }
+
     /// Vertices made so far.
     pub fn vertices(&self) -> usize {
         self.next_vertex as usize

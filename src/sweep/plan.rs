@@ -2,7 +2,7 @@
 
 use super::surface::Surface;
 use crate::backend::{Backend, By, Guards, Run, Spec, Status};
-use crate::expr::Kind;
+use crate::expr::{Id, Kind};
 use crate::hamiltonian::{Hamiltonian, Slope, System, infinite};
 use crate::local::{LocalError, LocalSolution, Riccati, SeedChoice};
 use crate::model::{Horizon, Method, Model, Precision, SampleBy, SeedValue, ShootOut};
@@ -372,6 +372,22 @@ impl Plan {
         start
     }
 
+    /// What the linearization gives for V at the costliest corner of the region; on a finite horizon the scale of V.
+    /// It does not depend on how far the scene's own sweep goes.
+    pub fn corner_value(&self) -> f64 {
+        let Some(local) = &self.local else { return self.value_scale };
+        let largest = largest_at_corners(&local.riccati.p, &self.region);
+        if largest > 0.0 && largest.is_finite() { largest } else { self.value_scale }
+    }
+
+    /// Whether neither the running cost nor, on a finite horizon, the terminal cost is negative anywhere in the region: then V
+    /// never falls backward along a trajectory. (Looked at in many points.)
+    pub fn costs_are_positive(&self) -> bool {
+        let terminal = self.system.terminal.as_ref().map(|t| t.value);
+        value_is_monotone(&self.system, &self.region)
+            && terminal.is_none_or(|phi| nowhere_negative(&self.system, phi, &self.region))
+    }
+
     /// Whether the last point of a trajectory that has ended is at a fold.
     pub fn is_folded(&self, end: &[f64]) -> bool {
         // The end is where the slope counts as infinite, to rounding.
@@ -455,10 +471,17 @@ fn unasked_sweep(model: &Model, hamiltonian: &Hamiltonian) -> Result<ShootOut, P
 
 /// Largest quadratic V of the region's corners.
 fn largest_quadratic(model: &Model, riccati: &Riccati) -> f64 {
-    let (p, x) = (&riccati.p, model.reference());
-    let n = x.len();
+    let region: Vec<[f64; 2]> = (model.region.iter().zip(model.reference()))
+        .map(|([lo, hi], x)| [lo - x, hi - x])
+        .collect();
+    largest_at_corners(&riccati.p, &region)
+}
+
+/// Largest `s'Ps/2` at the corners of a box of deviations.
+fn largest_at_corners(p: &nalgebra::DMatrix<f64>, region: &[[f64; 2]]) -> f64 {
+    let n = region.len();
     let corners = (0..1usize << n.min(MOST_STATES)).map(|c| {
-        let side = |i: usize| model.region[i][c >> i & 1] - x[i];
+        let side = |i: usize| region[i][c >> i & 1];
         (0..n)
             .map(|i| (0..n).map(|j| 0.5 * side(i) * p[(i, j)] * side(j)).sum::<f64>())
             .sum::<f64>()
@@ -480,8 +503,13 @@ fn inner_levels(seed_value: f64, first: f64) -> Vec<f64> {
 
 /// Whether L is nowhere negative in the region, even at the cheapest control (looked at in many points).
 fn value_is_monotone(system: &System, region: &[[f64; 2]]) -> bool {
+    nowhere_negative(system, system.least_running, region)
+}
+
+/// Whether an expression of the state is nowhere negative in a region (looked at in many points).
+fn nowhere_negative(system: &System, expr: Id, region: &[[f64; 2]]) -> bool {
     const POINTS: usize = 4096;
-    let program = Program::lower(&system.graph, &system.inputs, &[system.least_running]);
+    let program = Program::lower(&system.graph, &system.inputs, &[expr]);
     let n = system.states;
     let points: Vec<f64> = (spread_over(region, POINTS).into_iter())
         .flat_map(|s| s.into_iter().chain(std::iter::repeat_n(0.0, n)))

@@ -1,6 +1,6 @@
 //! Where trajectories start, backward in time: the seed ellipsoid, or the terminal cost over the region.
 
-use super::complex::{Complex, Edge};
+use super::complex::{Complex, Edge, Vertex};
 use crate::hamiltonian::{System, Terminal};
 use crate::local::LocalSolution;
 use crate::program::Program;
@@ -58,20 +58,33 @@ impl Surface {
     /// With more than a few states every split multiplies simplices: there the corners alone are the start.
     pub fn triangulation(&self, most: usize) -> (Complex, Vec<Vec<f64>>) {
         let n = self.states;
-        let (mut complex, mut parameters) = match self.kind {
-            Kind::Sphere(_) => Complex::sphere(n),
-            Kind::Box { .. } => Complex::unit_box(n),
-        };
         let dimension = match self.kind {
             Kind::Sphere(_) => n - 1,
             Kind::Box { .. } => n,
         };
-        let mut open = complex.take_fresh();
         let wanted = if n > FEW_STATES {
             0
         } else {
             most.min(INITIAL * dimension)
         };
+        self.triangulated(wanted)
+    }
+
+    /// The simplices of a triangulation with about so many vertices, and their parameters.
+    pub fn simplices(&self, wanted: usize) -> (Vec<Vec<Vertex>>, Vec<Vec<f64>>) {
+        if let (Kind::Sphere(_), 1) = (&self.kind, self.states) {
+            return (vec![vec![0], vec![1]], vec![vec![1.0], vec![-1.0]]);
+        }
+        let (complex, parameters) = self.triangulated(wanted);
+        (complex.simplices(), parameters)
+    }
+
+    fn triangulated(&self, wanted: usize) -> (Complex, Vec<Vec<f64>>) {
+        let (mut complex, mut parameters) = match self.kind {
+            Kind::Sphere(_) => Complex::sphere(self.states),
+            Kind::Box { .. } => Complex::unit_box(self.states),
+        };
+        let mut open = complex.take_fresh();
         while parameters.len() < wanted && !open.is_empty() {
             // The longest first; ties in order of creation.
             let length = |e: &Edge| distance(&parameters[e.0 as usize], &parameters[e.1 as usize]);

@@ -94,7 +94,7 @@ impl Survey<'_> {
                 let alike = self.extremals[i].winding == self.extremals[j].winding
                     && same(a.0.path.adjoint(), b.0.path.adjoint(), &self.scales);
                 if alike {
-                    joined |= self.groups.join(i, j);
+                    joined |= self.join(i, j);
                     pairs[k].lost = true;
                 } else {
                     self.refine(&mut pairs[k], a, b);

@@ -1,6 +1,7 @@
 //! V, p and u at the targets of a scene: grids and single states, from the sweep to the answers.
 
 use super::archive::{Archive, segment_duration};
+use super::cover::Cover;
 use super::equal_cost::BoundaryPoint;
 use super::fold::Fold;
 use super::survey::{Miss, PointStatus, Progress, Survey, Wanted};
@@ -193,8 +194,10 @@ pub(super) fn scheme(plan: &Plan, tolerance: f64) -> Scheme {
 }
 
 fn scheme_of(plan: &Plan, variations: usize, tolerance: f64) -> Scheme {
+    // The scales do not depend on how far a sweep goes; a game's are what they always were.
+    let scale = if plan.game { plan.value_scale } else { plan.corner_value() };
     Scheme {
-        equations: Equations::new(&plan.system, &plan.widths, plan.value_scale, variations),
+        equations: Equations::new(&plan.system, &plan.widths, scale, variations),
         end: End::new(&plan.system, plan.local.as_ref()),
         tolerance,
         duration: segment_duration(plan),
@@ -252,7 +255,10 @@ pub fn solve(
         sheets: !request.one_sheet,
     };
     let mut survey = Survey::new(plan, &targets, solver)?;
-    survey.run(solver, archive, wanted, progress)?;
+    let mut cover = Cover::serves(plan)
+        .then(|| Cover::new(plan, model, segment_duration(plan), &Cpu::new()))
+        .transpose()?;
+    survey.run(solver, archive, cover.as_mut(), wanted, progress)?;
     let boundary = if request.one_sheet || plan.game {
         Vec::new()
     } else {

@@ -15,6 +15,8 @@ pub struct Targets {
     pub edges: Vec<(usize, usize)>,
     /// V above which a target is of no interest, each.
     pub limits: Vec<f64>,
+    /// Which of the targets belong to a grid.
+    pub gridded: Vec<bool>,
     /// Rectangles of four neighbours `[corner; 4]`, counterclockwise, where the states form a grid in two of them.
     pub cells: Vec<[usize; 4]>,
 }
@@ -133,6 +135,10 @@ impl Targets {
         for (k, limit) in of_grids.chain(std::iter::repeat(f64::INFINITY)).take(count).enumerate() {
             let target = this.of_given[k];
             this.limits[target] = this.limits[target].max(limit);
+        }
+        this.gridded = vec![false; this.len()];
+        for k in 0..gridded {
+            this.gridded[this.of_given[k]] = true;
         }
         let mut first = 0;
         let mut before: Vec<usize> = Vec::new();

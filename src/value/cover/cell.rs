@@ -1,0 +1,243 @@
+//! Cells of the swept manifold: a simplex of seeds between two levels, and where in it a state lies.
+
+use super::fan::Fan;
+
+/// A cell: the trajectories of a simplex of seeds between `level` and the next one (finite horizon: at the last level).
+#[derive(Clone, Debug)]
+pub struct Cell {
+    pub seeds: Vec<u32>,
+    pub level: usize,
+    /// How far the middles of its edges are off the straight line, relative to the edges, as far as that is known.
+    pub bend: f64,
+    /// Divisions that led to it.
+    pub depth: u32,
+}
+
+/// The corners of a cell in widths of the region: first those at the lower level, then those at the upper one.
+pub struct Corners {
+    /// `[corner][n]`.
+    pub x: Vec<f64>,
+    pub known: Vec<bool>,
+    /// Least V of the known ones; and the highest, endless where one is not known.
+    pub value: f64,
+    pub highest: f64,
+}
+
+/// How much larger than the hull of its corners a cell may be, relative to its size: at least, a unit of its bend, and at
+/// most. Curved cells reach beyond it.
+const INFLATION: f64 = 0.1;
+const INFLATION_BENT: f64 = 2.0;
+const MOST_INFLATION: f64 = 1.0;
+/// How far outside a straight cell, relative to it, and from it, relative to its longest edge, a state is kept.
+const MARGIN: f64 = 0.2;
+const NEAR: f64 = 0.04;
+/// The same a unit of the cell's bend.
+const MARGIN_BENT: f64 = 3.0;
+const NEAR_BENT: f64 = 1.5;
+/// Bend above which a cell's corners do not tell where its inside is.
+pub const UNKNOWN: f64 = 0.35;
+/// Share of the bend that a half keeps where the division does not show it: it is proportional to an edge's length.
+pub const KEPT: f64 = 0.7;
+
+impl Cell {
+    pub fn corners(&self, fan: &Fan<'_>, stationary: bool) -> Corners {
+        let (n, widths) = (fan.plan.system.states, &fan.plan.widths);
+        let levels: &[usize] = if stationary { &[0, 1] } else { &[0] };
+        let mut corners = Corners {
+            x: Vec::with_capacity(levels.len() * self.seeds.len() * n),
+            known: Vec::with_capacity(levels.len() * self.seeds.len()),
+            value: f64::INFINITY,
+            highest: f64::NEG_INFINITY,
+        };
+        for step in levels {
+            for seed in &self.seeds {
+                let Some((point, known)) = fan.point(*seed, self.level + step) else {
+                    corners.known.push(false);
+                    corners.highest = f64::INFINITY;
+                    corners.x.extend(std::iter::repeat_n(f64::NAN, n));
+                    continue;
+                };
+                corners.known.push(known);
+                let value = f64::from(point[1 + 2 * n]);
+                corners.value = corners.value.min(value);
+                corners.highest = corners.highest.max(if known { value } else { f64::INFINITY });
+                corners.x.extend(point[1..=n].iter().zip(widths).map(|(s, w)| f64::from(*s) / w));
+            }
+        }
+        corners
+    }
+}
+
+impl Corners {
+    /// Lowest and highest coordinates, beyond which no part of the cell is expected.
+    pub fn bounds(&self, n: usize, bend: f64) -> Vec<[f64; 2]> {
+        let inflation = (INFLATION + INFLATION_BENT * bend).min(MOST_INFLATION);
+        let mut bounds = vec![[f64::INFINITY, f64::NEG_INFINITY]; n];
+        for corner in self.x.chunks_exact(n) {
+            for (bound, x) in bounds.iter_mut().zip(corner) {
+                *bound = [bound[0].min(*x), bound[1].max(*x)];
+            }
+        }
+        let size = bounds.iter().map(|[lo, hi]| hi - lo).fold(0.0, f64::max);
+        for bound in &mut bounds {
+            *bound = [bound[0] - inflation * size, bound[1] + inflation * size];
+        }
+        bounds
+    }
+
+    /// Whether a state (in widths), which is within the bounds, may lie in the cell.
+    pub fn may_hold(&self, state: &[f64], seeds: usize, longest: f64, bend: f64) -> bool {
+        if bend >= UNKNOWN || !self.complete() {
+            return true;
+        }
+        let Some(place) = self.locate(state, seeds) else { return true };
+        if place.outside <= MARGIN + MARGIN_BENT * bend {
+            return true;
+        }
+        let near = (NEAR + NEAR_BENT * bend) * longest;
+        self.off(&place, state, seeds) <= near
+    }
+
+    /// Distance of a state from the point of the cell nearest to its place there.
+    fn off(&self, place: &Place, state: &[f64], seeds: usize) -> f64 {
+        let n = state.len();
+        let share = place.share.clamp(0.0, 1.0);
+        let mut weights: Vec<f64> = place.weights.iter().map(|w| w.max(0.0)).collect();
+        let sum: f64 = weights.iter().sum();
+        weights.iter_mut().for_each(|w| *w /= sum);
+        let layers = self.known.len() / seeds;
+        let at = |i: usize| -> f64 {
+            let corner = |q: usize| match layers {
+                2 => (1.0 - share) * self.x[q * n + i] + share * self.x[(seeds + q) * n + i],
+                _ => self.x[q * n + i],
+            };
+            (0..seeds).map(|q| weights[q] * corner(q)).sum()
+        };
+        (0..n).map(|i| (at(i) - state[i]).powi(2)).sum::<f64>().sqrt()
+    }
+
+    /// How far a cell's layers are from having the shape of each other, relative to its longest edge: none for a cell of
+    /// one layer.
+    pub fn skew(&self, seeds: usize, n: usize, longest: f64) -> f64 {
+        if self.known.len() < 2 * seeds || longest == 0.0 {
+            return 0.0;
+        }
+        let along = |q: usize, i: usize| self.x[(seeds + q) * n + i] - self.x[q * n + i];
+        let differ = |q: usize| (0..n).map(|i| (along(q, i) - along(0, i)).powi(2)).sum::<f64>().sqrt();
+        0.25 * (1..seeds).map(differ).fold(0.0, f64::max) / longest
+    }
+
+    /// How far the middle of the edge between two seeds is off the line between them, at the layers of which all is known.
+    pub fn bend(&self, a: usize, b: usize, middle: &[Option<Vec<f64>>], seeds: usize, n: usize) -> f64 {
+        let mut bend = 0.0f64;
+        for (layer, middle) in middle.iter().enumerate() {
+            let (a, b) = (layer * seeds + a, layer * seeds + b);
+            let length = self.distance(a, b, n);
+            let Some(middle) = middle.as_ref().filter(|_| self.known[a] && self.known[b] && length > 0.0) else {
+                return UNKNOWN;
+            };
+            let off = (0..n)
+                .map(|i| (middle[i] - 0.5 * (self.x[a * n + i] + self.x[b * n + i])).powi(2))
+                .sum::<f64>()
+                .sqrt();
+            bend = bend.max(off / length);
+        }
+        bend
+    }
+
+    fn distance(&self, a: usize, b: usize, n: usize) -> f64 {
+        (0..n)
+            .map(|i| (self.x[a * n + i] - self.x[b * n + i]).powi(2))
+            .sum::<f64>()
+            .sqrt()
+    }
+
+    /// The longest edge between two of the seeds at either level, as positions among the seeds, and its length.
+    pub fn longest(&self, seeds: usize, n: usize) -> (usize, usize, f64) {
+        let layers = self.known.len() / seeds;
+        let mut longest = (0, 0, 0.0);
+        for a in 0..seeds {
+            for b in a + 1..seeds {
+                for layer in 0..layers {
+                    let length = self.distance(layer * seeds + a, layer * seeds + b, n);
+                    if length > longest.2 {
+                        longest = (a, b, length);
+                    }
+                }
+            }
+        }
+        longest
+    }
+
+    pub fn complete(&self) -> bool {
+        self.known.iter().all(|k| *k)
+    }
+
+    /// Where a state (in widths) lies in the cell: the weights of the seeds and the share of the way between the levels,
+    /// with how far it is outside (0: inside; relative to the cell). None where the cell is flat.
+    pub fn locate(&self, state: &[f64], seeds: usize) -> Option<Place> {
+        let n = state.len();
+        let layers = self.known.len() / seeds;
+        let unknowns = seeds - 1 + usize::from(layers == 2);
+        if unknowns != n {
+            return None;
+        }
+        let mut weights = vec![1.0 / seeds as f64; seeds];
+        let mut share = if layers == 2 { 0.5 } else { 0.0 };
+        for _ in 0..8 {
+            let mut residual = nalgebra::DVector::from_column_slice(state);
+            let mut matrix = nalgebra::DMatrix::<f64>::zeros(n, n);
+            for i in 0..n {
+                let at = |corner: usize| self.x[corner * n + i];
+                let mixed = |seed: usize| {
+                    if layers == 2 {
+                        (1.0 - share) * at(seed) + share * at(seeds + seed)
+                    } else {
+                        at(seed)
+                    }
+                };
+                for (seed, weight) in weights.iter().enumerate() {
+                    residual[i] -= weight * mixed(seed);
+                }
+                for seed in 1..seeds {
+                    matrix[(i, seed - 1)] = mixed(seed) - mixed(0);
+                }
+                if layers == 2 {
+                    matrix[(i, n - 1)] = (0..seeds).map(|q| weights[q] * (at(seeds + q) - at(q))).sum();
+                }
+            }
+            let step = matrix.lu().solve(&residual)?;
+            if !step.iter().all(|x| x.is_finite() && x.abs() < 1e3) {
+                return None;
+            }
+            for seed in 1..seeds {
+                weights[seed] += step[seed - 1];
+                weights[0] -= step[seed - 1];
+            }
+            if layers == 2 {
+                share += step[n - 1];
+            }
+            if step.amax() < 1e-6 {
+                break;
+            }
+        }
+        let below = weights.iter().fold(0.0f64, |a, w| a.max(-w));
+        let outside = below.max(-share).max(share - 1.0);
+        Some(Place {
+            weights,
+            share,
+            outside,
+        })
+    }
+}
+
+/// A place in a cell.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// One a seed, 1 in all.
+    pub weights: Vec<f64>,
+    /// Share of the way from the lower to the upper level.
+    pub share: f64,
+    /// How far outside the cell it is, relative to the cell; 0 inside.
+    pub outside: f64,
+}

@@ -1,0 +1,350 @@
+//! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked for.
+
+use crate::backend::cpu::map::Evaluator;
+use crate::backend::{Backend, BackendError, By, Guards, Kernel, Run, Spec, Status, batch_limit};
+use crate::local::{LocalSolution, SeedChoice};
+use crate::model::{Method, Model, Precision, SeedValue};
+use crate::program::Program;
+use crate::sweep::{Plan, Surface};
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+
+/// Tolerance of the trajectories: they are first guesses.
+const RTOL: f64 = 1e-7;
+/// Attempted steps a trajectory.
+const MOST_STEPS: u32 = 20_000;
+/// Arc length between stored points, in widths of the region, and the points beyond the first ones.
+const SPACING: f64 = 0.05;
+const MOST_POINTS: usize = 320;
+/// Ratio of the first points' arc lengths.
+const RATIO: f64 = 1.6;
+/// Widths beyond the region at which a trajectory is given up.
+const MARGIN: f64 = 3.0;
+/// Stored times of a finite horizon.
+const TIMES: usize = 32;
+/// The terminal states looked at reach this many widths beyond the region on each side.
+const TERMINAL_MARGIN: f64 = 2.0;
+/// The seeds' error of V, relative to V of the seeds.
+const SEED_ERROR: f64 = 1e-6;
+
+/// A stored trajectory: its points, the seed first. f32, as these are guesses.
+pub struct Trajectory {
+    /// `[point][2 + 2n]`: backward time, s, p, V.
+    points: Vec<f32>,
+    /// Where it ended, if that is not its last level: beyond, nothing is known.
+    end: Option<Vec<f32>>,
+    /// Cost up to which it was integrated.
+    ceiling: f64,
+}
+
+/// The trajectories through a surface of seeds. A seed's trajectory depends on its parameter alone, so that what is found
+/// with it does not depend on which others were asked for.
+pub struct Fan<'a> {
+    pub plan: &'a Plan,
+    pub surface: Surface,
+    local: Option<LocalSolution>,
+    /// (Locked only so that the trajectories may be read by several threads.)
+    kernel: Mutex<Box<dyn Kernel>>,
+    run: Run,
+    /// Parameters of the seeds.
+    parameters: Vec<Vec<f64>>,
+    /// Seeds half-way between two others; none where no number lies between.
+    middles: HashMap<(u32, u32), Option<u32>>,
+    trajectories: Vec<Option<Trajectory>>,
+    /// Numbers of a stored point.
+    stride: usize,
+    /// Rates of `(s, p, V)` and of the arc length, of `(s, p)`.
+    rates: Evaluator,
+    pub integrated: usize,
+}
+
+impl<'a> Fan<'a> {
+    /// The trajectories of a plan's manifold; of its [`Plan`] only what does not depend on the scene's own sweep counts.
+    ///
+    /// # Errors
+    /// When the kernel cannot be compiled.
+    pub fn new(plan: &'a Plan, model: &Model, unit: f64, backend: &dyn Backend) -> Result<Self, BackendError> {
+        let n = plan.system.states;
+        let (surface, local) = surface(plan, model, unit);
+        let mut graph = plan.system.graph.clone();
+        let mut rate = plan.system.rate.clone();
+        rate.push(plan.system.arc_rate);
+        let switches = graph.kinks(&rate);
+        let lower = |roots: &[_]| Program::lower(&graph, &plan.system.inputs, roots);
+        let guards: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
+        let finite = plan.system.terminal.as_ref().map(|t| t.time);
+        let spec = Spec {
+            rate: lower(&rate),
+            guards: (!guards.is_empty()).then(|| Guards {
+                program: lower(&guards),
+                strict: plan.system.guards.iter().map(|g| g.strict).collect(),
+            }),
+            kinks: (!switches.is_empty()).then(|| lower(&switches)),
+            method: if backend.offers(Method::Taylor) { Method::Taylor } else { Method::Dop853 },
+            precision: Precision::F64,
+            by: if finite.is_some() { By::Time } else { By::Component(2 * n + 1) },
+            store: true,
+        };
+        let scales = (plan.widths.iter().copied())
+            .chain(plan.widths.iter().map(|w| unit / w))
+            .chain([unit, 1.0]);
+        let run = Run {
+            rtol: RTOL,
+            atol: scales.map(|s| 1e-3 * RTOL * s).collect(),
+            step: 0.0,
+            max_steps: MOST_STEPS,
+            levels: match finite {
+                Some(time) => (1..=TIMES).map(|k| time * k as f64 / TIMES as f64).collect(),
+                None => arc_lengths(&surface, plan),
+            },
+            ceiling: None,
+            bounds: (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
+                .map(|(([lo, hi], w), periodic)| {
+                    let margin = if *periodic { f64::INFINITY } else { MARGIN * w };
+                    [lo - margin, hi + margin]
+                })
+                .collect(),
+        };
+        let rates = Evaluator::new(&lower(&rate));
+        Ok(Self {
+            plan,
+            surface,
+            local,
+            kernel: Mutex::new(backend.compile(&spec)?),
+            run,
+            parameters: Vec::new(),
+            middles: HashMap::new(),
+            trajectories: Vec::new(),
+            stride: 2 + 2 * n,
+            rates,
+            integrated: 0,
+        })
+    }
+
+    /// Levels of a complete trajectory.
+    pub fn levels(&self) -> usize {
+        self.run.levels.len()
+    }
+
+    /// V and `(s, p)` of the local solution at a state whose V is at most `margin` times that of the seeds.
+    pub fn local(&self, s: &[f64], margin: f64) -> Option<(f64, Vec<f64>)> {
+        let local = self.local.as_ref()?;
+        let inside = local.quadratic(s) <= margin * local.seed_value;
+        let at = inside.then(|| local.at_state(s))?;
+        Some((at[2 * s.len()], at[..2 * s.len()].to_vec()))
+    }
+
+    /// The value of a level, from 1 on.
+    pub fn time(&self, level: usize) -> f64 {
+        self.run.levels[level - 1]
+    }
+
+    /// A new seed.
+    pub fn seed(&mut self, parameter: Vec<f64>) -> u32 {
+        self.parameters.push(self.surface.nudged(parameter));
+        self.trajectories.push(None);
+        (self.parameters.len() - 1) as u32
+    }
+
+    /// The seed half-way between two.
+    pub fn middle(&mut self, a: u32, b: u32) -> Option<u32> {
+        let key = (a.min(b), a.max(b));
+        if let Some(known) = self.middles.get(&key) {
+            return *known;
+        }
+        let (p, q) = (&self.parameters[key.0 as usize], &self.parameters[key.1 as usize]);
+        let between = self.surface.between(p, q);
+        let distinct = between != *p && between != *q;
+        let middle = distinct.then(|| self.seed(between));
+        self.middles.insert(key, middle);
+        middle
+    }
+
+    /// Integrates those of the seeds that were not, up to a cost of `ceiling`.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn integrate(&mut self, seeds: &[u32], ceiling: f64) -> Result<(), BackendError> {
+        let n = self.plan.system.states;
+        let mut wanted: Vec<u32> = (seeds.iter().copied())
+            .filter(|v| {
+                let known = &self.trajectories[*v as usize];
+                known.as_ref().is_none_or(|t| t.ceiling < ceiling && t.end.is_some())
+            })
+            .collect();
+        wanted.sort_unstable();
+        wanted.dedup();
+        self.run.ceiling = ceiling.is_finite().then_some((2 * n, ceiling));
+        let dim = 2 * n + 2;
+        for part in wanted.chunks(batch_limit(dim, self.run.levels.len())) {
+            let mut starts = Vec::with_capacity(part.len() * dim);
+            for v in part {
+                starts.extend(self.surface.seed(&self.parameters[*v as usize]));
+                starts.push(0.0);
+            }
+            let kernel = self.kernel.get_mut().unwrap_or_else(PoisonError::into_inner);
+            let batch = kernel.integrate(&self.run, &starts)?;
+            self.integrated += part.len();
+            for (i, v) in part.iter().enumerate() {
+                let mut points: Vec<f32> = Vec::new();
+                points.push(0.0);
+                points.extend(starts[i * dim..][..self.stride - 1].iter().map(|x| *x as f32));
+                let mut complete = batch.status[i] == Status::Reached;
+                for k in 0..batch.levels {
+                    let sample = batch.sample(i, k);
+                    if sample[0].is_nan() {
+                        complete = false;
+                        break;
+                    }
+                    points.extend(sample[..self.stride].iter().map(|x| *x as f32));
+                }
+                points.shrink_to_fit();
+                let end = &batch.end[i * dim..][..self.stride - 1];
+                let end: Vec<f32> = std::iter::once(batch.end_time[i])
+                    .chain(end.iter().copied())
+                    .map(|x| x as f32)
+                    .collect();
+                let usable = end.iter().all(|x| x.is_finite());
+                let last = points[points.len() - self.stride..].to_vec();
+                self.trajectories[*v as usize] = Some(Trajectory {
+                    end: (!complete).then_some(if usable { end } else { last }),
+                    points,
+                    ceiling,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// The point of a seed's trajectory at a level (0 is the seed), and whether the trajectory came that far: else it is the
+    /// one where it ended.
+    pub fn point(&self, seed: u32, level: usize) -> Option<(&[f32], bool)> {
+        let trajectory = self.trajectories[seed as usize].as_ref()?;
+        match trajectory.points.get(level * self.stride..(level + 1) * self.stride) {
+            Some(point) => Some((point, true)),
+            None => trajectory.end.as_deref().map(|end| (end, false)),
+        }
+    }
+
+    /// The widest gap between two trajectories at the levels that both reach below a cost, where what is between them may
+    /// lie within `around` widths of the region.
+    pub fn gap(&self, a: u32, b: u32, ceiling: f64, around: f64, stationary: bool) -> f64 {
+        let (plan, n) = (self.plan, self.plan.system.states);
+        let (Some(a), Some(b)) = (&self.trajectories[a as usize], &self.trajectories[b as usize]) else {
+            return 0.0;
+        };
+        let from = if stationary { 0 } else { self.run.levels.len() * self.stride };
+        let rest = |t: &Trajectory| t.points.get(from..).map_or(0..0, |_| from..t.points.len());
+        let (a, b) = (&a.points[rest(a)], &b.points[rest(b)]);
+        let mut widest = 0.0f64;
+        for (x, y) in a.chunks_exact(self.stride).zip(b.chunks_exact(self.stride)) {
+            if f64::from(x[1 + 2 * n].min(y[1 + 2 * n])) > ceiling {
+                break;
+            }
+            let mut gap = 0.0f64;
+            let mut near = true;
+            for i in 0..n {
+                let (x, y, width) = (f64::from(x[1 + i]), f64::from(y[1 + i]), plan.widths[i]);
+                gap = gap.max((x - y).abs() / width);
+                let [lo, hi] = plan.region[i];
+                let margin = around * width;
+                near &= plan.periodic[i] || (x.max(y) >= lo - margin && x.min(y) <= hi + margin);
+            }
+            if near {
+                widest = widest.max(gap);
+            }
+        }
+        widest
+    }
+
+    /// Of a simplex of terminal states that all cost more than `ceiling` already: the two furthest apart, if by the tangents
+    /// of the terminal cost some state between them may cost less.
+    pub fn hidden(&self, simplex: &[u32], ceiling: f64) -> Option<(u32, u32)> {
+        /// Shortest edges looked at, as a share of all terminal states.
+        const SHORTEST: f64 = 1.0 / 1024.0;
+        let n = self.plan.system.states;
+        let seeds: Vec<Vec<f64>> = simplex.iter().map(|v| self.surface.seed(&self.parameters[*v as usize])).collect();
+        if !ceiling.is_finite() || seeds.iter().any(|s| s[2 * n] <= ceiling) {
+            return None;
+        }
+        let tangent = |a: &[f64], b: &[f64]| a[2 * n] + (0..n).map(|i| a[n + i] * (b[i] - a[i])).sum::<f64>();
+        let below = |a: &Vec<f64>| seeds.iter().map(|b| tangent(a, b)).fold(f64::INFINITY, f64::min);
+        if seeds.iter().map(below).fold(f64::NEG_INFINITY, f64::max) > ceiling {
+            return None;
+        }
+        let mut longest = (SHORTEST, None);
+        for (k, a) in simplex.iter().enumerate() {
+            for b in &simplex[k + 1..] {
+                let (p, q) = (&self.parameters[*a as usize], &self.parameters[*b as usize]);
+                let length = (0..n).map(|i| (p[i] - q[i]).powi(2)).sum::<f64>().sqrt();
+                if length > longest.0 {
+                    longest = (length, Some((*a, *b)));
+                }
+            }
+        }
+        longest.1
+    }
+
+    /// Changes of `(t, s, p, V)` a unit of arc length at points `(t, s, p, V)`, one after the other.
+    pub fn along(&self, points: &[f64]) -> Vec<f64> {
+        let n = self.plan.system.states;
+        let rates = self.rates.eval(points.get(1..).unwrap_or(&[]), self.stride);
+        (rates.chunks_exact(2 * n + 2))
+            .flat_map(|r| std::iter::once(1.0).chain(r[..=2 * n].iter().copied()).map(|x| x / r[2 * n + 1]))
+            .collect()
+    }
+
+    /// Arc length from a level to the next one (0 is the seed).
+    pub fn step(&self, level: usize) -> f64 {
+        let below = if level == 0 { 0.0 } else { self.run.levels[level - 1] };
+        self.run.levels[level] - below
+    }
+
+    /// Levels that a seed's trajectory reaches.
+    pub fn reached(&self, seed: u32) -> usize {
+        (self.trajectories[seed as usize].as_ref()).map_or(0, |t| t.points.len() / self.stride - 1)
+    }
+}
+
+/// The surface of seeds: chosen by the region and the cost there alone.
+fn surface(plan: &Plan, model: &Model, unit: f64) -> (Surface, Option<LocalSolution>) {
+    if let Some(terminal) = &plan.system.terminal {
+        let reach = (plan.region.iter().zip(&plan.widths))
+            .map(|([lo, hi], w)| [lo - TERMINAL_MARGIN * w, hi + TERMINAL_MARGIN * w]);
+        return (Surface::terminal(&plan.system, terminal, reach.collect()), None);
+    }
+    let local = plan.local.as_ref().expect("an infinite horizon has a local solution");
+    let choice = SeedChoice {
+        asked: SeedValue::Auto,
+        tolerance: SEED_ERROR * unit * SPACING,
+        ceiling: SPACING * unit,
+        outer: unit,
+    };
+    let own = LocalSolution::new(&plan.system, model, local.riccati.clone(), choice);
+    let own = own.unwrap_or_else(|_| local.clone());
+    (Surface::sphere(&plan.system, own.clone()), Some(own))
+}
+
+/// Arc lengths from the seeds: first in proportion to the seeds' size, then evenly.
+fn arc_lengths(surface: &Surface, plan: &Plan) -> Vec<f64> {
+    let n = plan.system.states;
+    let mut direction = vec![0.0; n];
+    let mut size: f64 = f64::INFINITY;
+    for i in 0..n {
+        direction.fill(0.0);
+        direction[i] = 1.0;
+        let seed = surface.seed(&direction);
+        let length: f64 = (0..n).map(|k| (seed[k] / plan.widths[k]).powi(2)).sum::<f64>().sqrt();
+        size = size.min(length);
+    }
+    let mut lengths = Vec::new();
+    let mut step = (0.5 * size).max(1e-9);
+    let mut at = 0.0;
+    while step < SPACING {
+        at += step;
+        lengths.push(at);
+        step *= RATIO;
+    }
+    lengths.extend((1..=MOST_POINTS).map(|k| at + SPACING * k as f64));
+    lengths
+}

@@ -1,0 +1,88 @@
+//! Where there are too many states for cells: the points of swept trajectories near a state.
+
+use super::{Candidate, Cover, Sought};
+use crate::backend::BackendError;
+use crate::shooting::End;
+use crate::value::nearest;
+use rayon::prelude::*;
+
+/// Points of one trajectory between two that are looked up.
+const EVERY: usize = 2;
+/// Points looked at, and those of them that are offered, a state.
+const MOST_NEAR: usize = 96;
+const MOST_OFFERED: usize = 6;
+/// Share by which the adjoints of two points on different trajectories differ at least for both to be offered.
+const DIFFERENT: f64 = 0.35;
+/// Distance, in units of that of the nearest point, and in widths, up to which points are of use.
+const FARTHER: f64 = 3.0;
+const FAR: f64 = 0.5;
+
+impl Cover<'_> {
+    /// Guesses for states from the trajectories that pass near them and cost at most `ceiling` there: the nearest, and those
+    /// whose adjoints differ from all that are nearer.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn near(&mut self, sought: &[Sought], ceiling: f64, end: &End) -> Result<Vec<Candidate>, BackendError> {
+        if self.divided_to != ceiling {
+            self.divide_first(ceiling)?;
+        }
+        let (fan, n) = (&self.fan, self.fan.plan.system.states);
+        let mut seeds: Vec<u32> = self.roots.iter().flatten().copied().collect();
+        seeds.sort_unstable();
+        seeds.dedup();
+        let mut places: Vec<(u32, usize)> = Vec::new();
+        let mut x: Vec<f64> = Vec::new();
+        let mut extent = vec![[f64::INFINITY, f64::NEG_INFINITY]; n];
+        for seed in seeds {
+            for level in (0..=fan.reached(seed)).step_by(EVERY) {
+                let Some((point, true)) = fan.point(seed, level) else { break };
+                if f64::from(point[1 + 2 * n]) > ceiling {
+                    break;
+                }
+                places.push((seed, level));
+                for i in 0..n {
+                    let along = f64::from(point[1 + i]) / fan.plan.widths[i];
+                    extent[i] = [extent[i][0].min(along), extent[i][1].max(along)];
+                    x.push(along);
+                }
+            }
+        }
+        if places.is_empty() {
+            return Ok(Vec::new());
+        }
+        let tree = nearest::index(&x, n);
+        let copies = self.copies_within(sought, &extent);
+        let this = &*self;
+        let mut found: Vec<Candidate> = copies
+            .par_iter()
+            .flat_map_iter(|copy| {
+                let near = tree.near(&copy.x, f64::INFINITY, MOST_NEAR);
+                let within = near.first().map_or(0.0, |(_, d)| (FARTHER * d).max(FAR));
+                let mut offered: Vec<Candidate> = Vec::new();
+                for (k, distance) in near {
+                    if offered.len() >= MOST_OFFERED || distance > within {
+                        break;
+                    }
+                    let (seed, level) = places[k];
+                    let candidate = this.from_point(seed, level, copy, sought, distance, end);
+                    let like = |other: &Candidate| differ(other, &candidate, &this.fan.plan.widths) < DIFFERENT;
+                    if !offered.iter().any(like) {
+                        offered.push(candidate);
+                    }
+                }
+                offered
+            })
+            .collect();
+        found.sort_by(|a, b| (a.target.cmp(&b.target)).then(a.outside.total_cmp(&b.outside)).then(a.turns.cmp(&b.turns)));
+        Ok(found)
+    }
+}
+
+/// Difference of two adjoints relative to the larger one, in units of the region's widths.
+fn differ(a: &Candidate, b: &Candidate, widths: &[f64]) -> f64 {
+    let (p, q) = (a.path.adjoint(), b.path.adjoint());
+    let largest = |of: &dyn Fn(usize) -> f64| (0..p.len()).map(|i| (of(i) * widths[i]).abs()).fold(0.0, f64::max);
+    let size = largest(&|i| p[i]).max(largest(&|i| q[i]));
+    if a.turns != b.turns || size == 0.0 { f64::INFINITY } else { largest(&|i| p[i] - q[i]) / size }
+}

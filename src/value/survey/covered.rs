@@ -1,0 +1,323 @@
+//! Extremals from the cells of the swept manifold: what lies over a target is found whatever else is asked for.
+
+use super::{COHORT, Errand, MOST_SHEETS, Progress, SHORT, Survey, Wanted};
+use crate::backend::BackendError;
+use crate::shooting::Solver;
+use crate::value::approach::Approach;
+use crate::value::cover::{Candidate, Cover, Sought};
+use crate::value::extremal::Extremal;
+use std::collections::BTreeMap;
+
+/// Ratio of the costs up to which the manifold is searched, one after the other.
+const STEP: f64 = 2.0;
+/// First and last of these costs, as powers of the ratio times the cover's unit.
+const LOWEST: i32 = -20;
+const HIGHEST: i32 = 8;
+const FIRST_FINITE: i32 = -12;
+/// The first search of a target goes to this share of what the linearization expects.
+const FIRST: f64 = 1.0 / 64.0;
+/// Times that guesses which no known solution explains are tried.
+const ROUNDS: usize = 4;
+/// Guesses of one target tried in a round.
+const MOST_AT_ONCE: usize = 12;
+/// Shortest steps, as shares of the way from a guess.
+const FROM_CELL: f64 = 1.0 / 16.0;
+/// The same from a trajectory near the target.
+const FROM_POINT: f64 = 1.0 / 16.0;
+/// Guesses near a target are tried up to this many times its least V where all sheets are looked for.
+const SHEETS: f64 = 4.0;
+/// A solution explains a guess whose adjoint differs by less than this share of the spread within the cell, and of its size.
+const WITHIN: f64 = 0.6;
+const ALIKE: f64 = 0.02;
+/// Guesses that promise more than this times the cost searched for are left out.
+const ABOVE: f64 = 1.3;
+
+/// Where the way to a target begins.
+#[derive(Clone, Copy)]
+enum Start {
+    /// At the target itself, with the mean of a cell's trajectories.
+    Mean,
+    /// At the trajectory beside it, in steps of at least this share of the way.
+    Beside(f64),
+}
+
+impl Survey<'_> {
+    /// Searches the manifold for every target, in rising cost, until what was found is cheaper than what is left.
+    pub(super) fn from_cells(
+        &mut self,
+        solver: &mut Solver,
+        cover: &mut Cover<'_>,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        if self.plan.local.is_none() && !self.plan.costs_are_positive() {
+            let all: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+            return self.search(solver, cover, &all, f64::INFINITY, wanted, progress);
+        }
+        self.from_within_seeds(solver, cover)?;
+        let first: Vec<i32> = (0..self.targets.len()).map(|t| self.first_stage(t, cover.unit)).collect();
+        let mut open: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+        // At last, on a finite horizon, whatever it costs.
+        let last = HIGHEST + i32::from(self.plan.local.is_none());
+        for stage in LOWEST..=last {
+            let ceiling = if stage > HIGHEST { f64::INFINITY } else { cover.unit * STEP.powi(stage) };
+            let now: Vec<usize> = (open.iter().copied()).filter(|t| first[*t] <= stage).collect();
+            self.search(solver, cover, &now, ceiling, wanted, progress)?;
+            open.retain(|t| first[*t] > stage || !self.is_settled(*t, ceiling, wanted));
+            if open.is_empty() {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// The stage at which a target's search begins, by the quadratic V at the copy nearest to the equilibrium.
+    fn first_stage(&self, target: usize, unit: f64) -> i32 {
+        let Some(local) = &self.plan.local else { return FIRST_FINITE };
+        let s: Vec<f64> = (self.state(target, 0).iter().zip(&self.plan.periods))
+            .map(|(s, period)| period.map_or(*s, |p| s - p * (s / p).round()))
+            .collect();
+        let expected = FIRST * local.quadratic(&s) / unit;
+        (expected.log(STEP).ceil().clamp(f64::from(LOWEST), f64::from(HIGHEST))) as i32
+    }
+
+    /// Whether nothing that costs more than `ceiling` is of interest at a target.
+    fn is_settled(&self, target: usize, ceiling: f64, wanted: Wanted) -> bool {
+        if ceiling >= self.targets.limits[target] && ceiling >= wanted.value_max {
+            return true;
+        }
+        let Some(least) = self.lowest(target).map(|e| self.extremals[e].value()) else {
+            return ceiling >= self.targets.limits[target];
+        };
+        let sheets = wanted.sheets && self.at[target].len() < MOST_SHEETS;
+        least <= ceiling && (!sheets || ceiling >= wanted.sheets_to(least, self.targets.states))
+    }
+
+    fn search(
+        &mut self,
+        solver: &mut Solver,
+        cover: &mut Cover<'_>,
+        targets: &[usize],
+        ceiling: f64,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        for part in targets.chunks(COHORT) {
+            let sought: Vec<Sought> = (part.iter())
+                .map(|&target| Sought {
+                    target,
+                    s: self.state(target, 0),
+                    above: self.searched[target],
+                })
+                .collect();
+            if !cover.has_cells() {
+                let near = cover.near(&sought, ceiling, &solver.scheme.end)?;
+                self.try_near(solver, near, ceiling, wanted)?;
+                part.iter().for_each(|t| self.uncovered[*t] = 0.0);
+                progress("from swept trajectories", self.solved(), self.targets.len());
+                continue;
+            }
+            let clock = std::time::Instant::now();
+            let cells = cover.search(&sought, ceiling, &solver.scheme.end)?;
+            if std::env::var_os("COSTATE_DEBUG").is_some() {
+                eprintln!("search {} to {ceiling}: {:.3} s, {} candidates, {} uncovered, {} trajectories, {} extremals", part.len(), clock.elapsed().as_secs_f64(), cells.candidates.len(), cells.uncovered.len(), cover.trajectories(), self.extremals.len());
+            }
+            let lost = self.try_candidates(solver, cells.candidates, ceiling, wanted)?;
+            if std::env::var_os("COSTATE_DEBUG").is_some() {
+                eprintln!("  tried: {:.3} s, {} extremals, {} evaluations, lost {}", clock.elapsed().as_secs_f64(), self.extremals.len(), self.evaluations, lost.len());
+            }
+            for &target in part {
+                let left = [cells.uncovered.get(&target), lost.get(&target)];
+                let left = left.into_iter().flatten().copied().fold(f64::INFINITY, f64::min);
+                self.uncovered[target] = self.uncovered[target].min(left);
+                self.searched[target] = ceiling;
+            }
+            progress("from the swept manifold", self.solved(), self.targets.len());
+        }
+        Ok(())
+    }
+
+    /// Targets that lie within the seeds, by the local solution.
+    fn from_within_seeds(&mut self, solver: &mut Solver, cover: &Cover<'_>) -> Result<(), BackendError> {
+        let mut errands = Vec::new();
+        for target in (0..self.targets.len()).filter(|t| self.is_open(*t)) {
+            for winding in 0..self.windings.len() {
+                let goal = self.state(target, winding);
+                if let Some(path) = cover.within_seeds(&goal, &solver.scheme.end) {
+                    errands.push(Errand {
+                        from: None,
+                        target,
+                        winding,
+                        way: Approach::new(path, goal, FROM_CELL),
+                    });
+                }
+            }
+        }
+        self.send(solver, errands)?;
+        Ok(())
+    }
+
+    /// Tries guesses from trajectories near the targets: those that promise less than what is known, the nearest first.
+    fn try_near(
+        &mut self,
+        solver: &mut Solver,
+        mut left: Vec<Candidate>,
+        ceiling: f64,
+        wanted: Wanted,
+    ) -> Result<(), BackendError> {
+        left.retain(|c| c.value <= ABOVE * ceiling && !self.tried.contains(&(c.target, c.seed)));
+        while !left.is_empty() {
+            let mut now: Vec<Candidate> = Vec::new();
+            let mut later = Vec::new();
+            for candidate in left {
+                if !self.promises(&candidate, wanted) {
+                    continue;
+                }
+                if now.last().is_some_and(|c| c.target == candidate.target) {
+                    later.push(candidate);
+                } else {
+                    now.push(candidate);
+                }
+            }
+            self.tried.extend(now.iter().map(|c| (c.target, c.seed)));
+            self.send_all(solver, now.iter(), Start::Beside(FROM_POINT))?;
+            left = later;
+        }
+        Ok(())
+    }
+
+    /// Whether a guess may lead to something new that is of interest.
+    fn promises(&self, candidate: &Candidate, wanted: Wanted) -> bool {
+        let known = self.known_at(candidate);
+        let mut near = known.filter(|e| alike(e.adjoint(), candidate.path.adjoint(), &candidate.spread, &self.scales, 1.0 / 3.0));
+        let least = self.lowest(candidate.target).map(|e| self.extremals[e].value());
+        let range = if wanted.sheets && self.at[candidate.target].len() < MOST_SHEETS { SHEETS } else { 1.0 };
+        near.next().is_none() && least.is_none_or(|v| candidate.value <= range * v)
+    }
+
+    /// Tries the guesses that no known solution explains; the targets of which one led nowhere, with the least V it promised.
+    fn try_candidates(
+        &mut self,
+        solver: &mut Solver,
+        mut left: Vec<Candidate>,
+        ceiling: f64,
+        wanted: Wanted,
+    ) -> Result<BTreeMap<usize, f64>, BackendError> {
+        let most = |c: &Candidate| ABOVE * ceiling.min(wanted.value_max.max(self.targets.limits[c.target]));
+        left.retain(|c| c.value <= most(c));
+        let mut tried: Vec<Candidate> = Vec::new();
+        for round in 0..ROUNDS {
+            // The first round shows what there is; after that only what may be the least is tried again.
+            left.retain(|c| !self.is_explained(c) && (round < 1 || self.may_be_least(c)));
+            let (now, later) = choose(left, &self.scales);
+            if std::env::var_os("COSTATE_DEBUG2").is_some() {
+                for c in &now {
+                    eprintln!("try target {} turns {:?} V {} outside {} p {:?} spread {:?} durations {:?}", c.target, c.turns, c.value, c.outside(), c.path.adjoint(), c.spread, c.path.durations);
+                }
+            }
+            left = later;
+            if now.is_empty() {
+                break;
+            }
+            self.send_all(solver, now.iter(), Start::Mean)?;
+            let missing = now.iter().filter(|c| !self.is_explained(c) && (c.is_inside() || self.may_be_least(c)));
+            let missing: Vec<Candidate> = missing.cloned().collect();
+            self.send_all(solver, missing.iter(), Start::Beside(FROM_CELL))?;
+            tried.extend(missing);
+        }
+        // A guess within its cell belongs to a sheet there: what it did not lead to may be missing.
+        let mut hard: Vec<Candidate> = tried;
+        hard.retain(|c| c.is_inside() && self.may_be_least(c) && !self.is_explained(c) && !self.explains_loosely(c));
+        self.send_all(solver, hard.iter(), Start::Beside(SHORT))?;
+        hard.extend(left);
+        hard.retain(|c| c.is_inside() && self.may_be_least(c) && !self.is_explained(c) && !self.explains_loosely(c));
+        let mut lost = BTreeMap::new();
+        for candidate in hard {
+            let least = lost.entry(candidate.target).or_insert(f64::INFINITY);
+            *least = candidate.value.min(*least);
+        }
+        Ok(lost)
+    }
+
+    fn send_all<'c>(
+        &mut self,
+        solver: &mut Solver,
+        candidates: impl Iterator<Item = &'c Candidate>,
+        start: Start,
+    ) -> Result<(), BackendError> {
+        let errands: Vec<Errand> = candidates
+            .map(|c| Errand {
+                from: None,
+                target: c.target,
+                winding: self.winding(&c.turns),
+                way: match start {
+                    Start::Mean => Approach::new(c.path.clone(), c.goal.clone(), 1.0),
+                    Start::Beside(least) => Approach::new(c.beside.clone(), c.goal.clone(), least),
+                },
+            })
+            .collect();
+        let (count, ev, ex) = (errands.len(), self.evaluations, self.extremals.len());
+        let r = self.send(solver, errands)?;
+        if std::env::var_os("COSTATE_DEBUG").is_some() {
+            eprintln!("   round {} {count} sent, {} reached, {} new, {} evaluations", if matches!(start, Start::Mean) {"mean"} else {"beside"}, r.iter().filter(|r| r.1.is_some()).count(), self.extremals.len() - ex, self.evaluations - ev);
+        }
+        Ok(())
+    }
+
+    /// Whether a guess promises less than what is known.
+    fn may_be_least(&self, candidate: &Candidate) -> bool {
+        const NEARLY: f64 = 1.05;
+        self.lowest(candidate.target)
+            .is_none_or(|e| candidate.value <= NEARLY * self.extremals[e].value())
+    }
+
+    fn is_explained(&self, candidate: &Candidate) -> bool {
+        self.known_at(candidate).any(|e| {
+            let adjoint = candidate.path.adjoint();
+            alike(e.adjoint(), adjoint, &candidate.spread, &self.scales, WITHIN)
+        })
+    }
+
+    /// Whether a solution of about the guess's cost and adjoint is known: near a fold cells are no measure of either.
+    fn explains_loosely(&self, candidate: &Candidate) -> bool {
+        self.known_at(candidate).any(|e| {
+            let near = (e.value() - candidate.value).abs() <= 0.1 * candidate.value.abs();
+            near && alike(e.adjoint(), candidate.path.adjoint(), &candidate.spread, &self.scales, 3.0 * WITHIN)
+        })
+    }
+
+    fn known_at(&self, candidate: &Candidate) -> impl Iterator<Item = &Extremal> {
+        (self.at[candidate.target].iter())
+            .map(|e| &self.extremals[*e])
+            .filter(|e| self.windings[e.winding] == candidate.turns)
+    }
+}
+
+/// Whether two adjoints agree as far as the spread within a cell lets them be told apart.
+fn alike(a: &[f64], b: &[f64], spread: &[f64], scales: &[f64], within: f64) -> bool {
+    let n = a.len();
+    let largest = |v: &dyn Fn(usize) -> f64| (0..n).map(|i| (v(i) / scales[n + i]).abs()).fold(0.0, f64::max);
+    let size = largest(&|i| a[i].abs().max(b[i].abs()));
+    largest(&|i| a[i] - b[i]) <= within * largest(&|i| spread[i]) + ALIKE * size
+}
+
+/// Of each target the guesses that differ from each other, to be tried now; and the others.
+fn choose(candidates: Vec<Candidate>, scales: &[f64]) -> (Vec<Candidate>, Vec<Candidate>) {
+    let (mut now, mut later): (Vec<Candidate>, Vec<Candidate>) = (Vec::new(), Vec::new());
+    let mut first = 0;
+    for candidate in candidates {
+        if now.get(first).is_some_and(|c| c.target != candidate.target) {
+            first = now.len();
+        }
+        let like = |other: &Candidate| {
+            other.turns == candidate.turns
+                && alike(other.path.adjoint(), candidate.path.adjoint(), &candidate.spread, scales, WITHIN)
+        };
+        if now.len() - first >= MOST_AT_ONCE || now[first..].iter().any(like) {
+            later.push(candidate);
+        } else {
+            now.push(candidate);
+        }
+    }
+    (now, later)
+}

@@ -1,0 +1,408 @@
+//! Every extremal from each of many targets, and which of them lie on one sheet.
+//!
+//! First guesses come from the cells of the swept manifold that lie over a target (`covered`), or where there are too many
+//! states for cells from swept trajectories near it (`swept`). What they miss is reached from the local solution (`local`)
+//! and from solved neighbours (`spread`). Where a sheet ends in a fold it is followed around it (`folds`). Solutions that a
+//! continuation joins have the same label (`label`). In a game only the sheet of the equilibrium counts (`principal`).
+
+mod admissible;
+mod covered;
+mod folds;
+mod label;
+mod local;
+mod principal;
+mod spread;
+mod status;
+mod swept;
+mod windings;
+
+pub use status::{Miss, PointStatus};
+
+use super::approach::{Approach, Unreached, follow};
+use super::archive::{Archive, segment_duration};
+use super::conjugate::ConjugatePoints;
+use super::cover::Cover;
+use super::extremal::{Extremal, same};
+use super::fold::Fold;
+use super::targets::{Groups, Targets};
+use crate::backend::BackendError;
+use crate::backend::cpu::map::Evaluator;
+use crate::program::Program;
+use crate::shooting::{Failure, Solver};
+use crate::sweep::Plan;
+use spread::Effort;
+use std::collections::{HashMap, HashSet};
+use std::sync::Mutex;
+
+/// Shortest steps, as shares of the way, where there is nothing near to start from.
+const SHORT: f64 = 1.0 / 256.0;
+/// Sheets over one target that are looked for.
+const MOST_SHEETS: usize = 8;
+/// Targets looked at together.
+const COHORT: usize = 4096;
+
+/// What a survey asks for beyond the targets.
+#[derive(Clone, Copy, Debug)]
+pub struct Wanted {
+    /// Extremals are continued up to this V (to a target that has none, regardless).
+    pub value_max: f64,
+    /// Whether all sheets are looked for, or one solution a target is enough.
+    pub sheets: bool,
+}
+
+impl Wanted {
+    /// Cost up to which sheets are looked for over a target whose V is `least`.
+    fn sheets_to(self, least: f64, states: usize) -> f64 {
+        // In many dimensions sheets far above the least are many and of no use.
+        let range = match states {
+            0..=2 => 16.0,
+            3 => 4.0,
+            _ => 1.0,
+        };
+        self.value_max.min(range * least)
+    }
+}
+
+/// A fold's singular value, relative to that where the way began, below which a failure counts as a fold.
+const NEAR_FOLD: f64 = 0.2;
+
+/// The extremals of many targets.
+pub struct Survey<'a> {
+    pub plan: &'a Plan,
+    pub targets: &'a Targets,
+    pub extremals: Vec<Extremal>,
+    /// Extremals of each target.
+    pub at: Vec<Vec<usize>>,
+    /// Numbers of periods along each state.
+    pub windings: Vec<Vec<i32>>,
+    pub misses: Vec<Option<Miss>>,
+    /// Of a game with an equilibrium the extremal at each target on the sheet of the equilibrium; else empty.
+    pub principal: Vec<Option<usize>>,
+    pub folds: Vec<Fold>,
+    /// Label of each extremal's sheet: 0 is that of the least V.
+    pub sheet: Vec<i32>,
+    pub evaluations: u64,
+    /// First guesses tried for each target.
+    pub starts: Vec<u32>,
+    /// Cost up to which the manifold was searched for extremals of each target; 0: not at all.
+    pub searched: Vec<f64>,
+    /// Trajectories from which ways to a target were tried.
+    pub(super) tried: HashSet<(usize, u32)>,
+    /// Cost from which on the search of each target was not complete.
+    pub uncovered: Vec<f64>,
+    pub(super) groups: Groups,
+    /// Members of each group by target and winding: two at one state are two sheets.
+    members: HashMap<usize, HashMap<(usize, usize), usize>>,
+    pub(super) scales: Vec<f64>,
+    duration: f64,
+    guards: Option<(Evaluator, Vec<bool>)>,
+    /// In a game, where extremals with a fold along them are none.
+    /// (Locked only so that a survey may be read by several threads.)
+    conjugate: Option<Mutex<ConjugatePoints>>,
+}
+
+/// Told what is done and how many targets are solved of how many.
+pub type Progress<'p> = &'p mut dyn FnMut(&str, usize, usize);
+
+/// A way to try: from which extremal (if any), to which target and winding.
+pub(in crate::value) struct Errand {
+    from: Option<usize>,
+    target: usize,
+    winding: usize,
+    way: Approach,
+}
+
+impl<'a> Survey<'a> {
+    /// # Errors
+    /// When a kernel cannot be compiled.
+    pub fn new(plan: &'a Plan, targets: &'a Targets, solver: &Solver) -> Result<Self, BackendError> {
+        let guards = (!plan.system.guards.is_empty()).then(|| {
+            let exprs: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
+            let program = Program::lower(&plan.system.graph, &plan.system.inputs, &exprs);
+            let strict = plan.system.guards.iter().map(|g| g.strict).collect();
+            (Evaluator::new(&program), strict)
+        });
+        Ok(Self {
+            plan,
+            targets,
+            extremals: Vec::new(),
+            at: vec![Vec::new(); targets.len()],
+            windings: Vec::new(),
+            misses: vec![None; targets.len()],
+            principal: Vec::new(),
+            folds: Vec::new(),
+            sheet: Vec::new(),
+            evaluations: 0,
+            starts: vec![0; targets.len()],
+            searched: vec![0.0; targets.len()],
+            uncovered: vec![f64::INFINITY; targets.len()],
+            members: HashMap::new(),
+            tried: HashSet::new(),
+            groups: Groups::default(),
+            scales: solver.scheme.equations.scales.clone(),
+            duration: segment_duration(plan),
+            guards,
+            conjugate: (plan.game.then(|| ConjugatePoints::new(plan)).transpose()?).map(Mutex::new),
+        })
+    }
+
+    /// Finds the extremals.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn run(
+        &mut self,
+        solver: &mut Solver,
+        archive: &Archive,
+        cover: Option<&mut Cover<'_>>,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        let index = self.index(archive);
+        self.windings = if cover.is_some() { self.nearest_windings() } else { self.all_windings(&index) };
+        self.near_end(solver);
+        self.refuse_outside();
+        if self.plan.game && self.plan.local.is_some() {
+            return self.principal_sheet(solver, archive, &index, wanted, progress);
+        }
+        match cover {
+            Some(cover) => self.from_cells(solver, cover, wanted, progress)?,
+            None => {
+                let order: Vec<usize> = (0..self.targets.len()).collect();
+                for part in order.chunks(COHORT) {
+                    self.swept(solver, archive, &index, part, wanted)?;
+                    progress("from the sweep", self.solved(), self.targets.len());
+                }
+                // The hard ones together in short steps: many at once cost little more than one.
+                let open = self.hopeful();
+                let errands = self.nearest_guesses(&solver.scheme.end, archive, &index, &open, 0, SHORT);
+                self.send(solver, errands)?;
+            }
+        }
+        let clock = std::time::Instant::now();
+        let debug = std::env::var_os("COSTATE_DEBUG").is_some();
+        let tell = |what: &str, s: &Self| {
+            if debug {
+                eprintln!("{what}: {:.2} s, {} extremals, {} evaluations", clock.elapsed().as_secs_f64(), s.extremals.len(), s.evaluations);
+            }
+        };
+        tell("cells", self);
+        let found = self.extremals.len();
+        self.spread(solver, wanted, Effort::Neighbours, progress)?;
+        if debug {
+            let new: Vec<&Extremal> = self.extremals[found..].iter().filter(|e| e.value() < 0.9 * wanted.value_max).collect();
+            eprintln!("new by neighbours below: {}", new.len());
+            for e in new.iter().step_by(1 + new.len() / 20) {
+                eprintln!("  target {:?} winding {:?} V {} p {:?} searched {} known {:?}", self.targets.state(e.target), self.windings[e.winding], e.value(), e.adjoint(), self.searched[e.target],
+                    self.at[e.target].iter().map(|q| (*q < found, self.extremals[*q].value())).collect::<Vec<_>>());
+            }
+        }
+        tell("spread", self);
+        self.last_resort(solver, archive, &index, wanted, progress)?;
+        tell("last", self);
+        // Nothing behind a fold counts in a game.
+        if wanted.sheets && !self.plan.game {
+            self.around_folds(solver, wanted, progress)?;
+        }
+        tell("folds", self);
+        self.label();
+        Ok(())
+    }
+
+    /// Targets with a solution.
+    pub fn solved(&self) -> usize {
+        self.at.iter().filter(|list| !list.is_empty()).count()
+    }
+
+    /// The extremal of least V at a target.
+    pub fn lowest(&self, target: usize) -> Option<usize> {
+        let value = |e: &usize| self.extremals[*e].value();
+        self.at[target]
+            .iter()
+            .copied()
+            .min_by(|a, b| value(a).total_cmp(&value(b)))
+    }
+
+    pub(in crate::value) fn refuse_outside(&mut self) {
+        for target in 0..self.targets.len() {
+            let s = self.state(target, 0);
+            let node = [s.as_slice(), &vec![0.0; s.len()]].concat();
+            if self.at[target].is_empty() && !self.inside(&node) {
+                self.misses[target] = Some(Miss {
+                    status: PointStatus::OutsideGuard,
+                    furthest: None,
+                    left: f64::NAN,
+                });
+            }
+        }
+    }
+
+    /// Whether a target still needs a solution.
+    pub(in crate::value) fn is_open(&self, target: usize) -> bool {
+        self.at[target].is_empty() && !self.is_refused(target)
+    }
+
+    pub(in crate::value) fn is_refused(&self, target: usize) -> bool {
+        self.missed_by(target, PointStatus::OutsideGuard)
+    }
+
+    pub(in crate::value) fn missed_by(&self, target: usize, status: PointStatus) -> bool {
+        self.misses[target].as_ref().is_some_and(|m| m.status == status)
+    }
+
+    /// Targets that still need a solution, and may have one: behind a fold there is none in a game.
+    pub(in crate::value) fn hopeful(&self) -> Vec<usize> {
+        let behind = |t: usize| self.plan.game && self.missed_by(t, PointStatus::Fold);
+        (0..self.targets.len())
+            .filter(|t| self.is_open(*t) && !behind(*t))
+            .collect()
+    }
+
+    /// Adds an extremal unless it is known; its index, and whether it is new.
+    pub(in crate::value) fn add(&mut self, extremal: Extremal) -> (usize, bool) {
+        let known = self.at[extremal.target].iter().copied().find(|e| {
+            let other = &self.extremals[*e];
+            other.winding == extremal.winding && same(other.adjoint(), extremal.adjoint(), &self.scales)
+        });
+        if let Some(known) = known {
+            return (known, false);
+        }
+        let index = self.extremals.len();
+        self.at[extremal.target].push(index);
+        self.misses[extremal.target] = None;
+        let place = (extremal.target, extremal.winding);
+        self.extremals.push(extremal);
+        self.groups.push();
+        self.members.insert(index, HashMap::from([(place, index)]));
+        (index, true)
+    }
+
+    /// Joins two extremals' sheets, unless another extremal of the one lies over a state of the other: then the way between
+    /// them has left its sheet.
+    pub(in crate::value) fn join(&mut self, a: usize, b: usize) -> bool {
+        let (a, b) = (self.groups.root(a), self.groups.root(b));
+        if a == b {
+            return false;
+        }
+        let (of_a, of_b) = (&self.members[&a], &self.members[&b]);
+        let (few, many) = if of_a.len() < of_b.len() { (of_a, of_b) } else { (of_b, of_a) };
+        if few.iter().any(|(place, e)| many.get(place).is_some_and(|other| other != e)) {
+            return false;
+        }
+        self.groups.join(a, b);
+        let (mut joined, other) = (
+            self.members.remove(&a).unwrap_or_default(),
+            self.members.remove(&b).unwrap_or_default(),
+        );
+        if joined.len() < other.len() {
+            let few = std::mem::replace(&mut joined, other);
+            joined.extend(few);
+        } else {
+            joined.extend(other);
+        }
+        self.members.insert(self.groups.root(a), joined);
+        true
+    }
+
+    /// Follows errands, and joins what they find to what they came from. Of each its target, and the extremal there if it was
+    /// reached.
+    pub(in crate::value) fn send(&mut self, solver: &mut Solver, errands: Vec<Errand>) -> Result<Vec<(usize, Option<usize>)>, BackendError> {
+        for errand in &errands {
+            self.starts[errand.target] += 1;
+        }
+        let (mut ways, rest): (Vec<Approach>, Vec<_>) = (errands.into_iter())
+            .map(|e| (e.way, (e.from, e.target, e.winding)))
+            .unzip();
+        follow(solver, &mut ways)?;
+        let finished: Vec<_> = ways.into_iter().map(Approach::finish).collect();
+        let paths = finished
+            .iter()
+            .filter_map(|(_, outcome)| outcome.as_ref().ok().map(|(job, _)| &job.path));
+        let mut wrong = self.wrong(solver, &paths.collect::<Vec<_>>())?.into_iter();
+        let mut reached = Vec::new();
+        // Solutions first: by them it is told why other ways have failed.
+        let (found, lost): (Vec<_>, Vec<_>) =
+            (finished.into_iter().zip(rest)).partition(|((_, outcome), _)| outcome.is_ok());
+        for ((evaluations, outcome), (from, target, winding)) in found.into_iter().chain(lost) {
+            self.evaluations += u64::from(evaluations);
+            reached.push((target, None));
+            match outcome {
+                Ok((job, solved)) => match wrong.next().flatten() {
+                    None => {
+                        let (index, _) = self.add(Extremal {
+                            target,
+                            winding,
+                            path: job.path,
+                            solved,
+                            iterations: evaluations,
+                        });
+                        if let Some(from) = from {
+                            self.join(from, index);
+                        }
+                        reached.pop();
+                        reached.push((target, Some(index)));
+                    }
+                    Some(status) => {
+                        let at = self.targets.state(target).to_vec();
+                        self.miss(target, status, Some(at), 0.0);
+                    }
+                },
+                Err(unreached) => {
+                    self.unreached(from, target, winding, &unreached);
+                }
+            }
+        }
+        Ok(reached)
+    }
+
+    /// Notes how far the way to a target led, if that is further than before.
+    pub(in crate::value) fn unreached(&mut self, from: Option<usize>, target: usize, winding: usize, unreached: &Unreached) {
+        if !self.at[target].is_empty() {
+            return;
+        }
+        let goal = self.scaled(&self.state(target, winding));
+        let there = self.scaled(&unreached.furthest);
+        let left = goal
+            .iter()
+            .zip(&there)
+            .map(|(a, b)| (a - b).powi(2))
+            .sum::<f64>()
+            .sqrt();
+        // Compared with where the way began; a guess from the sweep is no solution, and what is usual stands for it.
+        let began = from.map_or_else(|| self.usual_fold(), |e| self.extremals[e].solved.fold);
+        let ended = unreached.job.as_ref().and_then(|j| j.solved()).map(|s| s.fold);
+        let status = match unreached.failure {
+            Failure::NotFinite => PointStatus::NotFinite,
+            Failure::Horizon => PointStatus::Horizon,
+            _ if ended.is_some_and(|ended| ended < NEAR_FOLD * began) => PointStatus::Fold,
+            _ => PointStatus::NotReached,
+        };
+        let reference = &self.plan.system.reference;
+        let turns = self.state(target, winding);
+        let state = self.targets.state(target);
+        // Back from the winding to where the target is.
+        let furthest = (0..state.len())
+            .map(|i| unreached.furthest[i] + reference[i] - (turns[i] + reference[i] - state[i]))
+            .collect();
+        self.miss(target, status, Some(furthest), left);
+    }
+
+    /// Median of the extremals' distances from folds; 0 where there are none.
+    pub(in crate::value) fn usual_fold(&self) -> f64 {
+        let mut all: Vec<f64> = self.extremals.iter().map(|e| e.solved.fold).collect();
+        let middle = all.len() / 2;
+        if all.is_empty() {
+            return 0.0;
+        }
+        *all.select_nth_unstable_by(middle, f64::total_cmp).1
+    }
+
+    pub(in crate::value) fn miss(&mut self, target: usize, status: PointStatus, furthest: Option<Vec<f64>>, left: f64) {
+        let better = self.misses[target]
+            .as_ref()
+            .is_none_or(|m| m.furthest.is_none() || left < m.left);
+        if better && self.at[target].is_empty() {
+            self.misses[target] = Some(Miss { status, furthest, left });
+        }
+    }
+}
