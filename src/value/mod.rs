@@ -6,6 +6,7 @@ mod archive;
 mod conjugate;
 mod equal_cost;
 mod extremal;
+pub mod flight;
 mod fold;
 pub(crate) mod nearest;
 mod sampled;
