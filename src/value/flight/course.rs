@@ -1,6 +1,6 @@
 //! What is decided between the periods of a flight: whether it is home, how long the next period is, its guess.
 
-use super::{Flight, FlightEnd, Flown, homeward, times};
+use super::{Flight, FlightEnd, Flown, costate, homeward};
 use crate::local::{LocalSolution, closed_loop_margin};
 use crate::program::Program;
 use crate::shooting::{End, Path};
@@ -8,13 +8,15 @@ use crate::sweep::{Plan, guard_holds};
 use crate::value::segment_duration;
 
 /// Periods of a first guess' segment: the first, the shortest and the longest one of a flight.
-const FIRST: f64 = 1.0 / 3.0;
+const FIRST: f64 = 1.0 / 6.0;
 const SHORTEST: f64 = 1.0 / 24.0;
 const LONGEST: f64 = 1.0;
 /// The longest one where the local expansion holds, in times of the slowest mode.
 const SETTLED_PERIOD: f64 = 0.5;
 /// Periods of a finite horizon at least.
 const FINITE_PERIODS: f64 = 32.0;
+/// Relative difference of the law's new answer from the old one above which a period is flown again in shorter ones.
+const TOO_DIFFERENT: f64 = 0.06;
 /// Relative change of the costate at which a law's new answer is to differ from the old one: periods are made as long as
 /// that. What a flight costs too much is of second order in it.
 const ANSWERS_DIFFER: f64 = 0.02;
@@ -33,6 +35,8 @@ pub(super) struct Air {
     pub s: Vec<f64>,
     pub cost: f64,
     period: f64,
+    /// Time, state and cost where the last period began.
+    before: (f64, Vec<f64>, f64),
     /// The law's last answer `(q, H)`.
     pub law: Option<(Vec<f64>, Vec<f64>)>,
     /// Whether the state is where the local expansion holds.
@@ -50,6 +54,7 @@ impl Air {
             s: start.to_vec(),
             cost: 0.0,
             period,
+            before: (0.0, start.to_vec(), 0.0),
             law: None,
             settled: false,
             times: Vec::new(),
@@ -70,6 +75,7 @@ pub(super) struct Course {
     local: Option<LocalSolution>,
     periods: Vec<Option<f64>>,
     widths: Vec<f64>,
+    value_scale: f64,
     guards: Option<(Program, Vec<bool>)>,
     /// Duration of a first guess' segments.
     segment: f64,
@@ -99,6 +105,7 @@ impl Course {
             local: plan.local.clone(),
             periods: plan.periods.clone(),
             widths: plan.widths.clone(),
+            value_scale: plan.value_scale,
             guards,
             segment,
             time,
@@ -117,12 +124,6 @@ impl Course {
         if let Some(home) = self.home(air) {
             return Some(home);
         }
-        if air.cost >= flight.ceiling {
-            return Some(Flown::failed(FlightEnd::AboveCeiling));
-        }
-        if air.t > self.given_up {
-            return Some(Flown::failed(FlightEnd::TimeUp));
-        }
         let Some((q, h)) = flight.law.costate(air.t, &air.s) else {
             return Some(Flown::failed(FlightEnd::NoAnswer));
         };
@@ -131,33 +132,66 @@ impl Course {
             return Some(Flown::failed(FlightEnd::LeftGuard));
         }
         if let Some((q, h)) = &air.law {
-            let factor = self.lengthening(&costate(q, h, &air.s), &p);
+            let difference = self.difference(&costate(q, h, &air.s), &p);
             let longest = if air.settled {
                 self.settled_longest
             } else {
                 self.longest
             };
             let shortest = (SHORTEST * self.segment).min(longest);
-            air.period = (air.period * factor).clamp(shortest, longest);
+            let flown = air.t - air.before.0;
+            let factor = (ANSWERS_DIFFER / difference).sqrt().clamp(0.5, 2.0);
+            air.period = (flown * factor).clamp(shortest, longest);
+            // Only a period that was much longer than the next one is worth doing again.
+            if difference > TOO_DIFFERENT && flown > 1.5 * air.period {
+                (air.t, air.s, air.cost) = air.before.clone();
+                return None;
+            }
+        }
+        if air.cost >= flight.ceiling {
+            return Some(Flown::failed(FlightEnd::AboveCeiling));
+        }
+        if air.t > self.given_up {
+            return Some(Flown::failed(FlightEnd::TimeUp));
         }
         if !air.settled {
             air.record(&p);
         }
         air.settled = self.is_settled(&air.s);
+        air.before = (air.t, air.s.clone(), air.cost);
         air.law = Some((q, h));
         None
     }
 
-    /// How much longer the next period is to be, by how much the law's answers differ.
-    fn lengthening(&self, old: &[f64], new: &[f64]) -> f64 {
-        let widths = &self.widths;
-        let largest = |p: &mut dyn Iterator<Item = f64>| p.zip(widths).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
-        let size = largest(&mut new.iter().copied());
-        let change = largest(&mut new.iter().zip(old).map(|(a, b)| a - b)) / size;
-        if change > 0.0 {
-            (ANSWERS_DIFFER / change).sqrt().clamp(0.5, 2.0)
+    /// Relative difference of two costates, in widths.
+    fn difference(&self, old: &[f64], new: &[f64]) -> f64 {
+        let pairs = || old.iter().zip(new).zip(&self.widths);
+        let size = pairs().fold(0.0f64, |most, ((_, new), w)| most.max((new * w).abs()));
+        let change = pairs().fold(0.0f64, |most, ((old, new), w)| most.max(((new - old) * w).abs()));
+        if change > 0.0 { change / size } else { 0.0 }
+    }
+
+    /// The periods that are left out of a state while it is integrated: near another winding of the equilibrium it is as
+    /// accurate as near the one at 0. Guards are not asked to be periodic; with them nothing is left out.
+    pub fn turns(&self, s: &[f64]) -> Vec<f64> {
+        if self.time.is_some() || self.guards.is_some() {
+            return vec![0.0; s.len()];
+        }
+        let home = homeward(s, &self.periods);
+        s.iter().zip(home).map(|(s, home)| s - home).collect()
+    }
+
+    /// About the cost of the whole flight.
+    pub fn unit(&self, air: &Air) -> f64 {
+        let left = match &self.local {
+            Some(local) => local.quadratic(&homeward(&air.s, &self.periods)),
+            None => self.end.at(&air.s).value.abs(),
+        };
+        let unit = air.cost.abs() + left;
+        if unit > 0.0 && unit.is_finite() {
+            unit
         } else {
-            2.0
+            self.value_scale
         }
     }
 
@@ -266,9 +300,4 @@ impl Flown {
             end,
         }
     }
-}
-
-/// `q + H s`.
-fn costate(q: &[f64], h: &[f64], s: &[f64]) -> Vec<f64> {
-    q.iter().zip(times(h, s)).map(|(q, turned)| q + turned).collect()
 }

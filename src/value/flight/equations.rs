@@ -17,9 +17,9 @@ const UNCONTROLLED: f64 = 1e30;
 const MOST_STEPS: u32 = 2000;
 
 /// A period of a flight as a trajectory of a kernel, in units of the flight's size r where the period begins:
-/// `(y, J, q, H, T, r)` with `s = r y`, the cost `r^2 J`, the costate `r (q + H y)` (H as its upper triangle) and the
+/// `(y, J, q, H, T, r, c)` with `s = r y`, the cost `c J`, the costate `r (q + H y)` (H as its upper triangle) and the
 /// duration T, over which time runs from 0 to 1. Only y and J change. So tolerances mean the same far out and near the
-/// equilibrium.
+/// equilibrium, and c, about the cost of the whole flight, makes errors of the cost relative to that.
 pub(super) struct Equations {
     pub states: usize,
     pub widths: Vec<f64>,
@@ -41,7 +41,7 @@ impl Equations {
         let cost = symbols(&mut graph, "cost", 1);
         let q = symbols(&mut graph, "costate", n);
         let h = symbols(&mut graph, "slope", Slope::len(n));
-        let [duration, size] = ["duration", "size"].map(|name| symbols(&mut graph, name, 1)[0]);
+        let [duration, size, unit] = ["duration", "size", "cost unit"].map(|name| symbols(&mut graph, name, 1)[0]);
         let replaced = law(&mut graph, &system.inputs, &y, &q, &h, size);
         let guards: Vec<Id> = system.guards.iter().map(|g| g.expr).collect();
         let rates = [&system.rate[..n], &system.rate[2 * n..=2 * n], &guards].concat();
@@ -53,9 +53,8 @@ impl Equations {
         let per_size = graph.div(backward, size);
         let mut rate: Vec<Id> = rates[..n].iter().map(|f| graph.mul(per_size, *f)).collect();
         let spent = graph.mul(duration, rates[n]);
-        let square = graph.powi(size, 2);
-        rate.push(graph.div(spent, square));
-        let inputs = [y, cost, q, h, vec![duration, size]].concat();
+        rate.push(graph.div(spent, unit));
+        let inputs = [y, cost, q, h, vec![duration, size, unit]].concat();
         let zero = graph.constant(0.0);
         rate.resize(inputs.len(), zero);
         let spec = Spec {
@@ -73,7 +72,7 @@ impl Equations {
         // The step control's norm is a mean over all components, of which only these have an error.
         let rtol = RTOL * ((n + 1) as f64 / inputs.len() as f64).sqrt();
         let mut atol: Vec<f64> = plan.widths.iter().map(|w| rtol * w).collect();
-        atol.push(rtol * plan.value_scale);
+        atol.push(rtol);
         atol.resize(inputs.len(), UNCONTROLLED);
         Self {
             states: n,
@@ -101,23 +100,22 @@ impl Equations {
         if size > 0.0 { size } else { 1.0 }
     }
 
-    /// The vector at the beginning of a period.
-    pub fn seed(&self, s: &[f64], law: &(Vec<f64>, Vec<f64>), duration: f64) -> Vec<f64> {
+    /// The vector at the beginning of a period under a law `(q, H)`; `unit` is the cost's.
+    pub fn seed(&self, s: &[f64], (q, h): &(Vec<f64>, Vec<f64>), duration: f64, unit: f64) -> Vec<f64> {
         let size = self.size(s);
-        let (q, h) = law;
         let mut seed: Vec<f64> = s.iter().map(|s| s / size).collect();
         seed.push(0.0);
         seed.extend(q.iter().map(|q| q / size));
         seed.extend(Slope::packed(h, self.states));
-        seed.extend([duration, size]);
+        seed.extend([duration, size, unit]);
         seed
     }
 
     /// State and cost of a period from the vector at its end.
     pub fn read(&self, end: &[f64]) -> (Vec<f64>, f64) {
         let n = self.states;
-        let size = end[end.len() - 1];
-        (end[..n].iter().map(|y| y * size).collect(), end[n] * size * size)
+        let [size, unit] = [end[end.len() - 2], end[end.len() - 1]];
+        (end[..n].iter().map(|y| y * size).collect(), end[n] * unit)
     }
 }
 

@@ -91,3 +91,8 @@ fn tangent(p: &[f64], h: Vec<f64>, at: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let q = p.iter().zip(times(&h, at)).map(|(p, turned)| p - turned).collect();
     (q, h)
 }
+
+/// `q + H s`.
+fn costate(q: &[f64], h: &[f64], s: &[f64]) -> Vec<f64> {
+    q.iter().zip(times(h, s)).map(|(q, turned)| q + turned).collect()
+}

@@ -2,7 +2,7 @@
 
 use super::course::{Air, Course};
 use super::equations::Equations;
-use super::{Flight, FlightEnd, Flown};
+use super::{Flight, FlightEnd, Flown, costate};
 use crate::backend::{BackendError, Kernel, Status, batch_limit};
 use crate::sweep::Plan;
 use rayon::prelude::*;
@@ -74,8 +74,9 @@ impl Pilot {
         let dim = self.equations.spec.dim();
         let mut ends = Vec::with_capacity(air.len());
         for part in air.chunks_mut(batch_limit(dim, 0)) {
-            let seeds: Vec<f64> = (part.iter())
-                .filter_map(|air| Some(self.equations.seed(&air.s, air.law.as_ref()?, self.course.next(air).0)))
+            let turns: Vec<Vec<f64>> = part.iter().map(|air| self.course.turns(&air.s)).collect();
+            let seeds: Vec<f64> = (part.iter().zip(&turns))
+                .filter_map(|(air, turns)| Some(self.seed(air, air.law.as_ref()?, turns)))
                 .flatten()
                 .collect();
             let batch = self.kernel.integrate(&self.equations.run, &seeds)?;
@@ -84,7 +85,7 @@ impl Pilot {
             for (i, air) in part.iter_mut().enumerate() {
                 air.t = self.course.next(air).1;
                 let (s, cost) = self.equations.read(&batch.end[i * dim..][..dim]);
-                air.s = s;
+                air.s = s.iter().zip(&turns[i]).map(|(s, turn)| s + turn).collect();
                 air.cost += cost;
                 ends.push(match batch.status[i] {
                     Status::Reached => None,
@@ -94,5 +95,13 @@ impl Pilot {
             }
         }
         Ok(ends)
+    }
+
+    /// The vector of a flight's next period, with whole periods left out of the state.
+    fn seed(&self, air: &Air, (q, h): &(Vec<f64>, Vec<f64>), turns: &[f64]) -> Vec<f64> {
+        let s: Vec<f64> = air.s.iter().zip(turns).map(|(s, turn)| s - turn).collect();
+        let moved = (costate(q, h, turns), h.clone());
+        let (duration, _) = self.course.next(air);
+        self.equations.seed(&s, &moved, duration, self.course.unit(air))
     }
 }
