@@ -104,7 +104,7 @@ impl Guide {
         for duration in &path.durations {
             times.push(times[times.len() - 1] + duration);
         }
-        // A node at a fold has the slope of the one before it: sheets turn slowly but there.
+        // At a fold p is followed without feedback.
         let mut kept: Vec<f64> = Vec::with_capacity(slopes.len() * n * n);
         for slope in slopes {
             match slope {

@@ -16,16 +16,18 @@ const SETTLED_PERIOD: f64 = 0.5;
 /// Periods of a finite horizon at least.
 const FINITE_PERIODS: f64 = 32.0;
 /// Relative difference of the law's new answer from the old one above which a period is flown again in shorter ones.
-const TOO_DIFFERENT: f64 = 0.06;
+const TOO_DIFFERENT: f64 = 0.03;
 /// Relative change of the costate at which a law's new answer is to differ from the old one: periods are made as long as
 /// that. What a flight costs too much is of second order in it.
-const ANSWERS_DIFFER: f64 = 0.02;
+const ANSWERS_DIFFER: f64 = 0.01;
 /// A flight is home where the estimated error of the local V, which is added to the cost, is this share of the cost.
 const HOME_SHARE: f64 = 1e-9;
 /// A guess follows the flight until the expansion's error is this share of V; from there on the local solution.
 const SETTLED: f64 = 1e-2;
 /// Times of the slowest mode after which a flight is given up.
 const LONGEST_FLIGHT: f64 = 100.0;
+/// Periods after which it is: where rates are far apart, or a law's answers jump all the time.
+const MOST_PERIODS: u32 = 20_000;
 
 /// A flight in the air.
 pub(super) struct Air {
@@ -37,6 +39,8 @@ pub(super) struct Air {
     period: f64,
     /// Time, state and cost where the last period began.
     before: (f64, Vec<f64>, f64),
+    /// Periods flown so far.
+    pub periods: u32,
     /// The law's last answer `(q, H)`.
     pub law: Option<(Vec<f64>, Vec<f64>)>,
     /// Whether the state is where the local expansion holds.
@@ -55,6 +59,7 @@ impl Air {
             cost: 0.0,
             period,
             before: (0.0, start.to_vec(), 0.0),
+            periods: 0,
             law: None,
             settled: false,
             times: Vec::new(),
@@ -151,7 +156,7 @@ impl Course {
         if air.cost >= flight.ceiling {
             return Some(Flown::failed(FlightEnd::AboveCeiling));
         }
-        if air.t > self.given_up {
+        if air.t > self.given_up || air.periods > MOST_PERIODS {
             return Some(Flown::failed(FlightEnd::TimeUp));
         }
         if !air.settled {

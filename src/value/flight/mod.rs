@@ -53,7 +53,7 @@ pub enum FlightEnd {
     NoAnswer,
     /// The equations could not be integrated.
     Failed,
-    /// It did not come near the equilibrium within many times the slowest mode's time.
+    /// It did not come near the equilibrium within many times the slowest mode's time, or very many periods.
     TimeUp,
     /// It met a guard.
     LeftGuard,

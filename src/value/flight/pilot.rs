@@ -87,6 +87,7 @@ impl Pilot {
                 let (s, cost) = self.equations.read(&batch.end[i * dim..][..dim]);
                 air.s = s.iter().zip(&turns[i]).map(|(s, turn)| s + turn).collect();
                 air.cost += cost;
+                air.periods += 1;
                 ends.push(match batch.status[i] {
                     Status::Reached => None,
                     Status::Guard => Some(FlightEnd::LeftGuard),
