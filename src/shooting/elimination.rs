@@ -222,6 +222,23 @@ impl Factors {
         (slope, smallest)
     }
 
+    /// The sheet's slope `dp/ds` at a node (physical units, row-major), given the scales of `(s, p)`; `None` where the
+    /// smallest singular value of the node's equations for p is below `least`: near a fold.
+    pub fn slope_at(&self, node: usize, scales: &[f64], least: f64) -> Option<Vec<f64>> {
+        let n = self.n;
+        let w = &self.w[node * 2 * n * n..][..2 * n * n];
+        let a = nalgebra::DMatrix::from_fn(n, n, |i, j| w[i * 2 * n + j]);
+        let b = nalgebra::DMatrix::from_fn(n, n, |i, j| w[i * 2 * n + n + j]);
+        if b.singular_values().min() < least {
+            return None;
+        }
+        let scaled = b.lu().solve(&a)?;
+        let slope: Vec<f64> = (0..n * n)
+            .map(|q| -scaled[(q / n, q % n)] * scales[n + q / n] / scales[q % n])
+            .collect();
+        slope.iter().all(|x| x.is_finite()).then_some(slope)
+    }
+
     /// The unit tangent `(t, dp)` of the sheet along a line with `direction`, oriented like `before` where given, and to
     /// rising t otherwise.
     pub fn tangent(&self, direction: &[f64], before: Option<&[f64]>) -> Option<Vec<f64>> {

@@ -1,6 +1,7 @@
 //! Newton's iterations over many problems: the segments of all of them are one batch of a backend.
 
 use super::device;
+use super::elimination::Factors;
 use super::newton::{Elimination, Failure, Goal, Integrated, Job, Linear, Scheme, Stage};
 use super::path::Path;
 use crate::backend::{Backend, BackendError, Eliminator, Kernel, Run, Status};
@@ -183,6 +184,23 @@ impl Solver {
         let mut done = self.integrate(&[(path, true)], false)?;
         let done = done.swap_remove(0);
         Ok((done.ends, done.costs))
+    }
+
+    /// Eliminations at paths that are solutions, to the rough tolerance: for their slopes. `None` where a segment fails.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn factors(&mut self, paths: &[&Path]) -> Result<Vec<Option<Factors>>, BackendError> {
+        let all: Vec<(&Path, bool)> = paths.iter().map(|p| (*p, false)).collect();
+        let done = self.integrate(&all, true)?;
+        let Scheme { equations, end, .. } = &self.scheme;
+        let n = equations.states;
+        Ok((paths.par_iter().zip(done))
+            .map(|(path, done)| {
+                let hessian = equations.scaled_slope(&end.at(&path.last()[..n]).hessian);
+                done.failure.is_none().then(|| Factors::new(n, done.phi, &hessian))
+            })
+            .collect())
     }
 
     /// Linearizes solved jobs at their solutions: the matrix left by the iterations is that of a guess.

@@ -7,6 +7,7 @@ mod conjugate;
 mod cover;
 mod equal_cost;
 mod extremal;
+pub mod flight;
 mod fold;
 pub(crate) mod nearest;
 mod sampled;
