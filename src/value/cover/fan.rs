@@ -228,16 +228,13 @@ impl<'a> Fan<'a> {
 
     /// The widest gap between two trajectories at the levels that both reach below a cost, where what is between them may
     /// lie within `around` widths of the region.
-    pub fn gap(&self, a: u32, b: u32, ceiling: f64, around: f64, stationary: bool) -> f64 {
+    pub fn gap(&self, a: u32, b: u32, ceiling: f64, around: f64) -> f64 {
         let (plan, n) = (self.plan, self.plan.system.states);
         let (Some(a), Some(b)) = (&self.trajectories[a as usize], &self.trajectories[b as usize]) else {
             return 0.0;
         };
-        let from = if stationary { 0 } else { self.run.levels.len() * self.stride };
-        let rest = |t: &Trajectory| t.points.get(from..).map_or(0..0, |_| from..t.points.len());
-        let (a, b) = (&a.points[rest(a)], &b.points[rest(b)]);
         let mut widest = 0.0f64;
-        for (x, y) in a.chunks_exact(self.stride).zip(b.chunks_exact(self.stride)) {
+        for (x, y) in a.points.chunks_exact(self.stride).zip(b.points.chunks_exact(self.stride)) {
             if f64::from(x[1 + 2 * n].min(y[1 + 2 * n])) > ceiling {
                 break;
             }

@@ -280,7 +280,7 @@ impl<'a> Cover<'a> {
         let mut widest = (0.0, 0, 0);
         for (k, a) in simplex.iter().enumerate() {
             for b in &simplex[k + 1..] {
-                let gap = self.fan.gap(*a, *b, ceiling, AROUND, self.stationary);
+                let gap = self.fan.gap(*a, *b, ceiling, AROUND);
                 if gap > widest.0 {
                     widest = (gap, *a, *b);
                 }

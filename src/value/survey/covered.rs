@@ -5,15 +5,15 @@ use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::cover::{Candidate, Cover, Sought};
-use crate::value::extremal::Extremal;
+use crate::value::extremal::{Extremal, is_elsewhere};
 use std::collections::BTreeMap;
 
-/// Ratio of the costs up to which the manifold is searched, one after the other.
-const STEP: f64 = 2.0;
-/// First and last of these costs, as powers of the ratio times the cover's unit.
-const LOWEST: i32 = -20;
-const HIGHEST: i32 = 8;
-const FIRST_FINITE: i32 = -12;
+/// Ratio of the costs up to which the manifold is searched, one after the other: in cells, and by points near the target.
+const STEP: [f64; 2] = [2.0, 4.0];
+/// First and last of these costs, in the cover's unit.
+const LOWEST: f64 = 1e-6;
+const HIGHEST: f64 = 256.0;
+const FIRST_FINITE: f64 = 1.0 / 4096.0;
 /// The first search of a target goes to this share of what the linearization expects.
 const FIRST: f64 = 1.0 / 64.0;
 /// Times that guesses which no known solution explains are tried.
@@ -55,12 +55,17 @@ impl Survey<'_> {
             return self.search(solver, cover, &all, f64::INFINITY, wanted, progress);
         }
         self.from_within_seeds(solver, cover)?;
-        let first: Vec<i32> = (0..self.targets.len()).map(|t| self.first_stage(t, cover.unit)).collect();
+        let step = STEP[usize::from(!cover.has_cells())];
+        let stage_of = |share: f64| share.log(step).ceil() as i32;
+        let (lowest, highest) = (stage_of(LOWEST), stage_of(HIGHEST));
+        let first: Vec<i32> = (0..self.targets.len())
+            .map(|t| stage_of(self.expected(t, cover.unit)).clamp(lowest, highest))
+            .collect();
         let mut open: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
         // At last, on a finite horizon, whatever it costs.
-        let last = HIGHEST + i32::from(self.plan.local.is_none());
-        for stage in LOWEST..=last {
-            let ceiling = if stage > HIGHEST { f64::INFINITY } else { cover.unit * STEP.powi(stage) };
+        let last = highest + i32::from(self.plan.local.is_none());
+        for stage in lowest..=last {
+            let ceiling = if stage > highest { f64::INFINITY } else { cover.unit * step.powi(stage) };
             let now: Vec<usize> = (open.iter().copied()).filter(|t| first[*t] <= stage).collect();
             self.search(solver, cover, &now, ceiling, wanted, progress)?;
             open.retain(|t| first[*t] > stage || !self.is_settled(*t, ceiling, wanted));
@@ -71,14 +76,13 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// The stage at which a target's search begins, by the quadratic V at the copy nearest to the equilibrium.
-    fn first_stage(&self, target: usize, unit: f64) -> i32 {
+    /// The cost at which a target's search begins, in units, by the quadratic V at the copy nearest to the equilibrium.
+    fn expected(&self, target: usize, unit: f64) -> f64 {
         let Some(local) = &self.plan.local else { return FIRST_FINITE };
         let s: Vec<f64> = (self.state(target, 0).iter().zip(&self.plan.periods))
             .map(|(s, period)| period.map_or(*s, |p| s - p * (s / p).round()))
             .collect();
-        let expected = FIRST * local.quadratic(&s) / unit;
-        (expected.log(STEP).ceil().clamp(f64::from(LOWEST), f64::from(HIGHEST))) as i32
+        (FIRST * local.quadratic(&s) / unit).clamp(LOWEST, HIGHEST)
     }
 
     /// Whether nothing that costs more than `ceiling` is of interest at a target.
@@ -189,7 +193,7 @@ impl Survey<'_> {
     /// Whether a guess may lead to something new that is of interest.
     fn promises(&self, candidate: &Candidate, wanted: Wanted) -> bool {
         let known = self.known_at(candidate);
-        let mut near = known.filter(|e| alike(e.adjoint(), candidate.path.adjoint(), &candidate.spread, &self.scales, 1.0 / 3.0));
+        let mut near = known.filter(|e| !is_elsewhere(e, candidate.path.node(0), &self.scales));
         let least = self.lowest(candidate.target).map(|e| self.extremals[e].value());
         let range = if wanted.sheets && self.at[candidate.target].len() < MOST_SHEETS { SHEETS } else { 1.0 };
         near.next().is_none() && least.is_none_or(|v| candidate.value <= range * v)
