@@ -28,6 +28,9 @@ const SAME_FOLD: f64 = 1e-5;
 const DRAFT_TOLERANCE: f64 = 1e-4;
 const DRAFT_RTOL: f64 = 1e-5;
 
+/// States from which on a surface of seeds has thousands of simplices before the first trajectory.
+const MANY_STATES: usize = 7;
+
 /// What to solve for.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
@@ -131,6 +134,13 @@ impl Answers {
         }
     }
 
+    /// Whether a target has no solution for want of a guess that leads to one.
+    pub fn lacks_guesses(&self) -> bool {
+        (0..self.targets.len()).any(|t| {
+            self.of(t).is_empty() && !matches!(self.status(t), PointStatus::OutsideGuard | PointStatus::AboveMax)
+        })
+    }
+
     /// Targets with an answer.
     pub fn solved(&self) -> usize {
         (0..self.targets.len()).filter(|t| self.answer(*t).is_some()).count()
@@ -178,13 +188,18 @@ pub fn spaced(first: f64, last: f64, count: usize) -> Vec<f64> {
 pub fn guess_seeds(states: usize, targets: usize) -> usize {
     const LEAST: usize = 1024;
     const A_TARGET: usize = 4;
-    const MANY_STATES: usize = 7;
     const FEW: usize = 128;
     if states >= MANY_STATES {
         FEW
     } else {
         LEAST.max(A_TARGET.saturating_mul(targets))
     }
+}
+
+/// Whether states are solved for without a sweep for first guesses, at first: where a sweep takes much longer than they do.
+/// In a game a sweep shows folds too, and is made wherever it can be.
+pub fn goes_without_sweep(plan: &Plan) -> bool {
+    !plan.can_be_swept() || (plan.system.states >= MANY_STATES && !plan.game)
 }
 
 /// What the CPU solves a plan's boundary value problems with.

@@ -196,6 +196,7 @@ impl<'a> Survey<'a> {
         self.windings = self.all_windings(&index);
         self.near_end(solver);
         self.refuse_outside();
+        super::march::add_marched(self, solver)?;
         if self.plan.game && self.plan.local.is_some() {
             return self.principal_sheet(solver, archive, &index, wanted, progress);
         }
