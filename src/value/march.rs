@@ -25,8 +25,8 @@ const FIRST_ROUNDS: usize = 4;
 const STEP: f64 = std::f64::consts::LN_2;
 const MOST_STEP: f64 = 2.0 * STEP;
 const LEAST_STEP: f64 = 1e-3;
-/// Steps tried at once, the second this share of the first.
-const RATIO: f64 = 0.3;
+/// A step that has failed is tried again at this share.
+const RATIO: f64 = 0.4;
 /// Rounds of steps.
 const MOST_ROUNDS: u32 = 120;
 /// All of the horizon that is left is spent at the slowest point at once where its state moves by less than this share of the
@@ -103,8 +103,7 @@ pub(super) fn add_marched(survey: &mut Survey<'_>, solver: &mut Solver) -> Resul
 }
 
 /// How fast states and adjoints change.
-struct Field<'a> {
-    plan: &'a Plan,
+struct Field {
     /// Backward rates of `(s, p)`.
     rate: Program,
     scales: Vec<f64>,
@@ -113,11 +112,10 @@ struct Field<'a> {
     segment: f64,
 }
 
-impl<'a> Field<'a> {
-    fn new(plan: &'a Plan, solver: &Solver, time: f64) -> Self {
+impl Field {
+    fn new(plan: &Plan, solver: &Solver, time: f64) -> Self {
         let system = &plan.system;
         Self {
-            plan,
             rate: Program::lower(&system.graph, &system.inputs, &system.rate[..2 * system.states]),
             scales: solver.scheme.equations.scales.clone(),
             time,
@@ -149,7 +147,7 @@ struct March {
 /// Continuation in the horizon of all states together.
 fn lengthened(
     solver: &mut Solver,
-    field: &Field<'_>,
+    field: &Field,
     starts: &[Vec<f64>],
 ) -> Result<Vec<Result<(Job, Solved), Failure>>, BackendError> {
     let mut marches: Vec<March> = starts.iter().map(|s| March::new(solver, field, s)).collect();
@@ -183,7 +181,7 @@ fn lengthened(
 }
 
 impl March {
-    fn new(solver: &Solver, field: &Field<'_>, start: &[f64]) -> Self {
+    fn new(solver: &Solver, field: &Field, start: &[f64]) -> Self {
         let node = [start, &solver.scheme.end.at(start).gradient].concat();
         let size = Path::new(&node).size(&field.scales);
         let first = FIRST * size / field.speed(&node);
@@ -204,7 +202,7 @@ impl March {
     }
 
     /// The next guesses with their horizons.
-    fn guesses(&self, solver: &Solver, field: &Field<'_>) -> Vec<(Path, f64)> {
+    fn guesses(&self, solver: &Solver, field: &Field) -> Vec<(Path, f64)> {
         let Some(job) = &self.job else {
             let lengths = (0..FIRST_LENGTHS).map(|k| self.step * SHORTER.powi(k as i32));
             let node = [self.start.as_slice(), &solver.scheme.end.at(&self.start).gradient].concat();
@@ -217,21 +215,18 @@ impl March {
         if field.speed(job.path.node(slowest)) * left <= AT_REST * size {
             guesses.push((waiting(&job.path, slowest, field.time, field.segment), field.time));
         }
-        for step in [self.step, RATIO * self.step] {
-            let horizon = field.time.min(self.at * step.exp());
+        let horizon = field.time.min(self.at * self.step.exp());
+        if horizon < field.time || guesses.is_empty() {
             guesses.push((waiting(&job.path, slowest, horizon, field.segment), horizon));
-            let mut stretched = job.path.clone();
-            stretched.set_horizon(horizon);
-            guesses.push((stretched, horizon));
-            if horizon == field.time {
-                break;
-            }
         }
+        let mut stretched = job.path.clone();
+        stretched.set_horizon(horizon);
+        guesses.push((stretched, horizon));
         guesses
     }
 
     /// Takes the longest horizon that was solved; of two paths for it the one that costs less.
-    fn learn(&mut self, field: &Field<'_>, tried: Vec<(f64, Job)>) {
+    fn learn(&mut self, field: &Field, tried: Vec<(f64, Job)>) {
         self.rounds += 1;
         self.evaluations += tried.iter().map(|(_, job)| job.iterations).sum::<u32>();
         let why = tried.iter().find_map(|(_, job)| job.failure());
@@ -267,7 +262,7 @@ impl March {
                 self.job = Some(job);
             }
             None if self.job.is_none() => self.step = SHORTER * shortest,
-            None => self.step *= RATIO * RATIO,
+            None => self.step *= RATIO,
         }
         let beginning = self.job.is_none() && self.rounds >= FIRST_ROUNDS as u32;
         let small = self.job.is_some() && self.step < LEAST_STEP;
@@ -277,7 +272,7 @@ impl March {
     }
 }
 
-impl Field<'_> {
+impl Field {
     /// The node at which a path moves slowest.
     fn slowest(&self, path: &Path) -> usize {
         let speeds = (0..=path.segments()).map(|k| (k, self.speed(path.node(k))));
@@ -316,7 +311,7 @@ fn waiting(path: &Path, at: usize, horizon: f64, segment: f64) -> Path {
 /// first, and continued to the state asked for.
 fn from_nearer(
     solver: &mut Solver,
-    field: &Field<'_>,
+    field: &Field,
     starts: &[Vec<f64>],
     found: &mut [Result<(Job, Solved), Failure>],
 ) -> Result<(), BackendError> {
@@ -343,4 +338,71 @@ fn from_nearer(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::cpu::Cpu;
+    use crate::hamiltonian::Hamiltonian;
+    use crate::sweep::Choices;
+
+    const PENDULUM: &str = r#"
+        states = { th = {}, om = {} }
+        controls = { u = {} }
+        dynamics = { th = "om", om = "sin(th) + u" }
+        cost = { running = "0.5*(th^2 + om^2 + u^2)", terminal = "0.5*(th^2 + om^2)", final_time = 5.0 }
+        region = { th = [-2, 2], om = [-2, 2] }
+    "#;
+
+    fn plan() -> Plan {
+        let model = crate::scenario::parse(PENDULUM, "test.toml", &[]).expect("a scene");
+        let hamiltonian = Hamiltonian::derive(&model).expect("a Hamiltonian");
+        let choices = Choices {
+            unasked: true,
+            dispensable: true,
+            ..Choices::default()
+        };
+        Plan::new(&model, &hamiltonian, &Cpu::new(), choices).expect("a plan")
+    }
+
+    /// Both ways lead to the same solutions, with all of the horizon.
+    #[test]
+    fn the_second_way_agrees_with_the_first() {
+        let plan = plan();
+        let mut solver = crate::value::solver(&plan, &Cpu::new()).expect("the CPU compiles everything");
+        let starts = [vec![0.5, 0.2], vec![-1.0, 1.0], vec![1.8, 0.3], vec![0.0, 0.0]];
+        let first = march(&mut solver, &plan, &starts).expect("the CPU works");
+        let field = Field::new(&plan, &solver, 5.0);
+        let mut second: Vec<_> = starts.iter().map(|_| Err(Failure::Diverged)).collect();
+        from_nearer(&mut solver, &field, &starts, &mut second).expect("the CPU works");
+        for (start, (first, second)) in starts.iter().zip(first.iter().zip(&second)) {
+            let ((a, first), (b, second)) = (first.as_ref().expect("solved"), second.as_ref().expect("solved"));
+            assert_eq!((a.path.horizon(), b.path.horizon()), (5.0, 5.0));
+            assert_eq!((a.path.start(), b.path.start()), (start.as_slice(), start.as_slice()));
+            // Segments are integrated to 1e-12.
+            assert!(
+                (first.value - second.value).abs() <= 1e-11 * first.value,
+                "{} {}",
+                first.value,
+                second.value
+            );
+        }
+    }
+
+    #[test]
+    fn a_longer_path_waits_where_it_is_told_to() {
+        let mut path = Path::new(&[0.0, 1.0]);
+        path.push(0.5, &[1.0, 2.0]);
+        path.push(0.25, &[2.0, 3.0]);
+        let longer = waiting(&path, 1, 1.75, 0.4);
+        assert_eq!(longer.horizon(), 1.75);
+        assert_eq!(longer.segments(), 5);
+        assert_eq!(
+            longer.nodes,
+            [0.0, 1.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 2.0, 3.0]
+        );
+        let kept = [longer.durations[0], longer.durations[4]];
+        assert_eq!(kept, [0.5, 0.25]);
+    }
 }

@@ -15,6 +15,9 @@ use crate::sweep::Plan;
 pub(super) const MOST_RTOL: f64 = 1e-9;
 /// Segments are integrated to this share of it.
 const SEGMENT_SHARE: f64 = 0.1;
+/// Tolerance of segments on a finite horizon. V there has no other error: that of the last correction is of second order, and
+/// there is no local solution at the end.
+const FINITE_RTOL: f64 = 1e-12;
 /// Smallest tolerance of segments.
 const LEAST_RTOL: f64 = 1e-13;
 /// Sheets are continued to this many times the sweep's V unless the scene says how far.
@@ -223,7 +226,12 @@ fn scheme_of(plan: &Plan, variations: usize, tolerance: f64) -> Scheme {
 pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError> {
     let asked = plan.rtol_asked.min(MOST_RTOL);
     let rtol = (SEGMENT_SHARE * asked).max(LEAST_RTOL);
-    let host = Solver::new(&Cpu::new(), Precision::F64, scheme(plan, asked), rtol)?;
+    let host_rtol = if plan.system.terminal.is_some() {
+        rtol.min(FINITE_RTOL)
+    } else {
+        rtol
+    };
+    let host = Solver::new(&Cpu::new(), Precision::F64, scheme(plan, asked), host_rtol)?;
     if backend.name() == "cpu" {
         return Ok(host);
     }

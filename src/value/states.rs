@@ -54,7 +54,7 @@ pub fn solve_states_folding(
     };
     let plan = Plan::new(model, hamiltonian, backend, choices)?;
     let mut archive = Archive::new(&plan);
-    let mut sweep = |archive: &mut Archive| {
+    let sweep = |archive: &mut Archive| {
         sweep_keeping::<BackendError>(
             &plan,
             backend,
