@@ -37,6 +37,20 @@ pub(super) enum PointsError {
     Empty { path: PathBuf },
 }
 
+/// A last column with this name holds V as published, beside the states; nothing is read from it here.
+pub(super) const PUBLISHED: &str = "V_published";
+
+/// Whether the last column of a file of points is [`PUBLISHED`], and no state.
+pub(super) fn has_published(path: &Path, model: &Model) -> bool {
+    let reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .comment(Some(b'#'))
+        .from_path(path);
+    let header = reader.and_then(|mut r| r.headers().cloned());
+    let is_state = model.states.iter().any(|s| s.variable.name == PUBLISHED);
+    header.is_ok_and(|h| h.iter().next_back() == Some(PUBLISHED)) && !is_state
+}
+
 /// States `[point][n]` of a CSV file whose header names states; those it does not name stay at the reference point.
 pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> {
     let at = || path.to_owned();
@@ -66,7 +80,8 @@ pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> 
         });
     }
     let mut columns = Vec::new();
-    for name in &header {
+    let published = usize::from(has_published(path, model));
+    for name in header.iter().take(header.len() - published) {
         // A byte order mark is no part of a name.
         let name = name.trim_start_matches('\u{feff}');
         let Some(state) = names.iter().position(|n| *n == name) else {

@@ -10,6 +10,7 @@ use crate::backend::gpu::{Gpu, Selection};
 use crate::backend::{Backend, BackendError, Trajectories};
 use crate::model::{Method, Model};
 use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema};
+use crate::shooting::Solver;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::value::{self, Answers, Archive, Grid, Request};
 use std::path::{Path, PathBuf};
@@ -39,8 +40,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let wanted = wanted(&model, parts)?;
     let all = matches!(parts, Parts::All);
     let backend = args.numerics.open(&model)?;
+    let stored = parts.sweeps() && model.shoot_out.is_some();
     let choices = Choices {
         inner_levels: wanted.is_some(),
+        dispensable: wanted.is_some() && !stored,
         max_seeds: (wanted.as_ref().filter(|_| !parts.sweeps())).map(|w| value::guess_seeds(w.states, w.count())),
         unasked: wanted.is_some(),
         ..args.numerics.choices(args.seed)
@@ -52,6 +55,11 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
     let mut terminal = report::Terminal::new(&args.scene);
     terminal.heading(&model, &plan, backend.as_ref());
+    if let Parts::Solve(solve) = parts
+        && points::has_published(&solve.points, &model)
+    {
+        terminal.note(&format!("column {} of the points is not read", points::PUBLISHED));
+    }
 
     // The final name first: what is wrong with it is said before the work is done.
     let mut file = ResultFile::create(&path)?;
@@ -61,40 +69,32 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         file = ResultFile::create(draft.hidden())?;
     }
     let schema = schema(&model, &plan);
-    let stored = parts.sweeps() && model.shoot_out.is_some();
     let mut writer = if stored {
         Some(file.trajectories(&schema)?)
     } else {
         None
     };
     let mut archive = wanted.as_ref().map(|_| Archive::new(&plan));
-    let mut keep = |seeds: &[f64], batch: &Trajectories| {
-        if let Some(archive) = &mut archive {
-            archive.keep(seeds, batch);
-        }
-    };
-    let swept = sweep_into(&plan, backend.as_ref(), &mut terminal, &mut keep, &mut |block| {
-        if let Some(writer) = &mut writer {
-            writer.append(&block)?;
-        }
-        Ok(())
-    })?;
+    let mut swept = SweepReport::default();
+    let direct = !stored && value::goes_without_sweep(&plan);
+    if !direct {
+        swept = swept_for(&plan, backend.as_ref(), &mut terminal, archive.as_mut(), &mut |block| {
+            writer.as_mut().map_or(Ok(()), |writer| Ok(writer.append(&block)?))
+        })?;
+    }
     drop(writer);
     if stored {
         file.caustic(&schema, &swept.folds)?;
     }
-    if swept.trajectories == 0 {
-        return Err(CliError::NothingSwept {
-            outside: swept.coverage.outside_guards,
-        });
-    }
     let mut answers = None;
-    if let (Some(wanted), Some(archive)) = (&wanted, &archive) {
+    if let (Some(wanted), Some(archive)) = (&wanted, &mut archive) {
         let mut solver = value::solver(&plan, backend.as_ref())?;
-        let bar = terminal.progress();
-        let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
-        let found = value::solve(&plan, &model, &mut solver, archive, &wanted.request, &mut told)?;
-        bar.clear();
+        let mut found = wanted.solve(&plan, &model, &mut solver, archive, &terminal)?;
+        // What nothing has led to may have a swept trajectory near it.
+        if direct && value::may_need_sweep(&plan) && found.lacks_guesses() {
+            swept = swept_for(&plan, backend.as_ref(), &mut terminal, Some(archive), &mut |_| Ok(()))?;
+            found = wanted.solve(&plan, &model, &mut solver, archive, &terminal)?;
+        }
         wanted.write(&mut file, &schema, &model, &found)?;
         if let Parts::Solve(solve) = parts
             && solve.trajectories
@@ -186,6 +186,22 @@ impl WantedStates {
     fn points(&self) -> usize {
         let map = self.request.grids.last().filter(|_| self.map);
         self.count() - map.map_or(0, Grid::len)
+    }
+
+    /// Solves for the states, with first guesses from an archive.
+    fn solve(
+        &self,
+        plan: &Plan,
+        model: &Model,
+        solver: &mut Solver,
+        archive: &Archive,
+        terminal: &report::Terminal,
+    ) -> Result<Answers, CliError> {
+        let bar = terminal.progress();
+        let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
+        let found = value::solve(plan, model, solver, archive, &self.request, &mut told)?;
+        bar.clear();
+        Ok(found)
     }
 
     fn write(
@@ -300,6 +316,28 @@ pub(super) fn axes(model: &Model) -> TrajectorySchema {
         disturbances: model.disturbances.iter().map(axis).collect(),
         ..TrajectorySchema::default()
     }
+}
+
+/// Sweeps for a run: trajectories go to `write`, and into the archive where there is one.
+fn swept_for(
+    plan: &Plan,
+    backend: &dyn Backend,
+    terminal: &mut report::Terminal,
+    mut archive: Option<&mut Archive>,
+    write: &mut dyn FnMut(TrajectoryBlock) -> Result<(), CliError>,
+) -> Result<SweepReport, CliError> {
+    let mut keep = |seeds: &[f64], batch: &Trajectories| {
+        if let Some(archive) = &mut archive {
+            archive.keep(seeds, batch);
+        }
+    };
+    let swept = sweep_into(plan, backend, terminal, &mut keep, write)?;
+    if swept.trajectories == 0 {
+        return Err(CliError::NothingSwept {
+            outside: swept.coverage.outside_guards,
+        });
+    }
+    Ok(swept)
 }
 
 /// Sweeps on a thread of its own while this one writes, so that writing costs no time of the sweep's.

@@ -54,8 +54,33 @@ impl Path {
         self.node(self.segments())
     }
 
+    /// Sum of the durations, to the last bit: rounding errors are summed beside it (Neumaier 1974).
     pub fn horizon(&self) -> f64 {
-        self.durations.iter().sum()
+        let (mut sum, mut lost) = (0.0f64, 0.0f64);
+        for d in &self.durations {
+            let next = sum + d;
+            lost += if sum >= *d { (sum - next) + d } else { (d - next) + sum };
+            sum = next;
+        }
+        sum + lost
+    }
+
+    /// Stretches all segments alike so that the horizon is `time` to the last bit; halving them keeps it so.
+    pub fn set_horizon(&mut self, time: f64) {
+        let factor = time / self.horizon();
+        if factor == 1.0 || !factor.is_finite() {
+            return;
+        }
+        self.durations.iter_mut().for_each(|d| *d *= factor);
+        // What rounding has left goes to the longest segment, where it is the least change.
+        for _ in 0..4 {
+            let left = time - self.horizon();
+            let longest = (self.durations.iter_mut()).max_by(|a, b| a.total_cmp(b));
+            match longest {
+                Some(d) if left != 0.0 => *d += left,
+                _ => return,
+            }
+        }
     }
 
     /// Splits a segment in two equal ones; `middle` is the node between.
@@ -83,5 +108,33 @@ impl Path {
         (self.nodes.chunks(self.width))
             .flat_map(|node| node.iter().zip(scales).map(|(z, s)| (z / s).abs()))
             .fold(0.0, f64::max)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn path(durations: &[f64]) -> Path {
+        let mut path = Path::new(&[0.0, 0.0]);
+        durations.iter().for_each(|d| path.push(*d, &[0.0, 0.0]));
+        path
+    }
+
+    #[test]
+    fn durations_add_up_to_the_horizon_to_the_last_bit() {
+        for time in [0.1, 0.7, 1.3, 2.7, 20.0, 1e-3] {
+            for count in [1, 3, 30, 64, 400] {
+                // As an archive in single precision had them.
+                let rough = |k: usize| f64::from((time * (1.0 + (k as f64).sin() / 3.0)) as f32) / count as f64;
+                let mut path = path(&(0..count).map(rough).collect::<Vec<_>>());
+                path.set_horizon(time);
+                assert_eq!(path.horizon(), time, "{count} segments");
+                for k in (0..count).rev() {
+                    path.split(k, &[0.0, 0.0]);
+                }
+                assert_eq!(path.horizon(), time, "{count} segments, split");
+            }
+        }
     }
 }

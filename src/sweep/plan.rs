@@ -29,8 +29,11 @@ pub const FOLD_STATUS: i32 = 15;
 pub enum PlanError {
     #[error("the scenario has no [shoot_out] section")]
     NoShootOut,
-    #[error("{states} states: the surface of seeds is triangulated for at most {MOST_STATES}")]
-    TooManyStates { states: usize },
+    #[error(
+        "{states} states: the seeds of a sweep are triangulated for at most {most} on this horizon ({MOST_STATES} on an infinite, \
+         {MOST_STATES_FINITE} on a finite one); V, p and u at chosen states need no sweep: `costate solve --points` or `costate homotopy`"
+    )]
+    TooManyStates { states: usize, most: usize },
     #[error("samples = {samples}: one trajectory's points would take {mebibytes} MiB")]
     TooManySamples { samples: usize, mebibytes: usize },
     #[error("the equations take {operations} operations; at most {MOST_OPERATIONS} are handled")]
@@ -54,6 +57,7 @@ fn best_method(backend: &dyn Backend, rtol: f64) -> Method {
 
 /// The first triangulation has `2^n` simplices (a finite horizon's `n!`).
 const MOST_STATES: usize = 10;
+const MOST_STATES_FINITE: usize = 7;
 /// Instructions of one right-hand side: registers are numbered in 16 bits.
 pub(crate) const MOST_OPERATIONS: usize = 30_000;
 /// Bytes that the points of one trajectory may take.
@@ -72,6 +76,9 @@ pub struct Choices {
     pub max_seeds: Option<usize>,
     /// Whether a scene without `[shoot_out]` is swept all the same, as far as its region may need.
     pub unasked: bool,
+    /// Whether the sweep is only for first guesses, which also come without: then its states are not limited (see
+    /// [`Plan::can_be_swept`]).
+    pub dispensable: bool,
     /// Seed of the random sample that the error is estimated from.
     pub seed: u64,
 }
@@ -184,13 +191,9 @@ impl Plan {
             .max_seeds
             .map_or(shoot_out.max_seeds, |m| m.min(shoot_out.max_seeds));
         let n = model.states.len();
-        let limit = if matches!(model.horizon, Horizon::Finite { .. }) {
-            MOST_STATES - 3
-        } else {
-            MOST_STATES
-        };
-        if n > limit {
-            return Err(PlanError::TooManyStates { states: n });
+        let most = most_states(matches!(model.horizon, Horizon::Finite { .. }));
+        if n > most && !choices.dispensable {
+            return Err(PlanError::TooManyStates { states: n, most });
         }
         let bytes = shoot_out.samples.saturating_mul(8 * (2 * n + 3));
         if bytes > MOST_BYTES {
@@ -276,7 +279,10 @@ impl Plan {
             Sampling::Value => (By::Component(value), steps(value_max), None),
             Sampling::Time => {
                 let time = system.terminal.as_ref().map_or(0.0, |t| t.time);
-                (By::Time, steps(time), value_max.is_finite().then_some(ceiling))
+                let mut levels = steps(time);
+                // To the last bit.
+                levels[samples - 1] = time;
+                (By::Time, levels, value_max.is_finite().then_some(ceiling))
             }
             Sampling::ArcLength => {
                 rate.push(system.arc_rate);
@@ -360,6 +366,11 @@ impl Plan {
         })
     }
 
+    /// Whether the plan's seeds can be triangulated. A plan that is made for a sweep always can be swept.
+    pub fn can_be_swept(&self) -> bool {
+        self.system.states <= most_states(self.system.terminal.is_some())
+    }
+
     /// The integrated vector at a seed `(s, p, V)`: arc length from 0, the slope of the local solution or of the terminal
     /// cost.
     pub fn start(&self, seed: &[f64]) -> Vec<f64> {
@@ -439,6 +450,11 @@ impl Plan {
     }
 }
 
+/// States up to which the seeds of a sweep are triangulated.
+fn most_states(finite: bool) -> usize {
+    if finite { MOST_STATES_FINITE } else { MOST_STATES }
+}
+
 /// Scales of the slope's entries (row-major): V's scale over those of the states, or what the slope is at the equilibrium
 /// where that is more.
 fn slope_units(end: &End, widths: &[f64], value_scale: f64) -> Vec<f64> {
@@ -480,13 +496,23 @@ fn largest_quadratic(model: &Model, riccati: &Riccati) -> f64 {
 /// Largest `s'Ps/2` at the corners of a box of deviations.
 fn largest_at_corners(p: &nalgebra::DMatrix<f64>, region: &[[f64; 2]]) -> f64 {
     let n = region.len();
-    let corners = (0..1usize << n.min(MOST_STATES)).map(|c| {
-        let side = |i: usize| region[i][c >> i & 1];
+    let at = |corner: &[bool]| {
+        let side = |i: usize| region[i][usize::from(corner[i])];
         (0..n)
             .map(|i| (0..n).map(|j| 0.5 * side(i) * p[(i, j)] * side(j)).sum::<f64>())
             .sum::<f64>()
-    });
-    corners.fold(0.0, f64::max)
+    };
+    corners(n).map(|c| at(&c)).fold(0.0, f64::max)
+}
+
+/// Corners of a box in n dimensions, as lower (`false`) or upper along each: all of them up to [`MOST_STATES`], above it
+/// as many, drawn the same in every run.
+pub(super) fn corners(n: usize) -> impl Iterator<Item = Vec<bool>> {
+    let all = n <= MOST_STATES;
+    (0..1usize << n.min(MOST_STATES)).map(move |c| {
+        let drawn = |i: usize| ((c as f64 + 0.5) * (i as f64 + 2.0).sqrt()).fract() >= 0.5;
+        (0..n).map(|i| if all { c >> i & 1 == 1 } else { drawn(i) }).collect()
+    })
 }
 
 /// Levels between the seeds' V and the first one asked for, each a few times the one before.

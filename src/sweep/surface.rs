@@ -1,6 +1,7 @@
 //! Where trajectories start, backward in time: the seed ellipsoid, or the terminal cost over the region.
 
 use super::complex::{Complex, Edge, Vertex};
+use super::plan::corners;
 use crate::hamiltonian::{System, Terminal};
 use crate::local::LocalSolution;
 use crate::program::Program;
@@ -235,8 +236,12 @@ impl Surface {
             return 0.0;
         };
         let n = region.len();
-        (0..1u32 << n)
-            .map(|c| (0..n).map(|i| f64::from(c >> i & 1)).collect::<Vec<_>>())
+        corners(n)
+            .map(|c| {
+                c.into_iter()
+                    .map(|upper| f64::from(u8::from(upper)))
+                    .collect::<Vec<_>>()
+            })
             .chain([vec![0.5; n]])
             .map(|q| self.seed(&q)[2 * n].abs())
             .filter(|v| v.is_finite())

@@ -18,10 +18,12 @@ const MOST_SEGMENTS: f64 = 400.0;
 pub struct Archive {
     /// Components of a node, `2n`.
     width: usize,
-    /// Numbers of a point: backward time, the node, V.
+    /// Numbers of a point: the node, V.
     stride: usize,
     /// `[point][stride]`; a trajectory's points are consecutive, the seed first. f32: these are guesses.
     points: Vec<f32>,
+    /// Backward time of each point. f64: differences of these are durations of segments, which no iteration corrects.
+    times: Vec<f64>,
     /// First point of each trajectory, and the end.
     first: Vec<usize>,
     /// One of this many trajectories is kept.
@@ -44,8 +46,9 @@ impl Archive {
         let width = 2 * plan.system.states;
         Self {
             width,
-            stride: 2 + width,
+            stride: 1 + width,
             points: Vec::new(),
+            times: Vec::new(),
             first: vec![0],
             every: 1,
             seen: 0,
@@ -57,11 +60,13 @@ impl Archive {
     pub fn keep(&mut self, seeds: &[f64], batch: &Trajectories) {
         for i in 0..batch.count() {
             self.seen += 1;
-            let wanted = !self.whole || batch.status[i] == Status::Reached;
+            // One that has reached the ceiling of V is not whole.
+            let to_the_end = || batch.levels == 0 || !batch.sample(i, batch.levels - 1)[0].is_nan();
+            let wanted = !self.whole || (batch.status[i] == Status::Reached && to_the_end());
             if !wanted || !(self.seen - 1).is_multiple_of(self.every) {
                 continue;
             }
-            self.points.push(0.0);
+            self.times.push(0.0);
             let seed = &seeds[i * batch.dim..][..=self.width];
             self.points.extend(seed.iter().map(|x| *x as f32));
             for k in 0..batch.levels {
@@ -69,9 +74,10 @@ impl Archive {
                 if sample[0].is_nan() {
                     break;
                 }
-                self.points.extend(sample[..self.stride].iter().map(|x| *x as f32));
+                self.times.push(sample[0]);
+                self.points.extend(sample[1..=self.stride].iter().map(|x| *x as f32));
             }
-            self.first.push(self.points.len() / self.stride);
+            self.first.push(self.times.len());
             if self.points.len() > MOST_NUMBERS {
                 self.thin();
             }
@@ -81,12 +87,14 @@ impl Archive {
     /// Leaves out every second trajectory.
     fn thin(&mut self) {
         self.every *= 2;
-        let (mut points, mut first) = (Vec::new(), vec![0]);
+        let (mut points, mut times, mut first) = (Vec::new(), Vec::new(), vec![0]);
         for t in (0..self.trajectories()).step_by(2) {
-            points.extend_from_slice(&self.points[self.first[t] * self.stride..self.first[t + 1] * self.stride]);
-            first.push(points.len() / self.stride);
+            let kept = self.first[t]..self.first[t + 1];
+            times.extend_from_slice(&self.times[kept.clone()]);
+            points.extend_from_slice(&self.points[kept.start * self.stride..kept.end * self.stride]);
+            first.push(times.len());
         }
-        (self.points, self.first) = (points, first);
+        (self.points, self.times, self.first) = (points, times, first);
     }
 
     pub fn trajectories(&self) -> usize {
@@ -99,7 +107,7 @@ impl Archive {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        4 * self.points.len() + 8 * self.first.len()
+        4 * self.points.len() + 8 * (self.times.len() + self.first.len())
     }
 
     fn point(&self, place: Place) -> &[f32] {
@@ -107,38 +115,38 @@ impl Archive {
         &self.points[at..][..self.stride]
     }
 
+    /// Backward time at a place.
+    fn time(&self, place: Place) -> f64 {
+        self.times[self.first[place.trajectory] + place.point]
+    }
+
     /// `(s, p)` at a place.
     pub fn node(&self, place: Place) -> Vec<f64> {
-        self.point(place)[1..=self.width]
-            .iter()
-            .map(|x| f64::from(*x))
-            .collect()
+        self.point(place)[..self.width].iter().map(|x| f64::from(*x)).collect()
     }
 
     /// V at a place.
     pub fn value(&self, place: Place) -> f64 {
-        f64::from(self.point(place)[1 + self.width])
+        f64::from(self.point(place)[self.width])
     }
 
     /// The path from a place to the end: the rest of its trajectory, and on into the range of the end's condition for
-    /// a cost of `value`.
+    /// a cost of `value`. On a finite horizon, whose places are the ends of trajectories, it lasts as long as the horizon.
     pub fn path(&self, place: Place, end: &End, value: f64, duration: f64) -> Path {
         let mut path = Path::new(&self.node(place));
-        let mut at = f64::from(self.point(place)[0]);
+        let mut at = self.time(place);
         let shortest = (at / MOST_SEGMENTS).max(duration);
         for point in (0..place.point).rev() {
             let this = Place { point, ..place };
             let before = if point > 0 {
-                f64::from(
-                    self.point(Place {
-                        point: point - 1,
-                        ..place
-                    })[0],
-                )
+                self.time(Place {
+                    point: point - 1,
+                    ..place
+                })
             } else {
                 f64::NEG_INFINITY
             };
-            let time = f64::from(self.point(this)[0]);
+            let time = self.time(this);
             // The last point that is not too far away, or the next one.
             if at - before > shortest && at > time {
                 path.push(at - time, &self.node(this));
@@ -148,6 +156,10 @@ impl Archive {
         let s = path.last()[..self.width / 2].to_vec();
         let (nodes, durations) = end.tail(&s, value, duration);
         path.append(&nodes, &durations);
+        // Devices give times in single precision, levels are sums.
+        if let End::Terminal { time, .. } = end {
+            path.set_horizon(*time);
+        }
         path
     }
 }
@@ -172,7 +184,7 @@ impl Index {
             let mut last: Option<Vec<f64>> = None;
             for point in from..count {
                 let place = Place { trajectory, point };
-                let s: Vec<f64> = archive.point(place)[1..=n].iter().map(|x| f64::from(*x)).collect();
+                let s: Vec<f64> = archive.point(place)[..n].iter().map(|x| f64::from(*x)).collect();
                 let inside = s.iter().zip(bounds).all(|(s, [lo, hi])| s >= lo && s <= hi);
                 if !inside {
                     continue;

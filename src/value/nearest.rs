@@ -1,8 +1,8 @@
-//! The nearest of many points, by an R-tree.
+//! The nearest of many points: by an R-tree, or in many dimensions by looking at all.
 
 use rstar::{AABB, PointDistance, RTree, RTreeObject};
 
-/// Points of up to this many coordinates are searched.
+/// Points of up to this many coordinates are searched by a tree.
 pub const MOST_DIMENSIONS: usize = 10;
 
 /// Points that can be asked for the ones nearest to a place.
@@ -58,10 +58,30 @@ impl<const N: usize> Nearest for Tree<N> {
     }
 }
 
+/// Points that are all looked at: in more dimensions than the trees are made for, where they would save little.
+struct All {
+    /// `[point][dimensions]`.
+    points: Vec<f64>,
+    dimensions: usize,
+}
+
+impl Nearest for All {
+    fn near(&self, place: &[f64], within: f64, most: usize) -> Vec<(usize, f64)> {
+        let square = |p: &[f64]| p.iter().zip(place).map(|(x, y)| (x - y).powi(2)).sum::<f64>();
+        let distances = self.points.chunks(self.dimensions).map(|p| square(p).sqrt());
+        let mut found: Vec<(usize, f64)> = distances.enumerate().collect();
+        found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        let inside = found
+            .iter()
+            .take(most)
+            .filter(|(_, distance)| *distance <= within)
+            .count();
+        found.truncate(inside.max(1));
+        found
+    }
+}
+
 /// An index over points of `dimensions` coordinates, `[point][dimensions]`.
-///
-/// # Panics
-/// Above [`MOST_DIMENSIONS`].
 pub fn index(points: &[f64], dimensions: usize) -> Box<dyn Nearest> {
     fn tree<const N: usize>(points: &[f64], dimensions: usize) -> Box<dyn Nearest> {
         let all = points.chunks(dimensions).enumerate();
@@ -79,7 +99,10 @@ pub fn index(points: &[f64], dimensions: usize) -> Box<dyn Nearest> {
         8 => tree::<8>(points, dimensions),
         9 => tree::<9>(points, dimensions),
         10 => tree::<10>(points, dimensions),
-        _ => panic!("{dimensions} dimensions; at most {MOST_DIMENSIONS} are searched"),
+        _ => Box::new(All {
+            points: points.to_vec(),
+            dimensions,
+        }),
     }
 }
 
@@ -89,7 +112,7 @@ mod tests {
 
     #[test]
     fn agrees_with_looking_at_all_points() {
-        for n in [1, 2, 3, 5] {
+        for n in [1, 2, 3, 5, 10, 11, 14] {
             let points: Vec<f64> = (0..300 * n).map(|k| ((k * k) as f64 * 0.618).fract()).collect();
             let tree = index(&points, n);
             for q in 0..20 {

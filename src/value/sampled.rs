@@ -45,7 +45,12 @@ pub fn sampled(
         let mut before = Vec::with_capacity(samples);
         let (mut segment, mut begins) = (0, 0.0);
         for q in 0..samples {
-            let t = horizon * q as f64 / (samples - 1).max(1) as f64;
+            // The last one is the end to the last bit.
+            let t = if q > 0 && q + 1 == samples {
+                horizon
+            } else {
+                horizon * q as f64 / (samples - 1).max(1) as f64
+            };
             while segment + 1 < path.segments() && t > begins + path.durations[segment] {
                 begins += path.durations[segment];
                 segment += 1;

@@ -16,6 +16,9 @@ use crate::sweep::Plan;
 pub(super) const MOST_RTOL: f64 = 1e-9;
 /// Segments are integrated to this share of it.
 const SEGMENT_SHARE: f64 = 0.1;
+/// Tolerance of segments on a finite horizon. V there has no other error: that of the last correction is of second order, and
+/// there is no local solution at the end.
+const FINITE_RTOL: f64 = 1e-12;
 /// Smallest tolerance of segments.
 const LEAST_RTOL: f64 = 1e-13;
 /// Sheets are continued to this many times the sweep's V unless the scene says how far.
@@ -28,6 +31,9 @@ const SAME_FOLD: f64 = 1e-5;
 /// Newton's tolerance on a device in single precision, and the one of its segments.
 const DRAFT_TOLERANCE: f64 = 1e-4;
 const DRAFT_RTOL: f64 = 1e-5;
+
+/// States from which on a surface of seeds has thousands of simplices before the first trajectory.
+const MANY_STATES: usize = 7;
 
 /// What to solve for.
 #[derive(Clone, Debug, Default)]
@@ -132,6 +138,13 @@ impl Answers {
         }
     }
 
+    /// Whether a target has no solution for want of a guess that leads to one.
+    pub fn lacks_guesses(&self) -> bool {
+        (0..self.targets.len()).any(|t| {
+            self.of(t).is_empty() && !matches!(self.status(t), PointStatus::OutsideGuard | PointStatus::AboveMax)
+        })
+    }
+
     /// Targets with an answer.
     pub fn solved(&self) -> usize {
         (0..self.targets.len()).filter(|t| self.answer(*t).is_some()).count()
@@ -179,13 +192,23 @@ pub fn spaced(first: f64, last: f64, count: usize) -> Vec<f64> {
 pub fn guess_seeds(states: usize, targets: usize) -> usize {
     const LEAST: usize = 1024;
     const A_TARGET: usize = 4;
-    const MANY_STATES: usize = 7;
     const FEW: usize = 128;
     if states >= MANY_STATES {
         FEW
     } else {
         LEAST.max(A_TARGET.saturating_mul(targets))
     }
+}
+
+/// Whether states that were not solved for without a sweep may be with one.
+pub fn may_need_sweep(plan: &Plan) -> bool {
+    plan.can_be_swept() && !Cover::serves(plan)
+}
+
+/// Whether states are solved for without a sweep for first guesses, at first: where the search makes its own, or a sweep
+/// takes much longer than they do. In a game a sweep shows folds too, and is made wherever it can be.
+pub fn goes_without_sweep(plan: &Plan) -> bool {
+    !plan.can_be_swept() || Cover::serves(plan) || (plan.system.states >= MANY_STATES && !plan.game)
 }
 
 /// What the CPU solves a plan's boundary value problems with.
@@ -211,7 +234,12 @@ fn scheme_of(plan: &Plan, variations: usize, tolerance: f64) -> Scheme {
 pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError> {
     let asked = plan.rtol_asked.min(MOST_RTOL);
     let rtol = (SEGMENT_SHARE * asked).max(LEAST_RTOL);
-    let host = Solver::new(&Cpu::new(), Precision::F64, scheme(plan, asked), rtol)?;
+    let host_rtol = if plan.system.terminal.is_some() {
+        rtol.min(FINITE_RTOL)
+    } else {
+        rtol
+    };
+    let host = Solver::new(&Cpu::new(), Precision::F64, scheme(plan, asked), host_rtol)?;
     if backend.name() == "cpu" {
         return Ok(host);
     }

@@ -1,6 +1,6 @@
-//! Single states solved for from a scene alone: a sweep for first guesses, then the solutions.
+//! Single states solved for from a scene alone: a sweep for first guesses where they need one, then the solutions.
 
-use super::{Answers, Archive, Progress, Request, guess_seeds, solve, solver};
+use super::{Answers, Archive, Progress, Request, goes_without_sweep, guess_seeds, may_need_sweep, solve, solver};
 use crate::backend::{Backend, BackendError};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
@@ -48,18 +48,26 @@ pub fn solve_states_folding(
     let choices = Choices {
         inner_levels: true,
         unasked: true,
+        dispensable: true,
         max_seeds: Some(guess_seeds(n, states.len() / n)),
         ..choices
     };
     let plan = Plan::new(model, hamiltonian, backend, choices)?;
     let mut archive = Archive::new(&plan);
-    let swept = sweep_keeping::<BackendError>(
-        &plan,
-        backend,
-        &mut |_, _| {},
-        &mut |seeds, batch| archive.keep(seeds, batch),
-        &mut |_| Ok(()),
-    )?;
+    let sweep = |archive: &mut Archive| {
+        sweep_keeping::<BackendError>(
+            &plan,
+            backend,
+            &mut |_, _| {},
+            &mut |seeds, batch| archive.keep(seeds, batch),
+            &mut |_| Ok(()),
+        )
+    };
+    let direct = goes_without_sweep(&plan);
+    let mut folds = Vec::new();
+    if !direct {
+        folds = sweep(&mut archive)?.folds;
+    }
     let mut solver = solver(&plan, backend)?;
     let request = Request {
         points: states.to_vec(),
@@ -67,6 +75,10 @@ pub fn solve_states_folding(
         one_sheet: plan.game && plan.local.is_some(),
         ..Request::default()
     };
-    let found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
-    Ok((plan, solver, found, swept.folds))
+    let mut found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
+    if direct && may_need_sweep(&plan) && found.lacks_guesses() {
+        folds = sweep(&mut archive)?.folds;
+        found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
+    }
+    Ok((plan, solver, found, folds))
 }

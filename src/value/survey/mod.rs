@@ -23,6 +23,7 @@ use super::archive::{Archive, segment_duration};
 use super::conjugate::ConjugatePoints;
 use super::cover::Cover;
 use super::extremal::{Extremal, same};
+use super::march;
 use super::fold::Fold;
 use super::targets::{Groups, Targets};
 use crate::backend::BackendError;
@@ -162,6 +163,7 @@ impl<'a> Survey<'a> {
         self.windings = if cover.is_some() { self.nearest_windings() } else { self.all_windings(&index) };
         self.near_end(solver);
         self.refuse_outside();
+        march::add_marched(self, solver)?;
         if self.plan.game && self.plan.local.is_some() {
             return self.principal_sheet(solver, archive, &index, wanted, progress);
         }
