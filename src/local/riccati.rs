@@ -184,7 +184,11 @@ fn why_on_axis(l: &Linearization, model: &Model, eigenvalue: Complex<f64>, game:
     // Scaled by the region's widths, so that it is of the size that L has over the region.
     if size <= RANK * running_size(model) {
         let hint = "the running cost is flat there, its second derivatives along the states are all 0: add a term quadratic in them";
-        return if game { format!("{level}, or {hint}") } else { hint.to_owned() };
+        return if game {
+            format!("{level}, or {hint}")
+        } else {
+            hint.to_owned()
+        };
     }
     let eigen = l.q.clone().symmetric_eigen();
     let (k, least) = eigen.eigenvalues.argmin();
@@ -258,7 +262,10 @@ fn direction(model: &Model, components: impl Iterator<Item = f64>) -> String {
     let largest = components.iter().fold(0.0f64, |a, c| a.max(c.abs()));
     let names = model.states.iter().map(|s| s.variable.name.as_str());
     let moved = names.zip(&components).filter(|(_, c)| c.abs() >= SHOWN * largest);
-    moved.map(|(n, c)| format!("{n}: {c:.2}")).collect::<Vec<_>>().join(", ")
+    moved
+        .map(|(n, c)| format!("{n}: {c:.2}"))
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 /// The eigenvalue nearest to the imaginary axis.

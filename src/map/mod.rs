@@ -16,11 +16,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod coverage;
 mod errors;
 mod hasty;
 mod nodal;
 mod sites;
 
+pub use coverage::{Coverage, Fronts};
 pub use sites::Source;
 
 use crate::backend::cpu::Cpu;
@@ -28,6 +30,7 @@ use crate::output::{Stored, StoredError};
 use crate::program::Program;
 use crate::sweep::{Choices, Plan, PlanError, spread_over};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
+use coverage::OwnErrors;
 use nodal::{Neighbour, Nodal, Prediction};
 use rayon::prelude::*;
 use sites::{Sites, UNLABELLED};
@@ -86,6 +89,8 @@ pub struct Value {
     pub nearest: f64,
     /// Periods by which the state was moved to where the sites are.
     pub winding: Vec<i32>,
+    /// What its being the least rests on.
+    pub coverage: Coverage,
 }
 
 /// What is known at a state.
@@ -93,7 +98,7 @@ pub struct Value {
 pub struct At {
     /// In a game the only sheet, or the lowest where it is below the level at which the manifold overlaps.
     pub lowest: Result<Value, Unknown>,
-    /// Other sheets, by rising V; all where none is the value.
+    /// Other sheets, by rising V; all where none is the value. One that is lower is interpolated at a state that was solved.
     pub others: Vec<Value>,
 }
 
@@ -114,6 +119,8 @@ pub struct ValueMap {
     isaacs: Option<Program>,
     /// Windings to try, one a combination of periodic states.
     windings: Vec<Vec<i32>>,
+    fronts: Fronts,
+    own_errors: Option<OwnErrors>,
 }
 
 /// Candidates looked at for each one wanted.
@@ -166,7 +173,9 @@ impl ValueMap {
             ..Choices::default()
         };
         let plan = Plan::new(&stored.model, &stored.hamiltonian, &Cpu::new(), choices)?;
-        let sites = Sites::collect(stored, &plan)?;
+        let trajectories = stored.trajectories()?;
+        let fronts = Fronts::of(stored, &plan, trajectories.as_ref());
+        let sites = Sites::collect(stored, &plan, trajectories)?;
         if sites.source.iter().all(|s| *s == Source::Local) {
             return Err(MapError::Empty {
                 path: stored.path.clone(),
@@ -194,6 +203,8 @@ impl ValueMap {
             control,
             plan,
             sites,
+            fronts,
+            own_errors: OwnErrors::of(stored),
         };
         this.windings = this.possible_windings();
         Ok(this)
@@ -247,7 +258,24 @@ impl ValueMap {
     }
 
     /// The same with NaN for the errors: for many states.
+    ///
+    /// Where a state was solved, its solution is the value; a lower one of interpolation is among the others.
     pub fn without_errors(&self, x: &[f64]) -> At {
+        let mut at = self.ranked(x);
+        let solved = |v: &Value| v.nearest < SAME && v.sites > 0 && v.solved == v.sites;
+        if let (Ok(lowest), false) = (&mut at.lowest, self.plan.game)
+            && !solved(lowest)
+            && let Some(k) = at.others.iter().position(solved)
+        {
+            // The other sheets keep their order by V.
+            std::mem::swap(lowest, &mut at.others[k]);
+            at.others.sort_by(|a, b| a.v.total_cmp(&b.v));
+        }
+        at
+    }
+
+    /// All sheets by rising V.
+    fn ranked(&self, x: &[f64]) -> At {
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
         if let Some(value) = self.near_equilibrium(&s) {
             return At {
@@ -348,6 +376,7 @@ impl ValueMap {
             solved: 0,
             nearest: 0.0,
             winding,
+            coverage: Coverage::Local,
         })
     }
 
@@ -527,12 +556,15 @@ impl ValueMap {
         let mut labels = used.iter().map(|k| self.sites.sheet[opinions[*k].site]);
         let solved = used
             .iter()
-            .filter(|k| self.sites.source[opinions[**k].site] == Source::Solved);
+            .filter(|k| self.sites.source[opinions[**k].site] == Source::Solved)
+            .count();
+        let coverage = self.coverage(value.v, solved == used.len());
         Some(Value {
+            coverage,
             sheet: labels.find(|s| *s != UNLABELLED).unwrap_or(UNLABELLED),
             v_error: disagreement,
             sites: used.len(),
-            solved: solved.count(),
+            solved,
             ..value
         })
     }
@@ -557,6 +589,7 @@ impl ValueMap {
             solved: usize::from(self.sites.source[from.site] == Source::Solved),
             nearest: from.distance,
             winding,
+            coverage: self.coverage(says.v, self.sites.source[from.site] == Source::Solved),
         }
     }
 }

@@ -198,15 +198,19 @@ pub(super) fn point_of<'s>(
     states: &'s [&'s Variable],
     region: &'s [[f64; 2]],
 ) -> impl Iterator<Item = (Id, f64)> + 's {
-    states.iter().zip(region).enumerate().map(move |(i, (state, [lo, hi]))| {
-        let fraction = match k {
-            0 => 0.0,
-            1 => 1.0,
-            2 => (i % 2) as f64,
-            _ => (k as f64 * (i as f64 + 2.0).sqrt()).fract(),
-        };
-        (state.symbol, lo + (hi - lo) * fraction)
-    })
+    states
+        .iter()
+        .zip(region)
+        .enumerate()
+        .map(move |(i, (state, [lo, hi]))| {
+            let fraction = match k {
+                0 => 0.0,
+                1 => 1.0,
+                2 => (i % 2) as f64,
+                _ => (k as f64 * (i as f64 + 2.0).sqrt()).fract(),
+            };
+            (state.symbol, lo + (hi - lo) * fraction)
+        })
 }
 
 /// What counts as zero among terms of this size.

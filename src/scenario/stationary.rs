@@ -131,13 +131,16 @@ fn kink(
 fn with_signs(graph: &mut Graph, expr: Id, places: &mut [HashMap<Id, f64>]) -> (Id, Vec<(Id, String)>) {
     let (mut expr, mut kinks) = (expr, Vec::new());
     loop {
-        let found = graph.reachable(&[expr]).into_iter().find_map(|id| match graph.node(id) {
-            Node::Unary(Fun::Abs, a) => {
-                let (value, size) = at_all(graph, a, places);
-                is_zero(value, size).then_some((id, a))
-            }
-            _ => None,
-        });
+        let found = graph
+            .reachable(&[expr])
+            .into_iter()
+            .find_map(|id| match graph.node(id) {
+                Node::Unary(Fun::Abs, a) => {
+                    let (value, size) = at_all(graph, a, places);
+                    is_zero(value, size).then_some((id, a))
+                }
+                _ => None,
+            });
         let Some((id, argument)) = found else {
             return (expr, kinks);
         };
