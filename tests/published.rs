@@ -167,3 +167,21 @@ fn satellite_to_time_20() {
 fn burgers_in_10_states() {
     check("burgers10", 1);
 }
+
+/// All extremals that are known over the state: the least, a local minimum, and one that is no minimum.
+#[test]
+fn the_stirred_tank_has_three_extremals() {
+    check("stirred_tank", 1);
+    let (names, wanted) = wanted("stirred_tank");
+    let found = solve("stirred_tank", &names, &[wanted[0].state.as_slice()]);
+    let values: Vec<f64> = found[0]["V_sheets"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter_map(serde_json::Value::as_f64)
+        .collect();
+    for extremal in [0.133_095_730_543_08, 0.244_433_538_197_4, 0.249_579_589_320_88] {
+        let near = values.iter().any(|v| (v / extremal - 1.0).abs() <= 1e-8);
+        assert!(near, "no extremal of V = {extremal} among {values:?}");
+    }
+}
