@@ -164,7 +164,7 @@ fn a_cost_that_is_not_stationary_at_the_equilibrium() {
     for words in [
         "running cost is not stationary",
         "dL/dx is 3.000000e0",
-        "[scene.toml:5:20]",
+        "scene.toml:5:20",
         "(x - 0)^2",
     ] {
         assert!(text.contains(words), "no `{words}` in: {text}");
@@ -258,14 +258,15 @@ fn value(file: &std::path::Path, at: &str) -> (String, serde_json::Value) {
 #[test]
 fn what_uncovered_fronts_cannot_show_is_said() {
     const WORDS: &str = "a cheaper sheet may be missing";
-    let fine = SCENE.replace("spacing = 0.2", "spacing = 0.05");
+    // The local solution of a linear-quadratic problem would hold everywhere.
+    let fine = SCENE.replace("spacing = 0.2", "spacing = 0.1, seed_value = 1e-3");
     let (done, covered) = run("covered", &fine, None);
     assert!(String::from_utf8_lossy(&done.stdout).contains("fronts covered:"));
     let (text, json) = value(&covered, "x=0.5,v=0.5");
     assert!(!text.contains(WORDS) && json["coverage"] == "covered", "{text}");
     let (done, capped) = run(
         "capped",
-        &fine.replace("samples = 10", "samples = 10, max_seeds = 40"),
+        &fine.replace("samples = 10", "samples = 10, max_seeds = 24"),
         None,
     );
     assert!(String::from_utf8_lossy(&done.stdout).contains("NOT fully covered"));
