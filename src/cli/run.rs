@@ -151,7 +151,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     file.attribute("summary", summary.to_string())?;
     // Not in the attribute: the file has them in /points, and an attribute holds 64 KiB.
     if done.listed > 0 {
-        summary["points"] = report::listed_json(&done);
+        summary["points"] = super::listed::as_json(&done);
     }
     file.finish()?;
     terminal.summary(&done)?;
