@@ -245,7 +245,8 @@ fn tables_grids_and_json_agree() {
     assert_eq!(
         rows[0],
         [
-            "theta", "omega", "V", "p_theta", "p_omega", "u", "sheet", "V_error", "p_error", "u_error", "status"
+            "theta", "omega", "V", "p_theta", "p_omega", "u", "sheet", "V_error", "p_error", "u_error", "coverage",
+            "status"
         ]
     );
     assert_eq!(rows.len(), 13);

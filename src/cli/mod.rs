@@ -10,6 +10,7 @@ mod dissipation;
 mod estimates;
 mod evaluate;
 mod fit;
+mod listed;
 mod points;
 mod report;
 mod report_page;

@@ -118,6 +118,8 @@ pub(super) struct Done<'a> {
     /// Whether the sweep is a result; else it gave first guesses.
     pub stored: bool,
     pub answers: Option<&'a Answers>,
+    /// How many of the states given, from the first on, the user listed: those are answered one by one.
+    pub listed: usize,
     pub estimates: &'a Estimates,
     pub model: &'a Model,
     /// Of the scene's [study].
@@ -168,6 +170,7 @@ fn as_text(done: &Done<'_>) -> String {
     }
     if let Some(answers) = done.answers {
         lines.extend(answers_text(done, answers));
+        lines.extend(super::listed::text(done, answers));
     }
     if !done.variants.is_empty() {
         lines.push("study:".to_owned());

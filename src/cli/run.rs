@@ -136,6 +136,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         swept: &swept,
         stored,
         answers: answers.as_ref(),
+        listed: match (parts, &wanted) {
+            (Parts::Solve(_), Some(wanted)) => wanted.points(),
+            _ => 0,
+        },
         estimates: &estimates,
         record: &record,
         variants: &variants,
@@ -145,6 +149,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     };
     let mut summary = report::as_json(&done);
     file.attribute("summary", summary.to_string())?;
+    // Not in the attribute: the file has them in /points, and an attribute holds 64 KiB.
+    if done.listed > 0 {
+        summary["points"] = super::listed::as_json(&done);
+    }
     file.finish()?;
     terminal.summary(&done)?;
     if let Some(draft) = draft {

@@ -2,7 +2,7 @@
 
 use super::report::Terminal;
 use super::{CliError, ValueArgs, points, run};
-use crate::map::{At, Value, ValueMap};
+use crate::map::{At, Coverage, Fronts, Value, ValueMap};
 use crate::model::Model;
 use crate::output::{Places, ResultFile, RunRecord, Stored, write_text};
 use crate::value::Grid;
@@ -88,20 +88,29 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             };
             record.write(&file)?;
             file.attribute("source", args.file.display().to_string())?;
+            if let Some(note) = of_all(&found, map.fronts()) {
+                file.attribute("coverage", note)?;
+            }
             file.finish()?;
         }
         Some(out) => write_text(out, &table(model, &states, &found)?)?,
         None if args.json => {
             let all: Vec<_> = (states.chunks(map.states()).zip(&found))
-                .map(|(x, at)| as_json(model, x, at))
+                .map(|(x, at)| as_json(model, x, at, map.fronts()))
                 .collect();
             super::print(&format!("{:#}\n", serde_json::Value::from(all)))?;
             return Ok(());
         }
-        None if many => super::print(&table(model, &states, &found)?)?,
+        None if many => {
+            super::print(&table(model, &states, &found)?)?;
+            // The table itself says it of each state.
+            if let Some(note) = of_all(&found, map.fronts()) {
+                terminal.note(&note);
+            }
+        }
         None => {
             for (x, at) in states.chunks(map.states()).zip(&found) {
-                terminal.say(&as_text(model, x, at))?;
+                terminal.say(&as_text(model, x, at, map.fronts()))?;
             }
         }
     }
@@ -127,10 +136,14 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             out.display()
         );
         terminal.say(&text)?;
+        let note = of_all(&found, map.fronts());
+        if let Some(note) = &note {
+            terminal.note(note);
+        }
         if args.json {
             let summary = serde_json::json!({
                 "file": out.display().to_string(), "states": found.len(), "known": known, "sites": map.sites(),
-                "V_error": { "median": median, "p99": most, "max": worst },
+                "V_error": { "median": median, "p99": most, "max": worst }, "coverage": note,
             });
             super::print(&format!("{summary:#}\n"))?;
         }
@@ -249,7 +262,70 @@ fn sheet(value: &Value) -> String {
     }
 }
 
-fn as_text(model: &Model, x: &[f64], at: &At) -> String {
+/// What a value's being the least rests on, where something may be missing.
+fn coverage(value: &Value, fronts: &Fronts) -> Option<String> {
+    match value.coverage {
+        Coverage::Local | Coverage::Covered => None,
+        Coverage::Searched if !fronts.swept => Some(
+            "from states that were searched for sheets one by one: no sweep shows that no cheaper sheet lies over this state"
+                .to_owned(),
+        ),
+        Coverage::Searched => Some(format!(
+            "the fronts of the sweep were not covered here ({}): what is known of cheaper sheets is the search at the solved states",
+            gaps(fronts)
+        )),
+        Coverage::Uncovered => Some(format!(
+            "the fronts of the sweep were not covered here ({}): a cheaper sheet may be missing, which the error does not include",
+            gaps(fronts)
+        )),
+    }
+}
+
+/// The gaps that a sweep left, in words.
+fn gaps(fronts: &Fronts) -> String {
+    let mut text = match fronts.gaps {
+        u64::MAX => "the file does not tell its gaps".to_owned(),
+        0 => format!("{} trajectories failed", fronts.failed),
+        n => format!("{n} gaps remain, the widest {:.2} of the region", fronts.widest),
+    };
+    if fronts.below > 0.0 {
+        let _ = write!(text, "; covered up to V = {:.4}", fronts.below);
+    }
+    text
+}
+
+/// A solved state that an interpolated sheet undercuts.
+fn undercut(at: &At) -> Option<String> {
+    let here = at.lowest.as_ref().ok()?;
+    let lower = at.others.first().filter(|other| other.v < here.v)?;
+    Some(format!(
+        "a sheet interpolated from swept trajectories is lower here, V = {:.6}: the solution may not be the least",
+        lower.v
+    ))
+}
+
+/// The same of all answers in one line; `None` where nothing is missing.
+fn of_all(found: &[At], fronts: &Fronts) -> Option<String> {
+    let known: Vec<&Value> = found.iter().filter_map(|at| at.lowest.as_ref().ok()).collect();
+    let count = |c: Coverage| known.iter().filter(|v| v.coverage == c).count();
+    let (uncovered, searched) = (count(Coverage::Uncovered), count(Coverage::Searched));
+    if uncovered > 0 {
+        return Some(format!(
+            "{uncovered} of {} answers lie where the fronts of the sweep were not covered ({}): a cheaper sheet may be missing \
+             there, which the errors do not include",
+            known.len(),
+            gaps(fronts)
+        ));
+    }
+    (searched > 0).then(|| {
+        format!(
+            "{searched} of {} answers rest on states that were searched for sheets one by one, not on fronts without gaps",
+            known.len()
+        )
+    })
+}
+
+fn as_text(model: &Model, x: &[f64], at: &At, fronts: &Fronts) -> String {
     let (states, controls) = names(model);
     let list = |names: &[&str], values: &[f64]| {
         let parts: Vec<String> = names.iter().zip(values).map(|(n, v)| format!("{n} = {v}")).collect();
@@ -279,6 +355,12 @@ fn as_text(model: &Model, x: &[f64], at: &At) -> String {
                 lines.push(format!("  {}{}", list(&controls, &here.u), error(here.u_error)));
             }
             lines.push(format!("  {}; {}", sheet(here), how(here)));
+            lines.extend(
+                coverage(here, fronts)
+                    .into_iter()
+                    .chain(undercut(at))
+                    .map(|note| format!("  {note}")),
+            );
         }
     }
     for other in &at.others {
@@ -292,7 +374,7 @@ fn as_text(model: &Model, x: &[f64], at: &At) -> String {
     lines.join("\n")
 }
 
-fn as_json(model: &Model, x: &[f64], at: &At) -> serde_json::Value {
+fn as_json(model: &Model, x: &[f64], at: &At, fronts: &Fronts) -> serde_json::Value {
     let (states, controls) = names(model);
     let object = |names: &[&str], values: &[f64]| -> serde_json::Value {
         let pairs = names
@@ -306,11 +388,13 @@ fn as_json(model: &Model, x: &[f64], at: &At) -> serde_json::Value {
             "V": v.v, "p": object(&states, &v.p), "u": object(&controls, &v.u), "sheet": v.sheet,
             "V_error": v.v_error, "p_error": v.p_error, "u_error": v.u_error, "sites": v.sites,
             "solved_sites": v.solved, "nearest": v.nearest, "how": how(v),
+            "coverage": v.coverage.name(), "coverage_note": coverage(v, fronts),
         })
     };
     serde_json::json!({
         "x": object(&states, x),
         "value": at.lowest.as_ref().ok().map(value),
+        "undercut": undercut(at),
         "unknown": at.lowest.as_ref().err().map(ToString::to_string),
         "other_sheets": at.others.iter().map(value).collect::<Vec<_>>(),
     })
@@ -324,7 +408,7 @@ fn table(model: &Model, states: &[f64], found: &[At]) -> Result<String, CliError
     header.push("V".to_owned());
     header.extend(names.iter().map(|n| format!("p_{n}")));
     header.extend(controls.iter().map(|n| (*n).to_owned()));
-    header.extend(["sheet", "V_error", "p_error", "u_error", "status"].map(str::to_owned));
+    header.extend(["sheet", "V_error", "p_error", "u_error", "coverage", "status"].map(str::to_owned));
     let columns = header.len();
     let csv = |e: csv::Error| CliError::Stdout(std::io::Error::other(e));
     writer.write_record(&header).map_err(csv)?;
@@ -339,6 +423,7 @@ fn table(model: &Model, states: &[f64], found: &[At]) -> Result<String, CliError
                     .iter()
                     .map(|e| if e.is_finite() { e.to_string() } else { String::new() }),
             );
+            row.push(here.coverage.name().to_owned());
         }
         row.resize(columns - 1, String::new());
         row.push(

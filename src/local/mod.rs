@@ -26,7 +26,7 @@ pub enum LocalError {
     ImaginaryAxis {
         eigenvalue: String,
         distance: f64,
-        hint: &'static str,
+        hint: String,
     },
     #[error("no stabilizing Riccati solution was found: {reason}")]
     NoSolution { reason: String },

@@ -48,7 +48,7 @@ impl Riccati {
         let input = input_matrix(hamiltonian, model, &widths);
         check_stabilizable(&linear.a, &input)?;
         let game = !model.disturbances.is_empty();
-        check_imaginary_axis(&linear, game)?;
+        check_imaginary_axis(&linear, model, game)?;
         let scaled = stabilizing(&linear)?;
         let residual = relative_residual(&linear, &scaled);
         if residual.is_nan() || residual > RESIDUAL {
@@ -163,7 +163,7 @@ fn check_stabilizable(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Result<(), LocalErr
     Ok(())
 }
 
-fn check_imaginary_axis(l: &Linearization, game: bool) -> Result<(), LocalError> {
+fn check_imaginary_axis(l: &Linearization, model: &Model, game: bool) -> Result<(), LocalError> {
     let m = l.balanced().0.hamiltonian_matrix();
     let scale = m.norm().max(f64::MIN_POSITIVE);
     let nearest = nearest_to_axis(&eigenvalues_of(&m));
@@ -171,14 +171,101 @@ fn check_imaginary_axis(l: &Linearization, game: bool) -> Result<(), LocalError>
         Some(e) if e.re.abs() < ON_AXIS * scale => Err(LocalError::ImaginaryAxis {
             eigenvalue: show_eigenvalue(e),
             distance: e.re.abs() / scale,
-            hint: if game {
-                "the attenuation asked is below what the linearization allows, or a mode on the axis is not seen by the cost"
-            } else {
-                "a mode that neither decays nor is seen by the cost; use a finite horizon or weigh it in the running cost"
-            },
+            hint: why_on_axis(l, model, e, game),
         }),
         _ => Ok(()),
     }
+}
+
+/// Why an eigenvalue lies on the axis, as far as the second derivatives of the cost at the equilibrium tell.
+fn why_on_axis(l: &Linearization, model: &Model, eigenvalue: Complex<f64>, game: bool) -> String {
+    let level = "the attenuation asked is below what the linearization allows";
+    let size = l.q.norm();
+    // Scaled by the region's widths, so that it is of the size that L has over the region.
+    if size <= RANK * running_size(model) {
+        let hint = "the running cost is flat there, its second derivatives along the states are all 0: add a term quadratic in them";
+        return if game {
+            format!("{level}, or {hint}")
+        } else {
+            hint.to_owned()
+        };
+    }
+    let eigen = l.q.clone().symmetric_eigen();
+    let (k, least) = eigen.eigenvalues.argmin();
+    if least < -RANK * size {
+        let direction = direction(model, eigen.eigenvectors.column(k).iter().copied());
+        let hint = format!(
+            "the running cost curves down there along ({direction}): leaving the equilibrium that way pays, so resting at it is not optimal; make the cost convex in the states"
+        );
+        return if game { format!("{level}, or {hint}") } else { hint };
+    }
+    if game {
+        return format!("{level}, or a mode on the axis is not seen by the cost");
+    }
+    match unseen_mode(l, eigenvalue) {
+        Some(mode) => format!(
+            "its mode, along ({}), neither decays nor is seen by the cost; weigh it in the running cost or use a finite horizon",
+            direction(model, mode.into_iter())
+        ),
+        None => "the running cost does not hold the states there: make it convex in the states".to_owned(),
+    }
+}
+
+/// Size of the running cost in the region: the largest of its second derivatives, each times the region's widths.
+fn running_size(model: &Model) -> f64 {
+    let mut graph = model.graph.clone();
+    let widths = widths(model);
+    let mut values = model.parameter_values();
+    values.extend(model.controls.iter().map(|c| (c.variable.symbol, 0.0)));
+    values.extend(model.disturbances.iter().map(|w| (w.symbol, 0.0)));
+    let corners = [0.0, 0.25, 0.75, 1.0].map(|share| {
+        let states = model.states.iter().zip(&model.region);
+        let at = states.map(|(s, [lo, hi])| (s.variable.symbol, lo + (hi - lo) * share));
+        at.collect::<Vec<_>>()
+    });
+    let mut largest = 0.0f64;
+    for (i, state) in model.states.iter().enumerate() {
+        let slope = graph.diff(model.running.expr, state.variable.symbol);
+        let second = graph.diff(slope, state.variable.symbol);
+        for corner in &corners {
+            values.extend(corner.iter().copied());
+            let value = graph.eval(&[second], &values)[0].abs() * widths[i].powi(2);
+            largest = largest.max(if value.is_finite() { value } else { 0.0 });
+        }
+    }
+    largest
+}
+
+/// A direction in which the mode of an eigenvalue on the axis lies outside what the cost sees, in scaled coordinates:
+/// `[A - i omega; Q] v = 0`. `None` where there is none.
+fn unseen_mode(l: &Linearization, eigenvalue: Complex<f64>) -> Option<Vec<f64>> {
+    /// The eigenvalue itself is only known to about this (see [`ON_AXIS`]).
+    const LOST: f64 = 1e-6;
+    let n = l.a.nrows();
+    let (a, q) = (l.a.norm().max(f64::MIN_POSITIVE), l.q.norm().max(f64::MIN_POSITIVE));
+    let axis = Complex::new(0.0, eigenvalue.im);
+    let test = DMatrix::from_fn(2 * n, n, |i, j| {
+        let on = if i == j { axis / a } else { Complex::new(0.0, 0.0) };
+        let entry = if i < n { l.a[(i, j)] / a } else { l.q[(i - n, j)] / q };
+        Complex::new(entry, 0.0) - on
+    });
+    let svd = test.svd(false, true);
+    let (k, least) = svd.singular_values.argmin();
+    let rows = svd.v_t.filter(|_| least < LOST)?;
+    Some(rows.row(k).iter().map(|c| c.norm()).collect())
+}
+
+/// A direction in words: the scaled states that it moves.
+fn direction(model: &Model, components: impl Iterator<Item = f64>) -> String {
+    const SHOWN: f64 = 0.1;
+    let components: Vec<f64> = components.collect();
+    let largest = components.iter().fold(0.0f64, |a, c| a.max(c.abs()));
+    let names = model.states.iter().map(|s| s.variable.name.as_str());
+    let moved = names.zip(&components).filter(|(_, c)| c.abs() >= SHOWN * largest);
+    moved
+        .map(|(n, c)| format!("{n}: {c:.2}"))
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 /// The eigenvalue nearest to the imaginary axis.
@@ -280,16 +367,10 @@ fn check_positive(scaled: &DMatrix<f64>, model: &Model, game: bool) -> Result<()
     }
     if smallest.is_nan() || smallest <= RANK * largest {
         let v = eigen.eigenvectors.column(k);
-        let names = model.states.iter().map(|s| s.variable.name.as_str());
-        let direction = names
-            .zip(v.iter())
-            .map(|(n, x)| format!("{n}: {x:.2}"))
-            .collect::<Vec<_>>()
-            .join(", ");
         return Err(LocalError::NotPositive {
             smallest,
             largest,
-            direction,
+            direction: direction(model, v.iter().copied()),
         });
     }
     Ok(())

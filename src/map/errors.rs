@@ -1,13 +1,19 @@
 //! What leaving out data shows of a value's error.
 
-use super::{OF_CHANGE, OF_SIZE, SHEETS, Value, ValueMap, blend, distance_between};
+use super::{OF_CHANGE, OF_SIZE, SAME, SHEETS, Value, ValueMap, blend, distance_between};
+use crate::sweep::accuracy::SMALL;
 
 /// Sites by leaving out which the error at a state is told.
 const LEFT_OUT: usize = 4;
 
 impl ValueMap {
     /// Errors of a value: the largest shown by leaving out one of the sites around that are on its sheet.
+    ///
+    /// Where a state was solved, its own error counts: that of the solutions which the run solved again.
     pub(super) fn estimate(&self, x: &[f64], value: &mut Value) {
+        if value.nearest < SAME && value.solved == value.sites && self.estimate_solved(x, value) {
+            return;
+        }
         let n = self.sites.n;
         let place: Vec<f64> = (0..n)
             .map(|i| {
@@ -34,6 +40,30 @@ impl ValueMap {
         value.v_error = value.v_error.max(worst[0]);
         value.p_error = worst[1] / size.max(f64::MIN_POSITIVE);
         value.u_error = worst[2];
+    }
+
+    /// The errors of a solved state from the run's estimate; whether there is one.
+    fn estimate_solved(&self, x: &[f64], value: &mut Value) -> bool {
+        let Some(own) = self.own_errors else { return false };
+        let (w, scale) = (&self.plan.widths, SMALL * self.plan.value_scale);
+        let size = (value.p.iter().zip(w)).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
+        value.v_error = own.v * (value.v.abs() + scale);
+        let of_p = own.p * (size + scale);
+        value.p_error = of_p / size.max(f64::MIN_POSITIVE);
+        // u moves by no more than an error in each component of p makes it, one after the other.
+        let s: Vec<f64> = (0..w.len())
+            .map(|i| x[i] - self.plan.system.reference[i] + self.turn(&value.winding, i) * w[i])
+            .collect();
+        let mut moved = vec![0.0; value.u.len()];
+        for i in 0..w.len() {
+            let mut p = value.p.clone();
+            p[i] += of_p / w[i];
+            for ((moved, there), here) in moved.iter_mut().zip(self.control(&s, &p)).zip(&value.u) {
+                *moved += (there - here).abs();
+            }
+        }
+        value.u_error = moved.into_iter().fold(0.0, f64::max);
+        true
     }
 
     /// Errors of V, q (largest component) and u at a site where it is not used; NaN where the others do not reach it.

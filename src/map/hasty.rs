@@ -71,7 +71,7 @@ impl ValueMap {
                 .map(|((z, w), r)| z * w + r)
                 .collect();
             let v = self.sites.v[site];
-            (self.without_errors(&x).lowest).is_ok_and(|here| here.v < v - MARGIN * v.abs())
+            (self.ranked(&x).lowest).is_ok_and(|here| here.v < v - MARGIN * v.abs())
         })
     }
 

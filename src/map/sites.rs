@@ -1,9 +1,9 @@
 //! Where V and p are known: swept samples, solved states, map nodes, and the local solution near the equilibrium.
 
-use super::MapError;
+use super::{MapError, SHEETS};
 use crate::backend::{BackendError, cpu::Cpu};
 use crate::model::{Horizon, SeedValue};
-use crate::output::Stored;
+use crate::output::{Stored, StoredTrajectories};
 use crate::sweep::{Choices, Plan, Sampling, sweep};
 use crate::value::Grid;
 use std::collections::HashMap;
@@ -47,7 +47,7 @@ impl Sites {
     ///
     /// # Errors
     /// [`MapError`] where groups are not as this program writes them.
-    pub fn collect(stored: &Stored, plan: &Plan) -> Result<Self, MapError> {
+    pub fn collect(stored: &Stored, plan: &Plan, swept: Option<StoredTrajectories>) -> Result<Self, MapError> {
         let mut all = Gathering::new(plan);
         if let Some(entries) = stored.points_sheets()? {
             for k in 0..entries.count {
@@ -65,7 +65,7 @@ impl Sites {
             Horizon::Finite { final_time, .. } => -final_time * (1.0 - 1e-9),
             Horizon::Infinite { .. } => f64::INFINITY,
         };
-        if let Some(swept) = stored.trajectories()? {
+        if let Some(swept) = swept {
             for k in (0..swept.count * swept.samples).filter(|k| swept.t[*k] <= begins) {
                 let sheet = swept.sheet[k / swept.samples];
                 all.add(&swept.x, &swept.v, &swept.p, k, sheet, Source::Sample);
@@ -79,11 +79,31 @@ impl Sites {
             all.add_inner(stored, plan, least)?;
         }
         all.add_local(plan);
-        Ok(all.sites)
+        Ok(all.finished())
     }
 
     pub fn len(&self) -> usize {
         self.v.len()
+    }
+
+    /// The sites that are not dropped, in their order.
+    fn without(self, dropped: &[bool]) -> Self {
+        if !dropped.contains(&true) {
+            return self;
+        }
+        let kept: Vec<usize> = (0..self.len()).filter(|k| !dropped[*k]).collect();
+        let rows = |all: fn(&Self, usize) -> &[f64]| kept.iter().flat_map(|k| all(&self, *k)).copied().collect();
+        Self {
+            n: self.n,
+            z: rows(Self::z),
+            q: rows(Self::q),
+            v: kept.iter().map(|k| self.v[*k]).collect(),
+            sheet: kept.iter().map(|k| self.sheet[*k]).collect(),
+            source: kept.iter().map(|k| self.source[*k]).collect(),
+            hessian: (kept.iter().enumerate())
+                .filter_map(|(new, old)| Some((new, self.hessian.get(old)?.clone())))
+                .collect(),
+        }
     }
 
     pub fn z(&self, i: usize) -> &[f64] {
@@ -180,6 +200,24 @@ impl<'p> Gathering<'p> {
         sites.sheet.push(sheet);
         sites.source.push(source);
         Some(sites.v.len() - 1)
+    }
+
+    /// The sites, without swept samples of sheets far above: where more sheets lie over a cell than there is room for
+    /// (see [`SHEETS`]), those of highest V are dropped, or they would crowd out the lowest among the sites that are
+    /// looked at. Not of a game, where every sheet counts.
+    fn finished(self) -> Sites {
+        if self.plan.game {
+            return self.sites;
+        }
+        let mut dropped = vec![false; self.sites.len()];
+        for members in self.cells.values().filter(|m| m.len() > SHEETS) {
+            let mut by_value = members.clone();
+            by_value.sort_by(|a, b| self.sites.v[*a].total_cmp(&self.sites.v[*b]));
+            for &k in &by_value[SHEETS..] {
+                dropped[k] = self.sites.source[k] == Source::Sample;
+            }
+        }
+        self.sites.without(&dropped)
     }
 
     /// Levels of V at equal distances leave gaps near the equilibrium: the first is far from the seeds, and between the first

@@ -2,10 +2,12 @@
 
 use super::answers::Names;
 use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Variable};
-use crate::map::{At, Unknown, Value};
+use crate::map::{At, Coverage, Unknown, Value};
 
 /// Whether a value is known, as files write it.
 const KNOWN: i32 = 0;
+/// Coverage where nothing is known.
+const NO_COVERAGE: (i32, &str) = (-1, "unknown");
 
 fn code(at: &At) -> i32 {
     match at.lowest {
@@ -77,6 +79,16 @@ impl ResultFile {
                 Variable::i32("status", dims.iter().copied())
                     .long_name("whether the value is known")
                     .flags(flags()),
+            )
+            .variable(
+                Variable::i32("coverage", dims.iter().copied())
+                    .long_name("what the value's being the least rests on, which its error does not include")
+                    .flags(
+                        Coverage::ALL
+                            .map(|(_, code, name)| (code, name))
+                            .into_iter()
+                            .chain([NO_COVERAGE]),
+                    ),
             );
         let mut writer = self.group(&group)?;
         let (n, m) = (schema.states.len(), schema.controls.len());
@@ -101,6 +113,8 @@ impl ResultFile {
         writer.write("u_error", &scalar(&|v| v.u_error))?;
         let status: Vec<i32> = values.iter().map(code).collect();
         writer.write("status", &status)?;
+        let coverage = |at: &At| known(at).map_or(NO_COVERAGE.0, |v| v.coverage.code());
+        writer.write("coverage", &values.iter().map(coverage).collect::<Vec<i32>>())?;
         if let Places::Points(points) = places {
             writer.write("x0", *points)?;
         }

@@ -15,7 +15,7 @@ const TOLERANCE: f64 = 1e-9;
 /// What may remain in any case: sin(pi) is 1.2e-16, not 0.
 const ROUNDING: f64 = 1e-14;
 /// Points of the region at which terms are looked at.
-const POINTS: usize = 16;
+pub(super) const POINTS: usize = 16;
 
 /// A value and the place it is given at.
 #[derive(Clone, Debug)]
@@ -132,24 +132,16 @@ impl<'a> Reader<'a> {
         let mut values = values.clone();
         (0..POINTS)
             .map(|k| {
-                for (i, (state, [lo, hi])) in scene.states.iter().zip(region).enumerate() {
-                    // Corners first, then points between (a Kronecker sequence).
-                    let fraction = match k {
-                        0 => 0.0,
-                        1 => 1.0,
-                        2 => (i % 2) as f64,
-                        _ => (k as f64 * (i as f64 + 2.0).sqrt()).fract(),
-                    };
-                    values.insert(state.symbol, lo + (hi - lo) * fraction);
-                }
+                values.extend(point_of(k, scene.states, region));
                 sized(&self.graph, expr, &values).1
             })
             .filter(|size| size.is_finite())
             .fold(0.0, f64::max)
     }
 
-    /// Checks f = 0, L = 0 (not with a final time) and the guards at the equilibrium.
+    /// Checks f = 0, L = 0, dL/dx = 0 and smoothness (not with a final time) and the guards at the equilibrium.
     pub fn check_equilibrium(&mut self, at: &Equilibrium, scene: &Scene<'_>) {
+        let before = self.problems.len();
         let mut values = self.values.clone();
         values.extend(scene.states.iter().zip(&at.x).map(|(s, p)| (s.symbol, p.value)));
         values.extend(
@@ -179,6 +171,10 @@ impl<'a> Reader<'a> {
             let problem = Problem::at(at.span.clone(), message, format!("L = {value:.6e} here"));
             self.report(problem.with_help("V over an infinite horizon is finite only if L = 0 at the equilibrium"));
         }
+        // Where it is no equilibrium, derivatives there say nothing.
+        if !scene.finite && self.problems.len() == before {
+            self.check_smooth_rest(&values, scene);
+        }
         for guard in scene.guards {
             let (value, size) = sized(&self.graph, guard.condition.expr, &values);
             // On the border of `>=` rounding must not decide.
@@ -196,12 +192,33 @@ impl<'a> Reader<'a> {
     }
 }
 
+/// The `k`-th point of the region at which terms are looked at: corners first, then points between (a Kronecker sequence).
+pub(super) fn point_of<'s>(
+    k: usize,
+    states: &'s [&'s Variable],
+    region: &'s [[f64; 2]],
+) -> impl Iterator<Item = (Id, f64)> + 's {
+    states
+        .iter()
+        .zip(region)
+        .enumerate()
+        .map(move |(i, (state, [lo, hi]))| {
+            let fraction = match k {
+                0 => 0.0,
+                1 => 1.0,
+                2 => (i % 2) as f64,
+                _ => (k as f64 * (i as f64 + 2.0).sqrt()).fract(),
+            };
+            (state.symbol, lo + (hi - lo) * fraction)
+        })
+}
+
 /// What counts as zero among terms of this size.
 fn remainder(size: f64) -> f64 {
     TOLERANCE * size + ROUNDING
 }
 
-fn is_zero(value: f64, size: f64) -> bool {
+pub(super) fn is_zero(value: f64, size: f64) -> bool {
     value.is_finite() && value.abs() <= remainder(size)
 }
 

@@ -22,6 +22,7 @@ mod report_section;
 mod scene;
 mod scope;
 mod settings;
+mod stationary;
 mod study;
 mod suggest;
 mod syntax_error;

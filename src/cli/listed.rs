@@ -1,0 +1,66 @@
+//! What `costate solve` answers at the states that the user listed, one by one.
+
+use super::report::Done;
+use crate::value::Answers;
+
+/// V and u at the first few states that the user listed.
+pub(super) fn text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
+    const SHOWN: usize = 10;
+    let list = |names: &mut dyn Iterator<Item = &str>, values: &[f64]| {
+        let parts: Vec<String> = names.zip(values).map(|(n, v)| format!("{n} = {v:.9}")).collect();
+        parts.join(", ")
+    };
+    let mut lines: Vec<String> = (answers.targets.of_given[..done.listed].iter().take(SHOWN))
+        .map(|&target| {
+            let x = list(
+                &mut done.names.iter().map(String::as_str),
+                answers.targets.state(target),
+            );
+            let Some(answer) = answers.answer(target) else {
+                return format!("  {x}: {}", answers.status(target).name().replace('_', " "));
+            };
+            let mut controls = done.model.controls.iter().map(|c| c.variable.name.as_str());
+            let sheets = match answers.of(target).len() {
+                1 => String::new(),
+                n => format!(" (least of {n} solutions)"),
+            };
+            format!(
+                "  {x}: V = {:.12}, {}{sheets}",
+                answer.value,
+                list(&mut controls, &answer.u)
+            )
+        })
+        .collect();
+    if done.listed > SHOWN {
+        lines.push(format!(
+            "  and {} more: see /points in the file, or --json",
+            done.listed - SHOWN
+        ));
+    }
+    lines
+}
+
+/// The answers at the states that the user listed, in their order; at most the first 1000.
+pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
+    const MOST: usize = 1000;
+    let Some(answers) = done.answers else {
+        return serde_json::Value::Null;
+    };
+    let point = |&target: &usize| {
+        let answer = answers.answer(target);
+        serde_json::json!({
+            "x": answers.targets.state(target),
+            "V": answer.map(|a| a.value),
+            "p": answer.map(|a| &a.p),
+            "u": answer.map(|a| &a.u),
+            "status": answers.status(target).name(),
+            "sheets": answers.of(target).len(),
+            "V_sheets": answers.of(target).iter().map(|e| e.value).collect::<Vec<f64>>(),
+        })
+    };
+    answers.targets.of_given[..done.listed]
+        .iter()
+        .take(MOST)
+        .map(point)
+        .collect()
+}

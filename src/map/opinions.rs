@@ -1,0 +1,207 @@
+//! What the sites around a place say there, and which of them speak of one sheet.
+
+use super::nodal::{self, Neighbour, Nodal, Prediction};
+use super::{AGREED, BEYOND, LOOK, OF_CHANGE, OF_SIZE, ONE_SIDED, SAME, SHEETS, SPREAD, ValueMap};
+use std::borrow::Cow;
+
+/// What one site says at a place.
+pub(super) struct Opinion {
+    pub site: usize,
+    pub winding: usize,
+    pub distance: f64,
+    /// From the place to the site, scaled.
+    pub to: Vec<f64>,
+    pub says: Prediction,
+}
+
+impl ValueMap {
+    /// Sites near a place that lie on different sides of it, by distance; `without` is passed over.
+    pub(super) fn around(&self, place: &[f64], most: usize, without: &[usize]) -> Vec<(usize, f64)> {
+        let near = self.tree.near(place, f64::INFINITY, LOOK * most);
+        let mut chosen: Vec<(usize, f64)> = Vec::with_capacity(most);
+        for (site, distance) in near {
+            if without.contains(&site) {
+                continue;
+            }
+            let crowded = chosen.iter().any(|(other, _)| {
+                self.sites.consistent(site, *other)
+                    && distance_between(self.sites.z(site), self.sites.z(*other)) < SPREAD * distance
+            });
+            if !crowded {
+                chosen.push((site, distance));
+                if chosen.len() == most {
+                    break;
+                }
+            }
+        }
+        chosen
+    }
+
+    pub(super) fn nodal(&self, site: usize, without: Option<usize>) -> Option<Cow<'_, Nodal>> {
+        match without {
+            Some(without) => self.fit(site, Some(without)).map(Cow::Owned),
+            None => (self.nodal[site].get_or_init(|| self.fit(site, None)).as_ref()).map(Cow::Borrowed),
+        }
+    }
+
+    pub(super) fn fit(&self, site: usize, without: Option<usize>) -> Option<Nodal> {
+        let n = self.sites.n;
+        let (z, v, q) = (self.sites.z(site), self.sites.v[site], self.sites.q(site));
+        let most = nodal::wanted(n);
+        let excluded: Vec<usize> = without.into_iter().chain([site]).collect();
+        // Twice as many: some will belong to other sheets.
+        let mut near = self.around(z, 2 * most, &excluded);
+        near.retain(|(k, d)| *d > SAME && self.sites.consistent(site, *k));
+        let agreed: Vec<bool> = (near.iter())
+            .map(|(k, _)| {
+                let with = near.iter().filter(|(j, _)| self.sites.consistent(*k, *j)).count();
+                with as f64 >= AGREED * near.len() as f64
+            })
+            .collect();
+        let neighbours: Vec<Neighbour> = (near.iter().zip(agreed))
+            .filter(|(_, agreed)| *agreed)
+            .take(most)
+            .map(|(&(k, distance), _)| {
+                let d: Vec<f64> = self.sites.z(k).iter().zip(z).map(|(a, b)| a - b).collect();
+                Neighbour {
+                    distance,
+                    beyond_tangent: self.sites.v[k] - v - q.iter().zip(&d).map(|(q, d)| q * d).sum::<f64>(),
+                    dq: self.sites.q(k).iter().zip(q).map(|(a, b)| a - b).collect(),
+                    d,
+                }
+            })
+            .collect();
+        let fitted = nodal::fit(n, neighbours);
+        match self.sites.hessian.get(&site) {
+            Some(hessian) => {
+                let reach = fitted.map_or(0.0, |f| f.reach);
+                Some(Nodal::of_hessian(n, hessian, reach))
+            }
+            None => fitted,
+        }
+    }
+
+    pub(super) fn opinion(
+        &self,
+        place: &[f64],
+        winding: usize,
+        site: usize,
+        distance: f64,
+        without: Option<usize>,
+    ) -> Option<Opinion> {
+        let to: Vec<f64> = self.sites.z(site).iter().zip(place).map(|(z, p)| z - p).collect();
+        let nodal = match self.nodal(site, without) {
+            Some(nodal) if distance < SAME || distance <= BEYOND * nodal.reach => nodal,
+            // Where a site is, its own V and p are known whatever its neighbours say.
+            None if distance < SAME => {
+                let n = self.sites.n;
+                Cow::Owned(Nodal::of_hessian(n, &vec![0.0; n * n], 0.0))
+            }
+            _ => return None,
+        };
+        let d: Vec<f64> = to.iter().map(|t| -t).collect();
+        Some(Opinion {
+            site,
+            winding,
+            distance,
+            says: nodal.at(self.sites.v[site], self.sites.q(site), &d),
+            to,
+        })
+    }
+
+    /// What the sites around a place say there, by distance.
+    pub(super) fn opinions(&self, z: &[f64], without: Option<usize>) -> Vec<Opinion> {
+        let n = self.sites.n;
+        let most = SHEETS * (2 * n + 4);
+        let excluded: Vec<usize> = without.into_iter().collect();
+        let mut opinions = Vec::new();
+        for (w, winding) in self.windings.iter().enumerate() {
+            let place: Vec<f64> = (0..n).map(|i| z[i] + self.turn(winding, i)).collect();
+            let near = self.around(&place, most, &excluded);
+            opinions.extend(
+                near.into_iter()
+                    .filter_map(|(site, d)| self.opinion(&place, w, site, d, without)),
+            );
+        }
+        opinions.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.site.cmp(&b.site)));
+        opinions
+    }
+
+    /// Opinions that agree, sheet by sheet; of each the nearest comes first.
+    pub(super) fn sheets(&self, opinions: &[Opinion]) -> Vec<Vec<usize>> {
+        let mut sheets: Vec<Vec<usize>> = Vec::new();
+        for k in 0..opinions.len() {
+            match (sheets.iter_mut()).find(|members| self.agree(&opinions[members[0]], &opinions[k])) {
+                Some(members) => members.push(k),
+                None => sheets.push(vec![k]),
+            }
+        }
+        sheets
+    }
+
+    /// Whether two sites mean the same sheet: they differ by less than a part of what their polynomials change by from
+    /// site to place.
+    pub(super) fn agree(&self, a: &Opinion, b: &Opinion) -> bool {
+        let norm = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let change = |o: &Opinion| distance_between(&o.says.q, self.sites.q(o.site));
+        let changed = change(a).max(change(b));
+        let size = norm(&a.says.q).max(norm(&b.says.q));
+        let q = OF_CHANGE * changed + OF_SIZE * size;
+        let distance = a.distance.max(b.distance).max(SAME);
+        distance_between(&a.says.q, &b.says.q) <= q && (a.says.v - b.says.v).abs() <= q * distance
+    }
+}
+
+/// Blends what the members say, with weights that are infinite at a site and 0 at the furthest; and how far they are
+/// apart in V (weighted root mean square).
+pub(super) fn blend(n: usize, opinions: &[Opinion], members: &[usize]) -> (Prediction, f64) {
+    let first = &opinions[members[0]];
+    if first.distance < SAME || members.len() == 1 {
+        return (first.says.clone(), 0.0);
+    }
+    let reach = 1.1 * opinions[members[members.len() - 1]].distance;
+    let mut sum = Prediction {
+        v: 0.0,
+        q: vec![0.0; n],
+        hessian: vec![0.0; n * n],
+    };
+    let weights: Vec<f64> = (members.iter().map(|k| opinions[*k].distance))
+        .map(|d| ((reach - d) / (reach * d)).powi(2))
+        .collect();
+    let total: f64 = weights.iter().sum();
+    for (k, weight) in members.iter().zip(&weights) {
+        let o = &opinions[*k];
+        sum.v += weight * o.says.v;
+        for (a, b) in sum.q.iter_mut().zip(&o.says.q) {
+            *a += weight * b;
+        }
+        for (a, b) in sum.hessian.iter_mut().zip(&o.says.hessian) {
+            *a += weight * b;
+        }
+    }
+    sum.v /= total;
+    sum.q.iter_mut().chain(&mut sum.hessian).for_each(|a| *a /= total);
+    let squares = members
+        .iter()
+        .zip(&weights)
+        .map(|(k, w)| w * (opinions[*k].says.v - sum.v).powi(2));
+    let apart = (squares.sum::<f64>() / total).sqrt();
+    (sum, apart)
+}
+
+/// Whether sites lie on all sides of a place.
+pub(super) fn surrounded<'o>(n: usize, members: impl Iterator<Item = &'o Opinion>) -> bool {
+    let mut mean = vec![0.0; n];
+    let mut count = 0.0;
+    for o in members {
+        count += 1.0;
+        for (m, t) in mean.iter_mut().zip(&o.to) {
+            *m += t / o.distance.max(SAME);
+        }
+    }
+    count >= 2.0 && mean.iter().map(|m| m * m).sum::<f64>().sqrt() <= ONE_SIDED * count
+}
+
+pub(super) fn distance_between(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
