@@ -24,8 +24,12 @@ pub(super) fn text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
                 1 => String::new(),
                 n => format!(" (least of {n} solutions)"),
             };
+            let bound = match answers.support[target].bound {
+                Some(bound) => format!("; NOT THE LEAST: a flown control costs {bound:.9}"),
+                None => String::new(),
+            };
             format!(
-                "  {x}: V = {:.12}, {}{sheets}",
+                "  {x}: V = {:.12}, {}{sheets}{bound}",
                 answer.value,
                 list(&mut controls, &answer.u)
             )
@@ -55,6 +59,11 @@ pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
             "u": answer.map(|a| &a.u),
             "status": answers.status(target).name(),
             "sheets": answers.of(target).len(),
+            "support": answers.evidence(target).name(),
+            "bound": answers.support[target].bound,
+            "covered_to": Some(answers.support[target].covered_to).filter(|c| c.is_finite()),
+            "starts": answers.support[target].starts,
+            "flights": answers.support[target].flights,
             "V_sheets": answers.of(target).iter().map(|e| e.value).collect::<Vec<f64>>(),
         })
     };

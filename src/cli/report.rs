@@ -7,7 +7,7 @@ use crate::model::Model;
 use crate::output::RunRecord;
 use crate::study::Variant;
 use crate::sweep::{Plan, Sampling, SweepReport};
-use crate::value::{Answers, EqualCost, PointStatus};
+use crate::value::{Answers, EqualCost, Evidence, PointStatus};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -223,6 +223,7 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
     if answers.entries.is_empty() {
         return lines;
     }
+    lines.extend(support_text(answers));
     let residual = answers.entries.iter().map(|e| e.residual).fold(0.0, f64::max);
     let what = if done.plan.system.terminal.is_some() {
         None
@@ -239,7 +240,8 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
     let guess = if done.stored {
         String::new()
     } else {
-        format!(" (first guesses from {} swept trajectories)", done.swept.trajectories)
+        let trajectories = done.swept.trajectories + answers.searched;
+        format!(" (first guesses from {trajectories} swept trajectories)")
     };
     lines.push(format!(
         "{:.2} s solving: {:.0} states/s, {:.1} integrations of a trajectory each{guess}",
@@ -248,6 +250,27 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         answers.evaluations as f64 / answers.targets.len().max(1) as f64,
     ));
     lines
+}
+
+/// What supports that the answers are the least.
+fn support_text(answers: &Answers) -> Option<String> {
+    if answers.game {
+        return None;
+    }
+    let mut counts: BTreeMap<Evidence, usize> = BTreeMap::new();
+    for &target in &answers.targets.of_given {
+        *counts.entry(answers.evidence(target)).or_insert(0) += 1;
+    }
+    let said = |evidence: Evidence, what: &str| counts.get(&evidence).map(|n| format!("at {n} {what}"));
+    let parts = [
+        said(Evidence::Covered, "by the whole swept manifold up to it"),
+        said(Evidence::NotUndercut, "by nothing tried being cheaper"),
+        said(Evidence::Undercut, "NOT: a flown control is cheaper"),
+    ];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    let flights: u64 = answers.support.iter().map(|s| u64::from(s.flights)).sum();
+    let told = format!("that V is the least is supported {}; {flights} controls flown", parts.join(", "));
+    (!parts.is_empty()).then_some(told)
 }
 
 /// The first few states that were not solved, with the reason and how far a continuation came.

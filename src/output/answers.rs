@@ -1,8 +1,8 @@
 //! The groups `/points`, `/points_sheets`, `/map`, `/equal_cost` and `/folds`.
 
 use super::trajectories::{Axis, common, quotient, with_axes};
-use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Variable};
-use crate::value::{Answers, Entry, Grid, PointStatus};
+use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Values, Variable};
+use crate::value::{Answers, Entry, Evidence, Grid, PointStatus};
 
 const NO_SHEET: i32 = -1;
 
@@ -95,6 +95,60 @@ pub(super) fn status<'d>(dims: impl IntoIterator<Item = &'d str>) -> Variable {
         .flags(PointStatus::ALL.map(|(s, name)| (s as i32, name)))
 }
 
+/// What supports that V is the least.
+fn support(group: Group, names: &Names<'_>, dims: &[&str]) -> Group {
+    let over = || dims.iter().copied();
+    group
+        .variable(
+            Variable::i32("evidence", over())
+                .long_name("what supports that V is the least")
+                .flags(Evidence::ALL.map(|(e, name)| (e as i32, name))),
+        )
+        .variable(
+            Variable::f64("covered_to", over())
+                .unit(&names.cost)
+                .long_name("cost below which all of the swept manifold over the state was searched"),
+        )
+        .variable(
+            Variable::f64("bound", over())
+                .unit(&names.cost)
+                .long_name("cost of a flown control that undercuts V"),
+        )
+        .variable(Variable::i32("starts", over()).long_name("first guesses tried"))
+        .variable(Variable::i32("flights", over()).long_name("controls flown"))
+}
+
+/// Columns of what supports some points.
+#[derive(Default)]
+struct SupportColumns {
+    evidence: Vec<i32>,
+    covered_to: Vec<f64>,
+    bound: Vec<f64>,
+    starts: Vec<i32>,
+    flights: Vec<i32>,
+}
+
+impl SupportColumns {
+    fn push(&mut self, answers: &Answers, target: usize) {
+        let support = &answers.support[target];
+        self.evidence.push(answers.evidence(target) as i32);
+        self.covered_to.push(support.covered_to);
+        self.bound.push(support.bound.unwrap_or(f64::NAN));
+        self.starts.push(support.starts as i32);
+        self.flights.push(support.flights as i32);
+    }
+
+    fn columns(&self) -> [(&'static str, Values<'_>); 5] {
+        [
+            ("evidence", (&self.evidence).into()),
+            ("covered_to", (&self.covered_to).into()),
+            ("bound", (&self.bound).into()),
+            ("starts", (&self.starts).into()),
+            ("flights", (&self.flights).into()),
+        ]
+    }
+}
+
 /// Columns of the solutions of some points.
 #[derive(Default)]
 struct Columns {
@@ -166,13 +220,16 @@ impl ResultFile {
                 &["point", "state"],
                 "the point itself, or the furthest state reached on the way to it",
             ));
+        group = support(group, &names, &["point"]);
         let mut columns = Columns::default();
+        let mut supports = SupportColumns::default();
         let (mut x0, mut furthest) = (Vec::new(), Vec::new());
         let (mut iterations, mut sheets) = (Vec::new(), Vec::new());
         let (mut residual, mut h) = (Vec::new(), Vec::new());
         for &target in given {
             let entry = answers.answer(target);
             columns.push(&names, entry, answers.status(target));
+            supports.push(answers, target);
             let state = answers.targets.state(target);
             x0.extend_from_slice(state);
             match &answers.misses[target] {
@@ -200,6 +257,7 @@ impl ResultFile {
             ("sheets", (&sheets).into()),
             ("furthest", (&furthest).into()),
         ];
+        values.extend(supports.columns());
         if !schema.controls.is_empty() {
             values.push(("u", (&columns.u).into()));
         }
@@ -276,7 +334,9 @@ impl ResultFile {
         }
         group = names.axes(group);
         group = names.solution(group, &dims).variable(status(dims.iter().copied()));
+        group = support(group, &names, &dims);
         let mut columns = Columns::default();
+        let mut supports = SupportColumns::default();
         for k in 0..grid.len() {
             let target = answers.targets.of_given[first + k];
             let lowest = answers.answer(target);
@@ -286,8 +346,12 @@ impl ResultFile {
                 _ => answers.status(target),
             };
             columns.push(&names, entry, status);
+            supports.push(answers, target);
         }
         let mut writer = self.group(&group)?;
+        for (name, values) in supports.columns() {
+            writer.write(name, values)?;
+        }
         writer.write("V", &columns.value)?;
         writer.write("p", &columns.p)?;
         if !schema.controls.is_empty() {

@@ -27,7 +27,9 @@ pub use extremal::Extremal;
 pub use fold::Fold;
 pub use march::march;
 pub use sampled::sampled;
-pub use solve::{Answers, Entry, EqualCost, Request, goes_without_sweep, may_need_sweep, guess_seeds, solve, solver, spaced};
+pub use solve::{
+    Answers, Entry, EqualCost, Evidence, Request, goes_without_sweep, guess_seeds, may_need_sweep, solve, solver, spaced,
+};
 pub use states::{StatesError, solve_states, solve_states_folding};
-pub use survey::{Miss, PointStatus, Progress, Survey, Wanted};
+pub use survey::{Miss, PointStatus, Progress, Support, Survey, Wanted};
 pub use targets::{Grid, Targets};

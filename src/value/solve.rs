@@ -4,7 +4,7 @@ use super::archive::{Archive, segment_duration};
 use super::cover::Cover;
 use super::equal_cost::BoundaryPoint;
 use super::fold::Fold;
-use super::survey::{Miss, PointStatus, Progress, Survey, Wanted};
+use super::survey::{Miss, PointStatus, Progress, Support, Survey, Wanted};
 use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
@@ -75,6 +75,34 @@ pub struct EqualCost {
     pub u: [Vec<f64>; 2],
 }
 
+/// What supports that an answer is the least.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(i32)]
+pub enum Evidence {
+    /// There is no answer, or it is the answer of a game.
+    None = 0,
+    /// Every cell of the swept manifold over the state was followed up to the answer's cost: at that resolution there is no
+    /// cheaper extremal.
+    Covered = 1,
+    /// Nothing that was tried costs less.
+    NotUndercut = 2,
+    /// A control that was flown costs less.
+    Undercut = 3,
+}
+
+impl Evidence {
+    pub const ALL: [(Evidence, &'static str); 4] = [
+        (Evidence::None, "none"),
+        (Evidence::Covered, "covered"),
+        (Evidence::NotUndercut, "not_undercut"),
+        (Evidence::Undercut, "undercut"),
+    ];
+
+    pub fn name(self) -> &'static str {
+        Evidence::ALL.iter().find(|(e, _)| *e == self).map_or("?", |(_, n)| n)
+    }
+}
+
 /// What was found.
 pub struct Answers {
     /// Whether H is `min max`, and the cheapest of several sheets is not the answer (see [`Self::answer`]).
@@ -87,6 +115,10 @@ pub struct Answers {
     /// First entry of each target, and the end.
     pub first: Vec<usize>,
     pub misses: Vec<Option<Miss>>,
+    /// What supports that the answer at each target is the least.
+    pub support: Vec<Support>,
+    /// Trajectories that the search integrated.
+    pub searched: usize,
     pub equal_cost: Vec<EqualCost>,
     /// States absolute.
     pub folds: Vec<Fold>,
@@ -133,6 +165,7 @@ impl Answers {
             (None, _) if self.game => self.unanswered(target),
             (Some(answer), _) if answer.value > self.targets.limits[target] => PointStatus::AboveMax,
             (Some(_), _) if self.game => PointStatus::Converged,
+            (Some(_), _) if self.support[target].bound.is_some() => PointStatus::Undercut,
             (_, Some(miss)) => miss.status,
             (_, None) => PointStatus::Converged,
         }
@@ -143,6 +176,18 @@ impl Answers {
         (0..self.targets.len()).any(|t| {
             self.of(t).is_empty() && !matches!(self.status(t), PointStatus::OutsideGuard | PointStatus::AboveMax)
         })
+    }
+
+    /// What supports that the answer at a target is the least, in a word.
+    pub fn evidence(&self, target: usize) -> Evidence {
+        let support = &self.support[target];
+        match self.answer(target) {
+            None => Evidence::None,
+            Some(_) if self.game => Evidence::None,
+            Some(_) if support.bound.is_some() => Evidence::Undercut,
+            Some(answer) if answer.value <= support.covered_to => Evidence::Covered,
+            Some(_) => Evidence::NotUndercut,
+        }
     }
 
     /// Targets with an answer.
@@ -337,6 +382,8 @@ pub fn solve(
         principal: (!survey.principal.is_empty()).then_some(principal),
         sheets: survey.sheet.iter().copied().max().map_or(0, |s| s as usize + 1),
         misses: survey.misses.clone(),
+        support: (0..targets.len()).map(|t| survey.support(t)).collect(),
+        searched: cover.as_ref().map_or(0, Cover::trajectories),
         evaluations: survey.evaluations,
         work: solver.work,
         seconds: clock.elapsed().as_secs_f64(),

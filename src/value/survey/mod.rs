@@ -6,6 +6,7 @@
 //! continuation joins have the same label (`label`). In a game only the sheet of the equilibrium counts (`principal`).
 
 mod admissible;
+mod checked;
 mod covered;
 mod folds;
 mod label;
@@ -16,6 +17,7 @@ mod status;
 mod swept;
 mod windings;
 
+pub use checked::Support;
 pub use status::{Miss, PointStatus};
 
 use super::approach::{Approach, Unreached, follow};
@@ -87,6 +89,9 @@ pub struct Survey<'a> {
     pub starts: Vec<u32>,
     /// Cost up to which the manifold was searched for extremals of each target; 0: not at all.
     pub searched: Vec<f64>,
+    /// Least cost of a control that undercuts the least V of a target, and how many were flown.
+    bounds: Vec<Option<f64>>,
+    flights: Vec<u32>,
     /// Trajectories from which ways to a target were tried.
     pub(super) tried: HashSet<(usize, u32)>,
     /// Cost from which on the search of each target was not complete.
@@ -137,6 +142,8 @@ impl<'a> Survey<'a> {
             starts: vec![0; targets.len()],
             searched: vec![0.0; targets.len()],
             uncovered: vec![f64::INFINITY; targets.len()],
+            bounds: vec![None; targets.len()],
+            flights: vec![0; targets.len()],
             members: HashMap::new(),
             tried: HashSet::new(),
             groups: Groups::default(),
@@ -207,6 +214,8 @@ impl<'a> Survey<'a> {
             self.around_folds(solver, wanted, progress)?;
         }
         tell("folds", self);
+        self.check_by_flights(solver, progress)?;
+        tell("flights", self);
         self.label();
         Ok(())
     }

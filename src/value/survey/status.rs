@@ -25,10 +25,12 @@ pub enum PointStatus {
     SeveralSheets = 9,
     /// Of a game: the cost is negative there, which certifies nothing.
     NegativeValue = 10,
+    /// A control that was flown costs less than the least V found, and nothing that costs as little was found from it.
+    Undercut = 11,
 }
 
 impl PointStatus {
-    pub const ALL: [(PointStatus, &'static str); 11] = [
+    pub const ALL: [(PointStatus, &'static str); 12] = [
         (PointStatus::Converged, "converged"),
         (PointStatus::OutsideGuard, "outside_guard"),
         (PointStatus::LeavesGuard, "leaves_guard"),
@@ -40,6 +42,7 @@ impl PointStatus {
         (PointStatus::AboveMax, "above_value_max"),
         (PointStatus::SeveralSheets, "several_sheets"),
         (PointStatus::NegativeValue, "negative_value"),
+        (PointStatus::Undercut, "undercut"),
     ];
 
     pub fn name(self) -> &'static str {
