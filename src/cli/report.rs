@@ -258,7 +258,8 @@ fn support_text(answers: &Answers) -> Option<String> {
         return None;
     }
     let mut counts: BTreeMap<Evidence, usize> = BTreeMap::new();
-    for &target in &answers.targets.of_given {
+    let of_interest = |t: &&usize| answers.status(**t) != PointStatus::AboveMax;
+    for &target in answers.targets.of_given.iter().filter(of_interest) {
         *counts.entry(answers.evidence(target)).or_insert(0) += 1;
     }
     let said = |evidence: Evidence, what: &str| counts.get(&evidence).map(|n| format!("at {n} {what}"));

@@ -243,6 +243,7 @@ impl<'a> Cover<'a> {
         let first: Vec<u32> = self.base.iter().flatten().copied().collect();
         self.fan.integrate(&first, BEYOND * ceiling)?;
         let mut made = 0;
+        let clock = std::time::Instant::now();
         while !open.is_empty() {
             let gaps: Vec<(f64, u32, u32)> = open.par_iter().map(|s| self.widest(s, ceiling)).collect();
             let mut next = Vec::new();
@@ -265,7 +266,7 @@ impl<'a> Cover<'a> {
             open = next;
         }
         if std::env::var_os("COSTATE_DEBUG").is_some() {
-            eprintln!("  first to {ceiling}: {} simplices, {made} seeds made", done.len());
+            eprintln!("  first to {ceiling}: {} simplices, {made} seeds made {:.3} s", done.len(), clock.elapsed().as_secs_f64());
         }
         (self.roots, self.divided_to) = (done, ceiling);
         Ok(())

@@ -7,7 +7,7 @@ use crate::value::nearest;
 use rayon::prelude::*;
 
 /// Points of one trajectory between two that are looked up.
-const EVERY: usize = 2;
+const EVERY: usize = 4;
 /// Points looked at, and those of them that are offered, a state.
 const MOST_NEAR: usize = 96;
 const MOST_OFFERED: usize = 6;
@@ -51,7 +51,11 @@ impl Cover<'_> {
         if places.is_empty() {
             return Ok(Vec::new());
         }
+        let clock = std::time::Instant::now();
         let tree = nearest::index(&x, n);
+        if std::env::var_os("COSTATE_DEBUG").is_some() {
+            eprintln!("  tree of {} points: {:.3} s", places.len(), clock.elapsed().as_secs_f64());
+        }
         let copies = self.copies_within(sought, &extent);
         let this = &*self;
         let mut found: Vec<Candidate> = copies
