@@ -22,7 +22,7 @@ pub use conjugate::ConjugatePoints;
 pub use equal_cost::BoundaryPoint;
 pub use extremal::Extremal;
 pub use fold::Fold;
-pub use march::march;
+pub use march::{Marched, march};
 pub use sampled::sampled;
 pub use solve::{Answers, Entry, EqualCost, Request, goes_without_sweep, guess_seeds, solve, solver, spaced};
 pub use states::{StatesError, solve_states, solve_states_folding};
