@@ -69,17 +69,21 @@ fn check(text: &str, points: &[f64], exact: impl Fn(f64, &[f64]) -> f64) {
     }
 }
 
+/// CUTEst, HAGER2 family: V = tanh(T) x^2 / 2.
+const HAGER: &str = r#"
+    states = { x = {} }
+    controls = { u = {} }
+    dynamics = { x = "0.5*x + u" }
+    cost = { running = "0.5*(1.25*x^2 + x*u + u^2)", final_time = HORIZON, terminal = "0" }
+    region = { x = [-2, 2] }
+    shoot_out = { spacing = 0.05, samples = 20 }
+"#;
+
 #[test]
 fn hager() {
-    let text = r#"
-        states = { x = {} }
-        controls = { u = {} }
-        dynamics = { x = "0.5*x + u" }
-        cost = { running = "0.5*(1.25*x^2 + x*u + u^2)", final_time = HORIZON, terminal = "0" }
-        region = { x = [-2, 2] }
-        shoot_out = { spacing = 0.05, samples = 20 }
-    "#;
-    check(text, &[1.0, -0.7, 1.9, 0.01], |time, x| 0.5 * time.tanh() * x[0] * x[0]);
+    check(HAGER, &[1.0, -0.7, 1.9, 0.01], |time, x| {
+        0.5 * time.tanh() * x[0] * x[0]
+    });
 }
 
 #[test]
@@ -188,6 +192,8 @@ fn linear_quadratic_up_to_long_horizons() {
 /// A path of the archive lasts as long as the horizon to the last bit, also where levels are no multiples of anything.
 #[test]
 fn archived_paths_have_the_horizon() {
+    // The longer the horizon, the fewer trajectories end near the region.
+    let mut paths = 0;
     for time in HORIZONS {
         let swept = Swept::new(scene("finite_horizon", &[("T", &format!("{time:?}"))]), 100);
         let plan = &swept.plan;
@@ -196,12 +202,28 @@ fn archived_paths_have_the_horizon() {
         let index = Index::new(&swept.archive, &plan.widths, &all, plan.shoot_out.spacing);
         let end = End::new(&plan.system, None);
         let near = index.near(&[0.1, 0.2], f64::INFINITY, 40);
-        assert!(near.len() > 10, "{} trajectories", near.len());
+        paths += near.len();
         for (place, _) in near {
             let path = swept.archive.path(place, &end, 1.0, segment_duration(plan));
             assert_eq!(path.horizon(), time);
         }
     }
+    assert!(paths > 40, "{paths} paths");
+}
+
+/// A sampled solution lasts as long as the horizon to the last bit, and nothing is left to pay at its end.
+#[test]
+fn sampled_solutions_have_the_horizon() {
+    let model = with_horizon(HAGER, 0.7);
+    let (plan, answers) = solved(&model, &[1.0]);
+    let mut solver = value::solver(&plan, &Cpu::new()).expect("the CPU compiles everything");
+    let entry = given(&answers, 0).expect("solved");
+    let block = value::sampled(&plan, &mut solver, &[entry], 11).expect("the CPU works");
+    assert_eq!((block.t[0], block.t[10]), (-0.7, 0.0));
+    // Segments are integrated in units of their own size: x comes back but for rounding.
+    assert!((block.x[0] - 1.0).abs() <= 2.0 * f64::EPSILON, "{}", block.x[0]);
+    assert!((block.v[0] - entry.value).abs() <= EXACT * entry.value);
+    assert!(block.v[10].abs() <= EXACT, "left: {}", block.v[10]);
 }
 
 const SATELLITE: &str = r#"

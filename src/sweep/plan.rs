@@ -1,6 +1,6 @@
 //! What a scene's sweep integrates, with which tolerances, and where its trajectories are sampled and end.
 
-use super::surface::Surface;
+use super::surface::{Surface, corners};
 use crate::backend::{Backend, By, Guards, Run, Spec, Status};
 use crate::expr::{Id, Kind};
 use crate::hamiltonian::{Hamiltonian, Slope, System, infinite};
@@ -503,16 +503,6 @@ fn largest_at_corners(p: &nalgebra::DMatrix<f64>, region: &[[f64; 2]]) -> f64 {
             .sum::<f64>()
     };
     corners(n).map(|c| at(&c)).fold(0.0, f64::max)
-}
-
-/// Corners of a box in n dimensions, as lower (`false`) or upper along each: all of them up to [`MOST_STATES`], above it
-/// as many, drawn the same in every run.
-pub(super) fn corners(n: usize) -> impl Iterator<Item = Vec<bool>> {
-    let all = n <= MOST_STATES;
-    (0..1usize << n.min(MOST_STATES)).map(move |c| {
-        let drawn = |i: usize| ((c as f64 + 0.5) * (i as f64 + 2.0).sqrt()).fract() >= 0.5;
-        (0..n).map(|i| if all { c >> i & 1 == 1 } else { drawn(i) }).collect()
-    })
 }
 
 /// Levels between the seeds' V and the first one asked for, each a few times the one before.

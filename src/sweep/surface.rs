@@ -2,6 +2,7 @@
 
 use super::complex::{Complex, Edge, Vertex};
 use super::plan::corners;
+use super::sample::random;
 use crate::hamiltonian::{System, Terminal};
 use crate::local::LocalSolution;
 use crate::program::Program;
@@ -10,6 +11,8 @@ use crate::program::Program;
 const INITIAL: usize = 64;
 /// States up to which the initial surface is refined before the sweep.
 const FEW_STATES: usize = 6;
+/// Dimensions up to which all corners of a box are looked at.
+const ALL_CORNERS: usize = 10;
 /// Guard values within this, relative to the seed's size, are zero but for rounding.
 const ROUNDING: f64 = 1e-10;
 
@@ -247,6 +250,16 @@ impl Surface {
             .filter(|v| v.is_finite())
             .fold(0.0, f64::max)
     }
+}
+
+/// Corners of a box in n dimensions, as lower (`false`) or upper along each: all of them up to [`ALL_CORNERS`], above it
+/// as many, drawn the same in every run.
+pub(super) fn corners(n: usize) -> impl Iterator<Item = Vec<bool>> {
+    let all = n <= ALL_CORNERS;
+    (0..1usize << n.min(ALL_CORNERS)).map(move |c| {
+        let drawn = |i: usize| random(c as u64, i as u64) & 1 == 1;
+        (0..n).map(|i| if all { c >> i & 1 == 1 } else { drawn(i) }).collect()
+    })
 }
 
 /// Whether a guard with this value is kept.

@@ -40,17 +40,16 @@ const SHORT: f64 = 1.0 / 1024.0;
 /// Marches that go on together.
 const COHORT: usize = 1024;
 
+/// What comes of one state: the problem with its path, and its solution.
+pub type Marched = Result<(Job, Solved), Failure>;
+
 /// Solves a finite-horizon plan's boundary value problem from each of some states (deviations, n each): by continuation
 /// in the horizon, and where that fails by continuation from a state near the reference point. What comes of a state does
 /// not depend on the others. On an infinite horizon every state fails with [`Failure::Horizon`].
 ///
 /// # Errors
 /// Device failures only.
-pub fn march(
-    solver: &mut Solver,
-    plan: &Plan,
-    starts: &[Vec<f64>],
-) -> Result<Vec<Result<(Job, Solved), Failure>>, BackendError> {
+pub fn march(solver: &mut Solver, plan: &Plan, starts: &[Vec<f64>]) -> Result<Vec<Marched>, BackendError> {
     let Some(terminal) = &plan.system.terminal else {
         return Ok(starts.iter().map(|_| Err(Failure::Horizon)).collect());
     };
@@ -141,15 +140,11 @@ struct March {
     step: f64,
     rounds: u32,
     evaluations: u32,
-    outcome: Option<Result<(Job, Solved), Failure>>,
+    outcome: Option<Marched>,
 }
 
 /// Continuation in the horizon of all states together.
-fn lengthened(
-    solver: &mut Solver,
-    field: &Field,
-    starts: &[Vec<f64>],
-) -> Result<Vec<Result<(Job, Solved), Failure>>, BackendError> {
+fn lengthened(solver: &mut Solver, field: &Field, starts: &[Vec<f64>]) -> Result<Vec<Marched>, BackendError> {
     let mut marches: Vec<March> = starts.iter().map(|s| March::new(solver, field, s)).collect();
     loop {
         let (mut owners, mut horizons, mut jobs) = (Vec::new(), Vec::new(), Vec::new());
@@ -313,7 +308,7 @@ fn from_nearer(
     solver: &mut Solver,
     field: &Field,
     starts: &[Vec<f64>],
-    found: &mut [Result<(Job, Solved), Failure>],
+    found: &mut [Marched],
 ) -> Result<(), BackendError> {
     let open: Vec<usize> = (0..starts.len()).filter(|k| found[*k].is_err()).collect();
     if open.is_empty() {

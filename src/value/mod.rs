@@ -25,7 +25,7 @@ pub use cover::Cover;
 pub use equal_cost::BoundaryPoint;
 pub use extremal::Extremal;
 pub use fold::Fold;
-pub use march::march;
+pub use march::{Marched, march};
 pub use sampled::sampled;
 pub use solve::{
     Answers, Entry, EqualCost, Evidence, Request, goes_without_sweep, guess_seeds, may_need_sweep, solve, solver, spaced,

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 const STEP: [f64; 2] = [2.0, 4.0];
 /// First and last of these costs, in the cover's unit.
 const LOWEST: f64 = 1e-6;
-const HIGHEST: f64 = 256.0;
+const HIGHEST: [f64; 2] = [256.0, 16.0];
 const FIRST_FINITE: f64 = 1.0 / 4096.0;
 /// The first search of a target goes to this share of what the linearization expects.
 const FIRST: f64 = 1.0 / 64.0;
@@ -25,7 +25,7 @@ const FROM_CELL: f64 = 1.0 / 16.0;
 /// The same from a trajectory near the target.
 const FROM_POINT: f64 = 1.0 / 16.0;
 /// Guesses near a target are tried up to this many times its least V where all sheets are looked for.
-const SHEETS: f64 = 4.0;
+const SHEETS: f64 = 1.5;
 /// A solution explains a guess whose adjoint differs by less than this share of the spread within the cell, and of its size.
 const WITHIN: f64 = 0.6;
 const ALIKE: f64 = 0.02;
@@ -55,9 +55,10 @@ impl Survey<'_> {
             return self.search(solver, cover, &all, f64::INFINITY, wanted, progress);
         }
         self.from_within_seeds(solver, cover)?;
-        let step = STEP[usize::from(!cover.has_cells())];
+        let kind = usize::from(!cover.has_cells());
+        let step = STEP[kind];
         let stage_of = |share: f64| share.log(step).ceil() as i32;
-        let (lowest, highest) = (stage_of(LOWEST), stage_of(HIGHEST));
+        let (lowest, highest) = (stage_of(LOWEST), stage_of(HIGHEST[kind]));
         let first: Vec<i32> = (0..self.targets.len())
             .map(|t| stage_of(self.expected(t, cover.unit)).clamp(lowest, highest))
             .collect();
@@ -82,7 +83,7 @@ impl Survey<'_> {
         let s: Vec<f64> = (self.state(target, 0).iter().zip(&self.plan.periods))
             .map(|(s, period)| period.map_or(*s, |p| s - p * (s / p).round()))
             .collect();
-        (FIRST * local.quadratic(&s) / unit).clamp(LOWEST, HIGHEST)
+        (FIRST * local.quadratic(&s) / unit).clamp(LOWEST, HIGHEST[0])
     }
 
     /// Whether nothing that costs more than `ceiling` is of interest at a target.
