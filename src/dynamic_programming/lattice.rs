@@ -1,0 +1,402 @@
+//! A regular lattice of states and interpolation on it.
+
+use std::array::from_fn;
+
+/// States of a grid at most.
+pub const MOST_STATES: usize = 4;
+/// Vertices of a cell at most.
+const VERTICES: usize = 1 << MOST_STATES;
+/// A neighbour that a lattice does not have.
+const ABSENT: usize = usize::MAX;
+/// Steps by which a point may lie outside by rounding.
+const SLACK: f64 = 1e-9;
+/// Intervals of an axis at least.
+const LEAST_INTERVALS: f64 = 4.0;
+
+/// One axis, as deviations from the reference. The reference itself is a node wherever the axis holds it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Axis {
+    pub first: f64,
+    pub step: f64,
+    pub count: usize,
+    /// `count * step` is the period then, and the last node is followed by the first.
+    pub period: Option<f64>,
+}
+
+impl Axis {
+    /// An axis over `[lo, hi]` with about `count` nodes, or over a whole period.
+    pub fn new([lo, hi]: [f64; 2], count: usize, period: Option<f64>) -> Self {
+        if let Some(period) = period {
+            let count = count.max(LEAST_INTERVALS as usize);
+            let step = period / count as f64;
+            return Self {
+                first: -step * (count / 2) as f64,
+                step,
+                count,
+                period: Some(period),
+            };
+        }
+        let intervals = (count.max(2) as f64 - 1.0).max(LEAST_INTERVALS);
+        let step = (hi - lo) / intervals;
+        // Rounding must not add a node.
+        let whole = |x: f64| (x / step - 1e-6).ceil();
+        let (below, above) = if lo <= 0.0 && hi >= 0.0 {
+            (whole(-lo), whole(hi))
+        } else {
+            (-lo / step, hi / step)
+        };
+        Self {
+            first: -below * step,
+            step,
+            count: (below + above).round() as usize + 1,
+            period: None,
+        }
+    }
+
+    pub fn at(&self, node: usize) -> f64 {
+        self.first + self.step * node as f64
+    }
+
+    /// The nearest copy of a deviation to the reference.
+    pub fn wrapped(&self, s: f64) -> f64 {
+        self.period.map_or(s, |period| s - period * (s / period).round())
+    }
+}
+
+/// Axes and the order of the nodes: the last axis runs fastest.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lattice {
+    pub axes: Vec<Axis>,
+    strides: Vec<usize>,
+}
+
+/// Where a point lies: offsets of the nodes about it along each axis, and how far it is between the two nearest (0 to 1).
+#[derive(Clone, Copy, Debug)]
+pub struct Cell<const N: usize> {
+    lower: [usize; N],
+    upper: [usize; N],
+    before: [usize; N],
+    after: [usize; N],
+    fraction: [f64; N],
+}
+
+impl Lattice {
+    pub fn new(axes: Vec<Axis>) -> Self {
+        let mut strides = vec![1; axes.len()];
+        for i in (1..axes.len()).rev() {
+            strides[i - 1] = strides[i] * axes[i].count;
+        }
+        Self { axes, strides }
+    }
+
+    /// How far apart in the order of the nodes the neighbours along each axis are.
+    pub fn strides(&self) -> &[usize] {
+        &self.strides
+    }
+
+    /// Number of axes n.
+    pub fn states(&self) -> usize {
+        self.axes.len()
+    }
+
+    /// Number of nodes.
+    pub fn len(&self) -> usize {
+        self.axes.iter().map(|a| a.count).product()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The state at a node.
+    pub fn node(&self, index: usize) -> Vec<f64> {
+        let along = |(axis, stride): (&Axis, &usize)| axis.at(index / stride % axis.count);
+        self.axes.iter().zip(&self.strides).map(along).collect()
+    }
+
+    /// The node one step along an axis; the node itself at the lattice's border.
+    pub fn neighbour(&self, index: usize, axis: usize, forward: bool) -> usize {
+        let (a, stride) = (&self.axes[axis], self.strides[axis]);
+        let k = index / stride % a.count;
+        let next = match (forward, a.period.is_some()) {
+            (true, _) if k + 1 < a.count => k + 1,
+            (true, true) => 0,
+            (false, _) if k > 0 => k - 1,
+            (false, true) => a.count - 1,
+            _ => k,
+        };
+        index - k * stride + next * stride
+    }
+
+    /// The node nearest to a state inside.
+    pub fn nearest(&self, s: &[f64]) -> Option<usize> {
+        let mut node = 0;
+        for ((axis, stride), s) in self.axes.iter().zip(&self.strides).zip(s) {
+            let k = ((s - axis.first) / axis.step).round();
+            let k = match axis.period {
+                Some(_) => k.rem_euclid(axis.count as f64),
+                None => k,
+            };
+            if !(k >= 0.0 && k < axis.count as f64) {
+                return None;
+            }
+            node += k as usize * stride;
+        }
+        Some(node)
+    }
+
+    /// The nearest copy of a state to the reference.
+    pub fn wrapped(&self, s: &[f64]) -> Vec<f64> {
+        self.axes.iter().zip(s).map(|(a, s)| a.wrapped(*s)).collect()
+    }
+
+    /// The cell that holds a point; `None` outside and for what is not a number.
+    #[inline]
+    pub fn locate<const N: usize>(&self, s: &[f64]) -> Option<Cell<N>> {
+        let mut cell = Cell {
+            lower: [0; N],
+            upper: [0; N],
+            before: [ABSENT; N],
+            after: [ABSENT; N],
+            fraction: [0.0; N],
+        };
+        for i in 0..N {
+            let (axis, stride) = (&self.axes[i], self.strides[i]);
+            let mut x = (s[i] - axis.first) / axis.step;
+            let count = axis.count;
+            if axis.period.is_some() {
+                x -= count as f64 * (x / count as f64).floor();
+            }
+            let last = if axis.period.is_some() { count } else { count - 1 };
+            if !(x >= -SLACK && x <= last as f64 + SLACK) {
+                return None;
+            }
+            let k = (x as usize).min(last - 1);
+            cell.fraction[i] = (x - k as f64).clamp(0.0, 1.0);
+            cell.lower[i] = k * stride;
+            if axis.period.is_some() {
+                cell.upper[i] = (k + 1) % count * stride;
+                cell.before[i] = (k + count - 1) % count * stride;
+                cell.after[i] = (k + 2) % count * stride;
+            } else {
+                cell.upper[i] = (k + 1) * stride;
+                if k > 0 {
+                    cell.before[i] = (k - 1) * stride;
+                }
+                if k + 2 < count {
+                    cell.after[i] = (k + 2) * stride;
+                }
+            }
+        }
+        Some(cell)
+    }
+}
+
+/// Values at the vertices of a cell: bit i of a vertex's number says whether it is the upper one along axis i.
+struct Vertices<const N: usize> {
+    index: [usize; VERTICES],
+    value: [f64; VERTICES],
+}
+
+impl<const N: usize> Vertices<N> {
+    #[inline]
+    fn new<T: Copy + Into<f64>>(cell: &Cell<N>, values: &[T]) -> Self {
+        let mut index = [0; VERTICES];
+        index[0] = cell.lower.iter().sum();
+        for i in 0..N {
+            for j in 0..1 << i {
+                index[j | 1 << i] = index[j] + cell.upper[i] - cell.lower[i];
+            }
+        }
+        let value = from_fn(|j| if j < 1 << N { values[index[j]].into() } else { 0.0 });
+        Self { index, value }
+    }
+
+    #[inline]
+    fn multilinear(&self, cell: &Cell<N>) -> f64 {
+        let mut v = self.value;
+        for i in (0..N).rev() {
+            for j in 0..1 << i {
+                v[j] += cell.fraction[i] * (v[j | 1 << i] - v[j]);
+            }
+        }
+        v[0]
+    }
+
+    fn range(&self) -> (f64, f64) {
+        let all = self.value[..1 << N].iter();
+        all.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), v| {
+            (lo.min(*v), hi.max(*v))
+        })
+    }
+
+    /// Second differences along each axis on the line of vertices nearest to the point: the one of least size of the two
+    /// about the cell, 0 where their signs differ (at a kink, which no parabola should follow).
+    #[inline]
+    fn curvature<T: Copy + Into<f64>>(&self, cell: &Cell<N>, values: &[T]) -> [f64; N] {
+        let mut near = 0;
+        for i in 0..N {
+            near |= usize::from(cell.fraction[i] >= 0.5) << i;
+        }
+        from_fn(|i| {
+            let (low, high) = (near & !(1 << i), near | 1 << i);
+            let (v0, v1) = (self.value[low], self.value[high]);
+            let at = |offset: usize| -> f64 { values[self.index[low] - cell.lower[i] + offset].into() };
+            let left = (cell.before[i] != ABSENT).then(|| v1 - 2.0 * v0 + at(cell.before[i]));
+            let right = (cell.after[i] != ABSENT).then(|| at(cell.after[i]) - 2.0 * v1 + v0);
+            match (left, right) {
+                (Some(a), Some(b)) if a * b <= 0.0 => 0.0,
+                (Some(a), Some(b)) => {
+                    if a.abs() < b.abs() {
+                        a
+                    } else {
+                        b
+                    }
+                }
+                (a, b) => a.or(b).unwrap_or(0.0),
+            }
+        })
+    }
+
+    /// The multilinear interpolant's slopes by the fractions.
+    fn slopes(&self, cell: &Cell<N>) -> [f64; N] {
+        from_fn(|i| {
+            let weight = |j: usize| -> f64 {
+                (0..N)
+                    .map(|k| match (k == i, j >> k & 1) {
+                        (true, 0) => -1.0,
+                        (true, _) => 1.0,
+                        (false, 0) => 1.0 - cell.fraction[k],
+                        (false, _) => cell.fraction[k],
+                    })
+                    .product()
+            };
+            (0..1usize << N).map(|j| weight(j) * self.value[j]).sum()
+        })
+    }
+}
+
+/// The correction of a multilinear value by the second differences along the axes, which makes it exact for quadratics; at
+/// most half of what the vertices differ by.
+#[inline]
+fn correction<const N: usize>(cell: &Cell<N>, curvature: &[f64; N], (lo, hi): (f64, f64)) -> f64 {
+    let mut sum = 0.0;
+    for i in 0..N {
+        sum -= 0.5 * cell.fraction[i] * (1.0 - cell.fraction[i]) * curvature[i];
+    }
+    let most = 0.5 * (hi - lo);
+    sum.clamp(-most, most)
+}
+
+/// How values between nodes are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Multilinear: monotone, first order over a whole trajectory.
+    Linear,
+    /// With second differences along the axes, where both sides of a cell have them.
+    Curved,
+}
+
+/// The value at a point of a cell.
+#[inline]
+pub fn interpolate<const N: usize, T: Copy + Into<f64>>(values: &[T], cell: &Cell<N>, order: Order) -> f64 {
+    let vertices = Vertices::new(cell, values);
+    let linear = vertices.multilinear(cell);
+    match order {
+        Order::Linear => linear,
+        Order::Curved => linear + correction(cell, &vertices.curvature(cell, values), vertices.range()),
+    }
+}
+
+/// The gradient of the curved interpolant.
+pub fn slope<const N: usize, T: Copy + Into<f64>>(lattice: &Lattice, values: &[T], cell: &Cell<N>) -> [f64; N] {
+    let vertices = Vertices::new(cell, values);
+    let (slopes, curvature) = (vertices.slopes(cell), vertices.curvature(cell, values));
+    let (lo, hi) = vertices.range();
+    from_fn(|i| {
+        let bend = (0.5 * curvature[i]).clamp(lo - hi, hi - lo);
+        (slopes[i] - bend * (1.0 - 2.0 * cell.fraction[i])) / lattice.axes[i].step
+    })
+}
+
+/// The largest value at a cell's vertices.
+pub fn largest<const N: usize, T: Copy + Into<f64>>(values: &[T], cell: &Cell<N>) -> f64 {
+    Vertices::new(cell, values).range().1
+}
+
+/// Calls a function generic over the number of states with the number in hand.
+macro_rules! by_states {
+    ($n:expr, $function:ident ( $($argument:expr),* $(,)? )) => {
+        match $n {
+            1 => $function::<1>($($argument),*),
+            2 => $function::<2>($($argument),*),
+            3 => $function::<3>($($argument),*),
+            _ => $function::<4>($($argument),*),
+        }
+    };
+}
+pub(crate) use by_states;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lattice() -> Lattice {
+        Lattice::new(vec![
+            Axis::new([-1.0, 1.0], 9, None),
+            Axis::new([-2.0, 1.0], 8, None),
+            Axis::new([0.0, 0.0], 12, Some(3.0)),
+        ])
+    }
+
+    #[test]
+    fn the_reference_is_a_node_of_every_axis() {
+        for axis in [
+            Axis::new([-1.0, 2.3], 10, None),
+            Axis::new([-1.0, 1.0], 10, None),
+            Axis::new([0.0, 0.0], 10, Some(2.0)),
+        ] {
+            let nearest = (0..axis.count).map(|k| axis.at(k).abs()).fold(1.0, f64::min);
+            assert!(nearest < 1e-12 * axis.step.max(1.0), "{axis:?}");
+        }
+        assert_eq!(Axis::new([-1.0, 1.0], 11, None).count, 11);
+    }
+
+    /// Quadratic in the plain axes with a mixed term; the periodic axis is left out of it.
+    #[test]
+    fn quadratics_and_their_gradients_are_exact() {
+        let lattice = lattice();
+        let f = |s: &[f64]| 1.0 + 2.0 * s[0] * s[0] - 0.5 * s[0] * s[1] + s[1] * s[1] + 0.3 * s[1];
+        let values: Vec<f64> = (0..lattice.len()).map(|k| f(&lattice.node(k))).collect();
+        // Rounding of terms of size 10, divided by a step of 0.25.
+        const ROUNDING: f64 = 1e-12;
+        for s in [[0.61, -1.3, 0.4], [-0.93, 0.77, 1.49], [0.2, 0.9, -7.3]] {
+            let cell = lattice.locate::<3>(&s).expect("inside");
+            assert!((interpolate(&values, &cell, Order::Curved) - f(&s)).abs() < ROUNDING);
+            assert!((interpolate(&values, &cell, Order::Linear) - f(&s)).abs() > 1e-4);
+            let p = slope(&lattice, &values, &cell);
+            assert!((p[0] - (4.0 * s[0] - 0.5 * s[1])).abs() < ROUNDING);
+            assert!((p[1] - (2.0 * s[1] - 0.5 * s[0] + 0.3)).abs() < ROUNDING);
+            assert_eq!(p[2], 0.0);
+        }
+    }
+
+    #[test]
+    fn periodic_axes_wrap_and_others_end() {
+        let lattice = lattice();
+        let values: Vec<f64> = (0..lattice.len())
+            .map(|k| (lattice.node(k)[2] * std::f64::consts::TAU / 3.0).cos())
+            .collect();
+        let at = |z: f64| {
+            let cell = lattice.locate::<3>(&[0.0, 0.0, z]).expect("inside");
+            interpolate(&values, &cell, Order::Curved)
+        };
+        assert!((at(0.31) - at(0.31 + 3.0)).abs() < 1e-12);
+        assert!((at(1.49) - at(1.49 - 9.0)).abs() < 1e-12);
+        assert!(lattice.locate::<3>(&[1.1, 0.0, 0.0]).is_none());
+        assert!(lattice.locate::<3>(&[f64::NAN, 0.0, 0.0]).is_none());
+        let last = lattice.len() - 1;
+        assert_eq!(lattice.neighbour(last, 2, true), last - 11);
+        assert_eq!(lattice.neighbour(last, 0, true), last);
+    }
+}
