@@ -1,6 +1,6 @@
 // Policy iteration on a lattice of states, one invocation a node; the same steps in the same order as
-// src/dynamic_programming/cpu.rs and lattice.rs. Generated: N, M, GUARDS and the other constants, the lattice's axes, `motion_at`
-// and `law_at`.
+// src/dynamic_programming/cpu.rs and lattice.rs. Generated: N, M, GUARDS and the other constants, the bounds of the controls,
+// `motion_at` and `law_at`.
 
 // Kind, integer and real arguments of a candidate; see `Candidate` in level.rs.
 struct Candidate {
@@ -18,8 +18,34 @@ struct Candidate {
 // Of each node the end of its best step, what it costs, and that with the value at its end.
 @group(0) @binding(5) var<storage, read_write> steps: array<f32>;
 @group(0) @binding(6) var<storage, read> known: array<u32>;
-// The linearization's controls of all nodes, then the fixed set.
+// The level's settings (see `load_settings`), the linearization's controls of all nodes, then the fixed set.
 @group(0) @binding(7) var<storage, read> given: array<f32>;
+
+var<private> axis_first: array<f32, N>;
+var<private> axis_step: array<f32, N>;
+var<private> axis_count: array<u32, N>;
+var<private> axis_stride: array<u32, N>;
+var<private> axis_periodic: array<u32, N>;
+var<private> ceiling: f32;
+var<private> cells: f32;
+var<private> longest: f32;
+var<private> bent_below: f32;
+var<private> nodes: u32;
+
+fn load_settings() {
+    for (var i = 0u; i < N; i++) {
+        axis_first[i] = given[i];
+        axis_step[i] = given[N + i];
+        axis_count[i] = u32(given[2u * N + i]);
+        axis_stride[i] = u32(given[3u * N + i]);
+        axis_periodic[i] = u32(given[4u * N + i]);
+    }
+    ceiling = given[5u * N];
+    cells = given[5u * N + 1u];
+    longest = given[5u * N + 2u];
+    bent_below = given[5u * N + 3u];
+    nodes = u32(given[5u * N + 4u]);
+}
 
 alias State = array<f32, N>;
 alias Control = array<f32, M>;
@@ -129,7 +155,8 @@ fn curvature_of(cell: Cell, at: Vertices) -> State {
     return bend;
 }
 
-fn spread_of(at: Vertices) -> f32 {
+// The least and the largest value.
+fn range_of(at: Vertices) -> vec2<f32> {
     var v = at;
     var lo = v.value[0];
     var hi = v.value[0];
@@ -137,7 +164,7 @@ fn spread_of(at: Vertices) -> f32 {
         lo = min(lo, v.value[j]);
         hi = max(hi, v.value[j]);
     }
-    return hi - lo;
+    return vec2<f32>(lo, hi);
 }
 
 fn interpolate(cell: Cell) -> f32 {
@@ -150,16 +177,16 @@ fn interpolate(cell: Cell) -> f32 {
             v[j] += place.fraction[i] * (v[j | (1u << i)] - v[j]);
         }
     }
-    if (!CURVED) {
+    let range = range_of(at);
+    if (range.y >= bent_below) {
         return v[0];
     }
     var bend = curvature_of(cell, at);
-    var sum = 0.0;
+    var value = v[0];
     for (var i = 0u; i < N; i++) {
-        sum -= 0.5 * place.fraction[i] * (1.0 - place.fraction[i]) * bend[i];
+        value -= 0.5 * place.fraction[i] * (1.0 - place.fraction[i]) * bend[i];
     }
-    let most = 0.5 * spread_of(at);
-    return v[0] + clamp(sum, -most, most);
+    return clamp(value, range.x, range.y);
 }
 
 fn slope(cell: Cell) -> State {
@@ -167,7 +194,8 @@ fn slope(cell: Cell) -> State {
     let at = vertices_of(cell);
     var v = at;
     var bend = curvature_of(cell, at);
-    let most = spread_of(at);
+    let range = range_of(at);
+    let most = range.y - range.x;
     var p: State;
     for (var i = 0u; i < N; i++) {
         var sum = 0.0;
@@ -180,7 +208,7 @@ fn slope(cell: Cell) -> State {
             }
             sum += weight * v.value[j];
         }
-        let curved = clamp(0.5 * bend[i], -most, most);
+        let curved = select(0.0, clamp(0.5 * bend[i], -most, most), range.y < bent_below);
         p[i] = (sum - curved * (1.0 - 2.0 * place.fraction[i])) / axis_step[i];
     }
     return p;
@@ -203,7 +231,7 @@ fn is_valid(row: array<f32, WIDTH>) -> bool {
 fn value_at(foot: State) -> f32 {
     let cell = locate(foot);
     if (!cell.inside) {
-        return CEILING;
+        return ceiling;
     }
     return interpolate(cell);
 }
@@ -216,7 +244,7 @@ fn fly(start: State, control: Control) -> Trial {
     for (var i = 0u; i < N; i++) {
         speed = max(speed, abs(k1[i] / axis_step[i]));
     }
-    let time = min(LONGEST, CELLS / max(speed, SMALLEST_NORMAL));
+    let time = min(longest, cells / max(speed, SMALLEST_NORMAL));
     var place: State;
     for (var i = 0u; i < N; i++) {
         place[i] = s[i] + 0.5 * time * k1[i];
@@ -237,11 +265,11 @@ fn fly(start: State, control: Control) -> Trial {
         // A place that no lattice has: the step is not taken.
         trial.foot[i] = select(NOWHERE, s[i] + time * (k1[i] + 4.0 * k2[i] + k3[i]) / 6.0, valid);
     }
-    trial.cost = select(CEILING, time * (k1[N] + 4.0 * k2[N] + k3[N]) / 6.0, valid);
+    trial.cost = select(ceiling, time * (k1[N] + 4.0 * k2[N] + k3[N]) / 6.0, valid);
     if (valid) {
-        trial.total = min(CEILING, trial.cost + value_at(trial.foot));
+        trial.total = min(ceiling, trial.cost + value_at(trial.foot));
     } else {
-        trial.total = CEILING;
+        trial.total = ceiling;
     }
     return trial;
 }
@@ -309,13 +337,13 @@ fn propose(k: u32, node: u32, s: State, present: Trial, best: Trial) -> Control 
             return by_costate(s, present, candidate.amount);
         }
         case 2u: {
-            return given_at(node * M);
+            return given_at(SETTINGS + node * M);
         }
         case 3u: {
             return control_of(neighbour(node, candidate.index, candidate.forward == 1u));
         }
         case 4u: {
-            return given_at(SPREAD + candidate.index * M);
+            return given_at(SETTINGS + (nodes + candidate.index) * M);
         }
         case 5u: {
             var u = best.control;
@@ -330,8 +358,9 @@ fn propose(k: u32, node: u32, s: State, present: Trial, best: Trial) -> Control 
 
 @compute @workgroup_size(WORKGROUP)
 fn improve(@builtin(global_invocation_id) id: vec3<u32>) {
+    load_settings();
     let node = id.x;
-    if (node >= NODES) {
+    if (node >= nodes) {
         return;
     }
     let s = state_of(node);
@@ -356,16 +385,18 @@ fn improve(@builtin(global_invocation_id) id: vec3<u32>) {
 
 @compute @workgroup_size(WORKGROUP)
 fn accept(@builtin(global_invocation_id) id: vec3<u32>) {
+    load_settings();
     let node = id.x;
-    if (node < NODES) {
+    if (node < nodes) {
         next_values[node] = select(steps[node * STEP + N + 1u], values[node], known[node] == 1u);
     }
 }
 
 @compute @workgroup_size(WORKGROUP)
 fn evaluate(@builtin(global_invocation_id) id: vec3<u32>) {
+    load_settings();
     let node = id.x;
-    if (node >= NODES) {
+    if (node >= nodes) {
         return;
     }
     if (known[node] == 1u) {
@@ -376,5 +407,5 @@ fn evaluate(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var i = 0u; i < N; i++) {
         foot[i] = steps[node * STEP + i];
     }
-    next_values[node] = min(CEILING, steps[node * STEP + N] + value_at(foot));
+    next_values[node] = min(ceiling, steps[node * STEP + N] + value_at(foot));
 }

@@ -142,7 +142,7 @@ impl<'a> CpuIteration<'a> {
                 place[c] = s[c] + share * (foot[c] - s[c]);
             }
             if let Some(cell) = level.lattice.locate::<N>(&place) {
-                costate.copy_from_slice(&slope(&level.lattice, &self.values, &cell));
+                costate.copy_from_slice(&slope(&level.lattice, &self.values, &cell, level.bent_below));
             }
         }
         self.law.eval(&points, 2 * n)
@@ -214,7 +214,8 @@ impl<'a> CpuIteration<'a> {
 /// A step's cost with the value at its end.
 #[inline]
 fn total_of<const N: usize>(level: &Level, values: &[f64], foot: &[f64], cost: f64) -> f64 {
-    let end = (level.lattice.locate::<N>(foot)).map_or(level.ceiling, |cell| interpolate(values, &cell, level.order));
+    let end =
+        (level.lattice.locate::<N>(foot)).map_or(level.ceiling, |cell| interpolate(values, &cell, level.bent_below));
     cost + end
 }
 

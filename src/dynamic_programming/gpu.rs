@@ -17,45 +17,30 @@ use wgpu::BufferUsages;
 const BINDINGS: usize = 8;
 /// Bindings that kernels write.
 const WRITTEN: [usize; 3] = [2, 4, 5];
+/// Integers up to which f32 holds them all: the shader reads numbers of nodes as such.
+const MOST_NODES: usize = 1 << f32::MANTISSA_DIGITS;
+/// Candidates of a round at most.
+const MOST_CANDIDATES: usize = 64;
 /// Bytes of a candidate.
 const CANDIDATE: usize = 16;
 /// Dispatches that wait in one submission at most.
 const DISPATCHES: usize = 8;
 
-pub(super) struct GpuIteration {
+/// The kernels of a scene.
+pub(super) struct Kernels {
     device: Arc<Device>,
-    nodes: usize,
-    controls: usize,
     layout: wgpu::BindGroupLayout,
     improve: wgpu::ComputePipeline,
     accept: wgpu::ComputePipeline,
     evaluate: wgpu::ComputePipeline,
-    /// Two of each: read from and written to by turns, the present one first.
-    values: [wgpu::Buffer; 2],
-    policy: [wgpu::Buffer; 2],
-    steps: wgpu::Buffer,
-    known: wgpu::Buffer,
-    given: wgpu::Buffer,
-    candidates: wgpu::Buffer,
-    staging: wgpu::Buffer,
 }
 
-impl GpuIteration {
+impl Kernels {
     /// # Errors
-    /// A lattice too large for the device, or a shader that it refuses.
-    pub fn new(gpu: &Gpu, level: &Level, equations: &Equations) -> Result<Self, BackendError> {
+    /// A shader that the device refuses.
+    pub fn new(gpu: &Gpu, equations: &Equations) -> Result<Self, BackendError> {
         let device = gpu.device();
-        let (n, m, nodes) = (equations.states, equations.controls, level.lattice.len());
-        let largest = 4 * nodes * (n + 2).max(m);
-        let limit = binding_limit(&device);
-        let groups = device.device.limits().max_compute_workgroups_per_dimension as usize;
-        if largest as u64 > limit || nodes.div_ceil(WORKGROUP as usize) > groups {
-            return Err(BackendError::TooLarge {
-                bytes: largest as u64,
-                limit,
-            });
-        }
-        let source = source(level, equations);
+        let source = source(equations);
         source.validate(device.info.f64_arithmetic)?;
         let layout = layout(&device);
         let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
@@ -79,6 +64,46 @@ impl GpuIteration {
         };
         let (improve, accept, evaluate) = (pipeline("improve"), pipeline("accept"), pipeline("evaluate"));
         device.check()?;
+        Ok(Self {
+            device,
+            layout,
+            improve,
+            accept,
+            evaluate,
+        })
+    }
+}
+
+pub(super) struct GpuIteration<'a> {
+    kernels: &'a Kernels,
+    device: &'a Device,
+    nodes: usize,
+    controls: usize,
+    /// Two of each: read from and written to by turns, the present one first.
+    values: [wgpu::Buffer; 2],
+    policy: [wgpu::Buffer; 2],
+    steps: wgpu::Buffer,
+    known: wgpu::Buffer,
+    given: wgpu::Buffer,
+    candidates: wgpu::Buffer,
+    staging: wgpu::Buffer,
+}
+
+impl<'a> GpuIteration<'a> {
+    /// # Errors
+    /// A lattice too large for the device.
+    pub fn new(kernels: &'a Kernels, level: &Level, equations: &Equations) -> Result<Self, BackendError> {
+        let device = &*kernels.device;
+        let (n, m, nodes) = (equations.states, equations.controls, level.lattice.len());
+        let largest = 4 * nodes * (n + 2).max(m);
+        let limit = binding_limit(device);
+        let groups = device.device.limits().max_compute_workgroups_per_dimension as usize;
+        if largest as u64 > limit || nodes.div_ceil(WORKGROUP as usize) > groups || nodes > MOST_NODES {
+            return Err(BackendError::TooLarge {
+                bytes: largest as u64,
+                limit,
+            });
+        }
         let buffer = |size: usize| {
             device.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("dynamic programming"),
@@ -96,22 +121,19 @@ impl GpuIteration {
         let given: Vec<f32> = given(level, nodes * m).map(|x| x as f32).collect();
         let known: Vec<u32> = level.known.iter().map(|k| u32::from(*k)).collect();
         let this = Self {
+            kernels,
+            device,
             nodes,
             controls: m,
-            layout,
-            improve,
-            accept,
-            evaluate,
             values: [buffer(4 * nodes), buffer(4 * nodes)],
             policy: [buffer(4 * nodes * m), buffer(4 * nodes * m)],
             steps: buffer(4 * nodes * (n + 2)),
             known: buffer(4 * nodes),
             given: buffer(4 * given.len()),
-            candidates: buffer(CANDIDATE * 64),
+            candidates: buffer(CANDIDATE * MOST_CANDIDATES),
             staging,
-            device,
         };
-        let write = |buffer: &wgpu::Buffer, bytes: &[u8]| this.device.queue.write_buffer(buffer, 0, bytes);
+        let write = |buffer: &wgpu::Buffer, bytes: &[u8]| device.queue.write_buffer(buffer, 0, bytes);
         write(&this.given, bytemuck::cast_slice(&given));
         write(&this.known, bytemuck::cast_slice(&known));
         // Sentinels: a slot that still holds one was not written.
@@ -147,7 +169,7 @@ impl GpuIteration {
             .collect();
         let bindings = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: None,
-            layout: &self.layout,
+            layout: &self.kernels.layout,
             entries: &entries,
         });
         let mut pass = encoder.begin_compute_pass(&Default::default());
@@ -181,7 +203,7 @@ impl GpuIteration {
     }
 }
 
-impl Iteration for GpuIteration {
+impl Iteration for GpuIteration<'_> {
     fn load(&mut self, values: &[f64], controls: &[f64]) -> Result<(), BackendError> {
         let write = |buffer: &wgpu::Buffer, numbers: &[f64]| {
             let numbers: Vec<f32> = numbers.iter().map(|x| *x as f32).collect();
@@ -200,14 +222,14 @@ impl Iteration for GpuIteration {
             .queue
             .write_buffer(&self.candidates, 0, bytemuck::cast_slice(&list));
         let mut encoder = self.device.device.create_command_encoder(&Default::default());
-        self.dispatch(&mut encoder, &self.improve, list.len());
+        self.dispatch(&mut encoder, &self.kernels.improve, list.len());
         self.policy.swap(0, 1);
         self.submit(encoder)
     }
 
     fn accept(&mut self) -> Result<(), BackendError> {
         let mut encoder = self.device.device.create_command_encoder(&Default::default());
-        self.dispatch(&mut encoder, &self.accept, 1);
+        self.dispatch(&mut encoder, &self.kernels.accept, 1);
         self.values.swap(0, 1);
         self.submit(encoder)
     }
@@ -216,7 +238,7 @@ impl Iteration for GpuIteration {
         for first in (0..times).step_by(DISPATCHES) {
             let mut encoder = self.device.device.create_command_encoder(&Default::default());
             for _ in first..times.min(first + DISPATCHES) {
-                self.dispatch(&mut encoder, &self.evaluate, 1);
+                self.dispatch(&mut encoder, &self.kernels.evaluate, 1);
                 self.values.swap(0, 1);
             }
             self.submit(encoder)?;
@@ -246,14 +268,36 @@ fn packed(candidate: &Candidate) -> [u32; 4] {
     }
 }
 
-/// The linearization's controls, zeros where there is none, then the fixed set.
+/// The level's settings in the order of `load_settings`, the linearization's controls (zeros where there is none), the fixed set.
 fn given(level: &Level, count: usize) -> impl Iterator<Item = f64> + '_ {
+    let axes = &level.lattice.axes;
+    let (cells, longest) = match level.stride {
+        Stride::Cells { cells, longest } => (cells, longest),
+        // No speed is as high as this.
+        Stride::Fixed(time) => (f64::from(f32::MAX), time),
+    };
+    let numbers = [
+        level.ceiling,
+        cells,
+        longest,
+        level.bent_below.clamp(f64::from(f32::MIN), f64::from(f32::MAX)),
+        level.lattice.len() as f64,
+    ];
     let linear = level.linear.iter().flatten().copied();
     let missing = if level.linear.is_some() { 0 } else { count };
-    linear
+    (axes.iter().map(|a| a.first))
+        .chain(axes.iter().map(|a| a.step))
+        .chain(axes.iter().map(|a| a.count as f64))
+        .chain(level.lattice.strides().iter().map(|s| *s as f64))
+        .chain(axes.iter().map(|a| f64::from(u8::from(a.period.is_some()))))
+        .chain(numbers)
+        .chain(linear)
         .chain(std::iter::repeat_n(0.0, missing))
         .chain(level.spread.iter().flatten().copied())
 }
+
+/// Settings beside those of the axes, of which each has five.
+const NUMBERS: usize = 5;
 
 fn layout(device: &Device) -> wgpu::BindGroupLayout {
     let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..BINDINGS)
@@ -276,12 +320,12 @@ fn layout(device: &Device) -> wgpu::BindGroupLayout {
     })
 }
 
-/// The whole text of a level's module.
-fn source(level: &Level, equations: &Equations) -> Source {
+/// The whole text of a scene's module.
+fn source(equations: &Equations) -> Source {
     Source::new(&[
         Fragment {
             name: "constants",
-            text: constants(level, equations),
+            text: constants(equations),
         },
         Fragment {
             name: "shaders/real.wgsl",
@@ -302,40 +346,21 @@ fn real(x: f64) -> String {
     text::literal(x, Precision::F32)
 }
 
-fn constants(level: &Level, equations: &Equations) -> String {
+fn constants(equations: &Equations) -> String {
     let mut out = text::constants(Precision::F32);
-    let (n, m, nodes) = (equations.states, equations.controls, level.lattice.len());
+    let (n, m) = (equations.states, equations.controls);
     for (name, value) in [
         ("N", n),
         ("M", m),
         ("WIDTH", equations.width()),
         ("GUARDS", equations.strict.len()),
-        ("NODES", nodes),
-        ("SPREAD", nodes * m),
+        ("SETTINGS", 5 * n + NUMBERS),
         ("WORKGROUP", WORKGROUP as usize),
     ] {
         let _ = writeln!(out, "const {name}: u32 = {value}u;");
     }
-    let (cells, longest) = match level.stride {
-        Stride::Cells { cells, longest } => (cells, longest),
-        // No speed is as high as this.
-        Stride::Fixed(time) => (f64::MAX, time),
-    };
     // Beyond any lattice, and finite.
-    let nowhere = 1e30;
-    for (name, value) in [
-        ("CELLS", cells),
-        ("LONGEST", longest),
-        ("CEILING", level.ceiling),
-        ("NOWHERE", nowhere),
-    ] {
-        let _ = writeln!(out, "const {name}: f32 = {};", real(value));
-    }
-    let _ = writeln!(
-        out,
-        "const CURVED: bool = {};",
-        level.order == super::lattice::Order::Curved
-    );
+    let _ = writeln!(out, "const NOWHERE: f32 = {};", real(1e30));
     // Private variables: constants cannot be indexed by variables everywhere.
     let mut table = |name: &str, kind: &str, list: Vec<String>| {
         let (count, all) = (list.len(), list.join(", "));
@@ -344,18 +369,6 @@ fn constants(level: &Level, equations: &Equations) -> String {
             "var<private> {name}: array<{kind}, {count}> = array<{kind}, {count}>({all});"
         );
     };
-    let axes = &level.lattice.axes;
-    table("axis_first", "f32", axes.iter().map(|a| real(a.first)).collect());
-    table("axis_step", "f32", axes.iter().map(|a| real(a.step)).collect());
-    table(
-        "axis_count",
-        "u32",
-        axes.iter().map(|a| format!("{}u", a.count)).collect(),
-    );
-    let strides = level.lattice.strides().iter().map(|s| format!("{s}u")).collect();
-    table("axis_stride", "u32", strides);
-    let periodic = axes.iter().map(|a| format!("{}u", u32::from(a.period.is_some())));
-    table("axis_periodic", "u32", periodic.collect());
     let bounds = &equations.bounds;
     table("lower_bound", "f32", bounds.iter().map(|b| real(b[0])).collect());
     table("upper_bound", "f32", bounds.iter().map(|b| real(b[1])).collect());

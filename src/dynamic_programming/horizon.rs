@@ -2,18 +2,17 @@
 
 use super::cpu::points;
 use super::equations::Equations;
-use super::lattice::Order;
-use super::level::{Level, Stride, ranges, spread};
+use super::level::{Level, STEEP, Stride, ranges, spread};
 use super::stationary::{Solution, outside};
-use super::{Clock, Device, Domain, DpError};
+use super::{Clock, Domain, DpError, Runner};
 use crate::backend::cpu::map::Evaluator;
 
 /// Cells that a step of a quick node (see `QUICK`) crosses at most.
-const CELLS: f64 = 3.0;
+const CELLS: f64 = 4.0;
 /// The share of nodes that are slower than a quick one.
 const QUICK: f64 = 0.75;
 /// Steps in all.
-const STEPS: [usize; 2] = [16, 64];
+const STEPS: [usize; 2] = [16, 40];
 /// Most numbers that all slices together hold.
 const NUMBERS: usize = 40_000_000;
 /// Rounds of improvement a slice, and for the first one.
@@ -34,7 +33,7 @@ pub(super) fn solve(
     domain: &Domain,
     equations: &Equations,
     time: f64,
-    device: Device<'_>,
+    device: &Runner,
     clock: &Clock,
 ) -> Result<Slices, DpError> {
     let lattice = domain.lattice(&domain.counts);
@@ -66,7 +65,7 @@ pub(super) fn solve(
         linear: None,
         spread: spread(&ranges),
         ranges: ranges.iter().map(|[lo, hi]| hi - lo).collect(),
-        order: Order::Curved,
+        bent_below: STEEP * ceiling,
         lattice,
         points,
     };
@@ -83,7 +82,7 @@ fn march(
     first: Vec<f64>,
     controls: Vec<f64>,
     steps: usize,
-    device: Device<'_>,
+    device: &Runner,
     clock: &Clock,
 ) -> Result<Slices, DpError> {
     let Stride::Fixed(step) = level.stride else {

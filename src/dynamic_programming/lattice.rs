@@ -1,7 +1,5 @@
 //! A regular lattice of states and interpolation on it.
 
-use std::array::from_fn;
-
 /// States of a grid at most.
 pub const MOST_STATES: usize = 4;
 /// Vertices of a cell at most.
@@ -151,7 +149,7 @@ impl Lattice {
     }
 
     /// The cell that holds a point; `None` outside and for what is not a number.
-    #[inline]
+    #[inline(always)]
     pub fn locate<const N: usize>(&self, s: &[f64]) -> Option<Cell<N>> {
         let mut cell = Cell {
             lower: [0; N],
@@ -162,10 +160,12 @@ impl Lattice {
         };
         for i in 0..N {
             let (axis, stride) = (&self.axes[i], self.strides[i]);
-            let mut x = (s[i] - axis.first) / axis.step;
             let count = axis.count;
+            let mut x = (s[i] - axis.first) / axis.step;
             if axis.period.is_some() {
-                x -= count as f64 * (x / count as f64).floor();
+                let turns = (x / count as f64) as i64;
+                x -= count as f64 * turns as f64;
+                x += if x < 0.0 { count as f64 } else { 0.0 };
             }
             let last = if axis.period.is_some() { count } else { count - 1 };
             if !(x >= -SLACK && x <= last as f64 + SLACK) {
@@ -175,9 +175,11 @@ impl Lattice {
             cell.fraction[i] = (x - k as f64).clamp(0.0, 1.0);
             cell.lower[i] = k * stride;
             if axis.period.is_some() {
-                cell.upper[i] = (k + 1) % count * stride;
-                cell.before[i] = (k + count - 1) % count * stride;
-                cell.after[i] = (k + 2) % count * stride;
+                // One turn at most, without a division.
+                let wrapped = |k: usize| if k >= count { k - count } else { k };
+                cell.upper[i] = wrapped(k + 1) * stride;
+                cell.before[i] = wrapped(k + count - 1) * stride;
+                cell.after[i] = wrapped(k + 2) * stride;
             } else {
                 cell.upper[i] = (k + 1) * stride;
                 if k > 0 {
@@ -199,20 +201,25 @@ struct Vertices<const N: usize> {
 }
 
 impl<const N: usize> Vertices<N> {
-    #[inline]
+    #[inline(always)]
     fn new<T: Copy + Into<f64>>(cell: &Cell<N>, values: &[T]) -> Self {
         let mut index = [0; VERTICES];
-        index[0] = cell.lower.iter().sum();
+        for i in 0..N {
+            index[0] += cell.lower[i];
+        }
         for i in 0..N {
             for j in 0..1 << i {
                 index[j | 1 << i] = index[j] + cell.upper[i] - cell.lower[i];
             }
         }
-        let value = from_fn(|j| if j < 1 << N { values[index[j]].into() } else { 0.0 });
+        let mut value = [0.0; VERTICES];
+        for j in 0..1 << N {
+            value[j] = values[index[j]].into();
+        }
         Self { index, value }
     }
 
-    #[inline]
+    #[inline(always)]
     fn multilinear(&self, cell: &Cell<N>) -> f64 {
         let mut v = self.value;
         for i in (0..N).rev() {
@@ -223,100 +230,113 @@ impl<const N: usize> Vertices<N> {
         v[0]
     }
 
+    /// The least and the largest value.
+    #[inline(always)]
     fn range(&self) -> (f64, f64) {
-        let all = self.value[..1 << N].iter();
-        all.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), v| {
-            (lo.min(*v), hi.max(*v))
-        })
+        let (mut lo, mut hi) = (self.value[0], self.value[0]);
+        for j in 1..1 << N {
+            let v = self.value[j];
+            lo = if v < lo { v } else { lo };
+            hi = if v > hi { v } else { hi };
+        }
+        (lo, hi)
     }
 
     /// Second differences along each axis on the line of vertices nearest to the point: the one of least size of the two
     /// about the cell, 0 where their signs differ (at a kink, which no parabola should follow).
-    #[inline]
+    #[inline(always)]
     fn curvature<T: Copy + Into<f64>>(&self, cell: &Cell<N>, values: &[T]) -> [f64; N] {
         let mut near = 0;
         for i in 0..N {
             near |= usize::from(cell.fraction[i] >= 0.5) << i;
         }
-        from_fn(|i| {
+        let mut curvature = [0.0; N];
+        for i in 0..N {
             let (low, high) = (near & !(1 << i), near | 1 << i);
             let (v0, v1) = (self.value[low], self.value[high]);
-            let at = |offset: usize| -> f64 { values[self.index[low] - cell.lower[i] + offset].into() };
-            let left = (cell.before[i] != ABSENT).then(|| v1 - 2.0 * v0 + at(cell.before[i]));
-            let right = (cell.after[i] != ABSENT).then(|| at(cell.after[i]) - 2.0 * v1 + v0);
-            match (left, right) {
-                (Some(a), Some(b)) if a * b <= 0.0 => 0.0,
-                (Some(a), Some(b)) => {
-                    if a.abs() < b.abs() {
-                        a
-                    } else {
-                        b
-                    }
-                }
-                (a, b) => a.or(b).unwrap_or(0.0),
-            }
-        })
+            let base = self.index[low] - cell.lower[i];
+            let left = || v1 - 2.0 * v0 + values[base + cell.before[i]].into();
+            let right = || values[base + cell.after[i]].into() - 2.0 * v1 + v0;
+            curvature[i] = match (cell.before[i] != ABSENT, cell.after[i] != ABSENT) {
+                (true, true) => lesser(left(), right()),
+                (true, false) => left(),
+                (false, true) => right(),
+                (false, false) => 0.0,
+            };
+        }
+        curvature
     }
 
     /// The multilinear interpolant's slopes by the fractions.
+    #[inline(always)]
     fn slopes(&self, cell: &Cell<N>) -> [f64; N] {
-        from_fn(|i| {
-            let weight = |j: usize| -> f64 {
-                (0..N)
-                    .map(|k| match (k == i, j >> k & 1) {
-                        (true, 0) => -1.0,
-                        (true, _) => 1.0,
-                        (false, 0) => 1.0 - cell.fraction[k],
-                        (false, _) => cell.fraction[k],
-                    })
-                    .product()
-            };
-            (0..1usize << N).map(|j| weight(j) * self.value[j]).sum()
-        })
+        let mut slopes = [0.0; N];
+        for i in 0..N {
+            let mut v = self.value;
+            for k in (0..N).rev() {
+                let t = if k == i { 1.0 } else { cell.fraction[k] };
+                for j in 0..1 << k {
+                    let step = v[j | 1 << k] - v[j];
+                    v[j] = if k == i { step } else { v[j] + t * step };
+                }
+            }
+            slopes[i] = v[0];
+        }
+        slopes
     }
 }
 
-/// The correction of a multilinear value by the second differences along the axes, which makes it exact for quadratics; at
-/// most half of what the vertices differ by.
-#[inline]
-fn correction<const N: usize>(cell: &Cell<N>, curvature: &[f64; N], (lo, hi): (f64, f64)) -> f64 {
-    let mut sum = 0.0;
-    for i in 0..N {
-        sum -= 0.5 * cell.fraction[i] * (1.0 - cell.fraction[i]) * curvature[i];
+/// The one of least size; 0 where the signs differ.
+#[inline(always)]
+fn lesser(a: f64, b: f64) -> f64 {
+    if a * b <= 0.0 {
+        0.0
+    } else if a.abs() < b.abs() {
+        a
+    } else {
+        b
     }
-    let most = 0.5 * (hi - lo);
-    sum.clamp(-most, most)
 }
 
-/// How values between nodes are found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
-    /// Multilinear: monotone, first order over a whole trajectory.
-    Linear,
-    /// With second differences along the axes, where both sides of a cell have them.
-    Curved,
-}
-
-/// The value at a point of a cell.
-#[inline]
-pub fn interpolate<const N: usize, T: Copy + Into<f64>>(values: &[T], cell: &Cell<N>, order: Order) -> f64 {
+/// The value at a point of a cell: multilinear, and where all vertices are below `bent_below` bent by second differences along the
+/// axes, which makes it exact for quadratics. It never leaves the range of the vertices, without which an iteration with it need
+/// not converge.
+#[inline(always)]
+pub fn interpolate<const N: usize, T: Copy + Into<f64>>(values: &[T], cell: &Cell<N>, bent_below: f64) -> f64 {
     let vertices = Vertices::new(cell, values);
     let linear = vertices.multilinear(cell);
-    match order {
-        Order::Linear => linear,
-        Order::Curved => linear + correction(cell, &vertices.curvature(cell, values), vertices.range()),
+    let (lo, hi) = vertices.range();
+    if hi >= bent_below {
+        return linear;
     }
+    let curvature = vertices.curvature(cell, values);
+    let mut value = linear;
+    for i in 0..N {
+        value -= 0.5 * cell.fraction[i] * (1.0 - cell.fraction[i]) * curvature[i];
+    }
+    value.clamp(lo, hi)
 }
 
-/// The gradient of the curved interpolant.
-pub fn slope<const N: usize, T: Copy + Into<f64>>(lattice: &Lattice, values: &[T], cell: &Cell<N>) -> [f64; N] {
+/// The gradient of the same.
+pub fn slope<const N: usize, T: Copy + Into<f64>>(
+    lattice: &Lattice,
+    values: &[T],
+    cell: &Cell<N>,
+    bent_below: f64,
+) -> [f64; N] {
     let vertices = Vertices::new(cell, values);
-    let (slopes, curvature) = (vertices.slopes(cell), vertices.curvature(cell, values));
+    let mut slopes = vertices.slopes(cell);
     let (lo, hi) = vertices.range();
-    from_fn(|i| {
+    let curvature = if hi < bent_below {
+        vertices.curvature(cell, values)
+    } else {
+        [0.0; N]
+    };
+    for i in 0..N {
         let bend = (0.5 * curvature[i]).clamp(lo - hi, hi - lo);
-        (slopes[i] - bend * (1.0 - 2.0 * cell.fraction[i])) / lattice.axes[i].step
-    })
+        slopes[i] = (slopes[i] - bend * (1.0 - 2.0 * cell.fraction[i])) / lattice.axes[i].step;
+    }
+    slopes
 }
 
 /// The largest value at a cell's vertices.
@@ -372,9 +392,9 @@ mod tests {
         const ROUNDING: f64 = 1e-12;
         for s in [[0.61, -1.3, 0.4], [-0.93, 0.77, 1.49], [0.2, 0.9, -7.3]] {
             let cell = lattice.locate::<3>(&s).expect("inside");
-            assert!((interpolate(&values, &cell, Order::Curved) - f(&s)).abs() < ROUNDING);
-            assert!((interpolate(&values, &cell, Order::Linear) - f(&s)).abs() > 1e-4);
-            let p = slope(&lattice, &values, &cell);
+            assert!((interpolate(&values, &cell, f64::INFINITY) - f(&s)).abs() < ROUNDING);
+            assert!((interpolate(&values, &cell, f64::NEG_INFINITY) - f(&s)).abs() > 1e-4);
+            let p = slope(&lattice, &values, &cell, f64::INFINITY);
             assert!((p[0] - (4.0 * s[0] - 0.5 * s[1])).abs() < ROUNDING);
             assert!((p[1] - (2.0 * s[1] - 0.5 * s[0] + 0.3)).abs() < ROUNDING);
             assert_eq!(p[2], 0.0);
@@ -389,7 +409,7 @@ mod tests {
             .collect();
         let at = |z: f64| {
             let cell = lattice.locate::<3>(&[0.0, 0.0, z]).expect("inside");
-            interpolate(&values, &cell, Order::Curved)
+            interpolate(&values, &cell, f64::INFINITY)
         };
         assert!((at(0.31) - at(0.31 + 3.0)).abs() < 1e-12);
         assert!((at(1.49) - at(1.49 - 9.0)).abs() < 1e-12);

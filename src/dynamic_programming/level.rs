@@ -1,7 +1,7 @@
 //! One lattice with everything that an iteration on it needs: what is known, how far a step goes, which controls are tried.
 
 use super::equations::Equations;
-use super::lattice::{Lattice, Order};
+use super::lattice::Lattice;
 use crate::backend::BackendError;
 
 /// How long a node's step lasts.
@@ -44,8 +44,13 @@ pub(super) struct Level {
     pub spread: Vec<Vec<f64>>,
     /// Width of the range that matters, one a control.
     pub ranges: Vec<f64>,
-    pub order: Order,
+    /// Cells with larger values, beside those that nothing is known of, are interpolated linearly: monotone, so that what is not
+    /// reached does not make its neighbours swing.
+    pub bent_below: f64,
 }
+
+/// [`Level::bent_below`] as a share of the ceiling.
+pub(super) const STEEP: f64 = 0.02;
 
 /// One candidate control of a node. What is tried, and in which order, is the same on every device.
 #[derive(Clone, Debug, PartialEq)]

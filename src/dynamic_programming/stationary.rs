@@ -3,9 +3,9 @@
 
 use super::cpu::points;
 use super::equations::Equations;
-use super::lattice::{Lattice, MOST_STATES, Order, by_states, interpolate};
-use super::level::{Level, Stride, ranges, spread};
-use super::{Clock, Device, Domain, DpError};
+use super::lattice::{Lattice, MOST_STATES, by_states, interpolate};
+use super::level::{Level, STEEP, Stride, ranges, spread};
+use super::{Clock, Domain, DpError, Runner};
 use crate::backend::cpu::map::Evaluator;
 use crate::local::LocalSolution;
 
@@ -24,9 +24,13 @@ const EVALUATIONS: [usize; MOST_STATES] = [20, 20, 12, 10];
 /// Relative change of a round below which a lattice is done: the finest one, and those before.
 const DONE: f64 = 1e-4;
 const DONE_COARSE: f64 = 2e-3;
+/// The share of the values whose changes are looked at: a few, beside what is not reached, never settle.
+const NEARLY_ALL: f64 = 0.999;
+/// Share of the median below which values count as zero.
+const SMALL: f64 = 0.01;
 /// Rounds on a lattice at most; the coarsest begins from nothing.
 const ROUNDS: usize = 60;
-const ROUNDS_COARSEST: usize = 300;
+const ROUNDS_COARSEST: usize = 100;
 /// Rounds on a lattice at least.
 const LEAST_ROUNDS: usize = 6;
 
@@ -37,7 +41,7 @@ pub(super) struct Solution {
     pub values: Vec<f64>,
     pub controls: Vec<f64>,
     pub ceiling: f64,
-    /// The largest relative change of each round.
+    /// What nearly all relative changes of each round stay below.
     pub changes: Vec<f64>,
 }
 
@@ -54,7 +58,7 @@ pub(super) fn solve(
     domain: &Domain,
     equations: &Equations,
     local: &LocalSolution,
-    device: Device<'_>,
+    device: &Runner,
     clock: &Clock,
 ) -> Result<Solution, DpError> {
     let mut solution: Option<Solution> = None;
@@ -68,13 +72,10 @@ pub(super) fn solve(
             prolong(coarse, equations.controls, &level, &mut values, &mut controls);
             changes.clone_from(&coarse.changes);
         }
-        let orders: &[Order] = if k == 0 {
-            &[Order::Linear, Order::Curved]
-        } else {
-            &[Order::Curved]
-        };
-        for &order in orders {
-            level.order = order;
+        // From nothing first without bending, which then has something to go by.
+        let phases: &[bool] = if k == 0 { &[false, true] } else { &[true] };
+        for &bent in phases {
+            level.bent_below = if bent { STEEP * level.ceiling } else { f64::NEG_INFINITY };
             let limit = if k == 0 { ROUNDS_COARSEST } else { ROUNDS };
             let aim = if finest { DONE } else { DONE_COARSE };
             let mut iteration = device.iteration(&level, equations)?;
@@ -83,7 +84,7 @@ pub(super) fn solve(
                 iteration.improve(&level.candidates(round))?;
                 iteration.evaluate(EVALUATIONS[equations.states - 1])?;
                 let next = iteration.values()?;
-                let change = largest_change(&values, &next, level.ceiling);
+                let change = usual_change(&values, &next, level.ceiling);
                 values = next;
                 changes.push(change);
                 if (change < aim && round >= LEAST_ROUNDS) || clock.is_over() {
@@ -156,7 +157,7 @@ fn level(lattice: Lattice, equations: &Equations, local: &LocalSolution) -> (Lev
         linear: Some(linear),
         spread: spread(&ranges),
         ranges: ranges.iter().map(|[lo, hi]| hi - lo).collect(),
-        order: Order::Curved,
+        bent_below: STEEP * ceiling,
     };
     (level, values)
 }
@@ -200,7 +201,7 @@ fn prolong_in<const N: usize>(coarse: &Solution, m: usize, level: &Level, values
         .collect();
     for (k, cell) in cells.iter().enumerate().filter(|(k, _)| !level.known[*k]) {
         if let Some(cell) = cell {
-            values[k] = interpolate(&coarse.values, cell, Order::Curved).min(level.ceiling);
+            values[k] = interpolate(&coarse.values, cell, STEEP * coarse.ceiling).min(level.ceiling);
         }
     }
     for c in 0..m {
@@ -210,22 +211,27 @@ fn prolong_in<const N: usize>(coarse: &Solution, m: usize, level: &Level, values
             .for_each(|(to, u)| *to = *u);
         for (k, cell) in cells.iter().enumerate() {
             if let Some(cell) = cell {
-                controls[k * m + c] = interpolate(&component, cell, Order::Linear);
+                controls[k * m + c] = interpolate(&component, cell, f64::NEG_INFINITY);
             }
         }
     }
 }
 
-/// The largest change of a value that is reached, relative to it or to a hundredth of the median.
-pub(super) fn largest_change(before: &[f64], after: &[f64], ceiling: f64) -> f64 {
-    let mut reached: Vec<f64> = after.iter().copied().filter(|v| *v < 0.5 * ceiling).collect();
-    if reached.is_empty() {
+/// What the relative changes of nearly all values that are reached stay below; relative to the value, or to a hundredth of the
+/// median where that is more.
+pub(super) fn usual_change(before: &[f64], after: &[f64], ceiling: f64) -> f64 {
+    let pairs = before.iter().zip(after).filter(|(_, v)| **v < 0.5 * ceiling);
+    let pairs: Vec<(f64, f64)> = pairs.map(|(v, w)| (*v, *w)).collect();
+    if pairs.is_empty() {
         return f64::INFINITY;
     }
-    let middle = reached.len() / 2;
-    let median = *reached.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let pairs = before.iter().zip(after).filter(|(_, v)| **v < 0.5 * ceiling);
-    pairs.fold(0.0, |most, (v, w)| {
-        most.max((v - w).abs() / (w.abs() + 0.01 * median.abs()))
-    })
+    let at = |share: f64, mut list: Vec<f64>| {
+        let place = ((list.len() - 1) as f64 * share) as usize;
+        *list.select_nth_unstable_by(place, f64::total_cmp).1
+    };
+    let floor = SMALL * at(0.5, pairs.iter().map(|(_, w)| w.abs()).collect());
+    at(
+        NEARLY_ALL,
+        pairs.iter().map(|(v, w)| (v - w).abs() / (w.abs() + floor)).collect(),
+    )
 }
