@@ -92,7 +92,7 @@ fn rank(adapter: &wgpu::Adapter) -> (bool, bool, u8, u8) {
 
 /// An open device with what kernels need to know of it.
 #[derive(Debug)]
-pub(super) struct Device {
+pub(crate) struct Device {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
     pub info: AdapterInfo,

@@ -4,18 +4,18 @@
 //! and generated text (constants, the model, the method's stages). `shaders/elimination.wgsl` eliminates the linear
 //! equations of multiple shooting, one invocation a path.
 
-mod adapter;
+pub(crate) mod adapter;
 mod clock;
 mod elimination;
-mod emit;
+pub(crate) mod emit;
 mod kernel;
-mod memory;
+pub(crate) mod memory;
 mod peak;
 mod results;
-mod shader;
+pub(crate) mod shader;
 #[cfg(test)]
 mod tests;
-mod text;
+pub(crate) mod text;
 
 pub use adapter::{AdapterInfo, Selection, adapters};
 
@@ -53,6 +53,11 @@ impl Gpu {
         Err(BackendError::NoF64 {
             adapter: self.device.info.name.clone(),
         })
+    }
+
+    /// The open device.
+    pub(crate) fn device(&self) -> Arc<Device> {
+        Arc::clone(&self.device)
     }
 
     /// The adapter behind the device.
