@@ -1,7 +1,6 @@
 //! Where trajectories start, backward in time: the seed ellipsoid, or the terminal cost over the region.
 
 use super::complex::{Complex, Edge, Vertex};
-use super::plan::corners;
 use super::sample::random;
 use crate::hamiltonian::{System, Terminal};
 use crate::local::LocalSolution;

@@ -84,10 +84,6 @@ pub struct Candidate {
 
 impl Candidate {
     /// Whether the target lies in the cell itself, not only near it.
-    pub fn outside(&self) -> f64 {
-        self.outside
-    }
-
     pub fn is_inside(&self) -> bool {
         self.outside == 0.0
     }
@@ -202,11 +198,7 @@ impl<'a> Cover<'a> {
         let mut open = assign(all, &copies, sought, self.fan.plan.system.states);
         let mut cells = Cells::default();
         let mut leaves: Vec<Open> = Vec::new();
-        let debug = std::env::var_os("COSTATE_DEBUG").is_some();
         for round in 0.. {
-            if debug && round % 4 == 0 {
-                eprintln!("    round {round}: {} cells open, {} pairs, {} leaves, {} trajectories", open.len(), open.iter().map(|o| o.copies.len()).sum::<usize>(), leaves.len(), self.fan.integrated);
-            }
             self.drop_excess(&mut open, &copies, sought, &mut cells.uncovered);
             if open.is_empty() {
                 break;
@@ -243,7 +235,6 @@ impl<'a> Cover<'a> {
         let first: Vec<u32> = self.base.iter().flatten().copied().collect();
         self.fan.integrate(&first, BEYOND * ceiling)?;
         let mut made = 0;
-        let clock = std::time::Instant::now();
         while !open.is_empty() {
             let gaps: Vec<(f64, u32, u32)> = open.par_iter().map(|s| self.widest(s, ceiling)).collect();
             let mut next = Vec::new();
@@ -264,9 +255,6 @@ impl<'a> Cover<'a> {
             middles.dedup();
             made += middles.len();
             open = next;
-        }
-        if std::env::var_os("COSTATE_DEBUG").is_some() {
-            eprintln!("  first to {ceiling}: {} simplices, {made} seeds made {:.3} s", done.len(), clock.elapsed().as_secs_f64());
         }
         (self.roots, self.divided_to) = (done, ceiling);
         Ok(())

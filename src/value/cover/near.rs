@@ -51,11 +51,7 @@ impl Cover<'_> {
         if places.is_empty() {
             return Ok(Vec::new());
         }
-        let clock = std::time::Instant::now();
         let tree = nearest::index(&x, n);
-        if std::env::var_os("COSTATE_DEBUG").is_some() {
-            eprintln!("  tree of {} points: {:.3} s", places.len(), clock.elapsed().as_secs_f64());
-        }
         let copies = self.copies_within(sought, &extent);
         let this = &*self;
         let mut found: Vec<Candidate> = copies

@@ -122,15 +122,8 @@ impl Survey<'_> {
                 progress("from swept trajectories", self.solved(), self.targets.len());
                 continue;
             }
-            let clock = std::time::Instant::now();
-            let cells = cover.search(&sought, ceiling, &solver.scheme.end)?;
-            if std::env::var_os("COSTATE_DEBUG").is_some() {
-                eprintln!("search {} to {ceiling}: {:.3} s, {} candidates, {} uncovered, {} trajectories, {} extremals", part.len(), clock.elapsed().as_secs_f64(), cells.candidates.len(), cells.uncovered.len(), cover.trajectories(), self.extremals.len());
-            }
+                let cells = cover.search(&sought, ceiling, &solver.scheme.end)?;
             let lost = self.try_candidates(solver, cells.candidates, ceiling, wanted)?;
-            if std::env::var_os("COSTATE_DEBUG").is_some() {
-                eprintln!("  tried: {:.3} s, {} extremals, {} evaluations, lost {}", clock.elapsed().as_secs_f64(), self.extremals.len(), self.evaluations, lost.len());
-            }
             for &target in part {
                 let left = [cells.uncovered.get(&target), lost.get(&target)];
                 let left = left.into_iter().flatten().copied().fold(f64::INFINITY, f64::min);
@@ -215,11 +208,6 @@ impl Survey<'_> {
             // The first round shows what there is; after that only what may be the least is tried again.
             left.retain(|c| !self.is_explained(c) && (round < 1 || self.may_be_least(c)));
             let (now, later) = choose(left, &self.scales);
-            if std::env::var_os("COSTATE_DEBUG2").is_some() {
-                for c in &now {
-                    eprintln!("try target {} turns {:?} V {} outside {} p {:?} spread {:?} durations {:?}", c.target, c.turns, c.value, c.outside(), c.path.adjoint(), c.spread, c.path.durations);
-                }
-            }
             left = later;
             if now.is_empty() {
                 break;
@@ -261,11 +249,7 @@ impl Survey<'_> {
                 },
             })
             .collect();
-        let (count, ev, ex) = (errands.len(), self.evaluations, self.extremals.len());
-        let r = self.send(solver, errands)?;
-        if std::env::var_os("COSTATE_DEBUG").is_some() {
-            eprintln!("   round {} {count} sent, {} reached, {} new, {} evaluations", if matches!(start, Start::Mean) {"mean"} else {"beside"}, r.iter().filter(|r| r.1.is_some()).count(), self.extremals.len() - ex, self.evaluations - ev);
-        }
+        self.send(solver, errands)?;
         Ok(())
     }
 

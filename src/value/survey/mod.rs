@@ -188,34 +188,13 @@ impl<'a> Survey<'a> {
                 self.send(solver, errands)?;
             }
         }
-        let clock = std::time::Instant::now();
-        let debug = std::env::var_os("COSTATE_DEBUG").is_some();
-        let tell = |what: &str, s: &Self| {
-            if debug {
-                eprintln!("{what}: {:.2} s, {} extremals, {} evaluations", clock.elapsed().as_secs_f64(), s.extremals.len(), s.evaluations);
-            }
-        };
-        tell("cells", self);
-        let found = self.extremals.len();
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
-        if debug {
-            let new: Vec<&Extremal> = self.extremals[found..].iter().filter(|e| e.value() < 0.9 * wanted.value_max).collect();
-            eprintln!("new by neighbours below: {}", new.len());
-            for e in new.iter().step_by(1 + new.len() / 20) {
-                eprintln!("  target {:?} winding {:?} V {} p {:?} searched {} known {:?}", self.targets.state(e.target), self.windings[e.winding], e.value(), e.adjoint(), self.searched[e.target],
-                    self.at[e.target].iter().map(|q| (*q < found, self.extremals[*q].value())).collect::<Vec<_>>());
-            }
-        }
-        tell("spread", self);
         self.last_resort(solver, archive, &index, wanted, progress)?;
-        tell("last", self);
         // Nothing behind a fold counts in a game.
         if wanted.sheets && !self.plan.game {
             self.around_folds(solver, wanted, progress)?;
         }
-        tell("folds", self);
         self.check_by_flights(solver, progress)?;
-        tell("flights", self);
         self.label();
         Ok(())
     }
