@@ -270,7 +270,10 @@ fn support_text(answers: &Answers) -> Option<String> {
     ];
     let parts: Vec<String> = parts.into_iter().flatten().collect();
     let flights: u64 = answers.support.iter().map(|s| u64::from(s.flights)).sum();
-    let told = format!("that V is the least is supported {}; {flights} controls flown", parts.join(", "));
+    let told = format!(
+        "that V is the least is supported {}; {flights} controls flown",
+        parts.join(", ")
+    );
     (!parts.is_empty()).then_some(told)
 }
 

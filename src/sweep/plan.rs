@@ -386,9 +386,15 @@ impl Plan {
     /// What the linearization gives for V at the costliest corner of the region; on a finite horizon the scale of V.
     /// It does not depend on how far the scene's own sweep goes.
     pub fn corner_value(&self) -> f64 {
-        let Some(local) = &self.local else { return self.value_scale };
+        let Some(local) = &self.local else {
+            return self.value_scale;
+        };
         let largest = largest_at_corners(&local.riccati.p, &self.region);
-        if largest > 0.0 && largest.is_finite() { largest } else { self.value_scale }
+        if largest > 0.0 && largest.is_finite() {
+            largest
+        } else {
+            self.value_scale
+        }
     }
 
     /// Whether neither the running cost nor, on a finite horizon, the terminal cost is negative anywhere in the region: then V

@@ -37,6 +37,8 @@ const SAME_VALUE: f64 = 1e-2;
 /// The second way begins at this share of the deviation, and its shortest step as a share of the way.
 const SMALL: f64 = 1.0 / 16.0;
 const SHORT: f64 = 1.0 / 1024.0;
+/// States of a system from which on both ways are taken: there is no other search.
+const MANY_STATES: usize = 4;
 /// Marches that go on together.
 const COHORT: usize = 1024;
 
@@ -63,6 +65,22 @@ pub fn march(solver: &mut Solver, plan: &Plan, starts: &[Vec<f64>]) -> Result<Ve
     Ok(found)
 }
 
+/// As [`march`], by the second way alone: from a state near the reference point.
+///
+/// # Errors
+/// Device failures only.
+pub fn march_from_nearer(solver: &mut Solver, plan: &Plan, starts: &[Vec<f64>]) -> Result<Vec<Marched>, BackendError> {
+    let mut found: Vec<Marched> = starts.iter().map(|_| Err(Failure::Horizon)).collect();
+    let Some(terminal) = &plan.system.terminal else {
+        return Ok(found);
+    };
+    let field = Field::new(plan, solver, terminal.time);
+    for (part, found) in starts.chunks(COHORT).zip(found.chunks_mut(COHORT)) {
+        from_nearer(solver, &field, part, found)?;
+    }
+    Ok(found)
+}
+
 /// Adds the marched solution of every target without a winding to a survey; nothing on an infinite horizon.
 pub(super) fn add_marched(survey: &mut Survey<'_>, solver: &mut Solver) -> Result<(), BackendError> {
     if survey.plan.system.terminal.is_none() {
@@ -76,10 +94,15 @@ pub(super) fn add_marched(survey: &mut Survey<'_>, solver: &mut Solver) -> Resul
         })
         .collect();
     let starts: Vec<Vec<f64>> = targets.iter().map(|t| survey.state(*t, 0)).collect();
-    let found = march(solver, survey.plan, &starts)?;
+    let mut found = march(solver, survey.plan, &starts)?;
+    let mut owners = targets.clone();
+    if survey.targets.states >= MANY_STATES {
+        found.extend(march_from_nearer(solver, survey.plan, &starts)?);
+        owners.extend(targets);
+    }
     let paths: Vec<&Path> = found.iter().flatten().map(|(job, _)| &job.path).collect();
     let mut valid = survey.valid(solver, &paths)?.into_iter();
-    for (target, outcome) in targets.into_iter().zip(found) {
+    for (target, outcome) in owners.into_iter().zip(found) {
         let Ok((job, solved)) = outcome else { continue };
         survey.evaluations += u64::from(job.iterations);
         if valid.next() == Some(true) {

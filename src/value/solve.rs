@@ -263,7 +263,11 @@ pub(super) fn scheme(plan: &Plan, tolerance: f64) -> Scheme {
 
 fn scheme_of(plan: &Plan, variations: usize, tolerance: f64) -> Scheme {
     // The scales do not depend on how far a sweep goes; a game's are what they always were.
-    let scale = if plan.game { plan.value_scale } else { plan.corner_value() };
+    let scale = if plan.game {
+        plan.value_scale
+    } else {
+        plan.corner_value()
+    };
     Scheme {
         equations: Equations::new(&plan.system, &plan.widths, scale, variations),
         end: End::new(&plan.system, plan.local.as_ref()),

@@ -61,7 +61,9 @@ impl Cell {
                 let value = f64::from(point[1 + 2 * n]);
                 corners.value = corners.value.min(value);
                 corners.highest = corners.highest.max(if known { value } else { f64::INFINITY });
-                corners.x.extend(point[1..=n].iter().zip(widths).map(|(s, w)| f64::from(*s) / w));
+                corners
+                    .x
+                    .extend(point[1..=n].iter().zip(widths).map(|(s, w)| f64::from(*s) / w));
             }
         }
         corners
@@ -90,7 +92,9 @@ impl Corners {
         if bend >= UNKNOWN || !self.complete() {
             return true;
         }
-        let Some(place) = self.locate(state, seeds) else { return true };
+        let Some(place) = self.locate(state, seeds) else {
+            return true;
+        };
         if place.outside <= MARGIN + MARGIN_BENT * bend {
             return true;
         }
@@ -133,7 +137,10 @@ impl Corners {
         for (layer, middle) in middle.iter().enumerate() {
             let (a, b) = (layer * seeds + a, layer * seeds + b);
             let length = self.distance(a, b, n);
-            let Some(middle) = middle.as_ref().filter(|_| self.known[a] && self.known[b] && length > 0.0) else {
+            let Some(middle) = middle
+                .as_ref()
+                .filter(|_| self.known[a] && self.known[b] && length > 0.0)
+            else {
                 return UNKNOWN;
             };
             let off = (0..n)

@@ -18,8 +18,6 @@ const SPACING: f64 = 0.05;
 const MOST_POINTS: usize = 320;
 /// Ratio of the first points' arc lengths.
 const RATIO: f64 = 1.6;
-/// Widths beyond the region at which a trajectory is given up.
-const MARGIN: f64 = 3.0;
 /// Stored times of a finite horizon.
 const TIMES: usize = 32;
 /// The terminal states looked at reach this many widths beyond the region on each side.
@@ -46,8 +44,10 @@ pub struct Fan<'a> {
     /// (Locked only so that the trajectories may be read by several threads.)
     kernel: Mutex<Box<dyn Kernel>>,
     run: Run,
-    /// Parameters of the seeds.
+    /// Parameters of the seeds, whether they are inside the guards, and whether on a boundary of them.
     parameters: Vec<Vec<f64>>,
+    inside: Vec<bool>,
+    boundary: Vec<bool>,
     /// Seeds half-way between two others; none where no number lies between.
     middles: HashMap<(u32, u32), Option<u32>>,
     trajectories: Vec<Option<Trajectory>>,
@@ -80,14 +80,24 @@ impl<'a> Fan<'a> {
                 strict: plan.system.guards.iter().map(|g| g.strict).collect(),
             }),
             kinks: (!switches.is_empty()).then(|| lower(&switches)),
-            method: if backend.offers(Method::Taylor) { Method::Taylor } else { Method::Dop853 },
+            method: if backend.offers(Method::Taylor) {
+                Method::Taylor
+            } else {
+                Method::Dop853
+            },
             precision: Precision::F64,
-            by: if finite.is_some() { By::Time } else { By::Component(2 * n + 1) },
+            by: if finite.is_some() {
+                By::Time
+            } else {
+                By::Component(2 * n + 1)
+            },
             store: true,
         };
         let scales = (plan.widths.iter().copied())
             .chain(plan.widths.iter().map(|w| unit / w))
             .chain([unit, 1.0]);
+        // The ends of a finite horizon are further out.
+        let least = if finite.is_some() { TERMINAL_MARGIN + 1.0 } else { 0.0 };
         let run = Run {
             rtol: RTOL,
             atol: scales.map(|s| 1e-3 * RTOL * s).collect(),
@@ -100,7 +110,11 @@ impl<'a> Fan<'a> {
             ceiling: None,
             bounds: (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
                 .map(|(([lo, hi], w), periodic)| {
-                    let margin = if *periodic { f64::INFINITY } else { MARGIN * w };
+                    let margin = if *periodic {
+                        f64::INFINITY
+                    } else {
+                        plan.shoot_out.margin.max(least) * w
+                    };
                     [lo - margin, hi + margin]
                 })
                 .collect(),
@@ -113,6 +127,8 @@ impl<'a> Fan<'a> {
             kernel: Mutex::new(backend.compile(&spec)?),
             run,
             parameters: Vec::new(),
+            inside: Vec::new(),
+            boundary: Vec::new(),
             middles: HashMap::new(),
             trajectories: Vec::new(),
             stride: 2 + 2 * n,
@@ -141,21 +157,34 @@ impl<'a> Fan<'a> {
 
     /// A new seed.
     pub fn seed(&mut self, parameter: Vec<f64>) -> u32 {
-        self.parameters.push(self.surface.nudged(parameter));
+        let parameter = self.surface.nudged(parameter);
+        let seed = self.surface.seed(&parameter);
+        let inside = self.surface.inside(&seed);
+        self.boundary.push(inside && self.surface.on_boundary(&seed));
+        self.inside.push(inside);
+        self.parameters.push(parameter);
         self.trajectories.push(None);
         (self.parameters.len() - 1) as u32
     }
 
-    /// The seed half-way between two.
+    /// The seed half-way between two; on the boundary of the guards where only one of them is inside.
     pub fn middle(&mut self, a: u32, b: u32) -> Option<u32> {
         let key = (a.min(b), a.max(b));
         if let Some(known) = self.middles.get(&key) {
             return *known;
         }
         let (p, q) = (&self.parameters[key.0 as usize], &self.parameters[key.1 as usize]);
-        let between = self.surface.between(p, q);
+        let between = match (self.inside[key.0 as usize], self.inside[key.1 as usize]) {
+            (true, false) => self.surface.boundary(p, q),
+            (false, true) => self.surface.boundary(q, p),
+            _ => self.surface.between(p, q),
+        };
         let distinct = between != *p && between != *q;
+        let crosses = self.inside[key.0 as usize] != self.inside[key.1 as usize];
         let middle = distinct.then(|| self.seed(between));
+        if let Some(middle) = middle.filter(|_| crosses) {
+            self.boundary[middle as usize] = true;
+        }
         self.middles.insert(key, middle);
         middle
     }
@@ -230,11 +259,22 @@ impl<'a> Fan<'a> {
     /// lie within `around` widths of the region.
     pub fn gap(&self, a: u32, b: u32, ceiling: f64, around: f64) -> f64 {
         let (plan, n) = (self.plan, self.plan.system.states);
+        let at = |v: u32| (self.inside[v as usize], self.boundary[v as usize]);
+        match (at(a), at(b)) {
+            ((false, _), (false, _)) | ((true, true), (false, _)) | ((false, _), (true, true)) => return 0.0,
+            // A boundary of the guards lies between.
+            ((true, _), (false, _)) | ((false, _), (true, _)) => return f64::INFINITY,
+            _ => {}
+        }
         let (Some(a), Some(b)) = (&self.trajectories[a as usize], &self.trajectories[b as usize]) else {
             return 0.0;
         };
         let mut widest = 0.0f64;
-        for (x, y) in a.points.chunks_exact(self.stride).zip(b.points.chunks_exact(self.stride)) {
+        for (x, y) in a
+            .points
+            .chunks_exact(self.stride)
+            .zip(b.points.chunks_exact(self.stride))
+        {
             if f64::from(x[1 + 2 * n].min(y[1 + 2 * n])) > ceiling {
                 break;
             }
@@ -260,7 +300,10 @@ impl<'a> Fan<'a> {
         /// Shortest edges looked at, as a share of all terminal states.
         const SHORTEST: f64 = 1.0 / 1024.0;
         let n = self.plan.system.states;
-        let seeds: Vec<Vec<f64>> = simplex.iter().map(|v| self.surface.seed(&self.parameters[*v as usize])).collect();
+        let seeds: Vec<Vec<f64>> = simplex
+            .iter()
+            .map(|v| self.surface.seed(&self.parameters[*v as usize]))
+            .collect();
         if !ceiling.is_finite() || seeds.iter().any(|s| s[2 * n] <= ceiling) {
             return None;
         }
@@ -287,7 +330,11 @@ impl<'a> Fan<'a> {
         let n = self.plan.system.states;
         let rates = self.rates.eval(points.get(1..).unwrap_or(&[]), self.stride);
         (rates.chunks_exact(2 * n + 2))
-            .flat_map(|r| std::iter::once(1.0).chain(r[..=2 * n].iter().copied()).map(|x| x / r[2 * n + 1]))
+            .flat_map(|r| {
+                std::iter::once(1.0)
+                    .chain(r[..=2 * n].iter().copied())
+                    .map(|x| x / r[2 * n + 1])
+            })
             .collect()
     }
 

@@ -26,7 +26,7 @@ const MOST_STATES: usize = 6;
 const FIRST_SEEDS: [usize; MOST_STATES + 1] = [1, 2, 256, 300, 400, 400, 400];
 /// Widest gap, in widths of the region, between neighbouring first trajectories; and how many there are at most.
 const SPACING: [f64; MOST_STATES + 1] = [0.05, 0.05, 0.08, 0.15, 0.2, 0.3, 0.4];
-const MOST_FIRST: [usize; MOST_STATES + 1] = [2, 2, 4000, 4000, 2000, 1000, 500];
+const MOST_FIRST: [usize; MOST_STATES + 1] = [2, 2, 4000, 4000, 1200, 800, 400];
 /// Widths beyond the region up to which gaps are looked at.
 const AROUND: f64 = 0.25;
 /// Longest edge, in widths of the region, of a cell that gives a guess, by the number of states.
@@ -139,7 +139,11 @@ pub struct Cover<'a> {
 impl<'a> Cover<'a> {
     /// Whether a plan's manifold can be searched.
     pub fn serves(plan: &Plan) -> bool {
-        let most = if plan.system.terminal.is_some() { MOST_IN_CELLS } else { MOST_STATES };
+        let most = if plan.system.terminal.is_some() {
+            MOST_IN_CELLS
+        } else {
+            MOST_STATES
+        };
         !plan.game && plan.system.states <= most
     }
 
@@ -206,7 +210,11 @@ impl<'a> Cover<'a> {
             if round == MOST_ROUNDS || self.fan.integrated > MOST_TRAJECTORIES {
                 for cell in &open {
                     for c in &cell.copies {
-                        lower(&mut cells.uncovered, sought[copies[*c as usize].sought].target, cell.corners.value);
+                        lower(
+                            &mut cells.uncovered,
+                            sought[copies[*c as usize].sought].target,
+                            cell.corners.value,
+                        );
                     }
                 }
                 break;
@@ -215,7 +223,11 @@ impl<'a> Cover<'a> {
         }
         cells.candidates = leaves
             .par_iter()
-            .flat_map_iter(|leaf| leaf.copies.iter().filter_map(|c| self.candidate(leaf, &copies[*c as usize], sought, end)))
+            .flat_map_iter(|leaf| {
+                leaf.copies
+                    .iter()
+                    .filter_map(|c| self.candidate(leaf, &copies[*c as usize], sought, end))
+            })
             .collect();
         cells.candidates.sort_by(|a, b| {
             (a.target, &a.turns)
@@ -285,7 +297,11 @@ impl<'a> Cover<'a> {
             .par_iter()
             .flat_map_iter(|seeds| {
                 let last = seeds.iter().map(|v| fan.reached(*v)).max().unwrap_or(0);
-                let levels = if self.stationary { 0..last } else { fan.levels()..fan.levels() + 1 };
+                let levels = if self.stationary {
+                    0..last
+                } else {
+                    fan.levels()..fan.levels() + 1
+                };
                 levels.filter_map(move |level| {
                     let cell = Cell {
                         seeds: seeds.clone(),
@@ -347,7 +363,13 @@ impl<'a> Cover<'a> {
     }
 
     /// Where too many cells are open over a state the costliest are left out, and the state is not covered from there on.
-    fn drop_excess(&self, open: &mut Vec<Open>, copies: &[Copy], sought: &[Sought], uncovered: &mut BTreeMap<usize, f64>) {
+    fn drop_excess(
+        &self,
+        open: &mut Vec<Open>,
+        copies: &[Copy],
+        sought: &[Sought],
+        uncovered: &mut BTreeMap<usize, f64>,
+    ) {
         let mut count = vec![0usize; sought.len()];
         for cell in open.iter() {
             for c in &cell.copies {
@@ -425,12 +447,20 @@ impl<'a> Cover<'a> {
     fn halves(&self, division: Division, copies: &[Copy], ceiling: f64) -> Vec<Open> {
         let Division { open, a, b, middle } = division;
         let (fan, n) = (&self.fan, self.fan.plan.system.states);
-        let Cell { seeds, level, bend, depth } = &open.cell;
+        let Cell {
+            seeds,
+            level,
+            bend,
+            depth,
+        } = &open.cell;
         let layers = 1 + usize::from(self.stationary);
         let there: Vec<Option<Vec<f64>>> = (0..layers)
             .map(|layer| {
                 let (point, known) = fan.point(middle, level + layer)?;
-                let x = point[1..=n].iter().zip(&fan.plan.widths).map(|(s, w)| f64::from(*s) / w);
+                let x = point[1..=n]
+                    .iter()
+                    .zip(&fan.plan.widths)
+                    .map(|(s, w)| f64::from(*s) / w);
                 known.then(|| x.collect())
             })
             .collect();
@@ -497,7 +527,15 @@ impl<'a> Cover<'a> {
     }
 
     /// The guess that a point of a trajectory gives for a state near it.
-    fn from_point(&self, seed: u32, level: usize, copy: &Copy, sought: &[Sought], distance: f64, end: &End) -> Candidate {
+    fn from_point(
+        &self,
+        seed: u32,
+        level: usize,
+        copy: &Copy,
+        sought: &[Sought],
+        distance: f64,
+        end: &End,
+    ) -> Candidate {
         let widths = &self.fan.plan.widths;
         let n = widths.len();
         let cell = Cell {
@@ -551,7 +589,11 @@ impl<'a> Cover<'a> {
                 let cubic = blend[0] * lower[i] + blend[1] * upper[i] + blend[2] * below[i] + blend[3] * above[i];
                 // Where the trajectories of a cell differ too much their mean is none.
                 let usual = (upper[i] - lower[i]).abs();
-                if (cubic - straight).abs() <= usual { cubic } else { straight }
+                if (cubic - straight).abs() <= usual {
+                    cubic
+                } else {
+                    straight
+                }
             })
             .collect()
     }
@@ -561,7 +603,9 @@ impl<'a> Cover<'a> {
         let most = (0..place.weights.len()).max_by(|a, b| place.weights[*a].total_cmp(&place.weights[*b]));
         let upper = self.stationary && place.share > 0.5;
         let corner = Place {
-            weights: (0..place.weights.len()).map(|q| f64::from(u8::from(Some(q) == most))).collect(),
+            weights: (0..place.weights.len())
+                .map(|q| f64::from(u8::from(Some(q) == most)))
+                .collect(),
             share: 0.0,
             outside: 0.0,
         };
@@ -578,7 +622,9 @@ impl<'a> Cover<'a> {
         let mut mean = vec![0.0; 2 + 2 * self.fan.plan.system.states];
         for (seed, weight) in cell.seeds.iter().zip(&place.weights) {
             if let Some((point, _)) = self.fan.point(*seed, level) {
-                mean.iter_mut().zip(point).for_each(|(m, x)| *m += weight * f64::from(*x));
+                mean.iter_mut()
+                    .zip(point)
+                    .for_each(|(m, x)| *m += weight * f64::from(*x));
             }
         }
         if !self.stationary && level > 0 {
@@ -594,7 +640,9 @@ impl<'a> Cover<'a> {
         let mut spread = vec![0.0f64; n];
         for level in cell.level..=cell.level + usize::from(self.stationary) {
             for seed in &cell.seeds {
-                let Some((point, _)) = self.fan.point(*seed, level) else { continue };
+                let Some((point, _)) = self.fan.point(*seed, level) else {
+                    continue;
+                };
                 for (i, spread) in spread.iter_mut().enumerate() {
                     *spread = spread.max((f64::from(point[1 + n + i]) - at[1 + n + i]).abs());
                 }
@@ -608,7 +656,10 @@ impl<'a> Cover<'a> {
         let n = self.fan.plan.system.states;
         let mut path = Path::new(&first[1..=2 * n]);
         let shortest = (first[0] / MOST_SEGMENTS).max(self.duration);
-        let points: Vec<Vec<f64>> = (0..=cell.level).rev().map(|level| self.mixed(cell, place, level)).collect();
+        let points: Vec<Vec<f64>> = (0..=cell.level)
+            .rev()
+            .map(|level| self.mixed(cell, place, level))
+            .collect();
         let mut at = first[0];
         for (k, point) in points.iter().enumerate() {
             let before = points.get(k + 1).map_or(f64::NEG_INFINITY, |next| next[0]);

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 const EVERY: usize = 4;
 /// Points looked at, and those of them that are offered, a state.
 const MOST_NEAR: usize = 96;
-const MOST_OFFERED: usize = 6;
+const MOST_OFFERED: usize = 4;
 /// Share by which the adjoints of two points on different trajectories differ at least for both to be offered.
 const DIFFERENT: f64 = 0.35;
 /// Distance, in units of that of the nearest point, and in widths, up to which points are of use.
@@ -36,7 +36,9 @@ impl Cover<'_> {
         let mut extent = vec![[f64::INFINITY, f64::NEG_INFINITY]; n];
         for seed in seeds {
             for level in (0..=fan.reached(seed)).step_by(EVERY) {
-                let Some((point, true)) = fan.point(seed, level) else { break };
+                let Some((point, true)) = fan.point(seed, level) else {
+                    break;
+                };
                 if f64::from(point[1 + 2 * n]) > ceiling {
                     break;
                 }
@@ -74,7 +76,11 @@ impl Cover<'_> {
                 offered
             })
             .collect();
-        found.sort_by(|a, b| (a.target.cmp(&b.target)).then(a.outside.total_cmp(&b.outside)).then(a.turns.cmp(&b.turns)));
+        found.sort_by(|a, b| {
+            (a.target.cmp(&b.target))
+                .then(a.outside.total_cmp(&b.outside))
+                .then(a.turns.cmp(&b.turns))
+        });
         Ok(found)
     }
 }
@@ -84,5 +90,9 @@ fn differ(a: &Candidate, b: &Candidate, widths: &[f64]) -> f64 {
     let (p, q) = (a.path.adjoint(), b.path.adjoint());
     let largest = |of: &dyn Fn(usize) -> f64| (0..p.len()).map(|i| (of(i) * widths[i]).abs()).fold(0.0, f64::max);
     let size = largest(&|i| p[i]).max(largest(&|i| q[i]));
-    if a.turns != b.turns || size == 0.0 { f64::INFINITY } else { largest(&|i| p[i] - q[i]) / size }
+    if a.turns != b.turns || size == 0.0 {
+        f64::INFINITY
+    } else {
+        largest(&|i| p[i] - q[i]) / size
+    }
 }

@@ -38,7 +38,11 @@ impl Survey<'_> {
     }
 
     /// What is wrong with trajectories, if anything: that they leave a guard, or in a game that they have a fold.
-    pub(in crate::value) fn wrong(&mut self, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Option<PointStatus>>, BackendError> {
+    pub(in crate::value) fn wrong(
+        &mut self,
+        solver: &mut Solver,
+        paths: &[&Path],
+    ) -> Result<Vec<Option<PointStatus>>, BackendError> {
         let guarded = self.valid(solver, paths)?.into_iter();
         let mut wrong: Vec<_> = guarded.map(|v| (!v).then_some(PointStatus::LeavesGuard)).collect();
         if let Some(conjugate) = &mut self.conjugate {

@@ -59,7 +59,8 @@ impl Survey<'_> {
 
     /// Whether the search shows that nothing at a target costs less than what was found.
     pub(in crate::value) fn is_covered(&self, target: usize) -> bool {
-        self.lowest(target).is_some_and(|e| self.extremals[e].value() <= self.covered_to(target))
+        self.lowest(target)
+            .is_some_and(|e| self.extremals[e].value() <= self.covered_to(target))
     }
 
     /// Flies from targets; those undercut, each with the cost and the way from the flight's path.
@@ -79,7 +80,10 @@ impl Survey<'_> {
         let mut along: Vec<Vec<usize>> = Vec::with_capacity(targets.len());
         for &t in targets {
             let mut near = Vec::new();
-            for &to in neighbours[t].iter().filter(|to| !self.is_covered(t) && !self.at[**to].is_empty()) {
+            for &to in neighbours[t]
+                .iter()
+                .filter(|to| !self.is_covered(t) && !self.at[**to].is_empty())
+            {
                 if place[to] == usize::MAX {
                     place[to] = claimed.len();
                     claimed.push(to);
@@ -92,7 +96,11 @@ impl Survey<'_> {
             .filter_map(|(k, t)| {
                 let lowest = &self.extremals[self.lowest(*t)?];
                 Some(Claim {
-                    value: if k < targets.len() { lowest.value() } else { f64::NEG_INFINITY },
+                    value: if k < targets.len() {
+                        lowest.value()
+                    } else {
+                        f64::NEG_INFINITY
+                    },
                     path: &lowest.path,
                     neighbours: along.get(k).cloned().unwrap_or_default(),
                 })
@@ -123,7 +131,9 @@ impl Survey<'_> {
         undercut: Vec<(usize, f64, Errand)>,
     ) -> Result<Vec<usize>, BackendError> {
         let value = |this: &Self, t: usize| this.lowest(t).map_or(f64::INFINITY, |e| this.extremals[e].value());
-        let before: Vec<(usize, f64, f64)> = (undercut.iter()).map(|(t, cost, _)| (*t, *cost, value(self, *t))).collect();
+        let before: Vec<(usize, f64, f64)> = (undercut.iter())
+            .map(|(t, cost, _)| (*t, *cost, value(self, *t)))
+            .collect();
         self.send(solver, undercut.into_iter().map(|(_, _, errand)| errand).collect())?;
         let mut lower = Vec::new();
         for (target, cost, before) in before {

@@ -66,7 +66,11 @@ impl Survey<'_> {
         // At last, on a finite horizon, whatever it costs.
         let last = highest + i32::from(self.plan.local.is_none());
         for stage in lowest..=last {
-            let ceiling = if stage > highest { f64::INFINITY } else { cover.unit * step.powi(stage) };
+            let ceiling = if stage > highest {
+                f64::INFINITY
+            } else {
+                cover.unit * step.powi(stage)
+            };
             let now: Vec<usize> = (open.iter().copied()).filter(|t| first[*t] <= stage).collect();
             self.search(solver, cover, &now, ceiling, wanted, progress)?;
             open.retain(|t| first[*t] > stage || !self.is_settled(*t, ceiling, wanted));
@@ -79,7 +83,9 @@ impl Survey<'_> {
 
     /// The cost at which a target's search begins, in units, by the quadratic V at the copy nearest to the equilibrium.
     fn expected(&self, target: usize, unit: f64) -> f64 {
-        let Some(local) = &self.plan.local else { return FIRST_FINITE };
+        let Some(local) = &self.plan.local else {
+            return FIRST_FINITE;
+        };
         let s: Vec<f64> = (self.state(target, 0).iter().zip(&self.plan.periods))
             .map(|(s, period)| period.map_or(*s, |p| s - p * (s / p).round()))
             .collect();
@@ -122,7 +128,7 @@ impl Survey<'_> {
                 progress("from swept trajectories", self.solved(), self.targets.len());
                 continue;
             }
-                let cells = cover.search(&sought, ceiling, &solver.scheme.end)?;
+            let cells = cover.search(&sought, ceiling, &solver.scheme.end)?;
             let lost = self.try_candidates(solver, cells.candidates, ceiling, wanted)?;
             for &target in part {
                 let left = [cells.uncovered.get(&target), lost.get(&target)];
@@ -189,7 +195,11 @@ impl Survey<'_> {
         let known = self.known_at(candidate);
         let mut near = known.filter(|e| !is_elsewhere(e, candidate.path.node(0), &self.scales));
         let least = self.lowest(candidate.target).map(|e| self.extremals[e].value());
-        let range = if wanted.sheets && self.at[candidate.target].len() < MOST_SHEETS { SHEETS } else { 1.0 };
+        let range = if wanted.sheets && self.at[candidate.target].len() < MOST_SHEETS {
+            SHEETS
+        } else {
+            1.0
+        };
         near.next().is_none() && least.is_none_or(|v| candidate.value <= range * v)
     }
 
@@ -201,8 +211,17 @@ impl Survey<'_> {
         ceiling: f64,
         wanted: Wanted,
     ) -> Result<BTreeMap<usize, f64>, BackendError> {
-        let most = |c: &Candidate| ABOVE * ceiling.min(wanted.value_max.max(self.targets.limits[c.target]));
-        left.retain(|c| c.value <= most(c));
+        // Where something cheaper is known or offered, sheets above what is of interest are not followed.
+        let mut least: BTreeMap<usize, f64> = BTreeMap::new();
+        for c in &left {
+            let known = || {
+                self.lowest(c.target)
+                    .map_or(f64::INFINITY, |e| self.extremals[e].value())
+            };
+            let entry = least.entry(c.target).or_insert_with(known);
+            *entry = entry.min(c.value);
+        }
+        left.retain(|c| c.value <= ABOVE * ceiling && (c.value <= wanted.value_max || c.value <= least[&c.target]));
         let mut tried: Vec<Candidate> = Vec::new();
         for round in 0..ROUNDS {
             // The first round shows what there is; after that only what may be the least is tried again.
@@ -213,7 +232,9 @@ impl Survey<'_> {
                 break;
             }
             self.send_all(solver, now.iter(), Start::Mean)?;
-            let missing = now.iter().filter(|c| !self.is_explained(c) && (c.is_inside() || self.may_be_least(c)));
+            let missing = now
+                .iter()
+                .filter(|c| !self.is_explained(c) && (c.is_inside() || self.may_be_least(c)));
             let missing: Vec<Candidate> = missing.cloned().collect();
             self.send_all(solver, missing.iter(), Start::Beside(FROM_CELL))?;
             tried.extend(missing);
@@ -271,7 +292,13 @@ impl Survey<'_> {
     fn explains_loosely(&self, candidate: &Candidate) -> bool {
         self.known_at(candidate).any(|e| {
             let near = (e.value() - candidate.value).abs() <= 0.1 * candidate.value.abs();
-            near && alike(e.adjoint(), candidate.path.adjoint(), &candidate.spread, &self.scales, 3.0 * WITHIN)
+            near && alike(
+                e.adjoint(),
+                candidate.path.adjoint(),
+                &candidate.spread,
+                &self.scales,
+                3.0 * WITHIN,
+            )
         })
     }
 
@@ -300,7 +327,13 @@ fn choose(candidates: Vec<Candidate>, scales: &[f64]) -> (Vec<Candidate>, Vec<Ca
         }
         let like = |other: &Candidate| {
             other.turns == candidate.turns
-                && alike(other.path.adjoint(), candidate.path.adjoint(), &candidate.spread, scales, WITHIN)
+                && alike(
+                    other.path.adjoint(),
+                    candidate.path.adjoint(),
+                    &candidate.spread,
+                    scales,
+                    WITHIN,
+                )
         };
         if now.len() - first >= MOST_AT_ONCE || now[first..].iter().any(like) {
             later.push(candidate);

@@ -6,6 +6,7 @@
 //! continuation joins have the same label (`label`). In a game only the sheet of the equilibrium counts (`principal`).
 
 mod admissible;
+mod beside;
 mod checked;
 mod covered;
 mod folds;
@@ -25,8 +26,8 @@ use super::archive::{Archive, segment_duration};
 use super::conjugate::ConjugatePoints;
 use super::cover::Cover;
 use super::extremal::{Extremal, same};
-use super::march;
 use super::fold::Fold;
+use super::march;
 use super::targets::{Groups, Targets};
 use crate::backend::BackendError;
 use crate::backend::cpu::map::Evaluator;
@@ -167,7 +168,11 @@ impl<'a> Survey<'a> {
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let index = self.index(archive);
-        self.windings = if cover.is_some() { self.nearest_windings() } else { self.all_windings(&index) };
+        self.windings = if cover.is_some() {
+            self.nearest_windings()
+        } else {
+            self.all_windings(&index)
+        };
         self.near_end(solver);
         self.refuse_outside();
         march::add_marched(self, solver)?;
@@ -175,7 +180,10 @@ impl<'a> Survey<'a> {
             return self.principal_sheet(solver, archive, &index, wanted, progress);
         }
         match cover {
-            Some(cover) => self.from_cells(solver, cover, wanted, progress)?,
+            Some(cover) => {
+                self.from_cells(solver, cover, wanted, progress)?;
+                self.from_folds_beside(solver, wanted)?;
+            }
             None => {
                 let order: Vec<usize> = (0..self.targets.len()).collect();
                 for part in order.chunks(COHORT) {
@@ -275,8 +283,15 @@ impl<'a> Survey<'a> {
             return false;
         }
         let (of_a, of_b) = (&self.members[&a], &self.members[&b]);
-        let (few, many) = if of_a.len() < of_b.len() { (of_a, of_b) } else { (of_b, of_a) };
-        if few.iter().any(|(place, e)| many.get(place).is_some_and(|other| other != e)) {
+        let (few, many) = if of_a.len() < of_b.len() {
+            (of_a, of_b)
+        } else {
+            (of_b, of_a)
+        };
+        if few
+            .iter()
+            .any(|(place, e)| many.get(place).is_some_and(|other| other != e))
+        {
             return false;
         }
         self.groups.join(a, b);
@@ -296,7 +311,11 @@ impl<'a> Survey<'a> {
 
     /// Follows errands, and joins what they find to what they came from. Of each its target, and the extremal there if it was
     /// reached.
-    pub(in crate::value) fn send(&mut self, solver: &mut Solver, errands: Vec<Errand>) -> Result<Vec<(usize, Option<usize>)>, BackendError> {
+    pub(in crate::value) fn send(
+        &mut self,
+        solver: &mut Solver,
+        errands: Vec<Errand>,
+    ) -> Result<Vec<(usize, Option<usize>)>, BackendError> {
         for errand in &errands {
             self.starts[errand.target] += 1;
         }
@@ -346,7 +365,13 @@ impl<'a> Survey<'a> {
     }
 
     /// Notes how far the way to a target led, if that is further than before.
-    pub(in crate::value) fn unreached(&mut self, from: Option<usize>, target: usize, winding: usize, unreached: &Unreached) {
+    pub(in crate::value) fn unreached(
+        &mut self,
+        from: Option<usize>,
+        target: usize,
+        winding: usize,
+        unreached: &Unreached,
+    ) {
         if !self.at[target].is_empty() {
             return;
         }

@@ -1,11 +1,11 @@
 //! From solved targets to their neighbours: solutions that are missing, and which ones lie on one sheet.
 
+use super::{Errand, MOST_SHEETS, PointStatus, Progress, Survey, Wanted};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::archive::{Archive, Index};
 use crate::value::extremal::misfit;
-use super::{Errand, MOST_SHEETS, PointStatus, Progress, Survey, Wanted};
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 /// Swept trajectories tried for a target that nothing else has led to.
@@ -133,9 +133,7 @@ impl Survey<'_> {
             }
         }
         match best {
-            Some((m, other)) if m < 1.0 => {
-                self.join(e, other)
-            }
+            Some((m, other)) if m < 1.0 => self.join(e, other),
             _ => false,
         }
     }
@@ -165,7 +163,14 @@ impl Survey<'_> {
                 self.send(solver, errands)?;
             }
             if attempt < ATTEMPTS {
-                let errands = self.nearest_guesses(&solver.scheme.end, archive, index, &open, attempt, Effort::Patient.least());
+                let errands = self.nearest_guesses(
+                    &solver.scheme.end,
+                    archive,
+                    index,
+                    &open,
+                    attempt,
+                    Effort::Patient.least(),
+                );
                 self.send(solver, errands)?;
                 progress("in short steps", self.solved(), self.targets.len());
             }
