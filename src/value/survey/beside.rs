@@ -1,10 +1,13 @@
 //! Further extremals of a finite horizon: each known one is followed away from its target in several directions, around the
 //! folds that its sheet may have there, and back.
 
-use super::{MOST_SHEETS, Survey, Wanted};
+use super::{Errand, MOST_SHEETS, Survey, Wanted};
 use crate::backend::BackendError;
-use crate::shooting::Solver;
+use crate::program::Program;
+use crate::shooting::{Path, Solver};
+use crate::value::approach::Approach;
 use crate::value::extremal::Extremal;
+use crate::value::flight::{Flight, Pilot, Terminal};
 use crate::value::fold;
 
 /// How far, in widths of the region, and how many times what was found is followed again.
@@ -13,7 +16,49 @@ const ROUNDS: usize = 2;
 /// States of a system up to which this is done: there are twice as many directions.
 const MOST_STATES: usize = 2;
 
+/// Parts of a segment in which adjoints are carried backward along a flown path.
+const PARTS: usize = 16;
+/// Shortest steps, as shares of the way, from a flown path.
+const FROM_FLIGHT: f64 = 1.0 / 16.0;
+
 impl Survey<'_> {
+    /// Guesses from the flight under the terminal cost's gradient: the least effort, with the adjoints that belong to its
+    /// states.
+    pub(super) fn from_flights(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(), BackendError> {
+        let Some(law) = Terminal::new(self.plan).filter(|_| wanted.sheets && self.targets.states <= MOST_STATES) else {
+            return Ok(());
+        };
+        let targets: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+        let flights: Vec<Flight<'_>> = (targets.iter())
+            .map(|t| Flight {
+                start: self.state(*t, 0),
+                law: &law,
+                ceiling: f64::INFINITY,
+            })
+            .collect();
+        let flown = Pilot::new(self.plan)?.fly(&flights)?;
+        let n = self.targets.states;
+        let rate = Program::lower(
+            &self.plan.system.graph,
+            &self.plan.system.inputs,
+            &self.plan.system.rate[n..2 * n],
+        );
+        let errands: Vec<Errand> = (targets.into_iter().zip(flown))
+            .filter_map(|(target, flown)| {
+                let path = with_adjoints(flown.path?, &rate);
+                let finite = path.nodes.iter().all(|x| x.is_finite());
+                finite.then(|| Errand {
+                    from: None,
+                    target,
+                    winding: 0,
+                    way: Approach::new(path, self.state(target, 0), FROM_FLIGHT),
+                })
+            })
+            .collect();
+        self.send(solver, errands)?;
+        Ok(())
+    }
+
     /// Cells do not show extremals whose trajectories part too fast backward in time; their sheets join in folds.
     pub(super) fn from_folds_beside(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(), BackendError> {
         let n = self.targets.states;
@@ -58,4 +103,23 @@ impl Survey<'_> {
         }
         Ok(())
     }
+}
+
+/// A path with its adjoints replaced by those that its states have, from its end backward: `dp/dtau = dH/dx`, whose rate is
+/// given.
+fn with_adjoints(mut path: Path, rate: &Program) -> Path {
+    let n = path.width / 2;
+    for k in (0..path.segments()).rev() {
+        let step = path.durations[k] / PARTS as f64;
+        let (before, after) = (path.node(k)[..n].to_vec(), path.node(k + 1).to_vec());
+        let mut p = after[n..].to_vec();
+        for part in 0..PARTS {
+            let share = 1.0 - (part as f64 + 0.5) / PARTS as f64;
+            let s = (0..n).map(|i| before[i] + share * (after[i] - before[i]));
+            let at: Vec<f64> = s.chain(p.iter().copied()).collect();
+            p.iter_mut().zip(rate.eval(&at)).for_each(|(p, r)| *p += step * r);
+        }
+        path.nodes[k * 2 * n + n..(k + 1) * 2 * n].copy_from_slice(&p);
+    }
+    path
 }

@@ -182,6 +182,7 @@ impl<'a> Survey<'a> {
         match cover {
             Some(cover) => {
                 self.from_cells(solver, cover, wanted, progress)?;
+                self.from_flights(solver, wanted)?;
                 self.from_folds_beside(solver, wanted)?;
             }
             None => {
