@@ -167,6 +167,18 @@ impl<'a> Fan<'a> {
         (self.parameters.len() - 1) as u32
     }
 
+    /// Whether a seed was made on the boundary of the guards.
+    pub fn is_boundary(&self, seed: u32) -> bool {
+        self.boundary[seed as usize]
+    }
+
+    /// Whether a state (in widths of the region) is on the boundary of the guards.
+    pub fn is_on_boundary(&self, x: &[f64]) -> bool {
+        let s = x.iter().zip(&self.plan.widths).map(|(x, w)| x * w);
+        let node: Vec<f64> = s.chain(x.iter().map(|_| 0.0)).collect();
+        self.surface.on_boundary(&node)
+    }
+
     /// The seed half-way between two; on the boundary of the guards where only one of them is inside.
     pub fn middle(&mut self, a: u32, b: u32) -> Option<u32> {
         let key = (a.min(b), a.max(b));

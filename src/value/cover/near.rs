@@ -59,12 +59,19 @@ impl Cover<'_> {
         let mut found: Vec<Candidate> = copies
             .par_iter()
             .flat_map_iter(|copy| {
-                let near = tree.near(&copy.x, f64::INFINITY, MOST_NEAR);
+                let mut near = tree.near(&copy.x, f64::INFINITY, MOST_NEAR);
                 let within = near.first().map_or(0.0, |(_, d)| (FARTHER * d).max(FAR));
+                // A trajectory that stays on an invariant boundary leads to one that does, without rounding.
+                if fan.is_on_boundary(&copy.x) {
+                    near.sort_by_key(|(k, _)| !fan.is_boundary(places[*k].0));
+                }
                 let mut offered: Vec<Candidate> = Vec::new();
                 for (k, distance) in near {
-                    if offered.len() >= MOST_OFFERED || distance > within {
+                    if offered.len() >= MOST_OFFERED {
                         break;
+                    }
+                    if distance > within {
+                        continue;
                     }
                     let (seed, level) = places[k];
                     let candidate = this.from_point(seed, level, copy, sought, distance, end);
