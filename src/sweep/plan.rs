@@ -154,6 +154,9 @@ pub struct Plan {
     /// Periodic states are not limited to the region.
     pub periodic: Vec<bool>,
     pub periods: Vec<Option<f64>>,
+    /// The same where dynamics and cost do not tell the periods apart either: then another copy of the equilibrium is one too.
+    /// (A cost such as `theta^2` does tell them apart.)
+    pub recurrent: Vec<Option<f64>>,
     pub widths: Vec<f64>,
     /// Scale of V: value_max, or the largest terminal cost.
     pub value_scale: f64,
@@ -352,6 +355,12 @@ impl Plan {
             local,
             rtol_asked,
             atol,
+            recurrent: recurrent(
+                &system,
+                &model.states.iter().map(|s| s.period).collect::<Vec<_>>(),
+                &region,
+                &widths,
+            ),
             periods: model.states.iter().map(|s| s.period).collect(),
             periodic,
             widths,
@@ -454,6 +463,32 @@ impl Plan {
             .find(|(c, _)| *c == code)
             .map_or_else(|| format!("status_{code}"), |(_, n)| n)
     }
+}
+
+/// The periods by which all rates, the running cost among them, repeat (looked at in many points).
+fn recurrent(system: &System, periods: &[Option<f64>], region: &[[f64; 2]], widths: &[f64]) -> Vec<Option<f64>> {
+    const POINTS: usize = 64;
+    const ALIKE: f64 = 1e-9;
+    let n = system.states;
+    let program = Program::lower(&system.graph, &system.inputs, &system.rate);
+    let points: Vec<Vec<f64>> = (spread_over(region, POINTS).into_iter().enumerate())
+        .map(|(k, s)| {
+            let p = (0..n).map(|i| ((k + i) as f64 * 0.618).fract() / widths[i]);
+            s.iter().copied().chain(p).collect()
+        })
+        .collect();
+    let repeats = |i: usize, period: f64| {
+        points.iter().all(|point| {
+            let mut moved = point.clone();
+            moved[i] += period;
+            let (here, there) = (program.eval(point), program.eval(&moved));
+            let size = here.iter().chain(&there).fold(0.0f64, |a, x| a.max(x.abs()));
+            here.iter().zip(&there).all(|(a, b)| !((a - b).abs() > ALIKE * size))
+        })
+    };
+    (periods.iter().enumerate())
+        .map(|(i, period)| period.filter(|period| repeats(i, *period)))
+        .collect()
 }
 
 /// States up to which the seeds of a sweep are triangulated.

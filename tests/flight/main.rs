@@ -286,9 +286,35 @@ fn clamped_controls_are_flown_through_their_kinks() {
     assert!(saturated >= 2, "controls are at their bounds");
 }
 
+/// A pendulum whose cost repeats with the angle, as its dynamics do.
+const SWINGING: &str = r#"
+states = { theta = { period = "2*pi" }, omega = {} }
+controls = { u = {} }
+dynamics = { theta = "omega", omega = "-9.81*sin(theta) + u" }
+cost = { running = "0.5*(10*(1 - cos(theta)) + omega^2 + u^2)" }
+equilibrium = { theta = 0, omega = 0, u = 0 }
+region = { theta = ["-pi", "pi"], omega = [-8, 8] }
+shoot_out = { value_max = 20, spacing = 0.05, samples = 50 }
+"#;
+
+/// Where the cost is of the angle itself, another winding of the equilibrium costs: it is not home.
+#[test]
+fn another_winding_is_not_home_where_the_cost_tells_it_apart() {
+    let swept = Swept::new(scene("pendulum_rest", &[]), 200);
+    let linear = Linear::new(&swept.plan).expect("an infinite horizon");
+    let turn = 2.0 * std::f64::consts::PI;
+    let flown = fly_all(&swept, &linear, &[vec![0.3, 0.5], vec![0.3 + turn, 0.5]]);
+    assert!(
+        flown[1].cost > 10.0 * flown[0].cost,
+        "{} {}",
+        flown[0].cost,
+        flown[1].cost
+    );
+}
+
 #[test]
 fn another_winding_of_the_equilibrium_is_home() {
-    let swept = Swept::new(scene("pendulum_rest", &[]), 200);
+    let swept = Swept::new(parse(SWINGING), 200);
     let linear = Linear::new(&swept.plan).expect("an infinite horizon");
     let turn = 2.0 * std::f64::consts::PI;
     let states = vec![vec![0.3, 0.5], vec![0.3 + turn, 0.5], vec![0.3 - 2.0 * turn, 0.5]];

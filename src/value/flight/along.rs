@@ -222,7 +222,7 @@ struct Follower<'a> {
 impl<'a> Follower<'a> {
     fn new(plan: &'a Plan, guide: &'a Guide, start: &[f64]) -> Self {
         Self {
-            turns: guide.turns(start, &plan.periods),
+            turns: guide.turns(start, &plan.recurrent),
             guide,
             local: Expansion::new(plan),
         }

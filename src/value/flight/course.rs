@@ -108,7 +108,7 @@ impl Course {
         Self {
             end: End::new(system, plan.local.as_ref()),
             local: plan.local.clone(),
-            periods: plan.periods.clone(),
+            periods: plan.recurrent.clone(),
             widths: plan.widths.clone(),
             value_scale: plan.value_scale,
             guards,

@@ -19,7 +19,7 @@ impl<'a> Linear<'a> {
     pub fn new(plan: &'a Plan) -> Option<Self> {
         Some(Self {
             local: plan.local.as_ref()?,
-            periods: &plan.periods,
+            periods: &plan.recurrent,
         })
     }
 

@@ -38,13 +38,13 @@ impl<'a> At<'a> {
             return None;
         }
         let places: Vec<f64> = (sites.iter())
-            .flat_map(|site| scaled(&once(&site.s, &plan.periods), &plan.widths))
+            .flat_map(|site| scaled(&once(&site.s, &plan.recurrent), &plan.widths))
             .collect();
         Some(Self {
             sites,
             index: nearest::index(&places, n),
             widths: &plan.widths,
-            periods: &plan.periods,
+            periods: &plan.recurrent,
             local: Expansion::new(plan),
         })
     }

@@ -221,7 +221,9 @@ impl Survey<'_> {
             let entry = least.entry(c.target).or_insert_with(known);
             *entry = entry.min(c.value);
         }
-        left.retain(|c| c.value <= ABOVE * ceiling && (c.value <= ABOVE * wanted.value_max || c.value <= least[&c.target]));
+        left.retain(|c| {
+            c.value <= ABOVE * ceiling && (c.value <= ABOVE * wanted.value_max || c.value <= least[&c.target])
+        });
         let mut tried: Vec<Candidate> = Vec::new();
         for round in 0..ROUNDS {
             // The first round shows what there is; after that only what may be the least is tried again.
