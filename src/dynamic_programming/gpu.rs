@@ -180,20 +180,13 @@ impl<'a> GpuIteration<'a> {
 
     fn read(&self, buffer: &wgpu::Buffer, count: usize) -> Result<Vec<f64>, BackendError> {
         let encoder = self.device.device.create_command_encoder(&Default::default());
-        let numbers = read_back(
-            &self.device,
-            &self.staging,
-            encoder,
-            [(buffer, 4 * count)],
-            |[bytes]| {
-                let numbers: &[f32] = bytemuck::cast_slice(bytes);
-                match numbers.iter().position(|x| x.to_bits() == u32::MAX) {
-                    Some(index) => Err(BackendError::Unwritten { index }),
-                    None => Ok(numbers.iter().map(|x| f64::from(*x)).collect()),
-                }
-            },
-        )?;
-        numbers
+        read_back(self.device, &self.staging, encoder, [(buffer, 4 * count)], |[bytes]| {
+            let numbers: &[f32] = bytemuck::cast_slice(bytes);
+            match numbers.iter().position(|x| x.to_bits() == u32::MAX) {
+                Some(index) => Err(BackendError::Unwritten { index }),
+                None => Ok(numbers.iter().map(|x| f64::from(*x)).collect()),
+            }
+        })?
     }
 
     fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<(), BackendError> {

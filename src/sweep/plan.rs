@@ -483,7 +483,9 @@ fn recurrent(system: &System, periods: &[Option<f64>], region: &[[f64; 2]], widt
             moved[i] += period;
             let (here, there) = (program.eval(point), program.eval(&moved));
             let size = here.iter().chain(&there).fold(0.0f64, |a, x| a.max(x.abs()));
-            here.iter().zip(&there).all(|(a, b)| !((a - b).abs() > ALIKE * size))
+            here.iter()
+                .zip(&there)
+                .all(|(a, b)| (a - b).abs() <= ALIKE * size || a.is_nan())
         })
     };
     (periods.iter().enumerate())

@@ -527,7 +527,7 @@ impl<'a> Cover<'a> {
     }
 
     /// The guess that a point of a trajectory gives for a state near it.
-    fn from_point(
+    fn point_guess(
         &self,
         seed: u32,
         level: usize,

@@ -74,7 +74,7 @@ impl Cover<'_> {
                         continue;
                     }
                     let (seed, level) = places[k];
-                    let candidate = this.from_point(seed, level, copy, sought, distance, end);
+                    let candidate = this.point_guess(seed, level, copy, sought, distance, end);
                     let like = |other: &Candidate| differ(other, &candidate, &this.fan.plan.widths) < DIFFERENT;
                     if !offered.iter().any(like) {
                         offered.push(candidate);

@@ -24,7 +24,7 @@ const FROM_FLIGHT: f64 = 1.0 / 16.0;
 impl Survey<'_> {
     /// Guesses from the flight under the terminal cost's gradient: the least effort, with the adjoints that belong to its
     /// states.
-    pub(super) fn from_flights(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(), BackendError> {
+    pub(super) fn try_flights(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(), BackendError> {
         let Some(law) = Terminal::new(self.plan).filter(|_| wanted.sheets && self.targets.states <= MOST_STATES) else {
             return Ok(());
         };
@@ -60,7 +60,7 @@ impl Survey<'_> {
     }
 
     /// Cells do not show extremals whose trajectories part too fast backward in time; their sheets join in folds.
-    pub(super) fn from_folds_beside(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(), BackendError> {
+    pub(super) fn try_folds_beside(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(), BackendError> {
         let n = self.targets.states;
         if self.plan.system.terminal.is_none() || !wanted.sheets || n > MOST_STATES {
             return Ok(());

@@ -43,7 +43,7 @@ enum Start {
 
 impl Survey<'_> {
     /// Searches the manifold for every target, in rising cost, until what was found is cheaper than what is left.
-    pub(super) fn from_cells(
+    pub(super) fn search_cells(
         &mut self,
         solver: &mut Solver,
         cover: &mut Cover<'_>,
@@ -54,7 +54,7 @@ impl Survey<'_> {
             let all: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
             return self.search(solver, cover, &all, f64::INFINITY, wanted, progress);
         }
-        self.from_within_seeds(solver, cover)?;
+        self.try_within_seeds(solver, cover)?;
         let kind = usize::from(!cover.has_cells());
         let step = STEP[kind];
         let stage_of = |share: f64| share.log(step).ceil() as i32;
@@ -142,7 +142,7 @@ impl Survey<'_> {
     }
 
     /// Targets that lie within the seeds, by the local solution.
-    fn from_within_seeds(&mut self, solver: &mut Solver, cover: &Cover<'_>) -> Result<(), BackendError> {
+    fn try_within_seeds(&mut self, solver: &mut Solver, cover: &Cover<'_>) -> Result<(), BackendError> {
         let mut errands = Vec::new();
         for target in (0..self.targets.len()).filter(|t| self.is_open(*t)) {
             for winding in 0..self.windings.len() {

@@ -181,9 +181,9 @@ impl<'a> Survey<'a> {
         }
         match cover {
             Some(cover) => {
-                self.from_cells(solver, cover, wanted, progress)?;
-                self.from_flights(solver, wanted)?;
-                self.from_folds_beside(solver, wanted)?;
+                self.search_cells(solver, cover, wanted, progress)?;
+                self.try_flights(solver, wanted)?;
+                self.try_folds_beside(solver, wanted)?;
             }
             None => {
                 let order: Vec<usize> = (0..self.targets.len()).collect();
