@@ -264,7 +264,7 @@ fn compare(region: &[[f64; 2]], a: &GridValue, b: &GridValue) -> Result<usize, D
     for node in (0..a.grid.values.len()).filter(inside) {
         let (x, y) = (&a.grid.values[node], &b.grid.values[node]);
         let (x_known, y_known) = (*x < a.reached_below, *y < b.reached_below);
-        if x_known != y_known || (x_known && !((x - y).abs() <= AGREEMENT * (x.abs() + 0.01))) {
+        if x_known != y_known || (x_known && ((x - y).is_nan() || (x - y).abs() > AGREEMENT * (x.abs() + 0.01))) {
             return Err(Difference::Value { node, a: *x, b: *y });
         }
         compared += usize::from(x_known);
