@@ -316,8 +316,11 @@ fn part_in_sheets(x: &[f64], company: &str, a: &Found, b: &Found) -> Option<Stri
     (!same).then(|| format!("sheets over {x:?}: alone {:?}, {company} {:?}", a.sheets, b.sheets))
 }
 
+/// V where it is known exactly.
+type Exact<'a> = &'a dyn Fn(&[f64]) -> f64;
+
 /// Solves random states of a scene's region alone, together, backward with duplicates, and with other sweeps: V is the same.
-fn assert_company(model: &Model, others: &[(&str, Model)], exact: Option<&dyn Fn(&[f64]) -> f64>, sheets: bool) {
+fn assert_company(model: &Model, others: &[(&str, Model)], exact: Option<Exact<'_>>, sheets: bool) {
     let count = std::env::var("COSTATE_LEAST_STATES").map_or(12, |n| n.parse().expect("a number of states"));
     let mut random = Random::new(13);
     let states: Vec<Vec<f64>> = (0..count).map(|_| random.point(&model.region)).collect();
