@@ -41,7 +41,28 @@ pub(super) fn text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
             done.listed - SHOWN
         ));
     }
+    lines.extend(flown(done, answers));
     lines
+}
+
+/// What simulated controls along the answers have cost.
+fn flown(done: &Done<'_>, answers: &Answers) -> Option<String> {
+    let listed = &answers.targets.of_given[..done.listed];
+    let all = listed.iter().filter_map(|&target| {
+        let (value, flown) = (answers.answer(target)?.value, answers.support[target].flown?);
+        Some((flown - value) / value.abs().max(f64::MIN_POSITIVE))
+    });
+    let (home, lost): (Vec<f64>, Vec<f64>) = all.partition(|more| more.is_finite());
+    let most = home.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let said = |what: String| format!("  simulated along the answers, the controls cost {what}");
+    match (home.len(), lost.len()) {
+        (0, 0) => None,
+        (0, lost) => Some(said(format!("no bound: {lost} did not come home"))),
+        (_, 0) => Some(said(format!("V and at most {most:.1e} of it more"))),
+        (home, lost) => Some(said(format!(
+            "V and at most {most:.1e} of it more from {home} states; from {lost} they did not come home"
+        ))),
+    }
 }
 
 /// The answers at the states that the user listed, in their order; at most the first 1000.
@@ -63,6 +84,7 @@ pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
             "bound": answers.support[target].bound,
             "covered_to": Some(answers.support[target].covered_to).filter(|c| c.is_finite()),
             "starts": answers.support[target].starts,
+            "flown": answers.support[target].flown.filter(|c| c.is_finite()),
             "flights": answers.support[target].flights,
             "V_sheets": answers.of(target).iter().map(|e| e.value).collect::<Vec<f64>>(),
         })

@@ -220,12 +220,16 @@ impl ResultFile {
                 &["point", "state"],
                 "the point itself, or the furthest state reached on the way to it",
             ));
-        group = support(group, &names, &["point"]);
+        group = support(group, &names, &["point"]).variable(
+            Variable::f64("flown", ["point"])
+                .unit(&names.cost)
+                .long_name("cost of a simulated control along the answer, of states that were listed"),
+        );
         let mut columns = Columns::default();
         let mut supports = SupportColumns::default();
         let (mut x0, mut furthest) = (Vec::new(), Vec::new());
         let (mut iterations, mut sheets) = (Vec::new(), Vec::new());
-        let (mut residual, mut h) = (Vec::new(), Vec::new());
+        let (mut residual, mut h, mut flown) = (Vec::new(), Vec::new(), Vec::new());
         for &target in given {
             let entry = answers.answer(target);
             columns.push(&names, entry, answers.status(target));
@@ -242,6 +246,7 @@ impl ResultFile {
             iterations.push(entry.map_or(0, |e| e.iterations as i32));
             residual.push(entry.map_or(f64::NAN, |e| e.residual));
             h.push(entry.map_or(f64::NAN, |e| e.hamiltonian));
+            flown.push(answers.support[target].flown.unwrap_or(f64::NAN));
             sheets.push(answers.of(target).len() as i32);
         }
         let mut writer = self.group(&group)?;
@@ -256,6 +261,7 @@ impl ResultFile {
             ("H", (&h).into()),
             ("sheets", (&sheets).into()),
             ("furthest", (&furthest).into()),
+            ("flown", (&flown).into()),
         ];
         values.extend(supports.columns());
         if !schema.controls.is_empty() {

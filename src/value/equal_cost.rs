@@ -111,6 +111,12 @@ impl Survey<'_> {
         a.iter().zip(&b).map(|(a, b)| a + pair.at * (b - a)).collect()
     }
 
+    /// V up to which the sheets of two neighbours are of interest.
+    fn highest(&self, a: usize, b: usize, wanted: Wanted) -> f64 {
+        let limits = &self.targets.limits;
+        wanted.at(limits[a].max(limits[b])).value_max
+    }
+
     fn pairs(&self, wanted: Wanted) -> Vec<Pair> {
         let mut pairs = Vec::new();
         for &(a, b) in &self.targets.edges {
@@ -119,7 +125,7 @@ impl Survey<'_> {
             };
             if self.sheet[i] == self.sheet[j]
                 || (0..self.targets.states).any(|k| self.base(a, k) != self.base(b, k))
-                || self.extremals[i].value().min(self.extremals[j].value()) > wanted.value_max
+                || self.extremals[i].value().min(self.extremals[j].value()) > self.highest(a, b, wanted)
             {
                 continue;
             }

@@ -85,6 +85,19 @@ pub fn predicted(a: &Extremal, state: &[f64], scales: &[f64]) -> Option<(Vec<f64
     Some(((0..n).map(|i| p[i] + change[i]).collect(), size))
 }
 
+/// V that a solution's sheet is expected to have at a state near its own, to second order; and the sum of the changes along
+/// the axes, whatever their signs.
+pub fn expected_value(a: &Extremal, state: &[f64], scales: &[f64]) -> Option<(f64, f64)> {
+    let n = a.adjoint().len();
+    let (there, _) = predicted(a, state, scales)?;
+    let h = |i: usize| (state[i] - a.path.start()[i]) / scales[i];
+    let p = scaled(a.adjoint(), scales);
+    let scale = scales[0] * scales[n];
+    let along = |i: usize| 0.5 * scale * (p[i] + there[i]) * h(i);
+    let change: f64 = (0..n).map(along).sum();
+    Some((a.value() + change, (0..n).map(|i| along(i).abs()).sum()))
+}
+
 /// Whether a point `(s, p)` of a trajectory is clearly off the sheet of a solution near it.
 pub fn is_elsewhere(a: &Extremal, node: &[f64], scales: &[f64]) -> bool {
     let n = a.adjoint().len();

@@ -4,7 +4,7 @@ use super::archive::{Archive, segment_duration};
 use super::cover::Cover;
 use super::equal_cost::BoundaryPoint;
 use super::fold::Fold;
-use super::survey::{Miss, PointStatus, Progress, Support, Survey, Wanted};
+use super::survey::{BEYOND, Miss, PointStatus, Progress, Support, Survey, Wanted};
 use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
@@ -21,8 +21,6 @@ const SEGMENT_SHARE: f64 = 0.1;
 const FINITE_RTOL: f64 = 1e-12;
 /// Smallest tolerance of segments.
 const LEAST_RTOL: f64 = 1e-13;
-/// Sheets are continued to this many times the sweep's V unless the scene says how far.
-const BEYOND: f64 = 2.0;
 /// Variation components that a lane of the CPU and an invocation of a GPU carry.
 const CPU_VARIATIONS: usize = 64;
 const GPU_VARIATIONS: usize = 16;
@@ -324,9 +322,6 @@ pub fn solve(
     let value_max = (request.value_max)
         .or(model.sheets.value_max)
         .unwrap_or(BEYOND * plan.shoot_out.value_max.unwrap_or(f64::INFINITY));
-    // Where no state of interest costs more, nor need the sheets over it.
-    let interest = targets.limits.iter().copied().fold(0.0, f64::max);
-    let value_max = value_max.min(BEYOND * interest);
     let wanted = Wanted {
         value_max,
         sheets: !request.one_sheet,

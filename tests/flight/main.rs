@@ -9,8 +9,8 @@ use common_values::common_oracles::{Random, Worst, parameter};
 use common_values::{Swept, given, parse, scene};
 use costate::shooting::{Goal, Job, Path};
 use costate::value::flight::{
-    AlongState, AlongTime, At, Expansion, Flight, FlightEnd, Flown, Guide, Law, Linear, Pilot, Site, Terminal, guides,
-    slopes,
+    AlongState, AlongTime, At, Expansion, Flight, FlightEnd, Flown, Guide, Law, Linear, PIECES, Pilot, Site, Terminal,
+    guides, slopes,
 };
 
 /// Error of a flown cost, relative to it: ten times the tolerance of a step.
@@ -72,7 +72,7 @@ pub fn solutions(swept: &Swept, states: &[Vec<f64>]) -> Vec<(Path, f64)> {
 
 fn guides_of(swept: &Swept, solved: &[(Path, f64)]) -> Vec<Guide> {
     let paths: Vec<&Path> = solved.iter().map(|(path, _)| path).collect();
-    guides(&swept.plan, &mut swept.solver(), &paths).expect("the backend works")
+    guides(&swept.plan, &mut swept.solver(), &paths, PIECES).expect("the backend works")
 }
 
 /// Multiple shooting from a flight's path at its start.

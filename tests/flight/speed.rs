@@ -5,7 +5,7 @@ use crate::common_values::common_oracles::Random;
 use crate::common_values::{Swept, given, scene};
 use costate::shooting::{Path, Solver};
 use costate::value::Entry;
-use costate::value::flight::{AlongState, AlongTime, Claim, Flight, Guide, Law, Pilot, guides, undercut};
+use costate::value::flight::{AlongState, AlongTime, Claim, Flight, Guide, Law, PIECES, Pilot, guides, undercut};
 use std::time::Instant;
 
 /// States a scene, and how far their neighbours are, in widths of the region.
@@ -110,7 +110,7 @@ fn speed() {
         let mut solver = swept.solver();
         fly_from_all(name, &swept, &mut solver, &entries);
         let paths: Vec<&Path> = entries.iter().map(|e| &e.path).collect();
-        let guides = guides(&swept.plan, &mut solver, &paths).expect("the backend works");
+        let guides = guides(&swept.plan, &mut solver, &paths, PIECES).expect("the backend works");
         for by_state in [true, false] {
             closeness(name, &swept, &entries, &guides, by_state);
         }

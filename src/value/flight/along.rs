@@ -9,7 +9,7 @@ use crate::sweep::Plan;
 use rayon::prelude::*;
 
 /// Parts in which a solution's segments are divided: then they are about as long as the fastest mode takes to grow by e.
-const PIECES: usize = 3;
+pub const PIECES: usize = 3;
 /// Singular value of a node's equations for p below which its slope is of no use: a fold is near.
 const NEAR_FOLD: f64 = 1e-4;
 /// Paths linearized at once.
@@ -51,14 +51,14 @@ pub fn slopes(solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Vec<Option<Vec
     Ok(all)
 }
 
-/// Solutions with their slopes, ready to be followed: at their nodes and between them.
+/// Solutions with their slopes, ready to be followed: at their nodes and at the ends of as many pieces of each segment.
 ///
 /// # Errors
 /// Device failures only.
-pub fn guides(plan: &Plan, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Guide>, BackendError> {
-    let between = solver.between_nodes(paths, PIECES)?;
+pub fn guides(plan: &Plan, solver: &mut Solver, paths: &[&Path], pieces: usize) -> Result<Vec<Guide>, BackendError> {
+    let between = solver.between_nodes(paths, pieces)?;
     let fine: Vec<Path> = (paths.iter().zip(&between))
-        .map(|(path, between)| divided(path, between))
+        .map(|(path, between)| divided(path, between, pieces))
         .collect();
     let slopes = slopes(solver, &fine.iter().collect::<Vec<_>>())?;
     let system = &plan.system;
@@ -72,13 +72,13 @@ pub fn guides(plan: &Plan, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<G
         .collect())
 }
 
-/// A path with the nodes between its own: those at the ends of `1 .. PIECES - 1` parts of each segment.
-fn divided(path: &Path, between: &[f64]) -> Path {
+/// A path with the nodes between its own: those at the ends of `1 .. pieces - 1` parts of each segment.
+fn divided(path: &Path, between: &[f64], pieces: usize) -> Path {
     let mut fine = Path::new(path.node(0));
     let mut inner = between.chunks(path.width);
     for (k, duration) in path.durations.iter().enumerate() {
-        let part = duration / PIECES as f64;
-        for node in inner.by_ref().take(PIECES - 1) {
+        let part = duration / pieces as f64;
+        for node in inner.by_ref().take(pieces - 1) {
             fine.push(part, node);
         }
         fine.push(part, path.node(k + 1));

@@ -27,7 +27,7 @@ const SETTLED: f64 = 1e-2;
 /// Times of the slowest mode after which a flight is given up.
 const LONGEST_FLIGHT: f64 = 100.0;
 /// Periods after which it is: where rates are far apart, or a law's answers jump all the time.
-const MOST_PERIODS: u32 = 20_000;
+const MOST_PERIODS: f64 = 20_000.0;
 
 /// A flight in the air.
 pub(super) struct Air {
@@ -91,10 +91,13 @@ pub(super) struct Course {
     longest: f64,
     settled_longest: f64,
     given_up: f64,
+    /// Share of the usual periods.
+    fine: f64,
 }
 
 impl Course {
-    pub fn new(plan: &Plan) -> Self {
+    /// Periods are `fine` times as long as usual: what a flight costs too much goes with the fourth power.
+    pub fn new(plan: &Plan, fine: f64) -> Self {
         let system = &plan.system;
         let guards = (!system.guards.is_empty()).then(|| {
             let exprs: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
@@ -104,7 +107,7 @@ impl Course {
         let segment = segment_duration(plan);
         let slowest = plan.local.as_ref().map(|l| closed_loop_margin(&l.riccati).recip());
         let time = system.terminal.as_ref().map(|t| t.time);
-        let longest = (LONGEST * segment).min(time.map_or(f64::INFINITY, |t| t / FINITE_PERIODS));
+        let longest = fine * (LONGEST * segment).min(time.map_or(f64::INFINITY, |t| t / FINITE_PERIODS));
         Self {
             end: End::new(system, plan.local.as_ref()),
             local: plan.local.clone(),
@@ -114,9 +117,10 @@ impl Course {
             guards,
             segment,
             time,
-            first: (FIRST * segment).min(longest),
+            first: (fine * FIRST * segment).min(longest),
             longest,
-            settled_longest: slowest.map_or(longest, |slowest| longest.max(SETTLED_PERIOD * slowest)),
+            settled_longest: slowest.map_or(longest, |slowest| longest.max(fine * SETTLED_PERIOD * slowest)),
+            fine,
             given_up: slowest.map_or(f64::INFINITY, |slowest| LONGEST_FLIGHT * slowest),
         }
     }
@@ -143,12 +147,14 @@ impl Course {
             } else {
                 self.longest
             };
-            let shortest = (SHORTEST * self.segment).min(longest);
+            let shortest = (self.fine * SHORTEST * self.segment).min(longest);
             let flown = air.t - air.before.0;
-            let factor = (ANSWERS_DIFFER / difference).sqrt().clamp(0.5, 2.0);
+            // It goes with the square of the period.
+            let share = self.fine.powi(2);
+            let factor = (share * ANSWERS_DIFFER / difference).sqrt().clamp(0.5, 2.0);
             air.period = (flown * factor).clamp(shortest, longest);
             // Only a period that was much longer than the next one is worth doing again.
-            if difference > TOO_DIFFERENT && flown > 1.5 * air.period {
+            if difference > share * TOO_DIFFERENT && flown > 1.5 * air.period {
                 (air.t, air.s, air.cost) = air.before.clone();
                 return None;
             }
@@ -156,7 +162,7 @@ impl Course {
         if air.cost >= flight.ceiling {
             return Some(Flown::failed(FlightEnd::AboveCeiling));
         }
-        if air.t > self.given_up || air.periods > MOST_PERIODS {
+        if air.t > self.given_up || f64::from(air.periods) > MOST_PERIODS / self.fine {
             return Some(Flown::failed(FlightEnd::TimeUp));
         }
         if !air.settled {

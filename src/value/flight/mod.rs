@@ -13,16 +13,18 @@
 mod along;
 mod course;
 mod equations;
+mod itself;
 mod laws;
 mod pilot;
 mod sites;
 mod undercut;
 
-pub use along::{AlongState, AlongTime, Guide, guides, slopes};
+pub use along::{AlongState, AlongTime, Guide, PIECES, guides, slopes};
+pub use itself::along_itself;
 pub use laws::{Expansion, Linear, Terminal};
 pub use pilot::Pilot;
 pub use sites::{At, Site};
-pub use undercut::{Claim, Flew, Undercut, undercut};
+pub use undercut::{Claim, Flew, Undercut, tolerance, undercut};
 
 use crate::shooting::Path;
 

@@ -21,11 +21,19 @@ impl Pilot {
     /// # Errors
     /// When the kernel cannot be compiled.
     pub fn new(plan: &Plan) -> Result<Self, BackendError> {
+        Self::with_periods(plan, 1.0)
+    }
+
+    /// Flies in periods `fine` times as long as usual: closer to the laws, and more slowly.
+    ///
+    /// # Errors
+    /// When the kernel cannot be compiled.
+    pub fn with_periods(plan: &Plan, fine: f64) -> Result<Self, BackendError> {
         let equations = Equations::new(plan);
         Ok(Self {
             kernel: equations.compile()?,
             equations,
-            course: Course::new(plan),
+            course: Course::new(plan, fine),
             steps: 0,
             periods: 0,
         })

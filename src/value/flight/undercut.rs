@@ -1,6 +1,6 @@
 //! Whether claimed values of V are undercut by flights.
 
-use super::{AlongState, AlongTime, Expansion, Flight, Flown, Guide, Law, Linear, Pilot, Terminal, guides};
+use super::{AlongState, AlongTime, Expansion, Flight, Flown, Guide, Law, Linear, PIECES, Pilot, Terminal, guides};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
 use crate::sweep::Plan;
@@ -94,7 +94,8 @@ pub fn undercut(
     Ok(results)
 }
 
-fn tolerance(plan: &Plan, value: f64) -> f64 {
+/// How far below a claimed V a flight must cost to undercut it.
+pub fn tolerance(plan: &Plan, value: f64) -> f64 {
     RELATIVE * value.abs() + ABSOLUTE * plan.value_scale
 }
 
@@ -113,7 +114,7 @@ fn followed(
         .filter(|(_, wanted)| **wanted)
         .map(|(claim, _)| claim.path)
         .collect();
-    let mut made = guides(plan, solver, &paths)?.into_iter();
+    let mut made = guides(plan, solver, &paths, PIECES)?.into_iter();
     Ok(wanted
         .iter()
         .map(|wanted| wanted.then(|| made.next()).flatten())

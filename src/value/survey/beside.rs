@@ -107,7 +107,7 @@ impl Survey<'_> {
 
 /// A path with its adjoints replaced by those that its states have, from its end backward: `dp/dtau = dH/dx`, whose rate is
 /// given.
-fn with_adjoints(mut path: Path, rate: &Program) -> Path {
+pub(super) fn with_adjoints(mut path: Path, rate: &Program) -> Path {
     let n = path.width / 2;
     for k in (0..path.segments()).rev() {
         let step = path.durations[k] / PARTS as f64;

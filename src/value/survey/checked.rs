@@ -1,17 +1,30 @@
 //! Whether any control that is known costs less than the least V found: laws are flown from every solved target.
 
-use super::{Errand, Progress, SHORT, Survey};
+use super::beside::with_adjoints;
+use super::{Errand, Progress, SHORT, Survey, times};
 use crate::backend::BackendError;
-use crate::shooting::Solver;
+use crate::program::Program;
+use crate::shooting::{Path, Solver};
 use crate::value::approach::Approach;
-use crate::value::flight::{Claim, Pilot, undercut};
+use crate::value::extremal::expected_value;
+use crate::value::flight::{Claim, Pilot, along_itself, tolerance, undercut};
 
 /// Rounds in which what undercut a target was solved for.
 const ROUNDS: usize = 4;
-/// Neighbours along whose paths is flown to a target for which the search was not complete.
+/// Neighbours along whose paths is flown to a target.
 const NEIGHBOURS: usize = 3;
+/// A neighbour leads one to expect less where its sheet, continued, is this share of its change below.
+const CLEARLY: f64 = 0.05;
 /// A solution found from a flight's path is its own where it costs at most this much more.
 const ABOVE: f64 = 1e-6;
+
+/// A flight that costs less than the least V of a target.
+struct Undercutting {
+    target: usize,
+    cost: f64,
+    /// Ways from its path.
+    errands: Vec<Errand>,
+}
 
 /// How well it is supported that the least V found at a target is the least there is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +37,8 @@ pub struct Support {
     pub covered_to: f64,
     /// Least cost of a flight that undercuts V, if one does.
     pub bound: Option<f64>,
+    /// Cost of a flight along the answer itself, of states that were listed; infinite where it did not come home.
+    pub flown: Option<f64>,
 }
 
 impl Survey<'_> {
@@ -35,6 +50,7 @@ impl Survey<'_> {
     ) -> Result<(), BackendError> {
         self.bounds = vec![None; self.targets.len()];
         self.flights = vec![0; self.targets.len()];
+        self.flown = vec![None; self.targets.len()];
         if self.plan.game {
             return Ok(());
         }
@@ -49,7 +65,64 @@ impl Survey<'_> {
             progress("undercut by flights", self.solved(), self.targets.len());
             open = self.solve_for(solver, undercut)?;
         }
+        let mut listed: Vec<usize> = (0..self.targets.len()).filter(|t| !self.targets.gridded[*t]).collect();
+        for _ in 0..ROUNDS {
+            let undercut = self.fly_itself(solver, &listed)?;
+            if undercut.is_empty() {
+                break;
+            }
+            progress("undercut by flights", self.solved(), self.targets.len());
+            listed = self.solve_for(solver, undercut)?;
+        }
         Ok(())
+    }
+
+    /// Flies along the answers at targets; those undercut, as they part from their answer for something cheaper.
+    fn fly_itself(&mut self, solver: &mut Solver, targets: &[usize]) -> Result<Vec<Undercutting>, BackendError> {
+        let solved: Vec<(usize, usize)> = (targets.iter()).filter_map(|t| Some((*t, self.lowest(*t)?))).collect();
+        let claims: Vec<Claim<'_>> = (solved.iter())
+            .map(|(_, e)| Claim {
+                value: self.extremals[*e].value(),
+                path: &self.extremals[*e].path,
+                neighbours: Vec::new(),
+            })
+            .collect();
+        let flown = along_itself(self.plan, solver, &claims)?;
+        let mut undercut = Vec::new();
+        for ((target, e), flown) in solved.into_iter().zip(flown) {
+            self.flown[target] = Some(flown.cost);
+            self.flights[target] += 1;
+            let least = self.extremals[e].value() - tolerance(self.plan, self.extremals[e].value());
+            if let Some(path) = flown.path.filter(|_| flown.cost < least) {
+                undercut.push(self.undercutting(target, flown.cost, path));
+            }
+        }
+        Ok(undercut)
+    }
+
+    /// A flight that undercuts a target, with the ways from its path: with the costates that the law gave, and with those
+    /// that belong to the states.
+    fn undercutting(&mut self, target: usize, cost: f64, path: Path) -> Undercutting {
+        let n = self.targets.states;
+        let system = &self.plan.system;
+        let rate = Program::lower(&system.graph, &system.inputs, &system.rate[n..2 * n]);
+        let winding = self.winding_near(target, path.start());
+        let adjoint = with_adjoints(path.clone(), &rate);
+        let errands = [path, adjoint]
+            .into_iter()
+            .filter(|path| path.nodes.iter().all(|x| x.is_finite()));
+        Undercutting {
+            target,
+            cost,
+            errands: errands
+                .map(|path| Errand {
+                    from: None,
+                    target,
+                    winding,
+                    way: Approach::new(path, self.state(target, winding), SHORT),
+                })
+                .collect(),
+        }
     }
 
     /// Cost below which nothing over a target was left out of the search.
@@ -63,6 +136,19 @@ impl Survey<'_> {
             .is_some_and(|e| self.extremals[e].value() <= self.covered_to(target))
     }
 
+    /// Whether the way along a neighbour's solution may cost less than what was found: where the search was not complete, or
+    /// the neighbour's sheet leads one to expect it.
+    fn may_undercut(&self, neighbour: usize, target: usize) -> bool {
+        let (Some(from), Some(e)) = (self.lowest(neighbour), self.lowest(target)) else {
+            return false;
+        };
+        let from = &self.extremals[from];
+        let there = self.state(target, from.winding);
+        !self.is_covered(target)
+            || expected_value(from, &there, &self.scales)
+                .is_some_and(|(value, change)| value < self.extremals[e].value() - CLEARLY * change)
+    }
+
     /// Flies from targets; those undercut, each with the cost and the way from the flight's path.
     fn flown(
         &mut self,
@@ -70,7 +156,7 @@ impl Survey<'_> {
         pilot: &mut Pilot,
         targets: &[usize],
         neighbours: &[Vec<usize>],
-    ) -> Result<Vec<(usize, f64, Errand)>, BackendError> {
+    ) -> Result<Vec<Undercutting>, BackendError> {
         // The targets flown from, then those whose paths are flown along.
         let mut place = vec![usize::MAX; self.targets.len()];
         let mut claimed: Vec<usize> = targets.to_vec();
@@ -80,10 +166,7 @@ impl Survey<'_> {
         let mut along: Vec<Vec<usize>> = Vec::with_capacity(targets.len());
         for &t in targets {
             let mut near = Vec::new();
-            for &to in neighbours[t]
-                .iter()
-                .filter(|to| !self.is_covered(t) && !self.at[**to].is_empty())
-            {
+            for &to in neighbours[t].iter().filter(|to| self.may_undercut(**to, t)) {
                 if place[to] == usize::MAX {
                     place[to] = claimed.len();
                     claimed.push(to);
@@ -111,34 +194,22 @@ impl Survey<'_> {
         for (&target, said) in targets.iter().zip(said) {
             self.flights[target] += said.flown as u32;
             let Some(path) = said.path else { continue };
-            let winding = self.lowest(target).map_or(0, |e| self.extremals[e].winding);
-            let way = Approach::new(path, self.state(target, winding), SHORT);
-            let errand = Errand {
-                from: None,
-                target,
-                winding,
-                way,
-            };
-            found.push((target, said.cost, errand));
+            found.push(self.undercutting(target, said.cost, path));
         }
         Ok(found)
     }
 
     /// Solves from the paths of flights. Targets that have a lower V now; the others keep the bound.
-    fn solve_for(
-        &mut self,
-        solver: &mut Solver,
-        undercut: Vec<(usize, f64, Errand)>,
-    ) -> Result<Vec<usize>, BackendError> {
+    fn solve_for(&mut self, solver: &mut Solver, undercut: Vec<Undercutting>) -> Result<Vec<usize>, BackendError> {
         let value = |this: &Self, t: usize| this.lowest(t).map_or(f64::INFINITY, |e| this.extremals[e].value());
         let before: Vec<(usize, f64, f64)> = (undercut.iter())
-            .map(|(t, cost, _)| (*t, *cost, value(self, *t)))
+            .map(|u| (u.target, u.cost, value(self, u.target)))
             .collect();
-        self.send(solver, undercut.into_iter().map(|(_, _, errand)| errand).collect())?;
+        self.send(solver, undercut.into_iter().flat_map(|u| u.errands).collect())?;
         let mut lower = Vec::new();
         for (target, cost, before) in before {
             let now = value(self, target);
-            self.bounds[target] = (now > cost * (1.0 + ABOVE)).then_some(cost);
+            self.bounds[target] = (now > times(1.0 + ABOVE, cost)).then_some(cost);
             // The search had been told that there was nothing.
             self.uncovered[target] = self.uncovered[target].min(cost);
             if now < before {
@@ -155,6 +226,7 @@ impl Survey<'_> {
             flights: self.flights[target],
             covered_to: self.covered_to(target),
             bound: self.bounds[target],
+            flown: self.flown[target],
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Extremals from the cells of the swept manifold: what lies over a target is found whatever else is asked for.
 
-use super::{COHORT, Errand, MOST_SHEETS, Progress, SHORT, Survey, Wanted};
+use super::{COHORT, Errand, MOST_SHEETS, Progress, SHORT, Survey, Wanted, times};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
@@ -94,6 +94,7 @@ impl Survey<'_> {
 
     /// Whether nothing that costs more than `ceiling` is of interest at a target.
     fn is_settled(&self, target: usize, ceiling: f64, wanted: Wanted) -> bool {
+        let wanted = wanted.at(self.targets.limits[target]);
         if ceiling >= self.targets.limits[target] && ceiling >= wanted.value_max {
             return true;
         }
@@ -200,7 +201,7 @@ impl Survey<'_> {
         } else {
             1.0
         };
-        near.next().is_none() && least.is_none_or(|v| candidate.value <= range * v)
+        near.next().is_none() && least.is_none_or(|v| candidate.value <= times(range, v))
     }
 
     /// Tries the guesses that no known solution explains; the targets of which one led nowhere, with the least V it promised.
@@ -222,7 +223,8 @@ impl Survey<'_> {
             *entry = entry.min(c.value);
         }
         left.retain(|c| {
-            c.value <= ABOVE * ceiling && (c.value <= ABOVE * wanted.value_max || c.value <= least[&c.target])
+            let highest = wanted.at(self.targets.limits[c.target]).value_max;
+            c.value <= ABOVE * ceiling && (c.value <= ABOVE * highest || c.value <= least[&c.target])
         });
         let mut tried: Vec<Candidate> = Vec::new();
         for round in 0..ROUNDS {
@@ -280,7 +282,7 @@ impl Survey<'_> {
     fn may_be_least(&self, candidate: &Candidate) -> bool {
         const NEARLY: f64 = 1.05;
         self.lowest(candidate.target)
-            .is_none_or(|e| candidate.value <= NEARLY * self.extremals[e].value())
+            .is_none_or(|e| candidate.value <= times(NEARLY, self.extremals[e].value()))
     }
 
     fn is_explained(&self, candidate: &Candidate) -> bool {

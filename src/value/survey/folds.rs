@@ -26,7 +26,8 @@ impl Survey<'_> {
             for e in 0..self.extremals.len() {
                 let from = self.extremals[e].target;
                 // Single states are to have the same sheets in any company.
-                if self.extremals[e].value() > wanted.value_max || !self.targets.gridded[from] {
+                let highest = wanted.at(self.targets.limits[from]).value_max;
+                if self.extremals[e].value() > highest || !self.targets.gridded[from] {
                     continue;
                 }
                 for &to in &neighbours[from] {
@@ -57,7 +58,8 @@ impl Survey<'_> {
                 let winding = self.extremals[e].winding;
                 for (target, end) in [(self.extremals[e].target, found.at_start), (to, found.at_end)] {
                     let Some((job, solved)) = end else { continue };
-                    if !self.valid(solver, &[&job.path])?[0] || solved.value > wanted.value_max {
+                    let highest = wanted.at(self.targets.limits[target]).value_max;
+                    if !self.valid(solver, &[&job.path])?[0] || solved.value > highest {
                         continue;
                     }
                     let (index, _) = self.add(Extremal {

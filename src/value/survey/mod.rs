@@ -63,10 +63,25 @@ impl Wanted {
             3 => 4.0,
             _ => 1.0,
         };
-        self.value_max.min(range * least)
+        self.value_max.min(times(range, least))
+    }
+
+    /// The same at a target above whose `limit` V is of no interest: nor need the sheets be far over it.
+    pub(in crate::value) fn at(self, limit: f64) -> Self {
+        Self {
+            value_max: self.value_max.min(BEYOND * limit),
+            ..self
+        }
     }
 }
 
+/// A cost made larger by a factor of its size: negative costs exist.
+pub(in crate::value) fn times(factor: f64, cost: f64) -> f64 {
+    cost + (factor - 1.0) * cost.abs()
+}
+
+/// Sheets are looked for up to this many times the V of interest, unless the scene says how far.
+pub(in crate::value) const BEYOND: f64 = 2.0;
 /// A fold's singular value, relative to that where the way began, below which a failure counts as a fold.
 const NEAR_FOLD: f64 = 0.2;
 
@@ -93,6 +108,8 @@ pub struct Survey<'a> {
     /// Least cost of a control that undercuts the least V of a target, and how many were flown.
     bounds: Vec<Option<f64>>,
     flights: Vec<u32>,
+    /// Cost of a flight along the answer itself, of listed states.
+    flown: Vec<Option<f64>>,
     /// Trajectories from which ways to a target were tried.
     pub(super) tried: HashSet<(usize, u32)>,
     /// Cost from which on the search of each target was not complete.
@@ -145,6 +162,7 @@ impl<'a> Survey<'a> {
             uncovered: vec![f64::INFINITY; targets.len()],
             bounds: vec![None; targets.len()],
             flights: vec![0; targets.len()],
+            flown: vec![None; targets.len()],
             members: HashMap::new(),
             tried: HashSet::new(),
             groups: Groups::default(),

@@ -112,7 +112,8 @@ impl Survey<'_> {
             return false;
         }
         // The cheapest are joined to each other however much they cost, so that their labels agree.
-        wanted.sheets && (extremal.value() <= wanted.value_max || self.lowest(extremal.target) == Some(e))
+        let highest = wanted.at(self.targets.limits[to]).value_max;
+        wanted.sheets && (extremal.value() <= highest || self.lowest(extremal.target) == Some(e))
     }
 
     /// Whether an extremal fits one at a neighbouring target, and joins them.

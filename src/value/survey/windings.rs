@@ -16,6 +16,16 @@ impl Survey<'_> {
         self.windings.len() - 1
     }
 
+    /// The winding of a target that is nearest to a state, a deviation.
+    pub(super) fn winding_near(&mut self, target: usize, s: &[f64]) -> usize {
+        let here = self.state(target, 0);
+        let turns: Vec<i32> = (s.iter().zip(&here).zip(&self.plan.periods))
+            .zip(&self.windings[0])
+            .map(|(((s, here), period), turns)| turns + period.map_or(0, |p| ((s - here) / p).round() as i32))
+            .collect();
+        self.winding(&turns)
+    }
+
     /// None, and those that bring a target nearest to the equilibrium.
     pub(super) fn nearest_windings(&self) -> Vec<Vec<i32>> {
         let n = self.targets.states;
