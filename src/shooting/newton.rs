@@ -23,6 +23,8 @@ const NEAR: f64 = 1e-2;
 const KEEP: f64 = 0.1;
 /// Evaluations after which a problem is given up.
 const MOST_ROUNDS: u32 = 40;
+/// The same of a step along a line: a shorter one costs less than to wait.
+const MOST_ROUNDS_LINE: u32 = 12;
 /// Segments whose propagator has larger entries are split: a digit is lost for each power of ten.
 const MOST_GROWTH: f64 = 1e3;
 /// Most segments of a path.
@@ -42,6 +44,16 @@ pub enum Goal {
         from: Vec<f64>,
         advance: f64,
     },
+}
+
+impl Goal {
+    /// Rounds after which a job is given up.
+    fn most_rounds(&self) -> u32 {
+        match self {
+            Goal::State(_) => MOST_ROUNDS,
+            Goal::Line { .. } => MOST_ROUNDS_LINE,
+        }
+    }
 }
 
 /// Why a problem was not solved.
@@ -311,7 +323,7 @@ impl Scheme {
             job.fail(why);
             return None;
         }
-        if job.iterations > MOST_ROUNDS {
+        if job.iterations > job.goal.most_rounds() {
             job.fail(Failure::Iterations);
             return None;
         }
@@ -402,7 +414,7 @@ impl Scheme {
         if !contracts {
             return self.damp(job, trial, Failure::Diverged);
         }
-        if job.iterations > MOST_ROUNDS {
+        if job.iterations > job.goal.most_rounds() {
             return job.fail(Failure::Iterations);
         }
         job.path = trial.path;
@@ -431,7 +443,7 @@ impl Scheme {
     /// Tries half of a step that does not contract.
     fn damp(&self, job: &mut Job, trial: Trial, why: Failure) {
         let damping = 0.5 * trial.damping;
-        if damping < LEAST_DAMPING || job.iterations > MOST_ROUNDS {
+        if damping < LEAST_DAMPING || job.iterations > job.goal.most_rounds() {
             // Near a solution it may be the rough segments that do not let the residual fall any further.
             if !job.fine && trial.norm <= NEAR * trial.path.size(&self.equations.scales) {
                 job.fine = true;

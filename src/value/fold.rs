@@ -10,6 +10,8 @@ const LEAST: f64 = 1e-5;
 const GROW: f64 = 1.5;
 /// Steps along a line.
 const MOST_STEPS: usize = 80;
+/// Steps that were too long: a sheet that ends without a fold is not worth more.
+const MOST_FAILED: usize = 28;
 /// Iterations by which a fold is located, and how well (share of the line's direction in the tangent).
 const LOCATE_STEPS: usize = 8;
 const LOCATED: f64 = 1e-7;
@@ -74,6 +76,8 @@ struct Walker {
     now: Point,
     advance: f64,
     steps: usize,
+    /// Steps that were too long.
+    failed: usize,
     stage: Stage,
     found: Found,
 }
@@ -138,6 +142,7 @@ impl Walker {
             direction,
             now: Point { job, at, tangent },
             steps: 0,
+            failed: 0,
             stage,
             found: Found::default(),
         }
@@ -221,8 +226,9 @@ impl Walker {
         };
         let Some(next) = next.filter(|next| turned(next) > 0.7) else {
             self.advance *= 0.5;
+            self.failed += 1;
             let moves = self.advance * self.now.tangent[0].abs().max(1e-3);
-            if self.steps < MOST_STEPS && moves > LEAST {
+            if self.steps < MOST_STEPS && self.failed < MOST_FAILED && moves > LEAST {
                 self.stage = Stage::Walk;
             }
             return;

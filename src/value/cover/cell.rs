@@ -1,11 +1,17 @@
 //! Cells of the swept manifold: a simplex of seeds between two levels, and where in it a state lies.
 
 use super::fan::Fan;
+use nalgebra::{Const, DimMin, SMatrix, SVector, ToTypenum};
+use smallvec::{SmallVec, smallvec};
+
+/// What there is of each seed of a cell, and of each corner: kept in place up to 3 states.
+pub type OfSeeds<T> = SmallVec<[T; 4]>;
+pub type OfCorners<T> = SmallVec<[T; 6]>;
 
 /// A cell: the trajectories of a simplex of seeds between `level` and the next one (finite horizon: at the last level).
 #[derive(Clone, Debug)]
 pub struct Cell {
-    pub seeds: Vec<u32>,
+    pub seeds: OfSeeds<u32>,
     pub level: usize,
     /// How far the middles of its edges are off the straight line, relative to the edges, as far as that is known.
     pub bend: f64,
@@ -16,8 +22,8 @@ pub struct Cell {
 /// The corners of a cell in widths of the region: first those at the lower level, then those at the upper one.
 pub struct Corners {
     /// `[corner][n]`.
-    pub x: Vec<f64>,
-    pub known: Vec<bool>,
+    pub x: SmallVec<[f64; 18]>,
+    pub known: OfCorners<bool>,
     /// Least V of the known ones; and the highest, endless where one is not known.
     pub value: f64,
     pub highest: f64,
@@ -44,8 +50,8 @@ impl Cell {
         let (n, widths) = (fan.plan.system.states, &fan.plan.widths);
         let levels: &[usize] = if stationary { &[0, 1] } else { &[0] };
         let mut corners = Corners {
-            x: Vec::with_capacity(levels.len() * self.seeds.len() * n),
-            known: Vec::with_capacity(levels.len() * self.seeds.len()),
+            x: SmallVec::new(),
+            known: SmallVec::new(),
             value: f64::INFINITY,
             highest: f64::NEG_INFINITY,
         };
@@ -72,9 +78,9 @@ impl Cell {
 
 impl Corners {
     /// Lowest and highest coordinates, beyond which no part of the cell is expected.
-    pub fn bounds(&self, n: usize, bend: f64) -> Vec<[f64; 2]> {
+    pub fn bounds(&self, n: usize, bend: f64) -> SmallVec<[[f64; 2]; 3]> {
         let inflation = (INFLATION + INFLATION_BENT * bend).min(MOST_INFLATION);
-        let mut bounds = vec![[f64::INFINITY, f64::NEG_INFINITY]; n];
+        let mut bounds: SmallVec<[[f64; 2]; 3]> = smallvec![[f64::INFINITY, f64::NEG_INFINITY]; n];
         for corner in self.x.chunks_exact(n) {
             for (bound, x) in bounds.iter_mut().zip(corner) {
                 *bound = [bound[0].min(*x), bound[1].max(*x)];
@@ -106,7 +112,7 @@ impl Corners {
     fn off(&self, place: &Place, state: &[f64], seeds: usize) -> f64 {
         let n = state.len();
         let share = place.share.clamp(0.0, 1.0);
-        let mut weights: Vec<f64> = place.weights.iter().map(|w| w.max(0.0)).collect();
+        let mut weights: OfSeeds<f64> = place.weights.iter().map(|w| w.max(0.0)).collect();
         let sum: f64 = weights.iter().sum();
         weights.iter_mut().for_each(|w| *w /= sum);
         let layers = self.known.len() / seeds;
@@ -132,7 +138,7 @@ impl Corners {
     }
 
     /// How far the middle of the edge between two seeds is off the line between them, at the layers of which all is known.
-    pub fn bend(&self, a: usize, b: usize, middle: &[Option<Vec<f64>>], seeds: usize, n: usize) -> f64 {
+    pub fn bend(&self, a: usize, b: usize, middle: &[Option<SmallVec<[f64; 3]>>], seeds: usize, n: usize) -> f64 {
         let mut bend = 0.0f64;
         for (layer, middle) in middle.iter().enumerate() {
             let (a, b) = (layer * seeds + a, layer * seeds + b);
@@ -183,21 +189,31 @@ impl Corners {
     /// Where a state (in widths) lies in the cell: the weights of the seeds and the share of the way between the levels,
     /// with how far it is outside (0: inside; relative to the cell). None where the cell is flat.
     pub fn locate(&self, state: &[f64], seeds: usize) -> Option<Place> {
-        let n = state.len();
         let layers = self.known.len() / seeds;
         let unknowns = seeds - 1 + usize::from(layers == 2);
-        if unknowns != n {
-            return None;
+        match (state.len(), unknowns) {
+            (1, 1) => self.locate_in::<1>(state, seeds),
+            (2, 2) => self.locate_in::<2>(state, seeds),
+            (3, 3) => self.locate_in::<3>(state, seeds),
+            _ => None,
         }
-        let mut weights = vec![1.0 / seeds as f64; seeds];
-        let mut share = if layers == 2 { 0.5 } else { 0.0 };
+    }
+
+    /// Newton's method for the place: a cell of two layers is bilinear.
+    fn locate_in<const N: usize>(&self, state: &[f64], seeds: usize) -> Option<Place>
+    where
+        Const<N>: ToTypenum + DimMin<Const<N>, Output = Const<N>>,
+    {
+        let two = self.known.len() == 2 * seeds;
+        let mut weights: OfSeeds<f64> = smallvec![1.0 / seeds as f64; seeds];
+        let mut share = if two { 0.5 } else { 0.0 };
         for _ in 0..8 {
-            let mut residual = nalgebra::DVector::from_column_slice(state);
-            let mut matrix = nalgebra::DMatrix::<f64>::zeros(n, n);
-            for i in 0..n {
-                let at = |corner: usize| self.x[corner * n + i];
+            let mut residual = SVector::<f64, N>::from_column_slice(state);
+            let mut matrix = SMatrix::<f64, N, N>::zeros();
+            for i in 0..N {
+                let at = |corner: usize| self.x[corner * N + i];
                 let mixed = |seed: usize| {
-                    if layers == 2 {
+                    if two {
                         (1.0 - share) * at(seed) + share * at(seeds + seed)
                     } else {
                         at(seed)
@@ -209,8 +225,8 @@ impl Corners {
                 for seed in 1..seeds {
                     matrix[(i, seed - 1)] = mixed(seed) - mixed(0);
                 }
-                if layers == 2 {
-                    matrix[(i, n - 1)] = (0..seeds).map(|q| weights[q] * (at(seeds + q) - at(q))).sum();
+                if two {
+                    matrix[(i, N - 1)] = (0..seeds).map(|q| weights[q] * (at(seeds + q) - at(q))).sum();
                 }
             }
             let step = matrix.lu().solve(&residual)?;
@@ -221,8 +237,8 @@ impl Corners {
                 weights[seed] += step[seed - 1];
                 weights[0] -= step[seed - 1];
             }
-            if layers == 2 {
-                share += step[n - 1];
+            if two {
+                share += step[N - 1];
             }
             if step.amax() < 1e-6 {
                 break;
@@ -242,7 +258,7 @@ impl Corners {
 #[derive(Clone, Debug)]
 pub struct Place {
     /// One a seed, 1 in all.
-    pub weights: Vec<f64>,
+    pub weights: OfSeeds<f64>,
     /// Share of the way from the lower to the upper level.
     pub share: f64,
     /// How far outside the cell it is, relative to the cell; 0 inside.

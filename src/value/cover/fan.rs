@@ -6,7 +6,7 @@ use crate::local::{LocalSolution, SeedChoice};
 use crate::model::{Method, Model, Precision, SeedValue};
 use crate::program::Program;
 use crate::sweep::{Plan, Surface};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::sync::{Mutex, PoisonError};
 
 /// Tolerance of the trajectories: they are first guesses.
@@ -49,7 +49,7 @@ pub struct Fan<'a> {
     inside: Vec<bool>,
     boundary: Vec<bool>,
     /// Seeds half-way between two others; none where no number lies between.
-    middles: HashMap<(u32, u32), Option<u32>>,
+    middles: FxHashMap<(u32, u32), Option<u32>>,
     trajectories: Vec<Option<Trajectory>>,
     /// Numbers of a stored point.
     stride: usize,
@@ -129,7 +129,7 @@ impl<'a> Fan<'a> {
             parameters: Vec::new(),
             inside: Vec::new(),
             boundary: Vec::new(),
-            middles: HashMap::new(),
+            middles: FxHashMap::default(),
             trajectories: Vec::new(),
             stride: 2 + 2 * n,
             rates,

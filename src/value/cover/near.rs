@@ -2,7 +2,6 @@
 
 use super::{Candidate, Cover, Sought};
 use crate::backend::BackendError;
-use crate::shooting::End;
 use crate::value::nearest;
 use rayon::prelude::*;
 
@@ -23,7 +22,7 @@ impl Cover<'_> {
     ///
     /// # Errors
     /// Device failures only.
-    pub fn near(&mut self, sought: &[Sought], ceiling: f64, end: &End) -> Result<Vec<Candidate>, BackendError> {
+    pub fn near(&mut self, sought: &[Sought], ceiling: f64) -> Result<Vec<Candidate>, BackendError> {
         if self.divided_to != ceiling {
             self.divide_first(ceiling)?;
         }
@@ -74,7 +73,7 @@ impl Cover<'_> {
                         continue;
                     }
                     let (seed, level) = places[k];
-                    let candidate = this.point_guess(seed, level, copy, sought, distance, end);
+                    let candidate = this.point_guess(seed, level, copy, sought, distance);
                     let like = |other: &Candidate| differ(other, &candidate, &this.fan.plan.widths) < DIFFERENT;
                     if !offered.iter().any(like) {
                         offered.push(candidate);
@@ -94,7 +93,7 @@ impl Cover<'_> {
 
 /// Difference of two adjoints relative to the larger one, in units of the region's widths.
 fn differ(a: &Candidate, b: &Candidate, widths: &[f64]) -> f64 {
-    let (p, q) = (a.path.adjoint(), b.path.adjoint());
+    let (p, q) = (a.adjoint(), b.adjoint());
     let largest = |of: &dyn Fn(usize) -> f64| (0..p.len()).map(|i| (of(i) * widths[i]).abs()).fold(0.0, f64::max);
     let size = largest(&|i| p[i]).max(largest(&|i| q[i]));
     if a.turns != b.turns || size == 0.0 {

@@ -102,7 +102,9 @@ impl Survey<'_> {
             return ceiling >= self.targets.limits[target];
         };
         let sheets = wanted.sheets && self.at[target].len() < MOST_SHEETS;
-        least <= ceiling && (!sheets || ceiling >= wanted.sheets_to(least, self.targets.states))
+        // Once cells over the target were left out, what costs more can only be found by chance.
+        let complete = ceiling <= self.covered_to(target);
+        least <= ceiling && (!sheets || !complete || ceiling >= wanted.sheets_to(least, self.targets.states))
     }
 
     fn search(
@@ -123,14 +125,14 @@ impl Survey<'_> {
                 })
                 .collect();
             if !cover.has_cells() {
-                let near = cover.near(&sought, ceiling, &solver.scheme.end)?;
-                self.try_near(solver, near, ceiling, wanted)?;
+                let near = cover.near(&sought, ceiling)?;
+                self.try_near(solver, cover, near, ceiling, wanted)?;
                 part.iter().for_each(|t| self.uncovered[*t] = 0.0);
                 progress("from swept trajectories", self.solved(), self.targets.len());
                 continue;
             }
-            let cells = cover.search(&sought, ceiling, &solver.scheme.end)?;
-            let lost = self.try_candidates(solver, cells.candidates, ceiling, wanted)?;
+            let cells = cover.search(&sought, ceiling)?;
+            let lost = self.try_candidates(solver, cover, cells.candidates, ceiling, wanted)?;
             for &target in part {
                 let left = [cells.uncovered.get(&target), lost.get(&target)];
                 let left = left.into_iter().flatten().copied().fold(f64::INFINITY, f64::min);
@@ -166,6 +168,7 @@ impl Survey<'_> {
     fn try_near(
         &mut self,
         solver: &mut Solver,
+        cover: &Cover<'_>,
         mut left: Vec<Candidate>,
         ceiling: f64,
         wanted: Wanted,
@@ -185,7 +188,7 @@ impl Survey<'_> {
                 }
             }
             self.tried.extend(now.iter().map(|c| (c.target, c.seed)));
-            self.send_all(solver, now.iter(), Start::Beside(FROM_POINT))?;
+            self.send_all(solver, cover, now.iter(), Start::Beside(FROM_POINT))?;
             left = later;
         }
         Ok(())
@@ -194,7 +197,7 @@ impl Survey<'_> {
     /// Whether a guess may lead to something new that is of interest.
     fn promises(&self, candidate: &Candidate, wanted: Wanted) -> bool {
         let known = self.known_at(candidate);
-        let mut near = known.filter(|e| !is_elsewhere(e, candidate.path.node(0), &self.scales));
+        let mut near = known.filter(|e| !is_elsewhere(e, &candidate.node, &self.scales));
         let least = self.lowest(candidate.target).map(|e| self.extremals[e].value());
         let range = if wanted.sheets && self.at[candidate.target].len() < MOST_SHEETS {
             SHEETS
@@ -208,6 +211,7 @@ impl Survey<'_> {
     fn try_candidates(
         &mut self,
         solver: &mut Solver,
+        cover: &Cover<'_>,
         mut left: Vec<Candidate>,
         ceiling: f64,
         wanted: Wanted,
@@ -235,18 +239,18 @@ impl Survey<'_> {
             if now.is_empty() {
                 break;
             }
-            self.send_all(solver, now.iter(), Start::Mean)?;
+            self.send_all(solver, cover, now.iter(), Start::Mean)?;
             let missing = now
                 .iter()
                 .filter(|c| !self.is_explained(c) && (c.is_inside() || self.may_be_least(c)));
             let missing: Vec<Candidate> = missing.cloned().collect();
-            self.send_all(solver, missing.iter(), Start::Beside(FROM_CELL))?;
+            self.send_all(solver, cover, missing.iter(), Start::Beside(FROM_CELL))?;
             tried.extend(missing);
         }
         // A guess within its cell belongs to a sheet there: what it did not lead to may be missing.
         let mut hard: Vec<Candidate> = tried;
         hard.retain(|c| c.is_inside() && self.may_be_least(c) && !self.is_explained(c) && !self.explains_loosely(c));
-        self.send_all(solver, hard.iter(), Start::Beside(SHORT))?;
+        self.send_all(solver, cover, hard.iter(), Start::Beside(SHORT))?;
         hard.extend(left);
         hard.retain(|c| c.is_inside() && self.may_be_least(c) && !self.is_explained(c) && !self.explains_loosely(c));
         let mut lost = BTreeMap::new();
@@ -260,17 +264,19 @@ impl Survey<'_> {
     fn send_all<'c>(
         &mut self,
         solver: &mut Solver,
+        cover: &Cover<'_>,
         candidates: impl Iterator<Item = &'c Candidate>,
         start: Start,
     ) -> Result<(), BackendError> {
+        let end = &solver.scheme.end;
         let errands: Vec<Errand> = candidates
             .map(|c| Errand {
                 from: None,
                 target: c.target,
                 winding: self.winding(&c.turns),
                 way: match start {
-                    Start::Mean => Approach::new(c.path.clone(), c.goal.clone(), 1.0),
-                    Start::Beside(least) => Approach::new(c.beside.clone(), c.goal.clone(), least),
+                    Start::Mean => Approach::new(cover.mean_path(c, end), c.goal.clone(), 1.0),
+                    Start::Beside(least) => Approach::new(cover.path_beside(c, end), c.goal.clone(), least),
                 },
             })
             .collect();
@@ -287,7 +293,7 @@ impl Survey<'_> {
 
     fn is_explained(&self, candidate: &Candidate) -> bool {
         self.known_at(candidate).any(|e| {
-            let adjoint = candidate.path.adjoint();
+            let adjoint = candidate.adjoint();
             alike(e.adjoint(), adjoint, &candidate.spread, &self.scales, WITHIN)
         })
     }
@@ -298,7 +304,7 @@ impl Survey<'_> {
             let near = (e.value() - candidate.value).abs() <= 0.1 * candidate.value.abs();
             near && alike(
                 e.adjoint(),
-                candidate.path.adjoint(),
+                candidate.adjoint(),
                 &candidate.spread,
                 &self.scales,
                 3.0 * WITHIN,
@@ -332,8 +338,8 @@ fn choose(candidates: Vec<Candidate>, scales: &[f64]) -> (Vec<Candidate>, Vec<Ca
         let like = |other: &Candidate| {
             other.turns == candidate.turns
                 && alike(
-                    other.path.adjoint(),
-                    candidate.path.adjoint(),
+                    other.adjoint(),
+                    candidate.adjoint(),
                     &candidate.spread,
                     scales,
                     WITHIN,

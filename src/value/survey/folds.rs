@@ -26,7 +26,7 @@ impl Survey<'_> {
             for e in 0..self.extremals.len() {
                 let from = self.extremals[e].target;
                 // Single states are to have the same sheets in any company.
-                let highest = wanted.at(self.targets.limits[from]).value_max;
+                let highest = self.sheets_to(from, wanted);
                 if self.extremals[e].value() > highest || !self.targets.gridded[from] {
                     continue;
                 }
@@ -58,7 +58,7 @@ impl Survey<'_> {
                 let winding = self.extremals[e].winding;
                 for (target, end) in [(self.extremals[e].target, found.at_start), (to, found.at_end)] {
                     let Some((job, solved)) = end else { continue };
-                    let highest = wanted.at(self.targets.limits[target]).value_max;
+                    let highest = self.sheets_to(target, wanted);
                     if !self.valid(solver, &[&job.path])?[0] || solved.value > highest {
                         continue;
                     }

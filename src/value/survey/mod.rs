@@ -226,6 +226,16 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
+    /// Cost up to which sheets over a target are of interest.
+    pub(in crate::value) fn sheets_to(&self, target: usize, wanted: Wanted) -> f64 {
+        let wanted = wanted.at(self.targets.limits[target]);
+        match self.lowest(target) {
+            // A game has one answer; nothing is known of how far its sheets matter.
+            Some(least) if !self.plan.game => wanted.sheets_to(self.extremals[least].value(), self.targets.states),
+            _ => wanted.value_max,
+        }
+    }
+
     /// Targets with a solution.
     pub fn solved(&self) -> usize {
         self.at.iter().filter(|list| !list.is_empty()).count()

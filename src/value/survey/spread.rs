@@ -112,7 +112,7 @@ impl Survey<'_> {
             return false;
         }
         // The cheapest are joined to each other however much they cost, so that their labels agree.
-        let highest = wanted.at(self.targets.limits[to]).value_max;
+        let highest = self.sheets_to(to, wanted);
         wanted.sheets && (extremal.value() <= highest || self.lowest(extremal.target) == Some(e))
     }
 

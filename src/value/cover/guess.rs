@@ -1,0 +1,201 @@
+//! First guesses from places of the manifold.
+
+use super::cell::{Cell, Place};
+use super::{Candidate, Copy, Cover, Open, Sought, holds};
+use crate::shooting::{End, Path};
+use smallvec::smallvec;
+
+/// How far outside a cell, relative to it, a state may lie that is looked for in it.
+const OUTSIDE: f64 = 0.35;
+/// Most segments that a guess begins with.
+const MOST_SEGMENTS: f64 = 400.0;
+
+impl Cover<'_> {
+    /// The guess that a leaf gives for a state, if the state lies in it.
+    pub(super) fn candidate(&self, leaf: &Open, copy: &Copy, sought: &[Sought]) -> Option<Candidate> {
+        let plan = self.fan.plan;
+        let n = plan.system.states;
+        let seeds = &leaf.cell.seeds;
+        let place = match leaf.corners.locate(&copy.x, seeds.len()) {
+            Some(place) if place.outside > OUTSIDE => return None,
+            Some(place) => place,
+            // A flat cell: its middle, if the state is hardly outside its corners.
+            None if !holds(&leaf.corners.bounds(n, 0.0), &copy.x) => return None,
+            None => Place {
+                weights: smallvec![1.0 / seeds.len() as f64; seeds.len()],
+                share: 0.5,
+                outside: OUTSIDE,
+            },
+        };
+        let one = &sought[copy.sought];
+        let first = self.at(&leaf.cell, &place);
+        let spread = self.spread(&leaf.cell, &first);
+        Some(Candidate {
+            target: one.target,
+            seed: seeds[0],
+            turns: copy.turns.clone(),
+            goal: copy.x.iter().zip(&plan.widths).map(|(x, w)| x * w).collect(),
+            node: first[1..=2 * n].to_vec(),
+            value: first[1 + 2 * n],
+            spread,
+            outside: place.outside.max(0.0),
+            cell: leaf.cell.clone(),
+            place,
+        })
+    }
+
+    /// The guess that a point of a trajectory gives for a state near it.
+    pub(super) fn point_guess(
+        &self,
+        seed: u32,
+        level: usize,
+        copy: &Copy,
+        sought: &[Sought],
+        distance: f64,
+    ) -> Candidate {
+        let widths = &self.fan.plan.widths;
+        let n = widths.len();
+        let cell = Cell {
+            seeds: smallvec![seed],
+            level,
+            bend: 0.0,
+            depth: 0,
+        };
+        let place = Place {
+            weights: smallvec![1.0],
+            share: 0.0,
+            outside: distance,
+        };
+        let first = self.mixed(&cell, &place, level);
+        let goal: Vec<f64> = copy.x.iter().zip(widths).map(|(x, w)| x * w).collect();
+        let change: f64 = (0..n).map(|i| first[1 + n + i] * (goal[i] - first[1 + i])).sum();
+        Candidate {
+            target: sought[copy.sought].target,
+            seed,
+            turns: copy.turns.clone(),
+            goal,
+            node: first[1..=2 * n].to_vec(),
+            value: first[1 + 2 * n] + change,
+            spread: vec![0.0; n],
+            outside: distance,
+            cell,
+            place,
+        }
+    }
+
+    /// `(t, s, p, V)` at a place of a cell.
+    fn at(&self, cell: &Cell, place: &Place) -> Vec<f64> {
+        let lower = self.mixed(cell, place, cell.level);
+        if !self.stationary {
+            return lower;
+        }
+        let upper = self.mixed(cell, place, cell.level + 1);
+        // A cubic along the trajectory: it is known how fast all changes at both levels.
+        let (q, step) = (place.share, self.fan.step(cell.level));
+        let rates = self.fan.along(&[lower.as_slice(), &upper].concat());
+        let (below, above) = rates.split_at(lower.len());
+        let blend = [
+            (1.0 + 2.0 * q) * (1.0 - q).powi(2),
+            q * q * (3.0 - 2.0 * q),
+            q * (1.0 - q).powi(2) * step,
+            q * q * (q - 1.0) * step,
+        ];
+        (0..lower.len())
+            .map(|i| {
+                let straight = lower[i] + q * (upper[i] - lower[i]);
+                let cubic = blend[0] * lower[i] + blend[1] * upper[i] + blend[2] * below[i] + blend[3] * above[i];
+                // Where the trajectories of a cell differ too much their mean is none.
+                let usual = (upper[i] - lower[i]).abs();
+                if (cubic - straight).abs() <= usual {
+                    cubic
+                } else {
+                    straight
+                }
+            })
+            .collect()
+    }
+
+    /// The mean of the cell's trajectories, from the candidate's place on.
+    pub fn mean_path(&self, candidate: &Candidate, end: &End) -> Path {
+        let first = self.at(&candidate.cell, &candidate.place);
+        self.path(&candidate.cell, &candidate.place, &first, end)
+    }
+
+    /// The cell's trajectory that passes nearest, from the level nearer to the place: a solution from its own state.
+    pub fn path_beside(&self, candidate: &Candidate, end: &End) -> Path {
+        let (cell, place) = (&candidate.cell, &candidate.place);
+        let most = (0..place.weights.len()).max_by(|a, b| place.weights[*a].total_cmp(&place.weights[*b]));
+        let upper = self.stationary && place.share > 0.5;
+        let corner = Place {
+            weights: (0..place.weights.len())
+                .map(|q| f64::from(u8::from(Some(q) == most)))
+                .collect(),
+            share: 0.0,
+            outside: 0.0,
+        };
+        let cell = Cell {
+            level: cell.level + usize::from(upper),
+            ..cell.clone()
+        };
+        let first = self.mixed(&cell, &corner, cell.level);
+        self.path(&cell, &corner, &first, end)
+    }
+
+    /// The mean of a cell's trajectories at a level, by a place's weights.
+    fn mixed(&self, cell: &Cell, place: &Place, level: usize) -> Vec<f64> {
+        let mut mean = vec![0.0; 2 + 2 * self.fan.plan.system.states];
+        for (seed, weight) in cell.seeds.iter().zip(&place.weights) {
+            if let Some((point, _)) = self.fan.point(*seed, level) {
+                mean.iter_mut()
+                    .zip(point)
+                    .for_each(|(m, x)| *m += weight * f64::from(*x));
+            }
+        }
+        if !self.stationary && level > 0 {
+            // To the last bit.
+            mean[0] = self.fan.time(level);
+        }
+        mean
+    }
+
+    /// How far the corners' adjoints are from the one at a place.
+    fn spread(&self, cell: &Cell, at: &[f64]) -> Vec<f64> {
+        let n = self.fan.plan.system.states;
+        let mut spread = vec![0.0f64; n];
+        for level in cell.level..=cell.level + usize::from(self.stationary) {
+            for seed in &cell.seeds {
+                let Some((point, _)) = self.fan.point(*seed, level) else {
+                    continue;
+                };
+                for (i, spread) in spread.iter_mut().enumerate() {
+                    *spread = spread.max((f64::from(point[1 + n + i]) - at[1 + n + i]).abs());
+                }
+            }
+        }
+        spread
+    }
+
+    /// The path from a place to the end: the mean of the cell's trajectories, and on into the range of the end's condition.
+    fn path(&self, cell: &Cell, place: &Place, first: &[f64], end: &End) -> Path {
+        let n = self.fan.plan.system.states;
+        let mut path = Path::new(&first[1..=2 * n]);
+        let shortest = (first[0] / MOST_SEGMENTS).max(self.duration);
+        let points: Vec<Vec<f64>> = (0..=cell.level)
+            .rev()
+            .map(|level| self.mixed(cell, place, level))
+            .collect();
+        let mut at = first[0];
+        for (k, point) in points.iter().enumerate() {
+            let before = points.get(k + 1).map_or(f64::NEG_INFINITY, |next| next[0]);
+            // The last point that is not too far away, or the next one.
+            if at - before > shortest && at > point[0] {
+                path.push(at - point[0], &point[1..=2 * n]);
+                at = point[0];
+            }
+        }
+        let s = path.last()[..n].to_vec();
+        let (nodes, durations) = end.tail(&s, first[1 + 2 * n], self.duration);
+        path.append(&nodes, &durations);
+        path
+    }
+}
