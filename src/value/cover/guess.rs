@@ -37,6 +37,7 @@ impl Cover<'_> {
             goal: copy.x.iter().zip(&plan.widths).map(|(x, w)| x * w).collect(),
             node: first[1..=2 * n].to_vec(),
             value: first[1 + 2 * n],
+            expected: first[1 + 2 * n],
             spread,
             outside: place.outside.max(0.0),
             cell: leaf.cell.clone(),
@@ -68,7 +69,9 @@ impl Cover<'_> {
         };
         let first = self.mixed(&cell, &place, level);
         let goal: Vec<f64> = copy.x.iter().zip(widths).map(|(x, w)| x * w).collect();
-        let change: f64 = (0..n).map(|i| first[1 + n + i] * (goal[i] - first[1 + i])).sum();
+        let way: Vec<f64> = (0..n).map(|i| goal[i] - first[1 + i]).collect();
+        let change: f64 = (0..n).map(|i| first[1 + n + i] * way[i]).sum();
+        let bend = (self.fan.plan.local.as_ref()).map_or(0.0, |local| local.quadratic(&way));
         Candidate {
             target: sought[copy.sought].target,
             seed,
@@ -76,6 +79,7 @@ impl Cover<'_> {
             goal,
             node: first[1..=2 * n].to_vec(),
             value: first[1 + 2 * n] + change,
+            expected: first[1 + 2 * n] + change + bend,
             spread: vec![0.0; n],
             outside: distance,
             cell,

@@ -68,6 +68,8 @@ pub struct Candidate {
     /// State (a deviation) and adjoint that the manifold has at the place.
     pub node: Vec<f64>,
     pub value: f64,
+    /// V expected at the target, as curved on the way to it as at the equilibrium.
+    pub expected: f64,
     /// How much the adjoint (unscaled) differs within the cell, a component.
     pub spread: Vec<f64>,
     outside: f64,
@@ -364,7 +366,6 @@ impl<'a> Cover<'a> {
         };
         [seeds[a], seeds[b]].into_iter().filter_map(half).collect()
     }
-
 }
 
 /// Lowers an entry.

@@ -173,7 +173,7 @@ impl Survey<'_> {
         ceiling: f64,
         wanted: Wanted,
     ) -> Result<(), BackendError> {
-        left.retain(|c| c.value <= ABOVE * ceiling && !self.tried.contains(&(c.target, c.seed)));
+        left.retain(|c| c.expected <= ABOVE * ceiling && !self.tried.contains(&(c.target, c.seed)));
         while !left.is_empty() {
             let mut now: Vec<Candidate> = Vec::new();
             let mut later = Vec::new();
@@ -337,13 +337,7 @@ fn choose(candidates: Vec<Candidate>, scales: &[f64]) -> (Vec<Candidate>, Vec<Ca
         }
         let like = |other: &Candidate| {
             other.turns == candidate.turns
-                && alike(
-                    other.adjoint(),
-                    candidate.adjoint(),
-                    &candidate.spread,
-                    scales,
-                    WITHIN,
-                )
+                && alike(other.adjoint(), candidate.adjoint(), &candidate.spread, scales, WITHIN)
         };
         if now.len() - first >= MOST_AT_ONCE || now[first..].iter().any(like) {
             later.push(candidate);
