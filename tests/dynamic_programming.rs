@@ -116,6 +116,36 @@ fn a_linear_quadratic_value_is_met() {
     assert!(median < 0.002 && most < 0.01, "median {median}, 95 % {most}");
 }
 
+/// One and four states: the quadratic V of the Riccati equation is exact.
+#[test]
+fn one_and_four_states() {
+    let scalar = parse(
+        "states = { x = {} }\ncontrols = { u = {} }\ndynamics = { x = \"0.5*x + u\" }\n\
+         cost = { running = \"0.5*(x^2 + u^2)\" }\nequilibrium = { x = 0, u = 0 }\nregion = { x = [-1, 1] }\n",
+    );
+    let cases = [
+        (scalar, vec![101], 0.002, 0.01),
+        (scene("linear_quadratic", &[]), vec![13; 4], 0.05, 0.15),
+    ];
+    for (model, nodes, median_bound, most_bound) in cases {
+        let options = Options {
+            nodes,
+            ..Options::default()
+        };
+        let (plan, value) = solved(&model, &options);
+        let local = plan.local.as_ref().expect("an infinite horizon");
+        let (median, most) = quantiles(errors(&plan, &value, |s| local.quadratic(s)));
+        println!(
+            "{}: median {median:.1e}, 95 % {most:.1e}, {:.1} s",
+            model.title, value.seconds
+        );
+        assert!(
+            median < median_bound && most < most_bound,
+            "median {median}, 95 % {most}"
+        );
+    }
+}
+
 /// V(x, v) = V(-x, -v); the problem of tried.md 2 with its two values by collocation.
 const BALANCED: &str = "states = { x = {}, v = {} }\ncontrols = { u = {} }\ndynamics = { x = \"v\", v = \"7*sin(x) + u\" }\n\
      cost = { running = \"0.5*(0.8*x^2 + 0.4*v^2 + 2.7*u^2)\" }\nequilibrium = { x = 0, v = 0, u = 0 }\n\
