@@ -42,7 +42,11 @@ impl Domain {
             let ring = period.filter(|period| is_invariant(plan, equations, i, *period));
             let lifted = period.filter(|_| ring.is_none());
             let added = lifted.unwrap_or(margin * plan.widths[i]);
-            let [lo, hi] = plan.region[i];
+            let [mut lo, mut hi] = plan.region[i];
+            // Of a periodic state every copy is on the axis anyway.
+            if let (Some(held), None) = (options.holds.get(i), period) {
+                (lo, hi) = (lo.min(held[0]), hi.max(held[1]));
+            }
             domain.bounds.push([lo - added, hi + added]);
             domain.periods.push(ring);
             domain.lifted.push(lifted);

@@ -22,6 +22,7 @@ pub use along::{AlongState, AlongTime, Guide, guides, slopes};
 pub use laws::{Expansion, Linear, Terminal};
 pub use pilot::Pilot;
 pub use sites::{At, Site};
+pub(in crate::value) use undercut::tolerance;
 pub use undercut::{Claim, Flew, Undercut, undercut};
 
 use crate::shooting::Path;

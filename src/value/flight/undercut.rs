@@ -94,7 +94,8 @@ pub fn undercut(
     Ok(results)
 }
 
-fn tolerance(plan: &Plan, value: f64) -> f64 {
+/// By how much a cost must be below a claimed V to undercut it.
+pub(in crate::value) fn tolerance(plan: &Plan, value: f64) -> f64 {
     RELATIVE * value.abs() + ABSOLUTE * plan.value_scale
 }
 
