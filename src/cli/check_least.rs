@@ -280,18 +280,32 @@ impl Said<'_> {
         if list.is_empty() {
             return text;
         }
-        let head = self.names().into_iter().chain(["V", "grid", "difference"]);
+        let head = self
+            .names()
+            .into_iter()
+            .chain(["V", "grid", "difference", "its flight"]);
         let mut rows: Vec<Vec<String>> = vec![head.map(str::to_owned).collect()];
         for (claim, difference) in list.iter().take(SHOWN) {
             let mut row: Vec<String> = self.state(*claim).iter().map(|x| short(*x)).collect();
             row.push(short(self.claims.v[*claim]));
             row.push(self.opinion.grid[*claim].map_or_else(String::new, short));
             row.push(percent(*difference, true));
+            row.push(self.flight(*claim));
             rows.push(row);
         }
         text.push_str(&indented(&columns(&rows, &[])));
         text.push_str(&and_more(list.len()));
         text
+    }
+
+    /// What the greedy path from a state cost.
+    fn flight(&self, claim: usize) -> String {
+        let flown = self.opinion.flown.iter().find(|f| f.claim == claim);
+        match flown.map(|f| f.cost) {
+            None => "not flown".to_owned(),
+            Some(None) => "led nowhere".to_owned(),
+            Some(Some(cost)) => short(cost),
+        }
     }
 
     /// Every state at which something cheaper was found.

@@ -9,6 +9,7 @@ mod equal_cost;
 mod extremal;
 pub mod flight;
 mod fold;
+mod grow;
 mod march;
 pub(crate) mod nearest;
 mod referee;

@@ -5,6 +5,7 @@ use crate::backend::BackendError;
 use crate::dynamic_programming::GridValue;
 use crate::shooting::{Path, Solver};
 use crate::value::approach::Approach;
+use crate::value::grow::grown;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -40,26 +41,62 @@ impl Survey<'_> {
         let starts: Vec<Vec<f64>> = targets.iter().map(|t| self.state(*t, 0)).collect();
         let flown: Vec<Option<(f64, Path)>> = starts.par_iter().map(|s| grid.greedy(s)).collect();
         let costs: Vec<Option<f64>> = flown.iter().map(|f| f.as_ref().map(|(cost, _)| *cost)).collect();
+        let mut paths: HashMap<usize, Path> = HashMap::new();
+        for (&target, flown) in targets.iter().zip(flown) {
+            if let Some((_, mut path)) = flown.filter(|(_, path)| path.nodes.iter().all(|x| x.is_finite())) {
+                if let Some(terminal) = &self.plan.system.terminal {
+                    path.set_horizon(terminal.time);
+                }
+                paths.insert(target, path);
+            }
+        }
+        let guesses = (targets.iter()).filter_map(|t| paths.get(t).map(|path| (*t, path.clone(), FROM_GRID)));
+        let mut found = self.try_paths(solver, guesses.collect())?;
+        // What is too rough a guess as a whole is followed from its end.
+        let below = |(target, cost): (&usize, &Option<f64>)| {
+            let least = self.lowest(*target).map(|e| self.extremals[e].value());
+            let cheaper = least.is_none_or(|least| cost.is_some_and(|cost| cost < least));
+            (cheaper && !found.contains_key(target)).then_some(*target)
+        };
+        let rough: Vec<usize> = (targets.iter().zip(&costs).filter_map(below))
+            .filter(|t| paths.contains_key(t))
+            .collect();
+        let whole = grown(self.plan, solver, rough.iter().map(|t| paths[t].clone()).collect())?;
+        self.evaluations += whole
+            .iter()
+            .map(|(_, evaluations)| u64::from(*evaluations))
+            .sum::<u64>();
+        let solved = rough
+            .into_iter()
+            .zip(whole)
+            .filter_map(|(t, (path, _))| Some((t, path?, 1.0)));
+        found.extend(self.try_paths(solver, solved.collect())?);
+        Ok((targets.iter().zip(costs))
+            .map(|(target, cost)| Greedy {
+                cost,
+                extremal: found.get(target).copied(),
+            })
+            .collect())
+    }
+
+    /// Solves from a path from each of some targets, with the shortest step to try; the extremals found.
+    fn try_paths(
+        &mut self,
+        solver: &mut Solver,
+        guesses: Vec<(usize, Path, f64)>,
+    ) -> Result<HashMap<usize, usize>, BackendError> {
         let mut errands = Vec::new();
-        for ((&target, start), flown) in targets.iter().zip(&starts).zip(flown) {
-            let Some((_, path)) = flown.filter(|(_, path)| path.nodes.iter().all(|x| x.is_finite())) else {
-                continue;
-            };
-            let winding = self.winding_of(start, path.start());
+        for (target, path, least) in guesses {
+            let winding = self.winding_of(&self.state(target, 0), path.start());
             errands.push(Errand {
                 from: None,
                 target,
                 winding,
-                way: Approach::new(path, self.state(target, winding), FROM_GRID),
+                way: Approach::new(path, self.state(target, winding), least),
             });
         }
-        let reached: HashMap<usize, Option<usize>> = self.send(solver, errands)?.into_iter().collect();
-        Ok((targets.iter().zip(costs))
-            .map(|(target, cost)| Greedy {
-                cost,
-                extremal: reached.get(target).copied().flatten(),
-            })
-            .collect())
+        let reached = self.send(solver, errands)?;
+        Ok(reached.into_iter().filter_map(|(t, e)| Some((t, e?))).collect())
     }
 
     /// The winding that leads from a state to a copy of it.
