@@ -347,6 +347,13 @@ impl Said<'_> {
                 })
             })
             .collect();
+        let nowhere: Vec<_> = (self.opinion.flown.iter().filter(|f| f.led == Led::Nowhere))
+            .map(|flown| {
+                serde_json::json!({
+                    "x": self.state(flown.claim), "V": self.claims.v[flown.claim], "flown": flown.cost,
+                })
+            })
+            .collect();
         let undercut: Vec<_> = (self.undercut().into_iter())
             .map(|flown| {
                 let found = flown.found.as_ref().filter(|_| flown.led == Led::Lower);
@@ -370,7 +377,7 @@ impl Said<'_> {
                 "states": self.opinion.flown.len(),
                 "home": self.opinion.flown.iter().filter(|f| f.cost.is_some()).count(),
                 "same": self.led(Led::Same), "dearer": self.led(Led::Dearer),
-                "cheaper": self.led(Led::Lower), "none": self.led(Led::Nowhere),
+                "cheaper": self.led(Led::Lower), "none": nowhere,
             },
             "undercut": undercut,
             "verdict": self.verdict(),

@@ -10,9 +10,9 @@ use crate::shooting::Solver;
 use crate::sweep::Plan;
 
 /// States of which all greedy paths are flown; of more only those where the grid is lower, and some spread evenly.
-const ALL: usize = 400;
-const LOWER: usize = 300;
-const SPREAD: usize = 100;
+const ALL: usize = 600;
+const LOWER: usize = 400;
+const SPREAD: usize = 300;
 /// Differences of V below this share of the median V are relative to that share: next to the equilibrium the grid says nothing.
 const SMALL: f64 = 0.01;
 /// The grid's error is not above what this share of the states' differences stay below.

@@ -11,6 +11,8 @@ use std::collections::HashMap;
 
 /// Shortest steps, as shares of the way, from a greedy path.
 const FROM_GRID: f64 = 1.0 / 16.0;
+/// Where a path is followed from its end its nodes are so many times closer together.
+const PARTS: usize = 8;
 
 /// What came of the greedy path from a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,45 +40,50 @@ impl Survey<'_> {
         grid: &GridValue,
         targets: &[usize],
     ) -> Result<Vec<Greedy>, BackendError> {
-        let starts: Vec<Vec<f64>> = targets.iter().map(|t| self.state(*t, 0)).collect();
-        let flown: Vec<Option<(f64, Path)>> = starts.par_iter().map(|s| grid.greedy(s)).collect();
+        let flown = self.greedy_paths(grid, targets, 1);
         let costs: Vec<Option<f64>> = flown.iter().map(|f| f.as_ref().map(|(cost, _)| *cost)).collect();
-        let mut paths: HashMap<usize, Path> = HashMap::new();
-        for (&target, flown) in targets.iter().zip(flown) {
-            if let Some((_, mut path)) = flown.filter(|(_, path)| path.nodes.iter().all(|x| x.is_finite())) {
-                if let Some(terminal) = &self.plan.system.terminal {
-                    path.set_horizon(terminal.time);
-                }
-                paths.insert(target, path);
-            }
-        }
-        let guesses = (targets.iter()).filter_map(|t| paths.get(t).map(|path| (*t, path.clone(), FROM_GRID)));
+        let guesses = (targets.iter().zip(flown)).filter_map(|(t, flown)| Some((*t, flown?.1, FROM_GRID)));
         let mut found = self.try_paths(solver, guesses.collect())?;
         // What is too rough a guess as a whole is followed from its end.
-        let below = |(target, cost): (&usize, &Option<f64>)| {
-            let least = self.lowest(*target).map(|e| self.extremals[e].value());
-            let cheaper = least.is_none_or(|least| cost.is_some_and(|cost| cost < least));
-            (cheaper && !found.contains_key(target)).then_some(*target)
-        };
-        let rough: Vec<usize> = (targets.iter().zip(&costs).filter_map(below))
-            .filter(|t| paths.contains_key(t))
+        let rough: Vec<usize> = (targets.iter().zip(&costs))
+            .filter(|(t, cost)| !found.contains_key(t) && cost.is_some_and(|cost| self.would_be_least(**t, cost)))
+            .map(|(t, _)| *t)
             .collect();
-        let whole = grown(self.plan, solver, rough.iter().map(|t| paths[t].clone()).collect())?;
-        self.evaluations += whole
-            .iter()
-            .map(|(_, evaluations)| u64::from(*evaluations))
-            .sum::<u64>();
-        let solved = rough
-            .into_iter()
-            .zip(whole)
-            .filter_map(|(t, (path, _))| Some((t, path?, 1.0)));
-        found.extend(self.try_paths(solver, solved.collect())?);
+        let fine = self.greedy_paths(grid, &rough, PARTS);
+        let (rough, fine): (Vec<usize>, Vec<Path>) = (rough.into_iter().zip(fine))
+            .filter_map(|(t, flown)| Some((t, flown?.1)))
+            .unzip();
+        let mut solved = Vec::new();
+        for (target, (path, evaluations)) in rough.into_iter().zip(grown(self.plan, solver, fine)?) {
+            self.evaluations += u64::from(evaluations);
+            solved.extend(path.map(|path| (target, path, 1.0)));
+        }
+        found.extend(self.try_paths(solver, solved)?);
         Ok((targets.iter().zip(costs))
             .map(|(target, cost)| Greedy {
                 cost,
                 extremal: found.get(target).copied(),
             })
             .collect())
+    }
+
+    fn would_be_least(&self, target: usize, cost: f64) -> bool {
+        self.lowest(target).is_none_or(|e| cost < self.extremals[e].value())
+    }
+
+    /// Greedy paths with their costs, their nodes so many times closer together than usual.
+    fn greedy_paths(&self, grid: &GridValue, targets: &[usize], parts: usize) -> Vec<Option<(f64, Path)>> {
+        let starts: Vec<Vec<f64>> = targets.iter().map(|t| self.state(*t, 0)).collect();
+        let terminal = self.plan.system.terminal.as_ref();
+        let flown = |s: &Vec<f64>| {
+            let (cost, mut path) = grid.greedy_in_parts(s, parts)?;
+            if let Some(terminal) = terminal {
+                path.set_horizon(terminal.time);
+            }
+            let finite = path.nodes.iter().all(|x| x.is_finite());
+            finite.then_some((cost, path))
+        };
+        starts.par_iter().map(flown).collect()
     }
 
     /// Solves from a path from each of some targets, with the shortest step to try; the extremals found.
