@@ -223,7 +223,10 @@ impl Said<'_> {
             0 => {
                 let unexplained = match below {
                     0 => String::new(),
-                    n => format!(", though the grid is lower by more than {} at {n}", self.args.apart),
+                    n => format!(
+                        "; at {n} the grid is lower by more than {}, which no flight of its own bears out",
+                        self.args.apart
+                    ),
                 };
                 format!("nothing costs less than V from any of the {flown} states that were flown from{unexplained}")
             }
