@@ -220,12 +220,14 @@ fn guesses_from_a_grid_are_refused_where_there_is_none() {
     let out = folder.join("out.h5");
     let to = out.display().to_string();
     let game = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/pendulum_game.toml");
+    let study = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/moore_greitzer.toml");
     refused(&["run", game, "--grid-guesses", "--out", &to], "disturbances");
     refused(
         &["solve", &five, "--points", &points, "--grid-guesses", "--out", &to],
         "5 states",
     );
     refused(&["shoot-out", &swing, "--grid-guesses", "--out", &to], "no states");
+    refused(&["study", study, "--grid-guesses", "--out", &to], "no states");
     assert!(!out.exists());
     let left: Vec<_> = std::fs::read_dir(&folder)
         .unwrap()

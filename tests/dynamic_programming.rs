@@ -116,7 +116,7 @@ fn a_linear_quadratic_value_is_met() {
     assert!(median < 0.002 && most < 0.01, "median {median}, 95 % {most}");
 }
 
-/// One and four states: the quadratic V of the Riccati equation is exact.
+/// One state, with the number of nodes that it gets by itself, and four: the quadratic V of the Riccati equation is exact.
 #[test]
 fn one_and_four_states() {
     let scalar = parse(
@@ -124,7 +124,7 @@ fn one_and_four_states() {
          cost = { running = \"0.5*(x^2 + u^2)\" }\nequilibrium = { x = 0, u = 0 }\nregion = { x = [-1, 1] }\n",
     );
     let cases = [
-        (scalar, vec![101], 0.002, 0.01),
+        (scalar, Vec::new(), 0.002, 0.01),
         (scene("linear_quadratic", &[]), vec![13; 4], 0.05, 0.15),
     ];
     for (model, nodes, median_bound, most_bound) in cases {
@@ -233,6 +233,25 @@ fn finite_horizons_are_met() {
     let (median, most) = quantiles(errors(&plan, &value, wells_value));
     println!("two wells: median {median:.1e}, 95 % {most:.1e}");
     assert!(median < 0.005 && most < 0.02, "median {median}, 95 % {most}");
+}
+
+/// A reaction that runs away within a hundredth of the horizon: a step that a fixed number of slices would give overshoots it to
+/// where nothing reacts any more. The references are another program's.
+#[test]
+fn steps_are_short_where_rates_are_fast() {
+    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/least/tank");
+    let model = costate::scenario::load(&data.with_extension("toml"), &[]).unwrap_or_else(|e| panic!("{e}"));
+    let (plan, value) = solved(&model, &nodes(81));
+    let mut reader = csv::Reader::from_path(data.with_extension("csv")).expect("the table is there");
+    let mut compared = 0;
+    for row in reader.records() {
+        let row: Vec<f64> = row.unwrap().iter().map(|c| c.parse().unwrap()).collect();
+        let s: Vec<f64> = row.iter().zip(&plan.system.reference).map(|(x, r)| x - r).collect();
+        let v = value.value(&s).expect("inside");
+        assert!((v / row[2] - 1.0).abs() < 0.02, "{row:?}: {v}");
+        compared += 1;
+    }
+    assert!(compared >= 5);
 }
 
 #[test]

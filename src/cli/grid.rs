@@ -30,9 +30,7 @@ pub(super) enum GridRefusal {
     Counts { given: usize, states: usize, names: String },
     #[error("--nodes: {nodes} nodes in all; at most {MOST_NODES}")]
     TooManyNodes { nodes: usize },
-    #[error(
-        "--grid-guesses: the run solves for no states: leave the option out, or ask for [homotopy] or [map] in the scene"
-    )]
+    #[error("--grid-guesses: this solves for no states of [homotopy], [map] or a file: leave the option out")]
     Nothing,
     #[error("--seconds: {0}: give more of them, or fewer --nodes")]
     OutOfTime(DpError),
