@@ -116,6 +116,36 @@ fn a_linear_quadratic_value_is_met() {
     assert!(median < 0.002 && most < 0.01, "median {median}, 95 % {most}");
 }
 
+/// One state, with the number of nodes that it gets by itself, and four: the quadratic V of the Riccati equation is exact.
+#[test]
+fn one_and_four_states() {
+    let scalar = parse(
+        "states = { x = {} }\ncontrols = { u = {} }\ndynamics = { x = \"0.5*x + u\" }\n\
+         cost = { running = \"0.5*(x^2 + u^2)\" }\nequilibrium = { x = 0, u = 0 }\nregion = { x = [-1, 1] }\n",
+    );
+    let cases = [
+        (scalar, Vec::new(), 0.002, 0.01),
+        (scene("linear_quadratic", &[]), vec![13; 4], 0.05, 0.15),
+    ];
+    for (model, nodes, median_bound, most_bound) in cases {
+        let options = Options {
+            nodes,
+            ..Options::default()
+        };
+        let (plan, value) = solved(&model, &options);
+        let local = plan.local.as_ref().expect("an infinite horizon");
+        let (median, most) = quantiles(errors(&plan, &value, |s| local.quadratic(s)));
+        println!(
+            "{}: median {median:.1e}, 95 % {most:.1e}, {:.1} s",
+            model.title, value.seconds
+        );
+        assert!(
+            median < median_bound && most < most_bound,
+            "median {median}, 95 % {most}"
+        );
+    }
+}
+
 /// V(x, v) = V(-x, -v); the problem of tried.md 2 with its two values by collocation.
 const BALANCED: &str = "states = { x = {}, v = {} }\ncontrols = { u = {} }\ndynamics = { x = \"v\", v = \"7*sin(x) + u\" }\n\
      cost = { running = \"0.5*(0.8*x^2 + 0.4*v^2 + 2.7*u^2)\" }\nequilibrium = { x = 0, v = 0, u = 0 }\n\
@@ -203,6 +233,25 @@ fn finite_horizons_are_met() {
     let (median, most) = quantiles(errors(&plan, &value, wells_value));
     println!("two wells: median {median:.1e}, 95 % {most:.1e}");
     assert!(median < 0.005 && most < 0.02, "median {median}, 95 % {most}");
+}
+
+/// A reaction that runs away within a hundredth of the horizon: a step that a fixed number of slices would give overshoots it to
+/// where nothing reacts any more. The references are another program's.
+#[test]
+fn steps_are_short_where_rates_are_fast() {
+    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/least/tank");
+    let model = costate::scenario::load(&data.with_extension("toml"), &[]).unwrap_or_else(|e| panic!("{e}"));
+    let (plan, value) = solved(&model, &nodes(81));
+    let mut reader = csv::Reader::from_path(data.with_extension("csv")).expect("the table is there");
+    let mut compared = 0;
+    for row in reader.records() {
+        let row: Vec<f64> = row.unwrap().iter().map(|c| c.parse().unwrap()).collect();
+        let s: Vec<f64> = row.iter().zip(&plan.system.reference).map(|(x, r)| x - r).collect();
+        let v = value.value(&s).expect("inside");
+        assert!((v / row[2] - 1.0).abs() < 0.02, "{row:?}: {v}");
+        compared += 1;
+    }
+    assert!(compared >= 5);
 }
 
 #[test]

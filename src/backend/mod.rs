@@ -206,6 +206,10 @@ pub trait Backend: Send + Sync {
     fn name(&self) -> &'static str;
     /// The device, in words.
     fn adapter(&self) -> String;
+    /// This device for what is no kernel, where it is a GPU.
+    fn gpu(&self) -> Option<&gpu::Gpu> {
+        None
+    }
     /// Whether kernels of this precision can be made.
     fn supports(&self, precision: Precision) -> bool;
     /// Whether kernels of this method can be made.

@@ -18,6 +18,9 @@ use std::time::{Instant, SystemTime};
 pub(super) fn attenuation(args: &RunArgs) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
     super::check_out(args.out.as_deref(), &[], &[&args.scene.scenario])?;
+    if args.grid_guesses {
+        return Err(super::grid::GridRefusal::Nothing.into());
+    }
     let (model, _) = load(&args.scene)?;
     if model.attenuation.is_none() {
         return Err(CliError::NoAttenuation);

@@ -5,11 +5,13 @@ mod attenuation;
 mod bench;
 mod bench_report;
 mod check;
+mod check_least;
 mod columns;
 mod dissipation;
 mod estimates;
 mod evaluate;
 mod fit;
+mod grid;
 mod listed;
 mod points;
 mod report;
@@ -52,6 +54,8 @@ enum Command {
     Solve(SolveArgs),
     /// V, p and u at any state, interpolated from a result file, with an error estimate.
     Value(ValueArgs),
+    /// Ask V on a grid, which knows nothing of sheets, whether V at the solved states of a result file is the least.
+    CheckLeast(check_least::CheckLeastArgs),
     /// Only [study]: the optimal trajectory from one state for several values of parameters.
     Study(RunArgs),
     /// Only [attenuation]: the smallest level of attenuation, of the linearization and of a region, with pictures.
@@ -131,6 +135,9 @@ struct RunArgs {
     /// Make no report (page and pictures) at the end of `run`.
     #[arg(long)]
     no_report: bool,
+    /// Also take first guesses for the states that are solved for from V on a grid (up to 4 states, no games): slower.
+    #[arg(long)]
+    grid_guesses: bool,
 }
 
 #[derive(Args, Debug, Clone)]
@@ -498,6 +505,16 @@ enum CliError {
     Feedback(#[from] crate::feedback::FitError),
     #[error("cannot create the directory {path}: {source}", path = path.display())]
     OutDir { path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    Refused(#[from] grid::GridRefusal),
+    #[error(transparent)]
+    Grid(crate::dynamic_programming::DpError),
+    #[error("V in the file is not the least at {states} states")]
+    NotLeast {
+        states: usize,
+        /// Whether it has been said.
+        silent: bool,
+    },
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     #[error("cannot write to standard output: {0}")]
@@ -543,12 +560,17 @@ impl CliError {
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
             CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) => 2,
             CliError::ReportOption(_) => 2,
+            CliError::Refused(grid::GridRefusal::OutOfTime(_)) => 1,
+            CliError::Refused(_) | CliError::Grid(_) => 2,
             CliError::Report(crate::report::ReportError::Options(_) | crate::report::ReportError::Stored(_)) => 2,
             _ => 1,
         }
     }
 
     fn print(&self) {
+        if matches!(self, CliError::NotLeast { silent: true, .. }) {
+            return;
+        }
         let colours = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
         let text = match self {
             CliError::Scenario(e) | CliError::Load(LoadError::Scenario(e)) => e.render(colours),
@@ -610,6 +632,7 @@ pub fn main() -> ExitCode {
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
         Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
+        Command::CheckLeast(args) => check_least::check_least(&args),
         Command::Study(args) => study::study(&args),
         Command::Attenuation(args) => attenuation::attenuation(&args),
         Command::Value(args) => value::value(&args),

@@ -3,17 +3,21 @@
 use super::afterwards::{self, Draft};
 use super::check::{load, planned};
 use super::estimates::Estimates;
+use super::grid::GridRefusal;
 use super::report;
 use super::{BackendChoice, CliError, RunArgs, SolveArgs, points};
 use crate::backend::cpu::Cpu;
 use crate::backend::gpu::{Gpu, Selection};
 use crate::backend::{Backend, BackendError, Trajectories};
+use crate::dynamic_programming::GridValue;
+use crate::hamiltonian::Hamiltonian;
 use crate::model::{Method, Model};
 use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema};
 use crate::shooting::Solver;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::value::{self, Answers, Archive, Grid, Request};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::time::{Instant, SystemTime};
 
@@ -37,7 +41,13 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
     super::check_out(args.out.as_deref(), &[], &[&args.scene.scenario])?;
     let (model, hamiltonian) = load(&args.scene)?;
-    let wanted = wanted(&model, parts)?;
+    let mut wanted = wanted(&model, parts)?;
+    if args.grid_guesses {
+        super::grid::refuse(&model, "--grid-guesses")?;
+        if wanted.is_none() {
+            return Err(GridRefusal::Nothing.into());
+        }
+    }
     let all = matches!(parts, Parts::All);
     let backend = args.numerics.open(&model)?;
     let stored = parts.sweeps() && model.shoot_out.is_some();
@@ -87,7 +97,11 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         file.caustic(&schema, &swept.folds)?;
     }
     let mut answers = None;
-    if let (Some(wanted), Some(archive)) = (&wanted, &mut archive) {
+    if let (Some(wanted), Some(archive)) = (&mut wanted, &mut archive) {
+        if args.grid_guesses {
+            let scene = (&model, &hamiltonian);
+            wanted.request.grid = Some(wanted.grid(scene, &plan, backend.as_ref(), &terminal)?);
+        }
         let mut solver = value::solver(&plan, backend.as_ref())?;
         let mut found = wanted.solve(&plan, &model, &mut solver, archive, &terminal)?;
         // What nothing has led to may have a swept trajectory near it.
@@ -194,6 +208,23 @@ impl WantedStates {
     fn points(&self) -> usize {
         let map = self.request.grids.last().filter(|_| self.map);
         self.count() - map.map_or(0, Grid::len)
+    }
+
+    /// V on a grid over the states.
+    fn grid(
+        &self,
+        scene: (&Model, &Hamiltonian),
+        plan: &Plan,
+        backend: &dyn Backend,
+        terminal: &report::Terminal,
+    ) -> Result<Arc<GridValue>, CliError> {
+        let bar = terminal.progress();
+        bar.say("V on a grid");
+        let grids = self.request.grids.iter().flat_map(Grid::points);
+        let states: Vec<f64> = grids.chain(self.request.points.iter().copied()).collect();
+        let grid = super::grid::for_guesses(scene, plan, backend, &states)?;
+        bar.clear();
+        Ok(Arc::new(grid))
     }
 
     /// Solves for the states, with first guesses from an archive.

@@ -5,10 +5,13 @@ use super::lattice::{Axis, Lattice, MOST_STATES};
 use super::{DpError, Options};
 use crate::sweep::{Plan, spread_over};
 
-/// Nodes of an axis by the number of states.
-const NODES: [usize; MOST_STATES] = [801, 201, 61, 25];
-/// More nodes, as a factor, for an axis of three periods.
+/// Nodes of an axis by the number of states, where all axes have as many.
+const NODES: [f64; MOST_STATES] = [801.0, 201.0, 61.0, 27.0];
+/// More nodes in all, as a factor, for an axis of three periods.
 const LIFTED_NODES: f64 = 1.5;
+/// How much more or less than the mean an axis may get, and its least number of nodes.
+const UNEVEN: f64 = 2.0;
+const LEAST_NODES: f64 = 11.0;
 /// States at which the equations are looked at for their periods, and the difference that counts as none.
 const PROBES: usize = 64;
 const SAME: f64 = 1e-8;
@@ -39,15 +42,17 @@ impl Domain {
             let ring = period.filter(|period| is_invariant(plan, equations, i, *period));
             let lifted = period.filter(|_| ring.is_none());
             let added = lifted.unwrap_or(margin * plan.widths[i]);
-            let [lo, hi] = plan.region[i];
+            let [mut lo, mut hi] = plan.region[i];
+            // Of a periodic state every copy is on the axis anyway.
+            if let (Some(held), None) = (options.holds.get(i), period) {
+                (lo, hi) = (lo.min(held[0]), hi.max(held[1]));
+            }
             domain.bounds.push([lo - added, hi + added]);
             domain.periods.push(ring);
             domain.lifted.push(lifted);
         }
         if domain.counts.is_empty() {
-            let nodes = NODES[states - 1] as f64;
-            let of = |lifted: &Option<f64>| lifted.map_or(nodes, |_| LIFTED_NODES * nodes) as usize;
-            domain.counts = domain.lifted.iter().map(of).collect();
+            domain.counts = domain.spread_counts(plan);
         }
         if domain.counts.len() != states {
             return Err(DpError::Counts {
@@ -56,6 +61,29 @@ impl Domain {
             });
         }
         Ok(domain)
+    }
+
+    /// Nodes of each axis: where there is an equilibrium, more along axes that are longer in the metric of P. That tells about the
+    /// equilibrium only: half-way, on a logarithmic scale, between equal numbers and equal errors there.
+    fn spread_counts(&self, plan: &Plan) -> Vec<usize> {
+        let n = self.bounds.len();
+        let turns = self.lifted.iter().flatten().count() as i32;
+        let mean = NODES[n - 1] * LIFTED_NODES.powf(f64::from(turns) / n as f64);
+        let lengths: Vec<f64> = (0..n)
+            .map(|i| {
+                let [lo, hi] = self.bounds[i];
+                let span = self.periods[i].unwrap_or(hi - lo);
+                let steepness = plan
+                    .local
+                    .as_ref()
+                    .map_or(1.0, |local| local.riccati.p[(i, i)] * span * span);
+                steepness.sqrt().sqrt()
+            })
+            .collect();
+        let middle = lengths.iter().map(|l| l.ln()).sum::<f64>() / n as f64;
+        let count = |l: &f64| (mean * (l.ln() - middle).exp().clamp(1.0 / UNEVEN, UNEVEN)).max(LEAST_NODES);
+        // Odd, so that the reference is a node without one more.
+        lengths.iter().map(|l| count(l) as usize / 2 * 2 + 1).collect()
     }
 
     /// The lattice with about these many nodes along each axis.

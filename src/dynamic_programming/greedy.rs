@@ -45,6 +45,11 @@ impl GridValue {
     /// that solution's tail, and where the flight went round a periodic axis the whole path is moved by periods so that it ends at
     /// the reference: its first state may be a copy of `s`. `None` where s is not reached, or the flight leads nowhere.
     pub fn greedy(&self, s: &[f64]) -> Option<(f64, Path)> {
+        self.greedy_in_parts(s, 1)
+    }
+
+    /// The same with nodes so many times closer together.
+    pub fn greedy_in_parts(&self, s: &[f64], parts: usize) -> Option<(f64, Path)> {
         let (s, value, _) = self.best_copy(s)?;
         let mut best: Option<Flight> = None;
         for cells in CELLS {
@@ -59,7 +64,7 @@ impl GridValue {
                 break;
             }
         }
-        best.map(|flight| self.path_of(flight))
+        best.map(|flight| self.path_of(flight, self.segment / parts as f64))
     }
 
     /// A flight whose controls are judged by steps of so many cells.
@@ -187,8 +192,8 @@ impl GridValue {
         Some(())
     }
 
-    /// Nodes some distance apart, the tail behind them.
-    fn path_of(&self, flight: Flight) -> (f64, Path) {
+    /// Nodes at least a time `segment` apart, the tail behind them.
+    fn path_of(&self, flight: Flight, segment: f64) -> (f64, Path) {
         let lattice = &self.grid.lattice;
         let (total, nodes) = (flight.time, flight.nodes);
         let end = nodes.last().map_or(Vec::new(), |n| n.1.clone());
@@ -203,7 +208,7 @@ impl GridValue {
                 .chain(p.iter().copied())
                 .collect()
         };
-        let shortest = self.segment.max(total / SEGMENTS);
+        let shortest = segment.max(total / SEGMENTS);
         let mut path = Path::new(&joined(&nodes[0]));
         let mut at = nodes[0].0;
         for (k, node) in nodes.iter().enumerate().skip(1) {

@@ -2,10 +2,12 @@
 
 use super::cpu::points;
 use super::equations::Equations;
-use super::level::{Level, STEEP, Stride, ranges, spread};
+use super::lattice::Lattice;
+use super::level::{Level, STEEP, Stride, last, middle, ranges, spread};
 use super::stationary::{Solution, outside};
 use super::{Clock, Domain, DpError, Runner};
 use crate::backend::cpu::map::Evaluator;
+use crate::quantile::nearest_rank;
 
 /// Cells that a step of a quick node (see `QUICK`) crosses at most.
 const CELLS: f64 = 4.0;
@@ -13,6 +15,11 @@ const CELLS: f64 = 4.0;
 const QUICK: f64 = 0.75;
 /// Steps in all.
 const STEPS: [usize; 2] = [16, 40];
+/// More of them, up to a number, where steps are worse than this: cells by which Kutta's third-order method and the second-order
+/// one within it differ, at all but a share of the nodes.
+const MOST_STEPS: usize = 320;
+const DIFFER: f64 = 0.25;
+const NEARLY_ALL: f64 = 0.9;
 /// Most numbers that all slices together hold.
 const NUMBERS: usize = 40_000_000;
 /// Rounds of improvement a slice, and for the first one.
@@ -55,8 +62,12 @@ pub(super) fn solve(
         .filter(|v| v.is_finite())
         .fold(0.0, f64::max);
     let ceiling = CEILING * (largest + time * running).max(f64::MIN_POSITIVE);
-    let most = (NUMBERS / lattice.len()).clamp(STEPS[0], STEPS[1]);
-    let steps = ((time * speed / CELLS).ceil() as usize).clamp(STEPS[0], most);
+    let most = (NUMBERS / lattice.len()).clamp(STEPS[0], MOST_STEPS);
+    let mut steps = ((time * speed / CELLS).ceil() as usize).clamp(STEPS[0], most.min(STEPS[1]));
+    let flown = with_controls(&points, &controls, n, m);
+    while steps < most && difference(equations, &lattice, &flown, &dead, time / steps as f64) > DIFFER {
+        steps = (2 * steps).min(most);
+    }
     let ranges = ranges(&controls, m);
     let level = Level {
         known: dead.clone(),
@@ -119,24 +130,52 @@ fn march(
     })
 }
 
+fn with_controls(points: &[f64], controls: &[f64], n: usize, m: usize) -> Vec<f64> {
+    (points.chunks(n).zip(controls.chunks(m)))
+        .flat_map(|(s, u)| s.iter().chain(u).copied())
+        .collect()
+}
+
 fn with_zeros(points: &[f64], n: usize) -> Vec<f64> {
     (points.chunks(n))
         .flat_map(|s| s.iter().copied().chain(std::iter::repeat_n(0.0, n)))
         .collect()
 }
 
+/// Cells by which the end of a step of Kutta's third-order method differs from that of the second-order one within it, at all but
+/// a few nodes.
+fn difference(equations: &Equations, lattice: &Lattice, inputs: &[f64], dead: &[bool], step: f64) -> f64 {
+    let (n, m, width) = (equations.states, equations.controls, equations.width());
+    let motion = Evaluator::new(&equations.motion);
+    let first = motion.eval(inputs, n + m);
+    let moved = |to: &dyn Fn(usize, &mut [f64])| {
+        let mut points = inputs.to_vec();
+        points
+            .chunks_mut(n + m)
+            .enumerate()
+            .for_each(|(k, z)| to(k, &mut z[..n]));
+        motion.eval(&points, n + m)
+    };
+    let at = |k: usize| &inputs[k * (n + m)..][..n];
+    let second = moved(&|k, to| middle(at(k), &first[k * width..], step, to));
+    let third = moved(&|k, to| last(at(k), &first[k * width..], &second[k * width..], step, to));
+    let of = |k: usize| {
+        let axes = lattice.axes.iter().enumerate();
+        axes.fold(0.0f64, |most, (i, axis)| {
+            let j = k * width + i;
+            most.max((step * (first[j] - 2.0 * second[j] + third[j]) / (6.0 * axis.step)).abs())
+        })
+    };
+    let alive = (0..dead.len()).filter(|k| !dead[*k]);
+    let mut all: Vec<f64> = alive.map(of).filter(|d| d.is_finite()).collect();
+    all.sort_by(f64::total_cmp);
+    nearest_rank(&all, NEARLY_ALL)
+}
+
 /// Cells a unit of time of a quick node, and the largest running cost.
-fn pace(
-    equations: &Equations,
-    lattice: &super::lattice::Lattice,
-    points: &[f64],
-    controls: &[f64],
-    dead: &[bool],
-) -> (f64, f64) {
+fn pace(equations: &Equations, lattice: &Lattice, points: &[f64], controls: &[f64], dead: &[bool]) -> (f64, f64) {
     let (n, m) = (equations.states, equations.controls);
-    let inputs: Vec<f64> = (points.chunks(n).zip(controls.chunks(m)))
-        .flat_map(|(s, u)| s.iter().chain(u).copied())
-        .collect();
+    let inputs = with_controls(points, controls, n, m);
     let rows = Evaluator::new(&equations.motion).eval(&inputs, n + m);
     let alive = || {
         rows.chunks(equations.width())

@@ -121,7 +121,7 @@ pub(super) trait Iteration {
     fn controls(&self) -> Result<Vec<f64>, BackendError>;
 }
 
-/// The largest share of a control's range at which two neighbours of the fixed set lie, and how many there are at most.
+/// Places of the fixed set along the range of each control, by the number of controls.
 const LEVELS: [usize; 4] = [9, 5, 3, 3];
 
 /// Controls spread over ranges: a grid of them, with the ends.
@@ -139,20 +139,21 @@ pub(super) fn spread(ranges: &[[f64; 2]]) -> Vec<Vec<f64>> {
     list
 }
 
-/// The step of a node under a control: Kutta's third-order method, the cost with it. The rates at the beginning give the
-/// duration.
+/// Where Kutta's third-order method looks second.
 pub(super) fn middle(s: &[f64], first: &[f64], time: f64, to: &mut [f64]) {
     for (i, x) in to.iter_mut().enumerate() {
         *x = s[i] + 0.5 * time * first[i];
     }
 }
 
+/// Where it looks last.
 pub(super) fn last(s: &[f64], first: &[f64], second: &[f64], time: f64, to: &mut [f64]) {
     for (i, x) in to.iter_mut().enumerate() {
         *x = s[i] + time * (2.0 * second[i] - first[i]);
     }
 }
 
+/// How much a component changes in a step, from its three rates.
 pub(super) fn whole(first: f64, second: f64, third: f64, time: f64) -> f64 {
     time * (first + 4.0 * second + third) / 6.0
 }

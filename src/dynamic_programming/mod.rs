@@ -18,8 +18,8 @@ mod stationary;
 
 pub use lattice::{Axis, Lattice, MOST_STATES};
 
-use crate::backend::BackendError;
 use crate::backend::gpu::Gpu;
+use crate::backend::{Backend, BackendError};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::shooting::End;
@@ -54,6 +54,8 @@ pub struct Options {
     pub nodes: Vec<usize>,
     /// Widths of the region added on each side of axes that are not periodic.
     pub margin: f64,
+    /// What the axes hold beside the region, before the margin, as deviations (see [`extent`]); empty: nothing.
+    pub holds: Vec<[f64; 2]>,
     /// Seconds after which an infinite horizon's values are given as they are.
     pub budget_seconds: Option<f64>,
 }
@@ -63,6 +65,7 @@ impl Default for Options {
         Self {
             nodes: Vec::new(),
             margin: 0.3,
+            holds: Vec::new(),
             budget_seconds: None,
         }
     }
@@ -77,7 +80,11 @@ pub enum Device<'a> {
     Gpu(&'a Gpu),
 }
 
-impl Device<'_> {
+impl<'a> Device<'a> {
+    /// Where a backend computes.
+    pub fn of(backend: &'a dyn Backend) -> Self {
+        backend.gpu().map_or(Device::Cpu, Device::Gpu)
+    }
     /// `cpu` or `gpu`.
     pub fn name(self) -> &'static str {
         match self {
@@ -93,6 +100,21 @@ impl Device<'_> {
             Device::Gpu(gpu) => Runner::Gpu(gpu::Kernels::new(gpu, equations)?),
         })
     }
+}
+
+/// From the least to the largest deviation of some states (`[state][n]`, absolute) along each axis.
+pub fn extent(plan: &Plan, states: &[f64]) -> Vec<[f64; 2]> {
+    let reference = &plan.system.reference;
+    let along = |i: usize| {
+        states
+            .iter()
+            .skip(i)
+            .step_by(reference.len())
+            .map(move |x| x - reference[i])
+    };
+    (0..reference.len())
+        .map(|i| along(i).fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], s| [lo.min(s), hi.max(s)]))
+        .collect()
 }
 
 /// A device with what it needs for one scene.
@@ -213,6 +235,15 @@ pub fn solve(
         segment: crate::value::segment_duration(plan),
         lifted: domain.lifted,
     })
+}
+
+impl std::fmt::Debug for GridValue {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let counts: Vec<usize> = self.grid.lattice.axes.iter().map(|a| a.count).collect();
+        f.debug_struct("GridValue")
+            .field("nodes", &counts)
+            .finish_non_exhaustive()
+    }
 }
 
 impl GridValue {

@@ -9,8 +9,9 @@ use super::{Clock, Domain, DpError, Runner};
 use crate::backend::cpu::map::Evaluator;
 use crate::local::LocalSolution;
 
-/// Cells that a step crosses.
-const CELLS: f64 = 1.5;
+/// Cells that a step crosses, by the number of states: the coarser a lattice, the more errors of interpolation weigh against those
+/// of a constant control.
+const CELLS: [f64; MOST_STATES] = [1.5, 1.5, 2.0, 2.5];
 /// Share of the fastest mode's time constant that a step lasts at most: its control is constant.
 const LONGEST: f64 = 0.5;
 /// Error of the local solution relative to V up to which nodes take their value from it.
@@ -150,7 +151,7 @@ fn level(lattice: Lattice, equations: &Equations, local: &LocalSolution) -> (Lev
         points,
         known,
         stride: Stride::Cells {
-            cells: CELLS,
+            cells: CELLS[n - 1],
             longest: LONGEST / fastest,
         },
         ceiling,

@@ -9,8 +9,10 @@ mod equal_cost;
 mod extremal;
 pub mod flight;
 mod fold;
+mod grow;
 mod march;
 pub(crate) mod nearest;
+mod referee;
 mod sampled;
 mod solve;
 mod states;
@@ -26,6 +28,7 @@ pub use equal_cost::BoundaryPoint;
 pub use extremal::Extremal;
 pub use fold::Fold;
 pub use march::{Marched, march};
+pub use referee::{Claims, Flown, Led, Opinion, referee};
 pub use sampled::sampled;
 pub use solve::{
     Answers, Entry, EqualCost, Evidence, Request, goes_without_sweep, guess_seeds, may_need_sweep, solve, solver,

@@ -8,9 +8,11 @@ use super::survey::{BEYOND, Miss, PointStatus, Progress, Support, Survey, Wanted
 use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
+use crate::dynamic_programming::GridValue;
 use crate::model::{GridAxis, Homotopy, MapGrid, Model, Precision};
 use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
 use crate::sweep::Plan;
+use std::sync::Arc;
 
 /// Tolerance of the answers where the scene asks for less: they are of use as f64 numbers.
 pub(super) const MOST_RTOL: f64 = 1e-9;
@@ -46,6 +48,8 @@ pub struct Request {
     pub one_sheet: bool,
     /// V up to which sheets are continued; `None`: the scene's, or a little beyond the sweep.
     pub value_max: Option<f64>,
+    /// V on a grid, whose greedy paths are tried as first guesses too.
+    pub grid: Option<Arc<GridValue>>,
 }
 
 /// A solution at a point.
@@ -327,6 +331,7 @@ pub fn solve(
         sheets: !request.one_sheet,
     };
     let mut survey = Survey::new(plan, &targets, solver)?;
+    survey.grid = request.grid.as_deref();
     let mut cover = Cover::serves(plan)
         .then(|| Cover::new(plan, model, segment_duration(plan), &Cpu::new()))
         .transpose()?;

@@ -79,6 +79,10 @@ impl Backend for Gpu {
         format!("{} ({}, {})", info.name, info.api, info.kind)
     }
 
+    fn gpu(&self) -> Option<&Gpu> {
+        Some(self)
+    }
+
     fn supports(&self, precision: Precision) -> bool {
         self.device.supports(precision)
     }

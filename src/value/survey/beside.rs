@@ -3,12 +3,12 @@
 
 use super::{Errand, MOST_SHEETS, Survey, Wanted};
 use crate::backend::BackendError;
-use crate::program::Program;
-use crate::shooting::{Path, Solver};
+use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::extremal::Extremal;
 use crate::value::flight::{Flight, Pilot, Terminal};
 use crate::value::fold;
+use crate::value::grow::{adjoint_rate, with_adjoints};
 
 /// How far, in widths of the region, and how many times what was found is followed again.
 const REACH: f64 = 0.5;
@@ -16,8 +16,6 @@ const ROUNDS: usize = 2;
 /// States of a system up to which this is done: there are twice as many directions.
 const MOST_STATES: usize = 2;
 
-/// Parts of a segment in which adjoints are carried backward along a flown path.
-const PARTS: usize = 16;
 /// Shortest steps, as shares of the way, from a flown path.
 const FROM_FLIGHT: f64 = 1.0 / 16.0;
 
@@ -37,15 +35,12 @@ impl Survey<'_> {
             })
             .collect();
         let flown = Pilot::new(self.plan)?.fly(&flights)?;
-        let n = self.targets.states;
-        let rate = Program::lower(
-            &self.plan.system.graph,
-            &self.plan.system.inputs,
-            &self.plan.system.rate[n..2 * n],
-        );
+        let rate = adjoint_rate(self.plan);
         let errands: Vec<Errand> = (targets.into_iter().zip(flown))
             .filter_map(|(target, flown)| {
-                let path = with_adjoints(flown.path?, &rate);
+                let path = flown.path?;
+                let end = path.segments();
+                let path = with_adjoints(path, end, &rate);
                 let finite = path.nodes.iter().all(|x| x.is_finite());
                 finite.then(|| Errand {
                     from: None,
@@ -103,23 +98,4 @@ impl Survey<'_> {
         }
         Ok(())
     }
-}
-
-/// A path with its adjoints replaced by those that its states have, from its end backward: `dp/dtau = dH/dx`, whose rate is
-/// given.
-pub(super) fn with_adjoints(mut path: Path, rate: &Program) -> Path {
-    let n = path.width / 2;
-    for k in (0..path.segments()).rev() {
-        let step = path.durations[k] / PARTS as f64;
-        let (before, after) = (path.node(k)[..n].to_vec(), path.node(k + 1).to_vec());
-        let mut p = after[n..].to_vec();
-        for part in 0..PARTS {
-            let share = 1.0 - (part as f64 + 0.5) / PARTS as f64;
-            let s = (0..n).map(|i| before[i] + share * (after[i] - before[i]));
-            let at: Vec<f64> = s.chain(p.iter().copied()).collect();
-            p.iter_mut().zip(rate.eval(&at)).for_each(|(p, r)| *p += step * r);
-        }
-        path.nodes[k * 2 * n + n..(k + 1) * 2 * n].copy_from_slice(&p);
-    }
-    path
 }

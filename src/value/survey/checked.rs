@@ -1,13 +1,12 @@
 //! Whether any control that is known costs less than the least V found: laws are flown from every solved target.
 
-use super::beside::with_adjoints;
 use super::{Errand, Progress, SHORT, Survey, times};
 use crate::backend::BackendError;
-use crate::program::Program;
 use crate::shooting::{Path, Solver};
 use crate::value::approach::Approach;
 use crate::value::extremal::expected_value;
 use crate::value::flight::{Claim, Pilot, along_itself, tolerance, undercut};
+use crate::value::grow::{adjoint_rate, grown, with_adjoints};
 
 /// Rounds in which what undercut a target was solved for.
 const ROUNDS: usize = 4;
@@ -22,8 +21,9 @@ const ABOVE: f64 = 1e-6;
 struct Undercutting {
     target: usize,
     cost: f64,
-    /// Ways from its path.
-    errands: Vec<Errand>,
+    /// Its path, from a copy of the target by whole periods.
+    path: Path,
+    winding: usize,
 }
 
 /// How well it is supported that the least V found at a target is the least there is.
@@ -100,29 +100,26 @@ impl Survey<'_> {
         Ok(undercut)
     }
 
-    /// A flight that undercuts a target, with the ways from its path: with the costates that the law gave, and with those
-    /// that belong to the states.
     fn undercutting(&mut self, target: usize, cost: f64, path: Path) -> Undercutting {
-        let n = self.targets.states;
-        let system = &self.plan.system;
-        let rate = Program::lower(&system.graph, &system.inputs, &system.rate[n..2 * n]);
         let winding = self.winding_near(target, path.start());
-        let adjoint = with_adjoints(path.clone(), &rate);
-        let errands = [path, adjoint]
-            .into_iter()
-            .filter(|path| path.nodes.iter().all(|x| x.is_finite()));
         Undercutting {
             target,
             cost,
-            errands: errands
-                .map(|path| Errand {
-                    from: None,
-                    target,
-                    winding,
-                    way: Approach::new(path, self.state(target, winding), SHORT),
-                })
-                .collect(),
+            path,
+            winding,
         }
+    }
+
+    /// A way from the path of a flight.
+    fn errand_along(&self, from: &Undercutting, path: Path) -> Option<Errand> {
+        let goal = self.state(from.target, from.winding);
+        let finite = path.nodes.iter().all(|x| x.is_finite());
+        finite.then(|| Errand {
+            from: None,
+            target: from.target,
+            winding: from.winding,
+            way: Approach::new(path, goal, SHORT),
+        })
     }
 
     /// Cost below which nothing over a target was left out of the search.
@@ -201,22 +198,42 @@ impl Survey<'_> {
 
     /// Solves from the paths of flights. Targets that have a lower V now; the others keep the bound.
     fn solve_for(&mut self, solver: &mut Solver, undercut: Vec<Undercutting>) -> Result<Vec<usize>, BackendError> {
-        let value = |this: &Self, t: usize| this.lowest(t).map_or(f64::INFINITY, |e| this.extremals[e].value());
-        let before: Vec<(usize, f64, f64)> = (undercut.iter())
-            .map(|u| (u.target, u.cost, value(self, u.target)))
-            .collect();
-        self.send(solver, undercut.into_iter().flat_map(|u| u.errands).collect())?;
+        let before: Vec<f64> = undercut.iter().map(|u| self.least_value(u.target)).collect();
+        // With the costates that the laws gave, and with those that belong to the states.
+        let rate = adjoint_rate(self.plan);
+        let errands = undercut.iter().flat_map(|u| {
+            let carried = with_adjoints(u.path.clone(), u.path.segments(), &rate);
+            [u.path.clone(), carried].map(|path| self.errand_along(u, path))
+        });
+        let errands = errands.flatten().collect();
+        self.send(solver, errands)?;
+        // What is too rough a guess as a whole is followed from its end.
+        let rough: Vec<&Undercutting> = undercut.iter().filter(|u| self.is_undercut(u)).collect();
+        let paths = rough.iter().map(|u| u.path.clone()).collect();
+        let mut errands = Vec::new();
+        for (u, (path, evaluations)) in rough.into_iter().zip(grown(self.plan, solver, paths)?) {
+            self.evaluations += u64::from(evaluations);
+            errands.extend(path.and_then(|path| self.errand_along(u, path)));
+        }
+        self.send(solver, errands)?;
         let mut lower = Vec::new();
-        for (target, cost, before) in before {
-            let now = value(self, target);
-            self.bounds[target] = (now > times(1.0 + ABOVE, cost)).then_some(cost);
+        for (u, before) in undercut.iter().zip(before) {
+            self.bounds[u.target] = self.is_undercut(u).then_some(u.cost);
             // The search had been told that there was nothing.
-            self.uncovered[target] = self.uncovered[target].min(cost);
-            if now < before {
-                lower.push(target);
+            self.uncovered[u.target] = self.uncovered[u.target].min(u.cost);
+            if self.least_value(u.target) < before {
+                lower.push(u.target);
             }
         }
         Ok(lower)
+    }
+
+    fn is_undercut(&self, by: &Undercutting) -> bool {
+        self.least_value(by.target) > times(1.0 + ABOVE, by.cost)
+    }
+
+    fn least_value(&self, target: usize) -> f64 {
+        self.lowest(target).map_or(f64::INFINITY, |e| self.extremals[e].value())
     }
 
     /// What supports the least V at a target.

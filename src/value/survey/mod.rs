@@ -2,7 +2,7 @@
 //!
 //! First guesses come from the cells of the swept manifold that lie over a target (`covered`), or where there are too many
 //! states for cells from swept trajectories near it (`swept`). What they miss is reached from the local solution (`local`)
-//! and from solved neighbours (`spread`). Where a sheet ends in a fold it is followed around it (`folds`). Solutions that a
+//! and from solved neighbours (`spread`), where it is asked for also from V on a grid (`greedy`). Where a sheet ends in a fold it is followed around it (`folds`). Solutions that a
 //! continuation joins have the same label (`label`). In a game only the sheet of the equilibrium counts (`principal`).
 
 mod admissible;
@@ -10,6 +10,7 @@ mod beside;
 mod checked;
 mod covered;
 mod folds;
+mod greedy;
 mod label;
 mod local;
 mod principal;
@@ -31,6 +32,7 @@ use super::march;
 use super::targets::{Groups, Targets};
 use crate::backend::BackendError;
 use crate::backend::cpu::map::Evaluator;
+use crate::dynamic_programming::GridValue;
 use crate::program::Program;
 use crate::shooting::{Failure, Solver};
 use crate::sweep::Plan;
@@ -120,6 +122,8 @@ pub struct Survey<'a> {
     pub(super) scales: Vec<f64>,
     duration: f64,
     guards: Option<(Evaluator, Vec<bool>)>,
+    /// V on a grid as a further source of guesses.
+    pub grid: Option<&'a GridValue>,
     /// In a game, where extremals with a fold along them are none.
     /// (Locked only so that a survey may be read by several threads.)
     conjugate: Option<Mutex<ConjugatePoints>>,
@@ -169,6 +173,7 @@ impl<'a> Survey<'a> {
             scales: solver.scheme.equations.scales.clone(),
             duration: segment_duration(plan),
             guards,
+            grid: None,
             conjugate: (plan.game.then(|| ConjugatePoints::new(plan)).transpose()?).map(Mutex::new),
         })
     }
@@ -215,6 +220,7 @@ impl<'a> Survey<'a> {
                 self.send(solver, errands)?;
             }
         }
+        self.try_grid(solver, progress)?;
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
         self.last_resort(solver, archive, &index, wanted, progress)?;
         // Nothing behind a fold counts in a game.

@@ -1,0 +1,108 @@
+//! First guesses from V on a grid: its greedy paths.
+
+use super::{Errand, Progress, Survey};
+use crate::backend::BackendError;
+use crate::dynamic_programming::GridValue;
+use crate::shooting::{Path, Solver};
+use crate::value::approach::Approach;
+use crate::value::grow::grown;
+use rayon::prelude::*;
+use std::collections::HashMap;
+
+/// Shortest steps, as shares of the way, from a greedy path.
+const FROM_GRID: f64 = 1.0 / 16.0;
+/// Where a path is followed from its end its nodes are so many times closer together.
+const PARTS: usize = 8;
+
+/// What came of the greedy path from a target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::value) struct Greedy {
+    /// What its flight costs; `None` where the grid knows no way.
+    pub cost: Option<f64>,
+    /// The extremal found from it.
+    pub extremal: Option<usize>,
+}
+
+impl Survey<'_> {
+    /// The greedy paths from all targets, where there is V on a grid.
+    pub(super) fn try_grid(&mut self, solver: &mut Solver, progress: Progress<'_>) -> Result<(), BackendError> {
+        let Some(grid) = self.grid else { return Ok(()) };
+        let targets: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+        self.try_greedy(solver, grid, &targets)?;
+        progress("from V on a grid", self.solved(), self.targets.len());
+        Ok(())
+    }
+
+    /// Solves from the greedy path of each of some targets.
+    pub(in crate::value) fn try_greedy(
+        &mut self,
+        solver: &mut Solver,
+        grid: &GridValue,
+        targets: &[usize],
+    ) -> Result<Vec<Greedy>, BackendError> {
+        let flown = self.greedy_paths(grid, targets, 1);
+        let costs: Vec<Option<f64>> = flown.iter().map(|f| f.as_ref().map(|(cost, _)| *cost)).collect();
+        let guesses = (targets.iter().zip(flown)).filter_map(|(t, flown)| Some((*t, flown?.1, FROM_GRID)));
+        let mut found = self.try_paths(solver, guesses.collect())?;
+        // What is too rough a guess as a whole is followed from its end.
+        let rough: Vec<usize> = (targets.iter().zip(&costs))
+            .filter(|(t, cost)| !found.contains_key(t) && cost.is_some_and(|cost| self.would_be_least(**t, cost)))
+            .map(|(t, _)| *t)
+            .collect();
+        let fine = self.greedy_paths(grid, &rough, PARTS);
+        let (rough, fine): (Vec<usize>, Vec<Path>) = (rough.into_iter().zip(fine))
+            .filter_map(|(t, flown)| Some((t, flown?.1)))
+            .unzip();
+        let mut solved = Vec::new();
+        for (target, (path, evaluations)) in rough.into_iter().zip(grown(self.plan, solver, fine)?) {
+            self.evaluations += u64::from(evaluations);
+            solved.extend(path.map(|path| (target, path, 1.0)));
+        }
+        found.extend(self.try_paths(solver, solved)?);
+        Ok((targets.iter().zip(costs))
+            .map(|(target, cost)| Greedy {
+                cost,
+                extremal: found.get(target).copied(),
+            })
+            .collect())
+    }
+
+    fn would_be_least(&self, target: usize, cost: f64) -> bool {
+        self.lowest(target).is_none_or(|e| cost < self.extremals[e].value())
+    }
+
+    /// Greedy paths with their costs, their nodes so many times closer together than usual.
+    fn greedy_paths(&self, grid: &GridValue, targets: &[usize], parts: usize) -> Vec<Option<(f64, Path)>> {
+        let starts: Vec<Vec<f64>> = targets.iter().map(|t| self.state(*t, 0)).collect();
+        let terminal = self.plan.system.terminal.as_ref();
+        let flown = |s: &Vec<f64>| {
+            let (cost, mut path) = grid.greedy_in_parts(s, parts)?;
+            if let Some(terminal) = terminal {
+                path.set_horizon(terminal.time);
+            }
+            let finite = path.nodes.iter().all(|x| x.is_finite());
+            finite.then_some((cost, path))
+        };
+        starts.par_iter().map(flown).collect()
+    }
+
+    /// Solves from a path from each of some targets, with the shortest step to try; the extremals found.
+    fn try_paths(
+        &mut self,
+        solver: &mut Solver,
+        guesses: Vec<(usize, Path, f64)>,
+    ) -> Result<HashMap<usize, usize>, BackendError> {
+        let mut errands = Vec::new();
+        for (target, path, least) in guesses {
+            let winding = self.winding_near(target, path.start());
+            errands.push(Errand {
+                from: None,
+                target,
+                winding,
+                way: Approach::new(path, self.state(target, winding), least),
+            });
+        }
+        let reached = self.send(solver, errands)?;
+        Ok(reached.into_iter().filter_map(|(t, e)| Some((t, e?))).collect())
+    }
+}
