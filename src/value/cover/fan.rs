@@ -20,6 +20,8 @@ const MOST_POINTS: usize = 320;
 const RATIO: f64 = 1.6;
 /// Stored times of a finite horizon.
 const TIMES: usize = 32;
+/// Trajectories are followed at least as many widths beyond the region.
+const LEAST_MARGIN: f64 = 3.0;
 /// The terminal states looked at reach this many widths beyond the region on each side.
 const TERMINAL_MARGIN: f64 = 2.0;
 /// The seeds' error of V, relative to V of the seeds.
@@ -96,8 +98,6 @@ impl<'a> Fan<'a> {
         let scales = (plan.widths.iter().copied())
             .chain(plan.widths.iter().map(|w| unit / w))
             .chain([unit, 1.0]);
-        // The ends of a finite horizon are further out.
-        let least = if finite.is_some() { TERMINAL_MARGIN + 1.0 } else { 0.0 };
         let run = Run {
             rtol: RTOL,
             atol: scales.map(|s| 1e-3 * RTOL * s).collect(),
@@ -113,7 +113,7 @@ impl<'a> Fan<'a> {
                     let margin = if *periodic {
                         f64::INFINITY
                     } else {
-                        plan.shoot_out.margin.max(least) * w
+                        plan.shoot_out.margin.max(LEAST_MARGIN) * w
                     };
                     [lo - margin, hi + margin]
                 })

@@ -52,6 +52,8 @@ const MOST_TRAJECTORIES: usize = 400_000;
 pub struct Sought {
     pub target: usize,
     pub s: Vec<f64>,
+    /// Whether it belongs to a grid.
+    pub gridded: bool,
     /// Cost up to which everything was found before.
     pub above: f64,
 }

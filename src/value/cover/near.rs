@@ -7,11 +7,25 @@ use rayon::prelude::*;
 
 /// Points of one trajectory between two that are looked up.
 const EVERY: usize = 4;
-/// Points looked at, and those of them that are offered, a state.
-const MOST_NEAR: usize = 96;
-const MOST_OFFERED: usize = 4;
-/// Share by which the adjoints of two points on different trajectories differ at least for both to be offered.
-const DIFFERENT: f64 = 0.35;
+/// What is looked at for a state.
+struct Effort {
+    /// Points looked at, and those of them that are offered.
+    near: usize,
+    offered: usize,
+    /// Share by which the adjoints of two points on different trajectories differ at least for both to be offered.
+    different: f64,
+}
+/// For a state of a grid, whose neighbours help; and for one that may be alone.
+const OF_GRID: Effort = Effort {
+    near: 96,
+    offered: 4,
+    different: 0.35,
+};
+const ALONE: Effort = Effort {
+    near: 300,
+    offered: 12,
+    different: 0.2,
+};
 /// Distance, in units of that of the nearest point, and in widths, up to which points are of use.
 const FARTHER: f64 = 3.0;
 const FAR: f64 = 0.5;
@@ -58,7 +72,8 @@ impl Cover<'_> {
         let mut found: Vec<Candidate> = copies
             .par_iter()
             .flat_map_iter(|copy| {
-                let mut near = tree.near(&copy.x, f64::INFINITY, MOST_NEAR);
+                let effort = if sought[copy.sought].gridded { OF_GRID } else { ALONE };
+                let mut near = tree.near(&copy.x, f64::INFINITY, effort.near);
                 let within = near.first().map_or(0.0, |(_, d)| (FARTHER * d).max(FAR));
                 // A trajectory that stays on an invariant boundary leads to one that does, without rounding.
                 if fan.is_on_boundary(&copy.x) {
@@ -66,7 +81,7 @@ impl Cover<'_> {
                 }
                 let mut offered: Vec<Candidate> = Vec::new();
                 for (k, distance) in near {
-                    if offered.len() >= MOST_OFFERED {
+                    if offered.len() >= effort.offered {
                         break;
                     }
                     if distance > within {
@@ -74,7 +89,7 @@ impl Cover<'_> {
                     }
                     let (seed, level) = places[k];
                     let candidate = this.point_guess(seed, level, copy, sought, distance);
-                    let like = |other: &Candidate| differ(other, &candidate, &this.fan.plan.widths) < DIFFERENT;
+                    let like = |other: &Candidate| differ(other, &candidate, &this.fan.plan.widths) < effort.different;
                     if !offered.iter().any(like) {
                         offered.push(candidate);
                     }

@@ -69,6 +69,17 @@ impl Law for Expansion<'_> {
     }
 }
 
+/// The same costate all the way: about a constant control.
+pub struct Constant {
+    pub p: Vec<f64>,
+}
+
+impl Law for Constant {
+    fn costate(&self, _: f64, s: &[f64]) -> Option<(Vec<f64>, Vec<f64>)> {
+        Some((self.p.clone(), vec![0.0; s.len() * s.len()]))
+    }
+}
+
 /// The gradient of the terminal cost, as if the final time were now.
 pub struct Terminal {
     end: End,

@@ -6,7 +6,7 @@ use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::extremal::Extremal;
-use crate::value::flight::{Flight, Pilot, Terminal};
+use crate::value::flight::{Constant, Flight, Flown, Law, Pilot, Terminal};
 use crate::value::fold;
 use crate::value::grow::{adjoint_rate, with_adjoints};
 
@@ -16,42 +16,59 @@ const ROUNDS: usize = 2;
 /// States of a system up to which this is done: there are twice as many directions.
 const MOST_STATES: usize = 2;
 
+/// Sizes of constant costates, in units of V's scale over a region's width.
+const SIZES: [f64; 4] = [0.1, 0.4, 1.6, 6.4];
 /// Shortest steps, as shares of the way, from a flown path.
 const FROM_FLIGHT: f64 = 1.0 / 16.0;
 
 impl Survey<'_> {
-    /// Guesses from the flight under the terminal cost's gradient: the least effort, with the adjoints that belong to its
-    /// states.
+    /// Guesses from flights: under the terminal cost's gradient, which is the least effort, and to single states under
+    /// constant costates of either sign; each with the adjoints that belong to its states.
     pub(super) fn try_flights(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(), BackendError> {
-        let Some(law) = Terminal::new(self.plan).filter(|_| wanted.sheets && self.targets.states <= MOST_STATES) else {
+        let n = self.targets.states;
+        let Some(law) = Terminal::new(self.plan).filter(|_| wanted.sheets && n <= MOST_STATES) else {
             return Ok(());
         };
-        let targets: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
-        let flights: Vec<Flight<'_>> = (targets.iter())
-            .map(|t| Flight {
+        let mut constant = Vec::new();
+        for (i, size, sign) in (0..n).flat_map(|i| SIZES.into_iter().flat_map(move |z| [(i, z, -1.0), (i, z, 1.0)])) {
+            let mut p = vec![0.0; n];
+            p[i] = sign * size * self.plan.value_scale / self.plan.widths[i];
+            constant.push(Constant { p });
+        }
+        let open: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+        let mut flights: Vec<(usize, &dyn Law)> = open.iter().map(|t| (*t, &law as &dyn Law)).collect();
+        for target in open.into_iter().filter(|t| !self.targets.gridded[*t]) {
+            flights.extend(constant.iter().map(|law| (target, law as &dyn Law)));
+        }
+        let errands = self.flown_guesses(&flights)?;
+        self.send(solver, errands)?;
+        Ok(())
+    }
+
+    /// Flies from targets under laws; what came to the end gives guesses.
+    fn flown_guesses(&self, wanted: &[(usize, &dyn Law)]) -> Result<Vec<Errand>, BackendError> {
+        let flights: Vec<Flight<'_>> = (wanted.iter())
+            .map(|(t, law)| Flight {
                 start: self.state(*t, 0),
-                law: &law,
+                law: *law,
                 ceiling: f64::INFINITY,
             })
             .collect();
         let flown = Pilot::new(self.plan)?.fly(&flights)?;
         let rate = adjoint_rate(self.plan);
-        let errands: Vec<Errand> = (targets.into_iter().zip(flown))
-            .filter_map(|(target, flown)| {
-                let path = flown.path?;
-                let end = path.segments();
-                let path = with_adjoints(path, end, &rate);
-                let finite = path.nodes.iter().all(|x| x.is_finite());
-                finite.then(|| Errand {
-                    from: None,
-                    target,
-                    winding: 0,
-                    way: Approach::new(path, self.state(target, 0), FROM_FLIGHT),
-                })
+        let guess = |((target, _), flown): (&(usize, &dyn Law), Flown)| {
+            let path = flown.path?;
+            let end = path.segments();
+            let path = with_adjoints(path, end, &rate);
+            let finite = path.nodes.iter().all(|x| x.is_finite());
+            finite.then(|| Errand {
+                from: None,
+                target: *target,
+                winding: 0,
+                way: Approach::new(path, self.state(*target, 0), FROM_FLIGHT),
             })
-            .collect();
-        self.send(solver, errands)?;
-        Ok(())
+        };
+        Ok(wanted.iter().zip(flown).filter_map(guess).collect())
     }
 
     /// Cells do not show extremals whose trajectories part too fast backward in time; their sheets join in folds.

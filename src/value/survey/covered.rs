@@ -121,6 +121,7 @@ impl Survey<'_> {
                 .map(|&target| Sought {
                     target,
                     s: self.state(target, 0),
+                    gridded: self.targets.gridded[target],
                     above: self.searched[target],
                 })
                 .collect();
