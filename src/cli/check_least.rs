@@ -86,6 +86,7 @@ pub(super) fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
     bar.say("V on a grid");
     let options = Options {
         nodes: counts,
+        share: 1.0,
         margin: args.margin,
         holds: extent(&plan, &claims.x),
         budget_seconds: args.seconds,

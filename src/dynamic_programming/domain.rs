@@ -52,7 +52,7 @@ impl Domain {
             domain.lifted.push(lifted);
         }
         if domain.counts.is_empty() {
-            domain.counts = domain.spread_counts(plan);
+            domain.counts = domain.spread_counts(plan, options.share);
         }
         if domain.counts.len() != states {
             return Err(DpError::Counts {
@@ -65,10 +65,10 @@ impl Domain {
 
     /// Nodes of each axis: where there is an equilibrium, more along axes that are longer in the metric of P. That tells about the
     /// equilibrium only: half-way, on a logarithmic scale, between equal numbers and equal errors there.
-    fn spread_counts(&self, plan: &Plan) -> Vec<usize> {
+    fn spread_counts(&self, plan: &Plan, share: f64) -> Vec<usize> {
         let n = self.bounds.len();
         let turns = self.lifted.iter().flatten().count() as i32;
-        let mean = NODES[n - 1] * LIFTED_NODES.powf(f64::from(turns) / n as f64);
+        let mean = share * NODES[n - 1] * LIFTED_NODES.powf(f64::from(turns) / n as f64);
         let lengths: Vec<f64> = (0..n)
             .map(|i| {
                 let [lo, hi] = self.bounds[i];

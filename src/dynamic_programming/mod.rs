@@ -52,6 +52,8 @@ pub enum DpError {
 pub struct Options {
     /// Nodes along each axis, about: the reference becomes a node. Empty: by the number of states.
     pub nodes: Vec<usize>,
+    /// Share of the usual numbers of nodes where none are given.
+    pub share: f64,
     /// Widths of the region added on each side of axes that are not periodic.
     pub margin: f64,
     /// What the axes hold beside the region, before the margin, as deviations (see [`extent`]); empty: nothing.
@@ -64,6 +66,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             nodes: Vec::new(),
+            share: 1.0,
             margin: 0.3,
             holds: Vec::new(),
             budget_seconds: None,

@@ -580,11 +580,13 @@ fn nowhere_negative(system: &System, expr: Id, region: &[[f64; 2]]) -> bool {
     values.iter().all(|l| l.is_nan() || *l >= -rounding)
 }
 
-/// States spread evenly over a box, the same in every run: a Kronecker sequence.
+/// States spread evenly over a box, the same in every run: a Kronecker sequence, by the square roots of primes.
 pub fn spread_over(region: &[[f64; 2]], count: usize) -> Vec<Vec<f64>> {
+    let is_prime = |p: &usize| (2..*p).all(|q| !p.is_multiple_of(q));
+    let primes: Vec<f64> = (2..).filter(is_prime).take(region.len()).map(|p| p as f64).collect();
     let place = |k: usize| {
         let along = region.iter().enumerate().map(|(i, [lo, hi])| {
-            let fraction = ((k as f64 + 0.5) * (i as f64 + 2.0).sqrt()).fract();
+            let fraction = ((k as f64 + 0.5) * primes[i].sqrt()).fract();
             lo + (hi - lo) * fraction
         });
         along.collect()

@@ -8,7 +8,8 @@ use super::survey::{BEYOND, Miss, PointStatus, Progress, Support, Survey, Wanted
 use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
-use crate::dynamic_programming::GridValue;
+use crate::dynamic_programming::{self, Device, GridValue, Options};
+use crate::hamiltonian::Hamiltonian;
 use crate::model::{GridAxis, Homotopy, MapGrid, Model, Precision};
 use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
 use crate::sweep::Plan;
@@ -303,6 +304,19 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
     Ok(host.after(draft))
 }
 
+/// A coarse V on a grid over the region, for guesses where the search cannot show the least; none where that takes long.
+fn second_opinion(plan: &Plan, model: &Model) -> Option<GridValue> {
+    /// States up to which it is made, and the share of the usual nodes along each axis.
+    const MOST: usize = 3;
+    const SHARE: f64 = 0.5;
+    let hamiltonian = (plan.system.states <= MOST).then(|| Hamiltonian::derive(model).ok())??;
+    let options = Options {
+        share: SHARE,
+        ..Options::default()
+    };
+    dynamic_programming::solve(model, &hamiltonian, plan, &options, Device::Cpu).ok()
+}
+
 /// Solves for a request, with first guesses from an archive.
 ///
 /// # Errors
@@ -335,7 +349,8 @@ pub fn solve(
     let mut cover = Cover::serves(plan)
         .then(|| Cover::new(plan, model, segment_duration(plan), &Cpu::new()))
         .transpose()?;
-    survey.run(solver, archive, cover.as_mut(), wanted, progress)?;
+    let mut second = || second_opinion(plan, model);
+    survey.run(solver, archive, cover.as_mut(), wanted, &mut second, progress)?;
     let boundary = if request.one_sheet || plan.game {
         Vec::new()
     } else {

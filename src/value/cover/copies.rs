@@ -3,8 +3,8 @@
 use super::cell::{Cell, Corners};
 use super::{Copy, Cover, Sought};
 
-/// Periods by which a state is shifted at most.
-const MOST_TURNS: i32 = 16;
+/// Periods by which a state is shifted at most, by the number of states that have one.
+const MOST_TURNS: [i32; 7] = [16, 16, 16, 5, 3, 2, 2];
 
 impl Cover<'_> {
     /// The states looked for with all windings that come near a cell.
@@ -23,6 +23,7 @@ impl Cover<'_> {
     pub(super) fn copies_within(&self, sought: &[Sought], extent: &[[f64; 2]]) -> Vec<Copy> {
         let plan = self.fan.plan;
         let n = plan.system.states;
+        let most = MOST_TURNS[plan.periods.iter().flatten().count()];
         let mut copies = Vec::new();
         for (k, one) in sought.iter().enumerate() {
             let mut turns: Vec<Vec<i32>> = vec![Vec::new()];
@@ -34,7 +35,7 @@ impl Cover<'_> {
                         let lowest = ((extent[i][0] - x) / width).ceil().max(-1e6) as i32;
                         let highest = ((extent[i][1] - x) / width).floor().min(1e6) as i32;
                         let nearest = (-one.s[i] / period).round().clamp(-1e6, 1e6) as i32;
-                        lowest.max(nearest - MOST_TURNS)..=highest.min(nearest + MOST_TURNS)
+                        lowest.max(nearest - most)..=highest.min(nearest + most)
                     }
                     None => 0..=0,
                 };

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 /// Widest gap, in widths of the region, between neighbouring first trajectories; and how many there are at most.
 const SPACING: [f64; MOST_STATES + 1] = [0.05, 0.05, 0.08, 0.15, 0.2, 0.3, 0.4];
-const MOST_FIRST: [usize; MOST_STATES + 1] = [2, 2, 4000, 4000, 1200, 800, 400];
+const MOST_FIRST: [usize; MOST_STATES + 1] = [2, 4000, 4000, 4000, 1200, 800, 400];
 /// Widths beyond the region up to which gaps are looked at.
 const AROUND: f64 = 0.25;
 

@@ -27,7 +27,7 @@ use std::collections::{BTreeMap, HashMap};
 const MOST_IN_CELLS: usize = 3;
 const MOST_STATES: usize = 6;
 /// First seeds by the number of states.
-const FIRST_SEEDS: [usize; MOST_STATES + 1] = [1, 2, 256, 300, 400, 400, 400];
+const FIRST_SEEDS: [usize; MOST_STATES + 1] = [1, 64, 256, 300, 400, 400, 400];
 /// Longest edge, in widths of the region, of a cell that gives a guess, by the number of states.
 const LEAF: [f64; MOST_IN_CELLS + 1] = [0.04, 0.04, 0.04, 0.06];
 /// Bend of such a cell at most.

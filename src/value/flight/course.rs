@@ -91,6 +91,8 @@ pub(super) struct Course {
     longest: f64,
     settled_longest: f64,
     given_up: f64,
+    /// Whether the cost of a flight only rises, so that one above the ceiling is not worth flying on.
+    rises: bool,
     /// Share of the usual periods.
     fine: f64,
 }
@@ -120,6 +122,7 @@ impl Course {
             first: (fine * FIRST * segment).min(longest),
             longest,
             settled_longest: slowest.map_or(longest, |slowest| longest.max(fine * SETTLED_PERIOD * slowest)),
+            rises: plan.costs_are_positive(),
             fine,
             given_up: slowest.map_or(f64::INFINITY, |slowest| LONGEST_FLIGHT * slowest),
         }
@@ -159,7 +162,7 @@ impl Course {
                 return None;
             }
         }
-        if air.cost >= flight.ceiling {
+        if self.rises && air.cost >= flight.ceiling {
             return Some(Flown::failed(FlightEnd::AboveCeiling));
         }
         if air.t > self.given_up || f64::from(air.periods) > MOST_PERIODS / self.fine {

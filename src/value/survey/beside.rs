@@ -1,7 +1,7 @@
 //! Further extremals of a finite horizon: each known one is followed away from its target in several directions, around the
 //! folds that its sheet may have there, and back.
 
-use super::{Errand, MOST_SHEETS, Survey, Wanted};
+use super::{Errand, MOST_SHEETS, Survey};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
@@ -24,9 +24,9 @@ const FROM_FLIGHT: f64 = 1.0 / 16.0;
 impl Survey<'_> {
     /// Guesses from flights: under the terminal cost's gradient, which is the least effort, and to single states under
     /// constant costates of either sign; each with the adjoints that belong to its states.
-    pub(super) fn try_flights(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(), BackendError> {
+    pub(super) fn try_flights(&mut self, solver: &mut Solver) -> Result<(), BackendError> {
         let n = self.targets.states;
-        let Some(law) = Terminal::new(self.plan).filter(|_| wanted.sheets && n <= MOST_STATES) else {
+        let Some(law) = Terminal::new(self.plan).filter(|_| n <= MOST_STATES) else {
             return Ok(());
         };
         let mut constant = Vec::new();
@@ -72,9 +72,9 @@ impl Survey<'_> {
     }
 
     /// Cells do not show extremals whose trajectories part too fast backward in time; their sheets join in folds.
-    pub(super) fn try_folds_beside(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(), BackendError> {
+    pub(super) fn try_folds_beside(&mut self, solver: &mut Solver) -> Result<(), BackendError> {
         let n = self.targets.states;
-        if self.plan.system.terminal.is_none() || !wanted.sheets || n > MOST_STATES {
+        if self.plan.system.terminal.is_none() || n > MOST_STATES {
             return Ok(());
         }
         let mut first = 0;

@@ -122,8 +122,12 @@ impl Survey<'_> {
         })
     }
 
-    /// Cost below which nothing over a target was left out of the search.
+    /// Cost below which nothing over a target was left out of the search. Nothing is shown on a finite horizon: the image of a cell of
+    /// terminal states may be folded where none of its corners tells.
     pub(in crate::value) fn covered_to(&self, target: usize) -> f64 {
+        if self.plan.system.terminal.is_some() {
+            return f64::NEG_INFINITY;
+        }
         self.searched[target].min(self.uncovered[target])
     }
 

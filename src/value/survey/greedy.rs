@@ -1,6 +1,6 @@
 //! First guesses from V on a grid: its greedy paths.
 
-use super::{Errand, Progress, Survey};
+use super::{Errand, Progress, SecondOpinion, Survey};
 use crate::backend::BackendError;
 use crate::dynamic_programming::GridValue;
 use crate::shooting::{Path, Solver};
@@ -29,6 +29,30 @@ impl Survey<'_> {
         let Some(grid) = self.grid else { return Ok(()) };
         let targets: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
         self.try_greedy(solver, grid, &targets)?;
+        progress("from V on a grid", self.solved(), self.targets.len());
+        Ok(())
+    }
+
+    /// The greedy paths from targets at which the search does not show the least, or found nothing.
+    pub(super) fn try_doubtful(
+        &mut self,
+        solver: &mut Solver,
+        second: SecondOpinion<'_>,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        let doubtful: Vec<usize> = (0..self.targets.len())
+            .filter(|t| !self.is_refused(*t) && !self.is_covered(*t))
+            .collect();
+        if doubtful.is_empty() {
+            return Ok(());
+        }
+        let Some(grid) = second() else { return Ok(()) };
+        // Where V is above what is of interest there need be no solution.
+        let (limits, least) = (&self.targets.limits, |t: usize| grid.value(&self.state(t, 0)));
+        let doubtful: Vec<usize> = (doubtful.into_iter())
+            .filter(|t| !self.at[*t].is_empty() || least(*t).is_some_and(|v| v <= limits[*t]))
+            .collect();
+        self.try_greedy(solver, &grid, &doubtful)?;
         progress("from V on a grid", self.solved(), self.targets.len());
         Ok(())
     }

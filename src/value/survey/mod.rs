@@ -132,6 +132,9 @@ pub struct Survey<'a> {
 /// Told what is done and how many targets are solved of how many.
 pub type Progress<'p> = &'p mut dyn FnMut(&str, usize, usize);
 
+/// Makes V on a grid, where there may be one.
+pub type SecondOpinion<'p> = &'p mut dyn FnMut() -> Option<GridValue>;
+
 /// A way to try: from which extremal (if any), to which target and winding.
 pub(in crate::value) struct Errand {
     from: Option<usize>,
@@ -188,6 +191,7 @@ impl<'a> Survey<'a> {
         archive: &Archive,
         cover: Option<&mut Cover<'_>>,
         wanted: Wanted,
+        second: SecondOpinion<'_>,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let index = self.index(archive);
@@ -202,11 +206,12 @@ impl<'a> Survey<'a> {
         if self.plan.game && self.plan.local.is_some() {
             return self.principal_sheet(solver, archive, &index, wanted, progress);
         }
+        let searched = cover.is_some();
         match cover {
             Some(cover) => {
                 self.search_cells(solver, cover, wanted, progress)?;
-                self.try_flights(solver, wanted)?;
-                self.try_folds_beside(solver, wanted)?;
+                self.try_flights(solver)?;
+                self.try_folds_beside(solver)?;
             }
             None => {
                 let order: Vec<usize> = (0..self.targets.len()).collect();
@@ -221,6 +226,9 @@ impl<'a> Survey<'a> {
             }
         }
         self.try_grid(solver, progress)?;
+        if searched && self.grid.is_none() {
+            self.try_doubtful(solver, second, progress)?;
+        }
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
         self.last_resort(solver, archive, &index, wanted, progress)?;
         // Nothing behind a fold counts in a game.
