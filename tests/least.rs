@@ -155,6 +155,30 @@ fn swing_up_with_a_bounded_torque() {
     referenced("swing_bounded", &[0, 1, 4]);
 }
 
+/// States at which cells miss the least: where trajectories part fast backward in time, and where too many cells lie over the
+/// state. Alone, each is solved from a grid's greedy path, and nothing is said to be shown.
+#[test]
+fn least_only_by_a_second_opinion() {
+    for name in ["fh_wide", "fh_long", "swing_outward"] {
+        assert_evidence(&referenced(name, &[]), Evidence::NotUndercut);
+    }
+}
+
+/// Long horizons stretch terminal states by 1 + T phi''. V by Hopf and Lax: the terminal cost at z with the straight way there,
+/// minimized over a dense row of z; along y in closed form.
+#[test]
+fn two_wells_after_a_long_time() {
+    const T: f64 = 20.0;
+    const ROW: usize = 2_000_000;
+    let (x, y) = (0.6356649940707744, 0.21360346728167579);
+    let cost = |z: f64| z.powi(4) / 4.0 - z * z + 0.1 * z + (x - z).powi(2) / (2.0 * T);
+    let along_x = (0..=ROW).map(|k| cost(-3.0 + 6.0 * k as f64 / ROW as f64));
+    let value = along_x.fold(f64::INFINITY, f64::min) + y * y / (2.0 * (1.0 + T));
+    let found = solved(&scene("hopf_lax", &[("T", "20")]), &[x, y]);
+    assert_value(&found, 0, value, REFERENCE);
+    assert_evidence(&found, Evidence::NotUndercut);
+}
+
 #[test]
 fn swing_up_in_a_finite_time() {
     referenced("fh_pendulum", &[0, 3, 5]);
