@@ -9,7 +9,7 @@ use common_values::{Swept, common_oracles, given, parse, scene};
 use costate::backend::cpu::Cpu;
 use costate::model::Model;
 use costate::shooting::End;
-use costate::sweep::{Choices, Plan};
+use costate::sweep::Plan;
 use costate::value::{self, Answers, Archive, Index, Request, march, segment_duration};
 use nalgebra::{DMatrix, DVector};
 use std::path::PathBuf;
@@ -19,19 +19,9 @@ const EXACT: f64 = 1e-12;
 const HORIZONS: [f64; 4] = [0.1, 0.7, 1.3, 2.7];
 
 /// A plan that is never swept.
-fn unswept(model: &Model) -> Plan {
-    let choices = Choices {
-        inner_levels: true,
-        unasked: true,
-        dispensable: true,
-        ..Choices::default()
-    };
-    Plan::new(model, &common_oracles::derive(model), &Cpu::new(), choices).expect("a plan")
-}
-
 /// Answers without a sweep.
 fn solved(model: &Model, points: &[f64]) -> (Plan, Answers) {
-    let plan = unswept(model);
+    let plan = common_oracles::unswept(model);
     let mut solver = value::solver(&plan, &Cpu::new()).expect("the CPU compiles everything");
     let request = Request {
         points: points.to_vec(),
@@ -268,7 +258,7 @@ fn satellite_marches_to_its_horizon() {
         [0.515703557126, 0.457311296129, 0.16959592917, 0.266988429037, -0.445147120206, -0.18096104943, 1.79290977504],
     ];
     let model = parse(SATELLITE);
-    let plan = unswept(&model);
+    let plan = common_oracles::unswept(&model);
     let starts: Vec<Vec<f64>> = rows.iter().map(|r| r[..6].to_vec()).collect();
     let mut solver = value::solver(&plan, &Cpu::new()).expect("the CPU compiles everything");
     let together = march(&mut solver, &plan, &starts).expect("the CPU works");

@@ -9,7 +9,7 @@
 
 mod common_values;
 
-use common_values::common_oracles::{Random, derive, parameter};
+use common_values::common_oracles::{Random, derive, parameter, unswept};
 use common_values::{given, parse, scene};
 use costate::backend::cpu::Cpu;
 use costate::hamiltonian::Hamiltonian;
@@ -251,16 +251,6 @@ fn answer(answers: &Answers, target: usize) -> &Entry {
 }
 
 /// A plan that is never swept.
-fn unswept(model: &Model) -> Plan {
-    let choices = Choices {
-        inner_levels: true,
-        unasked: true,
-        dispensable: true,
-        ..Choices::default()
-    };
-    Plan::new(model, &derive(model), &Cpu::new(), choices).expect("a plan")
-}
-
 /// Alone this state was given V = 169.42.
 #[test]
 fn a_spinning_pendulum_alone() {

@@ -8,7 +8,6 @@ use crate::dynamic_programming::{Device, GridValue, Options, extent, solve};
 use crate::model::Model;
 use crate::output::{Stored, StoredError};
 use crate::quantile::nearest_rank;
-use crate::sweep::Choices;
 use crate::value::{self, Claims, Flown, Led, Opinion, PointStatus, referee};
 use clap::Args;
 use std::path::PathBuf;
@@ -73,13 +72,7 @@ pub(super) fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
     let n = model.states.len();
     let counts = grid::counts(&args.nodes, model)?;
     let backend = args.numerics.open(model)?;
-    let choices = Choices {
-        inner_levels: true,
-        unasked: true,
-        dispensable: true,
-        max_seeds: Some(value::guess_seeds(n, claims.v.len())),
-        ..args.numerics.choices(0)
-    };
+    let choices = value::for_guesses(args.numerics.choices(0), n, claims.v.len());
     let plan = check::planned(model, hamiltonian, backend.as_ref(), choices)?;
     let terminal = Terminal::with(args.quiet, args.json);
     let bar = terminal.progress();

@@ -4,7 +4,7 @@ use super::archive::{Archive, segment_duration};
 use super::cover::Cover;
 use super::equal_cost::BoundaryPoint;
 use super::fold::Fold;
-use super::survey::{BEYOND, Miss, PointStatus, Progress, Support, Survey, Wanted};
+use super::survey::{BEYOND, Miss, PointStatus, Progress, SecondOpinion, Support, Survey, Wanted};
 use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
@@ -12,7 +12,7 @@ use crate::dynamic_programming::{self, Device, GridValue, Options};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{GridAxis, Homotopy, MapGrid, Model, Precision};
 use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
-use crate::sweep::Plan;
+use crate::sweep::{Choices, Plan};
 use std::sync::Arc;
 
 /// Tolerance of the answers where the scene asks for less: they are of use as f64 numbers.
@@ -248,6 +248,17 @@ pub fn guess_seeds(states: usize, targets: usize) -> usize {
     }
 }
 
+/// Choices for a plan whose sweep, if one is made, is for first guesses alone.
+pub fn for_guesses(choices: Choices, states: usize, targets: usize) -> Choices {
+    Choices {
+        inner_levels: true,
+        unasked: true,
+        dispensable: true,
+        max_seeds: Some(guess_seeds(states, targets)),
+        ..choices
+    }
+}
+
 /// Whether states that were not solved for without a sweep may be with one.
 pub fn may_need_sweep(plan: &Plan) -> bool {
     plan.can_be_swept() && !Cover::serves(plan)
@@ -305,11 +316,12 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
 }
 
 /// A coarse V on a grid over the region, for guesses where the search cannot show the least; none where that takes long.
-fn second_opinion(plan: &Plan, model: &Model) -> Option<GridValue> {
+fn coarse_grid(plan: &Plan, model: &Model) -> Option<GridValue> {
     /// States up to which it is made, and the share of the usual nodes along each axis.
     const MOST: usize = 3;
     const SHARE: f64 = 0.5;
-    let hamiltonian = (plan.system.states <= MOST).then(|| Hamiltonian::derive(model).ok())??;
+    let serves = !plan.game && plan.system.states <= MOST;
+    let hamiltonian = serves.then(|| Hamiltonian::derive(model).ok())??;
     let options = Options {
         share: SHARE,
         ..Options::default()
@@ -345,12 +357,15 @@ pub fn solve(
         sheets: !request.one_sheet,
     };
     let mut survey = Survey::new(plan, &targets, solver)?;
-    survey.grid = request.grid.as_deref();
     let mut cover = Cover::serves(plan)
         .then(|| Cover::new(plan, model, segment_duration(plan), &Cpu::new()))
         .transpose()?;
-    let mut second = || second_opinion(plan, model);
-    survey.run(solver, archive, cover.as_mut(), wanted, &mut second, progress)?;
+    let mut make = || coarse_grid(plan, model);
+    let second = match &request.grid {
+        Some(grid) => SecondOpinion::Given(grid),
+        None => SecondOpinion::OnDemand(&mut make),
+    };
+    survey.run(solver, archive, cover.as_mut(), wanted, second, progress)?;
     let boundary = if request.one_sheet || plan.game {
         Vec::new()
     } else {

@@ -1,6 +1,6 @@
 //! Single states solved for from a scene alone: a sweep for first guesses where they need one, then the solutions.
 
-use super::{Answers, Archive, Progress, Request, goes_without_sweep, guess_seeds, may_need_sweep, solve, solver};
+use super::{Answers, Archive, Progress, Request, for_guesses, goes_without_sweep, may_need_sweep, solve, solver};
 use crate::backend::{Backend, BackendError};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
@@ -45,13 +45,7 @@ pub fn solve_states_folding(
     progress: Progress<'_>,
 ) -> Result<(Plan, Solver, Answers, Vec<FoldPoint>), StatesError> {
     let n = model.states.len();
-    let choices = Choices {
-        inner_levels: true,
-        unasked: true,
-        dispensable: true,
-        max_seeds: Some(guess_seeds(n, states.len() / n)),
-        ..choices
-    };
+    let choices = for_guesses(choices, n, states.len() / n);
     let plan = Plan::new(model, hamiltonian, backend, choices)?;
     let mut archive = Archive::new(&plan);
     let sweep = |archive: &mut Archive| {

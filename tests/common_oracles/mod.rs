@@ -8,6 +8,7 @@ use costate::hamiltonian::Hamiltonian;
 use costate::model::{Method, Model, Precision};
 use costate::output::TrajectoryBlock;
 use costate::sweep::{Choices, Plan, SweepReport, sweep};
+use costate::value;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -24,6 +25,12 @@ pub fn scene(name: &str, set: &[(&str, &str)]) -> Model {
 /// A scene given as text.
 pub fn parse(text: &str) -> Model {
     costate::scenario::parse(text, "test.toml", &[]).unwrap_or_else(|e| panic!("{}", e.render(false)))
+}
+
+/// A plan as single states are solved with where they need no sweep.
+pub fn unswept(model: &Model) -> Plan {
+    let choices = value::for_guesses(Choices::default(), model.states.len(), 0);
+    Plan::new(model, &derive(model), &Cpu::new(), choices).expect("a plan")
 }
 
 pub fn derive(model: &Model) -> Hamiltonian {

@@ -7,6 +7,27 @@ use super::{Copy, Cover, Sought};
 const MOST_TURNS: [i32; 7] = [16, 16, 16, 5, 3, 2, 2];
 
 impl Cover<'_> {
+    /// Least V of cells that reach so far along a periodic state that a state's copies there are left out.
+    pub(super) fn out_of_turns(&self, cells: &[(Cell, Corners)]) -> Option<f64> {
+        let plan = self.fan.plan;
+        let most = f64::from(self.most_turns()) + 0.5;
+        let reach: Vec<f64> = (plan.periods.iter().zip(&plan.widths))
+            .map(|(period, width)| period.map_or(f64::INFINITY, |p| most * p / width))
+            .collect();
+        let beyond = cells.iter().filter(|(_, corners)| {
+            let bounds = corners.bounds(plan.system.states, f64::INFINITY);
+            bounds
+                .iter()
+                .zip(&reach)
+                .any(|([lo, hi], reach)| *lo < -reach || hi > reach)
+        });
+        beyond.map(|(_, corners)| corners.value).min_by(f64::total_cmp)
+    }
+
+    fn most_turns(&self) -> i32 {
+        MOST_TURNS[self.fan.plan.periods.iter().flatten().count()]
+    }
+
     /// The states looked for with all windings that come near a cell.
     pub(super) fn copies(&self, sought: &[Sought], cells: &[(Cell, Corners)]) -> Vec<Copy> {
         let n = self.fan.plan.system.states;
@@ -23,7 +44,7 @@ impl Cover<'_> {
     pub(super) fn copies_within(&self, sought: &[Sought], extent: &[[f64; 2]]) -> Vec<Copy> {
         let plan = self.fan.plan;
         let n = plan.system.states;
-        let most = MOST_TURNS[plan.periods.iter().flatten().count()];
+        let most = self.most_turns();
         let mut copies = Vec::new();
         for (k, one) in sought.iter().enumerate() {
             let mut turns: Vec<Vec<i32>> = vec![Vec::new()];

@@ -32,14 +32,12 @@ impl Cover<'_> {
         let spread = self.spread(&leaf.cell, &first);
         Some(Candidate {
             target: one.target,
-            seed: seeds[0],
             turns: copy.turns.clone(),
             goal: copy.x.iter().zip(&plan.widths).map(|(x, w)| x * w).collect(),
             node: first[1..=2 * n].to_vec(),
             value: first[1 + 2 * n],
             expected: first[1 + 2 * n],
             spread,
-            outside: place.outside.max(0.0),
             cell: leaf.cell.clone(),
             place,
         })
@@ -74,14 +72,12 @@ impl Cover<'_> {
         let bend = (self.fan.plan.local.as_ref()).map_or(0.0, |local| local.quadratic(&way));
         Candidate {
             target: sought[copy.sought].target,
-            seed,
             turns: copy.turns.clone(),
             goal,
             node: first[1..=2 * n].to_vec(),
             value: first[1 + 2 * n] + change,
             expected: first[1 + 2 * n] + change + bend,
             spread: vec![0.0; n],
-            outside: distance,
             cell,
             place,
         }

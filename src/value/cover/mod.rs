@@ -62,8 +62,6 @@ pub struct Sought {
 #[derive(Clone, Debug)]
 pub struct Candidate {
     pub target: usize,
-    /// The seed whose trajectory passes beside the target.
-    pub seed: u32,
     /// Periods by which the trajectory's start is away from the target as given.
     pub turns: Vec<i32>,
     pub goal: Vec<f64>,
@@ -74,7 +72,6 @@ pub struct Candidate {
     pub expected: f64,
     /// How much the adjoint (unscaled) differs within the cell, a component.
     pub spread: Vec<f64>,
-    outside: f64,
     cell: Cell,
     place: Place,
 }
@@ -82,7 +79,17 @@ pub struct Candidate {
 impl Candidate {
     /// Whether the target lies in the cell itself, not only near it.
     pub fn is_inside(&self) -> bool {
-        self.outside == 0.0
+        self.outside() == 0.0
+    }
+
+    /// A seed of the cell; of a point of a trajectory that of the trajectory.
+    pub fn seed(&self) -> u32 {
+        self.cell.seeds[0]
+    }
+
+    /// How far the target is from the place: relative to the cell, or in widths of the region from a trajectory's point.
+    fn outside(&self) -> f64 {
+        self.place.outside.max(0.0)
     }
 
     pub fn adjoint(&self) -> &[f64] {
@@ -200,8 +207,13 @@ impl<'a> Cover<'a> {
         }
         let all = self.first_cells(ceiling);
         let copies = self.copies(sought, &all);
-        let mut open = assign(all, &copies, sought, self.fan.plan.system.states);
         let mut cells = Cells::default();
+        if let Some(value) = self.out_of_turns(&all) {
+            for one in sought {
+                lower(&mut cells.uncovered, one.target, value);
+            }
+        }
+        let mut open = assign(all, &copies, sought, self.fan.plan.system.states);
         let mut leaves: Vec<Open> = Vec::new();
         for round in 0.. {
             self.drop_excess(&mut open, &copies, sought, &mut cells.uncovered);
@@ -233,7 +245,7 @@ impl<'a> Cover<'a> {
         cells.candidates.sort_by(|a, b| {
             (a.target, &a.turns)
                 .cmp(&(b.target, &b.turns))
-                .then(a.outside.total_cmp(&b.outside))
+                .then(a.outside().total_cmp(&b.outside()))
                 .then(a.value.total_cmp(&b.value))
         });
         Ok(cells)

@@ -99,7 +99,7 @@ impl Cover<'_> {
             .collect();
         found.sort_by(|a, b| {
             (a.target.cmp(&b.target))
-                .then(a.outside.total_cmp(&b.outside))
+                .then(a.outside().total_cmp(&b.outside()))
                 .then(a.turns.cmp(&b.turns))
         });
         Ok(found)

@@ -15,12 +15,24 @@ const MANY: usize = 5;
 /// Claims that are flown together.
 const COHORT: usize = 1024;
 
+/// A pilot for [`along_itself`].
+///
+/// # Errors
+/// When the kernel cannot be compiled.
+pub fn precise(plan: &Plan) -> Result<Pilot, BackendError> {
+    Pilot::with_periods(plan, FINE)
+}
+
 /// A flight from each claim's state along its own solution, with feedback by its slopes. Not for games.
 ///
 /// # Errors
 /// Device failures only.
-pub fn along_itself(plan: &Plan, solver: &mut Solver, claims: &[Claim<'_>]) -> Result<Vec<Flown>, BackendError> {
-    let mut pilot = Pilot::with_periods(plan, FINE)?;
+pub fn along_itself(
+    plan: &Plan,
+    pilot: &mut Pilot,
+    solver: &mut Solver,
+    claims: &[Claim<'_>],
+) -> Result<Vec<Flown>, BackendError> {
     let mut flown = Vec::with_capacity(claims.len());
     for part in claims.chunks(COHORT) {
         let paths: Vec<_> = part.iter().map(|claim| claim.path).collect();

@@ -20,7 +20,7 @@ mod sites;
 mod undercut;
 
 pub use along::{AlongState, AlongTime, Guide, PIECES, guides, slopes};
-pub use itself::along_itself;
+pub use itself::{along_itself, precise};
 pub use laws::{Constant, Expansion, Linear, Terminal};
 pub use pilot::Pilot;
 pub use sites::{At, Site};

@@ -4,7 +4,6 @@
 use super::{Errand, MOST_SHEETS, Survey};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
-use crate::value::approach::Approach;
 use crate::value::extremal::Extremal;
 use crate::value::flight::{Constant, Flight, Flown, Law, Pilot, Terminal};
 use crate::value::fold;
@@ -46,7 +45,7 @@ impl Survey<'_> {
     }
 
     /// Flies from targets under laws; what came to the end gives guesses.
-    fn flown_guesses(&self, wanted: &[(usize, &dyn Law)]) -> Result<Vec<Errand>, BackendError> {
+    fn flown_guesses(&mut self, wanted: &[(usize, &dyn Law)]) -> Result<Vec<Errand>, BackendError> {
         let flights: Vec<Flight<'_>> = (wanted.iter())
             .map(|(t, law)| Flight {
                 start: self.state(*t, 0),
@@ -59,14 +58,7 @@ impl Survey<'_> {
         let guess = |((target, _), flown): (&(usize, &dyn Law), Flown)| {
             let path = flown.path?;
             let end = path.segments();
-            let path = with_adjoints(path, end, &rate);
-            let finite = path.nodes.iter().all(|x| x.is_finite());
-            finite.then(|| Errand {
-                from: None,
-                target: *target,
-                winding: 0,
-                way: Approach::new(path, self.state(*target, 0), FROM_FLIGHT),
-            })
+            self.errand_along(*target, with_adjoints(path, end, &rate), FROM_FLIGHT)
         };
         Ok(wanted.iter().zip(flown).filter_map(guess).collect())
     }

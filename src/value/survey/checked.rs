@@ -1,11 +1,10 @@
 //! Whether any control that is known costs less than the least V found: laws are flown from every solved target.
 
-use super::{Errand, Progress, SHORT, Survey, times};
+use super::{Progress, SHORT, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
-use crate::value::approach::Approach;
 use crate::value::extremal::expected_value;
-use crate::value::flight::{Claim, Pilot, along_itself, tolerance, undercut};
+use crate::value::flight::{Claim, Pilot, along_itself, precise, tolerance, undercut};
 use crate::value::grow::{adjoint_rate, grown, with_adjoints};
 
 /// Rounds in which what undercut a target was solved for.
@@ -21,9 +20,7 @@ const ABOVE: f64 = 1e-6;
 struct Undercutting {
     target: usize,
     cost: f64,
-    /// Its path, from a copy of the target by whole periods.
     path: Path,
-    winding: usize,
 }
 
 /// How well it is supported that the least V found at a target is the least there is.
@@ -66,8 +63,12 @@ impl Survey<'_> {
             open = self.solve_for(solver, undercut)?;
         }
         let mut listed: Vec<usize> = (0..self.targets.len()).filter(|t| !self.targets.gridded[*t]).collect();
+        if listed.is_empty() {
+            return Ok(());
+        }
+        let mut pilot = precise(self.plan)?;
         for _ in 0..ROUNDS {
-            let undercut = self.fly_itself(solver, &listed)?;
+            let undercut = self.fly_itself(solver, &mut pilot, &listed)?;
             if undercut.is_empty() {
                 break;
             }
@@ -78,7 +79,12 @@ impl Survey<'_> {
     }
 
     /// Flies along the answers at targets; those undercut, as they part from their answer for something cheaper.
-    fn fly_itself(&mut self, solver: &mut Solver, targets: &[usize]) -> Result<Vec<Undercutting>, BackendError> {
+    fn fly_itself(
+        &mut self,
+        solver: &mut Solver,
+        pilot: &mut Pilot,
+        targets: &[usize],
+    ) -> Result<Vec<Undercutting>, BackendError> {
         let solved: Vec<(usize, usize)> = (targets.iter()).filter_map(|t| Some((*t, self.lowest(*t)?))).collect();
         let claims: Vec<Claim<'_>> = (solved.iter())
             .map(|(_, e)| Claim {
@@ -87,39 +93,21 @@ impl Survey<'_> {
                 neighbours: Vec::new(),
             })
             .collect();
-        let flown = along_itself(self.plan, solver, &claims)?;
+        let flown = along_itself(self.plan, pilot, solver, &claims)?;
         let mut undercut = Vec::new();
         for ((target, e), flown) in solved.into_iter().zip(flown) {
             self.flown[target] = Some(flown.cost);
             self.flights[target] += 1;
             let least = self.extremals[e].value() - tolerance(self.plan, self.extremals[e].value());
             if let Some(path) = flown.path.filter(|_| flown.cost < least) {
-                undercut.push(self.undercutting(target, flown.cost, path));
+                undercut.push(Undercutting {
+                    target,
+                    cost: flown.cost,
+                    path,
+                });
             }
         }
         Ok(undercut)
-    }
-
-    fn undercutting(&mut self, target: usize, cost: f64, path: Path) -> Undercutting {
-        let winding = self.winding_near(target, path.start());
-        Undercutting {
-            target,
-            cost,
-            path,
-            winding,
-        }
-    }
-
-    /// A way from the path of a flight.
-    fn errand_along(&self, from: &Undercutting, path: Path) -> Option<Errand> {
-        let goal = self.state(from.target, from.winding);
-        let finite = path.nodes.iter().all(|x| x.is_finite());
-        finite.then(|| Errand {
-            from: None,
-            target: from.target,
-            winding: from.winding,
-            way: Approach::new(path, goal, SHORT),
-        })
     }
 
     /// Cost below which nothing over a target was left out of the search. Nothing is shown on a finite horizon: the image of a cell of
@@ -195,7 +183,11 @@ impl Survey<'_> {
         for (&target, said) in targets.iter().zip(said) {
             self.flights[target] += said.flown as u32;
             let Some(path) = said.path else { continue };
-            found.push(self.undercutting(target, said.cost, path));
+            found.push(Undercutting {
+                target,
+                cost: said.cost,
+                path,
+            });
         }
         Ok(found)
     }
@@ -205,11 +197,13 @@ impl Survey<'_> {
         let before: Vec<f64> = undercut.iter().map(|u| self.least_value(u.target)).collect();
         // With the costates that the laws gave, and with those that belong to the states.
         let rate = adjoint_rate(self.plan);
-        let errands = undercut.iter().flat_map(|u| {
+        let mut errands = Vec::new();
+        for u in &undercut {
             let carried = with_adjoints(u.path.clone(), u.path.segments(), &rate);
-            [u.path.clone(), carried].map(|path| self.errand_along(u, path))
-        });
-        let errands = errands.flatten().collect();
+            for path in [u.path.clone(), carried] {
+                errands.extend(self.errand_along(u.target, path, SHORT));
+            }
+        }
         self.send(solver, errands)?;
         // What is too rough a guess as a whole is followed from its end.
         let rough: Vec<&Undercutting> = undercut.iter().filter(|u| self.is_undercut(u)).collect();
@@ -217,7 +211,7 @@ impl Survey<'_> {
         let mut errands = Vec::new();
         for (u, (path, evaluations)) in rough.into_iter().zip(grown(self.plan, solver, paths)?) {
             self.evaluations += u64::from(evaluations);
-            errands.extend(path.and_then(|path| self.errand_along(u, path)));
+            errands.extend(path.and_then(|path| self.errand_along(u.target, path, SHORT)));
         }
         self.send(solver, errands)?;
         let mut lower = Vec::new();

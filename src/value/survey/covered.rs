@@ -94,8 +94,8 @@ impl Survey<'_> {
 
     /// Whether nothing that costs more than `ceiling` is of interest at a target.
     fn is_settled(&self, target: usize, ceiling: f64, wanted: Wanted) -> bool {
-        let wanted = wanted.at(self.targets.limits[target]);
-        if ceiling >= self.targets.limits[target] && ceiling >= wanted.value_max {
+        let highest = wanted.at(self.targets.limits[target]).value_max;
+        if ceiling >= self.targets.limits[target] && ceiling >= highest {
             return true;
         }
         let Some(least) = self.lowest(target).map(|e| self.extremals[e].value()) else {
@@ -103,8 +103,8 @@ impl Survey<'_> {
         };
         let sheets = wanted.sheets && self.at[target].len() < MOST_SHEETS;
         // Once cells over the target were left out, what costs more can only be found by chance.
-        let complete = ceiling <= self.covered_to(target);
-        least <= ceiling && (!sheets || !complete || ceiling >= wanted.sheets_to(least, self.targets.states))
+        let complete = ceiling <= self.uncovered[target];
+        least <= ceiling && (!sheets || !complete || ceiling >= self.sheets_to(target, wanted))
     }
 
     fn search(
@@ -174,7 +174,7 @@ impl Survey<'_> {
         ceiling: f64,
         wanted: Wanted,
     ) -> Result<(), BackendError> {
-        left.retain(|c| c.expected <= ABOVE * ceiling && !self.tried.contains(&(c.target, c.seed)));
+        left.retain(|c| c.expected <= ABOVE * ceiling && !self.tried.contains(&(c.target, c.seed())));
         while !left.is_empty() {
             let mut now: Vec<Candidate> = Vec::new();
             let mut later = Vec::new();
@@ -188,7 +188,7 @@ impl Survey<'_> {
                     now.push(candidate);
                 }
             }
-            self.tried.extend(now.iter().map(|c| (c.target, c.seed)));
+            self.tried.extend(now.iter().map(|c| (c.target, c.seed())));
             self.send_all(solver, cover, now.iter(), Start::Beside(FROM_POINT))?;
             left = later;
         }

@@ -1,10 +1,9 @@
 //! First guesses from V on a grid: its greedy paths.
 
-use super::{Errand, Progress, SecondOpinion, Survey};
+use super::{Progress, Survey};
 use crate::backend::BackendError;
 use crate::dynamic_programming::GridValue;
 use crate::shooting::{Path, Solver};
-use crate::value::approach::Approach;
 use crate::value::grow::grown;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -24,9 +23,13 @@ pub(in crate::value) struct Greedy {
 }
 
 impl Survey<'_> {
-    /// The greedy paths from all targets, where there is V on a grid.
-    pub(super) fn try_grid(&mut self, solver: &mut Solver, progress: Progress<'_>) -> Result<(), BackendError> {
-        let Some(grid) = self.grid else { return Ok(()) };
+    /// The greedy paths from all targets.
+    pub(super) fn try_grid(
+        &mut self,
+        solver: &mut Solver,
+        grid: &GridValue,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
         let targets: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
         self.try_greedy(solver, grid, &targets)?;
         progress("from V on a grid", self.solved(), self.targets.len());
@@ -37,7 +40,7 @@ impl Survey<'_> {
     pub(super) fn try_doubtful(
         &mut self,
         solver: &mut Solver,
-        second: SecondOpinion<'_>,
+        make: &mut dyn FnMut() -> Option<GridValue>,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let doubtful: Vec<usize> = (0..self.targets.len())
@@ -46,7 +49,7 @@ impl Survey<'_> {
         if doubtful.is_empty() {
             return Ok(());
         }
-        let Some(grid) = second() else { return Ok(()) };
+        let Some(grid) = make() else { return Ok(()) };
         // Where V is above what is of interest there need be no solution.
         let (limits, least) = (&self.targets.limits, |t: usize| grid.value(&self.state(t, 0)));
         let doubtful: Vec<usize> = (doubtful.into_iter())
@@ -104,8 +107,7 @@ impl Survey<'_> {
             if let Some(terminal) = terminal {
                 path.set_horizon(terminal.time);
             }
-            let finite = path.nodes.iter().all(|x| x.is_finite());
-            finite.then_some((cost, path))
+            Some((cost, path))
         };
         starts.par_iter().map(flown).collect()
     }
@@ -116,16 +118,8 @@ impl Survey<'_> {
         solver: &mut Solver,
         guesses: Vec<(usize, Path, f64)>,
     ) -> Result<HashMap<usize, usize>, BackendError> {
-        let mut errands = Vec::new();
-        for (target, path, least) in guesses {
-            let winding = self.winding_near(target, path.start());
-            errands.push(Errand {
-                from: None,
-                target,
-                winding,
-                way: Approach::new(path, self.state(target, winding), least),
-            });
-        }
+        let errands = (guesses.into_iter()).filter_map(|(target, path, least)| self.errand_along(target, path, least));
+        let errands = errands.collect();
         let reached = self.send(solver, errands)?;
         Ok(reached.into_iter().filter_map(|(t, e)| Some((t, e?))).collect())
     }

@@ -122,8 +122,6 @@ pub struct Survey<'a> {
     pub(super) scales: Vec<f64>,
     duration: f64,
     guards: Option<(Evaluator, Vec<bool>)>,
-    /// V on a grid as a further source of guesses.
-    pub grid: Option<&'a GridValue>,
     /// In a game, where extremals with a fold along them are none.
     /// (Locked only so that a survey may be read by several threads.)
     conjugate: Option<Mutex<ConjugatePoints>>,
@@ -132,8 +130,13 @@ pub struct Survey<'a> {
 /// Told what is done and how many targets are solved of how many.
 pub type Progress<'p> = &'p mut dyn FnMut(&str, usize, usize);
 
-/// Makes V on a grid, where there may be one.
-pub type SecondOpinion<'p> = &'p mut dyn FnMut() -> Option<GridValue>;
+/// V on a grid, whose greedy paths are first guesses too.
+pub enum SecondOpinion<'p> {
+    /// At every target.
+    Given(&'p GridValue),
+    /// Made, where it can be, once the search has left doubts, and for the targets in doubt.
+    OnDemand(&'p mut dyn FnMut() -> Option<GridValue>),
+}
 
 /// A way to try: from which extremal (if any), to which target and winding.
 pub(in crate::value) struct Errand {
@@ -176,7 +179,6 @@ impl<'a> Survey<'a> {
             scales: solver.scheme.equations.scales.clone(),
             duration: segment_duration(plan),
             guards,
-            grid: None,
             conjugate: (plan.game.then(|| ConjugatePoints::new(plan)).transpose()?).map(Mutex::new),
         })
     }
@@ -206,7 +208,6 @@ impl<'a> Survey<'a> {
         if self.plan.game && self.plan.local.is_some() {
             return self.principal_sheet(solver, archive, &index, wanted, progress);
         }
-        let searched = cover.is_some();
         match cover {
             Some(cover) => {
                 self.search_cells(solver, cover, wanted, progress)?;
@@ -225,9 +226,9 @@ impl<'a> Survey<'a> {
                 self.send(solver, errands)?;
             }
         }
-        self.try_grid(solver, progress)?;
-        if searched && self.grid.is_none() {
-            self.try_doubtful(solver, second, progress)?;
+        match second {
+            SecondOpinion::Given(grid) => self.try_grid(solver, grid, progress)?,
+            SecondOpinion::OnDemand(make) => self.try_doubtful(solver, make, progress)?,
         }
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
         self.last_resort(solver, archive, &index, wanted, progress)?;

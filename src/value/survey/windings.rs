@@ -1,6 +1,8 @@
 //! Where targets are: as deviations, with any number of periods along periodic states.
 
-use super::Survey;
+use super::{Errand, Survey};
+use crate::shooting::Path;
+use crate::value::approach::Approach;
 use crate::value::archive::Index;
 
 /// Windings that are looked for.
@@ -24,6 +26,18 @@ impl Survey<'_> {
             .map(|(((s, here), period), turns)| turns + period.map_or(0, |p| ((s - here) / p).round() as i32))
             .collect();
         self.winding(&turns)
+    }
+
+    /// The way from a path that is no solution to a target: it begins at a copy of it. None where the path is not finite.
+    pub(super) fn errand_along(&mut self, target: usize, path: Path, least: f64) -> Option<Errand> {
+        let finite = path.nodes.iter().all(|x| x.is_finite());
+        let winding = finite.then(|| self.winding_near(target, path.start()))?;
+        Some(Errand {
+            from: None,
+            target,
+            winding,
+            way: Approach::new(path, self.state(target, winding), least),
+        })
     }
 
     /// None, and those that bring a target nearest to the equilibrium.
