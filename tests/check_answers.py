@@ -16,16 +16,17 @@ ENGINES = ("netcdf4", "h5netcdf")
 EXPECTED = {
     "points": {
         "x0": ("point", "state"), "V": ("point",), "p": ("point", "state"), "u": ("point", "control"),
-        "sheet": ("point",), "status": ("point",), "iterations": ("point",), "residual": ("point",),
+        "sheet": ("point",), "lifted_sheet": ("point",), "winding": ("point", "state"), "status": ("point",), "iterations": ("point",), "residual": ("point",),
         "H": ("point",), "sheets": ("point",), "furthest": ("point", "state"),
     },
     "points_sheets": {
         "point": ("entry",), "V": ("entry",), "p": ("entry", "state"), "u": ("entry", "control"),
-        "sheet": ("entry",), "winding": ("entry", "state"), "H": ("entry",), "residual": ("entry",),
+        "sheet": ("entry",), "lifted_sheet": ("entry",), "winding": ("entry", "state"), "H": ("entry",), "residual": ("entry",),
     },
     "map": {
         "V": ("theta", "omega"), "p": ("theta", "omega", "state"), "u": ("theta", "omega", "control"),
-        "sheet": ("theta", "omega"), "status": ("theta", "omega"),
+        "sheet": ("theta", "omega"), "lifted_sheet": ("theta", "omega"), "winding": ("theta", "omega", "state"),
+        "status": ("theta", "omega"),
     },
     "equal_cost": {
         "x": ("vertex", "state"), "V": ("vertex",), "difference": ("vertex",), "sheet": ("vertex", "side"),
@@ -33,7 +34,7 @@ EXPECTED = {
         "line": ("vertex",), "place": ("vertex",),
     },
 }
-INTEGERS = {"sheet", "status", "iterations", "sheets", "point", "winding", "line", "place"}
+INTEGERS = {"sheet", "lifted_sheet", "status", "iterations", "sheets", "point", "winding", "line", "place"}
 
 
 def check(condition, message):

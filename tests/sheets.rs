@@ -167,6 +167,35 @@ fn pendulum_crossing() {
     }
 }
 
+/// States a period apart are one: they have the same solutions, each with one winding less, and on the line these lie on one
+/// sheet, whatever the number of the way round.
+#[test]
+fn copies_by_whole_periods_lie_on_one_lifted_sheet() {
+    const STEPS: usize = 32;
+    let swept = Swept::new(scene("pendulum", &[]), 4000);
+    let tau = std::f64::consts::TAU;
+    let answers = swept.grid(vec![spaced(-tau, tau, 2 * STEPS + 1), vec![0.0]]);
+    let highest = 370.0;
+    let mut ways_round = std::collections::BTreeSet::new();
+    for t in 0..=STEPS {
+        for a in answers.of(t).iter().filter(|e| e.value <= highest) {
+            let b = (answers.of(t + STEPS).iter())
+                .find(|b| b.winding[0] == a.winding[0] - 1 && (b.value - a.value).abs() <= 1e-8 * a.value);
+            let b = b.unwrap_or_else(|| panic!("no copy of V = {} at {:?}", a.value, answers.targets.state(t)));
+            assert_eq!(a.lifted, b.lifted, "V = {} at {:?}", a.value, answers.targets.state(t));
+            ways_round.insert((a.sheet, b.sheet));
+        }
+    }
+    assert!(ways_round.iter().any(|(a, b)| a != b), "{ways_round:?}");
+    assert!(answers.lifted < answers.sheets, "{} of {}", answers.lifted, answers.sheets);
+    // Two solutions of one state are two sheets, unless they go round differently.
+    for t in 0..answers.targets.len() {
+        let mut places: Vec<_> = answers.of(t).iter().map(|e| (e.lifted, &e.winding)).collect();
+        places.sort();
+        assert!(places.windows(2).all(|w| w[0] != w[1]), "{:?}", answers.targets.state(t));
+    }
+}
+
 /// A grid for /map besides one for /points: the same sheets have the same labels, and a limit leaves far states out.
 #[test]
 fn a_map_shares_its_sheets_with_the_points() {

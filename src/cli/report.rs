@@ -197,8 +197,13 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         answers.targets.of_given.len(),
         statuses.join(", ")
     )];
+    let copies = if answers.lifted < answers.sheets {
+        format!(" ({} without copies by whole periods)", answers.lifted)
+    } else {
+        String::new()
+    };
     lines.push(format!(
-        "{} solutions on {} {}",
+        "{} solutions on {} {}{copies}",
         answers.entries.len(),
         answers.sheets,
         if answers.sheets == 1 { "sheet" } else { "sheets" }

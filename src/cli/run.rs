@@ -278,7 +278,22 @@ fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliEr
             let homotopy = model.homotopy.as_ref().map(Grid::homotopy);
             let map = model.map.as_ref().map(|m| Grid::map(m, model));
             // Each state is an axis of the map, under its own name.
-            const TAKEN: [&str; 7] = ["V", "p", "u", "sheet", "status", "state", "control"];
+            const TAKEN: [&str; 14] = [
+                "V",
+                "p",
+                "u",
+                "sheet",
+                "lifted_sheet",
+                "winding",
+                "status",
+                "evidence",
+                "covered_to",
+                "bound",
+                "starts",
+                "flights",
+                "state",
+                "control",
+            ];
             let clash = model.states.iter().find(|s| TAKEN.contains(&s.variable.name.as_str()));
             if let (Some(state), true) = (clash, map.is_some()) {
                 return Err(CliError::MapName {

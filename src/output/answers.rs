@@ -41,7 +41,7 @@ impl<'a> Names<'a> {
         with_axes(group, "control", &self.schema.controls)
     }
 
-    /// V, p, u and the sheet over some dimensions.
+    /// V, p, u, the sheet and the way round over some dimensions.
     pub fn solution(&self, mut group: Group, dims: &[&str]) -> Group {
         let over = |last: &'static str| dims.iter().copied().chain([last]).collect::<Vec<_>>();
         group = group
@@ -62,10 +62,19 @@ impl<'a> Names<'a> {
                     .long_name("control"),
             );
         }
-        group.variable(
-            Variable::i32("sheet", dims.iter().copied())
-                .long_name("sheet of the value function; -1 where there is none"),
-        )
+        group
+            .variable(
+                Variable::i32("sheet", dims.iter().copied())
+                    .long_name("sheet of the value function; -1 where there is none"),
+            )
+            .variable(
+                Variable::i32("lifted_sheet", dims.iter().copied())
+                    .long_name("sheet where copies by whole periods count as one; -1 where there is none"),
+            )
+            .variable(
+                Variable::i32("winding", over("state"))
+                    .long_name("periods by which the solution's state is away from the point"),
+            )
     }
 
     pub fn cost(&self) -> &str {
@@ -156,6 +165,8 @@ struct Columns {
     p: Vec<f64>,
     u: Vec<f64>,
     sheet: Vec<i32>,
+    lifted: Vec<i32>,
+    winding: Vec<i32>,
     status: Vec<i32>,
 }
 
@@ -169,12 +180,16 @@ impl Columns {
                 self.p.extend_from_slice(&e.p);
                 self.u.extend_from_slice(&e.u);
                 self.sheet.push(e.sheet);
+                self.lifted.push(e.lifted);
+                self.winding.extend_from_slice(&e.winding);
             }
             None => {
                 self.value.push(f64::NAN);
                 self.p.extend(vec![f64::NAN; n]);
                 self.u.extend(vec![f64::NAN; m]);
                 self.sheet.push(NO_SHEET);
+                self.lifted.push(NO_SHEET);
+                self.winding.extend(vec![0; n]);
             }
         }
     }
@@ -255,6 +270,8 @@ impl ResultFile {
             ("V", (&columns.value).into()),
             ("p", (&columns.p).into()),
             ("sheet", (&columns.sheet).into()),
+            ("lifted_sheet", (&columns.lifted).into()),
+            ("winding", (&columns.winding).into()),
             ("status", (&columns.status).into()),
             ("iterations", (&iterations).into()),
             ("residual", (&residual).into()),
@@ -273,12 +290,11 @@ impl ResultFile {
 
     fn points_sheets(&mut self, names: &Names<'_>, answers: &Answers, given: &[usize]) -> Result<(), OutputError> {
         let mut columns = Columns::default();
-        let (mut point, mut winding, mut h, mut residual) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut point, mut h, mut residual) = (Vec::new(), Vec::new(), Vec::new());
         for (k, &target) in given.iter().enumerate() {
             for entry in answers.of(target) {
                 point.push(k as i32);
                 columns.push(names, Some(entry), PointStatus::Converged);
-                winding.extend_from_slice(&entry.winding);
                 h.push(entry.hamiltonian);
                 residual.push(entry.residual);
             }
@@ -294,10 +310,6 @@ impl ResultFile {
         group = group.variable(Variable::i32("point", ["entry"]).long_name("index of the point in /points"));
         group = names
             .solution(group, &["entry"])
-            .variable(
-                Variable::i32("winding", ["entry", "state"])
-                    .long_name("periods by which the solution's state is away from the point"),
-            )
             .variable(Variable::f64("H", ["entry"]).unit(&names.rate).long_name("Hamiltonian"))
             .variable(
                 Variable::f64("residual", ["entry"])
@@ -309,7 +321,8 @@ impl ResultFile {
             ("V", (&columns.value).into()),
             ("p", (&columns.p).into()),
             ("sheet", (&columns.sheet).into()),
-            ("winding", (&winding).into()),
+            ("lifted_sheet", (&columns.lifted).into()),
+            ("winding", (&columns.winding).into()),
             ("H", (&h).into()),
             ("residual", (&residual).into()),
         ];
@@ -364,6 +377,8 @@ impl ResultFile {
             writer.write("u", &columns.u)?;
         }
         writer.write("sheet", &columns.sheet)?;
+        writer.write("lifted_sheet", &columns.lifted)?;
+        writer.write("winding", &columns.winding)?;
         writer.write("status", &columns.status)
     }
 

@@ -58,6 +58,8 @@ pub struct Request {
 pub struct Entry {
     pub target: usize,
     pub sheet: i32,
+    /// The same where copies of a sheet by whole periods have one number.
+    pub lifted: i32,
     pub winding: Vec<i32>,
     pub value: f64,
     pub p: Vec<f64>,
@@ -126,6 +128,8 @@ pub struct Answers {
     /// States absolute.
     pub folds: Vec<Fold>,
     pub sheets: usize,
+    /// The same where copies by whole periods count as one.
+    pub lifted: usize,
     pub evaluations: u64,
     pub work: Work,
     pub seconds: f64,
@@ -411,10 +415,12 @@ pub fn solve(
             ..f.clone()
         })
         .collect();
+    let count = |numbers: &[i32]| numbers.iter().copied().max().map_or(0, |s| s as usize + 1);
     Ok(Answers {
         game: plan.game,
         principal: (!survey.principal.is_empty()).then_some(principal),
-        sheets: survey.sheet.iter().copied().max().map_or(0, |s| s as usize + 1),
+        sheets: count(&survey.sheet),
+        lifted: count(&survey.lifted),
         misses: survey.misses.clone(),
         support: (0..targets.len()).map(|t| survey.support(t)).collect(),
         searched: cover.as_ref().map_or(0, Cover::trajectories),
@@ -444,6 +450,7 @@ fn entry(plan: &Plan, survey: &Survey<'_>, index: usize) -> Entry {
     Entry {
         target: extremal.target,
         sheet: survey.sheet[index],
+        lifted: survey.lifted[index],
         winding: (survey.windings[extremal.winding].iter().enumerate())
             .map(|(i, k)| k + survey.base(extremal.target, i))
             .collect(),

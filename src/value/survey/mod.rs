@@ -29,15 +29,16 @@ use super::cover::Cover;
 use super::extremal::{Extremal, same};
 use super::fold::Fold;
 use super::march;
-use super::targets::{Groups, Targets};
+use super::targets::Targets;
 use crate::backend::BackendError;
 use crate::backend::cpu::map::Evaluator;
 use crate::dynamic_programming::GridValue;
 use crate::program::Program;
 use crate::shooting::{Failure, Solver};
 use crate::sweep::Plan;
+use label::Sheets;
 use spread::Effort;
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 use std::sync::Mutex;
 
 /// Shortest steps, as shares of the way, where there is nothing near to start from.
@@ -102,6 +103,8 @@ pub struct Survey<'a> {
     pub folds: Vec<Fold>,
     /// Label of each extremal's sheet: 0 is that of the least V.
     pub sheet: Vec<i32>,
+    /// The same where copies of a sheet by whole periods have one label.
+    pub lifted: Vec<i32>,
     pub evaluations: u64,
     /// First guesses tried for each target.
     pub starts: Vec<u32>,
@@ -116,9 +119,7 @@ pub struct Survey<'a> {
     pub(super) tried: HashSet<(usize, u32)>,
     /// Cost from which on the search of each target was not complete.
     pub uncovered: Vec<f64>,
-    pub(super) groups: Groups,
-    /// Members of each group by target and winding: two at one state are two sheets.
-    members: HashMap<usize, HashMap<(usize, usize), usize>>,
+    pub(super) joined: Sheets,
     pub(super) scales: Vec<f64>,
     duration: f64,
     guards: Option<(Evaluator, Vec<bool>)>,
@@ -173,9 +174,9 @@ impl<'a> Survey<'a> {
             bounds: vec![None; targets.len()],
             flights: vec![0; targets.len()],
             flown: vec![None; targets.len()],
-            members: HashMap::new(),
             tried: HashSet::new(),
-            groups: Groups::default(),
+            joined: Sheets::default(),
+            lifted: Vec::new(),
             scales: solver.scheme.equations.scales.clone(),
             duration: segment_duration(plan),
             guards,
@@ -312,45 +313,15 @@ impl<'a> Survey<'a> {
         let index = self.extremals.len();
         self.at[extremal.target].push(index);
         self.misses[extremal.target] = None;
-        let place = (extremal.target, extremal.winding);
+        self.joined.push(index, &extremal);
         self.extremals.push(extremal);
-        self.groups.push();
-        self.members.insert(index, HashMap::from([(place, index)]));
         (index, true)
     }
 
     /// Joins two extremals' sheets, unless another extremal of the one lies over a state of the other: then the way between
     /// them has left its sheet.
     pub(in crate::value) fn join(&mut self, a: usize, b: usize) -> bool {
-        let (a, b) = (self.groups.root(a), self.groups.root(b));
-        if a == b {
-            return false;
-        }
-        let (of_a, of_b) = (&self.members[&a], &self.members[&b]);
-        let (few, many) = if of_a.len() < of_b.len() {
-            (of_a, of_b)
-        } else {
-            (of_b, of_a)
-        };
-        if few
-            .iter()
-            .any(|(place, e)| many.get(place).is_some_and(|other| other != e))
-        {
-            return false;
-        }
-        self.groups.join(a, b);
-        let (mut joined, other) = (
-            self.members.remove(&a).unwrap_or_default(),
-            self.members.remove(&b).unwrap_or_default(),
-        );
-        if joined.len() < other.len() {
-            let few = std::mem::replace(&mut joined, other);
-            joined.extend(few);
-        } else {
-            joined.extend(other);
-        }
-        self.members.insert(self.groups.root(a), joined);
-        true
+        self.joined.join(a, b)
     }
 
     /// Follows errands, and joins what they find to what they came from. Of each its target, and the extremal there if it was

@@ -65,7 +65,7 @@ impl Survey<'_> {
                         continue;
                     }
                     // One way a sheet and target at a time: the shortest.
-                    let root = self.groups.root(e);
+                    let root = self.joined.root(e);
                     let goal = self.state(to, winding);
                     let path = &self.extremals[e].path;
                     let far = (goal.iter().zip(path.start()).zip(&self.plan.widths))
@@ -118,14 +118,14 @@ impl Survey<'_> {
 
     /// Whether an extremal fits one at a neighbouring target, and joins them.
     pub(in crate::value) fn joins(&mut self, e: usize, to: usize) -> bool {
-        let root = self.groups.root(e);
+        let root = self.joined.root(e);
         let mut best: Option<(f64, usize)> = None;
         for q in 0..self.at[to].len() {
             let other = self.at[to][q];
             if self.extremals[other].winding != self.extremals[e].winding {
                 continue;
             }
-            if self.groups.root(other) == root {
+            if self.joined.root(other) == root {
                 return true;
             }
             let m = misfit(&self.extremals[e], &self.extremals[other], &self.scales);
