@@ -179,6 +179,34 @@ fn two_wells_after_a_long_time() {
     assert_evidence(&found, Evidence::NotUndercut);
 }
 
+/// The terminal cost has wells below zero; V is the least of `terminal(z) + (x - z)^2 / (2 T)` (Hopf and Lax).
+#[test]
+fn wells_below_zero() {
+    const ROW: i32 = 400_000;
+    let text = |time: f64| {
+        format!(
+            "title = \"wells\"\nstates = {{ x = {{}} }}\ncontrols = {{ u = {{}} }}\ndynamics = {{ x = \"u\" }}\n\
+             cost = {{ running = \"u^2/2\", terminal = \"5*sin(5*x) + 0.1*x^2\", final_time = {time:?} }}\n\
+             region = {{ x = [-3, 3] }}\n"
+        )
+    };
+    for time in [0.7, 8.0, 20.0] {
+        let xs: Vec<f64> = (0..20).map(|k| -3.0 + 0.3 * f64::from(k) + 0.027890147948083).collect();
+        let found = solved(&parse(&text(time)), &xs);
+        for (k, x) in xs.iter().enumerate() {
+            let cost = |z: f64| 5.0 * (5.0 * z).sin() + 0.1 * z * z + (x - z).powi(2) / (2.0 * time);
+            let mut z = (0..=ROW).map(|k| -12.0 + 24.0 * f64::from(k) / f64::from(ROW));
+            let mut least = z.next().unwrap();
+            for other in z {
+                if cost(other) < cost(least) {
+                    least = other;
+                }
+            }
+            assert_value(&found, k, cost(least), REFERENCE);
+        }
+    }
+}
+
 #[test]
 fn swing_up_in_a_finite_time() {
     referenced("fh_pendulum", &[0, 3, 5]);

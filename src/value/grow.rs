@@ -45,7 +45,7 @@ struct Growing {
     flown: Path,
     /// The first node of the solved part, and its solution.
     from: usize,
-    tail: Option<Path>,
+    tail: Option<(Path, f64)>,
     /// Segments that are put in front next.
     length: usize,
 }
@@ -84,7 +84,7 @@ impl Growing {
     fn problems(&self, rate: &Program) -> [Job; 2] {
         let (first, n) = (self.next(), self.flown.width / 2);
         let end = Path::new(self.flown.last());
-        let plain = joined(&self.flown, first, self.from, self.tail.as_ref().unwrap_or(&end));
+        let plain = joined(&self.flown, first, self.from, self.tail.as_ref().map_or(&end, |(path, _)| path));
         let carried = with_adjoints(plain.clone(), self.from - first, rate);
         let goal = Goal::State(self.flown.node(first)[..n].to_vec());
         [carried, plain].map(|path| {
@@ -96,10 +96,11 @@ impl Growing {
 
     fn learn(&mut self, tried: [Job; 2]) -> u32 {
         let evaluations = tried.iter().map(|job| job.iterations).sum();
-        match tried.into_iter().find(|job| job.solved().is_some()) {
-            Some(job) => {
+        let solved = (tried.into_iter()).find_map(|job| job.solved().map(|s| s.value).map(|value| (job.path, value)));
+        match solved {
+            Some(tail) => {
                 self.from = self.next();
-                self.tail = Some(job.path);
+                self.tail = Some(tail);
                 self.length *= 2;
             }
             None => self.length = self.length.min(self.from) / 2,
@@ -108,12 +109,15 @@ impl Growing {
     }
 }
 
-/// The solutions from the starts of flown paths, `None` where a path could not be followed back to its start, and the
+/// A solution with V, if there is one, and the evaluations that it took.
+pub type Grown = (Option<(Path, f64)>, u32);
+
+/// The solutions from the starts of flown paths with V, `None` where a path could not be followed back to its start, and the
 /// evaluations of each.
 ///
 /// # Errors
 /// Device failures only.
-pub fn grown(plan: &Plan, solver: &mut Solver, flown: Vec<Path>) -> Result<Vec<(Option<Path>, u32)>, BackendError> {
+pub fn grown(plan: &Plan, solver: &mut Solver, flown: Vec<Path>) -> Result<Vec<Grown>, BackendError> {
     let rate = adjoint_rate(plan);
     let mut all: Vec<(Growing, u32)> = flown.into_iter().map(|path| (Growing::new(path), 0)).collect();
     for _ in 0..ROUNDS {

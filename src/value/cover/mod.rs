@@ -409,7 +409,9 @@ fn assign(cells: Vec<(Cell, Corners)>, copies: &[Copy], sought: &[Sought], n: us
             let mut inside: SmallVec<[u32; 4]> = (order[from..to.max(from)].iter().copied())
                 .filter(|c| {
                     let copy = &copies[*c as usize];
-                    corners.highest >= SEARCHED * sought[copy.sought].above && holds(&bounds, &copy.x)
+                    let above = sought[copy.sought].above;
+                    // Costs may be negative: what was not searched at all leaves nothing out.
+                    (above <= 0.0 || corners.highest >= SEARCHED * above) && holds(&bounds, &copy.x)
                 })
                 .collect();
             inside.sort_unstable();

@@ -69,14 +69,19 @@ impl Law for Expansion<'_> {
     }
 }
 
-/// The same costate all the way: about a constant control.
-pub struct Constant {
-    pub p: Vec<f64>,
+/// A costate that goes evenly from one to another in a time, whatever the state: a control that changes sign at most once, or
+/// about a constant one.
+pub struct Drifting {
+    pub from: Vec<f64>,
+    pub to: Vec<f64>,
+    pub time: f64,
 }
 
-impl Law for Constant {
-    fn costate(&self, _: f64, s: &[f64]) -> Option<(Vec<f64>, Vec<f64>)> {
-        Some((self.p.clone(), vec![0.0; s.len() * s.len()]))
+impl Law for Drifting {
+    fn costate(&self, t: f64, s: &[f64]) -> Option<(Vec<f64>, Vec<f64>)> {
+        let share = (t / self.time).clamp(0.0, 1.0);
+        let p = (self.from.iter().zip(&self.to)).map(|(from, to)| from + share * (to - from));
+        Some((p.collect(), vec![0.0; s.len() * s.len()]))
     }
 }
 

@@ -21,7 +21,7 @@ mod undercut;
 
 pub use along::{AlongState, AlongTime, Guide, PIECES, guides, slopes};
 pub use itself::{along_itself, precise};
-pub use laws::{Constant, Expansion, Linear, Terminal};
+pub use laws::{Drifting, Expansion, Linear, Terminal};
 pub use pilot::Pilot;
 pub use sites::{At, Site};
 pub use undercut::{Claim, Flew, Undercut, tolerance, undercut};

@@ -1,13 +1,14 @@
 //! Further extremals of a finite horizon: each known one is followed away from its target in several directions, around the
 //! folds that its sheet may have there, and back.
 
-use super::{Errand, MOST_SHEETS, Survey};
+use super::{MOST_SHEETS, Survey, times};
 use crate::backend::BackendError;
-use crate::shooting::Solver;
+use crate::shooting::{Path, Solver};
+use crate::sweep::random;
 use crate::value::extremal::Extremal;
-use crate::value::flight::{Constant, Flight, Flown, Law, Pilot, Terminal};
+use crate::value::flight::{Drifting, Flight, Law, Pilot, Terminal};
 use crate::value::fold;
-use crate::value::grow::{adjoint_rate, with_adjoints};
+use crate::value::grow::{adjoint_rate, grown, with_adjoints};
 
 /// How far, in widths of the region, and how many times what was found is followed again.
 const REACH: f64 = 0.5;
@@ -15,52 +16,154 @@ const ROUNDS: usize = 2;
 /// States of a system up to which this is done: there are twice as many directions.
 const MOST_STATES: usize = 2;
 
-/// Sizes of constant costates, in units of V's scale over a region's width.
+/// Sizes of costates that flights are made under, in units of V's scale over a region's width.
 const SIZES: [f64; 4] = [0.1, 0.4, 1.6, 6.4];
+/// Rounds of flights to a single state at most, and flights of a round under costates chosen at random.
+const FLIGHT_ROUNDS: u64 = 8;
+const DRIFTING: [u64; 6] = [0, 32, 64, 128, 128, 32];
+/// Flights of a round that are followed from their ends: the cheapest. Both by the number of states.
+const GROWN: [usize; 6] = [0, 16, 32, 64, 64, 8];
+/// Extremals that cost at most this many times the least are counted; and the share by which a new least is lower.
+const ABOUT: f64 = 1.25;
+const NEW: f64 = 1e-9;
+/// Targets that are flown to together.
+const TOGETHER: usize = 128;
 /// Shortest steps, as shares of the way, from a flown path.
 const FROM_FLIGHT: f64 = 1.0 / 16.0;
 
 impl Survey<'_> {
-    /// Guesses from flights: under the terminal cost's gradient, which is the least effort, and to single states under
-    /// constant costates of either sign; each with the adjoints that belong to its states.
+    /// Guesses from flights on a finite horizon: under the terminal cost's gradient, which is the least effort; and to single
+    /// states, in rounds, under costates that are constant or go from one to another. A round that finds something new among the
+    /// cheapest is followed by another.
     pub(super) fn try_flights(&mut self, solver: &mut Solver) -> Result<(), BackendError> {
-        let n = self.targets.states;
-        let Some(law) = Terminal::new(self.plan).filter(|_| n <= MOST_STATES) else {
+        let Some(law) = Terminal::new(self.plan).filter(|_| !self.plan.game) else {
             return Ok(());
         };
-        let mut constant = Vec::new();
-        for (i, size, sign) in (0..n).flat_map(|i| SIZES.into_iter().flat_map(move |z| [(i, z, -1.0), (i, z, 1.0)])) {
-            let mut p = vec![0.0; n];
-            p[i] = sign * size * self.plan.value_scale / self.plan.widths[i];
-            constant.push(Constant { p });
-        }
         let open: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
-        let mut flights: Vec<(usize, &dyn Law)> = open.iter().map(|t| (*t, &law as &dyn Law)).collect();
-        for target in open.into_iter().filter(|t| !self.targets.gridded[*t]) {
-            flights.extend(constant.iter().map(|law| (target, law as &dyn Law)));
+        let mut pilot = Pilot::new(self.plan)?;
+        self.fly(solver, &mut pilot, &open, &[&law])?;
+        let listed: Vec<usize> = open.into_iter().filter(|t| !self.targets.gridded[*t]).collect();
+        for part in listed.chunks(TOGETHER) {
+            let mut left = part.to_vec();
+            for round in 0..FLIGHT_ROUNDS {
+                if left.is_empty() {
+                    break;
+                }
+                let laws = self.various(round);
+                let laws: Vec<&dyn Law> = laws.iter().map(|law| law as &dyn Law).collect();
+                let before: Vec<(usize, f64)> = left.iter().map(|t| self.cheapest(*t)).collect();
+                let paths = self.fly(solver, &mut pilot, &left, &laws)?;
+                self.grow(solver, paths)?;
+                let mut before = before.into_iter();
+                left.retain(|t| {
+                    let after = self.cheapest(*t);
+                    before.next().is_some_and(|before| after.0 > before.0 || after.1 < times(1.0 - NEW, before.1))
+                });
+            }
         }
-        let errands = self.flown_guesses(&flights)?;
-        self.send(solver, errands)?;
         Ok(())
     }
 
-    /// Flies from targets under laws; what came to the end gives guesses.
-    fn flown_guesses(&mut self, wanted: &[(usize, &dyn Law)]) -> Result<Vec<Errand>, BackendError> {
-        let flights: Vec<Flight<'_>> = (wanted.iter())
+    /// Extremals of a target that cost about the least, and the least.
+    fn cheapest(&self, target: usize) -> (usize, f64) {
+        let least = self.lowest(target).map_or(f64::INFINITY, |e| self.extremals[e].value());
+        let near = |e: &&usize| self.extremals[**e].value() <= times(ABOUT, least);
+        (self.at[target].iter().filter(near).count(), least)
+    }
+
+    /// Flies from targets under laws, solves from the paths with the adjoints that belong to their states, and returns the paths
+    /// with what they cost.
+    fn fly(
+        &mut self,
+        solver: &mut Solver,
+        pilot: &mut Pilot,
+        targets: &[usize],
+        laws: &[&dyn Law],
+    ) -> Result<Vec<(usize, f64, Path)>, BackendError> {
+        let pairs = targets.iter().flat_map(|t| laws.iter().map(move |law| (*t, *law)));
+        let flights: Vec<Flight<'_>> = (pairs.clone())
             .map(|(t, law)| Flight {
-                start: self.state(*t, 0),
-                law: *law,
+                start: self.state(t, 0),
+                law,
                 ceiling: f64::INFINITY,
             })
             .collect();
-        let flown = Pilot::new(self.plan)?.fly(&flights)?;
+        let flown = pilot.fly(&flights)?;
         let rate = adjoint_rate(self.plan);
-        let guess = |((target, _), flown): (&(usize, &dyn Law), Flown)| {
-            let path = flown.path?;
+        let direct = laws.len() == 1;
+        let (mut errands, mut paths) = (Vec::new(), Vec::new());
+        for ((target, _), flown) in pairs.zip(flown) {
+            let Some(path) = flown.path else { continue };
             let end = path.segments();
-            self.errand_along(*target, with_adjoints(path, end, &rate), FROM_FLIGHT)
+            if direct {
+                errands.extend(self.errand_along(target, with_adjoints(path, end, &rate), FROM_FLIGHT));
+            } else {
+                paths.push((target, flown.cost, path));
+            }
+        }
+        self.send(solver, errands)?;
+        Ok(paths)
+    }
+
+    /// Solves along the cheapest flights of each target, from their ends to their starts: as a whole they are rough guesses.
+    fn grow(&mut self, solver: &mut Solver, mut paths: Vec<(usize, f64, Path)>) -> Result<(), BackendError> {
+        let most = by_states(&GROWN, self.targets.states);
+        paths.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let cheapest = paths.chunk_by(|a, b| a.0 == b.0).flat_map(|of| of.iter().take(most));
+        let (targets, flown): (Vec<usize>, Vec<Path>) = cheapest.map(|(t, _, path)| (*t, path.clone())).unzip();
+        let mut solved: Vec<(usize, f64, Path)> = Vec::new();
+        for (target, (path, evaluations)) in targets.into_iter().zip(grown(self.plan, solver, flown)?) {
+            self.evaluations += u64::from(evaluations);
+            self.starts[target] += 1;
+            solved.extend(path.map(|(path, value)| (target, value, path)));
+        }
+        // Of many extremals the cheapest are of interest.
+        solved.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        for of in solved.chunk_by(|a, b| a.0 == b.0) {
+            for (target, value, path) in of {
+                let few = self.at[*target].len() < MOST_SHEETS;
+                if few || *value <= times(ABOUT, self.cheapest(*target).1) {
+                    let errand = self.errand_along(*target, path.clone(), FROM_FLIGHT);
+                    self.send(solver, errand.into_iter().collect())?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Costates of a round: in the first one along each axis, of several sizes and either sign; in all pairs of them at random,
+    /// the same for every state.
+    fn various(&self, round: u64) -> Vec<Drifting> {
+        let (n, plan) = (self.targets.states, self.plan);
+        let time = plan.system.terminal.as_ref().map_or(1.0, |t| t.time);
+        let scaled = |p: Vec<f64>| -> Vec<f64> {
+            (p.iter().zip(&plan.widths))
+                .map(|(p, w)| p * plan.value_scale / w)
+                .collect()
         };
-        Ok(wanted.iter().zip(flown).filter_map(guess).collect())
+        let law = |from: Vec<f64>, to: Vec<f64>| Drifting {
+            from: scaled(from),
+            to: scaled(to),
+            time,
+        };
+        let mut laws = Vec::new();
+        let axes = if round == 0 && n < DRIFTING.len() - 1 { 0..n } else { 0..0 };
+        for (i, size) in axes.flat_map(|i| SIZES.map(|z| [(i, -z), (i, z)])).flatten() {
+            let mut p = vec![0.0; n];
+            p[i] = size;
+            laws.push(law(p.clone(), p));
+        }
+        let uniform = |index: u64| (random(0, index) >> 11) as f64 / (1u64 << 52) as f64 - 1.0;
+        let count = by_states(&DRIFTING, n);
+        for k in round * count..(round + 1) * count {
+            let costate = |end: u64| -> Vec<f64> {
+                let size = SIZES[(random(1, 2 * k + end) % SIZES.len() as u64) as usize];
+                let numbers = (0..n as u64).map(|i| uniform((2 * k + end) * n as u64 + i));
+                numbers.map(|x| size * x).collect()
+            };
+            laws.push(law(costate(0), costate(1)));
+        }
+        laws
     }
 
     /// Cells do not show extremals whose trajectories part too fast backward in time; their sheets join in folds.
@@ -107,4 +210,9 @@ impl Survey<'_> {
         }
         Ok(())
     }
+}
+
+/// An entry by the number of states; the last one for all above.
+fn by_states<T: Copy>(list: &[T], states: usize) -> T {
+    list[states.min(list.len() - 1)]
 }

@@ -211,7 +211,7 @@ impl Survey<'_> {
         let mut errands = Vec::new();
         for (u, (path, evaluations)) in rough.into_iter().zip(grown(self.plan, solver, paths)?) {
             self.evaluations += u64::from(evaluations);
-            errands.extend(path.and_then(|path| self.errand_along(u.target, path, SHORT)));
+            errands.extend(path.and_then(|(path, _)| self.errand_along(u.target, path, SHORT)));
         }
         self.send(solver, errands)?;
         let mut lower = Vec::new();

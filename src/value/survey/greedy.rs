@@ -83,7 +83,7 @@ impl Survey<'_> {
         let mut solved = Vec::new();
         for (target, (path, evaluations)) in rough.into_iter().zip(grown(self.plan, solver, fine)?) {
             self.evaluations += u64::from(evaluations);
-            solved.extend(path.map(|path| (target, path, 1.0)));
+            solved.extend(path.map(|(path, _)| (target, path, 1.0)));
         }
         found.extend(self.try_paths(solver, solved)?);
         Ok((targets.iter().zip(costs))

@@ -108,7 +108,10 @@ impl Survey<'_> {
         let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
         for (k, (target, winding)) in places.iter().enumerate() {
             for (other, distance) in tree.near(&states[k], reach[*target], NEAR) {
-                if other > k && places[other].1 != *winding && distance <= reach[*target] {
+                // Those of one winding are neighbours already.
+                let (to, turned) = places[other];
+                let neighbours = turned == *winding && self.same_base(*target, to);
+                if other > k && !neighbours && distance <= reach[*target] {
                     pairs.push((distance, k, other));
                 }
             }

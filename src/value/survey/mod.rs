@@ -216,6 +216,7 @@ impl<'a> Survey<'a> {
                 self.try_folds_beside(solver)?;
             }
             None => {
+                self.try_flights(solver)?;
                 let order: Vec<usize> = (0..self.targets.len()).collect();
                 for part in order.chunks(COHORT) {
                     self.swept(solver, archive, &index, part, wanted)?;
