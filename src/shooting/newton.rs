@@ -27,8 +27,8 @@ const MOST_ROUNDS: u32 = 40;
 const MOST_ROUNDS_LINE: u32 = 12;
 /// Segments whose propagator has larger entries are split: a digit is lost for each power of ten.
 const MOST_GROWTH: f64 = 1e3;
-/// Most segments of a path.
-const MOST_SEGMENTS: usize = 5000;
+/// Segments of a path above which none is split any more: such a path is mostly no solution, and takes most of the time.
+const MOST_SEGMENTS: usize = 1000;
 
 /// What the first node has to meet.
 #[derive(Clone, Debug)]

@@ -83,13 +83,19 @@ impl Path {
         }
     }
 
-    /// Splits a segment in two equal ones; `middle` is the node between.
-    pub fn split(&mut self, segment: usize, middle: &[f64]) {
-        let half = 0.5 * self.durations[segment];
-        self.durations[segment] = half;
-        self.durations.insert(segment + 1, half);
-        let at = (segment + 1) * self.width;
-        self.nodes.splice(at..at, middle.iter().copied());
+    /// Splits segments, in rising order, in two equal ones each; `middles` are the nodes between.
+    pub fn split(&mut self, segments: &[usize], middles: &[f64]) {
+        let mut split = Path::new(self.node(0));
+        let mut next = segments.iter().zip(middles.chunks(self.width)).peekable();
+        for k in 0..self.segments() {
+            let mut duration = self.durations[k];
+            if let Some((_, middle)) = next.next_if(|(segment, _)| **segment == k) {
+                duration *= 0.5;
+                split.push(duration, middle);
+            }
+            split.push(duration, self.node(k + 1));
+        }
+        *self = split;
     }
 
     /// `self + factor * steps`, steps scaled by `scales`.
@@ -130,9 +136,8 @@ mod tests {
                 let mut path = path(&(0..count).map(rough).collect::<Vec<_>>());
                 path.set_horizon(time);
                 assert_eq!(path.horizon(), time, "{count} segments");
-                for k in (0..count).rev() {
-                    path.split(k, &[0.0, 0.0]);
-                }
+                path.split(&(0..count).collect::<Vec<_>>(), &vec![0.0; 2 * count]);
+                assert_eq!(path.segments(), 2 * count);
                 assert_eq!(path.horizon(), time, "{count} segments, split");
             }
         }

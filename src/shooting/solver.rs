@@ -276,10 +276,7 @@ impl Solver {
                 job.fail(why);
                 continue;
             }
-            let width = job.path.width;
-            for (q, k) in long.iter().enumerate().rev() {
-                job.path.split(*k, &halves.ends[q * width..][..width]);
-            }
+            job.path.split(long, &halves.ends);
             job.stage = Stage::Linearize;
         }
         Ok(())
