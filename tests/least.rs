@@ -230,6 +230,16 @@ fn four_states() {
     assert_evidence(&referenced("cartpole", &[0, 3, 5, 9, 12, 20]), Evidence::NotUndercut);
 }
 
+/// Marching alone leads to one way round an obstacle: V = 3.316, 2.643 and 1.962. The cheaper ways are found along flights. Each
+/// state by itself: company does not help.
+#[test]
+fn around_an_obstacle_alone() {
+    let model = tried("obstacle", &[]);
+    for row in table("obstacle") {
+        assert_value(&solved(&model, &row[..4]), 0, row[4], REFERENCE);
+    }
+}
+
 /// A state alone was given V = 10.4 and 10.53 where the angle's neighbours lead to these.
 #[test]
 fn a_pole_near_upright_alone() {

@@ -187,13 +187,53 @@ fn copies_by_whole_periods_lie_on_one_lifted_sheet() {
         }
     }
     assert!(ways_round.iter().any(|(a, b)| a != b), "{ways_round:?}");
-    assert!(answers.lifted < answers.sheets, "{} of {}", answers.lifted, answers.sheets);
+    assert!(
+        answers.lifted < answers.sheets,
+        "{} of {}",
+        answers.lifted,
+        answers.sheets
+    );
     // Two solutions of one state are two sheets, unless they go round differently.
     for t in 0..answers.targets.len() {
         let mut places: Vec<_> = answers.of(t).iter().map(|e| (e.lifted, &e.winding)).collect();
         places.sort();
-        assert!(places.windows(2).all(|w| w[0] != w[1]), "{:?}", answers.targets.state(t));
+        assert!(
+            places.windows(2).all(|w| w[0] != w[1]),
+            "{:?}",
+            answers.targets.state(t)
+        );
     }
+}
+
+/// Single states several periods apart, with nothing between them.
+#[test]
+fn copies_far_apart_lie_on_one_lifted_sheet() {
+    let swept = Swept::new(scene("pendulum_rest", &[]), 4000);
+    let far = 2.9 + 2.0 * std::f64::consts::TAU;
+    let answers = swept.solve(&Request {
+        points: vec![2.9, 0.0, far, 0.0],
+        ..Request::default()
+    });
+    let (near, far) = (
+        answers.of(answers.targets.of_given[0]),
+        answers.of(answers.targets.of_given[1]),
+    );
+    assert!(
+        near.len() >= 2 && near.len() == far.len(),
+        "{} and {}",
+        near.len(),
+        far.len()
+    );
+    for (a, b) in near.iter().zip(far) {
+        assert!((a.value - b.value).abs() <= 1e-8 * a.value);
+        assert_eq!(
+            (a.lifted, a.winding[0]),
+            (b.lifted, b.winding[0] + 2),
+            "V = {}",
+            a.value
+        );
+    }
+    assert_eq!(answers.lifted, near.len());
 }
 
 /// A grid for /map besides one for /points: the same sheets have the same labels, and a limit leaves far states out.

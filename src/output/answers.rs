@@ -116,7 +116,7 @@ fn support(group: Group, names: &Names<'_>, dims: &[&str]) -> Group {
         .variable(
             Variable::f64("covered_to", over())
                 .unit(&names.cost)
-                .long_name("cost below which all of the swept manifold over the state was searched"),
+                .long_name("cost below which nothing cheaper than V was left out of the search"),
         )
         .variable(
             Variable::f64("bound", over())

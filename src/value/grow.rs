@@ -84,7 +84,12 @@ impl Growing {
     fn problems(&self, rate: &Program) -> [Job; 2] {
         let (first, n) = (self.next(), self.flown.width / 2);
         let end = Path::new(self.flown.last());
-        let plain = joined(&self.flown, first, self.from, self.tail.as_ref().map_or(&end, |(path, _)| path));
+        let plain = joined(
+            &self.flown,
+            first,
+            self.from,
+            self.tail.as_ref().map_or(&end, |(path, _)| path),
+        );
         let carried = with_adjoints(plain.clone(), self.from - first, rate);
         let goal = Goal::State(self.flown.node(first)[..n].to_vec());
         [carried, plain].map(|path| {

@@ -1,5 +1,5 @@
-//! Further extremals of a finite horizon: each known one is followed away from its target in several directions, around the
-//! folds that its sheet may have there, and back.
+//! Extremals of a finite horizon beside those that cells and marching give: along flights; and each known one is followed away
+//! from its target in several directions, around the folds that its sheet may have there, and back.
 
 use super::{MOST_SHEETS, Survey, times};
 use crate::backend::BackendError;
@@ -57,7 +57,9 @@ impl Survey<'_> {
                 let mut before = before.into_iter();
                 left.retain(|t| {
                     let after = self.cheapest(*t);
-                    before.next().is_some_and(|before| after.0 > before.0 || after.1 < times(1.0 - NEW, before.1))
+                    before
+                        .next()
+                        .is_some_and(|before| after.0 > before.0 || after.1 < times(1.0 - NEW, before.1))
                 });
             }
         }
@@ -147,7 +149,11 @@ impl Survey<'_> {
             time,
         };
         let mut laws = Vec::new();
-        let axes = if round == 0 && n < DRIFTING.len() - 1 { 0..n } else { 0..0 };
+        let axes = if round == 0 && n < DRIFTING.len() - 1 {
+            0..n
+        } else {
+            0..0
+        };
         for (i, size) in axes.flat_map(|i| SIZES.map(|z| [(i, -z), (i, z)])).flatten() {
             let mut p = vec![0.0; n];
             p[i] = size;
