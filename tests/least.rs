@@ -202,7 +202,19 @@ fn wells_below_zero() {
                     least = other;
                 }
             }
-            assert_value(&found, k, cost(least), REFERENCE);
+            // Wells as steep as these cost a simulated control up to some 1e-6 more; that it costs no less is what counts.
+            let entry = given(&found, k).unwrap_or_else(|| panic!("T = {time}, x = {x}"));
+            assert!(
+                differ(entry.value, cost(least)) <= REFERENCE,
+                "V({x}) = {}, T = {time}",
+                entry.value
+            );
+            let flown = found.support[found.targets.of_given[k]].flown.expect("flown");
+            assert!(
+                flown >= entry.value - FLOWN * entry.value.abs(),
+                "V({x}) = {}, flown for {flown}",
+                entry.value
+            );
         }
     }
 }
