@@ -2,7 +2,7 @@
 
 use super::{Chart, LoopError};
 use crate::model::{ClosedLoop, Model, Start};
-use crate::sweep::random;
+use crate::sweep::uniform;
 use crate::value::{Grid, spaced};
 use rayon::prelude::*;
 
@@ -70,12 +70,10 @@ impl Initial {
         if !asked.initial.iter().any(|s| matches!(s, Start::Range { .. })) {
             return Err(LoopError::NoRange);
         }
-        // 53 bits: a number in [0, 1).
-        let uniform = |k: usize| (random(seed, k as u64) >> 11) as f64 / (1u64 << 53) as f64;
         let x = (0..count * n)
             .map(|k| match asked.initial[k % n] {
                 Start::Fixed(x) => x,
-                Start::Range { first, last, .. } => first + (last - first) * uniform(k),
+                Start::Range { first, last, .. } => first + (last - first) * uniform(seed, k as u64),
             })
             .collect();
         Ok(Self {

@@ -113,6 +113,11 @@ pub fn random(seed: u64, index: u64) -> u64 {
     mix(mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15)).wrapping_add(index.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
 }
 
+/// A random number in [0, 1) for each index, of 53 bits.
+pub fn uniform(seed: u64, index: u64) -> f64 {
+    (random(seed, index) >> 11) as f64 / (1u64 << 53) as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -10,6 +10,9 @@ impl Cover<'_> {
     /// Least V of cells that reach so far along a periodic state that a state's copies there are left out.
     pub(super) fn out_of_turns(&self, cells: &[(Cell, Corners)]) -> Option<f64> {
         let plan = self.fan.plan;
+        if plan.periods.iter().all(Option::is_none) {
+            return None;
+        }
         let most = f64::from(self.most_turns()) + 0.5;
         let reach: Vec<f64> = (plan.periods.iter().zip(&plan.widths))
             .map(|(period, width)| period.map_or(f64::INFINITY, |p| most * p / width))

@@ -4,11 +4,12 @@
 use super::{MOST_SHEETS, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
-use crate::sweep::random;
+use crate::sweep::{random, uniform};
 use crate::value::extremal::Extremal;
 use crate::value::flight::{Drifting, Flight, Law, Pilot, Terminal};
 use crate::value::fold;
 use crate::value::grow::{adjoint_rate, grown, with_adjoints};
+use std::collections::BTreeMap;
 
 /// How far, in widths of the region, and how many times what was found is followed again.
 const REACH: f64 = 0.5;
@@ -18,6 +19,8 @@ const MOST_STATES: usize = 2;
 
 /// Sizes of costates that flights are made under, in units of V's scale over a region's width.
 const SIZES: [f64; 4] = [0.1, 0.4, 1.6, 6.4];
+/// States of a system up to which flights are made under a costate along each axis.
+const MOST_AXES: usize = 4;
 /// Rounds of flights to a single state at most, and flights of a round under costates chosen at random.
 const FLIGHT_ROUNDS: u64 = 8;
 const DRIFTING: [u64; 6] = [0, 32, 64, 128, 128, 32];
@@ -41,7 +44,13 @@ impl Survey<'_> {
         };
         let open: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
         let mut pilot = Pilot::new(self.plan)?;
-        self.fly(solver, &mut pilot, &open, &[&law])?;
+        let rate = adjoint_rate(self.plan);
+        let mut errands = Vec::new();
+        for (target, _, path) in self.fly(&mut pilot, &open, &[&law])? {
+            let end = path.segments();
+            errands.extend(self.errand_along(target, with_adjoints(path, end, &rate), FROM_FLIGHT));
+        }
+        self.send(solver, errands)?;
         let listed: Vec<usize> = open.into_iter().filter(|t| !self.targets.gridded[*t]).collect();
         for part in listed.chunks(TOGETHER) {
             let mut left = part.to_vec();
@@ -52,7 +61,7 @@ impl Survey<'_> {
                 let laws = self.various(round);
                 let laws: Vec<&dyn Law> = laws.iter().map(|law| law as &dyn Law).collect();
                 let before: Vec<(usize, f64)> = left.iter().map(|t| self.cheapest(*t)).collect();
-                let paths = self.fly(solver, &mut pilot, &left, &laws)?;
+                let paths = self.fly(&mut pilot, &left, &laws)?;
                 self.grow(solver, paths)?;
                 let mut before = before.into_iter();
                 left.retain(|t| {
@@ -68,16 +77,14 @@ impl Survey<'_> {
 
     /// Extremals of a target that cost about the least, and the least.
     fn cheapest(&self, target: usize) -> (usize, f64) {
-        let least = self.lowest(target).map_or(f64::INFINITY, |e| self.extremals[e].value());
+        let least = self.least_value(target);
         let near = |e: &&usize| self.extremals[**e].value() <= times(ABOUT, least);
         (self.at[target].iter().filter(near).count(), least)
     }
 
-    /// Flies from targets under laws, solves from the paths with the adjoints that belong to their states, and returns the paths
-    /// with what they cost.
+    /// Flies from targets under laws: what each flight that came to the end costs, and its path.
     fn fly(
-        &mut self,
-        solver: &mut Solver,
+        &self,
         pilot: &mut Pilot,
         targets: &[usize],
         laws: &[&dyn Law],
@@ -90,21 +97,10 @@ impl Survey<'_> {
                 ceiling: f64::INFINITY,
             })
             .collect();
-        let flown = pilot.fly(&flights)?;
-        let rate = adjoint_rate(self.plan);
-        let direct = laws.len() == 1;
-        let (mut errands, mut paths) = (Vec::new(), Vec::new());
-        for ((target, _), flown) in pairs.zip(flown) {
-            let Some(path) = flown.path else { continue };
-            let end = path.segments();
-            if direct {
-                errands.extend(self.errand_along(target, with_adjoints(path, end, &rate), FROM_FLIGHT));
-            } else {
-                paths.push((target, flown.cost, path));
-            }
-        }
-        self.send(solver, errands)?;
-        Ok(paths)
+        let flown = pairs.zip(pilot.fly(&flights)?);
+        Ok(flown
+            .filter_map(|((target, _), flown)| Some((target, flown.cost, flown.path?)))
+            .collect())
     }
 
     /// Solves along the cheapest flights of each target, from their ends to their starts: as a whole they are rough guesses.
@@ -113,22 +109,30 @@ impl Survey<'_> {
         paths.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
         let cheapest = paths.chunk_by(|a, b| a.0 == b.0).flat_map(|of| of.iter().take(most));
         let (targets, flown): (Vec<usize>, Vec<Path>) = cheapest.map(|(t, _, path)| (*t, path.clone())).unzip();
-        let mut solved: Vec<(usize, f64, Path)> = Vec::new();
+        let mut solved: BTreeMap<usize, Vec<(f64, Path)>> = BTreeMap::new();
         for (target, (path, evaluations)) in targets.into_iter().zip(grown(self.plan, solver, flown)?) {
             self.evaluations += u64::from(evaluations);
             self.starts[target] += 1;
-            solved.extend(path.map(|(path, value)| (target, value, path)));
+            if let Some((path, value)) = path {
+                solved.entry(target).or_default().push((value, path));
+            }
         }
-        // Of many extremals the cheapest are of interest.
-        solved.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        for of in solved.chunk_by(|a, b| a.0 == b.0) {
-            for (target, value, path) in of {
+        // Of many extremals the cheapest are of interest: they are added in rising cost, those of all targets side by side.
+        for of in solved.values_mut() {
+            of.sort_by(|a, b| a.0.total_cmp(&b.0));
+            of.reverse();
+        }
+        while !solved.is_empty() {
+            let mut errands = Vec::new();
+            for (target, of) in &mut solved {
+                let Some((value, path)) = of.pop() else { continue };
                 let few = self.at[*target].len() < MOST_SHEETS;
-                if few || *value <= times(ABOUT, self.cheapest(*target).1) {
-                    let errand = self.errand_along(*target, path.clone(), FROM_FLIGHT);
-                    self.send(solver, errand.into_iter().collect())?;
+                if few || value <= times(ABOUT, self.least_value(*target)) {
+                    errands.extend(self.errand_along(*target, path, FROM_FLIGHT));
                 }
             }
+            self.send(solver, errands)?;
+            solved.retain(|_, of| !of.is_empty());
         }
         Ok(())
     }
@@ -149,23 +153,18 @@ impl Survey<'_> {
             time,
         };
         let mut laws = Vec::new();
-        let axes = if round == 0 && n < DRIFTING.len() - 1 {
-            0..n
-        } else {
-            0..0
-        };
-        for (i, size) in axes.flat_map(|i| SIZES.map(|z| [(i, -z), (i, z)])).flatten() {
+        let axes = if round == 0 && n <= MOST_AXES { n } else { 0 };
+        for (i, size) in (0..axes).flat_map(|i| SIZES.map(|z| [(i, -z), (i, z)])).flatten() {
             let mut p = vec![0.0; n];
             p[i] = size;
             laws.push(law(p.clone(), p));
         }
-        let uniform = |index: u64| (random(0, index) >> 11) as f64 / (1u64 << 52) as f64 - 1.0;
         let count = by_states(&DRIFTING, n);
         for k in round * count..(round + 1) * count {
             let costate = |end: u64| -> Vec<f64> {
                 let size = SIZES[(random(1, 2 * k + end) % SIZES.len() as u64) as usize];
-                let numbers = (0..n as u64).map(|i| uniform((2 * k + end) * n as u64 + i));
-                numbers.map(|x| size * x).collect()
+                let numbers = (0..n as u64).map(|i| uniform(0, (2 * k + end) * n as u64 + i));
+                numbers.map(|x| size * (2.0 * x - 1.0)).collect()
             };
             laws.push(law(costate(0), costate(1)));
         }

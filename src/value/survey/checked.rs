@@ -230,7 +230,7 @@ impl Survey<'_> {
         self.least_value(by.target) > times(1.0 + ABOVE, by.cost)
     }
 
-    fn least_value(&self, target: usize) -> f64 {
+    pub(super) fn least_value(&self, target: usize) -> f64 {
         self.lowest(target).map_or(f64::INFINITY, |e| self.extremals[e].value())
     }
 

@@ -33,7 +33,7 @@ impl Survey<'_> {
         }
         let reached: Vec<usize> = self.principal.iter().flatten().copied().collect();
         for pair in reached.windows(2) {
-            self.joined.join(pair[0], pair[1]);
+            self.join(pair[0], pair[1]);
         }
         if wanted.sheets {
             let misses = self.misses.clone();
