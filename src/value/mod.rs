@@ -5,6 +5,7 @@ mod approach;
 mod archive;
 mod conjugate;
 mod cover;
+mod direct;
 mod equal_cost;
 mod extremal;
 pub mod flight;

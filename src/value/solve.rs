@@ -2,6 +2,7 @@
 
 use super::archive::{Archive, segment_duration};
 use super::cover::Cover;
+use super::direct::Direct;
 use super::equal_cost::BoundaryPoint;
 use super::fold::Fold;
 use super::survey::{BEYOND, Miss, PointStatus, Progress, SecondOpinion, Support, Survey, Wanted};
@@ -364,6 +365,9 @@ pub fn solve(
     let mut cover = Cover::serves(plan)
         .then(|| Cover::new(plan, model, segment_duration(plan), &Cpu::new()))
         .transpose()?;
+    if !cover.as_ref().is_some_and(Cover::has_cells) {
+        survey.direct = Direct::new(plan, model, segment_duration(plan));
+    }
     let mut make = || coarse_grid(plan, model);
     let second = match &request.grid {
         Some(grid) => SecondOpinion::Given(grid),

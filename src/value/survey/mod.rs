@@ -13,9 +13,11 @@ mod folds;
 mod greedy;
 mod label;
 mod local;
+mod optimized;
 mod principal;
 mod spread;
 mod status;
+mod stones;
 mod swept;
 mod windings;
 
@@ -23,9 +25,10 @@ pub use checked::Support;
 pub use status::{Miss, PointStatus};
 
 use super::approach::{Approach, Unreached, follow};
-use super::archive::{Archive, segment_duration};
+use super::archive::{Archive, Index, segment_duration};
 use super::conjugate::ConjugatePoints;
 use super::cover::Cover;
+use super::direct::Direct;
 use super::extremal::{Extremal, same};
 use super::fold::Fold;
 use super::march;
@@ -119,6 +122,8 @@ pub struct Survey<'a> {
     pub(super) tried: HashSet<(usize, u32)>,
     /// Cost from which on the search of each target was not complete.
     pub uncovered: Vec<f64>,
+    /// Where single states are to be solved for from trajectories that are optimized directly.
+    pub(in crate::value) direct: Option<Direct<'a>>,
     pub(super) joined: Sheets,
     pub(super) scales: Vec<f64>,
     duration: f64,
@@ -175,6 +180,7 @@ impl<'a> Survey<'a> {
             flights: vec![0; targets.len()],
             flown: vec![None; targets.len()],
             tried: HashSet::new(),
+            direct: None,
             joined: Sheets::default(),
             lifted: Vec::new(),
             scales: solver.scheme.equations.scales.clone(),
@@ -192,42 +198,17 @@ impl<'a> Survey<'a> {
         &mut self,
         solver: &mut Solver,
         archive: &Archive,
-        cover: Option<&mut Cover<'_>>,
+        mut cover: Option<&mut Cover<'_>>,
         wanted: Wanted,
         second: SecondOpinion<'_>,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
-        let index = self.index(archive);
-        self.windings = if cover.is_some() {
-            self.nearest_windings()
-        } else {
-            self.all_windings(&index)
-        };
-        self.near_end(solver);
-        self.refuse_outside();
-        march::add_marched(self, solver)?;
+        let index = self.begin(solver, archive, cover.as_deref())?;
         if self.plan.game && self.plan.local.is_some() {
             return self.principal_sheet(solver, archive, &index, wanted, progress);
         }
-        match cover {
-            Some(cover) => {
-                self.search_cells(solver, cover, wanted, progress)?;
-                self.try_flights(solver)?;
-                self.try_folds_beside(solver)?;
-            }
-            None => {
-                self.try_flights(solver)?;
-                let order: Vec<usize> = (0..self.targets.len()).collect();
-                for part in order.chunks(COHORT) {
-                    self.swept(solver, archive, &index, part, wanted)?;
-                    progress("from the sweep", self.solved(), self.targets.len());
-                }
-                // The hard ones together in short steps: many at once cost little more than one.
-                let open = self.hopeful();
-                let errands = self.nearest_guesses(&solver.scheme.end, archive, &index, &open, 0, SHORT);
-                self.send(solver, errands)?;
-            }
-        }
+        self.first_search(solver, archive, &index, cover.as_deref_mut(), wanted, progress)?;
+        self.search_singly(solver, archive, cover, wanted, progress)?;
         match second {
             SecondOpinion::Given(grid) => self.try_grid(solver, grid, progress)?,
             SecondOpinion::OnDemand(make) => self.try_doubtful(solver, make, progress)?,
@@ -240,6 +221,53 @@ impl<'a> Survey<'a> {
         }
         self.check_by_flights(solver, progress)?;
         self.label();
+        Ok(())
+    }
+
+    /// What needs no guess; the swept points near the targets.
+    fn begin(
+        &mut self,
+        solver: &mut Solver,
+        archive: &Archive,
+        cover: Option<&Cover<'_>>,
+    ) -> Result<Index, BackendError> {
+        let index = self.index(archive);
+        self.windings = if cover.is_some() {
+            self.nearest_windings()
+        } else {
+            self.all_windings(&index)
+        };
+        self.near_end(solver);
+        self.refuse_outside();
+        march::add_marched(self, solver)?;
+        Ok(index)
+    }
+
+    /// From the manifold, where it can be searched, or from swept trajectories near the targets.
+    fn first_search(
+        &mut self,
+        solver: &mut Solver,
+        archive: &Archive,
+        index: &Index,
+        cover: Option<&mut Cover<'_>>,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        if let Some(cover) = cover {
+            self.search_cells(solver, cover, wanted, progress)?;
+            self.try_flights(solver)?;
+            return self.try_folds_beside(solver);
+        }
+        self.try_flights(solver)?;
+        let order: Vec<usize> = (0..self.targets.len()).collect();
+        for part in order.chunks(COHORT) {
+            self.swept(solver, archive, index, part, wanted)?;
+            progress("from the sweep", self.solved(), self.targets.len());
+        }
+        // The hard ones together in short steps: many at once cost little more than one.
+        let open = self.hopeful();
+        let errands = self.nearest_guesses(&solver.scheme.end, archive, index, &open, 0, SHORT);
+        self.send(solver, errands)?;
         Ok(())
     }
 

@@ -1,0 +1,313 @@
+//! Gauss-Newton steps on a transcribed problem, by a Riccati recursion.
+
+use super::stage::{Rates, Steps, times};
+use crate::model::{Horizon, Model};
+use crate::sweep::Plan;
+use nalgebra::DMatrix;
+
+/// Weights of the barrier, in units of the control's own cost at its bound.
+const BARRIERS: [f64; 5] = [1.0, 0.1, 1e-2, 1e-3, 1e-4];
+/// Steps under each of them, and under the last one.
+const STEPS: usize = 20;
+const LAST_STEPS: usize = 40;
+/// Step, in widths of the region, below which the next barrier is taken; and the last one is done.
+const SMALL: f64 = 0.03;
+const DONE: f64 = 1e-3;
+/// Gaps, in widths, that count as closed.
+const CLOSED: f64 = 1e-4;
+/// Share of the way to its bound that a control may go at once.
+const WITHIN: f64 = 0.98;
+/// Times that a step is halved.
+const HALVINGS: usize = 10;
+/// The merit of closing a gap is this many times what closing it costs, or this share of what it was before.
+const MERIT: f64 = 1.5;
+const FADING: f64 = 0.7;
+
+/// Times of a problem, bounds and scales.
+pub(super) struct Grid {
+    pub step: f64,
+    pub count: usize,
+    widths: Vec<f64>,
+    /// Controls where the guess begins, and their bounds.
+    middle: Vec<f64>,
+    bounds: Vec<[f64; 2]>,
+    /// Hessian of V about the equilibrium, row by row.
+    end: Vec<f64>,
+}
+
+impl Grid {
+    pub fn new(plan: &Plan, model: &Model, step: f64, count: usize) -> Self {
+        let bound = |b: Option<f64>, none: f64| b.unwrap_or(none);
+        Self {
+            step,
+            count,
+            widths: plan.widths.clone(),
+            middle: match &model.horizon {
+                Horizon::Infinite { u, .. } => u.clone(),
+                Horizon::Finite { .. } => vec![0.0; model.controls.len()],
+            },
+            bounds: (model.controls.iter())
+                .map(|c| [bound(c.min, f64::NEG_INFINITY), bound(c.max, f64::INFINITY)])
+                .collect(),
+            // Symmetric: by columns is by rows.
+            end: (plan.local.as_ref()).map_or_else(Vec::new, |l| l.riccati.p.as_slice().to_vec()),
+        }
+    }
+
+    fn is_bounded(&self) -> bool {
+        self.bounds.iter().flatten().any(|b| b.is_finite())
+    }
+}
+
+/// A trajectory that was found.
+pub(super) struct Found {
+    pub cost: f64,
+    pub states: Vec<Vec<f64>>,
+    pub adjoints: Vec<Vec<f64>>,
+}
+
+/// A guess on its way to a trajectory.
+pub(super) struct Descent<'a> {
+    rates: &'a Rates,
+    grid: &'a Grid,
+    /// `[node][n]` and `[step][m]`.
+    x: Vec<f64>,
+    u: Vec<f64>,
+    steps: Steps,
+    /// Penalty of the gaps' components, `[step][n]`.
+    penalty: Vec<f64>,
+    /// Second derivative of the running cost by each control, for the barrier; 0 without bounds.
+    curvature: Vec<f64>,
+}
+
+/// Changes of states and controls, and the adjoints after them.
+struct Change {
+    x: Vec<f64>,
+    u: Vec<f64>,
+    p: Vec<f64>,
+}
+
+impl<'a> Descent<'a> {
+    pub fn new(rates: &'a Rates, grid: &'a Grid, guess: &[Vec<f64>]) -> Option<Self> {
+        let x = guess.concat();
+        let u = grid.middle.repeat(grid.count);
+        let steps = rates.steps(&x, &u, grid.step)?;
+        let (n, width) = (rates.states, rates.states + rates.controls);
+        let first = rates.slopes(&steps, grid.step).into_iter().next()?;
+        let curvature = |i: usize| {
+            let [lo, hi] = grid.bounds[i];
+            let range = (hi - grid.middle[i]).min(grid.middle[i] - lo);
+            if range.is_finite() {
+                first.hessian[(n + i) * (width + 1)] * range * range
+            } else {
+                0.0
+            }
+        };
+        Some(Self {
+            rates,
+            grid,
+            penalty: vec![0.0; grid.count * n],
+            curvature: (0..rates.controls).map(curvature).collect(),
+            x,
+            u,
+            steps,
+        })
+    }
+
+    /// What the guess leads to; `None` where it leads nowhere.
+    pub fn run(mut self) -> Option<Found> {
+        let barriers = if self.grid.is_bounded() {
+            &BARRIERS[..]
+        } else {
+            &BARRIERS[4..]
+        };
+        let mut p = Vec::new();
+        for (k, &barrier) in barriers.iter().enumerate() {
+            let is_last = k + 1 == barriers.len();
+            for _ in 0..if is_last { LAST_STEPS } else { STEPS } {
+                let change = self.change(barrier)?;
+                let size = self.advance(&change, barrier);
+                p = change.p;
+                match size {
+                    Some(size) if size > if is_last { DONE } else { SMALL } => {}
+                    _ => break,
+                }
+            }
+        }
+        let n = self.rates.states;
+        let closed = (0..self.grid.count * n).all(|k| self.gap(k).abs() < CLOSED * self.grid.widths[k % n]);
+        let rows = |v: &[f64]| v.chunks(n).map(<[f64]>::to_vec).collect();
+        closed.then(|| Found {
+            cost: self.cost(&self.x, &self.steps),
+            states: rows(&self.x),
+            adjoints: rows(&p),
+        })
+    }
+
+    /// A gap's component.
+    fn gap(&self, k: usize) -> f64 {
+        self.steps.next[k] - self.x[self.rates.states + k]
+    }
+
+    fn cost(&self, x: &[f64], steps: &Steps) -> f64 {
+        let n = self.rates.states;
+        let end = &x[self.grid.count * n..];
+        let mut slope = vec![0.0; n];
+        times(&self.grid.end, end, n, n, 1, &mut slope);
+        let left: f64 = slope.iter().zip(end).map(|(p, s)| 0.5 * p * s).sum();
+        steps.cost.iter().sum::<f64>() + left
+    }
+
+    /// Controls' distances from bounds that the barrier keeps them from, with its weight: index, distance, sign of its slope.
+    fn rooms<'b>(&'b self, u: &'b [f64], barrier: f64) -> impl Iterator<Item = (usize, f64, f64, f64)> + 'b {
+        u.iter().enumerate().flat_map(move |(i, u)| {
+            let [lo, hi] = self.grid.bounds[i];
+            let weight = barrier * self.curvature[i];
+            let both = [(i, u - lo, -1.0, weight), (i, hi - u, 1.0, weight)];
+            both.into_iter()
+                .filter(|(_, room, _, weight)| room.is_finite() && *weight > 0.0)
+        })
+    }
+
+    fn merit(&self, x: &[f64], u: &[f64], steps: &Steps, barrier: f64) -> f64 {
+        let (n, m) = (self.rates.states, self.rates.controls);
+        let mut merit = self.cost(x, steps);
+        for u in u.chunks(m) {
+            merit -= self
+                .rooms(u, barrier)
+                .map(|(_, room, _, weight)| weight * room.ln())
+                .sum::<f64>();
+        }
+        let gaps = steps.next.iter().zip(&x[n..]).zip(&self.penalty);
+        merit + gaps.map(|((next, x), penalty)| penalty * (next - x).abs()).sum::<f64>()
+    }
+
+    /// The step that solves the linear-quadratic problem along the guess.
+    fn change(&mut self, barrier: f64) -> Option<Change> {
+        let (n, m, count) = (self.rates.states, self.rates.controls, self.grid.count);
+        let width = n + m;
+        let slopes = self.rates.slopes(&self.steps, self.grid.step);
+        // Hessian and gradient of the cost to go at each node, from the end on; the laws of the steps.
+        let mut hessians = vec![0.0; (count + 1) * n * n];
+        let mut gradients = vec![0.0; (count + 1) * n];
+        let mut constants = vec![0.0; count * m];
+        let mut gains = vec![0.0; count * m * n];
+        hessians[count * n * n..].copy_from_slice(&self.grid.end);
+        times(
+            &self.grid.end,
+            &self.x[count * n..],
+            n,
+            n,
+            1,
+            &mut gradients[count * n..],
+        );
+        let (mut product, mut second) = (vec![0.0; n * width], vec![0.0; width * width]);
+        for k in (0..count).rev() {
+            let at = &slopes[k];
+            let hessian = &hessians[(k + 1) * n * n..][..n * n];
+            let mut first = at.gradient.clone();
+            second.copy_from_slice(&at.hessian);
+            times(hessian, &at.jacobian, n, n, width, &mut product);
+            for i in 0..n {
+                let ahead =
+                    gradients[(k + 1) * n + i] + (0..n).map(|j| hessian[i * n + j] * self.gap(k * n + j)).sum::<f64>();
+                let row = &at.jacobian[i * width..][..width];
+                for a in 0..width {
+                    first[a] += row[a] * ahead;
+                    for b in 0..width {
+                        second[a * width + b] += row[a] * product[i * width + b];
+                    }
+                }
+            }
+            for (i, room, sign, weight) in self.rooms(&self.u[k * m..][..m], barrier) {
+                first[n + i] += sign * weight / room;
+                second[(n + i) * (width + 1)] += weight / (room * room);
+            }
+            // The law: m equations in n + 1 right-hand sides.
+            let by_control = DMatrix::from_fn(m, m, |i, j| second[(n + i) * width + n + j]);
+            let right = DMatrix::from_fn(m, n + 1, |i, j| {
+                if j < n {
+                    second[(n + i) * width + j]
+                } else {
+                    first[n + i]
+                }
+            });
+            let law = by_control.cholesky()?.solve(&right);
+            for i in 0..m {
+                constants[k * m + i] = -law[(i, n)];
+                (0..n).for_each(|j| gains[(k * m + i) * n + j] = -law[(i, j)]);
+            }
+            for a in 0..n {
+                let mixed = |i: usize| second[a * width + n + i];
+                gradients[k * n + a] = first[a] - (0..m).map(|i| mixed(i) * law[(i, n)]).sum::<f64>();
+                for b in 0..n {
+                    let less: f64 = (0..m).map(|i| mixed(i) * law[(i, b)]).sum();
+                    hessians[(k * n + a) * n + b] = second[a * width + b] - less;
+                }
+            }
+            // Rounding must not make it unsymmetric.
+            for a in 0..n {
+                for b in 0..a {
+                    let mean = 0.5 * (hessians[(k * n + a) * n + b] + hessians[(k * n + b) * n + a]);
+                    hessians[(k * n + a) * n + b] = mean;
+                    hessians[(k * n + b) * n + a] = mean;
+                }
+            }
+        }
+        let mut change = Change {
+            x: vec![0.0; (count + 1) * n],
+            u: constants,
+            p: gradients,
+        };
+        for k in 0..count {
+            for i in 0..m {
+                let gain = &gains[(k * m + i) * n..][..n];
+                change.u[k * m + i] += (0..n).map(|j| gain[j] * change.x[k * n + j]).sum::<f64>();
+            }
+            for i in 0..n {
+                let row = &slopes[k].jacobian[i * width..][..width];
+                let moved: f64 = (0..n).map(|j| row[j] * change.x[k * n + j]).sum();
+                let driven: f64 = (0..m).map(|j| row[n + j] * change.u[k * m + j]).sum();
+                change.x[(k + 1) * n + i] = moved + driven + self.gap(k * n + i);
+            }
+        }
+        for k in 0..=count {
+            for i in 0..n {
+                let row = &hessians[(k * n + i) * n..][..n];
+                change.p[k * n + i] += (0..n).map(|j| row[j] * change.x[k * n + j]).sum::<f64>();
+            }
+        }
+        for (penalty, p) in self.penalty.iter_mut().zip(&change.p[n..]) {
+            *penalty = (FADING * *penalty).max(MERIT * p.abs());
+        }
+        let finite = change.x.iter().chain(&change.u).all(|d| d.is_finite());
+        finite.then_some(change)
+    }
+
+    /// Takes as much of a step as makes the merit less; its size, none where there is no such part.
+    fn advance(&mut self, change: &Change, barrier: f64) -> Option<f64> {
+        let (n, m) = (self.rates.states, self.rates.controls);
+        let mut share: f64 = 1.0;
+        for (k, (u, du)) in self.u.iter().zip(&change.u).enumerate() {
+            let [lo, hi] = self.grid.bounds[k % m];
+            let room = if *du > 0.0 { hi - u } else { u - lo };
+            if *du != 0.0 && room.is_finite() {
+                share = share.min(WITHIN * room / du.abs());
+            }
+        }
+        let now = self.merit(&self.x, &self.u, &self.steps, barrier);
+        for _ in 0..HALVINGS {
+            let moved = |a: &[f64], d: &[f64]| -> Vec<f64> { a.iter().zip(d).map(|(a, d)| a + share * d).collect() };
+            let (x, u) = (moved(&self.x, &change.x), moved(&self.u, &change.u));
+            if let Some(steps) = self.rates.steps(&x, &u, self.grid.step)
+                && self.merit(&x, &u, &steps, barrier) < now
+            {
+                (self.x, self.u, self.steps) = (x, u, steps);
+                let size = |(k, d): (usize, &f64)| (share * d / self.grid.widths[k % n]).abs();
+                return Some(change.x.iter().enumerate().map(size).fold(0.0, f64::max));
+            }
+            share *= 0.5;
+        }
+        None
+    }
+}

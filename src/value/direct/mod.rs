@@ -1,0 +1,178 @@
+//! Trajectories by direct optimization: guesses for states that nothing shows the extremals of.
+//!
+//! State and control are unknowns at all steps of a fixed time at once, so that a guess need not obey the dynamics, and
+//! instability does not matter: Gauss-Newton steps on the linear-quadratic problem along the guess, whose gaps they close
+//! (multiple shooting: Bock and Plitt 1984; by a Riccati recursion: Giftthaler, Neunert, Staeuble, Buchli and Diehl, IROS
+//! 2018). Bounds of controls are a logarithmic barrier that is lowered.
+
+mod descent;
+mod stage;
+
+use crate::model::Model;
+use crate::shooting::{End, Path};
+use crate::sweep::{Plan, uniform};
+use descent::{Descent, Grid};
+use rayon::prelude::*;
+use stage::Rates;
+use std::ops::Range;
+
+/// Length of the horizon in times of the slowest mode of the closed loop.
+const HORIZON: f64 = 10.0;
+/// Steps in the time of the fastest one, and their least and largest number.
+const STEPS: f64 = 2.5;
+const LEAST_STEPS: usize = 100;
+const MOST_STEPS: usize = 400;
+/// Modes that differ more than this are too stiff for steps of one length.
+const STIFF: f64 = 40.0;
+/// Share of the cost that may be left at the end of the horizon.
+const LEFT: f64 = 0.05;
+
+/// The transcribed problem of a scene.
+pub struct Direct<'a> {
+    plan: &'a Plan,
+    rates: Rates,
+    grid: Grid,
+    /// Time of the slowest mode.
+    slow: f64,
+    duration: f64,
+}
+
+/// A trajectory with what it costs.
+pub struct Optimized {
+    pub cost: f64,
+    pub path: Path,
+}
+
+impl<'a> Direct<'a> {
+    /// `None` where there is no equilibrium, in a game, and where modes are too far apart.
+    pub fn new(plan: &'a Plan, model: &Model, duration: f64) -> Option<Self> {
+        let local = plan.local.as_ref().filter(|_| !plan.game)?;
+        let modes = &local.riccati.eigenvalues;
+        let slow = 1.0 / modes.iter().map(|e| e.re.abs()).fold(f64::INFINITY, f64::min);
+        let fast = 1.0 / modes.iter().map(|e| e.norm()).fold(0.0, f64::max);
+        if !(slow / fast <= STIFF * MOST_STEPS as f64 / HORIZON) {
+            return None;
+        }
+        let time = HORIZON * slow;
+        let count = ((STEPS * time / fast).ceil() as usize).clamp(LEAST_STEPS, MOST_STEPS);
+        let rates = Rates::new(model);
+        let grid = Grid::new(plan, model, time / count as f64, count);
+        Some(Self {
+            plan,
+            rates,
+            grid,
+            slow,
+            duration,
+        })
+    }
+
+    /// What comes of guesses with these numbers from a state, a deviation.
+    pub fn optimized(&self, s: &[f64], guesses: Range<u64>, end: &End) -> Vec<Optimized> {
+        let copies = self.copies(s);
+        (guesses.into_par_iter())
+            .flat_map_iter(|k| copies.iter().map(move |from| (k, from)))
+            .filter_map(|(k, from)| {
+                let guess = self.guess(from, k);
+                self.path(Descent::new(&self.rates, &self.grid, &guess)?.run()?, end)
+            })
+            .collect()
+    }
+
+    /// A state and its copies by a period, as far as they may lead to the equilibrium at less cost.
+    fn copies(&self, s: &[f64]) -> Vec<Vec<f64>> {
+        let mut copies = vec![s.to_vec()];
+        for (i, period) in self.plan.recurrent.iter().enumerate() {
+            let Some(period) = period else { continue };
+            let near = s[i] - period * (s[i] / period).round();
+            let other = near - period.copysign(near);
+            copies = (copies.into_iter())
+                .flat_map(|copy| {
+                    [near, other].map(|x| {
+                        let mut copy = copy.clone();
+                        copy[i] = x;
+                        copy
+                    })
+                })
+                .collect();
+        }
+        copies
+    }
+
+    /// States along a guess: ways to the equilibrium that decay, swing, or go by another state.
+    fn guess(&self, s: &[f64], k: u64) -> Vec<Vec<f64>> {
+        let n = s.len();
+        let number = |j: u64| uniform(k, j);
+        let count = self.grid.count;
+        let times = (0..=count).map(|i| i as f64 * self.grid.step / self.slow);
+        match k {
+            0 | 1 => {
+                let rate = [1.0, 4.0][k as usize];
+                times
+                    .map(|t| s.iter().map(|s| s * (-rate * t).exp()).collect())
+                    .collect()
+            }
+            _ if k % 3 == 0 => {
+                let size = [0.1, 0.3, 0.6][(k / 3 % 3) as usize];
+                let (decay, swing) = (0.3 + 2.0 * number(0), 12.0 * number(1));
+                let amplitude: Vec<f64> = (0..n)
+                    .map(|i| size * self.plan.widths[i] * (2.0 * number(2 + i as u64) - 1.0))
+                    .collect();
+                times
+                    .map(|t| {
+                        let bump = (-decay * t).exp() * (swing * t).sin();
+                        (s.iter().zip(&amplitude))
+                            .map(|(s, a)| s * (-2.0 * t).exp() + a * bump)
+                            .collect()
+                    })
+                    .collect()
+            }
+            _ => {
+                // By one or two states.
+                let mut corners = vec![(0.0, s.to_vec())];
+                for via in 0..k % 3 {
+                    let draw = |j: u64| number(via * (1 + n as u64) + j);
+                    let time = corners[via as usize].0 + HORIZON * (0.02 + 0.2 * draw(0));
+                    let state = (0..n).map(|i| {
+                        let [lo, hi] = self.plan.region[i];
+                        lo + draw(1 + i as u64) * (hi - lo)
+                    });
+                    corners.push((time, state.collect()));
+                }
+                let time = corners[corners.len() - 1].0 + HORIZON * (0.02 + 0.3 * number(1000));
+                corners.push((time, vec![0.0; n]));
+                times.map(|t| between(&corners, t)).collect()
+            }
+        }
+    }
+
+    /// A path for the boundary value problem, if what was found comes home.
+    fn path(&self, found: descent::Found, end: &End) -> Option<Optimized> {
+        let local = self.plan.local.as_ref()?;
+        let last = found.states.len() - 1;
+        if local.quadratic(&found.states[last]) > LEFT * found.cost.abs() {
+            return None;
+        }
+        let node = |k: usize| [found.states[k].as_slice(), &found.adjoints[k]].concat();
+        let every = ((self.duration / self.grid.step).floor() as usize).max(1);
+        let mut path = Path::new(&node(0));
+        let mut at = 0;
+        // What is near the equilibrium follows the local solution.
+        while at < last && local.quadratic(&found.states[at]) > local.seed_value {
+            let next = (at + every).min(last);
+            path.push((next - at) as f64 * self.grid.step, &node(next));
+            at = next;
+        }
+        let (nodes, durations) = end.tail(&found.states[at], found.cost, self.duration);
+        path.append(&nodes, &durations);
+        Some(Optimized { cost: found.cost, path })
+    }
+}
+
+/// The state at a time on straight ways between timed states; the last one after them.
+fn between(corners: &[(f64, Vec<f64>)], t: f64) -> Vec<f64> {
+    let last = corners.len() - 1;
+    let next = corners.iter().position(|(time, _)| *time > t).unwrap_or(last).max(1);
+    let ((from, a), (to, b)) = (&corners[next - 1], &corners[next]);
+    let share = ((t - from) / (to - from)).min(1.0);
+    a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect()
+}

@@ -1,0 +1,140 @@
+//! Guesses for single states from trajectories that are optimized directly.
+
+use super::{Survey, times};
+use crate::backend::BackendError;
+use crate::shooting::{Path, Solver};
+use crate::value::direct::{Direct, Optimized};
+use crate::value::grow::grown;
+
+/// Guesses that are optimized in a round, and rounds at most.
+const GUESSES: u64 = 12;
+const ROUNDS: u64 = 12;
+/// From this round on there is to be a trajectory a round, or it leads nowhere.
+const LEAST_ROUNDS: u64 = 2;
+/// Costs nearer to each other than this share are one.
+const SAME: f64 = 0.01;
+/// Times that the cheapest trajectory is to be found; or, of all that was found, one in so many.
+const TIMES: usize = 3;
+const ONE_OF: usize = 8;
+/// Guesses and times where all guesses from these many states over the region, most of which lead somewhere, lead to costs that
+/// are alike.
+const PROBES: usize = 16;
+const ALIKE: f64 = 0.03;
+const PLAIN: (u64, usize) = (3, 1);
+/// Another trajectory that costs at most this many times the cheapest leaves it in doubt.
+const RIVAL: f64 = 3.0;
+/// Trajectories that cost at most this many times the least are solved from, and so many of them.
+const ABOVE: f64 = 1.3;
+const TRIED: usize = 4;
+/// Shortest steps, as shares of the way.
+const FROM_OPTIMIZED: f64 = 1.0 / 16.0;
+
+/// Whether costs are about equal.
+fn same(a: f64, b: f64) -> bool {
+    (a - b).abs() <= SAME * b.abs()
+}
+
+impl Survey<'_> {
+    /// Solves single states from trajectories that are optimized directly, in rounds until the cheapest one was found several
+    /// times: from guesses that depend on the state alone. The states that are left in doubt.
+    pub(super) fn try_optimized(
+        &mut self,
+        solver: &mut Solver,
+        direct: &Direct<'_>,
+        targets: &[usize],
+    ) -> Result<Vec<usize>, BackendError> {
+        let (count, times) = if self.is_plain(solver, direct) {
+            PLAIN
+        } else {
+            (GUESSES, TIMES)
+        };
+        // Costs of all that was found for each target.
+        let mut costs: Vec<Vec<f64>> = vec![Vec::new(); self.targets.len()];
+        let mut left = targets.to_vec();
+        for round in 0..ROUNDS {
+            let mut found: Vec<(usize, Optimized)> = Vec::new();
+            for &target in &left {
+                let guesses = round * count..(round + 1) * count;
+                let mut optimized = direct.optimized(&self.state(target, 0), guesses, &solver.scheme.end);
+                optimized.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+                self.starts[target] += count as u32;
+                costs[target].extend(optimized.iter().map(|o| o.cost));
+                found.extend(self.worth_trying(target, optimized));
+            }
+            self.solve_from(solver, found)?;
+            left.retain(|t| {
+                let leads_on = costs[*t].len() as u64 > round || round < LEAST_ROUNDS;
+                leads_on && !self.is_confirmed(*t, &costs[*t], times)
+            });
+            if left.is_empty() {
+                break;
+            }
+        }
+        let is_doubtful = |t: &usize| {
+            let least = self.least_value(*t);
+            let rivals = |cost: &f64| !same(*cost, least) && *cost < super::times(RIVAL, least);
+            !self.is_confirmed(*t, &costs[*t], times) || costs[*t].iter().any(rivals)
+        };
+        Ok(targets.iter().copied().filter(is_doubtful).collect())
+    }
+
+    /// Whether from states over the whole region all guesses lead to about the same.
+    fn is_plain(&self, solver: &Solver, direct: &Direct<'_>) -> bool {
+        let stones = self.stones();
+        let probes = stones
+            .chunks(self.targets.states)
+            .step_by(stones.len() / self.targets.states / PROBES);
+        let mut led = 0;
+        for x in probes {
+            let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+            let found = direct.optimized(&s, 0..GUESSES, &solver.scheme.end);
+            let least = found.iter().map(|o| o.cost).fold(f64::INFINITY, f64::min);
+            if found.iter().any(|other| other.cost > super::times(1.0 + ALIKE, least)) {
+                return false;
+            }
+            led += usize::from(!found.is_empty());
+        }
+        led >= PROBES - PROBES / 4
+    }
+
+    /// Whether the least that is known of a target was found often enough.
+    fn is_confirmed(&self, target: usize, costs: &[f64], times: usize) -> bool {
+        let least = self.least_value(target);
+        let known = costs.iter().copied().fold(least, f64::min);
+        let hits = costs.iter().filter(|cost| same(**cost, known)).count();
+        same(least, known) && hits >= times.max(costs.len() / ONE_OF)
+    }
+
+    /// The cheapest of what was found for a target, by rising cost, those that differ.
+    fn worth_trying(&self, target: usize, optimized: Vec<Optimized>) -> Vec<(usize, Optimized)> {
+        let known = (optimized.first()).map_or(f64::INFINITY, |o| o.cost.min(self.least_value(target)));
+        let mut worth: Vec<(usize, Optimized)> = Vec::new();
+        for one in optimized {
+            let is_new = worth.iter().all(|(_, other)| !same(one.cost, other.cost));
+            if is_new && one.cost <= times(ABOVE, known) && worth.len() < TRIED {
+                worth.push((target, one));
+            }
+        }
+        worth
+    }
+
+    fn solve_from(&mut self, solver: &mut Solver, found: Vec<(usize, Optimized)>) -> Result<(), BackendError> {
+        let mut errands = Vec::new();
+        for (target, one) in &found {
+            errands.extend(self.errand_along(*target, one.path.clone(), FROM_OPTIMIZED));
+        }
+        self.send(solver, errands)?;
+        // What is too rough a guess as a whole is followed from its end.
+        let rough = found
+            .into_iter()
+            .filter(|(t, o)| times(1.0 + SAME, o.cost) < self.least_value(*t));
+        let (targets, paths): (Vec<usize>, Vec<Path>) = rough.map(|(t, o)| (t, o.path)).unzip();
+        let mut errands = Vec::new();
+        for (target, (path, evaluations)) in targets.into_iter().zip(grown(self.plan, solver, paths)?) {
+            self.evaluations += u64::from(evaluations);
+            errands.extend(path.and_then(|(path, _)| self.errand_along(target, path, FROM_OPTIMIZED)));
+        }
+        self.send(solver, errands)?;
+        Ok(())
+    }
+}
