@@ -74,7 +74,7 @@ impl Terminal {
         if plan.sampling == Sampling::ArcLength && plan.game {
             self.note("a game: V may fall and rise along trajectories, which are sampled by arc length and end where the manifold folds");
         } else if plan.sampling == Sampling::ArcLength && !asked {
-            self.note("the running cost is negative in places: V is not monotone along trajectories, which are sampled by arc length");
+            self.note("the running cost is negative in places: V is not monotone along trajectories, which are sampled by arc length; where a state can be held at a negative cost there is no least cost, and V is only that of an extremal");
         }
         if let Some(local) = &plan.local
             && local.error

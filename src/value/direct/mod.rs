@@ -22,8 +22,8 @@ const HORIZON: f64 = 10.0;
 const STEPS: f64 = 2.5;
 const LEAST_STEPS: usize = 100;
 const MOST_STEPS: usize = 400;
-/// Modes that differ more than this are too stiff for steps of one length.
-const STIFF: f64 = 40.0;
+/// Longest step in the time of the fastest mode: longer ones would not be stable.
+const STIFF: f64 = 2.0;
 /// Share of the cost that may be left at the end of the horizon.
 const LEFT: f64 = 0.05;
 
@@ -50,10 +50,11 @@ impl<'a> Direct<'a> {
         let modes = &local.riccati.eigenvalues;
         let slow = 1.0 / modes.iter().map(|e| e.re.abs()).fold(f64::INFINITY, f64::min);
         let fast = 1.0 / modes.iter().map(|e| e.norm()).fold(0.0, f64::max);
-        if !(slow / fast <= STIFF * MOST_STEPS as f64 / HORIZON) {
+        let time = HORIZON * slow;
+        let is_stiff = time / fast > STIFF * MOST_STEPS as f64;
+        if is_stiff || !time.is_finite() || model.controls.is_empty() {
             return None;
         }
-        let time = HORIZON * slow;
         let count = ((STEPS * time / fast).ceil() as usize).clamp(LEAST_STEPS, MOST_STEPS);
         let rates = Rates::new(model);
         let grid = Grid::new(plan, model, time / count as f64, count);
@@ -111,7 +112,7 @@ impl<'a> Direct<'a> {
                     .map(|t| s.iter().map(|s| s * (-rate * t).exp()).collect())
                     .collect()
             }
-            _ if k % 3 == 0 => {
+            _ if k.is_multiple_of(3) => {
                 let size = [0.1, 0.3, 0.6][(k / 3 % 3) as usize];
                 let (decay, swing) = (0.3 + 2.0 * number(0), 12.0 * number(1));
                 let amplitude: Vec<f64> = (0..n)

@@ -63,7 +63,8 @@ impl Rates {
         for rate in &rates {
             derivatives.extend(inputs.iter().map(|z| graph.diff(*rate, *z)));
         }
-        for slope in derivatives[n * inputs.len()..].to_vec() {
+        for k in n * inputs.len()..(n + 1) * inputs.len() {
+            let slope = derivatives[k];
             derivatives.extend(inputs.iter().map(|z| graph.diff(slope, *z)));
         }
         let lower = |roots: &[_]| Evaluator::new(&Program::lower(&graph, &inputs, roots));

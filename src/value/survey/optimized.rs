@@ -1,6 +1,6 @@
 //! Guesses for single states from trajectories that are optimized directly.
 
-use super::{Survey, times};
+use super::{Progress, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
 use crate::value::direct::{Direct, Optimized};
@@ -42,6 +42,7 @@ impl Survey<'_> {
         solver: &mut Solver,
         direct: &Direct<'_>,
         targets: &[usize],
+        progress: Progress<'_>,
     ) -> Result<Vec<usize>, BackendError> {
         let (count, times) = if self.is_plain(solver, direct) {
             PLAIN
@@ -62,6 +63,7 @@ impl Survey<'_> {
                 found.extend(self.worth_trying(target, optimized));
             }
             self.solve_from(solver, found)?;
+            progress("from optimized trajectories", self.solved(), self.targets.len());
             left.retain(|t| {
                 let leads_on = costs[*t].len() as u64 > round || round < LEAST_ROUNDS;
                 leads_on && !self.is_confirmed(*t, &costs[*t], times)

@@ -35,10 +35,10 @@ impl Survey<'_> {
         }
         let mut doubtful: Vec<usize> = (0..self.targets.len())
             .filter(|t| !self.targets.gridded[*t] && !self.is_refused(*t))
+            .filter(|t| !solver.scheme.end.covers(&self.state(*t, 0)))
             .collect();
-        if let Some(direct) = self.direct.take() {
-            doubtful = self.try_optimized(solver, &direct, &doubtful)?;
-            progress("from optimized trajectories", self.solved(), self.targets.len());
+        if let Some(direct) = self.direct.take().filter(|_| !doubtful.is_empty()) {
+            doubtful = self.try_optimized(solver, &direct, &doubtful, progress)?;
         }
         if !doubtful.is_empty() {
             self.over_stones(solver, archive, cover, wanted, &doubtful)?;
