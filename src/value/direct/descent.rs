@@ -8,8 +8,8 @@ use nalgebra::DMatrix;
 /// Weights of the barrier, in units of the control's own cost at its bound.
 const BARRIERS: [f64; 5] = [1.0, 0.1, 1e-2, 1e-3, 1e-4];
 /// Steps under each of them, and under the last one.
-const STEPS: usize = 20;
-const LAST_STEPS: usize = 40;
+const STEPS: usize = 25;
+const LAST_STEPS: usize = 100;
 /// Step, in widths of the region, below which the next barrier is taken; and the last one is done.
 const SMALL: f64 = 0.03;
 const DONE: f64 = 1e-3;

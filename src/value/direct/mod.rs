@@ -24,6 +24,8 @@ const LEAST_STEPS: usize = 100;
 const MOST_STEPS: usize = 400;
 /// Longest step in the time of the fastest mode: longer ones would not be stable.
 const STIFF: f64 = 2.0;
+/// Size of the box about the region's middle in which states lie that guesses go by.
+const VIA: f64 = 1.6;
 /// Share of the cost that may be left at the end of the horizon.
 const LEFT: f64 = 0.05;
 
@@ -135,7 +137,7 @@ impl<'a> Direct<'a> {
                     let time = corners[via as usize].0 + HORIZON * (0.02 + 0.2 * draw(0));
                     let state = (0..n).map(|i| {
                         let [lo, hi] = self.plan.region[i];
-                        lo + draw(1 + i as u64) * (hi - lo)
+                        0.5 * (lo + hi) + VIA * (draw(1 + i as u64) - 0.5) * (hi - lo)
                     });
                     corners.push((time, state.collect()));
                 }
