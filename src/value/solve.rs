@@ -365,7 +365,7 @@ pub fn solve(
     let mut cover = Cover::serves(plan)
         .then(|| Cover::new(plan, model, segment_duration(plan), &Cpu::new()))
         .transpose()?;
-    if !cover.as_ref().is_some_and(Cover::has_cells) {
+    if !request.points.is_empty() && !cover.as_ref().is_some_and(Cover::has_cells) {
         survey.direct = Direct::new(plan, model, segment_duration(plan));
     }
     let mut make = || coarse_grid(plan, model);

@@ -1,11 +1,9 @@
 //! Gauss-Newton steps on a transcribed problem, by a Riccati recursion.
 
 use super::stage::{Rates, Steps, times};
-use crate::model::{Horizon, Model};
-use crate::sweep::Plan;
 use nalgebra::DMatrix;
 
-/// Weights of the barrier, in units of the control's own cost at its bound.
+/// Weights of the barrier, in units of the control's own cost at its bound. Without bounds the last one stands for all.
 const BARRIERS: [f64; 5] = [1.0, 0.1, 1e-2, 1e-3, 1e-4];
 /// Steps under each of them, and under the last one.
 const STEPS: usize = 25;
@@ -23,37 +21,20 @@ const HALVINGS: usize = 10;
 const MERIT: f64 = 1.5;
 const FADING: f64 = 0.7;
 
-/// Times of a problem, bounds and scales.
-pub(super) struct Grid {
+/// Times of a transcribed problem, bounds and scales.
+pub(super) struct Transcription {
     pub step: f64,
     pub count: usize,
-    widths: Vec<f64>,
-    /// Controls where the guess begins, and their bounds.
-    middle: Vec<f64>,
-    bounds: Vec<[f64; 2]>,
+    pub widths: Vec<f64>,
+    /// Controls where a guess begins.
+    pub middle: Vec<f64>,
+    /// Of the controls, infinite where there is none.
+    pub bounds: Vec<[f64; 2]>,
     /// Hessian of V about the equilibrium, row by row.
-    end: Vec<f64>,
+    pub end: Vec<f64>,
 }
 
-impl Grid {
-    pub fn new(plan: &Plan, model: &Model, step: f64, count: usize) -> Self {
-        let bound = |b: Option<f64>, none: f64| b.unwrap_or(none);
-        Self {
-            step,
-            count,
-            widths: plan.widths.clone(),
-            middle: match &model.horizon {
-                Horizon::Infinite { u, .. } => u.clone(),
-                Horizon::Finite { .. } => vec![0.0; model.controls.len()],
-            },
-            bounds: (model.controls.iter())
-                .map(|c| [bound(c.min, f64::NEG_INFINITY), bound(c.max, f64::INFINITY)])
-                .collect(),
-            // Symmetric: by columns is by rows.
-            end: (plan.local.as_ref()).map_or_else(Vec::new, |l| l.riccati.p.as_slice().to_vec()),
-        }
-    }
-
+impl Transcription {
     fn is_bounded(&self) -> bool {
         self.bounds.iter().flatten().any(|b| b.is_finite())
     }
@@ -69,7 +50,7 @@ pub(super) struct Found {
 /// A guess on its way to a trajectory.
 pub(super) struct Descent<'a> {
     rates: &'a Rates,
-    grid: &'a Grid,
+    problem: &'a Transcription,
     /// `[node][n]` and `[step][m]`.
     x: Vec<f64>,
     u: Vec<f64>,
@@ -88,25 +69,25 @@ struct Change {
 }
 
 impl<'a> Descent<'a> {
-    pub fn new(rates: &'a Rates, grid: &'a Grid, guess: &[Vec<f64>]) -> Option<Self> {
+    pub fn new(rates: &'a Rates, problem: &'a Transcription, guess: &[Vec<f64>]) -> Option<Self> {
         let x = guess.concat();
-        let u = grid.middle.repeat(grid.count);
-        let steps = rates.steps(&x, &u, grid.step)?;
-        let (n, width) = (rates.states, rates.states + rates.controls);
-        let first = rates.slopes(&steps, grid.step).into_iter().next()?;
+        let u = problem.middle.repeat(problem.count);
+        let steps = rates.steps(&x, &u, problem.step)?;
+        let (n, m) = (rates.states, rates.controls);
+        let first = rates.slopes(&rates.steps(&x[..2 * n], &u[..m], problem.step)?, problem.step);
         let curvature = |i: usize| {
-            let [lo, hi] = grid.bounds[i];
-            let range = (hi - grid.middle[i]).min(grid.middle[i] - lo);
+            let [lo, hi] = problem.bounds[i];
+            let range = (hi - problem.middle[i]).min(problem.middle[i] - lo);
             if range.is_finite() {
-                first.hessian[(n + i) * (width + 1)] * range * range
+                first[0].hessian[(n + i) * (n + m + 1)] * range * range
             } else {
                 0.0
             }
         };
         Some(Self {
             rates,
-            grid,
-            penalty: vec![0.0; grid.count * n],
+            problem,
+            penalty: vec![0.0; problem.count * n],
             curvature: (0..rates.controls).map(curvature).collect(),
             x,
             u,
@@ -116,10 +97,10 @@ impl<'a> Descent<'a> {
 
     /// What the guess leads to; `None` where it leads nowhere.
     pub fn run(mut self) -> Option<Found> {
-        let barriers = if self.grid.is_bounded() {
+        let barriers = if self.problem.is_bounded() {
             &BARRIERS[..]
         } else {
-            &BARRIERS[4..]
+            &BARRIERS[BARRIERS.len() - 1..]
         };
         let mut p = Vec::new();
         for (k, &barrier) in barriers.iter().enumerate() {
@@ -135,7 +116,7 @@ impl<'a> Descent<'a> {
             }
         }
         let n = self.rates.states;
-        let closed = (0..self.grid.count * n).all(|k| self.gap(k).abs() < CLOSED * self.grid.widths[k % n]);
+        let closed = (0..self.problem.count * n).all(|k| self.gap(k).abs() < CLOSED * self.problem.widths[k % n]);
         let rows = |v: &[f64]| v.chunks(n).map(<[f64]>::to_vec).collect();
         closed.then(|| Found {
             cost: self.cost(&self.x, &self.steps),
@@ -151,9 +132,9 @@ impl<'a> Descent<'a> {
 
     fn cost(&self, x: &[f64], steps: &Steps) -> f64 {
         let n = self.rates.states;
-        let end = &x[self.grid.count * n..];
+        let end = &x[self.problem.count * n..];
         let mut slope = vec![0.0; n];
-        times(&self.grid.end, end, n, n, 1, &mut slope);
+        times(&self.problem.end, end, n, n, 1, &mut slope);
         let left: f64 = slope.iter().zip(end).map(|(p, s)| 0.5 * p * s).sum();
         steps.cost.iter().sum::<f64>() + left
     }
@@ -161,7 +142,7 @@ impl<'a> Descent<'a> {
     /// Controls' distances from bounds that the barrier keeps them from, with its weight: index, distance, sign of its slope.
     fn rooms<'b>(&'b self, u: &'b [f64], barrier: f64) -> impl Iterator<Item = (usize, f64, f64, f64)> + 'b {
         u.iter().enumerate().flat_map(move |(i, u)| {
-            let [lo, hi] = self.grid.bounds[i];
+            let [lo, hi] = self.problem.bounds[i];
             let weight = barrier * self.curvature[i];
             let both = [(i, u - lo, -1.0, weight), (i, hi - u, 1.0, weight)];
             both.into_iter()
@@ -184,17 +165,17 @@ impl<'a> Descent<'a> {
 
     /// The step that solves the linear-quadratic problem along the guess.
     fn change(&mut self, barrier: f64) -> Option<Change> {
-        let (n, m, count) = (self.rates.states, self.rates.controls, self.grid.count);
+        let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count);
         let width = n + m;
-        let slopes = self.rates.slopes(&self.steps, self.grid.step);
+        let slopes = self.rates.slopes(&self.steps, self.problem.step);
         // Hessian and gradient of the cost to go at each node, from the end on; the laws of the steps.
         let mut hessians = vec![0.0; (count + 1) * n * n];
         let mut gradients = vec![0.0; (count + 1) * n];
         let mut constants = vec![0.0; count * m];
         let mut gains = vec![0.0; count * m * n];
-        hessians[count * n * n..].copy_from_slice(&self.grid.end);
+        hessians[count * n * n..].copy_from_slice(&self.problem.end);
         times(
-            &self.grid.end,
+            &self.problem.end,
             &self.x[count * n..],
             n,
             n,
@@ -289,7 +270,7 @@ impl<'a> Descent<'a> {
         let (n, m) = (self.rates.states, self.rates.controls);
         let mut share: f64 = 1.0;
         for (k, (u, du)) in self.u.iter().zip(&change.u).enumerate() {
-            let [lo, hi] = self.grid.bounds[k % m];
+            let [lo, hi] = self.problem.bounds[k % m];
             let room = if *du > 0.0 { hi - u } else { u - lo };
             if *du != 0.0 && room.is_finite() {
                 share = share.min(WITHIN * room / du.abs());
@@ -299,11 +280,11 @@ impl<'a> Descent<'a> {
         for _ in 0..HALVINGS {
             let moved = |a: &[f64], d: &[f64]| -> Vec<f64> { a.iter().zip(d).map(|(a, d)| a + share * d).collect() };
             let (x, u) = (moved(&self.x, &change.x), moved(&self.u, &change.u));
-            if let Some(steps) = self.rates.steps(&x, &u, self.grid.step)
+            if let Some(steps) = self.rates.steps(&x, &u, self.problem.step)
                 && self.merit(&x, &u, &steps, barrier) < now
             {
                 (self.x, self.u, self.steps) = (x, u, steps);
-                let size = |(k, d): (usize, &f64)| (share * d / self.grid.widths[k % n]).abs();
+                let size = |(k, d): (usize, &f64)| (share * d / self.problem.widths[k % n]).abs();
                 return Some(change.x.iter().enumerate().map(size).fold(0.0, f64::max));
             }
             share *= 0.5;

@@ -8,10 +8,11 @@
 mod descent;
 mod stage;
 
-use crate::model::Model;
+use crate::model::{Horizon, Model};
 use crate::shooting::{End, Path};
 use crate::sweep::{Plan, uniform};
-use descent::{Descent, Grid};
+use crate::value::flight::homeward;
+use descent::{Descent, Transcription};
 use rayon::prelude::*;
 use stage::Rates;
 use std::ops::Range;
@@ -29,11 +30,11 @@ const VIA: f64 = 1.6;
 /// Share of the cost that may be left at the end of the horizon.
 const LEFT: f64 = 0.05;
 
-/// The transcribed problem of a scene.
+/// Trajectories of a scene, optimized directly.
 pub struct Direct<'a> {
     plan: &'a Plan,
     rates: Rates,
-    grid: Grid,
+    problem: Transcription,
     /// Time of the slowest mode.
     slow: f64,
     duration: f64,
@@ -46,9 +47,12 @@ pub struct Optimized {
 }
 
 impl<'a> Direct<'a> {
-    /// `None` where there is no equilibrium, in a game, and where modes are too far apart.
+    /// `None` where there is no equilibrium or no control, in a game, and where modes are too far apart.
     pub fn new(plan: &'a Plan, model: &Model, duration: f64) -> Option<Self> {
         let local = plan.local.as_ref().filter(|_| !plan.game)?;
+        let Horizon::Infinite { u: middle, .. } = &model.horizon else {
+            return None;
+        };
         let modes = &local.riccati.eigenvalues;
         let slow = 1.0 / modes.iter().map(|e| e.re.abs()).fold(f64::INFINITY, f64::min);
         let fast = 1.0 / modes.iter().map(|e| e.norm()).fold(0.0, f64::max);
@@ -58,12 +62,21 @@ impl<'a> Direct<'a> {
             return None;
         }
         let count = ((STEPS * time / fast).ceil() as usize).clamp(LEAST_STEPS, MOST_STEPS);
-        let rates = Rates::new(model);
-        let grid = Grid::new(plan, model, time / count as f64, count);
+        let problem = Transcription {
+            step: time / count as f64,
+            count,
+            widths: plan.widths.clone(),
+            middle: middle.clone(),
+            bounds: (model.controls.iter())
+                .map(|c| [c.min.unwrap_or(f64::NEG_INFINITY), c.max.unwrap_or(f64::INFINITY)])
+                .collect(),
+            // Symmetric: by columns is by rows.
+            end: local.riccati.p.as_slice().to_vec(),
+        };
         Some(Self {
             plan,
-            rates,
-            grid,
+            rates: Rates::new(model),
+            problem,
             slow,
             duration,
         })
@@ -76,27 +89,21 @@ impl<'a> Direct<'a> {
             .flat_map_iter(|k| copies.iter().map(move |from| (k, from)))
             .filter_map(|(k, from)| {
                 let guess = self.guess(from, k);
-                self.path(Descent::new(&self.rates, &self.grid, &guess)?.run()?, end)
+                self.path(Descent::new(&self.rates, &self.problem, &guess)?.run()?, end)
             })
             .collect()
     }
 
     /// A state and its copies by a period, as far as they may lead to the equilibrium at less cost.
     fn copies(&self, s: &[f64]) -> Vec<Vec<f64>> {
-        let mut copies = vec![s.to_vec()];
+        let mut copies = vec![homeward(s, &self.plan.recurrent)];
         for (i, period) in self.plan.recurrent.iter().enumerate() {
             let Some(period) = period else { continue };
-            let near = s[i] - period * (s[i] / period).round();
-            let other = near - period.copysign(near);
-            copies = (copies.into_iter())
-                .flat_map(|copy| {
-                    [near, other].map(|x| {
-                        let mut copy = copy.clone();
-                        copy[i] = x;
-                        copy
-                    })
-                })
-                .collect();
+            for near in copies.clone() {
+                let mut other = near;
+                other[i] -= period.copysign(other[i]);
+                copies.push(other);
+            }
         }
         copies
     }
@@ -105,8 +112,8 @@ impl<'a> Direct<'a> {
     fn guess(&self, s: &[f64], k: u64) -> Vec<Vec<f64>> {
         let n = s.len();
         let number = |j: u64| uniform(k, j);
-        let count = self.grid.count;
-        let times = (0..=count).map(|i| i as f64 * self.grid.step / self.slow);
+        let count = self.problem.count;
+        let times = (0..=count).map(|i| i as f64 * self.problem.step / self.slow);
         match k {
             0 | 1 => {
                 let rate = [1.0, 4.0][k as usize];
@@ -156,13 +163,13 @@ impl<'a> Direct<'a> {
             return None;
         }
         let node = |k: usize| [found.states[k].as_slice(), &found.adjoints[k]].concat();
-        let every = ((self.duration / self.grid.step).floor() as usize).max(1);
+        let every = ((self.duration / self.problem.step).floor() as usize).max(1);
         let mut path = Path::new(&node(0));
         let mut at = 0;
         // What is near the equilibrium follows the local solution.
         while at < last && local.quadratic(&found.states[at]) > local.seed_value {
             let next = (at + every).min(last);
-            path.push((next - at) as f64 * self.grid.step, &node(next));
+            path.push((next - at) as f64 * self.problem.step, &node(next));
             at = next;
         }
         let (nodes, durations) = end.tail(&found.states[at], found.cost, self.duration);

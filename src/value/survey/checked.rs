@@ -5,7 +5,7 @@ use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
 use crate::value::extremal::expected_value;
 use crate::value::flight::{Claim, Pilot, along_itself, precise, tolerance, undercut};
-use crate::value::grow::{adjoint_rate, grown, with_adjoints};
+use crate::value::grow::{adjoint_rate, with_adjoints};
 
 /// Rounds in which what undercut a target was solved for.
 const ROUNDS: usize = 4;
@@ -206,14 +206,9 @@ impl Survey<'_> {
         }
         self.send(solver, errands)?;
         // What is too rough a guess as a whole is followed from its end.
-        let rough: Vec<&Undercutting> = undercut.iter().filter(|u| self.is_undercut(u)).collect();
-        let paths = rough.iter().map(|u| u.path.clone()).collect();
-        let mut errands = Vec::new();
-        for (u, (path, evaluations)) in rough.into_iter().zip(grown(self.plan, solver, paths)?) {
-            self.evaluations += u64::from(evaluations);
-            errands.extend(path.and_then(|(path, _)| self.errand_along(u.target, path, SHORT)));
-        }
-        self.send(solver, errands)?;
+        let rough = undercut.iter().filter(|u| self.is_undercut(u));
+        let rough = rough.map(|u| (u.target, u.path.clone())).collect();
+        self.send_grown(solver, rough, SHORT)?;
         let mut lower = Vec::new();
         for (u, before) in undercut.iter().zip(before) {
             self.bounds[u.target] = self.is_undercut(u).then_some(u.cost);

@@ -6,6 +6,7 @@ use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::cover::{Candidate, Cover, Sought};
 use crate::value::extremal::{Extremal, is_elsewhere};
+use crate::value::flight::homeward;
 use std::collections::BTreeMap;
 
 /// Ratio of the costs up to which the manifold is searched, one after the other: in cells, and by points near the target.
@@ -86,9 +87,7 @@ impl Survey<'_> {
         let Some(local) = &self.plan.local else {
             return FIRST_FINITE;
         };
-        let s: Vec<f64> = (self.state(target, 0).iter().zip(&self.plan.periods))
-            .map(|(s, period)| period.map_or(*s, |p| s - p * (s / p).round()))
-            .collect();
+        let s = homeward(&self.state(target, 0), &self.plan.periods);
         (FIRST * local.quadratic(&s) / unit).clamp(LOWEST, HIGHEST[0])
     }
 

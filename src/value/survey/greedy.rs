@@ -4,7 +4,6 @@ use super::{Progress, Survey};
 use crate::backend::BackendError;
 use crate::dynamic_programming::GridValue;
 use crate::shooting::{Path, Solver};
-use crate::value::grow::grown;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -77,15 +76,9 @@ impl Survey<'_> {
             .map(|(t, _)| *t)
             .collect();
         let fine = self.greedy_paths(grid, &rough, PARTS);
-        let (rough, fine): (Vec<usize>, Vec<Path>) = (rough.into_iter().zip(fine))
-            .filter_map(|(t, flown)| Some((t, flown?.1)))
-            .unzip();
-        let mut solved = Vec::new();
-        for (target, (path, evaluations)) in rough.into_iter().zip(grown(self.plan, solver, fine)?) {
-            self.evaluations += u64::from(evaluations);
-            solved.extend(path.map(|(path, _)| (target, path, 1.0)));
-        }
-        found.extend(self.try_paths(solver, solved)?);
+        let fine = (rough.into_iter().zip(fine)).filter_map(|(t, flown)| Some((t, flown?.1)));
+        let reached = self.send_grown(solver, fine.collect(), 1.0)?;
+        found.extend(reached.into_iter().filter_map(|(t, e)| Some((t, e?))));
         Ok((targets.iter().zip(costs))
             .map(|(target, cost)| Greedy {
                 cost,

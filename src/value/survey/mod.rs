@@ -31,13 +31,14 @@ use super::cover::Cover;
 use super::direct::Direct;
 use super::extremal::{Extremal, same};
 use super::fold::Fold;
+use super::grow::grown;
 use super::march;
 use super::targets::Targets;
 use crate::backend::BackendError;
 use crate::backend::cpu::map::Evaluator;
 use crate::dynamic_programming::GridValue;
 use crate::program::Program;
-use crate::shooting::{Failure, Solver};
+use crate::shooting::{Failure, Path, Solver};
 use crate::sweep::Plan;
 use label::Sheets;
 use spread::Effort;
@@ -406,6 +407,22 @@ impl<'a> Survey<'a> {
             }
         }
         Ok(reached)
+    }
+
+    /// Solves along paths to targets from their ends, and from what that leads to.
+    pub(in crate::value) fn send_grown(
+        &mut self,
+        solver: &mut Solver,
+        rough: Vec<(usize, Path)>,
+        least: f64,
+    ) -> Result<Vec<(usize, Option<usize>)>, BackendError> {
+        let (targets, paths): (Vec<usize>, Vec<Path>) = rough.into_iter().unzip();
+        let mut errands = Vec::new();
+        for (target, (path, evaluations)) in targets.into_iter().zip(grown(self.plan, solver, paths)?) {
+            self.evaluations += u64::from(evaluations);
+            errands.extend(path.and_then(|(path, _)| self.errand_along(target, path, least)));
+        }
+        self.send(solver, errands)
     }
 
     /// Notes how far the way to a target led, if that is further than before.

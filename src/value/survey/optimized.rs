@@ -2,9 +2,8 @@
 
 use super::{Progress, Survey, times};
 use crate::backend::BackendError;
-use crate::shooting::{Path, Solver};
+use crate::shooting::Solver;
 use crate::value::direct::{Direct, Optimized};
-use crate::value::grow::grown;
 
 /// Guesses that are optimized in a round, and rounds at most.
 const GUESSES: u64 = 12;
@@ -129,14 +128,10 @@ impl Survey<'_> {
         // What is too rough a guess as a whole is followed from its end.
         let rough = found
             .into_iter()
-            .filter(|(t, o)| times(1.0 + SAME, o.cost) < self.least_value(*t));
-        let (targets, paths): (Vec<usize>, Vec<Path>) = rough.map(|(t, o)| (t, o.path)).unzip();
-        let mut errands = Vec::new();
-        for (target, (path, evaluations)) in targets.into_iter().zip(grown(self.plan, solver, paths)?) {
-            self.evaluations += u64::from(evaluations);
-            errands.extend(path.and_then(|(path, _)| self.errand_along(target, path, FROM_OPTIMIZED)));
-        }
-        self.send(solver, errands)?;
+            .filter(|(t, o)| times(1.0 + SAME, o.cost) < self.least_value(*t))
+            .map(|(t, o)| (t, o.path));
+        let rough = rough.collect();
+        self.send_grown(solver, rough, FROM_OPTIMIZED)?;
         Ok(())
     }
 }

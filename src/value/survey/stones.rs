@@ -9,6 +9,7 @@ use crate::sweep::uniform;
 use crate::value::approach::Approach;
 use crate::value::archive::Archive;
 use crate::value::cover::Cover;
+use crate::value::flight::homeward;
 use crate::value::targets::Targets;
 
 /// Stepping stones, and the shares of the region in which they lie, by turns.
@@ -99,12 +100,9 @@ impl Survey<'_> {
     fn nearest_to(&self, s: &[f64]) -> Vec<usize> {
         let far = |e: usize| -> f64 {
             let start = self.extremals[e].path.start();
-            (0..s.len())
-                .map(|i| {
-                    let apart = s[i] - start[i];
-                    let turns = self.plan.periods[i].map_or(0.0, |p| p * (apart / p).round());
-                    ((apart - turns) / self.plan.widths[i]).powi(2)
-                })
+            let apart: Vec<f64> = s.iter().zip(start).map(|(a, b)| a - b).collect();
+            (homeward(&apart, &self.plan.periods).iter().zip(&self.plan.widths))
+                .map(|(apart, width)| (apart / width).powi(2))
                 .sum()
         };
         let mut order: Vec<(f64, usize)> = (0..self.extremals.len()).map(|e| (far(e), e)).collect();
