@@ -1,18 +1,29 @@
-//! Gauss-Newton steps on a transcribed problem, by a Riccati recursion.
+//! Newton steps on a transcribed problem, by a Riccati recursion. Where its Hessian is not convex, less of the dynamics' curvature is
+//! taken, down to Gauss-Newton steps.
 
-use super::stage::{Rates, Steps, times};
+use super::stage::{Rates, Slopes, Steps, times};
 use nalgebra::DMatrix;
 
 /// Weights of the barrier, in units of the control's own cost at its bound. Without bounds the last one stands for all.
 const BARRIERS: [f64; 5] = [1.0, 0.1, 1e-2, 1e-3, 1e-4];
 /// Steps under each of them, and under the last one.
-const STEPS: usize = 25;
-const LAST_STEPS: usize = 100;
+const STEPS: usize = 60;
+const LAST_STEPS: usize = 200;
 /// Step, in widths of the region, below which the next barrier is taken; and the last one is done.
 const SMALL: f64 = 0.03;
 const DONE: f64 = 1e-3;
+/// A cost that changes by less than this share in so many steps is not followed further, once gaps are closed.
+const SETTLED: f64 = 1e-3;
+const SETTLING: usize = 10;
 /// Gaps, in widths, that count as closed.
 const CLOSED: f64 = 1e-4;
+/// Gaps that are larger after all steps under this barrier are not expected to close.
+const OPEN: f64 = 1e-2;
+const LAST_OPEN: usize = 1;
+/// Shares of the dynamics' curvature that are tried, until the problem is convex.
+const SHARES: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.0];
+/// Multipliers of bounds stay within this factor of the barrier's slope.
+const KEPT: f64 = 1e4;
 /// Share of the way to its bound that a control may go at once.
 const WITHIN: f64 = 0.98;
 /// Times that a step is halved.
@@ -55,6 +66,8 @@ pub(super) struct Descent<'a> {
     x: Vec<f64>,
     u: Vec<f64>,
     steps: Steps,
+    /// Multipliers of the bounds below and above, `[step][m]`; 0 before the first step.
+    duals: [Vec<f64>; 2],
     /// Penalty of the gaps' components, `[step][n]`.
     penalty: Vec<f64>,
     /// Second derivative of the running cost by each control, for the barrier; 0 without bounds.
@@ -74,7 +87,7 @@ impl<'a> Descent<'a> {
         let u = problem.middle.repeat(problem.count);
         let steps = rates.steps(&x, &u, problem.step)?;
         let (n, m) = (rates.states, rates.controls);
-        let first = rates.slopes(&rates.steps(&x[..2 * n], &u[..m], problem.step)?, problem.step);
+        let first = rates.slopes(&rates.steps(&x[..2 * n], &u[..m], problem.step)?, problem.step, None);
         let curvature = |i: usize| {
             let [lo, hi] = problem.bounds[i];
             let range = (hi - problem.middle[i]).min(problem.middle[i] - lo);
@@ -87,6 +100,7 @@ impl<'a> Descent<'a> {
         Some(Self {
             rates,
             problem,
+            duals: [vec![0.0; u.len()], vec![0.0; u.len()]],
             penalty: vec![0.0; problem.count * n],
             curvature: (0..rates.controls).map(curvature).collect(),
             x,
@@ -105,24 +119,41 @@ impl<'a> Descent<'a> {
         let mut p = Vec::new();
         for (k, &barrier) in barriers.iter().enumerate() {
             let is_last = k + 1 == barriers.len();
-            for _ in 0..if is_last { LAST_STEPS } else { STEPS } {
-                let change = self.change(barrier)?;
+            let (most, small) = if is_last { (LAST_STEPS, DONE) } else { (STEPS, SMALL) };
+            let mut costs = Vec::new();
+            for step in 0..most {
+                let change = self.change(barrier, &p)?;
                 let size = self.advance(&change, barrier);
                 p = change.p;
-                match size {
-                    Some(size) if size > if is_last { DONE } else { SMALL } => {}
-                    _ => break,
+                if size.is_none_or(|size| size <= small) {
+                    break;
+                }
+                costs.push(self.cost(&self.x, &self.steps));
+                let settled = (step.checked_sub(SETTLING))
+                    .is_some_and(|before| (costs[step] - costs[before]).abs() < SETTLED * costs[step].abs());
+                if settled && self.largest_gap() < CLOSED {
+                    break;
+                }
+                if k == LAST_OPEN && step + 1 == most && self.largest_gap() > OPEN {
+                    return None;
                 }
             }
         }
-        let n = self.rates.states;
-        let closed = (0..self.problem.count * n).all(|k| self.gap(k).abs() < CLOSED * self.problem.widths[k % n]);
-        let rows = |v: &[f64]| v.chunks(n).map(<[f64]>::to_vec).collect();
-        closed.then(|| Found {
+        let rows = |v: &[f64]| v.chunks(self.rates.states).map(<[f64]>::to_vec).collect();
+        (self.largest_gap() < CLOSED).then(|| Found {
             cost: self.cost(&self.x, &self.steps),
             states: rows(&self.x),
             adjoints: rows(&p),
         })
+    }
+
+    /// In widths.
+    fn largest_gap(&self) -> f64 {
+        let widths = self.problem.widths.iter().cycle();
+        let gaps = (0..self.steps.next.len())
+            .zip(widths)
+            .map(|(k, width)| self.gap(k).abs() / width);
+        gaps.fold(0.0, f64::max)
     }
 
     /// A gap's component.
@@ -137,6 +168,37 @@ impl<'a> Descent<'a> {
         times(&self.problem.end, end, n, n, 1, &mut slope);
         let left: f64 = slope.iter().zip(end).map(|(p, s)| 0.5 * p * s).sum();
         steps.cost.iter().sum::<f64>() + left
+    }
+
+    /// Multiplier of a control's bound, whose slope the barrier says; on the side of its sign.
+    fn dual(&self, control: usize, sign: f64, slope: f64) -> f64 {
+        let dual = self.duals[usize::from(sign > 0.0)][control];
+        if dual == 0.0 {
+            slope
+        } else {
+            dual.clamp(slope / KEPT, slope * KEPT)
+        }
+    }
+
+    /// Takes as much of the multipliers' step as keeps them positive (a primal-dual barrier).
+    fn advance_duals(&mut self, change: &Change, barrier: f64) {
+        let m = self.rates.controls;
+        let mut share: f64 = 1.0;
+        let mut changes = Vec::new();
+        for (k, u) in self.u.chunks(m).enumerate() {
+            for (i, room, sign, weight) in self.rooms(u, barrier) {
+                let (control, slope) = (k * m + i, weight / room);
+                let dual = self.dual(control, sign, slope);
+                let by = slope - dual + sign * dual / room * change.u[control];
+                if by < 0.0 {
+                    share = share.min(-WITHIN * dual / by);
+                }
+                changes.push((control, sign, dual, by));
+            }
+        }
+        for (control, sign, dual, by) in changes {
+            self.duals[usize::from(sign > 0.0)][control] = dual + share * by;
+        }
     }
 
     /// Controls' distances from bounds that the barrier keeps them from, with its weight: index, distance, sign of its slope.
@@ -163,11 +225,24 @@ impl<'a> Descent<'a> {
         merit + gaps.map(|((next, x), penalty)| penalty * (next - x).abs()).sum::<f64>()
     }
 
-    /// The step that solves the linear-quadratic problem along the guess.
-    fn change(&mut self, barrier: f64) -> Option<Change> {
+    /// The step that solves the linear-quadratic problem along the guess, which adjoints `p` belong to, if there are any.
+    fn change(&mut self, barrier: f64, p: &[f64]) -> Option<Change> {
+        let n = self.rates.states;
+        let slopes = self.rates.slopes(&self.steps, self.problem.step, p.get(n..));
+        let shares = if p.is_empty() { &[0.0] } else { &SHARES[..] };
+        let change = shares
+            .iter()
+            .find_map(|share| self.change_by(barrier, &slopes, *share))?;
+        for (penalty, p) in self.penalty.iter_mut().zip(&change.p[n..]) {
+            *penalty = (FADING * *penalty).max(MERIT * p.abs());
+        }
+        Some(change)
+    }
+
+    /// The step with a share of the dynamics' curvature; none where the problem is not convex.
+    fn change_by(&self, barrier: f64, slopes: &[Slopes], share: f64) -> Option<Change> {
         let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count);
         let width = n + m;
-        let slopes = self.rates.slopes(&self.steps, self.problem.step);
         // Hessian and gradient of the cost to go at each node, from the end on; the laws of the steps.
         let mut hessians = vec![0.0; (count + 1) * n * n];
         let mut gradients = vec![0.0; (count + 1) * n];
@@ -188,6 +263,9 @@ impl<'a> Descent<'a> {
             let hessian = &hessians[(k + 1) * n * n..][..n * n];
             let mut first = at.gradient.clone();
             second.copy_from_slice(&at.hessian);
+            for (second, curvature) in second.iter_mut().zip(&at.curvature) {
+                *second += share * curvature;
+            }
             times(hessian, &at.jacobian, n, n, width, &mut product);
             for i in 0..n {
                 let ahead =
@@ -202,7 +280,7 @@ impl<'a> Descent<'a> {
             }
             for (i, room, sign, weight) in self.rooms(&self.u[k * m..][..m], barrier) {
                 first[n + i] += sign * weight / room;
-                second[(n + i) * (width + 1)] += weight / (room * room);
+                second[(n + i) * (width + 1)] += self.dual(k * m + i, sign, weight / room) / room;
             }
             // The law: m equations in n + 1 right-hand sides.
             let by_control = DMatrix::from_fn(m, m, |i, j| second[(n + i) * width + n + j]);
@@ -258,14 +336,11 @@ impl<'a> Descent<'a> {
                 change.p[k * n + i] += (0..n).map(|j| row[j] * change.x[k * n + j]).sum::<f64>();
             }
         }
-        for (penalty, p) in self.penalty.iter_mut().zip(&change.p[n..]) {
-            *penalty = (FADING * *penalty).max(MERIT * p.abs());
-        }
         let finite = change.x.iter().chain(&change.u).all(|d| d.is_finite());
         finite.then_some(change)
     }
 
-    /// Takes as much of a step as makes the merit less; its size, none where there is no such part.
+    /// Takes as much of a step as makes the merit less; the whole step's size, none where there is no such part.
     fn advance(&mut self, change: &Change, barrier: f64) -> Option<f64> {
         let (n, m) = (self.rates.states, self.rates.controls);
         let mut share: f64 = 1.0;
@@ -283,8 +358,9 @@ impl<'a> Descent<'a> {
             if let Some(steps) = self.rates.steps(&x, &u, self.problem.step)
                 && self.merit(&x, &u, &steps, barrier) < now
             {
+                self.advance_duals(change, barrier);
                 (self.x, self.u, self.steps) = (x, u, steps);
-                let size = |(k, d): (usize, &f64)| (share * d / self.problem.widths[k % n]).abs();
+                let size = |(k, d): (usize, &f64)| (d / self.problem.widths[k % n]).abs();
                 return Some(change.x.iter().enumerate().map(size).fold(0.0, f64::max));
             }
             share *= 0.5;

@@ -1,9 +1,9 @@
 //! Trajectories by direct optimization: guesses for states that nothing shows the extremals of.
 //!
 //! State and control are unknowns at all steps of a fixed time at once, so that a guess need not obey the dynamics, and
-//! instability does not matter: Gauss-Newton steps on the linear-quadratic problem along the guess, whose gaps they close
-//! (multiple shooting: Bock and Plitt 1984; by a Riccati recursion: Giftthaler, Neunert, Staeuble, Buchli and Diehl, IROS
-//! 2018). Bounds of controls are a logarithmic barrier that is lowered.
+//! instability does not matter: Newton steps on the linear-quadratic problem along the guess, whose gaps they close (multiple
+//! shooting: Bock and Plitt 1984; by a Riccati recursion: Giftthaler, Neunert, Staeuble, Buchli and Diehl, IROS 2018). Bounds of
+//! controls are a primal-dual logarithmic barrier that is lowered (Waechter and Biegler 2006).
 
 mod descent;
 mod stage;

@@ -15,6 +15,8 @@ const WEIGHTS: [f64; 4] = [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0];
 pub(super) struct Rates {
     rates: Evaluator,
     derivatives: Evaluator,
+    /// Second derivatives of a weighted sum of f, of `(x, u, weights)`: the upper triangle.
+    curvatures: Evaluator,
     pub states: usize,
     pub controls: usize,
 }
@@ -35,6 +37,8 @@ pub(super) struct Slopes {
     pub gradient: Vec<f64>,
     /// Of Gauss-Newton: without the dynamics' curvature, and not negative. `[n + m][n + m]`.
     pub hessian: Vec<f64>,
+    /// What the dynamics' curvature adds to that; empty where no adjoints were given.
+    pub curvature: Vec<f64>,
 }
 
 impl Rates {
@@ -67,10 +71,23 @@ impl Rates {
             let slope = derivatives[k];
             derivatives.extend(inputs.iter().map(|z| graph.diff(slope, *z)));
         }
-        let lower = |roots: &[_]| Evaluator::new(&Program::lower(&graph, &inputs, roots));
+        let mut weights = Vec::new();
+        let mut weighted = graph.constant(0.0);
+        for (i, rate) in rates[..n].iter().enumerate() {
+            weights.push(graph.symbol(&format!("direct weight {i}"), Kind::State));
+            let share = graph.mul(weights[i], *rate);
+            weighted = graph.add(weighted, share);
+        }
+        let mut curvatures = Vec::new();
+        for (i, a) in inputs.iter().enumerate() {
+            let slope = graph.diff(weighted, *a);
+            curvatures.extend(inputs[i..].iter().map(|b| graph.diff(slope, *b)));
+        }
+        let lower = |inputs: &[_], roots: &[_]| Evaluator::new(&Program::lower(&graph, inputs, roots));
         Self {
-            rates: lower(&rates),
-            derivatives: lower(&derivatives),
+            rates: lower(&inputs, &rates),
+            derivatives: lower(&inputs, &derivatives),
+            curvatures: lower(&[inputs.as_slice(), &weights].concat(), &curvatures),
             states: n,
             controls: model.controls.len(),
         }
@@ -104,20 +121,24 @@ impl Rates {
         finite.then_some(steps)
     }
 
-    /// Derivatives of steps, through all stages.
-    pub fn slopes(&self, steps: &Steps, h: f64) -> Vec<Slopes> {
+    /// Derivatives of steps, through all stages; with the dynamics' curvature for adjoints after the steps, `[step][n]`.
+    pub fn slopes(&self, steps: &Steps, h: f64, adjoints: Option<&[f64]>) -> Vec<Slopes> {
         let (n, width) = (self.states, self.states + self.controls);
         let outputs = (n + 1) * width + width * width;
         let all: Vec<Vec<f64>> = steps.stages.iter().map(|at| self.derivatives.eval(at, width)).collect();
         let mut by_stage = vec![0.0; width * width];
         let mut slope = vec![0.0; n * width];
         let mut product = vec![0.0; width * width];
+        let mut square = vec![0.0; width * width];
+        let curvatures = adjoints.map_or_else(Vec::new, |p| self.curvatures(steps, h, p, &all));
+        let triangle = width * (width + 1) / 2;
         (0..steps.cost.len())
             .map(|k| {
                 let mut slopes = Slopes {
                     jacobian: vec![0.0; n * width],
                     gradient: vec![0.0; width],
                     hessian: vec![0.0; width * width],
+                    curvature: vec![0.0; adjoints.map_or(0, |_| width * width)],
                 };
                 slope.fill(0.0);
                 for i in 0..n {
@@ -142,18 +163,66 @@ impl Rates {
                     times(second, &by_stage, width, width, width, &mut product);
                     for a in 0..width {
                         for i in 0..width {
-                            let share = weight * h * by_stage[i * width + a];
-                            slopes.gradient[a] += share * gradient[i];
-                            for b in 0..width {
-                                slopes.hessian[a * width + b] += share * product[i * width + b];
-                            }
+                            slopes.gradient[a] += weight * h * by_stage[i * width + a] * gradient[i];
                         }
+                    }
+                    add_product(&by_stage, &product, width, weight * h, &mut slopes.hessian);
+                    if let Some(of_stage) = curvatures.get(stage) {
+                        symmetric(&of_stage[k * triangle..][..triangle], width, &mut square);
+                        times(&square, &by_stage, width, width, width, &mut product);
+                        add_product(&by_stage, &product, width, 1.0, &mut slopes.curvature);
                     }
                 }
                 not_negative(&mut slopes.hessian, width);
                 slopes
             })
             .collect()
+    }
+
+    /// Second derivatives of f at the stages, weighted by the stages' adjoints.
+    fn curvatures(&self, steps: &Steps, h: f64, adjoints: &[f64], derivatives: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let (n, width) = (self.states, self.states + self.controls);
+        let count = steps.cost.len();
+        let outputs = (n + 1) * width + width * width;
+        let mut curvatures = vec![Vec::new(); NODES.len()];
+        // Adjoints of the stages' rates, `[step][n]`, from the last stage to the first.
+        let mut weights: Vec<f64> = Vec::new();
+        for stage in (0..NODES.len()).rev() {
+            let mut here: Vec<f64> = adjoints.iter().map(|p| h * WEIGHTS[stage] * p).collect();
+            if let (Some(node), Some(of_next)) = (NODES.get(stage + 1), derivatives.get(stage + 1)) {
+                for k in 0..count {
+                    let next = &of_next[k * outputs..][..outputs];
+                    for i in 0..n {
+                        let dynamics: f64 = (0..n).map(|j| next[j * width + i] * weights[k * n + j]).sum();
+                        let cost = h * WEIGHTS[stage + 1] * next[n * width + i];
+                        here[k * n + i] += node * h * (dynamics + cost);
+                    }
+                }
+            }
+            weights = here;
+            let points = steps.stages[stage].chunks(width).zip(weights.chunks(n));
+            let at: Vec<f64> = points.flat_map(|(z, weights)| [z, weights].concat()).collect();
+            curvatures[stage] = self.curvatures.eval(&at, width + n);
+        }
+        curvatures
+    }
+}
+
+/// A symmetric matrix from its upper triangle.
+fn symmetric(upper: &[f64], width: usize, square: &mut [f64]) {
+    let places = (0..width).flat_map(|a| (a..width).map(move |b| (a, b)));
+    for ((a, b), v) in places.zip(upper) {
+        square[a * width + b] = *v;
+        square[b * width + a] = *v;
+    }
+}
+
+/// Adds `factor a' b` to `c`, for square matrices.
+fn add_product(a: &[f64], b: &[f64], width: usize, factor: f64, c: &mut [f64]) {
+    for (row_a, row_b) in a.chunks(width).zip(b.chunks(width)) {
+        for (a, c) in row_a.iter().zip(c.chunks_mut(width)) {
+            c.iter_mut().zip(row_b).for_each(|(c, b)| *c += factor * a * b);
+        }
     }
 }
 
@@ -180,4 +249,54 @@ fn not_negative(matrix: &mut [f64], width: usize) {
     let mut eigen = square.symmetric_eigen();
     eigen.eigenvalues.iter_mut().for_each(|v| *v = v.max(0.0));
     matrix.copy_from_slice(eigen.recompose().as_slice());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario;
+
+    #[test]
+    fn derivatives_are_those_of_the_step() {
+        let text = r#"
+            states = { a = {}, b = {} }
+            controls = { u = {} }
+            dynamics = { a = "b", b = "sin(a) - 0.3*b^2 + u*cos(a)" }
+            cost = { running = "2*a^2 + 0.5*b^2 + 0.3*cosh(u)*u^2 + 0.1*a*b" }
+            equilibrium = { a = 0, b = 0, u = 0 }
+            region = { a = [-1, 1], b = [-1, 1] }
+            shoot_out = { value_max = 1 }
+            "#;
+        let model = scenario::parse(text, "test", &[]).expect("a scene");
+        let rates = Rates::new(&model);
+        let (z, h, p) = ([0.7, -0.4, 0.3], 0.2, [1.3, -0.8]);
+        // Cost of a step and p times the state after it.
+        let lagrangian = |z: &[f64]| {
+            let steps = rates.steps(&z[..2], &z[2..], h).expect("finite");
+            steps.cost[0] + p.iter().zip(&steps.next).map(|(p, x)| p * x).sum::<f64>()
+        };
+        let steps = rates.steps(&z[..2], &z[2..], h).expect("finite");
+        let slopes = &rates.slopes(&steps, h, Some(&p))[0];
+        let eps = 1e-4;
+        let moved = |by: &[(usize, f64)]| {
+            let mut z = z;
+            by.iter().for_each(|(i, d)| z[*i] += d);
+            lagrangian(&z)
+        };
+        for i in 0..3 {
+            let slope = slopes.gradient[i] + p[0] * slopes.jacobian[i] + p[1] * slopes.jacobian[3 + i];
+            let difference = (moved(&[(i, eps)]) - moved(&[(i, -eps)])) / (2.0 * eps);
+            assert!((slope - difference).abs() < 1e-7, "slope {i}: {slope} and {difference}");
+            for j in 0..3 {
+                let second = slopes.hessian[i * 3 + j] + slopes.curvature[i * 3 + j];
+                let corner = |a: f64, b: f64| moved(&[(i, a * eps), (j, b * eps)]);
+                let difference =
+                    (corner(1.0, 1.0) - corner(1.0, -1.0) - corner(-1.0, 1.0) + corner(-1.0, -1.0)) / (4.0 * eps * eps);
+                assert!(
+                    (second - difference).abs() < 1e-6,
+                    "{i}, {j}: {second} and {difference}"
+                );
+            }
+        }
+    }
 }
