@@ -16,7 +16,8 @@ pub(super) struct Rates {
     rates: Evaluator,
     derivatives: Evaluator,
     /// Second derivatives of a weighted sum of f, of `(x, u, weights)`: the upper triangle.
-    curvatures: Evaluator,
+    /// None where all are 0.
+    curvatures: Option<Evaluator>,
     pub states: usize,
     pub controls: usize,
 }
@@ -37,7 +38,7 @@ pub(super) struct Slopes {
     pub gradient: Vec<f64>,
     /// Of Gauss-Newton: without the dynamics' curvature, and not negative. `[n + m][n + m]`.
     pub hessian: Vec<f64>,
-    /// What the dynamics' curvature adds to that; empty where no adjoints were given.
+    /// What the dynamics' curvature adds to that; empty where it is 0 and where no adjoints were given.
     pub curvature: Vec<f64>,
 }
 
@@ -87,7 +88,8 @@ impl Rates {
         Self {
             rates: lower(&inputs, &rates),
             derivatives: lower(&inputs, &derivatives),
-            curvatures: lower(&[inputs.as_slice(), &weights].concat(), &curvatures),
+            curvatures: (curvatures.iter().any(|c| !graph.is_zero(*c)))
+                .then(|| lower(&[inputs.as_slice(), &weights].concat(), &curvatures)),
             states: n,
             controls: model.controls.len(),
         }
@@ -130,7 +132,8 @@ impl Rates {
         let mut slope = vec![0.0; n * width];
         let mut product = vec![0.0; width * width];
         let mut square = vec![0.0; width * width];
-        let curvatures = adjoints.map_or_else(Vec::new, |p| self.curvatures(steps, h, p, &all));
+        let curvatures = (self.curvatures.as_ref().zip(adjoints))
+            .map_or_else(Vec::new, |(second, p)| self.curvatures(second, steps, h, p, &all));
         let triangle = width * (width + 1) / 2;
         (0..steps.cost.len())
             .map(|k| {
@@ -138,7 +141,7 @@ impl Rates {
                     jacobian: vec![0.0; n * width],
                     gradient: vec![0.0; width],
                     hessian: vec![0.0; width * width],
-                    curvature: vec![0.0; adjoints.map_or(0, |_| width * width)],
+                    curvature: vec![0.0; if curvatures.is_empty() { 0 } else { width * width }],
                 };
                 slope.fill(0.0);
                 for i in 0..n {
@@ -180,7 +183,14 @@ impl Rates {
     }
 
     /// Second derivatives of f at the stages, weighted by the stages' adjoints.
-    fn curvatures(&self, steps: &Steps, h: f64, adjoints: &[f64], derivatives: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    fn curvatures(
+        &self,
+        second: &Evaluator,
+        steps: &Steps,
+        h: f64,
+        adjoints: &[f64],
+        derivatives: &[Vec<f64>],
+    ) -> Vec<Vec<f64>> {
         let (n, width) = (self.states, self.states + self.controls);
         let count = steps.cost.len();
         let outputs = (n + 1) * width + width * width;
@@ -202,7 +212,7 @@ impl Rates {
             weights = here;
             let points = steps.stages[stage].chunks(width).zip(weights.chunks(n));
             let at: Vec<f64> = points.flat_map(|(z, weights)| [z, weights].concat()).collect();
-            curvatures[stage] = self.curvatures.eval(&at, width + n);
+            curvatures[stage] = second.eval(&at, width + n);
         }
         curvatures
     }
