@@ -1,115 +1,295 @@
-//! A law as a C header that needs nothing but `math.h`: straight-line code of the law's expressions.
+//! A law as a C header that needs nothing but `math.h`: weights in arrays, loops over them, and straight-line code of
+//! `u*(x, p)` where the law is a value function. In double precision, or in single.
 
-use super::law::ClosedForm;
+use super::law::{ClosedForm, Law, Meaning, Optimal, Polynomial};
+use super::network::{Activation, Layer};
 use crate::expr::{Fun, Graph, Id, Node, Op};
 use crate::model::Model;
+use nalgebra::DMatrix;
 use std::collections::HashMap;
 use std::fmt::Write;
 
 /// The header's text. It defines `NAME_u(x, u)`, and of a value function also `NAME_V(x, V, p)`; bounds on controls are
-/// applied. `name` is an identifier.
-pub fn header(name: &str, form: &ClosedForm, model: &Model) -> String {
+/// applied. Numbers are of the type `NAME_real`: `double`, or `float` where `COSTATE_FLOAT` is defined. `name` is an
+/// identifier.
+pub fn header(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> String {
     let guard = format!("COSTATE_{}_H", name.to_uppercase());
     let states: Vec<&str> = model.states.iter().map(|s| s.variable.name.as_str()).collect();
-    let outputs: Vec<&str> = form.outputs.iter().map(String::as_str).collect();
-    let (n, m) = (states.len(), outputs.len());
+    let (n, m) = (states.len(), form.outputs.len());
+    let value = law.meaning == Meaning::Value;
     let mut text = format!(
-        "/* Feedback law `{name}` of the scene: {}\n   written by costate {}.\n   x: {}\n   u: {}{} */\n\
-         #ifndef {guard}\n#define {guard}\n\n#include <math.h>\n",
+        "/* Feedback law `{name}` of the scene: {}\n   written by costate {}.\n   x: {}\n   u: {}{}\n   \
+         Define COSTATE_FLOAT for single precision. */\n\
+         #ifndef {guard}\n#define {guard}\n\n#include <math.h>\n\n\
+         #ifdef COSTATE_FLOAT\ntypedef float {name}_real;\n#define {guard}_FN(g) g##f\n\
+         #else\ntypedef double {name}_real;\n#define {guard}_FN(g) g\n#endif\n\n",
         comment(&model.title),
         env!("CARGO_PKG_VERSION"),
         states.join(", "),
-        outputs.join(", "),
-        if form.value.is_some() {
+        form.outputs.join(", "),
+        if value {
             "\n   V: the value function, p: its gradient by x"
         } else {
             ""
         },
     );
-    let commands: Vec<(String, Id)> = (form.commands.iter().enumerate())
-        .map(|(i, id)| (format!("u[{i}]"), *id))
-        .collect();
-    text += &format!("\nstatic inline void {name}_u(const double x[{n}], double u[{m}])\n");
-    text += &body(&form.graph, &form.x, &commands);
-    if let Some((value, slopes)) = &form.value {
-        let mut targets = vec![("*V".to_owned(), *value)];
-        targets.extend(slopes.iter().enumerate().map(|(i, id)| (format!("p[{i}]"), *id)));
-        text += &format!("\nstatic inline void {name}_V(const double x[{n}], double *V, double p[{n}])\n");
-        text += &body(&form.graph, &form.x, &targets);
+    let c = Syntax {
+        real: &format!("{name}_real"),
+        function: &format!("{guard}_FN"),
+        name,
+    };
+    text += &c.data(law, &states);
+    text += &c.network(law);
+    let Syntax { real, .. } = c;
+    if value {
+        text += &format!("\nstatic inline void {name}_V(const {real} x[{n}], {real} *V, {real} p[{n}])\n{{\n");
+        text += &format!("    {name}_outputs(x, V, p);\n}}\n");
     }
-    text + &format!("\n#endif /* {guard} */\n")
+    text += &format!("\nstatic inline void {name}_u(const {real} x[{n}], {real} u[{m}])\n{{\n");
+    match &form.optimal {
+        Some(optimal) => {
+            text += &format!("    {real} V, p[{n}];\n    {name}_V(x, &V, p);\n");
+            text += &c.straight(&form.graph, &form.x, optimal);
+        }
+        None => {
+            text += &format!("    {name}_outputs(x, u);\n");
+            for (i, output) in form.outputs.iter().enumerate() {
+                let control = model.controls.iter().find(|c| c.variable.name == *output);
+                let bounds = control.map_or([None; 2], |c| [c.min, c.max]);
+                for (bound, sign) in bounds.into_iter().zip(["<", ">"]) {
+                    let Some(bound) = bound else { continue };
+                    let bound = number(bound);
+                    text += &format!("    if (u[{i}] {sign} ({real}){bound}) u[{i}] = ({real}){bound};\n");
+                }
+            }
+        }
+    }
+    text + &format!("}}\n\n#undef {guard}_FN\n#endif /* {guard} */\n")
+}
+
+/// Names that the code uses.
+struct Syntax<'a> {
+    name: &'a str,
+    real: &'a str,
+    /// Macro that gives a function of `math.h` in the type's precision.
+    function: &'a str,
+}
+
+impl Syntax<'_> {
+    /// Weights, and what is added to the network, as arrays.
+    fn data(&self, law: &Law, states: &[&str]) -> String {
+        let mut text = String::new();
+        let place = |input: &String| states.iter().position(|s| s == input).expect("an input is a state");
+        let places: Vec<String> = law.network.inputs.iter().map(|i| place(i).to_string()).collect();
+        text += &format!(
+            "/* Which states the inputs are. */\nstatic const int {}_inputs[{}] = {{{}}};\n",
+            self.name,
+            places.len(),
+            places.join(",")
+        );
+        for (k, Layer { weights, bias }) in law.network.layers.iter().enumerate() {
+            text += &self.matrix(&format!("W{}", k + 1), weights);
+            text += &self.vector(&format!("b{}", k + 1), bias.iter().copied());
+        }
+        if let Some(base) = &law.base {
+            text += "/* Added: constant + linear d + 1/2 d' quadratic d, d = inputs - center. */\n";
+            text += &self.vector("center", base.center.iter().copied());
+            text += &self.vector("constant", base.constant.iter().copied());
+            text += &self.matrix("linear", &base.linear);
+            if let Some(quadratic) = &base.quadratic {
+                text += &self.matrix("quadratic", quadratic);
+            }
+        }
+        text
+    }
+
+    fn vector(&self, of: &str, values: impl ExactSizeIterator<Item = f64>) -> String {
+        let count = values.len();
+        let values: Vec<String> = values.map(|v| format!("{v:?}")).collect();
+        let Self { name, real, .. } = self;
+        format!("static const {real} {name}_{of}[{count}] = {{{}}};\n", values.join(","))
+    }
+
+    fn matrix(&self, of: &str, matrix: &DMatrix<f64>) -> String {
+        let row = |row: usize| {
+            let values: Vec<String> = matrix.row(row).iter().map(|v| format!("{v:?}")).collect();
+            format!("{{{}}}", values.join(","))
+        };
+        let rows: Vec<String> = (0..matrix.nrows()).map(row).collect();
+        let Self { name, real, .. } = self;
+        let (r, c) = matrix.shape();
+        format!(
+            "static const {real} {name}_{of}[{r}][{c}] = {{\n{}}};\n",
+            rows.join(",\n")
+        )
+    }
+
+    /// `NAME_outputs(x, y)`: what the network and the polynomial give; of a value function with its gradient, backward through
+    /// the layers.
+    fn network(&self, law: &Law) -> String {
+        let Self { name, real, .. } = self;
+        let layers = &law.network.layers;
+        let (inputs, last) = (law.network.inputs.len(), layers.len());
+        let size = |k: usize| if k == 0 { inputs } else { layers[k - 1].bias.len() };
+        let value = law.meaning == Meaning::Value;
+        let slopes = if value { format!(", {real} *p") } else { String::new() };
+        let mut text =
+            format!("\nstatic inline void {name}_outputs(const {real} *x, {real} *y{slopes})\n{{\n    int i, j;\n");
+        let hidden: Vec<String> = (0..last).map(|k| format!("h{k}[{}]", size(k))).collect();
+        text += &format!("    {real} {};\n", hidden.join(", "));
+        text += &format!("    for (i = 0; i < {inputs}; i++) h0[i] = x[{name}_inputs[i]];\n");
+        for k in 1..=last {
+            let target = if k == last { "y".to_owned() } else { format!("h{k}") };
+            let (rows, columns) = (size(k), size(k - 1));
+            let unit = if k == last {
+                "z".to_owned()
+            } else {
+                self.unit(law.network.activation)
+            };
+            text += &format!(
+                "    for (i = 0; i < {rows}; i++) {{\n        {real} z = {name}_b{k}[i];\n        \
+                 for (j = 0; j < {columns}; j++) z += {name}_W{k}[i][j] * h{}[j];\n        {target}[i] = {unit};\n    }}\n",
+                k - 1
+            );
+        }
+        if value {
+            text += &self.backward(law, &size);
+        }
+        if let Some(base) = &law.base {
+            text += &self.polynomial(base, value);
+        }
+        text + "}\n"
+    }
+
+    fn unit(&self, activation: Activation) -> String {
+        let Self { real, function, .. } = self;
+        match activation {
+            Activation::Tanh => format!("{function}(tanh)(z)"),
+            Activation::Logistic => format!("({real})0.5 + ({real})0.5 * {function}(tanh)(({real})0.5 * z)"),
+        }
+    }
+
+    /// The only output's slopes by the states.
+    fn backward(&self, law: &Law, size: &dyn Fn(usize) -> usize) -> String {
+        let Self { name, real, .. } = self;
+        let last = law.network.layers.len();
+        let mut text = String::from("    /* Slopes, from the output backward. */\n");
+        let slopes: Vec<String> = (0..last).map(|k| format!("g{k}[{}]", size(k))).collect();
+        let inputs = size(0);
+        text = format!("{text}    {{\n    {real} {};\n", slopes.join(", "));
+        for k in (0..last).rev() {
+            let columns = size(k);
+            if k + 1 == last {
+                text += &format!("    for (j = 0; j < {columns}; j++) g{k}[j] = {name}_W{last}[0][j];\n");
+            } else {
+                let (above, rows) = (k + 1, size(k + 1));
+                text += &format!(
+                    "    for (j = 0; j < {columns}; j++) g{k}[j] = 0;\n    for (i = 0; i < {rows}; i++) {{\n        \
+                     const {real} s = g{above}[i] * {};\n        \
+                     for (j = 0; j < {columns}; j++) g{k}[j] += s * {name}_W{above}[i][j];\n    }}\n",
+                    match law.network.activation {
+                        Activation::Tanh => format!("(1 - h{above}[i] * h{above}[i])"),
+                        Activation::Logistic => format!("h{above}[i] * (1 - h{above}[i])"),
+                    }
+                );
+            }
+        }
+        text + &format!("    for (i = 0; i < {inputs}; i++) p[{name}_inputs[i]] = g0[i];\n    }}\n")
+    }
+
+    fn polynomial(&self, base: &Polynomial, value: bool) -> String {
+        let Self { name, real, .. } = self;
+        let (inputs, outputs) = (base.center.len(), base.constant.len());
+        let mut text = format!("    for (j = 0; j < {inputs}; j++) h0[j] -= {name}_center[j];\n");
+        text += &format!(
+            "    for (i = 0; i < {outputs}; i++) {{\n        y[i] += {name}_constant[i];\n        \
+             for (j = 0; j < {inputs}; j++) y[i] += {name}_linear[i][j] * h0[j];\n    }}\n"
+        );
+        if value {
+            text += &format!("    for (j = 0; j < {inputs}; j++) p[{name}_inputs[j]] += {name}_linear[0][j];\n");
+        }
+        if base.quadratic.is_some() {
+            text += &format!(
+                "    for (i = 0; i < {inputs}; i++) {{\n        {real} q = 0;\n        \
+                 for (j = 0; j < {inputs}; j++) q += {name}_quadratic[i][j] * h0[j];\n        \
+                 *y += ({real})0.5 * h0[i] * q;\n"
+            );
+            if value {
+                text += &format!("        p[{name}_inputs[i]] += q;\n");
+            }
+            text += "    }\n";
+        }
+        text
+    }
+
+    /// `u*(x, p)`, with p in an array.
+    fn straight(&self, graph: &Graph, x: &[Id], optimal: &Optimal) -> String {
+        let mut names: HashMap<Id, String> = HashMap::new();
+        for (symbols, array) in [(x, "x"), (&optimal.p, "p")] {
+            names.extend(symbols.iter().enumerate().map(|(i, s)| (*s, format!("{array}[{i}]"))));
+        }
+        let mut text = String::new();
+        let mut count = 0;
+        for id in graph.reachable(&optimal.commands) {
+            let Some(value) = self.formula(graph, id, &names) else {
+                continue;
+            };
+            if graph.as_constant(id).is_some() {
+                names.insert(id, value);
+                continue;
+            }
+            let name = format!("v{count}");
+            count += 1;
+            writeln!(text, "    const {} {name} = {value};", self.real).expect("a String takes any text");
+            names.insert(id, name);
+        }
+        for (i, id) in optimal.commands.iter().enumerate() {
+            writeln!(text, "    u[{i}] = {};", names[id]).expect("a String takes any text");
+        }
+        text
+    }
+
+    /// The formula of a node in the names of its arguments; none for a symbol, which has a name.
+    fn formula(&self, graph: &Graph, id: Id, names: &HashMap<Id, String>) -> Option<String> {
+        let name = |id: Id| names[&id].as_str();
+        Some(match graph.node(id) {
+            Node::Symbol(_) => return None,
+            Node::Const(bits) => format!("({}){}", self.real, number(f64::from_bits(bits))),
+            Node::Neg(a) => format!("-{}", name(a)),
+            Node::Unary(f, a) => {
+                let a = name(a);
+                match f {
+                    Fun::Abs => format!("{}(fabs)({a})", self.function),
+                    Fun::Sign => format!("({})(({a} > 0) - ({a} < 0))", self.real),
+                    Fun::Step => format!("({})({a} > 0)", self.real),
+                    _ => format!("{}({})({a})", self.function, f.name()),
+                }
+            }
+            Node::Powi(a, n) => match n {
+                2 => format!("{0} * {0}", name(a)),
+                -1 => format!("1 / {}", name(a)),
+                _ => format!("{}(pow)({}, {n})", self.function, name(a)),
+            },
+            Node::Binary(op, a, b) => {
+                let (a, b) = (name(a), name(b));
+                match op {
+                    Op::Add => format!("{a} + {b}"),
+                    Op::Sub => format!("{a} - {b}"),
+                    Op::Mul => format!("{a} * {b}"),
+                    Op::Div => format!("{a} / {b}"),
+                    Op::Pow => format!("{}(pow)({a}, {b})", self.function),
+                    Op::Min => format!("({a} < {b} || {a} != {a} ? {a} : {b})"),
+                    Op::Max => format!("({a} > {b} || {a} != {a} ? {a} : {b})"),
+                }
+            }
+        })
+    }
 }
 
 /// Text inside a comment, which it must not end.
 fn comment(text: &str) -> String {
     let printable = |c: char| if c.is_control() { ' ' } else { c };
     text.replace("*/", "* /").chars().map(printable).collect()
-}
-
-fn body(graph: &Graph, x: &[Id], targets: &[(String, Id)]) -> String {
-    let roots: Vec<Id> = targets.iter().map(|(_, id)| *id).collect();
-    let mut names: HashMap<Id, String> = HashMap::new();
-    let mut text = String::from("{\n");
-    for (i, symbol) in x.iter().enumerate() {
-        names.insert(*symbol, format!("x[{i}]"));
-    }
-    let mut count = 0;
-    for id in graph.reachable(&roots) {
-        let Some(value) = formula(graph, id, &names) else {
-            continue;
-        };
-        if graph.as_constant(id).is_some() {
-            names.insert(id, value);
-            continue;
-        }
-        let name = format!("v{count}");
-        count += 1;
-        writeln!(text, "    const double {name} = {value};").expect("a String takes any text");
-        names.insert(id, name);
-    }
-    if !x.iter().any(|s| graph.depends_on(&roots, *s)) {
-        text += "    (void)x;\n";
-    }
-    for (target, id) in targets {
-        writeln!(text, "    {target} = {};", names[id]).expect("a String takes any text");
-    }
-    text + "}\n"
-}
-
-/// The formula of a node in the names of its arguments; none for a symbol, which has a name.
-fn formula(graph: &Graph, id: Id, names: &HashMap<Id, String>) -> Option<String> {
-    let name = |id: Id| names[&id].as_str();
-    Some(match graph.node(id) {
-        Node::Symbol(_) => return None,
-        Node::Const(bits) => number(f64::from_bits(bits)),
-        Node::Neg(a) => format!("-{}", name(a)),
-        Node::Unary(f, a) => {
-            let a = name(a);
-            match f {
-                Fun::Abs => format!("fabs({a})"),
-                Fun::Sign => format!("(double)(({a} > 0.0) - ({a} < 0.0))"),
-                Fun::Step => format!("{a} > 0.0 ? 1.0 : 0.0"),
-                _ => format!("{}({a})", f.name()),
-            }
-        }
-        Node::Powi(a, n) => match n {
-            2 => format!("{0} * {0}", name(a)),
-            -1 => format!("1.0 / {}", name(a)),
-            _ => format!("pow({}, {n}.0)", name(a)),
-        },
-        Node::Binary(op, a, b) => {
-            let (a, b) = (name(a), name(b));
-            match op {
-                Op::Add => format!("{a} + {b}"),
-                Op::Sub => format!("{a} - {b}"),
-                Op::Mul => format!("{a} * {b}"),
-                Op::Div => format!("{a} / {b}"),
-                Op::Pow => format!("pow({a}, {b})"),
-                Op::Min => format!("({a} < {b} || {a} != {a} ? {a} : {b})"),
-                Op::Max => format!("({a} > {b} || {a} != {a} ? {a} : {b})"),
-            }
-        }
-    })
 }
 
 /// A number that a C compiler reads as the same one.

@@ -174,7 +174,7 @@ impl FittedLaw {
         let toml = format!("# Law `{}` of the scene: {title}\n{}", self.name, self.law.to_toml());
         let mut files = vec![path("toml"), path("h")];
         write_text(&files[0], &toml)?;
-        write_text(&files[1], &header(&self.name, &self.form, model))?;
+        write_text(&files[1], &header(&self.name, &self.law, &self.form, model))?;
         let without_onnx = match onnx(&self.name, &self.law, &self.form, model) {
             Ok(bytes) => {
                 files.push(path("onnx"));

@@ -114,45 +114,69 @@ fn compare(law: &FittedLaw, rows: &str, what: &str) {
     }
 }
 
+/// What the header of a law says at the places, compiled with some flags.
+fn by_header(directory: &Path, law: &FittedLaw, model: &Model, flags: &[&str]) -> String {
+    std::fs::write(directory.join("law.h"), header("law", &law.law, &law.form, model)).unwrap();
+    let mut program = String::from("#include \"law.h\"\n#include <stdio.h>\nint main(void) {\nlaw_real u[1];\n");
+    let value = law.form.value.is_some();
+    if value {
+        program += "law_real V, p[2];\n";
+    }
+    for [x, v] in places() {
+        program += &format!("{{ const law_real x[2] = {{ {x:?}, {v:?} }}; law_u(x, u); printf(\"%.17g\", u[0]);\n");
+        if value {
+            program += "law_V(x, &V, p); printf(\" %.17g %.17g %.17g\", V, p[0], p[1]);\n";
+        }
+        program += "printf(\"\\n\"); }\n";
+    }
+    program += "return 0;\n}\n";
+    std::fs::write(directory.join("main.c"), program).unwrap();
+    let compiler = std::env::var_os("CC").unwrap_or_else(|| "cc".into());
+    let all = [
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-pedantic",
+        "-o",
+        "main",
+        "main.c",
+        "-lm",
+    ];
+    output(Command::new(compiler).args(flags).args(all).current_dir(directory));
+    output(&mut Command::new(directory.join("main")))
+}
+
 #[test]
 fn the_c_header_is_the_law() {
     for (k, (law, model)) in laws().into_iter().enumerate() {
         let directory = scratch(&format!("header{k}"));
-        std::fs::write(directory.join("law.h"), header("law", &law.form, &model)).unwrap();
-        let mut program = String::from("#include \"law.h\"\n#include <stdio.h>\nint main(void) {\ndouble u[1];\n");
-        let value = law.form.value.is_some();
-        if value {
-            program += "double V, p[2];\n";
-        }
-        for [x, v] in places() {
-            program += &format!("{{ const double x[2] = {{ {x:?}, {v:?} }}; law_u(x, u); printf(\"%.17g\", u[0]);\n");
-            if value {
-                program += "law_V(x, &V, p); printf(\" %.17g %.17g %.17g\", V, p[0], p[1]);\n";
+        compare(&law, &by_header(&directory, &law, &model, &[]), &format!("header {k}"));
+        // In single precision: nothing is computed in double on the way, so rounding adds up.
+        let single = by_header(&directory, &law, &model, &["-DCOSTATE_FLOAT"]);
+        for (x, row) in places().iter().zip(single.lines()) {
+            let got: Vec<f64> = row.split_whitespace().map(|v| v.parse().unwrap()).collect();
+            for (got, wanted) in got.iter().zip(expected(&law, x)) {
+                assert!(
+                    (got - wanted).abs() <= 2e-5 * (1.0 + wanted.abs()),
+                    "header {k} at {x:?}: {got} {wanted}"
+                );
             }
-            program += "printf(\"\\n\"); }\n";
         }
-        program += "return 0;\n}\n";
-        std::fs::write(directory.join("main.c"), program).unwrap();
-        let compiler = std::env::var_os("CC").unwrap_or_else(|| "cc".into());
-        let flags = [
-            "-std=c99",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            "-pedantic",
-            "-o",
-            "main",
-            "main.c",
-            "-lm",
-        ];
-        output(Command::new(compiler).args(flags).current_dir(&directory));
-        compare(
-            &law,
-            &output(&mut Command::new(directory.join("main"))),
-            &format!("header {k}"),
-        );
         std::fs::remove_dir_all(directory).unwrap();
     }
+}
+
+/// What the file costs in flash: hardly more than its numbers.
+#[test]
+fn a_header_is_hardly_longer_than_its_numbers() {
+    let text = "feedback = { fit = \"V\", base = \"none\", hidden = [20, 12], starts = 1, iterations = 2 }";
+    let (model, hamiltonian) = scene(text, DOUBLE_INTEGRATOR);
+    let law = fitted(&model, &hamiltonian, &linear_quadratic(300), &model.feedback[0]);
+    let weights = law.law.network.parameters();
+    assert_eq!(weights, 3 * 20 + 21 * 12 + 13);
+    let length = header("law", &law.law, &law.form, &model).len();
+    assert!(length < 10_000, "{length} characters for {weights} weights");
 }
 
 /// onnxruntime's answer to a batch of states; see `tests/check_onnx.py`.
