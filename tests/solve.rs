@@ -118,6 +118,61 @@ fn a_scene_without_targets_has_no_homotopy() {
 }
 
 /// The groups of a whole run, as xarray's engines see them.
+/// The table says what `--json` says of each state; only it is written.
+#[test]
+fn answers_as_a_table() {
+    let folder = folder("table");
+    let (points, out) = (folder.join("points.csv"), folder.join("answers.csv"));
+    std::fs::write(&points, "theta,omega\n0.5,0.25\n40,90\n0,0\n").unwrap();
+    let pendulum = scenario("pendulum.toml");
+    let arguments = |out: &Path, more: &[&str]| -> Vec<std::ffi::OsString> {
+        let fixed = ["solve", pendulum.to_str().unwrap(), "--backend", "cpu", "--json"];
+        let paths = ["--points", points.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        fixed.iter().chain(&paths).chain(more).map(Into::into).collect()
+    };
+    let run = |out: &Path, more: &[&str]| {
+        let arguments = arguments(out, more);
+        costate(&arguments.iter().map(|a| a.as_os_str()).collect::<Vec<_>>())
+    };
+    let done = run(&out, &[]);
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    let table = std::fs::read_to_string(&out).unwrap();
+    let rows: Vec<Vec<&str>> = table.lines().map(|l| l.split(',').collect()).collect();
+    let header = "theta,omega,V,p_theta,p_omega,u,sheet,sheets,status,evidence,covered_to,bound";
+    assert_eq!(rows[0].join(","), header);
+    assert_eq!(rows.len(), 4);
+    let column = |name: &str| rows[0].iter().position(|n| *n == name).unwrap();
+    for (row, point) in rows[1..].iter().zip(summary["points"].as_array().unwrap()) {
+        assert_eq!(row[column("status")], point["status"].as_str().unwrap());
+        assert_eq!(row[column("evidence")], point["support"].as_str().unwrap());
+        assert_eq!(row[column("V")].parse::<f64>().ok(), point["V"].as_f64());
+        assert_eq!(row[column("p_omega")].parse::<f64>().ok(), point["p"][1].as_f64());
+        assert_eq!(row[column("u")].parse::<f64>().ok(), point["u"][0].as_f64());
+    }
+    assert_eq!(rows[1][column("status")], "converged");
+    assert_ne!(rows[2][column("status")], "converged");
+    assert!(rows[2][column("V")].is_empty());
+    let names: Vec<_> = std::fs::read_dir(&folder)
+        .unwrap()
+        .map(|f| f.unwrap().file_name())
+        .collect();
+    assert_eq!(names.len(), 2, "{names:?}");
+
+    // A table has no trajectories, and the points are not written over.
+    let refused = run(&out, &["--trajectories"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--trajectories"));
+    let refused = run(&points, &[]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(
+        std::fs::read_to_string(&points)
+            .unwrap()
+            .starts_with("theta,omega\n0.5")
+    );
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
 #[test]
 fn result_groups_open_in_xarray() {
     let folder = folder("groups");

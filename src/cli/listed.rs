@@ -1,6 +1,7 @@
 //! What `costate solve` answers at the states that the user listed, one by one.
 
 use super::report::Done;
+use super::{CliError, SolveArgs, csv_text};
 use crate::value::Answers;
 
 /// V and u at the first few states that the user listed.
@@ -36,10 +37,7 @@ pub(super) fn text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         })
         .collect();
     if done.listed > SHOWN {
-        lines.push(format!(
-            "  and {} more: see /points in the file, or --json",
-            done.listed - SHOWN
-        ));
+        lines.push(format!("  and {} more: see the file, or --json", done.listed - SHOWN));
     }
     lines.extend(flown(done, answers));
     lines
@@ -94,4 +92,49 @@ pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
         .take(MOST)
         .map(point)
         .collect()
+}
+
+/// Whether the answers are to be written as a table, not as a result file.
+pub(super) fn is_table(args: &SolveArgs) -> Result<bool, CliError> {
+    let out = args.run.out.as_deref();
+    let table = out
+        .and_then(|out| out.extension())
+        .is_some_and(|e| e.eq_ignore_ascii_case("csv"));
+    match out {
+        Some(out) if table && args.trajectories => Err(CliError::BadOut {
+            path: out.to_owned(),
+            reason: "a table has no room for --trajectories; name a result file, .h5",
+        }),
+        _ => Ok(table),
+    }
+}
+
+/// A CSV table of the states that the user listed; empty fields where V is not known.
+pub(super) fn table(done: &Done<'_>) -> Result<String, CliError> {
+    let mut header = done.names.to_vec();
+    header.push("V".to_owned());
+    header.extend(done.names.iter().map(|n| format!("p_{n}")));
+    header.extend(done.model.controls.iter().map(|c| c.variable.name.clone()));
+    header.extend(["sheet", "sheets", "status", "evidence", "covered_to", "bound"].map(str::to_owned));
+    let mut rows = vec![header];
+    let number = |v: f64| if v.is_finite() { v.to_string() } else { String::new() };
+    if let Some(answers) = done.answers {
+        for &target in &answers.targets.of_given[..done.listed] {
+            let mut row: Vec<String> = answers.targets.state(target).iter().map(f64::to_string).collect();
+            match answers.answer(target) {
+                Some(a) => {
+                    row.extend([a.value].iter().chain(&a.p).chain(&a.u).copied().map(number));
+                    row.push(a.sheet.to_string());
+                }
+                None => row.resize(rows[0].len() - 5, String::new()),
+            }
+            row.push(answers.of(target).len().to_string());
+            row.push(answers.status(target).name().to_owned());
+            row.push(answers.evidence(target).name().to_owned());
+            row.push(number(answers.support[target].covered_to));
+            row.push(answers.support[target].bound.map_or_else(String::new, number));
+            rows.push(row);
+        }
+    }
+    csv_text(&rows)
 }

@@ -124,7 +124,7 @@ struct NumericsArgs {
 struct RunArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// The result file [default: out/<scenario>.h5]
+    /// The result file [default: out/<scenario>.h5]; of `solve` also a table, FILE.csv
     #[arg(long)]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -605,6 +605,19 @@ fn check_out(out: Option<&Path>, ending: &[&str], inputs: &[&Path]) -> Result<()
         some if some.contains(&end.as_str()) => Ok(()),
         _ => Err(bad("name the page .html")),
     }
+}
+
+/// Rows of a table as CSV.
+fn csv_text(rows: &[Vec<String>]) -> Result<String, CliError> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let csv = |e: csv::Error| CliError::Stdout(std::io::Error::other(e));
+    for row in rows {
+        writer.write_record(row).map_err(csv)?;
+    }
+    let bytes = writer
+        .into_inner()
+        .map_err(|e| CliError::Stdout(std::io::Error::other(e.to_string())))?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
 /// Writes to standard output as it is.

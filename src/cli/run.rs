@@ -5,14 +5,14 @@ use super::check::{load, planned};
 use super::estimates::Estimates;
 use super::grid::GridRefusal;
 use super::report;
-use super::{BackendChoice, CliError, RunArgs, SolveArgs, points};
+use super::{BackendChoice, CliError, RunArgs, SolveArgs, listed, points};
 use crate::backend::cpu::Cpu;
 use crate::backend::gpu::{Gpu, Selection};
 use crate::backend::{Backend, BackendError, Trajectories};
 use crate::dynamic_programming::GridValue;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Method, Model};
-use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema};
+use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema, write_text};
 use crate::shooting::Solver;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::value::{self, Answers, Archive, Grid, Request};
@@ -39,7 +39,15 @@ impl Parts<'_> {
 
 pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
-    super::check_out(args.out.as_deref(), &[], &[&args.scene.scenario])?;
+    let table = match parts {
+        Parts::Solve(solve) => listed::is_table(solve)?,
+        _ => false,
+    };
+    let inputs: Vec<&Path> = match parts {
+        Parts::Solve(solve) => vec![&args.scene.scenario, &solve.points],
+        _ => vec![&args.scene.scenario],
+    };
+    super::check_out(args.out.as_deref(), if table { &["csv"] } else { &[] }, &inputs)?;
     let (model, hamiltonian) = load(&args.scene)?;
     let mut wanted = wanted(&model, parts)?;
     if args.grid_guesses {
@@ -165,9 +173,15 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     file.attribute("summary", summary.to_string())?;
     // Not in the attribute: the file has them in /points, and an attribute holds 64 KiB.
     if done.listed > 0 {
-        summary["points"] = super::listed::as_json(&done);
+        summary["points"] = listed::as_json(&done);
     }
-    file.finish()?;
+    if table {
+        // What was written so far was only on the way.
+        drop(file);
+        write_text(&path, &listed::table(&done)?)?;
+    } else {
+        file.finish()?;
+    }
     terminal.summary(&done)?;
     if let Some(draft) = draft {
         let scene = (&model, &hamiltonian);

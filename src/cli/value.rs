@@ -403,15 +403,13 @@ fn as_json(model: &Model, x: &[f64], at: &At, fronts: &Fronts) -> serde_json::Va
 /// A CSV table; empty fields where V is not known.
 fn table(model: &Model, states: &[f64], found: &[At]) -> Result<String, CliError> {
     let (names, controls) = names(model);
-    let mut writer = csv::Writer::from_writer(Vec::new());
     let mut header: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
     header.push("V".to_owned());
     header.extend(names.iter().map(|n| format!("p_{n}")));
     header.extend(controls.iter().map(|n| (*n).to_owned()));
     header.extend(["sheet", "V_error", "p_error", "u_error", "coverage", "status"].map(str::to_owned));
     let columns = header.len();
-    let csv = |e: csv::Error| CliError::Stdout(std::io::Error::other(e));
-    writer.write_record(&header).map_err(csv)?;
+    let mut rows = vec![header];
     for (x, at) in states.chunks(names.len()).zip(found) {
         let mut row: Vec<String> = x.iter().map(f64::to_string).collect();
         if let Ok(here) = &at.lowest {
@@ -431,10 +429,7 @@ fn table(model: &Model, states: &[f64], found: &[At]) -> Result<String, CliError
                 .as_ref()
                 .map_or_else(ToString::to_string, |_| "known".to_owned()),
         );
-        writer.write_record(&row).map_err(csv)?;
+        rows.push(row);
     }
-    let bytes = writer
-        .into_inner()
-        .map_err(|e| CliError::Stdout(std::io::Error::other(e.to_string())))?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
+    super::csv_text(&rows)
 }
