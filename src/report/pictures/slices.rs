@@ -190,16 +190,29 @@ pub fn picture(source: &Source<'_>) -> Made {
     }))
 }
 
-/// V along a branch: between two states the cubic with their V and slopes.
+/// V along a branch: between two states the cubic with their V and slopes. Where both slopes have the sign of V's change, it
+/// stays between the two V: slopes that are too steep for that are less steep in the picture (Fritsch and Carlson 1980).
 fn curve(entries: Vec<&Entry>) -> Vec<[f64; 2]> {
     const BETWEEN: usize = 8;
+    /// In units of the mean slope: a cubic with less is monotone.
+    const STEEPEST: f64 = 3.0;
     let mut points: Vec<[f64; 2]> = Vec::new();
     for pair in entries.windows(2) {
         let (a, b) = (pair[0], pair[1]);
         let h = b.x - a.x;
+        let mean = (b.v - a.v) / h;
+        let slope = |slope: f64| {
+            if mean.abs() * STEEPEST < slope.abs() {
+                mean * STEEPEST
+            } else {
+                slope
+            }
+        };
+        let is_monotone = a.slope * mean > 0.0 && b.slope * mean > 0.0;
+        let slopes = [a.slope, b.slope].map(|s| if is_monotone { slope(s) } else { s });
         points.extend((0..BETWEEN).map(|k| {
             let q = k as f64 / BETWEEN as f64;
-            [a.x + q * h, hermite(q, h, [a.v, a.slope], [b.v, b.slope])]
+            [a.x + q * h, hermite(q, h, [a.v, slopes[0]], [b.v, slopes[1]])]
         }));
     }
     points.extend(entries.last().map(|e| [e.x, e.v]));
@@ -272,4 +285,34 @@ fn crossings(source: &Source<'_>, slice: &Slice) -> Result<Vec<[f64; 2]>, String
         (a[0] - b[0]).abs() <= 1e-6 * a[0].abs().max(1.0) && (a[1] - b[1]).abs() <= 1e-6 * a[1].abs().max(1.0)
     });
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn curves_do_not_leave_what_was_solved() {
+        let entry = |x: f64, v: f64, slope: f64| Entry {
+            x,
+            v,
+            slope,
+            u: Vec::new(),
+            sheet: 0,
+        };
+        // The compressor near deep stall: a cubic with these slopes falls to -1 between V = 4.68 and 0.58.
+        let steep = [
+            entry(1.0, 4.681, -604.07),
+            entry(1.05, 0.5785, -22.716),
+            entry(1.1, 0.2439, -6.45),
+        ];
+        let line = curve(steep.iter().collect());
+        assert_eq!(line.len(), 17);
+        assert!(line.windows(2).all(|w| w[1][1] <= w[0][1]), "{line:?}");
+        // A well between two states is kept: V = x^2.
+        let well = [entry(-1.0, 1.0, -2.0), entry(1.2, 1.44, 2.4)];
+        for [x, v] in curve(well.iter().collect()) {
+            assert!((v - x * x).abs() < 1e-12, "{x} {v}");
+        }
+    }
 }
