@@ -163,6 +163,16 @@ fn answers_as_a_table() {
     let refused = run(&out, &["--trajectories"]);
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("--trajectories"));
+    let named = folder.join("named.toml");
+    let text = std::fs::read_to_string(&pendulum).unwrap().replace("omega", "sheet");
+    std::fs::write(&named, text).unwrap();
+    std::fs::write(folder.join("named.csv"), "theta\n1\n").unwrap();
+    let mut with = arguments(&folder.join("none.csv"), &[]);
+    (with[1], with[6]) = (named.into(), folder.join("named.csv").into());
+    let refused = costate(&with.iter().map(|a| a.as_os_str()).collect::<Vec<_>>());
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("another column"));
+    assert!(!folder.join("none.csv").exists());
     let refused = run(&points, &[]);
     assert_eq!(refused.status.code(), Some(2));
     assert!(

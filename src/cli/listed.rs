@@ -2,6 +2,7 @@
 
 use super::report::Done;
 use super::{CliError, SolveArgs, csv_text};
+use crate::model::Model;
 use crate::value::Answers;
 
 /// V and u at the first few states that the user listed.
@@ -109,14 +110,35 @@ pub(super) fn is_table(args: &SolveArgs) -> Result<bool, CliError> {
     }
 }
 
+/// Columns beside those of the states and controls.
+const COLUMNS: [&str; 6] = ["sheet", "sheets", "status", "evidence", "covered_to", "bound"];
+
+fn header(model: &Model) -> Vec<String> {
+    let states = || model.states.iter().map(|s| s.variable.name.clone());
+    let controls = model.controls.iter().map(|c| c.variable.name.clone());
+    (states().chain(["V".to_owned()]))
+        .chain(states().map(|n| format!("p_{n}")))
+        .chain(controls)
+        .chain(COLUMNS.map(str::to_owned))
+        .collect()
+}
+
+/// Refuses a table two of whose columns would have one name.
+pub(super) fn check_columns(args: &SolveArgs, model: &Model) -> Result<(), CliError> {
+    let mut names = header(model);
+    names.sort_unstable();
+    match names.windows(2).find(|pair| pair[0] == pair[1]) {
+        Some(_) => Err(CliError::BadOut {
+            path: args.run.out.clone().unwrap_or_default(),
+            reason: "a state or control has the name of another column of the table; name a result file, .h5",
+        }),
+        None => Ok(()),
+    }
+}
+
 /// A CSV table of the states that the user listed; empty fields where V is not known.
 pub(super) fn table(done: &Done<'_>) -> Result<String, CliError> {
-    let mut header = done.names.to_vec();
-    header.push("V".to_owned());
-    header.extend(done.names.iter().map(|n| format!("p_{n}")));
-    header.extend(done.model.controls.iter().map(|c| c.variable.name.clone()));
-    header.extend(["sheet", "sheets", "status", "evidence", "covered_to", "bound"].map(str::to_owned));
-    let mut rows = vec![header];
+    let mut rows = vec![header(done.model)];
     let number = |v: f64| if v.is_finite() { v.to_string() } else { String::new() };
     if let Some(answers) = done.answers {
         for &target in &answers.targets.of_given[..done.listed] {
@@ -126,7 +148,7 @@ pub(super) fn table(done: &Done<'_>) -> Result<String, CliError> {
                     row.extend([a.value].iter().chain(&a.p).chain(&a.u).copied().map(number));
                     row.push(a.sheet.to_string());
                 }
-                None => row.resize(rows[0].len() - 5, String::new()),
+                None => row.resize(rows[0].len() - COLUMNS.len() + 1, String::new()),
             }
             row.push(answers.of(target).len().to_string());
             row.push(answers.status(target).name().to_owned());

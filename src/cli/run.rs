@@ -49,6 +49,9 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     };
     super::check_out(args.out.as_deref(), if table { &["csv"] } else { &[] }, &inputs)?;
     let (model, hamiltonian) = load(&args.scene)?;
+    if let (Parts::Solve(solve), true) = (parts, table) {
+        listed::check_columns(solve, &model)?;
+    }
     let mut wanted = wanted(&model, parts)?;
     if args.grid_guesses {
         super::grid::refuse(&model, "--grid-guesses")?;

@@ -13,7 +13,8 @@ use std::fmt::Write;
 /// applied. Numbers are of the type `NAME_real`: `double`, or `float` where `COSTATE_FLOAT` is defined. `name` is an
 /// identifier.
 pub fn header(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> String {
-    let guard = format!("COSTATE_{}_H", name.to_uppercase());
+    // Another law of the same name is an error of the compiler, not left out.
+    let guard = format!("COSTATE_{name}_{:016x}", fingerprint(&law.to_toml()));
     let states: Vec<&str> = model.states.iter().map(|s| s.variable.name.as_str()).collect();
     let (n, m) = (states.len(), form.outputs.len());
     let value = law.meaning == Meaning::Value;
@@ -286,10 +287,18 @@ impl Syntax<'_> {
     }
 }
 
-/// Text inside a comment, which it must not end.
+/// Of a text, the same in every version of the program (FNV-1a).
+fn fingerprint(text: &str) -> u64 {
+    (text.bytes()).fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
+}
+
+/// Text inside a comment, which it must not end or begin again.
 fn comment(text: &str) -> String {
     let printable = |c: char| if c.is_control() { ' ' } else { c };
-    text.replace("*/", "* /").chars().map(printable).collect()
+    let text = text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?");
+    text.chars().map(printable).collect()
 }
 
 /// A number that a C compiler reads as the same one.

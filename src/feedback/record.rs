@@ -181,7 +181,11 @@ impl FittedLaw {
                 write_bytes(&files[2], &bytes)?;
                 None
             }
-            Err(e) => Some(e.to_string()),
+            Err(e) => {
+                // One that is there is of another law.
+                let _ = std::fs::remove_file(path("onnx"));
+                Some(e.to_string())
+            }
         };
         Ok(Exports { files, without_onnx })
     }

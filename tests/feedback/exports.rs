@@ -167,6 +167,39 @@ fn the_c_header_is_the_law() {
     }
 }
 
+/// Two laws of one name do not hide each other, and a title may hold anything.
+#[test]
+fn headers_do_not_hide_each_other() {
+    let (laws, directory) = (laws(), scratch("headers"));
+    let compiles = |second: usize| {
+        for (file, (law, model)) in [("a.h", &laws[0]), ("b.h", &laws[second])] {
+            let model = Model {
+                title: "a /* b */ c ??/ \\".to_owned(),
+                ..model.clone()
+            };
+            std::fs::write(directory.join(file), header("law", &law.law, &law.form, &model)).unwrap();
+        }
+        let text = "#include \"a.h\"\n#include \"b.h\"\nvoid f(const double *x, double *u);\nvoid f(const double *x, double *u) { law_u(x, u); }\n";
+        std::fs::write(directory.join("both.c"), text).unwrap();
+        let compiler = std::env::var_os("CC").unwrap_or_else(|| "cc".into());
+        let flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-c", "both.c"];
+        let done = Command::new(compiler)
+            .args(flags)
+            .current_dir(&directory)
+            .output()
+            .unwrap();
+        (
+            done.status.success(),
+            String::from_utf8_lossy(&done.stderr).into_owned(),
+        )
+    };
+    let (same, text) = compiles(0);
+    assert!(same, "{text}");
+    let (other, text) = compiles(1);
+    assert!(!other && text.contains("redefinition"), "{text}");
+    std::fs::remove_dir_all(directory).unwrap();
+}
+
 /// What the file costs in flash: hardly more than its numbers.
 #[test]
 fn a_header_is_hardly_longer_than_its_numbers() {
