@@ -96,18 +96,9 @@ pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
 }
 
 /// Whether the answers are to be written as a table, not as a result file.
-pub(super) fn is_table(args: &SolveArgs) -> Result<bool, CliError> {
-    let out = args.run.out.as_deref();
-    let table = out
-        .and_then(|out| out.extension())
-        .is_some_and(|e| e.eq_ignore_ascii_case("csv"));
-    match out {
-        Some(out) if table && args.trajectories => Err(CliError::BadOut {
-            path: out.to_owned(),
-            reason: "a table has no room for --trajectories; name a result file, .h5",
-        }),
-        _ => Ok(table),
-    }
+pub(super) fn is_table(args: &SolveArgs) -> bool {
+    let extension = args.run.out.as_deref().and_then(std::path::Path::extension);
+    extension.is_some_and(|e| e.eq_ignore_ascii_case("csv"))
 }
 
 /// Columns beside those of the states and controls.
@@ -123,17 +114,23 @@ fn header(model: &Model) -> Vec<String> {
         .collect()
 }
 
-/// Refuses a table two of whose columns would have one name.
-pub(super) fn check_columns(args: &SolveArgs, model: &Model) -> Result<(), CliError> {
+/// Refuses what a table has no room for: trajectories, and two columns of one name.
+pub(super) fn check_table(args: &SolveArgs, model: &Model) -> Result<(), CliError> {
+    let bad = |reason| CliError::BadOut {
+        path: args.run.out.clone().unwrap_or_default(),
+        reason,
+    };
+    if args.trajectories {
+        return Err(bad("a table has no room for --trajectories; name a result file, .h5"));
+    }
     let mut names = header(model);
     names.sort_unstable();
-    match names.windows(2).find(|pair| pair[0] == pair[1]) {
-        Some(_) => Err(CliError::BadOut {
-            path: args.run.out.clone().unwrap_or_default(),
-            reason: "a state or control has the name of another column of the table; name a result file, .h5",
-        }),
-        None => Ok(()),
+    if names.windows(2).any(|pair| pair[0] == pair[1]) {
+        return Err(bad(
+            "a state or control has the name of another column of the table; name a result file, .h5",
+        ));
     }
+    Ok(())
 }
 
 /// A CSV table of the states that the user listed; empty fields where V is not known.

@@ -39,18 +39,20 @@ impl Parts<'_> {
 
 pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
-    let table = match parts {
-        Parts::Solve(solve) => listed::is_table(solve)?,
-        _ => false,
+    let solve = match parts {
+        Parts::Solve(solve) => Some(solve),
+        _ => None,
     };
-    let inputs: Vec<&Path> = match parts {
-        Parts::Solve(solve) => vec![&args.scene.scenario, &solve.points],
-        _ => vec![&args.scene.scenario],
-    };
+    let table = solve.is_some_and(listed::is_table);
+    let inputs: Vec<&Path> = [&args.scene.scenario]
+        .into_iter()
+        .chain(solve.map(|s| &s.points))
+        .map(PathBuf::as_path)
+        .collect();
     super::check_out(args.out.as_deref(), if table { &["csv"] } else { &[] }, &inputs)?;
     let (model, hamiltonian) = load(&args.scene)?;
-    if let (Parts::Solve(solve), true) = (parts, table) {
-        listed::check_columns(solve, &model)?;
+    if let Some(solve) = solve.filter(|_| table) {
+        listed::check_table(solve, &model)?;
     }
     let mut wanted = wanted(&model, parts)?;
     if args.grid_guesses {
@@ -76,7 +78,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
     let mut terminal = report::Terminal::new(&args.scene);
     terminal.heading(&model, &plan, backend.as_ref());
-    if let Parts::Solve(solve) = parts
+    if let Some(solve) = solve
         && points::has_published(&solve.points, &model)
     {
         terminal.note(&format!("column {} of the points is not read", points::PUBLISHED));
@@ -121,7 +123,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
             found = wanted.solve(&plan, &model, &mut solver, archive, &terminal)?;
         }
         wanted.write(&mut file, &schema, &model, &found)?;
-        if let Parts::Solve(solve) = parts
+        if let Some(solve) = solve
             && solve.trajectories
         {
             let entries: Vec<_> = (0..wanted.points())
@@ -161,10 +163,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         swept: &swept,
         stored,
         answers: answers.as_ref(),
-        listed: match (parts, &wanted) {
-            (Parts::Solve(_), Some(wanted)) => wanted.points(),
-            _ => 0,
-        },
+        listed: (solve.and(wanted.as_ref())).map_or(0, WantedStates::points),
         estimates: &estimates,
         record: &record,
         variants: &variants,

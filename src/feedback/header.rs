@@ -174,10 +174,12 @@ impl Syntax<'_> {
     fn backward(&self, law: &Law, size: &dyn Fn(usize) -> usize) -> String {
         let Self { name, real, .. } = self;
         let last = law.network.layers.len();
-        let mut text = String::from("    /* Slopes, from the output backward. */\n");
         let slopes: Vec<String> = (0..last).map(|k| format!("g{k}[{}]", size(k))).collect();
         let inputs = size(0);
-        text = format!("{text}    {{\n    {real} {};\n", slopes.join(", "));
+        let mut text = format!(
+            "    /* Slopes, from the output backward. */\n    {{\n    {real} {};\n",
+            slopes.join(", ")
+        );
         for k in (0..last).rev() {
             let columns = size(k);
             if k + 1 == last {
@@ -297,7 +299,7 @@ fn fingerprint(text: &str) -> u64 {
 /// Text inside a comment, which it must not end or begin again.
 fn comment(text: &str) -> String {
     let printable = |c: char| if c.is_control() { ' ' } else { c };
-    let text = text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?");
+    let text = text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ? ");
     text.chars().map(printable).collect()
 }
 

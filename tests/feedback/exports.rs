@@ -114,6 +114,14 @@ fn compare(law: &FittedLaw, rows: &str, what: &str) {
     }
 }
 
+/// A strict compiler of C99 in a directory.
+fn compiler(directory: &Path) -> Command {
+    let mut compiler = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
+    let strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"];
+    compiler.args(strict).current_dir(directory);
+    compiler
+}
+
 /// What the header of a law says at the places, compiled with some flags.
 fn by_header(directory: &Path, law: &FittedLaw, model: &Model, flags: &[&str]) -> String {
     std::fs::write(directory.join("law.h"), header("law", &law.law, &law.form, model)).unwrap();
@@ -131,19 +139,8 @@ fn by_header(directory: &Path, law: &FittedLaw, model: &Model, flags: &[&str]) -
     }
     program += "return 0;\n}\n";
     std::fs::write(directory.join("main.c"), program).unwrap();
-    let compiler = std::env::var_os("CC").unwrap_or_else(|| "cc".into());
-    let all = [
-        "-std=c99",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-pedantic",
-        "-o",
-        "main",
-        "main.c",
-        "-lm",
-    ];
-    output(Command::new(compiler).args(flags).args(all).current_dir(directory));
+    let files = ["-o", "main", "main.c", "-lm"];
+    output(compiler(directory).args(flags).args(files));
     output(&mut Command::new(directory.join("main")))
 }
 
@@ -174,20 +171,14 @@ fn headers_do_not_hide_each_other() {
     let compiles = |second: usize| {
         for (file, (law, model)) in [("a.h", &laws[0]), ("b.h", &laws[second])] {
             let model = Model {
-                title: "a /* b */ c ??/ \\".to_owned(),
+                title: "a /* b */ c ???/ \\".to_owned(),
                 ..model.clone()
             };
             std::fs::write(directory.join(file), header("law", &law.law, &law.form, &model)).unwrap();
         }
         let text = "#include \"a.h\"\n#include \"b.h\"\nvoid f(const double *x, double *u);\nvoid f(const double *x, double *u) { law_u(x, u); }\n";
         std::fs::write(directory.join("both.c"), text).unwrap();
-        let compiler = std::env::var_os("CC").unwrap_or_else(|| "cc".into());
-        let flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-c", "both.c"];
-        let done = Command::new(compiler)
-            .args(flags)
-            .current_dir(&directory)
-            .output()
-            .unwrap();
+        let done = compiler(&directory).args(["-c", "both.c"]).output().unwrap();
         (
             done.status.success(),
             String::from_utf8_lossy(&done.stderr).into_owned(),

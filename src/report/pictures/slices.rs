@@ -201,15 +201,13 @@ fn curve(entries: Vec<&Entry>) -> Vec<[f64; 2]> {
         let (a, b) = (pair[0], pair[1]);
         let h = b.x - a.x;
         let mean = (b.v - a.v) / h;
-        let slope = |slope: f64| {
-            if mean.abs() * STEEPEST < slope.abs() {
-                mean * STEEPEST
-            } else {
-                slope
-            }
-        };
         let is_monotone = a.slope * mean > 0.0 && b.slope * mean > 0.0;
-        let slopes = [a.slope, b.slope].map(|s| if is_monotone { slope(s) } else { s });
+        let most = if is_monotone {
+            STEEPEST * mean.abs()
+        } else {
+            f64::INFINITY
+        };
+        let slopes = [a.slope, b.slope].map(|s| s.clamp(-most, most));
         points.extend((0..BETWEEN).map(|k| {
             let q = k as f64 / BETWEEN as f64;
             [a.x + q * h, hermite(q, h, [a.v, slopes[0]], [b.v, slopes[1]])]
