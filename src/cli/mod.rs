@@ -13,6 +13,7 @@ mod evaluate;
 mod fit;
 mod grid;
 mod listed;
+mod mapped;
 mod points;
 mod report;
 mod report_page;

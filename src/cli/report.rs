@@ -3,6 +3,7 @@
 use super::estimates::Estimates;
 use super::{CliError, SceneArgs};
 use crate::backend::{Backend, Status};
+use crate::map::Adaptive;
 use crate::model::Model;
 use crate::output::RunRecord;
 use crate::study::Variant;
@@ -118,6 +119,8 @@ pub(super) struct Done<'a> {
     /// Whether the sweep is a result; else it gave first guesses.
     pub stored: bool,
     pub answers: Option<&'a Answers>,
+    /// A map that was made to an error.
+    pub mapped: Option<&'a Adaptive>,
     /// How many of the states given, from the first on, the user listed: those are answered one by one.
     pub listed: usize,
     pub estimates: &'a Estimates,
@@ -171,6 +174,9 @@ fn as_text(done: &Done<'_>) -> String {
     if let Some(answers) = done.answers {
         lines.extend(answers_text(done, answers));
         lines.extend(super::listed::text(done, answers));
+    }
+    if let Some(made) = done.mapped {
+        lines.extend(super::mapped::text(done, made));
     }
     if !done.variants.is_empty() {
         lines.push("study:".to_owned());
@@ -451,6 +457,7 @@ pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
         "trajectories_stored": done.stored,
         "study": super::study::as_json(done.model, done.variants),
         "homotopy": done.answers.map(|a| answers_json(plan, a, done.estimates)),
+        "map": done.mapped.map(super::mapped::as_json),
         "status": statuses,
         "coverage": {
             "spacing": plan.shoot_out.spacing,

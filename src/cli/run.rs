@@ -11,6 +11,7 @@ use crate::backend::gpu::{Gpu, Selection};
 use crate::backend::{Backend, BackendError, Trajectories};
 use crate::dynamic_programming::GridValue;
 use crate::hamiltonian::Hamiltonian;
+use crate::map;
 use crate::model::{Method, Model};
 use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema, write_text};
 use crate::shooting::Solver;
@@ -62,13 +63,21 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         }
     }
     let all = matches!(parts, Parts::All);
+    let aim = model
+        .map_aim
+        .as_ref()
+        .filter(|_| all || matches!(parts, Parts::Homotopy));
+    let solves = wanted.is_some() || aim.is_some();
     let backend = args.numerics.open(&model)?;
     let stored = parts.sweeps() && model.shoot_out.is_some();
     let choices = Choices {
-        inner_levels: wanted.is_some(),
-        dispensable: wanted.is_some() && !stored,
-        max_seeds: (wanted.as_ref().filter(|_| !parts.sweeps())).map(|w| value::guess_seeds(w.states, w.count())),
-        unasked: wanted.is_some(),
+        inner_levels: solves,
+        dispensable: solves && !stored,
+        max_seeds: (solves && !parts.sweeps()).then(|| {
+            let count = wanted.as_ref().map_or(0, WantedStates::count);
+            value::guess_seeds(model.states.len(), count)
+        }),
+        unasked: solves,
         ..args.numerics.choices(args.seed)
     };
     let plan = planned(&model, &hamiltonian, backend.as_ref(), choices)?;
@@ -97,7 +106,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     } else {
         None
     };
-    let mut archive = wanted.as_ref().map(|_| Archive::new(&plan));
+    let mut archive = solves.then(|| Archive::new(&plan));
     let mut swept = SweepReport::default();
     let direct = !stored && value::goes_without_sweep(&plan);
     if !direct {
@@ -138,6 +147,16 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         }
         answers = Some(found);
     }
+    let mut mapped = None;
+    if let (Some(aim), Some(archive)) = (aim, &archive) {
+        let mut solver = value::solver(&plan, backend.as_ref())?;
+        let bar = terminal.progress();
+        let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
+        let made = map::adaptive(&plan, &model, &mut solver, archive, aim, &mut told)?;
+        bar.clear();
+        file.map_pieces(&schema, &made)?;
+        mapped = Some(made);
+    }
     let variants = if all {
         super::study::write(&mut file, &model, backend.as_ref(), choices, &terminal)?
     } else {
@@ -163,6 +182,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         swept: &swept,
         stored,
         answers: answers.as_ref(),
+        mapped: mapped.as_ref(),
         listed: (solve.and(wanted.as_ref())).map_or(0, WantedStates::points),
         estimates: &estimates,
         record: &record,
@@ -318,7 +338,7 @@ fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliEr
             }
             if homotopy.is_none() && map.is_none() {
                 return match parts {
-                    Parts::Homotopy => Err(CliError::NoTargets),
+                    Parts::Homotopy if model.map_aim.is_none() => Err(CliError::NoTargets),
                     _ => Ok(None),
                 };
             }

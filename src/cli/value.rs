@@ -241,6 +241,12 @@ fn how(value: &Value) -> String {
     if value.sites == 0 {
         return "from the local solution about the equilibrium".to_owned();
     }
+    if value.in_pieces {
+        return match value.sites {
+            1 => "from one piece of the map".to_owned(),
+            n => format!("from {n} pieces of the map, blended"),
+        };
+    }
     let solved = if value.solved > 0 {
         format!(" ({} of them solved states)", value.solved)
     } else {
@@ -265,7 +271,7 @@ fn sheet(value: &Value) -> String {
 /// What a value's being the least rests on, where something may be missing.
 fn coverage(value: &Value, fronts: &Fronts) -> Option<String> {
     match value.coverage {
-        Coverage::Local | Coverage::Covered => None,
+        Coverage::Local | Coverage::Covered | Coverage::Checked => None,
         Coverage::Searched if !fronts.swept => Some(
             "from states that were searched for sheets one by one: no sweep shows that no cheaper sheet lies over this state"
                 .to_owned(),

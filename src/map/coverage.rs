@@ -17,15 +17,18 @@ pub enum Coverage {
     Searched,
     /// Swept trajectories between which there are gaps at this V: a cheaper sheet may lie in one.
     Uncovered,
+    /// A map in pieces, checked with fresh states that were searched for all sheets.
+    Checked,
 }
 
 impl Coverage {
     /// All, with their code and name in files.
-    pub const ALL: [(Coverage, i32, &'static str); 4] = [
+    pub const ALL: [(Coverage, i32, &'static str); 5] = [
         (Coverage::Local, 0, "local"),
         (Coverage::Covered, 1, "covered"),
         (Coverage::Searched, 2, "searched"),
         (Coverage::Uncovered, 3, "uncovered"),
+        (Coverage::Checked, 4, "checked"),
     ];
 
     pub fn code(self) -> i32 {

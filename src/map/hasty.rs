@@ -16,6 +16,9 @@ impl ValueMap {
         if let Some(value) = self.near_equilibrium(&s) {
             return Some(value);
         }
+        if let Some(at) = self.in_pieces(x) {
+            return at.lowest.ok();
+        }
         let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
         match self.uncontested(&z) {
             Some(opinion) => {

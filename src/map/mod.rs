@@ -16,13 +16,16 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod adaptive;
 mod coverage;
 mod errors;
 mod hasty;
 mod nodal;
 mod opinions;
+pub mod pieces;
 mod sites;
 
+pub use adaptive::{Adaptive, Checked, adaptive};
 pub use coverage::{Coverage, Fronts};
 pub use sites::Source;
 
@@ -34,6 +37,7 @@ use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
 use coverage::OwnErrors;
 use nodal::{Nodal, Prediction};
 use opinions::{Opinion, blend, distance_between, surrounded};
+use pieces::{Pieces, Said};
 use rayon::prelude::*;
 use sites::{Sites, UNLABELLED};
 use std::sync::OnceLock;
@@ -88,6 +92,8 @@ pub struct Value {
     pub solved: usize,
     /// Distance to the nearest, in widths of the region.
     pub nearest: f64,
+    /// Whether it comes from a map in pieces; its errors are their bounds.
+    pub in_pieces: bool,
     /// Periods by which the state was moved to where the sites are.
     pub winding: Vec<i32>,
     /// What its being the least rests on.
@@ -122,6 +128,8 @@ pub struct ValueMap {
     windings: Vec<Vec<i32>>,
     fronts: Fronts,
     own_errors: Option<OwnErrors>,
+    /// A map that was made to an error: it answers within its region.
+    pieces: Option<Pieces>,
 }
 
 /// Candidates looked at for each one wanted.
@@ -167,7 +175,8 @@ impl ValueMap {
         let trajectories = stored.trajectories()?;
         let fronts = Fronts::of(stored, &plan, trajectories.as_ref());
         let sites = Sites::collect(stored, &plan, trajectories)?;
-        if sites.source.iter().all(|s| *s == Source::Local) {
+        let pieces = stored.map_pieces()?;
+        if pieces.is_none() && sites.source.iter().all(|s| *s == Source::Local) {
             return Err(MapError::Empty {
                 path: stored.path.clone(),
             });
@@ -196,6 +205,7 @@ impl ValueMap {
             sites,
             fronts,
             own_errors: OwnErrors::of(stored),
+            pieces,
         };
         this.windings = this.possible_windings();
         Ok(this)
@@ -242,7 +252,7 @@ impl ValueMap {
     pub fn at(&self, x: &[f64]) -> At {
         let mut at = self.without_errors(x);
         let values = at.lowest.iter_mut().chain(&mut at.others);
-        for value in values.filter(|v| v.sites > 0) {
+        for value in values.filter(|v| v.sites > 0 && !v.in_pieces) {
             self.estimate(x, value);
         }
         at
@@ -274,6 +284,9 @@ impl ValueMap {
                 others: Vec::new(),
             };
         }
+        if let Some(at) = self.in_pieces(x) {
+            return at;
+        }
         let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
         let opinions = self.opinions(&z, None);
         if opinions.is_empty() {
@@ -297,6 +310,72 @@ impl ValueMap {
         At {
             lowest: values.next().ok_or(Unknown::Edge),
             others: values.collect(),
+        }
+    }
+
+    /// What the map in pieces says; `None` outside its region.
+    fn in_pieces(&self, x: &[f64]) -> Option<At> {
+        let pieces = self.pieces.as_ref()?;
+        let (x, winding) = self.wound(pieces, x)?;
+        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let mut values = (pieces.sheets(&x).into_iter())
+            .filter(|said| self.solves_isaacs(&s, &said.p))
+            .map(|said| self.value_in_pieces(pieces, &x, &winding, said));
+        let lowest = values.next().ok_or(Unknown::Edge);
+        Some(At {
+            lowest,
+            others: values.collect(),
+        })
+    }
+
+    /// A state moved by whole periods into the region of a map in pieces, with the numbers of periods.
+    fn wound(&self, pieces: &Pieces, x: &[f64]) -> Option<(Vec<f64>, Vec<i32>)> {
+        let mut x = x.to_vec();
+        let mut winding = vec![0; x.len()];
+        for (i, period) in self.plan.periods.iter().enumerate() {
+            let Some(period) = period else { continue };
+            let (lo, hi) = (pieces.region.lo[i], pieces.region.hi[i]);
+            if x[i] < lo || x[i] > hi {
+                let turns = ((lo - x[i]) / period).ceil();
+                winding[i] = turns.clamp(-1e9, 1e9) as i32;
+                x[i] += turns * period;
+            }
+        }
+        pieces.covers(&x).then_some((x, winding))
+    }
+
+    fn value_in_pieces(&self, pieces: &Pieces, x: &[f64], winding: &[i32], said: Said) -> Value {
+        let n = x.len();
+        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let u = self.control(&s, &said.p);
+        // The bound of p, one component after the other, through the law.
+        let mut u_error = 0.0f64;
+        for i in 0..n {
+            for sign in [-1.0, 1.0] {
+                let mut p = said.p.clone();
+                p[i] += sign * said.p_bound[i];
+                let off = self.control(&s, &p);
+                u_error = off.iter().zip(&u).fold(u_error, |a, (x, y)| a.max((x - y).abs()));
+            }
+        }
+        let widths = &self.plan.widths;
+        let largest = |p: &[f64]| p.iter().zip(widths).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
+        let p_error = largest(&said.p_bound) / largest(&said.p);
+        Value {
+            v: said.v,
+            u,
+            hessian: pieces.hessian(x),
+            p_error,
+            u_error,
+            v_error: said.v_bound,
+            p: said.p,
+            sheet: said.sheet,
+            sites: said.pieces,
+            solved: 0,
+            nearest: 0.0,
+            in_pieces: true,
+            winding: winding.to_vec(),
+            coverage: Coverage::Checked,
         }
     }
 
@@ -366,6 +445,7 @@ impl ValueMap {
             sites: 0,
             solved: 0,
             nearest: 0.0,
+            in_pieces: false,
             winding,
             coverage: Coverage::Local,
         })
@@ -443,6 +523,7 @@ impl ValueMap {
             sites: 1,
             solved: usize::from(self.sites.source[from.site] == Source::Solved),
             nearest: from.distance,
+            in_pieces: false,
             winding,
             coverage: self.coverage(says.v, self.sites.source[from.site] == Source::Solved),
         }

@@ -145,6 +145,34 @@ pub struct MapGrid {
     pub span: Span,
 }
 
+/// Least and largest error that a map can be asked for, relative to V.
+pub const LEAST_MAP_ERROR: f64 = 1e-8;
+pub const MOST_MAP_ERROR: f64 = 0.1;
+/// States up to which a map to an error is made.
+pub const MOST_MAP_STATES: usize = 6;
+/// States that a map to an error may solve for, and fresh states that it is checked with, unless the scene says.
+pub const DEFAULT_MAP_STATES: usize = 100_000;
+pub const DEFAULT_MAP_CHECK: usize = 200;
+
+/// `[map]` with `error`: pieces, refined until the error is met.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapAim {
+    /// Relative to the larger one of V and the floor.
+    pub error: f64,
+    /// In units of the cost; `None`: chosen.
+    pub floor: Option<f64>,
+    /// `[lower, upper]` a state, inside the region.
+    pub bounds: Vec<[f64; 2]>,
+    /// Larger V is left out.
+    pub value_max: Option<f64>,
+    /// States that may be solved for, and seconds.
+    pub states: usize,
+    pub seconds: Option<f64>,
+    /// Fresh states of the check.
+    pub check: usize,
+    pub span: Span,
+}
+
 /// `[sheets]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sheets {
@@ -402,6 +430,7 @@ pub struct Model {
     pub shoot_out: Option<ShootOut>,
     pub homotopy: Option<Homotopy>,
     pub map: Option<MapGrid>,
+    pub map_aim: Option<MapAim>,
     pub sheets: Sheets,
     /// Laws to fit.
     pub feedback: Vec<Feedback>,

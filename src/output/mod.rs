@@ -36,6 +36,7 @@ mod dataset;
 mod error;
 mod file;
 mod interpolated;
+mod map_pieces;
 mod record;
 mod spec;
 mod speed_error;

@@ -250,6 +250,9 @@ impl<'a> Reader<'a> {
             .get("homotopy")
             .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));
         let map = sections.get("map").and_then(|s| self.map(s, &declared.states));
+        let map_aim = sections
+            .get("map")
+            .and_then(|s| self.map_aim(s, &declared.states, region.as_deref()));
         let sheets = sections.get("sheets").map(|s| self.sheets(s)).unwrap_or_default();
         let feedback = sections
             .get("feedback")
@@ -295,6 +298,7 @@ impl<'a> Reader<'a> {
             shoot_out,
             homotopy,
             map,
+            map_aim,
             sheets,
             feedback,
             report,

@@ -4,8 +4,9 @@ use super::declare::Declared;
 use super::reader::{Reader, Section, Value};
 use super::syntax_error::shorten;
 use crate::model::{
-    DEFAULT_ARC_LENGTH, DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS, GridAxis, Homotopy, Integrator, MapGrid,
-    Method, Precision, SampleBy, SeedValue, Sheets, ShootOut,
+    DEFAULT_ARC_LENGTH, DEFAULT_MAP_CHECK, DEFAULT_MAP_STATES, DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS,
+    GridAxis, Homotopy, Integrator, LEAST_MAP_ERROR, MOST_MAP_ERROR, MOST_MAP_STATES, MapAim, MapGrid, Method,
+    Precision, SampleBy, SeedValue, Sheets, ShootOut,
 };
 use crate::scenario::Problem;
 use toml::de::DeValue;
@@ -210,7 +211,31 @@ impl<'a> Reader<'a> {
 
     /// `[map]`: a regular grid over the region.
     pub fn map(&mut self, section: &Section<'a>, states: &[Declared<'a>]) -> Option<MapGrid> {
-        self.check_keys(section, &["resolution", "value_max"]);
+        self.check_keys(
+            section,
+            &[
+                "resolution",
+                "value_max",
+                "error",
+                "floor",
+                "region",
+                "states",
+                "seconds",
+                "check",
+            ],
+        );
+        let accurate = section.get("error").is_some();
+        if !accurate {
+            for key in ["floor", "region", "states", "seconds", "check"] {
+                if let Some(value) = section.get(key) {
+                    let message = format!("`{key}` belongs to a map that is made to an error");
+                    self.refuse::<()>(value.span(), message, "give `error = 1e-3` too, or leave it out");
+                }
+            }
+        }
+        if accurate && section.get("resolution").is_none() {
+            return None;
+        }
         let before = self.problems.len();
         let value_max =
             (section.get("value_max")).and_then(|v| self.number_that(v, "value_max", "greater than 0", |v| v > 0.0));
@@ -232,6 +257,73 @@ impl<'a> Reader<'a> {
         (self.problems.len() == before).then(|| MapGrid {
             counts,
             value_max,
+            span: section.span.clone(),
+        })
+    }
+
+    /// What `[map]` asks for with `error`.
+    pub fn map_aim(
+        &mut self,
+        section: &Section<'a>,
+        states: &[Declared<'a>],
+        region: Option<&[[f64; 2]]>,
+    ) -> Option<MapAim> {
+        let error = section.get("error")?;
+        let before = self.problems.len();
+        let within = |v: f64| (LEAST_MAP_ERROR..=MOST_MAP_ERROR).contains(&v);
+        let wanted = format!("from {LEAST_MAP_ERROR:e} to {MOST_MAP_ERROR}");
+        let error = self.number_that(error, "the error of the map", &wanted, within);
+        let mut positive = |key: &str| {
+            section
+                .get(key)
+                .and_then(|v| self.number_that(v, key, "greater than 0", |v| v > 0.0))
+        };
+        let (floor, value_max, seconds) = (positive("floor"), positive("value_max"), positive("seconds"));
+        let count = |reader: &mut Self, key: &str, default: usize| match section.get(key) {
+            Some(value) => reader.count(value, key, 1),
+            None => Some(default),
+        };
+        let most = count(self, "states", DEFAULT_MAP_STATES);
+        let check = count(self, "check", DEFAULT_MAP_CHECK);
+        if states.len() > MOST_MAP_STATES {
+            let message = format!("a map to an error is made for at most {MOST_MAP_STATES} states");
+            self.refuse::<()>(
+                section.span.clone(),
+                message,
+                format!("this scene has {}", states.len()),
+            );
+        }
+        let mut bounds = region?.to_vec();
+        if let Some(value) = section.get("region") {
+            let table = self.table(value, section.key_span("region"), "the region of the map")?;
+            self.entries_of(&table, states, "states");
+            for (state, bounds) in states.iter().zip(&mut bounds) {
+                let Some(value) = table.get(state.name) else { continue };
+                let what = format!("the map's range of `{}`", shorten(state.name));
+                let [lo, hi] = self.array(value, &what, "[lower, upper]", 2)? else {
+                    return None;
+                };
+                let (lo, hi) = (self.number(lo, &what)?, self.number(hi, &what)?);
+                if lo >= hi {
+                    let message = format!("{what} is empty: {lo} is not below {hi}");
+                    return self.refuse(value.span(), message, "the lower end comes first");
+                }
+                if lo < bounds[0] || hi > bounds[1] {
+                    let message = format!("{what} is not inside the region, from {} to {}", bounds[0], bounds[1]);
+                    return self.refuse(value.span(), message, "make [region] wider, or this narrower");
+                }
+                *bounds = [lo, hi];
+            }
+        }
+        let (error, most, check) = (error?, most?, check?);
+        (self.problems.len() == before).then(|| MapAim {
+            error,
+            floor,
+            bounds,
+            value_max,
+            states: most,
+            seconds,
+            check,
             span: section.span.clone(),
         })
     }

@@ -186,6 +186,19 @@ impl Solver {
         Ok((done.ends, done.costs))
     }
 
+    /// The same of many paths, to the rough tolerance or the full one; `None` where a segment fails.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn ends_of(&mut self, paths: &[&Path], fine: bool) -> Result<Vec<Option<(Vec<f64>, Vec<f64>)>>, BackendError> {
+        let all: Vec<(&Path, bool)> = paths.iter().map(|p| (*p, fine)).collect();
+        let done = self.integrate(&all, false)?;
+        Ok(done
+            .into_iter()
+            .map(|d| d.failure.is_none().then_some((d.ends, d.costs)))
+            .collect())
+    }
+
     /// Eliminations at paths that are solutions, to the rough tolerance: for their slopes. `None` where a segment fails.
     ///
     /// # Errors

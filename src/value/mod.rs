@@ -19,6 +19,7 @@ mod solve;
 mod states;
 mod survey;
 mod targets;
+mod tracks;
 
 pub use accuracy::{SolvedAccuracy, accuracy};
 pub use approach::{Approach, Unreached, follow};
@@ -38,3 +39,4 @@ pub use solve::{
 pub use states::{StatesError, solve_states, solve_states_folding};
 pub use survey::{Miss, PointStatus, Progress, Support, Survey, Wanted};
 pub use targets::{Grid, Targets};
+pub use tracks::{Track, TrackPoints, Wish, path_from, solve_near, track_points};

@@ -409,6 +409,34 @@ impl<'a> Survey<'a> {
         Ok(reached)
     }
 
+    /// Solves for each target from one path that begins near it; the solutions' paths and V.
+    pub(in crate::value) fn solve_along(
+        &mut self,
+        solver: &mut Solver,
+        paths: Vec<Path>,
+        least: f64,
+    ) -> Result<Vec<Option<(Path, f64)>>, BackendError> {
+        self.windings = vec![vec![0; self.targets.states]];
+        let reference = &self.plan.system.reference;
+        let errands = (paths.into_iter().enumerate())
+            .map(|(target, path)| {
+                // As it stands there: a path that goes round leads to a state that does.
+                let goal = (self.targets.state(target).iter().zip(reference)).map(|(x, r)| x - r);
+                Errand {
+                    from: None,
+                    target,
+                    winding: 0,
+                    way: Approach::new(path, goal.collect(), least),
+                }
+            })
+            .collect();
+        let mut found = vec![None; self.targets.len()];
+        for (target, index) in self.send(solver, errands)? {
+            found[target] = index.map(|e| (self.extremals[e].path.clone(), self.extremals[e].value()));
+        }
+        Ok(found)
+    }
+
     /// Solves along paths to targets from their ends, and from what that leads to.
     pub(in crate::value) fn send_grown(
         &mut self,

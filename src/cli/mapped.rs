@@ -1,0 +1,102 @@
+//! What a run says of a map that was made to an error.
+
+use super::report::{Done, quantiles};
+use crate::map::{Adaptive, Checked};
+use crate::value::PointStatus;
+
+/// What fresh states show: of those with an answer how many are known, errors relative to max(V, floor), and to the bound.
+struct Shown {
+    solved: usize,
+    known: usize,
+    /// Median, 99 % and largest.
+    error: [f64; 3],
+    over_bound: [f64; 3],
+    /// States without an answer for which the map says one.
+    said_of_none: usize,
+}
+
+fn shown(made: &Adaptive) -> Shown {
+    let floor = made.pieces.region.floor;
+    let solved: Vec<&Checked> = (made.check.iter())
+        .filter(|c| c.solved.is_finite() && c.status != PointStatus::AboveMax)
+        .collect();
+    let known: Vec<&&Checked> = solved.iter().filter(|c| c.said.is_finite()).collect();
+    let off = |c: &Checked| (c.said - c.solved).abs();
+    let error: Vec<f64> = known.iter().map(|c| off(c) / c.solved.abs().max(floor)).collect();
+    // Where both are 0 the bound holds.
+    let over = |c: &Checked| if off(c) == 0.0 { 0.0 } else { off(c) / c.bound };
+    let over_bound: Vec<f64> = known.iter().map(|c| over(c)).collect();
+    Shown {
+        solved: solved.len(),
+        known: known.len(),
+        error: quantiles(&error),
+        over_bound: quantiles(&over_bound),
+        said_of_none: (made.check.iter())
+            .filter(|c| !c.solved.is_finite() && c.said.is_finite() && c.status != PointStatus::AboveMax)
+            .count(),
+    }
+}
+
+pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
+    let region = &made.pieces.region;
+    let mut lines = vec![format!(
+        "map: {} pieces in {} cells, from {} points along the trajectories of {} states ({} more had no answer), {} rounds, {:.1} s",
+        made.pieces.pieces.len(),
+        made.pieces.cells.len(),
+        made.points,
+        made.states,
+        made.failed,
+        made.rounds,
+        made.seconds
+    )];
+    lines.push(if made.unmet > 0.0 {
+        format!(
+            "  error of V asked for {:.1e}, relative to max(V, {:.1e}): not met in {:.2} % of the region (by its own measure)",
+            region.error,
+            region.floor,
+            100.0 * made.unmet
+        )
+    } else {
+        format!(
+            "  error of V asked for {:.1e}, relative to max(V, {:.1e}): met by its own measure",
+            region.error, region.floor
+        )
+    });
+    if made.check.is_empty() {
+        return lines;
+    }
+    let shown = shown(made);
+    let [median, most, worst] = shown.error;
+    lines.push(format!(
+        "  check with {} fresh states, never used in the map: {} solved, of them {} known; relative error of V: median {median:.1e}, \
+         99 % {most:.1e}, largest {worst:.1e}; error over its bound: 99 % {:.2}, largest {:.2}",
+        made.check.len(),
+        shown.solved,
+        shown.known,
+        shown.over_bound[1],
+        shown.over_bound[2]
+    ));
+    if shown.said_of_none > 0 {
+        lines.push(format!(
+            "  at {} fresh states without an answer the map says one",
+            shown.said_of_none
+        ));
+    }
+    let _ = done;
+    lines
+}
+
+pub(super) fn as_json(made: &Adaptive) -> serde_json::Value {
+    let shown = shown(made);
+    let quantiles = |q: [f64; 3]| serde_json::json!({ "median": q[0], "p99": q[1], "max": q[2] });
+    serde_json::json!({
+        "pieces": made.pieces.pieces.len(), "cells": made.pieces.cells.len(), "points": made.points,
+        "states": made.states, "failed": made.failed, "rounds": made.rounds, "seconds": made.seconds,
+        "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet,
+        "check": {
+            "states": made.check.len(), "solved": shown.solved, "known": shown.known,
+            "V_error": quantiles(shown.error), "V_error_over_bound": quantiles(shown.over_bound),
+            "said_without_answer": shown.said_of_none,
+        },
+    })
+}

@@ -1,0 +1,781 @@
+//! A map to the error asked for: states are chosen, solved, and their extremals cut into points, until pieces fitted to these
+//! say what points that were left out say, and what fresh states say that were never used.
+
+use super::pieces::{Before, Cloud, Frame, MOST_VARIABLES, Pieces, Region, Want, build};
+use crate::backend::BackendError;
+use crate::model::{MapAim, Model};
+use crate::shooting::{Path, Solver};
+use crate::sweep::{Plan, spread_over};
+use crate::value::{
+    self, Answers, Archive, Entry, PointStatus, Progress, Request, Track, TrackPoints, Wish, path_from, solve_near,
+    track_points,
+};
+use nalgebra::{DMatrix, DVector};
+use std::collections::HashMap;
+use std::time::Instant;
+
+/// Points of extremals are wanted this far outside the region, in its widths.
+const AROUND: f64 = 0.05;
+/// Largest distance between points of an extremal, in widths of the region, and change of log V.
+const SPACING: f64 = 0.025;
+const CHANGE: f64 = 0.15;
+/// States of the first round that are searched for all sheets, by number of states.
+const FIRST: [usize; 7] = [0, 64, 256, 256, 256, 384, 512];
+/// States asked for in a cell at once: this many times a power of its error over the one asked for, and the most.
+const A_CELL: f64 = 3.0;
+const MORE: f64 = 0.4;
+const MOST_A_CELL: f64 = 48.0;
+/// A round solves for at most this many times the states solved before.
+const GROWTH: f64 = 2.0;
+/// Shortest step of the way from a point of an extremal to a state near it.
+const LEAST_STEP: f64 = 1.0 / 8.0;
+/// The same where there are few points yet.
+const PATIENT_STEP: f64 = 1.0 / 64.0;
+/// A change of V by itself counts as so many widths of a cell.
+const STEEP: f64 = 2.0;
+/// Failures in a cell after which no more states are tried there.
+const MOST_FAILURES: u32 = 6;
+/// Rounds of fresh states.
+const CHECKS: usize = 4;
+/// Share of fresh states whose error may be above the bound.
+const ABOVE_BOUND: f64 = 0.01;
+/// V changes by more than this many times itself over the region where a turned frame may be worth while; share of one
+/// direction; an axis that is nearer to it than this is good enough.
+const STEEPEST: f64 = 10.0;
+const ONE_WAY: f64 = 0.7;
+const OBLIQUE: f64 = 0.95;
+/// States solved after which the frame stays.
+const SETTLED: usize = 3000;
+/// How far beyond their outermost points pieces say something, in half widths: behind a fold of a game there is nothing.
+const BEYOND: f64 = 0.6;
+const BEYOND_OF_GAME: f64 = 0.02;
+/// Draws of a state in the part of a cell that lies in the region.
+const DRAWS: usize = 20;
+/// Other sheets than the lowest are kept at a state if they may be the lowest within this share of the region.
+const NEAR: f64 = 0.05;
+/// States in a cell that a fresh state has shown to be wrong, which are searched for all sheets.
+const SEARCHED: usize = 4;
+/// States that tell where the error is met.
+const LOOKED_AT: usize = 4096;
+/// Floor of V for relative errors unless the scene says, relative to the median over the region.
+const FLOOR: f64 = 1e-3;
+
+/// A fresh state and what the map says of it.
+#[derive(Clone, Debug)]
+pub struct Checked {
+    pub x: Vec<f64>,
+    pub status: PointStatus,
+    /// V solved for, and said with its bound; NaN where there is none.
+    pub solved: f64,
+    pub said: f64,
+    pub bound: f64,
+}
+
+/// What came of it.
+pub struct Adaptive {
+    pub pieces: Pieces,
+    pub check: Vec<Checked>,
+    /// States solved for, and tried without an answer.
+    pub states: usize,
+    pub failed: usize,
+    pub points: usize,
+    pub rounds: usize,
+    /// Share of the region in cells where the error is above the one asked for, or nothing is known.
+    pub unmet: f64,
+    pub seconds: f64,
+}
+
+/// A state to be solved for, from which point of the cloud, for which cell.
+struct Errand {
+    x: Vec<f64>,
+    from: u32,
+    cell: Vec<u64>,
+    /// Half widths of the cell.
+    half: Vec<f64>,
+    /// The cell itself is good enough.
+    only_bare: bool,
+}
+
+struct Work<'a, 'p> {
+    plan: &'a Plan,
+    model: &'a Model,
+    solver: &'a mut Solver,
+    archive: &'a Archive,
+    aim: &'a MapAim,
+    progress: Progress<'p>,
+    tracks: Vec<Track>,
+    points: TrackPoints,
+    /// Points of each track.
+    of_track: Vec<Vec<u32>>,
+    cloud: Cloud,
+    frame: Frame,
+    /// Track point and turns by periods that each point of the cloud comes from.
+    origins: Vec<(u32, Vec<f64>)>,
+    failures: HashMap<Vec<u64>, u32>,
+    random: u64,
+    states: usize,
+    failed: usize,
+    rounds: usize,
+    clock: Instant,
+    /// Seconds a state of the last round, its pieces included.
+    pace: f64,
+    /// Whether several sheets lie over some states.
+    several: bool,
+}
+
+/// Makes a map. `archive` gives the first guesses.
+///
+/// # Errors
+/// Device failures only.
+pub fn adaptive(
+    plan: &Plan,
+    model: &Model,
+    solver: &mut Solver,
+    archive: &Archive,
+    aim: &MapAim,
+    progress: Progress<'_>,
+) -> Result<Adaptive, BackendError> {
+    assert!(plan.system.states <= MOST_VARIABLES);
+    let region = Region {
+        lo: aim.bounds.iter().map(|b| b[0]).collect(),
+        hi: aim.bounds.iter().map(|b| b[1]).collect(),
+        error: aim.error,
+        floor: 0.0,
+        value_max: aim.value_max.unwrap_or(f64::INFINITY),
+        beyond: if plan.game { BEYOND_OF_GAME } else { BEYOND },
+        game: plan.game,
+    };
+    let mut work = Work {
+        several: false,
+        plan,
+        model,
+        solver,
+        archive,
+        aim,
+        progress,
+        tracks: Vec::new(),
+        points: TrackPoints {
+            states: plan.system.states,
+            ..TrackPoints::default()
+        },
+        of_track: Vec::new(),
+        cloud: Cloud {
+            variables: plan.system.states,
+            ..Cloud::default()
+        },
+        frame: Frame::along(&region),
+        origins: Vec::new(),
+        failures: HashMap::new(),
+        random: 0x5eed,
+        states: 0,
+        failed: 0,
+        rounds: 0,
+        pace: 0.0,
+        clock: Instant::now(),
+    };
+    work.run(region)
+}
+
+impl Work<'_, '_> {
+    fn run(&mut self, mut region: Region) -> Result<Adaptive, BackendError> {
+        region.floor = self.first()?;
+        let mut check = Vec::new();
+        let mut pieces = self.refined(&region, Vec::new())?;
+        for attempt in 0..CHECKS {
+            check = self.checked(&pieces)?;
+            let wrong: Vec<&Checked> = (check.iter())
+                .filter(|c| c.status != PointStatus::AboveMax && (c.said - c.solved).abs() > c.bound)
+                .collect();
+            let enough = wrong.len() as f64 <= ABOVE_BOUND * check.len() as f64;
+            if enough || attempt + 1 == CHECKS || self.is_spent() {
+                break;
+            }
+            // More states in the cells that said too little of their errors, some of them searched for all sheets.
+            let more: Vec<Want> = wrong.iter().map(|c| self.want_around(&pieces, c)).collect();
+            let mut states = Vec::new();
+            for want in &more {
+                for _ in 0..SEARCHED {
+                    states.extend(
+                        self.inside(want, &region)
+                            .map(|z| self.frame.state(&z))
+                            .unwrap_or_default(),
+                    );
+                }
+            }
+            if !states.is_empty() {
+                let (tracks, _) = self.searched(states, NEAR)?;
+                self.add(tracks, region.floor)?;
+            }
+            pieces = self.refined(&region, more)?;
+        }
+        // By many states: cells reach over the region's faces.
+        let looked_at = spread_over(&self.aim.bounds, LOOKED_AT);
+        let unmet = |x: &&Vec<f64>| match pieces.at(x) {
+            Some(said) => said.v_bound > region.error * said.v.abs().max(region.floor),
+            // Nothing is said above the largest V of interest.
+            None => region.value_max == f64::INFINITY,
+        };
+        Ok(Adaptive {
+            unmet: looked_at.iter().filter(unmet).count() as f64 / looked_at.len() as f64,
+            pieces,
+            check,
+            states: self.states,
+            failed: self.failed,
+            points: self.cloud.len(),
+            rounds: self.rounds,
+            seconds: self.clock.elapsed().as_secs_f64(),
+        })
+    }
+
+    fn is_spent(&self) -> bool {
+        let late = self
+            .aim
+            .seconds
+            .is_some_and(|s| self.clock.elapsed().as_secs_f64() >= s);
+        late || self.states + self.failed >= self.aim.states
+    }
+
+    /// V up to which points are kept: a little beyond what is asked for, for the pieces at its edge.
+    fn most_value(&self) -> f64 {
+        self.aim.value_max.map_or(f64::INFINITY, |v| v + 0.1 * v.abs())
+    }
+
+    /// Fresh states of the region (absolute), in an order without end.
+    fn fresh(&mut self, count: usize) -> Vec<f64> {
+        let bounds = self.aim.bounds.clone();
+        (0..count)
+            .flat_map(|_| {
+                bounds
+                    .iter()
+                    .map(|[lo, hi]| lo + (hi - lo) * self.uniform())
+                    .collect::<Vec<_>>()
+            })
+            .collect()
+    }
+
+    /// A number from 0 to 1 (splitmix64).
+    fn uniform(&mut self) -> f64 {
+        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.random;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn solve(&mut self, points: Vec<f64>) -> Result<Answers, BackendError> {
+        let request = Request {
+            points,
+            value_max: self.aim.value_max,
+            ..Request::default()
+        };
+        value::solve(
+            self.plan,
+            self.model,
+            self.solver,
+            self.archive,
+            &request,
+            &mut *self.progress,
+        )
+    }
+
+    /// Solves for the first states, searched for all sheets; the floor of V.
+    fn first(&mut self) -> Result<f64, BackendError> {
+        let n = self.plan.system.states;
+        let wide: Vec<[f64; 2]> = (self.aim.bounds.iter())
+            .map(|[lo, hi]| [lo - 0.5 * AROUND * (hi - lo), hi + 0.5 * AROUND * (hi - lo)])
+            .collect();
+        let count = FIRST[n].min(self.aim.states);
+        let states: Vec<f64> = spread_over(&wide, count).into_iter().flatten().collect();
+        let (mut tracks, mut values) = self.searched(states, NEAR)?;
+        // Where trajectories are not followed backward only states on the region's faces tell of these.
+        if !self.goes_beyond() {
+            let mut states = Vec::new();
+            for face in 0..2 * n {
+                let mut side = wide.clone();
+                side[face / 2] = [wide[face / 2][face % 2]; 2];
+                states.extend(spread_over(&side, FIRST[n] / (2 * n)).into_iter().flatten());
+            }
+            let (more, others) = self.searched(states, NEAR)?;
+            tracks.extend(more);
+            values.extend(others);
+        }
+        values.retain(|v| v.is_finite());
+        values.iter_mut().for_each(|v| *v = v.abs());
+        values.sort_by(f64::total_cmp);
+        let median = values.get(values.len() / 2).copied().unwrap_or(1.0);
+        let floor = self.aim.floor.unwrap_or(FLOOR * median);
+        self.add(tracks, floor)?;
+        if self.goes_beyond() {
+            self.edges(floor)?;
+        }
+        Ok(floor)
+    }
+
+    /// States on the region's faces and in its corners: what lies there no other states surround.
+    fn edges(&mut self, floor: f64) -> Result<(), BackendError> {
+        let n = self.plan.system.states;
+        let bounds = self.aim.bounds.clone();
+        let mut states: Vec<Vec<f64>> = (0..1usize << n)
+            .map(|corner| (0..n).map(|i| bounds[i][corner >> i & 1]).collect())
+            .collect();
+        for face in 0..2 * n {
+            let mut side = bounds.clone();
+            side[face / 2] = [bounds[face / 2][face % 2]; 2];
+            states.extend(spread_over(&side, FIRST[n] / (2 * n)));
+        }
+        let mut z = vec![0.0; n];
+        let mut guesses = Vec::new();
+        for x in states {
+            self.frame.of(&x, &mut z);
+            let Some(from) = self.nearest(&z) else { return Ok(()) };
+            let shift = &self.origins[from as usize].1;
+            let x = x.iter().zip(shift).map(|(x, s)| x - s).collect();
+            guesses.push((x, self.guess(from), self.cloud.sheet[from as usize]));
+        }
+        let sheets: Vec<i32> = guesses.iter().map(|(.., sheet)| *sheet).collect();
+        let guesses = guesses.into_iter().map(|(x, path, _)| (x, path)).collect();
+        let found = solve_near(self.plan, self.solver, guesses, PATIENT_STEP)?;
+        let most = self.most_value();
+        let tracks: Vec<Track> = (found.into_iter().zip(sheets))
+            .filter_map(|(found, sheet)| {
+                let (path, value) = found.filter(|(_, value)| *value <= most)?;
+                Some(Track {
+                    path,
+                    value,
+                    sheet,
+                    whole: true,
+                })
+            })
+            .collect();
+        self.states += tracks.len();
+        self.add(tracks, floor)
+    }
+
+    /// Solves for states (absolute) with a search for all sheets; the tracks of the answers, and V. Of other sheets that may
+    /// be the lowest within `half` of a state (in the frame's coordinates) the state itself. V is NaN where there is none.
+    fn searched(&mut self, states: Vec<f64>, half: f64) -> Result<(Vec<Track>, Vec<f64>), BackendError> {
+        let half = vec![half; self.plan.system.states];
+        let answers = self.solve(states)?;
+        let mut values = vec![f64::NAN; answers.targets.len()];
+        let mut tracks = Vec::new();
+        for target in 0..answers.targets.len() {
+            self.several |= answers.of(target).len() > 1;
+            let answer = answers.answer(target).filter(|a| a.value <= self.most_value());
+            let Some(answer) = answer else {
+                self.failed += 1;
+                continue;
+            };
+            self.states += 1;
+            values[target] = answer.value;
+            let others = answers
+                .of(target)
+                .iter()
+                .filter(|e| !self.plan.game && e.value > answer.value);
+            let near = others.filter(|e| self.may_cross((&answer.path, answer.value), (&e.path, e.value), &half));
+            let track = |e: &Entry, whole| Track {
+                path: e.path.clone(),
+                value: e.value,
+                sheet: e.sheet,
+                whole,
+            };
+            let near: Vec<Track> = near.map(|e| track(e, false)).collect();
+            tracks.push(track(answer, true));
+            tracks.extend(near);
+        }
+        let given = answers.targets.of_given.iter().map(|target| values[*target]);
+        Ok((tracks, given.collect()))
+    }
+
+    /// Whether extremals are followed backward beyond the states they were solved for: where sheets lie over each other what
+    /// comes before an answer need not be one.
+    fn goes_beyond(&self) -> bool {
+        !self.plan.game && self.plan.local.is_some() && !self.several
+    }
+
+    /// Adds tracks and their points.
+    fn add(&mut self, tracks: Vec<Track>, floor: f64) -> Result<(), BackendError> {
+        let n = self.plan.system.states;
+        let reference = &self.plan.system.reference;
+        let bounds: Vec<[f64; 2]> = (self.aim.bounds.iter().zip(reference))
+            .map(|([lo, hi], r)| {
+                let more = AROUND * (hi - lo);
+                [lo - r - more, hi - r + more]
+            })
+            .collect();
+        let wish = Wish {
+            bounds,
+            widths: self.aim.bounds.iter().map(|[lo, hi]| hi - lo).collect(),
+            spacing: SPACING,
+            change: CHANGE,
+            floor,
+            value_max: self.most_value(),
+            onward: self.plan.local.is_some(),
+            beyond: self.goes_beyond(),
+        };
+        // Of a state with a period any number of periods away will do.
+        let wide = (wish.bounds.iter().zip(&self.plan.periods)).map(|(b, period)| {
+            if period.is_some() {
+                [f64::NEG_INFINITY, f64::INFINITY]
+            } else {
+                *b
+            }
+        });
+        let (wide, bounds) = (wide.collect(), wish.bounds);
+        let wish = Wish { bounds: wide, ..wish };
+        let first = self.tracks.len() as u32;
+        let found = track_points(self.plan, self.solver, &tracks, first, &wish)?;
+        self.of_track.resize(self.tracks.len() + tracks.len(), Vec::new());
+        self.tracks.extend(tracks);
+        for k in 0..found.len() {
+            let track = found.track[k];
+            let number = self.points.len() as u32 + k as u32;
+            self.of_track[track as usize].push(number);
+            let node = found.node(k);
+            for shift in self.shifts(&node[..n], &bounds) {
+                let x: Vec<f64> = (0..n).map(|i| node[i] + shift[i] + reference[i]).collect();
+                let at = self.cloud.z.len();
+                self.cloud.z.resize(at + n, 0.0);
+                self.cloud.q.resize(at + n, 0.0);
+                self.frame.of(&x, &mut self.cloud.z[at..]);
+                self.frame.gradient_of(&node[n..], &mut self.cloud.q[at..]);
+                self.cloud.v.push(found.v[k]);
+                self.cloud.track.push(track);
+                self.cloud.sheet.push(self.tracks[track as usize].sheet);
+                self.origins.push((number, shift));
+            }
+        }
+        self.points.nodes.extend(found.nodes);
+        self.points.v.extend(found.v);
+        self.points.track.extend(found.track);
+        self.points.t.extend(found.t);
+        Ok(())
+    }
+
+    /// All whole periods by which a state (deviation) comes into bounds.
+    fn shifts(&self, s: &[f64], bounds: &[[f64; 2]]) -> Vec<Vec<f64>> {
+        let mut all = vec![vec![0.0; s.len()]];
+        for (i, period) in self.plan.periods.iter().enumerate() {
+            let Some(period) = period else { continue };
+            let [lo, hi] = bounds[i];
+            let (first, last) = (
+                ((lo - s[i]) / period).ceil() as i32,
+                ((hi - s[i]) / period).floor() as i32,
+            );
+            all = (all.iter())
+                .flat_map(|base| {
+                    (first..=last).map(|k| {
+                        let mut shift = base.clone();
+                        shift[i] = f64::from(k) * period;
+                        shift
+                    })
+                })
+                .collect();
+        }
+        all
+    }
+
+    /// Builds pieces, and solves for states where they are not good enough, until they are.
+    fn refined(&mut self, region: &Region, more: Vec<Want>) -> Result<Pieces, BackendError> {
+        let mut more = Some(more).filter(|m| !m.is_empty());
+        let mut before: Option<(Pieces, usize)> = None;
+        let mut last: Option<(Instant, usize)> = None;
+        loop {
+            if self.states < SETTLED && self.turn(region) {
+                before = None;
+            }
+            let old = before.as_ref().map(|(pieces, points)| Before {
+                pieces,
+                points: *points,
+            });
+            let (pieces, wants) = build(&self.cloud, region, &self.frame, old);
+            let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
+                .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
+                .collect();
+            if asked.is_empty() || self.is_spent() {
+                return Ok(pieces);
+            }
+            let (solved, clock) = (self.states + self.failed, Instant::now());
+            if let Some((began, first)) = last {
+                self.pace = (clock - began).as_secs_f64() / (solved - first).max(1) as f64;
+            }
+            last = Some((clock, solved));
+            self.rounds += 1;
+            let known = self.cloud.len();
+            if !self.answer(asked, region)? {
+                return Ok(pieces);
+            }
+            let said = format!("in {} cells", pieces.cells.len());
+            (self.progress)(&said, self.states, self.states + wants.len());
+            before = Some((pieces, known));
+        }
+    }
+
+    /// Turns the frame to where V is steep, relative to itself, if that is in one direction; whether it was turned.
+    fn turn(&mut self, region: &Region) -> bool {
+        let n = self.cloud.variables;
+        let reference = &self.plan.system.reference;
+        let mut moments = DMatrix::<f64>::zeros(n, n);
+        let mut count = 0.0;
+        for k in 0..self.points.len() {
+            let node = self.points.node(k);
+            let inside = (0..n).all(|i| {
+                let x = node[i] + reference[i];
+                x >= region.lo[i] && x <= region.hi[i]
+            });
+            if inside {
+                let size = self.points.v[k].abs().max(region.floor);
+                let g = DVector::from_iterator(n, (0..n).map(|i| node[n + i] * region.width(i) / size));
+                moments += &g * g.transpose();
+                count += 1.0;
+            }
+        }
+        let eigen = (moments / f64::max(count, 1.0)).symmetric_eigen();
+        let first = eigen.eigenvalues.imax();
+        let (most, all) = (eigen.eigenvalues[first], eigen.eigenvalues.sum());
+        let direction: Vec<f64> = eigen.eigenvectors.column(first).iter().copied().collect();
+        let nearest = direction.iter().fold(0.0f64, |a, d| a.max(d.abs()));
+        let worth = n > 2 && most > STEEPEST * STEEPEST && most > ONE_WAY * all && nearest < OBLIQUE;
+        let frame = if worth {
+            Frame::steep(region, &direction)
+        } else {
+            Frame::along(region)
+        };
+        let angle: f64 = (0..n * n)
+            .map(|k| (frame.matrix[k] - self.frame.matrix[k]).powi(2))
+            .sum();
+        let size: f64 = frame.matrix.iter().map(|m| m * m).sum();
+        if angle <= 0.03 * size {
+            return false;
+        }
+        self.frame = frame;
+        for (k, (point, shift)) in self.origins.iter().enumerate() {
+            let node = self.points.node(*point as usize);
+            let x: Vec<f64> = (0..n).map(|i| node[i] + shift[i] + reference[i]).collect();
+            self.frame.of(&x, &mut self.cloud.z[k * n..][..n]);
+            self.frame.gradient_of(&node[n..], &mut self.cloud.q[k * n..][..n]);
+        }
+        true
+    }
+
+    /// Solves for states in cells that want some; false where there is nothing to start from.
+    fn answer(&mut self, mut wants: Vec<Want>, region: &Region) -> Result<bool, BackendError> {
+        let left = self.aim.states - (self.states + self.failed).min(self.aim.states);
+        let in_time = (self.aim.seconds.filter(|_| self.pace > 0.0)).map_or(usize::MAX, |s| {
+            ((s - self.clock.elapsed().as_secs_f64()) / self.pace) as usize
+        });
+        let budget = left.min((GROWTH * self.states as f64) as usize).min(in_time).max(1);
+        wants.sort_by(|a, b| b.excess.total_cmp(&a.excess));
+        let mut errands = Vec::new();
+        // Half of the states go to the worst cells first, as many as each will need; the others to all in turn.
+        let quota = |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE)).min(MOST_A_CELL) as usize;
+        let mut given = vec![0; wants.len()];
+        for (want, given) in wants.iter().zip(&mut given) {
+            if errands.len() >= budget / 2 || want.excess <= 1.0 {
+                break;
+            }
+            for turn in 0..quota(want) {
+                self.errand(want, turn, region, &mut errands);
+            }
+            *given = quota(want);
+        }
+        for turn in 0..MOST_A_CELL as usize {
+            for (want, given) in wants.iter().zip(&given) {
+                if errands.len() >= budget {
+                    break;
+                }
+                if (*given..quota(want)).contains(&turn) {
+                    self.errand(want, turn, region, &mut errands);
+                }
+            }
+        }
+        if errands.is_empty() {
+            return Ok(false);
+        }
+        // Where sheets lie over each other a way from a point near tells nothing of the others.
+        if self.several {
+            let mut states = Vec::new();
+            let mut widest = 0.0f64;
+            for errand in &errands {
+                let shift = &self.origins[errand.from as usize].1;
+                states.extend(errand.x.iter().zip(shift).map(|(x, s)| x + s));
+                widest = errand.half.iter().fold(widest, |a, h| a.max(*h));
+            }
+            let (tracks, values) = self.searched(states, widest.min(NEAR))?;
+            for (errand, _) in errands
+                .into_iter()
+                .zip(values)
+                .filter(|(e, v)| e.only_bare || v.is_nan())
+            {
+                *self.failures.entry(errand.cell).or_default() += 1;
+            }
+            self.add(tracks, region.floor)?;
+            return Ok(true);
+        }
+        let guesses: Vec<_> = errands.iter().map(|e| (e.x.clone(), self.guess(e.from))).collect();
+        let found = solve_near(self.plan, self.solver, guesses, LEAST_STEP)?;
+        let mut tracks = Vec::new();
+        let most = self.most_value();
+        for (errand, found) in errands.into_iter().zip(found) {
+            let found = found.filter(|(_, value)| *value <= most);
+            if errand.only_bare || found.is_none() {
+                *self.failures.entry(errand.cell).or_default() += 1;
+            }
+            let Some((path, value)) = found else {
+                self.failed += 1;
+                continue;
+            };
+            self.states += 1;
+            tracks.push(Track {
+                path,
+                value,
+                sheet: self.cloud.sheet[errand.from as usize],
+                whole: true,
+            });
+        }
+        self.add(tracks, region.floor)?;
+        Ok(true)
+    }
+
+    /// A place drawn from the part of a cell that lies in the region.
+    fn inside(&mut self, want: &Want, region: &Region) -> Option<Vec<f64>> {
+        let n = want.lo.len();
+        (0..DRAWS).find_map(|_| {
+            let z: Vec<f64> = (0..n)
+                .map(|i| want.lo[i] + (want.hi[i] - want.lo[i]) * self.uniform())
+                .collect();
+            let x = self.frame.state(&z);
+            (0..n)
+                .all(|i| x[i] >= region.lo[i] && x[i] <= region.hi[i])
+                .then_some(z)
+        })
+    }
+
+    /// Whether a solution may cost as little as the lowest one within a cell around their state.
+    fn may_cross(&self, lowest: (&Path, f64), other: (&Path, f64), half: &[f64]) -> bool {
+        let n = half.len();
+        let mut q = [[0.0; MOST_VARIABLES]; 2];
+        self.frame.gradient_of(lowest.0.adjoint(), &mut q[0][..n]);
+        self.frame.gradient_of(other.0.adjoint(), &mut q[1][..n]);
+        let change: f64 = (0..n).map(|i| (q[1][i] - q[0][i]).abs() * half[i]).sum();
+        other.1 - lowest.1 <= change
+    }
+
+    /// A way to a state of a cell, a bare corner or one that is drawn, from the nearest point.
+    fn errand(&mut self, want: &Want, turn: usize, region: &Region, errands: &mut Vec<Errand>) {
+        let n = self.plan.system.states;
+        let places = want.bare.len() / n;
+        let z: Vec<f64> = if turn < places {
+            want.bare[((turn + self.rounds) % places) * n..][..n].to_vec()
+        } else if want.excess > 1.0 {
+            match self.inside(want, region) {
+                Some(z) => z,
+                None => return,
+            }
+        } else {
+            return;
+        };
+        // In widths of the cell, and by how much V would change on the way.
+        let distance = |k: u32| -> f64 {
+            let (at, q) = (self.cloud.z(k as usize), self.cloud.q(k as usize));
+            let (mut far, mut change) = (0.0, 0.0);
+            for i in 0..n {
+                far += ((z[i] - at[i]) / (want.hi[i] - want.lo[i])).powi(2);
+                change += q[i] * (z[i] - at[i]);
+            }
+            far + (STEEP * change / self.cloud.v[k as usize].abs().max(region.floor)).powi(2)
+        };
+        let nearest = want
+            .points
+            .iter()
+            .copied()
+            .min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
+        let Some(from) = nearest.or_else(|| self.nearest(&z)) else {
+            return;
+        };
+        // As many periods away as the point that it is reached from.
+        let shift = &self.origins[from as usize].1;
+        errands.push(Errand {
+            x: self.frame.state(&z).iter().zip(shift).map(|(x, s)| x - s).collect(),
+            from,
+            cell: key(want),
+            half: want.lo.iter().zip(&want.hi).map(|(lo, hi)| 0.5 * (hi - lo)).collect(),
+            only_bare: want.excess <= 1.0,
+        });
+    }
+
+    /// The point nearest to a place, of all.
+    fn nearest(&self, z: &[f64]) -> Option<u32> {
+        let distance = |k: usize| -> f64 { self.cloud.z(k).iter().zip(z).map(|(a, b)| (a - b).powi(2)).sum() };
+        (0..self.cloud.len())
+            .min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
+            .map(|k| k as u32)
+    }
+
+    /// The path from a point of the cloud on.
+    fn guess(&self, k: u32) -> Path {
+        let (point, _) = &self.origins[k as usize];
+        let number = *point as usize;
+        let track = self.points.track[number] as usize;
+        let t = self.points.t[number];
+        let mut later: Vec<(f64, &[f64])> = (self.of_track[track].iter())
+            .map(|q| (self.points.t[*q as usize], self.points.node(*q as usize)))
+            .filter(|(q, _)| t < 0.0 && *q > t && *q < 0.0)
+            .collect();
+        later.sort_by(|a, b| a.0.total_cmp(&b.0));
+        path_from(&self.tracks[track], self.points.node(number), t, &later)
+    }
+
+    /// Fresh states, solved from scratch and looked up.
+    fn checked(&mut self, pieces: &Pieces) -> Result<Vec<Checked>, BackendError> {
+        let n = self.plan.system.states;
+        let states = self.fresh(self.aim.check);
+        let answers = self.solve(states.clone())?;
+        Ok((states.chunks(n).enumerate())
+            .map(|(k, x)| {
+                let target = answers.targets.of_given[k];
+                let said = pieces.at(x);
+                let above = answers
+                    .answer(target)
+                    .is_some_and(|a| a.value > pieces.region.value_max);
+                let status = if above {
+                    PointStatus::AboveMax
+                } else {
+                    answers.status(target)
+                };
+                Checked {
+                    x: x.to_vec(),
+                    status,
+                    solved: answers.answer(target).map_or(f64::NAN, |e| e.value),
+                    said: said.as_ref().map_or(f64::NAN, |s| s.v),
+                    bound: said.as_ref().map_or(f64::NAN, |s| s.v_bound),
+                }
+            })
+            .collect())
+    }
+
+    /// More states for the cell round a fresh state.
+    fn want_around(&self, pieces: &Pieces, checked: &Checked) -> Want {
+        let mut z = vec![0.0; checked.x.len()];
+        self.frame.of(&checked.x, &mut z);
+        let cell = (pieces.cells.iter())
+            .find(|c| (0..z.len()).all(|i| z[i] >= c.lo[i] && z[i] <= c.hi[i]))
+            .expect("the cells fill the region");
+        let more = |i: usize| 0.3 * (cell.hi[i] - cell.lo[i]);
+        let near = |k: &u32| {
+            let at = self.cloud.z(*k as usize);
+            (0..z.len()).all(|i| at[i] >= cell.lo[i] - more(i) && at[i] <= cell.hi[i] + more(i))
+        };
+        Want {
+            lo: cell.lo.clone(),
+            hi: cell.hi.clone(),
+            excess: (checked.said - checked.solved).abs() / checked.bound * 2.0,
+            bare: Vec::new(),
+            points: (0..self.cloud.len() as u32).filter(near).collect(),
+        }
+    }
+}
+
+/// A cell as a key.
+fn key(want: &Want) -> Vec<u64> {
+    want.lo.iter().chain(&want.hi).map(|x| x.to_bits()).collect()
+}

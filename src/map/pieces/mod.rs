@@ -1,0 +1,431 @@
+//! A value function in pieces: cells of a region with a polynomial of V each, blended where they overlap.
+//!
+//! The region is halved, along one axis at a time, into cells. Each cell has one polynomial a sheet, fitted to V and p at
+//! scattered points in it and a little around it, of V or of a function of V ([`Shape`]). Around the faces of cells their
+//! polynomials are blended by weights that sum to one and have continuous derivatives (a partition of unity: Melenk &
+//! Babuska 1996), and p is the gradient of the blend.
+
+mod build;
+mod fit;
+mod frame;
+mod terms;
+
+pub use build::{Before, Cloud, Want, build};
+pub use fit::Shape;
+pub use frame::Frame;
+pub use terms::{MOST_VARIABLES, Terms};
+
+/// Cells reach this share of their half width over their faces.
+pub const BLEND: f64 = 0.1;
+/// Where polynomials of several sheets lie over a state, they are blended with those that say the same but for this many
+/// times their bounds.
+const SAME: f64 = 3.0;
+
+/// Highest degree of the polynomials of so many variables.
+pub fn highest_degree(variables: usize) -> usize {
+    match variables {
+        0..=2 => terms::MOST_DEGREE,
+        3 => 6,
+        _ => 4,
+    }
+}
+
+/// What pieces are made for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Region {
+    /// Absolute, one a state.
+    pub lo: Vec<f64>,
+    pub hi: Vec<f64>,
+    /// Largest error wanted, relative to the larger one of V and the floor.
+    pub error: f64,
+    pub floor: f64,
+    /// Nothing is said of larger V.
+    pub value_max: f64,
+    /// How far beyond their outermost points pieces may say something, in half widths of theirs.
+    pub beyond: f64,
+    /// Whether V is that of a game, where behind a fold there is nothing.
+    pub game: bool,
+}
+
+impl Region {
+    pub fn width(&self, i: usize) -> f64 {
+        self.hi[i] - self.lo[i]
+    }
+}
+
+/// A polynomial over a cell and a little around it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Piece {
+    /// In coordinates of the frame, 0 to 1; monomials are of `(z - center) / half`.
+    pub center: Vec<f64>,
+    pub half: Vec<f64>,
+    pub shape: Shape,
+    pub coefficients: Vec<f64>,
+    /// Bounds of the errors of V and of its derivatives by the monomials' variables, relative to the larger one of V and the
+    /// floor.
+    pub bound: f64,
+    pub p_bound: f64,
+    pub sheet: i32,
+    /// Extents of the points that it was fitted to along [`directions`], in its own variables, where points are missing on one
+    /// side of the cell; else empty.
+    pub support: Vec<[f64; 2]>,
+}
+
+/// Directions along which points are enclosed: the axes and those between two of them; of two variables more.
+pub fn directions(n: usize) -> Vec<Vec<f64>> {
+    if n == 2 {
+        return (0..8)
+            .map(|k| {
+                let angle = std::f64::consts::PI * f64::from(k) / 8.0;
+                vec![angle.cos(), angle.sin()]
+            })
+            .collect();
+    }
+    let mut all = Vec::new();
+    for i in 0..n {
+        for (j, sign) in (i..n).flat_map(|j| [(j, 1.0), (j, -1.0)]) {
+            let mut d = vec![0.0; n];
+            d[i] = 1.0;
+            if i != j {
+                d[j] = sign;
+            } else if sign < 0.0 {
+                continue;
+            }
+            all.push(d);
+        }
+    }
+    all
+}
+
+/// A cell, in coordinates of the frame; several pieces are several sheets.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cell {
+    pub lo: Vec<f64>,
+    pub hi: Vec<f64>,
+    pub pieces: std::ops::Range<usize>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Node {
+    Cell(usize),
+    Split {
+        axis: usize,
+        at: f64,
+        below: usize,
+        above: usize,
+        /// Lowest coordinate to which cells above reach, and highest to which cells below do.
+        reach: [f64; 2],
+    },
+}
+
+/// The whole.
+#[derive(Clone, Debug)]
+pub struct Pieces {
+    pub region: Region,
+    pub frame: Frame,
+    pub terms: Terms,
+    /// Along which supports are given.
+    pub directions: Vec<Vec<f64>>,
+    /// The first is the root.
+    pub nodes: Vec<Node>,
+    pub cells: Vec<Cell>,
+    pub pieces: Vec<Piece>,
+}
+
+/// What pieces say of a state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Said {
+    pub v: f64,
+    pub p: Vec<f64>,
+    /// Bound of V's error, and of each component of p.
+    pub v_bound: f64,
+    pub p_bound: Vec<f64>,
+    pub sheet: i32,
+    /// Pieces that were blended.
+    pub pieces: usize,
+}
+
+/// V, its gradient (in coordinates of the region) and their bounds at a place.
+struct Told {
+    v: f64,
+    q: [f64; MOST_VARIABLES],
+    v_bound: f64,
+    p_bound: [f64; MOST_VARIABLES],
+    sheet: i32,
+}
+
+impl Pieces {
+    /// From their parts; `None` where a piece's number of coefficients is that of no degree.
+    pub fn new(region: Region, frame: Frame, nodes: Vec<Node>, cells: Vec<Cell>, pieces: Vec<Piece>) -> Option<Self> {
+        let n = region.lo.len();
+        if n == 0 || n > MOST_VARIABLES {
+            return None;
+        }
+        let all = Terms::new(n, highest_degree(n));
+        if !pieces.iter().all(|p| all.upto.contains(&p.coefficients.len())) {
+            return None;
+        }
+        let mut this = Self {
+            region,
+            frame,
+            terms: all,
+            directions: directions(n),
+            nodes,
+            cells,
+            pieces,
+        };
+        this.finish();
+        Some(this)
+    }
+
+    /// Fills in how far cells reach.
+    fn finish(&mut self) {
+        if !self.nodes.is_empty() {
+            self.extent(0);
+        }
+    }
+
+    /// Lowest and highest coordinates to which the cells below a node reach.
+    fn extent(&mut self, node: usize) -> Vec<[f64; 2]> {
+        match self.nodes[node] {
+            Node::Cell(cell) => {
+                let Cell { lo, hi, .. } = &self.cells[cell];
+                (lo.iter().zip(hi))
+                    .map(|(lo, hi)| {
+                        let more = 0.5 * BLEND * (hi - lo);
+                        [lo - more, hi + more]
+                    })
+                    .collect()
+            }
+            Node::Split {
+                axis, at, below, above, ..
+            } => {
+                let (a, b) = (self.extent(below), self.extent(above));
+                self.nodes[node] = Node::Split {
+                    axis,
+                    at,
+                    below,
+                    above,
+                    reach: [b[axis][0], a[axis][1]],
+                };
+                (a.iter().zip(&b))
+                    .map(|(a, b)| [a[0].min(b[0]), a[1].max(b[1])])
+                    .collect()
+            }
+        }
+    }
+
+    pub fn states(&self) -> usize {
+        self.region.lo.len()
+    }
+
+    /// Whether a state (absolute) lies in the region.
+    pub fn covers(&self, x: &[f64]) -> bool {
+        (x.iter().zip(self.region.lo.iter().zip(&self.region.hi))).all(|(x, (lo, hi))| x >= lo && x <= hi)
+    }
+
+    /// V on the lowest sheet at a state (absolute); `None` outside the region and where nothing is known.
+    pub fn at(&self, x: &[f64]) -> Option<Said> {
+        self.sheets(x).into_iter().next()
+    }
+
+    /// All sheets at a state, by rising V.
+    pub fn sheets(&self, x: &[f64]) -> Vec<Said> {
+        if !self.covers(x) {
+            return Vec::new();
+        }
+        let n = self.states();
+        let mut z = [0.0; MOST_VARIABLES];
+        self.frame.of(x, &mut z[..n]);
+        let z = &z[..n];
+        let mut own: Vec<Told> = (self.cells[self.cell(z)].pieces.clone())
+            .filter_map(|k| self.told(k, z))
+            .collect();
+        own.sort_by(|a, b| a.v.total_cmp(&b.v));
+        own.retain(|told| told.v <= self.region.value_max);
+        (0..own.len()).map(|k| self.blended(z, &own, k)).collect()
+    }
+
+    /// The cell in which a place lies.
+    fn cell(&self, z: &[f64]) -> usize {
+        let mut node = 0;
+        loop {
+            match self.nodes[node] {
+                Node::Cell(cell) => return cell,
+                Node::Split {
+                    axis, at, below, above, ..
+                } => node = if z[axis] < at { below } else { above },
+            }
+        }
+    }
+
+    /// What a piece says; `None` outside its points.
+    fn told(&self, piece: usize, z: &[f64]) -> Option<Told> {
+        let n = z.len();
+        let piece = &self.pieces[piece];
+        let mut y = [0.0; MOST_VARIABLES];
+        for i in 0..n {
+            y[i] = (z[i] - piece.center[i]) / piece.half[i];
+        }
+        let along = |d: &[f64]| (0..n).map(|i| d[i] * y[i]).sum::<f64>();
+        let inside = (piece.support.iter().zip(&self.directions)).all(|([lo, hi], d)| {
+            let at = along(d);
+            at >= *lo && at <= *hi
+        });
+        if !inside {
+            return None;
+        }
+        let mut q = [0.0; MOST_VARIABLES];
+        let w = self.terms.sum(&piece.coefficients, &y[..n], &mut q);
+        let (v, slope) = piece.shape.back(w);
+        let size = v.abs().max(self.region.floor);
+        let mut p_bound = [0.0; MOST_VARIABLES];
+        for i in 0..n {
+            q[i] *= slope / piece.half[i];
+            p_bound[i] = piece.p_bound * size / piece.half[i];
+        }
+        v.is_finite().then_some(Told {
+            v,
+            q,
+            v_bound: piece.bound * size,
+            p_bound,
+            sheet: piece.sheet,
+        })
+    }
+
+    /// One sheet's blend at a place.
+    fn blended(&self, z: &[f64], own: &[Told], which: usize) -> Said {
+        let n = z.len();
+        let first = &own[which];
+        let (mut total, mut slope) = (0.0, [0.0; MOST_VARIABLES]);
+        let (mut v, mut q) = (0.0, [0.0; MOST_VARIABLES]);
+        let (mut v_bound, mut p_bound) = (first.v_bound, first.p_bound);
+        let mut pieces = 0;
+        let mut add = |told: &Told, w: f64, dw: &[f64; MOST_VARIABLES]| {
+            total += w;
+            // Around the first: the differences are small.
+            v += w * (told.v - first.v);
+            for i in 0..n {
+                slope[i] += dw[i];
+                q[i] += w * (told.q[i] - first.q[i]) + dw[i] * (told.v - first.v);
+            }
+            v_bound = v_bound.max(told.v_bound);
+            for i in 0..n {
+                p_bound[i] = told.p_bound[i].max(p_bound[i]);
+            }
+            pieces += 1;
+        };
+        self.around(0, z, &mut |cell| {
+            let Some((w, dw)) = weight(&self.cells[cell], z) else {
+                return;
+            };
+            let here = self.cells[cell].lo.iter().zip(&self.cells[cell].hi).zip(z);
+            if here.into_iter().all(|((lo, hi), z)| z >= lo && z < hi) {
+                add(first, w, &dw);
+                return;
+            }
+            // The piece of the same sheet, if the neighbour has one.
+            let mut best: Option<Told> = None;
+            for k in self.cells[cell].pieces.clone() {
+                let Some(told) = self.told(k, z) else { continue };
+                if best
+                    .as_ref()
+                    .is_none_or(|b| (told.v - first.v).abs() < (b.v - first.v).abs())
+                {
+                    best = Some(told);
+                }
+            }
+            let Some(told) = best else { return };
+            let alone = own.len() == 1 && self.cells[cell].pieces.len() == 1;
+            if alone || (told.v - first.v).abs() <= SAME * (told.v_bound + first.v_bound) {
+                add(&told, w, &dw);
+            }
+        });
+        if total <= 0.0 {
+            (total, v) = (1.0, 0.0);
+        }
+        let blend = v / total;
+        for i in 0..n {
+            q[i] = first.q[i] + (q[i] - blend * slope[i]) / total;
+        }
+        let (mut p, mut bound) = (vec![0.0; n], vec![0.0; n]);
+        self.frame.gradient(&q[..n], &mut p);
+        self.frame.gradient_bound(&p_bound[..n], &mut bound);
+        Said {
+            v: first.v + blend,
+            p,
+            v_bound,
+            p_bound: bound,
+            sheet: first.sheet,
+            pieces: pieces.max(1),
+        }
+    }
+
+    /// `d2V/dx2` of the lowest sheet (row-major), by differences of p; NaN where nothing is known.
+    pub fn hessian(&self, x: &[f64]) -> Vec<f64> {
+        /// Of the region's width: p is as smooth as its pieces.
+        const STEP: f64 = 1e-5;
+        let n = x.len();
+        let mut hessian = vec![f64::NAN; n * n];
+        for j in 0..n {
+            let step = STEP * self.region.width(j);
+            let at = |sign: f64| {
+                let mut x = x.to_vec();
+                x[j] = (x[j] + sign * step).clamp(self.region.lo[j], self.region.hi[j]);
+                self.at(&x).map(|said| (x[j], said.p))
+            };
+            if let (Some((a, pa)), Some((b, pb))) = (at(-1.0), at(1.0)) {
+                for i in 0..n {
+                    hessian[i * n + j] = (pb[i] - pa[i]) / (b - a);
+                }
+            }
+        }
+        hessian
+    }
+
+    /// Cells that reach over a place.
+    fn around(&self, node: usize, z: &[f64], found: &mut impl FnMut(usize)) {
+        match &self.nodes[node] {
+            Node::Cell(cell) => found(*cell),
+            Node::Split {
+                axis,
+                below,
+                above,
+                reach,
+                ..
+            } => {
+                if z[*axis] < reach[1] {
+                    self.around(*below, z, found);
+                }
+                if z[*axis] > reach[0] {
+                    self.around(*above, z, found);
+                }
+            }
+        }
+    }
+}
+
+/// Weight of a cell at a place, before they are made to sum to one, and its gradient; `None` where it is 0.
+fn weight(cell: &Cell, z: &[f64]) -> Option<(f64, [f64; MOST_VARIABLES])> {
+    let n = z.len();
+    let (mut factors, mut slopes) = ([1.0; MOST_VARIABLES], [0.0; MOST_VARIABLES]);
+    for i in 0..n {
+        let half = 0.5 * (cell.hi[i] - cell.lo[i]);
+        let offset = (z[i] - 0.5 * (cell.lo[i] + cell.hi[i])) / half;
+        // From 1 at the inner edge of the overlap to 0 at the outer one, with two continuous derivatives.
+        let t = (offset.abs() - (1.0 - BLEND)) / (2.0 * BLEND);
+        if t >= 1.0 {
+            return None;
+        }
+        if t > 0.0 {
+            factors[i] = 1.0 - t * t * t * (10.0 - 15.0 * t + 6.0 * t * t);
+            slopes[i] = -30.0 * t * t * (1.0 - t) * (1.0 - t) * offset.signum() / (2.0 * BLEND * half);
+        }
+    }
+    let w: f64 = factors[..n].iter().product();
+    let mut dw = [0.0; MOST_VARIABLES];
+    for i in (0..n).filter(|i| slopes[*i] != 0.0) {
+        dw[i] = slopes[i] * (0..n).filter(|k| *k != i).map(|k| factors[k]).product::<f64>();
+    }
+    Some((w, dw))
+}

@@ -1,0 +1,337 @@
+//! Points along extremals: everywhere on one V and p are as exactly known as where it begins.
+
+use super::survey::Survey;
+use super::targets::Targets;
+use crate::backend::BackendError;
+use crate::backend::cpu::map::Evaluator;
+use crate::program::Program;
+use crate::shooting::{Path, Solver};
+use crate::sweep::Plan;
+
+/// Points of an extremal beyond the state it was solved for.
+const MOST_BEYOND: usize = 400;
+/// An extremal is followed backward while H stays below this share of the terms that it is the sum of.
+const MOST_DRIFT: f64 = 1e-7;
+/// Shortest segment of a guess, as a share of the longest of the extremal it comes from.
+const SHORT: f64 = 0.3;
+
+/// An extremal, from a state that was solved for to the end.
+#[derive(Clone, Debug)]
+pub struct Track {
+    pub path: Path,
+    pub value: f64,
+    pub sheet: i32,
+    /// Whether it is of use as a whole, or only the state it was solved for: of one that is not the least only that is.
+    pub whole: bool,
+}
+
+/// Points on tracks. States are deviations, as in paths.
+#[derive(Clone, Debug, Default)]
+pub struct TrackPoints {
+    pub states: usize,
+    /// `(s, p)`, `[point][2n]`.
+    pub nodes: Vec<f64>,
+    pub v: Vec<f64>,
+    pub track: Vec<u32>,
+    /// Time after the track's beginning; negative before it.
+    pub t: Vec<f64>,
+}
+
+impl TrackPoints {
+    pub fn len(&self) -> usize {
+        self.v.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.v.is_empty()
+    }
+
+    pub fn node(&self, k: usize) -> &[f64] {
+        &self.nodes[k * 2 * self.states..][..2 * self.states]
+    }
+
+    fn push(&mut self, node: &[f64], v: f64, track: u32, t: f64) {
+        self.nodes.extend_from_slice(node);
+        self.v.push(v);
+        self.track.push(track);
+        self.t.push(t);
+    }
+}
+
+/// Where points are wanted, and how dense.
+#[derive(Clone, Debug)]
+pub struct Wish {
+    /// Bounds of the states, as deviations; points outside are left out.
+    pub bounds: Vec<[f64; 2]>,
+    /// What distances are measured in, one a state.
+    pub widths: Vec<f64>,
+    /// Largest distance between neighbouring points of a track, in widths, and largest change of log V.
+    pub spacing: f64,
+    pub change: f64,
+    /// V below which changes are not looked at.
+    pub floor: f64,
+    /// Points of larger V are left out.
+    pub value_max: f64,
+    /// Whether V does not depend on time: then all points of a track are of use, else its beginning alone.
+    pub onward: bool,
+    /// Whether tracks are followed backward beyond where they begin.
+    pub beyond: bool,
+}
+
+impl Wish {
+    fn has(&self, s: &[f64]) -> bool {
+        s.iter().zip(&self.bounds).all(|(s, [lo, hi])| s >= lo && s <= hi)
+    }
+
+    fn width(&self, i: usize) -> f64 {
+        self.widths[i]
+    }
+}
+
+/// Points of tracks, those numbered from `first` on.
+///
+/// # Errors
+/// Device failures only.
+pub fn track_points(
+    plan: &Plan,
+    solver: &mut Solver,
+    tracks: &[Track],
+    first: u32,
+    wish: &Wish,
+) -> Result<TrackPoints, BackendError> {
+    let mut points = TrackPoints {
+        states: plan.system.states,
+        ..TrackPoints::default()
+    };
+    if wish.onward {
+        onward(solver, tracks, first, wish, &mut points)?;
+    } else {
+        for (k, track) in tracks.iter().enumerate() {
+            points.push(track.path.node(0), track.value, first + k as u32, 0.0);
+        }
+    }
+    if wish.beyond {
+        backward(plan, solver, tracks, first, wish, &mut points)?;
+    }
+    Ok(points)
+}
+
+/// From where tracks begin to their ends.
+fn onward(
+    solver: &mut Solver,
+    tracks: &[Track],
+    first: u32,
+    wish: &Wish,
+    points: &mut TrackPoints,
+) -> Result<(), BackendError> {
+    let n = points.states;
+    let paths: Vec<&Path> = tracks.iter().map(|t| &t.path).collect();
+    let whole = solver.ends_of(&paths, true)?;
+    let mut parts = Vec::new();
+    let mut places = Vec::new();
+    for (k, (track, done)) in tracks.iter().zip(&whole).enumerate() {
+        let Some((_, costs)) = done else { continue };
+        let number = first + k as u32;
+        if !track.whole {
+            points.push(track.path.node(0), track.value, number, 0.0);
+            continue;
+        }
+        let mut v = track.value;
+        let mut t = 0.0;
+        let mut part = Path {
+            width: 2 * n,
+            ..Path::default()
+        };
+        let mut at = Vec::new();
+        for (q, duration) in track.path.durations.iter().enumerate() {
+            let (here, next) = (track.path.node(q), track.path.node(q + 1));
+            if wish.has(&here[..n]) && v <= wish.value_max {
+                points.push(here, v, number, t);
+            }
+            let way = (0..n)
+                .map(|i| ((next[i] - here[i]) / wish.width(i)).powi(2))
+                .sum::<f64>()
+                .sqrt();
+            let left = (v - costs[q]).abs().max(wish.floor);
+            let fall = (v.abs().max(wish.floor) / left).ln().abs();
+            let pieces = (way / wish.spacing).max(fall / wish.change).ceil().clamp(1.0, 64.0) as usize;
+            let outside = !wish.has(&here[..n]) && !wish.has(&next[..n]);
+            for r in (1..pieces).filter(|_| !outside) {
+                let after = duration * r as f64 / pieces as f64;
+                part.push(after, here);
+                at.push((v, t + after));
+            }
+            v -= costs[q];
+            t += duration;
+            // What follows is the local solution's.
+            if v.abs() < 1e-3 * wish.floor {
+                break;
+            }
+        }
+        if part.durations.is_empty() {
+            continue;
+        }
+        part.nodes.extend_from_slice(track.path.last());
+        parts.push(part);
+        places.push((number, at));
+    }
+    let ends = solver.ends_of(&parts.iter().collect::<Vec<_>>(), true)?;
+    for ((number, at), done) in places.into_iter().zip(ends) {
+        let Some((nodes, costs)) = done else { continue };
+        for (k, (v, t)) in at.into_iter().enumerate() {
+            let (node, v) = (&nodes[k * 2 * n..][..2 * n], v - costs[k]);
+            if wish.has(&node[..n]) && v <= wish.value_max {
+                points.push(node, v, number, t);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A track on its way backward from its beginning.
+struct Going {
+    track: u32,
+    node: Vec<f64>,
+    v: f64,
+    t: f64,
+}
+
+fn backward(
+    plan: &Plan,
+    solver: &mut Solver,
+    tracks: &[Track],
+    first: u32,
+    wish: &Wish,
+    points: &mut TrackPoints,
+) -> Result<(), BackendError> {
+    let system = &plan.system;
+    let n = points.states;
+    let roots = [&system.rate[..=2 * n], &[system.observer.hamiltonian]].concat();
+    let rates = Evaluator::new(&Program::lower(&system.graph, &system.inputs, &roots));
+    let guards = (!system.guards.is_empty()).then(|| {
+        let exprs: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
+        Evaluator::new(&Program::lower(&system.graph, &system.inputs, &exprs))
+    });
+    let mut going: Vec<Going> = (tracks.iter().enumerate())
+        .filter(|(_, track)| track.whole)
+        .map(|(k, track)| Going {
+            track: first + k as u32,
+            node: track.path.node(0).to_vec(),
+            v: track.value,
+            t: 0.0,
+        })
+        .collect();
+    for _ in 0..MOST_BEYOND {
+        let nodes: Vec<f64> = going.iter().flat_map(|g| g.node.iter().copied()).collect();
+        let values = rates.eval(&nodes, 2 * n);
+        let steps: Vec<f64> = (going.iter().zip(values.chunks(2 * n + 2)))
+            .map(|(g, rate)| {
+                let speed = (0..n).map(|i| (rate[i] / wish.width(i)).powi(2)).sum::<f64>().sqrt();
+                let growth = (rate[2 * n] / g.v.abs().max(wish.floor)).abs();
+                (wish.spacing / speed).min(wish.change / growth)
+            })
+            .collect();
+        let parts: Vec<Path> = (going.iter().zip(&steps))
+            .map(|(g, step)| {
+                let mut part = Path::new(&g.node);
+                // The end is not known yet.
+                part.push(-step, &g.node);
+                part
+            })
+            .collect();
+        let done = solver.ends_of(&parts.iter().collect::<Vec<_>>(), true)?;
+        let mut next: Vec<Going> = (going.into_iter().zip(done).zip(&steps))
+            .filter_map(|((g, done), step)| {
+                let (node, costs) = done?;
+                let v = g.v - costs[0];
+                let inside = wish.has(&node[..n]) && v <= wish.value_max && step.is_finite();
+                (inside && node.iter().all(|z| z.is_finite())).then_some(Going {
+                    node,
+                    v,
+                    t: g.t - step,
+                    ..g
+                })
+            })
+            .collect();
+        // Rounding and the ends of what guards allow.
+        let nodes: Vec<f64> = next.iter().flat_map(|g| g.node.iter().copied()).collect();
+        let values = rates.eval(&nodes, 2 * n);
+        let allowed = guards.as_ref().map(|g| g.eval(&nodes, 2 * n));
+        let mut k = 0;
+        next.retain(|g| {
+            let rate = &values[k * (2 * n + 2)..][..2 * n + 2];
+            let terms: f64 = (0..n).map(|i| (rate[i] * g.node[n + i]).abs()).sum::<f64>() + rate[2 * n].abs();
+            let outside = (allowed.as_ref()).is_some_and(|a| {
+                a[k * system.guards.len()..][..system.guards.len()]
+                    .iter()
+                    .any(|g| *g < 0.0)
+            });
+            k += 1;
+            rate[2 * n + 1].abs() <= MOST_DRIFT * terms && !outside
+        });
+        going = next;
+        if going.is_empty() {
+            break;
+        }
+        for g in &going {
+            points.push(&g.node, g.v, g.track, g.t);
+        }
+    }
+    Ok(())
+}
+
+/// The rest of a track from one of its points on, as a guess. `later` are points of the same track that follow it before the
+/// track's own beginning, by time.
+pub fn path_from(track: &Track, node: &[f64], t: f64, later: &[(f64, &[f64])]) -> Path {
+    let mut path = Path::new(node);
+    let usual = track.path.durations.iter().copied().fold(0.0, f64::max);
+    let mut at = t;
+    let mut push = |at: &mut f64, to: f64, node: &[f64], last: bool| {
+        // What is left of a segment goes with the next if it is short.
+        if to - *at > SHORT * usual || last {
+            path.push(to - *at, node);
+            *at = to;
+        }
+    };
+    let own = later.iter().filter(|(t, _)| *t < 0.0);
+    for (to, node) in own.filter(|(to, _)| *to > t) {
+        push(&mut at, *to, node, false);
+    }
+    if t < 0.0 {
+        push(&mut at, 0.0, track.path.node(0), false);
+    }
+    let mut ends = 0.0;
+    for (k, duration) in track.path.durations.iter().enumerate() {
+        ends += duration;
+        if ends > t {
+            push(&mut at, ends, track.path.node(k + 1), k + 1 == track.path.segments());
+        }
+    }
+    path
+}
+
+/// Solves for states from guesses near them; of each what was found.
+///
+/// # Errors
+/// Device failures only.
+pub fn solve_near(
+    plan: &Plan,
+    solver: &mut Solver,
+    guesses: Vec<(Vec<f64>, Path)>,
+    least: f64,
+) -> Result<Vec<Option<(Path, f64)>>, BackendError> {
+    let n = plan.system.states;
+    let count = guesses.len();
+    // In the order given, without neighbours: each is a problem of its own.
+    let targets = Targets {
+        states: n,
+        x: guesses.iter().flat_map(|(x, _)| x.iter().copied()).collect(),
+        of_given: (0..count).collect(),
+        limits: vec![f64::INFINITY; count],
+        gridded: vec![true; count],
+        ..Targets::default()
+    };
+    let mut survey = Survey::new(plan, &targets, solver)?;
+    let paths = guesses.into_iter().map(|(_, path)| path).collect();
+    survey.solve_along(solver, paths, least)
+}

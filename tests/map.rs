@@ -1,0 +1,299 @@
+//! Maps that are made to an error: against exact value functions, solved states and their own check.
+
+use costate::map::pieces::Pieces;
+use costate::map::{Unknown, ValueMap};
+use costate::output::Stored;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+fn folder() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let path = std::env::temp_dir().join(format!("costate-map-{}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        path
+    })
+}
+
+/// A shipped scene without the sections that are not about V, with a section [map] of these lines.
+fn scene(name: &str, lines: &str) -> PathBuf {
+    const LEFT_OUT: [&str; 7] = [
+        "map",
+        "homotopy",
+        "shoot_out",
+        "closed_loop",
+        "report",
+        "study",
+        "attenuation",
+    ];
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("scenarios")
+        .join(format!("{name}.toml"));
+    let text = std::fs::read_to_string(shipped).unwrap();
+    let mut kept = String::new();
+    let mut wanted = true;
+    for line in text.lines() {
+        if let Some(section) = line.strip_prefix('[').and_then(|l| l.split([']', '.']).next()) {
+            wanted = !LEFT_OUT.contains(&section);
+        }
+        if wanted {
+            kept.push_str(line);
+            kept.push('\n');
+        }
+    }
+    let path = folder().join(format!("{name}-{}.toml", lines.len()));
+    std::fs::write(&path, format!("{kept}\n[map]\n{lines}\n")).unwrap();
+    path
+}
+
+fn run(scene: &Path, out: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_costate"))
+        .args(["homotopy", "--backend", "cpu", "--json"])
+        .arg(scene)
+        .arg("--out")
+        .arg(out)
+        .output()
+        .unwrap()
+}
+
+/// A map made: the file, and its summary's "map".
+fn made(name: &str, lines: &str) -> (Stored, serde_json::Value) {
+    let scene = scene(name, lines);
+    let out = scene.with_extension("h5");
+    let output = run(&scene, &out);
+    assert_eq!(
+        output.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    (Stored::open(&out).unwrap(), summary["map"].clone())
+}
+
+/// States spread evenly over a box, none of them on a grid.
+fn spread<const N: usize>(region: [[f64; 2]; N], count: usize) -> Vec<[f64; N]> {
+    let steps = [0.754_877_666, 0.569_840_290, 0.430_159_709, 0.324_717_957];
+    (1..=count)
+        .map(|k| {
+            std::array::from_fn(|i| {
+                let [lo, hi] = region[i];
+                lo + (hi - lo) * (k as f64 * steps[i]).fract()
+            })
+        })
+        .collect()
+}
+
+fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[((sorted.len() - 1) as f64 * share).round() as usize]
+}
+
+fn pieces(stored: &Stored) -> Pieces {
+    stored.map_pieces().unwrap().expect("the file has a map in pieces")
+}
+
+#[test]
+fn a_smooth_value_is_met_everywhere_with_true_bounds() {
+    let (stored, summary) = made("manufactured", "error = 1e-4\nfloor = 1e-3\ncheck = 50");
+    let map = ValueMap::new(&stored).unwrap();
+    let (mut errors, mut over, mut slopes) = (vec![], vec![], vec![]);
+    for [x, y] in spread([[-1.5, 1.5]; 2], 1000) {
+        // By hand.
+        let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
+        let p = [
+            x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
+            x / 2.0 + 2.0 * y + x * x * y / 2.0,
+        ];
+        let here = map.at(&[x, y]).lowest.unwrap_or_else(|e| panic!("{x}, {y}: {e}"));
+        errors.push((here.v - v).abs() / v.max(1e-3));
+        slopes.push((0..2).map(|i| (here.p[i] - p[i]).abs()).fold(0.0, f64::max) / v.max(1e-3).sqrt());
+        if here.in_pieces {
+            over.push((here.v - v).abs() / here.v_error);
+        }
+    }
+    println!(
+        "V {:.1e}, {:.1e}; p {:.1e}; over bound {:.2}, {:.2}; {summary}",
+        quantile(&errors, 0.5),
+        quantile(&errors, 1.0),
+        quantile(&slopes, 1.0),
+        quantile(&over, 0.99),
+        quantile(&over, 1.0)
+    );
+    assert!(quantile(&errors, 1.0) < 1e-4);
+    assert!(quantile(&slopes, 1.0) < 1e-2);
+    assert!(over.len() > 900, "the pieces answer");
+    assert!(quantile(&over, 0.99) <= 1.0 && quantile(&over, 1.0) <= 2.0);
+    assert_eq!(summary["share_unmet"], 0.0);
+    assert_eq!(summary["check"]["known"], 50);
+}
+
+/// p is the gradient of what the map says, also where cells are blended; V is continuous across their faces.
+#[test]
+fn p_is_the_gradient_and_v_is_continuous() {
+    let (stored, _) = made("manufactured", "error = 1e-6\ncheck = 1");
+    let pieces = pieces(&stored);
+    assert!(pieces.cells.len() > 3, "{} cells", pieces.cells.len());
+    let step = 1e-5;
+    for [x, y] in spread([[-1.4, 1.4]; 2], 2000) {
+        let here = pieces.at(&[x, y]).unwrap();
+        for (i, p) in here.p.iter().enumerate() {
+            let beside = |sign: f64| {
+                let mut at = [x, y];
+                at[i] += sign * step;
+                pieces.at(&at).unwrap().v
+            };
+            let difference = (beside(1.0) - beside(-1.0)) / (2.0 * step);
+            // A jump of V at a face would be a difference of its size over 2e-5.
+            assert!((difference - p).abs() < 1e-4, "{x}, {y}: {difference} {p}");
+        }
+    }
+    // Across every face, at its middle.
+    for cell in &pieces.cells {
+        for i in 0..2 {
+            let mut t = [0.5 * (cell.lo[0] + cell.hi[0]), 0.5 * (cell.lo[1] + cell.hi[1])];
+            t[i] = cell.hi[i];
+            let v = |sign: f64| {
+                let mut t = t;
+                t[i] += sign * 1e-12;
+                pieces.at(&pieces.frame.state(&t)).map(|said| said.v)
+            };
+            if let (Some(a), Some(b)) = (v(-1.0), v(1.0)) {
+                assert!((a - b).abs() < 1e-10, "{a} {b}");
+            }
+        }
+    }
+}
+
+/// V, and the fold behind which there is none, in closed form (see the scene).
+#[test]
+fn nothing_is_said_behind_the_fold_of_a_game() {
+    let (stored, summary) = made("folding_game", "error = 1e-4\ncheck = 100");
+    let map = ValueMap::new(&stored).unwrap();
+    let floor = pieces(&stored).region.floor;
+    let (b, r, e, k, gamma) = (1.0f64, 1.0f64, 1.0f64, 0.3f64, 0.85f64);
+    let s = b * b / r - gamma.powi(-2);
+    let fold = ((-1.0 / s - 1.0) / e).sqrt();
+    let (mut inside, mut known, mut behind, mut said) = (0, 0, 0, 0);
+    let (mut errors, mut over) = (vec![], vec![]);
+    for [x, y] in spread([[-1.5, 1.5], [-1.0, 1.0]], 1000) {
+        let z = x + k * y * y;
+        let here = map.at(&[x, y]).lowest.ok();
+        if z.abs() > fold {
+            behind += 1;
+            said += usize::from(here.is_some());
+            continue;
+        }
+        inside += 1;
+        let Some(here) = here else { continue };
+        known += 1;
+        let power = |a: f64| a.powf(1.5);
+        let first = (-0.5 * z * z + (power(1.0 + s + s * e * z * z) - power(1.0 + s)) / (3.0 * s * e)) / s;
+        let v = first + 0.5 * (2f64.sqrt() - 1.0) * y * y;
+        errors.push((here.v - v).abs() / v.max(floor));
+        over.push((here.v - v).abs() / here.v_error.max(1e-12));
+    }
+    println!(
+        "{known} of {inside} known, {said} of {behind} behind the fold; V {:.1e} {:.1e} {:.1e}; over bound {:.2} {:.2}; {summary}",
+        quantile(&errors, 0.5),
+        quantile(&errors, 0.99),
+        quantile(&errors, 1.0),
+        quantile(&over, 0.99),
+        quantile(&over, 1.0)
+    );
+    assert!(behind > 100 && said == 0, "{said} of {behind}");
+    assert!(known * 100 >= 95 * inside);
+    assert!(quantile(&errors, 0.99) < 1e-3);
+    assert!(quantile(&over, 0.99) <= 2.0);
+}
+
+/// Two wells on a finite horizon: V(x, 0) by Hopf and Lax, with a line where two sheets cost the same.
+#[test]
+fn two_sheets_meet_where_they_cost_the_same() {
+    let (stored, _) = made(
+        "hopf_lax",
+        "error = 1e-4\nfloor = 1e-2\ncheck = 1\nregion = { x = [-1.0, 1.0], y = [-0.5, 0.5] }",
+    );
+    let pieces = pieces(&stored);
+    let (time, k, slant) = (2.0, 2.0, 0.1);
+    let phi = |y: f64| y.powi(4) / 4.0 - k * y * y / 2.0 + slant * y;
+    // The least over ends, by a grid and then by Newton's method on the best of each side.
+    let side = |x: f64, sign: f64| -> f64 {
+        let cost = |y: f64| phi(y) + (x - y) * (x - y) / (2.0 * time);
+        let mut y = (1..4000)
+            .map(|j| sign * 1e-3 * f64::from(j))
+            .min_by(|a, b| cost(*a).total_cmp(&cost(*b)))
+            .unwrap();
+        for _ in 0..5 {
+            y -= (y.powi(3) - k * y + slant - (x - y) / time) / (3.0 * y * y - k + 1.0 / time);
+        }
+        cost(y)
+    };
+    let (mut worst, mut over) = (0.0f64, vec![]);
+    for [x, y] in spread([[-1.0, 1.0], [-0.5, 0.5]], 1000) {
+        let v = side(x, -1.0).min(side(x, 1.0)) + 0.5 * y * y / (1.0 + time);
+        let here = pieces.at(&[x, y]).unwrap_or_else(|| panic!("{x}, {y} is not known"));
+        worst = worst.max((here.v - v).abs() / v.abs().max(1e-2));
+        over.push((here.v - v).abs() / here.v_bound);
+    }
+    println!(
+        "V {worst:.1e}, over bound {:.2} {:.2}",
+        quantile(&over, 0.99),
+        quantile(&over, 1.0)
+    );
+    assert!(worst < 1e-4);
+    assert!(quantile(&over, 0.99) <= 1.0 && quantile(&over, 1.0) <= 3.0);
+    // Where both wells cost the same the map's two sheets do.
+    let (mut lo, mut hi) = (-0.5, 0.5);
+    for _ in 0..60 {
+        let x = 0.5 * (lo + hi);
+        if side(x, -1.0) < side(x, 1.0) { lo = x } else { hi = x }
+    }
+    let u = |x: f64| pieces.at(&[x, 0.1]).unwrap().p[0];
+    assert!(u(lo - 1e-5) * u(lo + 1e-5) < 0.0, "{} {}", u(lo - 1e-5), u(lo + 1e-5));
+}
+
+/// Where V falls by a factor of six over a tenth of the compressor's box, and the corner of its contour picture: V = 4.681 at
+/// (1, 2.1, 0.12, 1.524) (solved; checked by collocation).
+#[test]
+fn a_steep_corner_of_the_compressor() {
+    let region = "region = { Phi = [1.0, 1.02], Psi = [2.08, 2.11], R = [0.11, 0.13], gamma = [1.51, 1.54] }";
+    let (stored, summary) = made(
+        "moore_greitzer",
+        &format!("error = 1e-2\nstates = 2000\ncheck = 10\n{region}"),
+    );
+    let map = ValueMap::new(&stored).unwrap();
+    let here = map.at(&[1.0, 2.1, 0.12, 1.524]).lowest.expect("it is known");
+    println!("V = {} +- {:.1e}; {summary}", here.v, here.v_error);
+    assert!(
+        (here.v - 4.681_02).abs() <= here.v_error.max(5e-6),
+        "{} +- {}",
+        here.v,
+        here.v_error
+    );
+    assert!(here.v_error < 0.1 * here.v);
+    assert_eq!(summary["check"]["known"], summary["check"]["solved"]);
+    assert!(summary["check"]["V_error"]["median"].as_f64().unwrap() < 1e-2);
+    // Outside the region of the map nothing else is in the file.
+    assert_eq!(map.at(&[1.3, 2.0, 0.1, 1.6]).lowest.unwrap_err(), Unknown::Far);
+}
+
+#[test]
+fn a_budget_that_is_spent_is_said() {
+    let scene = scene("moore_greitzer", "error = 1e-6\nstates = 300\ncheck = 5");
+    let out = scene.with_extension("budget.h5");
+    let output = Command::new(env!("CARGO_BIN_EXE_costate"))
+        .args(["homotopy", "--backend", "cpu"])
+        .arg(&scene)
+        .arg("--out")
+        .arg(&out)
+        .output()
+        .unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    assert!(said.contains("not met in"), "{said}");
+    let stored = Stored::open(&out).unwrap();
+    assert!(stored.group("map_check").is_some() && stored.group("map").is_none());
+}
