@@ -122,7 +122,11 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             .map(|v| v.v_error)
             .collect();
         let [median, most, worst] = super::report::quantiles(&errors);
-        let mut text = format!("{known} of {} states known, from {} sites", found.len(), map.sites());
+        let source = match map.pieces() {
+            0 => format!("{} sites", map.sites()),
+            n => format!("{n} pieces"),
+        };
+        let mut text = format!("{known} of {} states known, from {source}", found.len());
         if worst.is_finite() {
             let _ = write!(
                 text,
@@ -142,7 +146,7 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         }
         if args.json {
             let summary = serde_json::json!({
-                "file": out.display().to_string(), "states": found.len(), "known": known, "sites": map.sites(),
+                "file": out.display().to_string(), "states": found.len(), "known": known, "sites": map.sites(), "pieces": map.pieces(),
                 "V_error": { "median": median, "p99": most, "max": worst }, "coverage": note,
             });
             super::print(&format!("{summary:#}\n"))?;

@@ -221,6 +221,24 @@ impl ValueMap {
         self.sites.len()
     }
 
+    /// Pieces of a map that was made to an error; 0 where there is none.
+    pub fn pieces(&self) -> usize {
+        self.pieces.as_ref().map_or(0, |p| p.pieces.len())
+    }
+
+    /// The highest V of a map in pieces at some states spread over its region.
+    pub fn highest_in_pieces(&self) -> Option<f64> {
+        const LOOKED_AT: usize = 2048;
+        let pieces = self.pieces.as_ref()?;
+        let bounds: Vec<[f64; 2]> = (pieces.region.lo.iter().zip(&pieces.region.hi))
+            .map(|(lo, hi)| [*lo, *hi])
+            .collect();
+        let values = spread_over(&bounds, LOOKED_AT)
+            .into_iter()
+            .filter_map(|x| Some(pieces.at(&x)?.v));
+        values.reduce(f64::max)
+    }
+
     /// Windings for which a state of the region may lie among the sites.
     fn possible_windings(&self) -> Vec<Vec<i32>> {
         let n = self.sites.n;

@@ -131,18 +131,23 @@ impl<'s> Source<'s> {
 
     /// From solutions that form no map. With a finite horizon only solved states are of the initial time.
     fn scattered(&self) -> Option<Plane> {
-        let known = self.infinite() && (self.stored.has("trajectories") || self.stored.has("points"));
+        let known = self.infinite()
+            && ["trajectories", "points", "map_pieces"]
+                .iter()
+                .any(|group| self.stored.has(group));
         if !known || self.axes[0] == self.axes[1] {
             return None;
         }
         let map = ValueMap::new(self.stored).ok()?;
         let swept = self.trajectories().ok().flatten().map(|t| &t.v);
         let solved = self.points().ok().flatten().map(|p| &p.v);
+        let said = map.highest_in_pieces();
         let known = [swept, solved]
             .into_iter()
             .flatten()
             .flatten()
             .copied()
+            .chain(said)
             .filter(|v| v.is_finite());
         let limit = known.fold(f64::NEG_INFINITY, f64::max);
         let field = GridField::of_value_map(&map, self.axes, &self.base, &self.model.region, COARSE, limit)?;

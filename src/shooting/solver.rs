@@ -28,6 +28,9 @@ pub struct Work {
     pub rounds: u64,
 }
 
+/// Ends `[segment][2n]` and costs of a path's segments.
+pub type Ends = (Vec<f64>, Vec<f64>);
+
 /// Solves batches of problems on a backend.
 pub struct Solver {
     pub scheme: Scheme,
@@ -190,7 +193,7 @@ impl Solver {
     ///
     /// # Errors
     /// Device failures only.
-    pub fn ends_of(&mut self, paths: &[&Path], fine: bool) -> Result<Vec<Option<(Vec<f64>, Vec<f64>)>>, BackendError> {
+    pub fn ends_of(&mut self, paths: &[&Path], fine: bool) -> Result<Vec<Option<Ends>>, BackendError> {
         let all: Vec<(&Path, bool)> = paths.iter().map(|p| (*p, fine)).collect();
         let done = self.integrate(&all, false)?;
         Ok(done
