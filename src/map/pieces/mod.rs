@@ -15,6 +15,8 @@ pub use fit::Shape;
 pub use frame::Frame;
 pub use terms::{MOST_VARIABLES, Terms};
 
+use std::collections::BTreeMap;
+
 /// Cells reach this share of their half width over their faces.
 pub const BLEND: f64 = 0.1;
 /// Where polynomials of several sheets lie over a state, they are blended with those that say the same but for this many
@@ -211,6 +213,46 @@ impl Pieces {
                 (a.iter().zip(&b))
                     .map(|(a, b)| [a[0].min(b[0]), a[1].max(b[1])])
                     .collect()
+            }
+        }
+    }
+
+    /// Gives labels one number where their pieces are mostly one sheet across the faces between them: solutions of one sheet
+    /// have different labels where none was continued to the other.
+    fn join_labels(&mut self) {
+        /// Off a face, in widths of the cell; p of one sheet differs by less than this share across it.
+        const OFF: f64 = 1e-9;
+        const OF_P: f64 = 0.05;
+        let n = self.states();
+        let mut votes: BTreeMap<[i32; 2], i64> = BTreeMap::new();
+        let lowest = |cell: usize, z: &[f64]| {
+            let told = self.cells[cell].pieces.clone().filter_map(|k| self.told(k, z));
+            told.min_by(|a, b| a.v.total_cmp(&b.v))
+        };
+        for (own, cell) in self.cells.iter().enumerate() {
+            for axis in 0..n {
+                let mut z: Vec<f64> = cell.lo.iter().zip(&cell.hi).map(|(lo, hi)| 0.5 * (lo + hi)).collect();
+                z[axis] = cell.hi[axis] + OFF * (cell.hi[axis] - cell.lo[axis]);
+                if z[axis] >= 1.0 {
+                    continue;
+                }
+                let (Some(a), Some(b)) = (lowest(own, &z), lowest(self.cell(&z), &z)) else {
+                    continue;
+                };
+                if a.sheet == b.sheet {
+                    continue;
+                }
+                let size = |q: &[f64]| q.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+                let off: Vec<f64> = (0..n).map(|i| a.q[i] - b.q[i]).collect();
+                let bounds = size(&a.p_bound[..n]) + size(&b.p_bound[..n]);
+                let same = size(&off) <= OF_P * size(&a.q[..n]).max(size(&b.q[..n])) + bounds;
+                let pair = [a.sheet.min(b.sheet), a.sheet.max(b.sheet)];
+                *votes.entry(pair).or_default() += if same { 1 } else { -1 };
+            }
+        }
+        for ([low, high], _) in votes.into_iter().rev().filter(|(_, votes)| *votes > 0) {
+            for piece in self.pieces.iter_mut().filter(|p| p.sheet == high) {
+                piece.sheet = low;
             }
         }
     }
