@@ -253,6 +253,8 @@ fn two_sheets_meet_where_they_cost_the_same() {
     }
     let u = |x: f64| pieces.at(&[x, 0.1]).unwrap().p[0];
     assert!(u(lo - 1e-5) * u(lo + 1e-5) < 0.0, "{} {}", u(lo - 1e-5), u(lo + 1e-5));
+    let sheet = |x: f64| pieces.at(&[x, 0.1]).unwrap().sheet;
+    assert_ne!(sheet(lo - 1e-5), sheet(lo + 1e-5));
 }
 
 /// Where V falls by a factor of six over a tenth of the compressor's box, and the corner of its contour picture: V = 4.681 at

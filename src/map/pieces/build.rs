@@ -172,7 +172,7 @@ pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Befor
     };
     plant(&mut pieces, grown);
     pieces.finish();
-    pieces.join_labels();
+    pieces.label();
     (pieces, wants)
 }
 

@@ -15,6 +15,7 @@ pub use fit::Shape;
 pub use frame::Frame;
 pub use terms::{MOST_VARIABLES, Terms};
 
+use crate::value::Groups;
 use std::collections::BTreeMap;
 
 /// Cells reach this share of their half width over their faces.
@@ -217,18 +218,14 @@ impl Pieces {
         }
     }
 
-    /// Gives labels one number where their pieces are mostly one sheet across the faces between them: solutions of one sheet
-    /// have different labels where none was continued to the other.
-    fn join_labels(&mut self) {
+    /// Numbers the sheets. Pieces belong to one where they agree across the face between their cells, the best agreement first,
+    /// unless the sheet would then lie over a cell twice. The one with the least V is 0.
+    fn label(&mut self) {
         /// Off a face, in widths of the cell; p of one sheet differs by less than this share across it.
         const OFF: f64 = 1e-9;
         const OF_P: f64 = 0.05;
         let n = self.states();
-        let mut votes: BTreeMap<[i32; 2], i64> = BTreeMap::new();
-        let lowest = |cell: usize, z: &[f64]| {
-            let told = self.cells[cell].pieces.clone().filter_map(|k| self.told(k, z));
-            told.min_by(|a, b| a.v.total_cmp(&b.v))
-        };
+        let mut contacts: Vec<(f64, usize, usize)> = Vec::new();
         for (own, cell) in self.cells.iter().enumerate() {
             for axis in 0..n {
                 let mut z: Vec<f64> = cell.lo.iter().zip(&cell.hi).map(|(lo, hi)| 0.5 * (lo + hi)).collect();
@@ -236,25 +233,59 @@ impl Pieces {
                 if z[axis] >= 1.0 {
                     continue;
                 }
-                let (Some(a), Some(b)) = (lowest(own, &z), lowest(self.cell(&z), &z)) else {
-                    continue;
-                };
-                if a.sheet == b.sheet {
-                    continue;
+                let beside = self.cells[self.cell(&z)].pieces.clone();
+                for a in self.cells[own].pieces.clone() {
+                    for b in beside.clone() {
+                        let misfit = self.misfit(a, b, &z).filter(|misfit| *misfit <= OF_P);
+                        contacts.extend(misfit.map(|misfit| (misfit, a, b)));
+                    }
                 }
-                let size = |q: &[f64]| q.iter().fold(0.0f64, |m, x| m.max(x.abs()));
-                let off: Vec<f64> = (0..n).map(|i| a.q[i] - b.q[i]).collect();
-                let bounds = size(&a.p_bound[..n]) + size(&b.p_bound[..n]);
-                let same = size(&off) <= OF_P * size(&a.q[..n]).max(size(&b.q[..n])) + bounds;
-                let pair = [a.sheet.min(b.sheet), a.sheet.max(b.sheet)];
-                *votes.entry(pair).or_default() += if same { 1 } else { -1 };
             }
         }
-        for ([low, high], _) in votes.into_iter().rev().filter(|(_, votes)| *votes > 0) {
-            for piece in self.pieces.iter_mut().filter(|p| p.sheet == high) {
-                piece.sheet = low;
+        contacts.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+        let mut sheets = Groups::new(self.pieces.len());
+        // Cells with several pieces, of each sheet.
+        let mut shared: Vec<Vec<usize>> = vec![Vec::new(); self.pieces.len()];
+        for (k, cell) in self.cells.iter().enumerate().filter(|(_, c)| c.pieces.len() > 1) {
+            for piece in cell.pieces.clone() {
+                shared[piece].push(k);
             }
         }
+        for (_, a, b) in contacts {
+            let (a, b) = (sheets.root(a), sheets.root(b));
+            if a == b || shared[a].iter().any(|cell| shared[b].contains(cell)) {
+                continue;
+            }
+            sheets.join(a, b);
+            let joined = [std::mem::take(&mut shared[a]), std::mem::take(&mut shared[b])].concat();
+            shared[sheets.root(a)] = joined;
+        }
+        let mut least: BTreeMap<usize, f64> = BTreeMap::new();
+        for k in 0..self.pieces.len() {
+            let v = self
+                .told(k, &self.pieces[k].center)
+                .map_or(f64::INFINITY, |told| told.v);
+            let sheet = least.entry(sheets.root(k)).or_insert(f64::INFINITY);
+            *sheet = v.min(*sheet);
+        }
+        let mut order: Vec<(f64, usize)> = least.into_iter().map(|(root, v)| (v, root)).collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let numbers: BTreeMap<usize, i32> = (order.into_iter().zip(0..)).map(|((_, root), k)| (root, k)).collect();
+        for k in 0..self.pieces.len() {
+            self.pieces[k].sheet = numbers[&sheets.root(k)];
+        }
+    }
+
+    /// How far two pieces are from saying the same of p at a place, relative to p, beyond their bounds.
+    fn misfit(&self, a: usize, b: usize, z: &[f64]) -> Option<f64> {
+        let n = z.len();
+        let (a, b) = (self.told(a, z)?, self.told(b, z)?);
+        let size = |q: &[f64]| q.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+        let off: Vec<f64> = (0..n).map(|i| a.q[i] - b.q[i]).collect();
+        let bounds = size(&a.p_bound[..n]) + size(&b.p_bound[..n]);
+        let largest = size(&a.q[..n]).max(size(&b.q[..n]));
+        let misfit = (size(&off) - bounds).max(0.0) / largest.max(f64::MIN_POSITIVE);
+        misfit.is_finite().then_some(misfit)
     }
 
     pub fn states(&self) -> usize {
