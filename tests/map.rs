@@ -261,7 +261,7 @@ fn two_sheets_meet_where_they_cost_the_same() {
 /// (1, 2.1, 0.12, 1.524) (solved; checked by collocation).
 #[test]
 fn a_steep_corner_of_the_compressor() {
-    let region = "region = { Phi = [1.0, 1.02], Psi = [2.08, 2.11], R = [0.11, 0.13], gamma = [1.51, 1.54] }";
+    let region = "region = { Phi = [1.0, 1.01], Psi = [2.09, 2.105], R = [0.115, 0.125], gamma = [1.515, 1.535] }";
     let (stored, summary) = made(
         "moore_greitzer",
         &format!("error = 1e-2\nstates = 2000\ncheck = 10\n{region}"),
