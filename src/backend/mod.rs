@@ -277,6 +277,12 @@ pub trait Eliminator: Send {
     fn eliminate(&mut self, systems: &Systems) -> Result<Eliminated, BackendError>;
 }
 
+/// A kernel on the calling thread, with a run: many short legs of few trajectories.
+pub trait Legs: Sync {
+    /// As [`Kernel::integrate`], bit by bit, without stored samples; `to` is overwritten and its memory used again.
+    fn integrate(&self, seeds: &[f64], to: &mut Trajectories);
+}
+
 /// A compiled kernel.
 pub trait Kernel: Send {
     /// Integrates `seeds` (`[trajectory][dim]`, f64 whatever the precision) as one batch. The caller bounds the batch
@@ -285,6 +291,13 @@ pub trait Kernel: Send {
     /// # Errors
     /// Device failures only.
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError>;
+
+    /// The kernel for callers that spread trajectories over threads themselves, for one run; `None` of a device that takes a
+    /// batch as a whole.
+    fn legs<'k>(&'k mut self, run: &'k Run) -> Option<Box<dyn Legs + 'k>> {
+        let _ = run;
+        None
+    }
 
     /// Seconds of the latest [`Kernel::integrate`] in which trajectories were computed: without transfers, waiting for
     /// a device and the host's own work. `None` where that is not known.

@@ -10,7 +10,7 @@ use crate::closed_loop::{
 };
 use crate::hamiltonian::Hamiltonian;
 use crate::map::ValueMap;
-use crate::model::{ClosedLoop, Model};
+use crate::model::{ClosedLoop, Model, Outside};
 use crate::output::{ResultFile, RunRecord, Stored};
 use crate::scenario;
 use crate::sweep::Choices;
@@ -227,9 +227,17 @@ pub(super) fn perform(
     evaluation.write(&setting, file)?;
     for law in evaluation.laws.iter().filter(|l| l.held > 0.0) {
         terminal.note(&format!(
-            "law `{}`: at {:.1} % of its updates the map had no answer, and the last one was held",
+            "law `{}`: along {} of {} closed loops ({:.2} % of all updates) the map had no answer somewhere: {}",
             law.name,
-            100.0 * law.held
+            law.fell_back(),
+            law.status.len(),
+            100.0 * law.held,
+            match scene.outside {
+                Outside::Stop => "they end there",
+                Outside::Hold => "the law held its last p = q + H s",
+                Outside::Nearest => "the law took p of the nearest state known",
+                Outside::Local => "the law was that of the Riccati solution",
+            }
         ));
     }
     terminal.say(&as_text(&evaluation, &setting, scene))?;
@@ -422,6 +430,7 @@ pub(super) fn as_json(e: &Evaluation, path: &Path) -> serde_json::Value {
             serde_json::json!({
                 "name": law.name, "source": law.source, "share_converged": law.share_converged(),
                 "suboptimality": spread, "worst": records, "sets": sets, "statuses": e.statuses(law), "held": law.held,
+                "fell_back": law.fell_back(),
                 "seconds": law.seconds, "states_per_second": law.rate(),
             })
         })

@@ -22,8 +22,10 @@ pub struct LawResult {
     pub status: Vec<i32>,
     pub t_end: Vec<f64>,
     pub paths: Vec<Path>,
-    /// Share of the updates of a chart's law at which the last answer was held for want of one.
+    /// Share of the updates of a chart's law at which the chart had no answer.
     pub held: f64,
+    /// `[initial]`: how many they were.
+    pub fallback: Vec<u32>,
     /// Time taken, compilation not included.
     pub seconds: f64,
 }
@@ -180,6 +182,17 @@ impl LawResult {
     /// Of the initial states.
     pub fn share_converged(&self) -> f64 {
         self.converged.iter().filter(|c| **c).count() as f64 / self.converged.len().max(1) as f64
+    }
+
+    /// Of every trajectory the updates without an answer of the chart; 0 of a law without one.
+    pub(super) fn fallbacks(&self) -> Vec<i32> {
+        let own = self.fallback.iter().map(|k| *k as i32);
+        own.chain(std::iter::repeat(0)).take(self.status.len()).collect()
+    }
+
+    /// Trajectories along which the chart had no answer somewhere.
+    pub fn fell_back(&self) -> usize {
+        self.fallback.iter().filter(|k| **k > 0).count()
     }
 
     /// Initial states a second.

@@ -56,9 +56,9 @@ pub struct Flights {
     pub cost: Vec<f64>,
     /// Terminal cost at the end, where the horizon is finite.
     pub terminal: Vec<f64>,
-    /// Updates of a chart's law, and those at which the last answer was held for want of one.
+    /// Updates of a chart's law, and of each trajectory those at which the chart had no answer.
     pub updates: usize,
-    pub held: usize,
+    pub fallback: Vec<u32>,
     /// `[trajectory][record]`.
     pub records: Vec<f64>,
     pub paths: Vec<Path>,

@@ -4,6 +4,7 @@
 //! put into the scene's equations, which a backend integrates forward in time with the running cost; recorded quantities
 //! are followed to their extrema between samples; [`Evaluation`] says what came of it.
 
+mod charted;
 mod choose;
 pub mod dissipation;
 mod equations;
@@ -30,7 +31,7 @@ pub use write::GROUPS;
 
 use crate::backend::{Backend, BackendError, Status};
 use crate::hamiltonian::Hamiltonian;
-use crate::map::ValueMap;
+use crate::map::{Room, ValueMap};
 use crate::model::{ClosedLoop, Horizon, Model};
 use crate::sweep::{Choices, GUARD_STATUS, Numerics, PlanError};
 use flights::Starts;
@@ -43,6 +44,21 @@ pub trait Chart: Sync {
     /// V, its gradient and its second derivatives at a state; `None` where they are not known. A state with a period may be
     /// any number of periods away.
     fn local(&self, x: &[f64]) -> Option<Expansion>;
+
+    /// The same at many states `[state][component]`.
+    fn expansions(&self, states: usize, x: &[f64], to: &mut Expansions) {
+        to.reset(states, x.len() / states);
+        for (k, x) in x.chunks_exact(states).enumerate() {
+            if let Some(here) = self.local(x) {
+                to.put(k, here.v, &here.p, &here.hessian);
+            }
+        }
+    }
+
+    /// Moves a state into the region of which the chart knows something; false where that has no bounds.
+    fn clamp(&self, _x: &mut [f64]) -> bool {
+        false
+    }
 
     /// Estimated error of V at a state; NaN where nothing is known of it.
     fn uncertainty(&self, _x: &[f64]) -> f64 {
@@ -60,7 +76,53 @@ pub struct Expansion {
     pub hessian: Vec<f64>,
 }
 
+/// Expansions at many states, kept for the next call.
+#[derive(Default)]
+pub struct Expansions {
+    /// Whether V is known; what is not holds no values.
+    pub known: Vec<bool>,
+    pub v: Vec<f64>,
+    /// `[state][component]`.
+    pub p: Vec<f64>,
+    /// `[state][component][component]`.
+    pub hessian: Vec<f64>,
+    room: Room<f64>,
+}
+
+impl Expansions {
+    fn reset(&mut self, states: usize, count: usize) {
+        self.known.clear();
+        self.known.resize(count, false);
+        self.v.resize(count, f64::NAN);
+        self.p.resize(count * states, f64::NAN);
+        self.hessian.resize(count * states * states, f64::NAN);
+    }
+
+    fn put(&mut self, k: usize, v: f64, p: &[f64], hessian: &[f64]) {
+        let n = p.len();
+        self.known[k] = true;
+        self.v[k] = v;
+        self.p[k * n..][..n].copy_from_slice(p);
+        self.hessian[k * n * n..][..n * n].copy_from_slice(hessian);
+    }
+}
+
 impl Chart for ValueMap {
+    fn expansions(&self, states: usize, x: &[f64], to: &mut Expansions) {
+        to.reset(states, x.len() / states);
+        let mut room = std::mem::take(&mut to.room);
+        self.each(x, true, &mut room, |k, here| {
+            if let Some(here) = here {
+                to.put(k, here.v, &here.p[..states], &here.hessian[..states * states]);
+            }
+        });
+        to.room = room;
+    }
+
+    fn clamp(&self, x: &mut [f64]) -> bool {
+        self.clamp_to_pieces(x)
+    }
+
     fn local(&self, x: &[f64]) -> Option<Expansion> {
         ValueMap::local(self, x).map(|here| Expansion {
             v: here.v,
@@ -192,6 +254,11 @@ impl<'s> Setting<'s> {
         (left, turns)
     }
 
+    /// P of the local solution, where there is one.
+    fn local_metric(&self) -> Option<&DMatrix<f64>> {
+        self.local.then_some(&self.metric)
+    }
+
     /// `1/2 d'metric d`.
     fn quadratic(&self, d: &[f64]) -> f64 {
         let n = d.len();
@@ -295,7 +362,8 @@ impl<'s> Setting<'s> {
             status: flights.status,
             t_end: flights.t_end,
             paths: flights.paths,
-            held: flights.held as f64 / flights.updates.max(1) as f64,
+            held: flights.fallback.iter().map(|k| f64::from(*k)).sum::<f64>() / flights.updates.max(1) as f64,
+            fallback: flights.fallback,
             seconds,
             ..LawResult::default()
         };

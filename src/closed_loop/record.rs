@@ -158,6 +158,12 @@ impl Records {
         }
     }
 
+    /// Adds those of the trajectories that follow.
+    pub fn append(&mut self, other: Self) {
+        self.tracks.extend(other.tracks);
+        self.crossings.extend(other.crossings);
+    }
+
     /// Gives each trajectory's records, in parallel, to `look` with the trajectory's index.
     pub fn each(&mut self, look: impl Fn(usize, &mut View<'_>) + Sync) {
         let (kinds, switches) = (&self.kinds, &self.switches);

@@ -1,51 +1,54 @@
 //! Batches of closed-loop trajectories on a backend.
 
-use super::equations::{Equations, set_chart};
+use super::equations::Equations;
 use super::flights::{Flights, Path, Seen, Starts, Watch};
 use super::forcing::Forcing;
 use super::law::Law;
 use super::record::Records;
-use super::{Chart, Expansion, LoopError, Setting};
+use super::{Chart, LoopError, Setting};
 use crate::backend::cpu::map::Evaluator;
 use crate::backend::{Backend, Kernel, Run, Status, Trajectories, batch_limit};
 use crate::sweep::GUARD_STATUS;
-use rayon::prelude::*;
 
 /// Status of a trajectory whose chart has no answer where it has come to.
 pub const OUTSIDE_MAP: i32 = 8;
 /// A trajectory that cannot go on has met a guard whose value is below this share of that at its start.
 const AT_GUARD: f64 = 1e-4;
-/// Longest share of the final time over which a chart's last answer is held where it has none.
-const HOLD: f64 = 0.25;
 /// Trajectories of a batch under a chart's law.
 const CHARTED_BATCH: usize = 16384;
 
 /// A law's kernels.
 pub(super) struct Simulator<'s> {
-    setting: &'s Setting<'s>,
-    equations: Equations,
+    ground: Ground<'s>,
     kernel: Box<dyn Kernel>,
     scaled: Option<(Equations, Box<dyn Kernel>)>,
-    observer: Evaluator,
+}
+
+/// What all batches of a law share.
+pub(super) struct Ground<'s> {
+    pub setting: &'s Setting<'s>,
+    pub equations: Equations,
+    pub observer: Evaluator,
     guards: Option<Evaluator>,
     terminal: Option<Evaluator>,
 }
 
 /// A batch while it flies.
-struct Batch {
-    dim: usize,
+pub(super) struct Batch {
+    pub dim: usize,
     /// Number of the first trajectory.
-    first: usize,
+    pub first: usize,
     /// `[trajectory][dim]`.
-    start: Vec<f64>,
-    end: Vec<f64>,
-    t_end: Vec<f64>,
-    status: Vec<i32>,
-    records: Records,
+    pub start: Vec<f64>,
+    pub end: Vec<f64>,
+    pub t_end: Vec<f64>,
+    pub status: Vec<i32>,
+    pub records: Records,
     /// Trajectories of the batch kept whole, with their paths.
-    kept: Vec<(usize, Path)>,
-    updates: usize,
-    held: usize,
+    pub kept: Vec<(usize, Path)>,
+    pub updates: usize,
+    /// Of each trajectory the updates at which the chart had no answer.
+    pub fallback: Vec<u32>,
 }
 
 impl<'s> Simulator<'s> {
@@ -74,15 +77,14 @@ impl<'s> Simulator<'s> {
             let kernel = backend.compile(&scaled.spec(method, precision, false))?;
             Some((scaled, kernel))
         };
-        Ok(Self {
+        let ground = Ground {
             setting,
-            kernel,
-            scaled,
             observer: Evaluator::new(&equations.observed()),
             guards: equations.guard_values().map(|g| Evaluator::new(&g)),
             terminal: equations.terminal().map(|t| Evaluator::new(&t)),
             equations,
-        })
+        };
+        Ok(Self { ground, kernel, scaled })
     }
 
     /// What is asked of a chart needs one.
@@ -92,26 +94,73 @@ impl<'s> Simulator<'s> {
         chart: Option<&dyn Chart>,
         mut watch: Option<Watch<'_>>,
     ) -> Result<Flights, LoopError> {
-        let n = self.equations.states;
-        let samples = self.setting.closed_loop.samples;
-        let size = if self.equations.charted {
+        let equations = &self.ground.equations;
+        let n = equations.states;
+        let samples = self.ground.setting.closed_loop.samples;
+        let size = if equations.charted {
             CHARTED_BATCH
         } else {
-            batch_limit(self.equations.dim(), samples)
+            batch_limit(equations.dim(), samples)
         };
         let mut flights = Flights::default();
         for (k, chunk) in starts.x.chunks(size * n).enumerate() {
-            let mut batch = self.batch(chunk, k * size, starts);
-            match chart.filter(|_| self.equations.charted) {
-                Some(chart) => self.by_chart(&mut batch, chart, &mut watch)?,
-                None => self.by_formula(&mut batch, &mut watch)?,
-            }
+            let (ground, kernel) = (&self.ground, self.kernel.as_mut());
+            let batch = match chart.filter(|_| ground.equations.charted) {
+                Some(chart) => ground.by_chart(kernel, (chunk, k * size, starts), chart, &mut watch)?,
+                None => {
+                    let mut batch = ground.batch(chunk, k * size, starts);
+                    ground.by_formula(kernel, &mut batch, &mut watch)?;
+                    batch
+                }
+            };
             self.finish(batch, &mut flights)?;
         }
         Ok(flights)
     }
 
-    fn batch(&self, x0: &[f64], first: usize, starts: Starts<'_>) -> Batch {
+    fn finish(&mut self, mut batch: Batch, flights: &mut Flights) -> Result<(), LoopError> {
+        let ground = &self.ground;
+        if let Some((scaled, kernel)) = &mut self.scaled {
+            let scaled: &Equations = scaled;
+            // Neither bounds nor guards: these ended the trajectory where they were met.
+            let (numerics, scene) = (&ground.setting.numerics, ground.setting.closed_loop);
+            let mut atol = vec![1e30; scaled.dim()];
+            for (atol, width) in atol.iter_mut().zip(&ground.setting.widths) {
+                *atol = numerics.atol * width;
+            }
+            let run = Run {
+                rtol: numerics.rtol,
+                atol,
+                // Time runs from 0 to 1 over at most one interval.
+                step: ground.setting.model.integrator.step.unwrap_or(0.0) * scene.samples as f64 / scene.final_time,
+                max_steps: u32::MAX,
+                levels: vec![1.0],
+                ceiling: None,
+                bounds: Vec::new(),
+            };
+            batch.records.refine(scaled, kernel.as_mut(), &run, &ground.observer)?;
+        }
+        let (n, dim) = (ground.equations.states, batch.dim);
+        if let Some(terminal) = &ground.terminal {
+            flights.terminal.extend(terminal.eval(&batch.end, dim));
+        }
+        for end in batch.end.chunks_exact(dim) {
+            flights.end.extend_from_slice(&end[..n]);
+            flights.cost.push(end[dim - 1]);
+        }
+        flights.updates += batch.updates;
+        flights.fallback.extend(batch.fallback);
+        flights.t_end.extend(batch.t_end);
+        flights.status.extend(batch.status);
+        flights.records.extend(batch.records.values());
+        flights.paths.extend(batch.kept.into_iter().map(|(_, path)| path));
+        Ok(())
+    }
+}
+
+impl Ground<'_> {
+    /// Trajectories from `x0`, the first of which has a number.
+    pub fn batch(&self, x0: &[f64], first: usize, starts: Starts<'_>) -> Batch {
         let (n, dim) = (self.equations.states, self.equations.dim());
         let count = x0.len() / n;
         let mut start = vec![0.0; count * dim];
@@ -145,13 +194,13 @@ impl<'s> Simulator<'s> {
             ),
             kept: (starts.kept.iter().filter(here).map(|i| (i - first, path(*i)))).collect(),
             updates: 0,
-            held: 0,
+            fallback: vec![0; count],
             start,
         }
     }
 
     /// What the kernel is run with, for components of these scales; `levels` of time.
-    fn run(&self, equations: &Equations, levels: Vec<f64>) -> Run {
+    pub fn run(&self, equations: &Equations, levels: Vec<f64>) -> Run {
         let (setting, numerics) = (self.setting, &self.setting.numerics);
         // Constant components have no error: any finite tolerance will do.
         let mut atol = vec![1e30; equations.dim()];
@@ -173,13 +222,18 @@ impl<'s> Simulator<'s> {
     }
 
     /// A law that is a formula: each trajectory at once.
-    fn by_formula(&mut self, batch: &mut Batch, watch: &mut Option<Watch<'_>>) -> Result<(), LoopError> {
+    fn by_formula(
+        &self,
+        kernel: &mut dyn Kernel,
+        batch: &mut Batch,
+        watch: &mut Option<Watch<'_>>,
+    ) -> Result<(), LoopError> {
         let scene = self.setting.closed_loop;
         let times: Vec<f64> = (1..=scene.samples)
             .map(|k| scene.final_time * k as f64 / scene.samples as f64)
             .collect();
         let run = self.run(&self.equations, times);
-        let flown = self.kernel.integrate(&run, &batch.start)?;
+        let flown = kernel.integrate(&run, &batch.start)?;
         let dim = batch.dim;
         let width = self.observer_width();
         let first = self.observer.eval(&batch.start, dim);
@@ -235,11 +289,11 @@ impl<'s> Simulator<'s> {
     }
 
     /// Numbers of a row of the observer.
-    fn observer_width(&self) -> usize {
+    pub fn observer_width(&self) -> usize {
         self.equations.disturbance_columns().end
     }
 
-    fn show(&self, watch: &mut Watch<'_>, trajectory: usize, t: f64, vector: &[f64], v: Option<f64>) {
+    pub fn show(&self, watch: &mut Watch<'_>, trajectory: usize, t: f64, vector: &[f64], v: Option<f64>) {
         watch(Seen {
             trajectory,
             t,
@@ -250,7 +304,7 @@ impl<'s> Simulator<'s> {
         });
     }
 
-    fn keep(&self, path: &mut Path, t: f64, vector: &[f64]) {
+    pub fn keep(&self, path: &mut Path, t: f64, vector: &[f64]) {
         let n = self.equations.states;
         path.t.push(t);
         path.x.extend((0..n).map(|i| vector[i] + self.equations.reference[i]));
@@ -278,7 +332,7 @@ impl<'s> Simulator<'s> {
 
     /// The status with the guard's own number where one ended the trajectory: also where its equations end with a guard, so
     /// that no step gets beyond it.
-    fn code(&self, status: Status, start: &[f64], end: &[f64]) -> i32 {
+    pub fn code(&self, status: Status, start: &[f64], end: &[f64]) -> i32 {
         let stopped = matches!(status, Status::NotFinite | Status::StepFloor);
         let Some(guards) = self.guards.as_ref().filter(|_| stopped || status == Status::Guard) else {
             return status as i32;
@@ -297,168 +351,5 @@ impl<'s> Simulator<'s> {
             Some(k) if status == Status::Guard || share(k) <= AT_GUARD => GUARD_STATUS + k as i32,
             _ => status as i32,
         }
-    }
-
-    /// The law of a chart: between updates that of its quadratic model at the state of the last one. A gap in the chart is
-    /// bridged with the model before it, but not under a forcing: V certifies nothing there.
-    fn by_chart(
-        &mut self,
-        batch: &mut Batch,
-        chart: &dyn Chart,
-        watch: &mut Option<Watch<'_>>,
-    ) -> Result<(), LoopError> {
-        let scene = self.setting.closed_loop;
-        let sampling = scene.final_time / scene.samples as f64;
-        let updates = scene
-            .period
-            .map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
-        let step = sampling / updates as f64;
-        let run = self.run(&self.equations, vec![step]);
-        let (n, dim, width) = (self.equations.states, batch.dim, self.observer_width());
-        let mut alive: Vec<usize> = (0..batch.status.len()).collect();
-        let patience = if self.equations.supplied().is_some() {
-            0
-        } else {
-            (HOLD * (scene.samples * updates) as f64) as usize
-        };
-        let mut waited = vec![0; alive.len()];
-        for k in 0..scene.samples * updates {
-            let t = step * k as f64;
-            let answers = self.asked(chart, batch, &alive);
-            batch.updates += alive.len();
-            for (&i, answer) in alive.iter().zip(&answers) {
-                match answer {
-                    Some(a) => {
-                        let vector = &mut batch.end[i * dim..][..dim];
-                        set_chart(vector, &a.p, &a.hessian);
-                        waited[i] = 0;
-                        if let Some(watch) = watch {
-                            self.show(watch, batch.first + i, t, vector, Some(a.v));
-                        }
-                    }
-                    None if k > 0 && waited[i] < patience => {
-                        waited[i] += 1;
-                        batch.held += 1;
-                    }
-                    None => (batch.status[i], batch.t_end[i]) = (OUTSIDE_MAP, t),
-                }
-            }
-            alive.retain(|i| batch.status[*i] == Status::Reached as i32);
-            if alive.is_empty() {
-                break;
-            }
-            if k % updates == 0 {
-                self.keep_alive(batch, &alive, t);
-            }
-            let seeds: Vec<f64> = alive
-                .iter()
-                .flat_map(|i| &batch.end[i * dim..][..dim])
-                .copied()
-                .collect();
-            let flown = self.kernel.integrate(&run, &seeds)?;
-            if !scene.records.is_empty() {
-                let (before, after) = (self.observer.eval(&seeds, dim), self.observer.eval(&flown.end, dim));
-                batch.records.each(|i, view| {
-                    if let Ok(j) = alive.binary_search(&i) {
-                        let row = |values: &[f64]| values[j * width..][..width].to_vec();
-                        let ends = [row(&before), row(&after)];
-                        view.see(flown.end_time[j], &seeds[j * dim..][..dim], [&ends[0], &ends[1]]);
-                    }
-                });
-            }
-            for (j, &i) in alive.iter().enumerate() {
-                let end = &flown.end[j * dim..][..dim];
-                batch.status[i] = self.code(flown.status[j], &batch.start[i * dim..][..dim], end);
-                batch.t_end[i] = t + flown.end_time[j];
-                batch.end[i * dim..][..dim].copy_from_slice(end);
-            }
-            alive.retain(|i| batch.status[*i] == Status::Reached as i32);
-        }
-        if let Some(watch) = watch {
-            for (&i, answer) in alive.iter().zip(self.asked(chart, batch, &alive)) {
-                if let Some(a) = answer {
-                    self.show(
-                        watch,
-                        batch.first + i,
-                        scene.final_time,
-                        &batch.end[i * dim..][..dim],
-                        Some(a.v),
-                    );
-                }
-            }
-        }
-        self.keep_alive(batch, &alive, scene.final_time);
-        for (_, path) in &mut batch.kept {
-            let missing = scene.samples + 1 - path.t.len();
-            path.t.extend(vec![f64::NAN; missing]);
-            path.x.extend(vec![f64::NAN; missing * n]);
-            path.u.extend(vec![f64::NAN; missing * self.equations.controls]);
-            if self.equations.supplied().is_some() {
-                path.w
-                    .extend(vec![f64::NAN; missing * self.equations.disturbance_columns().len()]);
-                path.supplied.extend(vec![f64::NAN; missing]);
-                path.cost.extend(vec![f64::NAN; missing]);
-            }
-        }
-        Ok(())
-    }
-
-    /// What the chart says where these trajectories are.
-    fn asked(&self, chart: &dyn Chart, batch: &Batch, alive: &[usize]) -> Vec<Option<Expansion>> {
-        let (n, dim, reference) = (self.equations.states, batch.dim, &self.equations.reference);
-        (alive.par_iter())
-            .map(|i| {
-                let s = &batch.end[i * dim..][..n];
-                let x: Vec<f64> = s.iter().zip(reference).map(|(s, x)| s + x).collect();
-                chart.local(&x)
-            })
-            .collect()
-    }
-
-    fn keep_alive(&self, batch: &mut Batch, alive: &[usize], t: f64) {
-        let dim = batch.dim;
-        for (i, path) in &mut batch.kept {
-            if alive.binary_search(i).is_ok() {
-                self.keep(path, t, &batch.end[*i * dim..][..dim]);
-            }
-        }
-    }
-
-    fn finish(&mut self, mut batch: Batch, flights: &mut Flights) -> Result<(), LoopError> {
-        if let Some((scaled, kernel)) = &mut self.scaled {
-            let scaled: &Equations = scaled;
-            // Neither bounds nor guards: these ended the trajectory where they were met.
-            let (numerics, scene) = (&self.setting.numerics, self.setting.closed_loop);
-            let mut atol = vec![1e30; scaled.dim()];
-            for (atol, width) in atol.iter_mut().zip(&self.setting.widths) {
-                *atol = numerics.atol * width;
-            }
-            let run = Run {
-                rtol: numerics.rtol,
-                atol,
-                // Time runs from 0 to 1 over at most one interval.
-                step: self.setting.model.integrator.step.unwrap_or(0.0) * scene.samples as f64 / scene.final_time,
-                max_steps: u32::MAX,
-                levels: vec![1.0],
-                ceiling: None,
-                bounds: Vec::new(),
-            };
-            batch.records.refine(scaled, kernel.as_mut(), &run, &self.observer)?;
-        }
-        let (n, dim) = (self.equations.states, batch.dim);
-        if let Some(terminal) = &self.terminal {
-            flights.terminal.extend(terminal.eval(&batch.end, dim));
-        }
-        for end in batch.end.chunks_exact(dim) {
-            flights.end.extend_from_slice(&end[..n]);
-            flights.cost.push(end[dim - 1]);
-        }
-        flights.updates += batch.updates;
-        flights.held += batch.held;
-        flights.t_end.extend(batch.t_end);
-        flights.status.extend(batch.status);
-        flights.records.extend(batch.records.values());
-        flights.paths.extend(batch.kept.into_iter().map(|(_, path)| path));
-        Ok(())
     }
 }

@@ -49,6 +49,10 @@ impl Evaluation {
             .variable(Variable::i32("converged", both).flags([(0, "no"), (1, "yes")]))
             .variable(Variable::i32("status", both).flags(setting.status_flags()))
             .variable(Variable::f64("t_end", both).long_name("time at the end of the trajectory"))
+            .variable(
+                Variable::i32("fallback", both).long_name("updates of the map's law without an answer of the map"),
+            )
+            .attribute("outside", setting.closed_loop.outside.name())
             .attribute("final_time", setting.closed_loop.final_time)
             .attribute("converged_below", setting.closed_loop.converged * setting.scale)
             .attribute("backend", self.backend.as_str())
@@ -76,6 +80,7 @@ impl Evaluation {
         )?;
         writer.write("status", &self.all(|l| l.status.clone()))?;
         writer.write("t_end", &self.all(|l| l.t_end.clone()))?;
+        writer.write("fallback", &self.all(LawResult::fallbacks))?;
         let count = self.records.len();
         for (k, (name, _)) in self.records.iter().enumerate() {
             let of = |l: &LawResult| l.records.iter().skip(k).step_by(count).copied().collect();
@@ -85,7 +90,7 @@ impl Evaluation {
     }
 
     fn write_laws(&self, file: &mut ResultFile) -> Result<(), OutputError> {
-        let columns: [(&str, &str, &str); 9] = [
+        let columns: [(&str, &str, &str); 10] = [
             (
                 "share_converged",
                 "1",
@@ -103,6 +108,7 @@ impl Evaluation {
                 "1",
                 "share of the map law's updates without an answer of the map",
             ),
+            ("fell_back", "1", "trajectories with such updates"),
         ];
         let mut group = Group::new("closed_loop_laws")
             .dimension(self.laws_dimension())
@@ -125,7 +131,7 @@ impl Evaluation {
             group = group.variable(Variable::f64(&format!("worst_{name}"), ["law"]));
         }
         let mut writer = file.group(&group)?;
-        let row = |law: &LawResult| -> [f64; 9] {
+        let row = |law: &LawResult| -> [f64; 10] {
             let spread = self.spread(law);
             let of = |get: fn(&super::Spread) -> f64| spread.as_ref().map_or(f64::NAN, get);
             let failed = law.status.iter().filter(|s| **s != 0).count();
@@ -139,9 +145,10 @@ impl Evaluation {
                 law.rate(),
                 failed as f64,
                 law.held,
+                law.fell_back() as f64,
             ]
         };
-        let rows: Vec<[f64; 9]> = self.laws.iter().map(row).collect();
+        let rows: Vec<[f64; 10]> = self.laws.iter().map(row).collect();
         for (k, (name, ..)) in columns.iter().enumerate() {
             writer.write(name, &rows.iter().map(|r| r[k]).collect::<Vec<f64>>())?;
         }

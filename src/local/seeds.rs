@@ -203,6 +203,22 @@ impl LocalSolution {
         )
     }
 
+    /// Powers of `z` ([`Self::coordinates`] times s) with their coefficients in V.
+    pub fn polynomial(&self) -> impl Iterator<Item = (&[u8], f64)> {
+        let kept = self.basis.start[self.degree + 1];
+        (self.basis.exponents[..kept].iter().zip(&self.value)).map(|(powers, c)| (powers.as_slice(), *c))
+    }
+
+    /// The matrix that gives z.
+    pub fn coordinates(&self) -> DMatrix<f64> {
+        self.to_adjoint.transpose()
+    }
+
+    /// Degrees and largest sizes, on the unit sphere of z, of the parts of V not kept.
+    pub fn neglected(&self) -> &[(i32, f64)] {
+        &self.neglected
+    }
+
     /// `s'Ss/2`, by which the range of the local solution is told. At least `s'Ps/2`; the same but in some games.
     pub fn quadratic(&self, s: &[f64]) -> f64 {
         let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);

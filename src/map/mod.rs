@@ -20,16 +20,20 @@ mod adaptive;
 mod coverage;
 mod errors;
 mod hasty;
+mod many;
 mod nodal;
 mod opinions;
 pub mod pieces;
 mod sites;
+mod swift;
 
 pub use adaptive::{Adaptive, Checked, adaptive};
 pub use coverage::{Coverage, Fronts};
+pub use many::Many;
 pub use sites::Source;
+pub(crate) use swift::Room;
 
-use crate::backend::cpu::Cpu;
+use crate::backend::cpu::{Cpu, map::Evaluator};
 use crate::output::{Stored, StoredError};
 use crate::program::Program;
 use crate::sweep::{Choices, Plan, PlanError, spread_over};
@@ -41,6 +45,7 @@ use pieces::{Pieces, Said};
 use rayon::prelude::*;
 use sites::{Sites, UNLABELLED};
 use std::sync::OnceLock;
+use swift::Swift;
 
 /// Why a file gives no value map.
 #[derive(Debug, thiserror::Error)]
@@ -130,6 +135,10 @@ pub struct ValueMap {
     own_errors: Option<OwnErrors>,
     /// A map that was made to an error: it answers within its region.
     pieces: Option<Pieces>,
+    /// The same for many states; `None` in a game, whose answers are checked one by one.
+    swift: Option<Swift<f64>>,
+    /// The law, for many states.
+    controls: Evaluator,
 }
 
 /// Candidates looked at for each one wanted.
@@ -191,6 +200,7 @@ impl ValueMap {
         fn blank<T>(count: usize) -> Vec<OnceLock<T>> {
             (0..count).map(|_| OnceLock::new()).collect()
         }
+        let swift = (pieces.as_ref().filter(|_| !plan.game)).and_then(|pieces| Swift::new(pieces, &plan));
         let mut this = Self {
             tree: index(&sites.z, states),
             nodal: blank(sites.len()),
@@ -200,12 +210,14 @@ impl ValueMap {
             overlap: OnceLock::new(),
             windings: Vec::new(),
             isaacs,
+            controls: Evaluator::new(&control),
             control,
             plan,
             sites,
             fronts,
             own_errors: OwnErrors::of(stored),
             pieces,
+            swift,
         };
         this.windings = this.possible_windings();
         Ok(this)

@@ -274,7 +274,36 @@ pub struct ClosedLoop {
     pub margin: f64,
     /// Time between updates of the map's law.
     pub period: Option<f64>,
+    /// What the map's law does where the map knows nothing.
+    pub outside: Outside,
     pub span: Span,
+}
+
+/// What the law of a map does where the map knows nothing, until it knows again.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Outside {
+    /// The trajectory ends.
+    Stop,
+    /// p goes on as `q + H s` of the last answer.
+    Hold,
+    /// p is that of the nearest state known, on the way from the state, moved into the map's region, to the reference point.
+    #[default]
+    Nearest,
+    /// p is that of the Riccati solution at the equilibrium.
+    Local,
+}
+
+impl Outside {
+    pub const ALL: [(&'static str, Outside); 4] = [
+        ("stop", Outside::Stop),
+        ("hold", Outside::Hold),
+        ("nearest", Outside::Nearest),
+        ("lqr", Outside::Local),
+    ];
+
+    pub fn name(self) -> &'static str {
+        Self::ALL.iter().find(|(_, o)| *o == self).map_or("?", |(name, _)| name)
+    }
 }
 
 /// `[dissipation]`: the L2 gain that V certifies, checked by simulation. `None` is "auto".

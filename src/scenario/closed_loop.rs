@@ -10,8 +10,8 @@ use super::suggest::did_you_mean;
 use super::syntax_error::shorten;
 use crate::expr::{Id, Kind};
 use crate::model::{
-    ClosedLoop, DEFAULT_CONVERGED, DEFAULT_LOOP_MARGIN, Extremum, Formula, GivenLaw, Located, OperatingSet, Record,
-    Span, Start,
+    ClosedLoop, DEFAULT_CONVERGED, DEFAULT_LOOP_MARGIN, Extremum, Formula, GivenLaw, Located, OperatingSet, Outside,
+    Record, Span, Start,
 };
 use crate::scenario::Problem;
 use toml::de::DeValue;
@@ -39,7 +39,7 @@ const TAKEN: [&str; 14] = [
     "sheets",
     "duration",
 ];
-const KEYS: [&str; 12] = [
+const KEYS: [&str; 13] = [
     "final_time",
     "samples",
     "initial",
@@ -52,6 +52,7 @@ const KEYS: [&str; 12] = [
     "converged",
     "margin",
     "period",
+    "outside",
 ];
 
 /// What of the scene the section refers to.
@@ -84,6 +85,9 @@ impl<'a> Reader<'a> {
             positive_number("converged"),
         );
         let (margin, period) = (positive_number("margin"), positive_number("period"));
+        let outside = section
+            .get("outside")
+            .and_then(|v| self.choice(v, "outside", &Outside::ALL));
         let final_time = self.loop_time(section, given_time, scope);
         let samples = section.get("samples").and_then(|v| self.sample_count(v));
         let random = section.get("random").and_then(|v| self.count(v, "random", 1));
@@ -112,6 +116,7 @@ impl<'a> Reader<'a> {
             converged: converged.unwrap_or(DEFAULT_CONVERGED),
             margin: margin.unwrap_or(DEFAULT_LOOP_MARGIN),
             period,
+            outside: outside.unwrap_or_default(),
             span: section.span.clone(),
         })
     }

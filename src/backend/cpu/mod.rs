@@ -1,20 +1,20 @@
 //! The CPU backend: rayon over chunks of trajectories, SIMD lanes within a chunk, the instruction set chosen at run time.
 
-mod arithmetic;
+pub(crate) mod arithmetic;
 mod block;
 mod code;
 mod decide;
 #[cfg(target_arch = "x86_64")]
 mod jit;
-mod lanes;
+pub(crate) mod lanes;
 pub mod map;
 mod peak;
-mod real;
+pub(crate) mod real;
 mod routine;
 mod steps;
 mod taylor;
 
-use super::{Backend, BackendError, Kernel, Run, Spec, Status, Trajectories, Variant};
+use super::{Backend, BackendError, Kernel, Legs, Run, Spec, Status, Trajectories, Variant};
 use crate::integrator::Scheme;
 use crate::model::Precision;
 use block::{Compiled, Output};
@@ -99,6 +99,17 @@ impl Cpu {
     }
 }
 
+impl Cpu {
+    /// Lanes a block.
+    fn lanes(self, precision: Precision) -> usize {
+        match precision {
+            _ if !self.compile => LANES_INTERPRETED,
+            Precision::F64 => LANES_F64,
+            Precision::F32 => LANES_F32,
+        }
+    }
+}
+
 impl Default for Cpu {
     fn default() -> Self {
         Self::new()
@@ -165,6 +176,15 @@ impl CpuKernel {
 }
 
 impl Kernel for CpuKernel {
+    fn legs<'k>(&'k mut self, run: &'k Run) -> Option<Box<dyn Legs + 'k>> {
+        if self.spec.store {
+            return None;
+        }
+        let backend = self.backend;
+        let compiled = self.compiled(backend.lanes(self.spec.precision), run);
+        Some(Box::new(CpuLegs { compiled, run, backend }))
+    }
+
     fn kernel_seconds(&self) -> Option<f64> {
         self.seconds
     }
@@ -187,12 +207,9 @@ impl Kernel for CpuKernel {
         if count == 0 {
             return Ok(result);
         }
-        let (precision, Cpu { simd, compile }) = (self.spec.precision, self.backend);
-        let lanes = match precision {
-            _ if !compile => LANES_INTERPRETED,
-            Precision::F64 => LANES_F64,
-            Precision::F32 => LANES_F32,
-        };
+        let precision = self.spec.precision;
+        let lanes = self.backend.lanes(precision);
+        let backend = self.backend;
         let compiled = self.compiled(lanes, run);
         // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
         let chunk = (count / (rayon::current_num_threads() * 4)).clamp(lanes, 8192);
@@ -227,17 +244,55 @@ impl Kernel for CpuKernel {
                     run,
                     seeds,
                 };
-                let rounds = match (precision, compile) {
-                    (Precision::F64, true) => job.dispatch::<f64, LANES_F64>(simd, &mut out),
-                    (Precision::F32, true) => job.dispatch::<f32, LANES_F32>(simd, &mut out),
-                    (Precision::F64, false) => job.dispatch::<f64, LANES_INTERPRETED>(simd, &mut out),
-                    (Precision::F32, false) => job.dispatch::<f32, LANES_INTERPRETED>(simd, &mut out),
-                };
+                let rounds = job.fly(precision, backend, &mut out);
                 lane_steps.fetch_add(rounds * lanes as u64, Ordering::Relaxed);
             });
         result.lane_steps = lane_steps.into_inner();
         self.seconds = Some(begin.elapsed().as_secs_f64());
         Ok(result)
+    }
+}
+
+/// A kernel's code with a run.
+struct CpuLegs<'k> {
+    compiled: &'k Compiled,
+    run: &'k Run,
+    backend: Cpu,
+}
+
+impl Legs for CpuLegs<'_> {
+    fn integrate(&self, seeds: &[f64], to: &mut Trajectories) {
+        let dim = self.compiled.spec.dim();
+        let count = seeds.len() / dim;
+        to.dim = dim;
+        to.levels = 0;
+        to.end.clear();
+        to.end.resize(count * dim, f64::NAN);
+        to.end_time.clear();
+        to.end_time.resize(count, f64::NAN);
+        to.status.clear();
+        to.status.resize(count, Status::NotFinite);
+        to.steps.clear();
+        to.steps.resize(count, 0);
+        to.rejected.clear();
+        to.rejected.resize(count, 0);
+        to.samples.clear();
+        let mut out = Output {
+            end: &mut to.end,
+            end_time: &mut to.end_time,
+            status: &mut to.status,
+            steps: &mut to.steps,
+            rejected: &mut to.rejected,
+            samples: &mut [],
+        };
+        let job = Job {
+            kernel: self.compiled,
+            run: self.run,
+            seeds,
+        };
+        let precision = self.compiled.spec.precision;
+        let rounds = job.fly(precision, self.backend, &mut out);
+        to.lane_steps = rounds * self.backend.lanes(precision) as u64;
     }
 }
 
@@ -249,6 +304,16 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
+    /// How many steps the block took.
+    fn fly(&self, precision: Precision, Cpu { simd, compile }: Cpu, out: &mut Output<'_>) -> u64 {
+        match (precision, compile) {
+            (Precision::F64, true) => self.dispatch::<f64, LANES_F64>(simd, out),
+            (Precision::F32, true) => self.dispatch::<f32, LANES_F32>(simd, out),
+            (Precision::F64, false) => self.dispatch::<f64, LANES_INTERPRETED>(simd, out),
+            (Precision::F32, false) => self.dispatch::<f32, LANES_INTERPRETED>(simd, out),
+        }
+    }
+
     /// How many steps the block took.
     fn dispatch<T: real::Real, const W: usize>(&self, simd: Simd, out: &mut Output<'_>) -> u64 {
         match simd {

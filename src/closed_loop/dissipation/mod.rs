@@ -33,7 +33,7 @@ use super::simulate::Simulator;
 use super::{Chart, Law, Laws, LoopError, MAP, Setting};
 use crate::backend::Backend;
 use crate::local::{Riccati, closed_loop_margin};
-use crate::model::{self, ClosedLoop, Model};
+use crate::model::{self, ClosedLoop, Model, Outside};
 use crate::sweep::{Choices, Numerics};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -95,6 +95,7 @@ pub fn flight(model: &Model, asked: &model::Dissipation, riccati: Option<&Riccat
         converged: model::DEFAULT_CONVERGED,
         margin: scene.map_or(model::DEFAULT_LOOP_MARGIN, |s| s.margin),
         period: asked.period,
+        outside: Outside::Stop,
         span: asked.span.clone(),
     })
 }

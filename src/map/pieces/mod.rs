@@ -7,13 +7,17 @@
 
 mod build;
 mod fit;
+mod flat;
 mod frame;
+mod jets;
 mod terms;
 
 pub use build::{Before, Cloud, Want, build};
 pub use fit::Shape;
+pub use flat::{Desk, Flat, Here, LANES};
 pub use frame::Frame;
-pub use terms::{MOST_VARIABLES, Terms};
+pub(crate) use jets::{Jet, Sum, Tables};
+pub use terms::{MOST_DEGREE, MOST_VARIABLES, Terms};
 
 use crate::value::Groups;
 use std::collections::BTreeMap;

@@ -1,0 +1,300 @@
+//! Trajectories under the law of a chart: `p = q + H s`, set once a period at each trajectory's state.
+
+use super::equations::set_chart;
+use super::flights::{Starts, Watch};
+use super::simulate::{Batch, Ground, OUTSIDE_MAP};
+use super::{Chart, Expansions, LoopError};
+use crate::backend::{BackendError, Kernel, Run, Status, Trajectories};
+use crate::model::Outside;
+use rayon::prelude::*;
+
+/// Trajectories that one thread flies from their start to their end: few enough to balance the load, many enough that the
+/// kernel's lanes are full.
+const PART: usize = 256;
+/// Ways from a state without an answer towards the reference point at which the chart is asked.
+const INWARD: [f64; 7] = [0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7];
+
+/// What flies trajectories over a period.
+enum Wings<'k> {
+    /// On this thread.
+    Own(&'k dyn crate::backend::Legs),
+    /// A batch as a whole.
+    Whole(&'k mut dyn Kernel),
+}
+
+impl Wings<'_> {
+    fn fly(&mut self, run: &Run, seeds: &[f64], to: &mut Trajectories) -> Result<(), BackendError> {
+        match self {
+            Wings::Own(legs) => legs.integrate(seeds, to),
+            Wings::Whole(kernel) => *to = kernel.integrate(run, seeds)?,
+        }
+        Ok(())
+    }
+}
+
+/// Times between updates.
+#[derive(Clone, Copy)]
+struct Clock {
+    step: f64,
+    /// Updates between samples, and all.
+    updates: usize,
+    all: usize,
+}
+
+impl Ground<'_> {
+    /// Flies a batch. Where the kernel can, each thread takes trajectories from start to end, asking the chart as it goes.
+    pub fn by_chart(
+        &self,
+        kernel: &mut dyn Kernel,
+        (x0, first, starts): (&[f64], usize, Starts<'_>),
+        chart: &dyn Chart,
+        watch: &mut Option<Watch<'_>>,
+    ) -> Result<Batch, LoopError> {
+        let scene = self.setting.closed_loop;
+        let sampling = scene.final_time / scene.samples as f64;
+        let updates = scene
+            .period
+            .map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
+        let clock = Clock {
+            step: sampling / updates as f64,
+            updates,
+            all: scene.samples * updates,
+        };
+        let run = self.run(&self.equations, vec![clock.step]);
+        let n = self.equations.states;
+        if watch.is_none()
+            && let Some(legs) = kernel.legs(&run)
+        {
+            let size = (x0.len() / n)
+                .div_ceil(2 * rayon::current_num_threads())
+                .clamp(16, PART);
+            let parts: Vec<Batch> = (x0.par_chunks(size * n).enumerate())
+                .map(|(k, x0)| {
+                    let mut part = self.batch(x0, first + k * size, starts);
+                    self.relay(&mut Wings::Own(legs.as_ref()), &run, clock, &mut part, chart, &mut None)?;
+                    Ok(part)
+                })
+                .collect::<Result<_, BackendError>>()?;
+            let mut parts = parts.into_iter();
+            let mut all = parts.next().unwrap_or_else(|| self.batch(&[], first, starts));
+            parts.for_each(|part| all.append(part));
+            return Ok(all);
+        }
+        let mut batch = self.batch(x0, first, starts);
+        self.relay(&mut Wings::Whole(kernel), &run, clock, &mut batch, chart, watch)?;
+        Ok(batch)
+    }
+
+    /// From one update to the next, all trajectories of a batch.
+    fn relay(
+        &self,
+        wings: &mut Wings<'_>,
+        run: &Run,
+        clock: Clock,
+        batch: &mut Batch,
+        chart: &dyn Chart,
+        watch: &mut Option<Watch<'_>>,
+    ) -> Result<(), BackendError> {
+        let scene = self.setting.closed_loop;
+        let (n, dim, width) = (self.equations.states, batch.dim, self.observer_width());
+        // Under a forcing V certifies nothing but where it is known.
+        let outside = match self.equations.supplied() {
+            Some(_) => Outside::Stop,
+            None => scene.outside,
+        };
+        let mut alive: Vec<usize> = (0..batch.status.len()).collect();
+        let mut asked = Asked::default();
+        let mut lone = Expansions::default();
+        let mut seeds: Vec<f64> = Vec::new();
+        let mut flown = Trajectories::default();
+        for k in 0..clock.all {
+            let t = clock.step * k as f64;
+            asked.ask(self, chart, batch, &alive);
+            batch.updates += alive.len();
+            for (j, &i) in alive.iter().enumerate() {
+                let vector = &mut batch.end[i * dim..][..dim];
+                let Some(answer) = asked.answer(j) else {
+                    batch.fallback[i] += 1;
+                    if !self.fall_back(outside, chart, vector, k > 0, &mut lone) {
+                        (batch.status[i], batch.t_end[i]) = (OUTSIDE_MAP, t);
+                    }
+                    continue;
+                };
+                set_chart(vector, answer.p, answer.hessian);
+                if let Some(watch) = watch {
+                    self.show(watch, batch.first + i, t, vector, Some(answer.v));
+                }
+            }
+            alive.retain(|i| batch.status[*i] == Status::Reached as i32);
+            if alive.is_empty() {
+                break;
+            }
+            if k % clock.updates == 0 {
+                self.keep_alive(batch, &alive, t);
+            }
+            seeds.clear();
+            for i in &alive {
+                seeds.extend_from_slice(&batch.end[i * dim..][..dim]);
+            }
+            wings.fly(run, &seeds, &mut flown)?;
+            if !scene.records.is_empty() {
+                let (before, after) = (self.observer.eval(&seeds, dim), self.observer.eval(&flown.end, dim));
+                batch.records.each(|i, view| {
+                    if let Ok(j) = alive.binary_search(&i) {
+                        let ends = [&before[j * width..][..width], &after[j * width..][..width]];
+                        view.see(flown.end_time[j], &seeds[j * dim..][..dim], ends);
+                    }
+                });
+            }
+            for (j, &i) in alive.iter().enumerate() {
+                let end = &flown.end[j * dim..][..dim];
+                batch.status[i] = self.code(flown.status[j], &batch.start[i * dim..][..dim], end);
+                batch.t_end[i] = t + flown.end_time[j];
+                batch.end[i * dim..][..dim].copy_from_slice(end);
+            }
+            alive.retain(|i| batch.status[*i] == Status::Reached as i32);
+        }
+        if let Some(watch) = watch {
+            asked.ask(self, chart, batch, &alive);
+            for (j, &i) in alive.iter().enumerate() {
+                if let Some(answer) = asked.answer(j) {
+                    let end = &batch.end[i * dim..][..dim];
+                    self.show(watch, batch.first + i, scene.final_time, end, Some(answer.v));
+                }
+            }
+        }
+        self.keep_alive(batch, &alive, scene.final_time);
+        for (_, path) in &mut batch.kept {
+            let missing = scene.samples + 1 - path.t.len();
+            path.t.extend(vec![f64::NAN; missing]);
+            path.x.extend(vec![f64::NAN; missing * n]);
+            path.u.extend(vec![f64::NAN; missing * self.equations.controls]);
+            if self.equations.supplied().is_some() {
+                path.w
+                    .extend(vec![f64::NAN; missing * self.equations.disturbance_columns().len()]);
+                path.supplied.extend(vec![f64::NAN; missing]);
+                path.cost.extend(vec![f64::NAN; missing]);
+            }
+        }
+        Ok(())
+    }
+
+    /// Sets p where the chart has no answer; false where the trajectory is to end. `flying`: there is an answer before.
+    fn fall_back(
+        &self,
+        outside: Outside,
+        chart: &dyn Chart,
+        vector: &mut [f64],
+        flying: bool,
+        room: &mut Expansions,
+    ) -> bool {
+        match outside {
+            Outside::Stop => false,
+            Outside::Hold => flying,
+            Outside::Local => self.by_local(vector) || flying,
+            Outside::Nearest => self.by_nearest(chart, vector, room) || flying || self.by_local(vector),
+        }
+    }
+
+    /// The law of the solution about the equilibrium, p = P s.
+    fn by_local(&self, vector: &mut [f64]) -> bool {
+        let n = self.equations.states;
+        let Some(metric) = self.setting.local_metric() else {
+            return false;
+        };
+        let (s, _) = self.setting.nearest(&vector[..n]);
+        let hessian: Vec<f64> = (0..n * n).map(|k| metric[(k / n, k % n)]).collect();
+        let p: Vec<f64> = (0..n)
+            .map(|i| (0..n).map(|j| hessian[i * n + j] * s[j]).sum())
+            .collect();
+        set_chart(vector, &p, &hessian);
+        true
+    }
+
+    /// p of the nearest state that the chart knows, of those on the way from here, moved into the chart's region, to the
+    /// reference point. It is held over the period: what the slope of p there says of here is anyone's guess.
+    fn by_nearest(&self, chart: &dyn Chart, vector: &mut [f64], room: &mut Expansions) -> bool {
+        let n = self.equations.states;
+        let reference = &self.equations.reference;
+        let mut from: Vec<f64> = vector[..n].iter().zip(reference).map(|(s, x)| s + x).collect();
+        if !chart.clamp(&mut from) {
+            return false;
+        }
+        for share in INWARD {
+            let x: Vec<f64> = from.iter().zip(reference).map(|(a, b)| a + share * (b - a)).collect();
+            chart.expansions(n, &x, room);
+            if room.known[0] {
+                set_chart(vector, &room.p[..n], &vec![0.0; n * n]);
+                return true;
+            }
+        }
+        false
+    }
+
+    fn keep_alive(&self, batch: &mut Batch, alive: &[usize], t: f64) {
+        let dim = batch.dim;
+        for (i, path) in &mut batch.kept {
+            if alive.binary_search(i).is_ok() {
+                self.keep(path, t, &batch.end[*i * dim..][..dim]);
+            }
+        }
+    }
+}
+
+/// What a chart says where trajectories are: one part after the other.
+#[derive(Default)]
+struct Asked {
+    parts: Vec<(Vec<f64>, Expansions)>,
+    states: usize,
+}
+
+/// One of the answers.
+struct One<'a> {
+    v: f64,
+    p: &'a [f64],
+    hessian: &'a [f64],
+}
+
+impl Asked {
+    fn ask(&mut self, ground: &Ground<'_>, chart: &dyn Chart, batch: &Batch, alive: &[usize]) {
+        let (n, dim, reference) = (ground.equations.states, batch.dim, &ground.equations.reference);
+        self.states = n;
+        self.parts.resize_with(alive.len().div_ceil(PART), Default::default);
+        let one = |(x, answers): &mut (Vec<f64>, Expansions), alive: &[usize]| {
+            x.clear();
+            for i in alive {
+                x.extend((batch.end[i * dim..][..n].iter().zip(reference)).map(|(s, x)| s + x));
+            }
+            chart.expansions(n, x, answers);
+        };
+        match self.parts.as_mut_slice() {
+            [part] => one(part, alive),
+            parts => (parts.par_iter_mut().zip(alive.par_chunks(PART))).for_each(|(part, alive)| one(part, alive)),
+        }
+    }
+
+    fn answer(&self, j: usize) -> Option<One<'_>> {
+        let (n, part, k) = (self.states, &self.parts[j / PART].1, j % PART);
+        part.known[k].then(|| One {
+            v: part.v[k],
+            p: &part.p[k * n..][..n],
+            hessian: &part.hessian[k * n * n..][..n * n],
+        })
+    }
+}
+
+impl Batch {
+    /// Adds the trajectories that follow.
+    fn append(&mut self, other: Batch) {
+        let before = self.status.len();
+        self.start.extend(other.start);
+        self.end.extend(other.end);
+        self.t_end.extend(other.t_end);
+        self.status.extend(other.status);
+        self.fallback.extend(other.fallback);
+        self.records.append(other.records);
+        self.kept
+            .extend(other.kept.into_iter().map(|(i, path)| (i + before, path)));
+        self.updates += other.updates;
+    }
+}

@@ -1,0 +1,697 @@
+//! A map in pieces as flat arrays, for many states: what [`Pieces::at`] says, in f64 or f32, without allocation.
+//!
+//! A batch of states is looked up first, which gives a list of pieces with a place in each; their polynomials are summed in
+//! lanes, several pieces at once; then what they say is blended. What is said of a state does not depend on the others.
+
+use super::jets::{Jet, MOST_SECOND, Sum, Tables};
+use super::{BLEND, Cell, MOST_VARIABLES, Node, Pieces, SAME, Shape};
+use crate::backend::cpu::lanes::Lanes;
+use crate::backend::cpu::real::Real;
+
+/// Polynomials summed at once: two vectors of f64 on AVX2.
+pub const LANES: usize = 8;
+/// States looked up before their polynomials are summed.
+const BATCH: usize = 64;
+/// Marks a piece that is said something of everywhere.
+const EVERYWHERE: u32 = u32::MAX;
+
+#[derive(Clone, Copy, Debug)]
+struct Branch<T> {
+    at: T,
+    reach: [T; 2],
+    /// Node numbers; a cell's number twice where it is no split.
+    below: u32,
+    above: u32,
+    /// The number of states marks a cell.
+    axis: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Head<T> {
+    bound: T,
+    p_bound: T,
+    coefficients: u32,
+    terms: u16,
+    degree: u8,
+    shape: Shape,
+    sheet: i32,
+    /// First row of its supports.
+    support: u32,
+}
+
+/// The map; see the module's text.
+#[derive(Clone, Debug)]
+pub struct Flat<T> {
+    states: usize,
+    tables: Tables,
+    lo: Vec<T>,
+    hi: Vec<T>,
+    floor: T,
+    value_max: T,
+    origin: Vec<T>,
+    /// `[coordinate][state]`.
+    matrix: Vec<T>,
+    directions: Vec<T>,
+    nodes: Vec<Branch<T>>,
+    /// `[cell][center, half][coordinate]`.
+    cells: Vec<T>,
+    /// First piece of each cell, and the end.
+    owned: Vec<u32>,
+    heads: Vec<Head<T>>,
+    /// `[piece][center, half][coordinate]`.
+    places: Vec<T>,
+    /// Of divided powers, one piece after the other.
+    coefficients: Vec<T>,
+    supports: Vec<[T; 2]>,
+}
+
+/// What is said of a state.
+#[derive(Clone, Copy, Debug)]
+pub struct Here<T> {
+    pub v: T,
+    pub p: [T; MOST_VARIABLES],
+    /// `[state][state]` with the number of states as the stride; only where asked for.
+    pub hessian: [T; MOST_VARIABLES * MOST_VARIABLES],
+    pub v_bound: T,
+    pub p_bound: [T; MOST_VARIABLES],
+    pub sheet: i32,
+    /// Pieces that were blended; 0 of the local solution.
+    pub pieces: u32,
+    /// Sheets over the state.
+    pub sheets: u32,
+}
+
+impl<T: Real> Here<T> {
+    pub fn blank() -> Self {
+        let zero = T::of(0.0);
+        Self {
+            v: zero,
+            p: [zero; MOST_VARIABLES],
+            hessian: [zero; MOST_VARIABLES * MOST_VARIABLES],
+            v_bound: zero,
+            p_bound: [zero; MOST_VARIABLES],
+            sheet: -1,
+            pieces: 0,
+            sheets: 0,
+        }
+    }
+}
+
+/// A piece to be summed at a place in its own variables.
+#[derive(Clone, Copy)]
+struct Task<T> {
+    piece: u32,
+    y: [T; MOST_VARIABLES],
+}
+
+/// What a piece says, in coordinates of the frame.
+#[derive(Clone, Copy)]
+struct Told<T> {
+    v: T,
+    q: [T; MOST_VARIABLES],
+    h: [T; MOST_SECOND],
+    v_bound: T,
+    p_bound: [T; MOST_VARIABLES],
+    sheet: i32,
+}
+
+/// A cell that reaches over a state.
+#[derive(Clone, Copy)]
+struct Share<T> {
+    own: bool,
+    /// Whether the cell has one piece only.
+    sole: bool,
+    /// Tasks of its pieces.
+    from: u32,
+    to: u32,
+    weight: Weight<T>,
+}
+
+/// A product of factors of one coordinate each, with their derivatives.
+#[derive(Clone, Copy)]
+struct Weight<T> {
+    f: [T; MOST_VARIABLES],
+    d: [T; MOST_VARIABLES],
+    dd: [T; MOST_VARIABLES],
+}
+
+/// Room to work in; it does not grow any more after the first batches.
+pub struct Desk<T> {
+    tasks: Vec<Task<T>>,
+    told: Vec<Told<T>>,
+    shares: Vec<Share<T>>,
+    /// Of each state of a batch its first share.
+    first: Vec<u32>,
+    stack: Vec<(u32, bool)>,
+    coefficients: Vec<Lanes<T, LANES>>,
+    monomials: Vec<Lanes<T, LANES>>,
+}
+
+impl<T: Real> Desk<T> {
+    pub fn new() -> Self {
+        Self {
+            tasks: Vec::new(),
+            told: Vec::new(),
+            shares: Vec::new(),
+            first: Vec::new(),
+            stack: Vec::new(),
+            coefficients: Vec::new(),
+            monomials: Vec::new(),
+        }
+    }
+}
+
+impl<T: Real> Default for Desk<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<T: Real> Flat<T> {
+    /// For states as deviations from `reference`: zeros for absolute ones.
+    pub fn new(pieces: &Pieces, reference: &[f64]) -> Self {
+        let n = pieces.states();
+        let tables = Tables::new(&pieces.terms);
+        let all = |values: &[f64]| -> Vec<T> { values.iter().map(|v| T::of(*v)).collect() };
+        let shifted = |values: &[f64]| -> Vec<T> { values.iter().zip(reference).map(|(v, r)| T::of(v - r)).collect() };
+        let mut this = Self {
+            states: n,
+            lo: shifted(&pieces.region.lo),
+            hi: shifted(&pieces.region.hi),
+            floor: T::of(pieces.region.floor),
+            value_max: T::of(pieces.region.value_max),
+            origin: shifted(&pieces.frame.origin),
+            matrix: all(&pieces.frame.matrix),
+            directions: all(&pieces.directions.concat()),
+            nodes: Vec::with_capacity(pieces.nodes.len()),
+            cells: Vec::with_capacity(pieces.cells.len() * 2 * n),
+            owned: Vec::with_capacity(pieces.cells.len() + 1),
+            heads: Vec::with_capacity(pieces.pieces.len()),
+            places: Vec::with_capacity(pieces.pieces.len() * 2 * n),
+            coefficients: Vec::new(),
+            supports: Vec::new(),
+            tables,
+        };
+        for node in &pieces.nodes {
+            this.nodes.push(match *node {
+                Node::Cell(cell) => Branch {
+                    at: T::of(0.0),
+                    reach: [T::of(0.0); 2],
+                    below: cell as u32,
+                    above: cell as u32,
+                    axis: n as u32,
+                },
+                Node::Split {
+                    axis,
+                    at,
+                    below,
+                    above,
+                    reach,
+                } => Branch {
+                    at: T::of(at),
+                    reach: reach.map(T::of),
+                    below: below as u32,
+                    above: above as u32,
+                    axis: axis as u32,
+                },
+            });
+        }
+        for Cell { lo, hi, pieces: own } in &pieces.cells {
+            this.cells
+                .extend(lo.iter().zip(hi).map(|(lo, hi)| T::of(0.5 * (lo + hi))));
+            this.cells
+                .extend(lo.iter().zip(hi).map(|(lo, hi)| T::of(0.5 * (hi - lo))));
+            this.owned.push(this.heads.len() as u32);
+            for piece in &pieces.pieces[own.clone()] {
+                let terms = piece.coefficients.len();
+                this.heads.push(Head {
+                    bound: T::of(piece.bound),
+                    p_bound: T::of(piece.p_bound),
+                    coefficients: this.coefficients.len() as u32,
+                    terms: terms as u16,
+                    degree: this.tables.upto.iter().position(|k| *k == terms).unwrap_or(0) as u8,
+                    shape: piece.shape,
+                    sheet: piece.sheet,
+                    support: match piece.support.is_empty() {
+                        true => EVERYWHERE,
+                        false => this.supports.len() as u32,
+                    },
+                });
+                this.places.extend(all(&piece.center));
+                this.places.extend(all(&piece.half));
+                let scaled = piece.coefficients.iter().zip(&this.tables.scale);
+                this.coefficients.extend(scaled.map(|(c, s)| T::of(c * s)));
+                this.supports.extend(piece.support.iter().map(|s| s.map(T::of)));
+            }
+        }
+        this.owned.push(this.heads.len() as u32);
+        this
+    }
+
+    pub fn states(&self) -> usize {
+        self.states
+    }
+
+    /// Whether a state lies in the region.
+    pub fn covers(&self, x: &[T]) -> bool {
+        x.iter()
+            .zip(self.lo.iter().zip(&self.hi))
+            .all(|(x, (lo, hi))| x >= lo && x <= hi)
+    }
+
+    /// V and the rest on the lowest sheet at states `[state][component]`, told one after the other with their numbers; `None`
+    /// outside the region and where nothing is known. Second derivatives only where asked for.
+    #[inline(always)]
+    pub fn each<const FMA: bool>(
+        &self,
+        x: &[T],
+        second: bool,
+        desk: &mut Desk<T>,
+        mut tell: impl FnMut(usize, Option<&Here<T>>),
+    ) {
+        let n = self.states;
+        let mut here = Here::blank();
+        for (batch, x) in x.chunks(BATCH * n).enumerate() {
+            desk.tasks.clear();
+            desk.shares.clear();
+            desk.first.clear();
+            for x in x.chunks_exact(n) {
+                desk.first.push(desk.shares.len() as u32);
+                if self.covers(x) {
+                    self.look_up(x, desk);
+                }
+            }
+            desk.first.push(desk.shares.len() as u32);
+            self.sum::<FMA>(second, desk);
+            for k in 0..x.len() / n {
+                let shares = &desk.shares[desk.first[k] as usize..desk.first[k + 1] as usize];
+                let known = self.blend(shares, &desk.told, second, &mut here);
+                tell(batch * BATCH + k, known.then_some(&here));
+            }
+        }
+    }
+
+    /// Lists the cells that reach over a state, and their pieces.
+    #[inline(always)]
+    fn look_up(&self, x: &[T], desk: &mut Desk<T>) {
+        let n = self.states;
+        let mut z = [T::of(0.0); MOST_VARIABLES];
+        for (z, row) in z.iter_mut().zip(self.matrix.chunks_exact(n)) {
+            for j in 0..n {
+                *z = *z + row[j] * (x[j] - self.origin[j]);
+            }
+        }
+        desk.stack.clear();
+        desk.stack.push((0, true));
+        while let Some((at, own)) = desk.stack.pop() {
+            let node = &self.nodes[at as usize];
+            if node.axis as usize == n {
+                self.share(node.below as usize, own, &z[..n], desk);
+                continue;
+            }
+            let z = z[node.axis as usize];
+            let is_below = z < node.at;
+            // The one below is looked at first.
+            if z > node.reach[0] {
+                desk.stack.push((node.above, own && !is_below));
+            }
+            if z < node.reach[1] {
+                desk.stack.push((node.below, own && is_below));
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn share(&self, cell: usize, own: bool, z: &[T], desk: &mut Desk<T>) {
+        let n = z.len();
+        let Some(weight) = self.weight(cell, z) else { return };
+        let (first, end) = (self.owned[cell], self.owned[cell + 1]);
+        let from = desk.tasks.len() as u32;
+        for piece in first..end {
+            let place = &self.places[piece as usize * 2 * n..][..2 * n];
+            let mut y = [T::of(0.0); MOST_VARIABLES];
+            for i in 0..n {
+                y[i] = (z[i] - place[i]) / place[n + i];
+            }
+            let support = self.heads[piece as usize].support;
+            if support == EVERYWHERE || self.encloses(support as usize, &y[..n]) {
+                desk.tasks.push(Task { piece, y });
+            }
+        }
+        desk.shares.push(Share {
+            own,
+            sole: end - first == 1,
+            from,
+            to: desk.tasks.len() as u32,
+            weight,
+        });
+    }
+
+    /// Whether a place lies within a piece's points.
+    fn encloses(&self, support: usize, y: &[T]) -> bool {
+        let n = y.len();
+        let ways = self.directions.chunks_exact(n);
+        self.supports[support..].iter().zip(ways).all(|([lo, hi], d)| {
+            let mut at = T::of(0.0);
+            for i in 0..n {
+                at = at + d[i] * y[i];
+            }
+            at >= *lo && at <= *hi
+        })
+    }
+
+    /// `None` where it is 0; see `super::weight`, which this repeats with second derivatives.
+    #[inline(always)]
+    fn weight(&self, cell: usize, z: &[T]) -> Option<Weight<T>> {
+        let n = z.len();
+        let (zero, one) = (T::of(0.0), T::of(1.0));
+        let place = &self.cells[cell * 2 * n..][..2 * n];
+        let (edge, overlap) = (T::of(1.0 - BLEND), T::of(2.0 * BLEND));
+        let mut w = Weight {
+            f: [one; MOST_VARIABLES],
+            d: [zero; MOST_VARIABLES],
+            dd: [zero; MOST_VARIABLES],
+        };
+        for i in 0..n {
+            let half = place[n + i];
+            let offset = (z[i] - place[i]) / half;
+            let t = (offset.absolute() - edge) / overlap;
+            if t >= one {
+                return None;
+            }
+            if t > zero {
+                let rest = one - t;
+                let sign = if offset < zero { -one } else { one };
+                let scale = overlap * half;
+                w.f[i] = one - t * t * t * (T::of(10.0) - T::of(15.0) * t + T::of(6.0) * t * t);
+                w.d[i] = T::of(-30.0) * t * t * rest * rest * sign / scale;
+                w.dd[i] = T::of(-60.0) * t * rest * (rest - t) / (scale * scale);
+            }
+        }
+        Some(w)
+    }
+
+    /// Sums the polynomials of all tasks.
+    #[inline(always)]
+    fn sum<const FMA: bool>(&self, second: bool, desk: &mut Desk<T>) {
+        let n = self.states;
+        let zero = Lanes::splat(T::of(0.0));
+        let most = *self.tables.upto.last().unwrap_or(&1);
+        desk.coefficients.resize(most, zero);
+        desk.monomials.resize(most, zero);
+        desk.told.clear();
+        let mut jet = Jet::zero();
+        for tasks in desk.tasks.chunks(LANES) {
+            let mut y = [zero; MOST_VARIABLES];
+            let heads: [&Head<T>; LANES] =
+                std::array::from_fn(|l| &self.heads[tasks[l.min(tasks.len() - 1)].piece as usize]);
+            let degree = heads.iter().map(|h| h.degree).max().map_or(0, usize::from);
+            for (l, task) in tasks.iter().enumerate() {
+                for i in 0..n {
+                    y[i].0[l] = task.y[i];
+                }
+            }
+            let count = self.tables.upto[degree];
+            if heads.iter().all(|h| usize::from(h.terms) == count) {
+                let own: [&[T]; LANES] = heads.map(|h| &self.coefficients[h.coefficients as usize..][..count]);
+                for t in 0..count {
+                    for l in 0..LANES {
+                        desk.coefficients[t].0[l] = own[l][t];
+                    }
+                }
+            } else {
+                // A polynomial of lower degree has zeros for the rest.
+                desk.coefficients[..count].fill(zero);
+                for (l, head) in heads.iter().enumerate() {
+                    let own = &self.coefficients[head.coefficients as usize..][..usize::from(head.terms)];
+                    for (to, c) in desk.coefficients.iter_mut().zip(own) {
+                        to.0[l] = *c;
+                    }
+                }
+            }
+            Sum {
+                tables: &self.tables,
+                degree,
+                coefficients: &desk.coefficients,
+                monomials: &mut desk.monomials,
+            }
+            .at::<FMA>(n, &y, second, &mut jet);
+            for (l, task) in tasks.iter().enumerate() {
+                desk.told.push(self.told(task, heads[l], &jet, l, second));
+            }
+        }
+    }
+
+    /// What a piece says of V, from its polynomial.
+    #[inline(always)]
+    fn told(&self, task: &Task<T>, head: &Head<T>, jet: &Jet<T, LANES>, l: usize, second: bool) -> Told<T> {
+        let n = self.states;
+        let half = &self.places[task.piece as usize * 2 * n + n..][..n];
+        let (v, slope, bend) = back(head.shape, jet.v.0[l]);
+        let size = v.absolute();
+        let size = if size > self.floor { size } else { self.floor };
+        let mut told = Told {
+            v,
+            q: [T::of(0.0); MOST_VARIABLES],
+            h: [T::of(0.0); MOST_SECOND],
+            v_bound: head.bound * size,
+            p_bound: [T::of(0.0); MOST_VARIABLES],
+            sheet: head.sheet,
+        };
+        for i in 0..n {
+            told.q[i] = jet.q[i].0[l] * (slope / half[i]);
+            told.p_bound[i] = head.p_bound * size / half[i];
+        }
+        if second {
+            let mut pair = 0;
+            for i in 0..n {
+                for j in i..n {
+                    let bent = bend * jet.q[i].0[l] * jet.q[j].0[l];
+                    told.h[pair] = (slope * jet.h[pair].0[l] + bent) / (half[i] * half[j]);
+                    pair += 1;
+                }
+            }
+        }
+        told
+    }
+
+    /// The lowest sheet's blend; false where nothing is known.
+    #[inline(always)]
+    fn blend(&self, shares: &[Share<T>], told: &[Told<T>], second: bool, here: &mut Here<T>) -> bool {
+        let n = self.states;
+        let zero = T::of(0.0);
+        let Some(own) = shares.iter().find(|s| s.own) else {
+            return false;
+        };
+        let mut sheets = 0;
+        let mut first: Option<&Told<T>> = None;
+        for told in &told[own.from as usize..own.to as usize] {
+            if told.v.is_finite() && told.v <= self.value_max {
+                sheets += 1;
+                if first.is_none_or(|f| told.v < f.v) {
+                    first = Some(told);
+                }
+            }
+        }
+        let Some(first) = first else { return false };
+        here.sheet = first.sheet;
+        here.sheets = sheets;
+        if shares.len() == 1 {
+            here.pieces = 1;
+            here.v = first.v;
+            here.v_bound = first.v_bound;
+            self.to_states(&first.q, &first.h, &first.p_bound, second, here);
+            return true;
+        }
+        // Around the first: the differences are small.
+        let mut sums = Sums::<T>::zero();
+        let (mut v_bound, mut p_bound) = (first.v_bound, first.p_bound);
+        let mut pieces = 0;
+        for share in shares {
+            let best = if share.own {
+                Some(first)
+            } else {
+                let mut best: Option<&Told<T>> = None;
+                for told in &told[share.from as usize..share.to as usize] {
+                    let off = |t: &Told<T>| (t.v - first.v).absolute();
+                    if told.v.is_finite() && best.is_none_or(|b| off(told) < off(b)) {
+                        best = Some(told);
+                    }
+                }
+                // The piece of the same sheet, if the neighbour has one.
+                best.filter(|told| {
+                    let alone = sheets == 1 && own.sole && share.sole;
+                    alone || (told.v - first.v).absolute() <= T::of(SAME) * (told.v_bound + first.v_bound)
+                })
+            };
+            let Some(told) = best else { continue };
+            sums.add(n, &share.weight, told, first, second);
+            v_bound = if told.v_bound > v_bound { told.v_bound } else { v_bound };
+            for i in 0..n {
+                p_bound[i] = if told.p_bound[i] > p_bound[i] {
+                    told.p_bound[i]
+                } else {
+                    p_bound[i]
+                };
+            }
+            pieces += 1;
+        }
+        here.pieces = pieces.max(1);
+        let (mut q, mut h) = (first.q, first.h);
+        let mut blend = zero;
+        if sums.w > zero {
+            blend = sums.b / sums.w;
+            let mut slope = [zero; MOST_VARIABLES];
+            for i in 0..n {
+                slope[i] = (sums.db[i] - blend * sums.dw[i]) / sums.w;
+                q[i] = first.q[i] + slope[i];
+            }
+            if second {
+                let mut pair = 0;
+                for i in 0..n {
+                    for j in i..n {
+                        let cross = slope[i] * sums.dw[j] + slope[j] * sums.dw[i];
+                        h[pair] = first.h[pair] + (sums.ddb[pair] - cross - blend * sums.ddw[pair]) / sums.w;
+                        pair += 1;
+                    }
+                }
+            }
+        }
+        here.v = first.v + blend;
+        here.v_bound = v_bound;
+        self.to_states(&q, &h, &p_bound, second, here);
+        true
+    }
+
+    /// Derivatives by states of those by coordinates of the frame.
+    #[inline(always)]
+    fn to_states(
+        &self,
+        q: &[T; MOST_VARIABLES],
+        h: &[T; MOST_SECOND],
+        p_bound: &[T; MOST_VARIABLES],
+        second: bool,
+        here: &mut Here<T>,
+    ) {
+        let n = self.states;
+        let zero = T::of(0.0);
+        let m = |i: usize, j: usize| self.matrix[i * n + j];
+        for j in 0..n {
+            let (mut p, mut bound) = (zero, zero);
+            for i in 0..n {
+                p = p + m(i, j) * q[i];
+                bound = bound + (m(i, j) * p_bound[i]).absolute();
+            }
+            here.p[j] = p;
+            here.p_bound[j] = bound;
+        }
+        if !second {
+            return;
+        }
+        // M'hM, by way of hM.
+        let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
+        let mut pair = 0;
+        for i in 0..n {
+            for k in i..n {
+                for j in 0..n {
+                    half[i][j] = half[i][j] + h[pair] * m(k, j);
+                    if k != i {
+                        half[k][j] = half[k][j] + h[pair] * m(i, j);
+                    }
+                }
+                pair += 1;
+            }
+        }
+        for a in 0..n {
+            for b in 0..n {
+                let mut sum = zero;
+                for i in 0..n {
+                    sum = sum + m(i, a) * half[i][b];
+                }
+                here.hessian[a * n + b] = sum;
+            }
+        }
+    }
+}
+
+/// Sums over the pieces that are blended: of weights w, and of weights times what a piece says more than the first.
+struct Sums<T> {
+    w: T,
+    dw: [T; MOST_VARIABLES],
+    ddw: [T; MOST_SECOND],
+    b: T,
+    db: [T; MOST_VARIABLES],
+    ddb: [T; MOST_SECOND],
+}
+
+impl<T: Real> Sums<T> {
+    fn zero() -> Self {
+        let zero = T::of(0.0);
+        Self {
+            w: zero,
+            dw: [zero; MOST_VARIABLES],
+            ddw: [zero; MOST_SECOND],
+            b: zero,
+            db: [zero; MOST_VARIABLES],
+            ddb: [zero; MOST_SECOND],
+        }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, n: usize, weight: &Weight<T>, told: &Told<T>, first: &Told<T>, second: bool) {
+        let one = T::of(1.0);
+        let Weight { f, d, dd } = weight;
+        let but = |skip: [usize; 2]| {
+            (0..n)
+                .filter(|k| !skip.contains(k))
+                .fold(one, |product, k| product * f[k])
+        };
+        let w = (0..n).fold(one, |product, k| product * f[k]);
+        let more = told.v - first.v;
+        let mut dw = [T::of(0.0); MOST_VARIABLES];
+        self.w = self.w + w;
+        self.b = self.b + w * more;
+        for i in 0..n {
+            // Most factors are 1 around a state.
+            if d[i] != T::of(0.0) {
+                dw[i] = d[i] * but([i, i]);
+            }
+            self.dw[i] = self.dw[i] + dw[i];
+            self.db[i] = self.db[i] + (w * (told.q[i] - first.q[i]) + dw[i] * more);
+        }
+        if !second {
+            return;
+        }
+        let mut pair = 0;
+        for i in 0..n {
+            for j in i..n {
+                let ddw = match i == j {
+                    true => dd[i] * but([i, i]),
+                    false => d[i] * d[j] * but([i, j]),
+                };
+                let cross = dw[i] * (told.q[j] - first.q[j]) + dw[j] * (told.q[i] - first.q[i]);
+                self.ddw[pair] = self.ddw[pair] + ddw;
+                self.ddb[pair] = self.ddb[pair] + (w * (told.h[pair] - first.h[pair]) + cross + ddw * more);
+                pair += 1;
+            }
+        }
+    }
+}
+
+/// V and its first and second derivative by the function of it that is a polynomial.
+#[inline(always)]
+fn back<T: Real>(shape: Shape, w: T) -> (T, T, T) {
+    let (zero, one, two) = (T::of(0.0), T::of(1.0), T::of(2.0));
+    match shape {
+        Shape::Value => (w, one, zero),
+        Shape::Root => (w * w, two * w, two),
+        Shape::Logarithm => {
+            let v = T::of(w.f64().exp());
+            (v, v, v)
+        }
+        Shape::Reciprocal => {
+            let v = one / w;
+            (v, -(v * v), two * v * v * v)
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! Polynomials of many places at once, with their first and second derivatives.
+//!
+//! Monomials are divided powers `y^k / k!`, whose derivatives are again divided powers without a factor: all derivatives are
+//! sums of coefficients times the same monomials.
+
+use super::terms::{MOST_DEGREE, MOST_VARIABLES, Terms};
+use crate::backend::cpu::lanes::Lanes;
+use crate::backend::cpu::real::Real;
+use std::collections::BTreeMap;
+
+/// Entries of a triangle of second derivatives.
+pub const MOST_SECOND: usize = MOST_VARIABLES * (MOST_VARIABLES + 1) / 2;
+
+/// Which coefficient a derivative takes with which monomial; all of one number of variables.
+#[derive(Clone, Debug)]
+pub struct Tables {
+    /// Number of monomials up to each degree.
+    pub upto: Vec<usize>,
+    /// Earlier monomial, variable and its power in each monomial.
+    factors: Vec<(u16, u8, u8)>,
+    /// `[term][variable]`: the term times a variable, below the highest degree.
+    pub first: Vec<u16>,
+    /// `[term][pair]`: the term times two variables, the triangle `i <= j` row by row.
+    pub second: Vec<u16>,
+    /// Factorials by which a monomial differs from its divided powers.
+    pub scale: Vec<f64>,
+}
+
+impl Tables {
+    pub fn new(terms: &Terms) -> Self {
+        let n = terms.variables;
+        let count = terms.factors.len();
+        let powers = |t: usize| terms.powers_of(t);
+        let index: BTreeMap<&[u8], u16> = (0..count).map(|t| (powers(t), t as u16)).collect();
+        let times = |t: usize, axes: &[usize]| -> u16 {
+            let mut product = powers(t).to_vec();
+            axes.iter().for_each(|i| product[*i] += 1);
+            index[product.as_slice()]
+        };
+        let below = |less: usize| (terms.upto.len() > less).then(|| terms.upto[terms.upto.len() - 1 - less]);
+        let factorial = |k: u8| (1..=k).map(f64::from).product::<f64>();
+        Self {
+            upto: terms.upto.clone(),
+            factors: (0..count)
+                .map(|t| {
+                    let (parent, axis) = terms.factors[t];
+                    (parent, axis, powers(t)[usize::from(axis)])
+                })
+                .collect(),
+            first: (0..below(1).unwrap_or(0))
+                .flat_map(|t| (0..n).map(move |i| (t, i)))
+                .map(|(t, i)| times(t, &[i]))
+                .collect(),
+            second: (0..below(2).unwrap_or(0))
+                .flat_map(|t| (0..n).flat_map(move |i| (i..n).map(move |j| (t, i, j))))
+                .map(|(t, i, j)| times(t, &[i, j]))
+                .collect(),
+            scale: (0..count)
+                .map(|t| powers(t).iter().map(|k| factorial(*k)).product())
+                .collect(),
+        }
+    }
+}
+
+/// Polynomials and their derivatives, one a lane.
+#[derive(Clone, Copy, Debug)]
+pub struct Jet<T, const W: usize> {
+    pub v: Lanes<T, W>,
+    pub q: [Lanes<T, W>; MOST_VARIABLES],
+    /// The triangle `i <= j`, row by row.
+    pub h: [Lanes<T, W>; MOST_SECOND],
+}
+
+impl<T: Real, const W: usize> Jet<T, W> {
+    pub fn zero() -> Self {
+        let zero = Lanes::splat(T::of(0.0));
+        Self {
+            v: zero,
+            q: [zero; MOST_VARIABLES],
+            h: [zero; MOST_SECOND],
+        }
+    }
+}
+
+/// What is summed: coefficients `[term]` with a value a lane, and room for the monomials.
+pub struct Sum<'a, T, const W: usize> {
+    pub tables: &'a Tables,
+    pub degree: usize,
+    pub coefficients: &'a [Lanes<T, W>],
+    pub monomials: &'a mut [Lanes<T, W>],
+}
+
+impl<T: Real, const W: usize> Sum<'_, T, W> {
+    /// At `y`, one place a lane; second derivatives only where asked for.
+    #[inline(always)]
+    pub fn at<const FMA: bool>(self, n: usize, y: &[Lanes<T, W>; MOST_VARIABLES], second: bool, to: &mut Jet<T, W>) {
+        // The number of variables is a constant of the loops: their sums stay in registers.
+        match n {
+            1 => self.of::<1, 1, FMA>(y, second, to),
+            2 => self.of::<2, 3, FMA>(y, second, to),
+            3 => self.of::<3, 6, FMA>(y, second, to),
+            4 => self.of::<4, 10, FMA>(y, second, to),
+            5 => self.of::<5, 15, FMA>(y, second, to),
+            _ => self.of::<6, 21, FMA>(y, second, to),
+        }
+    }
+
+    #[inline(always)]
+    fn of<const N: usize, const PAIRS: usize, const FMA: bool>(
+        self,
+        y: &[Lanes<T, W>; MOST_VARIABLES],
+        second: bool,
+        to: &mut Jet<T, W>,
+    ) {
+        let zero = Lanes::splat(T::of(0.0));
+        let Self {
+            tables,
+            degree,
+            coefficients: c,
+            monomials: m,
+        } = self;
+        // `[power - 1][variable]`: y / power.
+        let mut parts = [[zero; N]; MOST_DEGREE];
+        for (k, part) in parts[..degree.min(MOST_DEGREE)].iter_mut().enumerate() {
+            let inverse = T::of(1.0 / (k as f64 + 1.0));
+            for i in 0..N {
+                for l in 0..W {
+                    part[i].0[l] = y[i].0[l] * inverse;
+                }
+            }
+        }
+        let count = tables.upto[degree];
+        let (c, m) = (&c[..count], &mut m[..count]);
+        m[0] = Lanes::splat(T::of(1.0));
+        for (t, (parent, axis, power)) in tables.factors[..count].iter().enumerate().skip(1) {
+            let (a, b) = (
+                m[usize::from(*parent)],
+                parts[usize::from(*power) - 1][usize::from(*axis)],
+            );
+            for l in 0..W {
+                m[t].0[l] = a.0[l] * b.0[l];
+            }
+        }
+        // Several sums of the terms of V, so that they do not wait for each other.
+        const SUMS: usize = 4;
+        let mut v = [zero; SUMS];
+        let mut add = |t: usize, k: usize| {
+            for l in 0..W {
+                v[k].0[l] = c[t].0[l].mul_add::<FMA>(m[t].0[l], v[k].0[l]);
+            }
+        };
+        let whole = count - count % SUMS;
+        for t in (0..whole).step_by(SUMS) {
+            for k in 0..SUMS {
+                add(t + k, k);
+            }
+        }
+        for t in whole..count {
+            add(t, t - whole);
+        }
+        for l in 0..W {
+            to.v.0[l] = (v[0].0[l] + v[1].0[l]) + (v[2].0[l] + v[3].0[l]);
+        }
+        let mut q = [zero; N];
+        if degree > 0 {
+            let terms = tables.upto[degree - 1];
+            for (next, m) in tables.first[..terms * N].chunks_exact(N).zip(m.iter()) {
+                for i in 0..N {
+                    let c = &c[usize::from(next[i])];
+                    for l in 0..W {
+                        q[i].0[l] = c.0[l].mul_add::<FMA>(m.0[l], q[i].0[l]);
+                    }
+                }
+            }
+        }
+        to.q[..N].copy_from_slice(&q);
+        if !second {
+            return;
+        }
+        let mut h = [zero; PAIRS];
+        if degree > 1 {
+            let terms = tables.upto[degree - 2];
+            for (next, m) in tables.second[..terms * PAIRS].chunks_exact(PAIRS).zip(m.iter()) {
+                for i in 0..PAIRS {
+                    let c = &c[usize::from(next[i])];
+                    for l in 0..W {
+                        h[i].0[l] = c.0[l].mul_add::<FMA>(m.0[l], h[i].0[l]);
+                    }
+                }
+            }
+        }
+        to.h[..PAIRS].copy_from_slice(&h);
+    }
+}
