@@ -11,6 +11,8 @@ use rayon::prelude::*;
 /// Trajectories that one thread flies from their start to their end: few enough to balance the load, many enough that the
 /// kernel's lanes are full.
 const PART: usize = 256;
+/// Attempted steps that a leg may take, however many legs there are.
+const LEAST_STEPS: u32 = 1000;
 /// Ways from a state without an answer towards the reference point at which the chart is asked.
 const INWARD: [f64; 7] = [0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7];
 
@@ -60,7 +62,9 @@ impl Ground<'_> {
             updates,
             all: scene.samples * updates,
         };
-        let run = self.run(&self.equations, vec![clock.step]);
+        let mut run = self.run(&self.equations, vec![clock.step]);
+        // The trajectory's limit is its legs' together; one that is stuck does not hold up its neighbours for all of it.
+        run.max_steps = (run.max_steps / clock.all as u32).max(LEAST_STEPS);
         let n = self.equations.states;
         if watch.is_none()
             && let Some(legs) = kernel.legs(&run)

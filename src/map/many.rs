@@ -51,6 +51,15 @@ impl ValueMap {
         all
     }
 
+    /// The bound of V's error at states, in units of the error that a map in pieces was asked for (NaN where there is none), and
+    /// whether V is known. `None` where no error was asked for.
+    pub fn excess(&self, x: &[f64]) -> Option<Vec<(f64, bool)>> {
+        let region = &self.pieces.as_ref()?.region;
+        let many = self.many(x);
+        let of = |(v, bound): (&f64, &f64)| (bound / (region.error * v.abs().max(region.floor)), v.is_finite());
+        Some(many.v.iter().zip(&many.v_error).map(of).collect())
+    }
+
     /// u at states with their p.
     fn controls(&self, x: &[f64], p: &[f64]) -> Vec<f64> {
         let n = self.states();
@@ -115,6 +124,7 @@ impl ValueMap {
             Some(swift) => swift.each(x, second, room, |k, answer| match answer {
                 Answer::Known(here) => tell(k, Some(here)),
                 Answer::Unknown => tell(k, None),
+                Answer::Elsewhere if self.pieces_alone => tell(k, None),
                 Answer::Elsewhere => ask(k, &mut tell),
             }),
             None => (0..x.len() / n).for_each(|k| ask(k, &mut tell)),

@@ -137,6 +137,8 @@ pub struct ValueMap {
     pieces: Option<Pieces>,
     /// The same for many states; `None` in a game, whose answers are checked one by one.
     swift: Option<Swift<f64>>,
+    /// Whether nothing but the local solution is known beside the pieces.
+    pieces_alone: bool,
     /// The law, for many states.
     controls: Evaluator,
 }
@@ -185,7 +187,8 @@ impl ValueMap {
         let fronts = Fronts::of(stored, &plan, trajectories.as_ref());
         let sites = Sites::collect(stored, &plan, trajectories)?;
         let pieces = stored.map_pieces()?;
-        if pieces.is_none() && sites.source.iter().all(|s| *s == Source::Local) {
+        let nothing_else = sites.source.iter().all(|s| *s == Source::Local);
+        if pieces.is_none() && nothing_else {
             return Err(MapError::Empty {
                 path: stored.path.clone(),
             });
@@ -216,6 +219,7 @@ impl ValueMap {
             sites,
             fronts,
             own_errors: OwnErrors::of(stored),
+            pieces_alone: pieces.is_some() && nothing_else,
             pieces,
             swift,
         };

@@ -10,6 +10,7 @@ pub mod contour;
 mod equations;
 mod flow;
 mod frame;
+mod hatch;
 mod names;
 mod page;
 mod pictures;

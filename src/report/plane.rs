@@ -411,6 +411,9 @@ pub struct Plane {
     pub base: Vec<f64>,
     /// V above this is not known.
     pub limit: f64,
+    /// The map's bound of V's error at each point, in units of the error that it was asked for; NaN where that is not
+    /// known. Empty where no error was asked for.
+    pub excess: Vec<f64>,
 }
 
 impl Plane {
@@ -439,6 +442,7 @@ impl Plane {
             cut: Vec::new(),
             base: base.to_vec(),
             limit: f64::INFINITY,
+            excess: Vec::new(),
         };
         plane.cut = plane.cuts();
         plane.v.iter().any(|v| v.is_finite()).then_some(plane)

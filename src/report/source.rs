@@ -152,7 +152,28 @@ impl<'s> Source<'s> {
         let limit = known.fold(f64::NEG_INFINITY, f64::max);
         let field = GridField::of_value_map(&map, self.axes, &self.base, &self.model.region, COARSE, limit)?;
         let plane = self.make_plane(&field)?;
-        Some(Plane { limit, ..plane })
+        let states: Vec<f64> = (plane.x.iter())
+            .flat_map(|a| plane.y.iter().map(move |b| [*a, *b]))
+            .flat_map(|at| {
+                let mut x = plane.base.clone();
+                (x[self.axes[0]], x[self.axes[1]]) = (at[0], at[1]);
+                x
+            })
+            .collect();
+        // What the map does not know is not shown, though its neighbours would foretell it.
+        let (mut v, excess) = (plane.v.clone(), map.excess(&states).unwrap_or_default());
+        for (v, (_, known)) in v.iter_mut().zip(&excess) {
+            if !known && *v < limit {
+                *v = f64::NAN;
+            }
+        }
+        let excess = excess.into_iter().map(|(excess, _)| excess).collect();
+        Some(Plane {
+            limit,
+            v,
+            excess,
+            ..plane
+        })
     }
 
     fn make_plane(&self, field: &GridField) -> Option<Plane> {

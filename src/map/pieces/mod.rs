@@ -8,6 +8,8 @@
 mod build;
 mod fit;
 mod flat;
+#[cfg(test)]
+mod flat_tests;
 mod frame;
 mod jets;
 mod terms;

@@ -7,6 +7,7 @@ use crate::report::canvas::{Anchor, Canvas, Ink, Point, Rect, Stroke, Style, TEX
 use crate::report::colours;
 use crate::report::contour::{self, Grid};
 use crate::report::frame::{Axis, Bar, Frame, Legend, Mark, range};
+use crate::report::hatch;
 use crate::report::plane::Plane;
 use crate::report::ticks::significant;
 use crate::report::{Drawing, Picture, Source, names, text};
@@ -55,6 +56,7 @@ pub fn picture(source: &Source<'_>) -> Made {
         caption += " Lines have a kink where the cheapest solution changes from one sheet to another: the thick line.";
     }
     caption += " Blank: not known, or above the last level.";
+    caption += &hatch::caption(source, plane);
     let drawing = Contours {
         plane: plane.clone(),
         levels,
@@ -223,6 +225,7 @@ impl Drawing for Contours {
             ..self.grid()
         };
         fill(canvas, &frame, &whole, &self.levels, &|k| self.shade(k), false);
+        canvas.lines(&frame.lines(&hatch::lines(&self.plane)), hatch::stroke());
         let mut labels = Labels { taken: Vec::new() };
         if let Some([x, y]) = self.rest.and_then(|r| frame.dots([r]).first().copied()) {
             labels.taken.push(Rect::new(x - 6.0, y - 6.0, x + 6.0, y + 6.0));

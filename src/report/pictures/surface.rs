@@ -4,6 +4,7 @@ use super::Made;
 use crate::report::canvas::{Anchor, Canvas, Ink, Point, Rect, Stroke, Style, TEXT};
 use crate::report::colours;
 use crate::report::frame::{LINE, range};
+use crate::report::hatch;
 use crate::report::plane::Plane;
 use crate::report::{Drawing, Picture, Source, text, ticks};
 
@@ -45,7 +46,7 @@ pub fn picture(source: &Source<'_>) -> Made {
         name: "surface".to_owned(),
         title: format!("Value function V as a surface{}", source.fixed()),
         caption: format!(
-            "Height and colour are V over {}{}. Its slope is p = dV/dx. {}Missing: not known, or above {}.",
+            "Height and colour are V over {}{}. Its slope is p = dV/dx. {}Missing: not known, or above {}.{}",
             super::contours::over(source),
             source.fixed(),
             if plane.sheets().len() > 1 {
@@ -53,7 +54,8 @@ pub fn picture(source: &Source<'_>) -> Made {
             } else {
                 ""
             },
-            ticks::significant(drawing.most, 3)
+            ticks::significant(drawing.most, 3),
+            hatch::caption(source, plane)
         ),
         drawing: Box::new(drawing),
     }))
@@ -82,6 +84,10 @@ fn thinned(plane: &Plane) -> Plane {
         cut: Vec::new(),
         base: plane.base.clone(),
         limit: plane.limit,
+        excess: match plane.excess.is_empty() {
+            true => Vec::new(),
+            false => all.iter().map(|k| plane.excess[*k]).collect(),
+        },
     }
 }
 
@@ -191,6 +197,20 @@ impl Surface {
         cells
     }
 
+    /// Lines across the cells of which the map says itself that V may be off by more than was asked for.
+    fn hatching(&self) -> Vec<Vec<[f64; 3]>> {
+        let mut lines = Vec::new();
+        for i in 0..self.plane.x.len() - 1 {
+            for j in 0..self.plane.y.len() - 1 {
+                if hatch::is_unmet(&self.plane, i, j) {
+                    let line = below(&[self.unit(i, j), self.unit(i + 1, j + 1)], HIGH);
+                    lines.extend((line.len() > 1).then_some(line));
+                }
+            }
+        }
+        lines
+    }
+
     fn axes(&self, canvas: &mut dyn Canvas, view: &View, area: Rect) {
         let muted = Stroke::new(Ink::Muted, 1.0);
         let mut lines: Vec<Vec<Point>> = vec![BASE.iter().chain([&BASE[0]]).map(|p| view.at(*p)).collect()];
@@ -272,6 +292,12 @@ impl Drawing for Surface {
             (ring, colours::value((mean - self.least) / (self.most - self.least)))
         };
         let faces: Vec<(Vec<Point>, colours::Rgb)> = cells.into_iter().map(face).collect();
+        let hatched: Vec<Vec<Point>> = self
+            .hatching()
+            .iter()
+            .map(|l| l.iter().map(|p| view.at(*p)).collect())
+            .collect();
         canvas.faces(&faces, Stroke::new(Ink::Colour([255, 255, 255]), 0.5).opacity(0.4));
+        canvas.lines(&hatched, hatch::stroke());
     }
 }
