@@ -12,7 +12,7 @@ use rayon::prelude::*;
 /// kernel's lanes are full.
 const PART: usize = 256;
 /// Attempted steps that a leg may take, however many legs there are.
-const LEAST_STEPS: u32 = 1000;
+const LEAST_STEPS: u32 = 10_000;
 /// Ways from a state without an answer towards the reference point at which the chart is asked.
 const INWARD: [f64; 7] = [0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7];
 

@@ -217,10 +217,11 @@ fn single_precision_is_as_good_as_it_can_be() {
             continue;
         };
         known += 1;
-        // Rounded by 6e-8, a state moves by up to 16 times that in units of a cell; V bends by about 1 there.
+        // Rounded by 6e-8, a state moves by up to a hundred times that in the narrowest cells, over each of which V changes by
+        // about 1.
         let off = (f64::from(here.v) - wanted.v).abs();
-        unlike += usize::from(off > 1e-5 * wanted.v);
+        unlike += usize::from(off > 1e-4 * wanted.v);
     }
     // Beside an edge another piece may be asked.
-    assert!(known > 2000 && unlike * 200 < known, "{unlike} of {known}");
+    assert!(known > 2000 && unlike * 500 < known, "{unlike} of {known}");
 }
