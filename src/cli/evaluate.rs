@@ -236,6 +236,7 @@ pub(super) fn perform(
                 Outside::Stop => "they end there",
                 Outside::Hold => "the law held its last p = q + H s",
                 Outside::Nearest => "the law took p of the nearest state known",
+                Outside::Search => "the law took p of the nearest state known, or held a control at its bound, as a search for a way back said",
                 Outside::Local => "the law was that of the Riccati solution",
             }
         ));

@@ -1,6 +1,7 @@
 //! Trajectories under the law of a chart: `p = q + H s`, set once a period at each trajectory's state.
 
 use super::equations::set_chart;
+use super::fallback::Plan;
 use super::flights::{Starts, Watch};
 use super::simulate::{Batch, Ground, OUTSIDE_MAP};
 use super::{Chart, Expansions, LoopError};
@@ -13,11 +14,9 @@ use rayon::prelude::*;
 const PART: usize = 256;
 /// Attempted steps that a leg may take, however many legs there are.
 const LEAST_STEPS: u32 = 10_000;
-/// Ways from a state without an answer towards the reference point at which the chart is asked.
-const INWARD: [f64; 7] = [0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7];
 
 /// What flies trajectories over a period.
-enum Wings<'k> {
+pub(super) enum Wings<'k> {
     /// On this thread.
     Own(&'k dyn crate::backend::Legs),
     /// A batch as a whole.
@@ -25,7 +24,7 @@ enum Wings<'k> {
 }
 
 impl Wings<'_> {
-    fn fly(&mut self, run: &Run, seeds: &[f64], to: &mut Trajectories) -> Result<(), BackendError> {
+    pub fn fly(&mut self, run: &Run, seeds: &[f64], to: &mut Trajectories) -> Result<(), BackendError> {
         match self {
             Wings::Own(legs) => legs.integrate(seeds, to),
             Wings::Whole(kernel) => *to = kernel.integrate(run, seeds)?,
@@ -36,11 +35,11 @@ impl Wings<'_> {
 
 /// Times between updates.
 #[derive(Clone, Copy)]
-struct Clock {
+pub(super) struct Clock {
     step: f64,
     /// Updates between samples, and all.
     updates: usize,
-    all: usize,
+    pub all: usize,
 }
 
 impl Ground<'_> {
@@ -109,6 +108,7 @@ impl Ground<'_> {
         let mut alive: Vec<usize> = (0..batch.status.len()).collect();
         let mut asked = Asked::default();
         let mut lone = Expansions::default();
+        let mut plans: Vec<Option<Plan>> = vec![None; alive.len()];
         let mut seeds: Vec<f64> = Vec::new();
         let mut flown = Trajectories::default();
         for k in 0..clock.all {
@@ -119,11 +119,15 @@ impl Ground<'_> {
                 let vector = &mut batch.end[i * dim..][..dim];
                 let Some(answer) = asked.answer(j) else {
                     batch.fallback[i] += 1;
-                    if !self.fall_back(outside, chart, vector, k > 0, &mut lone) {
+                    if outside == Outside::Search && plans[i].is_none() {
+                        plans[i] = Some(self.search(wings, run, clock.all - k, chart, vector, &mut lone)?);
+                    }
+                    if !self.fall_back(outside, chart, vector, plans[i].as_mut(), k > 0, &mut lone) {
                         (batch.status[i], batch.t_end[i]) = (OUTSIDE_MAP, t);
                     }
                     continue;
                 };
+                plans[i] = None;
                 set_chart(vector, answer.p, answer.hessian);
                 if let Some(watch) = watch {
                     self.show(watch, batch.first + i, t, vector, Some(answer.v));
@@ -181,58 +185,6 @@ impl Ground<'_> {
             }
         }
         Ok(())
-    }
-
-    /// Sets p where the chart has no answer; false where the trajectory is to end. `flying`: there is an answer before.
-    fn fall_back(
-        &self,
-        outside: Outside,
-        chart: &dyn Chart,
-        vector: &mut [f64],
-        flying: bool,
-        room: &mut Expansions,
-    ) -> bool {
-        match outside {
-            Outside::Stop => false,
-            Outside::Hold => flying,
-            Outside::Local => self.by_local(vector) || flying,
-            Outside::Nearest => self.by_nearest(chart, vector, room) || flying || self.by_local(vector),
-        }
-    }
-
-    /// The law of the solution about the equilibrium, p = P s.
-    fn by_local(&self, vector: &mut [f64]) -> bool {
-        let n = self.equations.states;
-        let Some(metric) = self.setting.local_metric() else {
-            return false;
-        };
-        let (s, _) = self.setting.nearest(&vector[..n]);
-        let hessian: Vec<f64> = (0..n * n).map(|k| metric[(k / n, k % n)]).collect();
-        let p: Vec<f64> = (0..n)
-            .map(|i| (0..n).map(|j| hessian[i * n + j] * s[j]).sum())
-            .collect();
-        set_chart(vector, &p, &hessian);
-        true
-    }
-
-    /// p of the nearest state that the chart knows, of those on the way from here, moved into the chart's region, to the
-    /// reference point. It is held over the period: what the slope of p there says of here is anyone's guess.
-    fn by_nearest(&self, chart: &dyn Chart, vector: &mut [f64], room: &mut Expansions) -> bool {
-        let n = self.equations.states;
-        let reference = &self.equations.reference;
-        let mut from: Vec<f64> = vector[..n].iter().zip(reference).map(|(s, x)| s + x).collect();
-        if !chart.clamp(&mut from) {
-            return false;
-        }
-        for share in INWARD {
-            let x: Vec<f64> = from.iter().zip(reference).map(|(a, b)| a + share * (b - a)).collect();
-            chart.expansions(n, &x, room);
-            if room.known[0] {
-                set_chart(vector, &room.p[..n], &vec![0.0; n * n]);
-                return true;
-            }
-        }
-        false
     }
 
     fn keep_alive(&self, batch: &mut Batch, alive: &[usize], t: f64) {

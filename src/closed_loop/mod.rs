@@ -9,6 +9,7 @@ mod choose;
 pub mod dissipation;
 mod equations;
 mod evaluation;
+mod fallback;
 mod flights;
 mod forcing;
 mod initial;

@@ -287,17 +287,21 @@ pub enum Outside {
     /// p goes on as `q + H s` of the last answer.
     Hold,
     /// p is that of the nearest state known, on the way from the state, moved into the map's region, to the reference point.
-    #[default]
     Nearest,
+    /// The same where the equations foretell that it leads back to where the map knows; else the cheapest plan that first
+    /// holds a control at a bound.
+    #[default]
+    Search,
     /// p is that of the Riccati solution at the equilibrium.
     Local,
 }
 
 impl Outside {
-    pub const ALL: [(&'static str, Outside); 4] = [
+    pub const ALL: [(&'static str, Outside); 5] = [
         ("stop", Outside::Stop),
         ("hold", Outside::Hold),
         ("nearest", Outside::Nearest),
+        ("search", Outside::Search),
         ("lqr", Outside::Local),
     ];
 
