@@ -479,6 +479,149 @@ fn where_the_chart_ends_the_trajectory_ends() {
     );
 }
 
+/// A chart of a box, with an edge that is known.
+struct Boxed;
+
+impl Boxed {
+    const EDGE: f64 = 0.5;
+}
+
+impl Chart for Boxed {
+    fn local(&self, x: &[f64]) -> Option<Expansion> {
+        Known.local(x).filter(|_| x.iter().all(|x| x.abs() <= Self::EDGE))
+    }
+
+    fn clamp(&self, x: &mut [f64]) -> bool {
+        x.iter_mut().for_each(|x| *x = x.clamp(-Self::EDGE, Self::EDGE));
+        true
+    }
+}
+
+/// Each policy does what it says where a chart ends, and what it did is counted.
+#[test]
+fn outside_a_chart_the_law_goes_on_as_it_was_told() {
+    let cpu = Cpu::new();
+    let fly = |outside: &str| {
+        let text = manufactured().replace(
+            "samples = 60",
+            &format!("samples = 60\nperiod = 0.05\noutside = \"{outside}\""),
+        );
+        let scene = Scene::new(&text);
+        let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], scene.initial(), Some(&Boxed), None);
+        let inside: Vec<bool> = (0..e.initial.count())
+            .map(|i| e.initial.state(i).iter().all(|x| x.abs() <= Boxed::EDGE))
+            .collect();
+        (inside, e.laws[0].clone())
+    };
+    for outside in ["stop", "hold"] {
+        let (inside, law) = fly(outside);
+        for (i, inside) in inside.iter().enumerate() {
+            // From inside V falls, and no trajectory from there leaves the box for good.
+            if !inside {
+                assert_eq!((law.status[i], law.t_end[i], law.fallback[i]), (OUTSIDE_MAP, 0.0, 1));
+            }
+        }
+    }
+    for outside in ["nearest", "search", "lqr"] {
+        let (inside, law) = fly(outside);
+        assert!(law.converged.iter().all(|c| *c), "{outside}");
+        let outer = inside.iter().filter(|inside| !**inside).count();
+        assert!(law.fell_back() >= outer);
+        for (i, inside) in inside.iter().enumerate() {
+            assert!(*inside || law.fallback[i] > 0);
+        }
+        let updates: u32 = law.fallback.iter().sum();
+        assert!((law.held - f64::from(updates) / (law.status.len() * 300) as f64).abs() < 1e-12);
+        // No law costs less than V; these know V inside, and go there without haste.
+        for i in 0..law.cost.len() {
+            let v = known_value(&[law_start(i, 0), law_start(i, 1)]);
+            assert!(
+                law.cost[i] >= v - 1e-3 * (1.0 + v) && law.cost[i] <= 1.5 * v + 1e-3,
+                "{outside} {i}"
+            );
+        }
+    }
+}
+
+/// The grid of starts of the manufactured scene.
+fn law_start(i: usize, state: usize) -> f64 {
+    let place = if state == 0 { i / 7 } else { i % 7 };
+    -1.0 + place as f64 / 3.0
+}
+
+/// A pendulum that its law alone drops: beyond its range the nearest known p pushes the wrong way round. The search finds that
+/// holding the control at a bound leads back.
+#[test]
+fn a_search_finds_the_way_back() {
+    // x' = v, v' = x + u with |u| <= 1: what is known is a box about 0, and the nearest p is that of its corner.
+    let text = r#"
+states = { x = {}, v = {} }
+controls = { u = { min = -1, max = 1 } }
+dynamics = { x = "v", v = "-0.2*x + u" }
+cost = { running = "0.5*(x^2 + v^2 + u^2)" }
+equilibrium = { x = 0, v = 0, u = 0 }
+region = { x = [-6, 6], v = [-6, 6] }
+[closed_loop]
+final_time = 40.0
+samples = 200
+margin = 4.0
+outside = "POLICY"
+initial = { x = [3, 5, 3], v = [-1, 1, 3] }
+"#;
+    /// p points away from the equilibrium at the edge of what is known: the nearest p pumps energy in.
+    struct Misleading;
+    impl Chart for Misleading {
+        fn local(&self, x: &[f64]) -> Option<Expansion> {
+            let inside = x.iter().all(|x| x.abs() <= 2.0);
+            let edge = x.iter().any(|x| x.abs() >= 1.9);
+            let sign = if edge { -1.0 } else { 1.0 };
+            inside.then(|| Expansion {
+                v: x[0] * x[0] + x[1] * x[1],
+                p: vec![sign * (2.0 * x[0] + x[1]), sign * (2.0 * x[1] + x[0])],
+                hessian: vec![2.0, 1.0, 1.0, 2.0].into_iter().map(|h| sign * h).collect(),
+            })
+        }
+        fn clamp(&self, x: &mut [f64]) -> bool {
+            x.iter_mut().for_each(|x| *x = x.clamp(-2.0, 2.0));
+            true
+        }
+    }
+    let cpu = Cpu::new();
+    let home = |policy: &str| {
+        let scene = Scene::new(&text.replace("POLICY", policy));
+        let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], scene.initial(), Some(&Misleading), None);
+        assert!(e.laws[0].fell_back() >= 9 - e.laws[0].status.iter().filter(|s| **s == OUTSIDE_MAP).count());
+        e.laws[0].converged.iter().filter(|c| **c).count()
+    };
+    let (nearest, search) = (home("nearest"), home("search"));
+    println!("home by the nearest p: {nearest} of 9, by a search: {search}");
+    assert!(search > nearest);
+}
+
+/// Parts on threads of their own and a batch as a whole give the same bits, whatever the number of trajectories.
+#[test]
+fn a_flight_under_a_chart_does_not_depend_on_its_company() {
+    let text = manufactured().replace(
+        "initial = { x = [-1, 1, 7], y = [-1, 1, 7] }",
+        "initial = { x = [-1, 1, 23], y = [-1, 1, 15] }",
+    );
+    let scene = Scene::new(&text);
+    let cpu = Cpu::new();
+    let all = scene.initial();
+    let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], all.clone(), Some(&Boxed), None);
+    for i in [0, 1, 63, 172, 344] {
+        let one = Initial {
+            x: all.state(i).to_vec(),
+            axes: Vec::new(),
+            ..all.clone()
+        };
+        let alone = scene.evaluate(&cpu, PRECISIONS[1], &["map"], one, Some(&Boxed), None);
+        assert_eq!(alone.laws[0].cost[0].to_bits(), e.laws[0].cost[i].to_bits());
+        assert_eq!(alone.laws[0].records[0].to_bits(), e.laws[0].records[i].to_bits());
+        assert_eq!(alone.laws[0].fallback[0], e.laws[0].fallback[i]);
+    }
+}
+
 /// The set of starts from which the free swing stays within 0.8 is a disk.
 #[test]
 fn an_operating_set_has_its_area() {

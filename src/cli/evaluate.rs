@@ -14,7 +14,6 @@ use crate::model::{ClosedLoop, Model, Outside};
 use crate::output::{ResultFile, RunRecord, Stored};
 use crate::scenario;
 use crate::sweep::Choices;
-use rayon::prelude::*;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
@@ -271,14 +270,19 @@ fn known_values(
     };
     let Some(map) = &from.map else { return Ok(values) };
     let estimated = initial.count() <= ESTIMATED;
-    let charted: Vec<Option<f64>> = (initial.x.par_chunks(model.states.len()).zip(&values))
-        .map(|(x, known)| match known.is_nan() {
+    let said: Vec<f64> = if estimated {
+        let known = |at: crate::map::At| at.lowest.map_or((f64::NAN, 0.0), |here| (here.v, here.v_error));
+        let told = map.at_many(&initial.x, true).into_iter().map(known);
+        told.map(|(v, error)| if error > GOOD * v.abs() { f64::INFINITY } else { v })
+            .collect()
+    } else {
+        map.many(&initial.x).v
+    };
+    let charted: Vec<Option<f64>> = (said.iter().zip(&values))
+        .map(|(said, known)| match known.is_nan() {
             false => Some(*known),
-            true if !estimated => Some(map.local(x).map_or(f64::NAN, |here| here.v)),
-            true => match map.at(x).lowest {
-                Ok(here) if here.v_error > GOOD * here.v.abs() => None,
-                here => Some(here.map_or(f64::NAN, |here| here.v)),
-            },
+            // Marked: known, but not well enough.
+            true => Some(*said).filter(|v| v.is_nan() || v.is_finite()),
         })
         .collect();
     let doubtful = charted.iter().filter(|v| v.is_none()).count();

@@ -6,7 +6,6 @@ use crate::map::{At, Coverage, Fronts, Value, ValueMap};
 use crate::model::Model;
 use crate::output::{Places, ResultFile, RunRecord, Stored, write_text};
 use crate::value::Grid;
-use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
@@ -61,15 +60,7 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         states = Grid { axes: axes.clone() }.points();
     }
     let map = ValueMap::new(&stored)?;
-    let found: Vec<At> = (states.par_chunks(map.states()))
-        .map(|x| {
-            if args.no_errors {
-                map.without_errors(x)
-            } else {
-                map.at(x)
-            }
-        })
-        .collect();
+    let found = map.at_many(&states, !args.no_errors);
     let many = grid.is_some() || args.points.is_some();
     match &args.out {
         Some(out) if out.extension().is_some_and(|e| e == "h5") => {

@@ -12,6 +12,8 @@ use rayon::prelude::*;
 /// Trajectories that one thread flies from their start to their end: few enough to balance the load, many enough that the
 /// kernel's lanes are full.
 const PART: usize = 256;
+/// Longest share of the final time over which the last answer is held for want of anything better, unless that is the policy.
+const HOLD: f64 = 0.25;
 /// Attempted steps that a leg may take, however many legs there are.
 const LEAST_STEPS: u32 = 10_000;
 
@@ -109,6 +111,11 @@ impl Ground<'_> {
         let mut asked = Asked::default();
         let mut lone = Expansions::default();
         let mut plans: Vec<Option<Plan>> = vec![None; alive.len()];
+        let mut waited = vec![0usize; alive.len()];
+        let patience = match outside {
+            Outside::Hold => usize::MAX,
+            _ => (HOLD * clock.all as f64) as usize,
+        };
         let mut seeds: Vec<f64> = Vec::new();
         let mut flown = Trajectories::default();
         for k in 0..clock.all {
@@ -119,15 +126,17 @@ impl Ground<'_> {
                 let vector = &mut batch.end[i * dim..][..dim];
                 let Some(answer) = asked.answer(j) else {
                     batch.fallback[i] += 1;
+                    waited[i] += 1;
+                    let flying = k > 0 && waited[i] <= patience;
                     if outside == Outside::Search && plans[i].is_none() {
                         plans[i] = Some(self.search(wings, run, clock.all - k, chart, vector, &mut lone)?);
                     }
-                    if !self.fall_back(outside, chart, vector, plans[i].as_mut(), k > 0, &mut lone) {
+                    if !self.fall_back(outside, chart, vector, plans[i].as_mut(), flying, &mut lone) {
                         (batch.status[i], batch.t_end[i]) = (OUTSIDE_MAP, t);
                     }
                     continue;
                 };
-                plans[i] = None;
+                (plans[i], waited[i]) = (None, 0);
                 set_chart(vector, answer.p, answer.hessian);
                 if let Some(watch) = watch {
                     self.show(watch, batch.first + i, t, vector, Some(answer.v));

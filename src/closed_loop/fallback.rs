@@ -21,7 +21,8 @@ pub(super) struct Plan {
 }
 
 impl Ground<'_> {
-    /// Sets p where the chart has no answer; false where the trajectory is to end. `flying`: there is an answer before.
+    /// Sets p where the chart has no answer; false where the trajectory is to end. `flying`: there is an answer before
+    /// that may still be held.
     pub fn fall_back(
         &self,
         outside: Outside,
@@ -35,14 +36,14 @@ impl Ground<'_> {
             Outside::Stop => false,
             Outside::Hold => flying,
             Outside::Local => self.by_local(vector) || flying,
-            Outside::Nearest => self.by_nearest(chart, vector, room) || flying || self.by_local(vector),
+            Outside::Nearest => self.by_nearest(chart, vector, room) || flying,
             Outside::Search => match plan.filter(|plan| plan.left > 0) {
                 Some(plan) => {
                     plan.left -= 1;
                     hold(vector, &plan.p);
                     true
                 }
-                None => self.by_nearest(chart, vector, room) || flying || self.by_local(vector),
+                None => self.by_nearest(chart, vector, room) || flying,
             },
         }
     }
@@ -95,6 +96,12 @@ impl Ground<'_> {
         room: &mut Expansions,
     ) -> Result<Plan, BackendError> {
         let nearest = Plan { p: Vec::new(), left: 0 };
+        let mut x: Vec<f64> = (vector.iter().zip(&self.equations.reference))
+            .map(|(s, x)| s + x)
+            .collect();
+        if !chart.clamp(&mut x) {
+            return Ok(nearest);
+        }
         let first = std::slice::from_ref(&nearest);
         if self
             .cheapest(wings, run, periods, chart, vector, first, room)?

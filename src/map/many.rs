@@ -1,7 +1,8 @@
 //! Values at many states at once.
 
-use super::ValueMap;
+use super::sites::UNLABELLED;
 use super::swift::{Answer, Room};
+use super::{At, Coverage, Value, ValueMap};
 use crate::map::pieces::Here;
 use rayon::prelude::*;
 
@@ -49,6 +50,108 @@ impl ValueMap {
         });
         all.u = self.controls(x, &all.p);
         all
+    }
+
+    /// [`ValueMap::at`] (or, without `errors`, [`ValueMap::without_errors`]) at states `[state][component]`: many at once where a map
+    /// in pieces has one sheet, or the local solution holds.
+    pub fn at_many(&self, x: &[f64], errors: bool) -> Vec<At> {
+        let n = self.states();
+        let mut found: Vec<Option<(Value, Vec<f64>)>> = vec![None; x.len() / n];
+        if let Some(swift) = &self.swift {
+            let tasks = x.par_chunks(CHUNK * n).zip(found.par_chunks_mut(CHUNK));
+            tasks.for_each_init(Room::new, |room, (x, found)| {
+                swift.each(x, true, room, |k, answer| {
+                    if let Answer::Known(here) = answer
+                        && here.sheets == 1
+                    {
+                        found[k] = self.as_value(&x[k * n..][..n], here);
+                    }
+                });
+            });
+        }
+        self.add_controls(x, &mut found);
+        (found.into_par_iter().zip(x.par_chunks(n)))
+            .map(|(value, x)| match value {
+                Some(value) => At {
+                    lowest: Ok(value.0),
+                    others: Vec::new(),
+                },
+                None if errors => self.at(x),
+                None => self.without_errors(x),
+            })
+            .collect()
+    }
+
+    /// What is said of a state, still without u; with the bounds of p.
+    fn as_value(&self, x: &[f64], here: &Here<f64>) -> Option<(Value, Vec<f64>)> {
+        let n = x.len();
+        let p = here.p[..n].to_vec();
+        let widths = &self.plan.widths;
+        let largest = |p: &[f64]| p.iter().zip(widths).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
+        let value = Value {
+            v: here.v,
+            p_error: match here.pieces {
+                0 if here.v > 0.0 => here.v_bound / here.v,
+                0 => 0.0,
+                _ => largest(&here.p_bound[..n]) / largest(&p),
+            },
+            p,
+            hessian: here.hessian[..n * n].to_vec(),
+            u: Vec::new(),
+            sheet: if here.pieces == 0 { UNLABELLED } else { here.sheet },
+            v_error: here.v_bound,
+            u_error: 0.0,
+            sites: here.pieces as usize,
+            solved: 0,
+            nearest: 0.0,
+            in_pieces: here.pieces > 0,
+            winding: match here.pieces {
+                0 => (x.iter().zip(&self.plan.system.reference).zip(&self.plan.periods))
+                    .map(|((x, r), period)| period.map_or(0, |p| -((x - r) / p).round() as i32))
+                    .collect(),
+                _ => self.wound(self.pieces.as_ref()?, x)?.1,
+            },
+            coverage: match here.pieces {
+                0 => Coverage::Local,
+                _ => Coverage::Checked,
+            },
+        };
+        let bound = match here.pieces {
+            0 => Vec::new(),
+            _ => here.p_bound[..n].to_vec(),
+        };
+        Some((value, bound))
+    }
+
+    /// u of values, and what the bound of p, one component after the other, makes of it.
+    fn add_controls(&self, x: &[f64], found: &mut [Option<(Value, Vec<f64>)>]) {
+        let n = self.states();
+        // Rows of one state: p, then p with each component lower and higher.
+        let rows = 1 + 2 * n;
+        let states = (ROWS / rows).max(1);
+        for (x, found) in x.chunks(states * n).zip(found.chunks_mut(states)) {
+            let mut places = Vec::with_capacity(found.len() * rows * n);
+            let mut costates = Vec::with_capacity(found.len() * rows * n);
+            for (x, (value, bound)) in (x.chunks_exact(n).zip(found.iter())).filter_map(|(x, f)| Some((x, f.as_ref()?)))
+            {
+                for row in 0..rows {
+                    places.extend_from_slice(x);
+                    let at = costates.len();
+                    costates.extend_from_slice(&value.p);
+                    if let (1.., Some(bound)) = (row, bound.get(row.wrapping_sub(1) / 2)) {
+                        costates[at + (row - 1) / 2] += if row % 2 == 1 { -bound } else { *bound };
+                    }
+                }
+            }
+            let u = self.controls(&places, &costates);
+            let width = u.len() / (places.len() / n).max(1);
+            for ((value, _), own) in (found.iter_mut().flatten()).zip(u.chunks(width.max(1) * rows)) {
+                value.u = own[..width].to_vec();
+                let off = own.chunks(width.max(1)).skip(1);
+                let off = off.flat_map(|row| row.iter().zip(&value.u).map(|(a, b)| (a - b).abs()));
+                value.u_error = off.fold(0.0, f64::max);
+            }
+        }
     }
 
     /// The bound of V's error at states, in units of the error that a map in pieces was asked for (NaN where there is none), and

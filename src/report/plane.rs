@@ -83,8 +83,9 @@ impl GridField {
             controls: 0,
         };
         let total: usize = field.axes.iter().map(Vec::len).product();
-        let says = |k: usize| map.without_errors(&field.state(k)).lowest.ok();
-        let found: Vec<Option<Value>> = (0..total).into_par_iter().map(says).collect();
+        let states: Vec<f64> = (0..total).flat_map(|k| field.state(k)).collect();
+        let all = map.at_many(&states, false);
+        let found: Vec<Option<Value>> = all.into_iter().map(|at| at.lowest.ok()).collect();
         field.controls = found.iter().flatten().next()?.u.len();
         let mut above = Vec::with_capacity(total);
         for value in found {
