@@ -3,10 +3,13 @@
 //! A batch of states is looked up first, which gives a list of pieces with a place in each; their polynomials are summed in
 //! lanes, several pieces at once; then what they say is blended. What is said of a state does not depend on the others.
 
+mod blend;
+
 use super::jets::{Jet, MOST_SECOND, Sum, Tables};
-use super::{BLEND, Cell, MOST_VARIABLES, Node, Pieces, SAME, Shape};
+use super::{Cell, MOST_VARIABLES, Node, Pieces, Shape};
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
+use blend::{Share, Told};
 
 /// Polynomials summed at once: two vectors of f64 on AVX2.
 pub const LANES: usize = 8;
@@ -102,37 +105,6 @@ impl<T: Real> Here<T> {
 struct Task<T> {
     piece: u32,
     y: [T; MOST_VARIABLES],
-}
-
-/// What a piece says, in coordinates of the frame.
-#[derive(Clone, Copy)]
-struct Told<T> {
-    v: T,
-    q: [T; MOST_VARIABLES],
-    h: [T; MOST_SECOND],
-    v_bound: T,
-    p_bound: [T; MOST_VARIABLES],
-    sheet: i32,
-}
-
-/// A cell that reaches over a state.
-#[derive(Clone, Copy)]
-struct Share<T> {
-    own: bool,
-    /// Whether the cell has one piece only.
-    sole: bool,
-    /// Tasks of its pieces.
-    from: u32,
-    to: u32,
-    weight: Weight<T>,
-}
-
-/// A product of factors of one coordinate each, with their derivatives.
-#[derive(Clone, Copy)]
-struct Weight<T> {
-    f: [T; MOST_VARIABLES],
-    d: [T; MOST_VARIABLES],
-    dd: [T; MOST_VARIABLES],
 }
 
 /// Room to work in; it does not grow any more after the first batches.
@@ -360,37 +332,6 @@ impl<T: Real> Flat<T> {
         })
     }
 
-    /// `None` where it is 0; see `super::weight`, which this repeats with second derivatives.
-    #[inline(always)]
-    fn weight(&self, cell: usize, z: &[T]) -> Option<Weight<T>> {
-        let n = z.len();
-        let (zero, one) = (T::of(0.0), T::of(1.0));
-        let place = &self.cells[cell * 2 * n..][..2 * n];
-        let (edge, overlap) = (T::of(1.0 - BLEND), T::of(2.0 * BLEND));
-        let mut w = Weight {
-            f: [one; MOST_VARIABLES],
-            d: [zero; MOST_VARIABLES],
-            dd: [zero; MOST_VARIABLES],
-        };
-        for i in 0..n {
-            let half = place[n + i];
-            let offset = (z[i] - place[i]) / half;
-            let t = (offset.absolute() - edge) / overlap;
-            if t >= one {
-                return None;
-            }
-            if t > zero {
-                let rest = one - t;
-                let sign = if offset < zero { -one } else { one };
-                let scale = overlap * half;
-                w.f[i] = one - t * t * t * (T::of(10.0) - T::of(15.0) * t + T::of(6.0) * t * t);
-                w.d[i] = T::of(-30.0) * t * t * rest * rest * sign / scale;
-                w.dd[i] = T::of(-60.0) * t * rest * (rest - t) / (scale * scale);
-            }
-        }
-        Some(w)
-    }
-
     /// Sums the polynomials of all tasks.
     #[inline(always)]
     fn sum<const FMA: bool>(&self, second: bool, desk: &mut Desk<T>) {
@@ -473,208 +414,6 @@ impl<T: Real> Flat<T> {
             }
         }
         told
-    }
-
-    /// The lowest sheet's blend; false where nothing is known.
-    #[inline(always)]
-    fn blend(&self, shares: &[Share<T>], told: &[Told<T>], second: bool, here: &mut Here<T>) -> bool {
-        let n = self.states;
-        let zero = T::of(0.0);
-        let Some(own) = shares.iter().find(|s| s.own) else {
-            return false;
-        };
-        let mut sheets = 0;
-        let mut first: Option<&Told<T>> = None;
-        for told in &told[own.from as usize..own.to as usize] {
-            if told.v.is_finite() && told.v <= self.value_max {
-                sheets += 1;
-                if first.is_none_or(|f| told.v < f.v) {
-                    first = Some(told);
-                }
-            }
-        }
-        let Some(first) = first else { return false };
-        here.sheet = first.sheet;
-        here.sheets = sheets;
-        if shares.len() == 1 {
-            here.pieces = 1;
-            here.v = first.v;
-            here.v_bound = first.v_bound;
-            self.to_states(&first.q, &first.h, &first.p_bound, second, here);
-            return true;
-        }
-        // Around the first: the differences are small.
-        let mut sums = Sums::<T>::zero();
-        let (mut v_bound, mut p_bound) = (first.v_bound, first.p_bound);
-        let mut pieces = 0;
-        for share in shares {
-            let best = if share.own {
-                Some(first)
-            } else {
-                let mut best: Option<&Told<T>> = None;
-                for told in &told[share.from as usize..share.to as usize] {
-                    let off = |t: &Told<T>| (t.v - first.v).absolute();
-                    if told.v.is_finite() && best.is_none_or(|b| off(told) < off(b)) {
-                        best = Some(told);
-                    }
-                }
-                // The piece of the same sheet, if the neighbour has one.
-                best.filter(|told| {
-                    let alone = sheets == 1 && own.sole && share.sole;
-                    alone || (told.v - first.v).absolute() <= T::of(SAME) * (told.v_bound + first.v_bound)
-                })
-            };
-            let Some(told) = best else { continue };
-            sums.add(n, &share.weight, told, first, second);
-            v_bound = if told.v_bound > v_bound { told.v_bound } else { v_bound };
-            for i in 0..n {
-                p_bound[i] = if told.p_bound[i] > p_bound[i] {
-                    told.p_bound[i]
-                } else {
-                    p_bound[i]
-                };
-            }
-            pieces += 1;
-        }
-        here.pieces = pieces.max(1);
-        let (mut q, mut h) = (first.q, first.h);
-        let mut blend = zero;
-        if sums.w > zero {
-            blend = sums.b / sums.w;
-            let mut slope = [zero; MOST_VARIABLES];
-            for i in 0..n {
-                slope[i] = (sums.db[i] - blend * sums.dw[i]) / sums.w;
-                q[i] = first.q[i] + slope[i];
-            }
-            if second {
-                let mut pair = 0;
-                for i in 0..n {
-                    for j in i..n {
-                        let cross = slope[i] * sums.dw[j] + slope[j] * sums.dw[i];
-                        h[pair] = first.h[pair] + (sums.ddb[pair] - cross - blend * sums.ddw[pair]) / sums.w;
-                        pair += 1;
-                    }
-                }
-            }
-        }
-        here.v = first.v + blend;
-        here.v_bound = v_bound;
-        self.to_states(&q, &h, &p_bound, second, here);
-        true
-    }
-
-    /// Derivatives by states of those by coordinates of the frame.
-    #[inline(always)]
-    fn to_states(
-        &self,
-        q: &[T; MOST_VARIABLES],
-        h: &[T; MOST_SECOND],
-        p_bound: &[T; MOST_VARIABLES],
-        second: bool,
-        here: &mut Here<T>,
-    ) {
-        let n = self.states;
-        let zero = T::of(0.0);
-        let m = |i: usize, j: usize| self.matrix[i * n + j];
-        for j in 0..n {
-            let (mut p, mut bound) = (zero, zero);
-            for i in 0..n {
-                p = p + m(i, j) * q[i];
-                bound = bound + (m(i, j) * p_bound[i]).absolute();
-            }
-            here.p[j] = p;
-            here.p_bound[j] = bound;
-        }
-        if !second {
-            return;
-        }
-        // M'hM, by way of hM.
-        let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
-        let mut pair = 0;
-        for i in 0..n {
-            for k in i..n {
-                for j in 0..n {
-                    half[i][j] = half[i][j] + h[pair] * m(k, j);
-                    if k != i {
-                        half[k][j] = half[k][j] + h[pair] * m(i, j);
-                    }
-                }
-                pair += 1;
-            }
-        }
-        for a in 0..n {
-            for b in 0..n {
-                let mut sum = zero;
-                for i in 0..n {
-                    sum = sum + m(i, a) * half[i][b];
-                }
-                here.hessian[a * n + b] = sum;
-            }
-        }
-    }
-}
-
-/// Sums over the pieces that are blended: of weights w, and of weights times what a piece says more than the first.
-struct Sums<T> {
-    w: T,
-    dw: [T; MOST_VARIABLES],
-    ddw: [T; MOST_SECOND],
-    b: T,
-    db: [T; MOST_VARIABLES],
-    ddb: [T; MOST_SECOND],
-}
-
-impl<T: Real> Sums<T> {
-    fn zero() -> Self {
-        let zero = T::of(0.0);
-        Self {
-            w: zero,
-            dw: [zero; MOST_VARIABLES],
-            ddw: [zero; MOST_SECOND],
-            b: zero,
-            db: [zero; MOST_VARIABLES],
-            ddb: [zero; MOST_SECOND],
-        }
-    }
-
-    #[inline(always)]
-    fn add(&mut self, n: usize, weight: &Weight<T>, told: &Told<T>, first: &Told<T>, second: bool) {
-        let one = T::of(1.0);
-        let Weight { f, d, dd } = weight;
-        let but = |skip: [usize; 2]| {
-            (0..n)
-                .filter(|k| !skip.contains(k))
-                .fold(one, |product, k| product * f[k])
-        };
-        let w = (0..n).fold(one, |product, k| product * f[k]);
-        let more = told.v - first.v;
-        let mut dw = [T::of(0.0); MOST_VARIABLES];
-        self.w = self.w + w;
-        self.b = self.b + w * more;
-        for i in 0..n {
-            // Most factors are 1 around a state.
-            if d[i] != T::of(0.0) {
-                dw[i] = d[i] * but([i, i]);
-            }
-            self.dw[i] = self.dw[i] + dw[i];
-            self.db[i] = self.db[i] + (w * (told.q[i] - first.q[i]) + dw[i] * more);
-        }
-        if !second {
-            return;
-        }
-        let mut pair = 0;
-        for i in 0..n {
-            for j in i..n {
-                let ddw = match i == j {
-                    true => dd[i] * but([i, i]),
-                    false => d[i] * d[j] * but([i, j]),
-                };
-                let cross = dw[i] * (told.q[j] - first.q[j]) + dw[j] * (told.q[i] - first.q[i]);
-                self.ddw[pair] = self.ddw[pair] + ddw;
-                self.ddb[pair] = self.ddb[pair] + (w * (told.h[pair] - first.h[pair]) + cross + ddw * more);
-                pair += 1;
-            }
-        }
     }
 }
 
