@@ -1,7 +1,7 @@
 //! Trajectories under the law of a chart: `p = q + H s`, set once a period at each trajectory's state.
 
 use super::equations::set_chart;
-use super::fallback::Plan;
+use super::fallback::{Plan, hold_here};
 use super::flights::{Starts, Watch};
 use super::simulate::{Batch, Ground, OUTSIDE_MAP};
 use super::{Chart, Expansions, LoopError};
@@ -154,6 +154,9 @@ impl Ground<'_> {
                 seeds.extend_from_slice(&batch.end[i * dim..][..dim]);
             }
             wings.fly(run, &seeds, &mut flown)?;
+            if outside != Outside::Stop {
+                self.fly_stiff(wings, run, &mut seeds, &mut flown, |j| batch.fallback[alive[j]] += 1)?;
+            }
             if !scene.records.is_empty() {
                 let (before, after) = (self.observer.eval(&seeds, dim), self.observer.eval(&flown.end, dim));
                 batch.records.each(|i, view| {
@@ -192,6 +195,32 @@ impl Ground<'_> {
                 path.supplied.extend(vec![f64::NAN; missing]);
                 path.cost.extend(vec![f64::NAN; missing]);
             }
+        }
+        Ok(())
+    }
+
+    /// Flies again, with p held, the legs that the model of V, next to where V is too steep for it, makes too stiff to follow.
+    fn fly_stiff(
+        &self,
+        wings: &mut Wings<'_>,
+        run: &Run,
+        seeds: &mut [f64],
+        flown: &mut Trajectories,
+        mut count: impl FnMut(usize),
+    ) -> Result<(), BackendError> {
+        let dim = flown.dim;
+        for j in 0..flown.count() {
+            if flown.status[j] != Status::StepLimit {
+                continue;
+            }
+            let seed = &mut seeds[j * dim..][..dim];
+            hold_here(seed, self.equations.states);
+            count(j);
+            let mut again = Trajectories::default();
+            wings.fly(run, seed, &mut again)?;
+            flown.status[j] = again.status[0];
+            flown.end_time[j] = again.end_time[0];
+            flown.end[j * dim..][..dim].copy_from_slice(&again.end);
         }
         Ok(())
     }

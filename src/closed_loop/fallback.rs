@@ -220,10 +220,42 @@ impl Ground<'_> {
     }
 }
 
+/// p as it is at the state, held: without the slopes of the model `q + H s`.
+pub(super) fn hold_here(vector: &mut [f64], n: usize) {
+    let mut p = vector[n..2 * n].to_vec();
+    let mut place = 2 * n;
+    for i in 0..n {
+        for j in i..n {
+            p[i] += vector[place] * vector[j];
+            if j != i {
+                p[j] += vector[place] * vector[i];
+            }
+            place += 1;
+        }
+    }
+    hold(vector, &p);
+}
+
 /// p that does not depend on the state.
 fn hold(vector: &mut [f64], p: &[f64]) {
     let n = p.len();
     let triangle = n * (n + 1) / 2;
     vector[n..2 * n].copy_from_slice(p);
     vector[2 * n..2 * n + triangle].fill(0.0);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_held_is_p_at_the_state() {
+        let (p, hessian) = ([0.3, -1.2], [2.0, 0.5, 0.5, 7.0]);
+        // s, q, H's upper triangle, J.
+        let mut vector = [0.7, -0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0];
+        set_chart(&mut vector, &p, &hessian);
+        hold_here(&mut vector, 2);
+        assert!((0..2).all(|i| (vector[2 + i] - p[i]).abs() < 1e-15));
+        assert_eq!(vector[4..], [0.0, 0.0, 0.0, 5.0]);
+    }
 }
