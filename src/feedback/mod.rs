@@ -17,7 +17,7 @@ mod training;
 mod weights;
 
 pub use fit::{Data, FitError, FittedLaw, fit};
-pub use header::header;
+pub use header::{Known, header, value_header};
 pub use law::{ClosedForm, Law, LawError, Meaning, Optimal, Polynomial};
 pub use network::{Activation, Layer, Network};
 pub use onnx::{OnnxError, onnx};
