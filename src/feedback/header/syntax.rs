@@ -30,14 +30,14 @@ pub fn end(guard: &str) -> String {
 impl Syntax<'_> {
     pub fn vector(&self, of: &str, values: impl ExactSizeIterator<Item = f64>) -> String {
         let count = values.len();
-        let values: Vec<String> = values.map(|v| format!("{v:?}")).collect();
+        let values: Vec<String> = values.map(digits).collect();
         let Self { name, real, .. } = self;
         format!("static const {real} {name}_{of}[{count}] = {{{}}};\n", values.join(","))
     }
 
     pub fn matrix(&self, of: &str, matrix: &DMatrix<f64>) -> String {
         let row = |row: usize| {
-            let values: Vec<String> = matrix.row(row).iter().map(|v| format!("{v:?}")).collect();
+            let values: Vec<String> = matrix.row(row).iter().map(|v| digits(*v)).collect();
             format!("{{{}}}", values.join(","))
         };
         let rows: Vec<String> = (0..matrix.nrows()).map(row).collect();
@@ -61,6 +61,17 @@ impl Syntax<'_> {
             "static const {real} {name}_{of}[{}][{width}] = {{\n{}}};\n",
             rows.len(),
             rows.join(",\n")
+        )
+    }
+
+    /// Numbers to 15 digits, some a line.
+    pub fn coefficients(&self, of: &str, values: &[f64]) -> String {
+        let Self { name, real, .. } = self;
+        let texts: Vec<String> = values.iter().map(|v| digits(*v)).collect();
+        format!(
+            "static const {real} {name}_{of}[{}] = {{\n{}}};\n",
+            values.len(),
+            lines(&texts)
         )
     }
 
@@ -190,6 +201,12 @@ pub fn number(value: f64) -> String {
     } else {
         format!("{value:?}")
     }
+}
+
+/// A number to 15 digits, which is what two evaluations in double precision agree to anyway.
+fn digits(value: f64) -> String {
+    let rounded: f64 = format!("{value:.14e}").parse().unwrap_or(value);
+    format!("{rounded:?}")
 }
 
 /// The same in a table; infinity too.

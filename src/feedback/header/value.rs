@@ -130,7 +130,7 @@ impl Writer<'_> {
             );
             text += &self.c.number("local_reach", local.reach);
             text += &self.c.table("local_matrix", &local.matrix, n);
-            text += &self.c.list("local", &local.coefficients);
+            text += &self.c.coefficients("local", &local.coefficients);
         }
         match self.known.pieces() {
             Some(pieces) => text + &self.piece_tables(pieces),
@@ -216,7 +216,7 @@ impl Writer<'_> {
             Some(*next)
         });
         text += &c.integers("first", [0].into_iter().chain(first).collect::<Vec<_>>().into_iter());
-        text += &c.list("coefficients", &all(&|k| pieces.pieces[k].coefficients.clone()));
+        text += &c.coefficients("coefficients", &all(&|k| pieces.pieces[k].coefficients.clone()));
         text + &self.supports(pieces)
     }
 

@@ -1,0 +1,370 @@
+//! `costate export`: compiled headers against the value map, the local series and exact value functions.
+
+use costate::hamiltonian::{Hamiltonian, System};
+use costate::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
+use costate::map::ValueMap;
+use costate::model::{Model, SeedValue};
+use costate::output::Stored;
+use costate::sweep::random;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+/// An empty directory of the test's own.
+fn scratch(name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("export-{name}"));
+    let _ = std::fs::remove_dir_all(&directory);
+    std::fs::create_dir_all(&directory).unwrap();
+    directory
+}
+
+fn costate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_costate"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn done(output: Output) -> String {
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// A shipped scene's problem alone, with further lines, in a directory.
+fn scene(directory: &Path, name: &str, lines: &str) -> PathBuf {
+    const KEPT: [&str; 10] = [
+        "parameters",
+        "states",
+        "controls",
+        "disturbances",
+        "definitions",
+        "dynamics",
+        "cost",
+        "equilibrium",
+        "region",
+        "guards",
+    ];
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.toml"));
+    let text = std::fs::read_to_string(shipped).unwrap();
+    let (mut kept, mut wanted) = (String::new(), true);
+    for line in text.lines() {
+        if let Some(section) = line.strip_prefix('[').and_then(|l| l.split([']', '.']).next()) {
+            wanted = KEPT.contains(&section);
+        }
+        if wanted {
+            kept += &format!("{line}\n");
+        }
+    }
+    let path = directory.join(format!("{name}.toml"));
+    std::fs::write(&path, format!("{kept}\n{lines}\n")).unwrap();
+    path
+}
+
+/// What a header says of a state.
+#[derive(Debug)]
+struct Said {
+    known: bool,
+    v: f64,
+    p: Vec<f64>,
+    u: Vec<f64>,
+}
+
+/// Compiles `NAME.h` of a directory and asks it about states; n states, m controls.
+fn ask(directory: &Path, name: &str, [n, m]: [usize; 2], flags: &[&str], states: &[Vec<f64>]) -> Vec<Said> {
+    let program = format!(
+        "#include \"{name}.h\"\n#include <stdio.h>\n\
+         int main(void) {{\n  double in; int i, k;\n  for (;;) {{\n    {name}_real x[{n}], V = 0, p[{n}] = {{0}}, u[{m}] = {{0}};\n    \
+         for (i = 0; i < {n}; i++) {{ if (scanf(\"%lf\", &in) != 1) return 0; x[i] = ({name}_real)in; }}\n    \
+         k = {name}_value(x, &V, p);\n    if (k != {name}_control(x, u)) return 1;\n    printf(\"%d %.17g\", k, (double)V);\n    \
+         for (i = 0; i < {n}; i++) printf(\" %.17g\", (double)p[i]);\n    \
+         for (i = 0; i < {m}; i++) printf(\" %.17g\", (double)u[i]);\n    printf(\"\\n\");\n  }}\n}}\n"
+    );
+    std::fs::write(directory.join("main.c"), program).unwrap();
+    let compiled = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()))
+        .args(["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"])
+        .args(flags)
+        .args(["-o", "main", "main.c", "-lm"])
+        .current_dir(directory)
+        .output()
+        .unwrap();
+    done(compiled);
+    let mut running = Command::new(directory.join("main"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let text: String = (states.iter())
+        .map(|x| x.iter().map(|x| format!("{x:?} ")).collect::<String>() + "\n")
+        .collect();
+    let mut input = running.stdin.take().unwrap();
+    let writer = std::thread::spawn(move || input.write_all(text.as_bytes()).unwrap());
+    let rows = done(running.wait_with_output().unwrap());
+    writer.join().unwrap();
+    let rows = rows.lines().map(|line| {
+        let numbers: Vec<f64> = line.split_whitespace().map(|v| v.parse().unwrap()).collect();
+        assert_eq!(numbers.len(), 2 + n + m);
+        Said {
+            known: numbers[0] == 1.0,
+            v: numbers[1],
+            p: numbers[2..2 + n].to_vec(),
+            u: numbers[2 + n..].to_vec(),
+        }
+    });
+    let rows: Vec<Said> = rows.collect();
+    assert_eq!(rows.len(), states.len());
+    rows
+}
+
+/// A result file with a map, and its header.
+fn exported(directory: &Path, name: &str, map: &str) -> Stored {
+    let scene = scene(directory, name, map);
+    let file = directory.join(format!("{name}.h5"));
+    let (scene, file) = (scene.to_str().unwrap(), file.to_str().unwrap());
+    done(costate(&["homotopy", "--backend", "cpu", scene, "--out", file]));
+    let said = done(costate(&["export", file, "--json", "--out", directory.join("map.h").to_str().unwrap()]));
+    let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+    let length = std::fs::metadata(directory.join("map.h")).unwrap().len();
+    assert_eq!((said["kind"].as_str(), said["bytes"].as_u64()), (Some("map"), Some(length)));
+    Stored::open(Path::new(file)).unwrap()
+}
+
+/// States at random in the region made wider by `more` of its widths on each side.
+fn places(model: &Model, more: f64, count: u64) -> Vec<Vec<f64>> {
+    let n = model.states.len() as u64;
+    let unit = |k: u64| random(11, k) as f64 / 2f64.powi(64);
+    let place = |k: u64| {
+        let at = |(i, [lo, hi]): (usize, &[f64; 2])| {
+            lo + (hi - lo) * ((1.0 + 2.0 * more) * unit(k * n + i as u64) - more)
+        };
+        model.region.iter().enumerate().map(at).collect()
+    };
+    (0..count).map(place).collect()
+}
+
+fn size(p: &[f64]) -> f64 {
+    p.iter().fold(0.0, |a, x| a.max(x.abs()))
+}
+
+/// A header against what `costate value` says: numbers of states that both know, that neither does, and of those that only
+/// one knows; and the largest differences of V (relative to V and the floor), p and u (to their sizes).
+fn compare(stored: &Stored, states: &[Vec<f64>], said: &[Said]) -> ([usize; 3], [f64; 3]) {
+    let map = ValueMap::new(stored).unwrap();
+    let floor = stored.map_pieces().unwrap().unwrap().region.floor;
+    let (mut counts, mut off) = ([0; 3], [0.0f64; 3]);
+    // Where p or u passes 0, its size elsewhere counts.
+    let known: Vec<&Said> = said.iter().filter(|said| said.known).collect();
+    let mean = |of: &dyn Fn(&Said) -> f64| known.iter().map(|s| of(s)).sum::<f64>() / known.len() as f64;
+    let usual = [mean(&|s| size(&s.p)), mean(&|s| size(&s.u))];
+    for (x, said) in states.iter().zip(said) {
+        match (map.without_errors(x).lowest.ok(), said.known) {
+            (Some(here), true) => {
+                counts[0] += 1;
+                let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
+                let now = [
+                    (here.v - said.v).abs() / here.v.abs().max(floor),
+                    differences(&here.p, &said.p) / size(&here.p).max(usual[0]),
+                    differences(&here.u, &said.u) / size(&here.u).max(usual[1]),
+                ];
+                (0..3).for_each(|i| off[i] = off[i].max(now[i]));
+            }
+            (None, false) => counts[1] += 1,
+            _ => counts[2] += 1,
+        }
+    }
+    (counts, off)
+}
+
+/// Double: the same to the rounding of sums of some 50 terms and of another libm. Single: 1e-7 through the same sums.
+const DOUBLE: f64 = 1e-12;
+const SINGLE: f64 = 3e-5;
+
+/// In both precisions, optimized and not, at states in and around the region.
+fn headers_agree(name: &str, map: &str, more: f64) -> [usize; 3] {
+    let directory = scratch(name);
+    let stored = exported(&directory, name, map);
+    let sizes = [stored.model.states.len(), stored.model.controls.len()];
+    let states = places(&stored.model, more, 1500);
+    let (double, off) = compare(&stored, &states, &ask(&directory, "map", sizes, &["-O2"], &states));
+    println!("{name}: known, unknown, differing {double:?}; off {off:?}");
+    assert_eq!(double[2], 0);
+    assert!(off.iter().all(|off| *off <= DOUBLE), "{off:?}");
+    let single = ask(&directory, "map", sizes, &["-DCOSTATE_FLOAT"], &states);
+    let (counts, off) = compare(&stored, &states, &single);
+    println!("{name} in single precision: {counts:?}; off {off:?}");
+    // Rounded states may lie on the other side of a boundary.
+    assert!(counts[2] <= 3, "{counts:?}");
+    assert!(off.iter().all(|off| *off <= SINGLE), "{off:?}");
+    double
+}
+
+/// The header itself against V in closed form.
+#[test]
+fn a_smooth_map_is_its_header() {
+    let [known, unknown, _] = headers_agree("manufactured", "[map]\nerror = 1e-4\nfloor = 1e-3\ncheck = 1", 0.1);
+    assert!(known > 800 && unknown > 300, "{known} {unknown}");
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("export-manufactured");
+    let states: Vec<Vec<f64>> = (0..500)
+        .map(|k| {
+            let unit = |k| 3.0 * random(5, k) as f64 / 2f64.powi(64) - 1.5;
+            vec![unit(2 * k), unit(2 * k + 1)]
+        })
+        .collect();
+    for (x, said) in states.iter().zip(ask(&directory, "map", [2, 1], &[], &states)) {
+        let (v, p) = manufactured(x);
+        assert!(said.known && (said.v - v).abs() < 1e-4 * v.max(1e-3), "{x:?}: {said:?}");
+        // u* = -p_y / r with r = 1/2, where the map's p is right.
+        assert!((said.u[0] + 2.0 * said.p[1]).abs() < 1e-12 * (1.0 + size(&p)), "{x:?}: {said:?}");
+    }
+}
+
+/// An angle, moved by whole periods; a highest V, above which nothing is said; sheets that cost the same.
+#[test]
+fn a_periodic_map_is_its_header() {
+    let map = "[shoot_out]\nvalue_max = 185.0\n[map]\nerror = 1e-2\nvalue_max = 150.0\ncheck = 1\nstates = 600";
+    let [known, unknown, _] = headers_agree("pendulum", map, 0.5);
+    assert!(known > 200 && unknown > 200, "{known} {unknown}");
+}
+
+/// Behind the fold of a game nothing is known, which H(x, p) tells.
+#[test]
+fn a_game_s_map_is_its_header() {
+    let [known, unknown, _] = headers_agree("folding_game", "[map]\nerror = 1e-3\ncheck = 1", 0.0);
+    assert!(known > 800 && unknown > 100, "{known} {unknown}");
+}
+
+/// A finite horizon, on which two sheets lie over each other: the lower one counts.
+#[test]
+fn the_lowest_of_two_sheets_is_told() {
+    let map = "[map]\nerror = 1e-2\nfloor = 1e-2\ncheck = 1\nregion = { x = [-0.6, 0.6], y = [-0.3, 0.3] }";
+    let [known, ..] = headers_agree("hopf_lax", map, 0.0);
+    assert!(known > 20, "{known}");
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("export-hopf_lax");
+    let pieces = Stored::open(&directory.join("hopf_lax.h5")).unwrap().map_pieces().unwrap().unwrap();
+    assert!(pieces.cells.iter().any(|cell| cell.pieces.len() > 1), "there is a second sheet");
+    // p_x jumps where the wells cost the same, near x = 0.
+    let states: Vec<Vec<f64>> = [-0.5, 0.5].map(|x| vec![x, 0.1]).to_vec();
+    let said = ask(&directory, "map", [2, 2], &[], &states);
+    assert!(said[0].p[0] * said[1].p[0] < 0.0, "{said:?}");
+}
+
+/// V and p of `manufactured.toml`.
+fn manufactured(x: &[f64]) -> (f64, [f64; 2]) {
+    let [x, y] = [x[0], x[1]];
+    let v = 0.5 * x * x + 0.5 * (1.0 - x.cos()) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
+    let p = [
+        x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
+        0.5 * x + 2.0 * y + 0.5 * x * x * y,
+    ];
+    (v, p)
+}
+
+fn loaded(path: &Path) -> (Model, Hamiltonian) {
+    let model = costate::scenario::load(path, &[]).unwrap();
+    let hamiltonian = Hamiltonian::derive(&model).unwrap();
+    (model, hamiltonian)
+}
+
+/// The series in C, of every degree, is that of [`LocalPolynomial`], which is that of the sweep's local solution, and errs by
+/// the next term.
+#[test]
+fn the_series_is_its_header() {
+    let directory = scratch("series");
+    let path = scene(&directory, "manufactured", "");
+    let (model, hamiltonian) = loaded(&path);
+    let system = System::new(&hamiltonian, &model);
+    let riccati = Riccati::solve(&hamiltonian, &model).unwrap();
+    let states = places(&model, 0.0, 100);
+    let near: Vec<Vec<f64>> = states.iter().map(|x| x.iter().map(|x| 0.1 * x).collect()).collect();
+    for degree in 1..=6 {
+        let local = LocalPolynomial::new(&system, &model, &riccati, degree + 1).unwrap();
+        let header = directory.join("local.h");
+        let arguments = ["export", path.to_str().unwrap(), "--local", "--quiet", "--out", header.to_str().unwrap()];
+        done(costate(&[&arguments[..], &["--degree", &degree.to_string()]].concat()));
+        for (flags, tolerance) in [(["-O2"], 1e-13), (["-DCOSTATE_FLOAT"], 1e-5)] {
+            for (x, said) in states.iter().zip(ask(&directory, "local", [2, 1], &flags, &states)) {
+                let (v, p) = local.at(x);
+                assert!((said.v - v).abs() <= tolerance * (1.0 + v.abs()), "{degree}: {said:?} {v}");
+                for (said, p) in said.p.iter().zip(&p) {
+                    assert!((said - p).abs() <= tolerance * (1.0 + size(&[*p])), "{degree}: {said} {p}");
+                }
+                assert_eq!(said.known, local.knows(x), "{x:?}");
+            }
+        }
+        // Of terms through degree d + 1; this V has even ones alone, whose coefficients are below 1.
+        let missing = if degree % 2 == 1 { degree + 3 } else { degree + 2 };
+        for (x, said) in near.iter().zip(ask(&directory, "local", [2, 1], &[], &near)) {
+            let (v, radius) = (manufactured(x).0, size(x));
+            assert!((said.v - v).abs() <= radius.powi(missing as i32) + 1e-16, "{degree} {x:?}: {said:?} {v}");
+        }
+    }
+    let choice = SeedChoice {
+        asked: SeedValue::Auto,
+        tolerance: 1e-12,
+        ceiling: 1.0,
+        outer: 1.0,
+    };
+    let swept = LocalSolution::new(&system, &model, riccati.clone(), choice).unwrap();
+    let local = LocalPolynomial::new(&system, &model, &riccati, swept.degree).unwrap();
+    for x in &states {
+        let (at, (v, p)) = (swept.at_state(x), local.at(x));
+        assert!((at[4] - v).abs() < 1e-13 * (1.0 + v));
+        assert!((at[2] - p[0]).abs() + (at[3] - p[1]).abs() < 1e-13 * (1.0 + size(&p)));
+    }
+}
+
+/// The double integrator with unit weights: K = (1, sqrt 3), P = ((sqrt 3, 1), (1, sqrt 3)), at every degree; u is bounded.
+#[test]
+fn the_series_of_a_linear_quadratic_scene_is_riccati_s() {
+    let directory = scratch("linear");
+    let path = directory.join("linear.toml");
+    let text = "states = { x = {}, v = {} }\ncontrols = { u = { min = -1.5 } }\ndynamics = { x = \"v\", v = \"u\" }\n\
+                cost = { running = \"0.5*(x^2 + v^2 + u^2)\" }\nequilibrium = { x = 0, v = 0, u = 0 }\n\
+                region = { x = [-1, 1], v = [-1, 1] }\n";
+    std::fs::write(&path, text).unwrap();
+    let (model, _) = loaded(&path);
+    let states = places(&model, 0.0, 50);
+    for degree in ["1", "3", "6"] {
+        let out = directory.join("gain.h");
+        let arguments = ["export", path.to_str().unwrap(), "--local", "--degree", degree, "--name", "gain"];
+        done(costate(&[&arguments[..], &["--out", out.to_str().unwrap()]].concat()));
+        for (x, said) in states.iter().zip(ask(&directory, "gain", [2, 1], &[], &states)) {
+            let root = 3f64.sqrt();
+            let gain = (-x[0] - root * x[1]).max(-1.5);
+            let v = 0.5 * root * (x[0] * x[0] + x[1] * x[1]) + x[0] * x[1];
+            // The Riccati equation is solved to about 1e-14.
+            assert!((said.u[0] - gain).abs() < 1e-12, "{x:?}: {said:?} {gain}");
+            assert!((said.v - v).abs() < 1e-12, "{x:?}: {said:?} {v}");
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_exported_is_refused() {
+    let directory = scratch("refused");
+    let path = scene(&directory, "manufactured", "[homotopy]\nx = [0.1, 0.2, 2]\ny = 0.1\n");
+    let file = directory.join("points.h5");
+    let (path, file) = (path.to_str().unwrap(), file.to_str().unwrap());
+    done(costate(&["homotopy", "--backend", "cpu", path, "--out", file]));
+    let finite = scene(&directory, "hopf_lax", "");
+    let finite = finite.to_str().unwrap();
+    let cases: [(&[&str], &str); 7] = [
+        (&["export", file], "has no map in pieces"),
+        (&["export", path], "is a scene"),
+        (&["export", finite, "--local"], "finite horizon"),
+        (&["export", path, "--local", "--degree", "7"], "from 1 to 6"),
+        (&["export", path, "--local", "--name", "a-b"], "letters, digits"),
+        (&["export", path, "--local", "--out", "law.toml"], "name it .h"),
+        (&["export", file, "--local", "--set", "r=2"], "--scene"),
+    ];
+    for (arguments, reason) in cases {
+        let output = costate(arguments);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
+        assert!(errors.contains(reason), "{arguments:?}: {errors}");
+    }
+    // The series of a result file's own scene; beside the file where nothing else is asked for.
+    done(costate(&["export", file, "--local", "--degree", "2"]));
+    let text = std::fs::read_to_string(directory.join("points_local.h")).unwrap();
+    assert!(text.contains("Taylor series of degree 3"));
+}
