@@ -122,10 +122,19 @@ fn exported(directory: &Path, name: &str, map: &str) -> Stored {
     let file = directory.join(format!("{name}.h5"));
     let (scene, file) = (scene.to_str().unwrap(), file.to_str().unwrap());
     done(costate(&["homotopy", "--backend", "cpu", scene, "--out", file]));
-    let said = done(costate(&["export", file, "--json", "--out", directory.join("map.h").to_str().unwrap()]));
+    let said = done(costate(&[
+        "export",
+        file,
+        "--json",
+        "--out",
+        directory.join("map.h").to_str().unwrap(),
+    ]));
     let said: serde_json::Value = serde_json::from_str(&said).unwrap();
     let length = std::fs::metadata(directory.join("map.h")).unwrap().len();
-    assert_eq!((said["kind"].as_str(), said["bytes"].as_u64()), (Some("map"), Some(length)));
+    assert_eq!(
+        (said["kind"].as_str(), said["bytes"].as_u64()),
+        (Some("map"), Some(length))
+    );
     Stored::open(Path::new(file)).unwrap()
 }
 
@@ -134,9 +143,8 @@ fn places(model: &Model, more: f64, count: u64) -> Vec<Vec<f64>> {
     let n = model.states.len() as u64;
     let unit = |k: u64| random(11, k) as f64 / 2f64.powi(64);
     let place = |k: u64| {
-        let at = |(i, [lo, hi]): (usize, &[f64; 2])| {
-            lo + (hi - lo) * ((1.0 + 2.0 * more) * unit(k * n + i as u64) - more)
-        };
+        let at =
+            |(i, [lo, hi]): (usize, &[f64; 2])| lo + (hi - lo) * ((1.0 + 2.0 * more) * unit(k * n + i as u64) - more);
         model.region.iter().enumerate().map(at).collect()
     };
     (0..count).map(place).collect()
@@ -175,9 +183,10 @@ fn compare(stored: &Stored, states: &[Vec<f64>], said: &[Said]) -> ([usize; 3], 
     (counts, off)
 }
 
-/// Double: the same to the rounding of sums of some 50 terms and of another libm. Single: 1e-7 through the same sums.
-const DOUBLE: f64 = 1e-12;
-const SINGLE: f64 = 3e-5;
+/// Of V, p and u. Double: the same to the rounding of sums of some 50 terms and of another libm. Single: rounding of 6e-8
+/// through the same sums; slopes also divide differences of V by the width of the strip over which cells are blended.
+const DOUBLE: [f64; 3] = [1e-12; 3];
+const SINGLE: [f64; 3] = [1e-5, 1e-4, 1e-4];
 
 /// In both precisions, optimized and not, at states in and around the region.
 fn headers_agree(name: &str, map: &str, more: f64) -> [usize; 3] {
@@ -188,13 +197,13 @@ fn headers_agree(name: &str, map: &str, more: f64) -> [usize; 3] {
     let (double, off) = compare(&stored, &states, &ask(&directory, "map", sizes, &["-O2"], &states));
     println!("{name}: known, unknown, differing {double:?}; off {off:?}");
     assert_eq!(double[2], 0);
-    assert!(off.iter().all(|off| *off <= DOUBLE), "{off:?}");
+    assert!((0..3).all(|i| off[i] <= DOUBLE[i]), "{off:?}");
     let single = ask(&directory, "map", sizes, &["-DCOSTATE_FLOAT"], &states);
     let (counts, off) = compare(&stored, &states, &single);
     println!("{name} in single precision: {counts:?}; off {off:?}");
     // Rounded states may lie on the other side of a boundary.
     assert!(counts[2] <= 3, "{counts:?}");
-    assert!(off.iter().all(|off| *off <= SINGLE), "{off:?}");
+    assert!((0..3).all(|i| off[i] <= SINGLE[i]), "{off:?}");
     double
 }
 
@@ -214,7 +223,10 @@ fn a_smooth_map_is_its_header() {
         let (v, p) = manufactured(x);
         assert!(said.known && (said.v - v).abs() < 1e-4 * v.max(1e-3), "{x:?}: {said:?}");
         // u* = -p_y / r with r = 1/2, where the map's p is right.
-        assert!((said.u[0] + 2.0 * said.p[1]).abs() < 1e-12 * (1.0 + size(&p)), "{x:?}: {said:?}");
+        assert!(
+            (said.u[0] + 2.0 * said.p[1]).abs() < 1e-12 * (1.0 + size(&p)),
+            "{x:?}: {said:?}"
+        );
     }
 }
 
@@ -240,8 +252,15 @@ fn the_lowest_of_two_sheets_is_told() {
     let [known, ..] = headers_agree("hopf_lax", map, 0.0);
     assert!(known > 20, "{known}");
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("export-hopf_lax");
-    let pieces = Stored::open(&directory.join("hopf_lax.h5")).unwrap().map_pieces().unwrap().unwrap();
-    assert!(pieces.cells.iter().any(|cell| cell.pieces.len() > 1), "there is a second sheet");
+    let pieces = Stored::open(&directory.join("hopf_lax.h5"))
+        .unwrap()
+        .map_pieces()
+        .unwrap()
+        .unwrap();
+    assert!(
+        pieces.cells.iter().any(|cell| cell.pieces.len() > 1),
+        "there is a second sheet"
+    );
     // p_x jumps where the wells cost the same, near x = 0.
     let states: Vec<Vec<f64>> = [-0.5, 0.5].map(|x| vec![x, 0.1]).to_vec();
     let said = ask(&directory, "map", [2, 2], &[], &states);
@@ -279,14 +298,27 @@ fn the_series_is_its_header() {
     for degree in 1..=6 {
         let local = LocalPolynomial::new(&system, &model, &riccati, degree + 1).unwrap();
         let header = directory.join("local.h");
-        let arguments = ["export", path.to_str().unwrap(), "--local", "--quiet", "--out", header.to_str().unwrap()];
+        let arguments = [
+            "export",
+            path.to_str().unwrap(),
+            "--local",
+            "--quiet",
+            "--out",
+            header.to_str().unwrap(),
+        ];
         done(costate(&[&arguments[..], &["--degree", &degree.to_string()]].concat()));
         for (flags, tolerance) in [(["-O2"], 1e-13), (["-DCOSTATE_FLOAT"], 1e-5)] {
             for (x, said) in states.iter().zip(ask(&directory, "local", [2, 1], &flags, &states)) {
                 let (v, p) = local.at(x);
-                assert!((said.v - v).abs() <= tolerance * (1.0 + v.abs()), "{degree}: {said:?} {v}");
+                assert!(
+                    (said.v - v).abs() <= tolerance * (1.0 + v.abs()),
+                    "{degree}: {said:?} {v}"
+                );
                 for (said, p) in said.p.iter().zip(&p) {
-                    assert!((said - p).abs() <= tolerance * (1.0 + size(&[*p])), "{degree}: {said} {p}");
+                    assert!(
+                        (said - p).abs() <= tolerance * (1.0 + size(&[*p])),
+                        "{degree}: {said} {p}"
+                    );
                 }
                 assert_eq!(said.known, local.knows(x), "{x:?}");
             }
@@ -295,7 +327,10 @@ fn the_series_is_its_header() {
         let missing = if degree % 2 == 1 { degree + 3 } else { degree + 2 };
         for (x, said) in near.iter().zip(ask(&directory, "local", [2, 1], &[], &near)) {
             let (v, radius) = (manufactured(x).0, size(x));
-            assert!((said.v - v).abs() <= radius.powi(missing as i32) + 1e-16, "{degree} {x:?}: {said:?} {v}");
+            assert!(
+                (said.v - v).abs() <= radius.powi(missing as i32) + 1e-16,
+                "{degree} {x:?}: {said:?} {v}"
+            );
         }
     }
     let choice = SeedChoice {
@@ -326,7 +361,15 @@ fn the_series_of_a_linear_quadratic_scene_is_riccati_s() {
     let states = places(&model, 0.0, 50);
     for degree in ["1", "3", "6"] {
         let out = directory.join("gain.h");
-        let arguments = ["export", path.to_str().unwrap(), "--local", "--degree", degree, "--name", "gain"];
+        let arguments = [
+            "export",
+            path.to_str().unwrap(),
+            "--local",
+            "--degree",
+            degree,
+            "--name",
+            "gain",
+        ];
         done(costate(&[&arguments[..], &["--out", out.to_str().unwrap()]].concat()));
         for (x, said) in states.iter().zip(ask(&directory, "gain", [2, 1], &[], &states)) {
             let root = 3f64.sqrt();

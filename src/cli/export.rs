@@ -60,7 +60,11 @@ pub(super) fn export(args: &ExportArgs) -> Result<(), CliError> {
         (false, false) => map(name, &args.file)?,
     };
     let path = args.out.clone().unwrap_or_else(|| {
-        let beside = if scene { default_output(&args.file) } else { args.file.clone() };
+        let beside = if scene {
+            default_output(&args.file)
+        } else {
+            args.file.clone()
+        };
         let stem = beside.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         beside.with_file_name(format!("{stem}_{name}.h"))
     });

@@ -243,7 +243,12 @@ fn law_text(l: &FittedLaw, exports: &Exports) -> String {
         lines.push(format!(
             "    largest at {}; the largest hundredth within {}",
             named(&mut loss.at.iter().map(|x| format!("= {x:.4}"))),
-            named(&mut loss.worst.iter().map(|[lower, upper]| format!("[{lower:.4}, {upper:.4}]")))
+            named(
+                &mut loss
+                    .worst
+                    .iter()
+                    .map(|[lower, upper]| format!("[{lower:.4}, {upper:.4}]"))
+            )
         ));
     }
     if l.narrow_units > 0 {

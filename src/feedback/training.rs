@@ -77,7 +77,13 @@ pub(super) fn train(
         iterations: rules.iterations.saturating_sub(best.iterations).max(1),
         ..rules
     };
-    let further = descend(shape, [training, validation], rules, (best.start, best.weights), progress);
+    let further = descend(
+        shape,
+        [training, validation],
+        rules,
+        (best.start, best.weights),
+        progress,
+    );
     Trained {
         iterations: best.iterations + further.iterations,
         ..further

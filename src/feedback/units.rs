@@ -72,6 +72,7 @@ pub(super) fn narrow(shape: &Shape, weights: &[f64], data: &Regression, spacing:
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::feedback::training::{Rules, train};
 
     /// A line of samples 0.1 apart, each its own trajectory.
     fn line() -> (Regression, Vec<u32>) {
@@ -94,6 +95,35 @@ mod tests {
         assert!((spacing(&data, &trajectory) - 0.1).abs() < 1e-12);
         trajectory.fill(0);
         assert_eq!(spacing(&data, &trajectory), 0.0);
+    }
+
+    /// A jump between two samples makes a step of a unit, unless it is held.
+    #[test]
+    fn a_jump_in_the_data_makes_no_step() {
+        let (mut data, trajectory) = line();
+        data.y = data.x.iter().map(|x| (x + 0.05).signum()).collect();
+        let shape = Shape {
+            sizes: vec![1, 2, 1],
+            activation: Activation::Tanh,
+        };
+        let rules = Rules {
+            starts: 2,
+            seed: 0,
+            iterations: 300,
+            patience: 300,
+        };
+        let spacing = spacing(&data, &trajectory);
+        let trained = |data: &Regression| {
+            let trained = train(&shape, data, data, rules, &|_| {});
+            (narrow(&shape, &trained.weights, data, spacing), trained)
+        };
+        assert!(trained(&data).0 > 0);
+        data.steepest = steepest(&shape, spacing);
+        let (count, held) = trained(&data);
+        assert_eq!(count, 0);
+        let steep = held.weights[..2].iter().fold(0.0f64, |m, w| m.max(w.abs()));
+        // At the bound, not far below it: the jump is there.
+        assert!(steep > 0.5 / spacing && steep < 2.0 / spacing, "{steep}");
     }
 
     /// tanh(w x) rises over 2/w, a logistic unit over 4/w.

@@ -12,7 +12,7 @@ pub use attenuation::{AttenuationError, Cause, LinearAttenuation, linear_attenua
 pub use linearization::Linearization;
 pub use polynomial::LocalPolynomial;
 pub(crate) use riccati::eigenvalues_of;
-pub use riccati::{Riccati, closed_loop_margin, show_eigenvalue};
+pub use riccati::{Riccati, closed_loop_margin, linear_law, show_eigenvalue};
 pub use seeds::{LocalSolution, SeedChoice};
 
 /// Why no local solution exists, or none that the sweep can start from.

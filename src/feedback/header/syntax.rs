@@ -64,17 +64,6 @@ impl Syntax<'_> {
         )
     }
 
-    /// Numbers to 15 digits, some a line.
-    pub fn coefficients(&self, of: &str, values: &[f64]) -> String {
-        let Self { name, real, .. } = self;
-        let texts: Vec<String> = values.iter().map(|v| digits(*v)).collect();
-        format!(
-            "static const {real} {name}_{of}[{}] = {{\n{}}};\n",
-            values.len(),
-            lines(&texts)
-        )
-    }
-
     /// Numbers, some a line.
     pub fn list(&self, of: &str, values: &[f64]) -> String {
         let Self { name, real, .. } = self;
@@ -203,7 +192,7 @@ pub fn number(value: f64) -> String {
     }
 }
 
-/// A number to 15 digits, which is what two evaluations in double precision agree to anyway.
+/// A weight to 15 digits: the sums of a network lose the others.
 fn digits(value: f64) -> String {
     let rounded: f64 = format!("{value:.14e}").parse().unwrap_or(value);
     format!("{rounded:?}")

@@ -130,7 +130,7 @@ impl Writer<'_> {
             );
             text += &self.c.number("local_reach", local.reach);
             text += &self.c.table("local_matrix", &local.matrix, n);
-            text += &self.c.coefficients("local", &local.coefficients);
+            text += &self.c.list("local", &local.coefficients);
         }
         match self.known.pieces() {
             Some(pieces) => text + &self.piece_tables(pieces),
@@ -193,7 +193,11 @@ impl Writer<'_> {
         };
         let split: Vec<[f64; 3]> = pieces.nodes.iter().map(split).collect();
         text += &c.list("split", &split.iter().map(|s| s[0]).collect::<Vec<f64>>());
-        text += &c.table("reach", &split.iter().flat_map(|s| [s[1], s[2]]).collect::<Vec<f64>>(), 2);
+        text += &c.table(
+            "reach",
+            &split.iter().flat_map(|s| [s[1], s[2]]).collect::<Vec<f64>>(),
+            2,
+        );
         text += "/* Cells, and the first piece of each. */\n";
         let cells = |side: &dyn Fn(usize) -> Vec<f64>| (0..pieces.cells.len()).flat_map(side).collect::<Vec<f64>>();
         text += &c.table("cell_lower", &cells(&|k| pieces.cells[k].lo.clone()), n);
@@ -206,7 +210,9 @@ impl Writer<'_> {
     fn polynomials(&self, pieces: &Pieces) -> String {
         let (c, n) = (&self.c, self.model.states.len());
         let all = |of: &dyn Fn(usize) -> Vec<f64>| (0..pieces.pieces.len()).flat_map(of).collect::<Vec<f64>>();
-        let mut text = "/* Pieces: polynomials of (t - center) / half; what of V they are of; bounds of their errors. */\n".to_owned();
+        let mut text =
+            "/* Pieces: polynomials of (t - center) / half; what of V they are of; bounds of their errors. */\n"
+                .to_owned();
         text += &c.table("center", &all(&|k| pieces.pieces[k].center.clone()), n);
         text += &c.table("half", &all(&|k| pieces.pieces[k].half.clone()), n);
         text += &c.integers("shape", pieces.pieces.iter().map(|p| p.shape as usize));
@@ -216,7 +222,7 @@ impl Writer<'_> {
             Some(*next)
         });
         text += &c.integers("first", [0].into_iter().chain(first).collect::<Vec<_>>().into_iter());
-        text += &c.coefficients("coefficients", &all(&|k| pieces.pieces[k].coefficients.clone()));
+        text += &c.list("coefficients", &all(&|k| pieces.pieces[k].coefficients.clone()));
         text + &self.supports(pieces)
     }
 
@@ -228,7 +234,11 @@ impl Writer<'_> {
         let mut rows: Vec<f64> = Vec::new();
         let mut place = Vec::new();
         for piece in &pieces.pieces {
-            place.push(if piece.support.is_empty() { 0 } else { 1 + rows.len() / (2 * ways) });
+            place.push(if piece.support.is_empty() {
+                0
+            } else {
+                1 + rows.len() / (2 * ways)
+            });
             rows.extend(piece.support.iter().flatten());
         }
         let mut text = String::new();
@@ -246,7 +256,11 @@ impl Writer<'_> {
                  if (!(along >= extent[0] && along <= extent[1])) return 0;\n    }}\n"
             );
         }
-        let unused = if inside.is_empty() { "    (void)k;\n    (void)y;\n" } else { "" };
+        let unused = if inside.is_empty() {
+            "    (void)k;\n    (void)y;\n"
+        } else {
+            ""
+        };
         text + &format!(
             "\n/* Whether y lies among the points of a piece. */\nstatic inline int {name}_supported(int k, const {real} *y)\n{{\n\
              {inside}{unused}    return 1;\n}}\n"
