@@ -49,8 +49,8 @@ pub(super) struct Trained {
     pub validation: f64,
 }
 
-/// Trains from all starts on a part of the samples, and the one best on the validation set on all. Neither the order in which starts finish nor
-/// the number of threads changes it. `progress` is called from all threads.
+/// Trains from all starts on a part of the samples, and the one best on the validation set on all. Neither the order in which
+/// starts finish nor the number of threads changes it. `progress` is called from all threads.
 pub(super) fn train(
     shape: &Shape,
     training: &Regression,
@@ -73,10 +73,6 @@ pub(super) fn train(
     if part.is_none() {
         return best;
     }
-    let rules = Rules {
-        iterations: rules.iterations.saturating_sub(best.iterations).max(1),
-        ..rules
-    };
     let further = descend(
         shape,
         [training, validation],
