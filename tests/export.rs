@@ -1,8 +1,10 @@
 //! `costate export`: compiled headers against the value map, the local series and exact value functions.
 
+use costate::feedback::{Known, value_header};
 use costate::hamiltonian::{Hamiltonian, System};
 use costate::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
 use costate::map::ValueMap;
+use costate::map::pieces::{Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
 use costate::model::{Model, SeedValue};
 use costate::output::Stored;
 use costate::sweep::random;
@@ -265,6 +267,118 @@ fn the_lowest_of_two_sheets_is_told() {
     let states: Vec<Vec<f64>> = [-0.5, 0.5].map(|x| vec![x, 0.1]).to_vec();
     let said = ask(&directory, "map", [2, 2], &[], &states);
     assert!(said[0].p[0] * said[1].p[0] < 0.0, "{said:?}");
+}
+
+/// Three states, cells turned against the axes, all functions of V, several sheets of several degrees, and pieces that say
+/// something on one side only: made up, so that all of it is met.
+fn made_up(region: Region) -> Pieces {
+    let cell = |lo: [f64; 3], hi: [f64; 3], pieces| Cell {
+        lo: lo.to_vec(),
+        hi: hi.to_vec(),
+        pieces,
+    };
+    let cells = vec![
+        cell([0.0, 0.0, 0.0], [0.5, 1.0, 1.0], 0..2),
+        cell([0.5, 0.0, 0.0], [1.0, 1.0, 0.4], 2..3),
+        cell([0.5, 0.0, 0.4], [1.0, 1.0, 1.0], 3..5),
+    ];
+    let split = |axis, at, below, above| Node::Split {
+        axis,
+        at,
+        below,
+        above,
+        reach: [at; 2],
+    };
+    let nodes = vec![
+        split(0, 0.5, 1, 2),
+        Node::Cell(0),
+        split(2, 0.4, 3, 4),
+        Node::Cell(1),
+        Node::Cell(2),
+    ];
+    // Shape, number of terms, V in the middle, bound.
+    let kinds = [
+        (Shape::Value, 35, 2.0, 0.2),
+        (Shape::Root, 20, 2.4, 1e-6),
+        (Shape::Logarithm, 84, 2.0, 0.2),
+        (Shape::Reciprocal, 10, 2.0, 0.2),
+        (Shape::Value, 4, 1.9, f64::INFINITY),
+    ];
+    let piece = |(k, (shape, terms, v, bound)): (usize, (Shape, usize, f64, f64))| {
+        let of = &cells.iter().find(|c| c.pieces.contains(&k)).unwrap();
+        let middle = |i: usize| 0.5 * (of.lo[i] + of.hi[i]);
+        let unit = |j: usize| random(21, (100 * k + j) as u64) as f64 / 2f64.powi(63) - 1.0;
+        let mut coefficients: Vec<f64> = (0..terms).map(|j| 0.02 * unit(j)).collect();
+        coefficients[0] = shape.of(v).0;
+        Piece {
+            center: (0..3).map(middle).collect(),
+            half: (0..3).map(|i| 0.55 * (of.hi[i] - of.lo[i])).collect(),
+            shape,
+            coefficients,
+            bound,
+            p_bound: bound,
+            sheet: k as i32,
+            // The lower sheet of the third cell ends inside it.
+            support: if k == 4 {
+                vec![[-0.7, 0.2]; directions(3).len()]
+            } else {
+                Vec::new()
+            },
+        }
+    };
+    let pieces = kinds.into_iter().enumerate().map(piece).collect();
+    let frame = Frame::steep(&region, &[0.5, -0.6, 0.3]);
+    Pieces::new(region, frame, nodes, cells.clone(), pieces).unwrap()
+}
+
+#[test]
+fn all_that_pieces_can_be_is_in_their_header() {
+    let directory = scratch("made-up");
+    let path = directory.join("chain.toml");
+    let text = "states = { x = {}, y = {}, z = {} }\ncontrols = { u = { max = 0.05 } }\n\
+                dynamics = { x = \"y\", y = \"z\", z = \"u\" }\ncost = { running = \"0.5*(x^2 + y^2 + z^2 + u^2)\" }\n\
+                equilibrium = { x = 0, y = 0, z = 0, u = 0 }\nregion = { x = [-1, 2], y = [-3, 1], z = [-0.5, 1.5] }\n";
+    std::fs::write(&path, text).unwrap();
+    let (model, hamiltonian) = loaded(&path);
+    let system = System::new(&hamiltonian, &model);
+    let pieces = made_up(Region {
+        lo: model.region.iter().map(|r| r[0]).collect(),
+        hi: model.region.iter().map(|r| r[1]).collect(),
+        error: 1e-3,
+        floor: 0.5,
+        value_max: 2.02,
+        beyond: 0.0,
+        game: false,
+    });
+    std::fs::write(
+        directory.join("made.h"),
+        value_header("made", Known::Map(&pieces, None), &system, &model),
+    )
+    .unwrap();
+    let states = places(&model, 0.05, 3000);
+    let (mut alone, mut blended, mut unknown, mut sheets) = (0, 0, 0, std::collections::BTreeSet::new());
+    for (x, said) in states.iter().zip(ask(&directory, "made", [3, 1], &["-O2"], &states)) {
+        let here = pieces.at(x);
+        assert_eq!(here.is_some(), said.known, "{x:?}");
+        let Some(here) = here else {
+            unknown += 1;
+            continue;
+        };
+        sheets.insert(here.sheet);
+        if here.pieces == 1 {
+            alone += 1
+        } else {
+            blended += 1
+        }
+        // Sums of at most 84 terms of about 1.
+        assert!((here.v - said.v).abs() < 1e-13, "{x:?}: {said:?} {here:?}");
+        for (p, said) in here.p.iter().zip(&said.p) {
+            assert!((p - said).abs() < 1e-13, "{x:?}: {said} {here:?}");
+        }
+        assert!((said.u[0] - (-said.p[2]).min(0.05)).abs() < 1e-15, "{x:?}: {said:?}");
+    }
+    println!("{alone} from one piece, {blended} blended, {unknown} unknown; sheets {sheets:?}");
+    assert!(alone > 300 && blended > 100 && unknown > 300 && sheets.len() > 3);
 }
 
 /// V and p of `manufactured.toml`.
