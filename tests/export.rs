@@ -350,11 +350,8 @@ fn all_that_pieces_can_be_is_in_their_header() {
         beyond: 0.0,
         game: false,
     });
-    std::fs::write(
-        directory.join("made.h"),
-        value_header("made", Known::Map(&pieces, None), &system, &model),
-    )
-    .unwrap();
+    let header = value_header("made", Known::Map(&pieces, None), &system, &model);
+    std::fs::write(directory.join("made.h"), &header).unwrap();
     let states = places(&model, 0.05, 3000);
     let (mut alone, mut blended, mut unknown, mut sheets) = (0, 0, 0, std::collections::BTreeSet::new());
     for (x, said) in states.iter().zip(ask(&directory, "made", [3, 1], &["-O2"], &states)) {
@@ -379,6 +376,21 @@ fn all_that_pieces_can_be_is_in_their_header() {
     }
     println!("{alone} from one piece, {blended} blended, {unknown} unknown; sheets {sheets:?}");
     assert!(alone > 300 && blended > 100 && unknown > 300 && sheets.len() > 3);
+    // Another strip of blending, other bounds that tell sheets apart, another limit of V: each would have been seen.
+    for (right, wrong) in [
+        ("made_overlap = 0.1;", "made_overlap = 0.12;"),
+        ("made_same = 3.0;", "made_same = 0.0;"),
+        ("made_value_max = 2.02;", "made_value_max = 2.0;"),
+    ] {
+        assert!(header.contains(right), "{right}");
+        std::fs::write(directory.join("made.h"), header.replace(right, wrong)).unwrap();
+        let off = |(x, said): (&Vec<f64>, Said)| match pieces.at(x) {
+            Some(here) => !said.known || (here.v - said.v).abs() > 1e-6,
+            None => said.known,
+        };
+        let all = states.iter().zip(ask(&directory, "made", [3, 1], &["-O2"], &states));
+        assert!(all.map(off).filter(|off| *off).count() > 10, "{wrong}");
+    }
 }
 
 /// V and p of `manufactured.toml`.
