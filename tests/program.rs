@@ -244,6 +244,65 @@ fn set_changes_the_result() {
     assert_eq!(p(&["--set", "q=g-9", "--set", "q=8"]), p(&["--set", "q=4*2"]));
 }
 
+/// The double integrator with unit weights, held at x = 3 by nothing: K = (1, sqrt 3), eigenvalues (-sqrt 3 +- i)/2.
+#[test]
+fn check_tells_the_local_gain_and_the_guards() {
+    let here = directory("gain");
+    let text_of = |control: &str| {
+        format!(
+            "states = {{ x = {{}}, v = {{}} }}\ncontrols = {{ u = {{}} }}\n\
+             dynamics = {{ x = \"v\", v = \"{control}\" }}\ncost = {{ running = \"0.5*((x - 3)^2 + v^2 + u^2)\" }}\n\
+             equilibrium = {{ x = 3, v = 0, u = 0 }}\nregion = {{ x = [2, 4], v = [-1, 1] }}\n\
+             guards = {{ short = \"x < 5\", wide = \"2*x + v >= -1\" }}\n"
+        )
+    };
+    for (control, sign) in [("u", 1.0), ("-u", -1.0)] {
+        std::fs::write(here.join("scene.toml"), text_of(control)).expect("a file can be written");
+        let output = costate(&here, &["check", "scene.toml", "--json"]);
+        let value: serde_json::Value = serde_json::from_slice(&output.stdout).expect("standard output is JSON");
+        let close = |found: &serde_json::Value, wanted: f64| {
+            let found = found.as_f64().expect("a number");
+            // The Riccati equation is solved to about 1e-14.
+            assert!((found - wanted).abs() < 1e-12, "{found} {wanted}");
+        };
+        close(&value["gain"][0][0], sign);
+        close(&value["gain"][0][1], sign * 3f64.sqrt());
+        close(&value["closed_loop_eigenvalues"][0][0], -0.5 * 3f64.sqrt());
+        assert_eq!(value["guards"][0]["name"], "short");
+        assert_eq!(value["guards"][0]["strict"], true);
+        // 5 - 3 and 2 * 3 + 0 + 1.
+        close(&value["guards"][0]["at_equilibrium"], 2.0);
+        assert_eq!(value["guards"][1]["strict"], false);
+        close(&value["guards"][1]["at_equilibrium"], 7.0);
+    }
+    std::fs::write(here.join("scene.toml"), text_of("u")).expect("a file can be written");
+    let said = text(&costate(&here, &["check", "scene.toml"]).stdout);
+    for wanted in [
+        "u = u_e - K (x - x_e)",
+        "1.00000000    1.73205081  (u)",
+        "-0.866025 - 0.500000i",
+        "short: ",
+        "> 0 (2.0",
+        ">= 0 (7.0",
+    ] {
+        assert!(said.contains(wanted), "{wanted}: {said}");
+    }
+    // On a finite horizon there is no equilibrium: guards alone.
+    let finite = text_of("u").replace("u^2)\" }", "u^2)\", terminal = \"x^2\", final_time = 1 }");
+    let finite: String = finite
+        .lines()
+        .filter(|l| !l.starts_with("equilibrium"))
+        .map(|l| format!("{l}\n"))
+        .collect();
+    std::fs::write(here.join("scene.toml"), finite).expect("a file can be written");
+    let output = costate(&here, &["check", "scene.toml", "--json"]);
+    let value: serde_json::Value = serde_json::from_slice(&output.stdout).expect("standard output is JSON");
+    assert!(
+        value["gain"].is_null() && value["guards"][0]["at_equilibrium"].is_null(),
+        "{value}"
+    );
+}
+
 #[test]
 fn gaps_left_by_the_cap_are_told() {
     let here = directory("cap");

@@ -5,8 +5,8 @@ use crate::attenuation;
 use crate::backend::Backend;
 use crate::backend::gpu;
 use crate::hamiltonian::Hamiltonian;
-use crate::local::{LinearAttenuation, LocalError, Riccati, show_eigenvalue};
-use crate::model::{Horizon, Model};
+use crate::local::{LinearAttenuation, LocalError, Riccati, linear_law, show_eigenvalue};
+use crate::model::{Guard, Horizon, Model};
 use crate::scenario::{self, Problem, ScenarioErrors};
 use crate::sweep::{Choices, Plan, PlanError};
 use std::fmt::Write as _;
@@ -64,6 +64,7 @@ pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
         Horizon::Finite { .. } => None,
     };
     super::afterwards::check(&model, &hamiltonian)?;
+    let rest = At::of(&model, &hamiltonian, riccati.as_ref());
     let smallest = (model.attenuation.as_ref())
         .map(|a| attenuation::linear(&model, a))
         .transpose()?;
@@ -79,12 +80,16 @@ pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
             as_json(
                 &model,
                 &hamiltonian,
-                riccati.as_ref(),
+                riccati.as_ref().zip(rest.as_ref()),
                 smallest.as_ref().map(|(_, l)| l)
             )
         )?;
     } else {
-        write!(out, "{}", as_text(&model, &hamiltonian, riccati.as_ref()))?;
+        write!(
+            out,
+            "{}",
+            as_text(&model, &hamiltonian, riccati.as_ref().zip(rest.as_ref()))
+        )?;
         if let Some((asked, linear)) = &smallest {
             let text = super::attenuation::star_text(&asked.parameter, linear);
             writeln!(
@@ -100,7 +105,29 @@ fn names(model: &Model) -> Vec<&str> {
     model.states.iter().map(|s| s.variable.name.as_str()).collect()
 }
 
-fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String {
+/// What is so at the equilibrium.
+struct At {
+    /// `[control][state]`: u = u_e - K (x - x_e) beside it.
+    gain: Vec<Vec<f64>>,
+    /// One a guard, the program's own included: positive inside.
+    guards: Vec<f64>,
+}
+
+impl At {
+    fn of(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> Option<Self> {
+        let slopes = linear_law(h, model, riccati?);
+        let guards: Vec<_> = h.guards.iter().map(|g| g.condition.expr).collect();
+        Some(Self {
+            // Without -0.
+            gain: (slopes.iter())
+                .map(|row| row.iter().map(|slope| 0.0 - slope).collect())
+                .collect(),
+            guards: h.graph.eval(&guards, &h.point(model)),
+        })
+    }
+}
+
+fn as_text(model: &Model, h: &Hamiltonian, local: Option<(&Riccati, &At)>) -> String {
     let g = &h.graph;
     let mut t = String::new();
     let mut line = |text: String| {
@@ -128,13 +155,6 @@ fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String 
     for (name, rate) in names(model).iter().zip(&h.adjoint_rate) {
         line(format!("  p_{name}' = {}", g.show(*rate)));
     }
-    for guard in h.guards.iter().skip(model.guards.len()) {
-        line(format!(
-            "\nAdded guard {}: {} > 0",
-            guard.name,
-            g.show(guard.condition.expr)
-        ));
-    }
     match &model.horizon {
         Horizon::Infinite { x, u, .. } => {
             line("\nEquilibrium".into());
@@ -157,7 +177,27 @@ fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String 
             }
         }
     }
-    if let Some(r) = riccati {
+    if !h.guards.is_empty() {
+        line(match local {
+            Some(_) => "\nGuards, and the left sides at the equilibrium".into(),
+            None => "\nGuards".into(),
+        });
+    }
+    for (k, guard) in h.guards.iter().enumerate() {
+        let sign = if guard.strict { ">" } else { ">=" };
+        let value = local.map_or(String::new(), |(_, at)| format!(" ({:.8})", at.guards[k]));
+        let added = if k < model.guards.len() {
+            ""
+        } else {
+            ", added by the program"
+        };
+        line(format!(
+            "  {}: {} {sign} 0{value}{added}",
+            guard.name,
+            g.show(guard.condition.expr)
+        ));
+    }
+    if let Some((r, at)) = local {
         line(format!(
             "\nRiccati solution P (V = 1/2 s'P s near the equilibrium; relative residual {:.1e})",
             r.residual
@@ -167,6 +207,11 @@ fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String 
                 "  {}",
                 row.iter().map(|v| format!("{v:>14.8}")).collect::<String>()
             ));
+        }
+        line("\nLocal gain K: u = u_e - K (x - x_e) to first order, with u_e, x_e at the equilibrium".into());
+        for (control, row) in model.controls.iter().zip(&at.gain) {
+            let row: String = row.iter().map(|v| format!("{v:>14.8}")).collect();
+            line(format!("  {row}  ({})", control.variable.name));
         }
         line("\nClosed-loop eigenvalues".into());
         for e in &r.eigenvalues {
@@ -179,10 +224,17 @@ fn as_text(model: &Model, h: &Hamiltonian, riccati: Option<&Riccati>) -> String 
 fn as_json(
     model: &Model,
     h: &Hamiltonian,
-    riccati: Option<&Riccati>,
+    local: Option<(&Riccati, &At)>,
     smallest: Option<&LinearAttenuation>,
 ) -> serde_json::Value {
     let g = &h.graph;
+    let riccati = local.map(|(riccati, _)| riccati);
+    let guard = |(k, guard): (usize, &Guard)| {
+        serde_json::json!({
+            "name": guard.name, "expression": g.show(guard.condition.expr), "strict": guard.strict,
+            "at_equilibrium": local.map(|(_, at)| at.guards[k]),
+        })
+    };
     let shown = |ids: &[crate::expr::Id]| ids.iter().map(|i| g.show(*i)).collect::<Vec<_>>();
     serde_json::json!({
         "title": model.title,
@@ -197,6 +249,8 @@ fn as_json(
         "reference": model.reference(),
         "riccati": riccati.map(|r| r.p.row_iter().map(|row| row.iter().copied().collect::<Vec<_>>()).collect::<Vec<_>>()),
         "riccati_residual": riccati.map(|r| r.residual),
+        "gain": local.map(|(_, at)| &at.gain),
+        "guards": h.guards.iter().enumerate().map(guard).collect::<Vec<_>>(),
         "attenuation": smallest.map(super::attenuation::star_json),
         "closed_loop_eigenvalues": riccati.map(|r| r.eigenvalues.iter().map(|e| [e.re, e.im]).collect::<Vec<_>>()),
     })

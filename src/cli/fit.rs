@@ -230,6 +230,35 @@ fn law_text(l: &FittedLaw, exports: &Exports) -> String {
             h.scale, h.median, h.q90, h.q99, h.max
         ));
     }
+    if let Some(loss) = &q.loss {
+        let named = |values: &mut dyn Iterator<Item = String>| -> String {
+            let pairs = l.form.x.iter().zip(values);
+            let pairs = pairs.map(|(x, value)| format!("{} {value}", l.form.graph.show(*x)));
+            pairs.collect::<Vec<_>>().join(", ")
+        };
+        lines.push(format!(
+            "  loss on test trajectories, H(x, p, u) - H(x, p, u*) over the mean running cost {:.3e}: mean {:.1e}, 99 % {:.1e}, largest {:.1e}",
+            loss.scale, loss.mean, loss.q99, loss.max
+        ));
+        lines.push(format!(
+            "    largest at {}; the largest hundredth within {}",
+            named(&mut loss.at.iter().map(|x| format!("= {x:.4}"))),
+            named(
+                &mut loss
+                    .worst
+                    .iter()
+                    .map(|[lower, upper]| format!("[{lower:.4}, {upper:.4}]"))
+            )
+        ));
+    }
+    if l.narrow_units > 0 {
+        lines.push(format!(
+            "  warning: {} hidden unit{} rise over less than the distance between samples: between these nothing holds the law \
+             (more samples, fewer units, or another seed)",
+            l.narrow_units,
+            if l.narrow_units == 1 { "" } else { "s" }
+        ));
+    }
     let files = exports.files.iter().map(|f| f.display().to_string());
     lines.push(format!(
         "  {:.1} s, {} starts, best after {} steps (seed {}); {}",
@@ -270,6 +299,10 @@ fn as_json(l: &FittedLaw, exports: &Exports) -> Value {
         "hjb_residual": q.hjb.map(|h| json!({
             "running_cost_scale": h.scale, "median": h.median, "q90": h.q90, "q99": h.q99, "max": h.max,
         })),
+        "loss": q.loss.as_ref().map(|e| json!({
+            "running_cost_scale": e.scale, "mean": e.mean, "q99": e.q99, "max": e.max, "at": e.at, "worst": e.worst,
+        })),
+        "narrow_units": l.narrow_units,
         "training_residual": l.residuals[0],
         "validation_residual": l.residuals[1],
         "iterations": l.iterations,

@@ -10,6 +10,7 @@ mod columns;
 mod dissipation;
 mod estimates;
 mod evaluate;
+mod export;
 mod fit;
 mod grid;
 mod listed;
@@ -67,6 +68,8 @@ enum Command {
     Bench(BenchArgs),
     /// Fit the laws of [feedback] to the trajectories of a result file.
     Fit(FitArgs),
+    /// V, p and u as a C header: of a map in pieces, or of the series about the equilibrium.
+    Export(ExportArgs),
     /// One page of HTML with pictures of what a result file holds, and the pictures beside it as SVG and PNG.
     Report(ReportArgs),
     /// Validate a scenario and print the derived equations and the local solution.
@@ -298,6 +301,34 @@ struct FitArgs {
 }
 
 #[derive(Args, Debug, Clone)]
+struct ExportArgs {
+    /// A result file with a map in pieces ([map] with error); with --local also a scene (.toml).
+    file: PathBuf,
+    /// The Taylor series about the equilibrium instead of the map.
+    #[arg(long)]
+    local: bool,
+    /// Of --local: degree of u in the states; V is of one degree more.
+    #[arg(long, value_name = "N", default_value_t = 3, requires = "local",
+          value_parser = law_degree)]
+    degree: usize,
+    /// What the names in the header begin with, an identifier of C [default: map; with --local: local]
+    #[arg(long, value_parser = identifier)]
+    name: Option<String>,
+    /// The header [default: beside the file, with the name: STEM_NAME.h; of a scene: out/STEM_NAME.h]
+    #[arg(long, value_name = "FILE.h")]
+    out: Option<PathBuf>,
+    /// Replace a parameter. May be repeated. Not for a result file's own scene.
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = assignment)]
+    set: Vec<(String, String)>,
+    /// Machine-readable summary on standard output; everything else goes to standard error.
+    #[arg(long)]
+    json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    quiet: bool,
+}
+
+#[derive(Args, Debug, Clone)]
 struct ReportArgs {
     /// The result file (HDF5).
     file: PathBuf,
@@ -381,6 +412,22 @@ fn assignment(text: &str) -> Result<(String, String), String> {
             Ok((name.trim().to_owned(), value.trim().to_owned()))
         }
         _ => Err("expected NAME=VALUE".to_owned()),
+    }
+}
+
+fn identifier(text: &str) -> Result<String, String> {
+    let word = text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    if word && text.starts_with(|c: char| c.is_ascii_alphabetic()) {
+        Ok(text.to_owned())
+    } else {
+        Err("letters, digits and underscores, a letter first".to_owned())
+    }
+}
+
+fn law_degree(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(degree) if (1..=6).contains(&degree) => Ok(degree),
+        _ => Err("a whole number from 1 to 6".to_owned()),
     }
 }
 
@@ -503,6 +550,8 @@ enum CliError {
     #[error(transparent)]
     Fit(#[from] fit::FitCommandError),
     #[error(transparent)]
+    Export(#[from] export::ExportError),
+    #[error(transparent)]
     Feedback(#[from] crate::feedback::FitError),
     #[error("cannot create the directory {path}: {source}", path = path.display())]
     OutDir { path: PathBuf, source: std::io::Error },
@@ -559,7 +608,7 @@ impl CliError {
             CliError::BadOut { .. } | CliError::OverScene { .. } | CliError::SameLaw { .. } => 2,
             CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
-            CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) => 2,
+            CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) | CliError::Export(_) => 2,
             CliError::ReportOption(_) => 2,
             CliError::Refused(grid::GridRefusal::OutOfTime(_)) => 1,
             CliError::Refused(_) | CliError::Grid(_) => 2,
@@ -604,6 +653,7 @@ fn check_out(out: Option<&Path>, ending: &[&str], inputs: &[&Path]) -> Result<()
         }
         [] => Ok(()),
         some if some.contains(&end.as_str()) => Ok(()),
+        ["h"] => Err(bad("it is a C header; name it .h")),
         _ => Err(bad("name the page .html")),
     }
 }
@@ -653,6 +703,7 @@ pub fn main() -> ExitCode {
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Bench(args) => bench::bench(&args),
         Command::Fit(args) => fit::command(&args),
+        Command::Export(args) => export::export(&args),
         Command::Report(args) => report_page::report(&args),
         Command::Check(args) => check::check(&args),
         Command::Adapters { json } => check::adapters(json),

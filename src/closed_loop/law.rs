@@ -3,7 +3,7 @@
 use crate::expr::{Graph, Id};
 use crate::feedback::{self, NetworkError};
 use crate::hamiltonian::Hamiltonian;
-use crate::local::{LocalError, Riccati};
+use crate::local::{LocalError, Riccati, linear_law};
 use crate::model::{Formula, GivenLaw, Horizon, Model, Span};
 use crate::scenario::{Problem, ScenarioErrors};
 use std::collections::HashMap;
@@ -109,25 +109,7 @@ impl<'s> Laws<'s> {
             Some(found) => found.clone(),
             None => Riccati::solve(self.hamiltonian, self.model)?,
         };
-        let h = self.hamiltonian;
-        let mut graph = h.graph.clone();
-        let values = h.point(self.model);
-        let mut slopes = |symbols: &[Id]| -> Vec<Vec<f64>> {
-            (h.unclamped.iter())
-                .map(|u| {
-                    let all: Vec<Id> = symbols.iter().map(|s| graph.diff(*u, *s)).collect();
-                    graph.eval(&all, &values)
-                })
-                .collect()
-        };
-        let (by_x, by_p) = (slopes(&h.x), slopes(&h.p));
-        let n = h.states();
-        Ok((by_x.into_iter().zip(by_p))
-            .map(|(by_x, by_p)| {
-                let through_p = |i: usize| (0..n).map(|k| by_p[k] * riccati.p[(k, i)]).sum::<f64>();
-                (0..n).map(|i| by_x[i] + through_p(i)).collect()
-            })
-            .collect())
+        Ok(linear_law(self.hamiltonian, self.model, &riccati))
     }
 
     /// The law of a value function of which p is known around each state.

@@ -7,6 +7,7 @@ use super::regression::{Pinned, Regression};
 use super::samples::{Optimality, Samples, Selection};
 use super::shape::Shape;
 use super::training::{Rules, Step, Trained, train};
+use super::units;
 use crate::bench::flops;
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LocalError, Riccati};
@@ -65,6 +66,8 @@ pub struct FittedLaw {
     pub iterations: usize,
     /// Root mean squares of normalized residuals, training and validation.
     pub residuals: [f64; 2],
+    /// Hidden units whose transition is narrower than the spacing of the samples.
+    pub narrow_units: usize,
     /// Floating-point operations of a call.
     pub flops: f64,
     pub seconds: f64,
@@ -116,7 +119,7 @@ pub fn fit(
     let base = base(data, law)?;
     let fitted = [&sets.training, &sets.validation].map(|s| unscaled(law, base.as_ref(), s));
     let scales = Scales::of(law, base.is_some(), &fitted[0]);
-    let [training, validation] = fitted.map(|r| scales.normalized(r, law, base.as_ref()));
+    let [mut training, validation] = fitted.map(|r| scales.normalized(r, law, base.as_ref()));
     let shape = Shape {
         sizes: [&[training.inputs], law.hidden.as_slice(), &[training.outputs]].concat(),
         activation: law.activation,
@@ -128,6 +131,8 @@ pub fn fit(
             residuals: training.residuals(),
         });
     }
+    let spacing = units::spacing(&training, &sets.training.trajectory);
+    training.steepest = units::steepest(&shape, spacing);
     let rules = Rules {
         starts: law.starts,
         seed: law.seed,
@@ -155,6 +160,7 @@ pub fn fit(
         quality,
         iterations: trained.iterations,
         residuals: [trained.training, trained.validation],
+        narrow_units: units::narrow(&shape, &trained.weights, &training, spacing),
         flops: flops::of_program(&program, Precision::F64),
         seconds: clock.elapsed().as_secs_f64(),
         seed: law.seed,

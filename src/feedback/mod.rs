@@ -14,14 +14,15 @@ mod regression;
 mod samples;
 mod shape;
 mod training;
+mod units;
 mod weights;
 
 pub use fit::{Data, FitError, FittedLaw, fit};
-pub use header::header;
+pub use header::{Known, header, value_header};
 pub use law::{ClosedForm, Law, LawError, Meaning, Optimal, Polynomial};
 pub use network::{Activation, Layer, Network};
 pub use onnx::{OnnxError, onnx};
-pub use quality::{Errors, Quality, Residual};
+pub use quality::{Errors, Loss, Quality, Residual};
 pub use record::{Exports, Fitted, GROUP};
 pub use samples::{Optimality, Samples, Selection, Sets};
 pub use training::Step;

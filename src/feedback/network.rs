@@ -14,6 +14,14 @@ impl Activation {
         }
     }
 
+    /// What it has this value of; infinite where the unit is saturated to rounding.
+    pub fn argument(self, value: f64) -> f64 {
+        match self {
+            Activation::Logistic => (value / (1.0 - value)).ln(),
+            Activation::Tanh => value.atanh(),
+        }
+    }
+
     /// First and second derivative, from the value.
     pub fn slopes(self, value: f64) -> (f64, f64) {
         match self {
@@ -177,6 +185,7 @@ mod tests {
         for activation in [Activation::Logistic, Activation::Tanh] {
             for z in [-3.0, -0.4, 0.0, 1.7] {
                 let f = |z| activation.value(z);
+                assert!((activation.argument(f(z)) - z).abs() < 1e-13);
                 let (first, second) = activation.slopes(f(z));
                 // Central differences: h^2 times the next derivatives, which are below 8.
                 assert!((first - (f(z + h) - f(z - h)) / (2.0 * h)).abs() < 1e-7);

@@ -2,11 +2,13 @@
 
 use super::law::ClosedForm;
 use super::samples::{Samples, at_samples};
+use crate::expr::Id;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::program::Program;
 use crate::quantile::nearest_rank as quantile;
 use rayon::prelude::*;
+use std::collections::HashMap;
 
 /// Errors of one quantity over samples. Differences are in absolute value.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -29,6 +31,23 @@ pub struct Quality {
     /// Lengths of vectors in units of the region's widths.
     pub p: Option<Errors>,
     pub hjb: Option<Residual>,
+    /// Of a law for controls.
+    pub loss: Option<Loss>,
+}
+
+/// What a law's control loses at a state: `H(x, p, u_fit) - H(x, p, u*)` with the true p, the rate at which cost is lost,
+/// relative to the running cost's scale.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Loss {
+    /// The running cost L(x, u*) in the mean over the samples.
+    pub scale: f64,
+    pub mean: f64,
+    pub q99: f64,
+    pub max: f64,
+    /// State of the largest.
+    pub at: Vec<f64>,
+    /// Box of the states with the largest hundredth, `[lower, upper]` of each state.
+    pub worst: Vec<[f64; 2]>,
 }
 
 /// Quantiles of `|H(x, dV/dx)|` of a fitted V, relative to the running cost's scale.
@@ -92,6 +111,7 @@ impl Quality {
             u: (0..outputs).map(of_output).reduce(Errors::worst).unwrap_or_default(),
             ..Self::default()
         };
+        quality.loss = Loss::of(form, model, hamiltonian, data, &rows);
         if form.value.is_none() {
             return quality;
         }
@@ -113,6 +133,54 @@ impl Quality {
             max: quantile(&sorted, 1.0),
         });
         quality
+    }
+}
+
+impl Loss {
+    /// `rows` begin with the law's outputs at the samples. A command for a state has no loss of its own.
+    fn of(form: &ClosedForm, model: &Model, h: &Hamiltonian, data: &Samples, rows: &[Vec<f64>]) -> Option<Self> {
+        let control = |name: &String| model.controls.iter().position(|c| c.variable.name == *name);
+        let controls: Vec<usize> = form.outputs.iter().map(control).collect::<Option<_>>()?;
+        let mut graph = h.graph.clone();
+        let mut known: HashMap<Id, Id> = (model.parameter_values().into_iter())
+            .map(|(symbol, value)| (symbol, graph.constant(value)))
+            .collect();
+        let worst = graph.substitute(&h.disturbance, &known);
+        known.extend(model.disturbances.iter().map(|w| w.symbol).zip(worst));
+        let roots = graph.substitute(&[h.open], &known);
+        let u = model.controls.iter().map(|c| c.variable.symbol);
+        let inputs: Vec<Id> = h.x.iter().chain(&h.p).copied().chain(u).collect();
+        let program = Program::lower(&graph, &inputs, &roots);
+        let line = data.before_moving();
+        let n = data.states;
+        let running = at_samples(model, h, &[h.running], line, &data.p);
+        let scale = running.iter().map(|l| l.abs()).sum::<f64>() / running.len() as f64;
+        let lost = |k: usize| {
+            let mut u = data.u_of(k).to_vec();
+            let at = |u: &[f64]| program.eval(&[&line[k * n..][..n], data.p_of(k), u].concat())[0];
+            let least = at(&u);
+            controls.iter().zip(&rows[k]).for_each(|(i, fitted)| u[*i] = *fitted);
+            (at(&u) - least) / scale
+        };
+        let lost: Vec<f64> = (0..data.len()).into_par_iter().map(lost).collect();
+        let largest = (0..lost.len()).max_by(|a, b| lost[*a].total_cmp(&lost[*b]))?;
+        let mut sorted = lost.clone();
+        sorted.sort_by(f64::total_cmp);
+        let q99 = quantile(&sorted, 0.99);
+        let mut worst = vec![[f64::INFINITY, f64::NEG_INFINITY]; n];
+        for k in (0..lost.len()).filter(|k| lost[*k] >= q99) {
+            for ([lower, upper], x) in worst.iter_mut().zip(data.x_of(k)) {
+                (*lower, *upper) = (lower.min(*x), upper.max(*x));
+            }
+        }
+        Some(Self {
+            scale,
+            mean: lost.iter().sum::<f64>() / lost.len() as f64,
+            q99,
+            max: lost[largest],
+            at: data.x_of(largest).to_vec(),
+            worst,
+        })
     }
 }
 

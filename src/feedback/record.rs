@@ -27,7 +27,7 @@ pub struct Exports {
 type Number = (&'static str, &'static str, fn(&FittedLaw) -> f64);
 
 /// Floating-point variables: name, meaning, value.
-const NUMBERS: [Number; 19] = [
+const NUMBERS: [Number; 22] = [
     (
         "u_mean_relative_error",
         "mean |u - u_fit| over mean |u|, held-out trajectories",
@@ -83,6 +83,17 @@ const NUMBERS: [Number; 19] = [
         |l| or_nan(l.quality.hjb, |h| h.scale),
     ),
     (
+        "loss_mean",
+        "H(x, p, u_fit) - H(x, p, u*) over the running cost's mean, mean over held-out trajectories",
+        |l| or_nan(l.quality.loss.as_ref(), |e| e.mean),
+    ),
+    ("loss_99", "the same, 99 % quantile", |l| {
+        or_nan(l.quality.loss.as_ref(), |e| e.q99)
+    }),
+    ("loss_max", "the same, largest", |l| {
+        or_nan(l.quality.loss.as_ref(), |e| e.max)
+    }),
+    (
         "training_residual",
         "root mean square of normalized residuals, training set",
         |l| l.residuals[0],
@@ -104,7 +115,7 @@ const NUMBERS: [Number; 19] = [
 type Count = (&'static str, &'static str, fn(&FittedLaw) -> usize);
 
 /// Integer variables.
-const COUNTS: [Count; 7] = [
+const COUNTS: [Count; 8] = [
     ("training_samples", "samples of the training set", |l| l.sets[0]),
     ("validation_samples", "samples of the validation set", |l| l.sets[1]),
     ("test_samples", "samples of the test set", |l| l.sets[2]),
@@ -117,6 +128,11 @@ const COUNTS: [Count; 7] = [
     ("test_trajectories", "trajectories of the test set", |l| {
         l.trajectories[2]
     }),
+    (
+        "narrow_units",
+        "hidden units whose transition is narrower than the spacing of the samples",
+        |l| l.narrow_units,
+    ),
     ("starts", "trainings from different first weights", |l| l.starts),
 ];
 

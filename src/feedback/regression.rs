@@ -30,6 +30,8 @@ pub(super) struct Regression {
     /// Of the only output by each input, `[sample][input]`; empty: not fitted.
     pub slopes: Vec<f64>,
     pub pinned: Option<Pinned>,
+    /// Bound on the length of each first unit's weights: beyond it the cost rises steeply (see `units`).
+    pub steepest: Option<f64>,
 }
 
 /// Values at the pinned place, and their derivatives by the weights.
@@ -120,6 +122,36 @@ impl Regression {
         self.pinned.as_ref().map_or(&[], |p| &p.at)
     }
 
+    /// Every `stride`-th sample.
+    pub fn thinned(&self, stride: usize) -> Self {
+        let take = |values: &[f64], width: usize| -> Vec<f64> {
+            values.chunks(width.max(1)).step_by(stride).flatten().copied().collect()
+        };
+        Self {
+            x: take(&self.x, self.inputs),
+            y: take(&self.y, self.outputs),
+            slopes: take(&self.slopes, self.inputs),
+            ..self.clone()
+        }
+    }
+
+    /// Units of the first layer that are steeper than the bound: where their weights begin, the length of these, and the
+    /// residual that stands for the excess. It weighs as all data together do.
+    fn too_steep(&self, shape: &Shape, weights: &[f64]) -> Vec<(usize, f64, f64)> {
+        let Some(steepest) = self.steepest else {
+            return Vec::new();
+        };
+        let weight = (self.residuals() as f64).sqrt();
+        let units = weights[..shape.places()[0][1]].chunks(self.inputs).enumerate();
+        units
+            .map(|(unit, row)| {
+                let length = row.iter().map(|w| w * w).sum::<f64>().sqrt();
+                (unit * self.inputs, length, weight * (length / steepest - 1.0))
+            })
+            .filter(|(.., excess)| *excess > 0.0)
+            .collect()
+    }
+
     fn parts(&self) -> Vec<std::ops::Range<usize>> {
         let samples = self.samples();
         let bound = |part: usize| part * samples / PARTS;
@@ -139,7 +171,8 @@ impl Regression {
             sum
         };
         let sums: Vec<f64> = self.parts().into_par_iter().map(part).collect();
-        0.5 * sums.iter().sum::<f64>()
+        let excess = self.too_steep(shape, weights);
+        0.5 * (sums.iter().sum::<f64>() + excess.iter().map(|(.., r)| r * r).sum::<f64>())
     }
 
     /// The normal equations of a Gauss-Newton step.
@@ -158,6 +191,18 @@ impl Regression {
             total.matrix += part.matrix;
             total.gradient += part.gradient;
             total.cost += part.cost;
+        }
+        for (begin, length, excess) in self.too_steep(shape, weights) {
+            total.cost += 0.5 * excess * excess;
+            // Of the residual by the unit's weights.
+            let slope = (self.residuals() as f64).sqrt() / (self.steepest.unwrap_or(f64::INFINITY) * length);
+            let row = begin..begin + self.inputs;
+            for i in row.clone() {
+                total.gradient[i] += slope * weights[i] * excess;
+                for j in begin..=i {
+                    total.matrix[(i, j)] += slope * slope * weights[i] * weights[j];
+                }
+            }
         }
         total
     }
@@ -282,6 +327,7 @@ mod tests {
                 y: numbers(outputs * samples, 2),
                 slopes: if slopes { numbers(2 * samples, 3) } else { Vec::new() },
                 pinned,
+                steepest: None,
             };
             (shape, regression)
         };
@@ -293,8 +339,12 @@ mod tests {
     #[test]
     fn normal_equations_are_those_of_finite_differences() {
         let h = 1e-5;
-        for (shape, problem) in problems() {
+        for (shape, mut problem) in problems() {
             let weights = numbers(shape.parameters(), 9);
+            // Two of the four units are beyond it.
+            let mut lengths: Vec<f64> = weights[..8].chunks(2).map(|w| w[0].hypot(w[1])).collect();
+            lengths.sort_by(f64::total_cmp);
+            problem.steepest = Some(0.5 * (lengths[1] + lengths[2]));
             let normal = problem.normal(&shape, &weights);
             let cost = problem.cost(&shape, &weights);
             assert!((normal.cost - cost).abs() < 1e-11 * cost);
@@ -305,10 +355,13 @@ mod tests {
                     problem.residual(&shape, weights, anchor.as_ref(), k, &mut pass, &mut residual);
                     out.extend_from_slice(&residual);
                 }
+                let excess = problem.too_steep(&shape, weights);
+                out.extend((0..4).map(|unit| excess.iter().find(|e| e.0 == 2 * unit).map_or(0.0, |e| e.2)));
                 out
             };
             let residuals = DVector::from_vec(all(&weights));
-            assert_eq!(residuals.len(), problem.residuals());
+            assert_eq!(problem.too_steep(&shape, &weights).len(), 2);
+            assert_eq!(residuals.len(), problem.residuals() + 4);
             let mut jacobian = DMatrix::zeros(residuals.len(), weights.len());
             for i in 0..weights.len() {
                 let [up, down] = [h, -h].map(|h| {

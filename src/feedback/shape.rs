@@ -126,6 +126,22 @@ impl Shape {
         &pass.tangents[self.layers()]
     }
 
+    /// What goes into each hidden unit, layer by layer, and the length of its gradient by the inputs.
+    pub fn arguments(&self, weights: &[f64], x: &[f64], pass: &mut Pass) -> Vec<(f64, f64)> {
+        self.forward(weights, x, pass);
+        let hidden = 1..self.layers();
+        let mut units: Vec<(f64, f64)> = (pass.values[hidden.clone()].iter().flatten())
+            .map(|h| (self.activation.argument(*h), 0.0))
+            .collect();
+        for input in 0..self.sizes[0] {
+            self.slope(weights, input, pass);
+            let slopes = pass.into[hidden.clone()].iter().flatten();
+            units.iter_mut().zip(slopes).for_each(|(unit, s)| unit.1 += s * s);
+        }
+        units.iter_mut().for_each(|unit| unit.1 = unit.1.sqrt());
+        units
+    }
+
     /// Adds `factor` times the derivatives of an output by all weights to `row`, at the last [`Self::forward`].
     pub fn by_weights(&self, weights: &[f64], output: usize, factor: f64, pass: &mut Pass, row: &mut [f64]) {
         let last = self.layers();

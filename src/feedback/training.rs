@@ -16,6 +16,8 @@ const FIRST_DAMPING: f64 = 1e-3;
 const STALLED: f64 = 1e-4;
 /// Residuals of this size in normalized variables are rounding.
 const ROUNDING: f64 = 1e-13;
+/// Starts are trained on a part of the samples with at least so many residuals a weight, and the best of them on all.
+const A_WEIGHT: usize = 12;
 
 /// How a training goes.
 #[derive(Clone, Copy, Debug)]
@@ -47,8 +49,8 @@ pub(super) struct Trained {
     pub validation: f64,
 }
 
-/// Trains from all starts and returns the one best on the validation set. Neither the order in which starts finish nor
-/// the number of threads changes it. `progress` is called from all threads.
+/// Trains from all starts on a part of the samples, and the one best on the validation set on all. Neither the order in which
+/// starts finish nor the number of threads changes it. `progress` is called from all threads.
 pub(super) fn train(
     shape: &Shape,
     training: &Regression,
@@ -56,12 +58,32 @@ pub(super) fn train(
     rules: Rules,
     progress: &(dyn Fn(Step) + Sync),
 ) -> Trained {
+    let stride = training.residuals() / (A_WEIGHT * shape.parameters());
+    let part = (stride > 1).then(|| training.thinned(stride));
     let all: Vec<Trained> = (0..rules.starts)
         .into_par_iter()
-        .map(|start| from_start(shape, training, validation, rules, start, progress))
+        .map(|start| {
+            let first = initial(shape, random(rules.seed, start as u64));
+            let data = [part.as_ref().unwrap_or(training), validation];
+            descend(shape, data, rules, (start, first), progress)
+        })
         .collect();
     let best = all.into_iter().min_by(|a, b| a.validation.total_cmp(&b.validation));
-    best.expect("there is at least one start")
+    let best = best.expect("there is at least one start");
+    if part.is_none() {
+        return best;
+    }
+    let further = descend(
+        shape,
+        [training, validation],
+        rules,
+        (best.start, best.weights),
+        progress,
+    );
+    Trained {
+        iterations: best.iterations + further.iterations,
+        ..further
+    }
 }
 
 /// A normally distributed number (Box and Muller).
@@ -89,17 +111,16 @@ fn initial(shape: &Shape, seed: u64) -> Vec<f64> {
     weights
 }
 
-fn from_start(
+/// Trains from a start's weights; `data` are for training and for validation.
+fn descend(
     shape: &Shape,
-    training: &Regression,
-    validation: &Regression,
+    [training, validation]: [&Regression; 2],
     rules: Rules,
-    start: usize,
+    (start, mut weights): (usize, Vec<f64>),
     progress: &(dyn Fn(Step) + Sync),
 ) -> Trained {
     let mean = |cost: f64, r: &Regression| (2.0 * cost / r.residuals().max(1) as f64).sqrt();
     let validate = |weights: &[f64]| mean(validation.cost(shape, weights), validation);
-    let mut weights = initial(shape, random(rules.seed, start as u64));
     let mut equations = training.normal(shape, &weights);
     let mut damping = FIRST_DAMPING * equations.matrix.diagonal().amax().max(f64::MIN_POSITIVE);
     let mut growth = 2.0;

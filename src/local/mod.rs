@@ -2,6 +2,7 @@
 
 mod attenuation;
 mod linearization;
+mod polynomial;
 mod riccati;
 mod seeds;
 mod series;
@@ -9,8 +10,9 @@ mod shape;
 
 pub use attenuation::{AttenuationError, Cause, LinearAttenuation, linear_attenuation};
 pub use linearization::Linearization;
+pub use polynomial::LocalPolynomial;
 pub(crate) use riccati::eigenvalues_of;
-pub use riccati::{Riccati, closed_loop_margin, show_eigenvalue};
+pub use riccati::{Riccati, closed_loop_margin, linear_law, show_eigenvalue};
 pub use seeds::{LocalSolution, SeedChoice};
 
 /// Why no local solution exists, or none that the sweep can start from.
@@ -55,6 +57,18 @@ pub enum LocalError {
     },
     #[error("the closed loop is not stable: eigenvalue {eigenvalue}")]
     NotStable { eigenvalue: String },
+    #[error(
+        "V of degree {degree} in {states} states has too many terms{hint}", hint = most.map_or(String::new(), |m| format!(" (at most {m})"))
+    )]
+    TooLong {
+        degree: usize,
+        states: usize,
+        most: Option<usize>,
+    },
+    #[error(
+        "V has no Taylor series of degree {degree} at the equilibrium: it ends at degree {known} (a kink of the equations there?)"
+    )]
+    NoSeries { degree: usize, known: usize },
     #[error("seed_value {value:e} is too large: {reason}")]
     SeedTooLarge { value: f64, reason: String },
 }

@@ -2,6 +2,7 @@
 
 use super::LocalError;
 use super::linearization::{Linearization, widths};
+use crate::expr::Id;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Horizon, Model};
 use nalgebra::{Complex, DMatrix, DVector};
@@ -79,6 +80,28 @@ impl Riccati {
             residual,
         })
     }
+}
+
+/// `[control][state]`: derivatives of u*(x, P (x - x_e)) at the equilibrium, without bounds.
+pub fn linear_law(h: &Hamiltonian, model: &Model, riccati: &Riccati) -> Vec<Vec<f64>> {
+    let mut graph = h.graph.clone();
+    let values = h.point(model);
+    let mut slopes = |symbols: &[Id]| -> Vec<Vec<f64>> {
+        (h.unclamped.iter())
+            .map(|u| {
+                let all: Vec<Id> = symbols.iter().map(|s| graph.diff(*u, *s)).collect();
+                graph.eval(&all, &values)
+            })
+            .collect()
+    };
+    let (by_x, by_p) = (slopes(&h.x), slopes(&h.p));
+    let n = h.states();
+    (by_x.into_iter().zip(by_p))
+        .map(|(by_x, by_p)| {
+            let through_p = |i: usize| (0..n).map(|k| by_p[k] * riccati.p[(k, i)]).sum::<f64>();
+            (0..n).map(|i| by_x[i] + through_p(i)).collect()
+        })
+        .collect()
 }
 
 /// An eigenvalue as `a + bi`.

@@ -2,7 +2,7 @@
 
 use super::series::{Basis, Equation};
 use super::shape::shape;
-use super::{LocalError, Riccati};
+use super::{LocalError, LocalPolynomial, Riccati};
 use crate::hamiltonian::System;
 use crate::model::{Model, SeedValue};
 use crate::program::Program;
@@ -62,15 +62,7 @@ impl LocalSolution {
     /// [`LocalError`]; `SeedTooLarge` where a given seed value leads out of the range of the local solution.
     pub fn new(system: &System, model: &Model, riccati: Riccati, choice: SeedChoice) -> Result<Self, LocalError> {
         let n = system.states;
-        let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
-        let shape = shape(&riccati, &widths).unwrap_or_else(|| riccati.p.clone());
-        let factor = shape.cholesky().ok_or(LocalError::NoSolution {
-            reason: "P has no Cholesky factor".into(),
-        })?;
-        let l = factor.l();
-        let t = l.transpose().try_inverse().ok_or(LocalError::NoSolution {
-            reason: "P is singular to rounding".into(),
-        })?;
+        let (t, l) = coordinates(model, &riccati)?;
         // t^-T = (L^-T)^-T = L
         let to_adjoint = l;
         let highest = (2..=MAX_DEGREE)
@@ -178,6 +170,18 @@ impl LocalSolution {
             .fold(0.0, f64::max)
     }
 
+    /// V as one polynomial, which serves up to the seeds' ellipsoid; `reference` is x at s = 0.
+    pub fn polynomial(&self, reference: &[f64]) -> LocalPolynomial {
+        LocalPolynomial {
+            degree: self.degree,
+            origin: reference.to_vec(),
+            // z = t^-1 s = L's, by rows.
+            matrix: self.to_adjoint.as_slice().to_vec(),
+            coefficients: self.value[..self.basis.start[self.degree + 1]].to_vec(),
+            reach: self.seed_value,
+        }
+    }
+
     /// `V`, `dV/ds` and the Hessian (row-major) of the local solution at a deviation.
     pub fn expansion(&self, s: &[f64]) -> (f64, Vec<f64>, Vec<f64>) {
         let n = s.len();
@@ -254,6 +258,20 @@ impl LocalSolution {
         at[..s.len()].copy_from_slice(s);
         at
     }
+}
+
+/// `t` with `t'St = I` for the S of the seeds' ellipsoid, and `L = t^-T`.
+pub(super) fn coordinates(model: &Model, riccati: &Riccati) -> Result<(DMatrix<f64>, DMatrix<f64>), LocalError> {
+    let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
+    let shape = shape(riccati, &widths).unwrap_or_else(|| riccati.p.clone());
+    let factor = shape.cholesky().ok_or(LocalError::NoSolution {
+        reason: "P has no Cholesky factor".into(),
+    })?;
+    let l = factor.l();
+    let t = l.transpose().try_inverse().ok_or(LocalError::NoSolution {
+        reason: "P is singular to rounding".into(),
+    })?;
+    Ok((t, l))
 }
 
 /// The linear closed loop in coordinates where `s'Ss` is `|z|^2`.
@@ -376,7 +394,7 @@ fn probes(n: usize) -> impl Iterator<Item = Vec<f64>> {
 }
 
 /// Largest size on the unit sphere of each homogeneous part.
-fn part_sizes(basis: &Basis, value: &[f64], n: usize) -> Vec<f64> {
+pub(super) fn part_sizes(basis: &Basis, value: &[f64], n: usize) -> Vec<f64> {
     let mut sizes = vec![0.0f64; basis.degree + 1];
     for z in probes(n) {
         let m = basis.monomials(&z);
@@ -424,7 +442,7 @@ fn range_limit(system: &System, model: &Model, riccati: &Riccati, t: &DMatrix<f6
 }
 
 /// A V, at most `limit`, whose ellipsoid no kink of the equations cuts: a series cannot follow them.
-fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: f64) -> f64 {
+pub(super) fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: f64) -> f64 {
     let n = system.states;
     let mut graph = system.graph.clone();
     let kinks = graph.kinks(&system.rate);

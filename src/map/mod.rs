@@ -34,6 +34,8 @@ pub use sites::Source;
 pub(crate) use swift::Room;
 
 use crate::backend::cpu::{Cpu, map::Evaluator};
+use crate::hamiltonian::System;
+use crate::local::LocalPolynomial;
 use crate::output::{Stored, StoredError};
 use crate::program::Program;
 use crate::sweep::{Choices, Plan, PlanError, spread_over};
@@ -165,6 +167,8 @@ const OF_CHANGE: f64 = 0.5;
 const OF_SIZE: f64 = 0.02;
 /// Nearer than this, in widths, a place is a site.
 const SAME: f64 = 1e-12;
+/// Of a game p counts as a solution of H = 0 where H is at most this share of its terms.
+pub(crate) const ISAACS_RESIDUAL: f64 = 3e-3;
 /// Most windings to either side.
 const MOST_WINDINGS: i32 = 3;
 
@@ -230,6 +234,13 @@ impl ValueMap {
     /// States n.
     pub fn states(&self) -> usize {
         self.sites.n
+    }
+
+    /// The map in pieces, the series that is used near the equilibrium, and the equations: all that its answers are made of.
+    pub fn in_parts(&self) -> Option<(&Pieces, Option<LocalPolynomial>, &System)> {
+        let system = &self.plan.system;
+        let local = self.plan.local.as_ref().map(|l| l.polynomial(&system.reference));
+        Some((self.pieces.as_ref()?, local, system))
     }
 
     /// Sites that are interpolated between.
@@ -487,13 +498,11 @@ impl ValueMap {
 
     /// Of a game whether `H(x, p)` is about 0: behind a fold no p makes it so, whatever interpolation says.
     fn solves_isaacs(&self, s: &[f64], p: &[f64]) -> bool {
-        // Of the terms of H, whose sum it is.
-        const RESIDUAL: f64 = 3e-3;
         let Some(program) = &self.isaacs else { return true };
         let values = program.eval(&[s, p].concat());
         let (h, running) = (values[0], values[1]);
         let power: f64 = values[2..].iter().zip(p).map(|(f, p)| (f * p).abs()).sum();
-        h.abs() <= RESIDUAL * (running.abs() + power)
+        h.abs() <= ISAACS_RESIDUAL * (running.abs() + power)
     }
 
     fn control(&self, s: &[f64], p: &[f64]) -> Vec<f64> {

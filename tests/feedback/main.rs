@@ -126,6 +126,48 @@ fn the_quadratic_value_function_is_found() {
     assert!(quality.hjb.unwrap().max < 1e-7, "{quality:?}");
 }
 
+/// Of H = ... + u^2/2 a control that is off by d loses d^2/2.
+#[test]
+fn the_loss_is_that_of_the_hamiltonian() {
+    let text = "feedback = { fit = \"u\", hidden = [3], starts = 1, iterations = 4 }";
+    let (model, hamiltonian) = scene(text, DOUBLE_INTEGRATOR);
+    let data = linear_quadratic(600);
+    let law = fitted(&model, &hamiltonian, &data, &model.feedback[0]);
+    let test = data
+        .select(&model, &model.feedback[0], &unknown)
+        .0
+        .split(&model.feedback[0])
+        .test;
+    let loss = law.quality.loss.unwrap();
+    let places = || (0..test.len()).map(|k| (test.x_of(k), test.u_of(k)[0]));
+    let running = |([x, v], u): ([f64; 2], f64)| 0.5 * (x * x + v * v + u * u);
+    let scale = places().map(|(x, u)| running(([x[0], x[1]], u))).sum::<f64>() / test.len() as f64;
+    let mut lost: Vec<(f64, &[f64])> = places()
+        .map(|(x, u)| (0.5 * (law.law.eval(x)[0].max(-1.5) - u).powi(2) / scale, x))
+        .collect();
+    lost.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (largest, at) = lost[lost.len() - 1];
+    // H is a sum of terms of about 1, of which 1e-16 is lost.
+    let close = |a: f64, b: f64| (a - b).abs() < 1e-14 / scale;
+    assert!(largest > 1e-6, "the law is not exact: {largest}");
+    assert!(
+        close(loss.max, largest) && close(loss.scale, scale),
+        "{loss:?} {largest} {scale}"
+    );
+    assert!(
+        close(loss.q99, lost[(0.99 * lost.len() as f64).ceil() as usize - 1].0),
+        "{loss:?}"
+    );
+    assert!(close(
+        loss.mean,
+        lost.iter().map(|l| l.0).sum::<f64>() / lost.len() as f64
+    ));
+    assert_eq!(loss.at, at);
+    for ([lower, upper], x) in loss.worst.iter().zip(at) {
+        assert!(lower <= x && x <= upper);
+    }
+}
+
 /// V, its gradient and u of `scenarios/manufactured.toml`, as its head says.
 fn manufactured([x, y]: [f64; 2]) -> (f64, [f64; 2], f64) {
     let v = 0.5 * x * x + 0.5 * (1.0 - x.cos()) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;

@@ -28,7 +28,7 @@ use std::collections::BTreeMap;
 pub const BLEND: f64 = 0.1;
 /// Where polynomials of several sheets lie over a state, they are blended with those that say the same but for this many
 /// times their bounds.
-const SAME: f64 = 3.0;
+pub const SAME: f64 = 3.0;
 
 /// Highest degree of the polynomials of so many variables.
 pub fn highest_degree(variables: usize) -> usize {

@@ -45,6 +45,17 @@ impl Terms {
         this
     }
 
+    /// Up to the least degree with so many monomials.
+    pub fn through(variables: usize, count: usize) -> Self {
+        let mut degree = 0;
+        let mut this = Self::new(variables, degree);
+        while this.factors.len() < count {
+            degree += 1;
+            this = Self::new(variables, degree);
+        }
+        this
+    }
+
     pub fn powers_of(&self, term: usize) -> &[u8] {
         &self.powers[term * self.variables..][..self.variables]
     }

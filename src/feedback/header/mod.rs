@@ -1,13 +1,15 @@
 //! A law as a C header that needs nothing but `math.h`: weights in arrays, loops over them, and straight-line code of
 //! `u*(x, p)` where the law is a value function. In double precision, or in single.
 
-use super::law::{ClosedForm, Law, Meaning, Optimal, Polynomial};
+mod syntax;
+mod value;
+
+pub use value::{Known, value_header};
+
+use super::law::{ClosedForm, Law, Meaning, Polynomial};
 use super::network::{Activation, Layer};
-use crate::expr::{Fun, Graph, Id, Node, Op};
 use crate::model::Model;
-use nalgebra::DMatrix;
-use std::collections::HashMap;
-use std::fmt::Write;
+use syntax::{Syntax, comment, fingerprint, number};
 
 /// The header's text. It defines `NAME_u(x, u)`, and of a value function also `NAME_V(x, V, p)`; bounds on controls are
 /// applied. Numbers are of the type `NAME_real`: `double`, or `float` where `COSTATE_FLOAT` is defined. `name` is an
@@ -20,10 +22,7 @@ pub fn header(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> String
     let value = law.meaning == Meaning::Value;
     let mut text = format!(
         "/* Feedback law `{name}` of the scene: {}\n   written by costate {}.\n   x: {}\n   u: {}{}\n   \
-         Define COSTATE_FLOAT for single precision. */\n\
-         #ifndef {guard}\n#define {guard}\n\n#include <math.h>\n\n\
-         #ifdef COSTATE_FLOAT\ntypedef float {name}_real;\n#define {guard}_FN(g) g##f\n\
-         #else\ntypedef double {name}_real;\n#define {guard}_FN(g) g\n#endif\n\n",
+         Define COSTATE_FLOAT for single precision. */\n",
         comment(&model.title),
         env!("CARGO_PKG_VERSION"),
         states.join(", "),
@@ -34,6 +33,7 @@ pub fn header(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> String
             ""
         },
     );
+    text += &syntax::begin(name, &guard);
     let c = Syntax {
         real: &format!("{name}_real"),
         function: &format!("{guard}_FN"),
@@ -50,7 +50,8 @@ pub fn header(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> String
     match &form.optimal {
         Some(optimal) => {
             text += &format!("    {real} V, p[{n}];\n    {name}_V(x, &V, p);\n");
-            text += &c.straight(&form.graph, &form.x, optimal);
+            let symbols = [(form.x.as_slice(), "x"), (&optimal.p, "p")];
+            text += &c.straight(&form.graph, &symbols, &optimal.commands, "u");
         }
         None => {
             text += &format!("    {name}_outputs(x, u);\n");
@@ -65,15 +66,7 @@ pub fn header(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> String
             }
         }
     }
-    text + &format!("}}\n\n#undef {guard}_FN\n#endif /* {guard} */\n")
-}
-
-/// Names that the code uses.
-struct Syntax<'a> {
-    name: &'a str,
-    real: &'a str,
-    /// Macro that gives a function of `math.h` in the type's precision.
-    function: &'a str,
+    text + "}\n" + &syntax::end(&guard)
 }
 
 impl Syntax<'_> {
@@ -102,27 +95,6 @@ impl Syntax<'_> {
             }
         }
         text
-    }
-
-    fn vector(&self, of: &str, values: impl ExactSizeIterator<Item = f64>) -> String {
-        let count = values.len();
-        let values: Vec<String> = values.map(|v| format!("{v:?}")).collect();
-        let Self { name, real, .. } = self;
-        format!("static const {real} {name}_{of}[{count}] = {{{}}};\n", values.join(","))
-    }
-
-    fn matrix(&self, of: &str, matrix: &DMatrix<f64>) -> String {
-        let row = |row: usize| {
-            let values: Vec<String> = matrix.row(row).iter().map(|v| format!("{v:?}")).collect();
-            format!("{{{}}}", values.join(","))
-        };
-        let rows: Vec<String> = (0..matrix.nrows()).map(row).collect();
-        let Self { name, real, .. } = self;
-        let (r, c) = matrix.shape();
-        format!(
-            "static const {real} {name}_{of}[{r}][{c}] = {{\n{}}};\n",
-            rows.join(",\n")
-        )
     }
 
     /// `NAME_outputs(x, y)`: what the network and the polynomial give; of a value function with its gradient, backward through
@@ -223,91 +195,5 @@ impl Syntax<'_> {
             text += "    }\n";
         }
         text
-    }
-
-    /// `u*(x, p)`, with p in an array.
-    fn straight(&self, graph: &Graph, x: &[Id], optimal: &Optimal) -> String {
-        let mut names: HashMap<Id, String> = HashMap::new();
-        for (symbols, array) in [(x, "x"), (&optimal.p, "p")] {
-            names.extend(symbols.iter().enumerate().map(|(i, s)| (*s, format!("{array}[{i}]"))));
-        }
-        let mut text = String::new();
-        let mut count = 0;
-        for id in graph.reachable(&optimal.commands) {
-            let Some(value) = self.formula(graph, id, &names) else {
-                continue;
-            };
-            if graph.as_constant(id).is_some() {
-                names.insert(id, value);
-                continue;
-            }
-            let name = format!("v{count}");
-            count += 1;
-            writeln!(text, "    const {} {name} = {value};", self.real).expect("a String takes any text");
-            names.insert(id, name);
-        }
-        for (i, id) in optimal.commands.iter().enumerate() {
-            writeln!(text, "    u[{i}] = {};", names[id]).expect("a String takes any text");
-        }
-        text
-    }
-
-    /// The formula of a node in the names of its arguments; none for a symbol, which has a name.
-    fn formula(&self, graph: &Graph, id: Id, names: &HashMap<Id, String>) -> Option<String> {
-        let name = |id: Id| names[&id].as_str();
-        Some(match graph.node(id) {
-            Node::Symbol(_) => return None,
-            Node::Const(bits) => format!("({}){}", self.real, number(f64::from_bits(bits))),
-            Node::Neg(a) => format!("-{}", name(a)),
-            Node::Unary(f, a) => {
-                let a = name(a);
-                match f {
-                    Fun::Abs => format!("{}(fabs)({a})", self.function),
-                    Fun::Sign => format!("({})(({a} > 0) - ({a} < 0))", self.real),
-                    Fun::Step => format!("({})({a} > 0)", self.real),
-                    _ => format!("{}({})({a})", self.function, f.name()),
-                }
-            }
-            Node::Powi(a, n) => match n {
-                2 => format!("{0} * {0}", name(a)),
-                -1 => format!("1 / {}", name(a)),
-                _ => format!("{}(pow)({}, {n})", self.function, name(a)),
-            },
-            Node::Binary(op, a, b) => {
-                let (a, b) = (name(a), name(b));
-                match op {
-                    Op::Add => format!("{a} + {b}"),
-                    Op::Sub => format!("{a} - {b}"),
-                    Op::Mul => format!("{a} * {b}"),
-                    Op::Div => format!("{a} / {b}"),
-                    Op::Pow => format!("{}(pow)({a}, {b})", self.function),
-                    Op::Min => format!("({a} < {b} || {a} != {a} ? {a} : {b})"),
-                    Op::Max => format!("({a} > {b} || {a} != {a} ? {a} : {b})"),
-                }
-            }
-        })
-    }
-}
-
-/// Of a text, the same in every version of the program (FNV-1a).
-fn fingerprint(text: &str) -> u64 {
-    (text.bytes()).fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-    })
-}
-
-/// Text inside a comment, which it must not end or begin again.
-fn comment(text: &str) -> String {
-    let printable = |c: char| if c.is_control() { ' ' } else { c };
-    let text = text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ? ");
-    text.chars().map(printable).collect()
-}
-
-/// A number that a C compiler reads as the same one.
-fn number(value: f64) -> String {
-    if value < 0.0 {
-        format!("({value:?})")
-    } else {
-        format!("{value:?}")
     }
 }

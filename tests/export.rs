@@ -1,0 +1,539 @@
+//! `costate export`: compiled headers against the value map, the local series and exact value functions.
+
+use costate::feedback::{Known, value_header};
+use costate::hamiltonian::{Hamiltonian, System};
+use costate::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
+use costate::map::ValueMap;
+use costate::map::pieces::{Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
+use costate::model::{Model, SeedValue};
+use costate::output::Stored;
+use costate::sweep::random;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+/// An empty directory of the test's own.
+fn scratch(name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("export-{name}"));
+    let _ = std::fs::remove_dir_all(&directory);
+    std::fs::create_dir_all(&directory).unwrap();
+    directory
+}
+
+fn costate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_costate"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn done(output: Output) -> String {
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// A shipped scene's problem alone, with further lines, in a directory.
+fn scene(directory: &Path, name: &str, lines: &str) -> PathBuf {
+    const KEPT: [&str; 10] = [
+        "parameters",
+        "states",
+        "controls",
+        "disturbances",
+        "definitions",
+        "dynamics",
+        "cost",
+        "equilibrium",
+        "region",
+        "guards",
+    ];
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.toml"));
+    let text = std::fs::read_to_string(shipped).unwrap();
+    let (mut kept, mut wanted) = (String::new(), true);
+    for line in text.lines() {
+        if let Some(section) = line.strip_prefix('[').and_then(|l| l.split([']', '.']).next()) {
+            wanted = KEPT.contains(&section);
+        }
+        if wanted {
+            kept += &format!("{line}\n");
+        }
+    }
+    let path = directory.join(format!("{name}.toml"));
+    std::fs::write(&path, format!("{kept}\n{lines}\n")).unwrap();
+    path
+}
+
+/// What a header says of a state.
+#[derive(Debug)]
+struct Said {
+    known: bool,
+    v: f64,
+    p: Vec<f64>,
+    u: Vec<f64>,
+}
+
+/// Compiles `NAME.h` of a directory and asks it about states; n states, m controls.
+fn ask(directory: &Path, name: &str, [n, m]: [usize; 2], flags: &[&str], states: &[Vec<f64>]) -> Vec<Said> {
+    let program = format!(
+        "#include \"{name}.h\"\n#include <stdio.h>\n\
+         int main(void) {{\n  double in; int i, k;\n  for (;;) {{\n    {name}_real x[{n}], V = 0, p[{n}] = {{0}}, u[{m}] = {{0}};\n    \
+         for (i = 0; i < {n}; i++) {{ if (scanf(\"%lf\", &in) != 1) return 0; x[i] = ({name}_real)in; }}\n    \
+         k = {name}_value(x, &V, p);\n    if (k != {name}_control(x, u)) return 1;\n    printf(\"%d %.17g\", k, (double)V);\n    \
+         for (i = 0; i < {n}; i++) printf(\" %.17g\", (double)p[i]);\n    \
+         for (i = 0; i < {m}; i++) printf(\" %.17g\", (double)u[i]);\n    printf(\"\\n\");\n  }}\n}}\n"
+    );
+    std::fs::write(directory.join("main.c"), program).unwrap();
+    let compiled = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()))
+        .args(["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"])
+        .args(flags)
+        .args(["-o", "main", "main.c", "-lm"])
+        .current_dir(directory)
+        .output()
+        .unwrap();
+    done(compiled);
+    let mut running = Command::new(directory.join("main"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let text: String = (states.iter())
+        .map(|x| x.iter().map(|x| format!("{x:?} ")).collect::<String>() + "\n")
+        .collect();
+    let mut input = running.stdin.take().unwrap();
+    let writer = std::thread::spawn(move || input.write_all(text.as_bytes()).unwrap());
+    let rows = done(running.wait_with_output().unwrap());
+    writer.join().unwrap();
+    let rows = rows.lines().map(|line| {
+        let numbers: Vec<f64> = line.split_whitespace().map(|v| v.parse().unwrap()).collect();
+        assert_eq!(numbers.len(), 2 + n + m);
+        Said {
+            known: numbers[0] == 1.0,
+            v: numbers[1],
+            p: numbers[2..2 + n].to_vec(),
+            u: numbers[2 + n..].to_vec(),
+        }
+    });
+    let rows: Vec<Said> = rows.collect();
+    assert_eq!(rows.len(), states.len());
+    rows
+}
+
+/// A result file with a map, and its header.
+fn exported(directory: &Path, name: &str, map: &str) -> Stored {
+    let scene = scene(directory, name, map);
+    let file = directory.join(format!("{name}.h5"));
+    let (scene, file) = (scene.to_str().unwrap(), file.to_str().unwrap());
+    done(costate(&["homotopy", "--backend", "cpu", scene, "--out", file]));
+    let said = done(costate(&[
+        "export",
+        file,
+        "--json",
+        "--out",
+        directory.join("map.h").to_str().unwrap(),
+    ]));
+    let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+    let length = std::fs::metadata(directory.join("map.h")).unwrap().len();
+    assert_eq!(
+        (said["kind"].as_str(), said["bytes"].as_u64()),
+        (Some("map"), Some(length))
+    );
+    Stored::open(Path::new(file)).unwrap()
+}
+
+/// States at random in the region made wider by `more` of its widths on each side.
+fn places(model: &Model, more: f64, count: u64) -> Vec<Vec<f64>> {
+    let n = model.states.len() as u64;
+    let unit = |k: u64| random(11, k) as f64 / 2f64.powi(64);
+    let place = |k: u64| {
+        let at =
+            |(i, [lo, hi]): (usize, &[f64; 2])| lo + (hi - lo) * ((1.0 + 2.0 * more) * unit(k * n + i as u64) - more);
+        model.region.iter().enumerate().map(at).collect()
+    };
+    (0..count).map(place).collect()
+}
+
+fn size(p: &[f64]) -> f64 {
+    p.iter().fold(0.0, |a, x| a.max(x.abs()))
+}
+
+/// A header against what `costate value` says: numbers of states that both know, that neither does, and of those that only
+/// one knows; and the largest differences of V (relative to V and the floor), p and u (to their sizes).
+fn compare(stored: &Stored, states: &[Vec<f64>], said: &[Said]) -> ([usize; 3], [f64; 3]) {
+    let map = ValueMap::new(stored).unwrap();
+    let floor = stored.map_pieces().unwrap().unwrap().region.floor;
+    let (mut counts, mut off) = ([0; 3], [0.0f64; 3]);
+    // Where p or u passes 0, its size elsewhere counts.
+    let known: Vec<&Said> = said.iter().filter(|said| said.known).collect();
+    let mean = |of: &dyn Fn(&Said) -> f64| known.iter().map(|s| of(s)).sum::<f64>() / known.len() as f64;
+    let usual = [mean(&|s| size(&s.p)), mean(&|s| size(&s.u))];
+    for (x, said) in states.iter().zip(said) {
+        match (map.without_errors(x).lowest.ok(), said.known) {
+            (Some(here), true) => {
+                counts[0] += 1;
+                let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
+                let now = [
+                    (here.v - said.v).abs() / here.v.abs().max(floor),
+                    differences(&here.p, &said.p) / size(&here.p).max(usual[0]),
+                    differences(&here.u, &said.u) / size(&here.u).max(usual[1]),
+                ];
+                (0..3).for_each(|i| off[i] = off[i].max(now[i]));
+            }
+            (None, false) => counts[1] += 1,
+            _ => counts[2] += 1,
+        }
+    }
+    (counts, off)
+}
+
+/// Of V, p and u. Double: the same to the rounding of sums of some 50 terms and of another libm. Single: rounding of 6e-8
+/// through the same sums; slopes also divide differences of V by the width of the strip over which cells are blended.
+const DOUBLE: [f64; 3] = [1e-12; 3];
+const SINGLE: [f64; 3] = [1e-5, 1e-4, 1e-4];
+
+/// In both precisions, optimized and not, at states in and around the region.
+fn headers_agree(name: &str, map: &str, more: f64) -> [usize; 3] {
+    let directory = scratch(name);
+    let stored = exported(&directory, name, map);
+    let sizes = [stored.model.states.len(), stored.model.controls.len()];
+    let states = places(&stored.model, more, 1500);
+    let (double, off) = compare(&stored, &states, &ask(&directory, "map", sizes, &["-O2"], &states));
+    println!("{name}: known, unknown, differing {double:?}; off {off:?}");
+    assert_eq!(double[2], 0);
+    assert!((0..3).all(|i| off[i] <= DOUBLE[i]), "{off:?}");
+    let single = ask(&directory, "map", sizes, &["-DCOSTATE_FLOAT"], &states);
+    let (counts, off) = compare(&stored, &states, &single);
+    println!("{name} in single precision: {counts:?}; off {off:?}");
+    // Rounded states may lie on the other side of a boundary.
+    assert!(counts[2] <= 3, "{counts:?}");
+    assert!((0..3).all(|i| off[i] <= SINGLE[i]), "{off:?}");
+    double
+}
+
+/// The header itself against V in closed form.
+#[test]
+fn a_smooth_map_is_its_header() {
+    let [known, unknown, _] = headers_agree("manufactured", "[map]\nerror = 1e-4\nfloor = 1e-3\ncheck = 1", 0.1);
+    assert!(known > 800 && unknown > 300, "{known} {unknown}");
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("export-manufactured");
+    let states: Vec<Vec<f64>> = (0..500)
+        .map(|k| {
+            let unit = |k| 3.0 * random(5, k) as f64 / 2f64.powi(64) - 1.5;
+            vec![unit(2 * k), unit(2 * k + 1)]
+        })
+        .collect();
+    for (x, said) in states.iter().zip(ask(&directory, "map", [2, 1], &[], &states)) {
+        let (v, p) = manufactured(x);
+        assert!(said.known && (said.v - v).abs() < 1e-4 * v.max(1e-3), "{x:?}: {said:?}");
+        // u* = -p_y / r with r = 1/2, where the map's p is right.
+        assert!(
+            (said.u[0] + 2.0 * said.p[1]).abs() < 1e-12 * (1.0 + size(&p)),
+            "{x:?}: {said:?}"
+        );
+    }
+}
+
+/// An angle, moved by whole periods; a highest V, above which nothing is said; sheets that cost the same.
+#[test]
+fn a_periodic_map_is_its_header() {
+    let map = "[shoot_out]\nvalue_max = 185.0\n[map]\nerror = 1e-2\nvalue_max = 150.0\ncheck = 1\nstates = 600";
+    let [known, unknown, _] = headers_agree("pendulum", map, 0.5);
+    assert!(known > 200 && unknown > 200, "{known} {unknown}");
+}
+
+/// Behind the fold of a game nothing is known, which H(x, p) tells.
+#[test]
+fn a_game_s_map_is_its_header() {
+    let [known, unknown, _] = headers_agree("folding_game", "[map]\nerror = 1e-3\ncheck = 1", 0.0);
+    assert!(known > 800 && unknown > 100, "{known} {unknown}");
+}
+
+/// A finite horizon, on which two sheets lie over each other: the lower one counts.
+#[test]
+fn the_lowest_of_two_sheets_is_told() {
+    let map = "[map]\nerror = 1e-2\nfloor = 1e-2\ncheck = 1\nregion = { x = [-0.6, 0.6], y = [-0.3, 0.3] }";
+    let [known, ..] = headers_agree("hopf_lax", map, 0.0);
+    assert!(known > 20, "{known}");
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("export-hopf_lax");
+    let pieces = Stored::open(&directory.join("hopf_lax.h5"))
+        .unwrap()
+        .map_pieces()
+        .unwrap()
+        .unwrap();
+    assert!(
+        pieces.cells.iter().any(|cell| cell.pieces.len() > 1),
+        "there is a second sheet"
+    );
+    // p_x jumps where the wells cost the same, near x = 0.
+    let states: Vec<Vec<f64>> = [-0.5, 0.5].map(|x| vec![x, 0.1]).to_vec();
+    let said = ask(&directory, "map", [2, 2], &[], &states);
+    assert!(said[0].p[0] * said[1].p[0] < 0.0, "{said:?}");
+}
+
+/// Three states, cells turned against the axes, all functions of V, several sheets of several degrees, and pieces that say
+/// something on one side only: made up, so that all of it is met.
+fn made_up(region: Region) -> Pieces {
+    let cell = |lo: [f64; 3], hi: [f64; 3], pieces| Cell {
+        lo: lo.to_vec(),
+        hi: hi.to_vec(),
+        pieces,
+    };
+    let cells = vec![
+        cell([0.0, 0.0, 0.0], [0.5, 1.0, 1.0], 0..2),
+        cell([0.5, 0.0, 0.0], [1.0, 1.0, 0.4], 2..3),
+        cell([0.5, 0.0, 0.4], [1.0, 1.0, 1.0], 3..5),
+    ];
+    let split = |axis, at, below, above| Node::Split {
+        axis,
+        at,
+        below,
+        above,
+        reach: [at; 2],
+    };
+    let nodes = vec![
+        split(0, 0.5, 1, 2),
+        Node::Cell(0),
+        split(2, 0.4, 3, 4),
+        Node::Cell(1),
+        Node::Cell(2),
+    ];
+    // Shape, number of terms, V in the middle, bound.
+    let kinds = [
+        (Shape::Value, 35, 2.0, 0.2),
+        (Shape::Root, 20, 2.4, 1e-6),
+        (Shape::Logarithm, 84, 2.0, 0.2),
+        (Shape::Reciprocal, 10, 2.0, 0.2),
+        (Shape::Value, 4, 1.9, f64::INFINITY),
+    ];
+    let piece = |(k, (shape, terms, v, bound)): (usize, (Shape, usize, f64, f64))| {
+        let of = &cells.iter().find(|c| c.pieces.contains(&k)).unwrap();
+        let middle = |i: usize| 0.5 * (of.lo[i] + of.hi[i]);
+        let unit = |j: usize| random(21, (100 * k + j) as u64) as f64 / 2f64.powi(63) - 1.0;
+        let mut coefficients: Vec<f64> = (0..terms).map(|j| 0.02 * unit(j)).collect();
+        coefficients[0] = shape.of(v).0;
+        Piece {
+            center: (0..3).map(middle).collect(),
+            half: (0..3).map(|i| 0.55 * (of.hi[i] - of.lo[i])).collect(),
+            shape,
+            coefficients,
+            bound,
+            p_bound: bound,
+            sheet: k as i32,
+            // The lower sheet of the third cell ends inside it.
+            support: if k == 4 {
+                vec![[-0.7, 0.2]; directions(3).len()]
+            } else {
+                Vec::new()
+            },
+        }
+    };
+    let pieces = kinds.into_iter().enumerate().map(piece).collect();
+    let frame = Frame::steep(&region, &[0.5, -0.6, 0.3]);
+    Pieces::new(region, frame, nodes, cells.clone(), pieces).unwrap()
+}
+
+#[test]
+fn all_that_pieces_can_be_is_in_their_header() {
+    let directory = scratch("made-up");
+    let path = directory.join("chain.toml");
+    let text = "states = { x = {}, y = {}, z = {} }\ncontrols = { u = { max = 0.05 } }\n\
+                dynamics = { x = \"y\", y = \"z\", z = \"u\" }\ncost = { running = \"0.5*(x^2 + y^2 + z^2 + u^2)\" }\n\
+                equilibrium = { x = 0, y = 0, z = 0, u = 0 }\nregion = { x = [-1, 2], y = [-3, 1], z = [-0.5, 1.5] }\n";
+    std::fs::write(&path, text).unwrap();
+    let (model, hamiltonian) = loaded(&path);
+    let system = System::new(&hamiltonian, &model);
+    let pieces = made_up(Region {
+        lo: model.region.iter().map(|r| r[0]).collect(),
+        hi: model.region.iter().map(|r| r[1]).collect(),
+        error: 1e-3,
+        floor: 0.5,
+        value_max: 2.02,
+        beyond: 0.0,
+        game: false,
+    });
+    let header = value_header("made", Known::Map(&pieces, None), &system, &model);
+    std::fs::write(directory.join("made.h"), &header).unwrap();
+    let states = places(&model, 0.05, 3000);
+    let (mut alone, mut blended, mut unknown, mut sheets) = (0, 0, 0, std::collections::BTreeSet::new());
+    for (x, said) in states.iter().zip(ask(&directory, "made", [3, 1], &["-O2"], &states)) {
+        let here = pieces.at(x);
+        assert_eq!(here.is_some(), said.known, "{x:?}");
+        let Some(here) = here else {
+            unknown += 1;
+            continue;
+        };
+        sheets.insert(here.sheet);
+        if here.pieces == 1 {
+            alone += 1
+        } else {
+            blended += 1
+        }
+        // Sums of at most 84 terms of about 1.
+        assert!((here.v - said.v).abs() < 1e-13, "{x:?}: {said:?} {here:?}");
+        for (p, said) in here.p.iter().zip(&said.p) {
+            assert!((p - said).abs() < 1e-13, "{x:?}: {said} {here:?}");
+        }
+        assert!((said.u[0] - (-said.p[2]).min(0.05)).abs() < 1e-15, "{x:?}: {said:?}");
+    }
+    println!("{alone} from one piece, {blended} blended, {unknown} unknown; sheets {sheets:?}");
+    assert!(alone > 300 && blended > 100 && unknown > 300 && sheets.len() > 3);
+    // Another strip of blending, other bounds that tell sheets apart, another limit of V: each would have been seen.
+    for (right, wrong) in [
+        ("made_overlap = 0.1;", "made_overlap = 0.12;"),
+        ("made_same = 3.0;", "made_same = 0.0;"),
+        ("made_value_max = 2.02;", "made_value_max = 2.0;"),
+    ] {
+        assert!(header.contains(right), "{right}");
+        std::fs::write(directory.join("made.h"), header.replace(right, wrong)).unwrap();
+        let off = |(x, said): (&Vec<f64>, Said)| match pieces.at(x) {
+            Some(here) => !said.known || (here.v - said.v).abs() > 1e-6,
+            None => said.known,
+        };
+        let all = states.iter().zip(ask(&directory, "made", [3, 1], &["-O2"], &states));
+        assert!(all.map(off).filter(|off| *off).count() > 10, "{wrong}");
+    }
+}
+
+/// V and p of `manufactured.toml`.
+fn manufactured(x: &[f64]) -> (f64, [f64; 2]) {
+    let [x, y] = [x[0], x[1]];
+    let v = 0.5 * x * x + 0.5 * (1.0 - x.cos()) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
+    let p = [
+        x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
+        0.5 * x + 2.0 * y + 0.5 * x * x * y,
+    ];
+    (v, p)
+}
+
+fn loaded(path: &Path) -> (Model, Hamiltonian) {
+    let model = costate::scenario::load(path, &[]).unwrap();
+    let hamiltonian = Hamiltonian::derive(&model).unwrap();
+    (model, hamiltonian)
+}
+
+/// The series in C, of every degree, is that of [`LocalPolynomial`], which is that of the sweep's local solution, and errs by
+/// the next term.
+#[test]
+fn the_series_is_its_header() {
+    let directory = scratch("series");
+    let path = scene(&directory, "manufactured", "");
+    let (model, hamiltonian) = loaded(&path);
+    let system = System::new(&hamiltonian, &model);
+    let riccati = Riccati::solve(&hamiltonian, &model).unwrap();
+    let states = places(&model, 0.0, 100);
+    let near: Vec<Vec<f64>> = states.iter().map(|x| x.iter().map(|x| 0.1 * x).collect()).collect();
+    for degree in 1..=6 {
+        let local = LocalPolynomial::new(&system, &model, &riccati, degree + 1).unwrap();
+        let header = directory.join("local.h");
+        let arguments = [
+            "export",
+            path.to_str().unwrap(),
+            "--local",
+            "--quiet",
+            "--out",
+            header.to_str().unwrap(),
+        ];
+        done(costate(&[&arguments[..], &["--degree", &degree.to_string()]].concat()));
+        for (flags, tolerance) in [(["-O2"], 1e-13), (["-DCOSTATE_FLOAT"], 1e-5)] {
+            for (x, said) in states.iter().zip(ask(&directory, "local", [2, 1], &flags, &states)) {
+                let (v, p) = local.at(x);
+                assert!(
+                    (said.v - v).abs() <= tolerance * (1.0 + v.abs()),
+                    "{degree}: {said:?} {v}"
+                );
+                for (said, p) in said.p.iter().zip(&p) {
+                    assert!(
+                        (said - p).abs() <= tolerance * (1.0 + size(&[*p])),
+                        "{degree}: {said} {p}"
+                    );
+                }
+                assert_eq!(said.known, local.knows(x), "{x:?}");
+            }
+        }
+        // Of terms through degree d + 1; this V has even ones alone, whose coefficients are below 1.
+        let missing = if degree % 2 == 1 { degree + 3 } else { degree + 2 };
+        for (x, said) in near.iter().zip(ask(&directory, "local", [2, 1], &[], &near)) {
+            let (v, radius) = (manufactured(x).0, size(x));
+            assert!(
+                (said.v - v).abs() <= radius.powi(missing as i32) + 1e-16,
+                "{degree} {x:?}: {said:?} {v}"
+            );
+        }
+    }
+    let choice = SeedChoice {
+        asked: SeedValue::Auto,
+        tolerance: 1e-12,
+        ceiling: 1.0,
+        outer: 1.0,
+    };
+    let swept = LocalSolution::new(&system, &model, riccati.clone(), choice).unwrap();
+    let local = LocalPolynomial::new(&system, &model, &riccati, swept.degree).unwrap();
+    for x in &states {
+        let (at, (v, p)) = (swept.at_state(x), local.at(x));
+        assert!((at[4] - v).abs() < 1e-13 * (1.0 + v));
+        assert!((at[2] - p[0]).abs() + (at[3] - p[1]).abs() < 1e-13 * (1.0 + size(&p)));
+    }
+}
+
+/// The double integrator with unit weights: K = (1, sqrt 3), P = ((sqrt 3, 1), (1, sqrt 3)), at every degree; u is bounded.
+#[test]
+fn the_series_of_a_linear_quadratic_scene_is_riccati_s() {
+    let directory = scratch("linear");
+    let path = directory.join("linear.toml");
+    let text = "states = { x = {}, v = {} }\ncontrols = { u = { min = -1.5 } }\ndynamics = { x = \"v\", v = \"u\" }\n\
+                cost = { running = \"0.5*(x^2 + v^2 + u^2)\" }\nequilibrium = { x = 0, v = 0, u = 0 }\n\
+                region = { x = [-1, 1], v = [-1, 1] }\n";
+    std::fs::write(&path, text).unwrap();
+    let (model, _) = loaded(&path);
+    let states = places(&model, 0.0, 50);
+    for degree in ["1", "3", "6"] {
+        let out = directory.join("gain.h");
+        let arguments = [
+            "export",
+            path.to_str().unwrap(),
+            "--local",
+            "--degree",
+            degree,
+            "--name",
+            "gain",
+        ];
+        done(costate(&[&arguments[..], &["--out", out.to_str().unwrap()]].concat()));
+        for (x, said) in states.iter().zip(ask(&directory, "gain", [2, 1], &[], &states)) {
+            let root = 3f64.sqrt();
+            let gain = (-x[0] - root * x[1]).max(-1.5);
+            let v = 0.5 * root * (x[0] * x[0] + x[1] * x[1]) + x[0] * x[1];
+            // The Riccati equation is solved to about 1e-14.
+            assert!((said.u[0] - gain).abs() < 1e-12, "{x:?}: {said:?} {gain}");
+            assert!((said.v - v).abs() < 1e-12, "{x:?}: {said:?} {v}");
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_exported_is_refused() {
+    let directory = scratch("refused");
+    let path = scene(&directory, "manufactured", "[homotopy]\nx = [0.1, 0.2, 2]\ny = 0.1\n");
+    let file = directory.join("points.h5");
+    let (path, file) = (path.to_str().unwrap(), file.to_str().unwrap());
+    done(costate(&["homotopy", "--backend", "cpu", path, "--out", file]));
+    let finite = scene(&directory, "hopf_lax", "");
+    let finite = finite.to_str().unwrap();
+    let cases: [(&[&str], &str); 7] = [
+        (&["export", file], "has no map in pieces"),
+        (&["export", path], "is a scene"),
+        (&["export", finite, "--local"], "finite horizon"),
+        (&["export", path, "--local", "--degree", "7"], "from 1 to 6"),
+        (&["export", path, "--local", "--name", "a-b"], "letters, digits"),
+        (&["export", path, "--local", "--out", "law.toml"], "name it .h"),
+        (&["export", file, "--local", "--set", "r=2"], "--scene"),
+    ];
+    for (arguments, reason) in cases {
+        let output = costate(arguments);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
+        assert!(errors.contains(reason), "{arguments:?}: {errors}");
+    }
+    // The series of a result file's own scene; beside the file where nothing else is asked for.
+    done(costate(&["export", file, "--local", "--degree", "2"]));
+    let text = std::fs::read_to_string(directory.join("points_local.h")).unwrap();
+    assert!(text.contains("Taylor series of degree 3"));
+}
