@@ -8,11 +8,12 @@
 mod build;
 mod fit;
 mod frame;
+mod least_squares;
 mod terms;
 
 pub use build::{Before, Cloud, Want, build};
 pub use fit::Shape;
-pub use frame::Frame;
+pub use frame::{Bend, Frame, Steep};
 pub use terms::{MOST_VARIABLES, Terms};
 
 use crate::value::Groups;
@@ -422,8 +423,8 @@ impl Pieces {
             q[i] = first.q[i] + (q[i] - blend * slope[i]) / total;
         }
         let (mut p, mut bound) = (vec![0.0; n], vec![0.0; n]);
-        self.frame.gradient(&q[..n], &mut p);
-        self.frame.gradient_bound(&p_bound[..n], &mut bound);
+        self.frame.gradient(z, &q[..n], &mut p);
+        self.frame.gradient_bound(z, &p_bound[..n], &mut bound);
         Said {
             v: first.v + blend,
             p,
