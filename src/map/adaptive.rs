@@ -1,7 +1,7 @@
 //! A map to the error asked for: states are chosen, solved, and their extremals cut into points, until pieces fitted to these
 //! say what points that were left out say, and what fresh states say that were never used.
 
-use super::pieces::{Before, Cloud, Frame, MOST_VARIABLES, Pieces, Region, Want, build};
+use super::pieces::{Before, Cloud, Frame, MOST_VARIABLES, Pieces, Region, Steep, Want, build};
 use crate::backend::BackendError;
 use crate::model::{MapAim, Model};
 use crate::shooting::{Path, Solver};
@@ -10,7 +10,6 @@ use crate::value::{
     self, Answers, Archive, Entry, PointStatus, Progress, Request, Track, TrackPoints, Wish, path_from, solve_near,
     track_points,
 };
-use nalgebra::{DMatrix, DVector};
 use std::collections::HashMap;
 use std::time::Instant;
 
@@ -25,8 +24,10 @@ const FIRST: [usize; 7] = [0, 64, 256, 256, 256, 384, 512];
 const A_CELL: f64 = 3.0;
 const MORE: f64 = 0.4;
 const MOST_A_CELL: f64 = 48.0;
+/// Share of a round's states for the worst cells.
+const WORST_FIRST: f64 = 0.0;
 /// A round solves for at most this many times the states solved before.
-const GROWTH: f64 = 2.0;
+const GROWTH: f64 = 1.0;
 /// Shortest step of the way from a point of an extremal to a state near it.
 const LEAST_STEP: f64 = 1.0 / 8.0;
 /// The same where there are few points yet.
@@ -39,11 +40,8 @@ const MOST_FAILURES: u32 = 6;
 const CHECKS: usize = 4;
 /// Share of fresh states whose error may be above the bound.
 const ABOVE_BOUND: f64 = 0.01;
-/// V changes by more than this many times itself over the region where a turned frame may be worth while; share of one
-/// direction; an axis that is nearer to it than this is good enough.
-const STEEPEST: f64 = 10.0;
-const ONE_WAY: f64 = 0.7;
-const OBLIQUE: f64 = 0.95;
+/// Slopes across that are this much less make another frame worth while.
+const BETTER: f64 = 0.7;
 /// States solved after which the frame stays.
 const SETTLED: usize = 3000;
 /// How far beyond their outermost points pieces say something, in half widths: behind a fold of a game there is nothing.
@@ -119,8 +117,6 @@ struct Work<'a, 'p> {
     clock: Instant,
     /// Seconds a state of the last round, its pieces included.
     pace: f64,
-    /// Whether several sheets lie over some states.
-    several: bool,
 }
 
 /// Makes a map. `archive` gives the first guesses.
@@ -146,7 +142,6 @@ pub fn adaptive(
         game: plan.game,
     };
     let mut work = Work {
-        several: false,
         plan,
         model,
         solver,
@@ -359,7 +354,7 @@ impl Work<'_, '_> {
         let mut values = vec![f64::NAN; answers.targets.len()];
         let mut tracks = Vec::new();
         for target in 0..answers.targets.len() {
-            self.several |= answers.of(target).len() > 1;
+            self.cloud.several |= answers.of(target).len() > 1;
             let answer = answers.answer(target).filter(|a| a.value <= self.most_value());
             let Some(answer) = answer else {
                 self.failed += 1;
@@ -389,7 +384,7 @@ impl Work<'_, '_> {
     /// Whether extremals are followed backward beyond the states they were solved for: where sheets lie over each other what
     /// comes before an answer need not be one.
     fn goes_beyond(&self) -> bool {
-        !self.plan.game && self.plan.local.is_some() && !self.several
+        !self.plan.game && self.plan.local.is_some() && !self.cloud.several
     }
 
     /// Adds tracks and their points.
@@ -437,7 +432,8 @@ impl Work<'_, '_> {
                 self.cloud.z.resize(at + n, 0.0);
                 self.cloud.q.resize(at + n, 0.0);
                 self.frame.of(&x, &mut self.cloud.z[at..]);
-                self.frame.gradient_of(&node[n..], &mut self.cloud.q[at..]);
+                self.frame
+                    .gradient_of(&self.cloud.z[at..], &node[n..], &mut self.cloud.q[at..]);
                 self.cloud.v.push(found.v[k]);
                 self.cloud.track.push(track);
                 self.cloud.sheet.push(self.tracks[track as usize].sheet);
@@ -487,7 +483,19 @@ impl Work<'_, '_> {
                 pieces,
                 points: *points,
             });
+            let t0 = Instant::now();
             let (pieces, wants) = build(&self.cloud, region, &self.frame, old);
+            eprintln!("DBG round {}: {} states {} failed {} points {} cells {} wants ({} in error) {:.1} s, built {:.1}; frame {:?}", self.rounds, self.states, self.failed, self.cloud.len(), pieces.cells.len(), wants.len(), wants.iter().filter(|w| w.excess > 1.0).count(), self.clock.elapsed().as_secs_f64(), t0.elapsed().as_secs_f64(), (self.frame.bend.is_some(), &self.frame.matrix[..4]));
+            {
+                let mut h = [0usize; 6]; let mut pts=[0usize;6]; let mut capped=[0usize;6]; let mut given=[0usize;6];
+                for w in wants.iter().filter(|w| w.excess > 1.0) {
+                    let k = if w.excess.is_infinite() { 5 } else { (w.excess.log10() * 2.0).min(4.0) as usize };
+                    h[k] += 1; pts[k] += w.points.len();
+                    if self.failures.get(&key(w)).is_some_and(|f| *f >= MOST_FAILURES) { capped[k] += 1; }
+                    given[k] += usize::from((0..2).all(|_| self.inside(w, region).is_none()));
+                }
+                eprintln!("DBG  excess 1-3, 3-10, 10-30, 30-100, >100, inf: {h:?}, points a cell {:?}, capped {capped:?}, outside {given:?}", std::array::from_fn::<usize,6,_>(|k| pts[k] / h[k].max(1)));
+            }
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
                 .collect();
@@ -512,49 +520,56 @@ impl Work<'_, '_> {
 
     /// Turns the frame to where V is steep, relative to itself, if that is in one direction; whether it was turned.
     fn turn(&mut self, region: &Region) -> bool {
-        let n = self.cloud.variables;
-        let reference = &self.plan.system.reference;
-        let mut moments = DMatrix::<f64>::zeros(n, n);
-        let mut count = 0.0;
-        for k in 0..self.points.len() {
-            let node = self.points.node(k);
-            let inside = (0..n).all(|i| {
-                let x = node[i] + reference[i];
-                x >= region.lo[i] && x <= region.hi[i]
-            });
-            if inside {
-                let size = self.points.v[k].abs().max(region.floor);
-                let g = DVector::from_iterator(n, (0..n).map(|i| node[n + i] * region.width(i) / size));
-                moments += &g * g.transpose();
-                count += 1.0;
-            }
-        }
-        let eigen = (moments / f64::max(count, 1.0)).symmetric_eigen();
-        let first = eigen.eigenvalues.imax();
-        let (most, all) = (eigen.eigenvalues[first], eigen.eigenvalues.sum());
-        let direction: Vec<f64> = eigen.eigenvectors.column(first).iter().copied().collect();
-        let nearest = direction.iter().fold(0.0f64, |a, d| a.max(d.abs()));
-        let worth = n > 2 && most > STEEPEST * STEEPEST && most > ONE_WAY * all && nearest < OBLIQUE;
-        let frame = if worth {
-            Frame::steep(region, &direction)
-        } else {
-            Frame::along(region)
+        let places = self.steep_places(region);
+        let Some(frame) = Frame::fitted(region, &places) else {
+            return false;
         };
-        let angle: f64 = (0..n * n)
-            .map(|k| (frame.matrix[k] - self.frame.matrix[k]).powi(2))
-            .sum();
-        let size: f64 = frame.matrix.iter().map(|m| m * m).sum();
-        if angle <= 0.03 * size {
+        if frame.across(region, &places) > BETTER * self.frame.across(region, &places) {
             return false;
         }
         self.frame = frame;
+        let n = self.cloud.variables;
+        let reference = &self.plan.system.reference;
         for (k, (point, shift)) in self.origins.iter().enumerate() {
             let node = self.points.node(*point as usize);
             let x: Vec<f64> = (0..n).map(|i| node[i] + shift[i] + reference[i]).collect();
-            self.frame.of(&x, &mut self.cloud.z[k * n..][..n]);
-            self.frame.gradient_of(&node[n..], &mut self.cloud.q[k * n..][..n]);
+            let z = &mut self.cloud.z[k * n..][..n];
+            self.frame.of(&x, z);
+            self.frame.gradient_of(z, &node[n..], &mut self.cloud.q[k * n..][..n]);
         }
         true
+    }
+
+    /// Points in the region with V's slopes relative to itself; all parts of the region weigh the same.
+    fn steep_places(&self, region: &Region) -> Vec<Steep> {
+        let n = self.cloud.variables;
+        let reference = &self.plan.system.reference;
+        let a_side = if n <= 4 { 8.0 } else { 4.0 };
+        let mut counts: HashMap<Vec<u8>, f64> = HashMap::new();
+        let mut places = Vec::new();
+        let mut boxes = Vec::new();
+        for k in 0..self.points.len() {
+            let node = self.points.node(k);
+            let t: Vec<f64> = (0..n)
+                .map(|i| (node[i] + reference[i] - region.lo[i]) / region.width(i))
+                .collect();
+            if !t.iter().all(|t| (0.0..=1.0).contains(t)) {
+                continue;
+            }
+            let part: Vec<u8> = t.iter().map(|t| (t * a_side) as u8).collect();
+            *counts.entry(part.clone()).or_default() += 1.0;
+            boxes.push(part);
+            let size = self.points.v[k].abs().max(region.floor);
+            places.push(Steep {
+                slope: (0..n).map(|i| node[n + i] * region.width(i) / size).collect(),
+                t,
+                weight: 0.0,
+            });
+        }
+        for (place, part) in places.iter_mut().zip(&boxes) {
+            place.weight = 1.0 / (counts[part] * counts.len() as f64);
+        }
+        places
     }
 
     /// Solves for states in cells that want some; false where there is nothing to start from.
@@ -566,11 +581,11 @@ impl Work<'_, '_> {
         let budget = left.min((GROWTH * self.states as f64) as usize).min(in_time).max(1);
         wants.sort_by(|a, b| b.excess.total_cmp(&a.excess));
         let mut errands = Vec::new();
-        // Half of the states go to the worst cells first, as many as each will need; the others to all in turn.
+        // Most of the states go to the worst cells first, as many as each will need; the others to all in turn.
         let quota = |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE)).min(MOST_A_CELL) as usize;
         let mut given = vec![0; wants.len()];
         for (want, given) in wants.iter().zip(&mut given) {
-            if errands.len() >= budget / 2 || want.excess <= 1.0 {
+            if errands.len() as f64 >= WORST_FIRST * budget as f64 || want.excess <= 1.0 {
                 break;
             }
             for turn in 0..quota(want) {
@@ -592,7 +607,7 @@ impl Work<'_, '_> {
             return Ok(false);
         }
         // Where sheets lie over each other a way from a point near tells nothing of the others.
-        if self.several {
+        if self.cloud.several {
             let mut states = Vec::new();
             let mut widest = 0.0f64;
             for errand in &errands {
@@ -654,8 +669,12 @@ impl Work<'_, '_> {
     fn may_cross(&self, lowest: (&Path, f64), other: (&Path, f64), half: &[f64]) -> bool {
         let n = half.len();
         let mut q = [[0.0; MOST_VARIABLES]; 2];
-        self.frame.gradient_of(lowest.0.adjoint(), &mut q[0][..n]);
-        self.frame.gradient_of(other.0.adjoint(), &mut q[1][..n]);
+        let reference = &self.plan.system.reference;
+        let x: Vec<f64> = lowest.0.node(0).iter().zip(reference).map(|(s, r)| s + r).collect();
+        let mut z = [0.0; MOST_VARIABLES];
+        self.frame.of(&x, &mut z[..n]);
+        self.frame.gradient_of(&z[..n], lowest.0.adjoint(), &mut q[0][..n]);
+        self.frame.gradient_of(&z[..n], other.0.adjoint(), &mut q[1][..n]);
         let change: f64 = (0..n).map(|i| (q[1][i] - q[0][i]).abs() * half[i]).sum();
         other.1 - lowest.1 <= change
     }
@@ -669,7 +688,10 @@ impl Work<'_, '_> {
         } else if want.excess > 1.0 {
             match self.inside(want, region) {
                 Some(z) => z,
-                None => return,
+                None => {
+                    *self.failures.entry(key(want)).or_default() += 1;
+                    return;
+                }
             }
         } else {
             return;

@@ -3,7 +3,7 @@
 use super::answers::{Names, status};
 use super::{Dimension, Group, OutputError, ResultFile, Stored, StoredError, TrajectorySchema, Variable};
 use crate::map::Adaptive;
-use crate::map::pieces::{Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
+use crate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
 
 const PIECES: &str = "map_pieces";
 const CHECK: &str = "map_check";
@@ -119,7 +119,27 @@ impl ResultFile {
             .variable(Variable::f64("coefficients", ["coefficient"]).long_name(
                 "of monomials by rising total degree, those of a degree in lexicographic order of their factors",
             ));
+        let group = match &pieces.frame.bend {
+            Some(bend) => group
+                .dimension(Dimension::index("monomial", bend.phi.len()))
+                .dimension(Dimension::index("end", 2))
+                .variable(Variable::i32("bend_axis", []).long_name("coordinate that is sheared"))
+                .variable(
+                    Variable::f64("bend_range", ["end"])
+                        .long_name("what the sheared coordinate plus the polynomial is where the coordinate is 0 and 1"),
+                )
+                .variable(
+                    Variable::f64("bend", ["monomial"])
+                        .long_name("polynomial of the other coordinates, monomials in the order of the coefficients"),
+                ),
+            None => group,
+        };
         let mut writer = self.group(&group)?;
+        if let Some(bend) = &pieces.frame.bend {
+            writer.write("bend_axis", &[bend.axis as i32])?;
+            writer.write("bend_range", &[bend.lowest, bend.lowest + bend.width])?;
+            writer.write("bend", &bend.phi)?;
+        }
         writer.write("error", &[region.error])?;
         writer.write("floor", &[region.floor])?;
         writer.write("value_max", &[region.value_max])?;
@@ -219,7 +239,17 @@ impl Stored {
             beyond: 0.0,
             game: false,
         };
-        let frame = Frame::new(group.shaped("origin", &[n])?, group.shaped("frame", &[n, n])?)
+        let bend = match group.has("bend") {
+            true => {
+                let place = group.shaped("bend_range", &[2])?;
+                let axis = usize::try_from(group.i32("bend_axis")?.1.first().copied().unwrap_or(-1)).ok();
+                let phi = group.f64("bend")?.values;
+                let bend = axis.and_then(|axis| Bend::new(n, axis, place[0], place[1] - place[0], phi));
+                Some(bend.ok_or_else(|| group.error("bend", "it does not fit the others"))?)
+            }
+            false => None,
+        };
+        let frame = Frame::new(group.shaped("origin", &[n])?, group.shaped("frame", &[n, n])?, bend)
             .ok_or_else(|| group.error("frame", "it has no inverse"))?;
         let (axis, below, above) = (group.i32("axis")?.1, group.i32("below")?.1, group.i32("above")?.1);
         let split = group.shaped("split", &[axis.len()])?;

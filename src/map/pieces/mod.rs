@@ -12,12 +12,13 @@ mod flat;
 mod flat_tests;
 mod frame;
 mod jets;
+mod least_squares;
 mod terms;
 
 pub use build::{Before, Cloud, Want, build};
 pub use fit::Shape;
 pub use flat::{Desk, Flat, Here, LANES};
-pub use frame::Frame;
+pub use frame::{Bend, Frame, Steep};
 pub(crate) use jets::{Jet, Sum, Tables};
 pub use terms::{MOST_DEGREE, MOST_VARIABLES, Terms};
 
@@ -428,8 +429,8 @@ impl Pieces {
             q[i] = first.q[i] + (q[i] - blend * slope[i]) / total;
         }
         let (mut p, mut bound) = (vec![0.0; n], vec![0.0; n]);
-        self.frame.gradient(&q[..n], &mut p);
-        self.frame.gradient_bound(&p_bound[..n], &mut bound);
+        self.frame.gradient(z, &q[..n], &mut p);
+        self.frame.gradient_bound(z, &p_bound[..n], &mut bound);
         Said {
             v: first.v + blend,
             p,
