@@ -4,7 +4,7 @@ use costate::feedback::{Known, value_header};
 use costate::hamiltonian::{Hamiltonian, System};
 use costate::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
 use costate::map::ValueMap;
-use costate::map::pieces::{Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
+use costate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
 use costate::model::{Model, SeedValue};
 use costate::output::Stored;
 use costate::sweep::random;
@@ -327,7 +327,11 @@ fn made_up(region: Region) -> Pieces {
         }
     };
     let pieces = kinds.into_iter().enumerate().map(piece).collect();
-    let frame = Frame::steep(&region, &[0.5, -0.6, 0.3]);
+    let phi = (0..Bend::count(3)).map(|k| 0.2 * (1.3 * k as f64).sin()).collect();
+    let frame = Frame {
+        bend: Bend::new(3, 1, -0.7, 2.4, phi),
+        ..Frame::steep(&region, &[0.5, -0.6, 0.3])
+    };
     Pieces::new(region, frame, nodes, cells.clone(), pieces).unwrap()
 }
 

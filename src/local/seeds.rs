@@ -208,7 +208,7 @@ impl LocalSolution {
     }
 
     /// Powers of `z` ([`Self::coordinates`] times s) with their coefficients in V.
-    pub fn polynomial(&self) -> impl Iterator<Item = (&[u8], f64)> {
+    pub fn terms(&self) -> impl Iterator<Item = (&[u8], f64)> {
         let kept = self.basis.start[self.degree + 1];
         (self.basis.exponents[..kept].iter().zip(&self.value)).map(|(powers, c)| (powers.as_slice(), *c))
     }

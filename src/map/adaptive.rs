@@ -24,8 +24,6 @@ const FIRST: [usize; 7] = [0, 64, 256, 256, 256, 384, 512];
 const A_CELL: f64 = 3.0;
 const MORE: f64 = 0.4;
 const MOST_A_CELL: f64 = 48.0;
-/// Share of a round's states for the worst cells.
-const WORST_FIRST: f64 = 0.0;
 /// A round solves for at most this many times the states solved before.
 const GROWTH: f64 = 1.0;
 /// Shortest step of the way from a point of an extremal to a state near it.
@@ -483,19 +481,7 @@ impl Work<'_, '_> {
                 pieces,
                 points: *points,
             });
-            let t0 = Instant::now();
             let (pieces, wants) = build(&self.cloud, region, &self.frame, old);
-            eprintln!("DBG round {}: {} states {} failed {} points {} cells {} wants ({} in error) {:.1} s, built {:.1}; frame {:?}", self.rounds, self.states, self.failed, self.cloud.len(), pieces.cells.len(), wants.len(), wants.iter().filter(|w| w.excess > 1.0).count(), self.clock.elapsed().as_secs_f64(), t0.elapsed().as_secs_f64(), (self.frame.bend.is_some(), &self.frame.matrix[..4]));
-            {
-                let mut h = [0usize; 6]; let mut pts=[0usize;6]; let mut capped=[0usize;6]; let mut given=[0usize;6];
-                for w in wants.iter().filter(|w| w.excess > 1.0) {
-                    let k = if w.excess.is_infinite() { 5 } else { (w.excess.log10() * 2.0).min(4.0) as usize };
-                    h[k] += 1; pts[k] += w.points.len();
-                    if self.failures.get(&key(w)).is_some_and(|f| *f >= MOST_FAILURES) { capped[k] += 1; }
-                    given[k] += usize::from((0..2).all(|_| self.inside(w, region).is_none()));
-                }
-                eprintln!("DBG  excess 1-3, 3-10, 10-30, 30-100, >100, inf: {h:?}, points a cell {:?}, capped {capped:?}, outside {given:?}", std::array::from_fn::<usize,6,_>(|k| pts[k] / h[k].max(1)));
-            }
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
                 .collect();
@@ -581,26 +567,14 @@ impl Work<'_, '_> {
         let budget = left.min((GROWTH * self.states as f64) as usize).min(in_time).max(1);
         wants.sort_by(|a, b| b.excess.total_cmp(&a.excess));
         let mut errands = Vec::new();
-        // Most of the states go to the worst cells first, as many as each will need; the others to all in turn.
+        // One for each in turn, the worst first: many in few cells at once would halve these where their points lie alone.
         let quota = |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE)).min(MOST_A_CELL) as usize;
-        let mut given = vec![0; wants.len()];
-        for (want, given) in wants.iter().zip(&mut given) {
-            if errands.len() as f64 >= WORST_FIRST * budget as f64 || want.excess <= 1.0 {
-                break;
-            }
-            for turn in 0..quota(want) {
-                self.errand(want, turn, region, &mut errands);
-            }
-            *given = quota(want);
-        }
         for turn in 0..MOST_A_CELL as usize {
-            for (want, given) in wants.iter().zip(&given) {
+            for want in wants.iter().filter(|w| turn < quota(w)) {
                 if errands.len() >= budget {
                     break;
                 }
-                if (*given..quota(want)).contains(&turn) {
-                    self.errand(want, turn, region, &mut errands);
-                }
+                self.errand(want, turn, region, &mut errands);
             }
         }
         if errands.is_empty() {

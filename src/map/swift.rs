@@ -194,7 +194,7 @@ impl<T: Real> Around<T> {
         }
         let terms = Terms::new(n, degree);
         let tables = Tables::new(&terms);
-        let by_powers: BTreeMap<&[u8], f64> = local.polynomial().collect();
+        let by_powers: BTreeMap<&[u8], f64> = local.terms().collect();
         let matrix = local.coordinates();
         Some(Self {
             degree,

@@ -114,7 +114,7 @@ static inline void NAME_blend(const REAL *t, int own, int piece, int alone, REAL
 /* V and p from the pieces at x, moved by whole periods; s is that x less the reference. 0 where nothing is known. */
 static inline int NAME_chart(const REAL *x, REAL *V, REAL *p, REAL *s)
 {
-    REAL at[NAME_states], t[NAME_states], q[NAME_states], value[NAME_sheets];
+    REAL at[NAME_states], t[NAME_states], q[NAME_states], slope[NAME_states], value[NAME_sheets];
     int which[NAME_sheets], count = 0, node = 0, cell, i, j, k;
     for (i = 0; i < NAME_states; i++) {
         at[i] = NAME_turned(i, x[i]);
@@ -122,9 +122,10 @@ static inline int NAME_chart(const REAL *x, REAL *V, REAL *p, REAL *s)
         s[i] = at[i] - NAME_reference[i];
     }
     for (i = 0; i < NAME_states; i++) {
-        t[i] = 0;
+        t[i] = slope[i] = 0;
         for (j = 0; j < NAME_states; j++) t[i] += NAME_frame[i][j] * (at[j] - NAME_origin[j]);
     }
+    NAME_shear(t, slope);
     while (NAME_axis[node] < NAME_states)
         node = (int)(t[NAME_axis[node]] < NAME_split[node] ? NAME_below[node] : NAME_above[node]);
     cell = (int)NAME_below[node];
@@ -142,6 +143,7 @@ static inline int NAME_chart(const REAL *x, REAL *V, REAL *p, REAL *s)
     for (k = 0; k < count; k++) {
         NAME_piece(which[k], t, V, q);
         NAME_blend(t, cell, which[k], count == 1 && NAME_pieces[cell + 1] - NAME_pieces[cell] == 1, V, q);
+        NAME_straighten(slope, q);
         for (j = 0; j < NAME_states; j++) {
             p[j] = 0;
             for (i = 0; i < NAME_states; i++) p[j] += NAME_frame[i][j] * q[i];

@@ -60,7 +60,8 @@ impl<'k> Known<'k> {
     fn terms(self) -> usize {
         let pieces = self.pieces().into_iter().flat_map(|p| &p.pieces);
         let local = self.local().map_or(1, |l| l.coefficients.len());
-        pieces.map(|p| p.coefficients.len()).fold(local, usize::max)
+        let shear = self.pieces().map(|p| p.frame.bend.as_ref().map_or(1, |bend| bend.whole(&p.terms).len()));
+        pieces.map(|p| p.coefficients.len()).fold(local.max(shear.unwrap_or(1)), usize::max)
     }
 }
 
@@ -161,6 +162,7 @@ impl Writer<'_> {
         text += "/* Coordinates t = frame (x - origin). */\n";
         text += &c.list("origin", &pieces.frame.origin);
         text += &c.table("frame", &pieces.frame.matrix, n);
+        text += &self.shear(pieces);
         text += &format!(
             "/* Tree: axis along which a node is split ({n}: it is a cell, whose number is in `below`), and where; how far the\n   \
              cells above and below reach. */\n"
@@ -205,6 +207,31 @@ impl Writer<'_> {
         let ends = pieces.cells.iter().map(|cell| cell.pieces.end);
         text += &c.integers("pieces", [0].into_iter().chain(ends).collect::<Vec<_>>().into_iter());
         text + &self.polynomials(pieces)
+    }
+
+    /// The shear of the coordinates, and derivatives through it.
+    fn shear(&self, pieces: &Pieces) -> String {
+        let (c, Syntax { name, real, .. }) = (&self.c, &self.c);
+        let Some(bend) = &pieces.frame.bend else {
+            return format!(
+                "static inline void {name}_shear({real} *t, {real} *slope) {{ (void)t; (void)slope; }}\n\
+                 static inline void {name}_straighten(const {real} *slope, {real} *q) {{ (void)slope; (void)q; }}\n"
+            );
+        };
+        let (axis, whole) = (bend.axis, bend.whole(&pieces.terms));
+        let mut text = format!("/* But t[{axis}] plus this polynomial of the others, from `lowest` on, in `width`s. */\n");
+        text += &c.number("lowest", bend.lowest);
+        text += &c.number("width", bend.width);
+        text += &c.list("phi", &whole);
+        text + &format!(
+            "static inline {real} {name}_sum(const {real} *c, int count, const {real} *y, {real} *slope);\n\
+             static inline void {name}_shear({real} *t, {real} *slope)\n{{\n    \
+             t[{axis}] = (t[{axis}] + {name}_sum({name}_phi, {count}, t, slope) - {name}_lowest) / {name}_width;\n}}\n\
+             static inline void {name}_straighten(const {real} *slope, {real} *q)\n{{\n    int i;\n    \
+             q[{axis}] /= {name}_width;\n    \
+             for (i = 0; i < {name}_states; i++)\n        if (i != {axis}) q[i] += q[{axis}] * slope[i];\n}}\n",
+            count = whole.len()
+        )
     }
 
     fn polynomials(&self, pieces: &Pieces) -> String {

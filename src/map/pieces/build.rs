@@ -43,6 +43,10 @@ const DEGREES: usize = 3;
 /// Degree that tells along which axis a block is best halved, and the most that one error counts.
 const LOW: usize = 2;
 const WORST: f64 = 1e6;
+/// No bound is below this share of the error asked for: so few points do not tell.
+const LEAST_BOUND: f64 = 0.05;
+/// Share of new points at which a cell in error is fitted again.
+const WORTH_WHILE: f64 = 0.2;
 /// Longest cells, in their own widths.
 const SLIVER: f64 = 256.0;
 /// Points a group of a sheet needs.
@@ -303,7 +307,9 @@ impl Builder<'_> {
     /// A cell made before, if it was good enough and new points do not say otherwise.
     fn kept(&self, block: &Block, before: &Before<'_>, cell: usize) -> Option<(Grown, Vec<Want>)> {
         let own = &before.pieces.pieces[before.pieces.cells[cell].pieces.clone()];
-        let untouched = block.points.iter().all(|k| (*k as usize) < before.points);
+        // A few points more make no better polynomial of one that is not good enough.
+        let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
+        let untouched = more == 0 || (!self.is_dense(block) && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= ENOUGH * self.region.error;
         if !untouched && (own.is_empty() || !own.iter().all(good)) {
             return None;
@@ -632,7 +638,7 @@ impl Builder<'_> {
             fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
         }
         let bound = if enough {
-            ALLOWANCE * fit.errors[0]
+            (ALLOWANCE * fit.errors[0]).max(LEAST_BOUND * self.region.error)
         } else {
             f64::INFINITY
         };

@@ -3,12 +3,14 @@
 //! A batch of states is looked up first, which gives a list of pieces with a place in each; their polynomials are summed in
 //! lanes, several pieces at once; then what they say is blended. What is said of a state does not depend on the others.
 
+mod bend;
 mod blend;
 
 use super::jets::{Jet, MOST_SECOND, Sum, Tables};
 use super::{Cell, MOST_VARIABLES, Node, Pieces, Shape};
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
+use bend::Shear;
 use blend::{Share, Told};
 
 /// Polynomials summed at once: two vectors of f64 on AVX2.
@@ -54,6 +56,7 @@ pub struct Flat<T> {
     origin: Vec<T>,
     /// `[coordinate][state]`.
     matrix: Vec<T>,
+    shear: Option<Shear<T>>,
     directions: Vec<T>,
     nodes: Vec<Branch<T>>,
     /// `[cell][center, half][coordinate]`.
@@ -112,8 +115,9 @@ pub struct Desk<T> {
     tasks: Vec<Task<T>>,
     told: Vec<Told<T>>,
     shares: Vec<Share<T>>,
-    /// Of each state of a batch its first share.
+    /// Of each state of a batch its first share, and its coordinates.
     first: Vec<u32>,
+    places: Vec<[T; MOST_VARIABLES]>,
     stack: Vec<(u32, bool)>,
     coefficients: Vec<Lanes<T, LANES>>,
     monomials: Vec<Lanes<T, LANES>>,
@@ -126,6 +130,7 @@ impl<T: Real> Desk<T> {
             told: Vec::new(),
             shares: Vec::new(),
             first: Vec::new(),
+            places: Vec::new(),
             stack: Vec::new(),
             coefficients: Vec::new(),
             monomials: Vec::new(),
@@ -154,6 +159,7 @@ impl<T: Real> Flat<T> {
             value_max: T::of(pieces.region.value_max),
             origin: shifted(&pieces.frame.origin),
             matrix: all(&pieces.frame.matrix),
+            shear: pieces.frame.bend.as_ref().map(|bend| Shear::new(bend, n)),
             directions: all(&pieces.directions.concat()),
             nodes: Vec::with_capacity(pieces.nodes.len()),
             cells: Vec::with_capacity(pieces.cells.len() * 2 * n),
@@ -247,8 +253,10 @@ impl<T: Real> Flat<T> {
             desk.tasks.clear();
             desk.shares.clear();
             desk.first.clear();
+            desk.places.clear();
             for x in x.chunks_exact(n) {
                 desk.first.push(desk.shares.len() as u32);
+                desk.places.push([T::of(0.0); MOST_VARIABLES]);
                 if self.covers(x) {
                     self.look_up(x, desk);
                 }
@@ -257,7 +265,7 @@ impl<T: Real> Flat<T> {
             self.sum::<FMA>(second, desk);
             for k in 0..x.len() / n {
                 let shares = &desk.shares[desk.first[k] as usize..desk.first[k + 1] as usize];
-                let known = self.blend(shares, &desk.told, second, &mut here);
+                let known = self.blend(&desk.places[k], shares, &desk.told, second, &mut here);
                 tell(batch * BATCH + k, known.then_some(&here));
             }
         }
@@ -272,6 +280,12 @@ impl<T: Real> Flat<T> {
             for j in 0..n {
                 *z = *z + row[j] * (x[j] - self.origin[j]);
             }
+        }
+        if let Some(shear) = &self.shear {
+            shear.bend(&mut z);
+        }
+        if let Some(place) = desk.places.last_mut() {
+            *place = z;
         }
         desk.stack.clear();
         desk.stack.push((0, true));

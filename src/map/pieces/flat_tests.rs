@@ -1,7 +1,7 @@
 //! Flat arrays against [`Pieces::at`].
 
 use super::terms::Terms;
-use super::{Cell, Desk, Flat, Frame, Here, Node, Piece, Pieces, Region, Shape, highest_degree};
+use super::{Bend, Cell, Desk, Flat, Frame, Here, Node, Piece, Pieces, Region, Shape, highest_degree};
 
 /// A number in [0, 1) from a counter (splitmix64).
 struct Random(u64);
@@ -30,7 +30,10 @@ fn some_pieces(n: usize, turned: bool, random: &mut Random) -> Pieces {
     };
     let direction: Vec<f64> = (0..n).map(|i| 1.0 - 0.4 * i as f64).collect();
     let frame = if turned {
-        Frame::steep(&region, &direction)
+        let straight = Frame::steep(&region, &direction);
+        let phi = (0..Bend::count(n)).map(|k| 0.3 * (1.7 * k as f64).sin()).collect();
+        let bend = (n > 1).then(|| Bend::new(n, n / 2, -1.0, 3.0, phi).unwrap());
+        Frame { bend, ..straight }
     } else {
         Frame::along(&region)
     };

@@ -92,6 +92,23 @@ impl Bend {
         Self::new(n, axis, 0.0, 1.0, phi)
     }
 
+    /// Monomials of phi: of each the earlier one and which of the other coordinates it is the product of.
+    pub fn factors(&self) -> &[(u16, u8)] {
+        &self.terms.factors
+    }
+
+    /// phi as a polynomial of all coordinates, by the monomials of `all`.
+    pub fn whole(&self, all: &Terms) -> Vec<f64> {
+        let mut whole = vec![0.0; all.upto[BEND_DEGREE]];
+        for (c, powers) in self.phi.iter().zip(self.terms.powers.chunks(all.variables - 1)) {
+            let mut wanted = powers.to_vec();
+            wanted.insert(self.axis, 0);
+            let term = (0..whole.len()).find(|t| all.powers_of(*t) == wanted);
+            whole[term.expect("all monomials up to the degree are there")] = *c;
+        }
+        whole
+    }
+
     /// phi and its gradient by all coordinates.
     fn phi(&self, t: &[f64], gradient: &mut [f64]) -> f64 {
         let mut along = [0.0; MOST_VARIABLES];

@@ -70,7 +70,14 @@ impl<T: Real> Flat<T> {
 
     /// The lowest sheet's blend; false where nothing is known.
     #[inline(always)]
-    pub(super) fn blend(&self, shares: &[Share<T>], told: &[Told<T>], second: bool, here: &mut Here<T>) -> bool {
+    pub(super) fn blend(
+        &self,
+        z: &[T; MOST_VARIABLES],
+        shares: &[Share<T>],
+        told: &[Told<T>],
+        second: bool,
+        here: &mut Here<T>,
+    ) -> bool {
         let n = self.states;
         let zero = T::of(0.0);
         let Some(own) = shares.iter().find(|s| s.own) else {
@@ -93,7 +100,7 @@ impl<T: Real> Flat<T> {
             here.pieces = 1;
             here.v = first.v;
             here.v_bound = first.v_bound;
-            self.to_states(&first.q, &first.h, &first.p_bound, second, here);
+            self.to_states(z, first.q, first.h, first.p_bound, second, here);
             return true;
         }
         // Around the first: the differences are small.
@@ -152,7 +159,7 @@ impl<T: Real> Flat<T> {
         }
         here.v = first.v + blend;
         here.v_bound = v_bound;
-        self.to_states(&q, &h, &p_bound, second, here);
+        self.to_states(z, q, h, p_bound, second, here);
         true
     }
 
@@ -160,14 +167,18 @@ impl<T: Real> Flat<T> {
     #[inline(always)]
     fn to_states(
         &self,
-        q: &[T; MOST_VARIABLES],
-        h: &[T; MOST_SECOND],
-        p_bound: &[T; MOST_VARIABLES],
+        z: &[T; MOST_VARIABLES],
+        mut q: [T; MOST_VARIABLES],
+        mut h: [T; MOST_SECOND],
+        mut p_bound: [T; MOST_VARIABLES],
         second: bool,
         here: &mut Here<T>,
     ) {
         let n = self.states;
         let zero = T::of(0.0);
+        if let Some(shear) = &self.shear {
+            shear.straighten(n, z, &mut q, &mut h, &mut p_bound, second);
+        }
         let m = |i: usize, j: usize| self.matrix[i * n + j];
         for j in 0..n {
             let (mut p, mut bound) = (zero, zero);
