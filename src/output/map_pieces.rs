@@ -125,8 +125,9 @@ impl ResultFile {
                 .dimension(Dimension::index("end", 2))
                 .variable(Variable::i32("bend_axis", []).long_name("coordinate that is sheared"))
                 .variable(
-                    Variable::f64("bend_range", ["end"])
-                        .long_name("what the sheared coordinate plus the polynomial is where the coordinate is 0 and 1"),
+                    Variable::f64("bend_range", ["end"]).long_name(
+                        "what the sheared coordinate plus the polynomial is where the coordinate is 0 and 1",
+                    ),
                 )
                 .variable(
                     Variable::f64("bend", ["monomial"])

@@ -60,8 +60,12 @@ impl<'k> Known<'k> {
     fn terms(self) -> usize {
         let pieces = self.pieces().into_iter().flat_map(|p| &p.pieces);
         let local = self.local().map_or(1, |l| l.coefficients.len());
-        let shear = self.pieces().map(|p| p.frame.bend.as_ref().map_or(1, |bend| bend.whole(&p.terms).len()));
-        pieces.map(|p| p.coefficients.len()).fold(local.max(shear.unwrap_or(1)), usize::max)
+        let shear = self
+            .pieces()
+            .map(|p| p.frame.bend.as_ref().map_or(1, |bend| bend.whole(&p.terms).len()));
+        pieces
+            .map(|p| p.coefficients.len())
+            .fold(local.max(shear.unwrap_or(1)), usize::max)
     }
 }
 
@@ -219,7 +223,8 @@ impl Writer<'_> {
             );
         };
         let (axis, whole) = (bend.axis, bend.whole(&pieces.terms));
-        let mut text = format!("/* But t[{axis}] plus this polynomial of the others, from `lowest` on, in `width`s. */\n");
+        let mut text =
+            format!("/* But t[{axis}] plus this polynomial of the others, from `lowest` on, in `width`s. */\n");
         text += &c.number("lowest", bend.lowest);
         text += &c.number("width", bend.width);
         text += &c.list("phi", &whole);

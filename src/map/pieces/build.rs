@@ -26,6 +26,8 @@ fn most_equations(variables: usize) -> f64 {
 /// Points beside those fitted to that test a fit, at most; points in a piece that tell its error.
 const MOST_TESTS: usize = 150;
 const LEAST_TESTS: usize = 10;
+/// One of this many tracks of a plane is left out at once.
+const LEFT_OUT: u32 = 4;
 /// Where a low degree errs by so many times what is asked, no high degree is tried before the block is halved.
 const HOPELESS: f64 = 1000.0;
 /// Of several functions of V those are tried whose errors at a low degree are within this factor of the least.
@@ -47,6 +49,8 @@ const WORST: f64 = 1e6;
 const LEAST_BOUND: f64 = 0.05;
 /// Share of new points at which a cell in error is fitted again.
 const WORTH_WHILE: f64 = 0.2;
+/// The bound of a piece without points on one side is so many times larger.
+const AT_EDGES: f64 = 2.0;
 /// Longest cells, in their own widths.
 const SLIVER: f64 = 256.0;
 /// Points a group of a sheet needs.
@@ -286,7 +290,7 @@ impl Builder<'_> {
                 points.retain(|k| usual(&k));
             }
             for reach in WIDER {
-                if points.len() as f64 >= self.least() {
+                if n <= 2 || points.len() as f64 >= self.least() {
                     break;
                 }
                 points = within(reach);
@@ -309,7 +313,10 @@ impl Builder<'_> {
         let own = &before.pieces.pieces[before.pieces.cells[cell].pieces.clone()];
         // A few points more make no better polynomial of one that is not good enough.
         let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
-        let untouched = more == 0 || (!self.is_dense(block) && (more as f64) < WORTH_WHILE * block.points.len() as f64);
+        let untouched = more == 0
+            || (self.cloud.variables > 2
+                && !self.is_dense(block)
+                && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= ENOUGH * self.region.error;
         if !untouched && (own.is_empty() || !own.iter().all(good)) {
             return None;
@@ -370,8 +377,9 @@ impl Builder<'_> {
                 return (vec![(piece, block.points.clone())], excess);
             }
             for groups in self.groups(block) {
-                // Points of one sheet that were parted need no sorting.
-                if !self.cloud.several && !self.jumps(block, &groups) {
+                // Of many variables sorting is dear: where a half may yet tell, points of one sheet that were parted are not sorted.
+                let dear = self.cloud.variables > 2 && can_be_halved && !self.cloud.several;
+                if dear && !self.jumps(block, &groups) {
                     continue;
                 }
                 let groups = self.sorted_out(block, groups);
@@ -396,9 +404,6 @@ impl Builder<'_> {
 
     /// Ways to part a block's points by sheets: by their labels, and by their gradients.
     fn groups(&self, block: &Block) -> Vec<Vec<Vec<u32>>> {
-        if !self.cloud.several {
-            return self.parted(block).into_iter().collect();
-        }
         let mut labels: Vec<i32> = block.points.iter().map(|k| self.cloud.sheet[*k as usize]).collect();
         labels.sort_unstable();
         labels.dedup();
@@ -583,8 +588,8 @@ impl Builder<'_> {
             .collect();
         let enough = far.len() >= LEAST_TESTS;
         let near = match enough {
-            true => (*far.select_nth_unstable_by(LEAST_TESTS - 1, f64::total_cmp).1).max(1.0),
-            false => 1.0,
+            true if n > 2 => (*far.select_nth_unstable_by(LEAST_TESTS - 1, f64::total_cmp).1).max(1.0),
+            _ => 1.0,
         };
         let inside = |k: &u32| {
             let z = self.cloud.z(*k as usize);
@@ -614,7 +619,8 @@ impl Builder<'_> {
         let hopeless = can_be_halved && first > HOPELESS * self.region.error;
         let degree = if hopeless { low } else { highest };
         let mine = used(degree);
-        let enough = enough && mine.iter().filter(|k| inside(k)).count() >= LEAST_TESTS / 2;
+        let least = if n > 2 { LEAST_TESTS / 2 } else { LEAST_TESTS };
+        let enough = enough && mine.iter().filter(|k| inside(k)).count() >= least;
         let learned = self.data(&center, &half, &mine, degree);
         let mut best: Option<(Shape, Tested)> = None;
         let met = |e: f64| e * ALLOWANCE <= ENOUGH * self.region.error;
@@ -633,7 +639,9 @@ impl Builder<'_> {
         if !hopeless {
             let beside: Vec<u32> = thinned(points, MOST_TESTS).into_iter().filter(inside).collect();
             let degree = self.degree_of(&fit.coefficients);
-            let errors = self.data(&center, &half, &beside, degree).errors(shape, &fit.coefficients);
+            let errors = self
+                .data(&center, &half, &beside, degree)
+                .errors(shape, &fit.coefficients);
             let errors = largest(&errors);
             fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
         }
@@ -669,6 +677,9 @@ impl Builder<'_> {
         };
         if !self.places_without(block, points, 2, reach).is_empty() {
             piece.support = self.enclosed(&piece, points, beyond);
+            // Beyond the outermost of them nothing tells.
+            piece.bound *= AT_EDGES;
+            piece.p_bound *= AT_EDGES;
         }
         piece
     }
@@ -681,7 +692,11 @@ impl Builder<'_> {
         let mut before = (u32::MAX, 0);
         drawn.retain(|k| {
             let track = self.cloud.track[*k as usize];
-            before = if before.0 == track { (track, before.1 + 1) } else { (track, 0) };
+            before = if before.0 == track {
+                (track, before.1 + 1)
+            } else {
+                (track, 0)
+            };
             before.1 < allowed
         });
         if drawn.len() <= most {
@@ -710,7 +725,10 @@ impl Builder<'_> {
                 y[i] = (self.cloud.z(k)[i] - center[i]) / half[i];
                 q[i] = self.cloud.q(k)[i] * half[i];
             }
-            (self.cloud.v[k], self.cloud.track[k])
+            let track = self.cloud.track[k];
+            // In a plane tracks run side by side: one alone is not missed.
+            let group = if n <= 2 { mix(track) % LEFT_OUT } else { track };
+            (self.cloud.v[k], group)
         })
     }
 
@@ -735,7 +753,10 @@ impl Builder<'_> {
         // No slivers.
         let wide: Vec<usize> = (0..n).filter(|i| width(*i) * SLIVER > widest).collect();
         let errors: Vec<Option<f64>> = match pieces {
-            [(piece, points)] => wide.iter().map(|i| self.error_of_halves(block, piece, points, *i)).collect(),
+            [(piece, points)] => wide
+                .iter()
+                .map(|i| self.error_of_halves(block, piece, points, *i))
+                .collect(),
             _ => vec![None; wide.len()],
         };
         let best = |score: &dyn Fn(usize) -> f64| {
@@ -755,7 +776,8 @@ impl Builder<'_> {
         let at = 0.5 * (block.lo[axis] + block.hi[axis]);
         let most = (2.0 * self.most_equations * self.terms.upto[degree] as f64) as usize;
         let drawn = thinned(points, most);
-        let (below, above): (Vec<u32>, Vec<u32>) = (drawn.iter().copied()).partition(|k| self.cloud.z(*k as usize)[axis] < at);
+        let (below, above): (Vec<u32>, Vec<u32>) =
+            (drawn.iter().copied()).partition(|k| self.cloud.z(*k as usize)[axis] < at);
         let mut sum = 0.0;
         for half in [below, above] {
             if ((self.cloud.variables + 1) * half.len()) as f64 <= LEAST_EQUATIONS * self.terms.upto[degree] as f64 {

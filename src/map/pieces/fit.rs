@@ -3,12 +3,12 @@
 use super::least_squares::{Equations, Factors, left_out, stride};
 use super::terms::Terms;
 
-/// Equations of one group: of its other points none are used.
-const MOST_OF_GROUP: usize = 48;
-
-/// The most points of one group that may be given for so many variables.
+/// The most points of one group, by number of variables: of others no use is made of their being in it.
 pub fn most_of_group(variables: usize) -> usize {
-    MOST_OF_GROUP / (variables + 1)
+    match variables {
+        1 | 2 => 80,
+        _ => 48 / (variables + 1),
+    }
 }
 
 /// What is a polynomial: V itself, or a function of it that is smoother where V falls or rises steeply.
@@ -150,7 +150,10 @@ impl<'d> Data<'d> {
             }
         }
         let mut rows = self.rows[..count * self.stride].to_vec();
-        for part in rows.chunks_mut(self.stride).flat_map(|row| row[..(n + 1) * points].chunks_mut(points.max(1))) {
+        for part in rows
+            .chunks_mut(self.stride)
+            .flat_map(|row| row[..(n + 1) * points].chunks_mut(points.max(1)))
+        {
             part.iter_mut().zip(&weights).for_each(|(a, w)| *a *= w);
         }
         let equations = Equations {
@@ -172,13 +175,7 @@ impl<'d> Data<'d> {
 
     /// Polynomials of several degrees for a shape, from the highest that is determined on. Errors are those of the points that
     /// `counts` tells.
-    pub fn tested(
-        &self,
-        shape: Shape,
-        degree: usize,
-        degrees: usize,
-        counts: impl Fn(usize) -> bool,
-    ) -> Vec<Tested> {
+    pub fn tested(&self, shape: Shape, degree: usize, degrees: usize, counts: impl Fn(usize) -> bool) -> Vec<Tested> {
         if self.len() == 0 {
             return Vec::new();
         }
@@ -248,7 +245,12 @@ impl<'d> Data<'d> {
             return [f64::INFINITY; 2];
         }
         let mut worst = [0.0f64; 2];
-        for (at, k) in group.iter().map(|k| *k as usize).enumerate().filter(|(_, k)| counts(*k)) {
+        for (at, k) in group
+            .iter()
+            .map(|k| *k as usize)
+            .enumerate()
+            .filter(|(_, k)| counts(*k))
+        {
             let said = |block: usize| (right[block * points + k] - residual[block * group.len() + at]) / weights[k];
             let mut gradient = [0.0; super::MOST_VARIABLES];
             (0..n).for_each(|i| gradient[i] = said(1 + i));
@@ -358,7 +360,11 @@ mod tests {
                 }
                 for i in 0..2 {
                     assert!(worst[i] > 1e-3, "{worst:?}");
-                    assert!((found.errors[i] - worst[i]).abs() < 1e-6 * worst[i], "{:?} {worst:?}", found.errors);
+                    assert!(
+                        (found.errors[i] - worst[i]).abs() < 1e-6 * worst[i],
+                        "{:?} {worst:?}",
+                        found.errors
+                    );
                 }
             }
         }

@@ -31,8 +31,12 @@ fn some_pieces(n: usize, turned: bool, random: &mut Random) -> Pieces {
     let direction: Vec<f64> = (0..n).map(|i| 1.0 - 0.4 * i as f64).collect();
     let frame = if turned {
         let straight = Frame::steep(&region, &direction);
-        let phi = (0..Bend::count(n)).map(|k| 0.3 * (1.7 * k as f64).sin()).collect();
-        let bend = (n > 1).then(|| Bend::new(n, n / 2, -1.0, 3.0, phi).unwrap());
+        // Within -0.1 to 0.1, so that the region lies within 0 to 1.
+        let count = if n > 1 { Bend::count(n) } else { 0 };
+        let phi = (0..count)
+            .map(|k| 0.1 / count as f64 * (1.7 * k as f64).sin())
+            .collect();
+        let bend = Bend::new(n, n / 2, -0.1, 1.2, phi);
         Frame { bend, ..straight }
     } else {
         Frame::along(&region)

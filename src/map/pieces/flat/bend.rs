@@ -22,7 +22,13 @@ impl<T: Real> Shear<T> {
     pub fn new(bend: &Bend, n: usize) -> Self {
         assert!(bend.phi.len() <= MOST && n <= MOST_VARIABLES);
         // In coordinates of the frame.
-        let own = |other: u8| if usize::from(other) < bend.axis { other } else { other + 1 };
+        let own = |other: u8| {
+            if usize::from(other) < bend.axis {
+                other
+            } else {
+                other + 1
+            }
+        };
         Self {
             axis: bend.axis,
             lowest: T::of(bend.lowest),
