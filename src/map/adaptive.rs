@@ -25,7 +25,7 @@ const A_CELL: f64 = 3.0;
 const MORE: f64 = 0.4;
 const MOST_A_CELL: f64 = 48.0;
 /// A round solves for at most this many times the states solved before.
-const GROWTH: f64 = 1.0;
+const GROWTH: f64 = 2.0;
 /// Shortest step of the way from a point of an extremal to a state near it.
 const LEAST_STEP: f64 = 1.0 / 8.0;
 /// The same where there are few points yet.
@@ -115,6 +115,8 @@ struct Work<'a, 'p> {
     clock: Instant,
     /// Seconds a state of the last round, its pieces included.
     pace: f64,
+    /// Whether several sheets lie over some states.
+    several: bool,
 }
 
 /// Makes a map. `archive` gives the first guesses.
@@ -140,6 +142,7 @@ pub fn adaptive(
         game: plan.game,
     };
     let mut work = Work {
+        several: false,
         plan,
         model,
         solver,
@@ -352,7 +355,7 @@ impl Work<'_, '_> {
         let mut values = vec![f64::NAN; answers.targets.len()];
         let mut tracks = Vec::new();
         for target in 0..answers.targets.len() {
-            self.cloud.several |= answers.of(target).len() > 1;
+            self.several |= answers.of(target).len() > 1;
             let answer = answers.answer(target).filter(|a| a.value <= self.most_value());
             let Some(answer) = answer else {
                 self.failed += 1;
@@ -382,7 +385,7 @@ impl Work<'_, '_> {
     /// Whether extremals are followed backward beyond the states they were solved for: where sheets lie over each other what
     /// comes before an answer need not be one.
     fn goes_beyond(&self) -> bool {
-        !self.plan.game && self.plan.local.is_some() && !self.cloud.several
+        !self.plan.game && self.plan.local.is_some() && !self.several
     }
 
     /// Adds tracks and their points.
@@ -567,21 +570,33 @@ impl Work<'_, '_> {
         let budget = left.min((GROWTH * self.states as f64) as usize).min(in_time).max(1);
         wants.sort_by(|a, b| b.excess.total_cmp(&a.excess));
         let mut errands = Vec::new();
-        // One for each in turn, the worst first: many in few cells at once would halve these where their points lie alone.
+        // Half of the states go to the worst cells first, as many as each will need; the others to all in turn.
         let quota = |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE)).min(MOST_A_CELL) as usize;
+        let mut given = vec![0; wants.len()];
+        for (want, given) in wants.iter().zip(&mut given) {
+            if errands.len() >= budget / 2 || want.excess <= 1.0 {
+                break;
+            }
+            for turn in 0..quota(want) {
+                self.errand(want, turn, region, &mut errands);
+            }
+            *given = quota(want);
+        }
         for turn in 0..MOST_A_CELL as usize {
-            for want in wants.iter().filter(|w| turn < quota(w)) {
+            for (want, given) in wants.iter().zip(&given) {
                 if errands.len() >= budget {
                     break;
                 }
-                self.errand(want, turn, region, &mut errands);
+                if (*given..quota(want)).contains(&turn) {
+                    self.errand(want, turn, region, &mut errands);
+                }
             }
         }
         if errands.is_empty() {
             return Ok(false);
         }
         // Where sheets lie over each other a way from a point near tells nothing of the others.
-        if self.cloud.several {
+        if self.several {
             let mut states = Vec::new();
             let mut widest = 0.0f64;
             for errand in &errands {
@@ -662,10 +677,7 @@ impl Work<'_, '_> {
         } else if want.excess > 1.0 {
             match self.inside(want, region) {
                 Some(z) => z,
-                None => {
-                    *self.failures.entry(key(want)).or_default() += 1;
-                    return;
-                }
+                None => return,
             }
         } else {
             return;

@@ -1,14 +1,12 @@
 //! Pieces from scattered points: cells are halved until a polynomial says in each what points that it was not fitted to say.
 
-use super::fit::{Data, Shape, Tested, most_of_group};
+use super::fit::{Data, Shape};
 use super::terms::Terms;
 use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree};
 use rayon::join;
 
 /// Points as far outside a cell as this share of its half width are fitted too.
 const FIT: f64 = 0.3;
-/// The same where these are too few.
-const WIDER: [f64; 3] = [0.6, 1.0, 2.0];
 /// Share of the error asked for at which a cell is not halved any more.
 const ENOUGH: f64 = 0.6;
 /// Equations a coefficient: fewer determine no polynomial.
@@ -23,36 +21,28 @@ fn most_equations(variables: usize) -> f64 {
     }
 }
 
-/// Points beside those fitted to that test a fit, at most; points in a piece that tell its error.
-const MOST_TESTS: usize = 150;
-const LEAST_TESTS: usize = 10;
-/// One of this many tracks of a plane is left out at once.
+/// One of this many tracks is left out of a first fit, to measure its error.
 const LEFT_OUT: u32 = 4;
+/// Share of the points that are fitted to.
+const LEARNED: f64 = 1.0 - 1.0 / LEFT_OUT as f64;
+/// Points that are left out at most; below how many all are left out in turn; points in a piece that tell its error.
+const MOST_TESTS: usize = 300;
+const MANY_TESTS: usize = 24;
+const LEAST_TESTS: usize = 10;
 /// Where a low degree errs by so many times what is asked, no high degree is tried before the block is halved.
 const HOPELESS: f64 = 1000.0;
 /// Of several functions of V those are tried whose errors at a low degree are within this factor of the least.
 const NEARLY: f64 = 1.5;
 /// Halvings of the region along one axis.
-const MOST_HALVINGS: i32 = 18;
+const MOST_HALVINGS: i32 = 14;
 /// A corner of a cell is supported where a point lies within this many half widths.
 const REACH: f64 = 1.25;
 /// The same for a piece whose points lie all around.
 const BESIDE: f64 = 0.8;
 /// What points left out show is the largest of a sample; the bound allows for it.
 const ALLOWANCE: f64 = 1.5;
-/// So many degrees are tried.
-const DEGREES: usize = 3;
-/// Degree that tells along which axis a block is best halved, and the most that one error counts.
-const LOW: usize = 2;
-const WORST: f64 = 1e6;
-/// No bound is below this share of the error asked for: so few points do not tell.
-const LEAST_BOUND: f64 = 0.05;
-/// Share of new points at which a cell in error is fitted again.
-const WORTH_WHILE: f64 = 0.2;
-/// The bound of a piece without points on one side is so many times larger.
-const AT_EDGES: f64 = 2.0;
 /// Longest cells, in their own widths.
-const SLIVER: f64 = 256.0;
+const SLIVER: f64 = 32.0;
 /// Points a group of a sheet needs.
 const LEAST_GROUP: usize = 6;
 /// How far beyond their points pieces of several sheets in one cell say something, in half widths.
@@ -78,8 +68,6 @@ pub struct Cloud {
     /// Trajectory of each point: those of one are not independent of each other.
     pub track: Vec<u32>,
     pub sheet: Vec<i32>,
-    /// Whether some states have several answers: else labels of sheets tell nothing.
-    pub several: bool,
 }
 
 impl Cloud {
@@ -119,8 +107,13 @@ struct Block {
     hi: Vec<f64>,
     /// Points in it and around it.
     points: Vec<u32>,
-    /// How many of them are no further away than is usual.
-    near: usize,
+}
+
+/// A fit with its errors, relative to V's size.
+struct Fit {
+    shape: Shape,
+    coefficients: Vec<f64>,
+    errors: [f64; 2],
 }
 
 struct Builder<'c> {
@@ -166,7 +159,6 @@ pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Befor
         lo: vec![0.0; n],
         hi: vec![1.0; n],
         points: (0..cloud.len() as u32).collect(),
-        near: cloud.len(),
     };
     let (grown, wants) = builder.grow(whole, root);
     let mut pieces = Pieces {
@@ -266,36 +258,18 @@ impl Builder<'_> {
             } else {
                 hi[axis] = at;
             }
-            // Along the other axes the parent's points are as near as they can be; where they are few, from further away.
-            let within = |reach: f64| -> Vec<u32> {
-                let margin = 0.5 * reach * (hi[axis] - lo[axis]);
-                let (from, to) = (lo[axis] - margin, hi[axis] + margin);
-                let near = |k: &&u32| {
-                    let z = self.cloud.z[**k as usize * n + axis];
-                    (from..=to).contains(&z)
-                };
-                block.points.iter().filter(near).copied().collect()
+            let margin = 0.5 * FIT * (hi[axis] - lo[axis]);
+            let (from, to) = (lo[axis] - margin, hi[axis] + margin);
+            // Along the other axes the parent's points are as near as they can be.
+            let near = |k: &&u32| {
+                let z = self.cloud.z[**k as usize * n + axis];
+                (from..=to).contains(&z)
             };
-            let mut points = within(FIT);
-            let usual = |k: &&u32| {
-                let z = self.cloud.z(**k as usize);
-                (0..n).all(|i| {
-                    let margin = 0.5 * FIT * (hi[i] - lo[i]);
-                    (lo[i] - margin..=hi[i] + margin).contains(&z[i])
-                })
-            };
-            let near = points.iter().filter(usual).count();
-            // The parent's points may be from further away, too.
-            if near as f64 >= self.least() {
-                points.retain(|k| usual(&k));
+            Block {
+                points: block.points.iter().filter(near).copied().collect(),
+                lo,
+                hi,
             }
-            for reach in WIDER {
-                if n <= 2 || points.len() as f64 >= self.least() {
-                    break;
-                }
-                points = within(reach);
-            }
-            Block { points, lo, hi, near }
         };
         let (below, above) = (half(false), half(true));
         drop(block.points);
@@ -311,14 +285,8 @@ impl Builder<'_> {
     /// A cell made before, if it was good enough and new points do not say otherwise.
     fn kept(&self, block: &Block, before: &Before<'_>, cell: usize) -> Option<(Grown, Vec<Want>)> {
         let own = &before.pieces.pieces[before.pieces.cells[cell].pieces.clone()];
-        // A few points more make no better polynomial of one that is not good enough.
-        let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
-        let untouched = more == 0
-            || (self.cloud.variables > 2
-                && !self.is_dense(block)
-                && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= ENOUGH * self.region.error;
-        if !untouched && (own.is_empty() || !own.iter().all(good)) {
+        if own.is_empty() || !own.iter().all(good) {
             return None;
         }
         let n = self.cloud.variables;
@@ -338,7 +306,6 @@ impl Builder<'_> {
             return None;
         }
         let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);
-        let excess = if own.is_empty() { f64::INFINITY } else { excess };
         let wants = self.wants(block, excess);
         let grown = Grown::Cell(own.to_vec(), block.lo.clone(), block.hi.clone());
         Some((grown, wants))
@@ -359,14 +326,11 @@ impl Builder<'_> {
         }]
     }
 
-    /// Points that determine a polynomial of the highest degree.
-    fn least(&self) -> f64 {
-        LEAST_EQUATIONS * self.terms.upto[self.highest] as f64 / (self.cloud.variables + 1) as f64
-    }
-
     /// Whether the halves of a block have points enough for polynomials of their own, of the highest degree.
     fn is_dense(&self, block: &Block) -> bool {
-        block.near as f64 > 2.0 * self.least()
+        let n = self.cloud.variables;
+        let each = LEAST_EQUATIONS * self.terms.upto[self.highest] as f64 / (n + 1) as f64 / LEARNED;
+        block.points.len() as f64 > 2.0 * each
     }
 
     /// The pieces of a block, one a sheet; with their largest error over the one asked for.
@@ -377,11 +341,6 @@ impl Builder<'_> {
                 return (vec![(piece, block.points.clone())], excess);
             }
             for groups in self.groups(block) {
-                // Of many variables sorting is dear: where a half may yet tell, points of one sheet that were parted are not sorted.
-                let dear = self.cloud.variables > 2 && can_be_halved && !self.cloud.several;
-                if dear && !self.jumps(block, &groups) {
-                    continue;
-                }
                 let groups = self.sorted_out(block, groups);
                 if groups.len() < 2 || !self.jumps(block, &groups) {
                     continue;
@@ -548,7 +507,7 @@ impl Builder<'_> {
             let mut errors: Vec<Vec<f64>> = Vec::new();
             for group in &groups {
                 let most = (2.0 * self.most_equations * self.terms.upto[degree] as f64) as usize;
-                let Some(fitted) = data(&thinned(group, most), degree).fitted(Shape::Value, degree) else {
+                let Some(fitted) = data(&thinned(group, most), degree).fits(Shape::Value, degree).pop() else {
                     return Vec::new();
                 };
                 let each = whole.errors(Shape::Value, &fitted);
@@ -576,39 +535,29 @@ impl Builder<'_> {
         let half: Vec<f64> = (0..n)
             .map(|i| 0.5 * (block.hi[i] - block.lo[i]) * (1.0 + BLEND))
             .collect();
+        let fold = |k: u32| mix(self.cloud.track[k as usize]) % LEFT_OUT;
+        let (tests, learned): (Vec<u32>, Vec<u32>) = (points.iter().copied()).partition(|k| fold(*k) == 0);
         let equations = |count: usize| ((n + 1) * count) as f64;
-        let determined = |degree: usize| equations(points.len()) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64;
-        let highest = (1..=self.highest).rev().find(|d| determined(*d))?;
-        // Points in the piece tell its error, and where they are few others near it.
-        let mut far: Vec<f64> = (points.iter())
-            .map(|k| {
-                let z = self.cloud.z(*k as usize);
-                (0..n).map(|i| (z[i] - center[i]).abs() / half[i]).fold(0.0, f64::max)
-            })
-            .collect();
-        let enough = far.len() >= LEAST_TESTS;
-        let near = match enough {
-            true if n > 2 => (*far.select_nth_unstable_by(LEAST_TESTS - 1, f64::total_cmp).1).max(1.0),
-            _ => 1.0,
-        };
+        let determined =
+            |degree: usize, points: usize| equations(points) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64;
+        let highest = (1..=self.highest).rev().find(|d| determined(*d, learned.len()))?;
         let inside = |k: &u32| {
             let z = self.cloud.z(*k as usize);
-            (0..n).all(|i| (z[i] - center[i]).abs() <= near * half[i])
+            (0..n).all(|i| (z[i] - center[i]).abs() <= half[i])
         };
-        let used = |degree: usize| {
-            let most = self.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64;
-            self.drawn(points, most.ceil() as usize, &inside)
-        };
+        let tests: Vec<u32> = tests.into_iter().filter(inside).collect();
+        let data = |list: &[u32], degree: usize| self.data(&center, &half, list, degree);
+        let enough = points.iter().filter(|k| inside(k)).count() >= LEAST_TESTS;
         // Which function of V is smoothest here a low degree tells.
-        let low = highest.min(LOW);
-        let few = used(low);
-        let rough = self.data(&center, &half, &few, low);
-        let least = rough.least();
+        let low = highest.min(2);
+        let few = |list: &[u32]| thinned(list, (self.most_equations * self.terms.upto[low] as f64) as usize);
+        let (rough, rough_tests) = (data(&few(&learned), low), data(&few(&tests), low));
+        let least = rough.least().min(rough_tests.least());
         let mut shapes: Vec<(f64, Shape)> = (Shape::ALL.iter())
             .filter(|(shape, _)| shape.serves(least))
             .filter_map(|(shape, _)| {
-                let tested = rough.tested(*shape, low, 1, |k| inside(&few[k])).pop()?;
-                Some((tested.errors[0], *shape))
+                let fitted = rough.fits(*shape, low).pop()?;
+                Some((largest(&rough_tests.errors(*shape, &fitted))[0], *shape))
             })
             .collect();
         // V itself where nothing is better.
@@ -618,42 +567,53 @@ impl Builder<'_> {
         shapes.truncate(2);
         let hopeless = can_be_halved && first > HOPELESS * self.region.error;
         let degree = if hopeless { low } else { highest };
-        let mine = used(degree);
-        let least = if n > 2 { LEAST_TESTS / 2 } else { LEAST_TESTS };
-        let enough = enough && mine.iter().filter(|k| inside(k)).count() >= least;
-        let learned = self.data(&center, &half, &mine, degree);
-        let mut best: Option<(Shape, Tested)> = None;
-        let met = |e: f64| e * ALLOWANCE <= ENOUGH * self.region.error;
-        for (_, shape) in shapes {
-            for tested in learned.tested(shape, degree, DEGREES, |k| inside(&mine[k])) {
-                if best.as_ref().is_none_or(|(_, b)| tested.errors[0] < b.errors[0]) {
-                    best = Some((shape, tested));
+        let most = (self.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64).ceil() as usize;
+        let learned = data(&thinned(&learned, most), degree);
+        let tested = data(&thinned(&tests, MOST_TESTS), degree);
+        let mut best: Option<Fit> = None;
+        'tried: for (_, shape) in shapes {
+            for coefficients in learned.fits(shape, degree).into_iter().rev().take(3) {
+                let errors = largest(&tested.errors(shape, &coefficients));
+                if best.as_ref().is_none_or(|b| errors[0] < b.errors[0]) {
+                    best = Some(Fit {
+                        shape,
+                        coefficients,
+                        errors,
+                    });
+                }
+                let met = |e: f64| e * ALLOWANCE <= ENOUGH * self.region.error;
+                if enough && best.as_ref().is_some_and(|b| met(b.errors[0])) {
+                    break 'tried;
                 }
             }
-            if enough && best.as_ref().is_some_and(|(_, b)| met(b.errors[0])) {
-                break;
+        }
+        let mut fit = best?;
+        // Few points: each is left out once.
+        if tests.len() < MANY_TESTS && !hopeless {
+            let degree = self.degree_of(&fit.coefficients);
+            for turn in 1..LEFT_OUT {
+                let (out, rest): (Vec<u32>, Vec<u32>) = (points.iter().copied()).partition(|k| fold(*k) == turn);
+                let out: Vec<u32> = out.into_iter().filter(inside).collect();
+                if out.is_empty() {
+                    continue;
+                }
+                let fitted = data(&thinned(&rest, most), degree).fits(fit.shape, degree).pop();
+                let errors = match fitted {
+                    Some(c) if c.len() == fit.coefficients.len() => largest(&data(&out, degree).errors(fit.shape, &c)),
+                    _ => [f64::INFINITY; 2],
+                };
+                fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
             }
         }
-        let (shape, mut fit) = best?;
-        // Points that it was not fitted to.
-        if !hopeless {
-            let beside: Vec<u32> = thinned(points, MOST_TESTS).into_iter().filter(inside).collect();
-            let degree = self.degree_of(&fit.coefficients);
-            let errors = self
-                .data(&center, &half, &beside, degree)
-                .errors(shape, &fit.coefficients);
-            let errors = largest(&errors);
-            fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
-        }
         let bound = if enough {
-            (ALLOWANCE * fit.errors[0]).max(LEAST_BOUND * self.region.error)
+            ALLOWANCE * fit.errors[0]
         } else {
             f64::INFINITY
         };
         let piece = Piece {
             center,
             half,
-            shape,
+            shape: fit.shape,
             coefficients: fit.coefficients,
             bound,
             p_bound: if enough {
@@ -667,8 +627,9 @@ impl Builder<'_> {
         Some((piece, bound / self.region.error))
     }
 
-    /// A piece with the extent of its points where these do not lie all around.
+    /// The same polynomial with all of its points, now that its error is known.
     fn finished(&self, mut piece: Piece, points: &[u32], block: &Block, beyond: f64) -> Piece {
+        let n = self.cloud.variables;
         // Alone in the region's inside, a sheet has points all around unless they are few.
         let reach = if beyond < self.region.beyond || self.region.game {
             BESIDE
@@ -677,37 +638,30 @@ impl Builder<'_> {
         };
         if !self.places_without(block, points, 2, reach).is_empty() {
             piece.support = self.enclosed(&piece, points, beyond);
-            // Beyond the outermost of them nothing tells.
-            piece.bound *= AT_EDGES;
-            piece.p_bound *= AT_EDGES;
         }
+        let degree = self.degree_of(&piece.coefficients);
+        let most = (1.5 * self.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64).ceil() as usize;
+        let data = |list: &[u32]| self.data(&piece.center, &piece.half, list, degree);
+        // It must not be worse than the one that was tested.
+        let inside = |k: &u32| {
+            let z = self.cloud.z(*k as usize);
+            (0..n).all(|i| (z[i] - piece.center[i]).abs() <= piece.half[i])
+        };
+        let within: Vec<u32> = points.iter().copied().filter(inside).collect();
+        let seen = data(&thinned(&within, 2 * MOST_TESTS));
+        let old = largest(&seen.errors(piece.shape, &piece.coefficients));
+        let found = data(&thinned(points, most)).fits(piece.shape, degree).pop();
+        let found = found.filter(|c| c.len() == piece.coefficients.len());
+        let mut error = old;
+        if let Some(found) = found {
+            let new = largest(&seen.errors(piece.shape, &found));
+            if new[0] <= old[0] {
+                (error, piece.coefficients) = (new, found);
+            }
+        }
+        piece.bound = piece.bound.max(error[0]);
+        piece.p_bound = piece.p_bound.max(error[1]);
         piece
-    }
-
-    /// Some of a list, some of which lie inside, and not more of a track than can be left out at once.
-    fn drawn(&self, list: &[u32], most: usize, inside: &impl Fn(&u32) -> bool) -> Vec<u32> {
-        let allowed = most_of_group(self.cloud.variables);
-        let mut drawn = thinned(list, 8 * most);
-        drawn.sort_unstable_by_key(|k| (self.cloud.track[*k as usize], mix(*k)));
-        let mut before = (u32::MAX, 0);
-        drawn.retain(|k| {
-            let track = self.cloud.track[*k as usize];
-            before = if before.0 == track {
-                (track, before.1 + 1)
-            } else {
-                (track, 0)
-            };
-            before.1 < allowed
-        });
-        if drawn.len() <= most {
-            return drawn;
-        }
-        // Those beside it keep its edges from being extrapolated to.
-        let (within, beside): (Vec<u32>, Vec<u32>) = drawn.into_iter().partition(inside);
-        let share = most * within.len() / (within.len() + beside.len());
-        let mut drawn = thinned(&within, share.max(LEAST_TESTS));
-        drawn.extend(thinned(&beside, most.saturating_sub(drawn.len())));
-        drawn
     }
 
     fn degree_of(&self, coefficients: &[f64]) -> usize {
@@ -719,17 +673,13 @@ impl Builder<'_> {
     /// Points in the variables of a box.
     fn data(&self, center: &[f64], half: &[f64], list: &[u32], degree: usize) -> Data<'_> {
         let n = self.cloud.variables;
-        Data::new(&self.terms, degree, self.region.floor, list.len(), |at, y, q| {
-            let k = list[at] as usize;
-            for i in 0..n {
-                y[i] = (self.cloud.z(k)[i] - center[i]) / half[i];
-                q[i] = self.cloud.q(k)[i] * half[i];
-            }
-            let track = self.cloud.track[k];
-            // In a plane tracks run side by side: one alone is not missed.
-            let group = if n <= 2 { mix(track) % LEFT_OUT } else { track };
-            (self.cloud.v[k], group)
-        })
+        let points = list.iter().map(|k| {
+            let k = *k as usize;
+            let y = (0..n).map(|i| (self.cloud.z(k)[i] - center[i]) / half[i]).collect();
+            let q = (0..n).map(|i| self.cloud.q(k)[i] * half[i]).collect();
+            (y, self.cloud.v[k], q)
+        });
+        Data::new(&self.terms, degree, self.region.floor, points)
     }
 
     /// The label that most of some points have.
@@ -745,51 +695,33 @@ impl Builder<'_> {
         counts.iter().max_by_key(|(l, c)| (*c, -*l)).map_or(-1, |(l, _)| *l)
     }
 
-    /// The axis along which a block is halved: that of the halves in which low polynomials err least.
+    /// The axis along which a block is halved: along which its polynomial of V changes most in its highest terms.
     fn axis(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> usize {
         let n = self.cloud.variables;
         let width = |i: usize| block.hi[i] - block.lo[i];
         let widest = (0..n).map(width).fold(0.0, f64::max);
-        // No slivers.
-        let wide: Vec<usize> = (0..n).filter(|i| width(*i) * SLIVER > widest).collect();
-        let errors: Vec<Option<f64>> = match pieces {
-            [(piece, points)] => wide
-                .iter()
-                .map(|i| self.error_of_halves(block, piece, points, *i))
-                .collect(),
-            _ => vec![None; wide.len()],
-        };
-        let best = |score: &dyn Fn(usize) -> f64| {
-            let order = (0..wide.len()).max_by(|a, b| score(*a).total_cmp(&score(*b)));
-            order.map_or(0, |k| wide[k])
-        };
-        if errors.iter().all(Option::is_some) {
-            best(&|k| -errors[k].unwrap_or(f64::INFINITY))
-        } else {
-            best(&|k| self.change(block, wide[k]))
-        }
-    }
-
-    /// Sum of squares of the errors of low polynomials in the halves of a block; `None` where a half has too few points.
-    fn error_of_halves(&self, block: &Block, piece: &Piece, points: &[u32], axis: usize) -> Option<f64> {
-        let degree = LOW.min(self.highest);
-        let at = 0.5 * (block.lo[axis] + block.hi[axis]);
-        let most = (2.0 * self.most_equations * self.terms.upto[degree] as f64) as usize;
-        let drawn = thinned(points, most);
-        let (below, above): (Vec<u32>, Vec<u32>) =
-            (drawn.iter().copied()).partition(|k| self.cloud.z(*k as usize)[axis] < at);
-        let mut sum = 0.0;
-        for half in [below, above] {
-            if ((self.cloud.variables + 1) * half.len()) as f64 <= LEAST_EQUATIONS * self.terms.upto[degree] as f64 {
-                return None;
+        let mut share = vec![0.0f64; n];
+        for (piece, _) in pieces {
+            let highest = self.degree_of(&piece.coefficients);
+            for (term, c) in piece.coefficients.iter().enumerate() {
+                let degree = self.terms.degree_of(term);
+                if degree + 1 < highest || degree < 2 {
+                    continue;
+                }
+                for (i, power) in self.terms.powers_of(term).iter().enumerate() {
+                    share[i] += c.abs() * f64::from(*power) / degree as f64;
+                }
             }
-            let data = self.data(&piece.center, &piece.half, &half, degree);
-            let fitted = data.fitted(piece.shape, degree)?;
-            sum += (data.errors(piece.shape, &fitted).iter())
-                .map(|[v, p]| (v * v + p * p).min(WORST))
-                .sum::<f64>();
         }
-        Some(sum)
+        if share.iter().all(|s| *s == 0.0) {
+            share = (0..n).map(|i| self.change(block, i)).collect();
+        }
+        // No slivers.
+        let wide = |i: &usize| width(*i) * SLIVER > widest;
+        (0..n)
+            .filter(wide)
+            .max_by(|a, b| share[*a].total_cmp(&share[*b]))
+            .unwrap_or(0)
     }
 
     /// How much V changes along an axis, relative to itself, differently at different points.

@@ -186,7 +186,8 @@ impl Frame {
     /// or no other frame is much better than the region's own axes. Places are in widths of the region.
     pub fn fitted(region: &Region, places: &[Steep]) -> Option<Self> {
         let n = region.lo.len();
-        if n < 2 {
+        // Of two coordinates pieces of high degree follow a layer by themselves.
+        if n <= 2 {
             return None;
         }
         let mut moments = DMatrix::<f64>::zeros(n, n);

@@ -12,7 +12,6 @@ mod flat;
 mod flat_tests;
 mod frame;
 mod jets;
-mod least_squares;
 mod terms;
 
 pub use build::{Before, Cloud, Want, build};
