@@ -62,6 +62,13 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
             region.error, region.floor
         )
     });
+    if made.uncertain > 0.0 {
+        lines.push(format!(
+            "  nothing is said in {:.2} % of the region, where the bound is above {:.1e} (`error_max`)",
+            100.0 * made.uncertain,
+            made.error_max
+        ));
+    }
     if made.check.is_empty() {
         return lines;
     }
@@ -93,6 +100,7 @@ pub(super) fn as_json(made: &Adaptive) -> serde_json::Value {
         "pieces": made.pieces.pieces.len(), "cells": made.pieces.cells.len(), "points": made.points,
         "states": made.states, "failed": made.failed, "rounds": made.rounds, "seconds": made.seconds,
         "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet,
+        "error_max": made.error_max, "share_uncertain": made.uncertain,
         "check": {
             "states": made.check.len(), "solved": shown.solved, "known": shown.known,
             "V_error": quantiles(shown.error), "V_error_over_bound": quantiles(shown.over_bound),
