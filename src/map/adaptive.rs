@@ -27,6 +27,8 @@ const MOST_A_CELL: f64 = 48.0;
 /// A round solves for at most this many times the states solved before.
 const GROWTH: f64 = 3.0;
 const GROWTH_IN_PLANE: f64 = 2.0;
+/// Share of the budget before the last round.
+const BEFORE_CLOSING: f64 = 0.95;
 /// Shortest step of the way from a point of an extremal to a state near it.
 const LEAST_STEP: f64 = 1.0 / 8.0;
 /// The same where there are few points yet.
@@ -185,7 +187,7 @@ impl Work<'_, '_> {
                 .filter(|c| c.status != PointStatus::AboveMax && (c.said - c.solved).abs() > c.bound)
                 .collect();
             let enough = wrong.len() as f64 <= ABOVE_BOUND * check.len() as f64;
-            if enough || attempt + 1 == CHECKS || self.is_spent() {
+            if enough || attempt + 1 == CHECKS || self.is_spent(1.0) {
                 break;
             }
             // More states in the cells that said too little of their errors, some of them searched for all sheets.
@@ -230,12 +232,17 @@ impl Work<'_, '_> {
         })
     }
 
-    fn is_spent(&self) -> bool {
-        let late = self
-            .aim
-            .seconds
-            .is_some_and(|s| self.clock.elapsed().as_secs_f64() >= s);
-        late || self.states + self.failed >= self.aim.states
+    fn is_spent(&self, share: f64) -> bool {
+        self.states_left(share) == 0 || self.seconds_left(share) <= 0.0
+    }
+
+    /// What is left of a share of the budget.
+    fn states_left(&self, share: f64) -> usize {
+        ((share * self.aim.states as f64) as usize).saturating_sub(self.states + self.failed)
+    }
+
+    fn seconds_left(&self, share: f64) -> f64 {
+        (self.aim.seconds).map_or(f64::INFINITY, |s| share * s - self.clock.elapsed().as_secs_f64())
     }
 
     /// V up to which points are kept: a little beyond what is asked for, for the pieces at its edge.
@@ -483,6 +490,7 @@ impl Work<'_, '_> {
         let mut more = Some(more).filter(|m| !m.is_empty());
         let mut before: Option<(Pieces, usize)> = None;
         let mut last: Option<(Instant, usize)> = None;
+        let mut closing = false;
         loop {
             if self.states < SETTLED && self.turn(region) {
                 before = None;
@@ -557,9 +565,15 @@ impl Work<'_, '_> {
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
                 .collect();
-            if asked.is_empty() || self.is_spent() {
+            if asked.is_empty() || closing || self.is_spent(1.0) {
                 return Ok(pieces);
             }
+            // The last round fills the holes that the one before it has left between its new cells.
+            closing = self.is_spent(BEFORE_CLOSING);
+            let asked = match closing {
+                true => holes(asked),
+                false => asked,
+            };
             let (solved, clock) = (self.states + self.failed, Instant::now());
             if let Some((began, first)) = last {
                 self.pace = (clock - began).as_secs_f64() / (solved - first).max(1) as f64;
@@ -567,7 +581,8 @@ impl Work<'_, '_> {
             last = Some((clock, solved));
             self.rounds += 1;
             let known = self.cloud.len();
-            if !self.answer(asked, region)? {
+            let share = if closing { 1.0 } else { BEFORE_CLOSING };
+            if !self.answer(asked, region, share)? {
                 return Ok(pieces);
             }
             let said = format!("in {} cells", pieces.cells.len());
@@ -630,33 +645,24 @@ impl Work<'_, '_> {
         places
     }
 
-    /// Solves for states in cells that want some; false where there is nothing to start from.
-    fn answer(&mut self, mut wants: Vec<Want>, region: &Region) -> Result<bool, BackendError> {
-        let left = self.aim.states - (self.states + self.failed).min(self.aim.states);
-        let in_time = (self.aim.seconds.filter(|_| self.pace > 0.0)).map_or(usize::MAX, |s| {
-            ((s - self.clock.elapsed().as_secs_f64()) / self.pace) as usize
-        });
+    /// Solves for states in cells that want some, with a share of the budget; false where there is nothing to start from.
+    fn answer(&mut self, mut wants: Vec<Want>, region: &Region, share: f64) -> Result<bool, BackendError> {
+        let in_time = (self.seconds_left(share) / self.pace).max(0.0);
+        let in_time = if in_time.is_nan() { usize::MAX } else { in_time as usize };
         let growth = if self.cloud.variables <= 2 {
             GROWTH_IN_PLANE
         } else {
             GROWTH
         };
-        let budget = left.min((growth * self.states as f64) as usize).min(in_time).max(1);
+        let budget = self
+            .states_left(share)
+            .min((growth * self.states as f64) as usize)
+            .min(in_time)
+            .max(1);
         wants.sort_by(|a, b| b.excess.total_cmp(&a.excess));
         let mut errands = Vec::new();
         // One for each in turn, the worst first: many in few cells at once would halve these where their points lie alone.
-        let power: f64 = std::env::var("VOLUME").ok().and_then(|v| v.parse().ok()).unwrap_or(0.0);
-        let volume = |w: &Want| {
-            w.lo.iter()
-                .zip(&w.hi)
-                .map(|(lo, hi)| hi - lo)
-                .product::<f64>()
-                .powf(power)
-        };
-        let mean = wants.iter().filter(|w| w.excess > 1.0).map(volume).sum::<f64>()
-            / wants.iter().filter(|w| w.excess > 1.0).count().max(1) as f64;
-        let quota =
-            |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE) * volume(w) / mean).clamp(1.0, MOST_A_CELL) as usize;
+        let quota = |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE)).min(MOST_A_CELL) as usize;
         for turn in 0..MOST_A_CELL as usize {
             for want in wants.iter().filter(|w| turn < quota(w)) {
                 if errands.len() >= budget {
@@ -861,6 +867,12 @@ impl Work<'_, '_> {
             points: (0..self.cloud.len() as u32).filter(near).collect(),
         }
     }
+}
+
+/// Cells with their bare places alone.
+fn holes(wants: Vec<Want>) -> Vec<Want> {
+    let bare = wants.into_iter().filter(|w| !w.bare.is_empty());
+    bare.map(|w| Want { excess: 1.0, ..w }).collect()
 }
 
 /// A cell as a key.

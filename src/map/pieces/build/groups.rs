@@ -1,7 +1,7 @@
 //! Several sheets over one block: its points are parted, and each part has a piece of its own.
 
 use super::super::fit::Shape;
-use super::{Block, Builder, ENOUGH, Piece, thinned};
+use super::{Block, Builder, Piece, thinned};
 use crate::map::pieces::MOST_VARIABLES;
 
 /// Points a group of a sheet needs.
@@ -21,7 +21,7 @@ impl Builder<'_> {
     pub(super) fn fitted(&self, block: &Block, can_be_halved: bool) -> (Vec<(Piece, Vec<u32>)>, f64) {
         let all = self.of_group(block, &block.points, can_be_halved);
         if let Some((piece, excess)) = all {
-            if excess <= ENOUGH {
+            if excess <= self.habits.enough {
                 return (vec![(piece, block.points.clone())], excess);
             }
             for groups in self.groups(block) {
@@ -40,7 +40,7 @@ impl Builder<'_> {
                 if !self.is_supported(block, &each, &groups) {
                     continue;
                 }
-                if worst <= ENOUGH || (worst < SEPARATE * excess && !can_be_halved) {
+                if worst <= self.habits.enough || (worst < SEPARATE * excess && !can_be_halved) {
                     let pieces = each.into_iter().map(|(p, _)| p).zip(groups).collect();
                     return (pieces, worst);
                 }

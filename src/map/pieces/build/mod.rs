@@ -14,8 +14,6 @@ use rayon::join;
 const FIT: f64 = 0.3;
 /// The same where these are too few.
 const WIDER: [f64; 3] = [0.6, 1.0, 2.0];
-/// Share of the error asked for at which a cell is not halved any more.
-const ENOUGH: f64 = 0.6;
 /// Equations a coefficient: fewer determine no polynomial.
 const LEAST_EQUATIONS: f64 = 2.0;
 /// Points in a piece that tell its error.
@@ -26,8 +24,6 @@ const HOPELESS: f64 = 1000.0;
 const LOW: usize = 2;
 /// Of several functions of V those are tried whose errors at a low degree are within this factor of the least.
 const NEARLY: f64 = 1.5;
-/// What points left out show is the largest of a sample; the bound allows for it.
-const ALLOWANCE: f64 = 1.5;
 /// A corner of a cell is supported where a point lies within this many half widths.
 const REACH: f64 = 1.25;
 /// The same for a piece whose points lie all around.
@@ -43,6 +39,10 @@ struct Habits {
     most_equations: f64,
     /// Share of the points that are fitted to while others test the fit.
     learned: f64,
+    /// What points left out show is the largest of a sample; the bound is so many times larger.
+    allowance: f64,
+    /// Share of the error asked for at which a cell is not halved any more.
+    enough: f64,
     /// Halvings of the region along one axis.
     most_halvings: i32,
     /// Longest cells, in their own widths.
@@ -59,6 +59,8 @@ impl Habits {
                 _ => 4.0,
             },
             learned: if planar { planar::LEARNED } else { 1.0 },
+            allowance: if planar { 1.5 } else { 2.0 },
+            enough: if planar { 0.6 } else { 0.8 },
             most_halvings: if planar { 14 } else { 18 },
             sliver: if planar { 32.0 } else { 256.0 },
         }
@@ -234,7 +236,7 @@ impl Builder<'_> {
         }
         let dense = self.is_dense(&block);
         let (own, excess) = self.fitted(&block, dense);
-        let settled = excess <= ENOUGH;
+        let settled = excess <= self.habits.enough;
         let axis = self.axis(&block, &own);
         let finest = block.hi[axis] - block.lo[axis] <= 0.5f64.powi(self.habits.most_halvings);
         if settled || !dense || finest {
@@ -314,7 +316,7 @@ impl Builder<'_> {
         let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
         let untouched = more == 0
             || (!self.is_planar() && !self.is_dense(block) && (more as f64) < WORTH_WHILE * block.points.len() as f64);
-        let good = |p: &Piece| p.bound <= ENOUGH * self.region.error;
+        let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
         if !untouched && (own.is_empty() || !own.iter().all(good)) {
             return None;
         }

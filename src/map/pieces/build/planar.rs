@@ -1,10 +1,7 @@
 //! Fits in one and two variables: a quarter of the tracks is left out. Of tracks that run side by side one alone is not missed.
 
 use super::super::fit::Shape;
-use super::{
-    ALLOWANCE, Block, Builder, ENOUGH, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix,
-    thinned,
-};
+use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix, thinned};
 
 /// One of this many tracks is left out of a first fit, to measure its error.
 const LEFT_OUT: u32 = 4;
@@ -77,7 +74,7 @@ impl Builder<'_> {
                         errors,
                     });
                 }
-                let met = |e: f64| e * ALLOWANCE <= ENOUGH * self.region.error;
+                let met = |e: f64| e * self.habits.allowance <= self.habits.enough * self.region.error;
                 if enough && best.as_ref().is_some_and(|b| met(b.errors[0])) {
                     break 'tried;
                 }
@@ -102,7 +99,7 @@ impl Builder<'_> {
             }
         }
         let bound = if enough {
-            ALLOWANCE * fit.errors[0]
+            self.habits.allowance * fit.errors[0]
         } else {
             f64::INFINITY
         };
@@ -113,7 +110,7 @@ impl Builder<'_> {
             coefficients: fit.coefficients,
             bound,
             p_bound: if enough {
-                ALLOWANCE * fit.errors[1]
+                self.habits.allowance * fit.errors[1]
             } else {
                 f64::INFINITY
             },

@@ -1,10 +1,7 @@
 //! Fits in three variables and more: each track is left out in turn, which one factorization tells.
 
 use super::super::fit::{Shape, Tested, most_of_group};
-use super::{
-    ALLOWANCE, Block, Builder, ENOUGH, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix,
-    thinned,
-};
+use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix, thinned};
 
 /// Points beside those fitted to that test a fit, at most.
 const MOST_TESTS: usize = 150;
@@ -13,7 +10,7 @@ const DEGREES: usize = 3;
 /// The most that one error counts in the choice of an axis.
 const WORST: f64 = 1e6;
 /// No bound is below this share of the error asked for: so few points do not tell.
-const LEAST_BOUND: f64 = 0.05;
+const LEAST_BOUND: f64 = 0.1;
 /// The bound of a piece without points on one side is so many times larger.
 const AT_EDGES: f64 = 2.0;
 
@@ -68,7 +65,7 @@ impl Builder<'_> {
         let enough = enough && mine.iter().filter(|k| inside(k)).count() >= LEAST_TESTS / 2;
         let learned = self.data(&center, &half, &mine, degree);
         let mut best: Option<(Shape, Tested)> = None;
-        let met = |e: f64| e * ALLOWANCE <= ENOUGH * self.region.error;
+        let met = |e: f64| e * self.habits.allowance <= self.habits.enough * self.region.error;
         for (_, shape) in shapes {
             for tested in learned.tested(shape, degree, DEGREES, |k| inside(&mine[k])) {
                 if best.as_ref().is_none_or(|(_, b)| tested.errors[0] < b.errors[0]) {
@@ -91,7 +88,7 @@ impl Builder<'_> {
             fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
         }
         let bound = if enough {
-            (ALLOWANCE * fit.errors[0]).max(LEAST_BOUND * self.region.error)
+            (self.habits.allowance * fit.errors[0]).max(LEAST_BOUND * self.region.error)
         } else {
             f64::INFINITY
         };
@@ -102,7 +99,7 @@ impl Builder<'_> {
             coefficients: fit.coefficients,
             bound,
             p_bound: if enough {
-                ALLOWANCE * fit.errors[1]
+                self.habits.allowance * fit.errors[1]
             } else {
                 f64::INFINITY
             },
