@@ -71,6 +71,8 @@ pub enum Unknown {
     Far,
     #[error("this state lies at the edge of what was computed")]
     Edge,
+    #[error("the map says nothing at this state: points are missing there, or its error is above `error_max`")]
+    Uncertain,
     /// In a game, where the lowest of several is not the value (see [`ValueMap`]).
     #[error("several sheets lie over this state: none is the value")]
     SeveralSheets,
@@ -366,7 +368,7 @@ impl ValueMap {
         let mut values = (pieces.sheets(&x).into_iter())
             .filter(|said| self.solves_isaacs(&s, &said.p))
             .map(|said| self.value_in_pieces(pieces, &x, &winding, said));
-        let lowest = values.next().ok_or(Unknown::Edge);
+        let lowest = values.next().ok_or(Unknown::Uncertain);
         Some(At {
             lowest,
             others: values.collect(),

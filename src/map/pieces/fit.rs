@@ -180,9 +180,15 @@ impl<'d> Data<'d> {
         (self.fits(shape, degree).pop()).filter(|c| c.len() == self.terms.upto[degree])
     }
 
-    /// Polynomials of several degrees for a shape, from the highest that is determined on. Errors are those of the points that
-    /// `counts` tells.
-    pub fn tested(&self, shape: Shape, degree: usize, degrees: usize, counts: impl Fn(usize) -> bool) -> Vec<Tested> {
+    /// Polynomials of several degrees for a shape, from the highest that is determined on, until the error of one is no more
+    /// than `enough`. Errors are those of the points that `counts` tells.
+    pub fn tested(
+        &self,
+        shape: Shape,
+        degree: usize,
+        (degrees, enough): (usize, f64),
+        counts: impl Fn(usize) -> bool,
+    ) -> Vec<Tested> {
         if self.len() == 0 {
             return Vec::new();
         }
@@ -210,6 +216,9 @@ impl<'d> Data<'d> {
                 .map(|group| self.left_out(shape, &factors, count, &right, &weights, group, &counts));
             let errors = each.fold([0.0f64; 2], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
             found.push(Tested { coefficients, errors });
+            if errors[0] <= enough {
+                break;
+            }
         }
         found
     }
@@ -352,7 +361,7 @@ mod tests {
                 })
             };
             let all: Vec<usize> = (0..points).collect();
-            let tested = data(&all).tested(shape, 3, 3, |k| k != 4);
+            let tested = data(&all).tested(shape, 3, (3, 0.0), |k| k != 4);
             assert_eq!(tested.len(), 3);
             for found in tested {
                 let degree = terms.upto.iter().position(|c| *c == found.coefficients.len()).unwrap();

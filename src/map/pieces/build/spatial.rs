@@ -50,7 +50,7 @@ impl Builder<'_> {
         let mut shapes: Vec<(f64, Shape)> = (Shape::ALL.iter())
             .filter(|(shape, _)| shape.serves(least))
             .filter_map(|(shape, _)| {
-                let tested = rough.tested(*shape, low, 1, |k| inside(&few[k])).pop()?;
+                let tested = rough.tested(*shape, low, (1, 0.0), |k| inside(&few[k])).pop()?;
                 Some((tested.errors[0], *shape))
             })
             .collect();
@@ -65,14 +65,14 @@ impl Builder<'_> {
         let enough = enough && mine.iter().filter(|k| inside(k)).count() >= LEAST_TESTS / 2;
         let learned = self.data(&center, &half, &mine, degree);
         let mut best: Option<(Shape, Tested)> = None;
-        let met = |e: f64| e * self.habits.allowance <= self.habits.enough * self.region.error;
+        let good = self.habits.enough * self.region.error / self.habits.allowance;
         for (_, shape) in shapes {
-            for tested in learned.tested(shape, degree, DEGREES, |k| inside(&mine[k])) {
+            for tested in learned.tested(shape, degree, (DEGREES, good), |k| inside(&mine[k])) {
                 if best.as_ref().is_none_or(|(_, b)| tested.errors[0] < b.errors[0]) {
                     best = Some((shape, tested));
                 }
             }
-            if enough && best.as_ref().is_some_and(|(_, b)| met(b.errors[0])) {
+            if enough && best.as_ref().is_some_and(|(_, b)| b.errors[0] <= good) {
                 break;
             }
         }
