@@ -1,6 +1,6 @@
 //! V, p and second derivatives at many states: the local solution about the equilibrium and the map in pieces, as flat arrays.
 
-use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms};
+use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms, by_states};
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
@@ -251,7 +251,6 @@ impl<T: Real> Around<T> {
     #[inline(always)]
     fn finish(&self, n: usize, z: &[T], jet: &Jet<T, LANES>, l: usize, second: bool, here: &mut Here<T>) {
         let zero = T::of(0.0);
-        let m = |i: usize, j: usize| self.matrix[i * n + j];
         let square = z.iter().fold(zero, |sum, z| sum + *z * *z);
         let radius = square.root();
         here.v_bound = zero;
@@ -259,39 +258,9 @@ impl<T: Real> Around<T> {
             let error = (0..*degree).fold(*size, |product, _| product * radius);
             here.v_bound = if error > here.v_bound { error } else { here.v_bound };
         }
-        for j in 0..n {
-            let mut p = zero;
-            for i in 0..n {
-                p = p + m(i, j) * jet.q[i].0[l];
-            }
-            here.p[j] = p;
-        }
-        if !second {
-            return;
-        }
-        let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
-        let mut pair = 0;
-        for i in 0..n {
-            for k in i..n {
-                let h = jet.h[pair].0[l];
-                for j in 0..n {
-                    half[i][j] = half[i][j] + h * m(k, j);
-                    if k != i {
-                        half[k][j] = half[k][j] + h * m(i, j);
-                    }
-                }
-                pair += 1;
-            }
-        }
-        for a in 0..n {
-            for b in 0..n {
-                let mut sum = zero;
-                for i in 0..n {
-                    sum = sum + m(i, a) * half[i][b];
-                }
-                here.hessian[a * n + b] = sum;
-            }
-        }
+        let q = jet.q.map(|q| q.0[l]);
+        let h = second.then(|| jet.h.map(|h| h.0[l]));
+        by_states(n, &self.matrix, &q, h.as_ref(), &mut here.p, &mut here.hessian);
     }
 }
 
