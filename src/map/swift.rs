@@ -7,6 +7,16 @@ use crate::backend::cpu::real::Real;
 use crate::sweep::Plan;
 use std::collections::BTreeMap;
 
+/// Periods by which a coordinate must move to lie between bounds, if it can; 0 where it does. A winding number holds as many.
+pub(super) fn turns_into<T: Real>(x: T, [lo, hi]: [T; 2], period: T) -> f64 {
+    const MOST: f64 = 1e9;
+    if x < lo || x > hi {
+        ((lo - x) / period).f64().ceil().clamp(-MOST, MOST)
+    } else {
+        0.0
+    }
+}
+
 /// What is known of a state.
 pub enum Answer<'a, T> {
     Known(&'a Here<T>),
@@ -126,11 +136,8 @@ impl<T: Real> Swift<T> {
             }
             let mut moved = [T::of(0.0); MOST_VARIABLES];
             moved[..n].copy_from_slice(x);
-            for (i, period, [lo, hi]) in &self.periods {
-                if x[*i] < *lo || x[*i] > *hi {
-                    let turns = ((*lo - x[*i]) / *period).f64().ceil();
-                    moved[*i] = x[*i] + T::of(turns.clamp(-1e9, 1e9)) * *period;
-                }
+            for (i, period, bounds) in &self.periods {
+                moved[*i] = x[*i] + T::of(turns_into(x[*i], *bounds, *period)) * *period;
             }
             if self.flat.covers(&moved[..n]) {
                 room.inside.push(k as u32);
