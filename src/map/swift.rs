@@ -4,8 +4,8 @@ use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, P
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
+use crate::local::LocalSolution;
 use crate::sweep::Plan;
-use std::collections::BTreeMap;
 
 /// Periods by which a coordinate must move to lie between bounds, if it can; 0 where it does. A winding number holds as many.
 pub(super) fn turns_into<T: Real>(x: T, [lo, hi]: [T; 2], period: T) -> f64 {
@@ -85,7 +85,7 @@ impl<T: Real> Swift<T> {
     pub fn new(pieces: &Pieces, plan: &Plan) -> Option<Self> {
         let n = pieces.states();
         let around = match &plan.local {
-            Some(local) => Some(Around::new(n, local)?),
+            Some(local) => Some(Around::new(local, &plan.system.reference)?),
             None => None,
         };
         let of = |i: usize, period: f64| {
@@ -194,25 +194,21 @@ impl<T: Real> Swift<T> {
 }
 
 impl<T: Real> Around<T> {
-    fn new(n: usize, local: &crate::local::LocalSolution) -> Option<Self> {
-        let degree = local.degree;
+    fn new(local: &LocalSolution, reference: &[f64]) -> Option<Self> {
+        let polynomial = local.polynomial(reference);
+        let degree = polynomial.degree;
         if degree > MOST_DEGREE {
             return None;
         }
-        let terms = Terms::new(n, degree);
-        let tables = Tables::new(&terms);
-        let by_powers: BTreeMap<&[u8], f64> = local.terms().collect();
-        let matrix = local.coordinates();
+        // Monomials are in the same order.
+        let tables = Tables::new(&Terms::new(reference.len(), degree));
         Some(Self {
             degree,
-            coefficients: (0..terms.factors.len())
-                .map(|t| {
-                    let c = by_powers.get(terms.powers_of(t)).copied().unwrap_or(0.0);
-                    Lanes::splat(T::of(c * tables.scale[t]))
-                })
+            coefficients: (polynomial.coefficients.iter().zip(&tables.scale))
+                .map(|(c, scale)| Lanes::splat(T::of(c * scale)))
                 .collect(),
-            matrix: (0..n * n).map(|k| T::of(matrix[(k / n, k % n)])).collect(),
-            seed_value: T::of(local.seed_value),
+            matrix: polynomial.matrix.iter().map(|m| T::of(*m)).collect(),
+            seed_value: T::of(polynomial.reach),
             neglected: local.neglected().iter().map(|(k, size)| (*k, T::of(*size))).collect(),
             tables,
         })
