@@ -92,9 +92,9 @@ impl Bend {
         Self::new(n, axis, 0.0, 1.0, phi)
     }
 
-    /// Monomials of phi: of each the earlier one and which of the other coordinates it is the product of.
-    pub fn factors(&self) -> &[(u16, u8)] {
-        &self.terms.factors
+    /// Monomials of phi, of the other coordinates.
+    pub fn terms(&self) -> &Terms {
+        &self.terms
     }
 
     /// phi as a polynomial of all coordinates, by the monomials of `all`.
