@@ -83,7 +83,6 @@ impl<T: Real> Default for Room<T> {
 impl<T: Real> Swift<T> {
     /// `None` where the local solution is a polynomial of too high a degree.
     pub fn new(pieces: &Pieces, plan: &Plan) -> Option<Self> {
-        let n = pieces.states();
         let around = match &plan.local {
             Some(local) => Some(Around::new(local, &plan.system.reference)?),
             None => None,
@@ -94,7 +93,7 @@ impl<T: Real> Swift<T> {
         };
         Some(Self {
             around,
-            flat: Flat::new(pieces, &vec![0.0; n]),
+            flat: Flat::new(pieces),
             reference: plan.system.reference.iter().map(|x| T::of(*x)).collect(),
             periods: (plan.periods.iter().enumerate())
                 .filter_map(|(i, period)| Some(of(i, (*period)?)))

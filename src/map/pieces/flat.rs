@@ -148,19 +148,17 @@ impl<T: Real> Default for Desk<T> {
 }
 
 impl<T: Real> Flat<T> {
-    /// For states as deviations from `reference`: zeros for absolute ones.
-    pub fn new(pieces: &Pieces, reference: &[f64]) -> Self {
+    pub fn new(pieces: &Pieces) -> Self {
         let n = pieces.states();
         let tables = Tables::new(&pieces.terms);
         let all = |values: &[f64]| -> Vec<T> { values.iter().map(|v| T::of(*v)).collect() };
-        let shifted = |values: &[f64]| -> Vec<T> { values.iter().zip(reference).map(|(v, r)| T::of(v - r)).collect() };
         let mut this = Self {
             states: n,
-            lo: shifted(&pieces.region.lo),
-            hi: shifted(&pieces.region.hi),
+            lo: all(&pieces.region.lo),
+            hi: all(&pieces.region.hi),
             floor: T::of(pieces.region.floor),
             value_max: T::of(pieces.region.value_max),
-            origin: shifted(&pieces.frame.origin),
+            origin: all(&pieces.frame.origin),
             matrix: all(&pieces.frame.matrix),
             shear: pieces.frame.bend.as_ref().map(Shear::new),
             directions: all(&pieces.directions.concat()),
