@@ -356,6 +356,70 @@ fn the_series_of_a_linear_quadratic_scene_is_riccati_s() {
     }
 }
 
+/// How many there are in a directory.
+fn headers(directory: &Path) -> usize {
+    let files = std::fs::read_dir(directory).unwrap().map(|f| f.unwrap().path());
+    files.filter(|f| f.extension().is_some_and(|e| e == "h")).count()
+}
+
+/// The header of a law in a result file is the one that the fit wrote.
+#[test]
+fn a_fitted_law_is_exported_again() {
+    let directory = scratch("law");
+    let law = |name: &str, fit: &str| {
+        format!("[feedback.{name}]\nfit = \"{fit}\"\nhidden = [2]\nstarts = 1\niterations = 20\n")
+    };
+    let states = "[homotopy]\nx = [-1, 1, 7]\ny = [-1, 1, 7]\n";
+    let path = scene(
+        &directory,
+        "manufactured",
+        &(states.to_owned() + &law("push", "u") + &law("cost", "V")),
+    );
+    let file = directory.join("points.h5");
+    let (path, file) = (path.to_str().unwrap(), file.to_str().unwrap());
+    done(costate(&["homotopy", "--backend", "cpu", path, "--out", file]));
+    done(costate(&["fit", file]));
+    let written = |name: &str| std::fs::read(directory.join(name)).unwrap();
+    for name in ["push", "cost"] {
+        let out = directory.join("again.h");
+        let wanted = format!("--law={name}");
+        let said = done(costate(&[
+            "export",
+            file,
+            &wanted,
+            "--json",
+            "--out",
+            out.to_str().unwrap(),
+        ]));
+        let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+        assert_eq!(
+            (said["kind"].as_str(), said["name"].as_str()),
+            (Some("law"), Some(name))
+        );
+        let text = written("again.h");
+        assert!(String::from_utf8_lossy(&text).contains(&format!("{name}_u(")));
+        assert!(text == written(&format!("points_{name}.h")), "{name}");
+        std::fs::remove_file(out).unwrap();
+    }
+    let before = headers(&directory);
+    for (wanted, reason) in [("--law", "push, cost"), ("--law=map", "no law `map`")] {
+        let output = costate(&["export", file, wanted]);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{wanted}: {errors}");
+        assert!(errors.contains(reason), "{wanted}: {errors}");
+        assert_eq!(headers(&directory), before);
+    }
+    // Of a single law the name is known, and so is where it goes.
+    let alone = directory.join("alone");
+    std::fs::create_dir(&alone).unwrap();
+    let other = scene(&alone, "manufactured", &law("pull", "u"));
+    done(costate(&["fit", file, "--scene", other.to_str().unwrap()]));
+    let fitted = written("points_pull.h");
+    std::fs::remove_file(directory.join("points_pull.h")).unwrap();
+    done(costate(&["export", file, "--law"]));
+    assert!(fitted == written("points_pull.h"));
+}
+
 #[test]
 fn what_cannot_be_exported_is_refused() {
     let directory = scratch("refused");
@@ -365,7 +429,7 @@ fn what_cannot_be_exported_is_refused() {
     done(costate(&["homotopy", "--backend", "cpu", path, "--out", file]));
     let finite = scene(&directory, "hopf_lax", "");
     let finite = finite.to_str().unwrap();
-    let cases: [(&[&str], &str); 7] = [
+    let cases: [(&[&str], &str); 10] = [
         (&["export", file], "has no map in pieces"),
         (&["export", path], "is a scene"),
         (&["export", finite, "--local"], "finite horizon"),
@@ -373,6 +437,9 @@ fn what_cannot_be_exported_is_refused() {
         (&["export", path, "--local", "--name", "a-b"], "letters, digits"),
         (&["export", path, "--local", "--out", "law.toml"], "name it .h"),
         (&["export", file, "--local", "--set", "r=2"], "--scene"),
+        (&["export", file, "--law"], "holds no fitted law"),
+        (&["export", path, "--law"], "is a scene"),
+        (&["export", file, "--law", "--local"], "cannot be used with"),
     ];
     for (arguments, reason) in cases {
         let output = costate(arguments);
@@ -380,6 +447,7 @@ fn what_cannot_be_exported_is_refused() {
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
         assert!(errors.contains(reason), "{arguments:?}: {errors}");
     }
+    assert_eq!(headers(&directory), 0);
     // The series of a result file's own scene; beside the file where nothing else is asked for.
     done(costate(&["export", file, "--local", "--degree", "2"]));
     let text = std::fs::read_to_string(directory.join("points_local.h")).unwrap();

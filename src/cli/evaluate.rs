@@ -349,7 +349,7 @@ fn weights(path: &PathBuf) -> Result<Weights, CliError> {
 }
 
 /// The laws fitted into a result file.
-fn fitted(stored: &Stored) -> Result<Vec<Weights>, CliError> {
+pub(super) fn fitted(stored: &Stored) -> Result<Vec<Weights>, CliError> {
     let Some(group) = stored.group("feedback") else {
         return Ok(Vec::new());
     };
