@@ -302,7 +302,7 @@ struct FitArgs {
 
 #[derive(Args, Debug, Clone)]
 struct ExportArgs {
-    /// A result file with a map in pieces ([map] with error); with --local also a scene (.toml).
+    /// A result file with a map in pieces ([map] with error); with --local also a scene (.toml); with --law one with fitted laws.
     file: PathBuf,
     /// The Taylor series about the equilibrium instead of the map.
     #[arg(long)]
