@@ -1,6 +1,6 @@
 //! What a run says of a map that was made to an error.
 
-use super::report::{Done, quantiles};
+use super::report::quantiles;
 use crate::map::{Adaptive, Checked};
 use crate::value::PointStatus;
 
@@ -37,7 +37,7 @@ fn shown(made: &Adaptive) -> Shown {
     }
 }
 
-pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
+pub(super) fn text(made: &Adaptive) -> Vec<String> {
     let region = &made.pieces.region;
     let mut lines = vec![format!(
         "map: {} pieces in {} cells, from {} points along the trajectories of {} states ({} more had no answer), {} rounds, {:.1} s",
@@ -89,7 +89,6 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
             shown.said_of_none
         ));
     }
-    let _ = done;
     lines
 }
 

@@ -1,7 +1,7 @@
 //! Trajectories under the law of a chart: `p = q + H s`, set once a period at each trajectory's state.
 
 use super::equations::set_chart;
-use super::fallback::{Plan, hold_here};
+use super::fallback::{Ahead, Plan, hold_here};
 use super::flights::{Starts, Watch};
 use super::simulate::{Batch, Ground, OUTSIDE_MAP};
 use super::{Chart, Expansions, LoopError};
@@ -129,7 +129,14 @@ impl Ground<'_> {
                     waited[i] += 1;
                     let flying = k > 0 && waited[i] <= patience;
                     if outside == Outside::Search && plans[i].is_none() {
-                        plans[i] = Some(self.search(wings, run, clock.all - k, chart, vector, &mut lone)?);
+                        let ahead = Ahead {
+                            wings,
+                            run,
+                            periods: clock.all - k,
+                            chart,
+                            room: &mut lone,
+                        };
+                        plans[i] = Some(self.search(ahead, vector)?);
                     }
                     if !self.fall_back(outside, chart, vector, plans[i].as_mut(), flying, &mut lone) {
                         (batch.status[i], batch.t_end[i]) = (OUTSIDE_MAP, t);

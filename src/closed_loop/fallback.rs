@@ -20,6 +20,16 @@ pub(super) struct Plan {
     left: usize,
 }
 
+/// What a search for a way back flies plans with.
+pub(super) struct Ahead<'a, 'k> {
+    pub wings: &'a mut Wings<'k>,
+    pub run: &'a Run,
+    /// Left until the final time.
+    pub periods: usize,
+    pub chart: &'a dyn Chart,
+    pub room: &'a mut Expansions,
+}
+
 impl Ground<'_> {
     /// Sets p where the chart has no answer; false where the trajectory is to end. `flying`: there is an answer before
     /// that may still be held.
@@ -86,63 +96,54 @@ impl Ground<'_> {
     /// A way back to where the chart has answers, foretold with the equations themselves: p of the nearest state known, if that
     /// comes back within the periods left; else the cheapest of the plans that first hold a control at a bound of it, by its
     /// cost and V where it comes back.
-    pub fn search(
-        &self,
-        wings: &mut Wings<'_>,
-        run: &Run,
-        periods: usize,
-        chart: &dyn Chart,
-        vector: &[f64],
-        room: &mut Expansions,
-    ) -> Result<Plan, BackendError> {
+    pub fn search(&self, mut ahead: Ahead<'_, '_>, vector: &[f64]) -> Result<Plan, BackendError> {
         let nearest = Plan { p: Vec::new(), left: 0 };
         let mut x: Vec<f64> = (vector.iter().zip(&self.equations.reference))
             .map(|(s, x)| s + x)
             .collect();
-        if !chart.clamp(&mut x) {
+        if !ahead.chart.clamp(&mut x) {
             return Ok(nearest);
         }
         let first = std::slice::from_ref(&nearest);
-        if self
-            .cheapest(wings, run, periods, chart, vector, first, room)?
-            .is_some()
-        {
+        if self.cheapest(&mut ahead, vector, first)?.is_some() {
             return Ok(nearest);
         }
         let mut plans = Vec::new();
         for p in self.pushes(vector) {
-            let lengths = std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < periods);
+            let lengths = std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < ahead.periods);
             plans.extend(lengths.map(|left| Plan { p: p.clone(), left }));
         }
-        let best = self.cheapest(wings, run, periods, chart, vector, &plans, room)?;
+        let best = self.cheapest(&mut ahead, vector, &plans)?;
         Ok(best.map_or(nearest, |k| plans.swap_remove(k)))
     }
 
     /// Which of some plans comes back at the least cost; `None` where none does.
-    #[allow(clippy::too_many_arguments)]
     fn cheapest(
         &self,
-        wings: &mut Wings<'_>,
-        run: &Run,
-        periods: usize,
-        chart: &dyn Chart,
+        ahead: &mut Ahead<'_, '_>,
         vector: &[f64],
         plans: &[Plan],
-        room: &mut Expansions,
     ) -> Result<Option<usize>, BackendError> {
+        let Ahead {
+            wings,
+            run,
+            periods,
+            chart,
+            room,
+        } = ahead;
         let (n, dim, reference) = (self.equations.states, vector.len(), &self.equations.reference);
         let spent = vector[self.equations.cost()];
         let mut alive: Vec<(usize, Plan)> = plans.iter().cloned().enumerate().collect();
         let mut seeds: Vec<f64> = plans.iter().flat_map(|_| vector).copied().collect();
         let mut best: Option<(f64, usize)> = None;
-        let mut last = periods;
+        let mut last = *periods;
         let mut flown = Trajectories::default();
-        for period in 0..periods {
+        for period in 0..*periods {
             if alive.is_empty() || period > last {
                 break;
             }
             for ((_, plan), vector) in alive.iter_mut().zip(seeds.chunks_exact_mut(dim)) {
-                self.fall_back(Outside::Search, chart, vector, Some(plan), true, room);
+                self.fall_back(Outside::Search, *chart, vector, Some(plan), true, room);
             }
             wings.fly(run, &seeds, &mut flown)?;
             let x: Vec<f64> = (flown.end.chunks_exact(dim))

@@ -47,7 +47,7 @@ use pieces::{Pieces, Said};
 use rayon::prelude::*;
 use sites::{Sites, UNLABELLED};
 use std::sync::OnceLock;
-use swift::Swift;
+use swift::{Swift, turns_into};
 
 /// Why a file gives no value map.
 #[derive(Debug, thiserror::Error)]
@@ -381,12 +381,9 @@ impl ValueMap {
         let mut winding = vec![0; x.len()];
         for (i, period) in self.plan.periods.iter().enumerate() {
             let Some(period) = period else { continue };
-            let (lo, hi) = (pieces.region.lo[i], pieces.region.hi[i]);
-            if x[i] < lo || x[i] > hi {
-                let turns = ((lo - x[i]) / period).ceil();
-                winding[i] = turns.clamp(-1e9, 1e9) as i32;
-                x[i] += turns * period;
-            }
+            let turns = turns_into(x[i], [pieces.region.lo[i], pieces.region.hi[i]], *period);
+            winding[i] = turns as i32;
+            x[i] += turns * period;
         }
         pieces.covers(&x).then_some((x, winding))
     }

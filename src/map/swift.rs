@@ -1,11 +1,21 @@
 //! V, p and second derivatives at many states: the local solution about the equilibrium and the map in pieces, as flat arrays.
 
-use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms};
+use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms, by_states};
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
+use crate::local::LocalSolution;
 use crate::sweep::Plan;
-use std::collections::BTreeMap;
+
+/// Periods by which a coordinate must move to lie between bounds, if it can; 0 where it does. A winding number holds as many.
+pub(super) fn turns_into<T: Real>(x: T, [lo, hi]: [T; 2], period: T) -> f64 {
+    const MOST: f64 = 1e9;
+    if x < lo || x > hi {
+        ((lo - x) / period).f64().ceil().clamp(-MOST, MOST)
+    } else {
+        0.0
+    }
+}
 
 /// What is known of a state.
 pub enum Answer<'a, T> {
@@ -73,9 +83,8 @@ impl<T: Real> Default for Room<T> {
 impl<T: Real> Swift<T> {
     /// `None` where the local solution is a polynomial of too high a degree.
     pub fn new(pieces: &Pieces, plan: &Plan) -> Option<Self> {
-        let n = pieces.states();
         let around = match &plan.local {
-            Some(local) => Some(Around::new(n, local)?),
+            Some(local) => Some(Around::new(local, &plan.system.reference)?),
             None => None,
         };
         let of = |i: usize, period: f64| {
@@ -84,7 +93,7 @@ impl<T: Real> Swift<T> {
         };
         Some(Self {
             around,
-            flat: Flat::new(pieces, &vec![0.0; n]),
+            flat: Flat::new(pieces),
             reference: plan.system.reference.iter().map(|x| T::of(*x)).collect(),
             periods: (plan.periods.iter().enumerate())
                 .filter_map(|(i, period)| Some(of(i, (*period)?)))
@@ -126,11 +135,8 @@ impl<T: Real> Swift<T> {
             }
             let mut moved = [T::of(0.0); MOST_VARIABLES];
             moved[..n].copy_from_slice(x);
-            for (i, period, [lo, hi]) in &self.periods {
-                if x[*i] < *lo || x[*i] > *hi {
-                    let turns = ((*lo - x[*i]) / *period).f64().ceil();
-                    moved[*i] = x[*i] + T::of(turns.clamp(-1e9, 1e9)) * *period;
-                }
+            for (i, period, bounds) in &self.periods {
+                moved[*i] = x[*i] + T::of(turns_into(x[*i], *bounds, *period)) * *period;
             }
             if self.flat.covers(&moved[..n]) {
                 room.inside.push(k as u32);
@@ -187,25 +193,21 @@ impl<T: Real> Swift<T> {
 }
 
 impl<T: Real> Around<T> {
-    fn new(n: usize, local: &crate::local::LocalSolution) -> Option<Self> {
-        let degree = local.degree;
+    fn new(local: &LocalSolution, reference: &[f64]) -> Option<Self> {
+        let polynomial = local.polynomial(reference);
+        let degree = polynomial.degree;
         if degree > MOST_DEGREE {
             return None;
         }
-        let terms = Terms::new(n, degree);
-        let tables = Tables::new(&terms);
-        let by_powers: BTreeMap<&[u8], f64> = local.terms().collect();
-        let matrix = local.coordinates();
+        // Monomials are in the same order.
+        let tables = Tables::new(&Terms::new(reference.len(), degree));
         Some(Self {
             degree,
-            coefficients: (0..terms.factors.len())
-                .map(|t| {
-                    let c = by_powers.get(terms.powers_of(t)).copied().unwrap_or(0.0);
-                    Lanes::splat(T::of(c * tables.scale[t]))
-                })
+            coefficients: (polynomial.coefficients.iter().zip(&tables.scale))
+                .map(|(c, scale)| Lanes::splat(T::of(c * scale)))
                 .collect(),
-            matrix: (0..n * n).map(|k| T::of(matrix[(k / n, k % n)])).collect(),
-            seed_value: T::of(local.seed_value),
+            matrix: polynomial.matrix.iter().map(|m| T::of(*m)).collect(),
+            seed_value: T::of(polynomial.reach),
             neglected: local.neglected().iter().map(|(k, size)| (*k, T::of(*size))).collect(),
             tables,
         })
@@ -251,7 +253,6 @@ impl<T: Real> Around<T> {
     #[inline(always)]
     fn finish(&self, n: usize, z: &[T], jet: &Jet<T, LANES>, l: usize, second: bool, here: &mut Here<T>) {
         let zero = T::of(0.0);
-        let m = |i: usize, j: usize| self.matrix[i * n + j];
         let square = z.iter().fold(zero, |sum, z| sum + *z * *z);
         let radius = square.root();
         here.v_bound = zero;
@@ -259,39 +260,9 @@ impl<T: Real> Around<T> {
             let error = (0..*degree).fold(*size, |product, _| product * radius);
             here.v_bound = if error > here.v_bound { error } else { here.v_bound };
         }
-        for j in 0..n {
-            let mut p = zero;
-            for i in 0..n {
-                p = p + m(i, j) * jet.q[i].0[l];
-            }
-            here.p[j] = p;
-        }
-        if !second {
-            return;
-        }
-        let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
-        let mut pair = 0;
-        for i in 0..n {
-            for k in i..n {
-                let h = jet.h[pair].0[l];
-                for j in 0..n {
-                    half[i][j] = half[i][j] + h * m(k, j);
-                    if k != i {
-                        half[k][j] = half[k][j] + h * m(i, j);
-                    }
-                }
-                pair += 1;
-            }
-        }
-        for a in 0..n {
-            for b in 0..n {
-                let mut sum = zero;
-                for i in 0..n {
-                    sum = sum + m(i, a) * half[i][b];
-                }
-                here.hessian[a * n + b] = sum;
-            }
-        }
+        let q = jet.q.map(|q| q.0[l]);
+        let h = second.then(|| jet.h.map(|h| h.0[l]));
+        by_states(n, &self.matrix, &q, h.as_ref(), &mut here.p, &mut here.hessian);
     }
 }
 

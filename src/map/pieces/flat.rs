@@ -118,6 +118,8 @@ pub struct Desk<T> {
     /// Of each state of a batch its first share, and its coordinates.
     first: Vec<u32>,
     places: Vec<[T; MOST_VARIABLES]>,
+    /// Of each [`LANES`] states what bends their coordinates, where something does.
+    bends: Vec<Jet<T, LANES>>,
     stack: Vec<(u32, bool)>,
     coefficients: Vec<Lanes<T, LANES>>,
     monomials: Vec<Lanes<T, LANES>>,
@@ -131,6 +133,7 @@ impl<T: Real> Desk<T> {
             shares: Vec::new(),
             first: Vec::new(),
             places: Vec::new(),
+            bends: Vec::new(),
             stack: Vec::new(),
             coefficients: Vec::new(),
             monomials: Vec::new(),
@@ -145,21 +148,19 @@ impl<T: Real> Default for Desk<T> {
 }
 
 impl<T: Real> Flat<T> {
-    /// For states as deviations from `reference`: zeros for absolute ones.
-    pub fn new(pieces: &Pieces, reference: &[f64]) -> Self {
+    pub fn new(pieces: &Pieces) -> Self {
         let n = pieces.states();
         let tables = Tables::new(&pieces.terms);
         let all = |values: &[f64]| -> Vec<T> { values.iter().map(|v| T::of(*v)).collect() };
-        let shifted = |values: &[f64]| -> Vec<T> { values.iter().zip(reference).map(|(v, r)| T::of(v - r)).collect() };
         let mut this = Self {
             states: n,
-            lo: shifted(&pieces.region.lo),
-            hi: shifted(&pieces.region.hi),
+            lo: all(&pieces.region.lo),
+            hi: all(&pieces.region.hi),
             floor: T::of(pieces.region.floor),
             value_max: T::of(pieces.region.value_max),
-            origin: shifted(&pieces.frame.origin),
+            origin: all(&pieces.frame.origin),
             matrix: all(&pieces.frame.matrix),
-            shear: pieces.frame.bend.as_ref().map(|bend| Shear::new(bend, n)),
+            shear: pieces.frame.bend.as_ref().map(Shear::new),
             directions: all(&pieces.directions.concat()),
             nodes: Vec::with_capacity(pieces.nodes.len()),
             cells: Vec::with_capacity(pieces.cells.len() * 2 * n),
@@ -249,44 +250,60 @@ impl<T: Real> Flat<T> {
     ) {
         let n = self.states;
         let mut here = Here::blank();
+        let most = *self.tables.upto.last().unwrap_or(&1);
+        desk.coefficients.resize(most, Lanes::splat(T::of(0.0)));
+        desk.monomials.resize(most, Lanes::splat(T::of(0.0)));
         for (batch, x) in x.chunks(BATCH * n).enumerate() {
             desk.tasks.clear();
             desk.shares.clear();
             desk.first.clear();
             desk.places.clear();
-            for x in x.chunks_exact(n) {
+            desk.places.extend(x.chunks_exact(n).map(|x| self.straight(x)));
+            self.bend::<FMA>(second, desk);
+            for (k, x) in x.chunks_exact(n).enumerate() {
                 desk.first.push(desk.shares.len() as u32);
-                desk.places.push([T::of(0.0); MOST_VARIABLES]);
                 if self.covers(x) {
-                    self.look_up(x, desk);
+                    self.look_up(desk.places[k], desk);
                 }
             }
             desk.first.push(desk.shares.len() as u32);
             self.sum::<FMA>(second, desk);
             for k in 0..x.len() / n {
                 let shares = &desk.shares[desk.first[k] as usize..desk.first[k + 1] as usize];
-                let known = self.blend(&desk.places[k], shares, &desk.told, second, &mut here);
+                let bend = desk.bends.get(k / LANES).map(|phi| (phi, k % LANES));
+                let known = self.blend(bend, shares, &desk.told, second, &mut here);
                 tell(batch * BATCH + k, known.then_some(&here));
             }
         }
     }
 
-    /// Lists the cells that reach over a state, and their pieces.
+    /// Coordinates of a state before they are sheared.
     #[inline(always)]
-    fn look_up(&self, x: &[T], desk: &mut Desk<T>) {
-        let n = self.states;
+    fn straight(&self, x: &[T]) -> [T; MOST_VARIABLES] {
         let mut z = [T::of(0.0); MOST_VARIABLES];
-        for (z, row) in z.iter_mut().zip(self.matrix.chunks_exact(n)) {
-            for j in 0..n {
+        for (z, row) in z.iter_mut().zip(self.matrix.chunks_exact(x.len())) {
+            for j in 0..x.len() {
                 *z = *z + row[j] * (x[j] - self.origin[j]);
             }
         }
-        if let Some(shear) = &self.shear {
-            shear.bend(&mut z);
+        z
+    }
+
+    /// Shears the places of a batch, if the frame has a shear.
+    #[inline(always)]
+    fn bend<const FMA: bool>(&self, second: bool, desk: &mut Desk<T>) {
+        let Some(shear) = &self.shear else { return };
+        desk.bends.clear();
+        for places in desk.places.chunks_mut(LANES) {
+            let phi = shear.bend::<FMA>(self.states, places, second, &mut desk.monomials);
+            desk.bends.push(phi);
         }
-        if let Some(place) = desk.places.last_mut() {
-            *place = z;
-        }
+    }
+
+    /// Lists the cells that reach over a place, and their pieces.
+    #[inline(always)]
+    fn look_up(&self, z: [T; MOST_VARIABLES], desk: &mut Desk<T>) {
+        let n = self.states;
         desk.stack.clear();
         desk.stack.push((0, true));
         while let Some((at, own)) = desk.stack.pop() {
@@ -351,9 +368,6 @@ impl<T: Real> Flat<T> {
     fn sum<const FMA: bool>(&self, second: bool, desk: &mut Desk<T>) {
         let n = self.states;
         let zero = Lanes::splat(T::of(0.0));
-        let most = *self.tables.upto.last().unwrap_or(&1);
-        desk.coefficients.resize(most, zero);
-        desk.monomials.resize(most, zero);
         desk.told.clear();
         let mut jet = Jet::zero();
         for tasks in desk.tasks.chunks(LANES) {

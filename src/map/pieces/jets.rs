@@ -82,6 +82,44 @@ impl<T: Real, const W: usize> Jet<T, W> {
     }
 }
 
+/// `M'q`, and where there is `h` (the triangle `i <= j`, row by row) also `M'hM`: derivatives by x of a function of `z = M x` whose
+/// derivatives by z are q and h.
+#[inline(always)]
+pub fn by_states<T: Real>(
+    n: usize,
+    matrix: &[T],
+    q: &[T; MOST_VARIABLES],
+    h: Option<&[T; MOST_SECOND]>,
+    p: &mut [T; MOST_VARIABLES],
+    hessian: &mut [T; MOST_VARIABLES * MOST_VARIABLES],
+) {
+    let zero = T::of(0.0);
+    let m = |i: usize, j: usize| matrix[i * n + j];
+    for j in 0..n {
+        p[j] = (0..n).fold(zero, |sum, i| sum + m(i, j) * q[i]);
+    }
+    let Some(h) = h else { return };
+    // By way of hM.
+    let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
+    let mut pair = 0;
+    for i in 0..n {
+        for k in i..n {
+            for j in 0..n {
+                half[i][j] = half[i][j] + h[pair] * m(k, j);
+                if k != i {
+                    half[k][j] = half[k][j] + h[pair] * m(i, j);
+                }
+            }
+            pair += 1;
+        }
+    }
+    for a in 0..n {
+        for b in 0..n {
+            hessian[a * n + b] = (0..n).fold(zero, |sum, i| sum + m(i, a) * half[i][b]);
+        }
+    }
+}
+
 /// What is summed: coefficients `[term]` with a value a lane, and room for the monomials.
 pub struct Sum<'a, T, const W: usize> {
     pub tables: &'a Tables,

@@ -19,7 +19,7 @@ pub use build::{Before, Cloud, Want, build};
 pub use fit::Shape;
 pub use flat::{Desk, Flat, Here, LANES};
 pub use frame::{Bend, Frame, Steep};
-pub(crate) use jets::{Jet, Sum, Tables};
+pub(crate) use jets::{Jet, Sum, Tables, by_states};
 pub use terms::{MOST_DEGREE, MOST_VARIABLES, Terms};
 
 use crate::value::Groups;

@@ -1,11 +1,10 @@
 //! The shear of a frame, and derivatives through it.
 
+use super::LANES;
+use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
-use crate::map::pieces::jets::MOST_SECOND;
+use crate::map::pieces::jets::{Jet, MOST_SECOND, Sum, Tables};
 use crate::map::pieces::{Bend, MOST_VARIABLES};
-
-/// Most monomials: those of degree 3 in five variables.
-const MOST: usize = 56;
 
 /// Along one axis `(t + phi(the other coordinates) - lowest) / width`; see [`Bend`].
 #[derive(Clone, Debug)]
@@ -13,49 +12,62 @@ pub(super) struct Shear<T> {
     axis: usize,
     lowest: T,
     width: T,
-    phi: Vec<T>,
-    /// Of each monomial the earlier one and the coordinate that it is the product of.
-    factors: Vec<(u16, u8)>,
+    /// Of phi, a polynomial of the other coordinates: one variable less than states.
+    tables: Tables,
+    degree: usize,
+    /// Of divided powers, the same in all lanes.
+    phi: Vec<Lanes<T, LANES>>,
 }
 
 impl<T: Real> Shear<T> {
-    pub fn new(bend: &Bend, n: usize) -> Self {
-        assert!(bend.phi.len() <= MOST && n <= MOST_VARIABLES);
-        // In coordinates of the frame.
-        let own = |other: u8| {
-            if usize::from(other) < bend.axis {
-                other
-            } else {
-                other + 1
-            }
-        };
+    pub fn new(bend: &Bend) -> Self {
+        let tables = Tables::new(bend.terms());
+        let scaled = bend.phi.iter().zip(&tables.scale);
         Self {
             axis: bend.axis,
             lowest: T::of(bend.lowest),
             width: T::of(bend.width),
-            phi: bend.phi.iter().map(|c| T::of(*c)).collect(),
-            factors: bend.factors().iter().map(|(k, i)| (*k, own(*i))).collect(),
+            degree: tables.upto.len() - 1,
+            phi: scaled.map(|(c, scale)| Lanes::splat(T::of(c * scale))).collect(),
+            tables,
         }
     }
 
-    /// The sheared coordinate.
+    /// The sheared coordinate of some places, one a lane; and phi there, through whose derivatives [`Self::straighten`] goes.
     #[inline(always)]
-    pub fn bend(&self, z: &mut [T; MOST_VARIABLES]) {
-        let mut monomials = [T::of(1.0); MOST];
-        let mut phi = self.phi[0];
-        for (term, (parent, axis)) in self.factors.iter().enumerate().skip(1) {
-            monomials[term] = monomials[usize::from(*parent)] * z[usize::from(*axis)];
-            phi = phi + self.phi[term] * monomials[term];
+    pub fn bend<const FMA: bool>(
+        &self,
+        n: usize,
+        places: &mut [[T; MOST_VARIABLES]],
+        second: bool,
+        monomials: &mut [Lanes<T, LANES>],
+    ) -> Jet<T, LANES> {
+        let mut phi = Jet::zero();
+        let mut y = [Lanes::splat(T::of(0.0)); MOST_VARIABLES];
+        for (l, z) in places.iter().enumerate() {
+            for (k, i) in (0..n).filter(|i| *i != self.axis).enumerate() {
+                y[k].0[l] = z[i];
+            }
         }
-        z[self.axis] = (z[self.axis] + phi - self.lowest) / self.width;
+        Sum {
+            tables: &self.tables,
+            degree: self.degree,
+            coefficients: &self.phi,
+            monomials,
+        }
+        .at::<FMA>(n - 1, &y, second, &mut phi);
+        for (l, z) in places.iter_mut().enumerate() {
+            z[self.axis] = (z[self.axis] + phi.v.0[l] - self.lowest) / self.width;
+        }
+        phi
     }
 
-    /// Derivatives, and bounds of the first, by the coordinates without the shear.
+    /// Derivatives, and bounds of the first, by the coordinates without the shear, at the place in a lane of phi.
     #[inline(always)]
     pub fn straighten(
         &self,
         n: usize,
-        z: &[T; MOST_VARIABLES],
+        (phi, l): (&Jet<T, LANES>, usize),
         q: &mut [T; MOST_VARIABLES],
         h: &mut [T; MOST_SECOND],
         bound: &mut [T; MOST_VARIABLES],
@@ -63,7 +75,10 @@ impl<T: Real> Shear<T> {
     ) {
         let zero = T::of(0.0);
         let a = self.axis;
-        let (slope, curvature) = self.derivatives(n, z, second);
+        let mut slope = [zero; MOST_VARIABLES];
+        for (k, i) in (0..n).filter(|i| *i != a).enumerate() {
+            slope[i] = phi.q[k].0[l];
+        }
         let steep = q[a] / self.width;
         let uncertain = bound[a] / self.width;
         for i in (0..n).filter(|i| *i != a) {
@@ -85,12 +100,13 @@ impl<T: Real> Shear<T> {
             let (i, j) = if i < j { (i, j) } else { (j, i) };
             old[i * n - i * (i + 1) / 2 + j]
         };
-        let mut pair = 0;
+        let (mut pair, mut curved) = (0, 0);
         for i in 0..n {
             for j in i..n {
-                let mut sum = row[i] * row[j] * at(a, a) + steep * curvature[pair];
+                let mut sum = row[i] * row[j] * at(a, a);
                 if i != a && j != a {
-                    sum = sum + at(i, j);
+                    sum = sum + steep * phi.h[curved].0[l] + at(i, j);
+                    curved += 1;
                 }
                 if i != a {
                     sum = sum + at(i, a) * row[j];
@@ -102,47 +118,5 @@ impl<T: Real> Shear<T> {
                 pair += 1;
             }
         }
-    }
-
-    /// First and second derivatives of phi.
-    #[inline(always)]
-    fn derivatives(&self, n: usize, z: &[T; MOST_VARIABLES], second: bool) -> ([T; MOST_VARIABLES], [T; MOST_SECOND]) {
-        let zero = T::of(0.0);
-        let mut monomials = [T::of(1.0); MOST];
-        let mut slopes = [[zero; MOST_VARIABLES]; MOST];
-        let (mut slope, mut curvature) = ([zero; MOST_VARIABLES], [zero; MOST_SECOND]);
-        for (term, (parent, axis)) in self.factors.iter().enumerate().skip(1) {
-            let (parent, axis) = (usize::from(*parent), usize::from(*axis));
-            monomials[term] = monomials[parent] * z[axis];
-            for i in 0..n {
-                slopes[term][i] = slopes[parent][i] * z[axis];
-            }
-            slopes[term][axis] = slopes[term][axis] + monomials[parent];
-            for i in 0..n {
-                slope[i] = slope[i] + self.phi[term] * slopes[term][i];
-            }
-        }
-        if second {
-            let mut seconds = [[zero; MOST_SECOND]; MOST];
-            for (term, (parent, axis)) in self.factors.iter().enumerate().skip(1) {
-                let (parent, axis) = (usize::from(*parent), usize::from(*axis));
-                let mut pair = 0;
-                for i in 0..n {
-                    for j in i..n {
-                        let mut sum = seconds[parent][pair] * z[axis];
-                        if i == axis {
-                            sum = sum + slopes[parent][j];
-                        }
-                        if j == axis {
-                            sum = sum + slopes[parent][i];
-                        }
-                        seconds[term][pair] = sum;
-                        curvature[pair] = curvature[pair] + self.phi[term] * sum;
-                        pair += 1;
-                    }
-                }
-            }
-        }
-        (slope, curvature)
     }
 }

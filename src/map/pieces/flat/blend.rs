@@ -1,8 +1,8 @@
 //! What the pieces around a state say together: one sheet's blend, with first and second derivatives.
 
-use super::{Flat, Here};
+use super::{Flat, Here, LANES};
 use crate::backend::cpu::real::Real;
-use crate::map::pieces::jets::MOST_SECOND;
+use crate::map::pieces::jets::{Jet, MOST_SECOND, by_states};
 use crate::map::pieces::{BLEND, MOST_VARIABLES, SAME};
 
 /// What a piece says, in coordinates of the frame.
@@ -68,11 +68,11 @@ impl<T: Real> Flat<T> {
         Some(w)
     }
 
-    /// The lowest sheet's blend; false where nothing is known.
+    /// The lowest sheet's blend; false where nothing is known. `bend`: what bent the coordinates, and the state's lane in it.
     #[inline(always)]
     pub(super) fn blend(
         &self,
-        z: &[T; MOST_VARIABLES],
+        bend: Option<(&Jet<T, LANES>, usize)>,
         shares: &[Share<T>],
         told: &[Told<T>],
         second: bool,
@@ -100,7 +100,7 @@ impl<T: Real> Flat<T> {
             here.pieces = 1;
             here.v = first.v;
             here.v_bound = first.v_bound;
-            self.to_states(z, first.q, first.h, first.p_bound, second, here);
+            self.to_states(bend, first.q, first.h, first.p_bound, second, here);
             return true;
         }
         // Around the first: the differences are small.
@@ -159,7 +159,7 @@ impl<T: Real> Flat<T> {
         }
         here.v = first.v + blend;
         here.v_bound = v_bound;
-        self.to_states(z, q, h, p_bound, second, here);
+        self.to_states(bend, q, h, p_bound, second, here);
         true
     }
 
@@ -167,7 +167,7 @@ impl<T: Real> Flat<T> {
     #[inline(always)]
     fn to_states(
         &self,
-        z: &[T; MOST_VARIABLES],
+        bend: Option<(&Jet<T, LANES>, usize)>,
         mut q: [T; MOST_VARIABLES],
         mut h: [T; MOST_SECOND],
         mut p_bound: [T; MOST_VARIABLES],
@@ -176,44 +176,19 @@ impl<T: Real> Flat<T> {
     ) {
         let n = self.states;
         let zero = T::of(0.0);
-        if let Some(shear) = &self.shear {
-            shear.straighten(n, z, &mut q, &mut h, &mut p_bound, second);
+        if let (Some(shear), Some(phi)) = (&self.shear, bend) {
+            shear.straighten(n, phi, &mut q, &mut h, &mut p_bound, second);
         }
-        let m = |i: usize, j: usize| self.matrix[i * n + j];
+        by_states(
+            n,
+            &self.matrix,
+            &q,
+            second.then_some(&h),
+            &mut here.p,
+            &mut here.hessian,
+        );
         for j in 0..n {
-            let (mut p, mut bound) = (zero, zero);
-            for i in 0..n {
-                p = p + m(i, j) * q[i];
-                bound = bound + (m(i, j) * p_bound[i]).absolute();
-            }
-            here.p[j] = p;
-            here.p_bound[j] = bound;
-        }
-        if !second {
-            return;
-        }
-        // M'hM, by way of hM.
-        let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
-        let mut pair = 0;
-        for i in 0..n {
-            for k in i..n {
-                for j in 0..n {
-                    half[i][j] = half[i][j] + h[pair] * m(k, j);
-                    if k != i {
-                        half[k][j] = half[k][j] + h[pair] * m(i, j);
-                    }
-                }
-                pair += 1;
-            }
-        }
-        for a in 0..n {
-            for b in 0..n {
-                let mut sum = zero;
-                for i in 0..n {
-                    sum = sum + m(i, a) * half[i][b];
-                }
-                here.hessian[a * n + b] = sum;
-            }
+            here.p_bound[j] = (0..n).fold(zero, |sum, i| sum + (self.matrix[i * n + j] * p_bound[i]).absolute());
         }
     }
 }
