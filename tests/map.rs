@@ -260,7 +260,10 @@ fn a_steep_corner_of_the_compressor() {
 #[test]
 fn a_budget_that_is_spent_is_said() {
     let made = |name: &str, more: &str| {
-        let scene = scene("moore_greitzer", &format!("error = 1e-6\nstates = 300\ncheck = 5{more}"));
+        let scene = scene(
+            "moore_greitzer",
+            &format!("error = 1e-6\nstates = 300\ncheck = 5{more}"),
+        );
         let out = scene.with_extension(name);
         let fixed = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
         let said = done(costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat()));
@@ -270,7 +273,10 @@ fn a_budget_that_is_spent_is_said() {
     };
     let (said, strict) = made("budget.h5", "");
     assert!(said.contains("not met in"), "{said}");
-    assert!(said.contains("nothing is said in") && said.contains("above 1.0e-5"), "{said}");
+    assert!(
+        said.contains("nothing is said in") && said.contains("above 1.0e-5"),
+        "{said}"
+    );
     assert!(!strict.pieces.is_empty() && strict.pieces.iter().all(|p| p.bound <= 1e-5));
     let (_, lenient) = made("lenient.h5", "\nerror_max = 0.5");
     assert_eq!(strict.cells.len(), lenient.cells.len());

@@ -1,5 +1,6 @@
 //! Pieces from scattered points: cells are halved until a polynomial says in each what points that it was not fitted to say.
 
+mod faces;
 mod groups;
 mod places;
 mod planar;
@@ -169,7 +170,8 @@ pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Befor
         points: (0..cloud.len() as u32).collect(),
         near: cloud.len(),
     };
-    let (grown, wants) = builder.grow(whole, root);
+    // One a cell, in their order.
+    let (grown, mut wants) = builder.grow(whole, root);
     let mut pieces = Pieces {
         region: region.clone(),
         frame: frame.clone(),
@@ -182,6 +184,13 @@ pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Befor
     plant(&mut pieces, grown);
     pieces.finish();
     pieces.label();
+    if n > 2 {
+        for (cell, disagreement) in pieces.disagreements() {
+            pieces.raise(cell, disagreement);
+            wants[cell].excess = wants[cell].excess.max(disagreement / region.error);
+        }
+    }
+    wants.retain(|w| w.excess > 1.0 || !w.bare.is_empty());
     (pieces, wants)
 }
 
@@ -220,7 +229,14 @@ impl Builder<'_> {
     /// `old` is the node of the pieces made before that is this block's.
     fn grow(&self, block: Block, old: Option<usize>) -> (Grown, Vec<Want>) {
         if !self.frame.may_meet(self.region, &block.lo, &block.hi) {
-            return (Grown::Cell(Vec::new(), block.lo, block.hi), Vec::new());
+            let nothing = Want {
+                lo: block.lo.clone(),
+                hi: block.hi.clone(),
+                excess: 0.0,
+                bare: Vec::new(),
+                points: Vec::new(),
+            };
+            return (Grown::Cell(Vec::new(), block.lo, block.hi), vec![nothing]);
         }
         if let (Some(before), Some(old)) = (&self.before, old) {
             match before.pieces.nodes[old] {
@@ -343,17 +359,13 @@ impl Builder<'_> {
         Some((grown, wants))
     }
 
-    /// What is missing in a cell.
+    /// What may be missing in a cell.
     fn wants(&self, block: &Block, excess: f64) -> Vec<Want> {
-        let bare = self.bare_places(block);
-        if excess <= 1.0 && bare.is_empty() {
-            return Vec::new();
-        }
         vec![Want {
             lo: block.lo.clone(),
             hi: block.hi.clone(),
             excess,
-            bare,
+            bare: self.bare_places(block),
             points: block.points.clone(),
         }]
     }
