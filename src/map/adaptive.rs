@@ -499,69 +499,7 @@ impl Work<'_, '_> {
                 pieces,
                 points: *points,
             });
-            let t0 = Instant::now();
             let (pieces, wants) = build(&self.cloud, region, &self.frame, old);
-            eprintln!(
-                "DBG round {}: {} states {} failed {} points {} cells {} wants ({} in error) at {:.1} s, built in {:.1}",
-                self.rounds,
-                self.states,
-                self.failed,
-                self.cloud.len(),
-                pieces.cells.len(),
-                wants.len(),
-                wants.iter().filter(|w| w.excess > 1.0).count(),
-                self.clock.elapsed().as_secs_f64(),
-                t0.elapsed().as_secs_f64()
-            );
-            {
-                let mut h = [0usize; 6];
-                let mut pts = [0usize; 6];
-                let mut capped = [0usize; 6];
-                for w in wants.iter().filter(|w| w.excess > 1.0) {
-                    let k = if w.excess.is_infinite() {
-                        5
-                    } else {
-                        (w.excess.log10() * 2.0).min(4.0) as usize
-                    };
-                    h[k] += 1;
-                    pts[k] += w.points.len();
-                    if self.failures.get(&key(w)).is_some_and(|f| *f >= MOST_FAILURES) {
-                        capped[k] += 1;
-                    }
-                }
-                for w in wants.iter().filter(|w| w.excess.is_infinite()) {
-                    let center: Vec<f64> = w.lo.iter().zip(&w.hi).map(|(a, b)| 0.5 * (a + b)).collect();
-                    let inside = w
-                        .points
-                        .iter()
-                        .filter(|k| {
-                            (0..w.lo.len()).all(|i| {
-                                let z = self.cloud.z(**k as usize)[i];
-                                z >= w.lo[i] && z <= w.hi[i]
-                            })
-                        })
-                        .count();
-                    let tracks: std::collections::BTreeSet<u32> =
-                        w.points.iter().map(|k| self.cloud.track[*k as usize]).collect();
-                    eprintln!(
-                        "DBG inf cell {:?} to {:?} at {:?}: {} points of {} tracks, {inside} inside, failures {:?} V {:?}",
-                        w.lo,
-                        w.hi,
-                        self.frame.state(&center),
-                        w.points.len(),
-                        tracks.len(),
-                        self.failures.get(&key(w)),
-                        w.points
-                            .iter()
-                            .map(|k| self.cloud.v[*k as usize])
-                            .fold([f64::INFINITY, 0.0], |a, v| [v.min(a[0]), v.max(a[1])])
-                    );
-                }
-                eprintln!(
-                    "DBG  excess 1-3, 3-10, 10-30, 30-100, >100, inf: {h:?}, points a cell {:?}, capped {capped:?}",
-                    std::array::from_fn::<usize, 6, _>(|k| pts[k] / h[k].max(1))
-                );
-            }
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
                 .collect();
@@ -695,9 +633,7 @@ impl Work<'_, '_> {
             return Ok(true);
         }
         let guesses: Vec<_> = errands.iter().map(|e| (e.x.clone(), self.guess(e.from))).collect();
-        let t0 = Instant::now();
         let found = solve_near(self.plan, self.solver, guesses, LEAST_STEP)?;
-        eprintln!("DBG solved in {:.1}", t0.elapsed().as_secs_f64());
         let mut tracks = Vec::new();
         let most = self.most_value();
         for (errand, found) in errands.into_iter().zip(found) {
@@ -717,9 +653,7 @@ impl Work<'_, '_> {
                 whole: true,
             });
         }
-        let t0 = Instant::now();
         self.add(tracks, region.floor)?;
-        eprintln!("DBG added in {:.1}", t0.elapsed().as_secs_f64());
         Ok(true)
     }
 
