@@ -181,6 +181,16 @@ struct ValueArgs {
     /// Leave out the error estimates, which take most of the time.
     #[arg(long)]
     no_errors: bool,
+    /// Where a map in pieces is asked: the CPU, any GPU adapter, or a hardware GPU if there is one (auto). The GPU tells the lowest
+    /// sheet of each state.
+    #[arg(long, value_enum, default_value_t = BackendChoice::Cpu)]
+    backend: BackendChoice,
+    /// Use the adapter whose name contains this.
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+    /// Arithmetic on the GPU [default: f64 where the adapter has it]
+    #[arg(long, value_enum)]
+    precision: Option<PrecisionChoice>,
     /// Machine-readable values on standard output.
     #[arg(long)]
     json: bool,
@@ -503,6 +513,8 @@ enum CliError {
         "a state named `{name}` cannot be an axis of [map], which has a variable of that name: rename the state, or remove [map]"
     )]
     MapName { name: String },
+    #[error(transparent)]
+    Device(#[from] crate::map::DeviceError),
     #[error(transparent)]
     Study(#[from] crate::study::StudyError),
     #[error(transparent)]

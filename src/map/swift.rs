@@ -1,5 +1,9 @@
 //! V, p and second derivatives at many states: the local solution about the equilibrium and the map in pieces, as flat arrays.
 
+mod packed;
+
+pub(crate) use packed::Packed;
+
 use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms};
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::lanes::Lanes;
@@ -239,33 +243,58 @@ impl<T: Real> Around<T> {
                 monomials,
             }
             .at::<FMA>(n, &y, second, &mut jet);
+            self.to_states::<FMA>(n, second, &mut jet);
             for (l, place) in places.chunks_exact(n).enumerate() {
                 here.v = jet.v.0[l];
-                self.finish(n, place, &jet, l, second, &mut here);
+                here.v_bound = self.error(place);
+                for j in 0..n {
+                    here.p[j] = jet.q[j].0[l];
+                }
+                if second {
+                    let mut pair = 0;
+                    for i in 0..n {
+                        for j in i..n {
+                            here.hessian[i * n + j] = jet.h[pair].0[l];
+                            here.hessian[j * n + i] = jet.h[pair].0[l];
+                            pair += 1;
+                        }
+                    }
+                }
                 tell(group * LANES + l, &here);
             }
         }
     }
 
-    /// Derivatives by states, and the error.
+    /// Estimated error of V at `z = L's`.
     #[inline(always)]
-    fn finish(&self, n: usize, z: &[T], jet: &Jet<T, LANES>, l: usize, second: bool, here: &mut Here<T>) {
+    fn error(&self, z: &[T]) -> T {
         let zero = T::of(0.0);
-        let m = |i: usize, j: usize| self.matrix[i * n + j];
-        let square = z.iter().fold(zero, |sum, z| sum + *z * *z);
-        let radius = square.root();
-        here.v_bound = zero;
+        let radius = z.iter().fold(zero, |sum, z| sum + *z * *z).root();
+        let mut most = zero;
         for (degree, size) in &self.neglected {
             let error = (0..*degree).fold(*size, |product, _| product * radius);
-            here.v_bound = if error > here.v_bound { error } else { here.v_bound };
+            most = if error > most { error } else { most };
         }
-        for j in 0..n {
-            let mut p = zero;
-            for i in 0..n {
-                p = p + m(i, j) * jet.q[i].0[l];
+        most
+    }
+
+    /// Derivatives by states: Lq, and LhL' (its triangle).
+    #[inline(always)]
+    fn to_states<const FMA: bool>(&self, n: usize, second: bool, jet: &mut Jet<T, LANES>) {
+        let zero = Lanes::splat(T::of(0.0));
+        let m = |i: usize, j: usize| self.matrix[i * n + j];
+        let add = |to: &mut Lanes<T, LANES>, factor: T, of: &Lanes<T, LANES>| {
+            for l in 0..LANES {
+                to.0[l] = factor.mul_add::<FMA>(of.0[l], to.0[l]);
             }
-            here.p[j] = p;
+        };
+        let mut p = [zero; MOST_VARIABLES];
+        for j in 0..n {
+            for i in 0..n {
+                add(&mut p[j], m(i, j), &jet.q[i]);
+            }
         }
+        jet.q = p;
         if !second {
             return;
         }
@@ -273,23 +302,24 @@ impl<T: Real> Around<T> {
         let mut pair = 0;
         for i in 0..n {
             for k in i..n {
-                let h = jet.h[pair].0[l];
                 for j in 0..n {
-                    half[i][j] = half[i][j] + h * m(k, j);
+                    add(&mut half[i][j], m(k, j), &jet.h[pair]);
                     if k != i {
-                        half[k][j] = half[k][j] + h * m(i, j);
+                        add(&mut half[k][j], m(i, j), &jet.h[pair]);
                     }
                 }
                 pair += 1;
             }
         }
+        let mut pair = 0;
         for a in 0..n {
-            for b in 0..n {
+            for b in a..n {
                 let mut sum = zero;
                 for i in 0..n {
-                    sum = sum + m(i, a) * half[i][b];
+                    add(&mut sum, m(i, a), &half[i][b]);
                 }
-                here.hessian[a * n + b] = sum;
+                jet.h[pair] = sum;
+                pair += 1;
             }
         }
     }

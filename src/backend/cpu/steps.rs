@@ -273,6 +273,9 @@ fn runge_kutta(
         let components = if s + 1 == stages { dim } else { inputs };
         let point: Vec<Value> = (0..components)
             .map(|c| {
+                if spec.is_constant(c) {
+                    return y[c];
+                }
                 let sum = r.weighted(tableau.a[s - 1].iter().zip(&k).map(|(a, k)| (*a, k[c])));
                 r.mul_add(sum, h, y[c])
             })
@@ -287,7 +290,7 @@ fn runge_kutta(
         y_new = point;
     }
     let error = if tableau.adaptive() {
-        estimate(r, given, tableau, h, y, &y_new, &k)
+        estimate(r, (spec, given), tableau, h, y, &y_new, &k)
     } else {
         // Zero times a finite number is zero; anything else is not a number.
         let zero = r.constant(0.0);
@@ -304,7 +307,7 @@ fn runge_kutta(
 
 fn estimate(
     r: &mut Recorder,
-    given: &Parameters,
+    (spec, given): (&Spec, &Parameters),
     tableau: &Tableau,
     h: Value,
     y: &[Value],
@@ -314,7 +317,7 @@ fn estimate(
     let share = r.constant(1.0 / y.len() as f64);
     let zero = r.constant(0.0);
     let (mut total, mut other) = (zero, zero);
-    for c in 0..y.len() {
+    for c in (0..y.len()).filter(|c| !spec.is_constant(*c)) {
         let (p, q) = (r.abs(y[c]), r.abs(y_new[c]));
         let size = r.larger(p, q);
         let scale = r.mul_add(given.rtol, size, given.atol[c]);

@@ -5,12 +5,13 @@
 
 mod bend;
 mod blend;
+mod packed;
 
 use super::jets::{Jet, MOST_SECOND, Sum, Tables};
 use super::{Cell, MOST_VARIABLES, Node, Pieces, Shape};
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
-use bend::Shear;
+use bend::{Place, Shear};
 use blend::{Share, Told};
 
 /// Polynomials summed at once: two vectors of f64 on AVX2.
@@ -117,7 +118,7 @@ pub struct Desk<T> {
     shares: Vec<Share<T>>,
     /// Of each state of a batch its first share, and its coordinates.
     first: Vec<u32>,
-    places: Vec<[T; MOST_VARIABLES]>,
+    places: Vec<Place<T>>,
     stack: Vec<(u32, bool)>,
     coefficients: Vec<Lanes<T, LANES>>,
     monomials: Vec<Lanes<T, LANES>>,
@@ -159,7 +160,7 @@ impl<T: Real> Flat<T> {
             value_max: T::of(pieces.region.value_max),
             origin: shifted(&pieces.frame.origin),
             matrix: all(&pieces.frame.matrix),
-            shear: pieces.frame.bend.as_ref().map(|bend| Shear::new(bend, n)),
+            shear: pieces.frame.bend.as_ref().map(|bend| Shear::new(bend)),
             directions: all(&pieces.directions.concat()),
             nodes: Vec::with_capacity(pieces.nodes.len()),
             cells: Vec::with_capacity(pieces.cells.len() * 2 * n),
@@ -254,11 +255,12 @@ impl<T: Real> Flat<T> {
             desk.shares.clear();
             desk.first.clear();
             desk.places.clear();
-            for x in x.chunks_exact(n) {
+            self.place::<FMA>(x, second, desk);
+            for (k, x) in x.chunks_exact(n).enumerate() {
                 desk.first.push(desk.shares.len() as u32);
-                desk.places.push([T::of(0.0); MOST_VARIABLES]);
                 if self.covers(x) {
-                    self.look_up(x, desk);
+                    let z = desk.places[k].z;
+                    self.look_up(&z, desk);
                 }
             }
             desk.first.push(desk.shares.len() as u32);
@@ -271,22 +273,28 @@ impl<T: Real> Flat<T> {
         }
     }
 
-    /// Lists the cells that reach over a state, and their pieces.
+    /// Coordinates of states in the frame.
     #[inline(always)]
-    fn look_up(&self, x: &[T], desk: &mut Desk<T>) {
+    fn place<const FMA: bool>(&self, x: &[T], second: bool, desk: &mut Desk<T>) {
         let n = self.states;
-        let mut z = [T::of(0.0); MOST_VARIABLES];
-        for (z, row) in z.iter_mut().zip(self.matrix.chunks_exact(n)) {
-            for j in 0..n {
-                *z = *z + row[j] * (x[j] - self.origin[j]);
+        for x in x.chunks_exact(n) {
+            let mut place = Place::zero();
+            for (z, row) in place.z.iter_mut().zip(self.matrix.chunks_exact(n)) {
+                for j in 0..n {
+                    *z = *z + row[j] * (x[j] - self.origin[j]);
+                }
             }
+            desk.places.push(place);
         }
         if let Some(shear) = &self.shear {
-            shear.bend(&mut z);
+            shear.bend::<FMA>(n, second, &mut desk.monomials, &mut desk.places);
         }
-        if let Some(place) = desk.places.last_mut() {
-            *place = z;
-        }
+    }
+
+    /// Lists the cells that reach over a place, and their pieces.
+    #[inline(always)]
+    fn look_up(&self, z: &[T; MOST_VARIABLES], desk: &mut Desk<T>) {
+        let n = self.states;
         desk.stack.clear();
         desk.stack.push((0, true));
         while let Some((at, own)) = desk.stack.pop() {

@@ -92,6 +92,11 @@ impl Bend {
         Self::new(n, axis, 0.0, 1.0, phi)
     }
 
+    /// Monomials of phi.
+    pub(super) fn terms(&self) -> &Terms {
+        &self.terms
+    }
+
     /// Monomials of phi: of each the earlier one and which of the other coordinates it is the product of.
     pub fn factors(&self) -> &[(u16, u8)] {
         &self.terms.factors

@@ -17,7 +17,7 @@ pub struct Tables {
     /// Number of monomials up to each degree.
     pub upto: Vec<usize>,
     /// Earlier monomial, variable and its power in each monomial.
-    factors: Vec<(u16, u8, u8)>,
+    pub factors: Vec<(u16, u8, u8)>,
     /// `[term][variable]`: the term times a variable, below the highest degree.
     pub first: Vec<u16>,
     /// `[term][pair]`: the term times two variables, the triangle `i <= j` row by row.
@@ -130,9 +130,11 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
             }
         }
         let count = tables.upto[degree];
+        // By second derivatives (see below) the highest monomials are not needed.
+        let needed = if second { tables.upto[degree.saturating_sub(2)] } else { count };
         let (c, m) = (&c[..count], &mut m[..count]);
         m[0] = Lanes::splat(T::of(1.0));
-        for (t, (parent, axis, power)) in tables.factors[..count].iter().enumerate().skip(1) {
+        for (t, (parent, axis, power)) in tables.factors[..needed].iter().enumerate().skip(1) {
             let (a, b) = (
                 m[usize::from(*parent)],
                 parts[usize::from(*power) - 1][usize::from(*axis)],
@@ -140,6 +142,10 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
             for l in 0..W {
                 m[t].0[l] = a.0[l] * b.0[l];
             }
+        }
+        if second {
+            by_parts::<T, W, N, PAIRS, FMA>(tables, degree, c, m, y, to);
+            return;
         }
         // Several sums of the terms of V, so that they do not wait for each other.
         const SUMS: usize = 4;
@@ -174,21 +180,75 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
             }
         }
         to.q[..N].copy_from_slice(&q);
-        if !second {
-            return;
+    }
+}
+
+/// Sums of all second derivatives, one degree after the other, from which the others follow: the part of degree k of a function
+/// is `1/k` times its gradient times y (Euler).
+#[inline(always)]
+fn by_parts<T: Real, const W: usize, const N: usize, const PAIRS: usize, const FMA: bool>(
+    tables: &Tables,
+    degree: usize,
+    c: &[Lanes<T, W>],
+    m: &[Lanes<T, W>],
+    y: &[Lanes<T, W>; MOST_VARIABLES],
+    to: &mut Jet<T, W>,
+) {
+    let zero = Lanes::splat(T::of(0.0));
+    let (mut v, mut q, mut h) = (c[0], [zero; N], [zero; PAIRS]);
+    if degree > 0 {
+        for i in 0..N {
+            q[i] = c[usize::from(tables.first[i])];
+            for l in 0..W {
+                v.0[l] = q[i].0[l].mul_add::<FMA>(y[i].0[l], v.0[l]);
+            }
         }
-        let mut h = [zero; PAIRS];
-        if degree > 1 {
-            let terms = tables.upto[degree - 2];
-            for (next, m) in tables.second[..terms * PAIRS].chunks_exact(PAIRS).zip(m.iter()) {
-                for i in 0..PAIRS {
-                    let c = &c[usize::from(next[i])];
-                    for l in 0..W {
-                        h[i].0[l] = c.0[l].mul_add::<FMA>(m.0[l], h[i].0[l]);
-                    }
+    }
+    let mut first = 0;
+    for k in 1..degree {
+        // Second derivatives of degree k - 1.
+        let end = tables.upto[k - 1];
+        let mut part = [zero; PAIRS];
+        let nexts = tables.second[first * PAIRS..end * PAIRS].chunks_exact(PAIRS);
+        for (next, m) in nexts.zip(&m[first..end]) {
+            for pair in 0..PAIRS {
+                let c = &c[usize::from(next[pair])];
+                for l in 0..W {
+                    part[pair].0[l] = c.0[l].mul_add::<FMA>(m.0[l], part[pair].0[l]);
                 }
             }
         }
-        to.h[..PAIRS].copy_from_slice(&h);
+        let mut slope = [zero; N];
+        let mut pair = 0;
+        for i in 0..N {
+            for j in i..N {
+                let own = part[pair];
+                for l in 0..W {
+                    h[pair].0[l] = h[pair].0[l] + own.0[l];
+                    slope[i].0[l] = own.0[l].mul_add::<FMA>(y[j].0[l], slope[i].0[l]);
+                }
+                if i != j {
+                    for l in 0..W {
+                        slope[j].0[l] = own.0[l].mul_add::<FMA>(y[i].0[l], slope[j].0[l]);
+                    }
+                }
+                pair += 1;
+            }
+        }
+        let (of_slope, of_value) = (T::of(1.0 / k as f64), T::of(1.0 / (k * (k + 1)) as f64));
+        let mut more = zero;
+        for i in 0..N {
+            for l in 0..W {
+                q[i].0[l] = slope[i].0[l].mul_add::<FMA>(of_slope, q[i].0[l]);
+                more.0[l] = slope[i].0[l].mul_add::<FMA>(y[i].0[l], more.0[l]);
+            }
+        }
+        for l in 0..W {
+            v.0[l] = more.0[l].mul_add::<FMA>(of_value, v.0[l]);
+        }
+        first = end;
     }
+    to.v = v;
+    to.q[..N].copy_from_slice(&q);
+    to.h[..PAIRS].copy_from_slice(&h);
 }

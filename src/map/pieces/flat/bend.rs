@@ -1,11 +1,10 @@
 //! The shear of a frame, and derivatives through it.
 
+use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
-use crate::map::pieces::jets::MOST_SECOND;
-use crate::map::pieces::{Bend, MOST_VARIABLES};
-
-/// Most monomials: those of degree 3 in five variables.
-const MOST: usize = 56;
+use crate::map::pieces::jets::{Jet, MOST_SECOND, Sum, Tables};
+use crate::map::swift::Packed;
+use crate::map::pieces::{Bend, LANES, MOST_VARIABLES};
 
 /// Along one axis `(t + phi(the other coordinates) - lowest) / width`; see [`Bend`].
 #[derive(Clone, Debug)]
@@ -13,41 +12,107 @@ pub(super) struct Shear<T> {
     axis: usize,
     lowest: T,
     width: T,
-    phi: Vec<T>,
-    /// Of each monomial the earlier one and the coordinate that it is the product of.
-    factors: Vec<(u16, u8)>,
+    tables: Tables,
+    degree: usize,
+    /// Of phi by divided powers, the same in all lanes.
+    phi: Vec<Lanes<T, LANES>>,
+}
+
+/// A place in coordinates of the frame, with first and second derivatives of phi by all of them where there is a shear.
+#[derive(Clone, Copy)]
+pub(super) struct Place<T> {
+    pub z: [T; MOST_VARIABLES],
+    slope: [T; MOST_VARIABLES],
+    curvature: [T; MOST_SECOND],
+}
+
+impl<T: Real> Place<T> {
+    pub fn zero() -> Self {
+        let zero = T::of(0.0);
+        Self {
+            z: [zero; MOST_VARIABLES],
+            slope: [zero; MOST_VARIABLES],
+            curvature: [zero; MOST_SECOND],
+        }
+    }
 }
 
 impl<T: Real> Shear<T> {
-    pub fn new(bend: &Bend, n: usize) -> Self {
-        assert!(bend.phi.len() <= MOST && n <= MOST_VARIABLES);
-        // In coordinates of the frame.
-        let own = |other: u8| {
-            if usize::from(other) < bend.axis {
-                other
-            } else {
-                other + 1
-            }
-        };
+    pub fn new(bend: &Bend) -> Self {
+        let tables = Tables::new(bend.terms());
+        let scaled = bend.phi.iter().zip(&tables.scale);
         Self {
             axis: bend.axis,
             lowest: T::of(bend.lowest),
             width: T::of(bend.width),
-            phi: bend.phi.iter().map(|c| T::of(*c)).collect(),
-            factors: bend.factors().iter().map(|(k, i)| (*k, own(*i))).collect(),
+            degree: tables.upto.len() - 1,
+            phi: scaled.map(|(c, s)| Lanes::splat(T::of(c * s))).collect(),
+            tables,
         }
     }
 
-    /// The sheared coordinate.
+    /// See `Flat::pack`.
+    pub fn pack(&self, to: &mut Packed) {
+        to.condition("BEND");
+        to.count("BEND_AXIS", self.axis);
+        to.number("BEND_LOWEST", self.lowest.f64());
+        to.number("BEND_WIDTH", self.width.f64());
+        to.reals("PHI", self.phi.iter().map(|c| c.0[0].f64()));
+        to.count("BEND_TERMS", self.phi.len());
+        to.count("BEND_BELOW", self.tables.upto[self.degree - 1]);
+        to.tables(["BEND_UPTO", "BEND_FACTORS", "BEND_FIRST"], &self.tables);
+    }
+
+    /// The sheared coordinate of some places, and phi's derivatives there.
     #[inline(always)]
-    pub fn bend(&self, z: &mut [T; MOST_VARIABLES]) {
-        let mut monomials = [T::of(1.0); MOST];
-        let mut phi = self.phi[0];
-        for (term, (parent, axis)) in self.factors.iter().enumerate().skip(1) {
-            monomials[term] = monomials[usize::from(*parent)] * z[usize::from(*axis)];
-            phi = phi + self.phi[term] * monomials[term];
+    pub fn bend<const FMA: bool>(
+        &self,
+        n: usize,
+        second: bool,
+        monomials: &mut Vec<Lanes<T, LANES>>,
+        places: &mut [Place<T>],
+    ) {
+        let zero = Lanes::splat(T::of(0.0));
+        if monomials.len() < self.phi.len() {
+            monomials.resize(self.phi.len(), zero);
         }
-        z[self.axis] = (z[self.axis] + phi - self.lowest) / self.width;
+        let a = self.axis;
+        let others = || (0..n).filter(|i| *i != a);
+        let mut jet = Jet::zero();
+        for places in places.chunks_mut(LANES) {
+            let mut y = [zero; MOST_VARIABLES];
+            for (l, place) in places.iter().enumerate() {
+                for (y, i) in y.iter_mut().zip(others()) {
+                    y.0[l] = place.z[i];
+                }
+            }
+            Sum {
+                tables: &self.tables,
+                degree: self.degree,
+                coefficients: &self.phi,
+                monomials,
+            }
+            .at::<FMA>(n - 1, &y, second, &mut jet);
+            for (l, place) in places.iter_mut().enumerate() {
+                place.z[a] = (place.z[a] + jet.v.0[l] - self.lowest) / self.width;
+                for (q, i) in jet.q.iter().zip(others()) {
+                    place.slope[i] = q.0[l];
+                }
+                if !second {
+                    continue;
+                }
+                let (mut pair, mut own) = (0, 0);
+                for i in 0..n {
+                    for j in i..n {
+                        if i != a && j != a {
+                            place.curvature[pair] = jet.h[own].0[l];
+                            own += 1;
+                        }
+                        pair += 1;
+                    }
+                }
+            }
+        }
     }
 
     /// Derivatives, and bounds of the first, by the coordinates without the shear.
@@ -55,7 +120,7 @@ impl<T: Real> Shear<T> {
     pub fn straighten(
         &self,
         n: usize,
-        z: &[T; MOST_VARIABLES],
+        Place { slope, curvature, .. }: &Place<T>,
         q: &mut [T; MOST_VARIABLES],
         h: &mut [T; MOST_SECOND],
         bound: &mut [T; MOST_VARIABLES],
@@ -63,7 +128,6 @@ impl<T: Real> Shear<T> {
     ) {
         let zero = T::of(0.0);
         let a = self.axis;
-        let (slope, curvature) = self.derivatives(n, z, second);
         let steep = q[a] / self.width;
         let uncertain = bound[a] / self.width;
         for i in (0..n).filter(|i| *i != a) {
@@ -102,47 +166,5 @@ impl<T: Real> Shear<T> {
                 pair += 1;
             }
         }
-    }
-
-    /// First and second derivatives of phi.
-    #[inline(always)]
-    fn derivatives(&self, n: usize, z: &[T; MOST_VARIABLES], second: bool) -> ([T; MOST_VARIABLES], [T; MOST_SECOND]) {
-        let zero = T::of(0.0);
-        let mut monomials = [T::of(1.0); MOST];
-        let mut slopes = [[zero; MOST_VARIABLES]; MOST];
-        let (mut slope, mut curvature) = ([zero; MOST_VARIABLES], [zero; MOST_SECOND]);
-        for (term, (parent, axis)) in self.factors.iter().enumerate().skip(1) {
-            let (parent, axis) = (usize::from(*parent), usize::from(*axis));
-            monomials[term] = monomials[parent] * z[axis];
-            for i in 0..n {
-                slopes[term][i] = slopes[parent][i] * z[axis];
-            }
-            slopes[term][axis] = slopes[term][axis] + monomials[parent];
-            for i in 0..n {
-                slope[i] = slope[i] + self.phi[term] * slopes[term][i];
-            }
-        }
-        if second {
-            let mut seconds = [[zero; MOST_SECOND]; MOST];
-            for (term, (parent, axis)) in self.factors.iter().enumerate().skip(1) {
-                let (parent, axis) = (usize::from(*parent), usize::from(*axis));
-                let mut pair = 0;
-                for i in 0..n {
-                    for j in i..n {
-                        let mut sum = seconds[parent][pair] * z[axis];
-                        if i == axis {
-                            sum = sum + slopes[parent][j];
-                        }
-                        if j == axis {
-                            sum = sum + slopes[parent][i];
-                        }
-                        seconds[term][pair] = sum;
-                        curvature[pair] = curvature[pair] + self.phi[term] * sum;
-                        pair += 1;
-                    }
-                }
-            }
-        }
-        (slope, curvature)
     }
 }

@@ -1,5 +1,6 @@
 //! What the pieces around a state say together: one sheet's blend, with first and second derivatives.
 
+use super::bend::Place;
 use super::{Flat, Here};
 use crate::backend::cpu::real::Real;
 use crate::map::pieces::jets::MOST_SECOND;
@@ -72,7 +73,7 @@ impl<T: Real> Flat<T> {
     #[inline(always)]
     pub(super) fn blend(
         &self,
-        z: &[T; MOST_VARIABLES],
+        place: &Place<T>,
         shares: &[Share<T>],
         told: &[Told<T>],
         second: bool,
@@ -100,7 +101,7 @@ impl<T: Real> Flat<T> {
             here.pieces = 1;
             here.v = first.v;
             here.v_bound = first.v_bound;
-            self.to_states(z, first.q, first.h, first.p_bound, second, here);
+            self.to_states(place, first.q, first.h, first.p_bound, second, here);
             return true;
         }
         // Around the first: the differences are small.
@@ -159,7 +160,7 @@ impl<T: Real> Flat<T> {
         }
         here.v = first.v + blend;
         here.v_bound = v_bound;
-        self.to_states(z, q, h, p_bound, second, here);
+        self.to_states(place, q, h, p_bound, second, here);
         true
     }
 
@@ -167,7 +168,7 @@ impl<T: Real> Flat<T> {
     #[inline(always)]
     fn to_states(
         &self,
-        z: &[T; MOST_VARIABLES],
+        place: &Place<T>,
         mut q: [T; MOST_VARIABLES],
         mut h: [T; MOST_SECOND],
         mut p_bound: [T; MOST_VARIABLES],
@@ -177,7 +178,7 @@ impl<T: Real> Flat<T> {
         let n = self.states;
         let zero = T::of(0.0);
         if let Some(shear) = &self.shear {
-            shear.straighten(n, z, &mut q, &mut h, &mut p_bound, second);
+            shear.straighten(n, place, &mut q, &mut h, &mut p_bound, second);
         }
         let m = |i: usize, j: usize| self.matrix[i * n + j];
         for j in 0..n {

@@ -1,0 +1,263 @@
+//! A map in pieces asked on a GPU: against the CPU's evaluator, and against an exact value function.
+
+use costate::backend::Backend;
+use costate::backend::gpu::{Gpu, Selection};
+use costate::map::{At, DeviceError, DeviceMap, ValueMap};
+use costate::model::Precision;
+use costate::output::Stored;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+/// Rounding of sums of up to some hundred terms, and of places in cells down to a hundredth of the region, of which V is a
+/// polynomial of degree 8.
+const ROUNDINGS: f64 = 2000.0;
+
+fn folder() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let path = std::env::temp_dir().join(format!("costate-map-device-{}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        path
+    })
+}
+
+fn gpu() -> Gpu {
+    Gpu::open(&Selection::Any).expect("an adapter").expect("an adapter")
+}
+
+fn costate(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_costate"))
+        .current_dir(folder())
+        .args(args)
+        .output()
+        .unwrap()
+}
+
+/// The map of a shipped scene without the sections that are not about V, with a section [map] of these lines.
+fn made(name: &str, lines: &str) -> PathBuf {
+    const KEPT: [&str; 9] = [
+        "parameters",
+        "states",
+        "controls",
+        "disturbances",
+        "definitions",
+        "dynamics",
+        "cost",
+        "equilibrium",
+        "region",
+    ];
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("scenarios")
+        .join(format!("{name}.toml"));
+    let mut kept = String::new();
+    let mut wanted = true;
+    for line in std::fs::read_to_string(shipped).unwrap().lines() {
+        if let Some(section) = line.strip_prefix('[').and_then(|l| l.split([']', '.']).next()) {
+            wanted = KEPT.contains(&section) || section == "guards";
+        }
+        if wanted {
+            kept.push_str(line);
+            kept.push('\n');
+        }
+    }
+    let scene = folder().join(format!("{name}.toml"));
+    std::fs::write(&scene, format!("{kept}\n[map]\n{lines}\n")).unwrap();
+    let out = scene.with_extension("h5");
+    let output = costate(&["homotopy", scene.to_str().unwrap(), "--backend", "cpu", "--out", out.to_str().unwrap()]);
+    assert_eq!(
+        output.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    out
+}
+
+/// States spread evenly over a box and a little beyond, none of them on a grid.
+fn spread(lo: &[f64], hi: &[f64], count: usize) -> Vec<f64> {
+    let steps = [0.754_877_666, 0.569_840_290, 0.430_159_709, 0.324_717_957];
+    (1..=count)
+        .flat_map(|k| {
+            (0..lo.len()).map(move |i| {
+                let share = 1.01 * (k as f64 * steps[i]).fract() - 0.005;
+                lo[i] + (hi[i] - lo[i]) * share
+            })
+        })
+        .collect()
+}
+
+/// What two answers differ by: V and its bound, p and the same of it, in units of rounding; states known to one alone.
+#[derive(Debug, Default)]
+struct Difference {
+    v: f64,
+    p: f64,
+    known: usize,
+    unlike: usize,
+    pieces: usize,
+    several: usize,
+}
+
+fn difference(map: &ValueMap, x: &[f64], a: &[At], b: &[At], epsilon: f64) -> Difference {
+    let n = map.states();
+    let mut all = Difference::default();
+    for ((a, b), x) in a.iter().zip(b).zip(x.chunks(n)) {
+        let (Ok(here), Ok(there)) = (&a.lowest, &b.lowest) else {
+            all.unlike += usize::from(a.lowest.is_ok() != b.lowest.is_ok());
+            continue;
+        };
+        all.known += 1;
+        all.pieces += usize::from(here.in_pieces);
+        all.several += usize::from(!a.others.is_empty());
+        if here.sheet != there.sheet || here.sites != there.sites {
+            all.unlike += 1;
+            continue;
+        }
+        // Places have rounding errors too, through which V changes by p.
+        let reach: f64 = (here.p.iter().zip(x)).map(|(p, x)| (p * x).abs()).sum();
+        let unit = epsilon * (here.v.abs() + reach + here.v_error);
+        all.v = all.v.max((here.v - there.v).abs() / unit);
+        all.v = all.v.max((here.v_error - there.v_error).abs() / unit);
+        let size = here.p.iter().fold(0.0f64, |m, p| m.max(p.abs()));
+        for i in 0..n {
+            all.p = all.p.max((here.p[i] - there.p[i]).abs() / (epsilon * (size + here.v.abs())));
+        }
+    }
+    all
+}
+
+/// On both precisions; how many states have several sheets.
+fn compared(file: &Path, count: usize) -> usize {
+    let stored = Stored::open(file).unwrap();
+    let map = ValueMap::new(&stored).unwrap();
+    let region = stored.map_pieces().unwrap().expect("a map in pieces").region;
+    let x = spread(&region.lo, &region.hi, count);
+    let cpu = map.at_many(&x, false);
+    let gpu = gpu();
+    assert_eq!(gpu.name(), "gpu");
+    let mut several = 0;
+    for precision in [Precision::F64, Precision::F32] {
+        let epsilon = precision.epsilon();
+        let device = DeviceMap::new(&map, &gpu, precision).unwrap();
+        let said = device.at_many(&x).unwrap();
+        let off = difference(&map, &x, &cpu, &said, epsilon);
+        println!("{}, {}: {off:?} of {count}", file.display(), precision.name());
+        assert!(off.known * 10 > count * 8 && off.pieces * 2 > off.known);
+        // At the edges of what is known a rounding decides; in f32 some states lie within one of a face between cells.
+        let seldom = if precision == Precision::F64 { 0 } else { count / 200 };
+        assert!(off.unlike <= seldom, "{}", off.unlike);
+        assert!(off.v <= ROUNDINGS && off.p <= 50.0 * ROUNDINGS);
+        several = off.several;
+        // The comparison sees an error of a few more roundings.
+        let mut wrong = said;
+        if let Some(Ok(value)) = wrong.iter_mut().map(|at| at.lowest.as_mut()).find(Result::is_ok) {
+            value.v *= 1.0 + 10.0 * ROUNDINGS * epsilon;
+            value.v += 10.0 * ROUNDINGS * epsilon;
+        }
+        assert!(difference(&map, &x, &cpu, &wrong, epsilon).v > ROUNDINGS);
+        // A state's answer does not depend on its company.
+        let n = map.states();
+        let alone = device.at_many(&x[7 * n..8 * n]).unwrap();
+        let together = device.at_many(&x).unwrap();
+        let bits = |at: &At| at.lowest.as_ref().ok().map(|v| (v.v.to_bits(), v.p[0].to_bits()));
+        assert_eq!(bits(&alone[0]), bits(&together[7]));
+    }
+    several
+}
+
+#[test]
+fn a_smooth_value_on_a_gpu_is_the_exact_one() {
+    let file = made("manufactured", "error = 1e-4\nfloor = 1e-3\ncheck = 1");
+    compared(&file, 5000);
+    // By hand, whatever the CPU says.
+    let stored = Stored::open(&file).unwrap();
+    let map = ValueMap::new(&stored).unwrap();
+    let states = spread(&[-1.48; 2], &[1.48; 2], 1000);
+    let said = DeviceMap::new(&map, &gpu(), Precision::F64).unwrap().at_many(&states).unwrap();
+    for (x, at) in states.chunks(2).zip(said) {
+        let (x, y) = (x[0], x[1]);
+        let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
+        let here = at.lowest.unwrap_or_else(|e| panic!("{x}, {y}: {e}"));
+        assert!((here.v - v).abs() <= 1e-4 * v.max(1e-3), "{x}, {y}: {} {v}", here.v);
+        let slope = x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y;
+        assert!((here.p[0] - slope).abs() <= 1e-2 * v.max(1e-3).sqrt());
+    }
+    the_program_says_the_same(&file);
+}
+
+/// `costate value --backend gpu` tells who was asked, and gives the CPU's table.
+fn the_program_says_the_same(file: &Path) {
+    let points: String = spread(&[-1.4; 2], &[1.4; 2], 50)
+        .chunks(2)
+        .map(|x| format!("{},{}\n", x[0], x[1]))
+        .collect();
+    let (list, file) = (folder().join("points.csv"), file.to_str().unwrap());
+    std::fs::write(&list, format!("x,y\n{points}")).unwrap();
+    let list = list.to_str().unwrap();
+    let mut tables = Vec::new();
+    for backend in ["cpu", "gpu"] {
+        let out = folder().join(format!("{backend}.csv"));
+        let output = costate(&["value", file, "--points", list, "--backend", backend, "--out", out.to_str().unwrap()]);
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{said}");
+        let adapter = if backend == "gpu" { gpu().adapter() } else { "CPU, ".to_owned() };
+        assert!(said.contains(&adapter) && said.contains("f64"), "{said}");
+        tables.push(std::fs::read_to_string(out).unwrap());
+    }
+    let rows = |table: &str| -> Vec<Vec<String>> {
+        let row = |line: &str| line.split(',').map(str::to_owned).collect();
+        table.lines().map(row).collect()
+    };
+    let (cpu, gpu) = (rows(&tables[0]), rows(&tables[1]));
+    assert_eq!(cpu.len(), 51);
+    for (a, b) in cpu.iter().zip(&gpu) {
+        assert_eq!(a.len(), b.len());
+        for (a, b) in a.iter().zip(b) {
+            match (a.parse::<f64>(), b.parse::<f64>()) {
+                (Ok(a), Ok(b)) => assert!((a - b).abs() <= 1e-9 * a.abs().max(1e-3), "{a} {b}"),
+                _ => assert_eq!(a, b),
+            }
+        }
+    }
+}
+
+#[test]
+fn two_sheets_of_the_pendulum() {
+    let file = made("pendulum", "error = 1e-3\nfloor = 1e-2\nstates = 400\ncheck = 1");
+    assert!(compared(&file, 5000) > 0, "several sheets lie over some states");
+}
+
+#[test]
+fn sheared_coordinates() {
+    let file = made("BENT", "BENTLINES");
+    let stored = Stored::open(&file).unwrap();
+    assert!(stored.map_pieces().unwrap().unwrap().frame.bend.is_some(), "the frame is sheared");
+    compared(&file, 2000);
+}
+
+/// What the GPU does not do is said, and nothing is written.
+#[test]
+fn what_a_gpu_does_not_do_is_said() {
+    let scattered = folder().join("scattered.h5");
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/linear_quadratic.toml");
+    let output = costate(&["run", scene.to_str().unwrap(), "--no-report", "--out", scattered.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let (file, out) = (scattered.to_str().unwrap(), folder().join("none.csv"));
+    let at = Stored::open(&scattered).unwrap().model.states[0].variable.name.clone() + "=0.1";
+    let to = out.to_str().unwrap();
+    for (args, wanted) in [
+        (vec!["--backend", "gpu"], "holds no map in pieces"),
+        (vec!["--precision", "f32"], "--backend gpu has both"),
+        (vec!["--backend", "gpu", "--adapter", "no such thing"], "no adapter"),
+    ] {
+        let output = costate(&[&["value", file, "--at", &at, "--out", to][..], &args].concat());
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(wanted), "{said}");
+        assert!(!out.exists());
+    }
+    let map_of_scattered = Stored::open(&scattered).unwrap();
+    let map = ValueMap::new(&map_of_scattered).unwrap();
+    let refused = DeviceMap::new(&map, &gpu(), Precision::F64).err();
+    assert!(matches!(refused, Some(DeviceError::NoPieces)));
+}
