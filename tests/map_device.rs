@@ -1,10 +1,14 @@
 //! A map in pieces asked on a GPU: against the CPU's evaluator, and against an exact value function.
 
+mod common_pieces;
+
+use common_pieces::made_up;
 use costate::backend::Backend;
 use costate::backend::gpu::{Gpu, Selection};
-use costate::map::{At, DeviceError, DeviceMap, ValueMap};
+use costate::map::pieces::Region;
+use costate::map::{Adaptive, At, DeviceError, DeviceMap, ValueMap};
 use costate::model::Precision;
-use costate::output::Stored;
+use costate::output::{Axis, ResultFile, Stored, TrajectorySchema};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
@@ -63,8 +67,20 @@ fn made(name: &str, lines: &str) -> PathBuf {
     }
     let scene = folder().join(format!("{name}.toml"));
     std::fs::write(&scene, format!("{kept}\n[map]\n{lines}\n")).unwrap();
+    solved(&scene)
+}
+
+/// The result file of a scene's states.
+fn solved(scene: &Path) -> PathBuf {
     let out = scene.with_extension("h5");
-    let output = costate(&["homotopy", scene.to_str().unwrap(), "--backend", "cpu", "--out", out.to_str().unwrap()]);
+    let output = costate(&[
+        "homotopy",
+        scene.to_str().unwrap(),
+        "--backend",
+        "cpu",
+        "--out",
+        out.to_str().unwrap(),
+    ]);
     assert_eq!(
         output.status.code(),
         Some(0),
@@ -120,14 +136,16 @@ fn difference(map: &ValueMap, x: &[f64], a: &[At], b: &[At], epsilon: f64) -> Di
         all.v = all.v.max((here.v_error - there.v_error).abs() / unit);
         let size = here.p.iter().fold(0.0f64, |m, p| m.max(p.abs()));
         for i in 0..n {
-            all.p = all.p.max((here.p[i] - there.p[i]).abs() / (epsilon * (size + here.v.abs())));
+            all.p = all
+                .p
+                .max((here.p[i] - there.p[i]).abs() / (epsilon * (size + here.v.abs())));
         }
     }
     all
 }
 
-/// On both precisions; how many states have several sheets.
-fn compared(file: &Path, count: usize) -> usize {
+/// On both precisions, `least` of the states being known; how many have several sheets.
+fn compared(file: &Path, count: usize, least: f64) -> usize {
     let stored = Stored::open(file).unwrap();
     let map = ValueMap::new(&stored).unwrap();
     let region = stored.map_pieces().unwrap().expect("a map in pieces").region;
@@ -142,7 +160,7 @@ fn compared(file: &Path, count: usize) -> usize {
         let said = device.at_many(&x).unwrap();
         let off = difference(&map, &x, &cpu, &said, epsilon);
         println!("{}, {}: {off:?} of {count}", file.display(), precision.name());
-        assert!(off.known * 10 > count * 8 && off.pieces * 2 > off.known);
+        assert!(off.known as f64 > least * count as f64 && off.pieces * 2 > off.known);
         // At the edges of what is known a rounding decides; in f32 some states lie within one of a face between cells.
         let seldom = if precision == Precision::F64 { 0 } else { count / 200 };
         assert!(off.unlike <= seldom, "{}", off.unlike);
@@ -168,12 +186,15 @@ fn compared(file: &Path, count: usize) -> usize {
 #[test]
 fn a_smooth_value_on_a_gpu_is_the_exact_one() {
     let file = made("manufactured", "error = 1e-4\nfloor = 1e-3\ncheck = 1");
-    compared(&file, 5000);
+    compared(&file, 5000, 0.95);
     // By hand, whatever the CPU says.
     let stored = Stored::open(&file).unwrap();
     let map = ValueMap::new(&stored).unwrap();
     let states = spread(&[-1.48; 2], &[1.48; 2], 1000);
-    let said = DeviceMap::new(&map, &gpu(), Precision::F64).unwrap().at_many(&states).unwrap();
+    let said = DeviceMap::new(&map, &gpu(), Precision::F64)
+        .unwrap()
+        .at_many(&states)
+        .unwrap();
     for (x, at) in states.chunks(2).zip(said) {
         let (x, y) = (x[0], x[1]);
         let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
@@ -197,10 +218,23 @@ fn the_program_says_the_same(file: &Path) {
     let mut tables = Vec::new();
     for backend in ["cpu", "gpu"] {
         let out = folder().join(format!("{backend}.csv"));
-        let output = costate(&["value", file, "--points", list, "--backend", backend, "--out", out.to_str().unwrap()]);
+        let output = costate(&[
+            "value",
+            file,
+            "--points",
+            list,
+            "--backend",
+            backend,
+            "--out",
+            out.to_str().unwrap(),
+        ]);
         let said = String::from_utf8(output.stdout).unwrap();
         assert_eq!(output.status.code(), Some(0), "{said}");
-        let adapter = if backend == "gpu" { gpu().adapter() } else { "CPU, ".to_owned() };
+        let adapter = if backend == "gpu" {
+            gpu().adapter()
+        } else {
+            "CPU, ".to_owned()
+        };
         assert!(said.contains(&adapter) && said.contains("f64"), "{said}");
         tables.push(std::fs::read_to_string(out).unwrap());
     }
@@ -224,15 +258,55 @@ fn the_program_says_the_same(file: &Path) {
 #[test]
 fn two_sheets_of_the_pendulum() {
     let file = made("pendulum", "error = 1e-3\nfloor = 1e-2\nstates = 400\ncheck = 1");
-    assert!(compared(&file, 5000) > 0, "several sheets lie over some states");
+    assert!(compared(&file, 5000, 0.8) > 0, "several sheets lie over some states");
 }
 
+/// Three states in sheared coordinates, all functions of V, several sheets and pieces that say something on one side only, about
+/// the local solution of a chain of integrators.
 #[test]
-fn sheared_coordinates() {
-    let file = made("BENT", "BENTLINES");
+fn all_that_pieces_can_be() {
+    let scene = folder().join("chain.toml");
+    let text = "states = { x = {}, y = {}, z = {} }\ncontrols = { u = {} }\n\
+                dynamics = { x = \"y\", y = \"z\", z = \"u\" }\ncost = { running = \"0.5*(x^2 + y^2 + z^2 + u^2)\" }\n\
+                equilibrium = { x = 0, y = 0, z = 0, u = 0 }\nregion = { x = [-1, 2], y = [-3, 1], z = [-0.5, 1.5] }\n\
+                map = { error = 0.1, states = 20, check = 1 }\n";
+    std::fs::write(&scene, text).unwrap();
+    let file = solved(&scene);
     let stored = Stored::open(&file).unwrap();
-    assert!(stored.map_pieces().unwrap().unwrap().frame.bend.is_some(), "the frame is sheared");
-    compared(&file, 2000);
+    let region = stored.map_pieces().unwrap().unwrap().region;
+    let pieces = made_up(Region {
+        floor: 0.5,
+        value_max: 2.02,
+        ..region
+    });
+    assert!(pieces.frame.bend.is_some());
+    let axes = |names: &[&str]| -> Vec<Axis> {
+        let axis = |name: &&str| Axis {
+            name: (*name).to_owned(),
+            unit: None,
+            long_name: None,
+        };
+        names.iter().map(axis).collect()
+    };
+    let schema = TrajectorySchema {
+        states: axes(&["x", "y", "z"]),
+        controls: axes(&["u"]),
+        ..TrajectorySchema::default()
+    };
+    let made = Adaptive {
+        pieces,
+        check: Vec::new(),
+        states: 0,
+        failed: 0,
+        points: 0,
+        rounds: 0,
+        unmet: 0.0,
+        seconds: 0.0,
+    };
+    let mut writer = ResultFile::extend(&file, &["map_pieces"]).unwrap();
+    writer.map_pieces(&schema, &made).unwrap();
+    writer.finish().unwrap();
+    compared(&file, 5000, 0.3);
 }
 
 /// What the GPU does not do is said, and nothing is written.
@@ -240,8 +314,19 @@ fn sheared_coordinates() {
 fn what_a_gpu_does_not_do_is_said() {
     let scattered = folder().join("scattered.h5");
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/linear_quadratic.toml");
-    let output = costate(&["run", scene.to_str().unwrap(), "--no-report", "--out", scattered.to_str().unwrap()]);
-    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = costate(&[
+        "run",
+        scene.to_str().unwrap(),
+        "--no-report",
+        "--out",
+        scattered.to_str().unwrap(),
+    ]);
+    assert_eq!(
+        output.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let (file, out) = (scattered.to_str().unwrap(), folder().join("none.csv"));
     let at = Stored::open(&scattered).unwrap().model.states[0].variable.name.clone() + "=0.1";
     let to = out.to_str().unwrap();

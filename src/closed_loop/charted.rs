@@ -233,7 +233,11 @@ impl Ground<'_> {
             }
         }
         let mut own: Vec<Plan> = lost.iter().map(|i| plans[*i].take().unwrap_or_default()).collect();
-        let mut vectors: Vec<f64> = lost.iter().flat_map(|i| &batch.end[i * dim..][..dim]).copied().collect();
+        let mut vectors: Vec<f64> = lost
+            .iter()
+            .flat_map(|i| &batch.end[i * dim..][..dim])
+            .copied()
+            .collect();
         let goes_on = self.fall_back(help, &mut vectors, &mut own, flying);
         for ((i, vector), plan) in lost.iter().zip(vectors.chunks_exact(dim)).zip(own) {
             batch.end[i * dim..][..dim].copy_from_slice(vector);

@@ -77,7 +77,10 @@ impl Ground<'_> {
                 self.by_nearest(help, vectors, &mut helped);
             }
         }
-        helped.iter_mut().zip(flying).for_each(|(helped, flying)| *helped |= flying);
+        helped
+            .iter_mut()
+            .zip(flying)
+            .for_each(|(helped, flying)| *helped |= flying);
         helped
     }
 
@@ -101,22 +104,25 @@ impl Ground<'_> {
     /// here.
     fn by_nearest(&self, help: &mut Help<'_, '_>, vectors: &mut [f64], helped: &mut [bool]) {
         let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
-        let (mut open, mut from) = (Vec::new(), Vec::new());
+        let (mut open, mut from, mut x) = (Vec::new(), Vec::new(), Vec::new());
         for (k, vector) in vectors.chunks_exact(dim).enumerate().filter(|(k, _)| !helped[*k]) {
-            let mut x: Vec<f64> = vector[..n].iter().zip(reference).map(|(s, x)| s + x).collect();
-            if help.chart.clamp(&mut x) {
+            let at = from.len();
+            from.extend(vector[..n].iter().zip(reference).map(|(s, x)| s + x));
+            if help.chart.clamp(&mut from[at..]) {
                 open.push(k);
-                from.extend(x);
+            } else {
+                from.truncate(at);
             }
         }
         for share in INWARD {
             if open.is_empty() {
                 return;
             }
-            let x: Vec<f64> = (from.chunks_exact(n))
-                .flat_map(|from| from.iter().zip(reference).map(|(a, b)| a + share * (b - a)))
-                .collect();
-            help.chart.expansions(n, &x, help.room);
+            x.clear();
+            for from in from.chunks_exact(n) {
+                x.extend(from.iter().zip(reference).map(|(a, b)| a + share * (b - a)));
+            }
+            help.chart.slopes(n, &x, help.room);
             let room = &help.room;
             let (mut still, mut left) = (Vec::new(), Vec::new());
             for (j, (k, from)) in open.iter().zip(from.chunks_exact(n)).enumerate() {
@@ -135,12 +141,7 @@ impl Ground<'_> {
     /// For each of some trajectories a way back to where the chart has answers, foretold with the equations themselves: p of the
     /// nearest state known, if that comes back within the periods left; else the cheapest of the plans that first hold a control
     /// at a bound of it, by its cost and V where it comes back.
-    pub fn search(
-        &self,
-        help: &mut Help<'_, '_>,
-        periods: usize,
-        vectors: &[f64],
-    ) -> Result<Vec<Plan>, BackendError> {
+    pub fn search(&self, help: &mut Help<'_, '_>, periods: usize, vectors: &[f64]) -> Result<Vec<Plan>, BackendError> {
         let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
         let count = vectors.len() / dim;
         let mut found = vec![Plan::default(); count];
@@ -190,20 +191,13 @@ impl Ground<'_> {
             };
             count
         ];
-        let mut seeds: Vec<f64> = alive.iter().flat_map(|t| &vectors[t.of * dim..][..dim]).copied().collect();
-        let mut flown = Trajectories::default();
+        let mut seeds: Vec<f64> = alive
+            .iter()
+            .flat_map(|t| &vectors[t.of * dim..][..dim])
+            .copied()
+            .collect();
+        let (mut flown, mut x) = (Trajectories::default(), Vec::new());
         for period in 0..periods {
-            let mut kept = Vec::with_capacity(seeds.len());
-            let mut vector = seeds.chunks_exact(dim);
-            alive.retain(|trial| {
-                let vector = vector.next().unwrap_or_default();
-                let waited_for = period <= best[trial.of].last;
-                if waited_for {
-                    kept.extend_from_slice(vector);
-                }
-                waited_for
-            });
-            seeds = kept;
             if alive.is_empty() {
                 break;
             }
@@ -211,10 +205,11 @@ impl Ground<'_> {
             self.fall_back(help, &mut seeds, &mut plans, &vec![true; alive.len()]);
             alive.iter_mut().zip(plans).for_each(|(t, plan)| t.plan = plan);
             help.wings.fly(help.run, &seeds, &mut flown)?;
-            let x: Vec<f64> = (flown.end.chunks_exact(dim))
-                .flat_map(|end| end[..n].iter().zip(reference).map(|(s, x)| s + x))
-                .collect();
-            help.chart.expansions(n, &x, help.room);
+            x.clear();
+            for end in flown.end.chunks_exact(dim) {
+                x.extend(end[..n].iter().zip(reference).map(|(s, x)| s + x));
+            }
+            help.chart.slopes(n, &x, help.room);
             let room = &help.room;
             seeds.clear();
             let mut j = 0;
@@ -223,7 +218,8 @@ impl Ground<'_> {
                 j += 1;
                 let best = &mut best[trial.of];
                 let spent = end[cost] - vectors[trial.of * dim + cost];
-                if flown.status[k] != Status::Reached || best.plan.is_some_and(|(least, _)| spent >= least) {
+                let dear = best.plan.is_some_and(|(least, _)| spent >= least);
+                if flown.status[k] != Status::Reached || dear {
                     return false;
                 }
                 if !room.known[k] {
@@ -237,6 +233,16 @@ impl Ground<'_> {
                 }
                 false
             });
+            let waited_for = |trial: &Trial| period < best[trial.of].last;
+            if !alive.iter().all(waited_for) {
+                let rows = alive.iter().zip(seeds.chunks_exact(dim));
+                seeds = rows
+                    .filter(|(t, _)| waited_for(t))
+                    .flat_map(|(_, row)| row)
+                    .copied()
+                    .collect();
+                alive.retain(waited_for);
+            }
         }
         Ok(best.into_iter().map(|b| b.plan.map(|(_, k)| k)).collect())
     }

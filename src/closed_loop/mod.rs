@@ -56,6 +56,11 @@ pub trait Chart: Sync {
         }
     }
 
+    /// The same without second derivatives, which may be left as they were.
+    fn slopes(&self, states: usize, x: &[f64], to: &mut Expansions) {
+        self.expansions(states, x, to);
+    }
+
     /// Moves a state into the region of which the chart knows something; false where that has no bounds.
     fn clamp(&self, _x: &mut [f64]) -> bool {
         false
@@ -115,6 +120,19 @@ impl Chart for ValueMap {
         self.each(x, true, &mut room, |k, here| {
             if let Some(here) = here {
                 to.put(k, here.v, &here.p[..states], &here.hessian[..states * states]);
+            }
+        });
+        to.room = room;
+    }
+
+    fn slopes(&self, states: usize, x: &[f64], to: &mut Expansions) {
+        to.reset(states, x.len() / states);
+        let mut room = std::mem::take(&mut to.room);
+        self.each(x, false, &mut room, |k, here| {
+            if let Some(here) = here {
+                to.known[k] = true;
+                to.v[k] = here.v;
+                to.p[k * states..][..states].copy_from_slice(&here.p[..states]);
             }
         });
         to.room = room;

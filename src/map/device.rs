@@ -18,7 +18,9 @@ use wgpu::BufferUsages;
 pub enum DeviceError {
     #[error(transparent)]
     Backend(#[from] BackendError),
-    #[error("the file holds no map in pieces (a scene with [map] error has one): scattered solutions are looked up on the CPU only")]
+    #[error(
+        "the file holds no map in pieces (a scene with [map] error has one): scattered solutions are looked up on the CPU only"
+    )]
     NoPieces,
     #[error("V is that of a game, of whose map the GPU does not ask where a sheet ends: use --backend cpu")]
     Game,
@@ -57,9 +59,8 @@ fn source(packed: &Packed, precision: Precision) -> Source {
         Precision::F32 => "F32",
         Precision::F64 => "F64",
     };
-    let constants = text::constants(precision)
-        + &packed.constants(precision)
-        + &format!("const WORKGROUP: u32 = {WORKGROUP}u;\n");
+    let constants =
+        text::constants(precision) + &packed.constants(precision) + &format!("const WORKGROUP: u32 = {WORKGROUP}u;\n");
     Source::new(&[
         Fragment {
             name: "constants",

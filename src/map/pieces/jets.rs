@@ -131,7 +131,11 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
         }
         let count = tables.upto[degree];
         // By second derivatives (see below) the highest monomials are not needed.
-        let needed = if second { tables.upto[degree.saturating_sub(2)] } else { count };
+        let needed = if second {
+            tables.upto[degree.saturating_sub(2)]
+        } else {
+            count
+        };
         let (c, m) = (&c[..count], &mut m[..count]);
         m[0] = Lanes::splat(T::of(1.0));
         for (t, (parent, axis, power)) in tables.factors[..needed].iter().enumerate().skip(1) {

@@ -3,8 +3,8 @@
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
 use crate::map::pieces::jets::{Jet, MOST_SECOND, Sum, Tables};
-use crate::map::swift::Packed;
 use crate::map::pieces::{Bend, LANES, MOST_VARIABLES};
+use crate::map::swift::Packed;
 
 /// Along one axis `(t + phi(the other coordinates) - lowest) / width`; see [`Bend`].
 #[derive(Clone, Debug)]

@@ -20,7 +20,15 @@ impl Flat<f64> {
         to.reals("CELLS", self.cells.iter().copied());
         to.words("OWNED", self.owned.iter().copied());
         to.reals("BOUNDS", self.heads.iter().flat_map(|h| [h.bound, h.p_bound]));
-        let head = |h: &super::Head<f64>| [h.coefficients, h.degree.into(), h.shape as u32, h.sheet as u32, h.support];
+        let head = |h: &super::Head<f64>| {
+            [
+                h.coefficients,
+                h.degree.into(),
+                h.shape as u32,
+                h.sheet as u32,
+                h.support,
+            ]
+        };
         to.words("HEADS", self.heads.iter().flat_map(head));
         for (name, shape) in [
             ("ROOT", Shape::Root),
