@@ -108,7 +108,7 @@ fn shear_at(place: Vector) -> Shear {
 // What a piece says at a place; not known outside its points.
 fn told(piece: u32, place: Vector) -> Told {
     var z = place;
-    var this: Told;
+    var answer: Told;
     var y: Vector;
     let box = PLACES + piece * 2u * N;
     for (var i = 0u; i < N; i += 1u) {
@@ -127,38 +127,38 @@ fn told(piece: u32, place: Vector) -> Told {
             inside = inside & (at >= reals[extent]) & (at <= reals[extent + 1u]);
         }
         if (!inside) {
-            return this;
+            return answer;
         }
     }
-    let sum = polynomial(COEFFICIENTS + words[head], words[head + 1u], y);
+    var sum = polynomial(COEFFICIENTS + words[head], words[head + 1u], y);
     var slope: real = 1.0;
-    this.v = sum.v;
+    answer.v = sum.v;
     switch words[head + 2u] {
         case ROOT: {
-            this.v = sum.v * sum.v;
+            answer.v = sum.v * sum.v;
             slope = 2.0 * sum.v;
         }
         case LOGARITHM: {
-            this.v = exponential(sum.v);
-            slope = this.v;
+            answer.v = exponential(sum.v);
+            slope = answer.v;
         }
         case RECIPROCAL: {
-            this.v = 1.0 / sum.v;
-            slope = -(this.v * this.v);
+            answer.v = 1.0 / sum.v;
+            slope = -(answer.v * answer.v);
         }
         default: {}
     }
-    let size = max(abs(this.v), FLOOR);
-    this.v_bound = reals[BOUNDS + 2u * piece] * size;
+    let size = max(abs(answer.v), FLOOR);
+    answer.v_bound = reals[BOUNDS + 2u * piece] * size;
     let p_bound = reals[BOUNDS + 2u * piece + 1u] * size;
     for (var i = 0u; i < N; i += 1u) {
         let half = reals[box + N + i];
-        this.q[i] = sum.q[i] * (slope / half);
-        this.p_bound[i] = p_bound / half;
+        answer.q[i] = sum.q[i] * (slope / half);
+        answer.p_bound[i] = p_bound / half;
     }
-    this.sheet = words[head + 3u];
-    this.known = is_finite(this.v);
-    return this;
+    answer.sheet = words[head + 3u];
+    answer.known = is_finite(answer.v);
+    return answer;
 }
 
 struct Weight {
@@ -170,26 +170,26 @@ struct Weight {
 // The weight of a cell at a place, with its gradient.
 fn weight(cell: u32, place: Vector) -> Weight {
     var z = place;
-    var this: Weight;
+    var share: Weight;
     var f: Vector;
     var d: Vector;
     let box = CELLS + cell * 2u * N;
-    this.positive = true;
-    this.w = 1.0;
+    share.positive = true;
+    share.w = 1.0;
     for (var i = 0u; i < N; i += 1u) {
         let half = reals[box + N + i];
         let offset = (z[i] - reals[box + i]) / half;
         let t = (abs(offset) - EDGE) / OVERLAP;
         f[i] = 1.0;
         if (t >= 1.0) {
-            this.positive = false;
+            share.positive = false;
         } else if (t > 0.0) {
             let rest = 1.0 - t;
             let scale = OVERLAP * half;
             f[i] = 1.0 - t * t * t * (10.0 - 15.0 * t + 6.0 * t * t);
-            d[i] = -30.0 * t * t * rest * rest * select(1.0, -1.0, offset < 0.0) / scale;
+            d[i] = -30.0 * t * t * rest * rest * select(real(1.0), real(-1.0), offset < 0.0) / scale;
         }
-        this.w *= f[i];
+        share.w *= f[i];
     }
     for (var i = 0u; i < N; i += 1u) {
         var product = d[i];
@@ -198,9 +198,9 @@ fn weight(cell: u32, place: Vector) -> Weight {
                 product *= f[k];
             }
         }
-        this.dw[i] = product;
+        share.dw[i] = product;
     }
-    return this;
+    return share;
 }
 
 // The lowest sheet's blend at a place of the frame, in its coordinates.

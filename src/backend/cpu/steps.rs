@@ -282,8 +282,11 @@ fn runge_kutta(
             .collect();
         let rate = r.program(&spec.rate, &point[..inputs]);
         if s + 1 < stages {
-            for (v, slot) in rate.iter().zip(layout.stage(s)) {
-                r.store(*v, slot);
+            // Slots of components that never change stay 0.
+            for (c, (v, slot)) in rate.iter().zip(layout.stage(s)).enumerate() {
+                if !spec.is_constant(c) {
+                    r.store(*v, slot);
+                }
             }
         }
         k.push(rate);
@@ -360,7 +363,7 @@ pub fn dense(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) 
             .collect();
         k.push(r.program(&spec.rate, &point));
     }
-    for c in 0..layout.dim {
+    for c in (0..layout.dim).filter(|c| !spec.is_constant(*c)) {
         let parts: Vec<Value> = (0..tableau.degree())
             .map(|i| r.weighted(tableau.dense.iter().zip(&k).map(|(d, k)| (d[i], k[c]))))
             .collect();

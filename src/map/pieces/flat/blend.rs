@@ -271,7 +271,9 @@ impl<T: Real> Sums<T> {
         for i in 0..n {
             for j in i..n {
                 let ddw = match i == j {
+                    true if dd[i] == T::of(0.0) => dd[i],
                     true => dd[i] * but([i, i]),
+                    false if d[i] == T::of(0.0) || d[j] == T::of(0.0) => T::of(0.0),
                     false => d[i] * d[j] * but([i, j]),
                 };
                 let cross = dw[i] * (told.q[j] - first.q[j]) + dw[j] * (told.q[i] - first.q[i]);
