@@ -13,9 +13,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
-/// Rounding of sums of up to some hundred terms, and of places in cells down to a hundredth of the region, of which V is a
-/// polynomial of degree 8.
-const ROUNDINGS: f64 = 2000.0;
+/// Rounding of V: of sums of up to some hundred terms, at places in cells down to a hundredth of the region.
+const ROUNDINGS: f64 = 100.0;
+/// Of p, in units of V's: slopes of polynomials in a cell are divided by its width.
+const OF_P: f64 = 50.0;
 
 fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
@@ -164,7 +165,7 @@ fn compared(file: &Path, count: usize, least: f64) -> usize {
         // At the edges of what is known a rounding decides; in f32 some states lie within one of a face between cells.
         let seldom = if precision == Precision::F64 { 0 } else { count / 200 };
         assert!(off.unlike <= seldom, "{}", off.unlike);
-        assert!(off.v <= ROUNDINGS && off.p <= 50.0 * ROUNDINGS);
+        assert!(off.v <= ROUNDINGS && off.p <= OF_P * ROUNDINGS);
         several = off.several;
         // The comparison sees an error of a few more roundings.
         let mut wrong = said;
@@ -330,14 +331,14 @@ fn what_a_gpu_does_not_do_is_said() {
     let (file, out) = (scattered.to_str().unwrap(), folder().join("none.csv"));
     let at = Stored::open(&scattered).unwrap().model.states[0].variable.name.clone() + "=0.1";
     let to = out.to_str().unwrap();
-    for (args, wanted) in [
-        (vec!["--backend", "gpu"], "holds no map in pieces"),
-        (vec!["--precision", "f32"], "--backend gpu has both"),
-        (vec!["--backend", "gpu", "--adapter", "no such thing"], "no adapter"),
+    for (args, wanted, status) in [
+        (vec!["--backend", "gpu"], "holds no map in pieces", 2),
+        (vec!["--precision", "f32"], "--backend gpu has both", 2),
+        (vec!["--backend", "gpu", "--adapter", "no such thing"], "no adapter", 1),
     ] {
         let output = costate(&[&["value", file, "--at", &at, "--out", to][..], &args].concat());
         let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert_eq!(output.status.code(), Some(status), "{said}");
         assert!(said.contains(wanted), "{said}");
         assert!(!out.exists());
     }

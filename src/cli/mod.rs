@@ -26,6 +26,7 @@ use crate::attenuation::SmallestError;
 use crate::backend::{Backend, BackendError};
 use crate::bench::BenchError;
 use crate::closed_loop::{LawError, LoopError};
+use crate::map::DeviceError;
 use crate::model::{Method, Model, Precision};
 use crate::output::{OutputError, StoredError};
 use crate::scenario::{LoadError, ScenarioErrors};
@@ -514,7 +515,7 @@ enum CliError {
     )]
     MapName { name: String },
     #[error(transparent)]
-    Device(#[from] crate::map::DeviceError),
+    Device(#[from] DeviceError),
     #[error(transparent)]
     Study(#[from] crate::study::StudyError),
     #[error(transparent)]
@@ -612,6 +613,8 @@ impl CliError {
             CliError::Attenuation(SmallestError::Backend(_)) => 1,
             CliError::Attenuation(_) | CliError::NoAttenuation => 2,
             CliError::Place(_) | CliError::Map(_) => 2,
+            CliError::Device(DeviceError::Backend(_)) => 1,
+            CliError::Device(_) => 2,
             CliError::Law(_)
             | CliError::NoClosedLoop
             | CliError::NoLaws

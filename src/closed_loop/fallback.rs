@@ -35,6 +35,9 @@ struct Trial {
     of: usize,
     number: usize,
     plan: Plan,
+    /// The period at which a shorter plan (of this number, the longer one having the next) leaves off holding p: until then they
+    /// are one flight.
+    parts: Option<usize>,
 }
 
 /// The cheapest plan of a trajectory that has come back.
@@ -150,20 +153,35 @@ impl Ground<'_> {
             help.chart.clamp(&mut x)
         };
         let all: Vec<usize> = (0..count).filter(|k| bounded(&vectors[k * dim..][..dim])).collect();
-        let trial = |of: usize, number: usize, plan: Plan| Trial { of, number, plan };
-        let nearest = all.iter().map(|k| trial(*k, 0, Plan::default())).collect();
+        let nearest = (all.iter())
+            .map(|k| Trial {
+                of: *k,
+                number: 0,
+                plan: Plan::default(),
+                parts: None,
+            })
+            .collect();
         let back = self.cheapest(help, periods, vectors, nearest)?;
         let lost: Vec<usize> = all.into_iter().filter(|k| back[*k].is_none()).collect();
         let mut plans: Vec<Vec<Plan>> = vec![Vec::new(); count];
         let lengths = || std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < periods);
+        let mut trials = Vec::new();
         for k in &lost {
             for p in self.pushes(&vectors[k * dim..][..dim]) {
+                if let Some(longest) = lengths().last() {
+                    trials.push(Trial {
+                        of: *k,
+                        number: plans[*k].len(),
+                        plan: Plan {
+                            p: p.clone(),
+                            left: longest,
+                        },
+                        parts: Some(1).filter(|k| *k < longest),
+                    });
+                }
                 plans[*k].extend(lengths().map(|left| Plan { p: p.clone(), left }));
             }
         }
-        let trials = (plans.iter().enumerate())
-            .flat_map(|(k, plans)| plans.iter().enumerate().map(move |(j, plan)| trial(k, j, plan.clone())))
-            .collect();
         let best = self.cheapest(help, periods, vectors, trials)?;
         for k in lost {
             if let Some(j) = best[k] {
@@ -200,6 +218,21 @@ impl Ground<'_> {
         for period in 0..periods {
             if alive.is_empty() {
                 break;
+            }
+            for j in 0..alive.len() {
+                let trial = &mut alive[j];
+                if trial.parts != Some(period) {
+                    continue;
+                }
+                let shorter = Trial {
+                    plan: Plan::default(),
+                    parts: None,
+                    ..*trial
+                };
+                trial.number += 1;
+                trial.parts = Some(2 * period).filter(|k| *k < period + trial.plan.left);
+                alive.push(shorter);
+                seeds.extend_from_within(j * dim..(j + 1) * dim);
             }
             let mut plans: Vec<Plan> = alive.iter_mut().map(|t| std::mem::take(&mut t.plan)).collect();
             self.fall_back(help, &mut seeds, &mut plans, &vec![true; alive.len()]);
