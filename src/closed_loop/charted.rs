@@ -10,8 +10,8 @@ use crate::model::Outside;
 use rayon::prelude::*;
 
 /// Trajectories that one thread flies from their start to their end: few enough to balance the load, many enough that the
-/// kernel's lanes are full.
-const PART: usize = 256;
+/// kernel's lanes are full, also with the few that the chart has no answer for.
+const PART: usize = 1024;
 /// Longest share of the final time over which the last answer is held for want of anything better, unless that is the policy.
 const HOLD: f64 = 0.25;
 /// Attempted steps that a leg may take, however many legs there are.

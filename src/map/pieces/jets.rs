@@ -112,7 +112,7 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
         second: bool,
         to: &mut Jet<T, W>,
     ) {
-        let zero = Lanes::splat(T::of(0.0));
+        let zero: Lanes<T, W> = Lanes::splat(T::of(0.0));
         let Self {
             tables,
             degree,
@@ -130,12 +130,8 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
             }
         }
         let count = tables.upto[degree];
-        // By second derivatives (see below) the highest monomials are not needed.
-        let needed = if second {
-            tables.upto[degree.saturating_sub(2)]
-        } else {
-            count
-        };
+        // The highest derivatives are summed, from which the others follow: the highest monomials are not needed.
+        let needed = tables.upto[degree.saturating_sub(if second { 2 } else { 1 })];
         let (c, m) = (&c[..count], &mut m[..count]);
         m[0] = Lanes::splat(T::of(1.0));
         for (t, (parent, axis, power)) in tables.factors[..needed].iter().enumerate().skip(1) {
@@ -151,44 +147,55 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
             by_parts::<T, W, N, PAIRS, FMA>(tables, degree, c, m, y, to);
             return;
         }
-        // Several sums of the terms of V, so that they do not wait for each other.
-        const SUMS: usize = 4;
-        let mut v = [zero; SUMS];
-        let mut add = |t: usize, k: usize| {
-            for l in 0..W {
-                v[k].0[l] = c[t].0[l].mul_add::<FMA>(m[t].0[l], v[k].0[l]);
-            }
-        };
-        let whole = count - count % SUMS;
-        for t in (0..whole).step_by(SUMS) {
-            for k in 0..SUMS {
-                add(t + k, k);
-            }
-        }
-        for t in whole..count {
-            add(t, t - whole);
-        }
-        for l in 0..W {
-            to.v.0[l] = (v[0].0[l] + v[1].0[l]) + (v[2].0[l] + v[3].0[l]);
-        }
-        let mut q = [zero; N];
-        if degree > 0 {
-            let terms = tables.upto[degree - 1];
-            for (next, m) in tables.first[..terms * N].chunks_exact(N).zip(m.iter()) {
-                for i in 0..N {
-                    let c = &c[usize::from(next[i])];
-                    for l in 0..W {
-                        q[i].0[l] = c.0[l].mul_add::<FMA>(m.0[l], q[i].0[l]);
-                    }
-                }
-            }
-        }
-        to.q[..N].copy_from_slice(&q);
+        by_slopes::<T, W, N, FMA>(tables, degree, c, m, y, to);
     }
 }
 
-/// Sums of all second derivatives, one degree after the other, from which the others follow: the part of degree k of a function
-/// is `1/k` times its gradient times y (Euler).
+/// Sums of all first derivatives, one degree after the other, from which V follows: the part of degree k of a function is `1/k`
+/// times its gradient times y (Euler).
+#[inline(always)]
+fn by_slopes<T: Real, const W: usize, const N: usize, const FMA: bool>(
+    tables: &Tables,
+    degree: usize,
+    c: &[Lanes<T, W>],
+    m: &[Lanes<T, W>],
+    y: &[Lanes<T, W>; MOST_VARIABLES],
+    to: &mut Jet<T, W>,
+) {
+    let zero = Lanes::splat(T::of(0.0));
+    let (mut v, mut q) = (c[0], [zero; N]);
+    let mut first = 0;
+    for k in 1..=degree {
+        // First derivatives of degree k - 1.
+        let end = tables.upto[k - 1];
+        let mut part = [zero; N];
+        let nexts = tables.first[first * N..end * N].chunks_exact(N);
+        for (next, m) in nexts.zip(&m[first..end]) {
+            for i in 0..N {
+                let c = &c[usize::from(next[i])];
+                for l in 0..W {
+                    part[i].0[l] = c.0[l].mul_add::<FMA>(m.0[l], part[i].0[l]);
+                }
+            }
+        }
+        let share = T::of(1.0 / k as f64);
+        let mut more = zero;
+        for i in 0..N {
+            for l in 0..W {
+                q[i].0[l] = q[i].0[l] + part[i].0[l];
+                more.0[l] = part[i].0[l].mul_add::<FMA>(y[i].0[l], more.0[l]);
+            }
+        }
+        for l in 0..W {
+            v.0[l] = more.0[l].mul_add::<FMA>(share, v.0[l]);
+        }
+        first = end;
+    }
+    to.v = v;
+    to.q[..N].copy_from_slice(&q);
+}
+
+/// The same with second derivatives, from which those of first order follow too.
 #[inline(always)]
 fn by_parts<T: Real, const W: usize, const N: usize, const PAIRS: usize, const FMA: bool>(
     tables: &Tables,
