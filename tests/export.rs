@@ -1,8 +1,10 @@
 //! `costate export`: compiled headers against the value map, the local series and exact value functions.
 
-mod common_pieces;
+mod common_commands;
 
-use common_pieces::made_up;
+use common_commands::header::{Said, ask};
+use common_commands::made_up::made_up;
+use common_commands::{costate, done, manufactured, scene};
 use costate::feedback::{Known, value_header};
 use costate::hamiltonian::{Hamiltonian, System};
 use costate::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
@@ -11,114 +13,10 @@ use costate::map::pieces::Region;
 use costate::model::{Model, SeedValue};
 use costate::output::Stored;
 use costate::sweep::random;
-use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
 
-/// An empty directory of the test's own.
 fn scratch(name: &str) -> PathBuf {
-    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("export-{name}"));
-    let _ = std::fs::remove_dir_all(&directory);
-    std::fs::create_dir_all(&directory).unwrap();
-    directory
-}
-
-fn costate(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_costate"))
-        .args(arguments)
-        .output()
-        .unwrap()
-}
-
-fn done(output: Output) -> String {
-    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(0), "{errors}");
-    String::from_utf8(output.stdout).unwrap()
-}
-
-/// A shipped scene's problem alone, with further lines, in a directory.
-fn scene(directory: &Path, name: &str, lines: &str) -> PathBuf {
-    const KEPT: [&str; 10] = [
-        "parameters",
-        "states",
-        "controls",
-        "disturbances",
-        "definitions",
-        "dynamics",
-        "cost",
-        "equilibrium",
-        "region",
-        "guards",
-    ];
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenarios/{name}.toml"));
-    let text = std::fs::read_to_string(shipped).unwrap();
-    let (mut kept, mut wanted) = (String::new(), true);
-    for line in text.lines() {
-        if let Some(section) = line.strip_prefix('[').and_then(|l| l.split([']', '.']).next()) {
-            wanted = KEPT.contains(&section);
-        }
-        if wanted {
-            kept += &format!("{line}\n");
-        }
-    }
-    let path = directory.join(format!("{name}.toml"));
-    std::fs::write(&path, format!("{kept}\n{lines}\n")).unwrap();
-    path
-}
-
-/// What a header says of a state.
-#[derive(Debug)]
-struct Said {
-    known: bool,
-    v: f64,
-    p: Vec<f64>,
-    u: Vec<f64>,
-}
-
-/// Compiles `NAME.h` of a directory and asks it about states; n states, m controls.
-fn ask(directory: &Path, name: &str, [n, m]: [usize; 2], flags: &[&str], states: &[Vec<f64>]) -> Vec<Said> {
-    let program = format!(
-        "#include \"{name}.h\"\n#include <stdio.h>\n\
-         int main(void) {{\n  double in; int i, k;\n  for (;;) {{\n    {name}_real x[{n}], V = 0, p[{n}] = {{0}}, u[{m}] = {{0}};\n    \
-         for (i = 0; i < {n}; i++) {{ if (scanf(\"%lf\", &in) != 1) return 0; x[i] = ({name}_real)in; }}\n    \
-         k = {name}_value(x, &V, p);\n    if (k != {name}_control(x, u)) return 1;\n    printf(\"%d %.17g\", k, (double)V);\n    \
-         for (i = 0; i < {n}; i++) printf(\" %.17g\", (double)p[i]);\n    \
-         for (i = 0; i < {m}; i++) printf(\" %.17g\", (double)u[i]);\n    printf(\"\\n\");\n  }}\n}}\n"
-    );
-    std::fs::write(directory.join("main.c"), program).unwrap();
-    let compiled = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()))
-        .args(["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"])
-        .args(flags)
-        .args(["-o", "main", "main.c", "-lm"])
-        .current_dir(directory)
-        .output()
-        .unwrap();
-    done(compiled);
-    let mut running = Command::new(directory.join("main"))
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let text: String = (states.iter())
-        .map(|x| x.iter().map(|x| format!("{x:?} ")).collect::<String>() + "\n")
-        .collect();
-    let mut input = running.stdin.take().unwrap();
-    let writer = std::thread::spawn(move || input.write_all(text.as_bytes()).unwrap());
-    let rows = done(running.wait_with_output().unwrap());
-    writer.join().unwrap();
-    let rows = rows.lines().map(|line| {
-        let numbers: Vec<f64> = line.split_whitespace().map(|v| v.parse().unwrap()).collect();
-        assert_eq!(numbers.len(), 2 + n + m);
-        Said {
-            known: numbers[0] == 1.0,
-            v: numbers[1],
-            p: numbers[2..2 + n].to_vec(),
-            u: numbers[2 + n..].to_vec(),
-        }
-    });
-    let rows: Vec<Said> = rows.collect();
-    assert_eq!(rows.len(), states.len());
-    rows
+    common_commands::scratch(&format!("export-{name}"))
 }
 
 /// A result file with a map, and its header.
@@ -225,7 +123,7 @@ fn a_smooth_map_is_its_header() {
         })
         .collect();
     for (x, said) in states.iter().zip(ask(&directory, "map", [2, 1], &[], &states)) {
-        let (v, p) = manufactured(x);
+        let (v, p, _) = manufactured(x[0], x[1]);
         assert!(said.known && (said.v - v).abs() < 1e-4 * v.max(1e-3), "{x:?}: {said:?}");
         // u* = -p_y / r with r = 1/2, where the map's p is right.
         assert!(
@@ -334,17 +232,6 @@ fn all_that_pieces_can_be_is_in_their_header() {
     }
 }
 
-/// V and p of `manufactured.toml`.
-fn manufactured(x: &[f64]) -> (f64, [f64; 2]) {
-    let [x, y] = [x[0], x[1]];
-    let v = 0.5 * x * x + 0.5 * (1.0 - x.cos()) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
-    let p = [
-        x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
-        0.5 * x + 2.0 * y + 0.5 * x * x * y,
-    ];
-    (v, p)
-}
-
 fn loaded(path: &Path) -> (Model, Hamiltonian) {
     let model = costate::scenario::load(path, &[]).unwrap();
     let hamiltonian = Hamiltonian::derive(&model).unwrap();
@@ -393,7 +280,7 @@ fn the_series_is_its_header() {
         // Of terms through degree d + 1; this V has even ones alone, whose coefficients are below 1.
         let missing = if degree % 2 == 1 { degree + 3 } else { degree + 2 };
         for (x, said) in near.iter().zip(ask(&directory, "local", [2, 1], &[], &near)) {
-            let (v, radius) = (manufactured(x).0, size(x));
+            let (v, radius) = (manufactured(x[0], x[1]).0, size(x));
             assert!(
                 (said.v - v).abs() <= radius.powi(missing as i32) + 1e-16,
                 "{degree} {x:?}: {said:?} {v}"
@@ -449,6 +336,70 @@ fn the_series_of_a_linear_quadratic_scene_is_riccati_s() {
     }
 }
 
+/// How many there are in a directory.
+fn headers(directory: &Path) -> usize {
+    let files = std::fs::read_dir(directory).unwrap().map(|f| f.unwrap().path());
+    files.filter(|f| f.extension().is_some_and(|e| e == "h")).count()
+}
+
+/// The header of a law in a result file is the one that the fit wrote.
+#[test]
+fn a_fitted_law_is_exported_again() {
+    let directory = scratch("law");
+    let law = |name: &str, fit: &str| {
+        format!("[feedback.{name}]\nfit = \"{fit}\"\nhidden = [2]\nstarts = 1\niterations = 20\n")
+    };
+    let states = "[homotopy]\nx = [-1, 1, 7]\ny = [-1, 1, 7]\n";
+    let path = scene(
+        &directory,
+        "manufactured",
+        &(states.to_owned() + &law("push", "u") + &law("cost", "V")),
+    );
+    let file = directory.join("points.h5");
+    let (path, file) = (path.to_str().unwrap(), file.to_str().unwrap());
+    done(costate(&["homotopy", "--backend", "cpu", path, "--out", file]));
+    done(costate(&["fit", file]));
+    let written = |name: &str| std::fs::read(directory.join(name)).unwrap();
+    for name in ["push", "cost"] {
+        let out = directory.join("again.h");
+        let wanted = format!("--law={name}");
+        let said = done(costate(&[
+            "export",
+            file,
+            &wanted,
+            "--json",
+            "--out",
+            out.to_str().unwrap(),
+        ]));
+        let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+        assert_eq!(
+            (said["kind"].as_str(), said["name"].as_str()),
+            (Some("law"), Some(name))
+        );
+        let text = written("again.h");
+        assert!(String::from_utf8_lossy(&text).contains(&format!("{name}_u(")));
+        assert!(text == written(&format!("points_{name}.h")), "{name}");
+        std::fs::remove_file(out).unwrap();
+    }
+    let before = headers(&directory);
+    for (wanted, reason) in [("--law", "push, cost"), ("--law=map", "no law `map`")] {
+        let output = costate(&["export", file, wanted]);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{wanted}: {errors}");
+        assert!(errors.contains(reason), "{wanted}: {errors}");
+        assert_eq!(headers(&directory), before);
+    }
+    // Of a single law the name is known, and so is where it goes.
+    let alone = directory.join("alone");
+    std::fs::create_dir(&alone).unwrap();
+    let other = scene(&alone, "manufactured", &law("pull", "u"));
+    done(costate(&["fit", file, "--scene", other.to_str().unwrap()]));
+    let fitted = written("points_pull.h");
+    std::fs::remove_file(directory.join("points_pull.h")).unwrap();
+    done(costate(&["export", file, "--law"]));
+    assert!(fitted == written("points_pull.h"));
+}
+
 #[test]
 fn what_cannot_be_exported_is_refused() {
     let directory = scratch("refused");
@@ -458,7 +409,7 @@ fn what_cannot_be_exported_is_refused() {
     done(costate(&["homotopy", "--backend", "cpu", path, "--out", file]));
     let finite = scene(&directory, "hopf_lax", "");
     let finite = finite.to_str().unwrap();
-    let cases: [(&[&str], &str); 7] = [
+    let cases: [(&[&str], &str); 10] = [
         (&["export", file], "has no map in pieces"),
         (&["export", path], "is a scene"),
         (&["export", finite, "--local"], "finite horizon"),
@@ -466,6 +417,9 @@ fn what_cannot_be_exported_is_refused() {
         (&["export", path, "--local", "--name", "a-b"], "letters, digits"),
         (&["export", path, "--local", "--out", "law.toml"], "name it .h"),
         (&["export", file, "--local", "--set", "r=2"], "--scene"),
+        (&["export", file, "--law"], "holds no fitted law"),
+        (&["export", path, "--law"], "is a scene"),
+        (&["export", file, "--law", "--local"], "cannot be used with"),
     ];
     for (arguments, reason) in cases {
         let output = costate(arguments);
@@ -473,6 +427,7 @@ fn what_cannot_be_exported_is_refused() {
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
         assert!(errors.contains(reason), "{arguments:?}: {errors}");
     }
+    assert_eq!(headers(&directory), 0);
     // The series of a result file's own scene; beside the file where nothing else is asked for.
     done(costate(&["export", file, "--local", "--degree", "2"]));
     let text = std::fs::read_to_string(directory.join("points_local.h")).unwrap();

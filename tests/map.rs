@@ -1,19 +1,19 @@
 //! Maps that are made to an error: against exact value functions, solved states and their own check.
 
+mod common_commands;
+
+use common_commands::{costate, done, scratch, sections_of};
 use costate::map::pieces::Pieces;
 use costate::map::{Unknown, ValueMap};
 use costate::output::Stored;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 use std::sync::OnceLock;
 
 fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        let path = std::env::temp_dir().join(format!("costate-map-{}", std::process::id()));
-        std::fs::create_dir_all(&path).unwrap();
-        path
-    })
+    FOLDER.get_or_init(|| scratch("map"))
 }
 
 /// A shipped scene without the sections that are not about V, with a section [map] of these lines.
@@ -27,48 +27,22 @@ fn scene(name: &str, lines: &str) -> PathBuf {
         "study",
         "attenuation",
     ];
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("scenarios")
-        .join(format!("{name}.toml"));
-    let text = std::fs::read_to_string(shipped).unwrap();
-    let mut kept = String::new();
-    let mut wanted = true;
-    for line in text.lines() {
-        if let Some(section) = line.strip_prefix('[').and_then(|l| l.split([']', '.']).next()) {
-            wanted = !LEFT_OUT.contains(&section);
-        }
-        if wanted {
-            kept.push_str(line);
-            kept.push('\n');
-        }
-    }
+    let kept = sections_of(name, |section| !LEFT_OUT.contains(&section));
     let path = folder().join(format!("{name}-{}.toml", lines.len()));
     std::fs::write(&path, format!("{kept}\n[map]\n{lines}\n")).unwrap();
     path
 }
 
 fn run(scene: &Path, out: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_costate"))
-        .args(["homotopy", "--backend", "cpu", "--json"])
-        .arg(scene)
-        .arg("--out")
-        .arg(out)
-        .output()
-        .unwrap()
+    let fixed = ["homotopy", "--backend", "cpu", "--json", "--out"].map(OsStr::new);
+    costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat())
 }
 
 /// A map made: the file, and its summary's "map".
 fn made(name: &str, lines: &str) -> (Stored, serde_json::Value) {
     let scene = scene(name, lines);
     let out = scene.with_extension("h5");
-    let output = run(&scene, &out);
-    assert_eq!(
-        output.status.code(),
-        Some(0),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&done(run(&scene, &out))).unwrap();
     (Stored::open(&out).unwrap(), summary["map"].clone())
 }
 
@@ -282,20 +256,30 @@ fn a_steep_corner_of_the_compressor() {
     assert_eq!(map.at(&[1.3, 2.0, 0.1, 1.6]).lowest.unwrap_err(), Unknown::Far);
 }
 
+/// With few states a map says where it is not good enough, and nothing where it is bad: there another error may be allowed.
 #[test]
 fn a_budget_that_is_spent_is_said() {
-    let scene = scene("moore_greitzer", "error = 1e-6\nstates = 300\ncheck = 5");
-    let out = scene.with_extension("budget.h5");
-    let output = Command::new(env!("CARGO_BIN_EXE_costate"))
-        .args(["homotopy", "--backend", "cpu"])
-        .arg(&scene)
-        .arg("--out")
-        .arg(&out)
-        .output()
-        .unwrap();
-    let said = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(output.status.code(), Some(0));
+    let made = |name: &str, more: &str| {
+        let scene = scene(
+            "moore_greitzer",
+            &format!("error = 1e-6\nstates = 300\ncheck = 5{more}"),
+        );
+        let out = scene.with_extension(name);
+        let fixed = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
+        let said = done(costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat()));
+        let stored = Stored::open(&out).unwrap();
+        assert!(stored.group("map_check").is_some() && stored.group("map").is_none());
+        (said, pieces(&stored))
+    };
+    let (said, strict) = made("budget.h5", "");
     assert!(said.contains("not met in"), "{said}");
-    let stored = Stored::open(&out).unwrap();
-    assert!(stored.group("map_check").is_some() && stored.group("map").is_none());
+    assert!(
+        said.contains("nothing is said in") && said.contains("above 1.0e-5"),
+        "{said}"
+    );
+    assert!(!strict.pieces.is_empty() && strict.pieces.iter().all(|p| p.bound <= 1e-5));
+    let (_, lenient) = made("lenient.h5", "\nerror_max = 0.5");
+    assert_eq!(strict.cells.len(), lenient.cells.len());
+    assert!(lenient.pieces.len() > strict.pieces.len());
+    assert!(lenient.pieces.iter().all(|p| p.bound <= 0.5) && lenient.pieces.iter().any(|p| p.bound > 1e-5));
 }

@@ -1,16 +1,17 @@
 //! A map in pieces asked on a GPU: against the CPU's evaluator, and against an exact value function.
 
-mod common_pieces;
+mod common_commands;
 
-use common_pieces::made_up;
+use common_commands::made_up::made_up;
+use common_commands::{costate, done, manufactured, scenario, scene, scratch};
 use costate::backend::Backend;
 use costate::backend::gpu::{Gpu, Selection};
 use costate::map::pieces::Region;
 use costate::map::{Adaptive, At, DeviceError, DeviceMap, ValueMap};
 use costate::model::Precision;
 use costate::output::{Axis, ResultFile, Stored, TrajectorySchema};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 use std::sync::OnceLock;
 
 /// Rounding of V: of sums of up to some hundred terms, at places in cells down to a hundredth of the region.
@@ -20,74 +21,23 @@ const OF_P: f64 = 50.0;
 
 fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        let path = std::env::temp_dir().join(format!("costate-map-device-{}", std::process::id()));
-        std::fs::create_dir_all(&path).unwrap();
-        path
-    })
+    FOLDER.get_or_init(|| scratch("map-device"))
 }
 
 fn gpu() -> Gpu {
     Gpu::open(&Selection::Any).expect("an adapter").expect("an adapter")
 }
 
-fn costate(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_costate"))
-        .current_dir(folder())
-        .args(args)
-        .output()
-        .unwrap()
-}
-
 /// The map of a shipped scene without the sections that are not about V, with a section [map] of these lines.
 fn made(name: &str, lines: &str) -> PathBuf {
-    const KEPT: [&str; 9] = [
-        "parameters",
-        "states",
-        "controls",
-        "disturbances",
-        "definitions",
-        "dynamics",
-        "cost",
-        "equilibrium",
-        "region",
-    ];
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("scenarios")
-        .join(format!("{name}.toml"));
-    let mut kept = String::new();
-    let mut wanted = true;
-    for line in std::fs::read_to_string(shipped).unwrap().lines() {
-        if let Some(section) = line.strip_prefix('[').and_then(|l| l.split([']', '.']).next()) {
-            wanted = KEPT.contains(&section) || section == "guards";
-        }
-        if wanted {
-            kept.push_str(line);
-            kept.push('\n');
-        }
-    }
-    let scene = folder().join(format!("{name}.toml"));
-    std::fs::write(&scene, format!("{kept}\n[map]\n{lines}\n")).unwrap();
-    solved(&scene)
+    solved(&scene(folder(), name, &format!("[map]\n{lines}")))
 }
 
 /// The result file of a scene's states.
 fn solved(scene: &Path) -> PathBuf {
     let out = scene.with_extension("h5");
-    let output = costate(&[
-        "homotopy",
-        scene.to_str().unwrap(),
-        "--backend",
-        "cpu",
-        "--out",
-        out.to_str().unwrap(),
-    ]);
-    assert_eq!(
-        output.status.code(),
-        Some(0),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let arguments: [&dyn AsRef<OsStr>; 6] = [&"homotopy", &scene, &"--backend", &"cpu", &"--out", &out];
+    done(costate(&arguments));
     out
 }
 
@@ -198,11 +148,10 @@ fn a_smooth_value_on_a_gpu_is_the_exact_one() {
         .unwrap();
     for (x, at) in states.chunks(2).zip(said) {
         let (x, y) = (x[0], x[1]);
-        let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
+        let (v, p, _) = manufactured(x, y);
         let here = at.lowest.unwrap_or_else(|e| panic!("{x}, {y}: {e}"));
         assert!((here.v - v).abs() <= 1e-4 * v.max(1e-3), "{x}, {y}: {} {v}", here.v);
-        let slope = x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y;
-        assert!((here.p[0] - slope).abs() <= 1e-2 * v.max(1e-3).sqrt());
+        assert!((here.p[0] - p[0]).abs() <= 1e-2 * v.max(1e-3).sqrt());
     }
     the_program_says_the_same(&file);
 }
@@ -229,8 +178,7 @@ fn the_program_says_the_same(file: &Path) {
             "--out",
             out.to_str().unwrap(),
         ]);
-        let said = String::from_utf8(output.stdout).unwrap();
-        assert_eq!(output.status.code(), Some(0), "{said}");
+        let said = done(output);
         let adapter = if backend == "gpu" {
             gpu().adapter()
         } else {
@@ -302,6 +250,8 @@ fn all_that_pieces_can_be() {
         points: 0,
         rounds: 0,
         unmet: 0.0,
+        uncertain: 0.0,
+        error_max: f64::INFINITY,
         seconds: 0.0,
     };
     let mut writer = ResultFile::extend(&file, &["map_pieces"]).unwrap();
@@ -314,20 +264,14 @@ fn all_that_pieces_can_be() {
 #[test]
 fn what_a_gpu_does_not_do_is_said() {
     let scattered = folder().join("scattered.h5");
-    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/linear_quadratic.toml");
-    let output = costate(&[
-        "run",
-        scene.to_str().unwrap(),
-        "--no-report",
-        "--out",
-        scattered.to_str().unwrap(),
-    ]);
-    assert_eq!(
-        output.status.code(),
-        Some(0),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let arguments: [&dyn AsRef<OsStr>; 5] = [
+        &"run",
+        &scenario("linear_quadratic"),
+        &"--no-report",
+        &"--out",
+        &scattered,
+    ];
+    done(costate(&arguments));
     let (file, out) = (scattered.to_str().unwrap(), folder().join("none.csv"));
     let at = Stored::open(&scattered).unwrap().model.states[0].variable.name.clone() + "=0.1";
     let to = out.to_str().unwrap();

@@ -1,40 +1,18 @@
 //! The value map and `costate value` against exact value functions and independently solved states; `[study]` against
 //! published figures and its own equations.
 
+mod common_commands;
+
+use common_commands::{costate, done, manufactured, scenario, scratch};
 use costate::map::{Unknown, ValueMap};
 use costate::output::{Stored, StoredPoints};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 use std::sync::OnceLock;
-
-fn scenario(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("scenarios")
-        .join(format!("{name}.toml"))
-}
 
 fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        let path = std::env::temp_dir().join(format!("costate-value-{}", std::process::id()));
-        std::fs::create_dir_all(&path).unwrap();
-        path
-    })
-}
-
-fn costate(arguments: &[&dyn AsRef<OsStr>]) -> Output {
-    let program = env!("CARGO_BIN_EXE_costate");
-    Command::new(program)
-        .args(arguments.iter().map(AsRef::as_ref))
-        .output()
-        .unwrap()
-}
-
-fn done(output: Output) -> String {
-    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(0), "{errors}");
-    String::from_utf8(output.stdout).unwrap()
+    FOLDER.get_or_init(|| scratch("value"))
 }
 
 /// The result file of a shipped scene's sweep or run.
@@ -58,7 +36,7 @@ fn solved(name: &str, scene: &Path, header: &str, states: &[[f64; 2]]) -> Stored
     );
     let rows: Vec<String> = states.iter().map(|[a, b]| format!("{a},{b}\n")).collect();
     std::fs::write(&points, format!("{header}\n{}", rows.concat())).unwrap();
-    done(costate(&[
+    done(costate::<&dyn AsRef<OsStr>>(&[
         &"solve",
         &scene,
         &"--backend",
@@ -86,13 +64,6 @@ fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     sorted[((sorted.len() - 1) as f64 * share).round() as usize]
-}
-
-/// V, dV/dx and u of scenarios/manufactured.toml, by hand.
-fn manufactured(x: f64, y: f64) -> (f64, [f64; 2], f64) {
-    let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
-    let v_y = x / 2.0 + 2.0 * y + x * x * y / 2.0;
-    (v, [x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y, v_y], -v_y / 0.5)
 }
 
 #[test]
@@ -240,7 +211,12 @@ fn what_is_not_known_is_said() {
 #[test]
 fn tables_grids_and_json_agree() {
     let file = pendulum();
-    let table = done(costate(&[&"value", &file, &"--grid", &"theta=-2:1:4,omega=-1:1:3"]));
+    let table = done(costate::<&dyn AsRef<OsStr>>(&[
+        &"value",
+        &file,
+        &"--grid",
+        &"theta=-2:1:4,omega=-1:1:3",
+    ]));
     let rows: Vec<Vec<&str>> = table.lines().map(|l| l.split(',').collect()).collect();
     assert_eq!(
         rows[0],
@@ -252,7 +228,7 @@ fn tables_grids_and_json_agree() {
     assert_eq!(rows.len(), 13);
     assert_eq!(rows[2][..2], ["-2", "0"]);
     let grid = folder().join("grid.h5");
-    done(costate(&[
+    done(costate::<&dyn AsRef<OsStr>>(&[
         &"value",
         &file,
         &"--grid",
@@ -269,16 +245,28 @@ fn tables_grids_and_json_agree() {
     for (row, v) in rows[1..].iter().zip(&map.v) {
         assert_eq!(row[2].parse::<f64>().unwrap().to_bits(), v.to_bits());
     }
-    let json = done(costate(&[&"value", &file, &"--at", &"theta=-2,omega=0", &"--json"]));
+    let json = done(costate::<&dyn AsRef<OsStr>>(&[
+        &"value",
+        &file,
+        &"--at",
+        &"theta=-2,omega=0",
+        &"--json",
+    ]));
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json[0]["value"]["V"].as_f64().unwrap().to_bits(), map.v[1].to_bits());
-    let text = done(costate(&[&"value", &file, &"--at", &"theta=-2"]));
+    let text = done(costate::<&dyn AsRef<OsStr>>(&[&"value", &file, &"--at", &"theta=-2"]));
     assert!(
         text.contains("theta = -2, omega = 0") && text.contains("interpolated from"),
         "{text}"
     );
     // A file that was made by interpolation is a result file like others.
-    let again = done(costate(&[&"value", &grid, &"--at", &"theta=-2,omega=0", &"--json"]));
+    let again = done(costate::<&dyn AsRef<OsStr>>(&[
+        &"value",
+        &grid,
+        &"--at",
+        &"theta=-2,omega=0",
+        &"--json",
+    ]));
     let again: serde_json::Value = serde_json::from_str(&again).unwrap();
     assert_eq!(again[0]["value"]["V"], json[0]["value"]["V"]);
 }
@@ -337,7 +325,7 @@ fn compressor(x: &[f64], v: f64, phi0: f64) -> ([f64; 4], f64) {
 #[test]
 fn the_compressor_study_has_the_published_figures() {
     let path = folder().join("study.h5");
-    done(costate(&[
+    done(costate::<&dyn AsRef<OsStr>>(&[
         &"study",
         &scenario("moore_greitzer"),
         &"--backend",
@@ -408,7 +396,7 @@ fn the_compressor_study_has_the_published_figures() {
 
 #[test]
 fn a_scene_without_a_study_has_none() {
-    let output = costate(&[&"study", &scenario("pendulum")]);
+    let output = costate::<&dyn AsRef<OsStr>>(&[&"study", &scenario("pendulum")]);
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("no [study]"));
     // A variant that is no scene: the equilibrium needs Phi0 above 1, or R grows.
@@ -416,7 +404,7 @@ fn a_scene_without_a_study_has_none() {
     let text = std::fs::read_to_string(scenario("moore_greitzer")).unwrap();
     std::fs::write(&bad, text.replace("[1.1, 1.2, 1.3, 1.4]", "[1.2, 0.9]")).unwrap();
     let out = folder().join("bad.h5");
-    let output = costate(&[&"study", &bad, &"--backend", &"cpu", &"--out", &out]);
+    let output = costate::<&dyn AsRef<OsStr>>(&[&"study", &bad, &"--backend", &"cpu", &"--out", &out]);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{errors}");
     assert!(errors.contains("Phi0 = 0.9") && !out.exists(), "{errors}");

@@ -135,11 +135,7 @@ impl<'s> Sources<'s> {
     /// A result file's map and fitted laws, and those of the command line.
     pub fn new(stored: Option<&'s Stored>, wanted: &Wanted, terminal: &Terminal) -> Result<Self, CliError> {
         // Without a law that asks for it the map still tells V.
-        let map = stored.filter(|s| {
-            ["trajectories", "points", "map", "map_pieces"]
-                .iter()
-                .any(|group| s.has(group))
-        });
+        let map = stored.filter(|s| s.has_any(&["trajectories", "points", "map", "map_pieces"]));
         let map = map.and_then(|s| {
             let unknown = |e| terminal.note(&format!("no value map: {e}"));
             ValueMap::new(s).map_err(unknown).ok()
@@ -353,7 +349,7 @@ fn weights(path: &PathBuf) -> Result<Weights, CliError> {
 }
 
 /// The laws fitted into a result file.
-fn fitted(stored: &Stored) -> Result<Vec<Weights>, CliError> {
+pub(super) fn fitted(stored: &Stored) -> Result<Vec<Weights>, CliError> {
     let Some(group) = stored.group("feedback") else {
         return Ok(Vec::new());
     };

@@ -1,9 +1,10 @@
-//! `costate export`: a value function as a C header.
+//! `costate export`: a value function, or a fitted law, as a C header.
 
+use super::evaluate::fitted;
 use super::report::Terminal;
 use super::run::default_output;
 use super::{CliError, ExportArgs};
-use crate::feedback::{Known, value_header};
+use crate::feedback::{Known, Law, LawError, NetworkError, header, value_header};
 use crate::hamiltonian::{Hamiltonian, System};
 use crate::local::{LocalError, LocalPolynomial, Riccati};
 use crate::map::ValueMap;
@@ -22,14 +23,36 @@ pub(super) enum ExportError {
     NoMap { path: PathBuf },
     #[error("{path} is a scene, and a map is in a result file: run it first (--local exports the series about the equilibrium)", path = path.display())]
     Scene { path: PathBuf },
+    #[error("{path} is a scene, and a fitted law is in a result file: run it and fit the law first (costate fit)", path = path.display())]
+    SceneOfLaw { path: PathBuf },
+    #[error("{path} holds no fitted law: fit one first (costate fit)", path = path.display())]
+    NoLaw { path: PathBuf },
+    #[error("{path} holds {}: say which with --law=NAME", listed(laws), path = path.display())]
+    WhichLaw { path: PathBuf, laws: Vec<String> },
+    #[error("{path} holds no law `{name}`, but {}", listed(laws), path = path.display())]
+    OtherLaws {
+        path: PathBuf,
+        name: String,
+        laws: Vec<String>,
+    },
     #[error("a finite horizon has no equilibrium, and so no series about it")]
     Finite,
     #[error(transparent)]
     Local(#[from] LocalError),
+    #[error(transparent)]
+    Weights(#[from] NetworkError),
+    #[error(transparent)]
+    Law(#[from] LawError),
+}
+
+fn listed(laws: &[String]) -> String {
+    format!("the laws {}", laws.join(", "))
 }
 
 /// A header, and what is said of it.
 struct Made {
+    /// What its names begin with.
+    name: String,
     text: String,
     said: String,
     summary: Value,
@@ -41,24 +64,25 @@ pub(super) fn export(args: &ExportArgs) -> Result<(), CliError> {
     if !scene && !args.set.is_empty() {
         return Err(CliError::SetOfResult);
     }
-    let name = args.name.as_deref().unwrap_or(if args.local { "local" } else { "map" });
-    let made = match (scene, args.local) {
-        (true, false) => {
-            return Err(ExportError::Scene {
-                path: args.file.clone(),
+    let name = args.name.as_deref();
+    let path = args.file.clone();
+    let made = match (&args.law, args.local) {
+        (Some(_), _) if scene => return Err(ExportError::SceneOfLaw { path }.into()),
+        (Some(wanted), _) => law(name, wanted.as_deref(), &path)?,
+        (None, false) if scene => return Err(ExportError::Scene { path }.into()),
+        (None, false) => map(name.unwrap_or("map"), &path)?,
+        (None, true) => {
+            let name = name.unwrap_or("local");
+            if scene {
+                let (model, hamiltonian) = super::check::derived(crate::scenario::load(&path, &args.set)?)?;
+                local(name, &model, &hamiltonian, args.degree)?
+            } else {
+                let stored = Stored::open(&path)?;
+                local(name, &stored.model, &stored.hamiltonian, args.degree)?
             }
-            .into());
         }
-        (true, true) => {
-            let (model, hamiltonian) = super::check::derived(crate::scenario::load(&args.file, &args.set)?)?;
-            local(name, &model, &hamiltonian, args.degree)?
-        }
-        (false, true) => {
-            let stored = Stored::open(&args.file)?;
-            local(name, &stored.model, &stored.hamiltonian, args.degree)?
-        }
-        (false, false) => map(name, &args.file)?,
     };
+    let name = &made.name;
     let path = args.out.clone().unwrap_or_else(|| {
         let beside = if scene {
             default_output(&args.file)
@@ -102,9 +126,44 @@ fn map(name: &str, path: &Path) -> Result<Made, CliError> {
     let numbers: usize = pieces.pieces.iter().map(|p| p.coefficients.len()).sum();
     let (p, c) = (pieces.pieces.len(), pieces.cells.len());
     Ok(Made {
+        name: name.to_owned(),
         text: value_header(name, Known::Map(pieces, local.as_ref()), system, &stored.model),
         said: format!("map: {p} pieces in {c} cells, {numbers} coefficients"),
         summary: json!({ "kind": "map", "pieces": p, "cells": c, "coefficients": numbers }),
+    })
+}
+
+/// A law that was fitted into a result file, as `costate fit` writes its header; `wanted` may be left out where there is one.
+fn law(name: Option<&str>, wanted: Option<&str>, path: &Path) -> Result<Made, CliError> {
+    let stored = Stored::open(path)?;
+    let path = path.to_owned();
+    let mut laws = fitted(&stored)?;
+    let names: Vec<String> = laws.iter().map(|law| law.name.clone()).collect();
+    let found = match wanted {
+        _ if laws.is_empty() => Err(ExportError::NoLaw { path }),
+        None if laws.len() == 1 => Ok(0),
+        None => Err(ExportError::WhichLaw { path, laws: names }),
+        Some(wanted) => (names.iter().position(|n| n == wanted)).ok_or_else(|| ExportError::OtherLaws {
+            path,
+            name: wanted.to_owned(),
+            laws: names.clone(),
+        }),
+    };
+    let stored_law = laws.swap_remove(found?);
+    let name = name.map_or(stored_law.name, str::to_owned);
+    let law = Law::from_toml(&stored_law.text, &stored_law.file).map_err(ExportError::from)?;
+    let form = law
+        .closed_form(&stored.model, &stored.hamiltonian)
+        .map_err(ExportError::from)?;
+    let sizes = law.network.layers.iter().map(|l| l.weights.len() + l.bias.len());
+    let weights: usize = sizes.sum();
+    Ok(Made {
+        text: header(&name, &law, &form, &stored.model),
+        said: format!("law {name}: {}, {weights} weights", form.outputs.join(", ")),
+        summary: json!({
+            "kind": "law", "fitted": law.meaning.name(), "outputs": form.outputs, "parameters": weights,
+        }),
+        name,
     })
 }
 
@@ -117,6 +176,7 @@ fn local(name: &str, model: &Model, hamiltonian: &Hamiltonian, degree: usize) ->
     let polynomial = LocalPolynomial::new(&system, model, &riccati, degree + 1).map_err(ExportError::from)?;
     let terms = polynomial.coefficients.len();
     Ok(Made {
+        name: name.to_owned(),
         text: value_header(name, Known::Local(&polynomial), &system, model),
         said: format!(
             "series about the equilibrium: V of degree {}, u of degree {degree}, {terms} coefficients; counts as known up to V = {:.3e} \

@@ -1,6 +1,6 @@
 //! What a run says of a map that was made to an error.
 
-use super::report::{Done, quantiles};
+use super::report::quantiles;
 use crate::map::{Adaptive, Checked};
 use crate::value::PointStatus;
 
@@ -37,7 +37,7 @@ fn shown(made: &Adaptive) -> Shown {
     }
 }
 
-pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
+pub(super) fn text(made: &Adaptive) -> Vec<String> {
     let region = &made.pieces.region;
     let mut lines = vec![format!(
         "map: {} pieces in {} cells, from {} points along the trajectories of {} states ({} more had no answer), {} rounds, {:.1} s",
@@ -62,6 +62,13 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
             region.error, region.floor
         )
     });
+    if made.uncertain > 0.0 {
+        lines.push(format!(
+            "  nothing is said in {:.2} % of the region, where the bound is above {:.1e} (`error_max`)",
+            100.0 * made.uncertain,
+            made.error_max
+        ));
+    }
     if made.check.is_empty() {
         return lines;
     }
@@ -82,7 +89,6 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
             shown.said_of_none
         ));
     }
-    let _ = done;
     lines
 }
 
@@ -93,6 +99,7 @@ pub(super) fn as_json(made: &Adaptive) -> serde_json::Value {
         "pieces": made.pieces.pieces.len(), "cells": made.pieces.cells.len(), "points": made.points,
         "states": made.states, "failed": made.failed, "rounds": made.rounds, "seconds": made.seconds,
         "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet,
+        "error_max": made.error_max, "share_uncertain": made.uncertain,
         "check": {
             "states": made.check.len(), "solved": shown.solved, "known": shown.known,
             "V_error": quantiles(shown.error), "V_error_over_bound": quantiles(shown.over_bound),

@@ -69,7 +69,7 @@ enum Command {
     Bench(BenchArgs),
     /// Fit the laws of [feedback] to the trajectories of a result file.
     Fit(FitArgs),
-    /// V, p and u as a C header: of a map in pieces, or of the series about the equilibrium.
+    /// V, p and u as a C header: of a map in pieces, or of the series about the equilibrium; or a fitted law.
     Export(ExportArgs),
     /// One page of HTML with pictures of what a result file holds, and the pictures beside it as SVG and PNG.
     Report(ReportArgs),
@@ -313,16 +313,21 @@ struct FitArgs {
 
 #[derive(Args, Debug, Clone)]
 struct ExportArgs {
-    /// A result file with a map in pieces ([map] with error); with --local also a scene (.toml).
+    /// A result file with a map in pieces ([map] with error); with --local also a scene (.toml); with --law one with fitted laws.
     file: PathBuf,
     /// The Taylor series about the equilibrium instead of the map.
     #[arg(long)]
     local: bool,
+    /// A law that `costate fit` put into the result file instead of the map: the header that it wrote, for the file's own scene.
+    /// NAME may be left out where there is one law.
+    #[arg(long, value_name = "NAME", num_args = 0..=1, require_equals = true, conflicts_with = "local")]
+    law: Option<Option<String>>,
     /// Of --local: degree of u in the states; V is of one degree more.
     #[arg(long, value_name = "N", default_value_t = 3, requires = "local",
           value_parser = law_degree)]
     degree: usize,
-    /// What the names in the header begin with, an identifier of C [default: map; with --local: local]
+    /// What the names in the header begin with, an identifier of C [default: map; with --local: local; with --law: the
+    /// law's name]
     #[arg(long, value_parser = identifier)]
     name: Option<String>,
     /// The header [default: beside the file, with the name: STEM_NAME.h; of a scene: out/STEM_NAME.h]

@@ -176,7 +176,7 @@ fn as_text(done: &Done<'_>) -> String {
         lines.extend(super::listed::text(done, answers));
     }
     if let Some(made) = done.mapped {
-        lines.extend(super::mapped::text(done, made));
+        lines.extend(super::mapped::text(made));
     }
     if !done.variants.is_empty() {
         lines.push("study:".to_owned());

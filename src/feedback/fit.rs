@@ -10,7 +10,7 @@ use super::training::{Rules, Step, Trained, train};
 use super::units;
 use crate::bench::flops;
 use crate::hamiltonian::Hamiltonian;
-use crate::local::{LocalError, Riccati};
+use crate::local::{LocalError, Riccati, linear_law};
 use crate::model::{Base, Feedback, LawOutput, Model, Precision, Target};
 use crate::program::Program;
 use nalgebra::{DMatrix, DVector};
@@ -213,7 +213,9 @@ fn base(data: Data<'_>, law: &Feedback) -> Result<Option<Polynomial>, FitError> 
             quadratic: Some(DMatrix::from_fn(n, n, |i, j| 0.5 * (among(i, j) + among(j, i)))),
         }));
     };
-    let (at, gain) = linear_law(data, &riccati.p);
+    let h = data.hamiltonian;
+    let at = h.graph.eval(&h.unclamped, &h.point(data.model));
+    let gain = linear_law(h, data.model, &riccati);
     let controls = outputs.iter().filter_map(|o| match o {
         LawOutput::Control(i) => Some(*i),
         LawOutput::State(_) => None,
@@ -223,25 +225,10 @@ fn base(data: Data<'_>, law: &Feedback) -> Result<Option<Polynomial>, FitError> 
         center,
         constant: controls.iter().map(|i| at[*i]).collect(),
         linear: DMatrix::from_fn(controls.len(), law.inputs.len(), |o, i| {
-            gain[(controls[o], law.inputs[i])]
+            gain[controls[o]][law.inputs[i]]
         }),
         quadratic: None,
     }))
-}
-
-/// u* at the equilibrium and its derivative along p = P d, without bounds.
-fn linear_law(data: Data<'_>, p: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
-    let h = data.hamiltonian;
-    let mut graph = h.graph.clone();
-    let (n, m) = (h.states(), h.unclamped.len());
-    let mut roots = h.unclamped.clone();
-    for u in &h.unclamped {
-        roots.extend(h.x.iter().chain(&h.p).map(|symbol| graph.diff(*u, *symbol)));
-    }
-    let values = graph.eval(&roots, &h.point(data.model));
-    let slopes = DMatrix::from_row_slice(m, 2 * n, &values[m..]);
-    let gain = slopes.columns(0, n) + slopes.columns(n, n) * p;
-    (values[..m].to_vec(), gain)
 }
 
 /// The regression in the scene's variables, what the base gives taken off.

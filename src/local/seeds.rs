@@ -207,17 +207,6 @@ impl LocalSolution {
         )
     }
 
-    /// Powers of `z` ([`Self::coordinates`] times s) with their coefficients in V.
-    pub fn terms(&self) -> impl Iterator<Item = (&[u8], f64)> {
-        let kept = self.basis.start[self.degree + 1];
-        (self.basis.exponents[..kept].iter().zip(&self.value)).map(|(powers, c)| (powers.as_slice(), *c))
-    }
-
-    /// The matrix that gives z.
-    pub fn coordinates(&self) -> DMatrix<f64> {
-        self.to_adjoint.transpose()
-    }
-
     /// Degrees and largest sizes, on the unit sphere of z, of the parts of V not kept.
     pub fn neglected(&self) -> &[(i32, f64)] {
         &self.neglected

@@ -25,7 +25,10 @@ const A_CELL: f64 = 3.0;
 const MORE: f64 = 0.4;
 const MOST_A_CELL: f64 = 48.0;
 /// A round solves for at most this many times the states solved before.
-const GROWTH: f64 = 2.0;
+const GROWTH: f64 = 3.0;
+const GROWTH_IN_PLANE: f64 = 2.0;
+/// Share of the budget before the last round.
+const BEFORE_CLOSING: f64 = 0.95;
 /// Shortest step of the way from a point of an extremal to a state near it.
 const LEAST_STEP: f64 = 1.0 / 8.0;
 /// The same where there are few points yet.
@@ -78,6 +81,9 @@ pub struct Adaptive {
     pub rounds: usize,
     /// Share of the region in cells where the error is above the one asked for, or nothing is known.
     pub unmet: f64,
+    /// Share of the region where pieces are left out because their bounds are above `error_max`.
+    pub uncertain: f64,
+    pub error_max: f64,
     pub seconds: f64,
 }
 
@@ -115,8 +121,6 @@ struct Work<'a, 'p> {
     clock: Instant,
     /// Seconds a state of the last round, its pieces included.
     pace: f64,
-    /// Whether several sheets lie over some states.
-    several: bool,
 }
 
 /// Makes a map. `archive` gives the first guesses.
@@ -142,7 +146,6 @@ pub fn adaptive(
         game: plan.game,
     };
     let mut work = Work {
-        several: false,
         plan,
         model,
         solver,
@@ -177,13 +180,14 @@ impl Work<'_, '_> {
         region.floor = self.first()?;
         let mut check = Vec::new();
         let mut pieces = self.refined(&region, Vec::new())?;
+        let mut known = pieces.within(self.aim.error_max);
         for attempt in 0..CHECKS {
-            check = self.checked(&pieces)?;
+            check = self.checked(&known)?;
             let wrong: Vec<&Checked> = (check.iter())
                 .filter(|c| c.status != PointStatus::AboveMax && (c.said - c.solved).abs() > c.bound)
                 .collect();
             let enough = wrong.len() as f64 <= ABOVE_BOUND * check.len() as f64;
-            if enough || attempt + 1 == CHECKS || self.is_spent() {
+            if enough || attempt + 1 == CHECKS || self.is_spent(1.0) {
                 break;
             }
             // More states in the cells that said too little of their errors, some of them searched for all sheets.
@@ -203,6 +207,7 @@ impl Work<'_, '_> {
                 self.add(tracks, region.floor)?;
             }
             pieces = self.refined(&region, more)?;
+            known = pieces.within(self.aim.error_max);
         }
         // By many states: cells reach over the region's faces.
         let looked_at = spread_over(&self.aim.bounds, LOOKED_AT);
@@ -211,9 +216,13 @@ impl Work<'_, '_> {
             // Nothing is said above the largest V of interest.
             None => region.value_max == f64::INFINITY,
         };
+        let share =
+            |of: &dyn Fn(&&Vec<f64>) -> bool| looked_at.iter().filter(of).count() as f64 / looked_at.len() as f64;
         Ok(Adaptive {
-            unmet: looked_at.iter().filter(unmet).count() as f64 / looked_at.len() as f64,
-            pieces,
+            unmet: share(&unmet),
+            uncertain: share(&|x| pieces.at(x).is_some() && known.at(x).is_none()),
+            error_max: self.aim.error_max,
+            pieces: known,
             check,
             states: self.states,
             failed: self.failed,
@@ -223,12 +232,17 @@ impl Work<'_, '_> {
         })
     }
 
-    fn is_spent(&self) -> bool {
-        let late = self
-            .aim
-            .seconds
-            .is_some_and(|s| self.clock.elapsed().as_secs_f64() >= s);
-        late || self.states + self.failed >= self.aim.states
+    fn is_spent(&self, share: f64) -> bool {
+        self.states_left(share) == 0 || self.seconds_left(share) <= 0.0
+    }
+
+    /// What is left of a share of the budget.
+    fn states_left(&self, share: f64) -> usize {
+        ((share * self.aim.states as f64) as usize).saturating_sub(self.states + self.failed)
+    }
+
+    fn seconds_left(&self, share: f64) -> f64 {
+        (self.aim.seconds).map_or(f64::INFINITY, |s| share * s - self.clock.elapsed().as_secs_f64())
     }
 
     /// V up to which points are kept: a little beyond what is asked for, for the pieces at its edge.
@@ -355,7 +369,7 @@ impl Work<'_, '_> {
         let mut values = vec![f64::NAN; answers.targets.len()];
         let mut tracks = Vec::new();
         for target in 0..answers.targets.len() {
-            self.several |= answers.of(target).len() > 1;
+            self.cloud.several |= answers.of(target).len() > 1;
             let answer = answers.answer(target).filter(|a| a.value <= self.most_value());
             let Some(answer) = answer else {
                 self.failed += 1;
@@ -385,7 +399,7 @@ impl Work<'_, '_> {
     /// Whether extremals are followed backward beyond the states they were solved for: where sheets lie over each other what
     /// comes before an answer need not be one.
     fn goes_beyond(&self) -> bool {
-        !self.plan.game && self.plan.local.is_some() && !self.several
+        !self.plan.game && self.plan.local.is_some() && !self.cloud.several
     }
 
     /// Adds tracks and their points.
@@ -476,6 +490,7 @@ impl Work<'_, '_> {
         let mut more = Some(more).filter(|m| !m.is_empty());
         let mut before: Option<(Pieces, usize)> = None;
         let mut last: Option<(Instant, usize)> = None;
+        let mut closing = false;
         loop {
             if self.states < SETTLED && self.turn(region) {
                 before = None;
@@ -484,13 +499,81 @@ impl Work<'_, '_> {
                 pieces,
                 points: *points,
             });
+            let t0 = Instant::now();
             let (pieces, wants) = build(&self.cloud, region, &self.frame, old);
+            eprintln!(
+                "DBG round {}: {} states {} failed {} points {} cells {} wants ({} in error) at {:.1} s, built in {:.1}",
+                self.rounds,
+                self.states,
+                self.failed,
+                self.cloud.len(),
+                pieces.cells.len(),
+                wants.len(),
+                wants.iter().filter(|w| w.excess > 1.0).count(),
+                self.clock.elapsed().as_secs_f64(),
+                t0.elapsed().as_secs_f64()
+            );
+            {
+                let mut h = [0usize; 6];
+                let mut pts = [0usize; 6];
+                let mut capped = [0usize; 6];
+                for w in wants.iter().filter(|w| w.excess > 1.0) {
+                    let k = if w.excess.is_infinite() {
+                        5
+                    } else {
+                        (w.excess.log10() * 2.0).min(4.0) as usize
+                    };
+                    h[k] += 1;
+                    pts[k] += w.points.len();
+                    if self.failures.get(&key(w)).is_some_and(|f| *f >= MOST_FAILURES) {
+                        capped[k] += 1;
+                    }
+                }
+                for w in wants.iter().filter(|w| w.excess.is_infinite()) {
+                    let center: Vec<f64> = w.lo.iter().zip(&w.hi).map(|(a, b)| 0.5 * (a + b)).collect();
+                    let inside = w
+                        .points
+                        .iter()
+                        .filter(|k| {
+                            (0..w.lo.len()).all(|i| {
+                                let z = self.cloud.z(**k as usize)[i];
+                                z >= w.lo[i] && z <= w.hi[i]
+                            })
+                        })
+                        .count();
+                    let tracks: std::collections::BTreeSet<u32> =
+                        w.points.iter().map(|k| self.cloud.track[*k as usize]).collect();
+                    eprintln!(
+                        "DBG inf cell {:?} to {:?} at {:?}: {} points of {} tracks, {inside} inside, failures {:?} V {:?}",
+                        w.lo,
+                        w.hi,
+                        self.frame.state(&center),
+                        w.points.len(),
+                        tracks.len(),
+                        self.failures.get(&key(w)),
+                        w.points
+                            .iter()
+                            .map(|k| self.cloud.v[*k as usize])
+                            .fold([f64::INFINITY, 0.0], |a, v| [v.min(a[0]), v.max(a[1])])
+                    );
+                }
+                eprintln!(
+                    "DBG  excess 1-3, 3-10, 10-30, 30-100, >100, inf: {h:?}, points a cell {:?}, capped {capped:?}",
+                    std::array::from_fn::<usize, 6, _>(|k| pts[k] / h[k].max(1))
+                );
+            }
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
                 .collect();
-            if asked.is_empty() || self.is_spent() {
+            if asked.is_empty() || closing || self.is_spent(1.0) {
                 return Ok(pieces);
             }
+            // The last round fills the holes that the one before it has left between its new cells.
+            closing = self.is_spent(BEFORE_CLOSING);
+            let asked = match closing {
+                true => holes(asked),
+                false => asked,
+            };
             let (solved, clock) = (self.states + self.failed, Instant::now());
             if let Some((began, first)) = last {
                 self.pace = (clock - began).as_secs_f64() / (solved - first).max(1) as f64;
@@ -498,7 +581,8 @@ impl Work<'_, '_> {
             last = Some((clock, solved));
             self.rounds += 1;
             let known = self.cloud.len();
-            if !self.answer(asked, region)? {
+            let share = if closing { 1.0 } else { BEFORE_CLOSING };
+            if !self.answer(asked, region, share)? {
                 return Ok(pieces);
             }
             let said = format!("in {} cells", pieces.cells.len());
@@ -561,42 +645,37 @@ impl Work<'_, '_> {
         places
     }
 
-    /// Solves for states in cells that want some; false where there is nothing to start from.
-    fn answer(&mut self, mut wants: Vec<Want>, region: &Region) -> Result<bool, BackendError> {
-        let left = self.aim.states - (self.states + self.failed).min(self.aim.states);
-        let in_time = (self.aim.seconds.filter(|_| self.pace > 0.0)).map_or(usize::MAX, |s| {
-            ((s - self.clock.elapsed().as_secs_f64()) / self.pace) as usize
-        });
-        let budget = left.min((GROWTH * self.states as f64) as usize).min(in_time).max(1);
+    /// Solves for states in cells that want some, with a share of the budget; false where there is nothing to start from.
+    fn answer(&mut self, mut wants: Vec<Want>, region: &Region, share: f64) -> Result<bool, BackendError> {
+        let in_time = (self.seconds_left(share) / self.pace).max(0.0);
+        let in_time = if in_time.is_nan() { usize::MAX } else { in_time as usize };
+        let growth = if self.cloud.variables <= 2 {
+            GROWTH_IN_PLANE
+        } else {
+            GROWTH
+        };
+        let budget = self
+            .states_left(share)
+            .min((growth * self.states as f64) as usize)
+            .min(in_time)
+            .max(1);
         wants.sort_by(|a, b| b.excess.total_cmp(&a.excess));
         let mut errands = Vec::new();
-        // Half of the states go to the worst cells first, as many as each will need; the others to all in turn.
+        // One for each in turn, the worst first: many in few cells at once would halve these where their points lie alone.
         let quota = |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE)).min(MOST_A_CELL) as usize;
-        let mut given = vec![0; wants.len()];
-        for (want, given) in wants.iter().zip(&mut given) {
-            if errands.len() >= budget / 2 || want.excess <= 1.0 {
-                break;
-            }
-            for turn in 0..quota(want) {
-                self.errand(want, turn, region, &mut errands);
-            }
-            *given = quota(want);
-        }
         for turn in 0..MOST_A_CELL as usize {
-            for (want, given) in wants.iter().zip(&given) {
+            for want in wants.iter().filter(|w| turn < quota(w)) {
                 if errands.len() >= budget {
                     break;
                 }
-                if (*given..quota(want)).contains(&turn) {
-                    self.errand(want, turn, region, &mut errands);
-                }
+                self.errand(want, turn, region, &mut errands);
             }
         }
         if errands.is_empty() {
             return Ok(false);
         }
         // Where sheets lie over each other a way from a point near tells nothing of the others.
-        if self.several {
+        if self.cloud.several {
             let mut states = Vec::new();
             let mut widest = 0.0f64;
             for errand in &errands {
@@ -616,7 +695,9 @@ impl Work<'_, '_> {
             return Ok(true);
         }
         let guesses: Vec<_> = errands.iter().map(|e| (e.x.clone(), self.guess(e.from))).collect();
+        let t0 = Instant::now();
         let found = solve_near(self.plan, self.solver, guesses, LEAST_STEP)?;
+        eprintln!("DBG solved in {:.1}", t0.elapsed().as_secs_f64());
         let mut tracks = Vec::new();
         let most = self.most_value();
         for (errand, found) in errands.into_iter().zip(found) {
@@ -636,7 +717,9 @@ impl Work<'_, '_> {
                 whole: true,
             });
         }
+        let t0 = Instant::now();
         self.add(tracks, region.floor)?;
+        eprintln!("DBG added in {:.1}", t0.elapsed().as_secs_f64());
         Ok(true)
     }
 
@@ -677,7 +760,10 @@ impl Work<'_, '_> {
         } else if want.excess > 1.0 {
             match self.inside(want, region) {
                 Some(z) => z,
-                None => return,
+                None => {
+                    *self.failures.entry(key(want)).or_default() += 1;
+                    return;
+                }
             }
         } else {
             return;
@@ -781,6 +867,12 @@ impl Work<'_, '_> {
             points: (0..self.cloud.len() as u32).filter(near).collect(),
         }
     }
+}
+
+/// Cells with their bare places alone.
+fn holes(wants: Vec<Want>) -> Vec<Want> {
+    let bare = wants.into_iter().filter(|w| !w.bare.is_empty());
+    bare.map(|w| Want { excess: 1.0, ..w }).collect()
 }
 
 /// A cell as a key.

@@ -259,7 +259,7 @@ impl<'m> DeviceMap<'m> {
     pub fn at_many(&self, x: &[f64]) -> Result<Vec<At>, DeviceError> {
         let n = self.states;
         let mut found: Vec<Option<(Value, Vec<f64>)>> = vec![None; x.len() / n];
-        let mut why = vec![Unknown::Edge; found.len()];
+        let mut why = vec![Unknown::Uncertain; found.len()];
         self.each(x, |k, answer| match answer {
             Answer::Known(here) => {
                 let value = self.map.as_value(&x[k * n..][..n], here);

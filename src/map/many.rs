@@ -1,7 +1,7 @@
 //! Values at many states at once.
 
 use super::sites::UNLABELLED;
-use super::swift::{Answer, Room};
+use super::swift::{Answer, Room, turns_into};
 use super::{At, Coverage, Value, ValueMap};
 use crate::map::pieces::Here;
 use rayon::prelude::*;
@@ -191,10 +191,8 @@ impl ValueMap {
         let Some(pieces) = &self.pieces else { return false };
         for i in 0..x.len() {
             let (lo, hi) = (pieces.region.lo[i], pieces.region.hi[i]);
-            if let Some(period) = self.plan.periods[i]
-                && (x[i] < lo || x[i] > hi)
-            {
-                x[i] += ((lo - x[i]) / period).ceil() * period;
+            if let Some(period) = self.plan.periods[i] {
+                x[i] += turns_into(x[i], [lo, hi], period) * period;
             }
             let margin = WITHIN * (hi - lo);
             x[i] = x[i].clamp(lo + margin, hi - margin);

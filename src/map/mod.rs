@@ -49,7 +49,7 @@ use pieces::{Pieces, Said};
 use rayon::prelude::*;
 use sites::{Sites, UNLABELLED};
 use std::sync::OnceLock;
-use swift::Swift;
+use swift::{Swift, turns_into};
 
 /// Why a file gives no value map.
 #[derive(Debug, thiserror::Error)]
@@ -73,6 +73,8 @@ pub enum Unknown {
     Far,
     #[error("this state lies at the edge of what was computed")]
     Edge,
+    #[error("the map says nothing at this state: points are missing there, or its error is above `error_max`")]
+    Uncertain,
     /// In a game, where the lowest of several is not the value (see [`ValueMap`]).
     #[error("several sheets lie over this state: none is the value")]
     SeveralSheets,
@@ -368,7 +370,7 @@ impl ValueMap {
         let mut values = (pieces.sheets(&x).into_iter())
             .filter(|said| self.solves_isaacs(&s, &said.p))
             .map(|said| self.value_in_pieces(pieces, &x, &winding, said));
-        let lowest = values.next().ok_or(Unknown::Edge);
+        let lowest = values.next().ok_or(Unknown::Uncertain);
         Some(At {
             lowest,
             others: values.collect(),
@@ -381,12 +383,9 @@ impl ValueMap {
         let mut winding = vec![0; x.len()];
         for (i, period) in self.plan.periods.iter().enumerate() {
             let Some(period) = period else { continue };
-            let (lo, hi) = (pieces.region.lo[i], pieces.region.hi[i]);
-            if x[i] < lo || x[i] > hi {
-                let turns = ((lo - x[i]) / period).ceil();
-                winding[i] = turns.clamp(-1e9, 1e9) as i32;
-                x[i] += turns * period;
-            }
+            let turns = turns_into(x[i], [pieces.region.lo[i], pieces.region.hi[i]], *period);
+            winding[i] = turns as i32;
+            x[i] += turns * period;
         }
         pieces.covers(&x).then_some((x, winding))
     }

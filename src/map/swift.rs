@@ -4,12 +4,22 @@ mod packed;
 
 pub(crate) use packed::Packed;
 
-use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms};
+use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms, by_states};
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
+use crate::local::LocalSolution;
 use crate::sweep::Plan;
-use std::collections::BTreeMap;
+
+/// Periods by which a coordinate must move to lie between bounds, if it can; 0 where it does. A winding number holds as many.
+pub(super) fn turns_into<T: Real>(x: T, [lo, hi]: [T; 2], period: T) -> f64 {
+    const MOST: f64 = 1e9;
+    if x < lo || x > hi {
+        ((lo - x) / period).f64().ceil().clamp(-MOST, MOST)
+    } else {
+        0.0
+    }
+}
 
 /// What is known of a state.
 pub enum Answer<'a, T> {
@@ -77,9 +87,8 @@ impl<T: Real> Default for Room<T> {
 impl<T: Real> Swift<T> {
     /// `None` where the local solution is a polynomial of too high a degree.
     pub fn new(pieces: &Pieces, plan: &Plan) -> Option<Self> {
-        let n = pieces.states();
         let around = match &plan.local {
-            Some(local) => Some(Around::new(n, local)?),
+            Some(local) => Some(Around::new(local, &plan.system.reference)?),
             None => None,
         };
         let of = |i: usize, period: f64| {
@@ -88,7 +97,7 @@ impl<T: Real> Swift<T> {
         };
         Some(Self {
             around,
-            flat: Flat::new(pieces, &vec![0.0; n]),
+            flat: Flat::new(pieces),
             reference: plan.system.reference.iter().map(|x| T::of(*x)).collect(),
             periods: (plan.periods.iter().enumerate())
                 .filter_map(|(i, period)| Some(of(i, (*period)?)))
@@ -130,11 +139,8 @@ impl<T: Real> Swift<T> {
             }
             let mut moved = [T::of(0.0); MOST_VARIABLES];
             moved[..n].copy_from_slice(x);
-            for (i, period, [lo, hi]) in &self.periods {
-                if x[*i] < *lo || x[*i] > *hi {
-                    let turns = ((*lo - x[*i]) / *period).f64().ceil();
-                    moved[*i] = x[*i] + T::of(turns.clamp(-1e9, 1e9)) * *period;
-                }
+            for (i, period, bounds) in &self.periods {
+                moved[*i] = x[*i] + T::of(turns_into(x[*i], *bounds, *period)) * *period;
             }
             if self.flat.covers(&moved[..n]) {
                 room.inside.push(k as u32);
@@ -191,25 +197,21 @@ impl<T: Real> Swift<T> {
 }
 
 impl<T: Real> Around<T> {
-    fn new(n: usize, local: &crate::local::LocalSolution) -> Option<Self> {
-        let degree = local.degree;
+    fn new(local: &LocalSolution, reference: &[f64]) -> Option<Self> {
+        let polynomial = local.polynomial(reference);
+        let degree = polynomial.degree;
         if degree > MOST_DEGREE {
             return None;
         }
-        let terms = Terms::new(n, degree);
-        let tables = Tables::new(&terms);
-        let by_powers: BTreeMap<&[u8], f64> = local.terms().collect();
-        let matrix = local.coordinates();
+        // Monomials are in the same order.
+        let tables = Tables::new(&Terms::new(reference.len(), degree));
         Some(Self {
             degree,
-            coefficients: (0..terms.factors.len())
-                .map(|t| {
-                    let c = by_powers.get(terms.powers_of(t)).copied().unwrap_or(0.0);
-                    Lanes::splat(T::of(c * tables.scale[t]))
-                })
+            coefficients: (polynomial.coefficients.iter().zip(&tables.scale))
+                .map(|(c, scale)| Lanes::splat(T::of(c * scale)))
                 .collect(),
-            matrix: (0..n * n).map(|k| T::of(matrix[(k / n, k % n)])).collect(),
-            seed_value: T::of(local.seed_value),
+            matrix: polynomial.matrix.iter().map(|m| T::of(*m)).collect(),
+            seed_value: T::of(polynomial.reach),
             neglected: local.neglected().iter().map(|(k, size)| (*k, T::of(*size))).collect(),
             tables,
         })
@@ -251,14 +253,7 @@ impl<T: Real> Around<T> {
                     here.p[j] = jet.q[j].0[l];
                 }
                 if second {
-                    let mut pair = 0;
-                    for i in 0..n {
-                        for j in i..n {
-                            here.hessian[i * n + j] = jet.h[pair].0[l];
-                            here.hessian[j * n + i] = jet.h[pair].0[l];
-                            pair += 1;
-                        }
-                    }
+                    here.bent(n, |pair| jet.h[pair].0[l]);
                 }
                 tell(group * LANES + l, &here);
             }
@@ -282,46 +277,13 @@ impl<T: Real> Around<T> {
     #[inline(always)]
     fn to_states<const FMA: bool>(&self, n: usize, second: bool, jet: &mut Jet<T, LANES>) {
         let zero = Lanes::splat(T::of(0.0));
-        let m = |i: usize, j: usize| self.matrix[i * n + j];
-        let add = |to: &mut Lanes<T, LANES>, factor: T, of: &Lanes<T, LANES>| {
+        let add = |sum: &mut Lanes<T, LANES>, factor: T, of: &Lanes<T, LANES>| {
             for l in 0..LANES {
-                to.0[l] = factor.mul_add::<FMA>(of.0[l], to.0[l]);
+                sum.0[l] = factor.mul_add::<FMA>(of.0[l], sum.0[l]);
             }
         };
-        let mut p = [zero; MOST_VARIABLES];
-        for j in 0..n {
-            for i in 0..n {
-                add(&mut p[j], m(i, j), &jet.q[i]);
-            }
-        }
-        jet.q = p;
-        if !second {
-            return;
-        }
-        let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
-        let mut pair = 0;
-        for i in 0..n {
-            for k in i..n {
-                for j in 0..n {
-                    add(&mut half[i][j], m(k, j), &jet.h[pair]);
-                    if k != i {
-                        add(&mut half[k][j], m(i, j), &jet.h[pair]);
-                    }
-                }
-                pair += 1;
-            }
-        }
-        let mut pair = 0;
-        for a in 0..n {
-            for b in a..n {
-                let mut sum = zero;
-                for i in 0..n {
-                    add(&mut sum, m(i, a), &half[i][b]);
-                }
-                jet.h[pair] = sum;
-                pair += 1;
-            }
-        }
+        let Jet { q, h, .. } = jet;
+        by_states(n, &self.matrix, zero, add, q, second.then_some(h));
     }
 }
 

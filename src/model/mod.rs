@@ -146,6 +146,8 @@ pub struct MapGrid {
 }
 
 /// Least and largest error that a map can be asked for, relative to V.
+/// Of a map's bound where nothing more is said, unless the scene says, in errors asked for.
+pub const MAP_ERROR_MAX: f64 = 10.0;
 pub const LEAST_MAP_ERROR: f64 = 1e-8;
 pub const MOST_MAP_ERROR: f64 = 0.1;
 /// States up to which a map to an error is made.
@@ -159,6 +161,8 @@ pub const DEFAULT_MAP_CHECK: usize = 200;
 pub struct MapAim {
     /// Relative to the larger one of V and the floor.
     pub error: f64,
+    /// Nothing is said where the bound is above this, relative to the same.
+    pub error_max: f64,
     /// In units of the cost; `None`: chosen.
     pub floor: Option<f64>,
     /// `[lower, upper]` a state, inside the region.

@@ -15,15 +15,17 @@ fn code(at: &At) -> i32 {
         Err(Unknown::Far) => 1,
         Err(Unknown::Edge) => 2,
         Err(Unknown::SeveralSheets) => 3,
+        Err(Unknown::Uncertain) => 4,
     }
 }
 
-fn flags() -> [(i32, &'static str); 4] {
+fn flags() -> [(i32, &'static str); 5] {
     [
         (KNOWN, "interpolated"),
         (1, "far from data"),
         (2, "edge of data"),
         (3, "several sheets"),
+        (4, "not known to the map"),
     ]
 }
 

@@ -171,6 +171,10 @@ impl Stored {
         self.file.root_group().group(group).is_ok()
     }
 
+    pub fn has_any(&self, groups: &[&str]) -> bool {
+        groups.iter().any(|group| self.has(group))
+    }
+
     /// A group; `None` where the file has none of that name.
     pub fn group(&self, name: &str) -> Option<StoredGroup<'_>> {
         self.has(name).then(|| StoredGroup {

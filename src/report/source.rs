@@ -131,10 +131,7 @@ impl<'s> Source<'s> {
 
     /// From solutions that form no map. With a finite horizon only solved states are of the initial time.
     fn scattered(&self) -> Option<Plane> {
-        let known = self.infinite()
-            && ["trajectories", "points", "map_pieces"]
-                .iter()
-                .any(|group| self.stored.has(group));
+        let known = self.infinite() && self.stored.has_any(&["trajectories", "points", "map_pieces"]);
         if !known || self.axes[0] == self.axes[1] {
             return None;
         }

@@ -5,8 +5,8 @@ use super::reader::{Reader, Section, Value};
 use super::syntax_error::shorten;
 use crate::model::{
     DEFAULT_ARC_LENGTH, DEFAULT_MAP_CHECK, DEFAULT_MAP_STATES, DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS,
-    GridAxis, Homotopy, Integrator, LEAST_MAP_ERROR, MOST_MAP_ERROR, MOST_MAP_STATES, MapAim, MapGrid, Method,
-    Precision, SampleBy, SeedValue, Sheets, ShootOut,
+    GridAxis, Homotopy, Integrator, LEAST_MAP_ERROR, MAP_ERROR_MAX, MOST_MAP_ERROR, MOST_MAP_STATES, MapAim, MapGrid,
+    Method, Precision, SampleBy, SeedValue, Sheets, ShootOut,
 };
 use crate::scenario::Problem;
 use toml::de::DeValue;
@@ -217,6 +217,7 @@ impl<'a> Reader<'a> {
                 "resolution",
                 "value_max",
                 "error",
+                "error_max",
                 "floor",
                 "region",
                 "states",
@@ -226,7 +227,7 @@ impl<'a> Reader<'a> {
         );
         let accurate = section.get("error").is_some();
         if !accurate {
-            for key in ["floor", "region", "states", "seconds", "check"] {
+            for key in ["error_max", "floor", "region", "states", "seconds", "check"] {
                 if let Some(value) = section.get(key) {
                     let message = format!("`{key}` belongs to a map that is made to an error");
                     self.refuse::<()>(value.span(), message, "give `error = 1e-3` too, or leave it out");
@@ -316,8 +317,16 @@ impl<'a> Reader<'a> {
             }
         }
         let (error, most, check) = (error?, most?, check?);
+        let error_max = match section.get("error_max") {
+            Some(value) => {
+                let wanted = format!("at least the error asked for, {error:e}");
+                self.number_that(value, "error_max", &wanted, |v| v >= error)?
+            }
+            None => MAP_ERROR_MAX * error,
+        };
         (self.problems.len() == before).then(|| MapAim {
             error,
+            error_max,
             floor,
             bounds,
             value_max,

@@ -97,9 +97,7 @@ impl Cpu {
         };
         available.then_some(Self { simd, compile: false })
     }
-}
 
-impl Cpu {
     /// Lanes a block.
     fn lanes(self, precision: Precision) -> usize {
         match precision {
@@ -314,7 +312,7 @@ impl Job<'_> {
         }
     }
 
-    /// How many steps the block took.
+    /// The same for lanes of one type and number.
     fn dispatch<T: real::Real, const W: usize>(&self, simd: Simd, out: &mut Output<'_>) -> u64 {
         match simd {
             Simd::Baseline => self.integrate::<T, W, false>(out),

@@ -1,10 +1,15 @@
 //! A polynomial fitted to V and p at scattered points, by weighted least squares.
 
+use super::least_squares::{Equations, Factors, left_out, stride};
 use super::terms::Terms;
-use nalgebra::{DMatrix, DVector};
 
-/// Of the largest diagonal entry, added to all: what the points do not determine stays small.
-const RIDGE: f64 = 1e-13;
+/// Equations of a group: it is left out by a system of so many.
+const MOST_OF_GROUP: usize = 48;
+
+/// The most points of one group that may be given for so many variables.
+pub fn most_of_group(variables: usize) -> usize {
+    MOST_OF_GROUP / (variables + 1)
+}
 
 /// What is a polynomial: V itself, or a function of it that is smoother where V falls or rises steeply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,44 +58,72 @@ impl Shape {
 /// Points with V and its gradient in the coordinates of a cell.
 pub struct Data<'d> {
     pub terms: &'d Terms,
-    /// Monomials `[point][term]` and slopes `[point][variable][term]` up to the highest degree asked for.
-    values: Vec<f64>,
-    slopes: Vec<f64>,
+    /// `[term][equation]`: for all points their monomials, then the slopes of these along each variable in turn.
+    rows: Vec<f64>,
+    stride: usize,
     v: Vec<f64>,
-    /// `[point][variable]`.
+    /// `[variable][point]`.
     q: Vec<f64>,
     /// Size to which errors of V are relative.
     size: Vec<f64>,
-    count: usize,
+    /// Points of one group are not independent of each other.
+    group: Vec<u32>,
+}
+
+/// A polynomial, with the largest errors that points have of V and of its gradient, each group of points left out of the fit in
+/// turn.
+pub struct Tested {
+    pub coefficients: Vec<f64>,
+    pub errors: [f64; 2],
 }
 
 impl<'d> Data<'d> {
-    /// Points `y` with `v` and its gradient by `y`, for polynomials up to a degree.
+    /// For polynomials up to a degree: so many points, which `of` fills in (V, group; y and q in the slices given).
     pub fn new(
         terms: &'d Terms,
         degree: usize,
         floor: f64,
-        points: impl Iterator<Item = (Vec<f64>, f64, Vec<f64>)>,
+        points: usize,
+        of: impl Fn(usize, &mut [f64], &mut [f64]) -> (f64, u32),
     ) -> Self {
         let (n, count) = (terms.variables, terms.upto[degree]);
+        let stride = stride((n + 1) * points);
         let mut this = Self {
             terms,
-            values: Vec::new(),
-            slopes: Vec::new(),
-            v: Vec::new(),
-            q: Vec::new(),
-            size: Vec::new(),
-            count,
+            rows: vec![0.0; count * stride],
+            stride,
+            v: Vec::with_capacity(points),
+            q: vec![0.0; n * points],
+            size: Vec::with_capacity(points),
+            group: Vec::with_capacity(points),
         };
-        for (y, v, q) in points {
-            let at = this.values.len();
-            this.values.resize(at + count, 0.0);
-            let along = this.slopes.len();
-            this.slopes.resize(along + n * count, 0.0);
-            terms.at(&y, &mut this.values[at..], &mut this.slopes[along..]);
+        let mut at = vec![0.0; n * points];
+        let (mut y, mut q) = (vec![0.0; n], vec![0.0; n]);
+        for k in 0..points {
+            let (v, group) = of(k, &mut y, &mut q);
+            for i in 0..n {
+                at[i * points + k] = y[i];
+                this.q[i * points + k] = q[i];
+            }
             this.v.push(v);
-            this.q.extend(q);
             this.size.push(v.abs().max(floor));
+            this.group.push(group);
+        }
+        this.rows[..points].fill(1.0);
+        for term in 1..count {
+            let (parent, axis) = terms.factors[term];
+            let (parent, axis) = (usize::from(parent), usize::from(axis));
+            let (before, own) = this.rows.split_at_mut(term * stride);
+            let (from, y) = (&before[parent * stride..][..stride], &at[axis * points..][..points]);
+            for block in (0..=n).filter(|_| points > 0) {
+                let (own, from) = (&mut own[block * points..][..points], &from[block * points..][..points]);
+                for k in 0..points {
+                    own[k] = from[k] * y[k];
+                }
+            }
+            for (own, from) in own[(1 + axis) * points..][..points].iter_mut().zip(from) {
+                *own += from;
+            }
         }
         this
     }
@@ -103,127 +136,177 @@ impl<'d> Data<'d> {
         self.v.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// Polynomials of all degrees up to one for a shape, from the lowest on; fewer where the points do not determine more.
-    pub fn fits(&self, shape: Shape, degree: usize) -> Vec<Vec<f64>> {
-        let (n, stride, m) = (self.terms.variables, self.count, self.terms.upto[degree]);
-        // One equation a column.
-        let mut equations = DMatrix::<f64>::zeros(m, self.len() * (n + 1));
-        let mut wanted = DVector::<f64>::zeros(self.len() * (n + 1));
-        let mut column = 0;
-        let mut add = |row: &[f64], weight: f64, right: f64| {
-            let mut equation = equations.column_mut(column);
-            for (e, v) in equation.iter_mut().zip(row) {
-                *e = weight * v;
-            }
-            wanted[column] = weight * right;
-            column += 1;
-        };
-        for k in 0..self.len() {
+    /// The equations of a shape, weighted by what an error of each means for V; and the weights, one a point.
+    fn equations(&self, shape: Shape, count: usize) -> (Equations, Vec<f64>) {
+        let (n, points) = (self.terms.variables, self.len());
+        let mut right = vec![0.0; self.stride];
+        let mut weights = vec![0.0; points];
+        for k in 0..points {
             let (w, slope) = shape.of(self.v[k]);
-            let weight = 1.0 / (self.size[k] * slope.abs());
-            add(&self.values[k * stride..][..m], weight, w);
+            weights[k] = 1.0 / (self.size[k] * slope.abs());
+            right[k] = weights[k] * w;
             for i in 0..n {
-                let q = self.q[k * n + i];
-                add(&self.slopes[(k * n + i) * stride..][..m], weight, slope * q);
+                right[(1 + i) * points + k] = weights[k] * slope * self.q[i * points + k];
             }
         }
-        let right = &equations * wanted;
-        let gram = &equations * equations.transpose();
-        solved(gram, right, &self.terms.upto[..=degree])
+        let mut rows = self.rows[..count * self.stride].to_vec();
+        for part in rows
+            .chunks_mut(self.stride)
+            .flat_map(|row| row[..(n + 1) * points].chunks_mut(points.max(1)))
+        {
+            part.iter_mut().zip(&weights).for_each(|(a, w)| *a *= w);
+        }
+        let equations = Equations {
+            rows,
+            right,
+            stride: self.stride,
+            coefficients: count,
+        };
+        (equations, weights)
+    }
+
+    /// Polynomials of all degrees up to one for a shape, from the lowest on; fewer where the points do not determine more.
+    pub fn fits(&self, shape: Shape, degree: usize) -> Vec<Vec<f64>> {
+        let sizes = &self.terms.upto[..=degree];
+        let factors = self.equations(shape, sizes[degree]).0.factors();
+        (sizes.iter().filter(|size| **size <= factors.determined))
+            .map(|size| factors.solution(*size))
+            .filter(|c| c.iter().all(|c| c.is_finite()))
+            .collect()
+    }
+
+    /// The polynomial of a degree for a shape; `None` where the points do not determine it.
+    pub fn fitted(&self, shape: Shape, degree: usize) -> Option<Vec<f64>> {
+        (self.fits(shape, degree).pop()).filter(|c| c.len() == self.terms.upto[degree])
+    }
+
+    /// Polynomials of several degrees for a shape, from the highest that is determined on, until the error of one is no more
+    /// than `enough`. Errors are those of the points that `counts` tells.
+    pub fn tested(
+        &self,
+        shape: Shape,
+        degree: usize,
+        (degrees, enough): (usize, f64),
+        counts: impl Fn(usize) -> bool,
+    ) -> Vec<Tested> {
+        if self.len() == 0 {
+            return Vec::new();
+        }
+        let (equations, weights) = self.equations(shape, self.terms.upto[degree]);
+        let right = equations.right.clone();
+        let factors = equations.factors();
+        let mut groups: Vec<u32> = (0..self.len() as u32).collect();
+        groups.sort_by_key(|k| self.group[*k as usize]);
+        let groups: Vec<&[u32]> = groups
+            .chunk_by(|a, b| self.group[*a as usize] == self.group[*b as usize])
+            .filter(|group| group.iter().any(|k| counts(*k as usize)))
+            .collect();
+        let mut found: Vec<Tested> = Vec::new();
+        for count in (self.terms.upto[..=degree].iter().copied().rev()).filter(|count| *count <= factors.determined) {
+            // Lower ones too where a group alone determines something of the higher.
+            if found.len() >= degrees && found.iter().any(|f| f.errors[0].is_finite()) {
+                break;
+            }
+            let coefficients = factors.solution(count);
+            if !coefficients.iter().all(|c| c.is_finite()) {
+                continue;
+            }
+            let each = groups
+                .iter()
+                .map(|group| self.left_out(shape, &factors, count, &right, &weights, group, &counts));
+            let errors = each.fold([0.0f64; 2], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
+            found.push(Tested { coefficients, errors });
+            if errors[0] <= enough {
+                break;
+            }
+        }
+        found
+    }
+
+    /// The largest errors of a group's points by the polynomial fitted without them.
+    #[allow(clippy::too_many_arguments)]
+    fn left_out(
+        &self,
+        shape: Shape,
+        factors: &Factors,
+        count: usize,
+        right: &[f64],
+        weights: &[f64],
+        group: &[u32],
+        counts: &impl Fn(usize) -> bool,
+    ) -> [f64; 2] {
+        let (n, points) = (self.terms.variables, self.len());
+        let group = &group[..group.len().min(most_of_group(n))];
+        let rows: Vec<usize> = (0..=n)
+            .flat_map(|block| group.iter().map(move |k| block * points + *k as usize))
+            .collect();
+        let r = rows.len();
+        let mut matrix = vec![0.0; r * r];
+        let mut residual: Vec<f64> = rows.iter().map(|row| right[*row]).collect();
+        let mut own = vec![0.0; r];
+        for (basis, along) in factors.basis.chunks(self.stride).zip(&factors.along).take(count) {
+            for ((own, row), residual) in own.iter_mut().zip(&rows).zip(&mut residual) {
+                *own = basis[*row];
+                *residual -= along * *own;
+            }
+            for a in 0..r {
+                let factor = own[a];
+                for (m, b) in matrix[a * r..=a * r + a].iter_mut().zip(&own) {
+                    *m -= factor * b;
+                }
+            }
+        }
+        (0..r).for_each(|a| matrix[a * r + a] += 1.0);
+        if left_out(&mut matrix, &mut residual).is_none() {
+            return [f64::INFINITY; 2];
+        }
+        let mut worst = [0.0f64; 2];
+        for (at, k) in group
+            .iter()
+            .map(|k| *k as usize)
+            .enumerate()
+            .filter(|(_, k)| counts(*k))
+        {
+            let said = |block: usize| (right[block * points + k] - residual[block * group.len() + at]) / weights[k];
+            let mut gradient = [0.0; super::MOST_VARIABLES];
+            (0..n).for_each(|i| gradient[i] = said(1 + i));
+            let error = self.error(shape, k, said(0), &gradient[..n]);
+            worst = [worst[0].max(error[0]), worst[1].max(error[1])];
+        }
+        worst
+    }
+
+    /// Errors at a point where a shape and its gradient are said.
+    fn error(&self, shape: Shape, k: usize, said: f64, gradient: &[f64]) -> [f64; 2] {
+        let (v, slope) = shape.back(said);
+        let off = (gradient.iter().enumerate())
+            .map(|(i, g)| (slope * g - self.q[i * self.len() + k]).abs())
+            .fold(0.0, f64::max);
+        let error = (v - self.v[k]).abs() / self.size[k];
+        // On the other branch of the shape V is something else.
+        let wrong = (shape == Shape::Root && said < 0.0) || (shape == Shape::Reciprocal && said <= 0.0);
+        if error.is_finite() && !wrong {
+            [error, off / self.size[k]]
+        } else {
+            [f64::INFINITY; 2]
+        }
     }
 
     /// Errors of V, relative to its size, and of its gradient, relative to the same.
     pub fn errors(&self, shape: Shape, coefficients: &[f64]) -> Vec<[f64; 2]> {
-        let (n, stride, m) = (self.terms.variables, self.count, coefficients.len());
-        let dot = |row: &[f64]| row[..m].iter().zip(coefficients).map(|(a, b)| a * b).sum::<f64>();
-        (0..self.len())
+        let (n, points) = (self.terms.variables, self.len());
+        let mut said = vec![0.0; self.stride];
+        for (c, row) in coefficients.iter().zip(self.rows.chunks(self.stride)) {
+            said.iter_mut().zip(row).for_each(|(s, a)| *s += c * a);
+        }
+        let mut gradient = [0.0; super::MOST_VARIABLES];
+        (0..points)
             .map(|k| {
-                let (v, slope) = shape.back(dot(&self.values[k * stride..]));
-                let off = (0..n)
-                    .map(|i| (slope * dot(&self.slopes[(k * n + i) * stride..]) - self.q[k * n + i]).abs())
-                    .fold(0.0, f64::max);
-                let error = (v - self.v[k]).abs() / self.size[k];
-                // On the other branch of the shape V is something else.
-                let wrong = shape == Shape::Root && dot(&self.values[k * stride..]) < 0.0;
-                if error.is_finite() && !wrong {
-                    [error, off / self.size[k]]
-                } else {
-                    [f64::INFINITY; 2]
-                }
+                (0..n).for_each(|i| gradient[i] = said[(1 + i) * points + k]);
+                self.error(shape, k, said[k], &gradient[..n])
             })
             .collect()
     }
-}
-
-/// Solutions of the leading blocks of symmetric equations, of these sizes, by Cholesky's method: the factor of a leading block
-/// is a leading block of the factor.
-fn solved(mut gram: DMatrix<f64>, mut right: DVector<f64>, sizes: &[usize]) -> Vec<Vec<f64>> {
-    let m = right.len();
-    // Columns of very different sizes: scaled to a unit diagonal.
-    let scale: Vec<f64> = (0..m)
-        .map(|i| {
-            if gram[(i, i)] > 0.0 {
-                gram[(i, i)].sqrt().recip()
-            } else {
-                0.0
-            }
-        })
-        .collect();
-    for j in 0..m {
-        for i in 0..m {
-            gram[(i, j)] *= scale[i] * scale[j];
-        }
-        gram[(j, j)] += RIDGE;
-        right[j] *= scale[j];
-    }
-    // Column by column, on and below the diagonal.
-    let mut done = m;
-    for j in 0..m {
-        let (before, mut rest) = gram.columns_range_pair_mut(0..j, j..m);
-        let mut column = rest.column_mut(0);
-        for k in 0..j {
-            let factor = before[(j, k)];
-            if factor != 0.0 {
-                for (c, b) in column.as_mut_slice()[j..]
-                    .iter_mut()
-                    .zip(&before.column(k).as_slice()[j..])
-                {
-                    *c -= factor * b;
-                }
-            }
-        }
-        let pivot = column[j];
-        if pivot <= 0.0 || !pivot.is_finite() {
-            done = j;
-            break;
-        }
-        let inverse = pivot.sqrt().recip();
-        for c in &mut column.as_mut_slice()[j..] {
-            *c *= inverse;
-        }
-        right[j] *= inverse;
-        let y = right[j];
-        for (r, c) in right.as_mut_slice()[j + 1..]
-            .iter_mut()
-            .zip(&column.as_slice()[j + 1..])
-        {
-            *r -= y * c;
-        }
-    }
-    (sizes.iter().filter(|size| **size <= done))
-        .map(|&size| {
-            let mut x = right.as_slice()[..size].to_vec();
-            for i in (0..size).rev() {
-                let below: f64 = (i + 1..size).map(|k| gram[(k, i)] * x[k]).sum();
-                x[i] = (x[i] - below) / gram[(i, i)];
-            }
-            for (x, s) in x.iter_mut().zip(&scale) {
-                *x *= s;
-            }
-            x
-        })
-        .filter(|x| x.iter().all(|x| x.is_finite()))
-        .collect()
 }
 
 #[cfg(test)]
@@ -237,23 +320,69 @@ mod tests {
             .map(|k| if k == 0 { 2.0 } else { 0.05 * (k as f64 * 1.7).cos() })
             .collect();
         for (shape, _) in Shape::ALL {
-            let points = (0..24).map(|k| {
-                let y = vec![
-                    (f64::from(k) * 0.618).fract() * 2.0 - 1.0,
-                    (f64::from(k) * 0.755).fract() * 2.0 - 1.0,
-                ];
-                let mut gradient = [0.0; 2];
-                let w = terms.sum(&coefficients, &y, &mut gradient);
+            let data = Data::new(&terms, 4, 1e-3, 24, |k, y, q| {
+                let k = k as f64;
+                y[0] = (k * 0.618).fract() * 2.0 - 1.0;
+                y[1] = (k * 0.755).fract() * 2.0 - 1.0;
+                let w = terms.sum(&coefficients, y, q);
                 let (v, slope) = shape.back(w);
-                (y, v, gradient.iter().map(|g| slope * g).collect())
+                q.iter_mut().for_each(|q| *q *= slope);
+                (v, k as u32)
             });
-            let data = Data::new(&terms, 4, 1e-3, points);
-            let found = data.fits(shape, 4).pop().unwrap();
+            let found = data.fitted(shape, 4).unwrap();
             assert_eq!(found.len(), 15);
             for (a, b) in found.iter().zip(&coefficients) {
                 assert!((a - b).abs() < 1e-8, "{shape:?}: {a} {b}");
             }
             assert!(data.errors(shape, &found).iter().all(|e| e[0] < 1e-9 && e[1] < 1e-8));
+        }
+    }
+
+    /// Points that a polynomial of this degree cannot meet, by fits that are made without each group in turn.
+    #[test]
+    fn errors_are_those_of_fits_without_the_group() {
+        let terms = Terms::new(2, 3);
+        let value = |y: &[f64], q: &mut [f64]| {
+            q[0] = 0.8 * (2.0 * y[0] + y[1]).cos();
+            q[1] = 0.4 * (2.0 * y[0] + y[1]).cos();
+            1.5 + 0.4 * (2.0 * y[0] + y[1]).sin()
+        };
+        let place = |k: usize, y: &mut [f64]| {
+            y[0] = (k as f64 * 0.618).fract() * 2.0 - 1.0;
+            y[1] = (k as f64 * 0.755).fract() * 2.0 - 1.0;
+        };
+        let group = |k: usize| (k % 7) as u32;
+        let points = 30;
+        for shape in [Shape::Value, Shape::Logarithm, Shape::Reciprocal] {
+            let data = |kept: &[usize]| {
+                Data::new(&terms, 3, 1e-3, kept.len(), |at, y, q| {
+                    place(kept[at], y);
+                    (value(y, q), group(kept[at]))
+                })
+            };
+            let all: Vec<usize> = (0..points).collect();
+            let tested = data(&all).tested(shape, 3, (3, 0.0), |k| k != 4);
+            assert_eq!(tested.len(), 3);
+            for found in tested {
+                let degree = terms.upto.iter().position(|c| *c == found.coefficients.len()).unwrap();
+                let mut worst = [0.0f64; 2];
+                for left in 0..7 {
+                    let (out, kept): (Vec<usize>, Vec<usize>) = all.iter().partition(|k| group(**k) == left);
+                    let fitted = data(&kept).fitted(shape, degree).unwrap();
+                    let out: Vec<usize> = out.into_iter().filter(|k| *k != 4).collect();
+                    for error in data(&out).errors(shape, &fitted) {
+                        worst = [worst[0].max(error[0]), worst[1].max(error[1])];
+                    }
+                }
+                for i in 0..2 {
+                    assert!(worst[i] > 1e-3, "{worst:?}");
+                    assert!(
+                        (found.errors[i] - worst[i]).abs() < 1e-6 * worst[i],
+                        "{:?} {worst:?}",
+                        found.errors
+                    );
+                }
+            }
         }
     }
 }

@@ -102,6 +102,19 @@ impl<T: Real> Here<T> {
             sheets: 0,
         }
     }
+
+    /// Sets both halves of the second derivatives by a triangle `i <= j`, row by row.
+    #[inline(always)]
+    pub(crate) fn bent(&mut self, n: usize, triangle: impl Fn(usize) -> T) {
+        let mut pair = 0;
+        for i in 0..n {
+            for j in i..n {
+                self.hessian[i * n + j] = triangle(pair);
+                self.hessian[j * n + i] = triangle(pair);
+                pair += 1;
+            }
+        }
+    }
 }
 
 /// A piece to be summed at a place in its own variables.
@@ -146,21 +159,19 @@ impl<T: Real> Default for Desk<T> {
 }
 
 impl<T: Real> Flat<T> {
-    /// For states as deviations from `reference`: zeros for absolute ones.
-    pub fn new(pieces: &Pieces, reference: &[f64]) -> Self {
+    pub fn new(pieces: &Pieces) -> Self {
         let n = pieces.states();
         let tables = Tables::new(&pieces.terms);
         let all = |values: &[f64]| -> Vec<T> { values.iter().map(|v| T::of(*v)).collect() };
-        let shifted = |values: &[f64]| -> Vec<T> { values.iter().zip(reference).map(|(v, r)| T::of(v - r)).collect() };
         let mut this = Self {
             states: n,
-            lo: shifted(&pieces.region.lo),
-            hi: shifted(&pieces.region.hi),
+            lo: all(&pieces.region.lo),
+            hi: all(&pieces.region.hi),
             floor: T::of(pieces.region.floor),
             value_max: T::of(pieces.region.value_max),
-            origin: shifted(&pieces.frame.origin),
+            origin: all(&pieces.frame.origin),
             matrix: all(&pieces.frame.matrix),
-            shear: pieces.frame.bend.as_ref().map(|bend| Shear::new(bend)),
+            shear: pieces.frame.bend.as_ref().map(Shear::new),
             directions: all(&pieces.directions.concat()),
             nodes: Vec::with_capacity(pieces.nodes.len()),
             cells: Vec::with_capacity(pieces.cells.len() * 2 * n),
@@ -250,6 +261,10 @@ impl<T: Real> Flat<T> {
     ) {
         let n = self.states;
         let mut here = Here::blank();
+        let most = *self.tables.upto.last().unwrap_or(&1);
+        let of_shear = self.shear.as_ref().map_or(0, Shear::terms);
+        desk.coefficients.resize(most, Lanes::splat(T::of(0.0)));
+        desk.monomials.resize(most.max(of_shear), Lanes::splat(T::of(0.0)));
         for (batch, x) in x.chunks(BATCH * n).enumerate() {
             desk.tasks.clear();
             desk.shares.clear();
@@ -359,9 +374,6 @@ impl<T: Real> Flat<T> {
     fn sum<const FMA: bool>(&self, second: bool, desk: &mut Desk<T>) {
         let n = self.states;
         let zero = Lanes::splat(T::of(0.0));
-        let most = *self.tables.upto.last().unwrap_or(&1);
-        desk.coefficients.resize(most, zero);
-        desk.monomials.resize(most, zero);
         desk.told.clear();
         let mut jet = Jet::zero();
         for tasks in desk.tasks.chunks(LANES) {

@@ -92,14 +92,9 @@ impl Bend {
         Self::new(n, axis, 0.0, 1.0, phi)
     }
 
-    /// Monomials of phi.
+    /// Monomials of phi, of the other coordinates.
     pub(super) fn terms(&self) -> &Terms {
         &self.terms
-    }
-
-    /// Monomials of phi: of each the earlier one and which of the other coordinates it is the product of.
-    pub fn factors(&self) -> &[(u16, u8)] {
-        &self.terms.factors
     }
 
     /// phi as a polynomial of all coordinates, by the monomials of `all`.
@@ -206,13 +201,11 @@ impl Frame {
         if eigen.eigenvalues[steepest] < STEEP * STEEP {
             return None;
         }
-        let direction: Vec<f64> = eigen.eigenvectors.column(steepest).iter().copied().collect();
+        let direction = eigen.eigenvectors.column(steepest);
         let along = Self::along(region).across(region, places);
-        let straight = Self::steep(region, &direction);
-        let axis = direction
-            .iter()
-            .enumerate()
-            .fold(0, |best, (i, d)| if d.abs() > direction[best].abs() { i } else { best });
+        let straight = Self::steep(region, direction.as_slice());
+        // The axis that [`Self::steep`] turns to the direction.
+        let axis = direction.iamax();
         let mut best = (straight.across(region, places), straight.clone());
         let turned: Vec<Steep> = places.iter().map(|p| straight.place(region, p)).collect();
         if let Some(bend) = Bend::fitted(axis, &turned) {
@@ -323,14 +316,6 @@ impl Frame {
         })
     }
 
-    /// Without its shear.
-    pub fn straight(&self) -> Self {
-        Self {
-            bend: None,
-            ..self.clone()
-        }
-    }
-
     /// Coordinates of a state (absolute).
     pub fn of(&self, x: &[f64], t: &mut [f64]) {
         let n = x.len();
@@ -372,33 +357,27 @@ impl Frame {
 
     /// The gradient by states of one by coordinates, at coordinates `t`.
     pub fn gradient(&self, t: &[f64], q: &[f64], p: &mut [f64]) {
-        let n = q.len();
-        let mut q: [f64; MOST_VARIABLES] = std::array::from_fn(|i| if i < n { q[i] } else { 0.0 });
-        if let Some(bend) = &self.bend {
-            let mut slope = [0.0; MOST_VARIABLES];
-            bend.phi(&t[..n], &mut slope);
-            let along = q[bend.axis] / bend.width;
-            (0..n).for_each(|i| q[i] += along * slope[i]);
-            q[bend.axis] = along;
-        }
-        for (j, p) in p.iter_mut().enumerate() {
-            *p = (0..n).map(|i| self.matrix[i * n + j] * q[i]).sum();
-        }
+        self.by_states(t, q, p, |x| x);
     }
 
     /// Bounds of the gradient by states where its components by coordinates are bounded.
     pub fn gradient_bound(&self, t: &[f64], q: &[f64], p: &mut [f64]) {
+        self.by_states(t, q, p, f64::abs);
+    }
+
+    /// Sums over coordinates, each part as `part` has it.
+    fn by_states(&self, t: &[f64], q: &[f64], p: &mut [f64], part: impl Fn(f64) -> f64) {
         let n = q.len();
         let mut q: [f64; MOST_VARIABLES] = std::array::from_fn(|i| if i < n { q[i] } else { 0.0 });
         if let Some(bend) = &self.bend {
             let mut slope = [0.0; MOST_VARIABLES];
             bend.phi(&t[..n], &mut slope);
             let along = q[bend.axis] / bend.width;
-            (0..n).for_each(|i| q[i] += along * slope[i].abs());
+            (0..n).for_each(|i| q[i] += along * part(slope[i]));
             q[bend.axis] = along;
         }
         for (j, p) in p.iter_mut().enumerate() {
-            *p = (0..n).map(|i| (self.matrix[i * n + j] * q[i]).abs()).sum();
+            *p = (0..n).map(|i| part(self.matrix[i * n + j] * q[i])).sum();
         }
     }
 
@@ -506,10 +485,11 @@ mod tests {
             .collect();
         let frame = Frame::fitted(&region, &places).unwrap();
         let bend = frame.bend.as_ref().unwrap();
-        let (bent, straight) = (
-            frame.across(&region, &places),
-            frame.straight().across(&region, &places),
-        );
+        let straight = Frame {
+            bend: None,
+            ..frame.clone()
+        };
+        let (bent, straight) = (frame.across(&region, &places), straight.across(&region, &places));
         assert!(bent < 0.1 * straight, "{bent} {straight}");
         let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
         for place in &places {

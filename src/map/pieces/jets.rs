@@ -82,6 +82,53 @@ impl<T: Real, const W: usize> Jet<T, W> {
     }
 }
 
+/// Makes q of `M'q`, and h of `M'hM` where there is one (a triangle `i <= j`, row by row): derivatives by x of a function of
+/// `z = M x` whose derivatives by z they are. V is a number or lanes of them; `add` adds a multiple of the third to the first.
+#[inline(always)]
+pub fn by_states<T: Real, V: Copy>(
+    n: usize,
+    matrix: &[T],
+    zero: V,
+    add: impl Fn(&mut V, T, &V),
+    q: &mut [V; MOST_VARIABLES],
+    h: Option<&mut [V; MOST_SECOND]>,
+) {
+    let m = |i: usize, j: usize| matrix[i * n + j];
+    let mut p = [zero; MOST_VARIABLES];
+    for j in 0..n {
+        for i in 0..n {
+            add(&mut p[j], m(i, j), &q[i]);
+        }
+    }
+    *q = p;
+    let Some(h) = h else { return };
+    // By way of hM.
+    let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
+    let mut pair = 0;
+    for i in 0..n {
+        for k in i..n {
+            for j in 0..n {
+                add(&mut half[i][j], m(k, j), &h[pair]);
+                if k != i {
+                    add(&mut half[k][j], m(i, j), &h[pair]);
+                }
+            }
+            pair += 1;
+        }
+    }
+    let mut pair = 0;
+    for a in 0..n {
+        for b in a..n {
+            let mut sum = zero;
+            for i in 0..n {
+                add(&mut sum, m(i, a), &half[i][b]);
+            }
+            h[pair] = sum;
+            pair += 1;
+        }
+    }
+}
+
 /// What is summed: coefficients `[term]` with a value a lane, and room for the monomials.
 pub struct Sum<'a, T, const W: usize> {
     pub tables: &'a Tables,

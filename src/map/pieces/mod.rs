@@ -12,13 +12,14 @@ mod flat;
 mod flat_tests;
 mod frame;
 mod jets;
+mod least_squares;
 mod terms;
 
 pub use build::{Before, Cloud, Want, build};
 pub use fit::Shape;
 pub use flat::{Desk, Flat, Here, LANES};
 pub use frame::{Bend, Frame, Steep};
-pub(crate) use jets::{Jet, Sum, Tables};
+pub(crate) use jets::{Jet, Sum, Tables, by_states};
 pub use terms::{MOST_DEGREE, MOST_VARIABLES, Terms};
 
 use crate::value::Groups;
@@ -292,6 +293,28 @@ impl Pieces {
         let largest = size(&a.q[..n]).max(size(&b.q[..n]));
         let misfit = (size(&off) - bounds).max(0.0) / largest.max(f64::MIN_POSITIVE);
         misfit.is_finite().then_some(misfit)
+    }
+
+    /// Without the pieces whose bounds are above `most`, relative to the larger one of V and the floor. A cell of several
+    /// sheets says nothing if one of them is: it might be the lowest.
+    pub fn within(&self, most: f64) -> Self {
+        let mut kept = Self {
+            cells: Vec::with_capacity(self.cells.len()),
+            pieces: Vec::with_capacity(self.pieces.len()),
+            ..self.clone()
+        };
+        for cell in &self.cells {
+            let own = &self.pieces[cell.pieces.clone()];
+            let first = kept.pieces.len();
+            if own.iter().all(|piece| piece.bound <= most) {
+                kept.pieces.extend_from_slice(own);
+            }
+            kept.cells.push(Cell {
+                pieces: first..kept.pieces.len(),
+                ..cell.clone()
+            });
+        }
+        kept
     }
 
     pub fn states(&self) -> usize {

@@ -24,7 +24,7 @@ impl Packed {
     pub fn new(pieces: &Pieces, plan: &Plan) -> Option<Self> {
         let n = pieces.states();
         let around = match &plan.local {
-            Some(local) => Some(Around::<f64>::new(n, local)?),
+            Some(local) => Some(Around::<f64>::new(local, &plan.system.reference)?),
             None => None,
         };
         let mut this = Self {
@@ -32,8 +32,7 @@ impl Packed {
             ..Self::default()
         };
         // Deviations from the reference point, of which f32 keeps the digits near it.
-        let flat = Flat::<f64>::new(pieces, &plan.system.reference);
-        flat.pack(&mut this);
+        Flat::<f64>::new(pieces).pack(&plan.system.reference, &mut this);
         let degree = around.as_ref().map_or(0, |a| a.degree);
         let tables = Tables::new(&Terms::new(n, degree.max(pieces.terms.upto.len() - 1)));
         this.tables(["UPTO", "FACTORS", "FIRST"], &tables);

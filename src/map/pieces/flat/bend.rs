@@ -51,6 +51,11 @@ impl<T: Real> Shear<T> {
         }
     }
 
+    /// Number of monomials of phi.
+    pub fn terms(&self) -> usize {
+        self.phi.len()
+    }
+
     /// See `Flat::pack`.
     pub fn pack(&self, to: &mut Packed) {
         to.condition("BEND");
@@ -69,13 +74,10 @@ impl<T: Real> Shear<T> {
         &self,
         n: usize,
         second: bool,
-        monomials: &mut Vec<Lanes<T, LANES>>,
+        monomials: &mut [Lanes<T, LANES>],
         places: &mut [Place<T>],
     ) {
         let zero = Lanes::splat(T::of(0.0));
-        if monomials.len() < self.phi.len() {
-            monomials.resize(self.phi.len(), zero);
-        }
         let a = self.axis;
         let others = || (0..n).filter(|i| *i != a);
         let mut jet = Jet::zero();

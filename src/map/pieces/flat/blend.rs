@@ -3,7 +3,7 @@
 use super::bend::Place;
 use super::{Flat, Here};
 use crate::backend::cpu::real::Real;
-use crate::map::pieces::jets::MOST_SECOND;
+use crate::map::pieces::jets::{MOST_SECOND, by_states};
 use crate::map::pieces::{BLEND, MOST_VARIABLES, SAME};
 
 /// What a piece says, in coordinates of the frame.
@@ -180,41 +180,14 @@ impl<T: Real> Flat<T> {
         if let Some(shear) = &self.shear {
             shear.straighten(n, place, &mut q, &mut h, &mut p_bound, second);
         }
-        let m = |i: usize, j: usize| self.matrix[i * n + j];
+        let add = |sum: &mut T, factor: T, of: &T| *sum = *sum + factor * *of;
+        by_states(n, &self.matrix, zero, add, &mut q, second.then_some(&mut h));
+        here.p = q;
+        if second {
+            here.bent(n, |pair| h[pair]);
+        }
         for j in 0..n {
-            let (mut p, mut bound) = (zero, zero);
-            for i in 0..n {
-                p = p + m(i, j) * q[i];
-                bound = bound + (m(i, j) * p_bound[i]).absolute();
-            }
-            here.p[j] = p;
-            here.p_bound[j] = bound;
-        }
-        if !second {
-            return;
-        }
-        // M'hM, by way of hM.
-        let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
-        let mut pair = 0;
-        for i in 0..n {
-            for k in i..n {
-                for j in 0..n {
-                    half[i][j] = half[i][j] + h[pair] * m(k, j);
-                    if k != i {
-                        half[k][j] = half[k][j] + h[pair] * m(i, j);
-                    }
-                }
-                pair += 1;
-            }
-        }
-        for a in 0..n {
-            for b in 0..n {
-                let mut sum = zero;
-                for i in 0..n {
-                    sum = sum + m(i, a) * half[i][b];
-                }
-                here.hessian[a * n + b] = sum;
-            }
+            here.p_bound[j] = (0..n).fold(zero, |sum, i| sum + (self.matrix[i * n + j] * p_bound[i]).absolute());
         }
     }
 }

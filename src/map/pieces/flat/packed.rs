@@ -5,14 +5,15 @@ use crate::map::pieces::Shape;
 use crate::map::swift::Packed;
 
 impl Flat<f64> {
-    /// Adds them; the names are those of `shaders/pieces.wgsl`.
-    pub(crate) fn pack(&self, to: &mut Packed) {
+    /// Adds them, for states as deviations from `reference`; the names are those of `shaders/pieces.wgsl`.
+    pub(crate) fn pack(&self, reference: &[f64], to: &mut Packed) {
         let n = self.states;
+        let shifted = |values: &[f64]| -> Vec<f64> { values.iter().zip(reference).map(|(v, r)| v - r).collect() };
         to.number("FLOOR", self.floor);
         to.number("VALUE_MAX", self.value_max);
-        to.reals("LO", self.lo.iter().copied());
-        to.reals("HI", self.hi.iter().copied());
-        to.reals("ORIGIN", self.origin.iter().copied());
+        to.reals("LO", shifted(&self.lo));
+        to.reals("HI", shifted(&self.hi));
+        to.reals("ORIGIN", shifted(&self.origin));
         to.reals("MATRIX", self.matrix.iter().copied());
         to.reals("SPLITS", self.nodes.iter().flat_map(|b| [b.at, b.reach[0], b.reach[1]]));
         to.words("NODES", self.nodes.iter().flat_map(|b| [b.axis, b.below, b.above]));

@@ -1,4 +1,4 @@
-//! Maps in pieces made up for tests.
+//! Pieces in which all is met that pieces can be.
 
 use costate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
 use costate::sweep::random;

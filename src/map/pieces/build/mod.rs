@@ -1,0 +1,448 @@
+//! Pieces from scattered points: cells are halved until a polynomial says in each what points that it was not fitted to say.
+
+mod groups;
+mod places;
+mod planar;
+mod spatial;
+
+use super::fit::Data;
+use super::terms::Terms;
+use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree};
+use rayon::join;
+
+/// Points as far outside a cell as this share of its half width are fitted too.
+const FIT: f64 = 0.3;
+/// The same where these are too few.
+const WIDER: [f64; 3] = [0.6, 1.0, 2.0];
+/// Equations a coefficient: fewer determine no polynomial.
+const LEAST_EQUATIONS: f64 = 2.0;
+/// Points in a piece that tell its error.
+const LEAST_TESTS: usize = 10;
+/// Where a low degree errs by so many times what is asked, no high degree is tried before the block is halved.
+const HOPELESS: f64 = 1000.0;
+/// Degree that tells what to try.
+const LOW: usize = 2;
+/// Of several functions of V those are tried whose errors at a low degree are within this factor of the least.
+const NEARLY: f64 = 1.5;
+/// A corner of a cell is supported where a point lies within this many half widths.
+const REACH: f64 = 1.25;
+/// The same for a piece whose points lie all around.
+const BESIDE: f64 = 0.8;
+/// How far beyond their points pieces of several sheets in one cell say something, in half widths.
+const BEYOND_OF_SEVERAL: f64 = 0.05;
+/// Share of new points at which a cell in error is fitted again.
+const WORTH_WHILE: f64 = 0.2;
+
+/// How blocks of so many variables are treated.
+struct Habits {
+    /// The most equations a coefficient: where they cost little more of them leave fewer holes.
+    most_equations: f64,
+    /// Share of the points that are fitted to while others test the fit.
+    learned: f64,
+    /// What points left out show is the largest of a sample; the bound is so many times larger.
+    allowance: f64,
+    /// Share of the error asked for at which a cell is not halved any more.
+    enough: f64,
+    /// Halvings of the region along one axis.
+    most_halvings: i32,
+    /// Longest cells, in their own widths.
+    sliver: f64,
+}
+
+impl Habits {
+    fn of(variables: usize) -> Self {
+        let planar = variables <= 2;
+        Self {
+            most_equations: match variables {
+                1 | 2 => 12.0,
+                3 => 8.0,
+                _ => 4.0,
+            },
+            learned: if planar { planar::LEARNED } else { 1.0 },
+            allowance: if planar { 1.5 } else { 2.0 },
+            enough: if planar { 0.6 } else { 0.8 },
+            most_halvings: if planar { 14 } else { 18 },
+            sliver: if planar { 32.0 } else { 256.0 },
+        }
+    }
+}
+
+/// What is known: V and its gradient at scattered points, in coordinates of a frame (0 to 1 over the region).
+#[derive(Clone, Debug, Default)]
+pub struct Cloud {
+    pub variables: usize,
+    /// `[point][variable]`.
+    pub z: Vec<f64>,
+    pub v: Vec<f64>,
+    /// `dV/dz`, `[point][variable]`.
+    pub q: Vec<f64>,
+    /// Trajectory of each point: those of one are not independent of each other.
+    pub track: Vec<u32>,
+    pub sheet: Vec<i32>,
+    /// Whether some states have several answers: else labels of sheets tell nothing.
+    pub several: bool,
+}
+
+impl Cloud {
+    pub fn len(&self) -> usize {
+        self.v.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.v.is_empty()
+    }
+
+    pub fn z(&self, k: usize) -> &[f64] {
+        &self.z[k * self.variables..][..self.variables]
+    }
+
+    pub fn q(&self, k: usize) -> &[f64] {
+        &self.q[k * self.variables..][..self.variables]
+    }
+}
+
+/// A cell in which more must be known.
+#[derive(Clone, Debug)]
+pub struct Want {
+    pub lo: Vec<f64>,
+    pub hi: Vec<f64>,
+    /// Error over the one asked for.
+    pub excess: f64,
+    /// Places that no point is near to, `[place][variable]`.
+    pub bare: Vec<f64>,
+    /// Points in the cell and around it.
+    pub points: Vec<u32>,
+}
+
+/// A box while it is looked at.
+struct Block {
+    lo: Vec<f64>,
+    hi: Vec<f64>,
+    /// Points in it and around it.
+    points: Vec<u32>,
+    /// How many of them are no further away than is usual.
+    near: usize,
+}
+
+struct Builder<'c> {
+    cloud: &'c Cloud,
+    terms: Terms,
+    region: &'c Region,
+    frame: &'c Frame,
+    directions: Vec<Vec<f64>>,
+    highest: usize,
+    habits: Habits,
+    before: Option<Before<'c>>,
+}
+
+/// Built pieces of a block.
+enum Grown {
+    Cell(Vec<Piece>, Vec<f64>, Vec<f64>),
+    Split(usize, f64, Box<(Grown, Grown)>),
+}
+
+/// Pieces made before, of the cloud's first points.
+pub struct Before<'b> {
+    pub pieces: &'b Pieces,
+    pub points: usize,
+}
+
+/// Makes pieces of points; and cells where more points are needed for the error asked for. Cells made before whose pieces
+/// are good enough stay, if they say what the new points say.
+pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Before<'_>>) -> (Pieces, Vec<Want>) {
+    let n = cloud.variables;
+    let highest = highest_degree(n);
+    let builder = Builder {
+        cloud,
+        terms: Terms::new(n, highest),
+        region,
+        frame,
+        directions: directions(n),
+        highest,
+        habits: Habits::of(n),
+        before,
+    };
+    let root = builder.before.as_ref().map(|_| 0);
+    let whole = Block {
+        lo: vec![0.0; n],
+        hi: vec![1.0; n],
+        points: (0..cloud.len() as u32).collect(),
+        near: cloud.len(),
+    };
+    let (grown, wants) = builder.grow(whole, root);
+    let mut pieces = Pieces {
+        region: region.clone(),
+        frame: frame.clone(),
+        terms: builder.terms,
+        directions: builder.directions,
+        nodes: Vec::new(),
+        cells: Vec::new(),
+        pieces: Vec::new(),
+    };
+    plant(&mut pieces, grown);
+    pieces.finish();
+    pieces.label();
+    (pieces, wants)
+}
+
+/// Adds a block's cells and nodes; the number of its node.
+fn plant(pieces: &mut Pieces, grown: Grown) -> usize {
+    let here = pieces.nodes.len();
+    match grown {
+        Grown::Cell(own, lo, hi) => {
+            let first = pieces.pieces.len();
+            pieces.pieces.extend(own);
+            pieces.nodes.push(Node::Cell(pieces.cells.len()));
+            pieces.cells.push(Cell {
+                lo,
+                hi,
+                pieces: first..pieces.pieces.len(),
+            });
+        }
+        Grown::Split(axis, at, both) => {
+            pieces.nodes.push(Node::Cell(0));
+            let (below, above) = *both;
+            let below = plant(pieces, below);
+            let above = plant(pieces, above);
+            pieces.nodes[here] = Node::Split {
+                axis,
+                at,
+                below,
+                above,
+                reach: [at, at],
+            };
+        }
+    }
+    here
+}
+
+impl Builder<'_> {
+    /// `old` is the node of the pieces made before that is this block's.
+    fn grow(&self, block: Block, old: Option<usize>) -> (Grown, Vec<Want>) {
+        if !self.frame.may_meet(self.region, &block.lo, &block.hi) {
+            return (Grown::Cell(Vec::new(), block.lo, block.hi), Vec::new());
+        }
+        if let (Some(before), Some(old)) = (&self.before, old) {
+            match before.pieces.nodes[old] {
+                Node::Split {
+                    axis, at, below, above, ..
+                } => return self.split(block, axis, at, [Some(below), Some(above)]),
+                Node::Cell(cell) => {
+                    if let Some(kept) = self.kept(&block, before, cell) {
+                        return kept;
+                    }
+                }
+            }
+        }
+        let dense = self.is_dense(&block);
+        let (own, excess) = self.fitted(&block, dense);
+        let settled = excess <= self.habits.enough;
+        let axis = self.axis(&block, &own);
+        let finest = block.hi[axis] - block.lo[axis] <= 0.5f64.powi(self.habits.most_halvings);
+        if settled || !dense || finest {
+            // Of several sheets none says anything much beyond its own points.
+            let beyond = if own.len() > 1 {
+                self.region.beyond.min(BEYOND_OF_SEVERAL)
+            } else {
+                self.region.beyond
+            };
+            let pieces = own
+                .into_iter()
+                .map(|(piece, points)| self.finished(piece, &points, &block, beyond))
+                .collect();
+            let wants = self.wants(&block, excess);
+            return (Grown::Cell(pieces, block.lo, block.hi), wants);
+        }
+        let at = 0.5 * (block.lo[axis] + block.hi[axis]);
+        self.split(block, axis, at, [None; 2])
+    }
+
+    /// The two halves of a block.
+    fn split(&self, block: Block, axis: usize, at: f64, old: [Option<usize>; 2]) -> (Grown, Vec<Want>) {
+        let n = self.cloud.variables;
+        let half = |upper: bool| {
+            let (mut lo, mut hi) = (block.lo.clone(), block.hi.clone());
+            if upper {
+                lo[axis] = at;
+            } else {
+                hi[axis] = at;
+            }
+            // Along the other axes the parent's points are as near as they can be; where they are few, from further away.
+            let within = |reach: f64| -> Vec<u32> {
+                let margin = 0.5 * reach * (hi[axis] - lo[axis]);
+                let (from, to) = (lo[axis] - margin, hi[axis] + margin);
+                let near = |k: &&u32| {
+                    let z = self.cloud.z[**k as usize * n + axis];
+                    (from..=to).contains(&z)
+                };
+                block.points.iter().filter(near).copied().collect()
+            };
+            let mut points = within(FIT);
+            let usual = |k: &&u32| {
+                let z = self.cloud.z(**k as usize);
+                (0..n).all(|i| {
+                    let margin = 0.5 * FIT * (hi[i] - lo[i]);
+                    (lo[i] - margin..=hi[i] + margin).contains(&z[i])
+                })
+            };
+            let near = points.iter().filter(usual).count();
+            // The parent's points may be from further away, too.
+            if near as f64 >= self.least() {
+                points.retain(|k| usual(&k));
+            }
+            for reach in WIDER {
+                if self.is_planar() || points.len() as f64 >= self.least() {
+                    break;
+                }
+                points = within(reach);
+            }
+            Block { points, lo, hi, near }
+        };
+        let (below, above) = (half(false), half(true));
+        drop(block.points);
+        let ((below, mut wants), (above, more)) = if below.points.len() + above.points.len() > 500 {
+            join(|| self.grow(below, old[0]), || self.grow(above, old[1]))
+        } else {
+            (self.grow(below, old[0]), self.grow(above, old[1]))
+        };
+        wants.extend(more);
+        (Grown::Split(axis, at, Box::new((below, above))), wants)
+    }
+
+    /// A cell made before, if it was good enough and new points do not say otherwise.
+    fn kept(&self, block: &Block, before: &Before<'_>, cell: usize) -> Option<(Grown, Vec<Want>)> {
+        let own = &before.pieces.pieces[before.pieces.cells[cell].pieces.clone()];
+        // A few points more make no better polynomial of one that is not good enough.
+        let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
+        let untouched = more == 0
+            || (!self.is_planar() && !self.is_dense(block) && (more as f64) < WORTH_WHILE * block.points.len() as f64);
+        let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
+        if !untouched && (own.is_empty() || !own.iter().all(good)) {
+            return None;
+        }
+        let n = self.cloud.variables;
+        let agrees = |k: usize| {
+            let z = self.cloud.z(k);
+            own.iter().any(|piece| {
+                let y: Vec<f64> = (0..n).map(|i| (z[i] - piece.center[i]) / piece.half[i]).collect();
+                let mut gradient = [0.0; super::MOST_VARIABLES];
+                let (v, _) = piece.shape.back(self.terms.sum(&piece.coefficients, &y, &mut gradient));
+                let size = self.cloud.v[k].abs().max(self.region.floor);
+                // Outside the cell it is blended with others.
+                y.iter().any(|y| y.abs() > 1.0) || (v - self.cloud.v[k]).abs() <= piece.bound * size
+            })
+        };
+        let fresh = block.points.iter().map(|k| *k as usize).filter(|k| *k >= before.points);
+        if !{ fresh }.all(agrees) {
+            return None;
+        }
+        let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);
+        let excess = if own.is_empty() { f64::INFINITY } else { excess };
+        let wants = self.wants(block, excess);
+        let grown = Grown::Cell(own.to_vec(), block.lo.clone(), block.hi.clone());
+        Some((grown, wants))
+    }
+
+    /// What is missing in a cell.
+    fn wants(&self, block: &Block, excess: f64) -> Vec<Want> {
+        let bare = self.bare_places(block);
+        if excess <= 1.0 && bare.is_empty() {
+            return Vec::new();
+        }
+        vec![Want {
+            lo: block.lo.clone(),
+            hi: block.hi.clone(),
+            excess,
+            bare,
+            points: block.points.clone(),
+        }]
+    }
+
+    /// Points that determine a polynomial of the highest degree.
+    fn least(&self) -> f64 {
+        LEAST_EQUATIONS * self.terms.upto[self.highest] as f64 / (self.cloud.variables + 1) as f64 / self.habits.learned
+    }
+
+    /// Whether the halves of a block have points enough for polynomials of their own, of the highest degree.
+    fn is_dense(&self, block: &Block) -> bool {
+        block.near as f64 > 2.0 * self.least()
+    }
+
+    /// In a plane polynomials of high degree follow curves by themselves, tracks run side by side, and blocks are few.
+    fn is_planar(&self) -> bool {
+        self.cloud.variables <= 2
+    }
+
+    /// The best piece for some of a block's points, with its error over the one asked for.
+    fn of_group(&self, block: &Block, points: &[u32], can_be_halved: bool) -> Option<(Piece, f64)> {
+        if self.is_planar() {
+            self.by_quarters(block, points, can_be_halved)
+        } else {
+            self.by_tracks(block, points, can_be_halved)
+        }
+    }
+
+    /// Center and half widths of a block's piece.
+    fn extent(&self, block: &Block) -> (Vec<f64>, Vec<f64>) {
+        let both = || block.lo.iter().zip(&block.hi);
+        (
+            both().map(|(lo, hi)| 0.5 * (lo + hi)).collect(),
+            both().map(|(lo, hi)| 0.5 * (hi - lo) * (1.0 + BLEND)).collect(),
+        )
+    }
+
+    fn degree_of(&self, coefficients: &[f64]) -> usize {
+        (self.terms.upto.iter())
+            .position(|c| *c == coefficients.len())
+            .unwrap_or(0)
+    }
+
+    /// Points in the variables of a box.
+    fn data(&self, center: &[f64], half: &[f64], list: &[u32], degree: usize) -> Data<'_> {
+        let n = self.cloud.variables;
+        Data::new(&self.terms, degree, self.region.floor, list.len(), |at, y, q| {
+            let k = list[at] as usize;
+            for i in 0..n {
+                y[i] = (self.cloud.z(k)[i] - center[i]) / half[i];
+                q[i] = self.cloud.q(k)[i] * half[i];
+            }
+            (self.cloud.v[k], self.cloud.track[k])
+        })
+    }
+
+    /// The label that most of some points have.
+    fn label(&self, points: &[u32]) -> i32 {
+        let mut counts: Vec<(i32, usize)> = Vec::new();
+        for k in points {
+            let label = self.cloud.sheet[*k as usize];
+            match counts.iter_mut().find(|(l, _)| *l == label) {
+                Some((_, count)) => *count += 1,
+                None => counts.push((label, 1)),
+            }
+        }
+        counts.iter().max_by_key(|(l, c)| (*c, -*l)).map_or(-1, |(l, _)| *l)
+    }
+}
+
+/// Some of a list, drawn by a hash: in order, neighbours on a track would be left out and kept in turn.
+fn thinned(list: &[u32], most: usize) -> Vec<u32> {
+    let mut drawn = list.to_vec();
+    if drawn.len() > most {
+        drawn.select_nth_unstable_by_key(most, |k| mix(*k));
+        drawn.truncate(most);
+    }
+    drawn
+}
+
+fn largest(errors: &[[f64; 2]]) -> [f64; 2] {
+    let max = |i: usize| errors.iter().map(|e| e[i]).fold(0.0, f64::max);
+    [max(0), max(1)]
+}
+
+/// A hash, so that neighbouring numbers part.
+fn mix(k: u32) -> u32 {
+    let mut h = k.wrapping_mul(0x9e37_79b9);
+    h ^= h >> 15;
+    h = h.wrapping_mul(0x85eb_ca6b);
+    h ^ h >> 13
+}

@@ -1,0 +1,108 @@
+//! Where points are and where they are missing.
+
+use super::{BESIDE, Block, Builder, Piece, REACH};
+
+impl Builder<'_> {
+    /// The axis along which a block is halved.
+    pub(super) fn axis(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> usize {
+        if self.is_planar() {
+            self.axis_by_terms(block, pieces)
+        } else {
+            self.axis_by_halves(block, pieces)
+        }
+    }
+
+    /// Axes along which a block may be halved without becoming a sliver.
+    pub(super) fn wide(&self, block: &Block) -> Vec<usize> {
+        let width = |i: usize| block.hi[i] - block.lo[i];
+        let n = self.cloud.variables;
+        let widest = (0..n).map(width).fold(0.0, f64::max);
+        (0..n).filter(|i| width(*i) * self.habits.sliver > widest).collect()
+    }
+
+    /// A piece as it is said: with the extent of its points where these do not lie all around.
+    pub(super) fn finished(&self, mut piece: Piece, points: &[u32], block: &Block, beyond: f64) -> Piece {
+        // Alone in the region's inside, a sheet has points all around unless they are few.
+        let reach = if beyond < self.region.beyond || self.region.game {
+            BESIDE
+        } else {
+            REACH
+        };
+        let at_edge = !self.places_without(block, points, 2, reach).is_empty();
+        if at_edge {
+            piece.support = self.enclosed(&piece, points, beyond);
+        }
+        if self.is_planar() {
+            self.with_all(piece, points)
+        } else {
+            self.bounded(piece, at_edge)
+        }
+    }
+
+    /// How much V changes along an axis, relative to itself, differently at different points.
+    pub(super) fn change(&self, block: &Block, axis: usize) -> f64 {
+        let width = block.hi[axis] - block.lo[axis];
+        let stride = (block.points.len() / 1000).max(1);
+        let relative = |k: &u32| {
+            let k = *k as usize;
+            self.cloud.q(k)[axis] * width / self.cloud.v[k].abs().max(self.region.floor)
+        };
+        let all: Vec<f64> = block.points.iter().step_by(stride).map(relative).collect();
+        let mean = all.iter().sum::<f64>() / all.len().max(1) as f64;
+        (all.iter().map(|c| (c - mean).powi(2)).sum::<f64>() / all.len().max(1) as f64).sqrt()
+    }
+
+    /// Extents of points along directions, in the piece's variables, and a little more: between tracks there may be others.
+    fn enclosed(&self, piece: &Piece, points: &[u32], beyond: f64) -> Vec<[f64; 2]> {
+        let n = self.cloud.variables;
+        (self.directions.iter())
+            .map(|d| {
+                let along = points.iter().map(|k| {
+                    let z = self.cloud.z(*k as usize);
+                    (0..n)
+                        .map(|i| d[i] * (z[i] - piece.center[i]) / piece.half[i])
+                        .sum::<f64>()
+                });
+                let [lo, hi] = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], t| [lo.min(t), hi.max(t)]);
+                [lo - beyond, hi + beyond]
+            })
+            .collect()
+    }
+
+    /// Places of a block that no point is near to: where few variables allow high degrees, between its corners too.
+    pub(super) fn bare_places(&self, block: &Block) -> Vec<f64> {
+        let (a_side, reach) = match self.cloud.variables {
+            1 | 2 => (5, 0.35),
+            3 => (4, 0.5),
+            _ => (2, REACH),
+        };
+        self.places_without(block, &block.points, a_side, reach)
+    }
+
+    /// Places of a grid over a block, in the region, that none of some points is within so many half widths of.
+    fn places_without(&self, block: &Block, points: &[u32], a_side: usize, reach: f64) -> Vec<f64> {
+        let n = self.cloud.variables;
+        let half = |i: usize| 0.5 * (block.hi[i] - block.lo[i]);
+        let mut bare = Vec::new();
+        for place in 0..a_side.pow(n as u32) {
+            let mut left = place;
+            let at: Vec<f64> = (0..n)
+                .map(|i| {
+                    let share = (left % a_side) as f64 / (a_side - 1) as f64;
+                    left /= a_side;
+                    block.lo[i] + share * (block.hi[i] - block.lo[i])
+                })
+                .collect();
+            let near = |k: &u32| {
+                let z = self.cloud.z(*k as usize);
+                (0..n).all(|i| (z[i] - at[i]).abs() <= reach * half(i))
+            };
+            let x = self.frame.state(&at);
+            let inside = (0..n).all(|i| x[i] >= self.region.lo[i] && x[i] <= self.region.hi[i]);
+            if inside && !points.iter().any(near) {
+                bare.extend(at);
+            }
+        }
+        bare
+    }
+}

@@ -1,0 +1,174 @@
+//! Fits in one and two variables: a quarter of the tracks is left out. Of tracks that run side by side one alone is not missed.
+
+use super::super::fit::Shape;
+use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix, thinned};
+
+/// One of this many tracks is left out of a first fit, to measure its error.
+const LEFT_OUT: u32 = 4;
+/// Share of the points that are fitted to.
+pub(super) const LEARNED: f64 = 1.0 - 1.0 / LEFT_OUT as f64;
+/// Points that are left out at most; below how many all are left out in turn.
+const MOST_TESTS: usize = 300;
+const MANY_TESTS: usize = 24;
+
+/// A fit with its errors, relative to V's size.
+struct Fit {
+    shape: Shape,
+    coefficients: Vec<f64>,
+    errors: [f64; 2],
+}
+
+impl Builder<'_> {
+    /// The best piece for some of a block's points, with its error over the one asked for.
+    pub(super) fn by_quarters(&self, block: &Block, points: &[u32], can_be_halved: bool) -> Option<(Piece, f64)> {
+        let n = self.cloud.variables;
+        let (center, half) = self.extent(block);
+        let fold = |k: u32| mix(self.cloud.track[k as usize]) % LEFT_OUT;
+        let (tests, learned): (Vec<u32>, Vec<u32>) = (points.iter().copied()).partition(|k| fold(*k) == 0);
+        let equations = |count: usize| ((n + 1) * count) as f64;
+        let determined =
+            |degree: usize, points: usize| equations(points) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64;
+        let highest = (1..=self.highest).rev().find(|d| determined(*d, learned.len()))?;
+        let inside = |k: &u32| {
+            let z = self.cloud.z(*k as usize);
+            (0..n).all(|i| (z[i] - center[i]).abs() <= half[i])
+        };
+        let tests: Vec<u32> = tests.into_iter().filter(inside).collect();
+        let data = |list: &[u32], degree: usize| self.data(&center, &half, list, degree);
+        let enough = points.iter().filter(|k| inside(k)).count() >= LEAST_TESTS;
+        // Which function of V is smoothest here a low degree tells.
+        let low = highest.min(LOW);
+        let few = |list: &[u32]| {
+            thinned(
+                list,
+                (self.habits.most_equations * self.terms.upto[low] as f64) as usize,
+            )
+        };
+        let (rough, rough_tests) = (data(&few(&learned), low), data(&few(&tests), low));
+        let least = rough.least().min(rough_tests.least());
+        let mut shapes: Vec<(f64, Shape)> = (Shape::ALL.iter())
+            .filter(|(shape, _)| shape.serves(least))
+            .filter_map(|(shape, _)| {
+                let fitted = rough.fits(*shape, low).pop()?;
+                Some((largest(&rough_tests.errors(*shape, &fitted))[0], *shape))
+            })
+            .collect();
+        // V itself where nothing is better.
+        shapes.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let &(first, _) = shapes.first()?;
+        shapes.retain(|(e, shape)| *e <= NEARLY * first || (*shape == Shape::Value && *e <= 2.0 * NEARLY * first));
+        shapes.truncate(2);
+        let hopeless = can_be_halved && first > HOPELESS * self.region.error;
+        let degree = if hopeless { low } else { highest };
+        let most = (self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64).ceil() as usize;
+        let learned = data(&thinned(&learned, most), degree);
+        let tested = data(&thinned(&tests, MOST_TESTS), degree);
+        let mut best: Option<Fit> = None;
+        'tried: for (_, shape) in shapes {
+            for coefficients in learned.fits(shape, degree).into_iter().rev().take(3) {
+                let errors = largest(&tested.errors(shape, &coefficients));
+                if best.as_ref().is_none_or(|b| errors[0] < b.errors[0]) {
+                    best = Some(Fit {
+                        shape,
+                        coefficients,
+                        errors,
+                    });
+                }
+                let met = |e: f64| e * self.habits.allowance <= self.habits.enough * self.region.error;
+                if enough && best.as_ref().is_some_and(|b| met(b.errors[0])) {
+                    break 'tried;
+                }
+            }
+        }
+        let mut fit = best?;
+        // Few points: each is left out once.
+        if tests.len() < MANY_TESTS && !hopeless {
+            let degree = self.degree_of(&fit.coefficients);
+            for turn in 1..LEFT_OUT {
+                let (out, rest): (Vec<u32>, Vec<u32>) = (points.iter().copied()).partition(|k| fold(*k) == turn);
+                let out: Vec<u32> = out.into_iter().filter(inside).collect();
+                if out.is_empty() {
+                    continue;
+                }
+                let fitted = data(&thinned(&rest, most), degree).fits(fit.shape, degree).pop();
+                let errors = match fitted {
+                    Some(c) if c.len() == fit.coefficients.len() => largest(&data(&out, degree).errors(fit.shape, &c)),
+                    _ => [f64::INFINITY; 2],
+                };
+                fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
+            }
+        }
+        let bound = if enough {
+            self.habits.allowance * fit.errors[0]
+        } else {
+            f64::INFINITY
+        };
+        let piece = Piece {
+            center,
+            half,
+            shape: fit.shape,
+            coefficients: fit.coefficients,
+            bound,
+            p_bound: if enough {
+                self.habits.allowance * fit.errors[1]
+            } else {
+                f64::INFINITY
+            },
+            sheet: self.label(points),
+            support: Vec::new(),
+        };
+        Some((piece, bound / self.region.error))
+    }
+
+    /// The same polynomial with all of its points, now that its error is known.
+    pub(super) fn with_all(&self, mut piece: Piece, points: &[u32]) -> Piece {
+        let n = self.cloud.variables;
+        let degree = self.degree_of(&piece.coefficients);
+        let most = (1.5 * self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64).ceil() as usize;
+        let data = |list: &[u32]| self.data(&piece.center, &piece.half, list, degree);
+        // It must not be worse than the one that was tested.
+        let inside = |k: &u32| {
+            let z = self.cloud.z(*k as usize);
+            (0..n).all(|i| (z[i] - piece.center[i]).abs() <= piece.half[i])
+        };
+        let within: Vec<u32> = points.iter().copied().filter(inside).collect();
+        let seen = data(&thinned(&within, 2 * MOST_TESTS));
+        let old = largest(&seen.errors(piece.shape, &piece.coefficients));
+        let found = data(&thinned(points, most)).fits(piece.shape, degree).pop();
+        let found = found.filter(|c| c.len() == piece.coefficients.len());
+        let mut error = old;
+        if let Some(found) = found {
+            let new = largest(&seen.errors(piece.shape, &found));
+            if new[0] <= old[0] {
+                (error, piece.coefficients) = (new, found);
+            }
+        }
+        piece.bound = piece.bound.max(error[0]);
+        piece.p_bound = piece.p_bound.max(error[1]);
+        piece
+    }
+
+    /// The axis along which a block is halved: along which its polynomial of V changes most in its highest terms.
+    pub(super) fn axis_by_terms(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> usize {
+        let n = self.cloud.variables;
+        let mut share = vec![0.0f64; n];
+        for (piece, _) in pieces {
+            let highest = self.degree_of(&piece.coefficients);
+            for (term, c) in piece.coefficients.iter().enumerate() {
+                let degree = self.terms.degree_of(term);
+                if degree + 1 < highest || degree < 2 {
+                    continue;
+                }
+                for (i, power) in self.terms.powers_of(term).iter().enumerate() {
+                    share[i] += c.abs() * f64::from(*power) / degree as f64;
+                }
+            }
+        }
+        if share.iter().all(|s| *s == 0.0) {
+            share = (0..n).map(|i| self.change(block, i)).collect();
+        }
+        (self.wide(block).into_iter())
+            .max_by(|a, b| share[*a].total_cmp(&share[*b]))
+            .unwrap_or(0)
+    }
+}

@@ -1,0 +1,189 @@
+//! Fits in three variables and more: each track is left out in turn, which one factorization tells.
+
+use super::super::fit::{Shape, Tested, most_of_group};
+use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix, thinned};
+
+/// Points beside those fitted to that test a fit, at most.
+const MOST_TESTS: usize = 150;
+/// So many degrees are tried.
+const DEGREES: usize = 3;
+/// The most that one error counts in the choice of an axis.
+const WORST: f64 = 1e6;
+/// No bound is below this share of the error asked for: so few points do not tell.
+const LEAST_BOUND: f64 = 0.1;
+/// The bound of a piece without points on one side is so many times larger.
+const AT_EDGES: f64 = 2.0;
+
+impl Builder<'_> {
+    /// The best piece for some of a block's points, with its error over the one asked for.
+    pub(super) fn by_tracks(&self, block: &Block, points: &[u32], can_be_halved: bool) -> Option<(Piece, f64)> {
+        let n = self.cloud.variables;
+        let (center, half) = self.extent(block);
+        let equations = |count: usize| ((n + 1) * count) as f64;
+        let determined = |degree: usize| equations(points.len()) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64;
+        let highest = (1..=self.highest).rev().find(|d| determined(*d))?;
+        // Points in the piece tell its error, and where they are few others near it.
+        let mut far: Vec<f64> = (points.iter())
+            .map(|k| {
+                let z = self.cloud.z(*k as usize);
+                (0..n).map(|i| (z[i] - center[i]).abs() / half[i]).fold(0.0, f64::max)
+            })
+            .collect();
+        let enough = far.len() >= LEAST_TESTS;
+        let near = match enough {
+            true => (*far.select_nth_unstable_by(LEAST_TESTS - 1, f64::total_cmp).1).max(1.0),
+            false => 1.0,
+        };
+        let inside = |k: &u32| {
+            let z = self.cloud.z(*k as usize);
+            (0..n).all(|i| (z[i] - center[i]).abs() <= near * half[i])
+        };
+        let used = |degree: usize| {
+            let most = self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64;
+            self.drawn(points, most.ceil() as usize, &inside)
+        };
+        // Which function of V is smoothest here a low degree tells.
+        let low = highest.min(LOW);
+        let few = used(low);
+        let rough = self.data(&center, &half, &few, low);
+        let least = rough.least();
+        let mut shapes: Vec<(f64, Shape)> = (Shape::ALL.iter())
+            .filter(|(shape, _)| shape.serves(least))
+            .filter_map(|(shape, _)| {
+                let tested = rough.tested(*shape, low, (1, 0.0), |k| inside(&few[k])).pop()?;
+                Some((tested.errors[0], *shape))
+            })
+            .collect();
+        // V itself where nothing is better.
+        shapes.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let &(first, _) = shapes.first()?;
+        shapes.retain(|(e, shape)| *e <= NEARLY * first || (*shape == Shape::Value && *e <= 2.0 * NEARLY * first));
+        shapes.truncate(2);
+        let hopeless = can_be_halved && first > HOPELESS * self.region.error;
+        let degree = if hopeless { low } else { highest };
+        let mine = used(degree);
+        let enough = enough && mine.iter().filter(|k| inside(k)).count() >= LEAST_TESTS / 2;
+        let learned = self.data(&center, &half, &mine, degree);
+        let mut best: Option<(Shape, Tested)> = None;
+        let good = self.habits.enough * self.region.error / self.habits.allowance;
+        for (_, shape) in shapes {
+            for tested in learned.tested(shape, degree, (DEGREES, good), |k| inside(&mine[k])) {
+                if best.as_ref().is_none_or(|(_, b)| tested.errors[0] < b.errors[0]) {
+                    best = Some((shape, tested));
+                }
+            }
+            if enough && best.as_ref().is_some_and(|(_, b)| b.errors[0] <= good) {
+                break;
+            }
+        }
+        let (shape, mut fit) = best?;
+        // Points that it was not fitted to.
+        if !hopeless {
+            let beside: Vec<u32> = thinned(points, MOST_TESTS).into_iter().filter(inside).collect();
+            let degree = self.degree_of(&fit.coefficients);
+            let errors = self
+                .data(&center, &half, &beside, degree)
+                .errors(shape, &fit.coefficients);
+            let errors = largest(&errors);
+            fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
+        }
+        let bound = if enough {
+            (self.habits.allowance * fit.errors[0]).max(LEAST_BOUND * self.region.error)
+        } else {
+            f64::INFINITY
+        };
+        let piece = Piece {
+            center,
+            half,
+            shape,
+            coefficients: fit.coefficients,
+            bound,
+            p_bound: if enough {
+                self.habits.allowance * fit.errors[1]
+            } else {
+                f64::INFINITY
+            },
+            sheet: self.label(points),
+            support: Vec::new(),
+        };
+        Some((piece, bound / self.region.error))
+    }
+
+    /// A piece at whose edge points are missing errs more: beyond the outermost of them nothing tells.
+    pub(super) fn bounded(&self, mut piece: Piece, at_edge: bool) -> Piece {
+        if at_edge {
+            piece.bound *= AT_EDGES;
+            piece.p_bound *= AT_EDGES;
+        }
+        piece
+    }
+
+    /// Some of a list, as many inside as their share and as tell an error, and not more of a track than can be left out at once.
+    fn drawn(&self, list: &[u32], most: usize, inside: &impl Fn(&u32) -> bool) -> Vec<u32> {
+        let allowed = most_of_group(self.cloud.variables);
+        let (within, beside): (Vec<u32>, Vec<u32>) = list.iter().partition(|k| inside(k));
+        let few_a_track = |list: Vec<u32>| {
+            let mut drawn = thinned(&list, 8 * most);
+            drawn.sort_unstable_by_key(|k| (self.cloud.track[*k as usize], mix(*k)));
+            let mut before = (u32::MAX, 0);
+            drawn.retain(|k| {
+                let track = self.cloud.track[*k as usize];
+                before = if before.0 == track {
+                    (track, before.1 + 1)
+                } else {
+                    (track, 0)
+                };
+                before.1 < allowed
+            });
+            drawn
+        };
+        // Those beside it keep its edges from being extrapolated to.
+        let share = most * within.len() / list.len().max(1);
+        let mut drawn = thinned(&few_a_track(within), share.max(LEAST_TESTS));
+        drawn.extend(thinned(&few_a_track(beside), most.saturating_sub(drawn.len())));
+        drawn
+    }
+
+    /// The axis along which a block is halved: that of the halves in which low polynomials err least.
+    pub(super) fn axis_by_halves(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> usize {
+        let wide = self.wide(block);
+        let errors: Vec<Option<f64>> = match pieces {
+            [(piece, points)] => wide
+                .iter()
+                .map(|i| self.error_of_halves(block, piece, points, *i))
+                .collect(),
+            _ => vec![None; wide.len()],
+        };
+        let best = |score: &dyn Fn(usize) -> f64| {
+            let order = (0..wide.len()).max_by(|a, b| score(*a).total_cmp(&score(*b)));
+            order.map_or(0, |k| wide[k])
+        };
+        if errors.iter().all(Option::is_some) {
+            best(&|k| -errors[k].unwrap_or(f64::INFINITY))
+        } else {
+            best(&|k| self.change(block, wide[k]))
+        }
+    }
+
+    /// Sum of squares of the errors of low polynomials in the halves of a block; `None` where a half has too few points.
+    fn error_of_halves(&self, block: &Block, piece: &Piece, points: &[u32], axis: usize) -> Option<f64> {
+        let degree = LOW.min(self.highest);
+        let at = 0.5 * (block.lo[axis] + block.hi[axis]);
+        let most = (2.0 * self.habits.most_equations * self.terms.upto[degree] as f64) as usize;
+        let drawn = thinned(points, most);
+        let (below, above): (Vec<u32>, Vec<u32>) =
+            (drawn.iter().copied()).partition(|k| self.cloud.z(*k as usize)[axis] < at);
+        let mut sum = 0.0;
+        for half in [below, above] {
+            if ((self.cloud.variables + 1) * half.len()) as f64 <= LEAST_EQUATIONS * self.terms.upto[degree] as f64 {
+                return None;
+            }
+            let data = self.data(&piece.center, &piece.half, &half, degree);
+            let fitted = data.fitted(piece.shape, degree)?;
+            sum += (data.errors(piece.shape, &fitted).iter())
+                .map(|[v, p]| (v * v + p * p).min(WORST))
+                .sum::<f64>();
+        }
+        Some(sum)
+    }
+}

@@ -1,0 +1,79 @@
+//! What the tests of commands share: directories, scenes made of shipped ones, and the program.
+#![allow(dead_code)] // every test crate uses a part
+
+pub mod header;
+pub mod made_up;
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// An empty directory of a test's own.
+pub fn scratch(name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&directory);
+    std::fs::create_dir_all(&directory).unwrap();
+    directory
+}
+
+pub fn costate<S: AsRef<OsStr>>(arguments: &[S]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_costate"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+/// What a command prints, which must succeed.
+pub fn done(output: Output) -> String {
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+pub fn scenario(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("scenarios")
+        .join(format!("{name}.toml"))
+}
+
+/// Some sections of a shipped scene.
+pub fn sections_of(name: &str, wanted: impl Fn(&str) -> bool) -> String {
+    let text = std::fs::read_to_string(scenario(name)).unwrap();
+    let (mut kept, mut keep) = (String::new(), true);
+    for line in text.lines() {
+        if let Some(section) = line.strip_prefix('[').and_then(|l| l.split([']', '.']).next()) {
+            keep = wanted(section);
+        }
+        if keep {
+            kept += &format!("{line}\n");
+        }
+    }
+    kept
+}
+
+/// A shipped scene's problem alone, with further lines, in a directory.
+pub fn scene(directory: &Path, name: &str, lines: &str) -> PathBuf {
+    const KEPT: [&str; 10] = [
+        "parameters",
+        "states",
+        "controls",
+        "disturbances",
+        "definitions",
+        "dynamics",
+        "cost",
+        "equilibrium",
+        "region",
+        "guards",
+    ];
+    let path = directory.join(format!("{name}.toml"));
+    let kept = sections_of(name, |section| KEPT.contains(&section));
+    std::fs::write(&path, format!("{kept}\n{lines}\n")).unwrap();
+    path
+}
+
+/// V, dV/dx and u of scenarios/manufactured.toml, by hand.
+pub fn manufactured(x: f64, y: f64) -> (f64, [f64; 2], f64) {
+    let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
+    let v_y = x / 2.0 + 2.0 * y + x * x * y / 2.0;
+    (v, [x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y, v_y], -v_y / 0.5)
+}
