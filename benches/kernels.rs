@@ -83,6 +83,7 @@ fn step(c: &mut Criterion) {
                 rtol: 1e-6,
                 atol: vec![1e-6; 5],
                 step: 1e-3,
+                first: None,
                 max_steps: STEPS as u32,
                 levels: vec![1e3],
                 ceiling: None,

@@ -1,33 +1,41 @@
 //! How fast a map in pieces says V, p and u, and flies closed loops.
 //!
-//! `cargo bench --bench pieces -- FILE.h5 [STATES]`: random states of the map's region, all threads. The file is that of a run
-//! whose scene has `[map] error`.
+//! `cargo bench --bench pieces`: of a small map of the compressor, made first. `-- FILE.h5 [STATES [SCENE.toml]]`: of a run whose scene
+//! has `[map] error`; closed loops are those of the scene's `[closed_loop]`. Random states of the map's region, all threads.
 
+use costate::backend::cpu::Cpu;
+use costate::closed_loop::{Chart, Initial, Laws, Setting};
+use costate::hamiltonian::Hamiltonian;
 use costate::map::ValueMap;
+use costate::map::pieces::Region;
+use costate::model::{Model, Outside};
 use costate::output::Stored;
+use costate::sweep::Choices;
 use rayon::prelude::*;
+use std::path::PathBuf;
+use std::process::Command;
 use std::time::Instant;
 
 const REPEATS: usize = 5;
+/// Of the map that is made: enough that loops meet what they meet in a larger one.
+const MADE: &str = "error = 1e-3\nfloor = 1e-3\nstates = 400\ncheck = 1\nseconds = 120";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1).filter(|a| !a.starts_with("--"));
-    let Some(file) = args.next() else {
-        println!("no file: cargo bench --bench pieces -- FILE.h5 [STATES]");
-        return Ok(());
-    };
+    let file = args.next().map(PathBuf::from);
     let count: usize = args.next().map_or(Ok(500_000), |n| n.parse())?;
-    let stored = Stored::open(file.as_ref())?;
+    let file = match file {
+        Some(file) => file,
+        None => made()?,
+    };
+    let stored = Stored::open(&file)?;
     let map = ValueMap::new(&stored)?;
     let Some(pieces) = stored.map_pieces()? else {
-        println!("{file} holds no map in pieces");
+        println!("{} holds no map in pieces", file.display());
         return Ok(());
     };
-    let (lo, hi) = (&pieces.region.lo, &pieces.region.hi);
-    let n = lo.len();
-    let x: Vec<f64> = (0..count * n)
-        .map(|k| lo[k % n] + (hi[k % n] - lo[k % n]) * uniform(k as u64))
-        .collect();
+    let n = pieces.states();
+    let x = states(&pieces.region, count);
     println!(
         "{} pieces of {n} variables, {count} states, {} threads; states a second, best of {REPEATS}",
         pieces.pieces.len(),
@@ -43,7 +51,88 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         single.par_chunks(n).filter(|x| map.local(x).is_some()).count()
     });
     println!("one by one, with d2V/dx2:  {full:>12.0}");
+    match args.next() {
+        Some(scene) => loops(
+            &costate::scenario::load(scene.as_ref(), &[])?,
+            &map,
+            &pieces.region,
+            count / 25,
+        )?,
+        None => loops(&stored.model, &map, &pieces.region, count / 25)?,
+    }
     Ok(())
+}
+
+/// Closed loops under the law of the map from random states of its region.
+fn loops(model: &Model, map: &ValueMap, region: &Region, count: usize) -> Result<(), Box<dyn std::error::Error>> {
+    let Some(scene) = &model.closed_loop else {
+        println!("the scene has no [closed_loop]: no loops are flown");
+        return Ok(());
+    };
+    let hamiltonian = Hamiltonian::derive(model).map_err(|problems| format!("{problems:?}"))?;
+    let cpu = Cpu::new();
+    let initial = Initial {
+        x: states(region, count),
+        axes: Vec::new(),
+        ..Initial::new(model, scene, None, 0)?
+    };
+    for (name, outside) in [("nearest", Outside::Nearest), ("search", Outside::Search)] {
+        let scene = costate::model::ClosedLoop {
+            outside,
+            ..scene.clone()
+        };
+        let laws = Laws::new(model, &hamiltonian, scene.track);
+        let setting = Setting::new(&laws, &scene, &cpu, Choices::default())?;
+        let chart: &dyn Chart = map;
+        let law = [laws.chart("map")];
+        let mut home = 0.0;
+        let flown = rate(count, || {
+            let flown = setting.evaluate(&law, initial.clone(), Some(chart), None, &cpu, &mut |_| {});
+            home = flown.map_or(f64::NAN, |e| e.laws[0].share_converged());
+            count
+        });
+        println!(
+            "closed loops, {name:<8}     {flown:>12.0}   ({:.2} % come home; {} to t = {}, {} periods)",
+            100.0 * home,
+            setting.leg_method.name(),
+            scene.final_time,
+            scene.samples
+        );
+    }
+    Ok(())
+}
+
+/// The map of a part of the compressor's box, of which loops are flown.
+fn made() -> Result<PathBuf, Box<dyn std::error::Error>> {
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/moore_greitzer_map.toml");
+    let text = std::fs::read_to_string(shipped)?;
+    let sections = text.find("[shoot_out]").ok_or("the scene has [shoot_out]")?;
+    let region = "{ Phi = [1.0, 1.4], Psi = [1.6, 2.2], R = [0.0, 0.2], gamma = [1.3, 1.75] }";
+    let loops = "final_time = 40.0\nsamples = 200";
+    let whole = format!(
+        "{}\n[map]\n{MADE}\nregion = {region}\n[closed_loop]\n{loops}\nrandom = 1\ninitial = {region}\n",
+        &text[..sections]
+    );
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+    let (scene, file) = (folder.join("pieces.toml"), folder.join("pieces.h5"));
+    std::fs::write(&scene, whole)?;
+    let output = Command::new(env!("CARGO_BIN_EXE_costate"))
+        .args(["homotopy", "--backend", "cpu", "--out"])
+        .args([&file, &scene])
+        .output()?;
+    if !output.status.success() {
+        return Err(String::from_utf8_lossy(&output.stderr).into_owned().into());
+    }
+    Ok(file)
+}
+
+/// Random states `[state][component]`.
+fn states(region: &Region, count: usize) -> Vec<f64> {
+    let (lo, hi) = (&region.lo, &region.hi);
+    let n = lo.len();
+    (0..count * n)
+        .map(|k| lo[k % n] + (hi[k % n] - lo[k % n]) * uniform(k as u64))
+        .collect()
 }
 
 fn rate(count: usize, mut work: impl FnMut() -> usize) -> f64 {

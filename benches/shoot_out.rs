@@ -155,6 +155,7 @@ impl Work {
             rtol,
             atol: vec![rtol; 5],
             step,
+            first: None,
             max_steps: 1_000_000,
             levels: vec![TIME],
             ceiling: None,

@@ -52,6 +52,7 @@ fn main() {
             rtol: 1e-5,
             atol: vec![1e-6; 5],
             step: 1e-3,
+            first: None,
             max_steps: steps,
             levels: vec![1e3],
             ceiling: None,

@@ -450,7 +450,8 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
 //if FIXED
     lane.first_step = run.step;
 //end
-    lane.h = limited(run, 0.0, lane.first_step);
+    // Of an adaptive method 0 where the first step is not given.
+    lane.h = limited(run, 0.0, select(lane.first_step, run.step, run.step > 0.0));
     save(i, lane);
     counters[i + 4u * control.stride] = lane.next_level;
     lists[i] = i;

@@ -69,6 +69,7 @@ fn run(levels: Vec<f64>) -> Run {
         rtol: 0.0,
         atol: Vec::new(),
         step: 0.02,
+        first: None,
         max_steps: 2000,
         levels,
         ceiling: None,
@@ -394,6 +395,7 @@ fn every_way_to_end_is_compared() {
     for problem in problems() {
         for max_steps in [2000, 5] {
             let run = Run {
+                first: None,
                 max_steps,
                 ..problem.run(Precision::F64)
             };

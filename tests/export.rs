@@ -4,7 +4,7 @@ mod common_commands;
 
 use common_commands::header::{Said, ask};
 use common_commands::made_up::made_up;
-use common_commands::{costate, done, manufactured, sections_of};
+use common_commands::{costate, done, manufactured, scene};
 use costate::feedback::{Known, value_header};
 use costate::hamiltonian::{Hamiltonian, System};
 use costate::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
@@ -17,26 +17,6 @@ use std::path::{Path, PathBuf};
 
 fn scratch(name: &str) -> PathBuf {
     common_commands::scratch(&format!("export-{name}"))
-}
-
-/// A shipped scene's problem alone, with further lines, in a directory.
-fn scene(directory: &Path, name: &str, lines: &str) -> PathBuf {
-    const KEPT: [&str; 10] = [
-        "parameters",
-        "states",
-        "controls",
-        "disturbances",
-        "definitions",
-        "dynamics",
-        "cost",
-        "equilibrium",
-        "region",
-        "guards",
-    ];
-    let path = directory.join(format!("{name}.toml"));
-    let kept = sections_of(name, |section| KEPT.contains(&section));
-    std::fs::write(&path, format!("{kept}\n{lines}\n")).unwrap();
-    path
 }
 
 /// A result file with a map, and its header.

@@ -51,6 +51,7 @@ fn run(precision: Precision) -> Run {
         rtol,
         atol: vec![rtol; 3],
         step: 0.0,
+        first: None,
         max_steps: 2000,
         levels: vec![TIME],
         ceiling: None,

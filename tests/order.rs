@@ -179,6 +179,7 @@ fn integrate(s: &Setting) -> Trajectories {
         rtol: s.rtol,
         atol: vec![s.rtol; 3],
         step: s.step,
+        first: None,
         max_steps: 100_000,
         levels: s.levels.clone(),
         ceiling: None,

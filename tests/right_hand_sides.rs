@@ -268,6 +268,7 @@ impl<'a, const N: usize, H: ByHand<N>> Case<'a, N, H> {
             rtol: 1e-6,
             atol: vec![1.0; dim],
             step,
+            first: None,
             max_steps: 10,
             levels: vec![step],
             ceiling: None,

@@ -49,6 +49,11 @@ impl Spec {
     pub fn dim(&self) -> usize {
         self.rate.outputs.len()
     }
+
+    /// Whether a component never changes: its rate is the number 0.
+    pub fn is_constant(&self, component: usize) -> bool {
+        self.rate.code[self.rate.outputs[component] as usize] == crate::program::Instr::Const(0.0)
+    }
 }
 
 /// What one batch is integrated with.
@@ -59,6 +64,9 @@ pub struct Run {
     pub atol: Vec<f64>,
     /// Step of a fixed-step method.
     pub step: f64,
+    /// Step that an adaptive Runge-Kutta method tries first, or the whole way where that is shorter; else it is chosen from the
+    /// seed's size and speed. For short ways that one step may well take.
+    pub first: Option<f64>,
     /// Attempted steps after which a trajectory is given up.
     pub max_steps: u32,
     /// Levels of the sampling coordinate, ascending; the last one ends a trajectory.

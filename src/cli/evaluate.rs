@@ -374,8 +374,14 @@ fn own_output(scenario: &Path) -> PathBuf {
 fn as_text(e: &Evaluation, setting: &Setting<'_>, scene: &ClosedLoop) -> String {
     let numerics = &setting.numerics;
     let known = e.values.iter().filter(|v| !v.is_nan()).count();
+    let mapped = e.laws.iter().any(|law| law.name == MAP) && setting.leg_method != numerics.method;
+    let legs = if mapped {
+        format!(" (law `map`: {})", setting.leg_method.name())
+    } else {
+        String::new()
+    };
     let t = format!(
-        "closed loop from {} initial states to t = {}: {} on {}, {} {}, rtol {:e}; V known at {known}\n",
+        "closed loop from {} initial states to t = {}: {} on {}, {} {}{legs}, rtol {:e}; V known at {known}\n",
         e.initial.count(),
         scene.final_time,
         e.backend,

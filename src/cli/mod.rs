@@ -26,6 +26,7 @@ use crate::attenuation::SmallestError;
 use crate::backend::{Backend, BackendError};
 use crate::bench::BenchError;
 use crate::closed_loop::{LawError, LoopError};
+use crate::map::DeviceError;
 use crate::model::{Method, Model, Precision};
 use crate::output::{OutputError, StoredError};
 use crate::scenario::{LoadError, ScenarioErrors};
@@ -181,6 +182,16 @@ struct ValueArgs {
     /// Leave out the error estimates, which take most of the time.
     #[arg(long)]
     no_errors: bool,
+    /// Where a map in pieces is asked: the CPU, any GPU adapter, or a hardware GPU if there is one (auto). The GPU tells the lowest
+    /// sheet of each state.
+    #[arg(long, value_enum, default_value_t = BackendChoice::Cpu)]
+    backend: BackendChoice,
+    /// Use the adapter whose name contains this.
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+    /// Arithmetic on the GPU [default: f64 where the adapter has it]
+    #[arg(long, value_enum)]
+    precision: Option<PrecisionChoice>,
     /// Machine-readable values on standard output.
     #[arg(long)]
     json: bool,
@@ -509,6 +520,8 @@ enum CliError {
     )]
     MapName { name: String },
     #[error(transparent)]
+    Device(#[from] DeviceError),
+    #[error(transparent)]
     Study(#[from] crate::study::StudyError),
     #[error(transparent)]
     Attenuation(#[from] crate::attenuation::SmallestError),
@@ -605,6 +618,8 @@ impl CliError {
             CliError::Attenuation(SmallestError::Backend(_)) => 1,
             CliError::Attenuation(_) | CliError::NoAttenuation => 2,
             CliError::Place(_) | CliError::Map(_) => 2,
+            CliError::Device(DeviceError::Backend(_)) => 1,
+            CliError::Device(_) => 2,
             CliError::Law(_)
             | CliError::NoClosedLoop
             | CliError::NoLaws

@@ -1,9 +1,9 @@
 //! `costate value`: V, p and u interpolated from a result file.
 
 use super::report::Terminal;
-use super::{CliError, ValueArgs, points, run};
-use crate::map::{At, Coverage, Fronts, Value, ValueMap};
-use crate::model::Model;
+use super::{CliError, PrecisionChoice, ValueArgs, points, run};
+use crate::map::{At, Coverage, DeviceMap, Fronts, Value, ValueMap};
+use crate::model::{Model, Precision};
 use crate::output::{Places, ResultFile, RunRecord, Stored, write_text};
 use crate::value::Grid;
 use std::fmt::Write as _;
@@ -21,6 +21,8 @@ pub(super) enum PlaceError {
         text: String,
         reason: String,
     },
+    #[error("--precision f32: on the CPU values are those of f64 (--backend gpu has both)")]
+    Precision,
     #[error("--out {path}: a table ends in .csv, a result file in .h5", path = path.display())]
     Extension { path: std::path::PathBuf },
 }
@@ -60,7 +62,8 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         states = Grid { axes: axes.clone() }.points();
     }
     let map = ValueMap::new(&stored)?;
-    let found = map.at_many(&states, !args.no_errors);
+    let asked = ask(&map, &states, args)?;
+    let found = asked.found;
     let many = grid.is_some() || args.points.is_some();
     match &args.out {
         Some(out) if out.extension().is_some_and(|e| e == "h5") => {
@@ -71,8 +74,9 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             };
             file.interpolated(&run::axes(model), &places, &found)?;
             let record = RunRecord {
-                backend: "cpu".to_owned(),
-                precision: "f64".to_owned(),
+                backend: asked.backend.to_owned(),
+                adapter: asked.adapter.clone(),
+                precision: asked.precision.name().to_owned(),
                 method: "interpolation".to_owned(),
                 wall_seconds: clock.elapsed().as_secs_f64(),
                 ..RunRecord::begun(model, started)
@@ -126,7 +130,9 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         }
         let _ = write!(
             text,
-            "\n{:.2} s, written to {}",
+            "\n{}, {}: {:.2} s, written to {}",
+            asked.adapter,
+            asked.precision.name(),
             clock.elapsed().as_secs_f64(),
             out.display()
         );
@@ -144,6 +150,35 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         }
     }
     Ok(())
+}
+
+/// What is known, and who was asked.
+struct Asked {
+    found: Vec<At>,
+    backend: &'static str,
+    adapter: String,
+    precision: Precision,
+}
+
+fn ask(map: &ValueMap, states: &[f64], args: &ValueArgs) -> Result<Asked, CliError> {
+    let backend = run::open_backend(args.backend, args.adapter.as_deref(), None)?;
+    let wanted = args.precision.and_then(PrecisionChoice::precision);
+    let precision = match wanted {
+        Some(precision) => precision,
+        None if backend.supports(Precision::F64) => Precision::F64,
+        None => Precision::F32,
+    };
+    let found = match backend.gpu() {
+        Some(gpu) => DeviceMap::new(map, gpu, precision)?.at_many(states)?,
+        None if precision == Precision::F64 => map.at_many(states, !args.no_errors),
+        None => return Err(PlaceError::Precision.into()),
+    };
+    Ok(Asked {
+        found,
+        backend: backend.name(),
+        adapter: backend.adapter(),
+        precision,
+    })
 }
 
 /// `name=value,...`; states not named are at the reference point.

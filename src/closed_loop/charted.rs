@@ -1,7 +1,7 @@
 //! Trajectories under the law of a chart: `p = q + H s`, set once a period at each trajectory's state.
 
 use super::equations::set_chart;
-use super::fallback::{Ahead, Plan, hold_here};
+use super::fallback::{Help, Plan, hold_here};
 use super::flights::{Starts, Watch};
 use super::simulate::{Batch, Ground, OUTSIDE_MAP};
 use super::{Chart, Expansions, LoopError};
@@ -10,8 +10,8 @@ use crate::model::Outside;
 use rayon::prelude::*;
 
 /// Trajectories that one thread flies from their start to their end: few enough to balance the load, many enough that the
-/// kernel's lanes are full.
-const PART: usize = 256;
+/// kernel's lanes are full, also with the few that the chart has no answer for.
+const PART: usize = 1024;
 /// Longest share of the final time over which the last answer is held for want of anything better, unless that is the policy.
 const HOLD: f64 = 0.25;
 /// Attempted steps that a leg may take, however many legs there are.
@@ -66,6 +66,8 @@ impl Ground<'_> {
         let mut run = self.run(&self.equations, vec![clock.step]);
         // The trajectory's limit is its legs' together; one that is stuck does not hold up its neighbours for all of it.
         run.max_steps = (run.max_steps / clock.all as u32).max(LEAST_STEPS);
+        // A leg is short: mostly one step takes it.
+        run.first = Some(clock.step);
         let n = self.equations.states;
         if watch.is_none()
             && let Some(legs) = kernel.legs(&run)
@@ -109,7 +111,8 @@ impl Ground<'_> {
         };
         let mut alive: Vec<usize> = (0..batch.status.len()).collect();
         let mut asked = Asked::default();
-        let mut lone = Expansions::default();
+        let mut lost: Vec<usize> = Vec::new();
+        let mut room = Expansions::default();
         let mut plans: Vec<Option<Plan>> = vec![None; alive.len()];
         let mut waited = vec![0usize; alive.len()];
         let patience = match outside {
@@ -122,31 +125,37 @@ impl Ground<'_> {
             let t = clock.step * k as f64;
             asked.ask(self, chart, batch, &alive);
             batch.updates += alive.len();
+            lost.clear();
             for (j, &i) in alive.iter().enumerate() {
                 let vector = &mut batch.end[i * dim..][..dim];
                 let Some(answer) = asked.answer(j) else {
-                    batch.fallback[i] += 1;
-                    waited[i] += 1;
-                    let flying = k > 0 && waited[i] <= patience;
-                    if outside == Outside::Search && plans[i].is_none() {
-                        let ahead = Ahead {
-                            wings,
-                            run,
-                            periods: clock.all - k,
-                            chart,
-                            room: &mut lone,
-                        };
-                        plans[i] = Some(self.search(ahead, vector)?);
-                    }
-                    if !self.fall_back(outside, chart, vector, plans[i].as_mut(), flying, &mut lone) {
-                        (batch.status[i], batch.t_end[i]) = (OUTSIDE_MAP, t);
-                    }
+                    lost.push(i);
                     continue;
                 };
                 (plans[i], waited[i]) = (None, 0);
                 set_chart(vector, answer.p, answer.hessian);
                 if let Some(watch) = watch {
                     self.show(watch, batch.first + i, t, vector, Some(answer.v));
+                }
+            }
+            if !lost.is_empty() {
+                let flying: Vec<bool> = (lost.iter())
+                    .map(|i| {
+                        batch.fallback[*i] += 1;
+                        waited[*i] += 1;
+                        k > 0 && waited[*i] <= patience
+                    })
+                    .collect();
+                let mut help = Help {
+                    outside,
+                    wings: &mut *wings,
+                    run,
+                    chart,
+                    room: &mut room,
+                };
+                let goes_on = self.help(&mut help, (batch, &lost), clock.all - k, &mut plans, &flying)?;
+                for (i, _) in lost.iter().zip(goes_on).filter(|(_, goes_on)| !goes_on) {
+                    (batch.status[*i], batch.t_end[*i]) = (OUTSIDE_MAP, t);
                 }
             }
             alive.retain(|i| batch.status[*i] == Status::Reached as i32);
@@ -204,6 +213,37 @@ impl Ground<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Sets p of trajectories that the chart has no answer for; says of each whether it goes on.
+    fn help(
+        &self,
+        help: &mut Help<'_, '_>,
+        (batch, lost): (&mut Batch, &[usize]),
+        periods: usize,
+        plans: &mut [Option<Plan>],
+        flying: &[bool],
+    ) -> Result<Vec<bool>, BackendError> {
+        let dim = batch.dim;
+        if help.outside == Outside::Search {
+            let new: Vec<usize> = lost.iter().copied().filter(|i| plans[*i].is_none()).collect();
+            let from: Vec<f64> = new.iter().flat_map(|i| &batch.end[i * dim..][..dim]).copied().collect();
+            for (i, plan) in new.iter().zip(self.search(help, periods, &from)?) {
+                plans[*i] = Some(plan);
+            }
+        }
+        let mut own: Vec<Plan> = lost.iter().map(|i| plans[*i].take().unwrap_or_default()).collect();
+        let mut vectors: Vec<f64> = lost
+            .iter()
+            .flat_map(|i| &batch.end[i * dim..][..dim])
+            .copied()
+            .collect();
+        let goes_on = self.fall_back(help, &mut vectors, &mut own, flying);
+        for ((i, vector), plan) in lost.iter().zip(vectors.chunks_exact(dim)).zip(own) {
+            batch.end[i * dim..][..dim].copy_from_slice(vector);
+            plans[*i] = Some(plan);
+        }
+        Ok(goes_on)
     }
 
     /// Flies again, with p held, the legs that the model of V, next to where V is too steep for it, makes too stiff to follow.

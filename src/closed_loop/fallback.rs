@@ -14,48 +14,77 @@ const LONGER: usize = 4;
 const AT_LEAST: usize = 4;
 
 /// p that is held for some periods; then that of the nearest state known.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Plan {
     p: Vec<f64>,
     left: usize,
 }
 
-/// What a search for a way back flies plans with.
-pub(super) struct Ahead<'a, 'k> {
-    pub wings: &'a mut Wings<'k>,
-    pub run: &'a Run,
-    /// Left until the final time.
-    pub periods: usize,
-    pub chart: &'a dyn Chart,
-    pub room: &'a mut Expansions,
+/// With what trajectories without an answer are helped, many at once.
+pub(super) struct Help<'h, 'k> {
+    pub outside: Outside,
+    pub wings: &'h mut Wings<'k>,
+    pub run: &'h Run,
+    pub chart: &'h dyn Chart,
+    pub room: &'h mut Expansions,
+}
+
+/// A plan on trial.
+struct Trial {
+    /// Number of the trajectory, and of the plan.
+    of: usize,
+    number: usize,
+    plan: Plan,
+    /// The period at which a shorter plan (of this number, the longer one having the next) leaves off holding p: until then they
+    /// are one flight.
+    parts: Option<usize>,
+}
+
+/// The cheapest plan of a trajectory that has come back.
+#[derive(Clone, Copy, Default)]
+struct Best {
+    /// What it costs, and its number.
+    plan: Option<(f64, usize)>,
+    /// Periods after which no other one is waited for.
+    last: usize,
 }
 
 impl Ground<'_> {
-    /// Sets p where the chart has no answer; false where the trajectory is to end. `flying`: there is an answer before
-    /// that may still be held.
+    /// Sets p of trajectories for which the chart has no answer; says of each whether it goes on. `flying`: there is an answer
+    /// before that may still be held.
     pub fn fall_back(
         &self,
-        outside: Outside,
-        chart: &dyn Chart,
-        vector: &mut [f64],
-        plan: Option<&mut Plan>,
-        flying: bool,
-        room: &mut Expansions,
-    ) -> bool {
-        match outside {
-            Outside::Stop => false,
-            Outside::Hold => flying,
-            Outside::Local => self.by_local(vector) || flying,
-            Outside::Nearest => self.by_nearest(chart, vector, room) || flying,
-            Outside::Search => match plan.filter(|plan| plan.left > 0) {
-                Some(plan) => {
-                    plan.left -= 1;
-                    hold(vector, &plan.p);
-                    true
+        help: &mut Help<'_, '_>,
+        vectors: &mut [f64],
+        plans: &mut [Plan],
+        flying: &[bool],
+    ) -> Vec<bool> {
+        let dim = self.equations.dim();
+        let mut helped = vec![false; flying.len()];
+        match help.outside {
+            Outside::Stop => return helped,
+            Outside::Hold => {}
+            Outside::Local => {
+                for (vector, helped) in vectors.chunks_exact_mut(dim).zip(&mut helped) {
+                    *helped = self.by_local(vector);
                 }
-                None => self.by_nearest(chart, vector, room) || flying,
-            },
+            }
+            Outside::Nearest | Outside::Search => {
+                for ((vector, plan), helped) in vectors.chunks_exact_mut(dim).zip(plans).zip(&mut helped) {
+                    if plan.left > 0 {
+                        plan.left -= 1;
+                        hold(vector, &plan.p);
+                        *helped = true;
+                    }
+                }
+                self.by_nearest(help, vectors, &mut helped);
+            }
         }
+        helped
+            .iter_mut()
+            .zip(flying)
+            .for_each(|(helped, flying)| *helped |= flying);
+        helped
     }
 
     /// The law of the solution about the equilibrium, p = P s.
@@ -74,101 +103,181 @@ impl Ground<'_> {
     }
 
     /// p of the nearest state that the chart knows, of those on the way from here, moved into the chart's region, to the
-    /// reference point. It is held over the period: the slope of p there may say nothing of here.
-    fn by_nearest(&self, chart: &dyn Chart, vector: &mut [f64], room: &mut Expansions) -> bool {
-        let n = self.equations.states;
-        let reference = &self.equations.reference;
-        let mut from: Vec<f64> = vector[..n].iter().zip(reference).map(|(s, x)| s + x).collect();
-        if !chart.clamp(&mut from) {
-            return false;
+    /// reference point, for the trajectories not yet helped. It is held over the period: the slope of p there may say nothing of
+    /// here.
+    fn by_nearest(&self, help: &mut Help<'_, '_>, vectors: &mut [f64], helped: &mut [bool]) {
+        let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
+        let (mut open, mut from, mut x) = (Vec::new(), Vec::new(), Vec::new());
+        for (k, vector) in vectors.chunks_exact(dim).enumerate().filter(|(k, _)| !helped[*k]) {
+            let at = from.len();
+            from.extend(vector[..n].iter().zip(reference).map(|(s, x)| s + x));
+            if help.chart.clamp(&mut from[at..]) {
+                open.push(k);
+            } else {
+                from.truncate(at);
+            }
         }
         for share in INWARD {
-            let x: Vec<f64> = from.iter().zip(reference).map(|(a, b)| a + share * (b - a)).collect();
-            chart.expansions(n, &x, room);
-            if room.known[0] {
-                hold(vector, &room.p[..n]);
-                return true;
+            if open.is_empty() {
+                return;
+            }
+            x.clear();
+            for from in from.chunks_exact(n) {
+                x.extend(from.iter().zip(reference).map(|(a, b)| a + share * (b - a)));
+            }
+            help.chart.slopes(n, &x, help.room);
+            let room = &help.room;
+            let (mut still, mut left) = (Vec::new(), Vec::new());
+            for (j, (k, from)) in open.iter().zip(from.chunks_exact(n)).enumerate() {
+                if room.known[j] {
+                    hold(&mut vectors[k * dim..][..dim], &room.p[j * n..][..n]);
+                    helped[*k] = true;
+                } else {
+                    still.push(*k);
+                    left.extend_from_slice(from);
+                }
+            }
+            (open, from) = (still, left);
+        }
+    }
+
+    /// For each of some trajectories a way back to where the chart has answers, foretold with the equations themselves: p of the
+    /// nearest state known, if that comes back within the periods left; else the cheapest of the plans that first hold a control
+    /// at a bound of it, by its cost and V where it comes back.
+    pub fn search(&self, help: &mut Help<'_, '_>, periods: usize, vectors: &[f64]) -> Result<Vec<Plan>, BackendError> {
+        let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
+        let count = vectors.len() / dim;
+        let mut found = vec![Plan::default(); count];
+        let bounded = |vector: &[f64]| {
+            let mut x: Vec<f64> = vector[..n].iter().zip(reference).map(|(s, x)| s + x).collect();
+            help.chart.clamp(&mut x)
+        };
+        let all: Vec<usize> = (0..count).filter(|k| bounded(&vectors[k * dim..][..dim])).collect();
+        let nearest = (all.iter())
+            .map(|k| Trial {
+                of: *k,
+                number: 0,
+                plan: Plan::default(),
+                parts: None,
+            })
+            .collect();
+        let back = self.cheapest(help, periods, vectors, nearest)?;
+        let lost: Vec<usize> = all.into_iter().filter(|k| back[*k].is_none()).collect();
+        let mut plans: Vec<Vec<Plan>> = vec![Vec::new(); count];
+        let lengths = || std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < periods);
+        let mut trials = Vec::new();
+        for k in &lost {
+            for p in self.pushes(&vectors[k * dim..][..dim]) {
+                if let Some(longest) = lengths().last() {
+                    trials.push(Trial {
+                        of: *k,
+                        number: plans[*k].len(),
+                        plan: Plan {
+                            p: p.clone(),
+                            left: longest,
+                        },
+                        parts: Some(1).filter(|k| *k < longest),
+                    });
+                }
+                plans[*k].extend(lengths().map(|left| Plan { p: p.clone(), left }));
             }
         }
-        false
+        let best = self.cheapest(help, periods, vectors, trials)?;
+        for k in lost {
+            if let Some(j) = best[k] {
+                found[k] = plans[k].swap_remove(j);
+            }
+        }
+        Ok(found)
     }
 
-    /// A way back to where the chart has answers, foretold with the equations themselves: p of the nearest state known, if that
-    /// comes back within the periods left; else the cheapest of the plans that first hold a control at a bound of it, by its
-    /// cost and V where it comes back.
-    pub fn search(&self, mut ahead: Ahead<'_, '_>, vector: &[f64]) -> Result<Plan, BackendError> {
-        let nearest = Plan { p: Vec::new(), left: 0 };
-        let mut x: Vec<f64> = (vector.iter().zip(&self.equations.reference))
-            .map(|(s, x)| s + x)
-            .collect();
-        if !ahead.chart.clamp(&mut x) {
-            return Ok(nearest);
-        }
-        let first = std::slice::from_ref(&nearest);
-        if self.cheapest(&mut ahead, vector, first)?.is_some() {
-            return Ok(nearest);
-        }
-        let mut plans = Vec::new();
-        for p in self.pushes(vector) {
-            let lengths = std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < ahead.periods);
-            plans.extend(lengths.map(|left| Plan { p: p.clone(), left }));
-        }
-        let best = self.cheapest(&mut ahead, vector, &plans)?;
-        Ok(best.map_or(nearest, |k| plans.swap_remove(k)))
-    }
-
-    /// Which of some plans comes back at the least cost; `None` where none does.
+    /// Which of the plans of each trajectory comes back at the least cost; `None` where none does.
     fn cheapest(
         &self,
-        ahead: &mut Ahead<'_, '_>,
-        vector: &[f64],
-        plans: &[Plan],
-    ) -> Result<Option<usize>, BackendError> {
-        let Ahead {
-            wings,
-            run,
-            periods,
-            chart,
-            room,
-        } = ahead;
-        let (n, dim, reference) = (self.equations.states, vector.len(), &self.equations.reference);
-        let spent = vector[self.equations.cost()];
-        let mut alive: Vec<(usize, Plan)> = plans.iter().cloned().enumerate().collect();
-        let mut seeds: Vec<f64> = plans.iter().flat_map(|_| vector).copied().collect();
-        let mut best: Option<(f64, usize)> = None;
-        let mut last = *periods;
-        let mut flown = Trajectories::default();
-        for period in 0..*periods {
-            if alive.is_empty() || period > last {
+        help: &mut Help<'_, '_>,
+        periods: usize,
+        vectors: &[f64],
+        mut alive: Vec<Trial>,
+    ) -> Result<Vec<Option<usize>>, BackendError> {
+        let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
+        let cost = self.equations.cost();
+        let count = vectors.len() / dim;
+        let mut best = vec![
+            Best {
+                plan: None,
+                last: periods
+            };
+            count
+        ];
+        let mut seeds: Vec<f64> = alive
+            .iter()
+            .flat_map(|t| &vectors[t.of * dim..][..dim])
+            .copied()
+            .collect();
+        let (mut flown, mut x) = (Trajectories::default(), Vec::new());
+        for period in 0..periods {
+            if alive.is_empty() {
                 break;
             }
-            for ((_, plan), vector) in alive.iter_mut().zip(seeds.chunks_exact_mut(dim)) {
-                self.fall_back(Outside::Search, *chart, vector, Some(plan), true, room);
-            }
-            wings.fly(run, &seeds, &mut flown)?;
-            let x: Vec<f64> = (flown.end.chunks_exact(dim))
-                .flat_map(|end| end[..n].iter().zip(reference).map(|(s, x)| s + x))
-                .collect();
-            chart.expansions(n, &x, room);
-            seeds.clear();
-            let mut going = Vec::with_capacity(alive.len());
-            for (j, (k, plan)) in alive.into_iter().enumerate() {
-                let end = &flown.end[j * dim..][..dim];
-                let cost = end[self.equations.cost()] - spent;
-                if flown.status[j] != Status::Reached || best.is_some_and(|(least, _)| cost >= least) {
+            for j in 0..alive.len() {
+                let trial = &mut alive[j];
+                if trial.parts != Some(period) {
                     continue;
                 }
-                if !room.known[j] {
-                    seeds.extend_from_slice(end);
-                    going.push((k, plan));
-                } else if best.is_none_or(|(least, _)| cost + room.v[j] < least) {
-                    best = Some((cost + room.v[j], k));
-                    last = last.min(LONGER * (period + 1) + AT_LEAST);
-                }
+                let shorter = Trial {
+                    plan: Plan::default(),
+                    parts: None,
+                    ..*trial
+                };
+                trial.number += 1;
+                trial.parts = Some(2 * period).filter(|k| *k < period + trial.plan.left);
+                alive.push(shorter);
+                seeds.extend_from_within(j * dim..(j + 1) * dim);
             }
-            alive = going;
+            let mut plans: Vec<Plan> = alive.iter_mut().map(|t| std::mem::take(&mut t.plan)).collect();
+            self.fall_back(help, &mut seeds, &mut plans, &vec![true; alive.len()]);
+            alive.iter_mut().zip(plans).for_each(|(t, plan)| t.plan = plan);
+            help.wings.fly(help.run, &seeds, &mut flown)?;
+            x.clear();
+            for end in flown.end.chunks_exact(dim) {
+                x.extend(end[..n].iter().zip(reference).map(|(s, x)| s + x));
+            }
+            help.chart.slopes(n, &x, help.room);
+            let room = &help.room;
+            seeds.clear();
+            let mut j = 0;
+            alive.retain(|trial| {
+                let (k, end) = (j, &flown.end[j * dim..][..dim]);
+                j += 1;
+                let best = &mut best[trial.of];
+                let spent = end[cost] - vectors[trial.of * dim + cost];
+                let dear = best.plan.is_some_and(|(least, _)| spent >= least);
+                if flown.status[k] != Status::Reached || dear {
+                    return false;
+                }
+                if !room.known[k] {
+                    seeds.extend_from_slice(end);
+                    return true;
+                }
+                let whole = spent + room.v[k];
+                if best.plan.is_none_or(|(least, _)| whole < least) {
+                    best.plan = Some((whole, trial.number));
+                    best.last = best.last.min(LONGER * (period + 1) + AT_LEAST);
+                }
+                false
+            });
+            let waited_for = |trial: &Trial| period < best[trial.of].last;
+            if !alive.iter().all(waited_for) {
+                let rows = alive.iter().zip(seeds.chunks_exact(dim));
+                seeds = rows
+                    .filter(|(t, _)| waited_for(t))
+                    .flat_map(|(_, row)| row)
+                    .copied()
+                    .collect();
+                alive.retain(waited_for);
+            }
         }
-        Ok(best.map(|(_, k)| k))
+        Ok(best.into_iter().map(|b| b.plan.map(|(_, k)| k)).collect())
     }
 
     /// Values of p under which one control after the other is at a bound of it, upper or lower.

@@ -33,7 +33,7 @@ pub use write::GROUPS;
 use crate::backend::{Backend, BackendError, Status};
 use crate::hamiltonian::Hamiltonian;
 use crate::map::{Room, ValueMap};
-use crate::model::{ClosedLoop, Horizon, Model};
+use crate::model::{ClosedLoop, Horizon, Method, Model};
 use crate::sweep::{Choices, GUARD_STATUS, Numerics, PlanError};
 use flights::Starts;
 use nalgebra::DMatrix;
@@ -54,6 +54,11 @@ pub trait Chart: Sync {
                 to.put(k, here.v, &here.p, &here.hessian);
             }
         }
+    }
+
+    /// The same without second derivatives, which may be left as they were.
+    fn slopes(&self, states: usize, x: &[f64], to: &mut Expansions) {
+        self.expansions(states, x, to);
     }
 
     /// Moves a state into the region of which the chart knows something; false where that has no bounds.
@@ -120,6 +125,19 @@ impl Chart for ValueMap {
         to.room = room;
     }
 
+    fn slopes(&self, states: usize, x: &[f64], to: &mut Expansions) {
+        to.reset(states, x.len() / states);
+        let mut room = std::mem::take(&mut to.room);
+        self.each(x, false, &mut room, |k, here| {
+            if let Some(here) = here {
+                to.known[k] = true;
+                to.v[k] = here.v;
+                to.p[k * states..][..states].copy_from_slice(&here.p[..states]);
+            }
+        });
+        to.room = room;
+    }
+
     fn clamp(&self, x: &mut [f64]) -> bool {
         self.clamp_to_pieces(x)
     }
@@ -177,12 +195,18 @@ pub enum LoopError {
     NoStates,
 }
 
+/// Down to this tolerance legs of a period, which mostly are one step whatever its order, are taken by a method of low order
+/// where none is named.
+const LEGS_RTOL: f64 = 1e-8;
+
 /// What all laws are simulated with.
 pub struct Setting<'s> {
     pub model: &'s Model,
     pub hamiltonian: &'s Hamiltonian,
     pub closed_loop: &'s ClosedLoop,
     pub numerics: Numerics,
+    /// Method of a chart's law, whose legs are a period long.
+    pub leg_method: Method,
     /// P of the local solution; where there is none, squares of deviations in units of the region's widths.
     metric: DMatrix<f64>,
     /// Whether `metric` is P, so that `1/2 d'metric d` is a cost.
@@ -229,8 +253,14 @@ impl<'s> Setting<'s> {
                 }
             })
             .collect();
+        let numerics = Numerics::choose(model, backend, choices)?;
+        let leg_method = match choices.method.or(model.integrator.method) {
+            None if numerics.rtol >= LEGS_RTOL => Method::Tsit5,
+            _ => numerics.method,
+        };
         Ok(Self {
-            numerics: Numerics::choose(model, backend, choices)?,
+            numerics,
+            leg_method,
             hamiltonian: laws.hamiltonian,
             periods: model.states.iter().map(|s| s.period).collect(),
             local: local.is_some(),

@@ -69,7 +69,8 @@ impl<'s> Simulator<'s> {
             });
         }
         let (method, precision) = (setting.numerics.method, setting.numerics.precision);
-        let kernel = backend.compile(&equations.spec(method, precision, !equations.charted))?;
+        let own = if equations.charted { setting.leg_method } else { method };
+        let kernel = backend.compile(&equations.spec(own, precision, !equations.charted))?;
         let scaled = if scene.records.is_empty() {
             None
         } else {
@@ -133,6 +134,7 @@ impl<'s> Simulator<'s> {
                 atol,
                 // Time runs from 0 to 1 over at most one interval.
                 step: ground.setting.model.integrator.step.unwrap_or(0.0) * scene.samples as f64 / scene.final_time,
+                first: None,
                 max_steps: u32::MAX,
                 levels: vec![1.0],
                 ceiling: None,
@@ -214,6 +216,7 @@ impl Ground<'_> {
             rtol: numerics.rtol,
             atol,
             step: setting.model.integrator.step.unwrap_or(0.0),
+            first: None,
             max_steps: u32::try_from(setting.model.integrator.max_steps).unwrap_or(u32::MAX),
             levels,
             ceiling: None,

@@ -59,6 +59,7 @@ impl Evaluation {
             .attribute("adapter", self.adapter.as_str())
             .attribute("precision", setting.numerics.precision.name())
             .attribute("method", setting.numerics.method.name())
+            .attribute("method_of_map", setting.leg_method.name())
             .attribute("rtol", setting.numerics.rtol);
         if !self.initial.axes.is_empty() {
             let name = |(i, _): &(usize, Vec<f64>)| setting.model.states[*i].variable.name.clone();

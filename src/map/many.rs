@@ -83,7 +83,7 @@ impl ValueMap {
     }
 
     /// What is said of a state, still without u; with the bounds of p.
-    fn as_value(&self, x: &[f64], here: &Here<f64>) -> Option<(Value, Vec<f64>)> {
+    pub(super) fn as_value(&self, x: &[f64], here: &Here<f64>) -> Option<(Value, Vec<f64>)> {
         let n = x.len();
         let p = here.p[..n].to_vec();
         let widths = &self.plan.widths;
@@ -124,7 +124,7 @@ impl ValueMap {
     }
 
     /// u of values, and what the bound of p, one component after the other, makes of it.
-    fn add_controls(&self, x: &[f64], found: &mut [Option<(Value, Vec<f64>)>]) {
+    pub(super) fn add_controls(&self, x: &[f64], found: &mut [Option<(Value, Vec<f64>)>]) {
         let n = self.states();
         // Rows of one state: p, then p with each component lower and higher.
         let rows = 1 + 2 * n;

@@ -18,6 +18,7 @@
 
 mod adaptive;
 mod coverage;
+mod device;
 mod errors;
 mod hasty;
 mod many;
@@ -29,6 +30,7 @@ mod swift;
 
 pub use adaptive::{Adaptive, Checked, adaptive};
 pub use coverage::{Coverage, Fronts};
+pub use device::{DeviceError, DeviceMap};
 pub use many::Many;
 pub use sites::Source;
 pub(crate) use swift::Room;

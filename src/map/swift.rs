@@ -1,5 +1,9 @@
 //! V, p and second derivatives at many states: the local solution about the equilibrium and the map in pieces, as flat arrays.
 
+mod packed;
+
+pub(crate) use packed::Packed;
+
 use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms, by_states};
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::lanes::Lanes;
@@ -241,28 +245,45 @@ impl<T: Real> Around<T> {
                 monomials,
             }
             .at::<FMA>(n, &y, second, &mut jet);
+            self.to_states::<FMA>(n, second, &mut jet);
             for (l, place) in places.chunks_exact(n).enumerate() {
                 here.v = jet.v.0[l];
-                self.finish(n, place, &jet, l, second, &mut here);
+                here.v_bound = self.error(place);
+                for j in 0..n {
+                    here.p[j] = jet.q[j].0[l];
+                }
+                if second {
+                    here.bent(n, |pair| jet.h[pair].0[l]);
+                }
                 tell(group * LANES + l, &here);
             }
         }
     }
 
-    /// Derivatives by states, and the error.
+    /// Estimated error of V at `z = L's`.
     #[inline(always)]
-    fn finish(&self, n: usize, z: &[T], jet: &Jet<T, LANES>, l: usize, second: bool, here: &mut Here<T>) {
+    fn error(&self, z: &[T]) -> T {
         let zero = T::of(0.0);
-        let square = z.iter().fold(zero, |sum, z| sum + *z * *z);
-        let radius = square.root();
-        here.v_bound = zero;
+        let radius = z.iter().fold(zero, |sum, z| sum + *z * *z).root();
+        let mut most = zero;
         for (degree, size) in &self.neglected {
             let error = (0..*degree).fold(*size, |product, _| product * radius);
-            here.v_bound = if error > here.v_bound { error } else { here.v_bound };
+            most = if error > most { error } else { most };
         }
-        let q = jet.q.map(|q| q.0[l]);
-        let h = second.then(|| jet.h.map(|h| h.0[l]));
-        by_states(n, &self.matrix, &q, h.as_ref(), &mut here.p, &mut here.hessian);
+        most
+    }
+
+    /// Derivatives by states: Lq, and LhL' (its triangle).
+    #[inline(always)]
+    fn to_states<const FMA: bool>(&self, n: usize, second: bool, jet: &mut Jet<T, LANES>) {
+        let zero = Lanes::splat(T::of(0.0));
+        let add = |sum: &mut Lanes<T, LANES>, factor: T, of: &Lanes<T, LANES>| {
+            for l in 0..LANES {
+                sum.0[l] = factor.mul_add::<FMA>(of.0[l], sum.0[l]);
+            }
+        };
+        let Jet { q, h, .. } = jet;
+        by_states(n, &self.matrix, zero, add, q, second.then_some(h));
     }
 }
 

@@ -172,6 +172,7 @@ impl Equations {
             rtol,
             atol,
             step: 0.0,
+            first: None,
             max_steps,
             levels: vec![1.0],
             ceiling: None,

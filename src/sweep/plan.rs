@@ -343,6 +343,7 @@ impl Plan {
                 rtol,
                 atol: scales.iter().map(|s| atol * s).collect(),
                 step: model.integrator.step.unwrap_or(0.0),
+                first: None,
                 max_steps: u32::try_from(model.integrator.max_steps).unwrap_or(u32::MAX),
                 levels: [inner.as_slice(), &levels].concat(),
                 ceiling,

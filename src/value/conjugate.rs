@@ -59,6 +59,7 @@ impl ConjugatePoints {
                 rtol: RTOL,
                 atol: scales.map(|s| RTOL * s).collect(),
                 step: 0.0,
+                first: None,
                 max_steps: MOST_STEPS,
                 levels: vec![1.0],
                 ceiling: None,

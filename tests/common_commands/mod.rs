@@ -51,6 +51,26 @@ pub fn sections_of(name: &str, wanted: impl Fn(&str) -> bool) -> String {
     kept
 }
 
+/// A shipped scene's problem alone, with further lines, in a directory.
+pub fn scene(directory: &Path, name: &str, lines: &str) -> PathBuf {
+    const KEPT: [&str; 10] = [
+        "parameters",
+        "states",
+        "controls",
+        "disturbances",
+        "definitions",
+        "dynamics",
+        "cost",
+        "equilibrium",
+        "region",
+        "guards",
+    ];
+    let path = directory.join(format!("{name}.toml"));
+    let kept = sections_of(name, |section| KEPT.contains(&section));
+    std::fs::write(&path, format!("{kept}\n{lines}\n")).unwrap();
+    path
+}
+
 /// V, dV/dx and u of scenarios/manufactured.toml, by hand.
 pub fn manufactured(x: f64, y: f64) -> (f64, [f64; 2], f64) {
     let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;

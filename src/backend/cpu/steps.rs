@@ -273,21 +273,27 @@ fn runge_kutta(
         let components = if s + 1 == stages { dim } else { inputs };
         let point: Vec<Value> = (0..components)
             .map(|c| {
+                if spec.is_constant(c) {
+                    return y[c];
+                }
                 let sum = r.weighted(tableau.a[s - 1].iter().zip(&k).map(|(a, k)| (*a, k[c])));
                 r.mul_add(sum, h, y[c])
             })
             .collect();
         let rate = r.program(&spec.rate, &point[..inputs]);
         if s + 1 < stages {
-            for (v, slot) in rate.iter().zip(layout.stage(s)) {
-                r.store(*v, slot);
+            // Slots of components that never change stay 0.
+            for (c, (v, slot)) in rate.iter().zip(layout.stage(s)).enumerate() {
+                if !spec.is_constant(c) {
+                    r.store(*v, slot);
+                }
             }
         }
         k.push(rate);
         y_new = point;
     }
     let error = if tableau.adaptive() {
-        estimate(r, given, tableau, h, y, &y_new, &k)
+        estimate(r, (spec, given), tableau, h, y, &y_new, &k)
     } else {
         // Zero times a finite number is zero; anything else is not a number.
         let zero = r.constant(0.0);
@@ -304,7 +310,7 @@ fn runge_kutta(
 
 fn estimate(
     r: &mut Recorder,
-    given: &Parameters,
+    (spec, given): (&Spec, &Parameters),
     tableau: &Tableau,
     h: Value,
     y: &[Value],
@@ -314,7 +320,7 @@ fn estimate(
     let share = r.constant(1.0 / y.len() as f64);
     let zero = r.constant(0.0);
     let (mut total, mut other) = (zero, zero);
-    for c in 0..y.len() {
+    for c in (0..y.len()).filter(|c| !spec.is_constant(*c)) {
         let (p, q) = (r.abs(y[c]), r.abs(y_new[c]));
         let size = r.larger(p, q);
         let scale = r.mul_add(given.rtol, size, given.atol[c]);
@@ -357,7 +363,7 @@ pub fn dense(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) 
             .collect();
         k.push(r.program(&spec.rate, &point));
     }
-    for c in 0..layout.dim {
+    for c in (0..layout.dim).filter(|c| !spec.is_constant(*c)) {
         let parts: Vec<Value> = (0..tableau.degree())
             .map(|i| r.weighted(tableau.dense.iter().zip(&k).map(|(d, k)| (d[i], k[c]))))
             .collect();

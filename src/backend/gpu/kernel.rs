@@ -177,7 +177,11 @@ impl GpuKernel {
         let levels = self.levels(run);
         let mut list = vec![0.0; at.levels + levels.len().max(1)];
         list[at.rtol] = run.rtol;
-        list[at.step] = run.step;
+        // An adaptive method has no fixed step, but may be given the first one.
+        list[at.step] = match self.spec.method.adaptive() {
+            true => run.first.unwrap_or(0.0),
+            false => run.step,
+        };
         list[at.ceiling] = run.ceiling.map_or(0.0, |(_, value)| value);
         list[at.last] = run.levels.last().copied().unwrap_or(0.0);
         list[at.atol..at.lower].copy_from_slice(&run.atol);

@@ -46,7 +46,7 @@ impl Gpu {
         }))
     }
 
-    fn require(&self, precision: Precision) -> Result<(), BackendError> {
+    pub(crate) fn require(&self, precision: Precision) -> Result<(), BackendError> {
         if self.device.supports(precision) {
             return Ok(());
         }

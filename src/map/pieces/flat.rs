@@ -5,12 +5,13 @@
 
 mod bend;
 mod blend;
+mod packed;
 
 use super::jets::{Jet, MOST_SECOND, Sum, Tables};
 use super::{Cell, MOST_VARIABLES, Node, Pieces, Shape};
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
-use bend::Shear;
+use bend::{Place, Shear};
 use blend::{Share, Told};
 
 /// Polynomials summed at once: two vectors of f64 on AVX2.
@@ -101,6 +102,19 @@ impl<T: Real> Here<T> {
             sheets: 0,
         }
     }
+
+    /// Sets both halves of the second derivatives by a triangle `i <= j`, row by row.
+    #[inline(always)]
+    pub(crate) fn bent(&mut self, n: usize, triangle: impl Fn(usize) -> T) {
+        let mut pair = 0;
+        for i in 0..n {
+            for j in i..n {
+                self.hessian[i * n + j] = triangle(pair);
+                self.hessian[j * n + i] = triangle(pair);
+                pair += 1;
+            }
+        }
+    }
 }
 
 /// A piece to be summed at a place in its own variables.
@@ -117,9 +131,7 @@ pub struct Desk<T> {
     shares: Vec<Share<T>>,
     /// Of each state of a batch its first share, and its coordinates.
     first: Vec<u32>,
-    places: Vec<[T; MOST_VARIABLES]>,
-    /// Of each [`LANES`] states what bends their coordinates, where something does.
-    bends: Vec<Jet<T, LANES>>,
+    places: Vec<Place<T>>,
     stack: Vec<(u32, bool)>,
     coefficients: Vec<Lanes<T, LANES>>,
     monomials: Vec<Lanes<T, LANES>>,
@@ -133,7 +145,6 @@ impl<T: Real> Desk<T> {
             shares: Vec::new(),
             first: Vec::new(),
             places: Vec::new(),
-            bends: Vec::new(),
             stack: Vec::new(),
             coefficients: Vec::new(),
             monomials: Vec::new(),
@@ -251,58 +262,53 @@ impl<T: Real> Flat<T> {
         let n = self.states;
         let mut here = Here::blank();
         let most = *self.tables.upto.last().unwrap_or(&1);
+        let of_shear = self.shear.as_ref().map_or(0, Shear::terms);
         desk.coefficients.resize(most, Lanes::splat(T::of(0.0)));
-        desk.monomials.resize(most, Lanes::splat(T::of(0.0)));
+        desk.monomials.resize(most.max(of_shear), Lanes::splat(T::of(0.0)));
         for (batch, x) in x.chunks(BATCH * n).enumerate() {
             desk.tasks.clear();
             desk.shares.clear();
             desk.first.clear();
             desk.places.clear();
-            desk.places.extend(x.chunks_exact(n).map(|x| self.straight(x)));
-            self.bend::<FMA>(second, desk);
+            self.place::<FMA>(x, second, desk);
             for (k, x) in x.chunks_exact(n).enumerate() {
                 desk.first.push(desk.shares.len() as u32);
                 if self.covers(x) {
-                    self.look_up(desk.places[k], desk);
+                    let z = desk.places[k].z;
+                    self.look_up(&z, desk);
                 }
             }
             desk.first.push(desk.shares.len() as u32);
             self.sum::<FMA>(second, desk);
             for k in 0..x.len() / n {
                 let shares = &desk.shares[desk.first[k] as usize..desk.first[k + 1] as usize];
-                let bend = desk.bends.get(k / LANES).map(|phi| (phi, k % LANES));
-                let known = self.blend(bend, shares, &desk.told, second, &mut here);
+                let known = self.blend(&desk.places[k], shares, &desk.told, second, &mut here);
                 tell(batch * BATCH + k, known.then_some(&here));
             }
         }
     }
 
-    /// Coordinates of a state before they are sheared.
+    /// Coordinates of states in the frame.
     #[inline(always)]
-    fn straight(&self, x: &[T]) -> [T; MOST_VARIABLES] {
-        let mut z = [T::of(0.0); MOST_VARIABLES];
-        for (z, row) in z.iter_mut().zip(self.matrix.chunks_exact(x.len())) {
-            for j in 0..x.len() {
-                *z = *z + row[j] * (x[j] - self.origin[j]);
+    fn place<const FMA: bool>(&self, x: &[T], second: bool, desk: &mut Desk<T>) {
+        let n = self.states;
+        for x in x.chunks_exact(n) {
+            let mut place = Place::zero();
+            for (z, row) in place.z.iter_mut().zip(self.matrix.chunks_exact(n)) {
+                for j in 0..n {
+                    *z = *z + row[j] * (x[j] - self.origin[j]);
+                }
             }
+            desk.places.push(place);
         }
-        z
-    }
-
-    /// Shears the places of a batch, if the frame has a shear.
-    #[inline(always)]
-    fn bend<const FMA: bool>(&self, second: bool, desk: &mut Desk<T>) {
-        let Some(shear) = &self.shear else { return };
-        desk.bends.clear();
-        for places in desk.places.chunks_mut(LANES) {
-            let phi = shear.bend::<FMA>(self.states, places, second, &mut desk.monomials);
-            desk.bends.push(phi);
+        if let Some(shear) = &self.shear {
+            shear.bend::<FMA>(n, second, &mut desk.monomials, &mut desk.places);
         }
     }
 
     /// Lists the cells that reach over a place, and their pieces.
     #[inline(always)]
-    fn look_up(&self, z: [T; MOST_VARIABLES], desk: &mut Desk<T>) {
+    fn look_up(&self, z: &[T; MOST_VARIABLES], desk: &mut Desk<T>) {
         let n = self.states;
         desk.stack.clear();
         desk.stack.push((0, true));

@@ -93,7 +93,7 @@ impl Bend {
     }
 
     /// Monomials of phi, of the other coordinates.
-    pub fn terms(&self) -> &Terms {
+    pub(super) fn terms(&self) -> &Terms {
         &self.terms
     }
 

@@ -17,7 +17,7 @@ pub struct Tables {
     /// Number of monomials up to each degree.
     pub upto: Vec<usize>,
     /// Earlier monomial, variable and its power in each monomial.
-    factors: Vec<(u16, u8, u8)>,
+    pub factors: Vec<(u16, u8, u8)>,
     /// `[term][variable]`: the term times a variable, below the highest degree.
     pub first: Vec<u16>,
     /// `[term][pair]`: the term times two variables, the triangle `i <= j` row by row.
@@ -82,22 +82,25 @@ impl<T: Real, const W: usize> Jet<T, W> {
     }
 }
 
-/// `M'q`, and where there is `h` (the triangle `i <= j`, row by row) also `M'hM`: derivatives by x of a function of `z = M x` whose
-/// derivatives by z are q and h.
+/// Makes q of `M'q`, and h of `M'hM` where there is one (a triangle `i <= j`, row by row): derivatives by x of a function of
+/// `z = M x` whose derivatives by z they are. V is a number or lanes of them; `add` adds a multiple of the third to the first.
 #[inline(always)]
-pub fn by_states<T: Real>(
+pub fn by_states<T: Real, V: Copy>(
     n: usize,
     matrix: &[T],
-    q: &[T; MOST_VARIABLES],
-    h: Option<&[T; MOST_SECOND]>,
-    p: &mut [T; MOST_VARIABLES],
-    hessian: &mut [T; MOST_VARIABLES * MOST_VARIABLES],
+    zero: V,
+    add: impl Fn(&mut V, T, &V),
+    q: &mut [V; MOST_VARIABLES],
+    h: Option<&mut [V; MOST_SECOND]>,
 ) {
-    let zero = T::of(0.0);
     let m = |i: usize, j: usize| matrix[i * n + j];
+    let mut p = [zero; MOST_VARIABLES];
     for j in 0..n {
-        p[j] = (0..n).fold(zero, |sum, i| sum + m(i, j) * q[i]);
+        for i in 0..n {
+            add(&mut p[j], m(i, j), &q[i]);
+        }
     }
+    *q = p;
     let Some(h) = h else { return };
     // By way of hM.
     let mut half = [[zero; MOST_VARIABLES]; MOST_VARIABLES];
@@ -105,17 +108,23 @@ pub fn by_states<T: Real>(
     for i in 0..n {
         for k in i..n {
             for j in 0..n {
-                half[i][j] = half[i][j] + h[pair] * m(k, j);
+                add(&mut half[i][j], m(k, j), &h[pair]);
                 if k != i {
-                    half[k][j] = half[k][j] + h[pair] * m(i, j);
+                    add(&mut half[k][j], m(i, j), &h[pair]);
                 }
             }
             pair += 1;
         }
     }
+    let mut pair = 0;
     for a in 0..n {
-        for b in 0..n {
-            hessian[a * n + b] = (0..n).fold(zero, |sum, i| sum + m(i, a) * half[i][b]);
+        for b in a..n {
+            let mut sum = zero;
+            for i in 0..n {
+                add(&mut sum, m(i, a), &half[i][b]);
+            }
+            h[pair] = sum;
+            pair += 1;
         }
     }
 }
@@ -150,7 +159,7 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
         second: bool,
         to: &mut Jet<T, W>,
     ) {
-        let zero = Lanes::splat(T::of(0.0));
+        let zero: Lanes<T, W> = Lanes::splat(T::of(0.0));
         let Self {
             tables,
             degree,
@@ -168,9 +177,11 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
             }
         }
         let count = tables.upto[degree];
+        // The highest derivatives are summed, from which the others follow: the highest monomials are not needed.
+        let needed = tables.upto[degree.saturating_sub(if second { 2 } else { 1 })];
         let (c, m) = (&c[..count], &mut m[..count]);
         m[0] = Lanes::splat(T::of(1.0));
-        for (t, (parent, axis, power)) in tables.factors[..count].iter().enumerate().skip(1) {
+        for (t, (parent, axis, power)) in tables.factors[..needed].iter().enumerate().skip(1) {
             let (a, b) = (
                 m[usize::from(*parent)],
                 parts[usize::from(*power) - 1][usize::from(*axis)],
@@ -179,54 +190,123 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
                 m[t].0[l] = a.0[l] * b.0[l];
             }
         }
-        // Several sums of the terms of V, so that they do not wait for each other.
-        const SUMS: usize = 4;
-        let mut v = [zero; SUMS];
-        let mut add = |t: usize, k: usize| {
-            for l in 0..W {
-                v[k].0[l] = c[t].0[l].mul_add::<FMA>(m[t].0[l], v[k].0[l]);
-            }
-        };
-        let whole = count - count % SUMS;
-        for t in (0..whole).step_by(SUMS) {
-            for k in 0..SUMS {
-                add(t + k, k);
-            }
-        }
-        for t in whole..count {
-            add(t, t - whole);
-        }
-        for l in 0..W {
-            to.v.0[l] = (v[0].0[l] + v[1].0[l]) + (v[2].0[l] + v[3].0[l]);
-        }
-        let mut q = [zero; N];
-        if degree > 0 {
-            let terms = tables.upto[degree - 1];
-            for (next, m) in tables.first[..terms * N].chunks_exact(N).zip(m.iter()) {
-                for i in 0..N {
-                    let c = &c[usize::from(next[i])];
-                    for l in 0..W {
-                        q[i].0[l] = c.0[l].mul_add::<FMA>(m.0[l], q[i].0[l]);
-                    }
-                }
-            }
-        }
-        to.q[..N].copy_from_slice(&q);
-        if !second {
+        if second {
+            by_parts::<T, W, N, PAIRS, FMA>(tables, degree, c, m, y, to);
             return;
         }
-        let mut h = [zero; PAIRS];
-        if degree > 1 {
-            let terms = tables.upto[degree - 2];
-            for (next, m) in tables.second[..terms * PAIRS].chunks_exact(PAIRS).zip(m.iter()) {
-                for i in 0..PAIRS {
-                    let c = &c[usize::from(next[i])];
-                    for l in 0..W {
-                        h[i].0[l] = c.0[l].mul_add::<FMA>(m.0[l], h[i].0[l]);
-                    }
+        by_slopes::<T, W, N, FMA>(tables, degree, c, m, y, to);
+    }
+}
+
+/// Sums of all first derivatives, one degree after the other, from which V follows: the part of degree k of a function is `1/k`
+/// times its gradient times y (Euler).
+#[inline(always)]
+fn by_slopes<T: Real, const W: usize, const N: usize, const FMA: bool>(
+    tables: &Tables,
+    degree: usize,
+    c: &[Lanes<T, W>],
+    m: &[Lanes<T, W>],
+    y: &[Lanes<T, W>; MOST_VARIABLES],
+    to: &mut Jet<T, W>,
+) {
+    let zero = Lanes::splat(T::of(0.0));
+    let (mut v, mut q) = (c[0], [zero; N]);
+    let mut first = 0;
+    for k in 1..=degree {
+        // First derivatives of degree k - 1.
+        let end = tables.upto[k - 1];
+        let mut part = [zero; N];
+        let nexts = tables.first[first * N..end * N].chunks_exact(N);
+        for (next, m) in nexts.zip(&m[first..end]) {
+            for i in 0..N {
+                let c = &c[usize::from(next[i])];
+                for l in 0..W {
+                    part[i].0[l] = c.0[l].mul_add::<FMA>(m.0[l], part[i].0[l]);
                 }
             }
         }
-        to.h[..PAIRS].copy_from_slice(&h);
+        let share = T::of(1.0 / k as f64);
+        let mut more = zero;
+        for i in 0..N {
+            for l in 0..W {
+                q[i].0[l] = q[i].0[l] + part[i].0[l];
+                more.0[l] = part[i].0[l].mul_add::<FMA>(y[i].0[l], more.0[l]);
+            }
+        }
+        for l in 0..W {
+            v.0[l] = more.0[l].mul_add::<FMA>(share, v.0[l]);
+        }
+        first = end;
     }
+    to.v = v;
+    to.q[..N].copy_from_slice(&q);
+}
+
+/// The same with second derivatives, from which those of first order follow too.
+#[inline(always)]
+fn by_parts<T: Real, const W: usize, const N: usize, const PAIRS: usize, const FMA: bool>(
+    tables: &Tables,
+    degree: usize,
+    c: &[Lanes<T, W>],
+    m: &[Lanes<T, W>],
+    y: &[Lanes<T, W>; MOST_VARIABLES],
+    to: &mut Jet<T, W>,
+) {
+    let zero = Lanes::splat(T::of(0.0));
+    let (mut v, mut q, mut h) = (c[0], [zero; N], [zero; PAIRS]);
+    if degree > 0 {
+        for i in 0..N {
+            q[i] = c[usize::from(tables.first[i])];
+            for l in 0..W {
+                v.0[l] = q[i].0[l].mul_add::<FMA>(y[i].0[l], v.0[l]);
+            }
+        }
+    }
+    let mut first = 0;
+    for k in 1..degree {
+        // Second derivatives of degree k - 1.
+        let end = tables.upto[k - 1];
+        let mut part = [zero; PAIRS];
+        let nexts = tables.second[first * PAIRS..end * PAIRS].chunks_exact(PAIRS);
+        for (next, m) in nexts.zip(&m[first..end]) {
+            for pair in 0..PAIRS {
+                let c = &c[usize::from(next[pair])];
+                for l in 0..W {
+                    part[pair].0[l] = c.0[l].mul_add::<FMA>(m.0[l], part[pair].0[l]);
+                }
+            }
+        }
+        let mut slope = [zero; N];
+        let mut pair = 0;
+        for i in 0..N {
+            for j in i..N {
+                let own = part[pair];
+                for l in 0..W {
+                    h[pair].0[l] = h[pair].0[l] + own.0[l];
+                    slope[i].0[l] = own.0[l].mul_add::<FMA>(y[j].0[l], slope[i].0[l]);
+                }
+                if i != j {
+                    for l in 0..W {
+                        slope[j].0[l] = own.0[l].mul_add::<FMA>(y[i].0[l], slope[j].0[l]);
+                    }
+                }
+                pair += 1;
+            }
+        }
+        let (of_slope, of_value) = (T::of(1.0 / k as f64), T::of(1.0 / (k * (k + 1)) as f64));
+        let mut more = zero;
+        for i in 0..N {
+            for l in 0..W {
+                q[i].0[l] = slope[i].0[l].mul_add::<FMA>(of_slope, q[i].0[l]);
+                more.0[l] = slope[i].0[l].mul_add::<FMA>(y[i].0[l], more.0[l]);
+            }
+        }
+        for l in 0..W {
+            v.0[l] = more.0[l].mul_add::<FMA>(of_value, v.0[l]);
+        }
+        first = end;
+    }
+    to.v = v;
+    to.q[..N].copy_from_slice(&q);
+    to.h[..PAIRS].copy_from_slice(&h);
 }

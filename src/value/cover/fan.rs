@@ -102,6 +102,7 @@ impl<'a> Fan<'a> {
             rtol: RTOL,
             atol: scales.map(|s| 1e-3 * RTOL * s).collect(),
             step: 0.0,
+            first: None,
             max_steps: MOST_STEPS,
             levels: match finite {
                 Some(time) => (1..=TIMES).map(|k| time * k as f64 / TIMES as f64).collect(),

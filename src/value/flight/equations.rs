@@ -82,6 +82,7 @@ impl Equations {
                 rtol,
                 atol,
                 step: 0.0,
+                first: None,
                 max_steps: MOST_STEPS,
                 levels: vec![1.0],
                 ceiling: None,

@@ -17,6 +17,8 @@ pub struct Compiled {
     pub spec: Spec,
     pub scheme: Scheme,
     layout: Layout,
+    /// Components that are not constant.
+    moving: Vec<usize>,
     /// What a seed needs before its first step.
     start: Routine,
     step: Routine,
@@ -37,6 +39,7 @@ impl Compiled {
                 Scheme::RungeKutta(tableau) => Some(routine(&|r| steps::dense(r, spec, &layout, tableau))),
                 Scheme::Taylor(_) => None,
             },
+            moving: (0..spec.dim()).filter(|c| !spec.is_constant(*c)).collect(),
             spec: spec.clone(),
             scheme,
             layout,
@@ -58,7 +61,7 @@ pub struct Output<'a> {
 struct Queue<'a, T> {
     seeds: &'a [f64],
     dim: usize,
-    /// `[trajectory][derivative, kinks, squares of size and speed in units of the tolerance]`.
+    /// `[trajectory][derivative of what moves, kinks, squares of size and speed in units of the tolerance]`.
     starts: Vec<T>,
     width: usize,
     next: usize,
@@ -69,7 +72,7 @@ impl<'a, T: Real> Queue<'a, T> {
         let layout = &kernel.layout;
         let dim = layout.dim;
         let count = seeds.len() / dim;
-        let slots: Vec<usize> = (layout.dense..layout.dense + dim)
+        let slots: Vec<usize> = (kernel.moving.iter().map(|c| layout.dense + c))
             .chain(layout.next.kinks..layout.next.end)
             .chain([layout.seed, layout.seed + 1])
             .collect();
@@ -213,13 +216,18 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     fn place(&mut self, lane: usize, i: usize, queue: &Queue<'_, T>) -> Option<Status> {
         let (dim, next) = (self.layout.dim, self.layout.next);
         let start = queue.start(i);
-        for c in 0..dim {
-            self.put(next.y + c, lane, T::of(queue.seeds[i * dim + c]));
-            if matches!(self.kernel.scheme, Scheme::RungeKutta(_)) {
-                self.put(next.k + c, lane, start[c]);
+        for (c, v) in queue.seeds[i * dim..][..dim].iter().enumerate() {
+            self.put(next.y + c, lane, T::of(*v));
+        }
+        // Derivatives of the others are 0 in all lanes.
+        let moving = &self.kernel.moving;
+        if matches!(self.kernel.scheme, Scheme::RungeKutta(_)) {
+            for (c, v) in moving.iter().zip(start) {
+                self.put(next.k + c, lane, *v);
             }
         }
-        for (g, v) in start[dim..queue.width - 2].iter().enumerate() {
+        let moving = moving.len();
+        for (g, v) in start[moving..queue.width - 2].iter().enumerate() {
             self.put(next.kinks + g, lane, *v);
         }
         for slot in [next.t, next.before, next.resume, next.steps, next.rejected] {
@@ -243,6 +251,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         self.put(self.layout.first_step, lane, T::of(first));
         let mut wanted = match self.kernel.scheme {
             Scheme::Taylor(_) => f64::INFINITY,
+            Scheme::RungeKutta(tableau) if tableau.adaptive() => self.run.first.unwrap_or(first),
             Scheme::RungeKutta(_) => first,
         };
         if let (By::Time, Some(end)) = (self.kernel.spec.by, self.run.levels.last())

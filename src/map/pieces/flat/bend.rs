@@ -1,10 +1,10 @@
 //! The shear of a frame, and derivatives through it.
 
-use super::LANES;
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
 use crate::map::pieces::jets::{Jet, MOST_SECOND, Sum, Tables};
-use crate::map::pieces::{Bend, MOST_VARIABLES};
+use crate::map::pieces::{Bend, LANES, MOST_VARIABLES};
+use crate::map::swift::Packed;
 
 /// Along one axis `(t + phi(the other coordinates) - lowest) / width`; see [`Bend`].
 #[derive(Clone, Debug)]
@@ -12,11 +12,29 @@ pub(super) struct Shear<T> {
     axis: usize,
     lowest: T,
     width: T,
-    /// Of phi, a polynomial of the other coordinates: one variable less than states.
     tables: Tables,
     degree: usize,
-    /// Of divided powers, the same in all lanes.
+    /// Of phi by divided powers, the same in all lanes.
     phi: Vec<Lanes<T, LANES>>,
+}
+
+/// A place in coordinates of the frame, with first and second derivatives of phi by all of them where there is a shear.
+#[derive(Clone, Copy)]
+pub(super) struct Place<T> {
+    pub z: [T; MOST_VARIABLES],
+    slope: [T; MOST_VARIABLES],
+    curvature: [T; MOST_SECOND],
+}
+
+impl<T: Real> Place<T> {
+    pub fn zero() -> Self {
+        let zero = T::of(0.0);
+        Self {
+            z: [zero; MOST_VARIABLES],
+            slope: [zero; MOST_VARIABLES],
+            curvature: [zero; MOST_SECOND],
+        }
+    }
 }
 
 impl<T: Real> Shear<T> {
@@ -28,46 +46,83 @@ impl<T: Real> Shear<T> {
             lowest: T::of(bend.lowest),
             width: T::of(bend.width),
             degree: tables.upto.len() - 1,
-            phi: scaled.map(|(c, scale)| Lanes::splat(T::of(c * scale))).collect(),
+            phi: scaled.map(|(c, s)| Lanes::splat(T::of(c * s))).collect(),
             tables,
         }
     }
 
-    /// The sheared coordinate of some places, one a lane; and phi there, through whose derivatives [`Self::straighten`] goes.
+    /// Number of monomials of phi.
+    pub fn terms(&self) -> usize {
+        self.phi.len()
+    }
+
+    /// See `Flat::pack`.
+    pub fn pack(&self, to: &mut Packed) {
+        to.condition("BEND");
+        to.count("BEND_AXIS", self.axis);
+        to.number("BEND_LOWEST", self.lowest.f64());
+        to.number("BEND_WIDTH", self.width.f64());
+        to.reals("PHI", self.phi.iter().map(|c| c.0[0].f64()));
+        to.count("BEND_TERMS", self.phi.len());
+        to.count("BEND_BELOW", self.tables.upto[self.degree - 1]);
+        to.tables(["BEND_UPTO", "BEND_FACTORS", "BEND_FIRST"], &self.tables);
+    }
+
+    /// The sheared coordinate of some places, and phi's derivatives there.
     #[inline(always)]
     pub fn bend<const FMA: bool>(
         &self,
         n: usize,
-        places: &mut [[T; MOST_VARIABLES]],
         second: bool,
         monomials: &mut [Lanes<T, LANES>],
-    ) -> Jet<T, LANES> {
-        let mut phi = Jet::zero();
-        let mut y = [Lanes::splat(T::of(0.0)); MOST_VARIABLES];
-        for (l, z) in places.iter().enumerate() {
-            for (k, i) in (0..n).filter(|i| *i != self.axis).enumerate() {
-                y[k].0[l] = z[i];
+        places: &mut [Place<T>],
+    ) {
+        let zero = Lanes::splat(T::of(0.0));
+        let a = self.axis;
+        let others = || (0..n).filter(|i| *i != a);
+        let mut jet = Jet::zero();
+        for places in places.chunks_mut(LANES) {
+            let mut y = [zero; MOST_VARIABLES];
+            for (l, place) in places.iter().enumerate() {
+                for (y, i) in y.iter_mut().zip(others()) {
+                    y.0[l] = place.z[i];
+                }
+            }
+            Sum {
+                tables: &self.tables,
+                degree: self.degree,
+                coefficients: &self.phi,
+                monomials,
+            }
+            .at::<FMA>(n - 1, &y, second, &mut jet);
+            for (l, place) in places.iter_mut().enumerate() {
+                place.z[a] = (place.z[a] + jet.v.0[l] - self.lowest) / self.width;
+                for (q, i) in jet.q.iter().zip(others()) {
+                    place.slope[i] = q.0[l];
+                }
+                if !second {
+                    continue;
+                }
+                let (mut pair, mut own) = (0, 0);
+                for i in 0..n {
+                    for j in i..n {
+                        if i != a && j != a {
+                            place.curvature[pair] = jet.h[own].0[l];
+                            own += 1;
+                        }
+                        pair += 1;
+                    }
+                }
             }
         }
-        Sum {
-            tables: &self.tables,
-            degree: self.degree,
-            coefficients: &self.phi,
-            monomials,
-        }
-        .at::<FMA>(n - 1, &y, second, &mut phi);
-        for (l, z) in places.iter_mut().enumerate() {
-            z[self.axis] = (z[self.axis] + phi.v.0[l] - self.lowest) / self.width;
-        }
-        phi
     }
 
-    /// Derivatives, and bounds of the first, by the coordinates without the shear, at the place in a lane of phi.
+    /// Derivatives, and bounds of the first, by the coordinates without the shear.
     #[inline(always)]
     pub fn straighten(
         &self,
         n: usize,
-        (phi, l): (&Jet<T, LANES>, usize),
+        Place { slope, curvature, .. }: &Place<T>,
         q: &mut [T; MOST_VARIABLES],
         h: &mut [T; MOST_SECOND],
         bound: &mut [T; MOST_VARIABLES],
@@ -75,10 +130,6 @@ impl<T: Real> Shear<T> {
     ) {
         let zero = T::of(0.0);
         let a = self.axis;
-        let mut slope = [zero; MOST_VARIABLES];
-        for (k, i) in (0..n).filter(|i| *i != a).enumerate() {
-            slope[i] = phi.q[k].0[l];
-        }
         let steep = q[a] / self.width;
         let uncertain = bound[a] / self.width;
         for i in (0..n).filter(|i| *i != a) {
@@ -100,13 +151,12 @@ impl<T: Real> Shear<T> {
             let (i, j) = if i < j { (i, j) } else { (j, i) };
             old[i * n - i * (i + 1) / 2 + j]
         };
-        let (mut pair, mut curved) = (0, 0);
+        let mut pair = 0;
         for i in 0..n {
             for j in i..n {
-                let mut sum = row[i] * row[j] * at(a, a);
+                let mut sum = row[i] * row[j] * at(a, a) + steep * curvature[pair];
                 if i != a && j != a {
-                    sum = sum + steep * phi.h[curved].0[l] + at(i, j);
-                    curved += 1;
+                    sum = sum + at(i, j);
                 }
                 if i != a {
                     sum = sum + at(i, a) * row[j];

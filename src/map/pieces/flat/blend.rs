@@ -1,8 +1,9 @@
 //! What the pieces around a state say together: one sheet's blend, with first and second derivatives.
 
-use super::{Flat, Here, LANES};
+use super::bend::Place;
+use super::{Flat, Here};
 use crate::backend::cpu::real::Real;
-use crate::map::pieces::jets::{Jet, MOST_SECOND, by_states};
+use crate::map::pieces::jets::{MOST_SECOND, by_states};
 use crate::map::pieces::{BLEND, MOST_VARIABLES, SAME};
 
 /// What a piece says, in coordinates of the frame.
@@ -68,11 +69,11 @@ impl<T: Real> Flat<T> {
         Some(w)
     }
 
-    /// The lowest sheet's blend; false where nothing is known. `bend`: what bent the coordinates, and the state's lane in it.
+    /// The lowest sheet's blend; false where nothing is known.
     #[inline(always)]
     pub(super) fn blend(
         &self,
-        bend: Option<(&Jet<T, LANES>, usize)>,
+        place: &Place<T>,
         shares: &[Share<T>],
         told: &[Told<T>],
         second: bool,
@@ -100,7 +101,7 @@ impl<T: Real> Flat<T> {
             here.pieces = 1;
             here.v = first.v;
             here.v_bound = first.v_bound;
-            self.to_states(bend, first.q, first.h, first.p_bound, second, here);
+            self.to_states(place, first.q, first.h, first.p_bound, second, here);
             return true;
         }
         // Around the first: the differences are small.
@@ -159,7 +160,7 @@ impl<T: Real> Flat<T> {
         }
         here.v = first.v + blend;
         here.v_bound = v_bound;
-        self.to_states(bend, q, h, p_bound, second, here);
+        self.to_states(place, q, h, p_bound, second, here);
         true
     }
 
@@ -167,7 +168,7 @@ impl<T: Real> Flat<T> {
     #[inline(always)]
     fn to_states(
         &self,
-        bend: Option<(&Jet<T, LANES>, usize)>,
+        place: &Place<T>,
         mut q: [T; MOST_VARIABLES],
         mut h: [T; MOST_SECOND],
         mut p_bound: [T; MOST_VARIABLES],
@@ -176,17 +177,15 @@ impl<T: Real> Flat<T> {
     ) {
         let n = self.states;
         let zero = T::of(0.0);
-        if let (Some(shear), Some(phi)) = (&self.shear, bend) {
-            shear.straighten(n, phi, &mut q, &mut h, &mut p_bound, second);
+        if let Some(shear) = &self.shear {
+            shear.straighten(n, place, &mut q, &mut h, &mut p_bound, second);
         }
-        by_states(
-            n,
-            &self.matrix,
-            &q,
-            second.then_some(&h),
-            &mut here.p,
-            &mut here.hessian,
-        );
+        let add = |sum: &mut T, factor: T, of: &T| *sum = *sum + factor * *of;
+        by_states(n, &self.matrix, zero, add, &mut q, second.then_some(&mut h));
+        here.p = q;
+        if second {
+            here.bent(n, |pair| h[pair]);
+        }
         for j in 0..n {
             here.p_bound[j] = (0..n).fold(zero, |sum, i| sum + (self.matrix[i * n + j] * p_bound[i]).absolute());
         }
@@ -245,7 +244,9 @@ impl<T: Real> Sums<T> {
         for i in 0..n {
             for j in i..n {
                 let ddw = match i == j {
+                    true if dd[i] == T::of(0.0) => dd[i],
                     true => dd[i] * but([i, i]),
+                    false if d[i] == T::of(0.0) || d[j] == T::of(0.0) => T::of(0.0),
                     false => d[i] * d[j] * but([i, j]),
                 };
                 let cross = dw[i] * (told.q[j] - first.q[j]) + dw[j] * (told.q[i] - first.q[i]);
