@@ -120,7 +120,10 @@ impl Ground<'_> {
         let mut flown = Trajectories::default();
         for k in 0..clock.all {
             let t = clock.step * k as f64;
-            asked.ask(self, chart, batch, &alive);
+            // Over a period p of V(x, t) changes with time too: that of its middle errs only to the second order of the period.
+            let middle = t + 0.5 * clock.step;
+            asked.ask(self, chart, batch, &alive, middle);
+            lone.t = middle;
             batch.updates += alive.len();
             for (j, &i) in alive.iter().enumerate() {
                 let vector = &mut batch.end[i * dim..][..dim];
@@ -129,7 +132,8 @@ impl Ground<'_> {
                     waited[i] += 1;
                     let flying = k > 0 && waited[i] <= patience;
                     if outside == Outside::Search && plans[i].is_none() {
-                        plans[i] = Some(self.search(wings, run, clock.all - k, chart, vector, &mut lone)?);
+                        let time = (clock.all - k, clock.step);
+                        plans[i] = Some(self.search(wings, run, time, chart, vector, &mut lone)?);
                     }
                     if !self.fall_back(outside, chart, vector, plans[i].as_mut(), flying, &mut lone) {
                         (batch.status[i], batch.t_end[i]) = (OUTSIDE_MAP, t);
@@ -175,7 +179,7 @@ impl Ground<'_> {
             alive.retain(|i| batch.status[*i] == Status::Reached as i32);
         }
         if let Some(watch) = watch {
-            asked.ask(self, chart, batch, &alive);
+            asked.ask(self, chart, batch, &alive, scene.final_time);
             for (j, &i) in alive.iter().enumerate() {
                 if let Some(answer) = asked.answer(j) {
                     let end = &batch.end[i * dim..][..dim];
@@ -250,7 +254,7 @@ struct One<'a> {
 }
 
 impl Asked {
-    fn ask(&mut self, ground: &Ground<'_>, chart: &dyn Chart, batch: &Batch, alive: &[usize]) {
+    fn ask(&mut self, ground: &Ground<'_>, chart: &dyn Chart, batch: &Batch, alive: &[usize], t: f64) {
         let (n, dim, reference) = (ground.equations.states, batch.dim, &ground.equations.reference);
         self.states = n;
         self.parts.resize_with(alive.len().div_ceil(PART), Default::default);
@@ -259,6 +263,7 @@ impl Asked {
             for i in alive {
                 x.extend((batch.end[i * dim..][..n].iter().zip(reference)).map(|(s, x)| s + x));
             }
+            answers.t = t;
             chart.expansions(n, x, answers);
         };
         match self.parts.as_mut_slice() {

@@ -83,14 +83,14 @@ impl Ground<'_> {
         false
     }
 
-    /// A way back to where the chart has answers, foretold with the equations themselves: p of the nearest state known, if that
+    /// A way back to where the chart has answers within a number of periods of a length, foretold with the equations themselves: p of the nearest state known, if that
     /// comes back within the periods left; else the cheapest of the plans that first hold a control at a bound of it, by its
     /// cost and V where it comes back.
     pub fn search(
         &self,
         wings: &mut Wings<'_>,
         run: &Run,
-        periods: usize,
+        periods: (usize, f64),
         chart: &dyn Chart,
         vector: &[f64],
         room: &mut Expansions,
@@ -111,7 +111,7 @@ impl Ground<'_> {
         }
         let mut plans = Vec::new();
         for p in self.pushes(vector) {
-            let lengths = std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < periods);
+            let lengths = std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < periods.0);
             plans.extend(lengths.map(|left| Plan { p: p.clone(), left }));
         }
         let best = self.cheapest(wings, run, periods, chart, vector, &plans, room)?;
@@ -124,7 +124,7 @@ impl Ground<'_> {
         &self,
         wings: &mut Wings<'_>,
         run: &Run,
-        periods: usize,
+        (periods, period_length): (usize, f64),
         chart: &dyn Chart,
         vector: &[f64],
         plans: &[Plan],
@@ -137,10 +137,12 @@ impl Ground<'_> {
         let mut best: Option<(f64, usize)> = None;
         let mut last = periods;
         let mut flown = Trajectories::default();
+        let began = room.t;
         for period in 0..periods {
             if alive.is_empty() || period > last {
                 break;
             }
+            room.t = began + period as f64 * period_length;
             for ((_, plan), vector) in alive.iter_mut().zip(seeds.chunks_exact_mut(dim)) {
                 self.fall_back(Outside::Search, chart, vector, Some(plan), true, room);
             }
@@ -148,6 +150,8 @@ impl Ground<'_> {
             let x: Vec<f64> = (flown.end.chunks_exact(dim))
                 .flat_map(|end| end[..n].iter().zip(reference).map(|(s, x)| s + x))
                 .collect();
+            // What is left of the cost, at the end of the period; `began` is the middle of the first.
+            room.t += 0.5 * period_length;
             chart.expansions(n, &x, room);
             seeds.clear();
             let mut going = Vec::with_capacity(alive.len());
@@ -167,6 +171,7 @@ impl Ground<'_> {
             }
             alive = going;
         }
+        room.t = began;
         Ok(best.map(|(_, k)| k))
     }
 

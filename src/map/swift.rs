@@ -85,7 +85,8 @@ impl<T: Real> Swift<T> {
         Some(Self {
             around,
             flat: Flat::new(pieces, &vec![0.0; n]),
-            reference: plan.system.reference.iter().map(|x| T::of(*x)).collect(),
+            // Time is a coordinate of its own.
+            reference: (plan.system.reference.iter().copied().chain([0.0]).take(n)).map(T::of).collect(),
             periods: (plan.periods.iter().enumerate())
                 .filter_map(|(i, period)| Some(of(i, (*period)?)))
                 .collect(),

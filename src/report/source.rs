@@ -131,10 +131,9 @@ impl<'s> Source<'s> {
 
     /// From solutions that form no map. With a finite horizon only solved states are of the initial time.
     fn scattered(&self) -> Option<Plane> {
-        let known = self.infinite()
-            && ["trajectories", "points", "map_pieces"]
-                .iter()
-                .any(|group| self.stored.has(group));
+        let pieces = self.stored.has("map_pieces");
+        let known = pieces
+            || self.infinite() && ["trajectories", "points"].iter().any(|group| self.stored.has(group));
         if !known || self.axes[0] == self.axes[1] {
             return None;
         }
@@ -220,12 +219,15 @@ impl<'s> Source<'s> {
         self.axes.map(|k| names::label(&self.model.states[k].variable))
     }
 
-    /// ` at R = 0.12, γ = 1.5`: the states that a picture of the plane holds fixed.
+    /// ` at R = 0.12, γ = 1.5`: the states that a picture of the plane holds fixed; on a finite horizon the time too.
     pub fn fixed(&self) -> String {
-        let fixed: Vec<String> = (self.model.states.iter().enumerate())
+        let mut fixed: Vec<String> = (self.model.states.iter().enumerate())
             .filter(|(k, _)| !self.axes.contains(k))
             .map(|(k, s)| format!("{} = {}", names::symbol(&s.variable.name), significant(self.base[k], 4)))
             .collect();
+        if !self.infinite() {
+            fixed.push(format!("{} = 0", self.model.time_name()));
+        }
         if fixed.is_empty() {
             String::new()
         } else {
