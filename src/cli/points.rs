@@ -129,7 +129,13 @@ pub(super) fn read_with_times(
         let mut x = model.reference().to_vec();
         x.push(0.0);
         let line = || record.position().map_or(0, |p| line_of(&whole, p.byte()));
-        let name_of = |k: usize| names.get(k).copied().or(time.as_ref().map(|t| t.name)).unwrap_or_default();
+        let name_of = |k: usize| {
+            names
+                .get(k)
+                .copied()
+                .or(time.as_ref().map(|t| t.name))
+                .unwrap_or_default()
+        };
         for (text, &state) in record.iter().zip(&columns) {
             x[state] = (text.parse().ok())
                 .filter(|v: &f64| v.is_finite())

@@ -457,7 +457,7 @@ pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
         "trajectories_stored": done.stored,
         "study": super::study::as_json(done.model, done.variants),
         "homotopy": done.answers.map(|a| answers_json(plan, a, done.estimates)),
-        "map": done.mapped.map(super::mapped::as_json),
+        "map": done.mapped.map(|made| super::mapped::as_json(made, done.names.len())),
         "status": statuses,
         "coverage": {
             "spacing": plan.shoot_out.spacing,

@@ -180,6 +180,9 @@ fn known_time(model: &Model, knows: bool, t: f64) -> Result<(), String> {
         Some(last) if !(0.0..=last).contains(&t) => {
             Err(format!("`{name}` = {t} is not within the horizon, from 0 to {last}"))
         }
+        Some(_) if !knows && model.is_game() => {
+            Err(format!("`{name}` = {t}, but of a game V is known at {name} = 0 alone"))
+        }
         Some(_) if !knows => Err(format!(
             "`{name}` = {t}, but the file knows V at {name} = 0 alone: give the scene [map] with error = ... (and not time = false), and \
              run it again"
@@ -197,11 +200,7 @@ fn argument(name: &str, model: &Model) -> Result<usize, String> {
 }
 
 /// `name=value,...`; states not named are at the reference point, a time that is not given is 0.
-fn single(
-    text: &str,
-    model: &Model,
-    check: &dyn Fn(f64) -> Result<(), String>,
-) -> Result<(Vec<f64>, f64), CliError> {
+fn single(text: &str, model: &Model, check: &dyn Fn(f64) -> Result<(), String>) -> Result<(Vec<f64>, f64), CliError> {
     let wrong = |reason: String| PlaceError::Malformed {
         option: "at",
         text: text.to_owned(),
@@ -497,7 +496,14 @@ fn table(model: &Model, states: &[f64], times: Option<&Vec<f64>>, found: &[At]) 
         row.extend(times.map(|t| t[k].to_string()));
         if let Ok(here) = &at.lowest {
             let rate = times.map(|_| here.rate);
-            row.extend([here.v].iter().chain(&here.p).chain(&rate).chain(&here.u).map(f64::to_string));
+            row.extend(
+                [here.v]
+                    .iter()
+                    .chain(&here.p)
+                    .chain(&rate)
+                    .chain(&here.u)
+                    .map(f64::to_string),
+            );
             row.push(here.sheet.to_string());
             let errors = [here.v_error, here.p_error, here.u_error];
             row.extend(

@@ -12,7 +12,7 @@ use crate::value::{
     self, Answers, Archive, Entry, PointStatus, Progress, Request, Track, TrackPoints, Wish, path_from, solve_near,
     track_points,
 };
-use horizon::{CHECKED, LEVELS, TimeAxis};
+use horizon::{CHECKED, FIRST_TIMES, TimeAxis};
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
 
@@ -141,7 +141,7 @@ pub fn adaptive(
     aim: &MapAim,
     progress: Progress<'_>,
 ) -> Result<Adaptive, BackendError> {
-    let axis = TimeAxis::of(plan, model, aim);
+    let axis = TimeAxis::of(plan, model, aim)?;
     let bounds: Vec<[f64; 2]> = (aim.bounds.iter().copied())
         .chain(axis.as_ref().map(|axis| [0.0, axis.last]))
         .collect();
@@ -206,13 +206,16 @@ impl Work<'_, '_> {
             // More states in the cells that said too little of their errors, some of them searched for all sheets.
             let more: Vec<Want> = wrong.iter().map(|c| self.want_around(&pieces, c)).collect();
             let mut states = Vec::new();
-            for want in &more {
+            for (want, c) in more.iter().zip(&wrong) {
                 for _ in 0..SEARCHED {
-                    states.extend(
-                        self.inside(want, &region)
-                            .map(|z| self.frame.state(&z))
-                            .unwrap_or_default(),
-                    );
+                    let mut x = (self.inside(want, &region))
+                        .map(|z| self.frame.state(&z))
+                        .unwrap_or_default();
+                    if let (Some(t), Some(_)) = (x.last_mut(), &self.axis) {
+                        // Of as many times as there are already.
+                        *t = c.x[c.x.len() - 1];
+                    }
+                    states.extend(x);
                 }
             }
             if !states.is_empty() {
@@ -364,7 +367,8 @@ impl Work<'_, '_> {
         if let Some(axis) = &self.axis {
             for x in &mut states {
                 let t = x.last_mut().expect("time is the last");
-                *t = (*t / axis.last * LEVELS as f64).floor().min(LEVELS as f64 - 1.0) * axis.last / LEVELS as f64;
+                let times = FIRST_TIMES as f64;
+                *t = (*t / axis.last * times).floor().min(times - 1.0) * axis.last / times;
             }
         }
         states.into_iter().flatten().collect()
@@ -417,7 +421,12 @@ impl Work<'_, '_> {
         let mut given = vec![f64::NAN; states.len() / self.cloud.variables];
         let mut tracks = Vec::new();
         for (numbers, answers) in self.solve(states, self.axis.is_some())? {
-            let values = self.taken(&answers, &half, &mut tracks);
+            let (values, least, mut others) = self.taken(&answers, &half);
+            if let Some(axis) = &mut self.axis {
+                others = axis.unfolded(others)?;
+            }
+            tracks.extend(least);
+            tracks.extend(others);
             for (number, target) in numbers.into_iter().zip(&answers.targets.of_given) {
                 given[number] = values[*target];
             }
@@ -425,9 +434,10 @@ impl Work<'_, '_> {
         Ok((tracks, given))
     }
 
-    /// Tracks of answers, and V at each target.
-    fn taken(&mut self, answers: &Answers, half: &[f64], tracks: &mut Vec<Track>) -> Vec<f64> {
+    /// V at each target, tracks of the answers, and those of other sheets.
+    fn taken(&mut self, answers: &Answers, half: &[f64]) -> (Vec<f64>, Vec<Track>, Vec<Track>) {
         let mut values = vec![f64::NAN; answers.targets.len()];
+        let (mut tracks, mut others_near) = (Vec::new(), Vec::new());
         for target in 0..answers.targets.len() {
             self.several |= answers.of(target).len() > 1;
             let answer = answers.answer(target).filter(|a| a.value <= self.most_value());
@@ -450,9 +460,9 @@ impl Work<'_, '_> {
             };
             let near: Vec<Track> = near.map(|e| track(e, false)).collect();
             tracks.push(track(answer, true));
-            tracks.extend(near);
+            others_near.extend(near);
         }
-        values
+        (values, tracks, others_near)
     }
 
     /// Whether extremals are followed backward beyond the states they were solved for: where sheets lie over each other what

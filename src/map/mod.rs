@@ -356,7 +356,11 @@ impl ValueMap {
             return at;
         }
         if t > 0.0 {
-            let known = if self.time.is_some() { Unknown::Far } else { Unknown::OtherTime };
+            let known = if self.time.is_some() {
+                Unknown::Far
+            } else {
+                Unknown::OtherTime
+            };
             return At {
                 lowest: Err(known),
                 others: Vec::new(),

@@ -86,7 +86,9 @@ impl<T: Real> Swift<T> {
             around,
             flat: Flat::new(pieces, &vec![0.0; n]),
             // Time is a coordinate of its own.
-            reference: (plan.system.reference.iter().copied().chain([0.0]).take(n)).map(T::of).collect(),
+            reference: (plan.system.reference.iter().copied().chain([0.0]).take(n))
+                .map(T::of)
+                .collect(),
             periods: (plan.periods.iter().enumerate())
                 .filter_map(|(i, period)| Some(of(i, (*period)?)))
                 .collect(),

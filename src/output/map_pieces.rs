@@ -17,12 +17,7 @@ impl ResultFile {
     /// [`OutputError`] on writing.
     ///
     /// Where time is an axis it is the last of the pieces' arguments, and called `time`.
-    pub fn map_pieces(
-        &mut self,
-        schema: &TrajectorySchema,
-        time: &str,
-        made: &Adaptive,
-    ) -> Result<(), OutputError> {
+    pub fn map_pieces(&mut self, schema: &TrajectorySchema, time: &str, made: &Adaptive) -> Result<(), OutputError> {
         let names = Names::new(schema);
         let n = schema.states.len();
         let timed = made.pieces.states() > n;

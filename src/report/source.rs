@@ -132,8 +132,7 @@ impl<'s> Source<'s> {
     /// From solutions that form no map. With a finite horizon only solved states are of the initial time.
     fn scattered(&self) -> Option<Plane> {
         let pieces = self.stored.has("map_pieces");
-        let known = pieces
-            || self.infinite() && ["trajectories", "points"].iter().any(|group| self.stored.has(group));
+        let known = pieces || self.infinite() && ["trajectories", "points"].iter().any(|group| self.stored.has(group));
         if !known || self.axes[0] == self.axes[1] {
             return None;
         }

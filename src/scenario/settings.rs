@@ -335,17 +335,30 @@ impl<'a> Reader<'a> {
     /// Whether a map to an error has time as an axis: unless the scene says, wherever that can be had.
     fn time_axis(&mut self, section: &Section<'a>, states: usize, finite: bool, game: bool) -> bool {
         let possible = finite && !game && states < MOST_MAP_STATES;
-        let Some(value) = section.get("time") else { return possible };
-        let Some(wanted) = self.yes_or_no(value, "time") else { return false };
+        let Some(value) = section.get("time") else {
+            return possible;
+        };
+        let Some(wanted) = self.yes_or_no(value, "time") else {
+            return false;
+        };
         if wanted && !possible {
             let (message, help) = if !finite {
-                ("an infinite horizon has no time axis", "V does not depend on time: leave `time` out".to_owned())
+                (
+                    "an infinite horizon has no time axis",
+                    "V does not depend on time: leave `time` out".to_owned(),
+                )
             } else if game {
-                ("the map of a game has no time axis", "`time = false` makes that of V(x, 0)".to_owned())
+                (
+                    "the map of a game has no time axis",
+                    "`time = false` makes that of V(x, 0)".to_owned(),
+                )
             } else {
                 let message = "the map of so many states has no time axis";
                 let most = MOST_MAP_STATES - 1;
-                (message, format!("time counts as a state: at most {most} others; `time = false` makes that of V(x, 0)"))
+                (
+                    message,
+                    format!("time counts as a state: at most {most} others; `time = false` makes that of V(x, 0)"),
+                )
             };
             self.refuse::<()>(value.span(), message, help);
         }

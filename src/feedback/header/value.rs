@@ -83,8 +83,11 @@ impl Writer<'_> {
         let what = match self.known {
             Known::Map(pieces, _) => {
                 let named = self.model.states.iter().map(|s| s.variable.name.as_str());
-                let region = (named.chain([self.model.time_name()]).zip(&pieces.region.lo).zip(&pieces.region.hi))
-                    .map(|((name, lo), hi)| format!("{name} in [{lo}, {hi}]"));
+                let region = (named
+                    .chain([self.model.time_name()])
+                    .zip(&pieces.region.lo)
+                    .zip(&pieces.region.hi))
+                .map(|((name, lo), hi)| format!("{name} in [{lo}, {hi}]"));
                 format!(
                     "Value function `{}` in pieces, to an error of {:e} of V as asked, over\n   {}",
                     self.c.name,
@@ -141,7 +144,10 @@ impl Writer<'_> {
         text += &self.c.integers("parent", factors.iter().map(|f| f.0.into()));
         text += &self.c.integers("times", factors.iter().map(|f| f.1.into()));
         let time = self.is_timed().then_some(0.0);
-        text += &self.c.list("reference", &self.system.reference.iter().copied().chain(time).collect::<Vec<f64>>());
+        text += &self.c.list(
+            "reference",
+            &self.system.reference.iter().copied().chain(time).collect::<Vec<f64>>(),
+        );
         let periods = self.model.states.iter().map(|s| s.period.unwrap_or(0.0)).chain(time);
         text += "/* Of angles; of other states 0. */\n";
         text += &self.c.list("period", &periods.collect::<Vec<f64>>());
@@ -363,7 +369,10 @@ impl Writer<'_> {
         let (time, place, at) = match self.is_timed() {
             true => {
                 let all = (0..n).map(|i| format!("x[{i}]")).chain(["t".to_owned()]);
-                let place = format!("    const {real} xt[{v}] = {{ {} }};\n", all.collect::<Vec<_>>().join(", "));
+                let place = format!(
+                    "    const {real} xt[{v}] = {{ {} }};\n",
+                    all.collect::<Vec<_>>().join(", ")
+                );
                 (format!(", {real} t"), place, "xt")
             }
             false => (String::new(), String::new(), "x"),

@@ -10,17 +10,19 @@ use crate::model::{Horizon, MapAim, Model};
 use crate::program::Program;
 use crate::shooting::{End, Path, Solver};
 use crate::sweep::{Choices, Plan};
-use crate::value::{Archive, solver};
+use crate::value::{Archive, ConjugatePoints, Track, solver};
 use std::collections::BTreeMap;
 
-/// Times at which the first states are searched, in equal steps.
-pub(super) const LEVELS: usize = 16;
+/// Times at which the first states are searched, in equal steps: each sets up a search of its own.
+pub(super) const FIRST_TIMES: usize = 4;
+/// Coarsest step of times at which states are searched later, of the horizon.
+const LEVELS: usize = 16;
 /// Finest step of times at which states are searched, as a share of the horizon: of more times more problems are set up.
 const FINEST: f64 = 1.0 / 4096.0;
 /// States whose remaining time is a smaller share of the horizon than this are at its end.
 const AT_END: f64 = 1.0 / 4096.0;
 /// Times of fresh states.
-pub(super) const CHECKED: usize = 16;
+pub(super) const CHECKED: usize = 8;
 
 /// The time axis of a map.
 pub(super) struct TimeAxis {
@@ -28,6 +30,7 @@ pub(super) struct TimeAxis {
     pub last: f64,
     energy: Evaluator,
     end: End,
+    conjugate: ConjugatePoints,
     hamiltonian: Hamiltonian,
     /// The problems of shorter horizons, by the bits of their first time (times are not negative).
     shorter: BTreeMap<u64, Shorter>,
@@ -43,23 +46,41 @@ pub(super) struct Shorter {
 
 impl TimeAxis {
     /// That of a map, if it has one.
-    pub fn of(plan: &Plan, model: &Model, aim: &MapAim) -> Option<Self> {
+    ///
+    /// # Errors
+    /// What the backend refuses to compile.
+    pub fn of(plan: &Plan, model: &Model, aim: &MapAim) -> Result<Option<Self>, BackendError> {
         let system = &plan.system;
-        let terminal = system.terminal.as_ref().filter(|_| aim.time && !plan.game)?;
+        let terminal = system.terminal.as_ref().filter(|_| aim.time && !plan.game);
+        // What a plan was made of was derived.
+        let (Some(terminal), Ok(hamiltonian)) = (terminal, Hamiltonian::derive(model)) else {
+            return Ok(None);
+        };
         let energy = Program::lower(&system.graph, &system.inputs, &[system.observer.hamiltonian]);
-        Some(Self {
+        Ok(Some(Self {
             last: terminal.time,
             energy: Evaluator::new(&energy),
             end: End::new(system, None),
-            // What a plan was made of was derived.
-            hamiltonian: Hamiltonian::derive(model).ok()?,
+            conjugate: ConjugatePoints::new(plan)?,
+            hamiltonian,
             shorter: BTreeMap::new(),
-        })
+        }))
     }
 
     /// When a path begins.
     pub fn begins(&self, path: &Path) -> f64 {
         (self.last - path.horizon()).max(0.0)
+    }
+
+    /// The tracks that have no conjugate point: one that has is not even locally the least, and no sheet that may become it.
+    pub fn unfolded(&mut self, tracks: Vec<Track>) -> Result<Vec<Track>, BackendError> {
+        let paths: Vec<&Path> = tracks.iter().map(|t| &t.path).collect();
+        let absent = self.conjugate.absent(&paths)?;
+        Ok(tracks
+            .into_iter()
+            .zip(absent)
+            .filter_map(|(t, absent)| absent.then_some(t))
+            .collect())
     }
 
     /// dV/dt at nodes `(s, p)`.
