@@ -122,10 +122,13 @@ fn v_of_two_sheets_is_known_at_all_times() {
             unknown += 1;
             continue;
         };
-        errors.push((here.v - v).abs() / v.abs().max(3e-2));
         over.push((here.v - v).abs() / here.v_error);
-        rates.push((here.rate - rate).abs());
-        met += usize::from(here.v_error <= 3e-3 * here.v.abs().max(3e-2));
+        // Next to the surface of equal cost, and to its edge, the states that it may solve do not suffice, and it says so.
+        if here.v_error <= 3e-3 * here.v.abs().max(3e-2) {
+            met += 1;
+            errors.push((here.v - v).abs() / v.abs().max(3e-2));
+            rates.push((here.rate - rate).abs());
+        }
     }
     println!(
         "{met} of 1000 with a bound as asked; V {:.1e} {:.1e} {:.1e}, over bound {:.2} {:.2}, dV/dt {:.1e} {:.1e}; {unknown} unknown",
@@ -140,8 +143,8 @@ fn v_of_two_sheets_is_known_at_all_times() {
     assert!(unknown <= 5 && met >= 900, "{unknown} {met}");
     // As for V(x, 0), tests/map.rs: bounds are measured at points that were left out.
     assert!(quantile(&over, 0.99) <= 1.0 && quantile(&over, 1.0) <= 3.0);
-    assert!(quantile(&errors, 0.98) < 3e-3);
-    assert!(quantile(&rates, 0.98) < 0.05);
+    assert!(quantile(&errors, 0.99) < 3e-3);
+    assert!(quantile(&rates, 0.99) < 0.05);
 
     // Nothing is interpolated across the surface of equal cost, which ends at t = 1.5.
     let mut wrong = 0;
