@@ -147,19 +147,25 @@ fn v_of_two_sheets_is_known_at_all_times() {
     assert!(quantile(&rates, 0.99) < 0.05);
 
     // Nothing is interpolated across the surface of equal cost, which ends at t = 1.5.
-    let mut wrong = 0;
+    let (mut wrong, mut looked) = (0, 0);
     for [x, y, t] in spread([[-0.02, 0.02], [-0.4, 0.4], [0.0, 1.2]], 300) {
         let x = ridge(2.0 - t) + x;
         let Ok(here) = map.at_time(&[x, y], t).lowest else {
             continue;
         };
         let wells = [-1.0, 1.0].map(|sign| one_well(x, 2.0 - t, sign));
+        // Where the map says that it does not know V well it may be of both.
+        if here.v_error > 3e-3 * here.v.abs().max(3e-2) {
+            continue;
+        }
+        looked += 1;
         let clear = (wells[0].0 - wells[1].0).abs() > 2.0 * here.v_error;
         let (_, p, _) = two_wells([x, y, t]);
         let mixed = wells.iter().all(|(_, p)| (here.p[0] - p).abs() > 0.05 * p.abs());
         wrong += usize::from(mixed || clear && here.p[0] * p[0] < 0.0);
     }
-    assert!(wrong <= 3, "{wrong} of 300 beside the surface of equal cost");
+    println!("beside the surface of equal cost {wrong} of {looked} wrong (of 300 places)");
+    assert!(looked >= 100 && wrong <= 3, "{wrong} of {looked}");
 
     // A time that is not given is 0, where the law jumps over the same line.
     let at = |x: f64, t: &str| -> serde_json::Value {

@@ -421,12 +421,11 @@ impl Work<'_, '_> {
         let mut given = vec![f64::NAN; states.len() / self.cloud.variables];
         let mut tracks = Vec::new();
         for (numbers, answers) in self.solve(states, self.axis.is_some())? {
-            let (values, least, mut others) = self.taken(&answers, &half);
+            let (values, mut found, others) = self.taken(&answers, &half);
             if let Some(axis) = &mut self.axis {
-                others = axis.unfolded(others)?;
+                found = axis.unfolded(found, &others)?;
             }
-            tracks.extend(least);
-            tracks.extend(others);
+            tracks.extend(found);
             for (number, target) in numbers.into_iter().zip(&answers.targets.of_given) {
                 given[number] = values[*target];
             }
@@ -434,10 +433,10 @@ impl Work<'_, '_> {
         Ok((tracks, given))
     }
 
-    /// V at each target, tracks of the answers, and those of other sheets.
-    fn taken(&mut self, answers: &Answers, half: &[f64]) -> (Vec<f64>, Vec<Track>, Vec<Track>) {
+    /// V at each target, and tracks, with whether each is of another sheet than the lowest.
+    fn taken(&mut self, answers: &Answers, half: &[f64]) -> (Vec<f64>, Vec<Track>, Vec<bool>) {
         let mut values = vec![f64::NAN; answers.targets.len()];
-        let (mut tracks, mut others_near) = (Vec::new(), Vec::new());
+        let (mut tracks, mut dearer) = (Vec::new(), Vec::new());
         for target in 0..answers.targets.len() {
             self.several |= answers.of(target).len() > 1;
             let answer = answers.answer(target).filter(|a| a.value <= self.most_value());
@@ -460,9 +459,11 @@ impl Work<'_, '_> {
             };
             let near: Vec<Track> = near.map(|e| track(e, false)).collect();
             tracks.push(track(answer, true));
-            others_near.extend(near);
+            tracks.extend(near);
+            dearer.push(false);
+            dearer.resize(tracks.len(), true);
         }
-        (values, tracks, others_near)
+        (values, tracks, dearer)
     }
 
     /// Whether extremals are followed backward beyond the states they were solved for: where sheets lie over each other what

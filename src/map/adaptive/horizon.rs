@@ -72,15 +72,15 @@ impl TimeAxis {
         (self.last - path.horizon()).max(0.0)
     }
 
-    /// The tracks that have no conjugate point: one that has is not even locally the least, and no sheet that may become it.
-    pub fn unfolded(&mut self, tracks: Vec<Track>) -> Result<Vec<Track>, BackendError> {
-        let paths: Vec<&Path> = tracks.iter().map(|t| &t.path).collect();
-        let absent = self.conjugate.absent(&paths)?;
-        Ok(tracks
-            .into_iter()
-            .zip(absent)
-            .filter_map(|(t, absent)| absent.then_some(t))
-            .collect())
+    /// Tracks without those, of other sheets, that have a conjugate point: such a one is not even locally the least, and no
+    /// sheet that may become it.
+    pub fn unfolded(&mut self, tracks: Vec<Track>, others: &[bool]) -> Result<Vec<Track>, BackendError> {
+        let paths: Vec<&Path> = (tracks.iter().zip(others))
+            .filter_map(|(t, other)| other.then_some(&t.path))
+            .collect();
+        let mut absent = self.conjugate.absent(&paths)?.into_iter();
+        let stays = |(track, other): (Track, &bool)| (!other || absent.next() == Some(true)).then_some(track);
+        Ok(tracks.into_iter().zip(others).filter_map(stays).collect())
     }
 
     /// dV/dt at nodes `(s, p)`.
