@@ -151,7 +151,8 @@ fn a_game_s_map_is_its_header() {
 /// A finite horizon, on which two sheets lie over each other: the lower one counts.
 #[test]
 fn the_lowest_of_two_sheets_is_told() {
-    let map = "[map]\nerror = 1e-2\nfloor = 1e-2\ncheck = 1\nregion = { x = [-0.6, 0.6], y = [-0.3, 0.3] }";
+    let map =
+        "[map]\nerror = 1e-2\nfloor = 1e-2\ncheck = 1\ntime = false\nregion = { x = [-0.6, 0.6], y = [-0.3, 0.3] }";
     let [known, ..] = headers_agree("hopf_lax", map, 0.0);
     assert!(known > 20, "{known}");
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("export-hopf_lax");

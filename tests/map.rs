@@ -188,7 +188,7 @@ fn nothing_is_said_behind_the_fold_of_a_game() {
 fn two_sheets_meet_where_they_cost_the_same() {
     let (stored, _) = made(
         "hopf_lax",
-        "error = 1e-4\nfloor = 1e-2\ncheck = 1\nregion = { x = [-1.0, 1.0], y = [-0.5, 0.5] }",
+        "error = 1e-4\nfloor = 1e-2\ncheck = 1\ntime = false\nregion = { x = [-1.0, 1.0], y = [-0.5, 0.5] }",
     );
     let pieces = pieces(&stored);
     let (time, k, slant) = (2.0, 2.0, 0.1);

@@ -255,7 +255,7 @@ fn all_that_pieces_can_be() {
         seconds: 0.0,
     };
     let mut writer = ResultFile::extend(&file, &["map_pieces"]).unwrap();
-    writer.map_pieces(&schema, &made).unwrap();
+    writer.map_pieces(&schema, "t", &made).unwrap();
     writer.finish().unwrap();
     compared(&file, 5000, 0.3);
 }

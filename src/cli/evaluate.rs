@@ -200,6 +200,15 @@ pub(super) fn perform(
     let setting = Setting::new(&laws, scene, backend, wanted.choices)?;
     let chart = from.chart();
     let chosen = from.choose(&laws, scene, (wanted, chart.is_some()), terminal)?;
+    if let (Some(map), Some(_)) = (&from.map, model.final_time())
+        && map.time().is_none()
+        && chosen.iter().any(|law| law.name == crate::closed_loop::MAP)
+    {
+        terminal.note(
+            "law `map`: the file knows V at the initial time alone, and the law takes it for V at all times ([map] with error = ..., without \
+             time = false, makes V(x, t))",
+        );
+    }
     let initial = Initial::new(model, scene, wanted.random, wanted.choices.seed)?;
     let bar = terminal.progress();
     let values = if wanted.solve {

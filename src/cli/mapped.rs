@@ -1,7 +1,8 @@
 //! What a run says of a map that was made to an error.
 
-use super::report::quantiles;
+use super::report::{Done, quantiles};
 use crate::map::{Adaptive, Checked};
+use crate::model::MOST_MAP_STATES;
 use crate::value::PointStatus;
 
 /// What fresh states show: of those with an answer how many are known, errors relative to max(V, floor), and to the bound.
@@ -37,10 +38,11 @@ fn shown(made: &Adaptive) -> Shown {
     }
 }
 
-pub(super) fn text(made: &Adaptive) -> Vec<String> {
+pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
     let region = &made.pieces.region;
     let mut lines = vec![format!(
-        "map: {} pieces in {} cells, from {} points along the trajectories of {} states ({} more had no answer), {} rounds, {:.1} s",
+        "{}: {} pieces in {} cells, from {} points along the trajectories of {} states ({} more had no answer), {} rounds, {:.1} s",
+        of_what(done, made),
         made.pieces.pieces.len(),
         made.pieces.cells.len(),
         made.points,
@@ -92,10 +94,29 @@ pub(super) fn text(made: &Adaptive) -> Vec<String> {
     lines
 }
 
-pub(super) fn as_json(made: &Adaptive) -> serde_json::Value {
+/// On a finite horizon whether the map is V(x, t), or why not.
+fn of_what(done: &Done<'_>, made: &Adaptive) -> String {
+    let (Some(last), name) = (done.model.final_time(), done.model.time_name()) else {
+        return "map".to_owned();
+    };
+    if made.pieces.states() > done.names.len() {
+        return format!("map of V(x, {name}) for {name} from 0 to {last}");
+    }
+    let why = if done.model.is_game() {
+        "a game's has no time axis"
+    } else if done.names.len() >= MOST_MAP_STATES {
+        "time counts as a state, and there are too many"
+    } else {
+        "[map] time = false"
+    };
+    format!("map of V at {name} = 0 alone ({why})")
+}
+
+pub(super) fn as_json(made: &Adaptive, states: usize) -> serde_json::Value {
     let shown = shown(made);
     let quantiles = |q: [f64; 3]| serde_json::json!({ "median": q[0], "p99": q[1], "max": q[2] });
     serde_json::json!({
+        "time": made.pieces.region.hi.get(states),
         "pieces": made.pieces.pieces.len(), "cells": made.pieces.cells.len(), "points": made.points,
         "states": made.states, "failed": made.failed, "rounds": made.rounds, "seconds": made.seconds,
         "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet,

@@ -33,8 +33,21 @@ pub(super) enum PointsError {
         name: String,
         text: String,
     },
+    #[error("{}: line {line}, column `{name}`: {reason}", path.display())]
+    Time {
+        path: PathBuf,
+        line: u64,
+        name: String,
+        reason: String,
+    },
     #[error("{} has a header but no points", path.display())]
     Empty { path: PathBuf },
+}
+
+/// The column of times: its name, and what is wrong with one.
+pub(super) struct TimeColumn<'t> {
+    pub name: &'t str,
+    pub check: &'t dyn Fn(f64) -> Result<(), String>,
 }
 
 /// A last column with this name holds V as published, beside the states; nothing is read from it here.
@@ -53,6 +66,15 @@ pub(super) fn has_published(path: &Path, model: &Model) -> bool {
 
 /// States `[point][n]` of a CSV file whose header names states; those it does not name stay at the reference point.
 pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> {
+    Ok(read_with_times(path, model, None)?.0)
+}
+
+/// The same, and a time each: that of a column of its own, if `time` says there may be one, else 0.
+pub(super) fn read_with_times(
+    path: &Path,
+    model: &Model,
+    time: Option<TimeColumn<'_>>,
+) -> Result<(Vec<f64>, Vec<f64>), PointsError> {
     let at = || path.to_owned();
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
@@ -84,7 +106,8 @@ pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> 
     for name in header.iter().take(header.len() - published) {
         // A byte order mark is no part of a name.
         let name = name.trim_start_matches('\u{feff}');
-        let Some(state) = names.iter().position(|n| *n == name) else {
+        let is_time = time.as_ref().is_some_and(|t| t.name == name);
+        let Some(state) = (names.iter().position(|n| *n == name)).or(is_time.then_some(names.len())) else {
             return Err(PointsError::UnknownState {
                 path: at(),
                 name: name.to_owned(),
@@ -100,26 +123,45 @@ pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> 
         }
         columns.push(state);
     }
-    let mut points = Vec::new();
+    let (mut points, mut times) = (Vec::new(), Vec::new());
     for record in reader.records() {
         let record = record.map_err(malformed)?;
         let mut x = model.reference().to_vec();
+        x.push(0.0);
+        let line = || record.position().map_or(0, |p| line_of(&whole, p.byte()));
+        let name_of = |k: usize| {
+            names
+                .get(k)
+                .copied()
+                .or(time.as_ref().map(|t| t.name))
+                .unwrap_or_default()
+        };
         for (text, &state) in record.iter().zip(&columns) {
             x[state] = (text.parse().ok())
                 .filter(|v: &f64| v.is_finite())
                 .ok_or_else(|| PointsError::NotANumber {
                     path: at(),
-                    line: record.position().map_or(0, |p| line_of(&whole, p.byte())),
-                    name: names[state].to_owned(),
+                    line: line(),
+                    name: name_of(state).to_owned(),
                     text: text.to_owned(),
                 })?;
         }
+        let t = x.pop().unwrap_or(0.0);
+        if let Some(time) = &time {
+            (time.check)(t).map_err(|reason| PointsError::Time {
+                path: at(),
+                line: line(),
+                name: time.name.to_owned(),
+                reason,
+            })?;
+        }
+        times.push(t);
         points.extend(x);
     }
     if points.is_empty() {
         return Err(PointsError::Empty { path: at() });
     }
-    Ok(points)
+    Ok((points, times))
 }
 
 /// Line (from 1) of the record that a reader began to look for at a byte: blank lines and comments before it are not it.

@@ -176,7 +176,7 @@ fn as_text(done: &Done<'_>) -> String {
         lines.extend(super::listed::text(done, answers));
     }
     if let Some(made) = done.mapped {
-        lines.extend(super::mapped::text(made));
+        lines.extend(super::mapped::text(done, made));
     }
     if !done.variants.is_empty() {
         lines.push("study:".to_owned());
@@ -457,7 +457,7 @@ pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
         "trajectories_stored": done.stored,
         "study": super::study::as_json(done.model, done.variants),
         "homotopy": done.answers.map(|a| answers_json(plan, a, done.estimates)),
-        "map": done.mapped.map(super::mapped::as_json),
+        "map": done.mapped.map(|made| super::mapped::as_json(made, done.names.len())),
         "status": statuses,
         "coverage": {
             "spacing": plan.shoot_out.spacing,

@@ -154,7 +154,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
         let made = map::adaptive(&plan, &model, &mut solver, archive, aim, &mut told)?;
         bar.clear();
-        file.map_pieces(&schema, &made)?;
+        file.map_pieces(&schema, model.time_name(), &made)?;
         mapped = Some(made);
     }
     let variants = if all {

@@ -4,7 +4,7 @@ use super::report::Terminal;
 use super::{CliError, PrecisionChoice, ValueArgs, points, run};
 use crate::map::{At, Coverage, DeviceMap, Fronts, Value, ValueMap};
 use crate::model::{Model, Precision};
-use crate::output::{Places, ResultFile, RunRecord, Stored, write_text};
+use crate::output::{Places, ResultFile, RunRecord, Stored, Times, write_text};
 use crate::value::Grid;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -50,20 +50,39 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
     }
     let stored = Stored::open(&args.file)?;
     let model = &stored.model;
-    let grid = grid(&args.grid, model)?;
-    let mut states = Vec::new();
+    // A missing map is told below; here what is asked of it.
+    let knows = stored.map_pieces()?.is_some_and(|p| p.states() > model.states.len());
+    let check = |t: f64| known_time(model, knows, t);
+    let n = model.states.len();
+    let mut grid = grid(&args.grid, model, &check)?;
+    let (mut states, mut times) = (Vec::new(), Vec::new());
     for at in &args.at {
-        states.extend(single(at, model)?);
+        let (x, t) = single(at, model, &check)?;
+        states.extend(x);
+        times.push(t);
     }
     if let Some(path) = &args.points {
-        states.extend(points::read(path, model)?);
+        let column = points::TimeColumn {
+            name: model.time_name(),
+            check: &check,
+        };
+        let (x, t) = points::read_with_times(path, model, Some(column))?;
+        states.extend(x);
+        times.extend(t);
     }
-    if let Some(axes) = &grid {
-        states = Grid { axes: axes.clone() }.points();
+    if let Some(axes) = &mut grid {
+        let all = Grid { axes: axes.clone() }.points();
+        states = all.chunks(n + 1).flat_map(|x| &x[..n]).copied().collect();
+        times = all.chunks(n + 1).map(|x| x[n]).collect();
+        if !knows {
+            axes.pop();
+        }
     }
     let map = ValueMap::new(&stored)?;
-    let asked = ask(&map, &states, args)?;
+    let asked = ask(&map, &states, &times, args)?;
     let found = asked.found;
+    let timed = map.time().is_some();
+    let time = |k: usize| timed.then(|| times[k]);
     let many = grid.is_some() || args.points.is_some();
     match &args.out {
         Some(out) if out.extension().is_some_and(|e| e == "h5") => {
@@ -72,7 +91,11 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
                 Some(axes) => Places::Grid(axes),
                 None => Places::Points(&states),
             };
-            file.interpolated(&run::axes(model), &places, &found)?;
+            let named = timed.then(|| Times {
+                name: model.time_name(),
+                t: &times,
+            });
+            file.interpolated(&run::axes(model), &places, named, &found)?;
             let record = RunRecord {
                 backend: asked.backend.to_owned(),
                 adapter: asked.adapter.clone(),
@@ -88,24 +111,24 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             }
             file.finish()?;
         }
-        Some(out) => write_text(out, &table(model, &states, &found)?)?,
+        Some(out) => write_text(out, &table(model, &states, timed.then_some(&times), &found)?)?,
         None if args.json => {
-            let all: Vec<_> = (states.chunks(map.states()).zip(&found))
-                .map(|(x, at)| as_json(model, x, at, map.fronts()))
+            let all: Vec<_> = (states.chunks(map.states()).zip(&found).enumerate())
+                .map(|(k, (x, at))| as_json(model, (x, time(k)), at, map.fronts()))
                 .collect();
             super::print(&format!("{:#}\n", serde_json::Value::from(all)))?;
             return Ok(());
         }
         None if many => {
-            super::print(&table(model, &states, &found)?)?;
+            super::print(&table(model, &states, timed.then_some(&times), &found)?)?;
             // The table itself says it of each state.
             if let Some(note) = of_all(&found, map.fronts()) {
                 terminal.note(&note);
             }
         }
         None => {
-            for (x, at) in states.chunks(map.states()).zip(&found) {
-                terminal.say(&as_text(model, x, at, map.fronts()))?;
+            for (k, (x, at)) in states.chunks(map.states()).zip(&found).enumerate() {
+                terminal.say(&as_text(model, (x, time(k)), at, map.fronts()))?;
             }
         }
     }
@@ -160,7 +183,7 @@ struct Asked {
     precision: Precision,
 }
 
-fn ask(map: &ValueMap, states: &[f64], args: &ValueArgs) -> Result<Asked, CliError> {
+fn ask(map: &ValueMap, states: &[f64], times: &[f64], args: &ValueArgs) -> Result<Asked, CliError> {
     let backend = run::open_backend(args.backend, args.adapter.as_deref(), None)?;
     let wanted = args.precision.and_then(PrecisionChoice::precision);
     let precision = match wanted {
@@ -169,8 +192,8 @@ fn ask(map: &ValueMap, states: &[f64], args: &ValueArgs) -> Result<Asked, CliErr
         None => Precision::F32,
     };
     let found = match backend.gpu() {
-        Some(gpu) => DeviceMap::new(map, gpu, precision)?.at_many(states)?,
-        None if precision == Precision::F64 => map.at_many(states, !args.no_errors),
+        Some(gpu) => DeviceMap::new(map, gpu, precision)?.at_times(states, times)?,
+        None if precision == Precision::F64 => map.at_times(states, times, !args.no_errors),
         None => return Err(PlaceError::Precision.into()),
     };
     Ok(Asked {
@@ -181,27 +204,60 @@ fn ask(map: &ValueMap, states: &[f64], args: &ValueArgs) -> Result<Asked, CliErr
     })
 }
 
-/// `name=value,...`; states not named are at the reference point.
-fn single(text: &str, model: &Model) -> Result<Vec<f64>, CliError> {
+/// What is wrong with asking for V at a time; `knows`: the file's map has time as an axis.
+fn known_time(model: &Model, knows: bool, t: f64) -> Result<(), String> {
+    let name = model.time_name();
+    match model.final_time() {
+        _ if t == 0.0 => Ok(()),
+        None => Err(format!(
+            "`{name}` = {t}, but on an infinite horizon V does not depend on time: leave it out"
+        )),
+        Some(last) if !(0.0..=last).contains(&t) => {
+            Err(format!("`{name}` = {t} is not within the horizon, from 0 to {last}"))
+        }
+        Some(_) if !knows && model.is_game() => {
+            Err(format!("`{name}` = {t}, but of a game V is known at {name} = 0 alone"))
+        }
+        Some(_) if !knows => Err(format!(
+            "`{name}` = {t}, but the file knows V at {name} = 0 alone: give the scene [map] with error = ... (and not time = false), and \
+             run it again"
+        )),
+        Some(_) => Ok(()),
+    }
+}
+
+/// Number of a state, or of what follows the states: the time.
+fn argument(name: &str, model: &Model) -> Result<usize, String> {
+    if name == model.time_name() {
+        return Ok(model.states.len());
+    }
+    model.state(name)
+}
+
+/// `name=value,...`; states not named are at the reference point, a time that is not given is 0.
+fn single(text: &str, model: &Model, check: &dyn Fn(f64) -> Result<(), String>) -> Result<(Vec<f64>, f64), CliError> {
     let wrong = |reason: String| PlaceError::Malformed {
         option: "at",
         text: text.to_owned(),
         reason,
     };
     let mut x = model.reference().to_vec();
+    x.push(0.0);
     let mut given = Vec::new();
     for part in text.split(',') {
         let (name, value) = part
             .split_once('=')
             .ok_or_else(|| wrong(format!("`{part}` is not NAME=VALUE")))?;
-        let state = model.state(name.trim()).map_err(&wrong)?;
+        let state = argument(name.trim(), model).map_err(&wrong)?;
         if given.contains(&state) {
             return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
         }
         given.push(state);
         x[state] = number(value).map_err(&wrong)?;
     }
-    Ok(x)
+    let t = x.pop().unwrap_or(0.0);
+    check(t).map_err(&wrong)?;
+    Ok((x, t))
 }
 
 fn number(text: &str) -> Result<f64, String> {
@@ -209,12 +265,18 @@ fn number(text: &str) -> Result<f64, String> {
     (value.filter(|v| v.is_finite())).ok_or_else(|| format!("`{}` is not a finite number", text.trim()))
 }
 
-/// The axes of `--grid name=first:last:count` or `name=value`, repeated or separated by commas; `None` without any.
-fn grid(texts: &[String], model: &Model) -> Result<Option<Vec<Vec<f64>>>, CliError> {
+/// The axes of `--grid name=first:last:count` or `name=value`, repeated or separated by commas, the time's last; `None` without
+/// any.
+fn grid(
+    texts: &[String],
+    model: &Model,
+    check: &dyn Fn(f64) -> Result<(), String>,
+) -> Result<Option<Vec<Vec<f64>>>, CliError> {
     if texts.is_empty() {
         return Ok(None);
     }
     let mut axes: Vec<Vec<f64>> = model.reference().iter().map(|x| vec![*x]).collect();
+    axes.push(vec![0.0]);
     let mut given = Vec::new();
     for text in texts.iter().flat_map(|t| t.split(',')) {
         let wrong = |reason: String| PlaceError::Malformed {
@@ -224,7 +286,7 @@ fn grid(texts: &[String], model: &Model) -> Result<Option<Vec<Vec<f64>>>, CliErr
         };
         let shape = || wrong("expected NAME=FIRST:LAST:COUNT or NAME=VALUE".to_owned());
         let (name, range) = text.split_once('=').ok_or_else(shape)?;
-        let state = model.state(name.trim()).map_err(&wrong)?;
+        let state = argument(name.trim(), model).map_err(&wrong)?;
         if given.contains(&state) {
             return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
         }
@@ -244,6 +306,9 @@ fn grid(texts: &[String], model: &Model) -> Result<Option<Vec<Vec<f64>>>, CliErr
             }
             _ => return Err(shape().into()),
         };
+        if state == model.states.len() {
+            axes[state].iter().try_for_each(|t| check(*t)).map_err(&wrong)?;
+        }
     }
     let points = axes.iter().fold(1usize, |a, axis| a.saturating_mul(axis.len()));
     if points > MOST_POINTS {
@@ -361,13 +426,15 @@ fn of_all(found: &[At], fronts: &Fronts) -> Option<String> {
     })
 }
 
-fn as_text(model: &Model, x: &[f64], at: &At, fronts: &Fronts) -> String {
+/// `x` with its time where the map has that axis.
+fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Fronts) -> String {
     let (states, controls) = names(model);
     let list = |names: &[&str], values: &[f64]| {
         let parts: Vec<String> = names.iter().zip(values).map(|(n, v)| format!("{n} = {v}")).collect();
         parts.join(", ")
     };
-    let mut lines = vec![list(&states, x)];
+    let time = t.map_or(String::new(), |t| format!(", {} = {t}", model.time_name()));
+    let mut lines = vec![list(&states, x) + &time];
     match &at.lowest {
         Err(unknown) => lines.push(format!("  V is not known: {unknown}")),
         Ok(here) => {
@@ -387,6 +454,9 @@ fn as_text(model: &Model, x: &[f64], at: &At, fronts: &Fronts) -> String {
                 String::new()
             };
             lines.push(format!("  {}{relative}", list(&costates, &here.p)));
+            if t.is_some() {
+                lines.push(format!("  dV/d{} = {}", model.time_name(), here.rate));
+            }
             if !controls.is_empty() {
                 lines.push(format!("  {}{}", list(&controls, &here.u), error(here.u_error)));
             }
@@ -410,7 +480,7 @@ fn as_text(model: &Model, x: &[f64], at: &At, fronts: &Fronts) -> String {
     lines.join("\n")
 }
 
-fn as_json(model: &Model, x: &[f64], at: &At, fronts: &Fronts) -> serde_json::Value {
+fn as_json(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Fronts) -> serde_json::Value {
     let (states, controls) = names(model);
     let object = |names: &[&str], values: &[f64]| -> serde_json::Value {
         let pairs = names
@@ -420,36 +490,55 @@ fn as_json(model: &Model, x: &[f64], at: &At, fronts: &Fronts) -> serde_json::Va
         serde_json::Value::Object(pairs.collect())
     };
     let value = |v: &Value| {
-        serde_json::json!({
+        let mut all = serde_json::json!({
             "V": v.v, "p": object(&states, &v.p), "u": object(&controls, &v.u), "sheet": v.sheet,
             "V_error": v.v_error, "p_error": v.p_error, "u_error": v.u_error, "sites": v.sites,
             "solved_sites": v.solved, "nearest": v.nearest, "how": how(v),
             "coverage": v.coverage.name(), "coverage_note": coverage(v, fronts),
-        })
+        });
+        if t.is_some() {
+            all["dV_dt"] = serde_json::json!(v.rate);
+        }
+        all
     };
-    serde_json::json!({
+    let mut all = serde_json::json!({
         "x": object(&states, x),
         "value": at.lowest.as_ref().ok().map(value),
         "undercut": undercut(at),
         "unknown": at.lowest.as_ref().err().map(ToString::to_string),
         "other_sheets": at.others.iter().map(value).collect::<Vec<_>>(),
-    })
+    });
+    if let Some(t) = t {
+        all["t"] = serde_json::json!(t);
+    }
+    all
 }
 
 /// A CSV table; empty fields where V is not known.
-fn table(model: &Model, states: &[f64], found: &[At]) -> Result<String, CliError> {
+fn table(model: &Model, states: &[f64], times: Option<&Vec<f64>>, found: &[At]) -> Result<String, CliError> {
     let (names, controls) = names(model);
     let mut header: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
+    header.extend(times.map(|_| model.time_name().to_owned()));
     header.push("V".to_owned());
     header.extend(names.iter().map(|n| format!("p_{n}")));
+    header.extend(times.map(|_| "dV_dt".to_owned()));
     header.extend(controls.iter().map(|n| (*n).to_owned()));
     header.extend(["sheet", "V_error", "p_error", "u_error", "coverage", "status"].map(str::to_owned));
     let columns = header.len();
     let mut rows = vec![header];
-    for (x, at) in states.chunks(names.len()).zip(found) {
+    for (k, (x, at)) in states.chunks(names.len()).zip(found).enumerate() {
         let mut row: Vec<String> = x.iter().map(f64::to_string).collect();
+        row.extend(times.map(|t| t[k].to_string()));
         if let Ok(here) = &at.lowest {
-            row.extend([here.v].iter().chain(&here.p).chain(&here.u).map(f64::to_string));
+            let rate = times.map(|_| here.rate);
+            row.extend(
+                [here.v]
+                    .iter()
+                    .chain(&here.p)
+                    .chain(&rate)
+                    .chain(&here.u)
+                    .map(f64::to_string),
+            );
             row.push(here.sheet.to_string());
             let errors = [here.v_error, here.p_error, here.u_error];
             row.extend(

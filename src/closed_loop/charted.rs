@@ -123,7 +123,10 @@ impl Ground<'_> {
         let mut flown = Trajectories::default();
         for k in 0..clock.all {
             let t = clock.step * k as f64;
-            asked.ask(self, chart, batch, &alive);
+            // Over a period p of V(x, t) changes with time too: that of its middle errs only to the second order of the period.
+            let middle = t + 0.5 * clock.step;
+            asked.ask(self, chart, batch, &alive, middle);
+            room.t = middle;
             batch.updates += alive.len();
             lost.clear();
             for (j, &i) in alive.iter().enumerate() {
@@ -153,7 +156,13 @@ impl Ground<'_> {
                     chart,
                     room: &mut room,
                 };
-                let goes_on = self.help(&mut help, (batch, &lost), clock.all - k, &mut plans, &flying)?;
+                let goes_on = self.help(
+                    &mut help,
+                    (batch, &lost),
+                    (clock.all - k, clock.step),
+                    &mut plans,
+                    &flying,
+                )?;
                 for (i, _) in lost.iter().zip(goes_on).filter(|(_, goes_on)| !goes_on) {
                     (batch.status[*i], batch.t_end[*i]) = (OUTSIDE_MAP, t);
                 }
@@ -191,7 +200,7 @@ impl Ground<'_> {
             alive.retain(|i| batch.status[*i] == Status::Reached as i32);
         }
         if let Some(watch) = watch {
-            asked.ask(self, chart, batch, &alive);
+            asked.ask(self, chart, batch, &alive, scene.final_time);
             for (j, &i) in alive.iter().enumerate() {
                 if let Some(answer) = asked.answer(j) {
                     let end = &batch.end[i * dim..][..dim];
@@ -220,7 +229,7 @@ impl Ground<'_> {
         &self,
         help: &mut Help<'_, '_>,
         (batch, lost): (&mut Batch, &[usize]),
-        periods: usize,
+        periods: (usize, f64),
         plans: &mut [Option<Plan>],
         flying: &[bool],
     ) -> Result<Vec<bool>, BackendError> {
@@ -297,7 +306,7 @@ struct One<'a> {
 }
 
 impl Asked {
-    fn ask(&mut self, ground: &Ground<'_>, chart: &dyn Chart, batch: &Batch, alive: &[usize]) {
+    fn ask(&mut self, ground: &Ground<'_>, chart: &dyn Chart, batch: &Batch, alive: &[usize], t: f64) {
         let (n, dim, reference) = (ground.equations.states, batch.dim, &ground.equations.reference);
         self.states = n;
         self.parts.resize_with(alive.len().div_ceil(PART), Default::default);
@@ -306,6 +315,7 @@ impl Asked {
             for i in alive {
                 x.extend((batch.end[i * dim..][..n].iter().zip(reference)).map(|(s, x)| s + x));
             }
+            answers.t = t;
             chart.expansions(n, x, answers);
         };
         match self.parts.as_mut_slice() {

@@ -143,8 +143,13 @@ impl Ground<'_> {
 
     /// For each of some trajectories a way back to where the chart has answers, foretold with the equations themselves: p of the
     /// nearest state known, if that comes back within the periods left; else the cheapest of the plans that first hold a control
-    /// at a bound of it, by its cost and V where it comes back.
-    pub fn search(&self, help: &mut Help<'_, '_>, periods: usize, vectors: &[f64]) -> Result<Vec<Plan>, BackendError> {
+    /// at a bound of it, by its cost and V where it comes back. Of periods how many are left, and their length.
+    pub fn search(
+        &self,
+        help: &mut Help<'_, '_>,
+        (periods, length): (usize, f64),
+        vectors: &[f64],
+    ) -> Result<Vec<Plan>, BackendError> {
         let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
         let count = vectors.len() / dim;
         let mut found = vec![Plan::default(); count];
@@ -161,7 +166,7 @@ impl Ground<'_> {
                 parts: None,
             })
             .collect();
-        let back = self.cheapest(help, periods, vectors, nearest)?;
+        let back = self.cheapest(help, (periods, length), vectors, nearest)?;
         let lost: Vec<usize> = all.into_iter().filter(|k| back[*k].is_none()).collect();
         let mut plans: Vec<Vec<Plan>> = vec![Vec::new(); count];
         let lengths = || std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < periods);
@@ -182,7 +187,7 @@ impl Ground<'_> {
                 plans[*k].extend(lengths().map(|left| Plan { p: p.clone(), left }));
             }
         }
-        let best = self.cheapest(help, periods, vectors, trials)?;
+        let best = self.cheapest(help, (periods, length), vectors, trials)?;
         for k in lost {
             if let Some(j) = best[k] {
                 found[k] = plans[k].swap_remove(j);
@@ -195,7 +200,7 @@ impl Ground<'_> {
     fn cheapest(
         &self,
         help: &mut Help<'_, '_>,
-        periods: usize,
+        (periods, length): (usize, f64),
         vectors: &[f64],
         mut alive: Vec<Trial>,
     ) -> Result<Vec<Option<usize>>, BackendError> {
@@ -215,10 +220,13 @@ impl Ground<'_> {
             .copied()
             .collect();
         let (mut flown, mut x) = (Trajectories::default(), Vec::new());
+        // The middle of the first period.
+        let began = help.room.t;
         for period in 0..periods {
             if alive.is_empty() {
                 break;
             }
+            help.room.t = began + period as f64 * length;
             for j in 0..alive.len() {
                 let trial = &mut alive[j];
                 if trial.parts != Some(period) {
@@ -242,6 +250,8 @@ impl Ground<'_> {
             for end in flown.end.chunks_exact(dim) {
                 x.extend(end[..n].iter().zip(reference).map(|(s, x)| s + x));
             }
+            // What is left of the cost, at the end of the period.
+            help.room.t += 0.5 * length;
             help.chart.slopes(n, &x, help.room);
             let room = &help.room;
             seeds.clear();
@@ -277,6 +287,7 @@ impl Ground<'_> {
                 alive.retain(waited_for);
             }
         }
+        help.room.t = began;
         Ok(best.into_iter().map(|b| b.plan.map(|(_, k)| k)).collect())
     }
 

@@ -85,6 +85,8 @@ pub struct Expansion {
 /// Expansions at many states, kept for the next call.
 #[derive(Default)]
 pub struct Expansions {
+    /// Time at which V is asked for, on a finite horizon.
+    pub t: f64,
     /// Whether V is known; what is not holds no values.
     pub known: Vec<bool>,
     pub v: Vec<f64>,
@@ -117,7 +119,7 @@ impl Chart for ValueMap {
     fn expansions(&self, states: usize, x: &[f64], to: &mut Expansions) {
         to.reset(states, x.len() / states);
         let mut room = std::mem::take(&mut to.room);
-        self.each(x, true, &mut room, |k, here| {
+        self.each(x, to.t, true, &mut room, |k, here| {
             if let Some(here) = here {
                 to.put(k, here.v, &here.p[..states], &here.hessian[..states * states]);
             }
@@ -128,7 +130,7 @@ impl Chart for ValueMap {
     fn slopes(&self, states: usize, x: &[f64], to: &mut Expansions) {
         to.reset(states, x.len() / states);
         let mut room = std::mem::take(&mut to.room);
-        self.each(x, false, &mut room, |k, here| {
+        self.each(x, to.t, false, &mut room, |k, here| {
             if let Some(here) = here {
                 to.known[k] = true;
                 to.v[k] = here.v;

@@ -1,6 +1,8 @@
 //! A map to the error asked for: states are chosen, solved, and their extremals cut into points, until pieces fitted to these
 //! say what points that were left out say, and what fresh states say that were never used.
 
+mod horizon;
+
 use super::pieces::{Before, Cloud, Frame, MOST_VARIABLES, Pieces, Region, Steep, Want, build};
 use crate::backend::BackendError;
 use crate::model::{MapAim, Model};
@@ -10,7 +12,8 @@ use crate::value::{
     self, Answers, Archive, Entry, PointStatus, Progress, Request, Track, TrackPoints, Wish, path_from, solve_near,
     track_points,
 };
-use std::collections::HashMap;
+use horizon::{CHECKED, FIRST_TIMES, TimeAxis};
+use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
 
 /// Points of extremals are wanted this far outside the region, in its widths.
@@ -62,6 +65,7 @@ const FLOOR: f64 = 1e-3;
 /// A fresh state and what the map says of it.
 #[derive(Clone, Debug)]
 pub struct Checked {
+    /// Of a map with a time axis the time is the last component.
     pub x: Vec<f64>,
     pub status: PointStatus,
     /// V solved for, and said with its bound; NaN where there is none.
@@ -89,6 +93,7 @@ pub struct Adaptive {
 
 /// A state to be solved for, from which point of the cloud, for which cell.
 struct Errand {
+    /// With its time where the map has that axis.
     x: Vec<f64>,
     from: u32,
     cell: Vec<u64>,
@@ -121,6 +126,11 @@ struct Work<'a, 'p> {
     clock: Instant,
     /// Seconds a state of the last round, its pieces included.
     pace: f64,
+    /// Of the states, and of the time where that is an axis.
+    bounds: Vec<[f64; 2]>,
+    axis: Option<TimeAxis>,
+    /// dV/dt at the points, where time is an axis.
+    rates: Vec<f64>,
 }
 
 /// Makes a map. `archive` gives the first guesses.
@@ -135,10 +145,14 @@ pub fn adaptive(
     aim: &MapAim,
     progress: Progress<'_>,
 ) -> Result<Adaptive, BackendError> {
-    assert!(plan.system.states <= MOST_VARIABLES);
+    let axis = TimeAxis::of(plan, model, aim)?;
+    let bounds: Vec<[f64; 2]> = (aim.bounds.iter().copied())
+        .chain(axis.as_ref().map(|axis| [0.0, axis.last]))
+        .collect();
+    assert!(bounds.len() <= MOST_VARIABLES);
     let region = Region {
-        lo: aim.bounds.iter().map(|b| b[0]).collect(),
-        hi: aim.bounds.iter().map(|b| b[1]).collect(),
+        lo: bounds.iter().map(|b| b[0]).collect(),
+        hi: bounds.iter().map(|b| b[1]).collect(),
         error: aim.error,
         floor: 0.0,
         value_max: aim.value_max.unwrap_or(f64::INFINITY),
@@ -159,7 +173,7 @@ pub fn adaptive(
         },
         of_track: Vec::new(),
         cloud: Cloud {
-            variables: plan.system.states,
+            variables: bounds.len(),
             ..Cloud::default()
         },
         frame: Frame::along(&region),
@@ -171,6 +185,9 @@ pub fn adaptive(
         rounds: 0,
         pace: 0.0,
         clock: Instant::now(),
+        bounds,
+        axis,
+        rates: Vec::new(),
     };
     work.run(region)
 }
@@ -193,13 +210,16 @@ impl Work<'_, '_> {
             // More states in the cells that said too little of their errors, some of them searched for all sheets.
             let more: Vec<Want> = wrong.iter().map(|c| self.want_around(&pieces, c)).collect();
             let mut states = Vec::new();
-            for want in &more {
+            for (want, c) in more.iter().zip(&wrong) {
                 for _ in 0..SEARCHED {
-                    states.extend(
-                        self.inside(want, &region)
-                            .map(|z| self.frame.state(&z))
-                            .unwrap_or_default(),
-                    );
+                    let mut x = (self.inside(want, &region))
+                        .map(|z| self.frame.state(&z))
+                        .unwrap_or_default();
+                    if let (Some(t), Some(_)) = (x.last_mut(), &self.axis) {
+                        // Of as many times as there are already.
+                        *t = c.x[c.x.len() - 1];
+                    }
+                    states.extend(x);
                 }
             }
             if !states.is_empty() {
@@ -210,7 +230,7 @@ impl Work<'_, '_> {
             known = pieces.within(self.aim.error_max);
         }
         // By many states: cells reach over the region's faces.
-        let looked_at = spread_over(&self.aim.bounds, LOOKED_AT);
+        let looked_at = spread_over(&self.bounds, LOOKED_AT);
         let unmet = |x: &&Vec<f64>| match pieces.at(x) {
             Some(said) => said.v_bound > region.error * said.v.abs().max(region.floor),
             // Nothing is said above the largest V of interest.
@@ -252,7 +272,7 @@ impl Work<'_, '_> {
 
     /// Fresh states of the region (absolute), in an order without end.
     fn fresh(&mut self, count: usize) -> Vec<f64> {
-        let bounds = self.aim.bounds.clone();
+        let bounds = self.bounds.clone();
         (0..count)
             .flat_map(|_| {
                 bounds
@@ -272,12 +292,37 @@ impl Work<'_, '_> {
         ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    fn solve(&mut self, points: Vec<f64>) -> Result<Answers, BackendError> {
+    /// Solves for states; where time is an axis, those of one time after the other. Of each answers the numbers of its states.
+    fn solve(&mut self, states: Vec<f64>, in_company: bool) -> Result<Vec<(Vec<usize>, Answers)>, BackendError> {
+        let v = self.cloud.variables;
+        if self.axis.is_none() {
+            let numbers = (0..states.len() / v).collect();
+            return Ok(vec![(numbers, self.solve_from(0.0, states, in_company)?)]);
+        }
+        // Times are not negative: their bits are in their order.
+        let mut by_time: BTreeMap<u64, (Vec<usize>, Vec<f64>)> = BTreeMap::new();
+        for (k, x) in states.chunks(v).enumerate() {
+            let (numbers, points) = by_time.entry(x[v - 1].to_bits()).or_default();
+            numbers.push(k);
+            points.extend_from_slice(&x[..v - 1]);
+        }
+        (by_time.into_iter())
+            .map(|(t, (numbers, points))| Ok((numbers, self.solve_from(f64::from_bits(t), points, in_company)?)))
+            .collect()
+    }
+
+    fn solve_from(&mut self, t: f64, points: Vec<f64>, in_company: bool) -> Result<Answers, BackendError> {
         let request = Request {
             points,
+            in_company,
             value_max: self.aim.value_max,
             ..Request::default()
         };
+        if let Some(axis) = self.axis.as_mut().filter(|_| t > 0.0) {
+            let from = axis.from(t, self.plan, self.model)?;
+            let (plan, model, archive) = (&from.plan, &from.model, &from.archive);
+            return value::solve(plan, model, &mut from.solver, archive, &request, &mut *self.progress);
+        }
         value::solve(
             self.plan,
             self.model,
@@ -290,21 +335,25 @@ impl Work<'_, '_> {
 
     /// Solves for the first states, searched for all sheets; the floor of V.
     fn first(&mut self) -> Result<f64, BackendError> {
-        let n = self.plan.system.states;
-        let wide: Vec<[f64; 2]> = (self.aim.bounds.iter())
+        let n = self.cloud.variables;
+        let mut wide: Vec<[f64; 2]> = (self.aim.bounds.iter())
             .map(|[lo, hi]| [lo - 0.5 * AROUND * (hi - lo), hi + 0.5 * AROUND * (hi - lo)])
             .collect();
+        wide.extend(self.axis.as_ref().map(|axis| [0.0, axis.last]));
         let count = FIRST[n].min(self.aim.states);
-        let states: Vec<f64> = spread_over(&wide, count).into_iter().flatten().collect();
+        let states = self.of_levels(spread_over(&wide, count));
         let (mut tracks, mut values) = self.searched(states, NEAR)?;
         // Where trajectories are not followed backward only states on the region's faces tell of these.
         if !self.goes_beyond() {
             let mut states = Vec::new();
-            for face in 0..2 * n {
+            // The end of the horizon needs no search.
+            let faces = 2 * n - usize::from(self.axis.is_some());
+            for face in 0..faces {
                 let mut side = wide.clone();
                 side[face / 2] = [wide[face / 2][face % 2]; 2];
-                states.extend(spread_over(&side, FIRST[n] / (2 * n)).into_iter().flatten());
+                states.extend(spread_over(&side, FIRST[n] / (2 * n)));
             }
+            let states = self.of_levels(states);
             let (more, others) = self.searched(states, NEAR)?;
             tracks.extend(more);
             values.extend(others);
@@ -318,7 +367,25 @@ impl Work<'_, '_> {
         if self.goes_beyond() {
             self.edges(floor)?;
         }
+        if self.axis.is_some() {
+            let mut states = spread_over(&wide, FIRST[n]);
+            let corners = (0..1usize << (n - 1)).map(|corner| (0..n - 1).map(|i| wide[i][corner >> i & 1]).collect());
+            states.extend(corners);
+            self.add_ends(&states);
+        }
         Ok(floor)
+    }
+
+    /// States one after the other, their times of few.
+    fn of_levels(&self, mut states: Vec<Vec<f64>>) -> Vec<f64> {
+        if let Some(axis) = &self.axis {
+            for x in &mut states {
+                let t = x.last_mut().expect("time is the last");
+                let times = FIRST_TIMES as f64;
+                *t = (*t / axis.last * times).floor().min(times - 1.0) * axis.last / times;
+            }
+        }
+        states.into_iter().flatten().collect()
     }
 
     /// States on the region's faces and in its corners: what lies there no other states surround.
@@ -364,10 +431,26 @@ impl Work<'_, '_> {
     /// Solves for states (absolute) with a search for all sheets; the tracks of the answers, and V. Of other sheets that may
     /// be the lowest within `half` of a state (in the frame's coordinates) the state itself. V is NaN where there is none.
     fn searched(&mut self, states: Vec<f64>, half: f64) -> Result<(Vec<Track>, Vec<f64>), BackendError> {
-        let half = vec![half; self.plan.system.states];
-        let answers = self.solve(states)?;
-        let mut values = vec![f64::NAN; answers.targets.len()];
+        let half = vec![half; self.cloud.variables];
+        let mut given = vec![f64::NAN; states.len() / self.cloud.variables];
         let mut tracks = Vec::new();
+        for (numbers, answers) in self.solve(states, self.axis.is_some())? {
+            let (values, mut found, others) = self.taken(&answers, &half);
+            if let Some(axis) = &mut self.axis {
+                found = axis.unfolded(found, &others)?;
+            }
+            tracks.extend(found);
+            for (number, target) in numbers.into_iter().zip(&answers.targets.of_given) {
+                given[number] = values[*target];
+            }
+        }
+        Ok((tracks, given))
+    }
+
+    /// V at each target, and tracks, with whether each is of another sheet than the lowest.
+    fn taken(&mut self, answers: &Answers, half: &[f64]) -> (Vec<f64>, Vec<Track>, Vec<bool>) {
+        let mut values = vec![f64::NAN; answers.targets.len()];
+        let (mut tracks, mut dearer) = (Vec::new(), Vec::new());
         for target in 0..answers.targets.len() {
             self.cloud.several |= answers.of(target).len() > 1;
             let answer = answers.answer(target).filter(|a| a.value <= self.most_value());
@@ -381,7 +464,7 @@ impl Work<'_, '_> {
                 .of(target)
                 .iter()
                 .filter(|e| !self.plan.game && e.value > answer.value);
-            let near = others.filter(|e| self.may_cross((&answer.path, answer.value), (&e.path, e.value), &half));
+            let near = others.filter(|e| self.may_cross((&answer.path, answer.value), (&e.path, e.value), half));
             let track = |e: &Entry, whole| Track {
                 path: e.path.clone(),
                 value: e.value,
@@ -391,9 +474,10 @@ impl Work<'_, '_> {
             let near: Vec<Track> = near.map(|e| track(e, false)).collect();
             tracks.push(track(answer, true));
             tracks.extend(near);
+            dearer.push(false);
+            dearer.resize(tracks.len(), true);
         }
-        let given = answers.targets.of_given.iter().map(|target| values[*target]);
-        Ok((tracks, given.collect()))
+        (values, tracks, dearer)
     }
 
     /// Whether extremals are followed backward beyond the states they were solved for: where sheets lie over each other what
@@ -404,7 +488,6 @@ impl Work<'_, '_> {
 
     /// Adds tracks and their points.
     fn add(&mut self, tracks: Vec<Track>, floor: f64) -> Result<(), BackendError> {
-        let n = self.plan.system.states;
         let reference = &self.plan.system.reference;
         let bounds: Vec<[f64; 2]> = (self.aim.bounds.iter().zip(reference))
             .map(|([lo, hi], r)| {
@@ -419,7 +502,8 @@ impl Work<'_, '_> {
             change: CHANGE,
             floor,
             value_max: self.most_value(),
-            onward: self.plan.local.is_some(),
+            onward: self.plan.local.is_some() || self.axis.is_some(),
+            horizon: self.axis.as_ref().map(|axis| axis.last),
             beyond: self.goes_beyond(),
         };
         // Of a state with a period any number of periods away will do.
@@ -434,6 +518,46 @@ impl Work<'_, '_> {
         let wish = Wish { bounds: wide, ..wish };
         let first = self.tracks.len() as u32;
         let found = track_points(self.plan, self.solver, &tracks, first, &wish)?;
+        self.keep(tracks, found, &bounds);
+        Ok(())
+    }
+
+    /// Points at the end of the horizon, where V is the terminal cost, at states (with a time or without).
+    fn add_ends(&mut self, states: &[Vec<f64>]) {
+        let Some(axis) = &self.axis else { return };
+        let n = self.plan.system.states;
+        let reference = &self.plan.system.reference;
+        let mut found = TrackPoints {
+            states: n,
+            ..TrackPoints::default()
+        };
+        let mut tracks = Vec::new();
+        let bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; n];
+        for x in states {
+            let s: Vec<f64> = x.iter().zip(reference).map(|(x, r)| x - r).collect();
+            let (node, value) = axis.at_end(&s);
+            if value > self.most_value() || !value.is_finite() {
+                continue;
+            }
+            found.push(&node, value, (self.tracks.len() + tracks.len()) as u32, 0.0);
+            tracks.push(Track {
+                path: Path::new(&node),
+                value,
+                sheet: 0,
+                whole: false,
+            });
+        }
+        self.keep(tracks, found, &bounds);
+    }
+
+    /// Keeps tracks with their points.
+    fn keep(&mut self, tracks: Vec<Track>, found: TrackPoints, bounds: &[[f64; 2]]) {
+        let n = self.plan.system.states;
+        let v = self.cloud.variables;
+        let reference = &self.plan.system.reference;
+        if let Some(axis) = &self.axis {
+            self.rates.extend(axis.rates(&found.nodes, 2 * n));
+        }
         self.of_track.resize(self.tracks.len() + tracks.len(), Vec::new());
         self.tracks.extend(tracks);
         for k in 0..found.len() {
@@ -441,14 +565,19 @@ impl Work<'_, '_> {
             let number = self.points.len() as u32 + k as u32;
             self.of_track[track as usize].push(number);
             let node = found.node(k);
-            for shift in self.shifts(&node[..n], &bounds) {
-                let x: Vec<f64> = (0..n).map(|i| node[i] + shift[i] + reference[i]).collect();
+            for mut shift in self.shifts(&node[..n], bounds) {
+                let mut x: Vec<f64> = (0..n).map(|i| node[i] + shift[i] + reference[i]).collect();
+                let mut p = node[n..].to_vec();
+                if let Some(axis) = &self.axis {
+                    x.push(axis.begins(&self.tracks[track as usize].path) + found.t[k]);
+                    p.push(self.rates[number as usize]);
+                    shift.push(0.0);
+                }
                 let at = self.cloud.z.len();
-                self.cloud.z.resize(at + n, 0.0);
-                self.cloud.q.resize(at + n, 0.0);
+                self.cloud.z.resize(at + v, 0.0);
+                self.cloud.q.resize(at + v, 0.0);
                 self.frame.of(&x, &mut self.cloud.z[at..]);
-                self.frame
-                    .gradient_of(&self.cloud.z[at..], &node[n..], &mut self.cloud.q[at..]);
+                self.frame.gradient_of(&self.cloud.z[at..], &p, &mut self.cloud.q[at..]);
                 self.cloud.v.push(found.v[k]);
                 self.cloud.track.push(track);
                 self.cloud.sheet.push(self.tracks[track as usize].sheet);
@@ -459,7 +588,20 @@ impl Work<'_, '_> {
         self.points.v.extend(found.v);
         self.points.track.extend(found.track);
         self.points.t.extend(found.t);
-        Ok(())
+    }
+
+    /// State (as solved, absolute) and gradient of a point, with its time and dV/dt where time is an axis.
+    fn coordinates(&self, point: usize) -> (Vec<f64>, Vec<f64>) {
+        let n = self.plan.system.states;
+        let node = self.points.node(point);
+        let mut x: Vec<f64> = (0..n).map(|i| node[i] + self.plan.system.reference[i]).collect();
+        let mut p = node[n..].to_vec();
+        if let Some(axis) = &self.axis {
+            let path = &self.tracks[self.points.track[point] as usize].path;
+            x.push(axis.begins(path) + self.points.t[point]);
+            p.push(self.rates[point]);
+        }
+        (x, p)
     }
 
     /// All whole periods by which a state (deviation) comes into bounds.
@@ -540,13 +682,13 @@ impl Work<'_, '_> {
         }
         self.frame = frame;
         let n = self.cloud.variables;
-        let reference = &self.plan.system.reference;
-        for (k, (point, shift)) in self.origins.iter().enumerate() {
-            let node = self.points.node(*point as usize);
-            let x: Vec<f64> = (0..n).map(|i| node[i] + shift[i] + reference[i]).collect();
+        for k in 0..self.origins.len() {
+            let (point, shift) = &self.origins[k];
+            let (mut x, p) = self.coordinates(*point as usize);
+            x.iter_mut().zip(shift).for_each(|(x, s)| *x += s);
             let z = &mut self.cloud.z[k * n..][..n];
             self.frame.of(&x, z);
-            self.frame.gradient_of(z, &node[n..], &mut self.cloud.q[k * n..][..n]);
+            self.frame.gradient_of(z, &p, &mut self.cloud.q[k * n..][..n]);
         }
         true
     }
@@ -554,16 +696,13 @@ impl Work<'_, '_> {
     /// Points in the region with V's slopes relative to itself; all parts of the region weigh the same.
     fn steep_places(&self, region: &Region) -> Vec<Steep> {
         let n = self.cloud.variables;
-        let reference = &self.plan.system.reference;
         let a_side = if n <= 4 { 8.0 } else { 4.0 };
         let mut counts: HashMap<Vec<u8>, f64> = HashMap::new();
         let mut places = Vec::new();
         let mut boxes = Vec::new();
         for k in 0..self.points.len() {
-            let node = self.points.node(k);
-            let t: Vec<f64> = (0..n)
-                .map(|i| (node[i] + reference[i] - region.lo[i]) / region.width(i))
-                .collect();
+            let (x, p) = self.coordinates(k);
+            let t: Vec<f64> = (0..n).map(|i| (x[i] - region.lo[i]) / region.width(i)).collect();
             if !t.iter().all(|t| (0.0..=1.0).contains(t)) {
                 continue;
             }
@@ -572,7 +711,7 @@ impl Work<'_, '_> {
             boxes.push(part);
             let size = self.points.v[k].abs().max(region.floor);
             places.push(Steep {
-                slope: (0..n).map(|i| node[n + i] * region.width(i) / size).collect(),
+                slope: (0..n).map(|i| p[i] * region.width(i) / size).collect(),
                 t,
                 weight: 0.0,
             });
@@ -612,13 +751,27 @@ impl Work<'_, '_> {
         if errands.is_empty() {
             return Ok(false);
         }
+        let ends: Vec<Vec<f64>> = (errands.iter().filter(|e| self.is_at_end(&e.x)))
+            .map(|e| e.x.clone())
+            .collect();
+        errands.retain(|e| !self.is_at_end(&e.x));
+        self.add_ends(&ends);
         // Where sheets lie over each other a way from a point near tells nothing of the others.
         if self.cloud.several {
             let mut states = Vec::new();
             let mut widest = 0.0f64;
             for errand in &errands {
                 let shift = &self.origins[errand.from as usize].1;
+                let at = states.len();
                 states.extend(errand.x.iter().zip(shift).map(|(x, s)| x + s));
+                if let Some(axis) = &self.axis {
+                    let extent = self.extent_in_time(errand);
+                    let t = states[at..].last_mut().expect("time is the last");
+                    *t = axis.of_few(*t, extent);
+                    if axis.is_at_end(*t) {
+                        *t = errand.x[errand.x.len() - 1];
+                    }
+                }
                 widest = errand.half.iter().fold(widest, |a, h| a.max(*h));
             }
             let (tracks, values) = self.searched(states, widest.min(NEAR))?;
@@ -632,7 +785,7 @@ impl Work<'_, '_> {
             self.add(tracks, region.floor)?;
             return Ok(true);
         }
-        let guesses: Vec<_> = errands.iter().map(|e| (e.x.clone(), self.guess(e.from))).collect();
+        let guesses: Vec<_> = errands.iter().map(|e| self.way(e)).collect();
         let found = solve_near(self.plan, self.solver, guesses, LEAST_STEP)?;
         let mut tracks = Vec::new();
         let most = self.most_value();
@@ -657,6 +810,28 @@ impl Work<'_, '_> {
         Ok(true)
     }
 
+    fn is_at_end(&self, x: &[f64]) -> bool {
+        (self.axis.as_ref()).is_some_and(|axis| axis.is_at_end(x[x.len() - 1]))
+    }
+
+    /// How far an errand's cell reaches in time.
+    fn extent_in_time(&self, errand: &Errand) -> f64 {
+        let v = errand.half.len();
+        let n = self.frame.inverse_row(v - 1);
+        n.iter().zip(&errand.half).map(|(r, h)| (r * h).abs()).sum()
+    }
+
+    /// The state of an errand, and the path to begin with.
+    fn way(&self, errand: &Errand) -> (Vec<f64>, Path) {
+        let mut path = self.guess(errand.from);
+        let Some(axis) = &self.axis else {
+            return (errand.x.clone(), path);
+        };
+        let n = errand.x.len() - 1;
+        path.set_horizon(axis.last - errand.x[n]);
+        (errand.x[..n].to_vec(), path)
+    }
+
     /// A place drawn from the part of a cell that lies in the region.
     fn inside(&mut self, want: &Want, region: &Region) -> Option<Vec<f64>> {
         let n = want.lo.len();
@@ -676,18 +851,22 @@ impl Work<'_, '_> {
         let n = half.len();
         let mut q = [[0.0; MOST_VARIABLES]; 2];
         let reference = &self.plan.system.reference;
-        let x: Vec<f64> = lowest.0.node(0).iter().zip(reference).map(|(s, r)| s + r).collect();
+        let mut x: Vec<f64> = lowest.0.start().iter().zip(reference).map(|(s, r)| s + r).collect();
+        x.extend(self.axis.as_ref().map(|axis| axis.begins(lowest.0)));
         let mut z = [0.0; MOST_VARIABLES];
         self.frame.of(&x, &mut z[..n]);
-        self.frame.gradient_of(&z[..n], lowest.0.adjoint(), &mut q[0][..n]);
-        self.frame.gradient_of(&z[..n], other.0.adjoint(), &mut q[1][..n]);
+        for (q, path) in q.iter_mut().zip([lowest.0, other.0]) {
+            let mut p = path.adjoint().to_vec();
+            p.extend(self.axis.iter().flat_map(|axis| axis.rates(path.node(0), path.width)));
+            self.frame.gradient_of(&z[..n], &p, &mut q[..n]);
+        }
         let change: f64 = (0..n).map(|i| (q[1][i] - q[0][i]).abs() * half[i]).sum();
         other.1 - lowest.1 <= change
     }
 
     /// A way to a state of a cell, a bare corner or one that is drawn, from the nearest point.
     fn errand(&mut self, want: &Want, turn: usize, region: &Region, errands: &mut Vec<Errand>) {
-        let n = self.plan.system.states;
+        let n = self.cloud.variables;
         let places = want.bare.len() / n;
         let z: Vec<f64> = if turn < places {
             want.bare[((turn + self.rounds) % places) * n..][..n].to_vec()
@@ -716,6 +895,7 @@ impl Work<'_, '_> {
             .points
             .iter()
             .copied()
+            .filter(|k| self.goes_on(*k))
             .min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
         let Some(from) = nearest.or_else(|| self.nearest(&z)) else {
             return;
@@ -735,8 +915,15 @@ impl Work<'_, '_> {
     fn nearest(&self, z: &[f64]) -> Option<u32> {
         let distance = |k: usize| -> f64 { self.cloud.z(k).iter().zip(z).map(|(a, b)| (a - b).powi(2)).sum() };
         (0..self.cloud.len())
+            .filter(|k| self.goes_on(*k as u32))
             .min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
             .map(|k| k as u32)
+    }
+
+    /// Whether a point's track goes on from there: one at the end of a horizon is no guess of another.
+    fn goes_on(&self, k: u32) -> bool {
+        let track = self.points.track[self.origins[k as usize].0 as usize];
+        self.tracks[track as usize].path.segments() > 0
     }
 
     /// The path from a point of the cloud on.
@@ -755,12 +942,24 @@ impl Work<'_, '_> {
 
     /// Fresh states, solved from scratch and looked up.
     fn checked(&mut self, pieces: &Pieces) -> Result<Vec<Checked>, BackendError> {
-        let n = self.plan.system.states;
-        let states = self.fresh(self.aim.check);
-        let answers = self.solve(states.clone())?;
-        Ok((states.chunks(n).enumerate())
-            .map(|(k, x)| {
-                let target = answers.targets.of_given[k];
+        let n = self.cloud.variables;
+        let mut states = self.fresh(self.aim.check);
+        if self.axis.is_some() {
+            // Of as many times as there are, the first ones'.
+            for k in CHECKED..states.len() / n {
+                states[k * n + n - 1] = states[(k % CHECKED) * n + n - 1];
+            }
+        }
+        let all = self.solve(states.clone(), false)?;
+        let mut of = vec![(0, 0); states.len() / n];
+        for (group, (numbers, answers)) in all.iter().enumerate() {
+            for (number, target) in numbers.iter().zip(&answers.targets.of_given) {
+                of[*number] = (group, *target);
+            }
+        }
+        Ok((states.chunks(n).zip(of))
+            .map(|(x, (group, target))| {
+                let answers = &all[group].1;
                 let said = pieces.at(x);
                 let above = answers
                     .answer(target)

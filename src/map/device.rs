@@ -150,7 +150,7 @@ impl<'m> DeviceMap<'m> {
         })
     }
 
-    /// What is known at states (absolute) `[state][component]` on the lowest sheet, without second derivatives.
+    /// What is known at states (absolute) `[state][component]`, with their times where time is an axis, on the lowest sheet, without second derivatives.
     ///
     /// # Errors
     /// Device failures; states of which only scattered solutions may know.
@@ -201,8 +201,10 @@ impl<'m> DeviceMap<'m> {
             Precision::F32 => 4,
             Precision::F64 => 8,
         };
-        let reference = &self.map.plan.system.reference;
-        let given = (0..n).flat_map(|i| x.iter().skip(i).step_by(n).map(move |x| x - reference[i]));
+        let reference = self.map.plan.system.reference.as_slice();
+        // Time is given as it is.
+        let from = |i: usize| reference.get(i).copied().unwrap_or(0.0);
+        let given = (0..n).flat_map(|i| x.iter().skip(i).step_by(n).map(move |x| x - from(i)));
         let sizes = [count * (2 + 2 * n) * real, count * KINDS * 4];
         let given = filled(device, &reals(given, self.precision));
         // Sentinels: a slot that still holds one was not written.
@@ -257,10 +259,18 @@ impl<'m> DeviceMap<'m> {
     /// # Errors
     /// Device failures; states of which only scattered solutions may know.
     pub fn at_many(&self, x: &[f64]) -> Result<Vec<At>, DeviceError> {
-        let n = self.states;
+        self.at_times(x, &vec![0.0; x.len() / self.map.states()])
+    }
+
+    /// The same at times of a finite horizon, one a state; of a map of V(x, 0) that at all times.
+    ///
+    /// # Errors
+    /// As [`DeviceMap::at_many`].
+    pub fn at_times(&self, x: &[f64], t: &[f64]) -> Result<Vec<At>, DeviceError> {
+        let n = self.map.states();
         let mut found: Vec<Option<(Value, Vec<f64>)>> = vec![None; x.len() / n];
         let mut why = vec![Unknown::Uncertain; found.len()];
-        self.each(x, |k, answer| match answer {
+        self.each(&self.map.places(x, |k| t[k]), |k, answer| match answer {
             Answer::Known(here) => {
                 let value = self.map.as_value(&x[k * n..][..n], here);
                 found[k] = value.map(|(value, bound)| {

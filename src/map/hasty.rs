@@ -12,12 +12,21 @@ impl ValueMap {
     /// V, p, Hessian and u on the lowest sheet without errors, as fast as can be: what a controller asks for. Where only one
     /// sheet is near, the nearest site alone speaks; else as [`ValueMap::without_errors`].
     pub fn local(&self, x: &[f64]) -> Option<Value> {
+        self.local_at(x, 0.0)
+    }
+
+    /// The same at a time of a finite horizon; of a map of V(x, 0) that at all times.
+    pub fn local_at(&self, x: &[f64], t: f64) -> Option<Value> {
+        let t = self.time.map_or(0.0, |last| t.clamp(0.0, last));
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
         if let Some(value) = self.near_equilibrium(&s) {
             return Some(value);
         }
-        if let Some(at) = self.in_pieces(x) {
+        if let Some(at) = self.in_pieces(x, t) {
             return at.lowest.ok();
+        }
+        if t > 0.0 {
+            return None;
         }
         let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
         match self.uncontested(&z) {
@@ -74,7 +83,7 @@ impl ValueMap {
                 .map(|((z, w), r)| z * w + r)
                 .collect();
             let v = self.sites.v[site];
-            (self.ranked(&x).lowest).is_ok_and(|here| here.v < v - MARGIN * v.abs())
+            (self.ranked(&x, 0.0).lowest).is_ok_and(|here| here.v < v - MARGIN * v.abs())
         })
     }
 

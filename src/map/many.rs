@@ -2,9 +2,10 @@
 
 use super::sites::UNLABELLED;
 use super::swift::{Answer, Room, turns_into};
-use super::{At, Coverage, Value, ValueMap};
+use super::{At, Coverage, Value, ValueMap, of_states};
 use crate::map::pieces::Here;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// States of a task.
 const CHUNK: usize = 512;
@@ -25,7 +26,7 @@ pub struct Many {
 }
 
 impl ValueMap {
-    /// V, p and u at states (absolute) `[state][component]`: as [`ValueMap::without_errors`], many at once and fast where a map
+    /// V, p and u at states (absolute) `[state][component]`, on a finite horizon at t = 0: as [`ValueMap::without_errors`], many at once and fast where a map
     /// in pieces or the local solution answers.
     pub fn many(&self, x: &[f64]) -> Many {
         let n = self.states();
@@ -41,7 +42,7 @@ impl ValueMap {
             .zip(all.v_error.par_chunks_mut(CHUNK))
             .zip(all.p.par_chunks_mut(CHUNK * n));
         tasks.for_each_init(Room::new, |room, (((x, v), v_error), p)| {
-            self.each(x, false, room, |k, here| {
+            self.each(x, 0.0, false, room, |k, here| {
                 let Some(here) = here else { return };
                 v[k] = here.v;
                 v_error[k] = here.v_bound;
@@ -55,12 +56,19 @@ impl ValueMap {
     /// [`ValueMap::at`] (or, without `errors`, [`ValueMap::without_errors`]) at states `[state][component]`: many at once where a map
     /// in pieces has one sheet, or the local solution holds.
     pub fn at_many(&self, x: &[f64], errors: bool) -> Vec<At> {
+        self.at_times(x, &vec![0.0; x.len() / self.states()], errors)
+    }
+
+    /// The same at times of a finite horizon, one a state.
+    pub fn at_times(&self, x: &[f64], t: &[f64], errors: bool) -> Vec<At> {
         let n = self.states();
         let mut found: Vec<Option<(Value, Vec<f64>)>> = vec![None; x.len() / n];
-        if let Some(swift) = &self.swift {
-            let tasks = x.par_chunks(CHUNK * n).zip(found.par_chunks_mut(CHUNK));
-            tasks.for_each_init(Room::new, |room, (x, found)| {
-                swift.each(x, true, room, |k, answer| {
+        // Of a map of V(x, 0) what is said elsewhere is not known.
+        let swift = self.swift.as_ref();
+        if let Some(swift) = swift.filter(|_| self.time.is_some() || t.iter().all(|t| *t == 0.0)) {
+            let tasks = (x.par_chunks(CHUNK * n)).zip(t.par_chunks(CHUNK).zip(found.par_chunks_mut(CHUNK)));
+            tasks.for_each_init(Room::new, |room, (x, (t, found))| {
+                swift.each(&self.places(x, |k| t[k]), true, room, |k, answer| {
                     if let Answer::Known(here) = answer
                         && here.sheets == 1
                     {
@@ -70,16 +78,25 @@ impl ValueMap {
             });
         }
         self.add_controls(x, &mut found);
-        (found.into_par_iter().zip(x.par_chunks(n)))
-            .map(|(value, x)| match value {
+        (found.into_par_iter().zip(x.par_chunks(n)).zip(t))
+            .map(|((value, x), t)| match value {
                 Some(value) => At {
                     lowest: Ok(value.0),
                     others: Vec::new(),
                 },
-                None if errors => self.at(x),
-                None => self.without_errors(x),
+                None if errors => self.at_time(x, *t),
+                None => self.without_errors_at(x, *t),
             })
             .collect()
+    }
+
+    /// States as the pieces want them: with their times where time is an axis.
+    pub(super) fn places<'x>(&self, x: &'x [f64], t: impl Fn(usize) -> f64) -> Cow<'x, [f64]> {
+        if self.time.is_none() {
+            return Cow::Borrowed(x);
+        }
+        let states = x.chunks_exact(self.states()).enumerate();
+        Cow::Owned(states.flat_map(|(k, x)| x.iter().copied().chain([t(k)])).collect())
     }
 
     /// What is said of a state, still without u; with the bounds of p.
@@ -96,7 +113,8 @@ impl ValueMap {
                 _ => largest(&here.p_bound[..n]) / largest(&p),
             },
             p,
-            hessian: here.hessian[..n * n].to_vec(),
+            rate: self.time.map_or(f64::NAN, |_| here.p[n]),
+            hessian: of_states(&here.hessian, n + usize::from(self.time.is_some()), n),
             u: Vec::new(),
             sheet: if here.pieces == 0 { UNLABELLED } else { here.sheet },
             v_error: here.v_bound,
@@ -200,10 +218,11 @@ impl ValueMap {
         true
     }
 
-    /// What is known of V at some states on the lowest sheet, told with their numbers in some order.
+    /// What is known of V at some states, at a time where that is an axis, on the lowest sheet, told with their numbers in some order.
     pub(crate) fn each(
         &self,
         x: &[f64],
+        t: f64,
         second: bool,
         room: &mut Room<f64>,
         mut tell: impl FnMut(usize, Option<&Here<f64>>),
@@ -211,7 +230,7 @@ impl ValueMap {
         let n = self.states();
         let mut slow = Here::blank();
         let mut ask = |k: usize, tell: &mut dyn FnMut(usize, Option<&Here<f64>>)| {
-            let found = self.local(&x[k * n..][..n]);
+            let found = self.local_at(&x[k * n..][..n], t);
             if let Some(value) = &found {
                 slow.v = value.v;
                 slow.v_bound = if value.in_pieces { value.v_error } else { f64::NAN };
@@ -221,8 +240,17 @@ impl ValueMap {
             }
             tell(k, found.as_ref().map(|_| &slow));
         };
+        let t = self.time.map_or(0.0, |last| t.clamp(0.0, last));
         match &self.swift {
-            Some(swift) => swift.each(x, second, room, |k, answer| match answer {
+            Some(swift) => swift.each(&self.places(x, |_| t), second, room, |k, answer| match answer {
+                Answer::Known(here) if self.time.is_some() => {
+                    let mut here = *here;
+                    if second {
+                        let hessian = of_states(&here.hessian, n + 1, n);
+                        here.hessian[..n * n].copy_from_slice(&hessian);
+                    }
+                    tell(k, Some(&here));
+                }
                 Answer::Known(here) => tell(k, Some(here)),
                 Answer::Unknown => tell(k, None),
                 Answer::Elsewhere if self.pieces_alone => tell(k, None),

@@ -78,6 +78,9 @@ pub enum Unknown {
     /// In a game, where the lowest of several is not the value (see [`ValueMap`]).
     #[error("several sheets lie over this state: none is the value")]
     SeveralSheets,
+    /// Of a finite horizon.
+    #[error("V is known at t = 0 alone")]
+    OtherTime,
 }
 
 /// V, its derivatives and u at a state, on one sheet.
@@ -86,6 +89,8 @@ pub struct Value {
     pub v: f64,
     /// `dV/dx`, one a state.
     pub p: Vec<f64>,
+    /// `dV/dt` where the map has time as an axis; else NaN.
+    pub rate: f64,
     /// `d2V/dx2`, row-major.
     pub hessian: Vec<f64>,
     pub u: Vec<f64>,
@@ -141,6 +146,8 @@ pub struct ValueMap {
     own_errors: Option<OwnErrors>,
     /// A map that was made to an error: it answers within its region.
     pieces: Option<Pieces>,
+    /// The final time, where the pieces have time as their last coordinate.
+    time: Option<f64>,
     /// The same for many states; `None` in a game, whose answers are checked one by one.
     swift: Option<Swift<f64>>,
     /// Whether nothing but the local solution is known beside the pieces.
@@ -228,6 +235,7 @@ impl ValueMap {
             fronts,
             own_errors: OwnErrors::of(stored),
             pieces_alone: pieces.is_some() && nothing_else,
+            time: (pieces.as_ref().filter(|p| p.states() > states)).and(stored.model.final_time()),
             pieces,
             swift,
         };
@@ -238,6 +246,11 @@ impl ValueMap {
     /// States n.
     pub fn states(&self) -> usize {
         self.sites.n
+    }
+
+    /// The final time, where V is known as V(x, t) up to there.
+    pub fn time(&self) -> Option<f64> {
+        self.time
     }
 
     /// The map in pieces, the series that is used near the equilibrium, and the equations: all that its answers are made of.
@@ -257,13 +270,14 @@ impl ValueMap {
         self.pieces.as_ref().map_or(0, |p| p.pieces.len())
     }
 
-    /// The highest V of a map in pieces at some states spread over its region.
+    /// The highest V of a map in pieces at some states spread over its region, at t = 0.
     pub fn highest_in_pieces(&self) -> Option<f64> {
         const LOOKED_AT: usize = 2048;
         let pieces = self.pieces.as_ref()?;
-        let bounds: Vec<[f64; 2]> = (pieces.region.lo.iter().zip(&pieces.region.hi))
+        let mut bounds: Vec<[f64; 2]> = (pieces.region.lo.iter().zip(&pieces.region.hi))
             .map(|(lo, hi)| [*lo, *hi])
             .collect();
+        bounds.iter_mut().skip(self.states()).for_each(|b| *b = [0.0; 2]);
         let values = spread_over(&bounds, LOOKED_AT)
             .into_iter()
             .filter_map(|x| Some(pieces.at(&x)?.v));
@@ -297,9 +311,14 @@ impl ValueMap {
         all
     }
 
-    /// V, p and u at a state (absolute), with errors.
+    /// V, p and u at a state (absolute), with errors; on a finite horizon at t = 0.
     pub fn at(&self, x: &[f64]) -> At {
-        let mut at = self.without_errors(x);
+        self.at_time(x, 0.0)
+    }
+
+    /// The same at a time of a finite horizon.
+    pub fn at_time(&self, x: &[f64], t: f64) -> At {
+        let mut at = self.without_errors_at(x, t);
         let values = at.lowest.iter_mut().chain(&mut at.others);
         for value in values.filter(|v| v.sites > 0 && !v.in_pieces) {
             self.estimate(x, value);
@@ -311,7 +330,11 @@ impl ValueMap {
     ///
     /// Where a state was solved, its solution is the value; a lower one of interpolation is among the others.
     pub fn without_errors(&self, x: &[f64]) -> At {
-        let mut at = self.ranked(x);
+        self.without_errors_at(x, 0.0)
+    }
+
+    fn without_errors_at(&self, x: &[f64], t: f64) -> At {
+        let mut at = self.ranked(x, t);
         let solved = |v: &Value| v.nearest < SAME && v.sites > 0 && v.solved == v.sites;
         if let (Ok(lowest), false) = (&mut at.lowest, self.plan.game)
             && !solved(lowest)
@@ -325,7 +348,7 @@ impl ValueMap {
     }
 
     /// All sheets by rising V.
-    fn ranked(&self, x: &[f64]) -> At {
+    fn ranked(&self, x: &[f64], t: f64) -> At {
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
         if let Some(value) = self.near_equilibrium(&s) {
             return At {
@@ -333,8 +356,19 @@ impl ValueMap {
                 others: Vec::new(),
             };
         }
-        if let Some(at) = self.in_pieces(x) {
+        if let Some(at) = self.in_pieces(x, t) {
             return at;
+        }
+        if t > 0.0 {
+            let known = if self.time.is_some() {
+                Unknown::Far
+            } else {
+                Unknown::OtherTime
+            };
+            return At {
+                lowest: Err(known),
+                others: Vec::new(),
+            };
         }
         let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
         let opinions = self.opinions(&z, None);
@@ -363,10 +397,14 @@ impl ValueMap {
     }
 
     /// What the map in pieces says; `None` outside its region.
-    fn in_pieces(&self, x: &[f64]) -> Option<At> {
-        let pieces = self.pieces.as_ref()?;
-        let (x, winding) = self.wound(pieces, x)?;
+    fn in_pieces(&self, x: &[f64], t: f64) -> Option<At> {
+        let pieces = self.pieces.as_ref().filter(|_| t == 0.0 || self.time.is_some())?;
+        let (mut x, winding) = self.wound(pieces, x)?;
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        x.extend(self.time.map(|_| t));
+        if !pieces.covers(&x) {
+            return None;
+        }
         let mut values = (pieces.sheets(&x).into_iter())
             .filter(|said| self.solves_isaacs(&s, &said.p))
             .map(|said| self.value_in_pieces(pieces, &x, &winding, said));
@@ -390,8 +428,12 @@ impl ValueMap {
         pieces.covers(&x).then_some((x, winding))
     }
 
-    fn value_in_pieces(&self, pieces: &Pieces, x: &[f64], winding: &[i32], said: Said) -> Value {
-        let n = x.len();
+    /// `x` and what is said of it have the time where that is an axis.
+    fn value_in_pieces(&self, pieces: &Pieces, x: &[f64], winding: &[i32], mut said: Said) -> Value {
+        let n = self.states();
+        let rate = said.p.get(n).copied().unwrap_or(f64::NAN);
+        said.p.truncate(n);
+        said.p_bound.truncate(n);
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
         let u = self.control(&s, &said.p);
         // The bound of p, one component after the other, through the law.
@@ -410,7 +452,8 @@ impl ValueMap {
         Value {
             v: said.v,
             u,
-            hessian: pieces.hessian(x),
+            rate,
+            hessian: of_states(&pieces.hessian(x), x.len(), n),
             p_error,
             u_error,
             v_error: said.v_bound,
@@ -482,6 +525,7 @@ impl ValueMap {
         Some(Value {
             v,
             u,
+            rate: f64::NAN,
             hessian,
             p,
             sheet: UNLABELLED,
@@ -559,6 +603,7 @@ impl ValueMap {
             v: says.v,
             u: self.control(&moved, &p),
             p,
+            rate: f64::NAN,
             hessian: (0..n * n).map(|k| says.hessian[k] / (w[k / n] * w[k % n])).collect(),
             sheet: self.sites.sheet[from.site],
             v_error: f64::NAN,
@@ -572,4 +617,9 @@ impl ValueMap {
             coverage: self.coverage(says.v, self.sites.source[from.site] == Source::Solved),
         }
     }
+}
+
+/// The leading `n` rows and columns of a matrix of `all`.
+fn of_states(matrix: &[f64], all: usize, n: usize) -> Vec<f64> {
+    (0..n * n).map(|k| matrix[k / n * all + k % n]).collect()
 }

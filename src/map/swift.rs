@@ -98,7 +98,10 @@ impl<T: Real> Swift<T> {
         Some(Self {
             around,
             flat: Flat::new(pieces),
-            reference: plan.system.reference.iter().map(|x| T::of(*x)).collect(),
+            // Time is a coordinate of its own.
+            reference: (plan.system.reference.iter().copied().chain([0.0]).take(pieces.states()))
+                .map(T::of)
+                .collect(),
             periods: (plan.periods.iter().enumerate())
                 .filter_map(|(i, period)| Some(of(i, (*period)?)))
                 .collect(),

@@ -174,6 +174,8 @@ pub struct MapAim {
     pub seconds: Option<f64>,
     /// Fresh states of the check.
     pub check: usize,
+    /// Whether V(x, t) is wanted, over the whole horizon, or V(x, 0) alone.
+    pub time: bool,
     pub span: Span,
 }
 
@@ -509,6 +511,21 @@ impl Model {
                 all.join(", ")
             )
         })
+    }
+
+    /// Final time of a finite horizon.
+    pub fn final_time(&self) -> Option<f64> {
+        match self.horizon {
+            Horizon::Infinite { .. } => None,
+            Horizon::Finite { final_time, .. } => Some(final_time),
+        }
+    }
+
+    /// What time is called in files, tables and options: `t`, unless a state has that name.
+    pub fn time_name(&self) -> &'static str {
+        let taken = |name: &&str| self.states.iter().any(|s| s.variable.name == *name);
+        let names = ["t", "time", "time_of_horizon"];
+        names.into_iter().find(|n| !taken(n)).unwrap_or("costate_time")
     }
 
     /// The point deviations are taken from: the equilibrium, or the finite horizon's reference.

@@ -81,6 +81,11 @@ impl<'a> Names<'a> {
         &self.cost
     }
 
+    /// Unit of a cost by time.
+    pub fn rate(&self) -> &str {
+        &self.rate
+    }
+
     pub fn control_unit(&self) -> &str {
         &self.control_unit
     }

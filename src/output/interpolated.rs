@@ -16,25 +16,33 @@ fn code(at: &At) -> i32 {
         Err(Unknown::Edge) => 2,
         Err(Unknown::SeveralSheets) => 3,
         Err(Unknown::Uncertain) => 4,
+        Err(Unknown::OtherTime) => 5,
     }
 }
 
-fn flags() -> [(i32, &'static str); 5] {
+fn flags() -> [(i32, &'static str); 6] {
     [
         (KNOWN, "interpolated"),
         (1, "far from data"),
         (2, "edge of data"),
         (3, "several sheets"),
         (4, "not known to the map"),
+        (5, "other time"),
     ]
 }
 
 /// Where values are wanted.
 pub enum Places<'p> {
-    /// A grid: one axis a state.
+    /// A grid: one axis a state, and one of the time where there are times.
     Grid(&'p [Vec<f64>]),
     /// `[point][state]`.
     Points(&'p [f64]),
+}
+
+/// Times of a map that has time as an axis: its name, and one a point.
+pub struct Times<'t> {
+    pub name: &'t str,
+    pub t: &'t [f64],
 }
 
 impl ResultFile {
@@ -46,6 +54,7 @@ impl ResultFile {
         &mut self,
         schema: &TrajectorySchema,
         places: &Places<'_>,
+        times: Option<Times<'_>>,
         values: &[At],
     ) -> Result<(), OutputError> {
         let names = Names::new(schema);
@@ -56,7 +65,13 @@ impl ResultFile {
                     let dimension = Dimension::values(&axis.name, values.clone(), axis.unit());
                     group = group.dimension(dimension.long_name(axis.description()));
                 }
-                (group, schema.states.iter().map(|s| s.name.as_str()).collect())
+                let mut dims: Vec<&str> = schema.states.iter().map(|s| s.name.as_str()).collect();
+                if let (Some(times), Some(axis)) = (&times, axes.get(dims.len())) {
+                    let unit = schema.time_unit.as_deref().unwrap_or("s");
+                    group = group.dimension(Dimension::values(times.name, axis.clone(), unit).long_name("time"));
+                    dims.push(times.name);
+                }
+                (group, dims)
             }
             Places::Points(_) => {
                 let group = Group::new("points")
@@ -68,6 +83,14 @@ impl ResultFile {
         let mut group = names.solution(names.axes(group), &dims);
         if let Places::Points(_) = places {
             group = group.variable(names.state("x0", &["point", "state"], "chosen state"));
+            if let Some(times) = &times {
+                let unit = schema.time_unit.as_deref().unwrap_or("s");
+                group = group.variable(Variable::f64(times.name, ["point"]).unit(unit).long_name("time"));
+            }
+        }
+        if times.is_some() {
+            let rate = Variable::f64("dV_dt", dims.iter().copied());
+            group = group.variable(rate.unit(names.rate()).long_name("derivative of V by time"));
         }
         let error = |name: &str, what: &str| Variable::f64(name, dims.iter().copied()).long_name(what);
         group = group
@@ -119,6 +142,12 @@ impl ResultFile {
         writer.write("coverage", &values.iter().map(coverage).collect::<Vec<i32>>())?;
         if let Places::Points(points) = places {
             writer.write("x0", *points)?;
+            if let Some(times) = &times {
+                writer.write(times.name, times.t)?;
+            }
+        }
+        if times.is_some() {
+            writer.write("dV_dt", &scalar(&|v| v.rate))?;
         }
         Ok(())
     }

@@ -15,10 +15,14 @@ impl ResultFile {
     ///
     /// # Errors
     /// [`OutputError`] on writing.
-    pub fn map_pieces(&mut self, schema: &TrajectorySchema, made: &Adaptive) -> Result<(), OutputError> {
+    ///
+    /// Where time is an axis it is the last of the pieces' arguments, and called `time`.
+    pub fn map_pieces(&mut self, schema: &TrajectorySchema, time: &str, made: &Adaptive) -> Result<(), OutputError> {
         let names = Names::new(schema);
+        let n = schema.states.len();
+        let timed = made.pieces.states() > n;
         if !made.pieces.pieces.is_empty() {
-            self.write_pieces(&names, &made.pieces)?;
+            self.write_pieces(&names, timed.then_some((schema, time)), &made.pieces)?;
         }
         if made.check.is_empty() {
             return Ok(());
@@ -38,10 +42,19 @@ impl ResultFile {
             .variable(value("V_solved", "V solved for"))
             .variable(value("V_said", "V that the map says"))
             .variable(value("V_bound", "bound of its error that the map says"));
+        let group = if timed {
+            let unit = schema.time_unit.as_deref().unwrap_or("s");
+            group.variable(Variable::f64(time, ["point"]).unit(unit).long_name("time"))
+        } else {
+            group
+        };
         let mut writer = self.group(&group)?;
         let column = |f: &dyn Fn(&crate::map::Checked) -> f64| -> Vec<f64> { made.check.iter().map(f).collect() };
-        let x0: Vec<f64> = made.check.iter().flat_map(|c| c.x.iter().copied()).collect();
+        let x0: Vec<f64> = made.check.iter().flat_map(|c| c.x[..n].iter().copied()).collect();
         writer.write("x0", &x0)?;
+        if timed {
+            writer.write(time, &column(&|c| c.x[n]))?;
+        }
         let statuses: Vec<i32> = made.check.iter().map(|c| c.status as i32).collect();
         writer.write("status", &statuses)?;
         writer.write("V_solved", &column(&|c| c.solved))?;
@@ -49,7 +62,14 @@ impl ResultFile {
         writer.write("V_bound", &column(&|c| c.bound))
     }
 
-    fn write_pieces(&mut self, names: &Names<'_>, pieces: &Pieces) -> Result<(), OutputError> {
+    fn write_pieces(
+        &mut self,
+        names: &Names<'_>,
+        time: Option<(&TrajectorySchema, &str)>,
+        pieces: &Pieces,
+    ) -> Result<(), OutputError> {
+        // Of what V is a function: the states, or these and the time.
+        let of = time.map_or("state", |_| "argument");
         let region = &pieces.region;
         let coefficients: Vec<f64> = pieces
             .pieces
@@ -80,10 +100,10 @@ impl ResultFile {
                     .unit(names.cost())
                     .long_name("nothing is said of larger V; infinite: no limit"),
             )
-            .variable(names.state("lower", &["state"], "lower bound of the region"))
-            .variable(names.state("upper", &["state"], "upper bound of the region"))
-            .variable(names.state("origin", &["state"], "origin of the coordinates"))
-            .variable(Variable::f64("frame", ["coordinate", "state"]).long_name("coordinates are frame (x - origin)"))
+            .variable(names.state("lower", &[of], "lower bound of the region"))
+            .variable(names.state("upper", &[of], "upper bound of the region"))
+            .variable(names.state("origin", &[of], "origin of the coordinates"))
+            .variable(Variable::f64("frame", ["coordinate", of]).long_name("coordinates are frame (x - origin)"))
             .variable(
                 Variable::i32("axis", ["node"]).long_name("coordinate along which a node is split; -1: it is a cell"),
             )
@@ -133,6 +153,15 @@ impl ResultFile {
                     Variable::f64("bend", ["monomial"])
                         .long_name("polynomial of the other coordinates, monomials in the order of the coefficients"),
                 ),
+            None => group,
+        };
+        let group = match time {
+            Some((schema, name)) => {
+                let arguments = schema.states.iter().map(|s| s.name.as_str()).chain([name]);
+                group
+                    .attribute("time", name)
+                    .dimension(Dimension::names("argument", arguments))
+            }
             None => group,
         };
         let mut writer = self.group(&group)?;
@@ -226,7 +255,12 @@ impl Stored {
         let Some(group) = self.group(PIECES) else {
             return Ok(None);
         };
-        let n = self.model.states.len();
+        // The states, and on a finite horizon the time where it is an axis.
+        let n = group.f64("lower")?.values.len();
+        let states = self.model.states.len();
+        if n != states && !(n == states + 1 && self.model.final_time().is_some()) {
+            return Err(group.error("lower", "it has not one bound a state"));
+        }
         let number = |name: &str| -> Result<f64, StoredError> {
             let found = group.f64(name)?.values;
             found.first().copied().ok_or_else(|| group.error(name, "it is empty"))

@@ -51,7 +51,7 @@ pub use attribute::AttributeValue;
 pub use dataset::{GroupWriter, Values};
 pub use error::OutputError;
 pub use file::{ResultFile, write_bytes, write_text};
-pub use interpolated::Places;
+pub use interpolated::{Places, Times};
 pub use record::{RunRecord, utc_timestamp};
 pub use spec::{Compression, Dimension, Group, Variable};
 pub use stored::{Array, Stored, StoredError, StoredGroup, StoredMap, StoredPoints, StoredTrajectories};

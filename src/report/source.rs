@@ -131,7 +131,8 @@ impl<'s> Source<'s> {
 
     /// From solutions that form no map. With a finite horizon only solved states are of the initial time.
     fn scattered(&self) -> Option<Plane> {
-        let known = self.infinite() && self.stored.has_any(&["trajectories", "points", "map_pieces"]);
+        let known =
+            self.stored.has("map_pieces") || self.infinite() && self.stored.has_any(&["trajectories", "points"]);
         if !known || self.axes[0] == self.axes[1] {
             return None;
         }
@@ -217,12 +218,15 @@ impl<'s> Source<'s> {
         self.axes.map(|k| names::label(&self.model.states[k].variable))
     }
 
-    /// ` at R = 0.12, γ = 1.5`: the states that a picture of the plane holds fixed.
+    /// ` at R = 0.12, γ = 1.5`: the states that a picture of the plane holds fixed; on a finite horizon the time too.
     pub fn fixed(&self) -> String {
-        let fixed: Vec<String> = (self.model.states.iter().enumerate())
+        let mut fixed: Vec<String> = (self.model.states.iter().enumerate())
             .filter(|(k, _)| !self.axes.contains(k))
             .map(|(k, s)| format!("{} = {}", names::symbol(&s.variable.name), significant(self.base[k], 4)))
             .collect();
+        if !self.infinite() {
+            fixed.push(format!("{} = 0", self.model.time_name()));
+        }
         if fixed.is_empty() {
             String::new()
         } else {

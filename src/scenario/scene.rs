@@ -252,7 +252,7 @@ impl<'a> Reader<'a> {
         let map = sections.get("map").and_then(|s| self.map(s, &declared.states));
         let map_aim = sections
             .get("map")
-            .and_then(|s| self.map_aim(s, &declared.states, region.as_deref()));
+            .and_then(|s| self.map_aim(s, &declared.states, region.as_deref(), (cost.finite, game)));
         let sheets = sections.get("sheets").map(|s| self.sheets(s)).unwrap_or_default();
         let feedback = sections
             .get("feedback")

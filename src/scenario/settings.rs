@@ -223,11 +223,12 @@ impl<'a> Reader<'a> {
                 "states",
                 "seconds",
                 "check",
+                "time",
             ],
         );
         let accurate = section.get("error").is_some();
         if !accurate {
-            for key in ["error_max", "floor", "region", "states", "seconds", "check"] {
+            for key in ["error_max", "floor", "region", "states", "seconds", "check", "time"] {
                 if let Some(value) = section.get(key) {
                     let message = format!("`{key}` belongs to a map that is made to an error");
                     self.refuse::<()>(value.span(), message, "give `error = 1e-3` too, or leave it out");
@@ -268,6 +269,7 @@ impl<'a> Reader<'a> {
         section: &Section<'a>,
         states: &[Declared<'a>],
         region: Option<&[[f64; 2]]>,
+        (finite, game): (bool, bool),
     ) -> Option<MapAim> {
         let error = section.get("error")?;
         let before = self.problems.len();
@@ -294,6 +296,7 @@ impl<'a> Reader<'a> {
                 format!("this scene has {}", states.len()),
             );
         }
+        let time = self.time_axis(section, states.len(), finite, game);
         let mut bounds = region?.to_vec();
         if let Some(value) = section.get("region") {
             let table = self.table(value, section.key_span("region"), "the region of the map")?;
@@ -333,8 +336,42 @@ impl<'a> Reader<'a> {
             states: most,
             seconds,
             check,
+            time,
             span: section.span.clone(),
         })
+    }
+
+    /// Whether a map to an error has time as an axis: unless the scene says, wherever that can be had.
+    fn time_axis(&mut self, section: &Section<'a>, states: usize, finite: bool, game: bool) -> bool {
+        let possible = finite && !game && states < MOST_MAP_STATES;
+        let Some(value) = section.get("time") else {
+            return possible;
+        };
+        let Some(wanted) = self.yes_or_no(value, "time") else {
+            return false;
+        };
+        if wanted && !possible {
+            let (message, help) = if !finite {
+                (
+                    "an infinite horizon has no time axis",
+                    "V does not depend on time: leave `time` out".to_owned(),
+                )
+            } else if game {
+                (
+                    "the map of a game has no time axis",
+                    "`time = false` makes that of V(x, 0)".to_owned(),
+                )
+            } else {
+                let message = "the map of so many states has no time axis";
+                let most = MOST_MAP_STATES - 1;
+                (
+                    message,
+                    format!("time counts as a state: at most {most} others; `time = false` makes that of V(x, 0)"),
+                )
+            };
+            self.refuse::<()>(value.span(), message, help);
+        }
+        wanted && possible
     }
 
     /// `[sheets]`.

@@ -46,6 +46,8 @@ pub struct Request {
     pub limits: Vec<f64>,
     /// Single states `[point][n]`.
     pub points: Vec<f64>,
+    /// Single states are one another's neighbours, and searched for as points of a grid are: without flights of their own.
+    pub in_company: bool,
     /// One solution a target is enough: no search for other sheets.
     pub one_sheet: bool,
     /// V up to which sheets are continued; `None`: the scene's, or a little beyond the sweep.
@@ -347,13 +349,16 @@ pub fn solve(
     progress: Progress<'_>,
 ) -> Result<Answers, BackendError> {
     let clock = std::time::Instant::now();
-    let targets = Targets::new(
+    let mut targets = Targets::new(
         plan.system.states,
         &request.grids,
         &request.limits,
         &request.points,
         &plan.widths,
     );
+    if request.in_company {
+        targets.gridded.fill(true);
+    }
     let value_max = (request.value_max)
         .or(model.sheets.value_max)
         .unwrap_or(BEYOND * plan.shoot_out.value_max.unwrap_or(f64::INFINITY));

@@ -50,7 +50,7 @@ impl TrackPoints {
         &self.nodes[k * 2 * self.states..][..2 * self.states]
     }
 
-    fn push(&mut self, node: &[f64], v: f64, track: u32, t: f64) {
+    pub fn push(&mut self, node: &[f64], v: f64, track: u32, t: f64) {
         self.nodes.extend_from_slice(node);
         self.v.push(v);
         self.track.push(track);
@@ -74,6 +74,8 @@ pub struct Wish {
     pub value_max: f64,
     /// Whether V does not depend on time: then all points of a track are of use, else its beginning alone.
     pub onward: bool,
+    /// Of a finite horizon whose time is an axis its length, which distances in time are measured in.
+    pub horizon: Option<f64>,
     /// Whether tracks are followed backward beyond where they begin.
     pub beyond: bool,
 }
@@ -148,8 +150,10 @@ fn onward(
             if wish.has(&here[..n]) && v <= wish.value_max {
                 points.push(here, v, number, t);
             }
+            let time = wish.horizon.map_or(0.0, |horizon| duration / horizon);
             let way = (0..n)
                 .map(|i| ((next[i] - here[i]) / wish.width(i)).powi(2))
+                .chain([time * time])
                 .sum::<f64>()
                 .sqrt();
             let left = (v - costs[q]).abs().max(wish.floor);
@@ -164,7 +168,7 @@ fn onward(
             v -= costs[q];
             t += duration;
             // What follows is the local solution's.
-            if v.abs() < 1e-3 * wish.floor {
+            if wish.horizon.is_none() && v.abs() < 1e-3 * wish.floor {
                 break;
             }
         }

@@ -22,7 +22,8 @@ pub enum Known<'k> {
 }
 
 /// The header's text. It defines `NAME_value(x, V, p)` and `NAME_control(x, u)`, which return 1 where V is known and else 0.
-/// u is the minimiser of the Hamiltonian at p, within its bounds. The type of numbers is as in [`super::header`].
+/// u is the minimiser of the Hamiltonian at p, within its bounds. Where the pieces have time as an axis it follows x, and p has
+/// dV/dt as its last component. The type of numbers is as in [`super::header`].
 pub fn value_header(name: &str, known: Known<'_>, system: &System, model: &Model) -> String {
     let text = |guard: &str| {
         let writer = Writer {
@@ -81,8 +82,12 @@ impl Writer<'_> {
         let names = |all: &mut dyn Iterator<Item = &String>| all.cloned().collect::<Vec<_>>().join(", ");
         let what = match self.known {
             Known::Map(pieces, _) => {
-                let region = (self.model.states.iter().zip(&pieces.region.lo).zip(&pieces.region.hi))
-                    .map(|((s, lo), hi)| format!("{} in [{lo}, {hi}]", s.variable.name));
+                let named = self.model.states.iter().map(|s| s.variable.name.as_str());
+                let region = (named
+                    .chain([self.model.time_name()])
+                    .zip(&pieces.region.lo)
+                    .zip(&pieces.region.hi))
+                .map(|((name, lo), hi)| format!("{name} in [{lo}, {hi}]"));
                 format!(
                     "Value function `{}` in pieces, to an error of {:e} of V as asked, over\n   {}",
                     self.c.name,
@@ -104,18 +109,32 @@ impl Writer<'_> {
             }
         };
         format!(
-            "/* {what},\n   of the scene: {}\n   written by costate {}.\n   x: {}\n   u: {}\n   V: the value function, p: its gradient by x\n   \
+            "/* {what},\n   of the scene: {}\n   written by costate {}.\n   x: {}\n   u: {}\n   V: the value function, p: its gradient by x{}\n   \
              {returned}\n   Define COSTATE_FLOAT for single precision. About {} numbers lie on the stack. */\n",
             comment(&self.model.title),
             env!("CARGO_PKG_VERSION"),
             names(&mut self.model.states.iter().map(|s| &s.variable.name)),
             names(&mut self.model.controls.iter().map(|c| &c.variable.name)),
+            match (self.is_timed(), self.model.final_time()) {
+                (true, _) => " and, last, by the time t",
+                (false, Some(_)) => "; both at t = 0 alone",
+                (false, None) => "",
+            },
             2 * self.known.terms() + 16 * self.model.states.len(),
         )
     }
 
+    /// Variables of V: the states, and the time where it is an axis.
+    fn variables(&self) -> usize {
+        self.known.pieces().map_or(self.model.states.len(), Pieces::states)
+    }
+
+    fn is_timed(&self) -> bool {
+        self.variables() > self.model.states.len()
+    }
+
     fn tables(&self) -> String {
-        let n = self.model.states.len();
+        let n = self.variables();
         let name = self.c.name;
         let count = self.known.terms();
         let terms = Terms::through(n, count);
@@ -124,8 +143,12 @@ impl Writer<'_> {
         let factors = &terms.factors[..count];
         text += &self.c.integers("parent", factors.iter().map(|f| f.0.into()));
         text += &self.c.integers("times", factors.iter().map(|f| f.1.into()));
-        text += &self.c.list("reference", &self.system.reference);
-        let periods = self.model.states.iter().map(|s| s.period.unwrap_or(0.0));
+        let time = self.is_timed().then_some(0.0);
+        text += &self.c.list(
+            "reference",
+            &self.system.reference.iter().copied().chain(time).collect::<Vec<f64>>(),
+        );
+        let periods = self.model.states.iter().map(|s| s.period.unwrap_or(0.0)).chain(time);
         text += "/* Of angles; of other states 0. */\n";
         text += &self.c.list("period", &periods.collect::<Vec<f64>>());
         if let Some(local) = self.known.local() {
@@ -144,7 +167,7 @@ impl Writer<'_> {
     }
 
     fn piece_tables(&self, pieces: &Pieces) -> String {
-        let (c, n, name) = (&self.c, self.model.states.len(), self.c.name);
+        let (c, n, name) = (&self.c, self.variables(), self.c.name);
         let region = &pieces.region;
         let sheets = pieces.cells.iter().map(|cell| cell.pieces.len()).max().unwrap_or(1);
         let mut text = format!(
@@ -240,7 +263,7 @@ impl Writer<'_> {
     }
 
     fn polynomials(&self, pieces: &Pieces) -> String {
-        let (c, n) = (&self.c, self.model.states.len());
+        let (c, n) = (&self.c, self.variables());
         let all = |of: &dyn Fn(usize) -> Vec<f64>| (0..pieces.pieces.len()).flat_map(of).collect::<Vec<f64>>();
         let mut text =
             "/* Pieces: polynomials of (t - center) / half; what of V they are of; bounds of their errors. */\n"
@@ -279,7 +302,7 @@ impl Writer<'_> {
             text += "/* Extents of the points fitted to, where there are none on one side of the cell: the row of a piece (0: none),\n   \
                      and lowest and highest along each direction. */\n";
             text += &c.integers("support_of", place.into_iter());
-            text += &c.table("direction", &pieces.directions.concat(), self.model.states.len());
+            text += &c.table("direction", &pieces.directions.concat(), self.variables());
             text += &c.table("support", &rows, 2 * ways);
             inside = format!(
                 "    int i, j;\n    if ({name}_support_of[k] == 0) return 1;\n    for (j = 0; j < {ways}; j++) {{\n        \
@@ -341,11 +364,24 @@ impl Writer<'_> {
         if self.known.pieces().is_some() {
             text += &format!("    return {name}_chart(x, V, p, s);\n");
         }
+        let v = self.variables();
+        // Time, where it is an axis, follows the states.
+        let (time, place, at) = match self.is_timed() {
+            true => {
+                let all = (0..n).map(|i| format!("x[{i}]")).chain(["t".to_owned()]);
+                let place = format!(
+                    "    const {real} xt[{v}] = {{ {} }};\n",
+                    all.collect::<Vec<_>>().join(", ")
+                );
+                (format!(", {real} t"), place, "xt")
+            }
+            false => (String::new(), String::new(), "x"),
+        };
         text += &format!(
-            "}}\n\nstatic inline int {name}_value(const {real} x[{n}], {real} *V, {real} p[{n}])\n{{\n    {real} s[{n}];\n    \
-             return {name}_at(x, V, p, s);\n}}\n\n\
-             static inline int {name}_control(const {real} x[{n}], {real} u[{m}])\n{{\n    {real} V, p[{n}], s[{n}];\n    \
-             const int known = {name}_at(x, &V, p, s);\n"
+            "}}\n\nstatic inline int {name}_value(const {real} x[{n}]{time}, {real} *V, {real} p[{v}])\n{{\n    {real} s[{v}];\n{place}    \
+             return {name}_at({at}, V, p, s);\n}}\n\n\
+             static inline int {name}_control(const {real} x[{n}]{time}, {real} u[{m}])\n{{\n    {real} V, p[{v}], s[{v}];\n{place}    \
+             const int known = {name}_at({at}, &V, p, s);\n"
         );
         if self.known.pieces().is_some() {
             text += "    if (!known) return 0;\n";

@@ -316,6 +316,12 @@ impl Frame {
         })
     }
 
+    /// How a state's component changes by the coordinates, a shear aside.
+    pub fn inverse_row(&self, i: usize) -> &[f64] {
+        let n = self.origin.len();
+        &self.inverse[i * n..][..n]
+    }
+
     /// Coordinates of a state (absolute).
     pub fn of(&self, x: &[f64], t: &mut [f64]) {
         let n = x.len();

@@ -32,7 +32,10 @@ impl Packed {
             ..Self::default()
         };
         // Deviations from the reference point, of which f32 keeps the digits near it.
-        Flat::<f64>::new(pieces).pack(&plan.system.reference, &mut this);
+        let reference: Vec<f64> = (plan.system.reference.iter().copied().chain([0.0]))
+            .take(pieces.states())
+            .collect();
+        Flat::<f64>::new(pieces).pack(&reference, &mut this);
         let degree = around.as_ref().map_or(0, |a| a.degree);
         let tables = Tables::new(&Terms::new(n, degree.max(pieces.terms.upto.len() - 1)));
         this.tables(["UPTO", "FACTORS", "FIRST"], &tables);
@@ -43,7 +46,10 @@ impl Packed {
         this.number("SAME", SAME);
         if plan.periods.iter().any(Option::is_some) {
             this.conditions.push("PERIODS");
-            this.reals("PERIOD", plan.periods.iter().map(|p| p.unwrap_or(0.0)));
+            this.reals(
+                "PERIOD",
+                plan.periods.iter().map(|p| p.unwrap_or(0.0)).chain([0.0]).take(n),
+            );
         }
         if let Some(around) = &around {
             this.conditions.push("LOCAL");

@@ -27,9 +27,13 @@ impl Pieces {
                             continue;
                         };
                         let Some(other) = alone(beside) else { continue };
-                        if let Some(off) = self.difference(piece, other, &z[..n]) {
-                            met.extend([(cell, off), (beside, off)]);
-                        }
+                        let Some(off) = self.difference(piece, other, &z[..n]) else {
+                            continue;
+                        };
+                        // One that is in error anyway is to blame before one that is not.
+                        let [own, its] = [piece, other].map(|k| self.pieces[k].bound > self.region.error);
+                        met.extend((own || !its).then_some((cell, off)));
+                        met.extend((its || !own).then_some((beside, off)));
                     }
                 }
                 met

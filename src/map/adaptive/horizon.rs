@@ -1,0 +1,137 @@
+//! Time as a further coordinate of a map, on a finite horizon.
+//!
+//! At every point of an extremal V(x, t) is the cost from there on; its slopes are p and dV/dt = -H. Dynamics and cost do not
+//! depend on time, so the problem from (x, t) is that of a horizon of T - t, and V(x, T) is the terminal cost.
+
+use crate::backend::BackendError;
+use crate::backend::cpu::{Cpu, map::Evaluator};
+use crate::hamiltonian::Hamiltonian;
+use crate::model::{Horizon, MapAim, Model};
+use crate::program::Program;
+use crate::shooting::{End, Path, Solver};
+use crate::sweep::{Choices, Plan};
+use crate::value::{Archive, ConjugatePoints, Track, solver};
+use std::collections::BTreeMap;
+
+/// Times at which the first states are searched, in equal steps: each sets up a search of its own.
+pub(super) const FIRST_TIMES: usize = 4;
+/// Coarsest step of times at which states are searched later, of the horizon.
+const LEVELS: usize = 16;
+/// Finest step of times at which states are searched, as a share of the horizon: of more times more problems are set up.
+const FINEST: f64 = 1.0 / 4096.0;
+/// States whose remaining time is a smaller share of the horizon than this are at its end.
+const AT_END: f64 = 1.0 / 4096.0;
+/// Times of fresh states.
+pub(super) const CHECKED: usize = 8;
+
+/// The time axis of a map.
+pub(super) struct TimeAxis {
+    /// Final time.
+    pub last: f64,
+    energy: Evaluator,
+    end: End,
+    conjugate: ConjugatePoints,
+    hamiltonian: Hamiltonian,
+    /// The problems of shorter horizons, by the bits of their first time (times are not negative).
+    shorter: BTreeMap<u64, Shorter>,
+}
+
+/// The problem from a later time on.
+pub(super) struct Shorter {
+    pub plan: Plan,
+    pub model: Model,
+    pub solver: Solver,
+    pub archive: Archive,
+}
+
+impl TimeAxis {
+    /// That of a map, if it has one.
+    ///
+    /// # Errors
+    /// What the backend refuses to compile.
+    pub fn of(plan: &Plan, model: &Model, aim: &MapAim) -> Result<Option<Self>, BackendError> {
+        let system = &plan.system;
+        let terminal = system.terminal.as_ref().filter(|_| aim.time && !plan.game);
+        // What a plan was made of was derived.
+        let (Some(terminal), Ok(hamiltonian)) = (terminal, Hamiltonian::derive(model)) else {
+            return Ok(None);
+        };
+        let energy = Program::lower(&system.graph, &system.inputs, &[system.observer.hamiltonian]);
+        Ok(Some(Self {
+            last: terminal.time,
+            energy: Evaluator::new(&energy),
+            end: End::new(system, None),
+            conjugate: ConjugatePoints::new(plan)?,
+            hamiltonian,
+            shorter: BTreeMap::new(),
+        }))
+    }
+
+    /// When a path begins.
+    pub fn begins(&self, path: &Path) -> f64 {
+        (self.last - path.horizon()).max(0.0)
+    }
+
+    /// Tracks without those, of other sheets, that have a conjugate point: such a one is not even locally the least, and no
+    /// sheet that may become it.
+    pub fn unfolded(&mut self, tracks: Vec<Track>, others: &[bool]) -> Result<Vec<Track>, BackendError> {
+        let paths: Vec<&Path> = (tracks.iter().zip(others))
+            .filter_map(|(t, other)| other.then_some(&t.path))
+            .collect();
+        let mut absent = self.conjugate.absent(&paths)?.into_iter();
+        let stays = |(track, other): (Track, &bool)| (!other || absent.next() == Some(true)).then_some(track);
+        Ok(tracks.into_iter().zip(others).filter_map(stays).collect())
+    }
+
+    /// dV/dt at nodes `(s, p)`.
+    pub fn rates(&self, nodes: &[f64], width: usize) -> Vec<f64> {
+        let mut all = self.energy.eval(nodes, width);
+        all.iter_mut().for_each(|h| *h = -*h);
+        all
+    }
+
+    pub fn is_at_end(&self, t: f64) -> bool {
+        self.last - t < AT_END * self.last
+    }
+
+    /// `(s, p)` and V at the end of the horizon.
+    pub fn at_end(&self, s: &[f64]) -> (Vec<f64>, f64) {
+        let at = self.end.at(s);
+        ([s, &at.gradient].concat(), at.value)
+    }
+
+    /// A time near `t` of few: about `coarse` apart.
+    pub fn of_few(&self, t: f64, coarse: f64) -> f64 {
+        let mut step = self.last / LEVELS as f64;
+        while step > coarse.max(FINEST * self.last) {
+            step *= 0.5;
+        }
+        ((t / step).round() * step).clamp(0.0, self.last)
+    }
+
+    /// The problem from a time on.
+    pub fn from(&mut self, t: f64, plan: &Plan, model: &Model) -> Result<&mut Shorter, BackendError> {
+        if !self.shorter.contains_key(&t.to_bits()) {
+            let mut model = model.clone();
+            if let Horizon::Finite { final_time, .. } = &mut model.horizon {
+                *final_time = self.last - t;
+            }
+            let choices = Choices {
+                rtol: Some(plan.rtol_asked),
+                unasked: true,
+                dispensable: true,
+                ..Choices::default()
+            };
+            let plan = Plan::new(&model, &self.hamiltonian, &Cpu::new(), choices)
+                .expect("what can be planned can be on a shorter horizon");
+            let made = Shorter {
+                solver: solver(&plan, &Cpu::new())?,
+                archive: Archive::new(&plan),
+                plan,
+                model,
+            };
+            self.shorter.insert(t.to_bits(), made);
+        }
+        Ok(self.shorter.get_mut(&t.to_bits()).expect("it was made"))
+    }
+}
