@@ -31,7 +31,7 @@ const MOST_A_CELL: f64 = 48.0;
 const GROWTH: f64 = 3.0;
 const GROWTH_IN_PLANE: f64 = 2.0;
 /// Share of the budget before the last round.
-const BEFORE_CLOSING: f64 = 0.95;
+const BEFORE_CLOSING: f64 = 0.88;
 /// Shortest step of the way from a point of an extremal to a state near it.
 const LEAST_STEP: f64 = 1.0 / 8.0;
 /// The same where there are few points yet.
@@ -648,10 +648,11 @@ impl Work<'_, '_> {
             if asked.is_empty() || closing || self.is_spent(1.0) {
                 return Ok(pieces);
             }
-            // The last round fills the holes that the one before it has left between its new cells.
+            // The last round is for the holes that the one before it has left between its new cells, and for cells of which
+            // nothing would be said.
             closing = self.is_spent(BEFORE_CLOSING);
             let asked = match closing {
-                true => holes(asked),
+                true => holes(asked, self.aim.error_max / self.aim.error),
                 false => asked,
             };
             let (solved, clock) = (self.states + self.failed, Instant::now());
@@ -1002,10 +1003,15 @@ impl Work<'_, '_> {
     }
 }
 
-/// Cells with their bare places alone.
-fn holes(wants: Vec<Want>) -> Vec<Want> {
-    let bare = wants.into_iter().filter(|w| !w.bare.is_empty());
-    bare.map(|w| Want { excess: 1.0, ..w }).collect()
+/// Cells with bare places, and those in error by more than `most` times the one asked for.
+fn holes(wants: Vec<Want>, most: f64) -> Vec<Want> {
+    let bad = |w: &Want| w.excess > most;
+    let some = wants.into_iter().filter(|w| bad(w) || !w.bare.is_empty());
+    some.map(|w| Want {
+        excess: if bad(&w) { w.excess } else { 1.0 },
+        ..w
+    })
+    .collect()
 }
 
 /// A cell as a key.

@@ -5,8 +5,8 @@ use super::reader::{Reader, Section, Value};
 use super::syntax_error::shorten;
 use crate::model::{
     DEFAULT_ARC_LENGTH, DEFAULT_MAP_CHECK, DEFAULT_MAP_STATES, DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS,
-    GridAxis, Homotopy, Integrator, LEAST_MAP_ERROR, MAP_ERROR_MAX, MOST_MAP_ERROR, MOST_MAP_STATES, MapAim, MapGrid,
-    Method, Precision, SampleBy, SeedValue, Sheets, ShootOut,
+    GridAxis, Homotopy, Integrator, LEAST_MAP_ERROR, MAP_ERROR_MAX, MAP_ERRORS_MAX, MOST_MAP_ERROR, MOST_MAP_STATES,
+    MapAim, MapGrid, Method, Precision, SampleBy, SeedValue, Sheets, ShootOut,
 };
 use crate::scenario::Problem;
 use toml::de::DeValue;
@@ -325,7 +325,7 @@ impl<'a> Reader<'a> {
                 let wanted = format!("at least the error asked for, {error:e}");
                 self.number_that(value, "error_max", &wanted, |v| v >= error)?
             }
-            None => MAP_ERROR_MAX * error,
+            None => MAP_ERROR_MAX.max(MAP_ERRORS_MAX * error),
         };
         (self.problems.len() == before).then(|| MapAim {
             error,
