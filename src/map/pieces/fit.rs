@@ -1,6 +1,6 @@
 //! A polynomial fitted to V and p at scattered points, by weighted least squares.
 
-use super::least_squares::{Equations, Factors, left_out, stride};
+use super::least_squares::{Equations, Factors, stride};
 use super::terms::Terms;
 
 /// Equations of a group: it is left out by a system of so many.
@@ -240,26 +240,9 @@ impl<'d> Data<'d> {
         let rows: Vec<usize> = (0..=n)
             .flat_map(|block| group.iter().map(move |k| block * points + *k as usize))
             .collect();
-        let r = rows.len();
-        let mut matrix = vec![0.0; r * r];
-        let mut residual: Vec<f64> = rows.iter().map(|row| right[*row]).collect();
-        let mut own = vec![0.0; r];
-        for (basis, along) in factors.basis.chunks(self.stride).zip(&factors.along).take(count) {
-            for ((own, row), residual) in own.iter_mut().zip(&rows).zip(&mut residual) {
-                *own = basis[*row];
-                *residual -= along * *own;
-            }
-            for a in 0..r {
-                let factor = own[a];
-                for (m, b) in matrix[a * r..=a * r + a].iter_mut().zip(&own) {
-                    *m -= factor * b;
-                }
-            }
-        }
-        (0..r).for_each(|a| matrix[a * r + a] += 1.0);
-        if left_out(&mut matrix, &mut residual).is_none() {
+        let Some(residual) = factors.left_out(count, right, self.stride, &rows) else {
             return [f64::INFINITY; 2];
-        }
+        };
         let mut worst = [0.0f64; 2];
         for (at, k) in group
             .iter()

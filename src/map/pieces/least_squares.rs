@@ -79,15 +79,50 @@ fn add<const FMA: bool>(a: f64, b: f64, c: f64) -> f64 {
 #[inline(always)]
 fn products<const FMA: bool>(row: &[f64], others: [&[f64]; 4]) -> [f64; 4] {
     let mut sums = [[0.0; LANES]; 4];
-    for (k, a) in row.chunks_exact(LANES).enumerate() {
-        for (sum, other) in sums.iter_mut().zip(others) {
-            let b = &other[k * LANES..][..LANES];
-            for i in 0..LANES {
-                sum[i] = add::<FMA>(a[i], b[i], sum[i]);
-            }
+    let [p, q, r, s] = others.map(|o| o.chunks_exact(LANES));
+    for ((((a, p), q), r), s) in row.chunks_exact(LANES).zip(p).zip(q).zip(r).zip(s) {
+        for i in 0..LANES {
+            sums[0][i] = add::<FMA>(a[i], p[i], sums[0][i]);
+            sums[1][i] = add::<FMA>(a[i], q[i], sums[1][i]);
+            sums[2][i] = add::<FMA>(a[i], r[i], sums[2][i]);
+            sums[3][i] = add::<FMA>(a[i], s[i], sums[3][i]);
         }
     }
     sums.map(|s| s.iter().sum())
+}
+
+/// Inner product of rows of any length.
+#[inline(always)]
+fn product<const FMA: bool>(a: &[f64], b: &[f64]) -> f64 {
+    let mut sums = [0.0; LANES];
+    let (whole, rest) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+    let tail: f64 = whole.remainder().iter().zip(rest.remainder()).map(|(a, b)| a * b).sum();
+    for (a, b) in whole.zip(rest) {
+        for i in 0..LANES {
+            sums[i] = add::<FMA>(a[i], b[i], sums[i]);
+        }
+    }
+    sums.iter().sum::<f64>() + tail
+}
+
+/// The factor of a symmetric matrix of `m` rows (row-major; on and below the diagonal) in its place, as far as pivots are above
+/// `least`; how far.
+#[inline(always)]
+fn factorized<const FMA: bool>(matrix: &mut [f64], m: usize, least: f64) -> usize {
+    for i in 0..m {
+        let (above, below) = matrix.split_at_mut(i * m);
+        let own = &mut below[..m];
+        for j in 0..i {
+            let other = &above[j * m..][..=j];
+            own[j] = (own[j] - product::<FMA>(&own[..j], &other[..j])) / other[j];
+        }
+        let pivot = own[i] - product::<FMA>(&own[..i], &own[..i]);
+        if pivot <= least || !pivot.is_finite() {
+            return i;
+        }
+        own[i] = pivot.sqrt();
+    }
+    m
 }
 
 impl Factors {
@@ -120,30 +155,10 @@ impl Factors {
             self.lower[i * m + i] += RIDGE;
             self.along[i] = products::<FMA>(own, [right; 4])[0];
         }
-        // Row by row.
-        for i in 0..m {
-            for j in 0..=i {
-                let (above, below) = self.lower.split_at_mut(i * m);
-                let own = &mut below[..m];
-                let sum: f64 = if j < i {
-                    let other = &above[j * m..][..j];
-                    own[j] - (0..j).map(|k| own[k] * other[k]).sum::<f64>()
-                } else {
-                    own[i] - own[..i].iter().map(|a| a * a).sum::<f64>()
-                };
-                if j < i {
-                    own[j] = sum / above[j * m + j];
-                } else if sum > 0.0 && sum.is_finite() {
-                    own[i] = sum.sqrt();
-                } else {
-                    self.determined = i;
-                }
-            }
-            if self.determined == i {
-                break;
-            }
-            let before: f64 = (0..i).map(|k| self.lower[i * m + k] * self.along[k]).sum();
-            self.along[i] = (self.along[i] - before) / self.lower[i * m + i];
+        self.determined = factorized::<FMA>(&mut self.lower, m, 0.0);
+        for i in 0..self.determined {
+            let lower = &self.lower[i * m..][..=i];
+            self.along[i] = (self.along[i] - product::<FMA>(&lower[..i], &self.along[..i])) / lower[i];
         }
         // The basis in place of the rows.
         for i in 0..self.determined {
@@ -184,32 +199,83 @@ impl Factors {
     }
 }
 
-/// What residuals of a group of equations would be had it been left out: `(I - Q Q') e = residual`, of which the matrix is
-/// given (row-major, overwritten). `None` where the group determines a coefficient by itself.
-pub fn left_out(matrix: &mut [f64], residual: &mut [f64]) -> Option<()> {
-    /// Below this pivot the others say too little of a coefficient.
-    const LEAST: f64 = 1e-8;
-    let n = residual.len();
-    for i in 0..n {
-        for j in 0..=i {
-            let sum: f64 = (0..j).map(|k| matrix[i * n + k] * matrix[j * n + k]).sum();
-            let rest = matrix[i * n + j] - sum;
-            if j < i {
-                matrix[i * n + j] = rest / matrix[j * n + j];
-            } else if rest > LEAST {
-                matrix[i * n + i] = rest.sqrt();
-            } else {
-                return None;
-            }
+impl Factors {
+    /// What the residuals of some equations would be had these been left out of the fit of the leading coefficients:
+    /// `(I - Q Q') e = r` with the rows of the basis `Q` that are theirs. `None` where they determine a coefficient alone.
+    pub fn left_out(&self, count: usize, right: &[f64], stride: usize, equations: &[usize]) -> Option<Vec<f64>> {
+        match Simd::detect() {
+            Simd::Baseline => self.without::<false>(count, right, stride, equations),
+            // SAFETY: the features were detected.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => unsafe { avx2_without(self, count, right, stride, equations) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => unsafe { avx512_without(self, count, right, stride, equations) },
         }
     }
-    for i in 0..n {
-        let sum: f64 = (0..i).map(|k| matrix[i * n + k] * residual[k]).sum();
-        residual[i] = (residual[i] - sum) / matrix[i * n + i];
+
+    #[inline(always)]
+    fn without<const FMA: bool>(
+        &self,
+        count: usize,
+        right: &[f64],
+        stride: usize,
+        equations: &[usize],
+    ) -> Option<Vec<f64>> {
+        /// Below this pivot the others say too little of a coefficient.
+        const LEAST: f64 = 1e-8;
+        let n = equations.len();
+        // `[equation][coefficient]`, in rows of whole lanes.
+        let width = count.next_multiple_of(LANES);
+        let mut own = vec![0.0; n * width];
+        for (i, basis) in self.basis.chunks_exact(stride).take(count).enumerate() {
+            for (own, equation) in own.chunks_exact_mut(width).zip(equations) {
+                own[i] = basis[*equation];
+            }
+        }
+        let mut along = vec![0.0; width];
+        along[..count].copy_from_slice(&self.along[..count]);
+        let row = |k: usize| &own[k * width..][..width];
+        // Not in a closure, which would not have the vector unit's instructions.
+        let mut residual = vec![0.0; n];
+        for k in 0..n {
+            residual[k] = right[equations[k]] - product::<FMA>(&own[k * width..][..width], &along);
+        }
+        let mut matrix = vec![0.0; n * n];
+        for i in 0..n {
+            for j in (0..=i).step_by(4) {
+                let four = std::array::from_fn(|k| row((j + k).min(i)));
+                for (k, product) in products::<FMA>(row(i), four).into_iter().enumerate() {
+                    if j + k <= i {
+                        matrix[i * n + j + k] = -product;
+                    }
+                }
+            }
+            matrix[i * n + i] += 1.0;
+        }
+        if factorized::<FMA>(&mut matrix, n, LEAST) < n {
+            return None;
+        }
+        for i in 0..n {
+            let lower = &matrix[i * n..][..=i];
+            residual[i] = (residual[i] - product::<FMA>(&lower[..i], &residual[..i])) / lower[i];
+        }
+        for i in (0..n).rev() {
+            let sum: f64 = (i + 1..n).map(|k| matrix[k * n + i] * residual[k]).sum();
+            residual[i] = (residual[i] - sum) / matrix[i * n + i];
+        }
+        Some(residual)
     }
-    for i in (0..n).rev() {
-        let sum: f64 = (i + 1..n).map(|k| matrix[k * n + i] * residual[k]).sum();
-        residual[i] = (residual[i] - sum) / matrix[i * n + i];
-    }
-    Some(())
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn avx2_without(of: &Factors, count: usize, right: &[f64], stride: usize, equations: &[usize]) -> Option<Vec<f64>> {
+    of.without::<true>(count, right, stride, equations)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+fn avx512_without(of: &Factors, count: usize, right: &[f64], stride: usize, equations: &[usize]) -> Option<Vec<f64>> {
+    of.without::<true>(count, right, stride, equations)
 }
