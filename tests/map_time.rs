@@ -111,7 +111,7 @@ fn ridge(left: f64) -> f64 {
 fn v_of_two_sheets_is_known_at_all_times() {
     let directory = scratch("wells");
     // With its bound, however large, something is to be said everywhere.
-    let lines = "error = 3e-3\nerror_max = 1e6\nfloor = 3e-2\ncheck = 40\nstates = 1000\nregion = { x = [-1.0, 1.0], y = [-0.5, 0.5] }\n";
+    let lines = "error = 3e-3\nerror_max = 1e6\nfloor = 3e-2\ncheck = 40\nstates = 1500\nregion = { x = [-1.0, 1.0], y = [-0.5, 0.5] }\n";
     let file = made(&directory, &format!("{TWO_WELLS}{lines}"));
     let map = ValueMap::new(&Stored::open(&file).unwrap()).unwrap();
     assert_eq!(map.time(), Some(2.0));
