@@ -75,6 +75,14 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
         return lines;
     }
     let shown = shown(made);
+    if shown.known == 0 {
+        lines.push(format!(
+            "  check with {} fresh states, never used in the map: {} solved, none of them known",
+            made.check.len(),
+            shown.solved
+        ));
+        return lines;
+    }
     let [median, most, worst] = shown.error;
     lines.push(format!(
         "  check with {} fresh states, never used in the map: {} solved, of them {} known; relative error of V: median {median:.1e}, \

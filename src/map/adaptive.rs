@@ -29,9 +29,10 @@ const MORE: f64 = 0.4;
 const MOST_A_CELL: f64 = 48.0;
 /// A round solves for at most this many times the states solved before.
 const GROWTH: f64 = 3.0;
-const GROWTH_IN_PLANE: f64 = 2.0;
-/// Share of the budget before the last round.
+const GROWTH_BY_QUARTERS: f64 = 2.0;
+/// Share of the budget before the last rounds, and that is worth no further round.
 const BEFORE_CLOSING: f64 = 0.88;
+const ALL_BUT: f64 = 0.97;
 /// Shortest step of the way from a point of an extremal to a state near it.
 const LEAST_STEP: f64 = 1.0 / 8.0;
 /// The same where there are few points yet.
@@ -233,8 +234,8 @@ impl Work<'_, '_> {
         let looked_at = spread_over(&self.bounds, LOOKED_AT);
         let unmet = |x: &&Vec<f64>| match pieces.at(x) {
             Some(said) => said.v_bound > region.error * said.v.abs().max(region.floor),
-            // Nothing is said above the largest V of interest.
-            None => region.value_max == f64::INFINITY,
+            // Nothing is said above the largest V of interest; of a map without pieces nothing is.
+            None => region.value_max == f64::INFINITY || pieces.pieces.is_empty(),
         };
         let share =
             |of: &dyn Fn(&&Vec<f64>) -> bool| looked_at.iter().filter(of).count() as f64 / looked_at.len() as f64;
@@ -645,15 +646,15 @@ impl Work<'_, '_> {
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
                 .collect();
-            if asked.is_empty() || closing || self.is_spent(1.0) {
+            if asked.is_empty() || self.is_spent(1.0) || (closing && self.is_spent(ALL_BUT)) {
                 return Ok(pieces);
             }
-            // The last round is for the holes that the one before it has left between its new cells, and for cells of which
-            // nothing would be said.
+            // The last states are first for the holes that the rounds before have left between their new cells, and for cells
+            // of which nothing would be said.
             closing = self.is_spent(BEFORE_CLOSING);
-            let asked = match closing {
-                true => holes(asked, self.aim.error_max / self.aim.error),
-                false => asked,
+            let asked = match closing.then(|| holes(&asked, self.aim.error_max / self.aim.error)) {
+                Some(holes) if !holes.is_empty() => holes,
+                _ => asked,
             };
             let (solved, clock) = (self.states + self.failed, Instant::now());
             if let Some((began, first)) = last {
@@ -727,8 +728,8 @@ impl Work<'_, '_> {
     fn answer(&mut self, mut wants: Vec<Want>, region: &Region, share: f64) -> Result<bool, BackendError> {
         let in_time = (self.seconds_left(share) / self.pace).max(0.0);
         let in_time = if in_time.is_nan() { usize::MAX } else { in_time as usize };
-        let growth = if self.cloud.variables <= 2 {
-            GROWTH_IN_PLANE
+        let growth = if self.cloud.leaves_quarters() {
+            GROWTH_BY_QUARTERS
         } else {
             GROWTH
         };
@@ -1004,12 +1005,12 @@ impl Work<'_, '_> {
 }
 
 /// Cells with bare places, and those in error by more than `most` times the one asked for.
-fn holes(wants: Vec<Want>, most: f64) -> Vec<Want> {
+fn holes(wants: &[Want], most: f64) -> Vec<Want> {
     let bad = |w: &Want| w.excess > most;
-    let some = wants.into_iter().filter(|w| bad(w) || !w.bare.is_empty());
+    let some = wants.iter().filter(|w| bad(w) || !w.bare.is_empty());
     some.map(|w| Want {
-        excess: if bad(&w) { w.excess } else { 1.0 },
-        ..w
+        excess: if bad(w) { w.excess } else { 1.0 },
+        ..w.clone()
     })
     .collect()
 }

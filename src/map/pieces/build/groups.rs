@@ -26,7 +26,7 @@ impl Builder<'_> {
             }
             for groups in self.groups(block) {
                 // Of many variables sorting is dear: where a half may yet tell, points of one sheet that were parted are not sorted.
-                let dear = !self.is_planar() && can_be_halved && !self.cloud.several;
+                let dear = !self.leaves_quarters() && can_be_halved && !self.cloud.several;
                 if dear && !self.jumps(block, &groups) {
                     continue;
                 }

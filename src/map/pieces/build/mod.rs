@@ -3,8 +3,8 @@
 mod faces;
 mod groups;
 mod places;
-mod planar;
-mod spatial;
+mod quarters;
+mod tracks;
 
 use super::fit::Data;
 use super::terms::Terms;
@@ -51,19 +51,18 @@ struct Habits {
 }
 
 impl Habits {
-    fn of(variables: usize) -> Self {
-        let planar = variables <= 2;
+    fn of(variables: usize, quarters: bool) -> Self {
         Self {
             most_equations: match variables {
                 1 | 2 => 12.0,
                 3 => 8.0,
                 _ => 4.0,
             },
-            learned: if planar { planar::LEARNED } else { 1.0 },
-            allowance: if planar { 1.5 } else { 2.0 },
-            enough: if planar { 0.6 } else { 0.8 },
-            most_halvings: if planar { 14 } else { 18 },
-            sliver: if planar { 32.0 } else { 256.0 },
+            learned: if quarters { quarters::LEARNED } else { 1.0 },
+            allowance: if quarters { 1.5 } else { 2.0 },
+            enough: if quarters { 0.6 } else { 0.8 },
+            most_halvings: if quarters { 14 } else { 18 },
+            sliver: if quarters { 32.0 } else { 256.0 },
         }
     }
 }
@@ -87,6 +86,12 @@ pub struct Cloud {
 impl Cloud {
     pub fn len(&self) -> usize {
         self.v.len()
+    }
+
+    /// Whether a quarter of the tracks is left out at once to tell an error, not each in turn: in a plane, where tracks run side
+    /// by side and one alone is not missed, and where several sheets lie over each other, of which one track tells little.
+    pub fn leaves_quarters(&self) -> bool {
+        self.variables <= 2 || self.several
     }
 
     pub fn is_empty(&self) -> bool {
@@ -160,7 +165,7 @@ pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Befor
         frame,
         directions: directions(n),
         highest,
-        habits: Habits::of(n),
+        habits: Habits::of(n, cloud.leaves_quarters()),
         before,
     };
     let root = builder.before.as_ref().map(|_| 0);
@@ -184,7 +189,7 @@ pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Befor
     plant(&mut pieces, grown);
     pieces.finish();
     pieces.label();
-    if n > 2 {
+    if !cloud.leaves_quarters() {
         for (cell, disagreement) in pieces.disagreements() {
             pieces.raise(cell, disagreement);
             wants[cell].excess = wants[cell].excess.max(disagreement / region.error);
@@ -307,7 +312,7 @@ impl Builder<'_> {
                 points.retain(|k| usual(&k));
             }
             for reach in WIDER {
-                if self.is_planar() || points.len() as f64 >= self.least() {
+                if self.leaves_quarters() || points.len() as f64 >= self.least() {
                     break;
                 }
                 points = within(reach);
@@ -331,7 +336,9 @@ impl Builder<'_> {
         // A few points more make no better polynomial of one that is not good enough.
         let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
         let untouched = more == 0
-            || (!self.is_planar() && !self.is_dense(block) && (more as f64) < WORTH_WHILE * block.points.len() as f64);
+            || (!self.leaves_quarters()
+                && !self.is_dense(block)
+                && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
         if !untouched && (own.is_empty() || !own.iter().all(good)) {
             return None;
@@ -380,14 +387,13 @@ impl Builder<'_> {
         block.near as f64 > 2.0 * self.least()
     }
 
-    /// In a plane polynomials of high degree follow curves by themselves, tracks run side by side, and blocks are few.
-    fn is_planar(&self) -> bool {
-        self.cloud.variables <= 2
+    fn leaves_quarters(&self) -> bool {
+        self.cloud.leaves_quarters()
     }
 
     /// The best piece for some of a block's points, with its error over the one asked for.
     fn of_group(&self, block: &Block, points: &[u32], can_be_halved: bool) -> Option<(Piece, f64)> {
-        if self.is_planar() {
+        if self.leaves_quarters() {
             self.by_quarters(block, points, can_be_halved)
         } else {
             self.by_tracks(block, points, can_be_halved)

@@ -5,7 +5,7 @@ use super::{BESIDE, Block, Builder, Piece, REACH};
 impl Builder<'_> {
     /// The axis along which a block is halved.
     pub(super) fn axis(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> usize {
-        if self.is_planar() {
+        if self.leaves_quarters() {
             self.axis_by_terms(block, pieces)
         } else {
             self.axis_by_halves(block, pieces)
@@ -32,7 +32,7 @@ impl Builder<'_> {
         if at_edge {
             piece.support = self.enclosed(&piece, points, beyond);
         }
-        if self.is_planar() {
+        if self.leaves_quarters() {
             self.with_all(piece, points)
         } else {
             self.bounded(piece, at_edge)

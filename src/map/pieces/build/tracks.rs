@@ -1,4 +1,4 @@
-//! Fits in three variables and more: each track is left out in turn, which one factorization tells.
+//! Fits of one sheet in three variables and more: each track is left out in turn, which one factorization tells.
 
 use super::super::fit::{Shape, Tested, most_of_group};
 use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix, thinned};

@@ -1,4 +1,5 @@
-//! Fits in one and two variables: a quarter of the tracks is left out. Of tracks that run side by side one alone is not missed.
+//! Fits in a plane, and of several sheets: a quarter of the tracks is left out. Of tracks that run side by side one alone is not
+//! missed.
 
 use super::super::fit::Shape;
 use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix, thinned};
