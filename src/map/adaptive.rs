@@ -148,8 +148,6 @@ struct Work<'a, 'p> {
     pace: f64,
     /// Of the states, and of the time where that is an axis.
     bounds: Vec<[f64; 2]>,
-    /// The same of where solutions from there lead.
-    reach: Vec<[f64; 2]>,
     axis: Option<TimeAxis>,
     /// dV/dt at the points, where time is an axis.
     rates: Vec<f64>,
@@ -207,7 +205,6 @@ pub fn adaptive(
         rounds: 0,
         pace: 0.0,
         clock: Instant::now(),
-        reach: bounds.clone(),
         bounds,
         axis,
         rates: Vec::new(),
@@ -387,7 +384,6 @@ impl Work<'_, '_> {
         values.sort_by(f64::total_cmp);
         let median = values.get(values.len() / 2).copied().unwrap_or(1.0);
         let floor = self.aim.floor.unwrap_or(FLOOR * median);
-        self.reach_out(&tracks);
         self.add(tracks, floor)?;
         if self.goes_beyond() {
             self.edges(floor)?;
@@ -656,6 +652,7 @@ impl Work<'_, '_> {
             let old = before.as_ref().map(|(pieces, points)| Before {
                 pieces,
                 points: *points,
+                apart: Vec::new(),
             });
             let (pieces, wants) = build(&self.cloud, region, &self.frame, old);
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
@@ -1009,6 +1006,7 @@ impl Work<'_, '_> {
             excess: (checked.said - checked.solved).abs() / checked.bound * 2.0,
             bare: Vec::new(),
             points: (0..self.cloud.len() as u32).filter(near).collect(),
+            dense: false,
         }
     }
 }

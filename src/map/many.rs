@@ -4,6 +4,7 @@ use super::sites::UNLABELLED;
 use super::swift::{Answer, Room, turns_into};
 use super::{At, Coverage, Value, ValueMap, of_states};
 use crate::map::pieces::Here;
+use crate::model::MAP_ERROR_MAX;
 use rayon::prelude::*;
 use std::borrow::Cow;
 
@@ -73,6 +74,8 @@ impl ValueMap {
                         && here.sheets == 1
                     {
                         found[k] = self.as_value(&x[k * n..][..n], here);
+                        // What is for laws only.
+                        found[k].take_if(|(value, _)| self.is_too_rough(value));
                     }
                 });
             });
@@ -140,6 +143,12 @@ impl ValueMap {
             _ => here.p_bound[..n].to_vec(),
         };
         Some((value, bound))
+    }
+
+    /// Whether a value of the map round the region is too uncertain to be one.
+    pub(super) fn is_too_rough(&self, value: &Value) -> bool {
+        let floor = self.beyond.as_ref().map_or(0.0, |beyond| beyond.region.floor);
+        value.coverage == Coverage::Searched && value.v_error > MAP_ERROR_MAX * value.v.abs().max(floor)
     }
 
     /// u of values, and what the bound of p, one component after the other, makes of it.
@@ -254,7 +263,8 @@ impl ValueMap {
                 }
                 Answer::Known(here) => tell(k, Some(here)),
                 Answer::Unknown => tell(k, None),
-                Answer::Elsewhere if self.pieces_alone => tell(k, None),
+                // What is interpolated between solutions far apart is no law.
+                Answer::Elsewhere if self.pieces_alone || self.beyond.is_some() => tell(k, None),
                 Answer::Elsewhere => ask(k, &mut tell),
             }),
             None => (0..x.len() / n).for_each(|k| ask(k, &mut tell)),

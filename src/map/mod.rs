@@ -411,7 +411,8 @@ impl ValueMap {
         let pieces = if asked { pieces } else { self.beyond.as_ref()? };
         let mut values = (pieces.sheets(&x).into_iter())
             .filter(|said| self.solves_isaacs(&s, &said.p))
-            .map(|said| self.value_in_pieces(pieces, &x, &winding, said));
+            .map(|said| self.value_in_pieces(pieces, &x, &winding, said))
+            .filter(|value| !self.is_too_rough(value));
         let lowest = match values.next() {
             Some(value) => Ok(value),
             None if asked => Err(Unknown::Uncertain),

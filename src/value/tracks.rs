@@ -151,7 +151,12 @@ fn onward(
             points.push(track.path.node(0), track.value, number, 0.0);
             continue;
         }
-        let mut v = track.value;
+        // Summed from the end: what is taken from a large V leaves its rounding to a small one.
+        let mut left = vec![solver.scheme.end.at(&track.path.last()[..n]).value; costs.len() + 1];
+        for q in (0..costs.len()).rev() {
+            left[q] = left[q + 1] + costs[q];
+        }
+        left[0] = track.value;
         let mut t = 0.0;
         let mut part = Path {
             width: 2 * n,
@@ -160,6 +165,7 @@ fn onward(
         let mut at = Vec::new();
         for (q, duration) in track.path.durations.iter().enumerate() {
             let (here, next) = (track.path.node(q), track.path.node(q + 1));
+            let (v, after) = (left[q], left[q + 1]);
             if wish.has(&here[..n]) && v <= wish.value_max {
                 points.push(here, v, number, t);
             }
@@ -169,22 +175,20 @@ fn onward(
                 .chain([time * time])
                 .sum::<f64>()
                 .sqrt();
-            let left = (v - costs[q]).abs().max(wish.floor);
-            let fall = (v.abs().max(wish.floor) / left).ln().abs();
+            let fall = (v.abs().max(wish.floor) / after.abs().max(wish.floor)).ln().abs();
             let far = !wish.is_around(&here[..n]) && !wish.is_around(&next[..n]);
             let sparser = if far { SPARSER } else { 1.0 };
             let pieces = (way / wish.spacing).max(fall / wish.change) / sparser;
             let pieces = pieces.ceil().clamp(1.0, 64.0) as usize;
             let outside = !wish.has(&here[..n]) && !wish.has(&next[..n]);
             for r in (1..pieces).filter(|_| !outside) {
-                let after = duration * r as f64 / pieces as f64;
-                part.push(after, here);
-                at.push((v, t + after));
+                let way = duration * r as f64 / pieces as f64;
+                part.push(way, here);
+                at.push((v, t + way));
             }
-            v -= costs[q];
             t += duration;
             // What follows is the local solution's.
-            if wish.horizon.is_none() && v.abs() < 1e-3 * wish.floor {
+            if wish.horizon.is_none() && after.abs() < 1e-3 * wish.floor {
                 break;
             }
         }

@@ -20,28 +20,34 @@ pub struct Beyond {
 }
 
 impl Work<'_, '_> {
-    /// Widens the reach to where tracks lead. A state that has a period comes back by itself; of a game what lies behind a fold
-    /// is no value.
-    pub(super) fn reach_out(&mut self, tracks: &[Track]) {
-        if self.plan.game {
-            return;
+    /// Bounds, as deviations, within which points of tracks are kept. A state that has a period comes back by itself; of a game
+    /// what lies behind a fold is no value.
+    fn farthest(&self, around: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let each = around.iter().zip(&self.plan.periods);
+        each.map(|(&[lo, hi], period)| {
+            let stays = self.plan.game || period.is_some();
+            let more = if stays { 0.0 } else { MOST_REACH * (hi - lo) };
+            [lo - more, hi + more]
+        })
+        .collect()
+    }
+
+    /// The region, widened to where tracks lead.
+    fn reach(&self, region: &Region) -> Region {
+        let mut outer = region.clone();
+        let bounds = self.farthest(&self.wish(region.floor).around);
+        for k in 0..self.points.len() {
+            let (x, _) = self.coordinates(k);
+            for (i, [lo, hi]) in bounds
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| self.plan.periods[*i].is_none())
+            {
+                let x = x[i].clamp(lo + self.plan.system.reference[i], hi + self.plan.system.reference[i]);
+                (outer.lo[i], outer.hi[i]) = (outer.lo[i].min(x), outer.hi[i].max(x));
+            }
         }
-        let whole = || tracks.iter().filter(|t| t.whole).map(|t| &t.path);
-        for (i, period) in self.plan.periods.iter().enumerate() {
-            if period.is_some() {
-                continue;
-            }
-            let [lo, hi] = self.bounds[i];
-            let (width, reference) = (hi - lo, self.plan.system.reference[i]);
-            let met = whole().flat_map(|path| (0..=path.segments()).map(move |k| path.node(k)[i] + reference));
-            let [least, most] = met.fold([lo, hi], |[least, most], x| [least.min(x), most.max(x)]);
-            if least < lo {
-                self.reach[i][0] = (least - AROUND * width).max(lo - MOST_REACH * width);
-            }
-            if most > hi {
-                self.reach[i][1] = (most + AROUND * width).min(hi + MOST_REACH * width);
-            }
-        }
+        outer
     }
 
     /// Where points of tracks are wanted, as deviations, those of states with a period in one of these; and how dense.
@@ -53,11 +59,8 @@ impl Work<'_, '_> {
                 [lo - r - more, hi - r + more]
             })
             .collect();
-        let bounds = (around.iter().zip(self.reach.iter().zip(reference)))
-            .map(|(around, (reach, r))| [around[0].min(reach[0] - r), around[1].max(reach[1] - r)])
-            .collect();
         Wish {
-            bounds,
+            bounds: self.farthest(&around),
             around,
             widths: self.aim.bounds.iter().map(|[lo, hi]| hi - lo).collect(),
             spacing: SPACING,
@@ -72,14 +75,9 @@ impl Work<'_, '_> {
 
     /// The map round the region, if solutions leave it.
     pub(super) fn beyond(&mut self, region: &Region, met: &[Met]) -> Option<Beyond> {
-        if self.reach == self.bounds {
-            return None;
-        }
         let outer = Region {
-            lo: self.reach.iter().map(|b| b[0]).collect(),
-            hi: self.reach.iter().map(|b| b[1]).collect(),
             error: (LARGER * region.error).min(self.aim.error_max),
-            ..region.clone()
+            ..self.reach(region)
         };
         // Points a little within the region's faces keep the two together.
         let mut inner = region.clone();
@@ -118,7 +116,7 @@ impl Work<'_, '_> {
                 cloud.sheet.push(self.tracks[track as usize].sheet);
             }
         }
-        if cloud.is_empty() {
+        if (0..cloud.len()).all(|k| region.covers(&frame.state(cloud.z(k)))) {
             return None;
         }
         let mut pieces = build_around(&cloud, &outer, &frame, region);
@@ -127,8 +125,8 @@ impl Work<'_, '_> {
             .collect();
         // Where they disagree nothing can be solved for: the error seen is the bound.
         met.iter().for_each(|(x, v)| pieces.admit(x, *v));
-        let pieces = pieces.within(self.aim.error_max);
-        (!pieces.pieces.is_empty()).then_some(Beyond { pieces, check })
+        // Whatever its bound, for a law it is better than nothing.
+        Some(Beyond { pieces, check })
     }
 
     /// Points outside the region that the least solutions from fresh states meet, with V.

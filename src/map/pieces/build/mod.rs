@@ -31,6 +31,8 @@ const REACH: f64 = 1.25;
 const BESIDE: f64 = 0.8;
 /// How far beyond their points pieces of several sheets in one cell say something, in half widths.
 const BEYOND_OF_SEVERAL: f64 = 0.05;
+/// Times that cells which disagree with their neighbours are halved at once.
+const HALVINGS_APART: usize = 3;
 /// Share of new points at which a cell in error is fitted again.
 const WORTH_WHILE: f64 = 0.2;
 
@@ -116,8 +118,9 @@ pub struct Want {
     pub excess: f64,
     /// Places that no point is near to, `[place][variable]`.
     pub bare: Vec<f64>,
-    /// Points in the cell and around it.
+    /// Points in the cell and around it, and whether they are enough for its halves.
     pub points: Vec<u32>,
+    pub dense: bool,
 }
 
 /// A box while it is looked at.
@@ -153,25 +156,76 @@ enum Grown {
 pub struct Before<'b> {
     pub pieces: &'b Pieces,
     pub points: usize,
+    /// Cells that are to be halved although their own points tell of no error, because their neighbours say otherwise; none: no
+    /// cell is.
+    pub apart: Vec<bool>,
 }
 
 /// Makes pieces of points; and cells where more points are needed for the error asked for. Cells made before whose pieces
 /// are good enough stay, if they say what the new points say.
 pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Before<'_>>) -> (Pieces, Vec<Want>) {
-    built(cloud, region, frame, (before, None))
+    agreed(cloud, region, frame, (before, None))
 }
 
 /// Makes pieces of a region round another, in which nothing is wanted of them.
 pub fn build_around(cloud: &Cloud, region: &Region, frame: &Frame, inner: &Region) -> Pieces {
-    built(cloud, region, frame, (None, Some(inner))).0
+    agreed(cloud, region, frame, (None, Some(inner))).0
 }
 
-fn built<'c>(
+/// Pieces that agree with their neighbours: of those that do not cells with points enough are halved, and the others' bounds
+/// are raised.
+fn agreed<'c>(
     cloud: &'c Cloud,
     region: &'c Region,
     frame: &'c Frame,
     (before, without): (Option<Before<'c>>, Option<&'c Region>),
 ) -> (Pieces, Vec<Want>) {
+    let mut made = built(cloud, region, frame, (before, without));
+    if cloud.leaves_quarters() {
+        return (made.pieces, wanting(made.wants));
+    }
+    for _ in 0..HALVINGS_APART {
+        let mut apart = vec![false; made.pieces.cells.len()];
+        for (cell, _) in made.pieces.disagreements() {
+            apart[cell] |= made.dense[cell];
+        }
+        if !apart.contains(&true) {
+            break;
+        }
+        let before = Before {
+            pieces: &made.pieces,
+            points: cloud.len(),
+            apart,
+        };
+        made = built(cloud, region, frame, (Some(before), without));
+    }
+    for (cell, disagreement) in made.pieces.disagreements() {
+        made.pieces.raise(cell, disagreement);
+        let excess = &mut made.wants[cell].excess;
+        *excess = excess.max(disagreement / region.error);
+    }
+    (made.pieces, wanting(made.wants))
+}
+
+fn wanting(mut wants: Vec<Want>) -> Vec<Want> {
+    wants.retain(|w| w.excess > 1.0 || !w.bare.is_empty());
+    wants
+}
+
+/// What [`built`] makes, one want a cell.
+struct Built {
+    pieces: Pieces,
+    wants: Vec<Want>,
+    /// Whether the halves of each cell have points enough.
+    dense: Vec<bool>,
+}
+
+fn built(
+    cloud: &Cloud,
+    region: &Region,
+    frame: &Frame,
+    (before, without): (Option<Before<'_>>, Option<&Region>),
+) -> Built {
     let n = cloud.variables;
     let highest = highest_degree(n);
     let builder = Builder {
@@ -193,7 +247,7 @@ fn built<'c>(
         near: cloud.len(),
     };
     // One a cell, in their order.
-    let (grown, mut wants) = builder.grow(whole, root);
+    let (grown, wants) = builder.grow(whole, root);
     let mut pieces = Pieces {
         region: region.clone(),
         frame: frame.clone(),
@@ -206,14 +260,11 @@ fn built<'c>(
     plant(&mut pieces, grown);
     pieces.finish();
     pieces.label();
-    if !cloud.leaves_quarters() {
-        for (cell, disagreement) in pieces.disagreements() {
-            pieces.raise(cell, disagreement);
-            wants[cell].excess = wants[cell].excess.max(disagreement / region.error);
-        }
+    Built {
+        dense: wants.iter().map(|want| want.dense).collect(),
+        pieces,
+        wants,
     }
-    wants.retain(|w| w.excess > 1.0 || !w.bare.is_empty());
-    (pieces, wants)
 }
 
 /// Adds a block's cells and nodes; the number of its node.
@@ -258,16 +309,19 @@ impl Builder<'_> {
                 excess: 0.0,
                 bare: Vec::new(),
                 points: Vec::new(),
+                dense: false,
             };
             return (Grown::Cell(Vec::new(), block.lo, block.hi), vec![nothing]);
         }
+        let mut apart = false;
         if let (Some(before), Some(old)) = (&self.before, old) {
             match before.pieces.nodes[old] {
                 Node::Split {
                     axis, at, below, above, ..
                 } => return self.split(block, axis, at, [Some(below), Some(above)]),
                 Node::Cell(cell) => {
-                    if let Some(kept) = self.kept(&block, before, cell) {
+                    apart = before.apart.get(cell) == Some(&true);
+                    if let Some(kept) = self.kept(&block, before, cell).filter(|_| !apart) {
                         return kept;
                     }
                 }
@@ -275,7 +329,7 @@ impl Builder<'_> {
         }
         let dense = self.is_dense(&block);
         let (own, excess) = self.fitted(&block, dense);
-        let settled = excess <= self.habits.enough;
+        let settled = excess <= self.habits.enough && !apart;
         let axis = self.axis(&block, &own);
         let finest = block.hi[axis] - block.lo[axis] <= 0.5f64.powi(self.habits.most_halvings);
         if settled || !dense || finest {
@@ -392,6 +446,7 @@ impl Builder<'_> {
             excess,
             bare: self.bare_places(block),
             points: block.points.clone(),
+            dense: self.is_dense(block),
         }]
     }
 
