@@ -4,7 +4,7 @@ mod common_commands;
 
 use common_commands::{costate, done, scratch, sections_of};
 use costate::map::pieces::Pieces;
-use costate::map::{Unknown, ValueMap};
+use costate::map::{Coverage, Unknown, ValueMap};
 use costate::output::Stored;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -102,6 +102,49 @@ fn a_smooth_value_is_met_everywhere_with_true_bounds() {
     assert!(quantile(&over, 0.99) <= 1.0 && quantile(&over, 1.0) <= 2.0);
     assert_eq!(summary["share_unmet"], 0.0);
     assert_eq!(summary["check"]["known"], 50);
+}
+
+/// Solutions leave this region for the equilibrium outside it: V is known where they lead, within its bounds, and the law goes
+/// there without a search.
+#[test]
+fn a_law_finds_its_way_where_solutions_leave_the_region() {
+    let lines = "error = 1e-4\nfloor = 1e-3\ncheck = 50\nregion = { x = [0.5, 1.3], y = [-0.4, 0.9] }\n\
+                 [closed_loop]\nfinal_time = 20.0\nsamples = 400\ninitial = { x = [0.5, 1.3], y = [-0.4, 0.9] }\nrandom = 300";
+    let (stored, summary) = made("manufactured", lines);
+    let beyond = stored.map_beyond().unwrap().expect("solutions leave the region");
+    assert!(summary["pieces_beyond"].as_u64().unwrap() >= 1);
+    let [x, y] = [0, 1].map(|i| [beyond.region.lo[i], beyond.region.hi[i]]);
+    assert!(x[0] < 0.2 && x[1] < 2.0, "{x:?} reaches towards the equilibrium");
+    let map = ValueMap::new(&stored).unwrap();
+    let mut over = vec![];
+    for [x, y] in spread([x, y], 2000) {
+        let inside = (0.5..=1.3).contains(&x) && (-0.4..=0.9).contains(&y);
+        let Some(here) = map.at(&[x, y]).lowest.ok().filter(|here| here.in_pieces) else {
+            assert!(!inside, "{x}, {y}");
+            continue;
+        };
+        let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
+        assert_eq!(here.coverage == Coverage::Checked, inside, "{x}, {y}");
+        if !inside {
+            over.push((here.v - v).abs() / here.v_error);
+        }
+    }
+    println!("{} states, over bound {:.2}, {:.2}", over.len(), quantile(&over, 0.99), quantile(&over, 1.0));
+    assert!(over.len() > 500, "{} states outside are known", over.len());
+    assert!(quantile(&over, 0.99) <= 1.0 && quantile(&over, 1.0) <= 3.0);
+    let told = done(costate(&[
+        "evaluate".as_ref(),
+        "--json".as_ref(),
+        "--laws".as_ref(),
+        "map".as_ref(),
+        stored.path.as_os_str(),
+    ]));
+    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+    let law = &told["laws"][0];
+    assert_eq!(law["share_converged"], 1.0, "{law}");
+    assert_eq!(law["fell_back"], 0, "{law}");
+    assert_eq!(law["suboptimality"]["count"], 300, "{law}");
+    assert!(law["suboptimality"]["max"].as_f64().unwrap() < 1e-5, "{law}");
 }
 
 /// p is the gradient of what the map says, also where cells are blended; V is continuous across their faces.

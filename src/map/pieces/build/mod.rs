@@ -184,7 +184,9 @@ fn agreed<'c>(
     if cloud.leaves_quarters() {
         return (made.pieces, wanting(made.wants));
     }
-    for _ in 0..HALVINGS_APART {
+    // Round another region a law needs no more than the bounds to be true.
+    let halvings = if without.is_none() { HALVINGS_APART } else { 0 };
+    for _ in 0..halvings {
         let mut apart = vec![false; made.pieces.cells.len()];
         for (cell, _) in made.pieces.disagreements() {
             apart[cell] |= made.dense[cell];
