@@ -202,6 +202,19 @@ impl ValueMap {
         u
     }
 
+    /// The first component of a state that lies outside the region of the map in pieces, or else of the scene, with its bounds
+    /// there; periods do not count.
+    pub fn outside(&self, x: &[f64]) -> Option<(usize, [f64; 2])> {
+        let bounds = |i: usize| match &self.pieces {
+            Some(pieces) => [pieces.region.lo[i], pieces.region.hi[i]],
+            None => self.plan.region[i].map(|s| s + self.plan.system.reference[i]),
+        };
+        (0..x.len()).map(|i| (i, bounds(i))).find(|(i, [lo, hi])| {
+            let turns = self.plan.periods[*i].map_or(0.0, |period| period * turns_into(x[*i], [*lo, *hi], period));
+            !(*lo..=*hi).contains(&(x[*i] + turns))
+        })
+    }
+
     /// Moves a state into the region of the map in pieces, a little within its faces; false where there is none.
     pub(crate) fn clamp_to_pieces(&self, x: &mut [f64]) -> bool {
         /// Of the region's width.
