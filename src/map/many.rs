@@ -103,14 +103,13 @@ impl ValueMap {
     pub(super) fn as_value(&self, x: &[f64], here: &Here<f64>) -> Option<(Value, Vec<f64>)> {
         let n = x.len();
         let p = here.p[..n].to_vec();
-        let widths = &self.plan.widths;
-        let largest = |p: &[f64]| p.iter().zip(widths).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
+        let bound = here.p_bound[..n].to_vec();
         let value = Value {
             v: here.v,
             p_error: match here.pieces {
-                0 if here.v > 0.0 => here.v_bound / here.v,
-                0 => 0.0,
-                _ => largest(&here.p_bound[..n]) / largest(&p),
+                // A device tells the bound of V alone there.
+                0 if here.v > 0.0 => self.relative(&bound, &p).max(here.v_bound / here.v),
+                _ => self.relative(&bound, &p),
             },
             p,
             rate: self.time.map_or(f64::NAN, |_| here.p[n]),
@@ -133,10 +132,6 @@ impl ValueMap {
                 0 => Coverage::Local,
                 _ => Coverage::Checked,
             },
-        };
-        let bound = match here.pieces {
-            0 => Vec::new(),
-            _ => here.p_bound[..n].to_vec(),
         };
         Some((value, bound))
     }
