@@ -6,7 +6,7 @@ mod places;
 mod quarters;
 mod tracks;
 
-use super::fit::Data;
+use super::fit::{Data, Shape};
 use super::terms::Terms;
 use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree};
 use rayon::join;
@@ -409,6 +409,28 @@ impl Builder<'_> {
         )
     }
 
+    /// A piece with the error over the one asked for; without bounds where its points are too few to tell.
+    fn piece(
+        &self,
+        (center, half): (Vec<f64>, Vec<f64>),
+        (shape, coefficients): (Shape, Vec<f64>),
+        bounds: Option<[f64; 2]>,
+        points: &[u32],
+    ) -> (Piece, f64) {
+        let [bound, p_bound] = bounds.unwrap_or([f64::INFINITY; 2]);
+        let piece = Piece {
+            center,
+            half,
+            shape,
+            coefficients,
+            bound,
+            p_bound,
+            sheet: self.label(points),
+            support: Vec::new(),
+        };
+        (piece, bound / self.region.error)
+    }
+
     fn degree_of(&self, coefficients: &[f64]) -> usize {
         (self.terms.upto.iter())
             .position(|c| *c == coefficients.len())
@@ -440,6 +462,17 @@ impl Builder<'_> {
         }
         counts.iter().max_by_key(|(l, c)| (*c, -*l)).map_or(-1, |(l, _)| *l)
     }
+}
+
+/// The functions of V worth fitting with a high degree, of those with their errors at a low one; and the least of these errors.
+fn shortlist(tried: impl Iterator<Item = (f64, Shape)>) -> Option<(f64, Vec<Shape>)> {
+    let mut tried: Vec<(f64, Shape)> = tried.collect();
+    tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let &(least, _) = tried.first()?;
+    // V itself where nothing is better.
+    let nearly = |shape: Shape| if shape == Shape::Value { 2.0 * NEARLY } else { NEARLY };
+    let good = tried.into_iter().filter(|(e, shape)| *e <= nearly(*shape) * least);
+    Some((least, good.map(|(_, shape)| shape).take(2).collect()))
 }
 
 /// Some of a list, drawn by a hash: in order, neighbours on a track would be left out and kept in turn.

@@ -2,7 +2,7 @@
 //! missed.
 
 use super::super::fit::Shape;
-use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix, thinned};
+use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist, thinned};
 
 /// One of this many tracks is left out of a first fit, to measure its error.
 const LEFT_OUT: u32 = 4;
@@ -47,25 +47,20 @@ impl Builder<'_> {
         };
         let (rough, rough_tests) = (data(&few(&learned), low), data(&few(&tests), low));
         let least = rough.least().min(rough_tests.least());
-        let mut shapes: Vec<(f64, Shape)> = (Shape::ALL.iter())
+        let shapes = (Shape::ALL.iter())
             .filter(|(shape, _)| shape.serves(least))
             .filter_map(|(shape, _)| {
                 let fitted = rough.fits(*shape, low).pop()?;
                 Some((largest(&rough_tests.errors(*shape, &fitted))[0], *shape))
-            })
-            .collect();
-        // V itself where nothing is better.
-        shapes.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let &(first, _) = shapes.first()?;
-        shapes.retain(|(e, shape)| *e <= NEARLY * first || (*shape == Shape::Value && *e <= 2.0 * NEARLY * first));
-        shapes.truncate(2);
+            });
+        let (first, shapes) = shortlist(shapes)?;
         let hopeless = can_be_halved && first > HOPELESS * self.region.error;
         let degree = if hopeless { low } else { highest };
         let most = (self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64).ceil() as usize;
         let learned = data(&thinned(&learned, most), degree);
         let tested = data(&thinned(&tests, MOST_TESTS), degree);
         let mut best: Option<Fit> = None;
-        'tried: for (_, shape) in shapes {
+        'tried: for shape in shapes {
             for coefficients in learned.fits(shape, degree).into_iter().rev().take(3) {
                 let errors = largest(&tested.errors(shape, &coefficients));
                 if best.as_ref().is_none_or(|b| errors[0] < b.errors[0]) {
@@ -99,26 +94,9 @@ impl Builder<'_> {
                 fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
             }
         }
-        let bound = if enough {
-            self.habits.allowance * fit.errors[0]
-        } else {
-            f64::INFINITY
-        };
-        let piece = Piece {
-            center,
-            half,
-            shape: fit.shape,
-            coefficients: fit.coefficients,
-            bound,
-            p_bound: if enough {
-                self.habits.allowance * fit.errors[1]
-            } else {
-                f64::INFINITY
-            },
-            sheet: self.label(points),
-            support: Vec::new(),
-        };
-        Some((piece, bound / self.region.error))
+        let bounds = fit.errors.map(|e| self.habits.allowance * e);
+        let fitted = (fit.shape, fit.coefficients);
+        Some(self.piece((center, half), fitted, enough.then_some(bounds), points))
     }
 
     /// The same polynomial with all of its points, now that its error is known.

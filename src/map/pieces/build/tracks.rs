@@ -1,7 +1,7 @@
 //! Fits of one sheet in three variables and more: each track is left out in turn, which one factorization tells.
 
 use super::super::fit::{Shape, Tested, most_of_group};
-use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, NEARLY, Piece, largest, mix, thinned};
+use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist, thinned};
 
 /// Points beside those fitted to that test a fit, at most.
 const MOST_TESTS: usize = 150;
@@ -47,18 +47,13 @@ impl Builder<'_> {
         let few = used(low);
         let rough = self.data(&center, &half, &few, low);
         let least = rough.least();
-        let mut shapes: Vec<(f64, Shape)> = (Shape::ALL.iter())
+        let shapes = (Shape::ALL.iter())
             .filter(|(shape, _)| shape.serves(least))
             .filter_map(|(shape, _)| {
                 let tested = rough.tested(*shape, low, (1, 0.0), |k| inside(&few[k])).pop()?;
                 Some((tested.errors[0], *shape))
-            })
-            .collect();
-        // V itself where nothing is better.
-        shapes.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let &(first, _) = shapes.first()?;
-        shapes.retain(|(e, shape)| *e <= NEARLY * first || (*shape == Shape::Value && *e <= 2.0 * NEARLY * first));
-        shapes.truncate(2);
+            });
+        let (first, shapes) = shortlist(shapes)?;
         let hopeless = can_be_halved && first > HOPELESS * self.region.error;
         let degree = if hopeless { low } else { highest };
         let mine = used(degree);
@@ -66,7 +61,7 @@ impl Builder<'_> {
         let learned = self.data(&center, &half, &mine, degree);
         let mut best: Option<(Shape, Tested)> = None;
         let good = self.habits.enough * self.region.error / self.habits.allowance;
-        for (_, shape) in shapes {
+        for shape in shapes {
             for tested in learned.tested(shape, degree, (DEGREES, good), |k| inside(&mine[k])) {
                 if best.as_ref().is_none_or(|(_, b)| tested.errors[0] < b.errors[0]) {
                     best = Some((shape, tested));
@@ -87,26 +82,10 @@ impl Builder<'_> {
             let errors = largest(&errors);
             fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
         }
-        let bound = if enough {
-            (self.habits.allowance * fit.errors[0]).max(LEAST_BOUND * self.region.error)
-        } else {
-            f64::INFINITY
-        };
-        let piece = Piece {
-            center,
-            half,
-            shape,
-            coefficients: fit.coefficients,
-            bound,
-            p_bound: if enough {
-                self.habits.allowance * fit.errors[1]
-            } else {
-                f64::INFINITY
-            },
-            sheet: self.label(points),
-            support: Vec::new(),
-        };
-        Some((piece, bound / self.region.error))
+        let mut bounds = fit.errors.map(|e| self.habits.allowance * e);
+        bounds[0] = bounds[0].max(LEAST_BOUND * self.region.error);
+        let fitted = (shape, fit.coefficients);
+        Some(self.piece((center, half), fitted, enough.then_some(bounds), points))
     }
 
     /// A piece at whose edge points are missing errs more: beyond the outermost of them nothing tells.
