@@ -134,7 +134,8 @@ struct RunArgs {
     out: Option<PathBuf>,
     #[command(flatten)]
     numerics: NumericsArgs,
-    /// Seed of random choices: which trajectories and states the error is estimated from. Results do not depend on it.
+    /// Seed of random choices: which trajectories and states the error is estimated from, and the fresh states by which a map
+    /// is checked. Results do not depend on it, but for what a check asks to be mended.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Make no report (page and pictures) at the end of `run`.
