@@ -108,7 +108,7 @@ impl ValueMap {
             v: here.v,
             p_error: match here.pieces {
                 // A device tells the bound of V alone there.
-                0 if here.v > 0.0 => self.relative(&bound, &p).max(here.v_bound / here.v),
+                0 if here.v > 0.0 && bound.iter().all(|b| *b == 0.0) => here.v_bound / here.v,
                 _ => self.relative(&bound, &p),
             },
             p,
