@@ -433,7 +433,7 @@ fn a_signal_leaves_no_hidden_file() {
     use std::time::{Duration, Instant};
     let folder = folder("signal");
     // No budget ends this map.
-    let scene = format!("{SCENE}\n[map]\nerror = 1e-13\nerror_max = 1.0\nfloor = 1e-12\ncheck = 200\n");
+    let scene = format!("{SCENE}\n[map]\nerror = 1e-8\nerror_max = 1.0\nfloor = 1e-9\ncheck = 200\n");
     let scene = scene.replace("-x + u", "-sin(9*x) + v^3 + u");
     std::fs::write(folder.join("scene.toml"), scene).unwrap();
     std::fs::write(folder.join("out.h5"), "older").unwrap();
