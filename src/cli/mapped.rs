@@ -1,7 +1,7 @@
 //! What a run says of a map that was made to an error.
 
 use super::report::{Done, quantiles};
-use crate::map::{Adaptive, Checked};
+use crate::map::{Adaptive, Beyond, Checked};
 use crate::model::MOST_MAP_STATES;
 use crate::value::PointStatus;
 
@@ -16,9 +16,8 @@ struct Shown {
     said_of_none: usize,
 }
 
-fn shown(made: &Adaptive) -> Shown {
-    let floor = made.pieces.region.floor;
-    let solved: Vec<&Checked> = (made.check.iter())
+fn shown(check: &[Checked], floor: f64) -> Shown {
+    let solved: Vec<&Checked> = (check.iter())
         .filter(|c| c.solved.is_finite() && c.status != PointStatus::AboveMax)
         .collect();
     let known: Vec<&&Checked> = solved.iter().filter(|c| c.said.is_finite()).collect();
@@ -32,7 +31,7 @@ fn shown(made: &Adaptive) -> Shown {
         known: known.len(),
         error: quantiles(&error),
         over_bound: quantiles(&over_bound),
-        said_of_none: (made.check.iter())
+        said_of_none: (check.iter())
             .filter(|c| !c.solved.is_finite() && c.said.is_finite() && c.status != PointStatus::AboveMax)
             .count(),
     }
@@ -80,7 +79,7 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
     if made.check.is_empty() {
         return lines;
     }
-    let shown = shown(made);
+    let shown = shown(&made.check, made.pieces.region.floor);
     if shown.known == 0 {
         lines.push(format!(
             "  check with {} fresh states, never used in the map: {} solved, none of them known",
@@ -105,7 +104,33 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
             shown.said_of_none
         ));
     }
+    lines.extend(made.beyond.as_ref().map(|beyond| of_beyond(done, beyond)));
     lines
+}
+
+/// Where solutions leave the region, and what is known there.
+fn of_beyond(done: &Done<'_>, beyond: &Beyond) -> String {
+    let region = &beyond.pieces.region;
+    let bounds = done.names.iter().zip(region.lo.iter().zip(&region.hi));
+    let bounds: Vec<String> = bounds
+        .map(|(name, (lo, hi))| format!("{name} {lo:.4} to {hi:.4}"))
+        .collect();
+    let mut line = format!(
+        "  solutions leave the region: for laws {} pieces where they lead ({})",
+        beyond.pieces.pieces.len(),
+        bounds.join(", ")
+    );
+    let shown = shown(&beyond.check, region.floor);
+    if shown.known > 0 {
+        line += &format!(
+            "; of {} points there on the fresh states' {:.1} % known, relative error of V: median {:.1e}, 99 % {:.1e}",
+            shown.solved,
+            100.0 * shown.known as f64 / shown.solved as f64,
+            shown.error[0],
+            shown.error[1]
+        );
+    }
+    line
 }
 
 /// On a finite horizon whether the map is V(x, t), or why not.
@@ -127,7 +152,7 @@ fn of_what(done: &Done<'_>, made: &Adaptive) -> String {
 }
 
 pub(super) fn as_json(made: &Adaptive, states: usize) -> serde_json::Value {
-    let shown = shown(made);
+    let shown = shown(&made.check, made.pieces.region.floor);
     let quantiles = |q: [f64; 3]| serde_json::json!({ "median": q[0], "p99": q[1], "max": q[2] });
     serde_json::json!({
         "time": made.pieces.region.hi.get(states),
@@ -136,6 +161,7 @@ pub(super) fn as_json(made: &Adaptive, states: usize) -> serde_json::Value {
         "first_search": { "states": made.first[0], "wanted": made.first[1] },
         "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet,
         "error_max": made.error_max, "share_uncertain": made.uncertain,
+        "pieces_beyond": made.beyond.as_ref().map(|beyond| beyond.pieces.pieces.len()),
         "check": {
             "states": made.check.len(), "solved": shown.solved, "known": shown.known,
             "V_error": quantiles(shown.error), "V_error_over_bound": quantiles(shown.over_bound),

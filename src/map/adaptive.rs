@@ -1,10 +1,11 @@
 //! A map to the error asked for: states are chosen, solved, and their extremals cut into points, until pieces fitted to these
 //! say what points that were left out say, and what fresh states say that were never used.
 
+mod beyond;
 mod first;
 mod horizon;
 
-use super::pieces::{Before, Cloud, Frame, MOST_VARIABLES, Pieces, Region, Steep, Want, build};
+use super::pieces::{Before, Cloud, Frame, MOST_VARIABLES, Pieces, Region, Said, Steep, Want, build};
 use crate::backend::BackendError;
 use crate::model::{MapAim, Model};
 use crate::shooting::{Path, Solver};
@@ -13,6 +14,7 @@ use crate::value::{
     self, Answers, Archive, Entry, PointStatus, Progress, Request, Track, TrackPoints, Wish, path_from, solve_near,
     track_points,
 };
+pub use beyond::Beyond;
 use first::{FACES, WITHIN};
 use horizon::{CHECKED, FIRST_TIMES, TimeAxis};
 use std::collections::{BTreeMap, HashMap};
@@ -77,9 +79,23 @@ pub struct Checked {
     pub bound: f64,
 }
 
+impl Checked {
+    fn of(x: &[f64], (status, solved): (PointStatus, f64), said: Option<&Said>) -> Self {
+        Self {
+            x: x.to_vec(),
+            status,
+            solved,
+            said: said.map_or(f64::NAN, |s| s.v),
+            bound: said.map_or(f64::NAN, |s| s.v_bound),
+        }
+    }
+}
+
 /// What came of it.
 pub struct Adaptive {
     pub pieces: Pieces,
+    /// Of an infinite horizon and of V(x, t): where solutions from the region lead.
+    pub beyond: Option<Beyond>,
     pub check: Vec<Checked>,
     /// States solved for, and tried without an answer.
     pub states: usize,
@@ -108,6 +124,9 @@ struct Errand {
     only_bare: bool,
 }
 
+/// A point that a solution meets, with V.
+type Met = (Vec<f64>, f64);
+
 struct Work<'a, 'p> {
     plan: &'a Plan,
     model: &'a Model,
@@ -135,6 +154,8 @@ struct Work<'a, 'p> {
     pace: f64,
     /// Of the states, and of the time where that is an axis.
     bounds: Vec<[f64; 2]>,
+    /// The same of where solutions from there lead.
+    reach: Vec<[f64; 2]>,
     axis: Option<TimeAxis>,
     /// dV/dt at the points, where time is an axis.
     rates: Vec<f64>,
@@ -193,6 +214,7 @@ pub fn adaptive(
         first: [0; 2],
         pace: 0.0,
         clock: Instant::now(),
+        reach: bounds.clone(),
         bounds,
         axis,
         rates: Vec::new(),
@@ -212,11 +234,11 @@ fn mixed(mut z: u64) -> f64 {
 impl Work<'_, '_> {
     fn run(&mut self, mut region: Region) -> Result<Adaptive, BackendError> {
         region.floor = self.first()?;
-        let mut check = Vec::new();
+        let (mut check, mut met) = (Vec::new(), Vec::new());
         let mut pieces = self.refined(&region, Vec::new())?;
         let mut known = pieces.within(self.aim.error_max);
         for attempt in 0..CHECKS {
-            check = self.checked(&known)?;
+            (check, met) = self.checked(&known)?;
             let wrong: Vec<&Checked> = (check.iter())
                 .filter(|c| c.status != PointStatus::AboveMax && (c.said - c.solved).abs() > c.bound)
                 .collect();
@@ -259,6 +281,7 @@ impl Work<'_, '_> {
             unmet: share(&unmet),
             uncertain: share(&|x| pieces.at(x).is_some() && known.at(x).is_none()),
             error_max: self.aim.error_max,
+            beyond: self.beyond(&region, &met),
             pieces: known,
             check,
             states: self.states,
@@ -381,6 +404,7 @@ impl Work<'_, '_> {
         values.sort_by(f64::total_cmp);
         let median = values.get(values.len() / 2).copied().unwrap_or(1.0);
         let floor = self.aim.floor.unwrap_or(FLOOR * median);
+        self.reach_out(&tracks);
         self.add(tracks, floor)?;
         if self.goes_beyond() {
             self.edges(floor)?;
@@ -513,38 +537,25 @@ impl Work<'_, '_> {
 
     /// Adds tracks and their points.
     fn add(&mut self, tracks: Vec<Track>, floor: f64) -> Result<(), BackendError> {
-        let reference = &self.plan.system.reference;
-        let bounds: Vec<[f64; 2]> = (self.aim.bounds.iter().zip(reference))
-            .map(|([lo, hi], r)| {
-                let more = AROUND * (hi - lo);
-                [lo - r - more, hi - r + more]
-            })
-            .collect();
-        let wish = Wish {
-            bounds,
-            widths: self.aim.bounds.iter().map(|[lo, hi]| hi - lo).collect(),
-            spacing: SPACING,
-            change: CHANGE,
-            floor,
-            value_max: self.most_value(),
-            onward: self.plan.local.is_some() || self.axis.is_some(),
-            horizon: self.axis.as_ref().map(|axis| axis.last),
-            beyond: self.goes_beyond(),
-        };
-        // Of a state with a period any number of periods away will do.
-        let wide = (wish.bounds.iter().zip(&self.plan.periods)).map(|(b, period)| {
-            if period.is_some() {
-                [f64::NEG_INFINITY, f64::INFINITY]
-            } else {
-                *b
-            }
-        });
-        let (wide, bounds) = (wide.collect(), wish.bounds);
-        let wish = Wish { bounds: wide, ..wish };
+        let wish = self.wish(floor);
         let first = self.tracks.len() as u32;
-        let found = track_points(self.plan, self.solver, &tracks, first, &wish)?;
-        self.keep(tracks, found, &bounds);
+        let found = track_points(self.plan, self.solver, &tracks, first, &self.in_any_period(&wish))?;
+        self.keep(tracks, found, (&wish.bounds, &wish.around));
         Ok(())
+    }
+
+    /// Of a state with a period any number of periods away will do.
+    fn in_any_period(&self, wish: &Wish) -> Wish {
+        let wide = |bounds: &[[f64; 2]]| -> Vec<[f64; 2]> {
+            let each = bounds.iter().zip(&self.plan.periods);
+            each.map(|(b, period)| period.map_or(*b, |_| [f64::NEG_INFINITY, f64::INFINITY]))
+                .collect()
+        };
+        Wish {
+            bounds: wide(&wish.bounds),
+            around: wide(&wish.around),
+            ..wish.clone()
+        }
     }
 
     /// Points at the end of the horizon, where V is the terminal cost, at states (with a time or without).
@@ -572,11 +583,11 @@ impl Work<'_, '_> {
                 whole: false,
             });
         }
-        self.keep(tracks, found, &bounds);
+        self.keep(tracks, found, (&bounds, &bounds));
     }
 
-    /// Keeps tracks with their points.
-    fn keep(&mut self, tracks: Vec<Track>, found: TrackPoints, bounds: &[[f64; 2]]) {
+    /// Keeps tracks with their points: within bounds, and of those around the region as points of the cloud.
+    fn keep(&mut self, tracks: Vec<Track>, found: TrackPoints, (bounds, around): (&[[f64; 2]], &[[f64; 2]])) {
         let n = self.plan.system.states;
         let v = self.cloud.variables;
         let reference = &self.plan.system.reference;
@@ -591,6 +602,10 @@ impl Work<'_, '_> {
             self.of_track[track as usize].push(number);
             let node = found.node(k);
             for mut shift in self.shifts(&node[..n], bounds) {
+                let near = |i: usize| (around[i][0]..=around[i][1]).contains(&(node[i] + shift[i]));
+                if !(0..n).all(near) {
+                    continue;
+                }
                 let mut x: Vec<f64> = (0..n).map(|i| node[i] + shift[i] + reference[i]).collect();
                 let mut p = node[n..].to_vec();
                 if let Some(axis) = &self.axis {
@@ -699,7 +714,7 @@ impl Work<'_, '_> {
 
     /// Turns the frame to where V is steep, relative to itself, if that is in one direction; whether it was turned.
     fn turn(&mut self, region: &Region) -> bool {
-        let places = self.steep_places(region);
+        let places = self.steep_places(region, None);
         let Some(frame) = Frame::fitted(region, &places) else {
             return false;
         };
@@ -719,8 +734,8 @@ impl Work<'_, '_> {
         true
     }
 
-    /// Points in the region with V's slopes relative to itself; all parts of the region weigh the same.
-    fn steep_places(&self, region: &Region) -> Vec<Steep> {
+    /// Points in the region, but not in a part of it, with V's slopes relative to itself; all parts weigh the same.
+    fn steep_places(&self, region: &Region, without: Option<&Region>) -> Vec<Steep> {
         let n = self.cloud.variables;
         let a_side = if n <= 4 { 8.0 } else { 4.0 };
         let mut counts: HashMap<Vec<u8>, f64> = HashMap::new();
@@ -729,7 +744,7 @@ impl Work<'_, '_> {
         for k in 0..self.points.len() {
             let (x, p) = self.coordinates(k);
             let t: Vec<f64> = (0..n).map(|i| (x[i] - region.lo[i]) / region.width(i)).collect();
-            if !t.iter().all(|t| (0.0..=1.0).contains(t)) {
+            if !t.iter().all(|t| (0.0..=1.0).contains(t)) || without.is_some_and(|part| part.covers(&x)) {
                 continue;
             }
             let part: Vec<u8> = t.iter().map(|t| (t * a_side) as u8).collect();
@@ -866,9 +881,7 @@ impl Work<'_, '_> {
                 .map(|i| want.lo[i] + (want.hi[i] - want.lo[i]) * self.uniform())
                 .collect();
             let x = self.frame.state(&z);
-            (0..n)
-                .all(|i| x[i] >= region.lo[i] && x[i] <= region.hi[i])
-                .then_some(z)
+            region.covers(&x).then_some(z)
         })
     }
 
@@ -966,8 +979,8 @@ impl Work<'_, '_> {
         path_from(&self.tracks[track], self.points.node(number), t, &later)
     }
 
-    /// Fresh states, solved from scratch and looked up.
-    fn checked(&mut self, pieces: &Pieces) -> Result<Vec<Checked>, BackendError> {
+    /// Fresh states, solved from scratch and looked up; and what their solutions meet outside the region, with V.
+    fn checked(&mut self, pieces: &Pieces) -> Result<(Vec<Checked>, Vec<Met>), BackendError> {
         let n = self.cloud.variables;
         let mut states = self.fresh(self.aim.check);
         if self.axis.is_some() {
@@ -983,10 +996,10 @@ impl Work<'_, '_> {
                 of[*number] = (group, *target);
             }
         }
-        Ok((states.chunks(n).zip(of))
+        let met = self.met_beyond(&all, &pieces.region)?;
+        let check = (states.chunks(n).zip(of))
             .map(|(x, (group, target))| {
                 let answers = &all[group].1;
-                let said = pieces.at(x);
                 let above = answers
                     .answer(target)
                     .is_some_and(|a| a.value > pieces.region.value_max);
@@ -995,15 +1008,11 @@ impl Work<'_, '_> {
                 } else {
                     answers.status(target)
                 };
-                Checked {
-                    x: x.to_vec(),
-                    status,
-                    solved: answers.answer(target).map_or(f64::NAN, |e| e.value),
-                    said: said.as_ref().map_or(f64::NAN, |s| s.v),
-                    bound: said.as_ref().map_or(f64::NAN, |s| s.v_bound),
-                }
+                let solved = answers.answer(target).map_or(f64::NAN, |e| e.value);
+                Checked::of(x, (status, solved), pieces.at(x).as_ref())
             })
-            .collect())
+            .collect();
+        Ok((check, met))
     }
 
     /// More states for the cell round a fresh state.

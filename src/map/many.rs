@@ -104,6 +104,7 @@ impl ValueMap {
         let n = x.len();
         let p = here.p[..n].to_vec();
         let bound = here.p_bound[..n].to_vec();
+        let (moved, winding) = self.wound(self.pieces.as_ref()?, x);
         let value = Value {
             v: here.v,
             p_error: match here.pieces {
@@ -126,11 +127,11 @@ impl ValueMap {
                 0 => (x.iter().zip(&self.plan.system.reference).zip(&self.plan.periods))
                     .map(|((x, r), period)| period.map_or(0, |p| -((x - r) / p).round() as i32))
                     .collect(),
-                _ => self.wound(self.pieces.as_ref()?, x)?.1,
+                _ => winding,
             },
             coverage: match here.pieces {
                 0 => Coverage::Local,
-                _ => Coverage::Checked,
+                _ => self.coverage_of_pieces(&moved),
             },
         };
         Some((value, bound))

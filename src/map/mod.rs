@@ -28,7 +28,7 @@ pub mod pieces;
 mod sites;
 mod swift;
 
-pub use adaptive::{Adaptive, Checked, adaptive};
+pub use adaptive::{Adaptive, Beyond, Checked, adaptive};
 pub use coverage::{Coverage, Fronts};
 pub use device::{DeviceError, DeviceMap};
 pub use many::Many;
@@ -146,6 +146,8 @@ pub struct ValueMap {
     own_errors: Option<OwnErrors>,
     /// A map that was made to an error: it answers within its region.
     pieces: Option<Pieces>,
+    /// Of use outside the region of these.
+    beyond: Option<Pieces>,
     /// The final time, where the pieces have time as their last coordinate.
     time: Option<f64>,
     /// The same for many states; `None` in a game, whose answers are checked one by one.
@@ -204,6 +206,7 @@ impl ValueMap {
         let fronts = Fronts::of(stored, &plan, trajectories.as_ref());
         let sites = Sites::collect(stored, &plan, trajectories)?;
         let pieces = stored.map_pieces()?;
+        let beyond = stored.map_beyond()?.filter(|_| pieces.is_some());
         let nothing_else = sites.source.iter().all(|s| *s == Source::Local);
         if pieces.is_none() && nothing_else {
             return Err(MapError::Empty {
@@ -220,7 +223,8 @@ impl ValueMap {
         fn blank<T>(count: usize) -> Vec<OnceLock<T>> {
             (0..count).map(|_| OnceLock::new()).collect()
         }
-        let swift = (pieces.as_ref().filter(|_| !plan.game)).and_then(|pieces| Swift::new(pieces, &plan));
+        let swift =
+            (pieces.as_ref().filter(|_| !plan.game)).and_then(|pieces| Swift::new(pieces, beyond.as_ref(), &plan));
         let mut this = Self {
             tree: index(&sites.z, states),
             nodal: blank(sites.len()),
@@ -240,6 +244,7 @@ impl ValueMap {
             pieces_alone: pieces.is_some() && nothing_else,
             time: (pieces.as_ref().filter(|p| p.states() > states)).and(stored.model.final_time()),
             pieces,
+            beyond,
             swift,
         };
         this.windings = this.possible_windings();
@@ -399,19 +404,22 @@ impl ValueMap {
         }
     }
 
-    /// What the map in pieces says; `None` outside its region.
+    /// What the map in pieces says; `None` outside its region where the one round it does not know either.
     fn in_pieces(&self, x: &[f64], t: f64) -> Option<At> {
         let pieces = self.pieces.as_ref().filter(|_| t == 0.0 || self.time.is_some())?;
-        let (mut x, winding) = self.wound(pieces, x)?;
+        let (mut x, winding) = self.wound(pieces, x);
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
         x.extend(self.time.map(|_| t));
-        if !pieces.covers(&x) {
-            return None;
-        }
+        let asked = pieces.covers(&x);
+        let pieces = if asked { pieces } else { self.beyond.as_ref()? };
         let mut values = (pieces.sheets(&x).into_iter())
             .filter(|said| self.solves_isaacs(&s, &said.p))
             .map(|said| self.value_in_pieces(pieces, &x, &winding, said));
-        let lowest = values.next().ok_or(Unknown::Uncertain);
+        let lowest = match values.next() {
+            Some(value) => Ok(value),
+            None if asked => Err(Unknown::Uncertain),
+            None => return None,
+        };
         Some(At {
             lowest,
             others: values.collect(),
@@ -419,7 +427,7 @@ impl ValueMap {
     }
 
     /// A state moved by whole periods into the region of a map in pieces, with the numbers of periods.
-    fn wound(&self, pieces: &Pieces, x: &[f64]) -> Option<(Vec<f64>, Vec<i32>)> {
+    fn wound(&self, pieces: &Pieces, x: &[f64]) -> (Vec<f64>, Vec<i32>) {
         let mut x = x.to_vec();
         let mut winding = vec![0; x.len()];
         for (i, period) in self.plan.periods.iter().enumerate() {
@@ -428,7 +436,7 @@ impl ValueMap {
             winding[i] = turns as i32;
             x[i] += turns * period;
         }
-        pieces.covers(&x).then_some((x, winding))
+        (x, winding)
     }
 
     /// `x` and what is said of it have the time where that is an axis.
@@ -454,7 +462,15 @@ impl ValueMap {
             nearest: 0.0,
             in_pieces: true,
             winding: winding.to_vec(),
-            coverage: Coverage::Checked,
+            coverage: self.coverage_of_pieces(x),
+        }
+    }
+
+    /// Of a state within a period of the region: outside it the map has what solutions from there met.
+    fn coverage_of_pieces(&self, x: &[f64]) -> Coverage {
+        match self.pieces.as_ref().is_some_and(|asked| asked.covers(x)) {
+            true => Coverage::Checked,
+            false => Coverage::Searched,
         }
     }
 

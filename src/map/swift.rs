@@ -26,7 +26,7 @@ pub enum Answer<'a, T> {
     Known(&'a Here<T>),
     /// In the region, but nothing is known there.
     Unknown,
-    /// Outside the region of the pieces: others may know.
+    /// Outside the region of the pieces, and those round it do not know either: others may.
     Elsewhere,
 }
 
@@ -34,6 +34,8 @@ pub enum Answer<'a, T> {
 pub struct Swift<T> {
     around: Option<Around<T>>,
     flat: Flat<T>,
+    /// Of use outside the region of the first.
+    beyond: Option<Flat<T>>,
     reference: Vec<T>,
     /// Period, and lower and upper bound of the region, of each state that has one.
     periods: Vec<(usize, T, [T; 2])>,
@@ -65,6 +67,9 @@ pub struct Room<T> {
     deviations: Vec<f64>,
     inside: Vec<u32>,
     x: Vec<T>,
+    /// The same of those outside the region, and coordinates there.
+    outside: Vec<u32>,
+    far: Vec<T>,
     monomials: Vec<Lanes<T, LANES>>,
 }
 
@@ -77,6 +82,8 @@ impl<T: Real> Room<T> {
             deviations: Vec::new(),
             inside: Vec::new(),
             x: Vec::new(),
+            outside: Vec::new(),
+            far: Vec::new(),
             monomials: Vec::new(),
         }
     }
@@ -90,7 +97,7 @@ impl<T: Real> Default for Room<T> {
 
 impl<T: Real> Swift<T> {
     /// `None` where the local solution is a polynomial of too high a degree.
-    pub fn new(pieces: &Pieces, plan: &Plan) -> Option<Self> {
+    pub fn new(pieces: &Pieces, beyond: Option<&Pieces>, plan: &Plan) -> Option<Self> {
         let around = match &plan.local {
             Some(local) => Some(Around::new(local, &plan.system.reference)?),
             None => None,
@@ -102,6 +109,7 @@ impl<T: Real> Swift<T> {
         Some(Self {
             around,
             flat: Flat::new(pieces),
+            beyond: beyond.map(Flat::new),
             // Time is a coordinate of its own.
             reference: (plan.system.reference.iter().copied().chain([0.0]).take(pieces.states()))
                 .map(T::of)
@@ -140,6 +148,8 @@ impl<T: Real> Swift<T> {
         room.deviations.clear();
         room.inside.clear();
         room.x.clear();
+        room.outside.clear();
+        room.far.clear();
         for (k, x) in x.chunks_exact(n).enumerate() {
             if self.is_near(x, &mut room.z, &mut room.deviations) {
                 room.near.push(k as u32);
@@ -153,6 +163,9 @@ impl<T: Real> Swift<T> {
             if self.flat.covers(&moved[..n]) {
                 room.inside.push(k as u32);
                 room.x.extend_from_slice(&moved[..n]);
+            } else if self.beyond.is_some() {
+                room.outside.push(k as u32);
+                room.far.extend_from_slice(&moved[..n]);
             } else {
                 tell(k, Answer::Elsewhere);
             }
@@ -164,6 +177,8 @@ impl<T: Real> Swift<T> {
             deviations,
             inside,
             x,
+            outside,
+            far,
             monomials,
         } = room;
         if let Some(around) = &self.around {
@@ -174,6 +189,11 @@ impl<T: Real> Swift<T> {
         self.flat.each::<FMA>(x, second, desk, |k, here| {
             tell(inside[k] as usize, here.map_or(Answer::Unknown, Answer::Known));
         });
+        if let Some(beyond) = &self.beyond {
+            beyond.each::<FMA>(far, second, desk, |k, here| {
+                tell(outside[k] as usize, here.map_or(Answer::Elsewhere, Answer::Known));
+            });
+        }
     }
 
     /// Whether the local solution holds at a state; then its coordinates are added, and what their errors are told by.

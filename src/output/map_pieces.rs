@@ -1,4 +1,4 @@
-//! The groups `/map_pieces` and `/map_check`.
+//! The groups `/map_pieces`, `/map_beyond` and `/map_check`.
 
 use super::answers::{Names, status};
 use super::{Dimension, Group, OutputError, ResultFile, Stored, StoredError, TrajectorySchema, Variable};
@@ -6,6 +6,7 @@ use crate::map::Adaptive;
 use crate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
 
 const PIECES: &str = "map_pieces";
+const BEYOND: &str = "map_beyond";
 const CHECK: &str = "map_check";
 /// Axis of a node that is a cell.
 const LEAF: i32 = -1;
@@ -22,7 +23,12 @@ impl ResultFile {
         let n = schema.states.len();
         let timed = made.pieces.states() > n;
         if !made.pieces.pieces.is_empty() {
-            self.write_pieces(&names, timed.then_some((schema, time)), &made.pieces)?;
+            let title = "value function in pieces: cells of a region with a polynomial each";
+            self.write_pieces(&names, timed.then_some((schema, time)), (PIECES, title), &made.pieces)?;
+        }
+        if let Some(beyond) = &made.beyond {
+            let title = "the same where solutions from the region lead, of use outside the region only";
+            self.write_pieces(&names, timed.then_some((schema, time)), (BEYOND, title), &beyond.pieces)?;
         }
         if made.check.is_empty() {
             return Ok(());
@@ -66,6 +72,7 @@ impl ResultFile {
         &mut self,
         names: &Names<'_>,
         time: Option<(&TrajectorySchema, &str)>,
+        (group, title): (&'static str, &str),
         pieces: &Pieces,
     ) -> Result<(), OutputError> {
         // Of what V is a function: the states, or these and the time.
@@ -76,11 +83,8 @@ impl ResultFile {
             .iter()
             .flat_map(|p| p.coefficients.iter().copied())
             .collect();
-        let group = Group::new(PIECES)
-            .attribute(
-                "title",
-                "value function in pieces: cells of a region with a polynomial each",
-            )
+        let group = Group::new(group)
+            .attribute("title", title)
             .dimension(Dimension::index("coordinate", region.lo.len()))
             .dimension(Dimension::index("node", pieces.nodes.len()))
             .dimension(Dimension::index("way", pieces.directions.len()))
@@ -252,7 +256,19 @@ impl Stored {
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it.
     pub fn map_pieces(&self) -> Result<Option<Pieces>, StoredError> {
-        let Some(group) = self.group(PIECES) else {
+        self.read_pieces(PIECES)
+    }
+
+    /// The map round it, where solutions from its region lead.
+    ///
+    /// # Errors
+    /// As above.
+    pub fn map_beyond(&self) -> Result<Option<Pieces>, StoredError> {
+        self.read_pieces(BEYOND)
+    }
+
+    fn read_pieces(&self, group: &str) -> Result<Option<Pieces>, StoredError> {
+        let Some(group) = self.group(group) else {
             return Ok(None);
         };
         // The states, and on a finite horizon the time where it is an axis.

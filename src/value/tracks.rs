@@ -10,6 +10,8 @@ use crate::sweep::Plan;
 
 /// Points of an extremal beyond the state it was solved for.
 const MOST_BEYOND: usize = 400;
+/// How many times further apart points are where they are not wanted for themselves.
+const SPARSER: f64 = 2.0;
 /// An extremal is followed backward while H stays below this share of the terms that it is the sum of.
 const MOST_DRIFT: f64 = 1e-7;
 /// Shortest segment of a guess, as a share of the longest of the extremal it comes from.
@@ -63,6 +65,9 @@ impl TrackPoints {
 pub struct Wish {
     /// Bounds of the states, as deviations; points outside are left out.
     pub bounds: Vec<[f64; 2]>,
+    /// The part of these where points are as dense as is said here; elsewhere they are [`SPARSER`]. Tracks are followed
+    /// backward in this part only.
+    pub around: Vec<[f64; 2]>,
     /// What distances are measured in, one a state.
     pub widths: Vec<f64>,
     /// Largest distance between neighbouring points of a track, in widths, and largest change of log V.
@@ -82,12 +87,20 @@ pub struct Wish {
 
 impl Wish {
     fn has(&self, s: &[f64]) -> bool {
-        s.iter().zip(&self.bounds).all(|(s, [lo, hi])| s >= lo && s <= hi)
+        within(s, &self.bounds)
+    }
+
+    fn is_around(&self, s: &[f64]) -> bool {
+        within(s, &self.around)
     }
 
     fn width(&self, i: usize) -> f64 {
         self.widths[i]
     }
+}
+
+fn within(s: &[f64], bounds: &[[f64; 2]]) -> bool {
+    s.iter().zip(bounds).all(|(s, [lo, hi])| s >= lo && s <= hi)
 }
 
 /// Points of tracks, those numbered from `first` on.
@@ -158,7 +171,10 @@ fn onward(
                 .sqrt();
             let left = (v - costs[q]).abs().max(wish.floor);
             let fall = (v.abs().max(wish.floor) / left).ln().abs();
-            let pieces = (way / wish.spacing).max(fall / wish.change).ceil().clamp(1.0, 64.0) as usize;
+            let far = !wish.is_around(&here[..n]) && !wish.is_around(&next[..n]);
+            let sparser = if far { SPARSER } else { 1.0 };
+            let pieces = (way / wish.spacing).max(fall / wish.change) / sparser;
+            let pieces = pieces.ceil().clamp(1.0, 64.0) as usize;
             let outside = !wish.has(&here[..n]) && !wish.has(&next[..n]);
             for r in (1..pieces).filter(|_| !outside) {
                 let after = duration * r as f64 / pieces as f64;
@@ -248,7 +264,7 @@ fn backward(
             .filter_map(|((g, done), step)| {
                 let (node, costs) = done?;
                 let v = g.v - costs[0];
-                let inside = wish.has(&node[..n]) && v <= wish.value_max && step.is_finite();
+                let inside = wish.is_around(&node[..n]) && v <= wish.value_max && step.is_finite();
                 (inside && node.iter().all(|z| z.is_finite())).then_some(Going {
                     node,
                     v,

@@ -389,6 +389,18 @@ impl Frame {
 
     /// Whether a box of coordinates may meet the region: of one that does not it is not always told.
     pub fn may_meet(&self, region: &Region, lo: &[f64], hi: &[f64]) -> bool {
+        let around = self.states_of(lo, hi);
+        (around.iter().zip(region.lo.iter().zip(&region.hi))).all(|([from, to], (lo, hi))| to >= lo && from <= hi)
+    }
+
+    /// Whether a box of coordinates certainly lies in the region.
+    pub fn lies_in(&self, region: &Region, lo: &[f64], hi: &[f64]) -> bool {
+        let around = self.states_of(lo, hi);
+        (around.iter().zip(region.lo.iter().zip(&region.hi))).all(|([from, to], (lo, hi))| from >= lo && to <= hi)
+    }
+
+    /// Bounds of the states of a box of coordinates, not always tight.
+    fn states_of(&self, lo: &[f64], hi: &[f64]) -> Vec<[f64; 2]> {
         let n = lo.len();
         let (mut lo, mut hi) = (lo.to_vec(), hi.to_vec());
         if let Some(bend) = &self.bend {
@@ -396,14 +408,15 @@ impl Frame {
             lo[bend.axis] = bend.lowest + bend.width * lo[bend.axis] - most;
             hi[bend.axis] = bend.lowest + bend.width * hi[bend.axis] - least;
         }
-        (0..n).all(|i| {
-            let row = &self.inverse[i * n..][..n];
-            let end = |upper: bool| -> f64 {
-                let side = |j: usize| if (row[j] > 0.0) == upper { hi[j] } else { lo[j] };
-                self.origin[i] + (0..n).map(|j| row[j] * side(j)).sum::<f64>()
-            };
-            end(true) >= region.lo[i] && end(false) <= region.hi[i]
-        })
+        (0..n)
+            .map(|i| {
+                let row = &self.inverse[i * n..][..n];
+                [false, true].map(|upper| {
+                    let side = |j: usize| if (row[j] > 0.0) == upper { hi[j] } else { lo[j] };
+                    self.origin[i] + (0..n).map(|j| row[j] * side(j)).sum::<f64>()
+                })
+            })
+            .collect()
     }
 }
 

@@ -16,7 +16,7 @@ mod least_squares;
 mod rounding;
 mod terms;
 
-pub use build::{Before, Cloud, Want, build};
+pub use build::{Before, Cloud, Want, build, build_around};
 pub use fit::Shape;
 pub use flat::{Desk, Flat, Here, LANES};
 pub use frame::{Bend, Frame, Steep};
@@ -61,6 +61,11 @@ pub struct Region {
 impl Region {
     pub fn width(&self, i: usize) -> f64 {
         self.hi[i] - self.lo[i]
+    }
+
+    /// Whether a state (absolute) lies in it.
+    pub fn covers(&self, x: &[f64]) -> bool {
+        (x.iter().zip(self.lo.iter().zip(&self.hi))).all(|(x, (lo, hi))| x >= lo && x <= hi)
     }
 }
 
@@ -319,13 +324,23 @@ impl Pieces {
         kept
     }
 
+    /// Raises the bounds of the pieces at a state to the error that V shows of them there.
+    pub fn admit(&mut self, x: &[f64], v: f64) {
+        let off = self.at(x).filter(|said| (said.v - v).abs() > said.v_bound);
+        if let Some(said) = off {
+            let mut z = vec![0.0; x.len()];
+            self.frame.of(x, &mut z);
+            self.raise(self.cell(&z), (said.v - v).abs() / said.v.abs().max(self.region.floor));
+        }
+    }
+
     pub fn states(&self) -> usize {
         self.region.lo.len()
     }
 
     /// Whether a state (absolute) lies in the region.
     pub fn covers(&self, x: &[f64]) -> bool {
-        (x.iter().zip(self.region.lo.iter().zip(&self.region.hi))).all(|(x, (lo, hi))| x >= lo && x <= hi)
+        self.region.covers(x)
     }
 
     /// V on the lowest sheet at a state (absolute); `None` outside the region and where nothing is known.

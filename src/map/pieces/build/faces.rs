@@ -26,6 +26,10 @@ impl Pieces {
                         let Some((z, beside)) = z.map(|z| (z, self.cell(&z[..n]))) else {
                             continue;
                         };
+                        // One of two cells of a size looks at their common face.
+                        if face % 2 == 0 && self.are_level(cell, beside, face / 2) {
+                            continue;
+                        }
                         let Some(other) = alone(beside) else { continue };
                         let Some(off) = self.difference(piece, other, &z[..n]) else {
                             continue;
@@ -39,6 +43,12 @@ impl Pieces {
                 met
             })
             .collect()
+    }
+
+    /// Whether two cells have the same extent along all axes but one.
+    fn are_level(&self, a: usize, b: usize, across: usize) -> bool {
+        let (a, b) = (&self.cells[a], &self.cells[b]);
+        (0..self.states()).all(|i| i == across || (a.lo[i] == b.lo[i] && a.hi[i] == b.hi[i]))
     }
 
     /// A place just beyond a face of a cell; `None` outside the region.
@@ -67,7 +77,7 @@ impl Pieces {
     }
 
     /// Makes the bounds of a cell's pieces no less than `bound`.
-    pub(super) fn raise(&mut self, cell: usize, bound: f64) {
+    pub(in crate::map::pieces) fn raise(&mut self, cell: usize, bound: f64) {
         for piece in &mut self.pieces[self.cells[cell].pieces.clone()] {
             if piece.bound < bound {
                 piece.p_bound *= bound / piece.bound;

@@ -13,6 +13,8 @@ const PAIRS: usize = 9;
 const MOST_LOOKED_AT: usize = 300;
 /// Sheets in a cell.
 const MOST_GROUPS: usize = 4;
+/// Blocks with so many times the points that a polynomial needs are halved before sheets are looked for.
+const LARGE: f64 = 16.0;
 /// Where a cell cannot be halved several sheets are taken for one whose error is this much larger.
 const SEPARATE: f64 = 0.1;
 
@@ -24,9 +26,13 @@ impl Builder<'_> {
             if excess <= self.habits.enough {
                 return (vec![(piece, block.points.clone())], excess);
             }
+            // Of many variables sorting is dear: where a half may yet tell, points of one sheet that were parted are not sorted,
+            // and those of a large block not even parted.
+            let dear = !self.leaves_quarters() && can_be_halved;
+            if dear && block.near as f64 > LARGE * self.least() {
+                return (vec![(piece, block.points.clone())], excess);
+            }
             for groups in self.groups(block) {
-                // Of many variables sorting is dear: where a half may yet tell, points of one sheet that were parted are not sorted.
-                let dear = !self.leaves_quarters() && can_be_halved && !self.cloud.several;
                 if dear && !self.jumps(block, &groups) {
                     continue;
                 }

@@ -135,6 +135,8 @@ struct Builder<'c> {
     terms: Terms,
     region: &'c Region,
     frame: &'c Frame,
+    /// Part of the region of which nothing is wanted.
+    without: Option<&'c Region>,
     directions: Vec<Vec<f64>>,
     highest: usize,
     habits: Habits,
@@ -156,6 +158,20 @@ pub struct Before<'b> {
 /// Makes pieces of points; and cells where more points are needed for the error asked for. Cells made before whose pieces
 /// are good enough stay, if they say what the new points say.
 pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Before<'_>>) -> (Pieces, Vec<Want>) {
+    built(cloud, region, frame, (before, None))
+}
+
+/// Makes pieces of a region round another, in which nothing is wanted of them.
+pub fn build_around(cloud: &Cloud, region: &Region, frame: &Frame, inner: &Region) -> Pieces {
+    built(cloud, region, frame, (None, Some(inner))).0
+}
+
+fn built<'c>(
+    cloud: &'c Cloud,
+    region: &'c Region,
+    frame: &'c Frame,
+    (before, without): (Option<Before<'c>>, Option<&'c Region>),
+) -> (Pieces, Vec<Want>) {
     let n = cloud.variables;
     let highest = highest_degree(n);
     let builder = Builder {
@@ -163,6 +179,7 @@ pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Befor
         terms: Terms::new(n, highest),
         region,
         frame,
+        without,
         directions: directions(n),
         highest,
         habits: Habits::of(n, cloud.leaves_quarters()),
@@ -233,7 +250,8 @@ fn plant(pieces: &mut Pieces, grown: Grown) -> usize {
 impl Builder<'_> {
     /// `old` is the node of the pieces made before that is this block's.
     fn grow(&self, block: Block, old: Option<usize>) -> (Grown, Vec<Want>) {
-        if !self.frame.may_meet(self.region, &block.lo, &block.hi) {
+        let unwanted = |inner: &Region| self.frame.lies_in(inner, &block.lo, &block.hi);
+        if !self.frame.may_meet(self.region, &block.lo, &block.hi) || self.without.is_some_and(unwanted) {
             let nothing = Want {
                 lo: block.lo.clone(),
                 hi: block.hi.clone(),

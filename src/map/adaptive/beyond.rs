@@ -1,0 +1,180 @@
+//! Where solutions from the region lead: a second map round it, of what they met there. A law needs it, since a closed loop
+//! goes the same ways; no states are solved for its sake.
+
+use super::{AROUND, BETTER, CHANGE, Checked, Met, SPACING, Work};
+use crate::backend::BackendError;
+use crate::map::pieces::{Cloud, Frame, Pieces, Region, build_around};
+use crate::value::{Answers, PointStatus, Track, Wish, track_points};
+
+/// Solutions are followed at most so many widths of the region out of it.
+const MOST_REACH: f64 = 5.0;
+/// Errors there may be so many times larger: what a law costs rises with the square of them.
+const LARGER: f64 = 3.0;
+
+/// The map round the region, and what the trajectories of fresh states show of it.
+pub struct Beyond {
+    pub pieces: Pieces,
+    /// Points on these trajectories outside the region: V known as if solved for, and said with its bound as it was before they
+    /// were looked at.
+    pub check: Vec<Checked>,
+}
+
+impl Work<'_, '_> {
+    /// Widens the reach to where tracks lead. A state that has a period comes back by itself; of a game what lies behind a fold
+    /// is no value.
+    pub(super) fn reach_out(&mut self, tracks: &[Track]) {
+        if self.plan.game {
+            return;
+        }
+        let whole = || tracks.iter().filter(|t| t.whole).map(|t| &t.path);
+        for (i, period) in self.plan.periods.iter().enumerate() {
+            if period.is_some() {
+                continue;
+            }
+            let [lo, hi] = self.bounds[i];
+            let (width, reference) = (hi - lo, self.plan.system.reference[i]);
+            let met = whole().flat_map(|path| (0..=path.segments()).map(move |k| path.node(k)[i] + reference));
+            let [least, most] = met.fold([lo, hi], |[least, most], x| [least.min(x), most.max(x)]);
+            if least < lo {
+                self.reach[i][0] = (least - AROUND * width).max(lo - MOST_REACH * width);
+            }
+            if most > hi {
+                self.reach[i][1] = (most + AROUND * width).min(hi + MOST_REACH * width);
+            }
+        }
+    }
+
+    /// Where points of tracks are wanted, as deviations, those of states with a period in one of these; and how dense.
+    pub(super) fn wish(&self, floor: f64) -> Wish {
+        let reference = &self.plan.system.reference;
+        let around: Vec<[f64; 2]> = (self.aim.bounds.iter().zip(reference))
+            .map(|([lo, hi], r)| {
+                let more = AROUND * (hi - lo);
+                [lo - r - more, hi - r + more]
+            })
+            .collect();
+        let bounds = (around.iter().zip(self.reach.iter().zip(reference)))
+            .map(|(around, (reach, r))| [around[0].min(reach[0] - r), around[1].max(reach[1] - r)])
+            .collect();
+        Wish {
+            bounds,
+            around,
+            widths: self.aim.bounds.iter().map(|[lo, hi]| hi - lo).collect(),
+            spacing: SPACING,
+            change: CHANGE,
+            floor,
+            value_max: self.most_value(),
+            onward: self.plan.local.is_some() || self.axis.is_some(),
+            horizon: self.axis.as_ref().map(|axis| axis.last),
+            beyond: self.goes_beyond(),
+        }
+    }
+
+    /// The map round the region, if solutions leave it.
+    pub(super) fn beyond(&mut self, region: &Region, met: &[Met]) -> Option<Beyond> {
+        if self.reach == self.bounds {
+            return None;
+        }
+        let outer = Region {
+            lo: self.reach.iter().map(|b| b[0]).collect(),
+            hi: self.reach.iter().map(|b| b[1]).collect(),
+            error: (LARGER * region.error).min(self.aim.error_max),
+            ..region.clone()
+        };
+        // Points a little within the region's faces keep the two together.
+        let mut inner = region.clone();
+        for i in 0..inner.lo.len() {
+            let margin = AROUND * region.width(i);
+            (inner.lo[i], inner.hi[i]) = (inner.lo[i] + margin, inner.hi[i] - margin);
+        }
+        let places = self.steep_places(&outer, Some(&inner));
+        let along = Frame::along(&outer);
+        let frame = Frame::fitted(&outer, &places)
+            .filter(|frame| frame.across(&outer, &places) <= BETTER * along.across(&outer, &places))
+            .unwrap_or(along);
+        let (n, v) = (self.plan.system.states, self.cloud.variables);
+        let bounds = self.wish(region.floor).bounds;
+        let mut cloud = Cloud {
+            variables: v,
+            several: self.cloud.several,
+            ..Cloud::default()
+        };
+        for k in 0..self.points.len() {
+            let (at, p) = self.coordinates(k);
+            for shift in self.shifts(&self.points.node(k)[..n], &bounds) {
+                let mut x = at.clone();
+                x.iter_mut().zip(&shift).for_each(|(x, s)| *x += s);
+                if inner.covers(&x) || !outer.covers(&x) {
+                    continue;
+                }
+                let track = self.points.track[k];
+                let (mut z, mut q) = (vec![0.0; v], vec![0.0; v]);
+                frame.of(&x, &mut z);
+                frame.gradient_of(&z, &p, &mut q);
+                cloud.z.extend(z);
+                cloud.q.extend(q);
+                cloud.v.push(self.points.v[k]);
+                cloud.track.push(track);
+                cloud.sheet.push(self.tracks[track as usize].sheet);
+            }
+        }
+        if cloud.is_empty() {
+            return None;
+        }
+        let mut pieces = build_around(&cloud, &outer, &frame, region);
+        let check = (met.iter())
+            .map(|(x, v)| Checked::of(x, (PointStatus::Converged, *v), pieces.at(x).as_ref()))
+            .collect();
+        // Where they disagree nothing can be solved for: the error seen is the bound.
+        met.iter().for_each(|(x, v)| pieces.admit(x, *v));
+        let pieces = pieces.within(self.aim.error_max);
+        (!pieces.pieces.is_empty()).then_some(Beyond { pieces, check })
+    }
+
+    /// Points outside the region that the least solutions from fresh states meet, with V.
+    pub(super) fn met_beyond(
+        &mut self,
+        all: &[(Vec<usize>, Answers)],
+        region: &Region,
+    ) -> Result<Vec<Met>, BackendError> {
+        let mut tracks = Vec::new();
+        for answers in all.iter().map(|(_, answers)| answers) {
+            let lowest = answers
+                .targets
+                .of_given
+                .iter()
+                .filter_map(|target| answers.answer(*target));
+            tracks.extend(lowest.map(|e| Track {
+                path: e.path.clone(),
+                value: e.value,
+                sheet: e.sheet,
+                whole: true,
+            }));
+        }
+        let wish = Wish {
+            beyond: false,
+            ..self.wish(region.floor)
+        };
+        let points = track_points(self.plan, self.solver, &tracks, 0, &self.in_any_period(&wish))?;
+        let n = self.plan.system.states;
+        let mut met = Vec::new();
+        for k in 0..points.len() {
+            let node = points.node(k);
+            let Some(shift) = self.shifts(&node[..n], &wish.bounds).into_iter().next() else {
+                continue;
+            };
+            let mut x: Vec<f64> = (0..n)
+                .map(|i| node[i] + shift[i] + self.plan.system.reference[i])
+                .collect();
+            x.extend(
+                self.axis
+                    .as_ref()
+                    .map(|axis| axis.begins(&tracks[points.track[k] as usize].path) + points.t[k]),
+            );
+            if !region.covers(&x) && points.v[k] <= region.value_max {
+                met.push((x, points.v[k]));
+            }
+        }
+        Ok(met)
+    }
+}
