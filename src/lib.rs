@@ -43,6 +43,7 @@ pub mod backend;
 pub mod bench;
 pub mod cli;
 pub mod closed_loop;
+pub(crate) mod digits;
 pub mod dynamic_programming;
 pub mod expr;
 pub mod feedback;

@@ -410,14 +410,16 @@ fn what_cannot_be_exported_is_refused() {
     done(costate(&["homotopy", "--backend", "cpu", path, "--out", file]));
     let finite = scene(&directory, "hopf_lax", "");
     let finite = finite.to_str().unwrap();
-    let cases: [(&[&str], &str); 10] = [
+    let cases: [(&[&str], &str); 12] = [
         (&["export", file], "has no map in pieces"),
         (&["export", path], "is a scene"),
         (&["export", finite, "--local"], "finite horizon"),
         (&["export", path, "--local", "--degree", "7"], "from 1 to 6"),
         (&["export", path, "--local", "--name", "a-b"], "letters, digits"),
         (&["export", path, "--local", "--out", "law.toml"], "name it .h"),
-        (&["export", file, "--local", "--set", "r=2"], "--scene"),
+        (&["export", file, "--local", "--set", "r=2"], "--local SCENE.toml --set"),
+        (&["export", file, "--law", "--degree", "2"], "cannot be used with"),
+        (&["export", file, "--degree", "2"], "--local"),
         (&["export", file, "--law"], "holds no fitted law"),
         (&["export", path, "--law"], "is a scene"),
         (&["export", file, "--law", "--local"], "cannot be used with"),

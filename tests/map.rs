@@ -2,7 +2,7 @@
 
 mod common_commands;
 
-use common_commands::{costate, done, scratch, sections_of};
+use common_commands::{costate, done, manufactured, scratch, sections_of};
 use costate::map::pieces::Pieces;
 use costate::map::{Coverage, Unknown, ValueMap};
 use costate::output::Stored;
@@ -10,6 +10,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
@@ -28,7 +29,8 @@ fn scene(name: &str, lines: &str) -> PathBuf {
         "attenuation",
     ];
     let kept = sections_of(name, |section| !LEFT_OUT.contains(&section));
-    let path = folder().join(format!("{name}-{}.toml", lines.len()));
+    static SCENES: AtomicUsize = AtomicUsize::new(0);
+    let path = folder().join(format!("{name}-{}.toml", SCENES.fetch_add(1, Ordering::Relaxed)));
     std::fs::write(&path, format!("{kept}\n[map]\n{lines}\n")).unwrap();
     path
 }
@@ -325,4 +327,164 @@ fn a_budget_that_is_spent_is_said() {
     assert_eq!(strict.cells.len(), lenient.cells.len());
     assert!(lenient.pieces.len() > strict.pieces.len());
     assert!(lenient.pieces.iter().all(|p| p.bound <= 0.5) && lenient.pieces.iter().any(|p| p.bound > 0.1));
+}
+
+/// The first search too: states up to the budget, batches up to the seconds.
+#[test]
+fn the_first_search_keeps_within_the_budget() {
+    for states in [1, 6] {
+        let (_, summary) = made("manufactured", &format!("error = 1e-4\nstates = {states}\ncheck = 1"));
+        let solved = summary["states"].as_u64().unwrap() + summary["failed"].as_u64().unwrap();
+        assert!(solved <= states, "{summary}");
+        assert!(summary["first_search"]["states"].as_u64().unwrap() <= states);
+        assert!(summary["first_search"]["wanted"].as_u64().unwrap() > 250);
+    }
+    let scene = scene("manufactured", "error = 1e-4\nseconds = 1e-6\ncheck = 1");
+    let arguments = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
+    let out = scene.with_extension("h5");
+    let said = done(costate(&[&arguments[..], &[out.as_ref(), scene.as_ref()]].concat()));
+    assert!(
+        said.contains("the budget ended the first search after 8 of its"),
+        "{said}"
+    );
+    // One that is large enough ends nothing.
+    for seconds in ["", "seconds = 1e5\n"] {
+        let (_, all) = made("manufactured", &format!("error = 1e-4\n{seconds}check = 2"));
+        assert_eq!(all["first_search"]["states"], all["first_search"]["wanted"]);
+        assert_eq!(all["share_unmet"], 0.0, "{all}");
+    }
+}
+
+#[test]
+fn the_seed_draws_other_states_for_the_check() {
+    let scene = scene("manufactured", "error = 1e-3\ncheck = 7");
+    let checked = |seed: &str| {
+        let out = scene.with_extension(format!("{seed}.h5"));
+        let arguments = ["homotopy", "--backend", "cpu", "--seed", seed, "--out"].map(OsStr::new);
+        done(costate(&[&arguments[..], &[out.as_ref(), scene.as_ref()]].concat()));
+        let stored = Stored::open(&out).unwrap();
+        let x = stored.group("map_check").unwrap().f64("x0").unwrap().values;
+        (x, pieces(&stored).cells)
+    };
+    let ((a, cells), (b, same), (again, _)) = (checked("0"), checked("1"), checked("1"));
+    assert!(a.iter().zip(&b).all(|(a, b)| a != b) && b == again && cells == same);
+    assert!(b.iter().all(|x| (-2.0..=2.0).contains(x)), "{b:?}");
+}
+
+/// The sum of numbers, as if of twice the digits.
+fn sum(terms: &[f64]) -> f64 {
+    let (mut sum, mut rest) = (0.0f64, 0.0);
+    for term in terms {
+        let next = sum + term;
+        let back = next - sum;
+        rest += (sum - (next - back)) + (term - back);
+        sum = next;
+    }
+    sum + rest
+}
+
+/// Parts whose sum is a product of three numbers, the last one given with what its rounding lost.
+fn product(a: f64, b: f64, [c, less]: [f64; 2]) -> [f64; 5] {
+    let pair = |a: f64, b: f64| [a * b, a.mul_add(b, -(a * b))];
+    let [high, low] = pair(a, b);
+    let ([x, y], [z, w]) = (pair(high, c), pair(low, c));
+    [x, y, z, w, high * less]
+}
+
+/// Not even rounding takes V and p further from what is exact than they say, down to 1e-9 from the equilibrium.
+#[test]
+fn rounding_is_within_the_errors_said() {
+    let path = folder().join("integrator.toml");
+    let text = "states = { x = {}, v = {} }\ncontrols = { u = {} }\ndynamics = { x = \"v\", v = \"u\" }\n\
+        cost = { running = \"0.5*(x^2 + v^2 + u^2)\" }\nequilibrium = { x = 0, v = 0, u = 0 }\n\
+        region = { x = [-1, 1], v = [-1, 1] }\n[map]\nerror = 1e-4\ncheck = 5\n";
+    std::fs::write(&path, text).unwrap();
+    let out = path.with_extension("h5");
+    done(run(&path, &out));
+    let map = ValueMap::new(&Stored::open(&out).unwrap()).unwrap();
+    let root = 3.0f64.sqrt();
+    // V = (r x^2 + 2 x v + r v^2) / 2 with r the root of 3.
+    let root = [root, -root.mul_add(root, -3.0) / (2.0 * root)];
+    let places: Vec<[f64; 2]> = spread([[-9.0, 0.0], [0.0, 6.3]], 1000)
+        .into_iter()
+        .map(|[size, angle]| [angle.cos(), angle.sin()].map(|c| c * 10f64.powf(size)))
+        .collect();
+    let many = map.at_many(&places.concat(), true);
+    let (mut known, mut tight) = ([0, 0], 0.0f64);
+    for ([x, v], told) in places.iter().zip(many) {
+        for at in [map.at(&[*x, *v]), told] {
+            let here = at.lowest.unwrap();
+            known[usize::from(here.in_pieces)] += 1;
+            let half = root.map(|r| -0.5 * r);
+            let terms = [
+                &[here.v][..],
+                &product(*x, *x, half),
+                &product(*v, *v, half),
+                &product(*x, *v, [-1.0, 0.0]),
+            ];
+            let off = sum(&terms.concat()).abs();
+            assert!(
+                off <= here.v_error,
+                "V at {x:e}, {v:e}: off by {off:e}, said {:e}",
+                here.v_error
+            );
+            // No more than is needed near the equilibrium, either.
+            tight = tight.max(if here.in_pieces { 0.0 } else { here.v_error / here.v });
+            let minus = root.map(|r| -r);
+            let of_p = |p: f64, along: f64, other: f64| {
+                let terms = [&[p, -other][..], &product(along, 1.0, minus)];
+                sum(&terms.concat()).abs()
+            };
+            let off = of_p(here.p[0], *x, *v).max(of_p(here.p[1], *v, *x));
+            let said = here.p_error * here.p[0].abs().max(here.p[1].abs());
+            assert!(off <= said, "p at {x:e}, {v:e}: off by {off:e}, said {said:e}");
+            assert!(off <= here.u_error || (here.u[0] + here.p[1]).abs() <= here.u_error);
+        }
+    }
+    println!("{known:?}; V_error / V up to {tight:.1e} near the equilibrium");
+    assert!(known[0] > 100 && known[1] > 100, "{known:?}");
+    assert!(tight < 1e-12);
+}
+
+/// Where the series about the equilibrium answers, its errors of V and p are those of the terms that it leaves out.
+#[test]
+fn the_series_errors_hold_for_p_too() {
+    let (stored, _) = made("manufactured", "error = 1e-4\nfloor = 1e-3\ncheck = 3");
+    let map = ValueMap::new(&stored).unwrap();
+    let (mut worst, mut count) = ([0.0f64; 2], 0);
+    for [size, angle] in spread([[-6.0, 0.0], [0.0, 6.3]], 2000) {
+        let [x, y] = [angle.cos(), angle.sin()].map(|c| c * 10f64.powf(size));
+        for at in [map.at(&[x, y]), map.at_many(&[x, y], true).remove(0)] {
+            let here = at.lowest.unwrap();
+            if here.in_pieces {
+                continue;
+            }
+            let (_, p, _) = manufactured(x, y);
+            // Without the cancellation of 1 - cos(x).
+            let v = x * x / 2.0 + (x / 2.0).sin().powi(2) + x * y / 2.0 + y * y + x * x * y * y / 4.0;
+            let off = (here.p[0] - p[0]).abs().max((here.p[1] - p[1]).abs());
+            let largest = here.p[0].abs().max(here.p[1].abs());
+            worst[0] = worst[0].max((here.v - v).abs() / (here.v_error + 4.0 * f64::EPSILON * v));
+            worst[1] = worst[1].max(off / (largest * (here.p_error + 4.0 * f64::EPSILON)));
+            count += 1;
+        }
+    }
+    println!("over the errors said: V {:.2}, p {:.2}, of {count}", worst[0], worst[1]);
+    assert!(count > 500 && worst.iter().all(|w| *w <= 1.0), "{worst:?} of {count}");
+}
+
+#[test]
+fn what_lies_outside_the_region_is_named() {
+    let (stored, _) = made("manufactured", "error = 1e-2\ncheck = 1");
+    let file = stored.path.to_str().unwrap().to_owned();
+    drop(stored);
+    let said = done(costate(&["value", &file, "--at", "x=0.1,y=-2.5"]));
+    assert!(
+        said.contains("y = -2.5 lies outside the region of the map, from -2 to 2"),
+        "{said}"
+    );
+    let json = done(costate(&["value", &file, "--at", "x=2.75", "--json"]));
+    assert!(json.contains("x = 2.75 lies outside"), "{json}");
+    let inside = done(costate(&["value", &file, "--at", "x=1.25"]));
+    assert!(!inside.contains("outside"), "{inside}");
 }

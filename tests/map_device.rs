@@ -249,6 +249,8 @@ fn all_that_pieces_can_be() {
         failed: 0,
         points: 0,
         rounds: 0,
+        first: [0; 2],
+        beyond: None,
         unmet: 0.0,
         uncertain: 0.0,
         error_max: f64::INFINITY,

@@ -329,6 +329,7 @@ fn a_linear_quadratic_map_and_its_law() {
     the_header_takes_the_time(&directory, &file, &map);
     what_is_asked_wrongly(&file, &alone);
     tables_have_a_column_of_times(&directory, &file);
+    written_values_are_read_at_the_beginning(&directory, &file);
 }
 
 /// The C header's functions of a state and a time.
@@ -412,6 +413,15 @@ fn what_is_asked_wrongly(file: &Path, alone: &Path) {
         &["--at x=0.1,t=2.5", "not within the horizon, from 0 to 2"],
     );
     refused(file, &["--at", "t=-0.1"], &["not within the horizon"]);
+    // Among the names that there are is the time's, where the map has it as an axis.
+    refused(file, &["--at", "z=1"], &["states: x, v", "the time, `t`"]);
+    let names = file.with_extension("names.csv");
+    std::fs::write(&names, "x,z\n0.1,0.5\n").unwrap();
+    refused(
+        file,
+        &["--points", names.to_str().unwrap()],
+        &["line 1", "`z`", "x, v, t"],
+    );
     refused(
         file,
         &["--grid", "x=-1:1:3", "--grid", "t=0:3:4"],
@@ -470,5 +480,67 @@ fn tables_have_a_column_of_times(directory: &Path, file: &Path) {
     for (k, v) in v.values.iter().enumerate() {
         let (x, t) = (-0.5 + 0.5 * (k / 5) as f64, 0.5 * (k % 5) as f64);
         assert!((v - form(riccati(t)[0], [x, 0.1])).abs() < 1e-4);
+    }
+}
+
+/// Files that `costate value` wrote of several times: V(x, 0) is taken from their rows at t = 0, or none is.
+fn written_values_are_read_at_the_beginning(directory: &Path, file: &Path) {
+    let write = |name: &str, arguments: &[&str]| {
+        let out = directory.join(name);
+        let all = [
+            &["value", file.to_str().unwrap(), "--out", out.to_str().unwrap()],
+            arguments,
+        ]
+        .concat();
+        done(costate(&all));
+        out
+    };
+    let exact = |x: [f64; 2]| form(riccati(0.0)[0], x);
+    let grid = write("read.h5", &["--grid", "x=-0.5:0.5:5,v=-0.4:0.4:3,t=0:2:5"]);
+    let map = Stored::open(&grid).unwrap().map().unwrap().unwrap();
+    assert_eq!((map.axes[0].len(), map.axes[1].len(), map.axes.len()), (5, 3, 2));
+    assert_eq!(
+        (map.v.len(), map.p.len(), map.u.len(), map.status.len()),
+        (15, 30, 15, 15)
+    );
+    for (k, v) in map.v.iter().enumerate() {
+        assert!((v - exact([map.axes[0][k / 3], map.axes[1][k % 3]])).abs() < 1e-4);
+    }
+    let points = write(
+        "rows.h5",
+        &["--at", "x=0.3,t=1.5", "--at", "x=0.3,v=0.1", "--at", "x=-0.2,t=2"],
+    );
+    let rows = Stored::open(&points).unwrap().points().unwrap().unwrap();
+    assert_eq!((rows.x, rows.point, rows.count), (vec![0.3, 0.1], vec![1], 1));
+    assert!((rows.v[0] - exact([0.3, 0.1])).abs() < 1e-4 && rows.p.len() == 2 && rows.u.len() == 1);
+    // Values of the files are values of V(x, 0) again.
+    for path in [&grid, &points] {
+        let map = ValueMap::new(&Stored::open(path).unwrap()).unwrap();
+        let at = if path == &grid { [0.25, 0.4] } else { [0.3, 0.1] };
+        let here = map.at(&at).lowest.unwrap();
+        assert!((here.v - exact(at)).abs() < 1e-4, "{}", here.v);
+        let path = path.to_str().unwrap();
+        let report = done(costate(&["report", path, "--json"]));
+        assert!(!report.contains("shape") && !report.contains("not found"), "{report}");
+        let said = costate(&["check-least", path, "--backend", "cpu", "--json", "--nodes", "41"]);
+        let said = String::from_utf8(said.stdout).unwrap();
+        let said: serde_json::Value = serde_json::from_str(&said[said.find('{').unwrap()..]).unwrap();
+        assert_eq!(said["states"], if path.ends_with("read.h5") { 15 } else { 1 });
+        // The grid errs by less than what a step of the time axis changes.
+        assert_eq!(said["apart"]["states"].as_array().unwrap().len(), 0, "{said}");
+    }
+    for late in [
+        write("late.h5", &["--grid", "x=-0.5:0.5:5,v=-0.4:0.4:3,t=1:2:3"]),
+        write("later.h5", &["--at", "x=0.3,t=1.5"]),
+    ] {
+        for command in [vec!["check-least"], vec!["value", "--at", "x=0.1"]] {
+            let output = costate(&[&command[..1], &[late.to_str().unwrap()], &command[1..]].concat());
+            let errors = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(2), "{errors}");
+            assert!(
+                errors.contains("/t`: no") && errors.contains("with t = 0 too"),
+                "{errors}"
+            );
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! What the program refuses instead of crashing, hanging or answering wrongly: found by trying to break it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 const SCENE: &str = r#"
@@ -107,7 +107,7 @@ fn a_pipe_is_not_replaced() {
     let _ = std::fs::remove_file(&pipe);
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     let (done, _) = run("pipe", SCENE, Some("pipe.h5"));
-    assert_eq!(done.status.code(), Some(1));
+    assert_eq!(done.status.code(), Some(2));
     assert!(pipe.exists() && !pipe.is_file(), "the pipe was replaced");
 }
 
@@ -297,4 +297,205 @@ fn a_solved_state_is_known_to_its_own_error() {
     assert!((v - exact).abs() <= 1e-9 * exact, "{v}, not {exact}");
     assert!(error <= 1e-8, "{error}: {text}");
     assert_eq!(json["coverage"], "searched", "{text}");
+}
+
+/// The program in a folder, with a result file `swept.h5` there.
+fn in_folder(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_costate"))
+        .current_dir(folder)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn swept(name: &str) -> PathBuf {
+    let (done, out) = run(name, SCENE, Some("swept.h5"));
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let folder = out.parent().unwrap().to_owned();
+    std::fs::write(folder.join("points.csv"), "x,v\n0.1,0.2\n").unwrap();
+    folder
+}
+
+/// What is in a folder, hidden files included.
+fn entries(folder: &Path) -> Vec<String> {
+    let mut all: Vec<String> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
+        .collect();
+    all.sort();
+    all
+}
+
+#[test]
+fn what_cannot_be_written_is_said_before_the_work() {
+    let folder = swept("out");
+    for kind in ["h5", "csv", "h", "html"] {
+        let _ = std::fs::create_dir(folder.join(format!("taken.{kind}")));
+    }
+    let before = entries(&folder);
+    let solve = ["solve", "scene.toml", "--points", "points.csv", "--backend", "cpu"];
+    let at = ["value", "swept.h5", "--at", "x=0.1"];
+    let with = |command: &[&'static str], more: &[&'static str]| [command, more].concat();
+    let taken = "it is a directory; name a file in it";
+    let cases: [(Vec<&str>, &str); 16] = [
+        (with(&solve, &["--out", "taken.h5"]), taken),
+        (with(&solve, &["--out", "taken.csv"]), taken),
+        (with(&at, &["--out", "taken.h5"]), taken),
+        (with(&at, &["--out", "taken.csv"]), taken),
+        (vec!["export", "scene.toml", "--local", "--out", "taken.h"], taken),
+        (vec!["report", "swept.h5", "--out", "taken.html"], taken),
+        (
+            with(&solve, &["--out", "answers.pdf"]),
+            "name it .h5; or a table is CSV; name it .csv",
+        ),
+        (with(&at, &["--out", "answers.txt"]), "name it .csv"),
+        (
+            vec!["run", "scene.toml", "--out", "answers.csv"],
+            "a result file is HDF5; name it .h5",
+        ),
+        (vec!["report", "swept.h5", "--out", "page.pdf"], "name it .html"),
+        (with(&at, &["--adapter", "any"]), "--adapter any: the CPU is asked for"),
+        (
+            with(&solve, &["--adapter", "any"]),
+            "--adapter any: the CPU is asked for",
+        ),
+        (vec!["value", "taken.h5", "--at", "x=0.1"], "taken.h5 is a directory"),
+        (vec!["check-least", "taken.h5"], "taken.h5 is a directory"),
+        (vec!["report", "taken.h5"], "taken.h5 is a directory"),
+        (
+            vec!["solve", "scene.toml", "--points", "taken.csv"],
+            "cannot read taken.csv",
+        ),
+    ];
+    for (arguments, words) in cases {
+        let done = in_folder(&folder, &arguments);
+        let text = String::from_utf8_lossy(&done.stderr);
+        assert_eq!(done.status.code(), Some(2), "{arguments:?}: {text}");
+        assert!(text.contains(words), "{arguments:?}: no `{words}` in {text}");
+        assert!(done.stdout.is_empty() && entries(&folder) == before, "{arguments:?}");
+    }
+    // A directory that is not there is made, whatever is written.
+    for out in ["new/deep/a.h5", "new/table/a.csv"] {
+        let done = in_folder(&folder, &with(&at, &["--out", out]));
+        assert!(done.status.success() && folder.join(out).is_file(), "{out}");
+    }
+    let text = in_folder(&folder, &with(&at, &["--out", "points.csv/a.csv"]));
+    let text = String::from_utf8_lossy(&text.stderr).into_owned();
+    assert!(text.contains("points.csv") && text.contains("os error"), "{text}");
+}
+
+/// A device that takes no more, for the result as for what is printed.
+#[cfg(unix)]
+#[test]
+fn a_full_disk_leaves_nothing() {
+    let folder = swept("full");
+    let before = entries(&folder);
+    for out in ["grid.h5", "grid.csv"] {
+        let command = format!(
+            "trap '' XFSZ; ulimit -f 8; exec '{}' value swept.h5 --grid x=-0.5:0.5:150,v=-0.5:0.5:150 --no-errors --out {out}",
+            env!("CARGO_BIN_EXE_costate")
+        );
+        let done = Command::new("bash")
+            .current_dir(&folder)
+            .args(["-c", &command])
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&done.stderr);
+        assert_eq!(done.status.code(), Some(1), "{text}");
+        assert!(
+            text.contains(&format!("cannot write to {out}: ")) && text.contains("os error"),
+            "{text}"
+        );
+        assert_eq!(entries(&folder), before);
+    }
+    if Path::new("/dev/full").exists() {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let done = Command::new(env!("CARGO_BIN_EXE_costate"))
+            .current_dir(&folder)
+            .args(["value", "swept.h5", "--at", "x=0.1"])
+            .stdout(full)
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&done.stderr);
+        assert_eq!(done.status.code(), Some(1));
+        assert!(
+            text.contains("standard output") && text.contains("os error 28"),
+            "{text}"
+        );
+    }
+}
+
+/// Signals to end leave the older file and nothing else, and whoever waits sees the signal.
+#[cfg(unix)]
+#[test]
+fn a_signal_leaves_no_hidden_file() {
+    use std::os::unix::process::ExitStatusExt;
+    use std::time::{Duration, Instant};
+    let folder = folder("signal");
+    // No budget ends this map.
+    let scene = format!("{SCENE}\n[map]\nerror = 1e-8\nerror_max = 1.0\nfloor = 1e-9\ncheck = 200\n");
+    let scene = scene.replace("-x + u", "-sin(9*x) + v^3 + u");
+    std::fs::write(folder.join("scene.toml"), scene).unwrap();
+    std::fs::write(folder.join("out.h5"), "older").unwrap();
+    for (name, number) in [("TERM", 15), ("INT", 2), ("HUP", 1)] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_costate"))
+            .current_dir(&folder)
+            .args([
+                "homotopy",
+                "--backend",
+                "cpu",
+                "--quiet",
+                "scene.toml",
+                "--out",
+                "out.h5",
+            ])
+            .spawn()
+            .unwrap();
+        let began = Instant::now();
+        while !entries(&folder).iter().any(|name| name.starts_with(".out.h5.")) {
+            assert!(began.elapsed() < Duration::from_secs(60), "no hidden file was made");
+            assert!(child.try_wait().unwrap().is_none(), "{name}: it ended by itself");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let id = child.id().to_string();
+        assert!(Command::new("kill").args(["-s", name, &id]).status().unwrap().success());
+        let status = child.wait().unwrap();
+        assert_eq!(status.signal(), Some(number), "{name}: {status}");
+        assert_eq!(entries(&folder), ["out.h5", "scene.toml"], "{name}");
+        assert_eq!(std::fs::read(folder.join("out.h5")).unwrap(), b"older");
+    }
+}
+
+#[test]
+fn numbers_of_hundreds_of_digits_are_printed_with_exponents() {
+    let folder = swept("digits");
+    let (large, larger) = ("9".repeat(300), "9".repeat(320));
+    let said = |arguments: &[&str], status: i32| {
+        let done = in_folder(&folder, arguments);
+        assert_eq!(
+            done.status.code(),
+            Some(status),
+            "{}",
+            String::from_utf8_lossy(&done.stderr)
+        );
+        let text = [done.stdout, done.stderr].concat();
+        String::from_utf8_lossy(&text).into_owned()
+    };
+    let outside = said(&["value", "swept.h5", "--at", &format!("x={large}")], 0);
+    assert!(
+        outside.contains("x = 1e300 lies outside the region of the map, from -1 to 1"),
+        "{outside}"
+    );
+    let table = said(&["value", "swept.h5", "--grid", &format!("x=0:{large}:2")], 0);
+    assert!(table.contains("\n1e300,0,,"), "{table}");
+    let small = said(&["value", "swept.h5", "--at", "v=1e-300"], 0);
+    assert!(small.contains("v = 1e-300"), "{small}");
+    let infinite = said(&["value", "swept.h5", "--at", &format!("x={larger}")], 2);
+    assert!(infinite.contains("is not a finite number"), "{infinite}");
+    std::fs::write(folder.join("large.csv"), format!("x,v\n{larger},0\n")).unwrap();
+    let infinite_too = said(&["value", "swept.h5", "--points", "large.csv"], 2);
+    assert!(infinite_too.contains("line 2, column `x`"), "{infinite_too}");
+    for text in [outside, table, small, infinite, infinite_too] {
+        assert!(text.lines().all(|line| line.len() < 250), "{text}");
+    }
 }

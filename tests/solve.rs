@@ -55,7 +55,11 @@ fn bad_points_are_refused_with_their_place() {
             "theta,omega\r\n1,2\r\n\r\n# no\r\n3,x\r\n",
             vec!["line 5", "`omega`"],
         ),
-        ("ragged", "theta,omega\n1\n", vec!["line 2"]),
+        (
+            "ragged",
+            "theta,omega\n1\n",
+            vec!["line 2: 1 values, where the header names 2"],
+        ),
         ("empty", "theta,omega\n", vec!["no points"]),
         ("nothing", "", vec!["header"]),
     ] {

@@ -10,14 +10,14 @@ use crate::backend::Backend;
 use crate::closed_loop::{self, Available, GROUPS, Laws};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
-use crate::output::{ATTENUATION_GROUPS, OutputError, ResultFile, Stored};
+use crate::output::{ATTENUATION_GROUPS, OutputError, ResultFile, Stored, Temporary};
 use crate::report::{self, Options};
 use crate::sweep::Choices;
 use std::path::{Path, PathBuf};
 
 /// A result file under a hidden name; gone when dropped before [`Draft::publish`].
 pub(super) struct Draft {
-    hidden: PathBuf,
+    hidden: Temporary,
     path: PathBuf,
 }
 
@@ -27,13 +27,13 @@ impl Draft {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let hidden = path.with_file_name(format!(".{name}.{}.draft", std::process::id()));
         Self {
-            hidden,
+            hidden: Temporary::new(hidden),
             path: path.to_owned(),
         }
     }
 
     pub fn hidden(&self) -> &Path {
-        &self.hidden
+        self.hidden.path()
     }
 
     /// Gives the draft its name.
@@ -41,17 +41,8 @@ impl Draft {
     /// # Errors
     /// [`OutputError::Rename`].
     pub fn publish(self) -> Result<(), OutputError> {
-        std::fs::rename(&self.hidden, &self.path).map_err(|source| OutputError::Rename {
-            path: self.path.clone(),
-            source,
-        })
-    }
-}
-
-impl Drop for Draft {
-    fn drop(&mut self) {
-        // Nothing better can be done about a file that cannot be removed than to leave it hidden.
-        let _ = std::fs::remove_file(&self.hidden);
+        let path = self.path;
+        (self.hidden.publish(&path)).map_err(|source| OutputError::Rename { path, source })
     }
 }
 

@@ -17,7 +17,7 @@ use std::time::{Instant, SystemTime};
 
 pub(super) fn attenuation(args: &RunArgs) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
-    super::check_out(args.out.as_deref(), &[], &[&args.scene.scenario])?;
+    super::check_out(args.out.as_deref(), &[super::Kind::Result], &[&args.scene.scenario])?;
     if args.grid_guesses {
         return Err(super::grid::GridRefusal::Nothing.into());
     }

@@ -34,6 +34,7 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     if path.extension().is_some_and(|e| e == "svg") {
         return Err(CliError::PictureName { path });
     }
+    super::check_out(Some(&path), &[super::Kind::Result], &[&args.scene.scenario])?;
     let terminal = report::Terminal::new(&args.scene);
     let mut file = ResultFile::create(&path)?;
 

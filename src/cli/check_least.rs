@@ -6,7 +6,7 @@ use super::report::Terminal;
 use super::{CliError, NumericsArgs, check, seconds};
 use crate::dynamic_programming::{Device, GridValue, Options, extent, solve};
 use crate::model::Model;
-use crate::output::{Stored, StoredError};
+use crate::output::Stored;
 use crate::quantile::nearest_rank;
 use crate::value::{self, Claims, Flown, Led, Opinion, PointStatus, referee};
 use clap::Args;
@@ -121,27 +121,22 @@ fn claims(stored: &Stored) -> Result<Claims, CliError> {
             claims.v.push(v);
         }
     };
-    let statuses = |group: &str, count: usize| -> Result<Vec<i32>, StoredError> {
-        let group = stored.group(group);
-        let status = group.as_ref().map(|g| g.i32("status")).transpose()?;
-        match (status, group) {
-            (Some((_, list)), _) if list.len() == count => Ok(list),
-            (_, Some(group)) => Err(group.error("status", "not as many as there are states")),
-            (_, None) => Ok(Vec::new()),
-        }
+    let complete = |group: &str, status: &[i32], count: usize| match stored.group(group) {
+        Some(group) if status.len() != count => Err(group.error("status", "not as many as there are states")),
+        _ => Ok(()),
     };
     let n = stored.model.states.len();
     if let Some(points) = stored.points()? {
-        let status = statuses("points", points.count)?;
+        complete("points", &points.status, points.count)?;
         for (k, x) in points.x.chunks(n).enumerate() {
-            add(x, points.v[k], status[k]);
+            add(x, points.v[k], points.status[k]);
         }
     }
     if let Some(map) = stored.map()? {
-        let status = statuses("map", map.v.len())?;
+        complete("map", &map.status, map.v.len())?;
         let states = value::Grid { axes: map.axes }.points();
         for (k, x) in states.chunks(n).enumerate() {
-            add(x, map.v[k], status[k]);
+            add(x, map.v[k], map.status[k]);
         }
     }
     if claims.v.is_empty() {

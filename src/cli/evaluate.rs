@@ -37,7 +37,7 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         .chain(&args.weights)
         .map(PathBuf::as_path)
         .collect();
-    super::check_out(args.out.as_deref(), &[], &inputs)?;
+    super::check_out(args.out.as_deref(), &[super::Kind::Result], &inputs)?;
     let stored = match args.file.extension() {
         Some(end) if end.eq_ignore_ascii_case("toml") => None,
         _ => Some(Stored::open(&args.file)?),

@@ -35,6 +35,10 @@ pub(super) enum ExportError {
         name: String,
         laws: Vec<String>,
     },
+    #[error(
+        "--set changes a scene, and {path} is a result file: run its scene with --set and export that, or export the series of the scene (--local SCENE.toml --set ...)", path = path.display()
+    )]
+    SetOfResult { path: PathBuf },
     #[error("a finite horizon has no equilibrium, and so no series about it")]
     Finite,
     #[error(transparent)]
@@ -59,10 +63,11 @@ struct Made {
 }
 
 pub(super) fn export(args: &ExportArgs) -> Result<(), CliError> {
-    super::check_out(args.out.as_deref(), &["h"], &[&args.file])?;
+    super::check_out(args.out.as_deref(), &[super::Kind::Header], &[&args.file])?;
     let scene = args.file.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
     if !scene && !args.set.is_empty() {
-        return Err(CliError::SetOfResult);
+        let path = args.file.clone();
+        return Err(ExportError::SetOfResult { path }.into());
     }
     let name = args.name.as_deref();
     let path = args.file.clone();
@@ -92,12 +97,6 @@ pub(super) fn export(args: &ExportArgs) -> Result<(), CliError> {
         let stem = beside.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         beside.with_file_name(format!("{stem}_{name}.h"))
     });
-    if let Some(directory) = path.parent().filter(|d| !d.as_os_str().is_empty()) {
-        std::fs::create_dir_all(directory).map_err(|source| CliError::OutDir {
-            path: directory.to_owned(),
-            source,
-        })?;
-    }
     write_text(&path, &made.text)?;
     if args.json {
         let mut summary = made.summary;

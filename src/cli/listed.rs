@@ -2,14 +2,19 @@
 
 use super::report::Done;
 use super::{CliError, SolveArgs, csv_text};
+use crate::digits::plain;
 use crate::model::Model;
 use crate::value::Answers;
 
 /// V and u at the first few states that the user listed.
 pub(super) fn text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
     const SHOWN: usize = 10;
+    let nine = |v: f64| match v.abs() {
+        size if size == 0.0 || (1e-3..1e15).contains(&size) => format!("{v:.9}"),
+        _ => format!("{v:.9e}"),
+    };
     let list = |names: &mut dyn Iterator<Item = &str>, values: &[f64]| {
-        let parts: Vec<String> = names.zip(values).map(|(n, v)| format!("{n} = {v:.9}")).collect();
+        let parts: Vec<String> = names.zip(values).map(|(n, v)| format!("{n} = {}", nine(*v))).collect();
         parts.join(", ")
     };
     let mut lines: Vec<String> = (answers.targets.of_given[..done.listed].iter().take(SHOWN))
@@ -121,13 +126,15 @@ pub(super) fn check_table(args: &SolveArgs, model: &Model) -> Result<(), CliErro
         reason,
     };
     if args.trajectories {
-        return Err(bad("a table has no room for --trajectories; name a result file, .h5"));
+        return Err(bad(
+            "a table has no room for --trajectories; name a result file, .h5".to_owned()
+        ));
     }
     let mut names = header(model);
     names.sort_unstable();
     if names.windows(2).any(|pair| pair[0] == pair[1]) {
         return Err(bad(
-            "a state or control has the name of another column of the table; name a result file, .h5",
+            "a state or control has the name of another column of the table; name a result file, .h5".to_owned(),
         ));
     }
     Ok(())
@@ -136,10 +143,10 @@ pub(super) fn check_table(args: &SolveArgs, model: &Model) -> Result<(), CliErro
 /// A CSV table of the states that the user listed; empty fields where V is not known.
 pub(super) fn table(done: &Done<'_>) -> Result<String, CliError> {
     let mut rows = vec![header(done.model)];
-    let number = |v: f64| if v.is_finite() { v.to_string() } else { String::new() };
+    let number = |v: f64| if v.is_finite() { plain(v) } else { String::new() };
     if let Some(answers) = done.answers {
         for &target in &answers.targets.of_given[..done.listed] {
-            let mut row: Vec<String> = answers.targets.state(target).iter().map(f64::to_string).collect();
+            let mut row: Vec<String> = answers.targets.state(target).iter().copied().map(plain).collect();
             match answers.answer(target) {
                 Some(a) => {
                     row.extend([a.value].iter().chain(&a.p).chain(&a.u).copied().map(number));

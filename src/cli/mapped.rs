@@ -50,6 +50,12 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
         made.rounds,
         made.seconds
     )];
+    if made.first[0] < made.first[1] {
+        lines.push(format!(
+            "  the budget ended the first search after {} of its {} states: give more `states` or `seconds`",
+            made.first[0], made.first[1]
+        ));
+    }
     lines.push(if made.unmet > 0.0 {
         format!(
             "  error of V asked for {:.1e}, relative to max(V, {:.1e}): not met in {:.2} % of the region (by its own measure)",
@@ -152,6 +158,7 @@ pub(super) fn as_json(made: &Adaptive, states: usize) -> serde_json::Value {
         "time": made.pieces.region.hi.get(states),
         "pieces": made.pieces.pieces.len(), "cells": made.pieces.cells.len(), "points": made.points,
         "states": made.states, "failed": made.failed, "rounds": made.rounds, "seconds": made.seconds,
+        "first_search": { "states": made.first[0], "wanted": made.first[1] },
         "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet,
         "error_max": made.error_max, "share_uncertain": made.uncertain,
         "pieces_beyond": made.beyond.as_ref().map(|beyond| beyond.pieces.pieces.len()),

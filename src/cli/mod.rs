@@ -28,7 +28,7 @@ use crate::bench::BenchError;
 use crate::closed_loop::{LawError, LoopError};
 use crate::map::DeviceError;
 use crate::model::{Method, Model, Precision};
-use crate::output::{OutputError, StoredError};
+use crate::output::{OutputError, StoredError, target};
 use crate::scenario::{LoadError, ScenarioErrors};
 use crate::study::StudyError;
 use crate::sweep::Choices;
@@ -134,7 +134,8 @@ struct RunArgs {
     out: Option<PathBuf>,
     #[command(flatten)]
     numerics: NumericsArgs,
-    /// Seed of random choices: which trajectories and states the error is estimated from. Results do not depend on it.
+    /// Seed of random choices: which trajectories and states the error is estimated from, and the fresh states by which a map
+    /// is checked. Results do not depend on it, but for what a check asks to be mended.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Make no report (page and pictures) at the end of `run`.
@@ -323,7 +324,7 @@ struct ExportArgs {
     #[arg(long, value_name = "NAME", num_args = 0..=1, require_equals = true, conflicts_with = "local")]
     law: Option<Option<String>>,
     /// Of --local: degree of u in the states; V is of one degree more.
-    #[arg(long, value_name = "N", default_value_t = 3, requires = "local",
+    #[arg(long, value_name = "N", default_value_t = 3, requires = "local", conflicts_with = "law",
           value_parser = law_degree)]
     degree: usize,
     /// What the names in the header begin with, an identifier of C [default: map; with --local: local; with --law: the
@@ -558,13 +559,15 @@ enum CliError {
     #[error("the states and controls of {scene} are not those of {file}", scene = scene.display(), file = file.display())]
     OtherScene { scene: PathBuf, file: PathBuf },
     #[error("--out {path}: {reason}", path = path.display())]
-    BadOut { path: PathBuf, reason: &'static str },
+    BadOut { path: PathBuf, reason: String },
     #[error("law `{name}` would be written to {path}, which is the scene: give another --out", path = path.display())]
     OverScene { name: String, path: PathBuf },
     #[error("--weights: a law named `{name}` is there already: rename the file", name = name)]
     SameLaw { name: String },
     #[error("--set does not change a result file's own scene: give the scene too (--scene SCENE.toml --set ...)")]
     SetOfResult,
+    #[error("--adapter {name}: the CPU is asked for, which has no adapters: leave this out, or give --backend gpu")]
+    AdapterOfCpu { name: String },
     #[error(transparent)]
     Fit(#[from] fit::FitCommandError),
     #[error(transparent)]
@@ -624,7 +627,13 @@ impl CliError {
             | CliError::NoClosedLoop
             | CliError::NoLaws
             | CliError::OtherScene { .. }
-            | CliError::SetOfResult => 2,
+            | CliError::SetOfResult
+            | CliError::AdapterOfCpu { .. } => 2,
+            CliError::Output(
+                OutputError::TargetIsDirectory { .. }
+                | OutputError::TargetIsSpecial { .. }
+                | OutputError::NoFileName { .. },
+            ) => 2,
             CliError::BadOut { .. } | CliError::OverScene { .. } | CliError::SameLaw { .. } => 2,
             CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
@@ -651,31 +660,60 @@ impl CliError {
     }
 }
 
-/// Refuses to write over what is read, and HDF5 under the name of something else.
-fn check_out(out: Option<&Path>, ending: &[&str], inputs: &[&Path]) -> Result<(), CliError> {
+/// What a command writes to `--out`.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Result,
+    Table,
+    Header,
+    Page,
+}
+
+impl Kind {
+    /// Its endings, the usual one first.
+    fn endings(self) -> &'static [&'static str] {
+        match self {
+            Kind::Result => &["h5", "hdf5", "he5", "nc", "nc4"],
+            Kind::Table => &["csv"],
+            Kind::Header => &["h"],
+            Kind::Page => &["html", "htm"],
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Kind::Result => "a result file is HDF5",
+            Kind::Table => "a table is CSV",
+            Kind::Header => "it is a C header",
+            Kind::Page => "it is a page of HTML",
+        }
+    }
+}
+
+/// Refuses to write over what is read and what is no file, and one kind of file under the name of another.
+fn check_out(out: Option<&Path>, kinds: &[Kind], inputs: &[&Path]) -> Result<(), CliError> {
     let Some(out) = out else { return Ok(()) };
     let bad = |reason| CliError::BadOut {
         path: out.to_owned(),
         reason,
     };
+    target(out)?;
     let same = |a: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(out).is_ok_and(|b| a == b));
     if inputs.iter().any(|i| same(i)) {
-        return Err(bad("this file is read"));
+        return Err(bad("this file is read".to_owned()));
     }
     let end = out
         .extension()
         .map(|e| e.to_string_lossy().to_lowercase())
         .unwrap_or_default();
-    match ending {
-        // Any name but those of other kinds of file.
-        [] if ["toml", "csv", "html", "svg", "png", "txt", "json"].contains(&end.as_str()) => {
-            Err(bad("a result file is HDF5; name it .h5"))
-        }
-        [] => Ok(()),
-        some if some.contains(&end.as_str()) => Ok(()),
-        ["h"] => Err(bad("it is a C header; name it .h")),
-        _ => Err(bad("name the page .html")),
+    let unnamed = end.is_empty() && kinds == [Kind::Result];
+    if unnamed || kinds.iter().any(|kind| kind.endings().contains(&end.as_str())) {
+        return Ok(());
     }
+    let all: Vec<String> = (kinds.iter())
+        .map(|kind| format!("{}; name it .{}", kind.name(), kind.endings()[0]))
+        .collect();
+    Err(bad(all.join("; or ")))
 }
 
 /// Rows of a table as CSV.
@@ -704,6 +742,9 @@ pub fn main() -> ExitCode {
         // SAFETY: no other thread has been started yet.
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
+    // Without it a signal leaves a hidden file beside the result's name, and no more is lost.
+    #[cfg(unix)]
+    let _ = crate::output::removed_at_signals();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(e) => {

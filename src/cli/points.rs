@@ -1,7 +1,7 @@
 //! Reading states from a CSV file.
 
 use crate::model::Model;
-use crate::scenario::suggestion;
+use crate::scenario::{shorten, suggestion};
 use std::path::{Path, PathBuf};
 
 /// What is wrong with a file of points; each error names the place.
@@ -9,12 +9,8 @@ use std::path::{Path, PathBuf};
 pub(super) enum PointsError {
     #[error("cannot read {}: {source}", path.display())]
     Read { path: PathBuf, source: csv::Error },
-    #[error("{}: line {line}: {source}", path.display())]
-    Malformed {
-        path: PathBuf,
-        line: u64,
-        source: csv::Error,
-    },
+    #[error("{}: line {line}: {reason}", path.display())]
+    Malformed { path: PathBuf, line: u64, reason: String },
     #[error("{}: line 1: `{name}` is not a state of the scenario (states: {states}){help}", path.display())]
     UnknownState {
         path: PathBuf,
@@ -47,6 +43,8 @@ pub(super) enum PointsError {
 /// The column of times: its name, and what is wrong with one.
 pub(super) struct TimeColumn<'t> {
     pub name: &'t str,
+    /// Whether other times than 0 mean anything.
+    pub known: bool,
     pub check: &'t dyn Fn(f64) -> Result<(), String>,
 }
 
@@ -82,23 +80,39 @@ pub(super) fn read_with_times(
         .from_path(path)
         .map_err(|source| PointsError::Read { path: at(), source })?;
     let names: Vec<&str> = model.states.iter().map(|s| s.variable.name.as_str()).collect();
-    let whole = std::fs::read_to_string(path).unwrap_or_default();
-    let malformed = |source: csv::Error| match source.position().map(|p| line_of(&whole, p.byte())) {
-        Some(line) => PointsError::Malformed {
-            path: path.to_owned(),
-            line,
-            source,
-        },
-        None => PointsError::Read {
-            path: path.to_owned(),
-            source,
-        },
+    let arguments = || {
+        let time = time.as_ref().filter(|t| t.known).map(|t| t.name);
+        names.iter().copied().chain(time).collect::<Vec<&str>>().join(", ")
     };
-    let header = reader.headers().map_err(malformed)?.clone();
+    let whole = std::fs::read(path).unwrap_or_default();
+    let malformed = |source: csv::Error, header: &csv::StringRecord| {
+        let Some(line) = source.position().map(|p| line_of(&whole, p.byte())) else {
+            return PointsError::Read { path: at(), source };
+        };
+        let reason = match source.kind() {
+            csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+                format!("{len} values, where the header names {expected_len}")
+            }
+            csv::ErrorKind::Utf8 { err, .. } => match header.get(err.field()) {
+                Some(name) => format!("column `{name}`: no text in UTF-8"),
+                None => "no text in UTF-8".to_owned(),
+            },
+            _ => source.to_string(),
+        };
+        PointsError::Malformed {
+            path: at(),
+            line,
+            reason,
+        }
+    };
+    let header = reader
+        .headers()
+        .map_err(|e| malformed(e, &csv::StringRecord::new()))?
+        .clone();
     if header.iter().all(str::is_empty) {
         return Err(PointsError::NoHeader {
             path: at(),
-            states: names.join(", "),
+            states: arguments(),
         });
     }
     let mut columns = Vec::new();
@@ -110,8 +124,8 @@ pub(super) fn read_with_times(
         let Some(state) = (names.iter().position(|n| *n == name)).or(is_time.then_some(names.len())) else {
             return Err(PointsError::UnknownState {
                 path: at(),
-                name: name.to_owned(),
-                states: names.join(", "),
+                name: shorten(name),
+                states: arguments(),
                 help: suggestion(name, names.iter().copied()).map_or_else(String::new, |s| format!("; {s}")),
             });
         };
@@ -125,7 +139,7 @@ pub(super) fn read_with_times(
     }
     let (mut points, mut times) = (Vec::new(), Vec::new());
     for record in reader.records() {
-        let record = record.map_err(malformed)?;
+        let record = record.map_err(|e| malformed(e, &header))?;
         let mut x = model.reference().to_vec();
         x.push(0.0);
         let line = || record.position().map_or(0, |p| line_of(&whole, p.byte()));
@@ -143,7 +157,7 @@ pub(super) fn read_with_times(
                     path: at(),
                     line: line(),
                     name: name_of(state).to_owned(),
-                    text: text.to_owned(),
+                    text: shorten(text),
                 })?;
         }
         let t = x.pop().unwrap_or(0.0);
@@ -165,14 +179,11 @@ pub(super) fn read_with_times(
 }
 
 /// Line (from 1) of the record that a reader began to look for at a byte: blank lines and comments before it are not it.
-fn line_of(text: &str, byte: u64) -> u64 {
-    let mut at = (byte as usize).min(text.len());
-    while !text.is_char_boundary(at) {
-        at -= 1;
-    }
-    let before = text[..at].matches('\n').count();
-    let skipped = (text[at..].split('\n'))
-        .take_while(|line| line.trim().is_empty() || line.trim_start().starts_with('#'))
+fn line_of(text: &[u8], byte: u64) -> u64 {
+    let at = (byte as usize).min(text.len());
+    let before = text[..at].iter().filter(|b| **b == b'\n').count();
+    let skipped = (text[at..].split(|b| *b == b'\n'))
+        .take_while(|line| matches!(line.trim_ascii(), [] | [b'#', ..]))
         .count();
     (before + skipped + 1) as u64
 }

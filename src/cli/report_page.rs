@@ -18,7 +18,7 @@ pub(super) struct OptionError {
 
 pub(super) fn report(args: &ReportArgs) -> Result<(), CliError> {
     let clock = std::time::Instant::now();
-    super::check_out(args.out.as_deref(), &["html", "htm"], &[&args.file])?;
+    super::check_out(args.out.as_deref(), &[super::Kind::Page], &[&args.file])?;
     let stored = Stored::open(&args.file)?;
     let choice = choice(args, &stored)?;
     let options = Options {

@@ -5,7 +5,7 @@ use super::check::{load, planned};
 use super::estimates::Estimates;
 use super::grid::GridRefusal;
 use super::report;
-use super::{BackendChoice, CliError, RunArgs, SolveArgs, listed, points};
+use super::{BackendChoice, CliError, Kind, RunArgs, SolveArgs, listed, points};
 use crate::backend::cpu::Cpu;
 use crate::backend::gpu::{Gpu, Selection};
 use crate::backend::{Backend, BackendError, Trajectories};
@@ -13,7 +13,7 @@ use crate::dynamic_programming::GridValue;
 use crate::hamiltonian::Hamiltonian;
 use crate::map;
 use crate::model::{Method, Model};
-use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema, write_text};
+use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema, target, write_text};
 use crate::shooting::Solver;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::value::{self, Answers, Archive, Grid, Request};
@@ -50,7 +50,11 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         .chain(solve.map(|s| &s.points))
         .map(PathBuf::as_path)
         .collect();
-    super::check_out(args.out.as_deref(), if table { &["csv"] } else { &[] }, &inputs)?;
+    let kinds: &[Kind] = match parts {
+        Parts::Solve(_) => &[Kind::Result, Kind::Table],
+        _ => &[Kind::Result],
+    };
+    super::check_out(args.out.as_deref(), kinds, &inputs)?;
     let (model, hamiltonian) = load(&args.scene)?;
     if let Some(solve) = solve.filter(|_| table) {
         listed::check_table(solve, &model)?;
@@ -94,17 +98,18 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     }
 
     // The final name first: what is wrong with it is said before the work is done.
-    let mut file = ResultFile::create(&path)?;
-    let path = file.path().to_owned();
+    let path = target(&path)?;
     let draft = (all && afterwards::wanted(&model)).then(|| Draft::of(&path));
-    if let Some(draft) = &draft {
-        file = ResultFile::create(draft.hidden())?;
-    }
+    // None for a table.
+    let mut file = match &draft {
+        _ if table => None,
+        Some(draft) => Some(ResultFile::create(draft.hidden())?),
+        None => Some(ResultFile::create(&path)?),
+    };
     let schema = schema(&model, &plan);
-    let mut writer = if stored {
-        Some(file.trajectories(&schema)?)
-    } else {
-        None
+    let mut writer = match &mut file {
+        Some(file) if stored => Some(file.trajectories(&schema)?),
+        _ => None,
     };
     let mut archive = solves.then(|| Archive::new(&plan));
     let mut swept = SweepReport::default();
@@ -115,7 +120,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         })?;
     }
     drop(writer);
-    if stored {
+    if let Some(file) = file.as_mut().filter(|_| stored) {
         file.caustic(&schema, &swept.folds)?;
     }
     let mut answers = None;
@@ -131,8 +136,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
             swept = swept_for(&plan, backend.as_ref(), &mut terminal, Some(archive), &mut |_| Ok(()))?;
             found = wanted.solve(&plan, &model, &mut solver, archive, &terminal)?;
         }
-        wanted.write(&mut file, &schema, &model, &found)?;
-        if let Some(solve) = solve
+        if let Some(file) = &mut file {
+            wanted.write(file, &schema, &model, &found)?;
+        }
+        if let (Some(solve), Some(file)) = (solve, &mut file)
             && solve.trajectories
         {
             let entries: Vec<_> = (0..wanted.points())
@@ -154,13 +161,14 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
         let made = map::adaptive(&plan, &model, &mut solver, archive, aim, &mut told)?;
         bar.clear();
-        file.map_pieces(&schema, model.time_name(), &made)?;
+        if let Some(file) = &mut file {
+            file.map_pieces(&schema, model.time_name(), &made)?;
+        }
         mapped = Some(made);
     }
-    let variants = if all {
-        super::study::write(&mut file, &model, backend.as_ref(), choices, &terminal)?
-    } else {
-        Vec::new()
+    let variants = match &mut file {
+        Some(file) if all => super::study::write(file, &model, backend.as_ref(), choices, &terminal)?,
+        _ => Vec::new(),
     };
     let estimates = Estimates::of(&plan, &swept, stored, answers.as_ref())?;
     let record = RunRecord {
@@ -173,8 +181,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         wall_seconds: clock.elapsed().as_secs_f64(),
         ..RunRecord::begun(&model, started)
     };
-    record.write(&file)?;
-    estimates.write(&file)?;
+    if let Some(file) = &file {
+        record.write(file)?;
+        estimates.write(file)?;
+    }
     let names: Vec<String> = model.states.iter().map(|s| s.variable.name.clone()).collect();
     let done = report::Done {
         plan: &plan,
@@ -192,17 +202,16 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         seconds: clock.elapsed().as_secs_f64(),
     };
     let mut summary = report::as_json(&done);
-    file.attribute("summary", summary.to_string())?;
+    if let Some(file) = &file {
+        file.attribute("summary", summary.to_string())?;
+    }
     // Not in the attribute: the file has them in /points, and an attribute holds 64 KiB.
     if done.listed > 0 {
         summary["points"] = listed::as_json(&done);
     }
-    if table {
-        // What was written so far was only on the way.
-        drop(file);
-        write_text(&path, &listed::table(&done)?)?;
-    } else {
-        file.finish()?;
+    match file {
+        Some(file) => drop(file.finish()?),
+        None => write_text(&path, &listed::table(&done)?)?,
     }
     terminal.summary(&done)?;
     if let Some(draft) = draft {
@@ -364,7 +373,8 @@ pub(super) fn open_backend(
     method: Option<Method>,
 ) -> Result<Box<dyn Backend>, CliError> {
     let selection = match (adapter, choice) {
-        (_, BackendChoice::Cpu) => return Ok(Box::new(Cpu::new())),
+        (Some(name), BackendChoice::Cpu) => return Err(CliError::AdapterOfCpu { name: name.to_owned() }),
+        (None, BackendChoice::Cpu) => return Ok(Box::new(Cpu::new())),
         (Some(name), _) => Selection::Named(name.to_owned()),
         (None, BackendChoice::Gpu) => Selection::Any,
         (None, BackendChoice::Auto) => Selection::Hardware,

@@ -1,10 +1,12 @@
 //! `costate value`: V, p and u interpolated from a result file.
 
 use super::report::Terminal;
-use super::{CliError, PrecisionChoice, ValueArgs, points, run};
-use crate::map::{At, Coverage, DeviceMap, Fronts, Value, ValueMap};
+use super::{CliError, Kind, PrecisionChoice, ValueArgs, points, run};
+use crate::digits::plain;
+use crate::map::{At, Coverage, DeviceMap, Fronts, Unknown, Value, ValueMap};
 use crate::model::{Model, Precision};
 use crate::output::{Places, ResultFile, RunRecord, Stored, Times, write_text};
+use crate::scenario::shorten;
 use crate::value::Grid;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -23,8 +25,6 @@ pub(super) enum PlaceError {
     },
     #[error("--precision f32: on the CPU values are those of f64 (--backend gpu has both)")]
     Precision,
-    #[error("--out {path}: a table ends in .csv, a result file in .h5", path = path.display())]
-    Extension { path: std::path::PathBuf },
 }
 
 /// Most points of a grid.
@@ -37,16 +37,12 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         return Err(PlaceError::Nothing.into());
     }
     if let Some(out) = &args.out {
-        let extension = out.extension().and_then(|e| e.to_str());
-        if !matches!(extension, Some("csv" | "h5")) {
-            return Err(PlaceError::Extension { path: out.clone() }.into());
-        }
         let inputs: Vec<&Path> = [&args.file]
             .into_iter()
             .chain(&args.points)
             .map(PathBuf::as_path)
             .collect();
-        super::check_out(Some(out), &["csv", "h5"], &inputs)?;
+        super::check_out(Some(out), &[Kind::Result, Kind::Table], &inputs)?;
     }
     let stored = Stored::open(&args.file)?;
     let model = &stored.model;
@@ -54,16 +50,18 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
     let knows = stored.map_pieces()?.is_some_and(|p| p.states() > model.states.len());
     let check = |t: f64| known_time(model, knows, t);
     let n = model.states.len();
-    let mut grid = grid(&args.grid, model, &check)?;
+    let time = Time { knows, check: &check };
+    let mut grid = grid(&args.grid, model, &time)?;
     let (mut states, mut times) = (Vec::new(), Vec::new());
     for at in &args.at {
-        let (x, t) = single(at, model, &check)?;
+        let (x, t) = single(at, model, &time)?;
         states.extend(x);
         times.push(t);
     }
     if let Some(path) = &args.points {
         let column = points::TimeColumn {
             name: model.time_name(),
+            known: knows,
             check: &check,
         };
         let (x, t) = points::read_with_times(path, model, Some(column))?;
@@ -85,7 +83,7 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
     let time = |k: usize| timed.then(|| times[k]);
     let many = grid.is_some() || args.points.is_some();
     match &args.out {
-        Some(out) if out.extension().is_some_and(|e| e == "h5") => {
+        Some(out) if !out.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) => {
             let mut file = ResultFile::create(out)?;
             let places = match &grid {
                 Some(axes) => Places::Grid(axes),
@@ -111,16 +109,16 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             }
             file.finish()?;
         }
-        Some(out) => write_text(out, &table(model, &states, timed.then_some(&times), &found)?)?,
+        Some(out) => write_text(out, &table(model, &states, timed.then_some(&times), &found, &map)?)?,
         None if args.json => {
             let all: Vec<_> = (states.chunks(map.states()).zip(&found).enumerate())
-                .map(|(k, (x, at))| as_json(model, (x, time(k)), at, map.fronts()))
+                .map(|(k, (x, at))| as_json(model, (x, time(k)), at, &map))
                 .collect();
             super::print(&format!("{:#}\n", serde_json::Value::from(all)))?;
             return Ok(());
         }
         None if many => {
-            super::print(&table(model, &states, timed.then_some(&times), &found)?)?;
+            super::print(&table(model, &states, timed.then_some(&times), &found, &map)?)?;
             // The table itself says it of each state.
             if let Some(note) = of_all(&found, map.fronts()) {
                 terminal.note(&note);
@@ -128,7 +126,7 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         }
         None => {
             for (k, (x, at)) in states.chunks(map.states()).zip(&found).enumerate() {
-                terminal.say(&as_text(model, (x, time(k)), at, map.fronts()))?;
+                terminal.say(&as_text(model, (x, time(k)), at, &map))?;
             }
         }
     }
@@ -207,38 +205,50 @@ fn ask(map: &ValueMap, states: &[f64], times: &[f64], args: &ValueArgs) -> Resul
 /// What is wrong with asking for V at a time; `knows`: the file's map has time as an axis.
 fn known_time(model: &Model, knows: bool, t: f64) -> Result<(), String> {
     let name = model.time_name();
+    let at = plain(t);
     match model.final_time() {
         _ if t == 0.0 => Ok(()),
         None => Err(format!(
-            "`{name}` = {t}, but on an infinite horizon V does not depend on time: leave it out"
+            "`{name}` = {at}, but on an infinite horizon V does not depend on time: leave it out"
         )),
         Some(last) if !(0.0..=last).contains(&t) => {
-            Err(format!("`{name}` = {t} is not within the horizon, from 0 to {last}"))
+            Err(format!("`{name}` = {at} is not within the horizon, from 0 to {last}"))
         }
         Some(_) if !knows && model.is_game() => {
-            Err(format!("`{name}` = {t}, but of a game V is known at {name} = 0 alone"))
+            Err(format!("`{name}` = {at}, but of a game V is known at {name} = 0 alone"))
         }
         Some(_) if !knows => Err(format!(
-            "`{name}` = {t}, but the file knows V at {name} = 0 alone: give the scene [map] with error = ... (and not time = false), and \
+            "`{name}` = {at}, but the file knows V at {name} = 0 alone: give the scene [map] with error = ... (and not time = false), and \
              run it again"
         )),
         Some(_) => Ok(()),
     }
 }
 
+/// The time as an argument of V.
+struct Time<'t> {
+    /// Whether the file's map has it as an axis.
+    knows: bool,
+    check: &'t dyn Fn(f64) -> Result<(), String>,
+}
+
 /// Number of a state, or of what follows the states: the time.
-fn argument(name: &str, model: &Model) -> Result<usize, String> {
-    if name == model.time_name() {
+fn argument(name: &str, model: &Model, time: &Time<'_>) -> Result<usize, String> {
+    let last = model.time_name();
+    if name == last {
         return Ok(model.states.len());
     }
-    model.state(name)
+    model.state(name).map_err(|reason| match time.knows {
+        true => format!("{reason}; the map's other axis is the time, `{last}`"),
+        false => reason,
+    })
 }
 
 /// `name=value,...`; states not named are at the reference point, a time that is not given is 0.
-fn single(text: &str, model: &Model, check: &dyn Fn(f64) -> Result<(), String>) -> Result<(Vec<f64>, f64), CliError> {
+fn single(text: &str, model: &Model, time: &Time<'_>) -> Result<(Vec<f64>, f64), CliError> {
     let wrong = |reason: String| PlaceError::Malformed {
         option: "at",
-        text: text.to_owned(),
+        text: shorten(text),
         reason,
     };
     let mut x = model.reference().to_vec();
@@ -248,7 +258,7 @@ fn single(text: &str, model: &Model, check: &dyn Fn(f64) -> Result<(), String>) 
         let (name, value) = part
             .split_once('=')
             .ok_or_else(|| wrong(format!("`{part}` is not NAME=VALUE")))?;
-        let state = argument(name.trim(), model).map_err(&wrong)?;
+        let state = argument(name.trim(), model, time).map_err(&wrong)?;
         if given.contains(&state) {
             return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
         }
@@ -256,22 +266,18 @@ fn single(text: &str, model: &Model, check: &dyn Fn(f64) -> Result<(), String>) 
         x[state] = number(value).map_err(&wrong)?;
     }
     let t = x.pop().unwrap_or(0.0);
-    check(t).map_err(&wrong)?;
+    (time.check)(t).map_err(&wrong)?;
     Ok((x, t))
 }
 
 fn number(text: &str) -> Result<f64, String> {
     let value: Option<f64> = text.trim().parse().ok();
-    (value.filter(|v| v.is_finite())).ok_or_else(|| format!("`{}` is not a finite number", text.trim()))
+    (value.filter(|v| v.is_finite())).ok_or_else(|| format!("`{}` is not a finite number", shorten(text.trim())))
 }
 
 /// The axes of `--grid name=first:last:count` or `name=value`, repeated or separated by commas, the time's last; `None` without
 /// any.
-fn grid(
-    texts: &[String],
-    model: &Model,
-    check: &dyn Fn(f64) -> Result<(), String>,
-) -> Result<Option<Vec<Vec<f64>>>, CliError> {
+fn grid(texts: &[String], model: &Model, time: &Time<'_>) -> Result<Option<Vec<Vec<f64>>>, CliError> {
     if texts.is_empty() {
         return Ok(None);
     }
@@ -281,12 +287,12 @@ fn grid(
     for text in texts.iter().flat_map(|t| t.split(',')) {
         let wrong = |reason: String| PlaceError::Malformed {
             option: "grid",
-            text: text.to_owned(),
+            text: shorten(text),
             reason,
         };
         let shape = || wrong("expected NAME=FIRST:LAST:COUNT or NAME=VALUE".to_owned());
         let (name, range) = text.split_once('=').ok_or_else(shape)?;
-        let state = argument(name.trim(), model).map_err(&wrong)?;
+        let state = argument(name.trim(), model, time).map_err(&wrong)?;
         if given.contains(&state) {
             return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
         }
@@ -307,13 +313,13 @@ fn grid(
             _ => return Err(shape().into()),
         };
         if state == model.states.len() {
-            axes[state].iter().try_for_each(|t| check(*t)).map_err(&wrong)?;
+            axes[state].iter().try_for_each(|t| (time.check)(*t)).map_err(&wrong)?;
         }
     }
     let points = axes.iter().fold(1usize, |a, axis| a.saturating_mul(axis.len()));
     if points > MOST_POINTS {
         let reason = format!("{points} points; at most {MOST_POINTS}");
-        let text = texts.join(",");
+        let text = shorten(&texts.join(","));
         return Err(PlaceError::Malformed {
             option: "grid",
             text,
@@ -426,17 +432,43 @@ fn of_all(found: &[At], fronts: &Fronts) -> Option<String> {
     })
 }
 
+/// Why V is not known at a state.
+fn reason(model: &Model, x: &[f64], unknown: Unknown, map: &ValueMap) -> String {
+    match map.outside(x).filter(|_| unknown == Unknown::Far) {
+        Some((state, [lo, hi])) => format!(
+            "{unknown}: {} = {} lies outside the region of the map, from {} to {}",
+            model.states[state].variable.name,
+            plain(x[state]),
+            plain(lo),
+            plain(hi)
+        ),
+        None => unknown.to_string(),
+    }
+}
+
+/// V with ten decimals, or as many digits where it is very small or large.
+fn ten(v: f64) -> String {
+    if v == 0.0 || (1e-3..1e15).contains(&v.abs()) {
+        format!("{v:.10}")
+    } else {
+        format!("{v:.10e}")
+    }
+}
+
 /// `x` with its time where the map has that axis.
-fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Fronts) -> String {
+fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap) -> String {
+    let fronts = map.fronts();
     let (states, controls) = names(model);
     let list = |names: &[&str], values: &[f64]| {
-        let parts: Vec<String> = names.iter().zip(values).map(|(n, v)| format!("{n} = {v}")).collect();
+        let parts: Vec<String> = (names.iter().zip(values))
+            .map(|(n, v)| format!("{n} = {}", plain(*v)))
+            .collect();
         parts.join(", ")
     };
-    let time = t.map_or(String::new(), |t| format!(", {} = {t}", model.time_name()));
+    let time = t.map_or(String::new(), |t| format!(", {} = {}", model.time_name(), plain(t)));
     let mut lines = vec![list(&states, x) + &time];
     match &at.lowest {
-        Err(unknown) => lines.push(format!("  V is not known: {unknown}")),
+        Err(unknown) => lines.push(format!("  V is not known: {}", reason(model, x, *unknown, map))),
         Ok(here) => {
             let error = |e: f64| {
                 if e.is_finite() {
@@ -445,7 +477,7 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Front
                     String::new()
                 }
             };
-            lines.push(format!("  V = {:.10}{}", here.v, error(here.v_error)));
+            lines.push(format!("  V = {}{}", ten(here.v), error(here.v_error)));
             let costates: Vec<String> = states.iter().map(|s| format!("p_{s}")).collect();
             let costates: Vec<&str> = costates.iter().map(String::as_str).collect();
             let relative = if here.p_error.is_finite() {
@@ -455,7 +487,7 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Front
             };
             lines.push(format!("  {}{relative}", list(&costates, &here.p)));
             if t.is_some() {
-                lines.push(format!("  dV/d{} = {}", model.time_name(), here.rate));
+                lines.push(format!("  dV/d{} = {}", model.time_name(), plain(here.rate)));
             }
             if !controls.is_empty() {
                 lines.push(format!("  {}{}", list(&controls, &here.u), error(here.u_error)));
@@ -471,8 +503,8 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Front
     }
     for other in &at.others {
         lines.push(format!(
-            "  also: V = {:.10}, {} ({})",
-            other.v,
+            "  also: V = {}, {} ({})",
+            ten(other.v),
             list(&controls, &other.u),
             sheet(other)
         ));
@@ -480,7 +512,8 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Front
     lines.join("\n")
 }
 
-fn as_json(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Fronts) -> serde_json::Value {
+fn as_json(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap) -> serde_json::Value {
+    let fronts = map.fronts();
     let (states, controls) = names(model);
     let object = |names: &[&str], values: &[f64]| -> serde_json::Value {
         let pairs = names
@@ -505,7 +538,7 @@ fn as_json(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Front
         "x": object(&states, x),
         "value": at.lowest.as_ref().ok().map(value),
         "undercut": undercut(at),
-        "unknown": at.lowest.as_ref().err().map(ToString::to_string),
+        "unknown": at.lowest.as_ref().err().map(|unknown| reason(model, x, *unknown, map)),
         "other_sheets": at.others.iter().map(value).collect::<Vec<_>>(),
     });
     if let Some(t) = t {
@@ -515,7 +548,14 @@ fn as_json(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, fronts: &Front
 }
 
 /// A CSV table; empty fields where V is not known.
-fn table(model: &Model, states: &[f64], times: Option<&Vec<f64>>, found: &[At]) -> Result<String, CliError> {
+fn table(
+    model: &Model,
+    states: &[f64],
+    times: Option<&Vec<f64>>,
+    found: &[At],
+    map: &ValueMap,
+) -> Result<String, CliError> {
+    let plain = |v: &f64| plain(*v);
     let (names, controls) = names(model);
     let mut header: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
     header.extend(times.map(|_| model.time_name().to_owned()));
@@ -527,24 +567,17 @@ fn table(model: &Model, states: &[f64], times: Option<&Vec<f64>>, found: &[At]) 
     let columns = header.len();
     let mut rows = vec![header];
     for (k, (x, at)) in states.chunks(names.len()).zip(found).enumerate() {
-        let mut row: Vec<String> = x.iter().map(f64::to_string).collect();
-        row.extend(times.map(|t| t[k].to_string()));
+        let mut row: Vec<String> = x.iter().map(plain).collect();
+        row.extend(times.map(|t| plain(&t[k])));
         if let Ok(here) = &at.lowest {
             let rate = times.map(|_| here.rate);
-            row.extend(
-                [here.v]
-                    .iter()
-                    .chain(&here.p)
-                    .chain(&rate)
-                    .chain(&here.u)
-                    .map(f64::to_string),
-            );
+            row.extend([here.v].iter().chain(&here.p).chain(&rate).chain(&here.u).map(plain));
             row.push(here.sheet.to_string());
             let errors = [here.v_error, here.p_error, here.u_error];
             row.extend(
                 errors
                     .iter()
-                    .map(|e| if e.is_finite() { e.to_string() } else { String::new() }),
+                    .map(|e| if e.is_finite() { plain(e) } else { String::new() }),
             );
             row.push(here.coverage.name().to_owned());
         }
@@ -552,7 +585,7 @@ fn table(model: &Model, states: &[f64], times: Option<&Vec<f64>>, found: &[At]) 
         row.push(
             at.lowest
                 .as_ref()
-                .map_or_else(ToString::to_string, |_| "known".to_owned()),
+                .map_or_else(|unknown| reason(model, x, *unknown, map), |_| "known".to_owned()),
         );
         rows.push(row);
     }

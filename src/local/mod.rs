@@ -1,6 +1,7 @@
 //! The solution near the equilibrium: Riccati matrix, closed loop, higher terms of V, and the seeds of the sweep.
 
 mod attenuation;
+mod errors;
 mod linearization;
 mod polynomial;
 mod riccati;
@@ -9,6 +10,7 @@ mod series;
 mod shape;
 
 pub use attenuation::{AttenuationError, Cause, LinearAttenuation, linear_attenuation};
+pub use errors::LocalErrors;
 pub use linearization::Linearization;
 pub use polynomial::LocalPolynomial;
 pub(crate) use riccati::eigenvalues_of;

@@ -24,6 +24,8 @@ pub struct Riccati {
     pub eigenvalues: Vec<Complex<f64>>,
     /// Relative residual of the Riccati equation.
     pub residual: f64,
+    /// Estimated error of P, relative to it along every direction: `|s'dPs| <= error s'Ps`.
+    pub error: f64,
 }
 
 /// Distance of the slowest mode from the imaginary axis.
@@ -73,13 +75,28 @@ impl Riccati {
             });
         }
         check_positive(&scaled, model, game)?;
+        let error = forward_error(&linear, &scaled);
         Ok(Self {
             p,
             closed_loop,
             eigenvalues,
             residual,
+            error,
         })
     }
+}
+
+/// The Newton step that lowers the residual no more, as large as P's error, and what a factor of P loses.
+fn forward_error(l: &Linearization, p: &DMatrix<f64>) -> f64 {
+    /// A Newton step sees the residual with its rounding, which may hide as much as it shows.
+    const HIDDEN: f64 = 2.0;
+    let factored = (p.nrows() * (p.nrows() + 1)) as f64 * f64::EPSILON;
+    let relative = || {
+        let factor = p.clone().cholesky()?.l();
+        let half = factor.solve_lower_triangular(&newton_step(l, p)?)?;
+        Some(factor.solve_lower_triangular(&half.transpose())?.norm())
+    };
+    HIDDEN * relative().unwrap_or_else(|| relative_residual(l, p)) + factored
 }
 
 /// `[control][state]`: derivatives of u*(x, P (x - x_e)) at the equilibrium, without bounds.

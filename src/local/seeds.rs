@@ -212,6 +212,11 @@ impl LocalSolution {
         &self.neglected
     }
 
+    /// Where the coefficients of each degree begin in [`LocalSolution::polynomial`], and the end.
+    pub(super) fn starts(&self) -> &[usize] {
+        &self.basis.start
+    }
+
     /// `s'Ss/2`, by which the range of the local solution is told. At least `s'Ps/2`; the same but in some games.
     pub fn quadratic(&self, s: &[f64]) -> f64 {
         let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);

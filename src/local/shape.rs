@@ -47,6 +47,7 @@ mod tests {
             closed_loop: DMatrix::from_row_slice(2, 2, &closed_loop),
             eigenvalues: Vec::new(),
             residual: 0.0,
+            error: 0.0,
         }
     }
 

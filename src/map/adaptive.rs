@@ -2,6 +2,7 @@
 //! say what points that were left out say, and what fresh states say that were never used.
 
 mod beyond;
+mod first;
 mod horizon;
 
 use super::pieces::{Before, Cloud, Frame, MOST_VARIABLES, Pieces, Region, Said, Steep, Want, build};
@@ -14,6 +15,7 @@ use crate::value::{
     track_points,
 };
 pub use beyond::Beyond;
+use first::{FACES, WITHIN};
 use horizon::{CHECKED, FIRST_TIMES, TimeAxis};
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
@@ -100,6 +102,8 @@ pub struct Adaptive {
     pub failed: usize,
     pub points: usize,
     pub rounds: usize,
+    /// States of the first search: those that the budget had room for, and all.
+    pub first: [usize; 2],
     /// Share of the region in cells where the error is above the one asked for, or nothing is known.
     pub unmet: f64,
     /// Share of the region where pieces are left out because their bounds are above `error_max`.
@@ -143,6 +147,8 @@ struct Work<'a, 'p> {
     states: usize,
     failed: usize,
     rounds: usize,
+    /// States of the first search that were taken up, and all of it.
+    first: [usize; 2],
     clock: Instant,
     /// Seconds a state of the last round, its pieces included.
     pace: f64,
@@ -203,6 +209,7 @@ pub fn adaptive(
         states: 0,
         failed: 0,
         rounds: 0,
+        first: [0; 2],
         pace: 0.0,
         clock: Instant::now(),
         bounds,
@@ -210,6 +217,15 @@ pub fn adaptive(
         rates: Vec::new(),
     };
     work.run(region)
+}
+
+const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// A number from 0 to 1 of which close arguments tell nothing.
+fn mixed(mut z: u64) -> f64 {
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
 impl Work<'_, '_> {
@@ -269,6 +285,7 @@ impl Work<'_, '_> {
             failed: self.failed,
             points: self.cloud.len(),
             rounds: self.rounds,
+            first: self.first,
             seconds: self.clock.elapsed().as_secs_f64(),
         })
     }
@@ -291,14 +308,18 @@ impl Work<'_, '_> {
         self.aim.value_max.map_or(f64::INFINITY, |v| v + 0.1 * v.abs())
     }
 
-    /// Fresh states of the region (absolute), in an order without end.
+    /// Fresh states of the region (absolute), in an order without end. The seed asked for turns them, and nothing else of a map.
     fn fresh(&mut self, count: usize) -> Vec<f64> {
         let bounds = self.bounds.clone();
+        let turn = |i: usize| match self.plan.seed {
+            0 => 0.0,
+            seed => mixed(seed.wrapping_add((i as u64 + 1).wrapping_mul(GOLDEN))),
+        };
+        let turns: Vec<f64> = (0..bounds.len()).map(turn).collect();
         (0..count)
             .flat_map(|_| {
-                bounds
-                    .iter()
-                    .map(|[lo, hi]| lo + (hi - lo) * self.uniform())
+                (bounds.iter().zip(&turns))
+                    .map(|([lo, hi], turn)| lo + (hi - lo) * (self.uniform() + turn).fract())
                     .collect::<Vec<_>>()
             })
             .collect()
@@ -306,11 +327,8 @@ impl Work<'_, '_> {
 
     /// A number from 0 to 1 (splitmix64).
     fn uniform(&mut self) -> f64 {
-        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.random;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        self.random = self.random.wrapping_add(GOLDEN);
+        mixed(self.random)
     }
 
     /// Solves for states; where time is an axis, those of one time after the other. Of each answers the numbers of its states.
@@ -361,9 +379,8 @@ impl Work<'_, '_> {
             .map(|[lo, hi]| [lo - 0.5 * AROUND * (hi - lo), hi + 0.5 * AROUND * (hi - lo)])
             .collect();
         wide.extend(self.axis.as_ref().map(|axis| [0.0, axis.last]));
-        let count = FIRST[n].min(self.aim.states);
-        let states = self.of_levels(spread_over(&wide, count));
-        let (mut tracks, mut values) = self.searched(states, NEAR)?;
+        let states = self.of_levels(spread_over(&wide, FIRST[n]));
+        let (mut tracks, mut values) = self.searched_in_budget(states, WITHIN)?;
         // Where trajectories are not followed backward only states on the region's faces tell of these.
         if !self.goes_beyond() {
             let mut states = Vec::new();
@@ -375,7 +392,7 @@ impl Work<'_, '_> {
                 states.extend(spread_over(&side, FIRST[n] / (2 * n)));
             }
             let states = self.of_levels(states);
-            let (more, others) = self.searched(states, NEAR)?;
+            let (more, others) = self.searched_in_budget(states, FACES)?;
             tracks.extend(more);
             values.extend(others);
         }
@@ -421,6 +438,13 @@ impl Work<'_, '_> {
             side[face / 2] = [bounds[face / 2][face % 2]; 2];
             states.extend(spread_over(&side, FIRST[n] / (2 * n)));
         }
+        self.first[1] += states.len();
+        if self.seconds_left(1.0) > 0.0 {
+            states.truncate(self.states_left(1.0));
+        } else {
+            states.clear();
+        }
+        self.first[0] += states.len();
         let mut z = vec![0.0; n];
         let mut guesses = Vec::new();
         for x in states {

@@ -37,7 +37,11 @@ impl ValueMap {
                 *worst = worst.max(*error);
             }
         }
-        value.v_error = value.v_error.max(worst[0]);
+        // Of one voice, with nothing near it to be left out, no error is told.
+        value.v_error = match value.sites {
+            1 if worst[0].is_nan() => f64::NAN,
+            _ => value.v_error.max(worst[0]),
+        };
         value.p_error = worst[1] / size.max(f64::MIN_POSITIVE);
         value.u_error = worst[2];
     }

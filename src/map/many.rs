@@ -106,15 +106,14 @@ impl ValueMap {
     pub(super) fn as_value(&self, x: &[f64], here: &Here<f64>) -> Option<(Value, Vec<f64>)> {
         let n = x.len();
         let p = here.p[..n].to_vec();
-        let widths = &self.plan.widths;
-        let largest = |p: &[f64]| p.iter().zip(widths).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
+        let bound = here.p_bound[..n].to_vec();
         let (moved, winding) = self.wound(self.pieces.as_ref()?, x);
         let value = Value {
             v: here.v,
             p_error: match here.pieces {
-                0 if here.v > 0.0 => here.v_bound / here.v,
-                0 => 0.0,
-                _ => largest(&here.p_bound[..n]) / largest(&p),
+                // A device tells the bound of V alone there.
+                0 if here.v > 0.0 && bound.iter().all(|b| *b == 0.0) => here.v_bound / here.v,
+                _ => self.relative(&bound, &p),
             },
             p,
             rate: self.time.map_or(f64::NAN, |_| here.p[n]),
@@ -137,10 +136,6 @@ impl ValueMap {
                 0 => Coverage::Local,
                 _ => self.coverage_of_pieces(&moved),
             },
-        };
-        let bound = match here.pieces {
-            0 => Vec::new(),
-            _ => here.p_bound[..n].to_vec(),
         };
         Some((value, bound))
     }
@@ -210,6 +205,19 @@ impl ValueMap {
             u.extend(self.controls.eval(&rows, 2 * n));
         }
         u
+    }
+
+    /// The first component of a state that lies outside the region of the map in pieces, or else of the scene, with its bounds
+    /// there; periods do not count.
+    pub fn outside(&self, x: &[f64]) -> Option<(usize, [f64; 2])> {
+        let bounds = |i: usize| match &self.pieces {
+            Some(pieces) => [pieces.region.lo[i], pieces.region.hi[i]],
+            None => self.plan.region[i].map(|s| s + self.plan.system.reference[i]),
+        };
+        (0..x.len()).map(|i| (i, bounds(i))).find(|(i, [lo, hi])| {
+            let turns = self.plan.periods[*i].map_or(0.0, |period| period * turns_into(x[*i], [*lo, *hi], period));
+            !(*lo..=*hi).contains(&(x[*i] + turns))
+        })
     }
 
     /// Moves a state into the region of the map in pieces, a little within its faces; false where there is none.

@@ -37,7 +37,7 @@ pub(crate) use swift::Room;
 
 use crate::backend::cpu::{Cpu, map::Evaluator};
 use crate::hamiltonian::System;
-use crate::local::LocalPolynomial;
+use crate::local::{LocalErrors, LocalPolynomial};
 use crate::output::{Stored, StoredError};
 use crate::program::Program;
 use crate::sweep::{Choices, Plan, PlanError, spread_over};
@@ -152,6 +152,8 @@ pub struct ValueMap {
     time: Option<f64>,
     /// The same for many states; `None` in a game, whose answers are checked one by one.
     swift: Option<Swift<f64>>,
+    /// Of the local solution.
+    local_errors: Option<LocalErrors>,
     /// Whether nothing but the local solution is known beside the pieces.
     pieces_alone: bool,
     /// The law, for many states.
@@ -234,6 +236,7 @@ impl ValueMap {
             isaacs,
             controls: Evaluator::new(&control),
             control,
+            local_errors: plan.local.as_ref().map(LocalErrors::new),
             plan,
             sites,
             fronts,
@@ -445,26 +448,13 @@ impl ValueMap {
         said.p_bound.truncate(n);
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
         let u = self.control(&s, &said.p);
-        // The bound of p, one component after the other, through the law.
-        let mut u_error = 0.0f64;
-        for i in 0..n {
-            for sign in [-1.0, 1.0] {
-                let mut p = said.p.clone();
-                p[i] += sign * said.p_bound[i];
-                let off = self.control(&s, &p);
-                u_error = off.iter().zip(&u).fold(u_error, |a, (x, y)| a.max((x - y).abs()));
-            }
-        }
-        let widths = &self.plan.widths;
-        let largest = |p: &[f64]| p.iter().zip(widths).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
-        let p_error = largest(&said.p_bound) / largest(&said.p);
         Value {
             v: said.v,
-            u,
             rate,
             hessian: of_states(&pieces.hessian(x), x.len(), n),
-            p_error,
-            u_error,
+            p_error: self.relative(&said.p_bound, &said.p),
+            u_error: self.control_error(&s, &said.p, &said.p_bound, &u),
+            u,
             v_error: said.v_bound,
             p: said.p,
             sheet: said.sheet,
@@ -483,6 +473,31 @@ impl ValueMap {
             true => Coverage::Checked,
             false => Coverage::Searched,
         }
+    }
+
+    /// The largest component of a bound of p's error relative to that of p, each times the region's width.
+    fn relative(&self, bound: &[f64], p: &[f64]) -> f64 {
+        let widths = &self.plan.widths;
+        let largest = |p: &[f64]| p.iter().zip(widths).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
+        match largest(bound) {
+            // At the equilibrium itself p is 0 too.
+            0.0 => 0.0,
+            bound => bound / largest(p),
+        }
+    }
+
+    /// What the bound of p, one component after the other, makes of u.
+    fn control_error(&self, s: &[f64], p: &[f64], bound: &[f64], u: &[f64]) -> f64 {
+        let mut error = 0.0f64;
+        for i in 0..p.len() {
+            for sign in [-1.0, 1.0] {
+                let mut p = p.to_vec();
+                p[i] += sign * bound[i];
+                let off = self.control(s, &p);
+                error = off.iter().zip(u).fold(error, |a, (x, y)| a.max((x - y).abs()));
+            }
+        }
+        error
     }
 
     /// The level of V at which the manifold of a game overlaps itself: the least V of a second sheet over any of some states
@@ -524,31 +539,36 @@ impl ValueMap {
         let local = self.plan.local.as_ref()?;
         let mut winding = vec![0; s.len()];
         let mut s = s.to_vec();
+        let mut sizes: Vec<f64> = s.iter().map(|s| s.abs()).collect();
         for (i, period) in self.plan.periods.iter().enumerate() {
             if let Some(period) = period {
                 let k = (s[i] / period).round();
                 s[i] -= k * period;
+                // A multiple of a rounded period, and its product.
+                sizes[i] += 3.0 * (k * period).abs();
                 winding[i] = -k as i32;
             }
         }
-        let quadratic = local.quadratic(&s);
-        if quadratic > local.seed_value {
+        if local.quadratic(&s) > local.seed_value {
             return None;
         }
         let (v, p, hessian) = local.expansion(&s);
         let u = self.control(&s, &p);
-        let error = local.error_where(quadratic);
-        let relative = if v > 0.0 { error / v } else { 0.0 };
+        let mut bound = vec![0.0; s.len()];
+        let v_error = self
+            .local_errors
+            .as_ref()?
+            .at(&s, &sizes, 0.5 * f64::EPSILON, &mut bound);
         Some(Value {
             v,
-            u,
             rate: f64::NAN,
             hessian,
+            p_error: self.relative(&bound, &p),
+            u_error: self.control_error(&s, &p, &bound, &u),
+            u,
             p,
             sheet: UNLABELLED,
-            v_error: error,
-            p_error: relative,
-            u_error: 0.0,
+            v_error,
             sites: 0,
             solved: 0,
             nearest: 0.0,

@@ -49,7 +49,12 @@ impl Sites {
     /// [`MapError`] where groups are not as this program writes them.
     pub fn collect(stored: &Stored, plan: &Plan, swept: Option<StoredTrajectories>) -> Result<Self, MapError> {
         let mut all = Gathering::new(plan);
-        if let Some(entries) = stored.points_sheets()? {
+        // `costate value` writes one solution a state alone.
+        let entries = match stored.points_sheets()? {
+            None => stored.points()?,
+            entries => entries,
+        };
+        if let Some(entries) = entries {
             for k in 0..entries.count {
                 all.add(&entries.x, &entries.v, &entries.p, k, entries.sheet[k], Source::Solved);
             }

@@ -8,7 +8,7 @@ use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, P
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
-use crate::local::LocalSolution;
+use crate::local::{LocalErrors, LocalSolution};
 use crate::sweep::Plan;
 
 /// Periods by which a coordinate must move to lie between bounds, if it can; 0 where it does. A winding number holds as many.
@@ -53,7 +53,8 @@ struct Around<T> {
     /// `z'z/2` up to which it holds.
     seed_value: T,
     /// Degrees and sizes of the parts of V not kept.
-    neglected: Vec<(i32, T)>,
+    neglected: Vec<(i32, f64)>,
+    errors: LocalErrors,
 }
 
 /// Room to work in.
@@ -62,6 +63,8 @@ pub struct Room<T> {
     near: Vec<u32>,
     /// `[state][coordinate]`.
     z: Vec<T>,
+    /// `[state][deviation, size of what it is a difference of][component]`.
+    deviations: Vec<f64>,
     inside: Vec<u32>,
     x: Vec<T>,
     /// The same of those outside the region, and coordinates there.
@@ -76,6 +79,7 @@ impl<T: Real> Room<T> {
             desk: Desk::new(),
             near: Vec::new(),
             z: Vec::new(),
+            deviations: Vec::new(),
             inside: Vec::new(),
             x: Vec::new(),
             outside: Vec::new(),
@@ -141,12 +145,13 @@ impl<T: Real> Swift<T> {
         let n = self.reference.len();
         room.near.clear();
         room.z.clear();
+        room.deviations.clear();
         room.inside.clear();
         room.x.clear();
         room.outside.clear();
         room.far.clear();
         for (k, x) in x.chunks_exact(n).enumerate() {
-            if self.is_near(x, &mut room.z) {
+            if self.is_near(x, &mut room.z, &mut room.deviations) {
                 room.near.push(k as u32);
                 continue;
             }
@@ -169,6 +174,7 @@ impl<T: Real> Swift<T> {
             desk,
             near,
             z,
+            deviations,
             inside,
             x,
             outside,
@@ -176,7 +182,7 @@ impl<T: Real> Swift<T> {
             monomials,
         } = room;
         if let Some(around) = &self.around {
-            around.each::<FMA>(n, z, second, monomials, |k, here| {
+            around.each::<FMA>(n, (z, deviations), second, monomials, |k, here| {
                 tell(near[k] as usize, Answer::Known(here));
             });
         }
@@ -190,17 +196,21 @@ impl<T: Real> Swift<T> {
         }
     }
 
-    /// Whether the local solution holds at a state; then its coordinates are added.
+    /// Whether the local solution holds at a state; then its coordinates are added, and what their errors are told by.
     #[inline(always)]
-    fn is_near(&self, x: &[T], z: &mut Vec<T>) -> bool {
+    fn is_near(&self, x: &[T], z: &mut Vec<T>, deviations: &mut Vec<f64>) -> bool {
         let Some(around) = &self.around else { return false };
         let n = x.len();
         let mut s = [T::of(0.0); MOST_VARIABLES];
         for i in 0..n {
             s[i] = x[i] - self.reference[i];
         }
+        let mut sizes = s.map(|s| s.f64().abs());
         for (i, period, _) in &self.periods {
-            s[*i] = s[*i] - T::of((s[*i] / *period).f64().round()) * *period;
+            let turns = (s[*i] / *period).f64().round();
+            s[*i] = s[*i] - T::of(turns) * *period;
+            // A multiple of a rounded period, and its product.
+            sizes[*i] += 3.0 * (turns * period.f64()).abs();
         }
         let mut own = [T::of(0.0); MOST_VARIABLES];
         let mut square = T::of(0.0);
@@ -214,6 +224,8 @@ impl<T: Real> Swift<T> {
         let near = T::of(0.5) * square <= around.seed_value;
         if near {
             z.extend_from_slice(&own[..n]);
+            deviations.extend(s[..n].iter().map(|s| s.f64()));
+            deviations.extend_from_slice(&sizes[..n]);
         }
         near
     }
@@ -235,7 +247,8 @@ impl<T: Real> Around<T> {
                 .collect(),
             matrix: polynomial.matrix.iter().map(|m| T::of(*m)).collect(),
             seed_value: T::of(polynomial.reach),
-            neglected: local.neglected().iter().map(|(k, size)| (*k, T::of(*size))).collect(),
+            neglected: local.neglected().to_vec(),
+            errors: LocalErrors::new(local),
             tables,
         })
     }
@@ -244,11 +257,12 @@ impl<T: Real> Around<T> {
     fn each<const FMA: bool>(
         &self,
         n: usize,
-        z: &[T],
+        (z, deviations): (&[T], &[f64]),
         second: bool,
         monomials: &mut Vec<Lanes<T, LANES>>,
         mut tell: impl FnMut(usize, &Here<T>),
     ) {
+        let mut of_p = [0.0; MOST_VARIABLES];
         let zero = T::of(0.0);
         monomials.resize(self.coefficients.len(), Lanes::splat(zero));
         let mut jet = Jet::zero();
@@ -269,11 +283,13 @@ impl<T: Real> Around<T> {
             }
             .at::<FMA>(n, &y, second, &mut jet);
             self.to_states::<FMA>(n, second, &mut jet);
-            for (l, place) in places.chunks_exact(n).enumerate() {
+            for l in 0..places.len() / n {
+                let (s, sizes) = deviations[(group * LANES + l) * 2 * n..][..2 * n].split_at(n);
                 here.v = jet.v.0[l];
-                here.v_bound = self.error(place);
+                here.v_bound = T::of(self.errors.at(s, sizes, 0.5 * T::EPSILON, &mut of_p[..n]));
                 for j in 0..n {
                     here.p[j] = jet.q[j].0[l];
+                    here.p_bound[j] = T::of(of_p[j]);
                 }
                 if second {
                     here.bent(n, |pair| jet.h[pair].0[l]);
@@ -281,19 +297,6 @@ impl<T: Real> Around<T> {
                 tell(group * LANES + l, &here);
             }
         }
-    }
-
-    /// Estimated error of V at `z = L's`.
-    #[inline(always)]
-    fn error(&self, z: &[T]) -> T {
-        let zero = T::of(0.0);
-        let radius = z.iter().fold(zero, |sum, z| sum + *z * *z).root();
-        let mut most = zero;
-        for (degree, size) in &self.neglected {
-            let error = (0..*degree).fold(*size, |product, _| product * radius);
-            most = if error > most { error } else { most };
-        }
-        most
     }
 
     /// Derivatives by states: Lq, and LhL' (its triangle).

@@ -11,25 +11,25 @@ use rust_hdf5::Hdf5Error;
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
     /// The final name is a directory, so nothing can be renamed to it.
-    #[error("cannot write the result file {}: it is a directory", path.display())]
+    #[error("cannot write {}: it is a directory; name a file in it", path.display())]
     TargetIsDirectory {
         /// The final name.
         path: PathBuf,
     },
     /// The final name is a device, a pipe or a socket, which a rename would destroy.
-    #[error("cannot write the result file {}: it is not a regular file", path.display())]
+    #[error("cannot write {}: it is a device, a pipe or a socket; name a regular file", path.display())]
     TargetIsSpecial {
         /// The final name.
         path: PathBuf,
     },
     /// The path ends in `..` or is empty or a root, so it names no file.
-    #[error("cannot write the result file {:?}: the path has no file name", path)]
+    #[error("cannot write {:?}: the path has no file name", path)]
     NoFileName {
         /// The final name.
         path: PathBuf,
     },
     /// A parent directory is missing and cannot be made.
-    #[error("cannot create the directory {} of the result file", directory.display())]
+    #[error("cannot create the directory {}: {source}", directory.display())]
     CreateDirectory {
         /// The directory.
         directory: PathBuf,
@@ -37,7 +37,7 @@ pub enum OutputError {
         source: io::Error,
     },
     /// The temporary file beside the final name cannot be created.
-    #[error("cannot create the result file {}", path.display())]
+    #[error("cannot create {}: {source}", path.display())]
     Create {
         /// The final name.
         path: PathBuf,
@@ -45,7 +45,7 @@ pub enum OutputError {
         source: io::Error,
     },
     /// The operating system refused a write, a disk that is full included.
-    #[error("cannot write to the result file {}", path.display())]
+    #[error("cannot write to {}: {source}", path.display())]
     Write {
         /// The final name.
         path: PathBuf,
@@ -53,7 +53,7 @@ pub enum OutputError {
         source: io::Error,
     },
     /// The complete file cannot be renamed to its final name.
-    #[error("cannot rename the finished result file to {}", path.display())]
+    #[error("cannot give the finished file its name {}: {source}", path.display())]
     Rename {
         /// The final name.
         path: PathBuf,
@@ -61,7 +61,7 @@ pub enum OutputError {
         source: io::Error,
     },
     /// The HDF5 layer refused, for a reason other than I/O.
-    #[error("cannot write {object} of the result file {}", path.display())]
+    #[error("cannot write {object} of the result file {}: {source}", path.display())]
     Hdf5 {
         /// The final name.
         path: PathBuf,

@@ -9,7 +9,7 @@ use rust_hdf5::{H5File, Hdf5Error};
 
 use super::attribute::AttributeOwner;
 use super::error::io_cause;
-use super::{AttributeValue, Group, GroupWriter, OutputError};
+use super::{AttributeValue, Group, GroupWriter, OutputError, Temporary};
 
 /// Tells apart the temporary files of one process.
 static TEMPORARIES: AtomicU64 = AtomicU64::new(0);
@@ -18,12 +18,13 @@ static TEMPORARIES: AtomicU64 = AtomicU64::new(0);
 ///
 /// It is written under a hidden name beside the final one. [`ResultFile::finish`] flushes it to the
 /// disk and renames it; until then a file that was there under the final name stays as it is. A
-/// `ResultFile` dropped before that leaves nothing, and a killed process nothing but the hidden file.
+/// `ResultFile` dropped before that leaves nothing, and a process that is killed outright nothing but the hidden file.
 /// It belongs to one thread.
 pub struct ResultFile {
     final_path: PathBuf,
-    temporary: PathBuf,
-    file: Option<H5File>,
+    // Closed before the name is removed: some systems do not remove open files.
+    file: Open,
+    temporary: Temporary,
     groups: Vec<String>,
 }
 
@@ -45,40 +46,17 @@ impl ResultFile {
     /// [`OutputError::CreateDirectory`] and [`OutputError::Create`] (the directory is not writable,
     /// for example).
     pub fn create(final_path: impl AsRef<Path>) -> Result<Self, OutputError> {
-        let given = final_path.as_ref();
-        // A link's target is replaced, not the link.
-        let linked = given.is_symlink().then(|| fs::canonicalize(given).ok()).flatten();
-        let final_path = linked.unwrap_or_else(|| given.to_owned());
-        let Some(name) = final_path.file_name() else {
-            return Err(OutputError::NoFileName { path: final_path });
-        };
-        if final_path.is_dir() {
-            return Err(OutputError::TargetIsDirectory { path: final_path });
-        }
-        if final_path.exists() && !final_path.is_file() {
-            return Err(OutputError::TargetIsSpecial { path: final_path });
-        }
-        let mut hidden = std::ffi::OsString::from(".");
-        hidden.push(name);
-        let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
-        hidden.push(format!(".{}-{serial}.tmp", std::process::id()));
-        let temporary = final_path.with_file_name(hidden);
-
-        let directory = parent_directory(&final_path);
-        fs::create_dir_all(directory).map_err(|source| OutputError::CreateDirectory {
-            directory: directory.to_owned(),
-            source,
-        })?;
+        let (final_path, temporary) = begun(final_path.as_ref())?;
         // Nobody else knows the temporary name, and some network file systems refuse locks.
         let file = H5File::options()
             .no_locking()
             .track_order(true)
-            .create(&temporary)
+            .create(temporary.path())
             .map_err(|error| create_error(&final_path, error))?;
         Ok(Self {
             final_path,
+            file: Open(Some(file)),
             temporary,
-            file: Some(file),
             groups: Vec::new(),
         })
     }
@@ -94,9 +72,9 @@ impl ResultFile {
             path: this.final_path.clone(),
             source,
         };
-        drop(this.file.take());
-        fs::copy(&this.final_path, &this.temporary).map_err(create)?;
-        let file = (H5File::options().no_locking().open_rw(&this.temporary))
+        drop(this.file.0.take());
+        fs::copy(&this.final_path, this.temporary.path()).map_err(create)?;
+        let file = (H5File::options().no_locking().open_rw(this.temporary.path()))
             .map_err(|error| create_error(&this.final_path, error))?;
         for group in replace {
             if file
@@ -108,7 +86,7 @@ impl ResultFile {
             }
         }
         this.groups = file.root_group().group_names().map_err(|e| this.error("/", e))?;
-        this.file = Some(file);
+        this.file = Open(Some(file));
         Ok(this)
     }
 
@@ -154,27 +132,26 @@ impl ResultFile {
     /// [`OutputError::Write`], [`OutputError::Hdf5`] and [`OutputError::Rename`]; the file is then
     /// gone, and an older one under the final name is still there.
     pub fn finish(mut self) -> Result<PathBuf, OutputError> {
-        if let Some(file) = self.file.take()
+        if let Some(file) = self.file.0.take()
             && let Err(error) = file.close()
         {
-            let error = self.error("the end", error);
-            self.remove_temporary();
-            return Err(error);
+            return Err(self.error("the end", error));
         }
-        if let Err(source) = fs::rename(&self.temporary, &self.final_path) {
-            self.remove_temporary();
-            return Err(OutputError::Rename {
-                path: self.final_path.clone(),
-                source,
-            });
-        }
+        let Self {
+            final_path, temporary, ..
+        } = self;
+        temporary.publish(&final_path).map_err(|source| OutputError::Rename {
+            path: final_path.clone(),
+            source,
+        })?;
         // The file is complete and in place; some network file systems refuse to flush a directory.
-        let _ = sync_directory(parent_directory(&self.final_path));
-        Ok(self.final_path.clone())
+        let _ = sync_directory(parent_directory(&final_path));
+        Ok(final_path)
     }
 
     fn open_file(&self) -> Result<&H5File, OutputError> {
         self.file
+            .0
             .as_ref()
             .ok_or_else(|| self.error("", Hdf5Error::InvalidState("the file is closed".into())))
     }
@@ -182,28 +159,60 @@ impl ResultFile {
     fn error(&self, object: &str, error: Hdf5Error) -> OutputError {
         OutputError::from_hdf5(&self.final_path, object, error)
     }
+}
 
-    fn remove_temporary(&self) {
-        // Nothing better can be done about a file that cannot be removed than to leave it hidden.
-        let _ = fs::remove_file(&self.temporary);
+/// An open file that is dropped is not flushed to the disk before it goes.
+struct Open(Option<H5File>);
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        if let Some(file) = self.0.take() {
+            let _ = file.close_no_sync();
+        }
     }
 }
 
-impl Drop for ResultFile {
-    fn drop(&mut self) {
-        if let Some(file) = self.file.take() {
-            // The writers share the handle, and some systems do not remove open files.
-            let _ = file.close_no_sync();
-            self.remove_temporary();
-        }
+/// The file that a path names: of a link the one that it leads to.
+///
+/// # Errors
+/// [`OutputError::NoFileName`], [`OutputError::TargetIsDirectory`] and [`OutputError::TargetIsSpecial`]: nothing but a regular
+/// file is replaced.
+pub fn target(given: &Path) -> Result<PathBuf, OutputError> {
+    let linked = given.is_symlink().then(|| fs::canonicalize(given).ok()).flatten();
+    let path = linked.unwrap_or_else(|| given.to_owned());
+    if path.file_name().is_none() {
+        return Err(OutputError::NoFileName { path });
     }
+    if path.is_dir() {
+        return Err(OutputError::TargetIsDirectory { path });
+    }
+    if path.exists() && !path.is_file() {
+        return Err(OutputError::TargetIsSpecial { path });
+    }
+    Ok(path)
+}
+
+/// The file that will have a name, and its hidden name until then, in a directory that is there.
+fn begun(given: &Path) -> Result<(PathBuf, Temporary), OutputError> {
+    let path = target(given)?;
+    let mut hidden = std::ffi::OsString::from(".");
+    hidden.push(path.file_name().unwrap_or_default());
+    let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
+    hidden.push(format!(".{}-{serial}.tmp", std::process::id()));
+    let directory = parent_directory(&path);
+    fs::create_dir_all(directory).map_err(|source| OutputError::CreateDirectory {
+        directory: directory.to_owned(),
+        source,
+    })?;
+    let temporary = Temporary::new(path.with_file_name(hidden));
+    Ok((path, temporary))
 }
 
 /// Puts a text file in place whole: written beside it under a hidden name, flushed and renamed.
 ///
 /// # Errors
-/// [`OutputError::NoFileName`], [`OutputError::Create`], [`OutputError::Write`] and [`OutputError::Rename`]; an older
-/// file under the name is then still there.
+/// Those of [`ResultFile::create`], [`OutputError::Write`] and [`OutputError::Rename`]; an older file under the name is then
+/// still there.
 pub fn write_text(path: &Path, text: &str) -> Result<(), OutputError> {
     write_bytes(path, text.as_bytes())
 }
@@ -213,26 +222,13 @@ pub fn write_text(path: &Path, text: &str) -> Result<(), OutputError> {
 /// # Errors
 /// Those of [`write_text`].
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
-    let Some(name) = path.file_name() else {
-        return Err(OutputError::NoFileName { path: path.to_owned() });
-    };
-    let mut hidden = std::ffi::OsString::from(".");
-    hidden.push(name);
-    let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
-    hidden.push(format!(".{}-{serial}.tmp", std::process::id()));
-    let temporary = path.with_file_name(hidden);
-    let at = || path.to_owned();
-    let mut file = File::create(&temporary).map_err(|source| OutputError::Create { path: at(), source })?;
+    let (path, temporary) = begun(path)?;
+    let at = || path.clone();
+    let mut file = File::create(temporary.path()).map_err(|source| OutputError::Create { path: at(), source })?;
     let written = file.write_all(bytes).and_then(|()| file.sync_all());
     drop(file);
-    let done = match written {
-        Ok(()) => fs::rename(&temporary, path).map_err(|source| OutputError::Rename { path: at(), source }),
-        Err(source) => Err(OutputError::Write { path: at(), source }),
-    };
-    if done.is_err() {
-        let _ = fs::remove_file(&temporary);
-    }
-    done
+    written.map_err(|source| OutputError::Write { path: at(), source })?;
+    (temporary.publish(&path)).map_err(|source| OutputError::Rename { path: at(), source })
 }
 
 fn parent_directory(path: &Path) -> &Path {
@@ -308,7 +304,7 @@ mod tests {
         let path = directory.path().join("result.h5");
         let first = ResultFile::create(&path).unwrap();
         let second = ResultFile::create(&path).unwrap();
-        assert_ne!(first.temporary, second.temporary);
+        assert_ne!(first.temporary.path(), second.temporary.path());
         first.finish().unwrap();
         drop(second);
         assert_eq!(entries(directory.path()), ["result.h5"]);
@@ -347,8 +343,13 @@ mod tests {
         }
         let taken = directory.path().join("taken");
         fs::create_dir(&taken).unwrap();
-        assert!(matches!(write_text(&taken, "no"), Err(OutputError::Rename { .. })));
-        assert_eq!(entries(directory.path()), ["picture.svg", "taken"]);
+        assert!(matches!(
+            write_text(&taken, "no"),
+            Err(OutputError::TargetIsDirectory { .. })
+        ));
+        // A missing directory is made, as for result files.
+        write_text(&directory.path().join("new/sub/table.csv"), "x").unwrap();
+        assert_eq!(entries(directory.path()), ["new", "picture.svg", "taken"]);
     }
 
     #[test]

@@ -42,6 +42,7 @@ mod spec;
 mod speed_error;
 mod stored;
 mod study;
+mod temporary;
 #[cfg(test)]
 mod testing;
 mod trajectories;
@@ -50,9 +51,12 @@ pub use attenuation::ATTENUATION_GROUPS;
 pub use attribute::AttributeValue;
 pub use dataset::{GroupWriter, Values};
 pub use error::OutputError;
-pub use file::{ResultFile, write_bytes, write_text};
+pub use file::{ResultFile, target, write_bytes, write_text};
 pub use interpolated::{Places, Times};
 pub use record::{RunRecord, utc_timestamp};
 pub use spec::{Compression, Dimension, Group, Variable};
 pub use stored::{Array, Stored, StoredError, StoredGroup, StoredMap, StoredPoints, StoredTrajectories};
+pub use temporary::Temporary;
+#[cfg(unix)]
+pub use temporary::removed_at_signals;
 pub use trajectories::{Axis, TrajectoryBlock, TrajectorySchema, TrajectoryWriter};

@@ -12,6 +12,8 @@ use std::path::{Path, PathBuf};
 pub enum StoredError {
     #[error("cannot read {path}: {source}", path = path.display())]
     Read { path: PathBuf, source: std::io::Error },
+    #[error("{path} is a directory: name the result file in it", path = path.display())]
+    Directory { path: PathBuf },
     #[error("{path} is not a result file (HDF5): {reason}{hint}", path = path.display())]
     NotHdf5 {
         path: PathBuf,
@@ -98,8 +100,10 @@ pub struct StoredPoints {
     pub p: Vec<f64>,
     pub u: Vec<f64>,
     pub sheet: Vec<i32>,
-    /// Index of the state in `/points`.
+    /// Index of the state in `/points`, as the file has them: rows of other times are left out here.
     pub point: Vec<i32>,
+    /// Codes as the file has them; empty where it has none.
+    pub status: Vec<i32>,
 }
 
 /// `/map`.
@@ -112,6 +116,8 @@ pub struct StoredMap {
     pub p: Vec<f64>,
     pub u: Vec<f64>,
     pub sheet: Vec<i32>,
+    /// Codes as the file has them; empty where it has none.
+    pub status: Vec<i32>,
 }
 
 impl Stored {
@@ -125,6 +131,9 @@ impl Stored {
             path: path.to_owned(),
             source,
         })?;
+        if path.is_dir() {
+            return Err(StoredError::Directory { path: path.to_owned() });
+        }
         let file = (H5File::options().no_locking().open(path)).map_err(|e| StoredError::NotHdf5 {
             path: path.to_owned(),
             reason: e.to_string(),
@@ -210,10 +219,10 @@ impl Stored {
         }))
     }
 
-    /// `/points`; `None` where it is absent. States without a solution have NaN.
+    /// `/points`, of V(x, t) those at t = 0; `None` where it is absent. States without a solution have NaN.
     ///
     /// # Errors
-    /// [`StoredError::Object`] where it is not as this program writes it.
+    /// [`StoredError::Object`] where it is not as this program writes it, or has rows of later times alone.
     pub fn points(&self) -> Result<Option<StoredPoints>, StoredError> {
         let Some(group) = self.group("points") else {
             return Ok(None);
@@ -223,7 +232,43 @@ impl Stored {
         let mut points = self.solutions(&group, count)?;
         points.x = x.values;
         points.point = (0..count as i32).collect();
-        Ok(Some(points))
+        let Some(times) = self.times(&group)? else {
+            return Ok(Some(points));
+        };
+        let name = self.model.time_name();
+        if times.len() != count {
+            return Err(group.error(name, "not as many as there are states"));
+        }
+        let kept: Vec<usize> = (0..count).filter(|k| times[*k] == 0.0).collect();
+        if kept.is_empty() && count > 0 {
+            return Err(group.error(name, &self.later("no row")));
+        }
+        let (n, m) = (self.model.states.len(), self.model.controls.len());
+        Ok(Some(StoredPoints {
+            count: kept.len(),
+            x: taken(&points.x, n, &kept),
+            v: taken(&points.v, 1, &kept),
+            p: taken(&points.p, n, &kept),
+            u: taken(&points.u, m, &kept),
+            sheet: taken(&points.sheet, 1, &kept),
+            point: taken(&points.point, 1, &kept),
+            status: taken(&points.status, 1, &kept),
+        }))
+    }
+
+    /// Times of a group's rows, or along its axis; `None` where it has none, and all is of t = 0.
+    fn times(&self, group: &StoredGroup<'_>) -> Result<Option<Vec<f64>>, StoredError> {
+        let name = self.model.time_name();
+        if self.model.final_time().is_none() || !group.has(name) {
+            return Ok(None);
+        }
+        Ok(Some(group.f64(name)?.values))
+    }
+
+    /// Why values of later times are of no use where V(x, 0) is wanted.
+    fn later(&self, what: &str) -> String {
+        let name = self.model.time_name();
+        format!("{what} is at {name} = 0, and V is wanted there: ask for it with {name} = 0 too")
     }
 
     /// `/points_sheets`: every solution found at the states of `/points`; `None` where it is absent.
@@ -238,7 +283,8 @@ impl Stored {
         let n = self.model.states.len();
         let mut entries = self.solutions(&group, point.len())?;
         for &k in &point {
-            let at = usize::try_from(k).ok().and_then(|k| points.x.get(k * n..(k + 1) * n));
+            let row = points.point.binary_search(&k).ok();
+            let at = row.and_then(|k| points.x.get(k * n..(k + 1) * n));
             let at = at.ok_or_else(|| group.error("point", "names a point that /points does not have"))?;
             entries.x.extend_from_slice(at);
         }
@@ -254,14 +300,15 @@ impl Stored {
             p: group.shaped("p", &[count, n])?,
             u: group.shaped("u", &[count, m])?,
             sheet: group.i32("sheet")?.1,
+            status: group.codes("status", count)?,
             ..StoredPoints::default()
         })
     }
 
-    /// `/map`; `None` where it is absent.
+    /// `/map`, of V(x, t) at t = 0; `None` where it is absent.
     ///
     /// # Errors
-    /// [`StoredError::Object`] where it is not as this program writes it.
+    /// [`StoredError::Object`] where it is not as this program writes it, or is of later times alone.
     pub fn map(&self) -> Result<Option<StoredMap>, StoredError> {
         let Some(group) = self.group("map") else {
             return Ok(None);
@@ -270,14 +317,33 @@ impl Stored {
         for state in &self.model.states {
             axes.push(group.f64(&state.variable.name)?.values);
         }
-        let counts: Vec<usize> = axes.iter().map(Vec::len).collect();
+        let (n, m) = (self.model.states.len(), self.model.controls.len());
+        let times = self.times(&group)?;
+        let lengths = axes.iter().chain(&times).map(Vec::len);
+        let counts: Vec<usize> = lengths.collect();
+        let nodes: usize = counts.iter().product();
         let with = |last: usize| [counts.as_slice(), &[last]].concat();
-        Ok(Some(StoredMap {
+        let map = StoredMap {
             v: group.shaped("V", &counts)?,
-            p: group.shaped("p", &with(self.model.states.len()))?,
-            u: group.shaped("u", &with(self.model.controls.len()))?,
-            sheet: group.i32("sheet")?.1,
+            p: group.shaped("p", &with(n))?,
+            u: group.shaped("u", &with(m))?,
+            sheet: group.codes("sheet", nodes)?,
+            status: group.codes("status", nodes)?,
             axes,
+        };
+        let Some(times) = times else { return Ok(Some(map)) };
+        // The time runs fastest.
+        let Some(first) = times.iter().position(|t| *t == 0.0) else {
+            return Err(group.error(self.model.time_name(), &self.later("nothing")));
+        };
+        let kept: Vec<usize> = (first..nodes).step_by(times.len()).collect();
+        Ok(Some(StoredMap {
+            v: taken(&map.v, 1, &kept),
+            p: taken(&map.p, n, &kept),
+            u: taken(&map.u, m, &kept),
+            sheet: taken(&map.sheet, 1, &kept),
+            status: taken(&map.status, 1, &kept),
+            axes: map.axes,
         }))
     }
 }
@@ -320,6 +386,21 @@ impl StoredGroup<'_> {
         let dataset = self.dataset(name)?;
         let values = dataset.read_numeric_as::<i32>().map_err(|e| self.hdf5(name, &e))?;
         Ok((dataset.shape(), values))
+    }
+
+    /// So many integers; none where the group has no dataset of that name.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where it has another number of them.
+    pub fn codes(&self, name: &str, count: usize) -> Result<Vec<i32>, StoredError> {
+        if count == 0 || !self.has(name) {
+            return Ok(Vec::new());
+        }
+        let codes = self.i32(name)?.1;
+        if codes.len() != count {
+            return Err(self.error(name, "not as many as there are states"));
+        }
+        Ok(codes)
     }
 
     /// Texts.
@@ -374,4 +455,14 @@ impl StoredGroup<'_> {
     fn hdf5(&self, name: &str, error: &Hdf5Error) -> StoredError {
         self.error(name, &error.to_string())
     }
+}
+
+/// Some rows of an array.
+fn taken<T: Copy>(all: &[T], width: usize, rows: &[usize]) -> Vec<T> {
+    if all.is_empty() {
+        return Vec::new();
+    }
+    (rows.iter())
+        .flat_map(|row| all[row * width..][..width].iter().copied())
+        .collect()
 }

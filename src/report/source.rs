@@ -331,11 +331,7 @@ fn base(model: &Model, choice: &Report, axes: [usize; 2], grid: Option<&GridFiel
 fn field(stored: &Stored, points: &Result<Option<StoredPoints>, String>) -> Result<Option<GridField>, String> {
     let (n, m) = (stored.model.states.len(), stored.model.controls.len());
     if let Some(map) = stored.map().map_err(|e| e.to_string())? {
-        let status = stored.group("map").map(|g| g.i32("status"));
-        let above: Vec<bool> = match status {
-            Some(Ok((_, status))) => status.iter().map(|s| *s == PointStatus::AboveMax as i32).collect(),
-            _ => Vec::new(),
-        };
+        let above: Vec<bool> = map.status.iter().map(|s| *s == PointStatus::AboveMax as i32).collect();
         let limit = stored
             .model
             .map

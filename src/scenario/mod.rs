@@ -32,8 +32,10 @@ mod tests;
 pub use problem::Problem;
 pub use report::ScenarioErrors;
 pub use report_section::{constant, definitions};
+pub use scene::PROBLEM_SECTIONS;
 pub use settings::{DEFAULT_ATOL_SHARE, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
 pub(crate) use suggest::did_you_mean as suggestion;
+pub(crate) use syntax_error::shorten;
 
 use crate::model::Model;
 use std::path::{Path, PathBuf};

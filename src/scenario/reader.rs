@@ -6,6 +6,7 @@ use super::quoted::Offsets;
 use super::scope::Scope;
 use super::suggest::did_you_mean;
 use super::syntax_error::shorten;
+use crate::digits::plain;
 use crate::expr::{Graph, Id};
 use crate::model::Span;
 use crate::scenario::Problem;
@@ -222,8 +223,8 @@ impl<'a> Reader<'a> {
         }
         self.refuse(
             value.span(),
-            format!("{what} must be {wanted}, not {number}"),
-            format!("this is {number}"),
+            format!("{what} must be {wanted}, not {}", plain(number)),
+            format!("this is {}", plain(number)),
         )
     }
 

@@ -39,6 +39,8 @@ const SECTIONS: [&str; 20] = [
     "study",
     "attenuation",
 ];
+/// Those that state the problem; the others say what is wanted of it.
+pub const PROBLEM_SECTIONS: &[&str] = SECTIONS.split_at(10).0;
 const INTEGRATOR: &str = "integrator";
 /// Sections whose strings are expressions.
 const EXPRESSIONS: [&str; 6] = ["parameters", "definitions", "dynamics", "cost", "equilibrium", "region"];

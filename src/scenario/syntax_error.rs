@@ -49,7 +49,7 @@ fn shown(kind: Kind<'_>) -> String {
 }
 
 /// At most 40 characters of `text`.
-pub(super) fn shorten(text: &str) -> String {
+pub(crate) fn shorten(text: &str) -> String {
     match text.char_indices().nth(40) {
         Some((end, _)) => format!("{}...", &text[..end]),
         None => text.to_owned(),

@@ -4,6 +4,7 @@
 pub mod header;
 pub mod made_up;
 
+use costate::scenario::PROBLEM_SECTIONS;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -53,20 +54,8 @@ pub fn sections_of(name: &str, wanted: impl Fn(&str) -> bool) -> String {
 
 /// A shipped scene's problem alone, with further lines, in a directory.
 pub fn scene(directory: &Path, name: &str, lines: &str) -> PathBuf {
-    const KEPT: [&str; 10] = [
-        "parameters",
-        "states",
-        "controls",
-        "disturbances",
-        "definitions",
-        "dynamics",
-        "cost",
-        "equilibrium",
-        "region",
-        "guards",
-    ];
     let path = directory.join(format!("{name}.toml"));
-    let kept = sections_of(name, |section| KEPT.contains(&section));
+    let kept = sections_of(name, |section| PROBLEM_SECTIONS.contains(&section));
     std::fs::write(&path, format!("{kept}\n{lines}\n")).unwrap();
     path
 }

@@ -13,6 +13,7 @@ mod flat_tests;
 mod frame;
 mod jets;
 mod least_squares;
+mod rounding;
 mod terms;
 
 pub use build::{Before, Cloud, Want, build, build_around};
@@ -193,11 +194,12 @@ impl Pieces {
         Some(this)
     }
 
-    /// Fills in how far cells reach.
+    /// Fills in how far cells reach, and raises bounds that are below the rounding of the sums.
     fn finish(&mut self) {
         if !self.nodes.is_empty() {
             self.extent(0);
         }
+        self.raise_to_rounding();
     }
 
     /// Lowest and highest coordinates to which the cells below a node reach.

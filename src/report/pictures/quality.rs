@@ -115,11 +115,14 @@ fn at_points(source: &Source<'_>) -> Result<Vec<Row>, String> {
     let n = source.model.states.len();
     let mut rows = Vec::new();
     let solved: Vec<usize> = (0..points.count).filter(|k| points.v[*k].is_finite()).collect();
-    if source.infinite() {
+    // Rows of the file, of which those of other times are not among the points.
+    let row = |k: usize| points.point[k] as usize;
+    // What was interpolated has neither.
+    if source.infinite() && group.has("H") {
         let h = group.f64("H").map_err(wrong)?.values;
         let mut flow = Flow::new(source.model, &source.stored.hamiltonian);
         let values: Vec<f64> = (solved.iter().step_by(solved.len().div_ceil(8000).max(1)))
-            .map(|k| h[*k].abs() / flow.at(&points.x[k * n..(k + 1) * n], &points.p[k * n..(k + 1) * n])[n].abs())
+            .map(|k| h[row(*k)].abs() / flow.at(&points.x[k * n..(k + 1) * n], &points.p[k * n..(k + 1) * n])[n].abs())
             .filter(|v| v.is_finite())
             .collect();
         rows.push(Row {
@@ -127,11 +130,14 @@ fn at_points(source: &Source<'_>) -> Result<Vec<Row>, String> {
             values,
         });
     }
-    let residual = group.f64("residual").map_err(wrong)?.values;
-    rows.push(Row {
-        label: "last correction at solved states, of the trajectory's size".to_owned(),
-        values: solved.iter().map(|k| residual[*k]).filter(|v| v.is_finite()).collect(),
-    });
+    if group.has("residual") {
+        let residual = group.f64("residual").map_err(wrong)?.values;
+        let values = solved.iter().map(|k| residual[row(*k)]);
+        rows.push(Row {
+            label: "last correction at solved states, of the trajectory's size".to_owned(),
+            values: values.filter(|v| v.is_finite()).collect(),
+        });
+    }
     rows.retain(|r| !r.values.is_empty());
     Ok(rows)
 }
