@@ -5,14 +5,19 @@ struct Weight {
     positive: bool,
     w: real,
     dw: Place,
+//if ROUNDED
+    // What rounding may do to w and to its slopes.
+    w_lost: real,
+    dw_lost: Place,
+//end
 //if SECOND
     ddw: Triangle,
 //end
 }
 
 // The weight of a cell at a place, with its derivatives.
-fn weight(cell: u32, place: Place) -> Weight {
-    var z = place;
+fn weight(cell: u32, place: Spot) -> Weight {
+    var z = place.at;
     var share: Weight;
     var f: Place;
     var d: Place;
@@ -49,6 +54,21 @@ fn weight(cell: u32, place: Place) -> Weight {
         }
         share.dw[i] = product;
     }
+//if ROUNDED
+    // The polynomial's terms are up to 31 in all, its slope's 30, its second derivative at most 6, in units of the overlap.
+    var off = place.off;
+    var way: real = 0.0;
+    for (var i = 0u; i < N; i += 1u) {
+        let half = reals[box + N + i];
+        way += (off[i] + EPSILON * (abs(reals[box + i]) + abs(z[i]))) / (OVERLAP * half);
+    }
+    for (var i = 0u; i < N; i += 1u) {
+        let half = reals[box + N + i];
+        let moved = off[i] + EPSILON * (abs(reals[box + i]) + abs(z[i]));
+        share.w_lost += abs(share.dw[i]) * moved + select(real(0.0), 31.0 * EPSILON, f[i] < 1.0);
+        share.dw_lost[i] = select(real(0.0), (6.0 * way + 60.0 * EPSILON) / (OVERLAP * half), f[i] < 1.0);
+    }
+//end
 //if SECOND
     var pair = 0u;
     for (var i = 0u; i < N; i += 1u) {
@@ -77,8 +97,8 @@ const NO_CELL: u32 = 0xffffffffu;
 
 // The next cell that may reach over a place; the walk is a function of its own so that neighbouring invocations come to their
 // cells together.
-fn next_cell(walk: ptr<function, Walk>, place: Place) -> u32 {
-    var z = place;
+fn next_cell(walk: ptr<function, Walk>, place: Spot) -> u32 {
+    var z = place.at;
     var cell = NO_CELL;
     while ((cell == NO_CELL) & ((*walk).height > 0u)) {
         (*walk).height -= 1u;
@@ -103,8 +123,8 @@ fn next_cell(walk: ptr<function, Walk>, place: Place) -> u32 {
 }
 
 // The lowest sheet's blend at a place of the frame, in its coordinates.
-fn blended(place: Place) -> Said {
-    var z = place;
+fn blended(place: Spot) -> Said {
+    var z = place.at;
     var said: Said;
     var node = 0u;
     loop {
@@ -116,12 +136,12 @@ fn blended(place: Place) -> Said {
         spent += 1u;
     }
     let own = words[NODES + 3u * node + 1u];
-    if (!weight(own, z).positive) {
+    if (!weight(own, place).positive) {
         return said;
     }
     var first: Told;
     for (var piece = words[OWNED + own]; piece < words[OWNED + own + 1u]; piece += 1u) {
-        let here = told(piece, z);
+        let here = told(piece, place);
         if (here.known & (here.v <= VALUE_MAX)) {
             said.sheets += 1u;
             if (!first.known | (here.v < first.v)) {
@@ -141,6 +161,16 @@ fn blended(place: Place) -> Said {
     var more: real = 0.0;
     var total_slope: Place;
     var more_slope: Place;
+//if ROUNDED
+    // Of what is blended: what each piece lost at most, how far pieces are apart, and what the weights lost.
+    var v_lost = first.v_lost;
+    var q_lost = first.q_lost;
+    var apart: real = 0.0;
+    var slopes_apart: Place;
+    var w_lost: real = 0.0;
+    var dw_lost: Place;
+    var dw_size: Place;
+//end
 //if SECOND
     var total_bend: Triangle;
     var more_bend: Triangle;
@@ -148,7 +178,7 @@ fn blended(place: Place) -> Said {
     var walk: Walk;
     walk.height = 1u;
     loop {
-        let cell = next_cell(&walk, z);
+        let cell = next_cell(&walk, place);
         if (cell == NO_CELL) {
             break;
         }
@@ -156,7 +186,7 @@ fn blended(place: Place) -> Said {
             said.how = TOO_MUCH;
             break;
         }
-        var share = weight(cell, z);
+        var share = weight(cell, place);
         if (!share.positive) {
             continue;
         }
@@ -166,7 +196,7 @@ fn blended(place: Place) -> Said {
             let begin = words[OWNED + cell];
             let end = words[OWNED + cell + 1u];
             for (var piece = begin; piece < end; piece += 1u) {
-                let here = told(piece, z);
+                let here = told(piece, place);
                 if (here.known & (!best.known | (abs(here.v - first.v) < abs(best.v - first.v)))) {
                     best = here;
                 }
@@ -187,6 +217,17 @@ fn blended(place: Place) -> Said {
             more_slope[i] += share.w * (best.q[i] - first.q[i]) + share.dw[i] * off;
             said.p_bound[i] = max(said.p_bound[i], best.p_bound[i]);
         }
+//if ROUNDED
+        v_lost = max(v_lost, best.v_lost);
+        apart = max(apart, abs(off));
+        w_lost += share.w_lost;
+        for (var i = 0u; i < N; i += 1u) {
+            q_lost[i] = max(q_lost[i], best.q_lost[i]);
+            slopes_apart[i] = max(slopes_apart[i], abs(best.q[i] - first.q[i]));
+            dw_lost[i] += share.dw_lost[i];
+            dw_size[i] += abs(share.dw[i]);
+        }
+//end
 //if SECOND
         var pair = 0u;
         for (var i = 0u; i < N; i += 1u) {
@@ -207,6 +248,15 @@ fn blended(place: Place) -> Said {
         slope[i] = (more_slope[i] - blend * total_slope[i]) / total;
         said.p[i] = first.q[i] + slope[i];
     }
+//if ROUNDED
+    // V is a mean of what is `apart` at most, p one of slopes with the weights' slopes times that.
+    said.v_lost = v_lost + (2.0 * w_lost / total + 16.0 * EPSILON) * apart + EPSILON * abs(said.v);
+    for (var i = 0u; i < N; i += 1u) {
+        let uneven = 2.0 * (dw_size[i] * (v_lost + (w_lost / total + 16.0 * EPSILON) * apart) + dw_lost[i] * apart);
+        let even = (2.0 * w_lost / total + 16.0 * EPSILON) * slopes_apart[i];
+        said.p_lost[i] = q_lost[i] + even + uneven / total + EPSILON * abs(said.p[i]);
+    }
+//end
 //if SECOND
     var pair = 0u;
     for (var i = 0u; i < N; i += 1u) {
@@ -257,30 +307,70 @@ fn bent_by_states(bend: Triangle, matrix: u32) -> Triangle {
 }
 //end
 
+//if ROUNDED
+// What derivatives by states lose, from what those by coordinates lost.
+fn lost_by_states(lost: Place, slope: Place, matrix: u32) -> Place {
+    var given = lost;
+    var q = slope;
+    var p: Place;
+    for (var j = 0u; j < N; j += 1u) {
+        for (var i = 0u; i < N; i += 1u) {
+            p[j] += abs(reals[matrix + i * N + j]) * (given[i] + real(N + 1u) * EPSILON * abs(q[i]));
+        }
+    }
+    return p;
+}
+//end
+
 // What is said of a state.
 fn chart(state: Place) -> Said {
     var s = state;
     var said: Said;
     spent = 0u;
+//if ROUNDED
+    // Of what the state was rounded to, and of whole periods.
+    var off: Place;
+    for (var i = 0u; i < N; i += 1u) {
+        off[i] = EPSILON * abs(s[i]);
+    }
+//end
 //if PERIODS
     for (var i = 0u; i < N; i += 1u) {
         let period = reals[PERIOD + i];
         if (period > 0.0) {
-            s[i] -= round(s[i] / period) * period;
+            let whole = round(s[i] / period) * period;
+            s[i] -= whole;
+//end
+//if PERIODS ROUNDED
+            off[i] += EPSILON * abs(whole);
+//end
+//if PERIODS
         }
     }
 //end
 //if LOCAL
-    var own: Place;
+    var local: Spot;
     var square: real = 0.0;
     for (var i = 0u; i < N; i += 1u) {
+        var own: real = 0.0;
         for (var j = 0u; j < N; j += 1u) {
-            own[i] += reals[LOCAL_MATRIX + i * N + j] * s[j];
+            own += reals[LOCAL_MATRIX + i * N + j] * s[j];
         }
-        square += own[i] * own[i];
+        square += own * own;
+        local.at[i] = own;
     }
     if (0.5 * square <= SEED_VALUE) {
-        let sum = polynomial(LOCAL, LOCAL_DEGREE, own);
+//end
+//if LOCAL ROUNDED
+        for (var i = 0u; i < N; i += 1u) {
+            for (var j = 0u; j < N; j += 1u) {
+                let entry = abs(reals[LOCAL_MATRIX + i * N + j]);
+                local.off[i] += entry * (off[j] + real(N + 1u) * EPSILON * abs(s[j]));
+            }
+        }
+//end
+//if LOCAL
+        let sum = polynomial(LOCAL, LOCAL_DEGREE, local);
         said.how = NEAR;
         said.v = sum.v;
         said.p = by_states(sum.q, LOCAL_MATRIX, false);
@@ -299,6 +389,12 @@ fn chart(state: Place) -> Said {
             }
             said.v_bound = max(said.v_bound, error);
         }
+//end
+//if LOCAL ROUNDED
+        said.v_bound += sum.v_lost;
+        said.p_bound = lost_by_states(sum.q_lost, sum.q, LOCAL_MATRIX);
+//end
+//if LOCAL
         return said;
     }
     s = state;
@@ -308,27 +404,51 @@ fn chart(state: Place) -> Said {
     for (var i = 0u; i < N; i += 1u) {
         let period = reals[PERIOD + i];
         if ((period > 0.0) & ((s[i] < reals[LO + i]) | (s[i] > reals[HI + i]))) {
-            s[i] += ceil((reals[LO + i] - s[i]) / period) * period;
+            let whole = ceil((reals[LO + i] - s[i]) / period) * period;
+            s[i] += whole;
+//end
+//if PERIODS ROUNDED
+            off[i] += EPSILON * abs(whole);
+//end
+//if PERIODS
         }
     }
 //end
-    var z: Place;
+    var place: Spot;
     var inside = true;
     for (var i = 0u; i < N; i += 1u) {
+        var z: real = 0.0;
         inside = inside & (s[i] >= reals[LO + i]) & (s[i] <= reals[HI + i]);
         for (var j = 0u; j < N; j += 1u) {
-            z[i] += reals[MATRIX + i * N + j] * (s[j] - reals[ORIGIN + j]);
+            z += reals[MATRIX + i * N + j] * (s[j] - reals[ORIGIN + j]);
         }
+        place.at[i] = z;
     }
     if (!inside) {
         said.how = ELSEWHERE;
         return said;
     }
-//if BEND
-    var shear = shear_at(z);
-    z[BEND_AXIS] = (z[BEND_AXIS] + shear.phi - BEND_LOWEST) / BEND_WIDTH;
+//if ROUNDED
+    for (var i = 0u; i < N; i += 1u) {
+        for (var j = 0u; j < N; j += 1u) {
+            let origin = reals[ORIGIN + j];
+            let steps = real(N + 2u) * EPSILON * abs(s[j] - origin);
+            place.off[i] += abs(reals[MATRIX + i * N + j]) * (off[j] + EPSILON * abs(origin) + steps);
+        }
+    }
 //end
-    said = blended(z);
+//if BEND
+    var shear = shear_at(place);
+    let along = place.at[BEND_AXIS] + shear.phi - BEND_LOWEST;
+//end
+//if BEND ROUNDED
+    let terms = abs(place.at[BEND_AXIS]) + abs(shear.phi) + abs(BEND_LOWEST);
+    place.off[BEND_AXIS] = (place.off[BEND_AXIS] + shear.lost + 2.0 * EPSILON * (terms + abs(along))) / BEND_WIDTH;
+//end
+//if BEND
+    place.at[BEND_AXIS] = along / BEND_WIDTH;
+//end
+    said = blended(place);
 //if BEND
     let steep = said.p[BEND_AXIS] / BEND_WIDTH;
 //end
@@ -362,12 +482,32 @@ fn chart(state: Place) -> Said {
     for (var i = 0u; i < N; i += 1u) {
         said.p[i] += steep * shear.slope[i];
         said.p_bound[i] += uncertain * abs(shear.slope[i]);
+//end
+//if BEND ROUNDED
+        if (i != BEND_AXIS) {
+            let lost = (said.p_lost[BEND_AXIS] / BEND_WIDTH + 2.0 * EPSILON * abs(steep)) * abs(shear.slope[i]);
+            said.p_lost[i] += lost + abs(steep) * shear.slope_lost[i] + EPSILON * abs(said.p[i]);
+        }
+//end
+//if BEND
     }
+//end
+//if BEND ROUNDED
+    said.p_lost[BEND_AXIS] = said.p_lost[BEND_AXIS] / BEND_WIDTH + 2.0 * EPSILON * abs(steep);
+//end
+//if BEND
     said.p[BEND_AXIS] = steep;
     said.p_bound[BEND_AXIS] = uncertain;
 //end
-    said.p = by_states(said.p, MATRIX, false);
     said.p_bound = by_states(said.p_bound, MATRIX, true);
+//if ROUNDED
+    let lost = lost_by_states(said.p_lost, said.p, MATRIX);
+    said.v_bound += said.v_lost;
+    for (var i = 0u; i < N; i += 1u) {
+        said.p_bound[i] += lost[i];
+    }
+//end
+    said.p = by_states(said.p, MATRIX, false);
 //if SECOND
     said.h = bent_by_states(said.h, MATRIX);
 //end

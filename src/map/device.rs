@@ -69,7 +69,12 @@ fn source(packed: &Packed, precision: Precision) -> Source {
             ),
         },
     ];
-    fragments.extend(asked(packed, precision, &[]));
+    // In f64 rounding is far below any bound.
+    let conditions: &[&str] = match precision {
+        Precision::F32 => &["ROUNDED"],
+        Precision::F64 => &[],
+    };
+    fragments.extend(asked(packed, precision, conditions));
     fragments.push(Fragment {
         name: "shaders/pieces_at.wgsl",
         text: include_str!("../../shaders/pieces_at.wgsl").to_owned(),

@@ -87,7 +87,7 @@ impl GpuRelay {
         fragments.extend(surface.fragments.iter().cloned());
         fragments.push(Fragment {
             name: "shaders/legs.wgsl",
-            text: include_str!("../../../shaders/legs.wgsl").to_owned(),
+            text: super::shader::conditional(include_str!("../../../shaders/legs.wgsl"), &[]), // DEV
         });
         let source = Source::new(&fragments);
         source.validate(device.info.f64_arithmetic)?;
