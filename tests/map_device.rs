@@ -331,20 +331,34 @@ fn whole_periods_are_taken_off_in_f64() {
     let device = DeviceMap::new(&map, &gpu, Precision::F32).unwrap();
     let turn = 2.0 * std::f64::consts::PI;
     let near = spread(&[-3.0, -4.0], &[1.5, 4.0], 200);
-    let far: Vec<f64> = (near.chunks(2))
-        .flat_map(|x| [x[0] + 10_000.0 * turn, x[1]])
-        .collect();
+    let far: Vec<f64> = (near.chunks(2)).flat_map(|x| [x[0] + 10_000.0 * turn, x[1]]).collect();
     let (cpu, said) = (map.at_many(&far, false), device.at_many(&far).unwrap());
     let mut known = 0;
     for (a, b) in cpu.iter().zip(&said) {
-        let (Ok(a), Ok(b)) = (&a.lowest, &b.lowest) else { continue };
+        let (Ok(a), Ok(b)) = (&a.lowest, &b.lowest) else {
+            continue;
+        };
         known += usize::from(a.in_pieces);
-        assert!(a.sheet != b.sheet || (a.v - b.v).abs() <= b.v_error - a.v_error, "{} {}", a.v, b.v);
+        assert!(
+            a.sheet != b.sheet || (a.v - b.v).abs() <= b.v_error - a.v_error,
+            "{} {}",
+            a.v,
+            b.v
+        );
         assert_eq!(a.winding, b.winding);
     }
     assert!(known > 100);
     let at = format!("theta={},omega=0.5", -1.0 + 10_000.0 * turn);
     let file = file.to_str().unwrap();
-    let said = done(costate(&["value", file, "--at", &at, "--backend", "gpu", "--precision", "f32"]));
+    let said = done(costate(&[
+        "value",
+        file,
+        "--at",
+        &at,
+        "--backend",
+        "gpu",
+        "--precision",
+        "f32",
+    ]));
     assert!(said.contains(&gpu.adapter()) && said.contains("f32"), "{said}");
 }

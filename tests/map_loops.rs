@@ -148,7 +148,11 @@ fn a_linear_quadratic_loop_costs_v() {
     // The map's error of V relative to V.
     assert!(worst <= 1e-6, "{worst:e}");
     let trips = result.round_trips;
-    assert!(trips * 8 <= mapped.legs(), "{trips} round trips of {} legs", mapped.legs());
+    assert!(
+        trips * 8 <= mapped.legs(),
+        "{trips} round trips of {} legs",
+        mapped.legs()
+    );
     let on_cpu = mapped.fly(&Cpu::new(), F64);
     assert_eq!(on_cpu.round_trips, 0);
     let (most, unlike) = difference(&on_cpu, &result);
@@ -217,7 +221,17 @@ least_x = "min(x)"
 fn what_is_outside_the_map_is_left_to_the_policies() {
     let text = |outside: &str| {
         sections_of("pendulum", |section| {
-            ["parameters", "states", "controls", "definitions", "dynamics", "cost", "equilibrium", "region"].contains(&section)
+            [
+                "parameters",
+                "states",
+                "controls",
+                "definitions",
+                "dynamics",
+                "cost",
+                "equilibrium",
+                "region",
+            ]
+            .contains(&section)
         }) + &format!(
             r#"
 [map]
@@ -251,15 +265,17 @@ highest_torque = "max(abs(u))"
             mapped.legs()
         );
         assert!(helped > 0 && helped < a.status.len());
-        assert!(unlike == 0 && most <= 1e-7, "{most:e} {unlike}");
+        // Extrema are located by integrations of other methods, each with errors of some dozen steps.
+        assert!(unlike == 0 && most <= 100.0 * F64.rtol, "{most:e} {unlike}");
     }
 }
 
 /// V(x, t) is a quadratic function of x known by hand; its law flown on the device costs it.
 #[test]
 fn a_map_with_time_is_asked_at_its_time() {
-    let text = sections_of("finite_horizon", |section| !["shoot_out", "homotopy", "map"].contains(&section))
-        + r#"
+    let text = sections_of("finite_horizon", |section| {
+        !["shoot_out", "homotopy", "map"].contains(&section)
+    }) + r#"
 [map]
 error = 1e-4
 floor = 1e-2
@@ -273,7 +289,11 @@ initial = { x = [-1, 1, 5], v = [-1, 1, 5] }
     assert!(mapped.map.time().is_some());
     let (a, b) = (mapped.fly(&Cpu::new(), F64), mapped.fly(&any_gpu(), F64));
     let (most, unlike) = difference(&a, &b);
-    println!("differ by {most:e}; {} round trips of {} legs", b.round_trips, mapped.legs());
+    println!(
+        "differ by {most:e}; {} round trips of {} legs",
+        b.round_trips,
+        mapped.legs()
+    );
     assert!(unlike == 0 && most <= 1e-10);
     assert!(b.round_trips * 8 <= mapped.legs());
     // V = 1/2 z'(W + I/s)^-1 z where z = e^(FT) x, and 1/2 d'W^-1 d is the least effort that moves the end by d.

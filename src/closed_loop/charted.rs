@@ -277,13 +277,7 @@ impl Ground<'_> {
     }
 
     /// What is told of trajectories that have come to the final time, and what is missing of those kept that have not.
-    pub fn conclude(
-        &self,
-        mut pilots: Pilots<'_>,
-        batch: &mut Batch,
-        alive: &[usize],
-        watch: &mut Option<Watch<'_>>,
-    ) {
+    pub fn conclude(&self, mut pilots: Pilots<'_>, batch: &mut Batch, alive: &[usize], watch: &mut Option<Watch<'_>>) {
         let scene = self.setting.closed_loop;
         let (n, dim) = (self.equations.states, batch.dim);
         if let Some(watch) = watch {

@@ -63,10 +63,7 @@ fn source(packed: &Packed, precision: Precision) -> Source {
         },
         Fragment {
             name: "shaders/real.wgsl",
-            text: conditional(
-                include_str!("../../shaders/real.wgsl"),
-                &[text::condition(precision)],
-            ),
+            text: conditional(include_str!("../../shaders/real.wgsl"), &[text::condition(precision)]),
         },
     ];
     // In f64 rounding is far below any bound.

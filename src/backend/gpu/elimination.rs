@@ -103,7 +103,10 @@ fn source(layout: Layout, precision: Precision) -> Source {
         },
         Fragment {
             name: "shaders/real.wgsl",
-            text: conditional(include_str!("../../../shaders/real.wgsl"), &[text::condition(precision)]),
+            text: conditional(
+                include_str!("../../../shaders/real.wgsl"),
+                &[text::condition(precision)],
+            ),
         },
         Fragment {
             name: "shaders/elimination.wgsl",

@@ -543,7 +543,10 @@ impl<'a> Emitter<'a> {
             "fn place_of(y: Vector, leg: u32, run: Run) -> Place {{\n    return Place({});\n}}",
             place.join(", ")
         );
-        let _ = writeln!(text, "fn set_law(lane: ptr<function, Lane>, said: Said) {{\n    let s = (*lane).y;");
+        let _ = writeln!(
+            text,
+            "fn set_law(lane: ptr<function, Lane>, said: Said) {{\n    let s = (*lane).y;"
+        );
         let mut entry = 2 * n;
         for i in 0..n {
             let terms: Vec<String> = (0..n).map(|j| format!("said.h[{}] * s.c{j}", pair(i, j))).collect();

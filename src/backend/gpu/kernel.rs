@@ -4,8 +4,8 @@ use super::adapter::Device;
 use super::clock::Clock;
 use super::emit::{self, Emitter, Settings, WORKGROUP, stored};
 use super::memory::{Memory, Shape, Use, binding_limit, layout, pipelines, reals};
-use super::results::{self, Written};
 use super::relay::GpuRelay;
+use super::results::{self, Written};
 use super::shader::{Fragment, Source, conditional};
 use crate::backend::{BackendError, Kernel, Relay, Run, Spec, Surface, Trajectories, Variant};
 use crate::integrator::Tableau;
@@ -180,7 +180,11 @@ impl GpuKernel {
         };
         let precision = self.spec.precision;
         let queue = &device.queue;
-        queue.write_buffer(&memory.settings, 0, &reals(settings(&self.spec, run, self.levels(run)), precision));
+        queue.write_buffer(
+            &memory.settings,
+            0,
+            &reals(settings(&self.spec, run, self.levels(run)), precision),
+        );
         let by_field = (0..dim).flat_map(|c| seeds.iter().skip(c).step_by(dim).copied());
         queue.write_buffer(&memory.state, 0, &reals(by_field, precision));
         // Sentinels: a slot that still holds one at the end was not written.

@@ -45,11 +45,7 @@ pub enum Use {
 }
 
 /// The layout of a group of buffers, in the order of their bindings.
-pub fn layout(
-    device: &Device,
-    label: &'static str,
-    uses: impl IntoIterator<Item = Use>,
-) -> wgpu::BindGroupLayout {
+pub fn layout(device: &Device, label: &'static str, uses: impl IntoIterator<Item = Use>) -> wgpu::BindGroupLayout {
     let entries: Vec<wgpu::BindGroupLayoutEntry> = (uses.into_iter().enumerate())
         .map(|(k, how)| wgpu::BindGroupLayoutEntry {
             binding: k as u32,

@@ -4,7 +4,8 @@ use super::adapter::Device;
 use super::emit::{self, Emitter, Law, Settings, WORKGROUP};
 use super::kernel::{DISPATCH_SECONDS, FIRST_WORK, WORK, bindings, integrator, settings};
 use super::memory::{
-    Use, bind, binding_limit, buffer, filled, layout, most_buffers, padded, pipelines, read_back, reals, staging, storage,
+    Use, bind, binding_limit, buffer, filled, layout, most_buffers, padded, pipelines, read_back, reals, staging,
+    storage,
 };
 use super::shader::{Fragment, Source};
 use super::{ASK, GIVEN, LOST, PAUSED};
@@ -21,8 +22,11 @@ const COUNTERS: usize = 6;
 const CONTROL: usize = 48;
 /// Storage buffers of the kernel: those of an integrator, and the map's.
 const BUFFERS: usize = 9;
-/// Dispatches that the host does not look between.
+/// Dispatches that the host does not look between: also the shortest legs take two, to be flown and to be found the last known.
+const LEAST_REPEATS: f64 = 4.0;
 const MOST_REPEATS: f64 = 64.0;
+/// Results up to so many bytes are read whenever the host looks, so that short flights take one look.
+const READ_EARLY: usize = 1 << 20;
 /// Bytes of what is told of the legs of a flight.
 const TOLD: usize = 64 << 20;
 
@@ -87,7 +91,7 @@ impl GpuRelay {
         fragments.extend(surface.fragments.iter().cloned());
         fragments.push(Fragment {
             name: "shaders/legs.wgsl",
-            text: super::shader::conditional(include_str!("../../../shaders/legs.wgsl"), &[]), // DEV
+            text: include_str!("../../../shaders/legs.wgsl").to_owned(),
         });
         let source = Source::new(&fragments);
         source.validate(device.info.f64_arithmetic)?;
@@ -141,7 +145,7 @@ impl GpuRelay {
         let remaining = storage("remaining", 4);
         let ends = storage("ends", self.ends(count));
         let traces = storage("traces", shape.traces);
-        let told = padded(4 * COUNTERS * count) + padded(self.ends(count)) + padded(shape.traces);
+        let told = padded(4) + padded(4 * COUNTERS * count) + padded(self.ends(count)) + padded(shape.traces);
         let staging = staging(device, "staging", told.max(padded(self.state() * count * real)));
         let bound = [
             &control, &settings, &state, &counters, &lists, &remaining, &ends, &traces,
@@ -232,17 +236,26 @@ impl Relay for GpuRelay {
         // Sentinels: a slot that still holds one at the end was not written.
         queue.write_buffer(&memory.ends, 0, &vec![0xff; self.ends(count)]);
 
-        let (mut active, mut list, mut waits) = (count as u32, 0u32, 1);
+        let (mut active, mut list, mut waits) = (count as u32, 0u32, 0);
+        let results = [
+            (&memory.counters, 4 * COUNTERS * count),
+            (&memory.ends, self.ends(count)),
+            (&memory.traces, shape.traces),
+        ];
+        let early = results.iter().map(|(_, bytes)| bytes).sum::<usize>() <= READ_EARLY;
+        let take =
+            |[counters, ends, rows]: [&[u8]; 3]| told(bytemuck::cast_slice(counters), ends, rows, precision, dim);
+        let mut flown = None;
         let mut work = self.work(active);
         let mut speed = self.speed;
         while active > 0 {
             let before = Instant::now();
-            let repeats = (work / WORK.end()).ceil().clamp(1.0, MOST_REPEATS);
+            let repeats = (work / WORK.end()).ceil().clamp(LEAST_REPEATS, MOST_REPEATS);
             let control = [
                 active,
                 list,
                 count as u32,
-                (work / repeats) as u32,
+                (work / repeats).max(*WORK.start()) as u32,
                 run.max_steps,
                 1,
                 course.legs as u32,
@@ -263,9 +276,28 @@ impl Relay for GpuRelay {
                 pass.set_pipeline(&self.gather);
                 pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
             }
-            let left = read_back(&device, &memory.staging, encoder, [(&memory.remaining, 4)], |[b]| {
-                u32::from_ne_bytes([b[0], b[1], b[2], b[3]])
-            })?;
+            let number = |b: &[u8]| u32::from_ne_bytes([b[0], b[1], b[2], b[3]]);
+            let left = if early {
+                let [counters, ends, rows] = results;
+                let wanted = [(&memory.remaining, 4), counters, ends, rows];
+                read_back(
+                    &device,
+                    &memory.staging,
+                    encoder,
+                    wanted,
+                    |[left, counters, ends, rows]| {
+                        let left = number(left);
+                        if left == 0 {
+                            flown = Some(take([counters, ends, rows]));
+                        }
+                        left
+                    },
+                )?
+            } else {
+                read_back(&device, &memory.staging, encoder, [(&memory.remaining, 4)], |[b]| {
+                    number(b)
+                })?
+            };
             waits += 1;
             let seconds = before.elapsed().as_secs_f64();
             if 2 * left >= active {
@@ -276,22 +308,25 @@ impl Relay for GpuRelay {
             work = bounded(work * (DISPATCH_SECONDS / seconds).min(4.0) * share.min(4.0));
             (active, list) = (left, 1 - list);
         }
-        let encoder = device.device.create_command_encoder(&Default::default());
-        let wanted = [
-            (&memory.counters, 4 * COUNTERS * count),
-            (&memory.ends, self.ends(count)),
-            (&memory.traces, shape.traces),
-        ];
-        let mut flown = read_back(&device, &memory.staging, encoder, wanted, |[counters, ends, rows]| {
-            told(bytemuck::cast_slice(counters), ends, rows, precision, dim)
-        })??;
+        let mut flown = match flown {
+            Some(flown) => flown?,
+            None => {
+                waits += 1;
+                let encoder = device.device.create_command_encoder(&Default::default());
+                read_back(&device, &memory.staging, encoder, results, take)??
+            }
+        };
         flown.room = room;
         if flown.halt.contains(&Halt::Ended(Status::StepLimit)) {
             let encoder = device.device.create_command_encoder(&Default::default());
             let bytes = self.state() * count * real;
-            let state = read_back(&device, &memory.staging, encoder, [(&memory.state, bytes)], |[state]| {
-                numbers(state, precision)
-            })?;
+            let state = read_back(
+                &device,
+                &memory.staging,
+                encoder,
+                [(&memory.state, bytes)],
+                |[state]| numbers(state, precision),
+            )?;
             let first = emit::state(&self.spec);
             flown.begin = (0..count * dim)
                 .map(|k| state[(first + k % dim) * count + k / dim])
@@ -335,7 +370,10 @@ fn told(counters: &[u32], ends: &[u8], rows: &[u8], precision: Precision, dim: u
 
 fn numbers(bytes: &[u8], precision: Precision) -> Vec<f64> {
     match precision {
-        Precision::F32 => bytes.chunks_exact(4).map(|b| f64::from(bytemuck::pod_read_unaligned::<f32>(b))).collect(),
+        Precision::F32 => bytes
+            .chunks_exact(4)
+            .map(|b| f64::from(bytemuck::pod_read_unaligned::<f32>(b)))
+            .collect(),
         Precision::F64 => bytes.chunks_exact(8).map(bytemuck::pod_read_unaligned).collect(),
     }
 }

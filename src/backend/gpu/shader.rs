@@ -88,20 +88,6 @@ fn describe(error: &dyn std::error::Error, message: &str) -> String {
 /// Keeps what lies between `//if NAMES` and `//end` where all NAMES are among the conditions; dropped lines stay as empty
 /// ones, so that line numbers are the file's.
 pub fn conditional(text: &str, conditions: &[&str]) -> String {
-    // DEVHACK
-    let held;
-    let mut text = text;
-    if let Ok(dir) = std::env::var("COSTATE_SHADERS") {
-        for entry in std::fs::read_dir(dir).unwrap() {
-            let other = std::fs::read_to_string(entry.unwrap().path()).unwrap();
-            if other.lines().next() == text.lines().next() {
-                held = other;
-                text = &held;
-                break;
-            }
-        }
-    }
-    // DEVEND
     let mut keep = true;
     let mut out = String::with_capacity(text.len());
     for line in text.lines() {

@@ -66,7 +66,10 @@ impl<T: Real> Shear<T> {
         to.count("BEND_TERMS", self.phi.len());
         to.count("BEND_BELOW", self.tables.upto[self.degree - 1]);
         to.count("BEND_TWICE_BELOW", self.tables.upto[self.degree.max(2) - 2]);
-        to.tables(["BEND_UPTO", "BEND_FACTORS", "BEND_RAISED", "BEND_RAISED_TWICE"], &self.tables);
+        to.tables(
+            ["BEND_UPTO", "BEND_FACTORS", "BEND_RAISED", "BEND_RAISED_TWICE"],
+            &self.tables,
+        );
     }
 
     /// The sheared coordinate of some places, and phi's derivatives there.
