@@ -36,7 +36,9 @@ impl Ground<'_> {
             given: false,
         };
         let mut waiting: Vec<Waiting> = (0..batch.status.len()).map(at_start).collect();
-        while !waiting.is_empty() {
+        // By the leg that each is without an answer for.
+        let mut lost: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        while !(waiting.is_empty() && lost.is_empty()) {
             // Those that are looked at come first.
             let all = watch.is_some() || !self.setting.closed_loop.records.is_empty();
             let kept: Vec<usize> = batch.kept.iter().map(|(i, _)| *i).collect();
@@ -56,7 +58,6 @@ impl Ground<'_> {
             batch.round_trips += flown.waits;
             let stopped = pilots.outside == Outside::Stop;
             self.see(batch, &waiting[..course.traced], &flown, clock, stopped, watch);
-            let mut lost: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
             let (mut next, mut stiff) = (Vec::new(), Vec::new());
             for (j, from) in waiting.iter().enumerate() {
                 let (i, leg) = (from.of, flown.leg[j] as usize);
@@ -99,7 +100,15 @@ impl Ground<'_> {
                     }
                 }
             }
-            for (leg, lanes) in lost {
+            // A search takes many flights, as many for one as for all that are lost at a leg: so the legs come one after the other,
+            // each once, when all others have come there.
+            let helped = match pilots.outside {
+                Outside::Search if !next.is_empty() => BTreeMap::new(),
+                Outside::Search => lost.pop_first().into_iter().collect(),
+                _ => std::mem::take(&mut lost),
+            };
+            for (leg, mut lanes) in helped {
+                lanes.sort_unstable();
                 self.update(&mut wings, &mut pilots, batch, watch, (leg, &lanes))?;
                 let goes_on = lanes.into_iter().filter(|i| batch.status[*i] == Status::Reached as i32);
                 next.extend(goes_on.map(|of| Waiting { of, leg, given: true }));
