@@ -1,5 +1,6 @@
 // The integrator, mirroring src/backend/cpu/block/: an invocation follows one trajectory through a bounded number of
-// attempted steps and keeps it in storage buffers in between.
+// attempted steps and keeps it in storage buffers in between (sweep.wgsl; with LEGS legs.wgsl, of which the law of a
+// trajectory is set anew at the beginning of each).
 //
 // `Vector`, `Inputs`, `Step`, `attempt`, `interpolate` and what else is not here are generated (src/backend/gpu/emit.rs).
 // Lines from `//if` to `//end` are kept where the condition holds.
@@ -14,14 +15,20 @@ struct Control {
     work: u32,
     max_steps: u32,
     levels: u32,
+//if LEGS
+    // Legs of a trajectory in all, those that it may fly in this flight, and how many of the first are traced.
+    legs: u32,
+    room: u32,
+    traced: u32,
+//end
 }
 
 @group(0) @binding(0) var<uniform> control: Control;
 // See the offsets among the generated constants.
 @group(0) @binding(1) var<storage, read> settings: array<real>;
-// [field][trajectory]: y, k, t, h, before, first_step; with kinks also resume, sides.
+// [field][trajectory]: y, k, t, h, before, first_step; with kinks also resume, sides; of legs y at the beginning.
 @group(0) @binding(2) var<storage, read_write> state: array<real>;
-// [field][trajectory]: status, next_level, steps, rejected, first_level.
+// [field][trajectory]: status, next_level, steps, rejected, first_level; of legs the leg and how many were begun instead of that.
 @group(0) @binding(3) var<storage, read_write> counters: array<u32>;
 // [list][entry]: trajectories still on their way.
 @group(0) @binding(4) var<storage, read_write> lists: array<u32>;
@@ -61,6 +68,11 @@ struct Lane {
     resume: real,
     // Values of the kinks at y.
     sides: Sides,
+//end
+//if LEGS
+    // The leg, and how many were begun in this flight.
+    leg: u32,
+    begun: u32,
 //end
 }
 
@@ -149,6 +161,15 @@ fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     let decided = decide(*lane, step);
     (*lane).work += 1u;
     if (decided.accepted) {
+//if LEGS
+        if (ends_leg(*lane, step, run)) {
+            (*lane).y = step.y;
+            (*lane).t += (*lane).h;
+            (*lane).steps += 1u;
+            (*lane).status = REACHED;
+            return;
+        }
+//end
         if (eventful(*lane, step, run)) {
             (*lane).status = EVENT;
             return;
@@ -201,6 +222,21 @@ fn eventful(lane: Lane, step: Step, run: Run) -> bool {
     return over;
 //end
 }
+
+//if LEGS
+// Whether an accepted step ends where the leg does, as most legs' only one does: then nothing is to be located in it.
+fn ends_leg(lane: Lane, step: Step, run: Run) -> bool {
+    let ends = lane.t + lane.h == run.last;
+//end
+//if LEGS GUARDS
+    return select(false, ends, guards_hold(inputs_of(step.y)));
+//end
+//if LEGS UNGUARDED
+    return ends;
+//end
+//if LEGS
+}
+//end
 
 // Moves on to the end of an accepted step.
 fn commit(lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
@@ -407,80 +443,48 @@ fn store_sample(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, q: 
 }
 //end
 
-// Derivative, first step and first level at the seed.
-@compute @workgroup_size(WORKGROUP)
-fn start(@builtin(global_invocation_id) id: vec3<u32>) {
-    let i = id.x;
-    if (i >= control.stride) {
-        return;
-    }
-    let run = load_run();
-    var lane: Lane;
-    lane.y = load_seed(i);
-    lane.k = rate(inputs_of(lane.y));
+// Derivative, first step and first level at the lane's vector, at time 0.
+fn begin(lane: ptr<function, Lane>, run: Run) {
+    (*lane).k = rate(inputs_of((*lane).y));
+    (*lane).t = 0.0;
+    (*lane).before = 0.0;
+    (*lane).steps = 0u;
+    (*lane).rejected = 0u;
+    (*lane).next_level = 0u;
 //if KINKS
-    lane.sides = kink_values(inputs_of(lane.y));
+    (*lane).resume = 0.0;
+    (*lane).sides = kink_values(inputs_of((*lane).y));
 //end
-    let begin = coordinate(lane.y, 0.0);
+    let first_coordinate = coordinate((*lane).y, 0.0);
     loop {
-        if (lane.next_level >= control.levels) {
+        if ((*lane).next_level >= control.levels) {
             break;
         }
-        if (level(lane.next_level) > begin) {
+        if (level((*lane).next_level) > first_coordinate) {
             break;
         }
-        lane.next_level += 1u;
+        (*lane).next_level += 1u;
     }
-    lane.status = RUNNING;
-    if (is_finite(total(lane.k))) {
-        if (lane.next_level == control.levels) {
-            lane.status = REACHED;
+    (*lane).level = level((*lane).next_level);
+    (*lane).status = RUNNING;
+    if (is_finite(total((*lane).k))) {
+        if ((*lane).next_level == control.levels) {
+            (*lane).status = REACHED;
         }
     } else {
-        lane.status = NOT_FINITE;
+        (*lane).status = NOT_FINITE;
     }
 //if ADAPTIVE
-    let first = FIRST * norm(lane.y, lane.y, run) / norm(lane.k, lane.y, run);
+    let first = FIRST * norm((*lane).y, (*lane).y, run) / norm((*lane).k, (*lane).y, run);
     // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the step limit.
-    lane.first_step = FIRST;
+    (*lane).first_step = FIRST;
     if (is_finite(first)) {
-        lane.first_step = select(FIRST, first, first > 0.0);
+        (*lane).first_step = select(FIRST, first, first > 0.0);
     }
 //end
 //if FIXED
-    lane.first_step = run.step;
+    (*lane).first_step = run.step;
 //end
     // Of an adaptive method 0 where the first step is not given.
-    lane.h = limited(run, 0.0, select(lane.first_step, run.step, run.step > 0.0));
-    save(i, lane);
-    counters[i + 4u * control.stride] = lane.next_level;
-    lists[i] = i;
-}
-
-// Up to `control.work` loop iterations of every trajectory still on its way.
-@compute @workgroup_size(WORKGROUP)
-fn sweep(@builtin(global_invocation_id) id: vec3<u32>) {
-    if (id.x >= control.count) {
-        return;
-    }
-    let i = lists[control.list * control.stride + id.x];
-    let run = load_run();
-    var lane = load(i);
-    if (lane.status != RUNNING) {
-        return;
-    }
-    loop {
-        advance(i, &lane, run);
-        continuing {
-            break if (lane.status != RUNNING) | (lane.work > control.work);
-        }
-    }
-    if (lane.status == EVENT) {
-        conclude(i, &lane, run);
-    }
-    save(i, lane);
-    if (lane.status == RUNNING) {
-        let at = atomicAdd(&remaining, 1u);
-        lists[(1u - control.list) * control.stride + at] = i;
-    }
+    (*lane).h = limited(run, 0.0, select((*lane).first_step, run.step, run.step > 0.0));
 }

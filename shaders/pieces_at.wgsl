@@ -1,11 +1,11 @@
-// What is said of a batch of states, one invocation each; see pieces.wgsl.
+// What is said of a batch of states, one invocation each; see pieces.wgsl and blend.wgsl.
 
 // [component][state].
-@group(0) @binding(2) var<storage, read> given: array<real>;
+@group(0) @binding(0) var<storage, read> given: array<real>;
 // [V, its bound, p, bounds of p][state].
-@group(0) @binding(3) var<storage, read_write> values: array<real>;
+@group(0) @binding(1) var<storage, read_write> values: array<real>;
 // [how it is known, sheet, pieces, sheets][state].
-@group(0) @binding(4) var<storage, read_write> kinds: array<u32>;
+@group(0) @binding(2) var<storage, read_write> kinds: array<u32>;
 
 @compute @workgroup_size(WORKGROUP)
 fn evaluate(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -14,7 +14,7 @@ fn evaluate(@builtin(global_invocation_id) id: vec3<u32>) {
     if (k >= count) {
         return;
     }
-    var s: Vector;
+    var s: Place;
     for (var i = 0u; i < N; i += 1u) {
         s[i] = given[i * count + k];
     }

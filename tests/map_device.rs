@@ -63,11 +63,17 @@ struct Difference {
     unlike: usize,
     pieces: usize,
     several: usize,
+    /// Differences of V and p in units of what the second one's bounds are larger by.
+    v_lost: f64,
+    p_lost: f64,
+    /// What those of V are larger by, relative to V, in the middle.
+    widened: f64,
 }
 
-fn difference(map: &ValueMap, x: &[f64], a: &[At], b: &[At], epsilon: f64) -> Difference {
+fn difference(map: &ValueMap, widths: &[f64], x: &[f64], a: &[At], b: &[At], epsilon: f64) -> Difference {
     let n = map.states();
     let mut all = Difference::default();
+    let mut widened = Vec::new();
     for ((a, b), x) in a.iter().zip(b).zip(x.chunks(n)) {
         let (Ok(here), Ok(there)) = (&a.lowest, &b.lowest) else {
             all.unlike += usize::from(a.lowest.is_ok() != b.lowest.is_ok());
@@ -84,7 +90,20 @@ fn difference(map: &ValueMap, x: &[f64], a: &[At], b: &[At], epsilon: f64) -> Di
         let reach: f64 = (here.p.iter().zip(x)).map(|(p, x)| (p * x).abs()).sum();
         let unit = epsilon * (here.v.abs() + reach + here.v_error);
         all.v = all.v.max((here.v - there.v).abs() / unit);
-        all.v = all.v.max((here.v_error - there.v_error).abs() / unit);
+        if epsilon == f64::EPSILON {
+            all.v = all.v.max((here.v_error - there.v_error).abs() / unit);
+        }
+        let wider = there.v_error - here.v_error;
+        all.v_lost = all.v_lost.max((here.v - there.v).abs() / wider);
+        widened.push(wider / here.v.abs());
+        let in_widths = |p: &[f64]| p.iter().zip(widths).fold(0.0f64, |m, (p, w)| m.max((p * w).abs()));
+        let off: Vec<f64> = here.p.iter().zip(&there.p).map(|(a, b)| a - b).collect();
+        // Of the local solution that of p is not told apart from V's.
+        let wider = match here.in_pieces {
+            true => there.p_error * in_widths(&there.p) - here.p_error * in_widths(&here.p),
+            false => there.p_error * in_widths(&there.p),
+        };
+        all.p_lost = all.p_lost.max(in_widths(&off) / wider);
         let size = here.p.iter().fold(0.0f64, |m, p| m.max(p.abs()));
         for i in 0..n {
             all.p = all
@@ -92,6 +111,8 @@ fn difference(map: &ValueMap, x: &[f64], a: &[At], b: &[At], epsilon: f64) -> Di
                 .max((here.p[i] - there.p[i]).abs() / (epsilon * (size + here.v.abs())));
         }
     }
+    widened.sort_by(f64::total_cmp);
+    all.widened = widened[widened.len() / 2];
     all
 }
 
@@ -102,6 +123,7 @@ fn compared(file: &Path, count: usize, least: f64) -> usize {
     let region = stored.map_pieces().unwrap().expect("a map in pieces").region;
     let x = spread(&region.lo, &region.hi, count);
     let cpu = map.at_many(&x, false);
+    let widths: Vec<f64> = stored.model.region.iter().map(|[lo, hi]| hi - lo).collect();
     let gpu = gpu();
     assert_eq!(gpu.name(), "gpu");
     let mut several = 0;
@@ -109,13 +131,17 @@ fn compared(file: &Path, count: usize, least: f64) -> usize {
         let epsilon = precision.epsilon();
         let device = DeviceMap::new(&map, &gpu, precision).unwrap();
         let said = device.at_many(&x).unwrap();
-        let off = difference(&map, &x, &cpu, &said, epsilon);
+        let off = difference(&map, &widths, &x, &cpu, &said, epsilon);
         println!("{}, {}: {off:?} of {count}", file.display(), precision.name());
         assert!(off.known as f64 > least * count as f64 && off.pieces * 2 > off.known);
         // At the edges of what is known a rounding decides; in f32 some states lie within one of a face between cells.
         let seldom = if precision == Precision::F64 { 0 } else { count / 200 };
         assert!(off.unlike <= seldom, "{}", off.unlike);
         assert!(off.v <= ROUNDINGS && off.p <= OF_P * ROUNDINGS);
+        if precision == Precision::F32 {
+            assert!(off.v_lost <= 1.0 && off.p_lost <= 1.0, "bounds hold what rounding does");
+            assert!(off.widened < 1e-3, "and not much more");
+        }
         several = off.several;
         // The comparison sees an error of a few more roundings.
         let mut wrong = said;
@@ -123,7 +149,7 @@ fn compared(file: &Path, count: usize, least: f64) -> usize {
             value.v *= 1.0 + 10.0 * ROUNDINGS * epsilon;
             value.v += 10.0 * ROUNDINGS * epsilon;
         }
-        assert!(difference(&map, &x, &cpu, &wrong, epsilon).v > ROUNDINGS);
+        assert!(difference(&map, &widths, &x, &cpu, &wrong, epsilon).v > ROUNDINGS);
         // A state's answer does not depend on its company.
         let n = map.states();
         let alone = device.at_many(&x[7 * n..8 * n]).unwrap();
@@ -292,4 +318,49 @@ fn what_a_gpu_does_not_do_is_said() {
     let map = ValueMap::new(&map_of_scattered).unwrap();
     let refused = DeviceMap::new(&map, &gpu(), Precision::F64).err();
     assert!(matches!(refused, Some(DeviceError::NoPieces)));
+}
+
+/// Many turns away f32 has no digits left of an angle: whole periods are taken off before.
+#[test]
+fn whole_periods_are_taken_off_in_f64() {
+    let directory = folder().join("far");
+    std::fs::create_dir_all(&directory).unwrap();
+    let lines = "[map]\nerror = 1e-2\nfloor = 1e-1\nstates = 200\ncheck = 1";
+    let file = solved(&scene(&directory, "pendulum", lines));
+    let stored = Stored::open(&file).unwrap();
+    let map = ValueMap::new(&stored).unwrap();
+    let gpu = gpu();
+    let device = DeviceMap::new(&map, &gpu, Precision::F32).unwrap();
+    let turn = 2.0 * std::f64::consts::PI;
+    let near = spread(&[-3.0, -4.0], &[1.5, 4.0], 200);
+    let far: Vec<f64> = (near.chunks(2)).flat_map(|x| [x[0] + 10_000.0 * turn, x[1]]).collect();
+    let (cpu, said) = (map.at_many(&far, false), device.at_many(&far).unwrap());
+    let mut known = 0;
+    for (a, b) in cpu.iter().zip(&said) {
+        let (Ok(a), Ok(b)) = (&a.lowest, &b.lowest) else {
+            continue;
+        };
+        known += usize::from(a.in_pieces);
+        assert!(
+            a.sheet != b.sheet || (a.v - b.v).abs() <= b.v_error - a.v_error,
+            "{} {}",
+            a.v,
+            b.v
+        );
+        assert_eq!(a.winding, b.winding);
+    }
+    assert!(known > 100);
+    let at = format!("theta={},omega=0.5", -1.0 + 10_000.0 * turn);
+    let file = file.to_str().unwrap();
+    let said = done(costate(&[
+        "value",
+        file,
+        "--at",
+        &at,
+        "--backend",
+        "gpu",
+        "--precision",
+        "f32",
+    ]));
+    assert!(said.contains(&gpu.adapter()) && said.contains("f32"), "{said}");
 }

@@ -291,6 +291,78 @@ pub trait Legs: Sync {
     fn integrate(&self, seeds: &[f64], to: &mut Trajectories);
 }
 
+/// A value function as kernels on a device ask for it themselves: text with a function `chart`, and the arrays that it reads
+/// (see `shaders/pieces.wgsl`).
+#[derive(Debug)]
+pub struct Surface {
+    pub(crate) fragments: Vec<gpu::shader::Fragment>,
+    pub(crate) reals: Vec<f64>,
+    pub(crate) words: Vec<u32>,
+    /// States that it is a function of.
+    pub(crate) states: usize,
+    /// The last time at which it is asked, where time is an argument of it.
+    pub(crate) last: Option<f64>,
+}
+
+/// Trajectories to be flown over legs of one length, each from the beginning of one of them; the vector is `(s, q, H, ...)` with
+/// H's upper triangle row by row, and p = q + H s is set at the beginning of each leg.
+#[derive(Debug, Default)]
+pub struct Course {
+    /// Legs of a trajectory in all.
+    pub legs: usize,
+    /// `[trajectory][dim]`.
+    pub vectors: Vec<f64>,
+    /// The leg that each is at the beginning of.
+    pub first: Vec<u32>,
+    /// Whether q and H of that leg are those of the vector; else the surface is asked.
+    pub given: Vec<bool>,
+    /// Of how many, the first ones, the beginnings of legs are told.
+    pub traced: usize,
+}
+
+/// Why a trajectory of a [`Course`] went no further.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Halt {
+    /// With its last leg, or within the one told.
+    Ended(Status),
+    /// The surface has no answer at the beginning of the leg told.
+    Lost,
+    /// At the beginning of the leg told there was no room to tell of it.
+    Paused,
+}
+
+/// How trajectories of a [`Course`] went.
+#[derive(Debug, Default)]
+pub struct Flown {
+    /// `[trajectory][dim]`: where it halted.
+    pub end: Vec<f64>,
+    /// Since the beginning of the leg.
+    pub time: Vec<f64>,
+    pub halt: Vec<Halt>,
+    pub leg: Vec<u32>,
+    /// Legs begun.
+    pub begun: Vec<u32>,
+    /// `[trajectory][dim]`: as the leg last begun began; only where a trajectory met the step limit.
+    pub begin: Vec<f64>,
+    /// `[traced trajectory][leg of this flight][dim + 1]`: the vector as the leg began, and V, which is not a number where the law
+    /// was given. What was not begun holds nothing.
+    pub rows: Vec<f64>,
+    /// Legs that `rows` has room for.
+    pub room: usize,
+    /// How often the host waited for the device.
+    pub waits: usize,
+}
+
+/// Flies closed loops leg by leg on a device that asks the law's surface itself.
+pub trait Relay: Send {
+    /// Each trajectory up to its end, its first leg without an answer or as far as there is room. How one goes does not depend
+    /// on the others.
+    ///
+    /// # Errors
+    /// Device failures only.
+    fn fly(&mut self, run: &Run, course: &Course) -> Result<Flown, BackendError>;
+}
+
 /// A compiled kernel.
 pub trait Kernel: Send {
     /// Integrates `seeds` (`[trajectory][dim]`, f64 whatever the precision) as one batch. The caller bounds the batch
@@ -305,6 +377,16 @@ pub trait Kernel: Send {
     fn legs<'k>(&'k mut self, run: &'k Run) -> Option<Box<dyn Legs + 'k>> {
         let _ = run;
         None
+    }
+
+    /// The same equations, leg by leg under the law of a surface (with the bounds of `run`); `None` of a device that does not ask
+    /// itself, or for which the surface is too large.
+    ///
+    /// # Errors
+    /// When the generated code is refused; device failures.
+    fn relay(&self, run: &Run, surface: &Surface) -> Result<Option<Box<dyn Relay>>, BackendError> {
+        let _ = (run, surface);
+        Ok(None)
     }
 
     /// Seconds of the latest [`Kernel::integrate`] in which trajectories were computed: without transfers, waiting for

@@ -125,6 +125,9 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             }
         }
         None => {
+            if asked.backend == "gpu" {
+                terminal.say(&format!("gpu on {}, {}", asked.adapter, asked.precision.name()))?;
+            }
             for (k, (x, at)) in states.chunks(map.states()).zip(&found).enumerate() {
                 terminal.say(&as_text(model, (x, time(k)), at, &map))?;
             }

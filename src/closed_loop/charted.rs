@@ -1,11 +1,14 @@
 //! Trajectories under the law of a chart: `p = q + H s`, set once a period at each trajectory's state.
+//!
+//! The CPU's lanes ask the chart as they go. A device asks a map in pieces itself (`relayed`); games, whose answers are checked one
+//! by one, charts that are no map in pieces, and maps larger than a device's buffers are asked here, with a round trip a period.
 
 use super::equations::set_chart;
 use super::fallback::{Help, Plan, hold_here};
 use super::flights::{Starts, Watch};
 use super::simulate::{Batch, Ground, OUTSIDE_MAP};
 use super::{Chart, Expansions, LoopError};
-use crate::backend::{BackendError, Kernel, Run, Status, Trajectories};
+use crate::backend::{BackendError, Kernel, Relay, Run, Status, Trajectories};
 use crate::model::Outside;
 use rayon::prelude::*;
 
@@ -21,15 +24,18 @@ const LEAST_STEPS: u32 = 10_000;
 pub(super) enum Wings<'k> {
     /// On this thread.
     Own(&'k dyn crate::backend::Legs),
-    /// A batch as a whole.
-    Whole(&'k mut dyn Kernel),
+    /// A batch as a whole; how often that was.
+    Whole(&'k mut dyn Kernel, usize),
 }
 
 impl Wings<'_> {
     pub fn fly(&mut self, run: &Run, seeds: &[f64], to: &mut Trajectories) -> Result<(), BackendError> {
         match self {
             Wings::Own(legs) => legs.integrate(seeds, to),
-            Wings::Whole(kernel) => *to = kernel.integrate(run, seeds)?,
+            Wings::Whole(kernel, trips) => {
+                *to = kernel.integrate(run, seeds)?;
+                *trips += 1;
+            }
         }
         Ok(())
     }
@@ -38,37 +44,76 @@ impl Wings<'_> {
 /// Times between updates.
 #[derive(Clone, Copy)]
 pub(super) struct Clock {
-    step: f64,
+    pub step: f64,
     /// Updates between samples, and all.
-    updates: usize,
+    pub updates: usize,
     pub all: usize,
 }
 
+/// What is known of a batch's trajectories from one update of their law to the next.
+pub(super) struct Pilots<'p> {
+    pub run: &'p Run,
+    pub clock: Clock,
+    pub chart: &'p dyn Chart,
+    pub outside: Outside,
+    patience: usize,
+    asked: Asked,
+    room: Expansions,
+    lost: Vec<usize>,
+    plans: Vec<Option<Plan>>,
+    waited: Vec<usize>,
+}
+
+impl Pilots<'_> {
+    /// Notes that the chart had an answer.
+    pub fn found(&mut self, i: usize) {
+        (self.plans[i], self.waited[i]) = (None, 0);
+    }
+}
+
 impl Ground<'_> {
-    /// Flies a batch. Where the kernel can, each thread takes trajectories from start to end, asking the chart as it goes.
-    pub fn by_chart(
-        &self,
-        kernel: &mut dyn Kernel,
-        (x0, first, starts): (&[f64], usize, Starts<'_>),
-        chart: &dyn Chart,
-        watch: &mut Option<Watch<'_>>,
-    ) -> Result<Batch, LoopError> {
+    pub fn clock(&self) -> Clock {
         let scene = self.setting.closed_loop;
         let sampling = scene.final_time / scene.samples as f64;
         let updates = scene
             .period
             .map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
-        let clock = Clock {
+        Clock {
             step: sampling / updates as f64,
             updates,
             all: scene.samples * updates,
-        };
+        }
+    }
+
+    /// What legs are flown with.
+    pub fn leg(&self, clock: Clock) -> Run {
         let mut run = self.run(&self.equations, vec![clock.step]);
         // The trajectory's limit is its legs' together; one that is stuck does not hold up its neighbours for all of it.
         run.max_steps = (run.max_steps / clock.all as u32).max(LEAST_STEPS);
         // A leg is short: mostly one step takes it.
         run.first = Some(clock.step);
+        run
+    }
+
+    /// Flies a batch. Where the kernel can, each thread takes trajectories from start to end, asking the chart as it goes; a device
+    /// that asks itself takes the batch as a whole.
+    pub fn by_chart(
+        &self,
+        kernel: &mut dyn Kernel,
+        relay: Option<&mut (dyn Relay + '_)>,
+        (x0, first, starts): (&[f64], usize, Starts<'_>),
+        chart: &dyn Chart,
+        watch: &mut Option<Watch<'_>>,
+    ) -> Result<Batch, LoopError> {
+        let clock = self.clock();
+        let run = self.leg(clock);
         let n = self.equations.states;
+        if let Some(relay) = relay {
+            let mut batch = self.batch(x0, first, starts);
+            let pilots = self.pilots(&run, clock, chart, x0.len() / n);
+            self.by_relay((relay, kernel), pilots, &mut batch, watch)?;
+            return Ok(batch);
+        }
         if watch.is_none()
             && let Some(legs) = kernel.legs(&run)
         {
@@ -78,7 +123,8 @@ impl Ground<'_> {
             let parts: Vec<Batch> = (x0.par_chunks(size * n).enumerate())
                 .map(|(k, x0)| {
                     let mut part = self.batch(x0, first + k * size, starts);
-                    self.relay(&mut Wings::Own(legs.as_ref()), &run, clock, &mut part, chart, &mut None)?;
+                    let pilots = self.pilots(&run, clock, chart, x0.len() / n);
+                    self.relay(&mut Wings::Own(legs.as_ref()), pilots, &mut part, &mut None)?;
                     Ok(part)
                 })
                 .collect::<Result<_, BackendError>>()?;
@@ -88,85 +134,112 @@ impl Ground<'_> {
             return Ok(all);
         }
         let mut batch = self.batch(x0, first, starts);
-        self.relay(&mut Wings::Whole(kernel), &run, clock, &mut batch, chart, watch)?;
+        let pilots = self.pilots(&run, clock, chart, x0.len() / n);
+        let mut wings = Wings::Whole(kernel, 0);
+        self.relay(&mut wings, pilots, &mut batch, watch)?;
+        if let Wings::Whole(_, trips) = wings {
+            batch.round_trips += trips;
+        }
         Ok(batch)
+    }
+
+    fn pilots<'p>(&self, run: &'p Run, clock: Clock, chart: &'p dyn Chart, count: usize) -> Pilots<'p> {
+        // Under a forcing V certifies nothing but where it is known.
+        let outside = match self.equations.supplied() {
+            Some(_) => Outside::Stop,
+            None => self.setting.closed_loop.outside,
+        };
+        Pilots {
+            run,
+            clock,
+            chart,
+            outside,
+            patience: match outside {
+                Outside::Hold => usize::MAX,
+                _ => (HOLD * clock.all as f64) as usize,
+            },
+            asked: Asked::default(),
+            room: Expansions::default(),
+            lost: Vec::new(),
+            plans: vec![None; count],
+            waited: vec![0; count],
+        }
+    }
+
+    /// Sets the law of some trajectories for the period that begins with update k; one that has none has come to its end.
+    pub fn update(
+        &self,
+        wings: &mut Wings<'_>,
+        pilots: &mut Pilots<'_>,
+        batch: &mut Batch,
+        watch: &mut Option<Watch<'_>>,
+        (k, alive): (usize, &[usize]),
+    ) -> Result<(), BackendError> {
+        let (dim, Clock { step, all, .. }) = (batch.dim, pilots.clock);
+        let t = step * k as f64;
+        // Over a period p of V(x, t) changes with time too: that of its middle errs only to the second order of the period.
+        let middle = t + 0.5 * step;
+        pilots.asked.ask(self, pilots.chart, batch, alive, middle);
+        pilots.room.t = middle;
+        batch.updates += alive.len();
+        pilots.lost.clear();
+        for (j, &i) in alive.iter().enumerate() {
+            let vector = &mut batch.end[i * dim..][..dim];
+            let Some(answer) = pilots.asked.answer(j) else {
+                pilots.lost.push(i);
+                continue;
+            };
+            (pilots.plans[i], pilots.waited[i]) = (None, 0);
+            set_chart(vector, answer.p, answer.hessian);
+            if let Some(watch) = watch {
+                self.show(watch, batch.first + i, t, vector, Some(answer.v));
+            }
+        }
+        if pilots.lost.is_empty() {
+            return Ok(());
+        }
+        let lost = std::mem::take(&mut pilots.lost);
+        let flying: Vec<bool> = (lost.iter())
+            .map(|i| {
+                batch.fallback[*i] += 1;
+                pilots.waited[*i] += 1;
+                k > 0 && pilots.waited[*i] <= pilots.patience
+            })
+            .collect();
+        let mut help = Help {
+            outside: pilots.outside,
+            wings,
+            run: pilots.run,
+            chart: pilots.chart,
+            room: &mut pilots.room,
+        };
+        let goes_on = self.help(&mut help, (batch, &lost), (all - k, step), &mut pilots.plans, &flying)?;
+        for (i, _) in lost.iter().zip(goes_on).filter(|(_, goes_on)| !goes_on) {
+            (batch.status[*i], batch.t_end[*i]) = (OUTSIDE_MAP, t);
+        }
+        pilots.lost = lost;
+        Ok(())
     }
 
     /// From one update to the next, all trajectories of a batch.
     fn relay(
         &self,
         wings: &mut Wings<'_>,
-        run: &Run,
-        clock: Clock,
+        mut pilots: Pilots<'_>,
         batch: &mut Batch,
-        chart: &dyn Chart,
         watch: &mut Option<Watch<'_>>,
     ) -> Result<(), BackendError> {
         let scene = self.setting.closed_loop;
-        let (n, dim, width) = (self.equations.states, batch.dim, self.observer_width());
-        // Under a forcing V certifies nothing but where it is known.
-        let outside = match self.equations.supplied() {
-            Some(_) => Outside::Stop,
-            None => scene.outside,
-        };
+        let (dim, width) = (batch.dim, self.observer_width());
+        let Pilots {
+            run, clock, outside, ..
+        } = pilots;
         let mut alive: Vec<usize> = (0..batch.status.len()).collect();
-        let mut asked = Asked::default();
-        let mut lost: Vec<usize> = Vec::new();
-        let mut room = Expansions::default();
-        let mut plans: Vec<Option<Plan>> = vec![None; alive.len()];
-        let mut waited = vec![0usize; alive.len()];
-        let patience = match outside {
-            Outside::Hold => usize::MAX,
-            _ => (HOLD * clock.all as f64) as usize,
-        };
         let mut seeds: Vec<f64> = Vec::new();
         let mut flown = Trajectories::default();
         for k in 0..clock.all {
             let t = clock.step * k as f64;
-            // Over a period p of V(x, t) changes with time too: that of its middle errs only to the second order of the period.
-            let middle = t + 0.5 * clock.step;
-            asked.ask(self, chart, batch, &alive, middle);
-            room.t = middle;
-            batch.updates += alive.len();
-            lost.clear();
-            for (j, &i) in alive.iter().enumerate() {
-                let vector = &mut batch.end[i * dim..][..dim];
-                let Some(answer) = asked.answer(j) else {
-                    lost.push(i);
-                    continue;
-                };
-                (plans[i], waited[i]) = (None, 0);
-                set_chart(vector, answer.p, answer.hessian);
-                if let Some(watch) = watch {
-                    self.show(watch, batch.first + i, t, vector, Some(answer.v));
-                }
-            }
-            if !lost.is_empty() {
-                let flying: Vec<bool> = (lost.iter())
-                    .map(|i| {
-                        batch.fallback[*i] += 1;
-                        waited[*i] += 1;
-                        k > 0 && waited[*i] <= patience
-                    })
-                    .collect();
-                let mut help = Help {
-                    outside,
-                    wings: &mut *wings,
-                    run,
-                    chart,
-                    room: &mut room,
-                };
-                let goes_on = self.help(
-                    &mut help,
-                    (batch, &lost),
-                    (clock.all - k, clock.step),
-                    &mut plans,
-                    &flying,
-                )?;
-                for (i, _) in lost.iter().zip(goes_on).filter(|(_, goes_on)| !goes_on) {
-                    (batch.status[*i], batch.t_end[*i]) = (OUTSIDE_MAP, t);
-                }
-            }
+            self.update(wings, &mut pilots, batch, watch, (k, &alive))?;
             alive.retain(|i| batch.status[*i] == Status::Reached as i32);
             if alive.is_empty() {
                 break;
@@ -199,16 +272,24 @@ impl Ground<'_> {
             }
             alive.retain(|i| batch.status[*i] == Status::Reached as i32);
         }
+        self.conclude(pilots, batch, &alive, watch);
+        Ok(())
+    }
+
+    /// What is told of trajectories that have come to the final time, and what is missing of those kept that have not.
+    pub fn conclude(&self, mut pilots: Pilots<'_>, batch: &mut Batch, alive: &[usize], watch: &mut Option<Watch<'_>>) {
+        let scene = self.setting.closed_loop;
+        let (n, dim) = (self.equations.states, batch.dim);
         if let Some(watch) = watch {
-            asked.ask(self, chart, batch, &alive, scene.final_time);
+            pilots.asked.ask(self, pilots.chart, batch, alive, scene.final_time);
             for (j, &i) in alive.iter().enumerate() {
-                if let Some(answer) = asked.answer(j) {
+                if let Some(answer) = pilots.asked.answer(j) {
                     let end = &batch.end[i * dim..][..dim];
                     self.show(watch, batch.first + i, scene.final_time, end, Some(answer.v));
                 }
             }
         }
-        self.keep_alive(batch, &alive, scene.final_time);
+        self.keep_alive(batch, alive, scene.final_time);
         for (_, path) in &mut batch.kept {
             let missing = scene.samples + 1 - path.t.len();
             path.t.extend(vec![f64::NAN; missing]);
@@ -221,7 +302,6 @@ impl Ground<'_> {
                 path.cost.extend(vec![f64::NAN; missing]);
             }
         }
-        Ok(())
     }
 
     /// Sets p of trajectories that the chart has no answer for; says of each whether it goes on.
@@ -347,5 +427,6 @@ impl Batch {
         self.kept
             .extend(other.kept.into_iter().map(|(i, path)| (i + before, path)));
         self.updates += other.updates;
+        self.round_trips += other.round_trips;
     }
 }

@@ -26,6 +26,8 @@ pub struct LawResult {
     pub held: f64,
     /// `[initial]`: how many they were.
     pub fallback: Vec<u32>,
+    /// Of a chart's law: how often states went between the host and a device, or the host waited for one.
+    pub round_trips: usize,
     /// Time taken, compilation not included.
     pub seconds: f64,
 }

@@ -59,6 +59,8 @@ pub struct Flights {
     /// Updates of a chart's law, and of each trajectory those at which the chart had no answer.
     pub updates: usize,
     pub fallback: Vec<u32>,
+    /// Of a chart's law: how often states went between the host and a device, or the host waited for one.
+    pub round_trips: usize,
     /// `[trajectory][record]`.
     pub records: Vec<f64>,
     pub paths: Vec<Path>,

@@ -15,6 +15,7 @@ mod forcing;
 mod initial;
 mod law;
 mod record;
+mod relayed;
 mod sets;
 mod simulate;
 mod values;
@@ -30,10 +31,10 @@ pub use simulate::OUTSIDE_MAP;
 pub use values::solved_values;
 pub use write::GROUPS;
 
-use crate::backend::{Backend, BackendError, Status};
+use crate::backend::{Backend, BackendError, Status, Surface};
 use crate::hamiltonian::Hamiltonian;
 use crate::map::{Room, ValueMap};
-use crate::model::{ClosedLoop, Horizon, Method, Model};
+use crate::model::{ClosedLoop, Horizon, Method, Model, Precision};
 use crate::sweep::{Choices, GUARD_STATUS, Numerics, PlanError};
 use flights::Starts;
 use nalgebra::DMatrix;
@@ -59,6 +60,11 @@ pub trait Chart: Sync {
     /// The same without second derivatives, which may be left as they were.
     fn slopes(&self, states: usize, x: &[f64], to: &mut Expansions) {
         self.expansions(states, x, to);
+    }
+
+    /// The same for kernels on a device that ask it themselves; `None` where they cannot.
+    fn surface(&self, _precision: Precision) -> Option<Surface> {
+        None
     }
 
     /// Moves a state into the region of which the chart knows something; false where that has no bounds.
@@ -138,6 +144,10 @@ impl Chart for ValueMap {
             }
         });
         to.room = room;
+    }
+
+    fn surface(&self, precision: Precision) -> Option<Surface> {
+        self.to_surface(precision)
     }
 
     fn clamp(&self, x: &mut [f64]) -> bool {
@@ -332,7 +342,7 @@ impl<'s> Setting<'s> {
             return Err(LoopError::NoChart { law: law.name.clone() });
         }
         let clock = Instant::now();
-        let mut simulator = Simulator::new(self, law, None, backend)?;
+        let mut simulator = Simulator::new(self, law, None, chart, backend)?;
         let compiled = clock.elapsed().as_secs_f64();
         let kept = initial.kept();
         let starts = Starts {
@@ -375,6 +385,7 @@ impl<'s> Setting<'s> {
             chart,
             None,
         )?;
+        flights.round_trips += again.round_trips;
         for (j, i) in moved.into_iter().enumerate() {
             flights.cost[i] = again.cost[j];
             flights.status[i] = again.status[j];
@@ -397,6 +408,7 @@ impl<'s> Setting<'s> {
             paths: flights.paths,
             held: flights.fallback.iter().map(|k| f64::from(*k)).sum::<f64>() / flights.updates.max(1) as f64,
             fallback: flights.fallback,
+            round_trips: flights.round_trips,
             seconds,
             ..LawResult::default()
         };

@@ -7,7 +7,7 @@ use super::law::Law;
 use super::record::Records;
 use super::{Chart, LoopError, Setting};
 use crate::backend::cpu::map::Evaluator;
-use crate::backend::{Backend, Kernel, Run, Status, Trajectories, batch_limit};
+use crate::backend::{Backend, Kernel, Relay, Run, Status, Trajectories, batch_limit};
 use crate::sweep::GUARD_STATUS;
 
 /// Status of a trajectory whose chart has no answer where it has come to.
@@ -21,6 +21,8 @@ const CHARTED_BATCH: usize = 16384;
 pub(super) struct Simulator<'s> {
     ground: Ground<'s>,
     kernel: Box<dyn Kernel>,
+    /// Of a device that asks the chart itself.
+    relay: Option<Box<dyn Relay>>,
     scaled: Option<(Equations, Box<dyn Kernel>)>,
 }
 
@@ -47,16 +49,19 @@ pub(super) struct Batch {
     /// Trajectories of the batch kept whole, with their paths.
     pub kept: Vec<(usize, Path)>,
     pub updates: usize,
+    /// Between the host and a device.
+    pub round_trips: usize,
     /// Of each trajectory the updates at which the chart had no answer.
     pub fallback: Vec<u32>,
 }
 
 impl<'s> Simulator<'s> {
-    /// Under disturbances where there is a forcing.
+    /// Under disturbances where there is a forcing; with the chart that the law is of, if it is.
     pub fn new(
         setting: &'s Setting<'s>,
         law: &Law,
         forcing: Option<&Forcing>,
+        chart: Option<&dyn Chart>,
         backend: &dyn Backend,
     ) -> Result<Self, LoopError> {
         let scene = setting.closed_loop;
@@ -85,7 +90,21 @@ impl<'s> Simulator<'s> {
             terminal: equations.terminal().map(|t| Evaluator::new(&t)),
             equations,
         };
-        Ok(Self { ground, kernel, scaled })
+        // Of what a backend without a device has no use for nothing is made.
+        let surface = match (backend.gpu(), chart.filter(|_| ground.equations.charted)) {
+            (Some(_), Some(chart)) => chart.surface(precision),
+            _ => None,
+        };
+        let relay = match surface {
+            Some(surface) => kernel.relay(&ground.leg(ground.clock()), &surface)?,
+            None => None,
+        };
+        Ok(Self {
+            ground,
+            kernel,
+            relay,
+            scaled,
+        })
     }
 
     /// What is asked of a chart needs one.
@@ -106,8 +125,9 @@ impl<'s> Simulator<'s> {
         let mut flights = Flights::default();
         for (k, chunk) in starts.x.chunks(size * n).enumerate() {
             let (ground, kernel) = (&self.ground, self.kernel.as_mut());
+            let relay = self.relay.as_deref_mut();
             let batch = match chart.filter(|_| ground.equations.charted) {
-                Some(chart) => ground.by_chart(kernel, (chunk, k * size, starts), chart, &mut watch)?,
+                Some(chart) => ground.by_chart(kernel, relay, (chunk, k * size, starts), chart, &mut watch)?,
                 None => {
                     let mut batch = ground.batch(chunk, k * size, starts);
                     ground.by_formula(kernel, &mut batch, &mut watch)?;
@@ -151,6 +171,7 @@ impl<'s> Simulator<'s> {
             flights.cost.push(end[dim - 1]);
         }
         flights.updates += batch.updates;
+        flights.round_trips += batch.round_trips;
         flights.fallback.extend(batch.fallback);
         flights.t_end.extend(batch.t_end);
         flights.status.extend(batch.status);
@@ -196,6 +217,7 @@ impl Ground<'_> {
             ),
             kept: (starts.kept.iter().filter(here).map(|i| (i - first, path(*i)))).collect(),
             updates: 0,
+            round_trips: 0,
             fallback: vec![0; count],
             start,
         }

@@ -5,14 +5,13 @@ use super::level::{Candidate, Iteration, Level, Stride};
 use crate::backend::BackendError;
 use crate::backend::gpu::adapter::Device;
 use crate::backend::gpu::emit::WORKGROUP;
-use crate::backend::gpu::memory::{binding_limit, read_back};
+use crate::backend::gpu::memory::{bind, binding_limit, layout, pipelines, read_back, staging, storage, uses};
 use crate::backend::gpu::shader::{Fragment, Source, conditional};
 use crate::backend::gpu::{Gpu, text};
 use crate::model::Precision;
 use crate::program::Program;
 use std::fmt::Write;
 use std::sync::Arc;
-use wgpu::BufferUsages;
 
 const BINDINGS: usize = 8;
 /// Bindings that kernels write.
@@ -42,27 +41,12 @@ impl Kernels {
         let device = gpu.device();
         let source = source(equations);
         source.validate(device.info.f64_arithmetic)?;
-        let layout = layout(&device);
+        let layout = layout(&device, "dynamic programming", uses(BINDINGS, &WRITTEN));
         let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("dynamic programming"),
             source: wgpu::ShaderSource::Wgsl(source.text.into()),
         });
-        let pipeline_layout = (device.device).create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: None,
-            bind_group_layouts: &[Some(&layout)],
-            ..Default::default()
-        });
-        let pipeline = |entry| {
-            (device.device).create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(entry),
-                layout: Some(&pipeline_layout),
-                module: &module,
-                entry_point: Some(entry),
-                compilation_options: Default::default(),
-                cache: None,
-            })
-        };
-        let (improve, accept, evaluate) = (pipeline("improve"), pipeline("accept"), pipeline("evaluate"));
+        let [improve, accept, evaluate] = pipelines(&device, &[&layout], &module, ["improve", "accept", "evaluate"]);
         device.check()?;
         Ok(Self {
             device,
@@ -104,20 +88,8 @@ impl<'a> GpuIteration<'a> {
                 limit,
             });
         }
-        let buffer = |size: usize| {
-            device.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("dynamic programming"),
-                size: size.next_multiple_of(16).max(16) as u64,
-                usage: BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC,
-                mapped_at_creation: false,
-            })
-        };
-        let staging = device.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("dynamic programming"),
-            size: (4 * nodes * m.max(1)).next_multiple_of(16) as u64,
-            usage: BufferUsages::MAP_READ | BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let buffer = |size: usize| storage(device, "dynamic programming", size);
+        let staging = staging(device, "dynamic programming", 4 * nodes * m.max(1));
         let given: Vec<f32> = given(level, nodes * m).map(|x| x as f32).collect();
         let known: Vec<u32> = level.known.iter().map(|k| u32::from(*k)).collect();
         let this = Self {
@@ -156,22 +128,9 @@ impl<'a> GpuIteration<'a> {
             &self.given,
         ];
         // As large as the list: the shader takes the number of candidates from it.
-        let size = |k: usize| (k == 0).then(|| std::num::NonZeroU64::new((CANDIDATE * candidates.max(1)) as u64));
-        let entries: Vec<wgpu::BindGroupEntry<'_>> = (buffers.iter().enumerate())
-            .map(|(k, buffer)| wgpu::BindGroupEntry {
-                binding: k as u32,
-                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                    buffer,
-                    offset: 0,
-                    size: size(k).flatten(),
-                }),
-            })
-            .collect();
-        let bindings = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &self.kernels.layout,
-            entries: &entries,
-        });
+        let size = |k: usize| (k == 0).then_some(CANDIDATE * candidates.max(1));
+        let sized = buffers.into_iter().enumerate().map(|(k, buffer)| (buffer, size(k)));
+        let bindings = bind(self.device, &self.kernels.layout, sized);
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &bindings, &[]);
@@ -291,27 +250,6 @@ fn given(level: &Level, count: usize) -> impl Iterator<Item = f64> + '_ {
 
 /// Settings beside those of the axes, of which each has five.
 const NUMBERS: usize = 5;
-
-fn layout(device: &Device) -> wgpu::BindGroupLayout {
-    let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..BINDINGS)
-        .map(|k| wgpu::BindGroupLayoutEntry {
-            binding: k as u32,
-            visibility: wgpu::ShaderStages::COMPUTE,
-            ty: wgpu::BindingType::Buffer {
-                ty: wgpu::BufferBindingType::Storage {
-                    read_only: !WRITTEN.contains(&k),
-                },
-                has_dynamic_offset: false,
-                min_binding_size: None,
-            },
-            count: None,
-        })
-        .collect();
-    (device.device).create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("dynamic programming"),
-        entries: &entries,
-    })
-}
 
 /// The whole text of a scene's module.
 fn source(equations: &Equations) -> Source {

@@ -1,17 +1,18 @@
 //! A map in pieces on a GPU: V, p and their bounds at many states (`shaders/pieces.wgsl`).
 
 use super::pieces::Here;
-use super::swift::{Answer, Packed};
+use super::swift::{Answer, Packed, Room, turns_into};
 use super::{At, Unknown, Value, ValueMap};
-use crate::backend::BackendError;
 use crate::backend::gpu::adapter::Device;
 use crate::backend::gpu::emit::WORKGROUP;
-use crate::backend::gpu::memory::{binding_limit, read_back, reals};
+use crate::backend::gpu::memory::{
+    Use, bind, binding_limit, filled, layout, padded, pipelines, read_back, reals, staging, uses,
+};
 use crate::backend::gpu::shader::{Fragment, Source, conditional};
 use crate::backend::gpu::{Gpu, text};
+use crate::backend::{BackendError, Surface};
 use crate::model::Precision;
 use std::sync::Arc;
-use wgpu::BufferUsages;
 
 /// Why a map is not asked on a GPU.
 #[derive(Debug, thiserror::Error)]
@@ -33,9 +34,9 @@ pub enum DeviceError {
     Outside { count: usize },
 }
 
-const BINDINGS: usize = 5;
+const BINDINGS: usize = 3;
 /// Bindings that the kernel writes.
-const WRITTEN: [usize; 2] = [3, 4];
+const WRITTEN: [usize; 2] = [1, 2];
 /// States of a dispatch at most: some milliseconds of any hardware.
 const STATES: usize = 1 << 16;
 /// Numbers of a state in `kinds`.
@@ -50,35 +51,67 @@ pub struct DeviceMap<'m> {
     layout: wgpu::BindGroupLayout,
     pipeline: wgpu::ComputePipeline,
     /// The map's reals and words.
-    held: [wgpu::Buffer; 2],
+    held: wgpu::BindGroup,
 }
 
 /// The whole text of the module.
 fn source(packed: &Packed, precision: Precision) -> Source {
-    let condition = match precision {
-        Precision::F32 => "F32",
-        Precision::F64 => "F64",
-    };
-    let constants =
-        text::constants(precision) + &packed.constants(precision) + &format!("const WORKGROUP: u32 = {WORKGROUP}u;\n");
-    Source::new(&[
+    let mut fragments = vec![
         Fragment {
             name: "constants",
-            text: constants,
+            text: text::constants(precision) + &format!("const WORKGROUP: u32 = {WORKGROUP}u;\n"),
         },
         Fragment {
             name: "shaders/real.wgsl",
-            text: conditional(include_str!("../../shaders/real.wgsl"), &[condition]),
+            text: conditional(include_str!("../../shaders/real.wgsl"), &[text::condition(precision)]),
+        },
+    ];
+    // In f64 rounding is far below any bound.
+    let conditions: &[&str] = match precision {
+        Precision::F32 => &["ROUNDED"],
+        Precision::F64 => &[],
+    };
+    fragments.extend(asked(packed, precision, conditions));
+    fragments.push(Fragment {
+        name: "shaders/pieces_at.wgsl",
+        text: include_str!("../../shaders/pieces_at.wgsl").to_owned(),
+    });
+    Source::new(&fragments)
+}
+
+/// The part of a module that knows the map.
+fn asked(packed: &Packed, precision: Precision, conditions: &[&str]) -> [Fragment; 3] {
+    let all = [packed.conditions(), conditions].concat();
+    [
+        Fragment {
+            name: "map",
+            text: packed.constants(precision),
         },
         Fragment {
             name: "shaders/pieces.wgsl",
-            text: conditional(include_str!("../../shaders/pieces.wgsl"), packed.conditions()),
+            text: conditional(include_str!("../../shaders/pieces.wgsl"), &all),
         },
         Fragment {
-            name: "shaders/pieces_at.wgsl",
-            text: include_str!("../../shaders/pieces_at.wgsl").to_owned(),
+            name: "shaders/blend.wgsl",
+            text: conditional(include_str!("../../shaders/blend.wgsl"), &all),
         },
-    ])
+    ]
+}
+
+impl ValueMap {
+    /// The map with second derivatives, for kernels that ask it themselves; `None` of a game, whose answers are checked one by one,
+    /// and where there are no pieces.
+    pub(crate) fn to_surface(&self, precision: Precision) -> Option<Surface> {
+        let pieces = self.pieces.as_ref().filter(|_| !self.plan.game)?;
+        let packed = Packed::new(pieces, &self.plan)?;
+        Some(Surface {
+            fragments: asked(&packed, precision, &["SECOND"]).to_vec(),
+            reals: packed.reals,
+            words: packed.words,
+            states: self.states(),
+            last: self.time,
+        })
+    }
 }
 
 impl<'m> DeviceMap<'m> {
@@ -102,49 +135,22 @@ impl<'m> DeviceMap<'m> {
         }
         let source = source(&packed, precision);
         source.validate(device.info.f64_arithmetic)?;
-        let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..BINDINGS)
-            .map(|k| wgpu::BindGroupLayoutEntry {
-                binding: k as u32,
-                visibility: wgpu::ShaderStages::COMPUTE,
-                ty: wgpu::BindingType::Buffer {
-                    ty: wgpu::BufferBindingType::Storage {
-                        read_only: !WRITTEN.contains(&k),
-                    },
-                    has_dynamic_offset: false,
-                    min_binding_size: None,
-                },
-                count: None,
-            })
-            .collect();
-        let layout = (device.device).create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("pieces"),
-            entries: &entries,
-        });
+        let own = layout(&device, "pieces", uses(BINDINGS, &WRITTEN));
+        let map_layout = layout(&device, "map", [Use::Read; 2]);
         let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("pieces"),
             source: wgpu::ShaderSource::Wgsl(source.text.into()),
         });
-        let pipeline_layout = (device.device).create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: None,
-            bind_group_layouts: &[Some(&layout)],
-            ..Default::default()
-        });
-        let pipeline = (device.device).create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some("pieces"),
-            layout: Some(&pipeline_layout),
-            module: &module,
-            entry_point: Some("evaluate"),
-            compilation_options: Default::default(),
-            cache: None,
-        });
-        let held = contents.map(|bytes| filled(&device, &bytes));
+        let [pipeline] = pipelines(&device, &[&own, &map_layout], &module, ["evaluate"]);
+        let held = contents.map(|bytes| filled(&device, "map", &bytes));
+        let held = bind(&device, &map_layout, held.iter().map(|b| (b, None)));
         device.check()?;
         Ok(Self {
             map,
             states: packed.states,
             device,
             precision,
-            layout,
+            layout: own,
             pipeline,
             held,
         })
@@ -156,7 +162,7 @@ impl<'m> DeviceMap<'m> {
     /// Device failures; states of which only scattered solutions may know.
     fn each(&self, x: &[f64], mut tell: impl FnMut(usize, Answer<'_, f64>)) -> Result<(), DeviceError> {
         let n = self.states;
-        let mut elsewhere = 0;
+        let (mut elsewhere, mut room) = (0, Room::new());
         for (part, x) in x.chunks(STATES * n).enumerate() {
             let count = x.len() / n;
             let (values, kinds) = self.part(x)?;
@@ -183,6 +189,14 @@ impl<'m> DeviceMap<'m> {
                         elsewhere += 1;
                         tell(part * STATES + k, Answer::Elsewhere);
                     }
+                    // Of more pieces and sheets than an invocation has time for.
+                    4 => {
+                        let swift = self.map.swift.as_ref().ok_or(DeviceError::NoPieces)?;
+                        swift.each(&x[k * n..][..n], false, &mut room, |_, answer| {
+                            elsewhere += usize::from(matches!(answer, Answer::Elsewhere));
+                            tell(part * STATES + k, answer);
+                        });
+                    }
                     _ => return Err(BackendError::Unwritten { index: k }.into()),
                 }
             }
@@ -197,47 +211,34 @@ impl<'m> DeviceMap<'m> {
     fn part(&self, x: &[f64]) -> Result<(Vec<f64>, Vec<u32>), BackendError> {
         let (n, device) = (self.states, &*self.device);
         let count = x.len() / n;
-        let real = match self.precision {
-            Precision::F32 => 4,
-            Precision::F64 => 8,
-        };
+        let real = self.precision.bytes();
         let reference = self.map.plan.system.reference.as_slice();
         // Time is given as it is.
         let from = |i: usize| reference.get(i).copied().unwrap_or(0.0);
-        let given = (0..n).flat_map(|i| x.iter().skip(i).step_by(n).map(move |x| x - from(i)));
+        // Whole periods are taken off here: of a state many of them away f32 keeps no digits.
+        let near = |i: usize, x: f64| match (self.map.plan.periods.get(i).copied().flatten(), &self.map.pieces) {
+            (Some(period), Some(pieces)) => {
+                let bounds = [pieces.region.lo[i], pieces.region.hi[i]];
+                x + turns_into(x, bounds, period) * period
+            }
+            _ => x,
+        };
+        let given = (0..n).flat_map(|i| x.iter().skip(i).step_by(n).map(move |x| near(i, *x) - from(i)));
         let sizes = [count * (2 + 2 * n) * real, count * KINDS * 4];
-        let given = filled(device, &reals(given, self.precision));
+        let given = filled(device, "states", &reals(given, self.precision));
         // Sentinels: a slot that still holds one was not written.
-        let [values, kinds] = sizes.map(|size| filled(device, &vec![0xff; size]));
-        let staging = device.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("pieces"),
-            size: sizes.iter().map(|s| s.next_multiple_of(16)).sum::<usize>() as u64,
-            usage: BufferUsages::MAP_READ | BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let buffers = [&self.held[0], &self.held[1], &given, &values, &kinds];
-        // As large as what is in it: the shader takes the number of states from it.
-        let exact = |k: usize| std::num::NonZeroU64::new((count * n * real) as u64).filter(|_| k == 2);
-        let entries: Vec<wgpu::BindGroupEntry<'_>> = (buffers.iter().enumerate())
-            .map(|(k, buffer)| wgpu::BindGroupEntry {
-                binding: k as u32,
-                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                    buffer,
-                    offset: 0,
-                    size: exact(k),
-                }),
-            })
-            .collect();
-        let bindings = device.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &self.layout,
-            entries: &entries,
-        });
+        let [values, kinds] = sizes.map(|size| filled(device, "values", &vec![0xff; size]));
+        let room = sizes.iter().map(|s| padded(*s)).sum();
+        let staging = staging(device, "values", room);
+        // States as large as they are: the shader takes their number from it.
+        let buffers = [(&given, Some(count * n * real)), (&values, None), (&kinds, None)];
+        let bindings = bind(device, &self.layout, buffers);
         let mut encoder = device.device.create_command_encoder(&Default::default());
         {
             let mut pass = encoder.begin_compute_pass(&Default::default());
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, &bindings, &[]);
+            pass.set_bind_group(1, &self.held, &[]);
             pass.dispatch_workgroups((count as u32).div_ceil(WORKGROUP), 1, 1);
         }
         let wanted = [(&values, sizes[0]), (&kinds, sizes[1])];
@@ -289,16 +290,4 @@ impl<'m> DeviceMap<'m> {
             })
             .collect())
     }
-}
-
-/// A storage buffer with these bytes.
-fn filled(device: &Device, bytes: &[u8]) -> wgpu::Buffer {
-    let buffer = device.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("pieces"),
-        size: bytes.len().next_multiple_of(16).max(16) as u64,
-        usage: BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC,
-        mapped_at_creation: false,
-    });
-    device.queue.write_buffer(&buffer, 0, bytes);
-    buffer
 }

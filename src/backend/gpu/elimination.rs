@@ -2,7 +2,7 @@
 
 use super::adapter::Device;
 use super::emit::WORKGROUP;
-use super::memory::{binding_limit, read_back, reals};
+use super::memory::{bind, binding_limit, layout, pipelines, read_back, reals, staging, storage, uses};
 use super::shader::{Fragment, Source, conditional};
 use super::text;
 use crate::backend::{BackendError, Eliminated, Eliminator, Systems};
@@ -10,7 +10,6 @@ use crate::model::Precision;
 use std::fmt::Write;
 use std::ops::Range;
 use std::sync::Arc;
-use wgpu::BufferUsages;
 
 /// Loop iterations an invocation may spend in a dispatch: half of what Mesa's llvmpipe allows a shader.
 const WORK: usize = 32768;
@@ -76,10 +75,6 @@ impl Layout {
 
 /// The whole text of the module for `n` states.
 fn source(layout: Layout, precision: Precision) -> Source {
-    let condition = match precision {
-        Precision::F32 => "F32",
-        Precision::F64 => "F64",
-    };
     let n = layout.n;
     let mut constants = text::constants(precision);
     for (name, value) in [
@@ -108,7 +103,10 @@ fn source(layout: Layout, precision: Precision) -> Source {
         },
         Fragment {
             name: "shaders/real.wgsl",
-            text: conditional(include_str!("../../../shaders/real.wgsl"), &[condition]),
+            text: conditional(
+                include_str!("../../../shaders/real.wgsl"),
+                &[text::condition(precision)],
+            ),
         },
         Fragment {
             name: "shaders/elimination.wgsl",
@@ -138,38 +136,22 @@ struct Memory {
 const BINDINGS: usize = 5;
 /// The binding of the results.
 const NODES: usize = 4;
+/// Bindings that kernels write.
+const WRITTEN: [usize; 2] = [1, NODES];
 
 impl GpuEliminator {
     /// `None` where one node takes more loop iterations than a dispatch may.
     pub fn new(device: Arc<Device>, n: usize, precision: Precision) -> Result<Option<Self>, BackendError> {
-        let real = match precision {
-            Precision::F32 => 4,
-            Precision::F64 => 8,
+        let sizes = Layout {
+            n,
+            real: precision.bytes(),
         };
-        let layout = Layout { n, real };
-        if n == 0 || layout.nodes() == 0 {
+        if n == 0 || sizes.nodes() == 0 {
             return Ok(None);
         }
-        let source = source(layout, precision);
+        let source = source(sizes, precision);
         source.validate(device.info.f64_arithmetic)?;
-        let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..BINDINGS)
-            .map(|k| wgpu::BindGroupLayoutEntry {
-                binding: k as u32,
-                visibility: wgpu::ShaderStages::COMPUTE,
-                ty: wgpu::BindingType::Buffer {
-                    ty: wgpu::BufferBindingType::Storage {
-                        read_only: matches!(k, 0 | 2 | 3),
-                    },
-                    has_dynamic_offset: false,
-                    min_binding_size: None,
-                },
-                count: None,
-            })
-            .collect();
-        let bindings = (device.device).create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("elimination"),
-            entries: &entries,
-        });
+        let bindings = layout(&device, "elimination", uses(BINDINGS, &WRITTEN));
         let descriptor = wgpu::ShaderModuleDescriptor {
             label: Some("elimination"),
             source: wgpu::ShaderSource::Wgsl(source.text.into()),
@@ -178,26 +160,11 @@ impl GpuEliminator {
         // buffers, which are bound with the sizes of the batch.
         let module =
             unsafe { (device.device).create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) };
-        let pipeline_layout = (device.device).create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: None,
-            bind_group_layouts: &[Some(&bindings)],
-            ..Default::default()
-        });
-        let pipeline = |entry| {
-            (device.device).create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(entry),
-                layout: Some(&pipeline_layout),
-                module: &module,
-                entry_point: Some(entry),
-                compilation_options: Default::default(),
-                cache: None,
-            })
-        };
-        let (backward, forward) = (pipeline("backward"), pipeline("forward"));
+        let [backward, forward] = pipelines(&device, &[&bindings], &module, ["backward", "forward"]);
         device.check()?;
         Ok(Some(Self {
             device,
-            layout,
+            layout: sizes,
             precision,
             bindings,
             backward,
@@ -257,21 +224,8 @@ impl GpuEliminator {
             device.queue.write_buffer(buffer, 0, content);
         }
         // As large as the batch: the shader takes the number of paths from it.
-        let entries: Vec<wgpu::BindGroupEntry<'_>> = (memory.buffers.iter().zip(&contents).enumerate())
-            .map(|(k, (buffer, content))| wgpu::BindGroupEntry {
-                binding: k as u32,
-                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                    buffer,
-                    offset: 0,
-                    size: std::num::NonZeroU64::new(content.len().max(layout.real) as u64),
-                }),
-            })
-            .collect();
-        let bindings = device.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &self.bindings,
-            entries: &entries,
-        });
+        let sized = contents.iter().map(|content| Some(content.len().max(layout.real)));
+        let bindings = bind(&device, &self.bindings, memory.buffers.iter().zip(sized));
         let longest = lengths.iter().copied().max().unwrap_or(0) as usize;
         let rounds = (longest + 1).div_ceil(layout.nodes());
         let mut encoder = device.device.create_command_encoder(&Default::default());
@@ -296,18 +250,9 @@ impl GpuEliminator {
 
 impl Memory {
     fn new(device: &Device, sizes: [usize; BINDINGS]) -> Self {
-        let buffer = |size: usize, usage| {
-            device.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("elimination"),
-                size: size.next_multiple_of(16) as u64,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
-        let storage = BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
         Self {
-            buffers: sizes.map(|size| buffer(size, storage)),
-            staging: buffer(sizes[NODES], BufferUsages::MAP_READ | BufferUsages::COPY_DST),
+            buffers: sizes.map(|size| storage(device, "elimination", size)),
+            staging: staging(device, "elimination", sizes[NODES]),
             bytes: sizes,
         }
     }

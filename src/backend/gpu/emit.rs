@@ -1,7 +1,7 @@
 //! WGSL text that depends on the scene or the method: constants, the model's right-hand side and guards, and the
 //! stages of a step, all straight-line code over named components (arrays would be indexed in memory).
 
-use super::text::{constants, function, literal, structure};
+use super::text::{condition, constants, function, literal, structure};
 use crate::backend::{By, Guards, Spec, Variant};
 use crate::integrator::{Tableau, control};
 use crate::model::Precision;
@@ -9,6 +9,15 @@ use std::fmt::Write;
 
 /// Fields t, h, before and first_step of the state.
 const SCALARS: usize = 4;
+
+/// Where in a chart's law its parts are: the vector is `(s, q, H, ...)`, H's upper triangle row by row.
+#[derive(Clone, Copy, Debug)]
+pub struct Law {
+    /// Components of s.
+    pub states: usize,
+    /// The last time at which the chart is asked, where time is an argument of it.
+    pub last: Option<f64>,
+}
 
 /// Reals of a trajectory's state: y and k, the scalars, and with kinks the step size to resume and their values.
 pub fn state(spec: &Spec) -> usize {
@@ -69,6 +78,7 @@ pub struct Emitter<'a> {
     tableau: &'static Tableau,
     dim: usize,
     inputs: usize,
+    legs: Option<Law>,
 }
 
 impl<'a> Emitter<'a> {
@@ -79,6 +89,15 @@ impl<'a> Emitter<'a> {
             tableau,
             dim: spec.dim(),
             inputs: spec.rate.inputs,
+            legs: None,
+        }
+    }
+
+    /// Of a kernel that sets a chart's law at the beginning of each leg.
+    pub fn with_legs(self, law: Law) -> Self {
+        Self {
+            legs: Some(law),
+            ..self
         }
     }
 
@@ -88,10 +107,7 @@ impl<'a> Emitter<'a> {
 
     /// The conditions of `//if` lines that hold.
     pub fn conditions(&self) -> Vec<&'static str> {
-        let mut list = vec![match self.spec.precision {
-            Precision::F32 => "F32",
-            Precision::F64 => "F64",
-        }];
+        let mut list = vec![condition(self.spec.precision)];
         list.push(if self.tableau.adaptive() { "ADAPTIVE" } else { "FIXED" });
         list.push(match self.spec.by {
             By::Time => "BY_TIME",
@@ -107,6 +123,7 @@ impl<'a> Emitter<'a> {
             (self.variant.bounds > 0, "BOUNDS"),
             (self.variant.ceiling.is_some(), "CEILING"),
             (kinks(self.spec) > 0, "KINKS"),
+            (self.legs.is_some(), "LEGS"),
         ] {
             if holds {
                 list.push(name);
@@ -168,6 +185,9 @@ impl<'a> Emitter<'a> {
         self.dense(&mut text);
         self.vectors(&mut text);
         self.buffers(&mut text);
+        if let Some(law) = self.legs {
+            self.law(law, &mut text);
+        }
         text
     }
 
@@ -444,6 +464,9 @@ impl<'a> Emitter<'a> {
             let sides: Vec<String> = (0..kinks).map(|g| scalar(SCALARS + 1 + g)).collect();
             let _ = write!(remembered, ", {}, Sides({})", scalar(SCALARS), sides.join(", "));
         }
+        if self.legs.is_some() {
+            let _ = write!(remembered, ", {}, {}", counter(4), counter(5));
+        }
         let _ = write!(
             text,
             "fn load(i: u32) -> Lane {{\n    let next_level = {};\n    return Lane({y}, {k}, {}, {}, f32({}), {}, {}, \
@@ -458,10 +481,15 @@ impl<'a> Emitter<'a> {
             counter(3),
         );
         let _ = writeln!(text, "fn save(i: u32, lane: Lane) {{");
-        for (k, field) in ["status", "next_level", "steps", "rejected"].iter().enumerate() {
+        let (own, going) = match self.legs {
+            Some(_) => (["leg", "begun"].as_slice(), "is_going(lane.status)"),
+            None => ([].as_slice(), "lane.status == RUNNING"),
+        };
+        let fields = ["status", "next_level", "steps", "rejected"];
+        for (k, field) in fields.iter().chain(own).enumerate() {
             let _ = writeln!(text, "    {} = lane.{field};", counter(k));
         }
-        let _ = writeln!(text, "    if (lane.status != RUNNING) {{");
+        let _ = writeln!(text, "    if (!({going})) {{");
         for c in 0..self.dim {
             let _ = writeln!(text, "        ends[i + {c}u * control.stride] = lane.y.c{c};");
         }
@@ -496,6 +524,55 @@ impl<'a> Emitter<'a> {
         }
     }
 
+    /// A chart's place of a vector, its law, and where legs begin; see `shaders/legs.wgsl`.
+    fn law(&self, Law { states: n, last }: Law, text: &mut String) {
+        let mut place: Vec<String> = (0..n).map(|i| format!("y.c{i}")).collect();
+        if let Some(last) = last {
+            // Over a period p of V(x, t) changes with time too: that of its middle errs only to the second order of the period.
+            let middle = format!("(real(leg) + {}) * run.last", self.number(0.5));
+            place.push(format!("min({middle}, {})", self.number(last)));
+        }
+        let arguments = place.len();
+        // Of the triangle of second derivatives by all arguments.
+        let pair = |a: usize, b: usize| {
+            let (i, j) = (a.min(b), a.max(b));
+            i * (2 * arguments - i - 1) / 2 + j
+        };
+        let _ = writeln!(
+            text,
+            "fn place_of(y: Vector, leg: u32, run: Run) -> Place {{\n    return Place({});\n}}",
+            place.join(", ")
+        );
+        let _ = writeln!(
+            text,
+            "fn set_law(lane: ptr<function, Lane>, said: Said) {{\n    let s = (*lane).y;"
+        );
+        let mut entry = 2 * n;
+        for i in 0..n {
+            let terms: Vec<String> = (0..n).map(|j| format!("said.h[{}] * s.c{j}", pair(i, j))).collect();
+            let _ = writeln!(
+                text,
+                "    (*lane).y.c{} = said.p[{i}] - ({});",
+                n + i,
+                terms.join(" + ")
+            );
+            for j in i..n {
+                let _ = writeln!(text, "    (*lane).y.c{entry} = said.h[{}];", pair(i, j));
+                entry += 1;
+            }
+        }
+        let first = state(self.spec);
+        let _ = writeln!(text, "}}\nfn save_begin(i: u32, y: Vector) {{");
+        for c in 0..self.dim {
+            let _ = writeln!(text, "    state[i + {}u * control.stride] = y.c{c};", first + c);
+        }
+        let _ = writeln!(text, "}}\nfn trace(at: u32, y: Vector, v: real) {{");
+        for c in 0..self.dim {
+            let _ = writeln!(text, "    traces[at + {c}u] = y.c{c};");
+        }
+        let _ = writeln!(text, "    traces[at + {}u] = v;\n}}", self.dim);
+    }
+
     /// Names that the hand-written fragments use in place of components and stages.
     pub fn names(&self) -> Vec<(&'static str, String)> {
         let mut list = vec![("LAST_STAGE", format!("k{}", self.tableau.stages() - 1))];
@@ -518,6 +595,9 @@ impl<'a> Emitter<'a> {
         let _ = writeln!(text, "const SAMPLE: u32 = {}u;", 1 + stored(self.spec).count());
         let _ = writeln!(text, "const RUNNING: u32 = {}u;", super::RUNNING);
         let _ = writeln!(text, "const EVENT: u32 = {}u;", super::EVENT);
+        for (name, status) in super::ON_LEGS {
+            let _ = writeln!(text, "const {name}: u32 = {status}u;");
+        }
         for (status, name) in crate::backend::Status::ALL {
             let _ = writeln!(text, "const {}: u32 = {}u;", name.to_uppercase(), status as i32);
         }

@@ -3,23 +3,23 @@
 use super::adapter::Device;
 use super::clock::Clock;
 use super::emit::{self, Emitter, Settings, WORKGROUP, stored};
-use super::memory::{Memory, Shape, binding_limit, reals};
+use super::memory::{Memory, Shape, Use, binding_limit, layout, pipelines, reals};
+use super::relay::GpuRelay;
 use super::results::{self, Written};
 use super::shader::{Fragment, Source, conditional};
-use crate::backend::{BackendError, Kernel, Run, Spec, Trajectories, Variant};
+use crate::backend::{BackendError, Kernel, Relay, Run, Spec, Surface, Trajectories, Variant};
 use crate::integrator::Tableau;
-use crate::model::Precision;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
 
 /// Seconds a dispatch should last at most: far below any driver's watchdog, long against the cost of a dispatch.
-const DISPATCH_SECONDS: f64 = 0.1;
+pub(super) const DISPATCH_SECONDS: f64 = 0.1;
 /// Loop iterations an invocation may spend in a dispatch. The most that Mesa's llvmpipe allows a shader is 65535; a
 /// single step may add those of one event on top.
-const WORK: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
+pub(super) const WORK: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
 /// Work of the first dispatch, before anything was measured.
-const FIRST_WORK: u32 = 64;
+pub(super) const FIRST_WORK: u32 = 64;
 
 /// The two entry points of a module.
 struct Pipelines {
@@ -42,14 +42,23 @@ pub(super) struct GpuKernel {
 }
 
 /// The whole text of a kernel's module.
-pub(super) fn source(spec: &Spec, tableau: &'static Tableau, variant: Variant) -> Source {
-    let emitter = Emitter::new(spec, tableau, variant);
+fn source(spec: &Spec, tableau: &'static Tableau, variant: Variant) -> Source {
+    let mut fragments = integrator(&Emitter::new(spec, tableau, variant)).to_vec();
+    fragments.push(Fragment {
+        name: "shaders/sweep.wgsl",
+        text: include_str!("../../../shaders/sweep.wgsl").to_owned(),
+    });
+    Source::new(&fragments)
+}
+
+/// What all modules that integrate have in common.
+pub(super) fn integrator(emitter: &Emitter<'_>) -> [Fragment; 5] {
     let conditions = emitter.conditions();
     let mut block = conditional(include_str!("../../../shaders/block.wgsl"), &conditions);
     for (name, value) in emitter.names() {
         block = block.replace(name, &value);
     }
-    Source::new(&[
+    [
         Fragment {
             name: "constants",
             text: emitter.constants(),
@@ -70,7 +79,28 @@ pub(super) fn source(spec: &Spec, tableau: &'static Tableau, variant: Variant) -
             name: "shaders/block.wgsl",
             text: block,
         },
-    ])
+    ]
+}
+
+/// The buffer of run settings, for these levels.
+pub(super) fn settings(spec: &Spec, run: &Run, levels: &[f64]) -> Vec<f64> {
+    let at = Settings::new(spec.dim(), run.variant());
+    let mut list = vec![0.0; at.levels + levels.len().max(1)];
+    list[at.rtol] = run.rtol;
+    // An adaptive method has no fixed step, but may be given the first one.
+    list[at.step] = match spec.method.adaptive() {
+        true => run.first.unwrap_or(0.0),
+        false => run.step,
+    };
+    list[at.ceiling] = run.ceiling.map_or(0.0, |(_, value)| value);
+    list[at.last] = run.levels.last().copied().unwrap_or(0.0);
+    list[at.atol..at.lower].copy_from_slice(&run.atol);
+    for (c, [lower, upper]) in run.bounds.iter().enumerate() {
+        list[at.lower + c] = *lower;
+        list[at.upper + c] = *upper;
+    }
+    list[at.levels..at.levels + levels.len()].copy_from_slice(levels);
+    list
 }
 
 impl GpuKernel {
@@ -82,26 +112,7 @@ impl GpuKernel {
         };
         // Variants differ by checks that are added to this one.
         source(&spec, tableau, Variant::default()).validate(device.info.f64_arithmetic)?;
-        let bindings = if spec.store { 8 } else { 7 };
-        let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..bindings)
-            .map(|binding| wgpu::BindGroupLayoutEntry {
-                binding,
-                visibility: wgpu::ShaderStages::COMPUTE,
-                ty: wgpu::BindingType::Buffer {
-                    ty: match binding {
-                        0 => wgpu::BufferBindingType::Uniform,
-                        k => wgpu::BufferBindingType::Storage { read_only: k == 1 },
-                    },
-                    has_dynamic_offset: false,
-                    min_binding_size: None,
-                },
-                count: None,
-            })
-            .collect();
-        let layout = (device.device).create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("kernel"),
-            entries: &entries,
-        });
+        let layout = layout(&device, "kernel", bindings(spec.store));
         let clock = Clock::new(&device);
         device.check()?;
         Ok(Self {
@@ -131,35 +142,10 @@ impl GpuKernel {
         // SAFETY: the shader's loops are bounded by counters of their own, and its indices stay within the buffers:
         // trajectories below the stride that the buffers were sized for, levels below their number.
         let module = unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) };
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: None,
-            bind_group_layouts: &[Some(&self.layout)],
-            ..Default::default()
-        });
-        let pipeline = |entry| {
-            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(entry),
-                layout: Some(&layout),
-                module: &module,
-                entry_point: Some(entry),
-                compilation_options: Default::default(),
-                cache: None,
-            })
-        };
-        let pipelines = Pipelines {
-            start: pipeline("start"),
-            sweep: pipeline("sweep"),
-        };
+        let [start, sweep] = pipelines(&self.device, &[&self.layout], &module, ["start", "sweep"]);
         self.device.check()?;
-        self.pipelines.insert(variant, pipelines);
+        self.pipelines.insert(variant, Pipelines { start, sweep });
         Ok(())
-    }
-
-    fn real(&self) -> usize {
-        match self.spec.precision {
-            Precision::F32 => 4,
-            Precision::F64 => 8,
-        }
     }
 
     /// Levels the shader sees: all where they are stored, otherwise the last.
@@ -169,28 +155,6 @@ impl GpuKernel {
         } else {
             &run.levels[run.levels.len().saturating_sub(1)..]
         }
-    }
-
-    fn settings(&self, run: &Run, variant: Variant) -> Vec<f64> {
-        let dim = self.spec.dim();
-        let at = Settings::new(dim, variant);
-        let levels = self.levels(run);
-        let mut list = vec![0.0; at.levels + levels.len().max(1)];
-        list[at.rtol] = run.rtol;
-        // An adaptive method has no fixed step, but may be given the first one.
-        list[at.step] = match self.spec.method.adaptive() {
-            true => run.first.unwrap_or(0.0),
-            false => run.step,
-        };
-        list[at.ceiling] = run.ceiling.map_or(0.0, |(_, value)| value);
-        list[at.last] = run.levels.last().copied().unwrap_or(0.0);
-        list[at.atol..at.lower].copy_from_slice(&run.atol);
-        for (c, [lower, upper]) in run.bounds.iter().enumerate() {
-            list[at.lower + c] = *lower;
-            list[at.upper + c] = *upper;
-        }
-        list[at.levels..at.levels + levels.len()].copy_from_slice(levels);
-        list
     }
 
     /// Integrates as many trajectories as fit the device's bindings.
@@ -216,7 +180,11 @@ impl GpuKernel {
         };
         let precision = self.spec.precision;
         let queue = &device.queue;
-        queue.write_buffer(&memory.settings, 0, &reals(self.settings(run, variant), precision));
+        queue.write_buffer(
+            &memory.settings,
+            0,
+            &reals(settings(&self.spec, run, self.levels(run)), precision),
+        );
         let by_field = (0..dim).flat_map(|c| seeds.iter().skip(c).step_by(dim).copied());
         queue.write_buffer(&memory.state, 0, &reals(by_field, precision));
         // Sentinels: a slot that still holds one at the end was not written.
@@ -230,16 +198,8 @@ impl GpuKernel {
         let begin = Instant::now();
         while active > 0 {
             let before = Instant::now();
-            let control: [u32; 8] = [
-                active,
-                list,
-                count as u32,
-                work,
-                run.max_steps,
-                self.levels(run).len() as u32,
-                0,
-                0,
-            ];
+            let levels = self.levels(run).len() as u32;
+            let control = [active, list, count as u32, work, run.max_steps, levels];
             queue.write_buffer(&memory.control, 0, bytemuck::cast_slice(&control));
             queue.write_buffer(&memory.remaining, 0, &[0; 4]);
             let mut encoder = device.device.create_command_encoder(&Default::default());
@@ -307,6 +267,12 @@ impl GpuKernel {
     }
 }
 
+/// How a kernel uses its bindings: settings are read, the others written.
+pub(super) fn bindings(samples: bool) -> impl Iterator<Item = Use> {
+    let others = [Use::Written; 6].into_iter().take(if samples { 6 } else { 5 });
+    [Use::Uniform, Use::Read].into_iter().chain(others)
+}
+
 fn bounded(work: f64) -> u32 {
     work.clamp(*WORK.start(), *WORK.end()) as u32
 }
@@ -315,6 +281,11 @@ impl Kernel for GpuKernel {
     fn kernel_seconds(&self) -> Option<f64> {
         // Some drivers offer a clock that stands still.
         (self.clock.is_some() && self.seconds > 0.0).then_some(self.seconds)
+    }
+
+    fn relay(&self, run: &Run, surface: &Surface) -> Result<Option<Box<dyn Relay>>, BackendError> {
+        let made = GpuRelay::new(Arc::clone(&self.device), &self.spec, self.tableau, run, surface)?;
+        Ok(made.map(|relay| -> Box<dyn Relay> { Box::new(relay) }))
     }
 
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
@@ -336,7 +307,7 @@ impl Kernel for GpuKernel {
             levels,
             sample: 1 + stored(&self.spec).count(),
             settings,
-            real: self.real(),
+            real: self.spec.precision.bytes(),
         };
         let limit = binding_limit(&self.device);
         let share = shape.largest_share() as u64;

@@ -1,9 +1,126 @@
-//! Device buffers of a kernel, kept from batch to batch, and reading them back.
+//! Device buffers and what binds them to pipelines; those of a kernel, kept from batch to batch; reading back.
 
 use super::adapter::Device;
 use crate::backend::BackendError;
 use crate::model::Precision;
 use wgpu::{Buffer, BufferUsages};
+
+/// A storage buffer with room for so many bytes.
+pub fn storage(device: &Device, label: &'static str, bytes: usize) -> Buffer {
+    buffer(
+        device,
+        label,
+        bytes,
+        BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC,
+    )
+}
+
+/// A storage buffer with these bytes.
+pub fn filled(device: &Device, label: &'static str, bytes: &[u8]) -> Buffer {
+    let buffer = storage(device, label, bytes.len());
+    device.queue.write_buffer(&buffer, 0, bytes);
+    buffer
+}
+
+/// Room for what is read back.
+pub fn staging(device: &Device, label: &'static str, bytes: usize) -> Buffer {
+    buffer(device, label, bytes, BufferUsages::MAP_READ | BufferUsages::COPY_DST)
+}
+
+pub fn buffer(device: &Device, label: &'static str, bytes: usize, usage: BufferUsages) -> Buffer {
+    device.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size: padded(bytes).max(16) as u64,
+        usage,
+        mapped_at_creation: false,
+    })
+}
+
+/// What a binding is to kernels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Use {
+    Uniform,
+    Read,
+    Written,
+}
+
+/// The layout of a group of buffers, in the order of their bindings.
+pub fn layout(device: &Device, label: &'static str, uses: impl IntoIterator<Item = Use>) -> wgpu::BindGroupLayout {
+    let entries: Vec<wgpu::BindGroupLayoutEntry> = (uses.into_iter().enumerate())
+        .map(|(k, how)| wgpu::BindGroupLayoutEntry {
+            binding: k as u32,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer {
+                ty: match how {
+                    Use::Uniform => wgpu::BufferBindingType::Uniform,
+                    how => wgpu::BufferBindingType::Storage {
+                        read_only: how == Use::Read,
+                    },
+                },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
+            count: None,
+        })
+        .collect();
+    (device.device).create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some(label),
+        entries: &entries,
+    })
+}
+
+/// Uses of so many storage buffers, of which these are written.
+pub fn uses(count: usize, written: &[usize]) -> impl Iterator<Item = Use> + '_ {
+    (0..count).map(|k| if written.contains(&k) { Use::Written } else { Use::Read })
+}
+
+/// Buffers bound in the order of their bindings, whole or only so many of their leading bytes.
+pub fn bind<'a>(
+    device: &Device,
+    layout: &wgpu::BindGroupLayout,
+    buffers: impl IntoIterator<Item = (&'a Buffer, Option<usize>)>,
+) -> wgpu::BindGroup {
+    let entries: Vec<wgpu::BindGroupEntry<'_>> = (buffers.into_iter().enumerate())
+        .map(|(k, (buffer, bytes))| wgpu::BindGroupEntry {
+            binding: k as u32,
+            resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                buffer,
+                offset: 0,
+                size: bytes.and_then(|bytes| std::num::NonZeroU64::new(bytes as u64)),
+            }),
+        })
+        .collect();
+    device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: None,
+        layout,
+        entries: &entries,
+    })
+}
+
+/// The pipelines of a module's entry points.
+pub fn pipelines<const N: usize>(
+    device: &Device,
+    groups: &[&wgpu::BindGroupLayout],
+    module: &wgpu::ShaderModule,
+    entries: [&'static str; N],
+) -> [wgpu::ComputePipeline; N] {
+    let groups: Vec<_> = groups.iter().copied().map(Some).collect();
+    let layout = (device.device).create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: None,
+        bind_group_layouts: &groups,
+        ..Default::default()
+    });
+    entries.map(|entry| {
+        (device.device).create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(entry),
+            layout: Some(&layout),
+            module,
+            entry_point: Some(entry),
+            compilation_options: Default::default(),
+            cache: None,
+        })
+    })
+}
 
 /// Sizes that the buffers follow from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,41 +193,24 @@ pub struct Memory {
 /// Fields of the counters.
 const COUNTERS: usize = 5;
 /// Bytes of the control uniform.
-pub const CONTROL: usize = 32;
+const CONTROL: usize = 32;
 
 impl Memory {
     pub fn new(device: &Device, layout: &wgpu::BindGroupLayout, shape: Shape) -> Self {
-        let buffer = |label, size: usize, usage| {
-            device.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: size.next_multiple_of(16).max(16) as u64,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
-        let storage = BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
-        let control = buffer("control", CONTROL, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
-        let settings = buffer("settings", shape.settings * shape.real, storage);
-        let state = buffer("state", shape.state(), storage);
-        let counters = buffer("counters", shape.counters(), storage);
-        let lists = buffer("lists", shape.lists(), storage);
-        let remaining = buffer("remaining", 4, storage);
-        let ends = buffer("ends", shape.ends(), storage);
-        let samples = (shape.levels > 0).then(|| buffer("samples", shape.samples(), storage));
+        let usage = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
+        let control = buffer(device, "control", CONTROL, usage);
+        let storage = |label, bytes| storage(device, label, bytes);
+        let settings = storage("settings", shape.settings * shape.real);
+        let state = storage("state", shape.state());
+        let counters = storage("counters", shape.counters());
+        let lists = storage("lists", shape.lists());
+        let remaining = storage("remaining", 4);
+        let ends = storage("ends", shape.ends());
+        let samples = (shape.levels > 0).then(|| storage("samples", shape.samples()));
         let all = padded(shape.counters()) + padded(shape.ends()) + padded(shape.samples());
-        let staging = buffer("staging", all, BufferUsages::MAP_READ | BufferUsages::COPY_DST);
+        let staging = staging(device, "staging", all);
         let bound = [&control, &settings, &state, &counters, &lists, &remaining, &ends];
-        let entries: Vec<wgpu::BindGroupEntry<'_>> = (bound.into_iter().chain(&samples).enumerate())
-            .map(|(k, b)| wgpu::BindGroupEntry {
-                binding: k as u32,
-                resource: b.as_entire_binding(),
-            })
-            .collect();
-        let bindings = device.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout,
-            entries: &entries,
-        });
+        let bindings = bind(device, layout, bound.into_iter().chain(&samples).map(|b| (b, None)));
         Self {
             shape,
             control,
@@ -186,8 +286,13 @@ pub fn binding_limit(device: &Device) -> u64 {
     info.max_binding.min(info.max_buffer / 2).min(LARGEST_BINDING)
 }
 
+/// Storage buffers that an invocation of this device may read and write at most.
+pub fn most_buffers(device: &Device) -> usize {
+    device.device.limits().max_storage_buffers_per_shader_stage as usize
+}
+
 /// Room for `bytes` such that what follows is aligned for any number.
-fn padded(bytes: usize) -> usize {
+pub fn padded(bytes: usize) -> usize {
     bytes.next_multiple_of(16)
 }
 

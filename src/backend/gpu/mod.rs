@@ -1,8 +1,9 @@
 //! The GPU backend: WGSL compute shaders through wgpu, one invocation a trajectory.
 //!
-//! A kernel's module is joined from `shaders/real.wgsl` (elementary functions), `shaders/block.wgsl` (the integrator)
-//! and generated text (constants, the model, the method's stages). `shaders/elimination.wgsl` eliminates the linear
-//! equations of multiple shooting, one invocation a path.
+//! A kernel's module is joined from `shaders/real.wgsl` (elementary functions), `shaders/block.wgsl` (the integrator),
+//! `shaders/sweep.wgsl` (whole trajectories) or `shaders/legs.wgsl` (legs whose law a map in pieces gives) and generated
+//! text (constants, the model, the method's stages). `shaders/elimination.wgsl` eliminates the linear equations of multiple
+//! shooting, one invocation a path.
 
 pub(crate) mod adapter;
 mod clock;
@@ -11,6 +12,7 @@ pub(crate) mod emit;
 mod kernel;
 pub(crate) mod memory;
 mod peak;
+mod relay;
 mod results;
 pub(crate) mod shader;
 #[cfg(test)]
@@ -28,6 +30,13 @@ use std::sync::Arc;
 const RUNNING: u32 = u32::MAX - 1;
 const EVENT: u32 = u32::MAX - 2;
 const UNWRITTEN: u32 = u32::MAX;
+/// Of legs whose law a chart gives: about to ask for it, about to begin with one that is given, without an answer, and at the end
+/// of what the flight has room for.
+const ASK: u32 = u32::MAX - 3;
+const GIVEN: u32 = u32::MAX - 4;
+const LOST: u32 = u32::MAX - 5;
+const PAUSED: u32 = u32::MAX - 6;
+const ON_LEGS: [(&str, u32); 4] = [("ASK", ASK), ("GIVEN", GIVEN), ("LOST", LOST), ("PAUSED", PAUSED)];
 
 /// The GPU backend: an open device.
 #[derive(Clone, Debug)]

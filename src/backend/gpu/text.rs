@@ -26,6 +26,14 @@ pub fn literal(x: f64, precision: Precision) -> String {
     }
 }
 
+/// The condition of `//if` lines for this precision.
+pub fn condition(precision: Precision) -> &'static str {
+    match precision {
+        Precision::F32 => "F32",
+        Precision::F64 => "F64",
+    }
+}
+
 /// The type `real` and the constants of the elementary functions.
 pub fn constants(precision: Precision) -> String {
     use std::f64::consts;

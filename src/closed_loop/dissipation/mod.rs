@@ -157,7 +157,7 @@ impl Dissipation {
         let forcing = Forcing {
             quadratic: certificate.matrix().cloned(),
         };
-        let mut simulator = Simulator::new(setting, law, Some(&forcing), backend)?;
+        let mut simulator = Simulator::new(setting, law, Some(&forcing), certificate.chart(), backend)?;
         let clock = Instant::now();
         let cases = &self.cases;
         let mut tracks: Vec<Track> = self.v0.iter().map(|v| Track::new(*v)).collect();

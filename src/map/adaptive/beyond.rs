@@ -11,6 +11,9 @@ const MOST_REACH: f64 = 5.0;
 /// Errors there may be so many times larger: what a law costs rises with the square of them.
 const LARGER: f64 = 3.0;
 
+/// How far beyond their outermost points pieces there say something, in half widths: nothing surrounds them.
+const BEYOND_POINTS: f64 = 0.1;
+
 /// The map round the region, and what the trajectories of fresh states show of it.
 pub struct Beyond {
     pub pieces: Pieces,
@@ -76,6 +79,7 @@ impl Work<'_, '_> {
     /// The map round the region, if solutions leave it.
     pub(super) fn beyond(&mut self, region: &Region, met: &[Met]) -> Option<Beyond> {
         let outer = Region {
+            beyond: region.beyond.min(BEYOND_POINTS),
             error: (LARGER * region.error).min(self.aim.error_max),
             ..self.reach(region)
         };

@@ -7,6 +7,10 @@ use crate::model::Precision;
 use crate::sweep::Plan;
 use std::fmt::Write;
 
+/// Loop iterations after which an invocation gives a state up: a quarter of the most that Mesa's llvmpipe allows a shader, whose
+/// invocations side by side also wait for each other.
+const MOST_SPENT: usize = 16384;
+
 /// The arrays, and what the shader's text must know of them.
 #[derive(Default)]
 pub(crate) struct Packed {
@@ -38,7 +42,9 @@ impl Packed {
         Flat::<f64>::new(pieces).pack(&reference, &mut this);
         let degree = around.as_ref().map_or(0, |a| a.degree);
         let tables = Tables::new(&Terms::new(n, degree.max(pieces.terms.upto.len() - 1)));
-        this.tables(["UPTO", "FACTORS", "FIRST"], &tables);
+        this.tables(["UPTO", "FACTORS", "RAISED", "RAISED_TWICE"], &tables);
+        this.count("PAIRS", n * (n + 1) / 2);
+        this.count("MOST_SPENT", MOST_SPENT);
         this.count("TERMS", *tables.upto.last()?);
         this.count("N", n);
         this.number("EDGE", 1.0 - BLEND);
@@ -87,11 +93,12 @@ impl Packed {
         self.words.extend(values);
     }
 
-    pub fn tables(&mut self, [upto, factors, first]: [&'static str; 3], tables: &Tables) {
+    pub fn tables(&mut self, [upto, factors, first, second]: [&'static str; 4], tables: &Tables) {
         self.words(upto, tables.upto.iter().map(|k| *k as u32));
         let factor = |(parent, axis, power): &(u16, u8, u8)| [(*parent).into(), (*axis).into(), (*power).into()];
         self.words(factors, tables.factors.iter().flat_map(factor));
         self.words(first, tables.first.iter().map(|t| (*t).into()));
+        self.words(second, tables.second.iter().map(|t| (*t).into()));
     }
 
     /// The conditions of the shader's text.

@@ -65,7 +65,11 @@ impl<T: Real> Shear<T> {
         to.reals("PHI", self.phi.iter().map(|c| c.0[0].f64()));
         to.count("BEND_TERMS", self.phi.len());
         to.count("BEND_BELOW", self.tables.upto[self.degree - 1]);
-        to.tables(["BEND_UPTO", "BEND_FACTORS", "BEND_FIRST"], &self.tables);
+        to.count("BEND_TWICE_BELOW", self.tables.upto[self.degree.max(2) - 2]);
+        to.tables(
+            ["BEND_UPTO", "BEND_FACTORS", "BEND_RAISED", "BEND_RAISED_TWICE"],
+            &self.tables,
+        );
     }
 
     /// The sheared coordinate of some places, and phi's derivatives there.

@@ -9,7 +9,7 @@ impl Flat<f64> {
     pub(crate) fn pack(&self, reference: &[f64], to: &mut Packed) {
         let n = self.states;
         let shifted = |values: &[f64]| -> Vec<f64> { values.iter().zip(reference).map(|(v, r)| v - r).collect() };
-        to.number("FLOOR", self.floor);
+        to.number("LEAST_SIZE", self.floor);
         to.number("VALUE_MAX", self.value_max);
         to.reals("LO", shifted(&self.lo));
         to.reals("HI", shifted(&self.hi));
