@@ -131,7 +131,12 @@ fn a_law_finds_its_way_where_solutions_leave_the_region() {
             over.push((here.v - v).abs() / here.v_error);
         }
     }
-    println!("{} states, over bound {:.2}, {:.2}", over.len(), quantile(&over, 0.99), quantile(&over, 1.0));
+    println!(
+        "{} states, over bound {:.2}, {:.2}",
+        over.len(),
+        quantile(&over, 0.99),
+        quantile(&over, 1.0)
+    );
     assert!(over.len() > 500, "{} states outside are known", over.len());
     assert!(quantile(&over, 0.99) <= 1.0 && quantile(&over, 1.0) <= 3.0);
     let told = done(costate(&[
@@ -283,7 +288,7 @@ fn a_steep_corner_of_the_compressor() {
     let region = "region = { Phi = [1.0, 1.01], Psi = [2.09, 2.105], R = [0.115, 0.125], gamma = [1.515, 1.535] }";
     let (stored, summary) = made(
         "moore_greitzer",
-        &format!("error = 1e-2\nstates = 2000\ncheck = 10\n{region}"),
+        &format!("error = 1e-2\nstates = 2500\ncheck = 10\n{region}"),
     );
     let map = ValueMap::new(&stored).unwrap();
     let here = map.at(&[1.0, 2.1, 0.12, 1.524]).lowest.expect("it is known");

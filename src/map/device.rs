@@ -201,7 +201,8 @@ impl<'m> DeviceMap<'m> {
                 }
             }
         }
-        if elsewhere > 0 && !self.map.pieces_alone {
+        // Of the map round the region the host is asked.
+        if elsewhere > 0 && !self.map.pieces_alone && self.map.beyond.is_none() {
             return Err(DeviceError::Outside { count: elsewhere });
         }
         Ok(())
@@ -273,7 +274,16 @@ impl<'m> DeviceMap<'m> {
         let mut why = vec![Unknown::Uncertain; found.len()];
         self.each(&self.map.places(x, |k| t[k]), |k, answer| match answer {
             Answer::Known(here) => {
-                let value = self.map.as_value(&x[k * n..][..n], here);
+                let x = &x[k * n..][..n];
+                let mut here = *here;
+                // Of the local solution the device tells no bound of p, and of V not all of what is rounded.
+                if here.pieces == 0
+                    && let Some((v, p)) = self.map.local_bounds(x, 0.5 * self.precision.epsilon())
+                {
+                    here.v_bound = here.v_bound.max(v);
+                    here.p_bound[..n].copy_from_slice(&p);
+                }
+                let value = self.map.as_value(x, &here);
                 found[k] = value.map(|(value, bound)| {
                     let hessian = vec![f64::NAN; n * n];
                     (Value { hessian, ..value }, bound)
@@ -283,10 +293,14 @@ impl<'m> DeviceMap<'m> {
             Answer::Elsewhere => why[k] = Unknown::Far,
         })?;
         self.map.add_controls(x, &mut found);
-        Ok((found.into_iter().zip(why))
-            .map(|(value, why)| At {
-                lowest: value.map(|v| v.0).ok_or(why),
-                others: Vec::new(),
+        let beyond = self.map.beyond.is_some();
+        Ok((found.into_iter().zip(why).enumerate())
+            .map(|(k, (value, why))| match why {
+                Unknown::Far if beyond => self.map.at_time(&x[k * n..][..n], t[k]),
+                _ => At {
+                    lowest: value.map(|v| v.0).ok_or(why),
+                    others: Vec::new(),
+                },
             })
             .collect())
     }

@@ -110,11 +110,7 @@ impl ValueMap {
         let (moved, winding) = self.wound(self.pieces.as_ref()?, x);
         let value = Value {
             v: here.v,
-            p_error: match here.pieces {
-                // A device tells the bound of V alone there.
-                0 if here.v > 0.0 && bound.iter().all(|b| *b == 0.0) => here.v_bound / here.v,
-                _ => self.relative(&bound, &p),
-            },
+            p_error: self.relative(&bound, &p),
             p,
             rate: self.time.map_or(f64::NAN, |_| here.p[n]),
             hessian: of_states(&here.hessian, n + usize::from(self.time.is_some()), n),

@@ -535,8 +535,8 @@ impl ValueMap {
             .is_none_or(|here| v <= here.v + MARGIN * here.v.abs().max(v.abs()))
     }
 
-    fn near_equilibrium(&self, s: &[f64]) -> Option<Value> {
-        let local = self.plan.local.as_ref()?;
+    /// A deviation less whole periods, with the sizes of the numbers that it is a difference of, and the numbers of periods.
+    fn unwound(&self, s: &[f64]) -> (Vec<f64>, Vec<f64>, Vec<i32>) {
         let mut winding = vec![0; s.len()];
         let mut s = s.to_vec();
         let mut sizes: Vec<f64> = s.iter().map(|s| s.abs()).collect();
@@ -549,6 +549,21 @@ impl ValueMap {
                 winding[i] = -k as i32;
             }
         }
+        (s, sizes, winding)
+    }
+
+    /// Bounds of the errors of V and p that the local solution says at a state, in arithmetic of a unit roundoff.
+    fn local_bounds(&self, x: &[f64], unit: f64) -> Option<(f64, Vec<f64>)> {
+        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let (s, sizes, _) = self.unwound(&s);
+        let mut bound = vec![0.0; s.len()];
+        let of_v = self.local_errors.as_ref()?.at(&s, &sizes, unit, &mut bound);
+        Some((of_v, bound))
+    }
+
+    fn near_equilibrium(&self, s: &[f64]) -> Option<Value> {
+        let local = self.plan.local.as_ref()?;
+        let (s, sizes, winding) = self.unwound(s);
         if local.quadratic(&s) > local.seed_value {
             return None;
         }

@@ -130,7 +130,7 @@ impl Work<'_, '_> {
         // Where they disagree nothing can be solved for: the error seen is the bound.
         met.iter().for_each(|(x, v)| pieces.admit(x, *v));
         // Whatever its bound, for a law it is better than nothing.
-        Some(Beyond { pieces, check })
+        (!pieces.pieces.is_empty()).then_some(Beyond { pieces, check })
     }
 
     /// Points outside the region that the least solutions from fresh states meet, with V.

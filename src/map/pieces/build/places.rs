@@ -29,7 +29,7 @@ impl Builder<'_> {
             REACH
         };
         let at_edge = !self.places_without(block, points, 2, reach).is_empty();
-        if at_edge {
+        if at_edge || self.without.is_some() {
             piece.support = self.enclosed(&piece, points, beyond);
         }
         if self.leaves_quarters() {
