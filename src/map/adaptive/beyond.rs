@@ -129,7 +129,11 @@ impl Work<'_, '_> {
             .collect();
         // Where they disagree nothing can be solved for: the error seen is the bound.
         met.iter().for_each(|(x, v)| pieces.admit(x, *v));
-        // Whatever its bound, for a law it is better than nothing.
+        // Whatever its bound, for a law it is better than nothing; but of several sheets one far from its points may call itself
+        // the lowest.
+        if self.cloud.several {
+            pieces = pieces.within(self.aim.error_max);
+        }
         (!pieces.pieces.is_empty()).then_some(Beyond { pieces, check })
     }
 
