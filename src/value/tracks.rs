@@ -65,7 +65,7 @@ impl TrackPoints {
 pub struct Wish {
     /// Bounds of the states, as deviations; points outside are left out.
     pub bounds: Vec<[f64; 2]>,
-    /// The part of these where points are as dense as is said here; elsewhere they are [`SPARSER`]. Tracks are followed
+    /// The part of these where points are as dense as is said here; elsewhere they are half as dense. Tracks are followed
     /// backward in this part only.
     pub around: Vec<[f64; 2]>,
     /// What distances are measured in, one a state.
