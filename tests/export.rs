@@ -8,8 +8,8 @@ use common_commands::{costate, done, manufactured, scene};
 use costate::feedback::{Known, value_header};
 use costate::hamiltonian::{Hamiltonian, System};
 use costate::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
-use costate::map::ValueMap;
 use costate::map::pieces::Region;
+use costate::map::{Coverage, ValueMap};
 use costate::model::{Model, SeedValue};
 use costate::output::Stored;
 use costate::sweep::random;
@@ -68,7 +68,9 @@ fn compare(stored: &Stored, states: &[Vec<f64>], said: &[Said]) -> ([usize; 3], 
     let mean = |of: &dyn Fn(&Said) -> f64| known.iter().map(|s| of(s)).sum::<f64>() / known.len() as f64;
     let usual = [mean(&|s| size(&s.p)), mean(&|s| size(&s.u))];
     for (x, said) in states.iter().zip(said) {
-        match (map.without_errors(x).lowest.ok(), said.known) {
+        // The header keeps to the region.
+        let here = map.without_errors(x).lowest.ok();
+        match (here.filter(|here| here.coverage != Coverage::Searched), said.known) {
             (Some(here), true) => {
                 counts[0] += 1;
                 let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
