@@ -1,14 +1,17 @@
-//! Trajectories under the law of a chart: `p = q + H s`, set once a period at each trajectory's state.
+//! Trajectories under the law of a chart: `p = q + H s`, set leg by leg at each trajectory's state.
 //!
-//! The CPU's lanes ask the chart as they go. A device asks a map in pieces itself (`relayed`); games, whose answers are checked one
-//! by one, charts that are no map in pieces, and maps larger than a device's buffers are asked here, with a round trip a period.
+//! The CPU's lanes ask the chart as they go, each trajectory at times of its own (`legs`). A device asks a map in pieces itself
+//! (`relayed`); games, whose answers are checked one by one, charts that are no map in pieces, and maps larger than a device's
+//! buffers are asked here, with a round trip a leg.
 
-use super::equations::set_chart;
-use super::fallback::{Help, Plan, hold_here};
+use super::equations::{Equations, set_chart};
+use super::fallback::{Help, Plan, Rest};
 use super::flights::{Starts, Watch};
+use super::legs::Journey;
+use super::pace::Pace;
 use super::simulate::{Batch, Ground, OUTSIDE_MAP};
 use super::{Chart, Expansions, LoopError};
-use crate::backend::{BackendError, Kernel, Relay, Run, Status, Trajectories};
+use crate::backend::{BackendError, Kernel, Legs, Relay, Run, Trajectories};
 use crate::model::Outside;
 use rayon::prelude::*;
 
@@ -20,28 +23,72 @@ const HOLD: f64 = 0.25;
 /// Attempted steps that a leg may take, however many legs there are.
 const LEAST_STEPS: u32 = 10_000;
 
-/// What flies trajectories over a period.
-pub(super) enum Wings<'k> {
-    /// On this thread.
-    Own(&'k dyn crate::backend::Legs),
-    /// A batch as a whole; how often that was.
-    Whole(&'k mut dyn Kernel, usize),
+/// What flies trajectories over legs.
+pub(super) struct Wings<'k> {
+    by: By<'k>,
+    run: &'k Run,
+    /// Whether the kernel's vectors have the leg's length before J; else it is the run's.
+    timed: bool,
+    /// Flights of whole batches.
+    pub trips: usize,
+    seeds: Vec<f64>,
 }
 
-impl Wings<'_> {
-    pub fn fly(&mut self, run: &Run, seeds: &[f64], to: &mut Trajectories) -> Result<(), BackendError> {
-        match self {
-            Wings::Own(legs) => legs.integrate(seeds, to),
-            Wings::Whole(kernel, trips) => {
-                *to = kernel.integrate(run, seeds)?;
-                *trips += 1;
+enum By<'k> {
+    /// On this thread.
+    Own(&'k dyn Legs),
+    /// A batch as a whole.
+    Whole(&'k mut dyn Kernel),
+}
+
+impl<'k> Wings<'k> {
+    fn new(by: By<'k>, run: &'k Run, timed: bool) -> Self {
+        Self {
+            by,
+            run,
+            timed,
+            trips: 0,
+            seeds: Vec::new(),
+        }
+    }
+
+    /// Flies trajectories from vectors of `dim` components, each over its length.
+    pub fn fly(
+        &mut self,
+        (vectors, dim): (&[f64], usize),
+        length: impl Fn(usize) -> f64,
+        to: &mut Trajectories,
+    ) -> Result<(), BackendError> {
+        if self.timed {
+            self.seeds.clear();
+            for (j, vector) in vectors.chunks_exact(dim).enumerate() {
+                self.seeds.extend_from_slice(&vector[..dim - 1]);
+                self.seeds.extend([length(j), vector[dim - 1]]);
             }
+        }
+        let seeds = if self.timed { &self.seeds } else { vectors };
+        match &mut self.by {
+            By::Own(legs) => legs.integrate(seeds, to),
+            By::Whole(kernel) => {
+                *to = kernel.integrate(self.run, seeds)?;
+                self.trips += 1;
+            }
+        }
+        if self.timed {
+            for j in 0..to.count() {
+                to.end_time[j] *= length(j);
+                let from = j * (dim + 1);
+                to.end.copy_within(from..from + dim - 1, j * dim);
+                to.end[j * dim + dim - 1] = to.end[from + dim];
+            }
+            to.end.truncate(to.count() * dim);
+            to.dim = dim;
         }
         Ok(())
     }
 }
 
-/// Times between updates.
+/// Times between updates that are all the same.
 #[derive(Clone, Copy)]
 pub(super) struct Clock {
     pub step: f64,
@@ -52,14 +99,11 @@ pub(super) struct Clock {
 
 /// What is known of a batch's trajectories from one update of their law to the next.
 pub(super) struct Pilots<'p> {
-    pub run: &'p Run,
-    pub clock: Clock,
     pub chart: &'p dyn Chart,
     pub outside: Outside,
+    pub asked: Asked,
     patience: usize,
-    asked: Asked,
     room: Expansions,
-    lost: Vec<usize>,
     plans: Vec<Option<Plan>>,
     waited: Vec<usize>,
 }
@@ -69,6 +113,15 @@ impl Pilots<'_> {
     pub fn found(&mut self, i: usize) {
         (self.plans[i], self.waited[i]) = (None, 0);
     }
+}
+
+/// When some trajectories get their laws.
+pub(super) struct When<'t> {
+    /// Each one's time.
+    pub t: &'t dyn Fn(usize) -> f64,
+    /// The legs of one that the chart has no answer for, and the length of each one's first.
+    pub rest: Rest,
+    pub first: &'t dyn Fn(usize) -> f64,
 }
 
 impl Ground<'_> {
@@ -85,13 +138,16 @@ impl Ground<'_> {
         }
     }
 
-    /// What legs are flown with.
-    pub fn leg(&self, clock: Clock) -> Run {
-        let mut run = self.run(&self.equations, vec![clock.step]);
+    /// What legs of these equations are flown with: in units of their own lengths where they are timed.
+    pub fn leg(&self, equations: &Equations, timed: bool) -> Run {
+        let clock = self.clock();
+        let length = if timed { 1.0 } else { clock.step };
+        let mut run = self.run(equations, vec![length]);
+        run.step *= length / clock.step;
         // The trajectory's limit is its legs' together; one that is stuck does not hold up its neighbours for all of it.
         run.max_steps = (run.max_steps / clock.all as u32).max(LEAST_STEPS);
         // A leg is short: mostly one step takes it.
-        run.first = Some(clock.step);
+        run.first = Some(length);
         run
     }
 
@@ -105,26 +161,26 @@ impl Ground<'_> {
         chart: &dyn Chart,
         watch: &mut Option<Watch<'_>>,
     ) -> Result<Batch, LoopError> {
-        let clock = self.clock();
-        let run = self.leg(clock);
-        let n = self.equations.states;
+        let count = x0.len() / self.equations.states;
+        let flown = self.timed.as_ref().unwrap_or(&self.equations);
+        let run = self.leg(flown, self.timed.is_some());
         if let Some(relay) = relay {
             let mut batch = self.batch(x0, first, starts);
-            let pilots = self.pilots(&run, clock, chart, x0.len() / n);
-            self.by_relay((relay, kernel), pilots, &mut batch, watch)?;
+            let wings = Wings::new(By::Whole(kernel), &run, false);
+            self.by_relay((relay, &run), wings, self.pilots(chart, count), &mut batch, watch)?;
             return Ok(batch);
         }
+        let pace = Pace::new(self);
         if watch.is_none()
             && let Some(legs) = kernel.legs(&run)
         {
-            let size = (x0.len() / n)
-                .div_ceil(2 * rayon::current_num_threads())
-                .clamp(16, PART);
-            let parts: Vec<Batch> = (x0.par_chunks(size * n).enumerate())
+            let size = count.div_ceil(2 * rayon::current_num_threads()).clamp(16, PART);
+            let parts: Vec<Batch> = (x0.par_chunks(size * self.equations.states).enumerate())
                 .map(|(k, x0)| {
                     let mut part = self.batch(x0, first + k * size, starts);
-                    let pilots = self.pilots(&run, clock, chart, x0.len() / n);
-                    self.relay(&mut Wings::Own(legs.as_ref()), pilots, &mut part, &mut None)?;
+                    let pilots = self.pilots(chart, x0.len() / self.equations.states);
+                    let mut wings = Wings::new(By::Own(legs.as_ref()), &run, true);
+                    Journey::new(self, &pace, pilots, &mut part, false).fly(&mut wings, &mut None)?;
                     Ok(part)
                 })
                 .collect::<Result<_, BackendError>>()?;
@@ -134,163 +190,113 @@ impl Ground<'_> {
             return Ok(all);
         }
         let mut batch = self.batch(x0, first, starts);
-        let pilots = self.pilots(&run, clock, chart, x0.len() / n);
-        let mut wings = Wings::Whole(kernel, 0);
-        self.relay(&mut wings, pilots, &mut batch, watch)?;
-        if let Wings::Whole(_, trips) = wings {
-            batch.round_trips += trips;
-        }
+        let mut wings = Wings::new(By::Whole(kernel), &run, true);
+        let pilots = self.pilots(chart, count);
+        Journey::new(self, &pace, pilots, &mut batch, watch.is_some()).fly(&mut wings, watch)?;
+        batch.round_trips += wings.trips;
         Ok(batch)
     }
 
-    fn pilots<'p>(&self, run: &'p Run, clock: Clock, chart: &'p dyn Chart, count: usize) -> Pilots<'p> {
+    fn pilots<'p>(&self, chart: &'p dyn Chart, count: usize) -> Pilots<'p> {
         // Under a forcing V certifies nothing but where it is known.
         let outside = match self.equations.supplied() {
             Some(_) => Outside::Stop,
             None => self.setting.closed_loop.outside,
         };
         Pilots {
-            run,
-            clock,
             chart,
             outside,
+            asked: Asked::default(),
             patience: match outside {
                 Outside::Hold => usize::MAX,
-                _ => (HOLD * clock.all as f64) as usize,
+                _ => (HOLD * self.clock().all as f64) as usize,
             },
-            asked: Asked::default(),
             room: Expansions::default(),
-            lost: Vec::new(),
             plans: vec![None; count],
             waited: vec![0; count],
         }
     }
 
-    /// Sets the law of some trajectories for the period that begins with update k; one that has none has come to its end.
+    /// Asks the chart at trajectories, all at one time, and sets their laws.
     pub fn update(
         &self,
         wings: &mut Wings<'_>,
         pilots: &mut Pilots<'_>,
         batch: &mut Batch,
         watch: &mut Option<Watch<'_>>,
-        (k, alive): (usize, &[usize]),
+        (when, lanes): (&When<'_>, &[usize]),
     ) -> Result<(), BackendError> {
-        let (dim, Clock { step, all, .. }) = (batch.dim, pilots.clock);
-        let t = step * k as f64;
-        // Over a period p of V(x, t) changes with time too: that of its middle errs only to the second order of the period.
-        let middle = t + 0.5 * step;
-        pilots.asked.ask(self, pilots.chart, batch, alive, middle);
-        pilots.room.t = middle;
-        batch.updates += alive.len();
-        pilots.lost.clear();
-        for (j, &i) in alive.iter().enumerate() {
+        let Some(&any) = lanes.first() else { return Ok(()) };
+        pilots.asked.ask(self, pilots.chart, batch, lanes, when.middle(any));
+        let lanes: Vec<(usize, usize)> = lanes.iter().copied().enumerate().collect();
+        self.set(wings, pilots, batch, watch, (when, &lanes))
+    }
+
+    /// Sets the laws of trajectories, each with the place of its answer; one that has none, and no help, has come to its end.
+    pub fn set(
+        &self,
+        wings: &mut Wings<'_>,
+        pilots: &mut Pilots<'_>,
+        batch: &mut Batch,
+        watch: &mut Option<Watch<'_>>,
+        (when, lanes): (&When<'_>, &[(usize, usize)]),
+    ) -> Result<(), BackendError> {
+        let dim = batch.dim;
+        batch.updates += lanes.len();
+        let mut lost = Vec::new();
+        for &(j, i) in lanes {
             let vector = &mut batch.end[i * dim..][..dim];
             let Some(answer) = pilots.asked.answer(j) else {
-                pilots.lost.push(i);
+                lost.push(i);
                 continue;
             };
-            (pilots.plans[i], pilots.waited[i]) = (None, 0);
             set_chart(vector, answer.p, answer.hessian);
             if let Some(watch) = watch {
-                self.show(watch, batch.first + i, t, vector, Some(answer.v));
+                self.show(watch, batch.first + i, (when.t)(i), vector, Some(answer.v));
             }
+            pilots.found(i);
         }
-        if pilots.lost.is_empty() {
+        if lost.is_empty() {
             return Ok(());
         }
-        let lost = std::mem::take(&mut pilots.lost);
         let flying: Vec<bool> = (lost.iter())
             .map(|i| {
                 batch.fallback[*i] += 1;
                 pilots.waited[*i] += 1;
-                k > 0 && pilots.waited[*i] <= pilots.patience
+                (when.t)(*i) > 0.0 && pilots.waited[*i] <= pilots.patience
             })
             .collect();
+        pilots.room.t = when.middle(lost[0]);
         let mut help = Help {
             outside: pilots.outside,
             wings,
-            run: pilots.run,
             chart: pilots.chart,
             room: &mut pilots.room,
         };
-        let goes_on = self.help(&mut help, (batch, &lost), (all - k, step), &mut pilots.plans, &flying)?;
+        let goes_on = self.help(&mut help, (batch, &lost), when, &mut pilots.plans, &flying)?;
         for (i, _) in lost.iter().zip(goes_on).filter(|(_, goes_on)| !goes_on) {
-            (batch.status[*i], batch.t_end[*i]) = (OUTSIDE_MAP, t);
+            (batch.status[*i], batch.t_end[*i]) = (OUTSIDE_MAP, (when.t)(*i));
         }
-        pilots.lost = lost;
-        Ok(())
-    }
-
-    /// From one update to the next, all trajectories of a batch.
-    fn relay(
-        &self,
-        wings: &mut Wings<'_>,
-        mut pilots: Pilots<'_>,
-        batch: &mut Batch,
-        watch: &mut Option<Watch<'_>>,
-    ) -> Result<(), BackendError> {
-        let scene = self.setting.closed_loop;
-        let (dim, width) = (batch.dim, self.observer_width());
-        let Pilots {
-            run, clock, outside, ..
-        } = pilots;
-        let mut alive: Vec<usize> = (0..batch.status.len()).collect();
-        let mut seeds: Vec<f64> = Vec::new();
-        let mut flown = Trajectories::default();
-        for k in 0..clock.all {
-            let t = clock.step * k as f64;
-            self.update(wings, &mut pilots, batch, watch, (k, &alive))?;
-            alive.retain(|i| batch.status[*i] == Status::Reached as i32);
-            if alive.is_empty() {
-                break;
-            }
-            if k % clock.updates == 0 {
-                self.keep_alive(batch, &alive, t);
-            }
-            seeds.clear();
-            for i in &alive {
-                seeds.extend_from_slice(&batch.end[i * dim..][..dim]);
-            }
-            wings.fly(run, &seeds, &mut flown)?;
-            if outside != Outside::Stop {
-                self.fly_stiff(wings, run, &mut seeds, &mut flown, |j| batch.fallback[alive[j]] += 1)?;
-            }
-            if !scene.records.is_empty() {
-                let (before, after) = (self.observer.eval(&seeds, dim), self.observer.eval(&flown.end, dim));
-                batch.records.each(|i, view| {
-                    if let Ok(j) = alive.binary_search(&i) {
-                        let ends = [&before[j * width..][..width], &after[j * width..][..width]];
-                        view.see(flown.end_time[j], &seeds[j * dim..][..dim], ends);
-                    }
-                });
-            }
-            for (j, &i) in alive.iter().enumerate() {
-                let end = &flown.end[j * dim..][..dim];
-                batch.status[i] = self.code(flown.status[j], &batch.start[i * dim..][..dim], end);
-                batch.t_end[i] = t + flown.end_time[j];
-                batch.end[i * dim..][..dim].copy_from_slice(end);
-            }
-            alive.retain(|i| batch.status[*i] == Status::Reached as i32);
-        }
-        self.conclude(pilots, batch, &alive, watch);
         Ok(())
     }
 
     /// What is told of trajectories that have come to the final time, and what is missing of those kept that have not.
-    pub fn conclude(&self, mut pilots: Pilots<'_>, batch: &mut Batch, alive: &[usize], watch: &mut Option<Watch<'_>>) {
+    pub fn conclude(&self, mut pilots: Pilots<'_>, batch: &mut Batch, ended: &[usize], watch: &mut Option<Watch<'_>>) {
         let scene = self.setting.closed_loop;
         let (n, dim) = (self.equations.states, batch.dim);
         if let Some(watch) = watch {
-            pilots.asked.ask(self, pilots.chart, batch, alive, scene.final_time);
-            for (j, &i) in alive.iter().enumerate() {
+            pilots.asked.ask(self, pilots.chart, batch, ended, scene.final_time);
+            for (j, &i) in ended.iter().enumerate() {
                 if let Some(answer) = pilots.asked.answer(j) {
                     let end = &batch.end[i * dim..][..dim];
                     self.show(watch, batch.first + i, scene.final_time, end, Some(answer.v));
                 }
             }
         }
-        self.keep_alive(batch, alive, scene.final_time);
-        for (_, path) in &mut batch.kept {
+        for (i, path) in &mut batch.kept {
+            if ended.binary_search(i).is_ok() {
+                self.keep(path, scene.final_time, &batch.end[*i * dim..][..dim]);
+            }
             let missing = scene.samples + 1 - path.t.len();
             path.t.extend(vec![f64::NAN; missing]);
             path.x.extend(vec![f64::NAN; missing * n]);
@@ -309,7 +315,7 @@ impl Ground<'_> {
         &self,
         help: &mut Help<'_, '_>,
         (batch, lost): (&mut Batch, &[usize]),
-        periods: (usize, f64),
+        when: &When<'_>,
         plans: &mut [Option<Plan>],
         flying: &[bool],
     ) -> Result<Vec<bool>, BackendError> {
@@ -317,7 +323,8 @@ impl Ground<'_> {
         if help.outside == Outside::Search {
             let new: Vec<usize> = lost.iter().copied().filter(|i| plans[*i].is_none()).collect();
             let from: Vec<f64> = new.iter().flat_map(|i| &batch.end[i * dim..][..dim]).copied().collect();
-            for (i, plan) in new.iter().zip(self.search(help, periods, &from)?) {
+            let first: Vec<f64> = new.iter().map(|i| (when.first)(*i)).collect();
+            for (i, plan) in new.iter().zip(self.search(help, (when.rest, &first), &from)?) {
                 plans[*i] = Some(plan);
             }
         }
@@ -334,59 +341,31 @@ impl Ground<'_> {
         }
         Ok(goes_on)
     }
+}
 
-    /// Flies again, with p held, the legs that the model of V, next to where V is too steep for it, makes too stiff to follow.
-    fn fly_stiff(
-        &self,
-        wings: &mut Wings<'_>,
-        run: &Run,
-        seeds: &mut [f64],
-        flown: &mut Trajectories,
-        mut count: impl FnMut(usize),
-    ) -> Result<(), BackendError> {
-        let dim = flown.dim;
-        for j in 0..flown.count() {
-            if flown.status[j] != Status::StepLimit {
-                continue;
-            }
-            let seed = &mut seeds[j * dim..][..dim];
-            hold_here(seed, self.equations.states);
-            count(j);
-            let mut again = Trajectories::default();
-            wings.fly(run, seed, &mut again)?;
-            flown.status[j] = again.status[0];
-            flown.end_time[j] = again.end_time[0];
-            flown.end[j * dim..][..dim].copy_from_slice(&again.end);
-        }
-        Ok(())
-    }
-
-    fn keep_alive(&self, batch: &mut Batch, alive: &[usize], t: f64) {
-        let dim = batch.dim;
-        for (i, path) in &mut batch.kept {
-            if alive.binary_search(i).is_ok() {
-                self.keep(path, t, &batch.end[*i * dim..][..dim]);
-            }
-        }
+impl When<'_> {
+    /// Over a leg p of V(x, t) changes with time too: that of its middle errs only to the second order of its length.
+    fn middle(&self, i: usize) -> f64 {
+        (self.t)(i) + 0.5 * self.rest.length
     }
 }
 
 /// What a chart says where trajectories are: one part after the other.
 #[derive(Default)]
-struct Asked {
+pub(super) struct Asked {
     parts: Vec<(Vec<f64>, Expansions)>,
     states: usize,
 }
 
 /// One of the answers.
-struct One<'a> {
-    v: f64,
-    p: &'a [f64],
-    hessian: &'a [f64],
+pub(super) struct One<'a> {
+    pub v: f64,
+    pub p: &'a [f64],
+    pub hessian: &'a [f64],
 }
 
 impl Asked {
-    fn ask(&mut self, ground: &Ground<'_>, chart: &dyn Chart, batch: &Batch, alive: &[usize], t: f64) {
+    pub fn ask(&mut self, ground: &Ground<'_>, chart: &dyn Chart, batch: &Batch, alive: &[usize], t: f64) {
         let (n, dim, reference) = (ground.equations.states, batch.dim, &ground.equations.reference);
         self.states = n;
         self.parts.resize_with(alive.len().div_ceil(PART), Default::default);
@@ -404,7 +383,7 @@ impl Asked {
         }
     }
 
-    fn answer(&self, j: usize) -> Option<One<'_>> {
+    pub fn answer(&self, j: usize) -> Option<One<'_>> {
         let (n, part, k) = (self.states, &self.parts[j / PART].1, j % PART);
         part.known[k].then(|| One {
             v: part.v[k],

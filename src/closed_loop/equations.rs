@@ -176,7 +176,7 @@ impl Equations {
             graph,
             inputs,
             rate,
-            guards: Vec::new(),
+            guards: self.guards.clone(),
             recorded: self.recorded.clone(),
             control: self.control.clone(),
             disturbance: self.disturbance.clone(),
@@ -184,6 +184,13 @@ impl Equations {
             switches: self.switches.clone(),
             reference: self.reference.clone(),
             ..*self
+        }
+    }
+
+    pub fn without_guards(self) -> Self {
+        Self {
+            guards: Vec::new(),
+            ..self
         }
     }
 
@@ -209,6 +216,13 @@ impl Equations {
 
     fn program(&self, roots: &[Id]) -> Program {
         Program::lower(&self.graph, &self.inputs, roots)
+    }
+
+    /// The states' derivatives and the running cost.
+    pub fn rates(&self) -> Program {
+        let mut roots = self.rate[..self.states].to_vec();
+        roots.extend(self.rate.last());
+        self.program(&roots)
     }
 
     pub fn spec(&self, method: Method, precision: Precision, store: bool) -> Spec {

@@ -4,7 +4,7 @@ use super::charted::Wings;
 use super::equations::set_chart;
 use super::simulate::Ground;
 use super::{Chart, Expansions};
-use crate::backend::{BackendError, Run, Status, Trajectories};
+use crate::backend::{BackendError, Status, Trajectories};
 use crate::model::Outside;
 
 /// Ways from a state without an answer towards the reference point at which the chart is asked.
@@ -20,11 +20,17 @@ pub(super) struct Plan {
     left: usize,
 }
 
+/// Legs that are left, and how long each is.
+#[derive(Clone, Copy)]
+pub(super) struct Rest {
+    pub legs: usize,
+    pub length: f64,
+}
+
 /// With what trajectories without an answer are helped, many at once.
 pub(super) struct Help<'h, 'k> {
     pub outside: Outside,
     pub wings: &'h mut Wings<'k>,
-    pub run: &'h Run,
     pub chart: &'h dyn Chart,
     pub room: &'h mut Expansions,
 }
@@ -143,11 +149,11 @@ impl Ground<'_> {
 
     /// For each of some trajectories a way back to where the chart has answers, foretold with the equations themselves: p of the
     /// nearest state known, if that comes back within the periods left; else the cheapest of the plans that first hold a control
-    /// at a bound of it, by its cost and V where it comes back. Of periods how many are left, and their length.
+    /// at a bound of it, by its cost and V where it comes back. A period is a leg of the rest; the first one of each may be shorter.
     pub fn search(
         &self,
         help: &mut Help<'_, '_>,
-        (periods, length): (usize, f64),
+        (rest, first): (Rest, &[f64]),
         vectors: &[f64],
     ) -> Result<Vec<Plan>, BackendError> {
         let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
@@ -166,10 +172,10 @@ impl Ground<'_> {
                 parts: None,
             })
             .collect();
-        let back = self.cheapest(help, (periods, length), vectors, nearest)?;
+        let back = self.cheapest(help, (rest, first), vectors, nearest)?;
         let lost: Vec<usize> = all.into_iter().filter(|k| back[*k].is_none()).collect();
         let mut plans: Vec<Vec<Plan>> = vec![Vec::new(); count];
-        let lengths = || std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < periods);
+        let lengths = || std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < rest.legs);
         let mut trials = Vec::new();
         for k in &lost {
             for p in self.pushes(&vectors[k * dim..][..dim]) {
@@ -187,7 +193,7 @@ impl Ground<'_> {
                 plans[*k].extend(lengths().map(|left| Plan { p: p.clone(), left }));
             }
         }
-        let best = self.cheapest(help, (periods, length), vectors, trials)?;
+        let best = self.cheapest(help, (rest, first), vectors, trials)?;
         for k in lost {
             if let Some(j) = best[k] {
                 found[k] = plans[k].swap_remove(j);
@@ -200,7 +206,7 @@ impl Ground<'_> {
     fn cheapest(
         &self,
         help: &mut Help<'_, '_>,
-        (periods, length): (usize, f64),
+        (rest, first): (Rest, &[f64]),
         vectors: &[f64],
         mut alive: Vec<Trial>,
     ) -> Result<Vec<Option<usize>>, BackendError> {
@@ -210,7 +216,7 @@ impl Ground<'_> {
         let mut best = vec![
             Best {
                 plan: None,
-                last: periods
+                last: rest.legs
             };
             count
         ];
@@ -222,11 +228,11 @@ impl Ground<'_> {
         let (mut flown, mut x) = (Trajectories::default(), Vec::new());
         // The middle of the first period.
         let began = help.room.t;
-        for period in 0..periods {
+        for period in 0..rest.legs {
             if alive.is_empty() {
                 break;
             }
-            help.room.t = began + period as f64 * length;
+            help.room.t = began + period as f64 * rest.length;
             for j in 0..alive.len() {
                 let trial = &mut alive[j];
                 if trial.parts != Some(period) {
@@ -245,13 +251,17 @@ impl Ground<'_> {
             let mut plans: Vec<Plan> = alive.iter_mut().map(|t| std::mem::take(&mut t.plan)).collect();
             self.fall_back(help, &mut seeds, &mut plans, &vec![true; alive.len()]);
             alive.iter_mut().zip(plans).for_each(|(t, plan)| t.plan = plan);
-            help.wings.fly(help.run, &seeds, &mut flown)?;
+            let length = |j: usize| match period {
+                0 => first[alive[j].of],
+                _ => rest.length,
+            };
+            help.wings.fly((&seeds, dim), length, &mut flown)?;
             x.clear();
             for end in flown.end.chunks_exact(dim) {
                 x.extend(end[..n].iter().zip(reference).map(|(s, x)| s + x));
             }
             // What is left of the cost, at the end of the period.
-            help.room.t += 0.5 * length;
+            help.room.t += 0.5 * rest.length;
             help.chart.slopes(n, &x, help.room);
             let room = &help.room;
             seeds.clear();

@@ -14,6 +14,8 @@ mod flights;
 mod forcing;
 mod initial;
 mod law;
+mod legs;
+mod pace;
 mod record;
 mod relayed;
 mod sets;

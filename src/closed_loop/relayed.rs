@@ -1,11 +1,11 @@
 //! Trajectories under the law of a chart that a device asks itself: those it has no answer for are set here, while the others
 //! have gone on, and join a later flight at the beginning of that leg.
 
-use super::charted::{Clock, Pilots, Wings};
-use super::fallback::hold_here;
+use super::charted::{Clock, Pilots, When, Wings};
+use super::fallback::{Rest, hold_here};
 use super::flights::Watch;
 use super::simulate::{Batch, Ground};
-use crate::backend::{BackendError, Course, Flown, Halt, Kernel, Relay, Status, Trajectories};
+use crate::backend::{BackendError, Course, Flown, Halt, Relay, Run, Status, Trajectories};
 use crate::model::Outside;
 use std::collections::{BTreeMap, HashMap};
 
@@ -23,13 +23,13 @@ impl Ground<'_> {
     /// of legs that are looked at.
     pub fn by_relay(
         &self,
-        (relay, kernel): (&mut (dyn Relay + '_), &mut dyn Kernel),
+        (relay, run): (&mut (dyn Relay + '_), &Run),
+        mut wings: Wings<'_>,
         mut pilots: Pilots<'_>,
         batch: &mut Batch,
         watch: &mut Option<Watch<'_>>,
     ) -> Result<(), BackendError> {
-        let (dim, clock, run) = (batch.dim, pilots.clock, pilots.run);
-        let mut wings = Wings::Whole(kernel, 0);
+        let (dim, clock) = (batch.dim, self.clock());
         let at_start = |of| Waiting {
             of,
             leg: 0,
@@ -84,7 +84,7 @@ impl Ground<'_> {
                     .chunks_exact_mut(dim)
                     .for_each(|seed| hold_here(seed, self.equations.states));
                 let mut again = Trajectories::default();
-                wings.fly(run, &seeds, &mut again)?;
+                wings.fly((&seeds, dim), |_| clock.step, &mut again)?;
                 self.see_again(batch, &stiff, &seeds, &again);
                 for (j, (i, leg, _)) in stiff.into_iter().enumerate() {
                     batch.fallback[i] += 1;
@@ -109,16 +109,22 @@ impl Ground<'_> {
             };
             for (leg, mut lanes) in helped {
                 lanes.sort_unstable();
-                self.update(&mut wings, &mut pilots, batch, watch, (leg, &lanes))?;
+                let when = When {
+                    t: &|_| clock.step * leg as f64,
+                    rest: Rest {
+                        legs: clock.all - leg,
+                        length: clock.step,
+                    },
+                    first: &|_| clock.step,
+                };
+                self.update(&mut wings, &mut pilots, batch, watch, (&when, &lanes))?;
                 let goes_on = lanes.into_iter().filter(|i| batch.status[*i] == Status::Reached as i32);
                 next.extend(goes_on.map(|of| Waiting { of, leg, given: true }));
             }
             next.sort_by_key(|w| w.of);
             waiting = next;
         }
-        if let Wings::Whole(_, trips) = wings {
-            batch.round_trips += trips;
-        }
+        batch.round_trips += wings.trips;
         let alive: Vec<usize> = (0..batch.status.len())
             .filter(|i| batch.status[*i] == Status::Reached as i32)
             .collect();

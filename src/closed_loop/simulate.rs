@@ -30,6 +30,8 @@ pub(super) struct Simulator<'s> {
 pub(super) struct Ground<'s> {
     pub setting: &'s Setting<'s>,
     pub equations: Equations,
+    /// The same with the length of each leg, where these are of a chart's law and of many lengths.
+    pub timed: Option<Equations>,
     pub observer: Evaluator,
     guards: Option<Evaluator>,
     terminal: Option<Evaluator>,
@@ -75,29 +77,39 @@ impl<'s> Simulator<'s> {
         }
         let (method, precision) = (setting.numerics.method, setting.numerics.precision);
         let own = if equations.charted { setting.leg_method } else { method };
-        let kernel = backend.compile(&equations.spec(own, precision, !equations.charted))?;
+        // Of what a backend without a device has no use for nothing is made.
+        let surface = match (backend.gpu(), chart.filter(|_| equations.charted)) {
+            (Some(_), Some(chart)) => chart.surface(precision),
+            _ => None,
+        };
         let scaled = if scene.records.is_empty() {
             None
         } else {
-            let scaled = equations.scaled();
+            let scaled = equations.scaled().without_guards();
             let kernel = backend.compile(&scaled.spec(method, precision, false))?;
             Some((scaled, kernel))
         };
-        let ground = Ground {
+        let mut ground = Ground {
             setting,
             observer: Evaluator::new(&equations.observed()),
             guards: equations.guard_values().map(|g| Evaluator::new(&g)),
             terminal: equations.terminal().map(|t| Evaluator::new(&t)),
+            timed: None,
             equations,
         };
-        // Of what a backend without a device has no use for nothing is made.
-        let surface = match (backend.gpu(), chart.filter(|_| ground.equations.charted)) {
-            (Some(_), Some(chart)) => chart.surface(precision),
-            _ => None,
-        };
-        let relay = match surface {
-            Some(surface) => kernel.relay(&ground.leg(ground.clock()), &surface)?,
-            None => None,
+        let compile = |equations: &Equations| backend.compile(&equations.spec(own, precision, !equations.charted));
+        let mut asking = None;
+        if let Some(surface) = surface {
+            let kernel = compile(&ground.equations)?;
+            let run = ground.leg(&ground.equations, false);
+            asking = kernel.relay(&run, &surface)?.map(|relay| (kernel, relay));
+        }
+        let (kernel, relay) = match asking {
+            Some((kernel, relay)) => (kernel, Some(relay)),
+            None => {
+                ground.timed = ground.equations.charted.then(|| ground.equations.scaled());
+                (compile(ground.timed.as_ref().unwrap_or(&ground.equations))?, None)
+            }
         };
         Ok(Self {
             ground,

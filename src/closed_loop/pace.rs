@@ -1,0 +1,183 @@
+//! For how long the law of a chart is kept before the chart is asked again.
+//!
+//! A period, where one is asked for. Else as long as the law in use costs next to nothing more than the chart's. Where p is
+//! the chart's at the end of a leg and `u` the control of the law in use, that is
+//!
+//! ```text
+//! L(x, u) + p'f(x, u) - min over v of (L(x, v) + p'f(x, v)) >= 0,
+//! ```
+//!
+//! by which J grows faster than V falls. It is compared with the running cost, whose integral is V.
+
+use super::simulate::Ground;
+use crate::backend::cpu::map::Evaluator;
+use crate::model::Horizon;
+
+/// What is lost may be so many times `rtol` of the running cost: what is promised for V.
+const LOSS: f64 = 30.0;
+/// p errs with the square of the leg's length, and what is lost goes with the square of that.
+const ORDER: f64 = 4.0;
+/// A leg is so much shorter than would be just good enough.
+const SAFETY: f64 = 0.9;
+/// Changes of length from leg to leg.
+const SHRINK: f64 = 0.1;
+const GROW: f64 = 3.0;
+/// Shortest, first and longest legs, of the final time.
+const SHORTEST: f64 = 1.0 / 65536.0;
+const FIRST: f64 = 1.0 / 4096.0;
+const LONGEST: f64 = 1.0 / 8.0;
+/// Legs after which a trajectory's are no longer made shorter than a sample's interval: it slides where V has a kink.
+const PATIENCE: u32 = 4096;
+
+/// How long legs are.
+pub(super) enum Pace {
+    /// All the same.
+    Period(f64),
+    AsNeeded(Judge),
+}
+
+/// Judges legs at their ends.
+pub(super) struct Judge {
+    /// f and L.
+    rates: Evaluator,
+    tolerance: f64,
+    /// Running cost that counts as none.
+    floor: f64,
+    final_time: f64,
+    interval: f64,
+}
+
+/// What is thought of a leg: whether it will do, and how long it had better been.
+pub(super) struct Verdict {
+    pub good: bool,
+    pub length: f64,
+}
+
+/// How a trajectory comes along.
+#[derive(Clone, Copy)]
+pub(super) struct Course {
+    /// Where the leg in hand begins.
+    pub t: f64,
+    /// The next sample's number.
+    pub sample: usize,
+    /// Length of the leg in hand, 0 before the first; and what the next one should have.
+    pub length: f64,
+    pub wanted: f64,
+    /// Whether the leg in hand is flown under the chart's own law.
+    pub charted: bool,
+    pub legs: u32,
+}
+
+impl Pace {
+    /// At times of a horizon, and under disturbances, which say when they change, legs are all the same; so are those of a method
+    /// that takes steps of one length.
+    pub fn new(ground: &Ground<'_>) -> Self {
+        let setting = ground.setting;
+        let same = setting.closed_loop.period.is_some()
+            || matches!(setting.model.horizon, Horizon::Finite { .. })
+            || ground.equations.supplied().is_some()
+            || !setting.leg_method.adaptive();
+        if same {
+            Pace::Period(ground.clock().step)
+        } else {
+            Pace::AsNeeded(Judge::new(ground))
+        }
+    }
+
+    pub fn first(&self) -> f64 {
+        match self {
+            Pace::Period(period) => *period,
+            Pace::AsNeeded(judge) => FIRST * judge.final_time,
+        }
+    }
+
+    /// Whether a leg that went wrong is flown again.
+    pub fn may_shorten(&self, course: &Course) -> bool {
+        matches!(self, Pace::AsNeeded(judge) if course.charted && course.length > judge.shortest(course))
+    }
+
+    /// Whether the leg in hand may turn out not to be good enough.
+    pub fn judges(&self, course: &Course) -> bool {
+        matches!(self, Pace::AsNeeded(_)) && course.charted && course.length > 0.0
+    }
+
+    /// Length of legs without the chart's law.
+    pub fn leg_of_lost(&self) -> f64 {
+        match self {
+            Pace::Period(period) => *period,
+            Pace::AsNeeded(judge) => judge.interval,
+        }
+    }
+}
+
+impl Judge {
+    pub fn new(ground: &Ground<'_>) -> Self {
+        let scene = ground.setting.closed_loop;
+        let rtol = ground.setting.numerics.rtol;
+        Self {
+            rates: Evaluator::new(&ground.equations.rates()),
+            tolerance: LOSS * rtol,
+            floor: rtol * ground.setting.value_scale / scene.final_time,
+            final_time: scene.final_time,
+            interval: scene.final_time / scene.samples as f64,
+        }
+    }
+
+    fn shortest(&self, course: &Course) -> f64 {
+        if course.legs > PATIENCE {
+            self.interval
+        } else {
+            SHORTEST * self.final_time
+        }
+    }
+
+    /// A leg of which nothing is known at its end.
+    pub fn failed(&self, course: &Course) -> Verdict {
+        Verdict {
+            good: course.length <= self.shortest(course),
+            length: (0.5 * course.length).max(self.shortest(course)),
+        }
+    }
+
+    /// What f and L are under the laws of some vectors.
+    pub fn rates(&self, vectors: &[f64], dim: usize) -> Vec<f64> {
+        self.rates.eval(vectors, dim)
+    }
+
+    /// A leg at whose end these are the rates of the law in use and of the chart's, and p.
+    pub fn verdict(&self, course: &Course, in_use: &[f64], charted: &[f64], p: &[f64]) -> Verdict {
+        let n = p.len();
+        let hamiltonian = |rates: &[f64]| -> f64 { rates[n] + p.iter().zip(rates).map(|(p, f)| p * f).sum::<f64>() };
+        let lost = (hamiltonian(in_use) - hamiltonian(charted)) / (self.tolerance * (charted[n].abs() + self.floor));
+        let shortest = self.shortest(course);
+        // What is not a number is not good.
+        let good = lost <= 1.0;
+        let change = if lost > 0.0 {
+            SAFETY * lost.powf(-1.0 / ORDER)
+        } else {
+            GROW
+        };
+        let change = if change.is_nan() {
+            SHRINK
+        } else {
+            change.clamp(SHRINK, GROW)
+        };
+        Verdict {
+            good: good || course.length <= shortest,
+            length: (change * course.length).clamp(shortest, LONGEST * self.final_time),
+        }
+    }
+}
+
+impl Course {
+    pub fn new(pace: &Pace) -> Self {
+        Self {
+            t: 0.0,
+            sample: 1,
+            length: 0.0,
+            wanted: pace.first(),
+            charted: false,
+            legs: 0,
+        }
+    }
+}
