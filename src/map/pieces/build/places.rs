@@ -85,9 +85,8 @@ impl Builder<'_> {
         let half = |i: usize| 0.5 * (block.hi[i] - block.lo[i]);
         let places = a_side.pow(n as u32);
         assert!(places <= 64);
-        let level = |i: usize, step: usize| {
-            block.lo[i] + step as f64 / (a_side - 1) as f64 * (block.hi[i] - block.lo[i])
-        };
+        let level =
+            |i: usize, step: usize| block.lo[i] + step as f64 / (a_side - 1) as f64 * (block.hi[i] - block.lo[i]);
         // A bit a place: those of each step along each axis, and those that no point has been found near to.
         let mut of_step = vec![0u64; n * a_side];
         let mut left = 0u64;
