@@ -187,6 +187,7 @@ fn all_that_pieces_can_be_is_in_their_header() {
         lo: model.region.iter().map(|r| r[0]).collect(),
         hi: model.region.iter().map(|r| r[1]).collect(),
         error: 1e-3,
+        equal_cost: f64::INFINITY,
         floor: 0.5,
         value_max: 2.02,
         beyond: 0.0,

@@ -493,3 +493,75 @@ fn what_lies_outside_the_region_is_named() {
     let inside = done(costate(&["value", &file, "--at", "x=1.25"]));
     assert!(!inside.contains("outside"), "{inside}");
 }
+
+/// Where two sheets of the pendulum cost the same the map has them do so, too, to the distance asked for; and no sheet ends before.
+/// Places on the line with the jump of p there: `costate homotopy` of a grid, `/equal_cost`, located to 1e-9 of V (117 to 184).
+#[test]
+fn the_line_of_equal_cost_is_where_it_is() {
+    const LINE: [[f64; 4]; 14] = [
+        [-3.9, 0.104413342, -258.312, -63.835],
+        [-2.25, 9.982368602, 53.888, 34.79],
+        [-1.8, 9.362178284, 44.689, 36.367],
+        [-1.301203909, 8.8, 41.453, 38.957],
+        [-0.85, 8.313962734, 47.146, 41.963],
+        [-0.429636638, 7.8, 60.802, 45.164],
+        [0.0, 7.148571923, 82.909, 48.641],
+        [0.4, 6.386314478, 109.796, 51.892],
+        [0.8, 5.451197394, 140.949, 55.005],
+        [1.110949057, 4.6, 166.643, 57.247],
+        [1.45, 3.550928932, 194.565, 59.45],
+        [1.784802379, 2.4, 220.507, 61.328],
+        [2.1, 1.224399454, 242.123, 62.791],
+        [2.4, 0.036288174, 259.161, 63.888],
+    ];
+    // In widths of the region: 1e-6 along omega, a quarter of that along theta.
+    let (stored, summary) = made(
+        "pendulum",
+        "error = 1e-4\nvalue_max = 185.0\nequal_cost = 4e-8\ncheck = 20",
+    );
+    let map = pieces(&stored);
+    println!("{summary}");
+    for [theta, omega, a, b] in LINE {
+        let size = f64::hypot(a, b);
+        // p along its jump: that of the first sheet is larger by it, and is that on the side where that sheet is the lower.
+        let along = |t: f64| {
+            let x = [
+                (theta + t * a / size).clamp(-3.9, 2.4),
+                (omega + t * b / size).clamp(-11.0, 14.0),
+            ];
+            let said = map.at(&x).unwrap_or_else(|| panic!("{x:?} is not known"));
+            (said.p[0] * a + said.p[1] * b) / size
+        };
+        let jump = along(-1e-6) - along(1e-6);
+        assert!((jump / size - 1.0).abs() < 1e-3, "{theta}, {omega}: {jump} of {size}");
+    }
+    // Solved; next to the line, where the lower sheet's points are few.
+    let here = map.at(&[-1.55, 9.0]).unwrap();
+    assert!((here.v / 141.953_592_185 - 1.0).abs() < 1e-4, "{}", here.v);
+}
+
+/// Six states, with next to no budget: what is said keeps to its bounds.
+#[test]
+fn six_states() {
+    let region = "region = { phi = [-0.3, 0.3], theta = [-0.3, 0.3], psi = [-0.3, 0.3], w1 = [-0.2, 0.2], w2 = [-0.2, 0.2], w3 = [-0.2, 0.2] }";
+    let (stored, summary) = made(
+        "satellite",
+        &format!("error = 2e-2\nstates = 120\ncheck = 12\n{region}"),
+    );
+    println!("{summary}");
+    let check = stored.group("map_check").expect("the check is in the file");
+    let read = |name: &str| check.f64(name).unwrap().values;
+    let (solved, said, bound) = (read("V_solved"), read("V_said"), read("V_bound"));
+    let known: Vec<usize> = (0..12).filter(|k| said[*k].is_finite()).collect();
+    assert!(known.len() >= 6, "{} of 12 are known", known.len());
+    for k in known {
+        let off = (said[k] - solved[k]).abs();
+        assert!(
+            off <= bound[k] && off < 2e-2 * solved[k].max(1e-3),
+            "{} for {}, bound {}",
+            said[k],
+            solved[k],
+            bound[k]
+        );
+    }
+}

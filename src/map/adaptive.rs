@@ -180,6 +180,7 @@ pub fn adaptive(
         lo: bounds.iter().map(|b| b[0]).collect(),
         hi: bounds.iter().map(|b| b[1]).collect(),
         error: aim.error,
+        equal_cost: aim.equal_cost.unwrap_or(f64::INFINITY),
         floor: 0.0,
         value_max: aim.value_max.unwrap_or(f64::INFINITY),
         beyond: if plan.game { BEYOND_OF_GAME } else { BEYOND },

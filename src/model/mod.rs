@@ -164,6 +164,8 @@ pub struct MapAim {
     pub error: f64,
     /// Nothing is said where the bound is above this, relative to the same.
     pub error_max: f64,
+    /// Largest distance of the surface of equal cost of two sheets from where the map has it, in widths of the region; `None`: any.
+    pub equal_cost: Option<f64>,
     /// In units of the cost; `None`: chosen.
     pub floor: Option<f64>,
     /// `[lower, upper]` a state, inside the region.

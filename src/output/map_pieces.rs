@@ -285,6 +285,7 @@ impl Stored {
             lo: group.shaped("lower", &[n])?,
             hi: group.shaped("upper", &[n])?,
             error: number("error")?,
+            equal_cost: f64::INFINITY,
             floor: number("floor")?,
             value_max: number("value_max")?,
             beyond: 0.0,

@@ -218,6 +218,7 @@ impl<'a> Reader<'a> {
                 "value_max",
                 "error",
                 "error_max",
+                "equal_cost",
                 "floor",
                 "region",
                 "states",
@@ -228,7 +229,16 @@ impl<'a> Reader<'a> {
         );
         let accurate = section.get("error").is_some();
         if !accurate {
-            for key in ["error_max", "floor", "region", "states", "seconds", "check", "time"] {
+            for key in [
+                "error_max",
+                "equal_cost",
+                "floor",
+                "region",
+                "states",
+                "seconds",
+                "check",
+                "time",
+            ] {
                 if let Some(value) = section.get(key) {
                     let message = format!("`{key}` belongs to a map that is made to an error");
                     self.refuse::<()>(value.span(), message, "give `error = 1e-3` too, or leave it out");
@@ -282,6 +292,7 @@ impl<'a> Reader<'a> {
                 .and_then(|v| self.number_that(v, key, "greater than 0", |v| v > 0.0))
         };
         let (floor, value_max, seconds) = (positive("floor"), positive("value_max"), positive("seconds"));
+        let equal_cost = positive("equal_cost");
         let count = |reader: &mut Self, key: &str, default: usize| match section.get(key) {
             Some(value) => reader.count(value, key, 1),
             None => Some(default),
@@ -330,6 +341,7 @@ impl<'a> Reader<'a> {
         (self.problems.len() == before).then(|| MapAim {
             error,
             error_max,
+            equal_cost,
             floor,
             bounds,
             value_max,

@@ -23,6 +23,7 @@ fn some_pieces(n: usize, turned: bool, random: &mut Random) -> Pieces {
         lo: (0..n).map(|i| -1.0 - i as f64).collect(),
         hi: (0..n).map(|i| 0.5 + 0.3 * i as f64).collect(),
         error: 1e-3,
+        equal_cost: f64::INFINITY,
         floor: 1e-3,
         value_max: 3.1,
         beyond: 0.25,

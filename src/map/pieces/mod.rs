@@ -49,6 +49,9 @@ pub struct Region {
     pub hi: Vec<f64>,
     /// Largest error wanted, relative to the larger one of V and the floor.
     pub error: f64,
+    /// Largest distance wanted of the surface where two sheets cost the same from where it is said to be, in widths of the region;
+    /// infinite: any.
+    pub equal_cost: f64,
     pub floor: f64,
     /// Nothing is said of larger V.
     pub value_max: f64,

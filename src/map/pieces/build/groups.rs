@@ -46,9 +46,12 @@ impl Builder<'_> {
                 if !self.is_supported(block, &each, &groups) {
                     continue;
                 }
-                if worst <= self.habits.enough || (worst < SEPARATE * excess && !can_be_halved) {
+                // Where two cost the same they may have to be known better than elsewhere.
+                let surface = self.excess_of_unfinished(block, &each, &groups);
+                let good = worst <= self.habits.enough && (surface <= self.habits.enough || !can_be_halved);
+                if good || (worst < SEPARATE * excess && !can_be_halved) {
                     let pieces = each.into_iter().map(|(p, _)| p).zip(groups).collect();
-                    return (pieces, worst);
+                    return (pieces, worst.max(surface));
                 }
             }
             return (vec![(piece, block.points.clone())], excess);

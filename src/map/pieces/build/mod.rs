@@ -1,5 +1,6 @@
 //! Pieces from scattered points: cells are halved until a polynomial says in each what points that it was not fitted to say.
 
+mod crossings;
 mod faces;
 mod groups;
 mod places;
@@ -341,11 +342,11 @@ impl Builder<'_> {
             } else {
                 self.region.beyond
             };
-            let pieces = own
+            let mut pieces: Vec<Piece> = own
                 .into_iter()
                 .map(|(piece, points)| self.finished(piece, &points, &block, beyond))
                 .collect();
-            let wants = self.wants(&block, excess);
+            let wants = self.wants(&block, excess, &mut pieces);
             return (Grown::Cell(pieces, block.lo, block.hi), wants);
         }
         let at = 0.5 * (block.lo[axis] + block.hi[axis]);
@@ -414,7 +415,8 @@ impl Builder<'_> {
                 && !self.is_dense(block)
                 && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
-        if !untouched && (own.is_empty() || !own.iter().all(good)) {
+        let surface = self.excess_of_surface(block, own);
+        if !untouched && (own.is_empty() || !own.iter().all(good) || surface > self.habits.enough) {
             return None;
         }
         let n = self.cloud.variables;
@@ -435,18 +437,24 @@ impl Builder<'_> {
         }
         let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);
         let excess = if own.is_empty() { f64::INFINITY } else { excess };
-        let wants = self.wants(block, excess);
-        let grown = Grown::Cell(own.to_vec(), block.lo.clone(), block.hi.clone());
+        let mut own = own.to_vec();
+        let wants = self.wants(block, excess.max(surface), &mut own);
+        let grown = Grown::Cell(own, block.lo.clone(), block.hi.clone());
         Some((grown, wants))
     }
 
-    /// What may be missing in a cell.
-    fn wants(&self, block: &Block, excess: f64) -> Vec<Want> {
+    /// What may be missing in a cell. Where a sheet ends too early its pieces may err by as much as V would jump.
+    fn wants(&self, block: &Block, excess: f64, pieces: &mut [Piece]) -> Vec<Want> {
+        let (mut bare, jump) = self.ends(block, pieces);
+        for piece in pieces {
+            piece.bound = piece.bound.max(jump);
+        }
+        bare.extend(self.bare_places(block));
         vec![Want {
             lo: block.lo.clone(),
             hi: block.hi.clone(),
-            excess,
-            bare: self.bare_places(block),
+            excess: excess.max(jump / self.region.error),
+            bare,
             points: block.points.clone(),
             dense: self.is_dense(block),
         }]

@@ -53,7 +53,7 @@ impl Builder<'_> {
     }
 
     /// Extents of points along directions, in the piece's variables, and a little more: between tracks there may be others.
-    fn enclosed(&self, piece: &Piece, points: &[u32], beyond: f64) -> Vec<[f64; 2]> {
+    pub(super) fn enclosed(&self, piece: &Piece, points: &[u32], beyond: f64) -> Vec<[f64; 2]> {
         let n = self.cloud.variables;
         (self.directions.iter())
             .map(|d| {
@@ -83,26 +83,46 @@ impl Builder<'_> {
     fn places_without(&self, block: &Block, points: &[u32], a_side: usize, reach: f64) -> Vec<f64> {
         let n = self.cloud.variables;
         let half = |i: usize| 0.5 * (block.hi[i] - block.lo[i]);
-        let mut bare = Vec::new();
-        for place in 0..a_side.pow(n as u32) {
-            let mut left = place;
+        let places = a_side.pow(n as u32);
+        assert!(places <= 64);
+        let level =
+            |i: usize, step: usize| block.lo[i] + step as f64 / (a_side - 1) as f64 * (block.hi[i] - block.lo[i]);
+        // A bit a place: those of each step along each axis, and those that no point has been found near to.
+        let mut of_step = vec![0u64; n * a_side];
+        let mut left = 0u64;
+        for place in 0..places {
+            let mut rest = place;
             let at: Vec<f64> = (0..n)
                 .map(|i| {
-                    let share = (left % a_side) as f64 / (a_side - 1) as f64;
-                    left /= a_side;
-                    block.lo[i] + share * (block.hi[i] - block.lo[i])
+                    let step = rest % a_side;
+                    rest /= a_side;
+                    of_step[i * a_side + step] |= 1 << place;
+                    level(i, step)
                 })
                 .collect();
-            let near = |k: &u32| {
-                let z = self.cloud.z(*k as usize);
-                (0..n).all(|i| (z[i] - at[i]).abs() <= reach * half(i))
-            };
             let x = self.frame.state(&at);
             let inside = (0..n).all(|i| x[i] >= self.region.lo[i] && x[i] <= self.region.hi[i]);
-            if inside && !points.iter().any(near) {
-                bare.extend(at);
-            }
+            left |= u64::from(inside) << place;
         }
-        bare
+        for k in points {
+            if left == 0 {
+                break;
+            }
+            let z = self.cloud.z(*k as usize);
+            let mut near = left;
+            for i in 0..n {
+                let steps = (0..a_side).filter(|step| (z[i] - level(i, *step)).abs() <= reach * half(i));
+                near &= steps.fold(0, |all, step| all | of_step[i * a_side + step]);
+                if near == 0 {
+                    break;
+                }
+            }
+            left &= !near;
+        }
+        (0..places)
+            .filter(|place| left >> place & 1 == 1)
+            .flat_map(|place| (0..n).map(move |i| (i, place / a_side.pow(i as u32) % a_side)))
+            .map(|(i, step)| level(i, step))
+            .collect()
     }
 }

@@ -1,0 +1,147 @@
+//! Several sheets in a cell: where one of them ends although it is lower than the others, and how well it is known where two
+//! of them cost the same.
+
+use super::super::{BLEND, MOST_VARIABLES};
+use super::{BEYOND_OF_SEVERAL, Block, Builder, Piece};
+
+/// Places a side of a grid over a cell, by number of variables.
+const A_SIDE: [usize; MOST_VARIABLES + 1] = [1, 65, 33, 9, 5, 3, 3];
+/// How far beyond the extent of its points a sheet's polynomial tells whether it goes on there, in half widths.
+const GOES_ON: f64 = 0.3;
+/// States that are asked for where a sheet ends.
+const MOST_ENDS: usize = 8;
+
+/// What a piece says of a place.
+struct Told {
+    v: f64,
+    q: [f64; MOST_VARIABLES],
+    /// How far outside the extent of its points, in half widths.
+    outside: f64,
+    /// Of V, absolute.
+    bound: f64,
+}
+
+impl Builder<'_> {
+    /// Places where a sheet has ended, by its points, while it was lower than all others: V is continuous, so it goes on there, or
+    /// one that is not known begins. With the most that V would jump, relative to itself.
+    pub(super) fn ends(&self, block: &Block, pieces: &[Piece]) -> (Vec<f64>, f64) {
+        let (mut places, mut jump) = (Vec::new(), 0.0f64);
+        if pieces.len() < 2 || self.region.game || self.without.is_some() {
+            return (places, jump);
+        }
+        let n = self.cloud.variables;
+        for z in self.grid(block, 0.0) {
+            let x = self.frame.state(&z);
+            if !self.region.covers(&x) {
+                continue;
+            }
+            let all: Vec<Told> = pieces.iter().map(|piece| self.told(piece, &z)).collect();
+            let least = |of: &dyn Fn(&Told) -> bool| {
+                let lowest = all.iter().filter(|told| of(told)).map(|told| told.v);
+                lowest.fold(f64::INFINITY, f64::min)
+            };
+            let known = least(&|told| told.outside <= 0.0);
+            let beyond = least(&|told| told.outside > 0.0 && told.outside <= GOES_ON);
+            if !known.is_finite() || known > self.region.value_max || beyond >= known {
+                continue;
+            }
+            let off = (known - beyond) / known.abs().max(self.region.floor);
+            if off > self.region.error {
+                places.extend_from_slice(&z[..n]);
+                jump = jump.max(off);
+            }
+        }
+        let count = places.len() / n;
+        let some: Vec<f64> = (0..count.min(MOST_ENDS))
+            .flat_map(|k| {
+                let place = k * count / count.min(MOST_ENDS);
+                places[place * n..][..n].to_vec()
+            })
+            .collect();
+        (some, jump)
+    }
+
+    /// How far the surface on which the two lowest sheets of a block cost the same may be from where it is said to be, over the
+    /// distance asked for.
+    pub(super) fn excess_of_surface(&self, block: &Block, pieces: &[Piece]) -> f64 {
+        let asked = self.region.equal_cost;
+        if pieces.len() < 2 || asked == f64::INFINITY || self.region.game || self.without.is_some() {
+            return 0.0;
+        }
+        let n = self.cloud.variables;
+        let spacing = |i: usize| (1.0 + BLEND) * (block.hi[i] - block.lo[i]) / (A_SIDE[n] - 1) as f64;
+        let mut excess = 0.0f64;
+        // Cells beside this one are blended with it a little beyond its faces.
+        for z in self.grid(block, BLEND) {
+            let mut known: Vec<Told> = (pieces.iter())
+                .map(|piece| self.told(piece, &z))
+                .filter(|told| told.outside <= 0.0)
+                .collect();
+            known.sort_by(|a, b| a.v.total_cmp(&b.v));
+            let [a, b, ..] = known.as_slice() else { continue };
+            let jump: Vec<f64> = (0..n).map(|i| b.q[i] - a.q[i]).collect();
+            let within: f64 = (0..n).map(|i| jump[i].abs() * spacing(i)).sum();
+            if b.v - a.v > within || a.v > self.region.value_max {
+                continue;
+            }
+            let size = jump.iter().map(|q| q * q).sum::<f64>().sqrt();
+            excess = excess.max((a.bound + b.bound) / (size * asked).max(f64::MIN_POSITIVE));
+        }
+        excess
+    }
+
+    /// The same of pieces that are not finished.
+    pub(super) fn excess_of_unfinished(&self, block: &Block, each: &[(Piece, f64)], groups: &[Vec<u32>]) -> f64 {
+        if self.region.equal_cost == f64::INFINITY {
+            return 0.0;
+        }
+        let beyond = self.region.beyond.min(BEYOND_OF_SEVERAL);
+        let enclosed: Vec<Piece> = (each.iter().zip(groups))
+            .map(|((piece, _), points)| Piece {
+                support: self.enclosed(piece, points, beyond),
+                ..piece.clone()
+            })
+            .collect();
+        self.excess_of_surface(block, &enclosed)
+    }
+
+    /// Places of a grid over a block, and so many half widths around it.
+    fn grid(&self, block: &Block, around: f64) -> impl Iterator<Item = Vec<f64>> {
+        let n = self.cloud.variables;
+        let side = A_SIDE[n];
+        (0..side.pow(n as u32)).map(move |place| {
+            let mut left = place;
+            (0..n)
+                .map(|i| {
+                    let share = (left % side) as f64 / (side - 1) as f64;
+                    left /= side;
+                    let margin = 0.5 * around * (block.hi[i] - block.lo[i]);
+                    let (lo, hi) = (block.lo[i] - margin, block.hi[i] + margin);
+                    lo + share * (hi - lo)
+                })
+                .collect()
+        })
+    }
+
+    fn told(&self, piece: &Piece, z: &[f64]) -> Told {
+        let n = self.cloud.variables;
+        let y: Vec<f64> = (0..n).map(|i| (z[i] - piece.center[i]) / piece.half[i]).collect();
+        let outside = (piece.support.iter().zip(&self.directions))
+            .map(|([lo, hi], d)| {
+                let at: f64 = d.iter().zip(&y).map(|(d, y)| d * y).sum();
+                (at - hi).max(lo - at)
+            })
+            .fold(f64::NEG_INFINITY, f64::max);
+        let mut q = [0.0; MOST_VARIABLES];
+        let (v, slope) = piece.shape.back(self.terms.sum(&piece.coefficients, &y, &mut q[..n]));
+        for i in 0..n {
+            q[i] *= slope / piece.half[i];
+        }
+        Told {
+            v,
+            q,
+            outside,
+            bound: piece.bound * v.abs().max(self.region.floor),
+        }
+    }
+}
