@@ -10,9 +10,10 @@ use crate::value::{Answers, PointStatus, Track, Wish, track_points};
 const MOST_REACH: f64 = 5.0;
 /// Errors there may be so many times larger: what a law costs rises with the square of them.
 const LARGER: f64 = 3.0;
-
 /// How far beyond their outermost points pieces there say something, in half widths: nothing surrounds them.
 const BEYOND_POINTS: f64 = 0.1;
+/// What is outside the region by less than this share of its width may be so by rounding.
+const ROUNDING: f64 = 1e-9;
 
 /// The map round the region, and what the trajectories of fresh states show of it.
 pub struct Beyond {
@@ -35,22 +36,49 @@ impl Work<'_, '_> {
         .collect()
     }
 
-    /// The region, widened to where tracks lead.
-    fn reach(&self, region: &Region) -> Region {
-        let mut outer = region.clone();
+    /// Whether there is a map round the region at all: behind a fold of a game there is no value, and where V depends on time
+    /// that is no axis solutions tell of their beginnings alone.
+    fn maps_beyond(&self) -> bool {
+        !self.plan.game && (self.plan.local.is_some() || self.axis.is_some())
+    }
+
+    /// The region, widened to where solutions from states in it lead; `None` where they stay in it. Points of the margin, to which
+    /// solutions are continued backward or which are searched from, do not count: no closed loop from the region comes there.
+    fn reach(&self, region: &Region) -> Option<Region> {
         let bounds = self.farthest(&self.wish(region.floor).around);
-        for k in 0..self.points.len() {
-            let (x, _) = self.coordinates(k);
-            for (i, [lo, hi]) in bounds
-                .iter()
-                .enumerate()
-                .filter(|(i, _)| self.plan.periods[*i].is_none())
-            {
-                let x = x[i].clamp(lo + self.plan.system.reference[i], hi + self.plan.system.reference[i]);
+        let reference = &self.plan.system.reference;
+        let stays = |i: usize| self.plan.periods[i].is_some();
+        let past = |x: &[f64], i: usize| {
+            let more = ROUNDING * region.width(i);
+            x[i] < region.lo[i] - more || x[i] > region.hi[i] + more
+        };
+        // Wherever whole periods take a state to.
+        let moved = |s: &[f64]| -> Vec<Vec<f64>> {
+            let each = self.shifts(s, &bounds).into_iter();
+            each.map(|shift| (0..s.len()).map(|i| s[i] + shift[i] + reference[i]).collect())
+                .collect()
+        };
+        let begin_inside: Vec<bool> = (self.tracks.iter())
+            .map(|track| {
+                moved(track.path.start())
+                    .iter()
+                    .any(|x| !(0..x.len()).any(|i| past(x, i)))
+            })
+            .collect();
+        let mut outer = region.clone();
+        let onward =
+            (0..self.points.len()).filter(|k| self.points.t[*k] >= 0.0 && begin_inside[self.points.track[*k] as usize]);
+        for x in onward.flat_map(|k| moved(&self.points.node(k)[..reference.len()])) {
+            if (0..x.len()).any(|i| stays(i) && past(&x, i)) {
+                continue;
+            }
+            for i in (0..x.len()).filter(|i| past(&x, *i)) {
+                let [lo, hi] = bounds[i].map(|s| s + reference[i]);
+                let x = x[i].clamp(lo, hi);
                 (outer.lo[i], outer.hi[i]) = (outer.lo[i].min(x), outer.hi[i].max(x));
             }
         }
-        outer
+        (outer != *region).then_some(outer)
     }
 
     /// Where points of tracks are wanted, as deviations, those of states with a period in one of these; and how dense.
@@ -78,10 +106,13 @@ impl Work<'_, '_> {
 
     /// The map round the region, if solutions leave it.
     pub(super) fn beyond(&mut self, region: &Region, met: &[Met]) -> Option<Beyond> {
+        if !self.maps_beyond() {
+            return None;
+        }
         let outer = Region {
             beyond: region.beyond.min(BEYOND_POINTS),
             error: (LARGER * region.error).min(self.aim.error_max),
-            ..self.reach(region)
+            ..self.reach(region)?
         };
         // Points a little within the region's faces keep the two together.
         let mut inner = region.clone();
@@ -120,9 +151,6 @@ impl Work<'_, '_> {
                 cloud.sheet.push(self.tracks[track as usize].sheet);
             }
         }
-        if (0..cloud.len()).all(|k| region.covers(&frame.state(cloud.z(k)))) {
-            return None;
-        }
         let mut pieces = build_around(&cloud, &outer, &frame, region);
         let check = (met.iter())
             .map(|(x, v)| Checked::of(x, (PointStatus::Converged, *v), pieces.at(x).as_ref()))
@@ -143,6 +171,9 @@ impl Work<'_, '_> {
         all: &[(Vec<usize>, Answers)],
         region: &Region,
     ) -> Result<Vec<Met>, BackendError> {
+        if !self.maps_beyond() {
+            return Ok(Vec::new());
+        }
         let mut tracks = Vec::new();
         for answers in all.iter().map(|(_, answers)| answers) {
             let lowest = answers
