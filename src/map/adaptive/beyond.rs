@@ -24,11 +24,21 @@ pub struct Beyond {
 }
 
 impl Work<'_, '_> {
+    /// The region and its margin, as deviations.
+    fn around(&self) -> Vec<[f64; 2]> {
+        let each = self.aim.bounds.iter().zip(&self.plan.system.reference);
+        each.map(|([lo, hi], r)| {
+            let more = AROUND * (hi - lo);
+            [lo - r - more, hi - r + more]
+        })
+        .collect()
+    }
+
     /// Bounds, as deviations, within which points of tracks are kept. A state that has a period comes back by itself; of a game
     /// what lies behind a fold is no value.
-    fn farthest(&self, around: &[[f64; 2]]) -> Vec<[f64; 2]> {
-        let each = around.iter().zip(&self.plan.periods);
-        each.map(|(&[lo, hi], period)| {
+    fn farthest(&self) -> Vec<[f64; 2]> {
+        let each = self.around().into_iter().zip(&self.plan.periods);
+        each.map(|([lo, hi], period)| {
             let stays = self.plan.game || period.is_some();
             let more = if stays { 0.0 } else { MOST_REACH * (hi - lo) };
             [lo - more, hi + more]
@@ -45,7 +55,7 @@ impl Work<'_, '_> {
     /// The region, widened to where solutions from states in it lead; `None` where they stay in it. Points of the margin, to which
     /// solutions are continued backward or which are searched from, do not count: no closed loop from the region comes there.
     fn reach(&self, region: &Region) -> Option<Region> {
-        let bounds = self.farthest(&self.wish(region.floor).around);
+        let bounds = self.farthest();
         let reference = &self.plan.system.reference;
         let stays = |i: usize| self.plan.periods[i].is_some();
         let past = |x: &[f64], i: usize| {
@@ -83,16 +93,9 @@ impl Work<'_, '_> {
 
     /// Where points of tracks are wanted, as deviations, those of states with a period in one of these; and how dense.
     pub(super) fn wish(&self, floor: f64) -> Wish {
-        let reference = &self.plan.system.reference;
-        let around: Vec<[f64; 2]> = (self.aim.bounds.iter().zip(reference))
-            .map(|([lo, hi], r)| {
-                let more = AROUND * (hi - lo);
-                [lo - r - more, hi - r + more]
-            })
-            .collect();
         Wish {
-            bounds: self.farthest(&around),
-            around,
+            bounds: self.farthest(),
+            around: self.around(),
             widths: self.aim.bounds.iter().map(|[lo, hi]| hi - lo).collect(),
             spacing: SPACING,
             change: CHANGE,
@@ -125,10 +128,10 @@ impl Work<'_, '_> {
         let frame = Frame::fitted(&outer, &places)
             .filter(|frame| frame.across(&outer, &places) <= BETTER * along.across(&outer, &places))
             .unwrap_or(along);
-        let (n, v) = (self.plan.system.states, self.cloud.variables);
-        let bounds = self.wish(region.floor).bounds;
+        let n = self.plan.system.states;
+        let bounds = self.farthest();
         let mut cloud = Cloud {
-            variables: v,
+            variables: self.cloud.variables,
             several: self.cloud.several,
             ..Cloud::default()
         };
@@ -141,14 +144,8 @@ impl Work<'_, '_> {
                     continue;
                 }
                 let track = self.points.track[k];
-                let (mut z, mut q) = (vec![0.0; v], vec![0.0; v]);
-                frame.of(&x, &mut z);
-                frame.gradient_of(&z, &p, &mut q);
-                cloud.z.extend(z);
-                cloud.q.extend(q);
-                cloud.v.push(self.points.v[k]);
-                cloud.track.push(track);
-                cloud.sheet.push(self.tracks[track as usize].sheet);
+                let sheet = self.tracks[track as usize].sheet;
+                cloud.add(&frame, (&x, &p), self.points.v[k], (track, sheet));
             }
         }
         let mut pieces = build_around(&cloud, &outer, &frame, region);
@@ -181,12 +178,7 @@ impl Work<'_, '_> {
                 .of_given
                 .iter()
                 .filter_map(|target| answers.answer(*target));
-            tracks.extend(lowest.map(|e| Track {
-                path: e.path.clone(),
-                value: e.value,
-                sheet: e.sheet,
-                whole: true,
-            }));
+            tracks.extend(lowest.map(|e| Track::of(e, true)));
         }
         let wish = Wish {
             beyond: false,
@@ -200,14 +192,7 @@ impl Work<'_, '_> {
             let Some(shift) = self.shifts(&node[..n], &wish.bounds).into_iter().next() else {
                 continue;
             };
-            let mut x: Vec<f64> = (0..n)
-                .map(|i| node[i] + shift[i] + self.plan.system.reference[i])
-                .collect();
-            x.extend(
-                self.axis
-                    .as_ref()
-                    .map(|axis| axis.begins(&tracks[points.track[k] as usize].path) + points.t[k]),
-            );
+            let x = self.state_of(&points, k, &tracks[points.track[k] as usize].path, &shift);
             if !region.covers(&x) && points.v[k] <= region.value_max {
                 met.push((x, points.v[k]));
             }
