@@ -154,6 +154,34 @@ fn a_law_finds_its_way_where_solutions_leave_the_region() {
     assert!(law["suboptimality"]["max"].as_f64().unwrap() < 1e-5, "{law}");
 }
 
+/// Only where solutions that begin in the region leave it: points of its margin, to which they are continued backward, are no reason
+/// for a map round it. A game has none wherever they go.
+#[test]
+fn there_is_no_map_round_a_region_that_solutions_stay_in() {
+    // Each state goes straight to 0.
+    let text = "states = { x = {}, y = {} }\ncontrols = { u = {}, w = {} }\ndynamics = { x = \"u\", y = \"-y + w\" }\n\
+        cost = { running = \"x^2 + y^2 + u^2 + w^2\" }\nequilibrium = { x = 0, y = 0, u = 0, w = 0 }\n\
+        region = { x = [-1, 1], y = [-1, 1] }\n[map]\nerror = 1e-3\ncheck = 5\n";
+    let stays = folder().join("stays.toml");
+    std::fs::write(&stays, text).unwrap();
+    // From here the equilibrium is outside.
+    let leaves = folder().join("leaves.toml");
+    std::fs::write(&leaves, format!("{text}region = {{ x = [0.5, 1.0] }}\n")).unwrap();
+    let game = scene(
+        "folding_game",
+        "error = 1e-2\ncheck = 5\nstates = 600\nregion = { x = [0.2, 0.8], y = [0.2, 0.8] }",
+    );
+    for (scene, has_one) in [(stays, false), (leaves, true), (game, false)] {
+        let out = scene.with_extension("h5");
+        let fixed = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
+        let said = done(costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat()));
+        assert_eq!(said.contains("solutions leave the region"), has_one, "{said}");
+        let stored = Stored::open(&out).unwrap();
+        assert!(!pieces(&stored).pieces.is_empty());
+        assert_eq!(stored.map_beyond().unwrap().is_some(), has_one, "{said}");
+    }
+}
+
 /// p is the gradient of what the map says, also where cells are blended; V is continuous across their faces.
 #[test]
 fn p_is_the_gradient_and_v_is_continuous() {

@@ -9,7 +9,7 @@ use super::seeds::LocalSolution;
 /// See the module's text.
 #[derive(Clone, Debug)]
 pub struct LocalErrors {
-    /// Degrees and sizes, on the unit sphere, of the parts left out.
+    /// See [`LocalErrors::neglected`].
     neglected: Vec<(i32, f64)>,
     /// By degree, the sum of the absolute values of the coefficients kept: no monomial is above 1 on the unit sphere.
     sizes: Vec<f64>,
@@ -45,6 +45,11 @@ impl LocalErrors {
                 .collect(),
             matrix: polynomial.matrix,
         }
+    }
+
+    /// Degrees and sizes, on the unit sphere, of the parts left out.
+    pub fn neglected(&self) -> &[(i32, f64)] {
+        &self.neglected
     }
 
     /// Bounds of the errors of V and of each component of p at a deviation s, given with the sizes of the numbers that it is a

@@ -11,7 +11,7 @@ use crate::model::{MapAim, Model};
 use crate::shooting::{Path, Solver};
 use crate::sweep::{Plan, spread_over};
 use crate::value::{
-    self, Answers, Archive, Entry, PointStatus, Progress, Request, Track, TrackPoints, Wish, path_from, solve_near,
+    self, Answers, Archive, PointStatus, Progress, Request, Track, TrackPoints, Wish, path_from, solve_near,
     track_points,
 };
 pub use beyond::Beyond;
@@ -511,14 +511,8 @@ impl Work<'_, '_> {
                 .iter()
                 .filter(|e| !self.plan.game && e.value > answer.value);
             let near = others.filter(|e| self.may_cross((&answer.path, answer.value), (&e.path, e.value), half));
-            let track = |e: &Entry, whole| Track {
-                path: e.path.clone(),
-                value: e.value,
-                sheet: e.sheet,
-                whole,
-            };
-            let near: Vec<Track> = near.map(|e| track(e, false)).collect();
-            tracks.push(track(answer, true));
+            let near: Vec<Track> = near.map(|e| Track::of(e, false)).collect();
+            tracks.push(Track::of(answer, true));
             tracks.extend(near);
             dearer.push(false);
             dearer.resize(tracks.len(), true);
@@ -586,8 +580,6 @@ impl Work<'_, '_> {
     /// Keeps tracks with their points: within bounds, and of those around the region as points of the cloud.
     fn keep(&mut self, tracks: Vec<Track>, found: TrackPoints, (bounds, around): (&[[f64; 2]], &[[f64; 2]])) {
         let n = self.plan.system.states;
-        let v = self.cloud.variables;
-        let reference = &self.plan.system.reference;
         if let Some(axis) = &self.axis {
             self.rates.extend(axis.rates(&found.nodes, 2 * n));
         }
@@ -603,21 +595,14 @@ impl Work<'_, '_> {
                 if !(0..n).all(near) {
                     continue;
                 }
-                let mut x: Vec<f64> = (0..n).map(|i| node[i] + shift[i] + reference[i]).collect();
+                let Track { path, sheet, .. } = &self.tracks[track as usize];
+                let x = self.state_of(&found, k, path, &shift);
                 let mut p = node[n..].to_vec();
-                if let Some(axis) = &self.axis {
-                    x.push(axis.begins(&self.tracks[track as usize].path) + found.t[k]);
+                if self.axis.is_some() {
                     p.push(self.rates[number as usize]);
                     shift.push(0.0);
                 }
-                let at = self.cloud.z.len();
-                self.cloud.z.resize(at + v, 0.0);
-                self.cloud.q.resize(at + v, 0.0);
-                self.frame.of(&x, &mut self.cloud.z[at..]);
-                self.frame.gradient_of(&self.cloud.z[at..], &p, &mut self.cloud.q[at..]);
-                self.cloud.v.push(found.v[k]);
-                self.cloud.track.push(track);
-                self.cloud.sheet.push(self.tracks[track as usize].sheet);
+                self.cloud.add(&self.frame, (&x, &p), found.v[k], (track, *sheet));
                 self.origins.push((number, shift));
             }
         }
@@ -627,17 +612,20 @@ impl Work<'_, '_> {
         self.points.t.extend(found.t);
     }
 
+    /// State (absolute, moved by whole periods) of a point on a path, with its time where that is an axis.
+    fn state_of(&self, points: &TrackPoints, k: usize, path: &Path, shift: &[f64]) -> Vec<f64> {
+        let node = points.node(k).iter().zip(shift).zip(&self.plan.system.reference);
+        node.map(|((s, shift), r)| s + shift + r)
+            .chain(self.axis.as_ref().map(|axis| axis.begins(path) + points.t[k]))
+            .collect()
+    }
+
     /// State (as solved, absolute) and gradient of a point, with its time and dV/dt where time is an axis.
     fn coordinates(&self, point: usize) -> (Vec<f64>, Vec<f64>) {
-        let n = self.plan.system.states;
-        let node = self.points.node(point);
-        let mut x: Vec<f64> = (0..n).map(|i| node[i] + self.plan.system.reference[i]).collect();
-        let mut p = node[n..].to_vec();
-        if let Some(axis) = &self.axis {
-            let path = &self.tracks[self.points.track[point] as usize].path;
-            x.push(axis.begins(path) + self.points.t[point]);
-            p.push(self.rates[point]);
-        }
+        let path = &self.tracks[self.points.track[point] as usize].path;
+        let x = self.state_of(&self.points, point, path, &[0.0; MOST_VARIABLES]);
+        let mut p = self.points.node(point)[self.plan.system.states..].to_vec();
+        p.extend(self.axis.as_ref().map(|_| self.rates[point]));
         (x, p)
     }
 

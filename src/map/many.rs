@@ -1,9 +1,8 @@
 //! Values at many states at once.
 
-use super::sites::UNLABELLED;
+use super::pieces::{Here, Said};
 use super::swift::{Answer, Room, turns_into};
 use super::{At, Coverage, Value, ValueMap, of_states};
-use crate::map::pieces::Here;
 use crate::model::MAP_ERROR_MAX;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -104,36 +103,21 @@ impl ValueMap {
 
     /// What is said of a state, still without u; with the bounds of p.
     pub(super) fn as_value(&self, x: &[f64], here: &Here<f64>) -> Option<(Value, Vec<f64>)> {
-        let n = x.len();
-        let p = here.p[..n].to_vec();
-        let bound = here.p_bound[..n].to_vec();
-        let (moved, winding) = self.wound(self.pieces.as_ref()?, x);
-        let value = Value {
+        let all = x.len() + usize::from(self.time.is_some());
+        let (moved, mut winding) = self.wound(self.pieces.as_ref()?, x);
+        if here.pieces == 0 {
+            let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+            winding = self.unwound(&s).2;
+        }
+        let said = Said {
             v: here.v,
-            p_error: self.relative(&bound, &p),
-            p,
-            rate: self.time.map_or(f64::NAN, |_| here.p[n]),
-            hessian: of_states(&here.hessian, n + usize::from(self.time.is_some()), n),
-            u: Vec::new(),
-            sheet: if here.pieces == 0 { UNLABELLED } else { here.sheet },
-            v_error: here.v_bound,
-            u_error: 0.0,
-            sites: here.pieces as usize,
-            solved: 0,
-            nearest: 0.0,
-            in_pieces: here.pieces > 0,
-            winding: match here.pieces {
-                0 => (x.iter().zip(&self.plan.system.reference).zip(&self.plan.periods))
-                    .map(|((x, r), period)| period.map_or(0, |p| -((x - r) / p).round() as i32))
-                    .collect(),
-                _ => winding,
-            },
-            coverage: match here.pieces {
-                0 => Coverage::Local,
-                _ => self.coverage_of_pieces(&moved),
-            },
+            p: here.p[..all].to_vec(),
+            v_bound: here.v_bound,
+            p_bound: here.p_bound[..all].to_vec(),
+            sheet: here.sheet,
+            pieces: here.pieces as usize,
         };
-        Some((value, bound))
+        Some(self.told(&moved, winding, said, &here.hessian))
     }
 
     /// Whether a value of the map round the region is too uncertain to be one.

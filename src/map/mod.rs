@@ -49,7 +49,7 @@ use pieces::{Pieces, Said};
 use rayon::prelude::*;
 use sites::{Sites, UNLABELLED};
 use std::sync::OnceLock;
-use swift::{Swift, turns_into};
+use swift::{Swift, turns_into, unwind};
 
 /// Why a file gives no value map.
 #[derive(Debug, thiserror::Error)]
@@ -441,29 +441,51 @@ impl ValueMap {
     }
 
     /// `x` and what is said of it have the time where that is an axis.
-    fn value_in_pieces(&self, pieces: &Pieces, x: &[f64], winding: &[i32], mut said: Said) -> Value {
+    fn value_in_pieces(&self, pieces: &Pieces, x: &[f64], winding: &[i32], said: Said) -> Value {
+        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let told = self.told(x, winding.to_vec(), said, &pieces.hessian(x));
+        self.with_control(&s, told)
+    }
+
+    /// What is said of a state that was moved by whole periods, still without u; with the bounds of p. What is blended from no
+    /// piece is the local solution's.
+    fn told(&self, x: &[f64], winding: Vec<i32>, mut said: Said, hessian: &[f64]) -> (Value, Vec<f64>) {
         let n = self.states();
+        let hessian = of_states(hessian, said.p.len(), n);
         let rate = said.p.get(n).copied().unwrap_or(f64::NAN);
         said.p.truncate(n);
         said.p_bound.truncate(n);
-        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
-        let u = self.control(&s, &said.p);
-        Value {
+        let in_pieces = said.pieces > 0;
+        let value = Value {
             v: said.v,
             rate,
-            hessian: of_states(&pieces.hessian(x), x.len(), n),
+            hessian,
             p_error: self.relative(&said.p_bound, &said.p),
-            u_error: self.control_error(&s, &said.p, &said.p_bound, &u),
-            u,
+            u_error: 0.0,
+            u: Vec::new(),
             v_error: said.v_bound,
             p: said.p,
-            sheet: said.sheet,
+            sheet: if in_pieces { said.sheet } else { UNLABELLED },
             sites: said.pieces,
             solved: 0,
             nearest: 0.0,
-            in_pieces: true,
-            winding: winding.to_vec(),
-            coverage: self.coverage_of_pieces(x),
+            in_pieces,
+            winding,
+            coverage: match in_pieces {
+                true => self.coverage_of_pieces(x),
+                false => Coverage::Local,
+            },
+        };
+        (value, said.p_bound)
+    }
+
+    /// With u at a deviation, and what the bounds of p make of it.
+    fn with_control(&self, s: &[f64], (value, bound): (Value, Vec<f64>)) -> Value {
+        let u = self.control(s, &value.p);
+        Value {
+            u_error: self.control_error(s, &value.p, &bound, &u),
+            u,
+            ..value
         }
     }
 
@@ -542,11 +564,7 @@ impl ValueMap {
         let mut sizes: Vec<f64> = s.iter().map(|s| s.abs()).collect();
         for (i, period) in self.plan.periods.iter().enumerate() {
             if let Some(period) = period {
-                let k = (s[i] / period).round();
-                s[i] -= k * period;
-                // A multiple of a rounded period, and its product.
-                sizes[i] += 3.0 * (k * period).abs();
-                winding[i] = -k as i32;
+                winding[i] = -unwind(&mut s[i], &mut sizes[i], *period) as i32;
             }
         }
         (s, sizes, winding)
@@ -568,29 +586,18 @@ impl ValueMap {
             return None;
         }
         let (v, p, hessian) = local.expansion(&s);
-        let u = self.control(&s, &p);
-        let mut bound = vec![0.0; s.len()];
-        let v_error = self
-            .local_errors
-            .as_ref()?
-            .at(&s, &sizes, 0.5 * f64::EPSILON, &mut bound);
-        Some(Value {
+        let mut p_bound = vec![0.0; s.len()];
+        let v_bound = (self.local_errors.as_ref()?).at(&s, &sizes, 0.5 * f64::EPSILON, &mut p_bound);
+        let said = Said {
             v,
-            rate: f64::NAN,
-            hessian,
-            p_error: self.relative(&bound, &p),
-            u_error: self.control_error(&s, &p, &bound, &u),
-            u,
             p,
+            v_bound,
+            p_bound,
             sheet: UNLABELLED,
-            v_error,
-            sites: 0,
-            solved: 0,
-            nearest: 0.0,
-            in_pieces: false,
-            winding,
-            coverage: Coverage::Local,
-        })
+            pieces: 0,
+        };
+        let told = self.told(&s, winding, said, &hessian);
+        Some(self.with_control(&s, told))
     }
 
     /// Of a game whether `H(x, p)` is about 0: behind a fold no p makes it so, whatever interpolation says.

@@ -21,6 +21,16 @@ pub(super) fn turns_into<T: Real>(x: T, [lo, hi]: [T; 2], period: T) -> f64 {
     }
 }
 
+/// Takes whole periods off a deviation, and adds them to the size of the numbers that it is a difference of; how many they are.
+#[inline(always)]
+pub(super) fn unwind<T: Real>(s: &mut T, size: &mut f64, period: T) -> f64 {
+    let turns = (*s / period).f64().round();
+    *s = *s - T::of(turns) * period;
+    // A multiple of a rounded period, and its product.
+    *size += 3.0 * (turns * period.f64()).abs();
+    turns
+}
+
 /// What is known of a state.
 pub enum Answer<'a, T> {
     Known(&'a Here<T>),
@@ -52,8 +62,6 @@ struct Around<T> {
     matrix: Vec<T>,
     /// `z'z/2` up to which it holds.
     seed_value: T,
-    /// Degrees and sizes of the parts of V not kept.
-    neglected: Vec<(i32, f64)>,
     errors: LocalErrors,
 }
 
@@ -207,10 +215,7 @@ impl<T: Real> Swift<T> {
         }
         let mut sizes = s.map(|s| s.f64().abs());
         for (i, period, _) in &self.periods {
-            let turns = (s[*i] / *period).f64().round();
-            s[*i] = s[*i] - T::of(turns) * *period;
-            // A multiple of a rounded period, and its product.
-            sizes[*i] += 3.0 * (turns * period.f64()).abs();
+            unwind(&mut s[*i], &mut sizes[*i], *period);
         }
         let mut own = [T::of(0.0); MOST_VARIABLES];
         let mut square = T::of(0.0);
@@ -247,7 +252,6 @@ impl<T: Real> Around<T> {
                 .collect(),
             matrix: polynomial.matrix.iter().map(|m| T::of(*m)).collect(),
             seed_value: T::of(polynomial.reach),
-            neglected: local.neglected().to_vec(),
             errors: LocalErrors::new(local),
             tables,
         })

@@ -1,5 +1,6 @@
 //! Points along extremals: everywhere on one V and p are as exactly known as where it begins.
 
+use super::Entry;
 use super::survey::Survey;
 use super::targets::Targets;
 use crate::backend::BackendError;
@@ -25,6 +26,17 @@ pub struct Track {
     pub sheet: i32,
     /// Whether it is of use as a whole, or only the state it was solved for: of one that is not the least only that is.
     pub whole: bool,
+}
+
+impl Track {
+    pub fn of(entry: &Entry, whole: bool) -> Self {
+        Self {
+            path: entry.path.clone(),
+            value: entry.value,
+            sheet: entry.sheet,
+            whole,
+        }
+    }
 }
 
 /// Points on tracks. States are deviations, as in paths.

@@ -10,9 +10,10 @@ use crate::value::{Answers, PointStatus, Track, Wish, track_points};
 const MOST_REACH: f64 = 5.0;
 /// Errors there may be so many times larger: what a law costs rises with the square of them.
 const LARGER: f64 = 3.0;
-
 /// How far beyond their outermost points pieces there say something, in half widths: nothing surrounds them.
 const BEYOND_POINTS: f64 = 0.1;
+/// What is outside the region by less than this share of its width may be so by rounding.
+const ROUNDING: f64 = 1e-9;
 
 /// The map round the region, and what the trajectories of fresh states show of it.
 pub struct Beyond {
@@ -23,11 +24,21 @@ pub struct Beyond {
 }
 
 impl Work<'_, '_> {
+    /// The region and its margin, as deviations.
+    fn around(&self) -> Vec<[f64; 2]> {
+        let each = self.aim.bounds.iter().zip(&self.plan.system.reference);
+        each.map(|([lo, hi], r)| {
+            let more = AROUND * (hi - lo);
+            [lo - r - more, hi - r + more]
+        })
+        .collect()
+    }
+
     /// Bounds, as deviations, within which points of tracks are kept. A state that has a period comes back by itself; of a game
     /// what lies behind a fold is no value.
-    fn farthest(&self, around: &[[f64; 2]]) -> Vec<[f64; 2]> {
-        let each = around.iter().zip(&self.plan.periods);
-        each.map(|(&[lo, hi], period)| {
+    fn farthest(&self) -> Vec<[f64; 2]> {
+        let each = self.around().into_iter().zip(&self.plan.periods);
+        each.map(|([lo, hi], period)| {
             let stays = self.plan.game || period.is_some();
             let more = if stays { 0.0 } else { MOST_REACH * (hi - lo) };
             [lo - more, hi + more]
@@ -35,36 +46,56 @@ impl Work<'_, '_> {
         .collect()
     }
 
-    /// The region, widened to where tracks lead.
-    fn reach(&self, region: &Region) -> Region {
+    /// Whether there is a map round the region at all: behind a fold of a game there is no value, and where V depends on time
+    /// that is no axis solutions tell of their beginnings alone.
+    fn maps_beyond(&self) -> bool {
+        !self.plan.game && (self.plan.local.is_some() || self.axis.is_some())
+    }
+
+    /// The region, widened to where solutions from states in it lead; `None` where they stay in it. Points of the margin, to which
+    /// solutions are continued backward or which are searched from, do not count: no closed loop from the region comes there.
+    fn reach(&self, region: &Region) -> Option<Region> {
+        let bounds = self.farthest();
+        let reference = &self.plan.system.reference;
+        let stays = |i: usize| self.plan.periods[i].is_some();
+        let past = |x: &[f64], i: usize| {
+            let more = ROUNDING * region.width(i);
+            x[i] < region.lo[i] - more || x[i] > region.hi[i] + more
+        };
+        // Wherever whole periods take a state to.
+        let moved = |s: &[f64]| -> Vec<Vec<f64>> {
+            let each = self.shifts(s, &bounds).into_iter();
+            each.map(|shift| (0..s.len()).map(|i| s[i] + shift[i] + reference[i]).collect())
+                .collect()
+        };
+        let begin_inside: Vec<bool> = (self.tracks.iter())
+            .map(|track| {
+                moved(track.path.start())
+                    .iter()
+                    .any(|x| !(0..x.len()).any(|i| past(x, i)))
+            })
+            .collect();
         let mut outer = region.clone();
-        let bounds = self.farthest(&self.wish(region.floor).around);
-        for k in 0..self.points.len() {
-            let (x, _) = self.coordinates(k);
-            for (i, [lo, hi]) in bounds
-                .iter()
-                .enumerate()
-                .filter(|(i, _)| self.plan.periods[*i].is_none())
-            {
-                let x = x[i].clamp(lo + self.plan.system.reference[i], hi + self.plan.system.reference[i]);
+        let onward =
+            (0..self.points.len()).filter(|k| self.points.t[*k] >= 0.0 && begin_inside[self.points.track[*k] as usize]);
+        for x in onward.flat_map(|k| moved(&self.points.node(k)[..reference.len()])) {
+            if (0..x.len()).any(|i| stays(i) && past(&x, i)) {
+                continue;
+            }
+            for i in (0..x.len()).filter(|i| past(&x, *i)) {
+                let [lo, hi] = bounds[i].map(|s| s + reference[i]);
+                let x = x[i].clamp(lo, hi);
                 (outer.lo[i], outer.hi[i]) = (outer.lo[i].min(x), outer.hi[i].max(x));
             }
         }
-        outer
+        (outer != *region).then_some(outer)
     }
 
     /// Where points of tracks are wanted, as deviations, those of states with a period in one of these; and how dense.
     pub(super) fn wish(&self, floor: f64) -> Wish {
-        let reference = &self.plan.system.reference;
-        let around: Vec<[f64; 2]> = (self.aim.bounds.iter().zip(reference))
-            .map(|([lo, hi], r)| {
-                let more = AROUND * (hi - lo);
-                [lo - r - more, hi - r + more]
-            })
-            .collect();
         Wish {
-            bounds: self.farthest(&around),
-            around,
+            bounds: self.farthest(),
+            around: self.around(),
             widths: self.aim.bounds.iter().map(|[lo, hi]| hi - lo).collect(),
             spacing: SPACING,
             change: CHANGE,
@@ -78,10 +109,13 @@ impl Work<'_, '_> {
 
     /// The map round the region, if solutions leave it.
     pub(super) fn beyond(&mut self, region: &Region, met: &[Met]) -> Option<Beyond> {
+        if !self.maps_beyond() {
+            return None;
+        }
         let outer = Region {
             beyond: region.beyond.min(BEYOND_POINTS),
             error: (LARGER * region.error).min(self.aim.error_max),
-            ..self.reach(region)
+            ..self.reach(region)?
         };
         // Points a little within the region's faces keep the two together.
         let mut inner = region.clone();
@@ -94,10 +128,10 @@ impl Work<'_, '_> {
         let frame = Frame::fitted(&outer, &places)
             .filter(|frame| frame.across(&outer, &places) <= BETTER * along.across(&outer, &places))
             .unwrap_or(along);
-        let (n, v) = (self.plan.system.states, self.cloud.variables);
-        let bounds = self.wish(region.floor).bounds;
+        let n = self.plan.system.states;
+        let bounds = self.farthest();
         let mut cloud = Cloud {
-            variables: v,
+            variables: self.cloud.variables,
             several: self.cloud.several,
             ..Cloud::default()
         };
@@ -110,18 +144,9 @@ impl Work<'_, '_> {
                     continue;
                 }
                 let track = self.points.track[k];
-                let (mut z, mut q) = (vec![0.0; v], vec![0.0; v]);
-                frame.of(&x, &mut z);
-                frame.gradient_of(&z, &p, &mut q);
-                cloud.z.extend(z);
-                cloud.q.extend(q);
-                cloud.v.push(self.points.v[k]);
-                cloud.track.push(track);
-                cloud.sheet.push(self.tracks[track as usize].sheet);
+                let sheet = self.tracks[track as usize].sheet;
+                cloud.add(&frame, (&x, &p), self.points.v[k], (track, sheet));
             }
-        }
-        if (0..cloud.len()).all(|k| region.covers(&frame.state(cloud.z(k)))) {
-            return None;
         }
         let mut pieces = build_around(&cloud, &outer, &frame, region);
         let check = (met.iter())
@@ -143,6 +168,9 @@ impl Work<'_, '_> {
         all: &[(Vec<usize>, Answers)],
         region: &Region,
     ) -> Result<Vec<Met>, BackendError> {
+        if !self.maps_beyond() {
+            return Ok(Vec::new());
+        }
         let mut tracks = Vec::new();
         for answers in all.iter().map(|(_, answers)| answers) {
             let lowest = answers
@@ -150,12 +178,7 @@ impl Work<'_, '_> {
                 .of_given
                 .iter()
                 .filter_map(|target| answers.answer(*target));
-            tracks.extend(lowest.map(|e| Track {
-                path: e.path.clone(),
-                value: e.value,
-                sheet: e.sheet,
-                whole: true,
-            }));
+            tracks.extend(lowest.map(|e| Track::of(e, true)));
         }
         let wish = Wish {
             beyond: false,
@@ -169,14 +192,7 @@ impl Work<'_, '_> {
             let Some(shift) = self.shifts(&node[..n], &wish.bounds).into_iter().next() else {
                 continue;
             };
-            let mut x: Vec<f64> = (0..n)
-                .map(|i| node[i] + shift[i] + self.plan.system.reference[i])
-                .collect();
-            x.extend(
-                self.axis
-                    .as_ref()
-                    .map(|axis| axis.begins(&tracks[points.track[k] as usize].path) + points.t[k]),
-            );
+            let x = self.state_of(&points, k, &tracks[points.track[k] as usize].path, &shift);
             if !region.covers(&x) && points.v[k] <= region.value_max {
                 met.push((x, points.v[k]));
             }

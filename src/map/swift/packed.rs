@@ -63,9 +63,10 @@ impl Packed {
             this.reals("LOCAL", around.coefficients.iter().map(|c| c.0[0]));
             this.count("LOCAL_DEGREE", around.degree);
             this.number("SEED_VALUE", around.seed_value);
-            this.count("NEGLECTED", around.neglected.len());
-            this.reals("NEGLECTED_SIZES", around.neglected.iter().map(|(_, size)| *size));
-            this.words("NEGLECTED_DEGREES", around.neglected.iter().map(|(k, _)| *k as u32));
+            let neglected = around.errors.neglected();
+            this.count("NEGLECTED", neglected.len());
+            this.reals("NEGLECTED_SIZES", neglected.iter().map(|(_, size)| *size));
+            this.words("NEGLECTED_DEGREES", neglected.iter().map(|(k, _)| *k as u32));
         }
         Some(this)
     }

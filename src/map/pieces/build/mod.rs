@@ -91,6 +91,18 @@ impl Cloud {
         self.v.len()
     }
 
+    /// Adds a point: V and its gradient at a state (absolute), put into coordinates of the frame.
+    pub fn add(&mut self, frame: &Frame, (x, p): (&[f64], &[f64]), v: f64, (track, sheet): (u32, i32)) {
+        let at = self.z.len();
+        self.z.resize(at + self.variables, 0.0);
+        self.q.resize(at + self.variables, 0.0);
+        frame.of(x, &mut self.z[at..]);
+        frame.gradient_of(&self.z[at..], p, &mut self.q[at..]);
+        self.v.push(v);
+        self.track.push(track);
+        self.sheet.push(sheet);
+    }
+
     /// Whether a quarter of the tracks is left out at once to tell an error, not each in turn: in a plane, where tracks run side
     /// by side and one alone is not missed, and where several sheets lie over each other, of which one track tells little.
     pub fn leaves_quarters(&self) -> bool {
