@@ -162,8 +162,8 @@ impl Ground<'_> {
         watch: &mut Option<Watch<'_>>,
     ) -> Result<Batch, LoopError> {
         let count = x0.len() / self.equations.states;
-        let flown = self.timed.as_ref().unwrap_or(&self.equations);
-        let run = self.leg(flown, self.timed.is_some());
+        let timed = self.timed.is_some();
+        let run = self.leg(self.timed.as_ref().unwrap_or(&self.equations), timed);
         if let Some(relay) = relay {
             let mut batch = self.batch(x0, first, starts);
             let wings = Wings::new(By::Whole(kernel), &run, false);
@@ -179,7 +179,7 @@ impl Ground<'_> {
                 .map(|(k, x0)| {
                     let mut part = self.batch(x0, first + k * size, starts);
                     let pilots = self.pilots(chart, x0.len() / self.equations.states);
-                    let mut wings = Wings::new(By::Own(legs.as_ref()), &run, true);
+                    let mut wings = Wings::new(By::Own(legs.as_ref()), &run, timed);
                     Journey::new(self, &pace, pilots, &mut part, false).fly(&mut wings, &mut None)?;
                     Ok(part)
                 })
@@ -190,7 +190,7 @@ impl Ground<'_> {
             return Ok(all);
         }
         let mut batch = self.batch(x0, first, starts);
-        let mut wings = Wings::new(By::Whole(kernel), &run, true);
+        let mut wings = Wings::new(By::Whole(kernel), &run, timed);
         let pilots = self.pilots(chart, count);
         Journey::new(self, &pace, pilots, &mut batch, watch.is_some()).fly(&mut wings, watch)?;
         batch.round_trips += wings.trips;

@@ -4,6 +4,7 @@ use super::equations::Equations;
 use super::flights::{Flights, Path, Seen, Starts, Watch};
 use super::forcing::Forcing;
 use super::law::Law;
+use super::pace::Pace;
 use super::record::Records;
 use super::{Chart, LoopError, Setting};
 use crate::backend::cpu::map::Evaluator;
@@ -107,7 +108,8 @@ impl<'s> Simulator<'s> {
         let (kernel, relay) = match asking {
             Some((kernel, relay)) => (kernel, Some(relay)),
             None => {
-                ground.timed = ground.equations.charted.then(|| ground.equations.scaled());
+                let as_needed = ground.equations.charted && matches!(Pace::new(&ground), Pace::AsNeeded(_));
+                ground.timed = as_needed.then(|| ground.equations.scaled());
                 (compile(ground.timed.as_ref().unwrap_or(&ground.equations))?, None)
             }
         };
