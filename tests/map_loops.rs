@@ -11,6 +11,7 @@ use costate::closed_loop::LawResult;
 use costate::map::ValueMap;
 use costate::model::Precision;
 use costate::output::Stored;
+use costate::scenario::PROBLEM_SECTIONS;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -115,24 +116,24 @@ dynamics = { x = "v", v = "u" }
 cost = { running = "0.5*(x^2 + v^2 + u^2)" }
 equilibrium = { x = 0, v = 0, u = 0 }
 region = { x = [-2, 2], v = [-2, 2] }
-[map]
-error = 1e-6
-floor = 1e-3
-check = 1
-[closed_loop]
-final_time = 10.0
-samples = 40
-period = 0.05
-initial = { x = [-1.2, 1.2, 7], v = [-1.2, 1.2, 7] }
-[closed_loop.record]
-fastest = "max(v)"
 "#;
+
+/// A map with these lines, and closed loops with those, of which a quantity is recorded.
+fn map_and_loop(map: &str, closed_loop: &str, record: &str) -> String {
+    format!("[map]\n{map}\ncheck = 1\n[closed_loop]\n{closed_loop}\n[closed_loop.record]\n{record}\n")
+}
 
 /// J of the optimal law is `1/2 x'Px` with P = [[root 3, 1], [1, root 3]]. That p is linear in x is within the law's model, so a
 /// period costs nothing: what is left is the map's error of p, whose square costs, and the integrator's.
 #[test]
 fn a_linear_quadratic_loop_costs_v() {
-    let mapped = Mapped::new("mass", MASS);
+    let text = MASS.to_owned()
+        + &map_and_loop(
+            "error = 1e-6\nfloor = 1e-3",
+            "final_time = 10.0\nsamples = 40\nperiod = 0.05\ninitial = { x = [-1.2, 1.2, 7], v = [-1.2, 1.2, 7] }",
+            "fastest = \"max(v)\"",
+        );
+    let mapped = Mapped::new("mass", &text);
     let gpu = any_gpu();
     let result = mapped.fly(&gpu, F64);
     let initial = mapped.scene.initial();
@@ -171,19 +172,11 @@ fn a_linear_quadratic_loop_costs_v() {
 #[test]
 fn a_nonlinear_loop_costs_v() {
     let text = sections_of("manufactured", |section| !["shoot_out", "homotopy"].contains(&section))
-        + r#"
-[map]
-error = 1e-4
-floor = 1e-3
-check = 1
-[closed_loop]
-final_time = 15.0
-samples = 60
-period = 0.05
-initial = { x = [-1, 1, 9], y = [-1, 1, 9] }
-[closed_loop.record]
-least_x = "min(x)"
-"#;
+        + &map_and_loop(
+            "error = 1e-4\nfloor = 1e-3",
+            "final_time = 15.0\nsamples = 60\nperiod = 0.05\ninitial = { x = [-1, 1, 9], y = [-1, 1, 9] }",
+            "least_x = \"min(x)\"",
+        );
     let mapped = Mapped::new("manufactured", &text);
     let initial = mapped.scene.initial();
     let pieces = |x: &[f64]| mapped.map.without_errors(x).lowest.is_ok_and(|v| v.in_pieces);
@@ -223,36 +216,15 @@ least_x = "min(x)"
 #[test]
 fn what_is_outside_the_map_is_left_to_the_policies() {
     let text = |outside: &str| {
-        sections_of("pendulum", |section| {
-            [
-                "parameters",
-                "states",
-                "controls",
-                "definitions",
-                "dynamics",
-                "cost",
-                "equilibrium",
-                "region",
-            ]
-            .contains(&section)
-        }) + &format!(
-            r#"
-[map]
-error = 1e-2
-floor = 1e-1
-states = 300
-value_max = 60
-check = 1
-[closed_loop]
-final_time = 6.0
-samples = 30
-period = 0.05
-outside = "{outside}"
-initial = {{ theta = [-3.9, 2.4, 7], omega = [-8.0, 8.0, 7] }}
-[closed_loop.record]
-highest_torque = "max(abs(u))"
-"#
-        )
+        sections_of("pendulum", |section| PROBLEM_SECTIONS.contains(&section))
+            + &map_and_loop(
+                "error = 1e-2\nfloor = 1e-1\nstates = 300\nvalue_max = 60",
+                &format!(
+                    "final_time = 6.0\nsamples = 30\nperiod = 0.05\noutside = \"{outside}\"\n\
+                     initial = {{ theta = [-3.9, 2.4, 7], omega = [-8.0, 8.0, 7] }}"
+                ),
+                "highest_torque = \"max(abs(u))\"",
+            )
     };
     let (gpu, cpu) = (any_gpu(), Cpu::new());
     let mut mapped = Mapped::new("pendulum", &text("stop"));
@@ -287,16 +259,11 @@ highest_torque = "max(abs(u))"
 fn a_map_with_time_is_asked_at_its_time() {
     let text = sections_of("finite_horizon", |section| {
         !["shoot_out", "homotopy", "map"].contains(&section)
-    }) + r#"
-[map]
-error = 1e-4
-floor = 1e-2
-check = 1
-[closed_loop]
-samples = 20
-period = 0.02
-initial = { x = [-1, 1, 5], v = [-1, 1, 5] }
-"#;
+    }) + &map_and_loop(
+        "error = 1e-4\nfloor = 1e-2",
+        "samples = 20\nperiod = 0.02\ninitial = { x = [-1, 1, 5], v = [-1, 1, 5] }",
+        "",
+    );
     let mapped = Mapped::new("finite_horizon", &text);
     assert!(mapped.map.time().is_some());
     let (a, b) = (mapped.fly(&Cpu::new(), F64), mapped.fly(&any_gpu(), F64));

@@ -1,13 +1,11 @@
 //! Where solutions from the region lead: a second map round it, of what they met there. A law needs it, since a closed loop
 //! goes the same ways; no states are solved for its sake.
 
-use super::{AROUND, BETTER, CHANGE, Checked, Met, SPACING, Work};
+use super::{AROUND, BETTER, Checked, Met, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Cloud, Frame, Pieces, Region, build_around};
 use crate::value::{Answers, PointStatus, Track, Wish, track_points};
 
-/// Solutions are followed at most so many widths of the region out of it.
-const MOST_REACH: f64 = 5.0;
 /// Errors there may be so many times larger: what a law costs rises with the square of them.
 const LARGER: f64 = 3.0;
 /// How far beyond their outermost points pieces there say something, in half widths: nothing surrounds them.
@@ -24,28 +22,6 @@ pub struct Beyond {
 }
 
 impl Work<'_, '_> {
-    /// The region and its margin, as deviations.
-    fn around(&self) -> Vec<[f64; 2]> {
-        let each = self.aim.bounds.iter().zip(&self.plan.system.reference);
-        each.map(|([lo, hi], r)| {
-            let more = AROUND * (hi - lo);
-            [lo - r - more, hi - r + more]
-        })
-        .collect()
-    }
-
-    /// Bounds, as deviations, within which points of tracks are kept. A state that has a period comes back by itself; of a game
-    /// what lies behind a fold is no value.
-    fn farthest(&self) -> Vec<[f64; 2]> {
-        let each = self.around().into_iter().zip(&self.plan.periods);
-        each.map(|([lo, hi], period)| {
-            let stays = self.plan.game || period.is_some();
-            let more = if stays { 0.0 } else { MOST_REACH * (hi - lo) };
-            [lo - more, hi + more]
-        })
-        .collect()
-    }
-
     /// Whether there is a map round the region at all: behind a fold of a game there is no value, and where V depends on time
     /// that is no axis solutions tell of their beginnings alone.
     fn maps_beyond(&self) -> bool {
@@ -89,22 +65,6 @@ impl Work<'_, '_> {
             }
         }
         (outer != *region).then_some(outer)
-    }
-
-    /// Where points of tracks are wanted, as deviations, those of states with a period in one of these; and how dense.
-    pub(super) fn wish(&self, floor: f64) -> Wish {
-        Wish {
-            bounds: self.farthest(),
-            around: self.around(),
-            widths: self.aim.bounds.iter().map(|[lo, hi]| hi - lo).collect(),
-            spacing: SPACING,
-            change: CHANGE,
-            floor,
-            value_max: self.most_value(),
-            onward: self.plan.local.is_some() || self.axis.is_some(),
-            horizon: self.axis.as_ref().map(|axis| axis.last),
-            beyond: self.goes_beyond(),
-        }
     }
 
     /// The map round the region, if solutions leave it.

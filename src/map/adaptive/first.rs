@@ -1,26 +1,126 @@
-//! The first search within the budget.
+//! The first states, as many as the budget has room for.
 
-use super::{NEAR, Work};
+use super::{AROUND, NEAR, Work};
 use crate::backend::BackendError;
-use crate::value::Track;
+use crate::sweep::spread_over;
+use crate::value::{Track, solve_near};
 use std::time::Instant;
 
+/// States of the first round that are searched for all sheets, by number of states.
+const FIRST: [usize; 7] = [0, 64, 256, 256, 256, 384, 512];
+/// Shortest step of the way from a point of an extremal to a state near it, where there are few points yet.
+const PATIENT_STEP: f64 = 1.0 / 64.0;
+/// Floor of V for relative errors unless the scene says, relative to the median over the region.
+const FLOOR: f64 = 1e-3;
 /// With a limit of seconds, states of the first batch: a batch is finished, and how long one takes is not known before.
 const FIRST_BATCH: usize = 8;
 /// Share of the seconds that the first states within the region may take, and those on its faces after them.
-pub(super) const WITHIN: f64 = 0.5;
-pub(super) const FACES: f64 = 0.75;
+const WITHIN: f64 = 0.5;
+const FACES: f64 = 0.75;
 
 impl Work<'_, '_> {
+    /// Solves for the first states, searched for all sheets; the floor of V.
+    pub(super) fn first(&mut self) -> Result<f64, BackendError> {
+        let n = self.cloud.variables;
+        let mut wide: Vec<[f64; 2]> = (self.aim.bounds.iter())
+            .map(|[lo, hi]| [lo - 0.5 * AROUND * (hi - lo), hi + 0.5 * AROUND * (hi - lo)])
+            .collect();
+        wide.extend(self.axis.as_ref().map(|axis| [0.0, axis.last]));
+        let (mut tracks, mut values) = self.searched_in_budget(spread_over(&wide, FIRST[n]), WITHIN)?;
+        // Where trajectories are not followed backward only states on the region's faces tell of these.
+        if !self.goes_beyond() {
+            let (more, others) = self.searched_in_budget(self.on_faces(&wide), FACES)?;
+            tracks.extend(more);
+            values.extend(others);
+        }
+        values.retain(|v| v.is_finite());
+        values.iter_mut().for_each(|v| *v = v.abs());
+        values.sort_by(f64::total_cmp);
+        let median = values.get(values.len() / 2).copied().unwrap_or(1.0);
+        let floor = self.aim.floor.unwrap_or(FLOOR * median);
+        self.add(tracks, floor)?;
+        if self.goes_beyond() {
+            self.edges(floor)?;
+        }
+        if self.axis.is_some() {
+            let mut states = spread_over(&wide, FIRST[n]);
+            let corners = (0..1usize << (n - 1)).map(|corner| (0..n - 1).map(|i| wide[i][corner >> i & 1]).collect());
+            states.extend(corners);
+            self.add_ends(&states);
+        }
+        Ok(floor)
+    }
+
+    /// States on the region's faces and in its corners: what lies there no other states surround.
+    fn edges(&mut self, floor: f64) -> Result<(), BackendError> {
+        let n = self.plan.system.states;
+        let bounds = &self.aim.bounds;
+        let mut states: Vec<Vec<f64>> = (0..1usize << n)
+            .map(|corner| (0..n).map(|i| bounds[i][corner >> i & 1]).collect())
+            .collect();
+        states.extend(self.on_faces(bounds));
+        let mut states = self.budgeted(states);
+        if self.seconds_left(1.0) <= 0.0 {
+            states.clear();
+        }
+        self.first[0] += states.len();
+        let mut z = vec![0.0; n];
+        let mut guesses = Vec::new();
+        for x in states {
+            self.frame.of(&x, &mut z);
+            let Some(from) = self.nearest(&z) else { return Ok(()) };
+            let shift = &self.origins[from as usize].1;
+            let x = x.iter().zip(shift).map(|(x, s)| x - s).collect();
+            guesses.push((x, self.guess(from), self.cloud.sheet[from as usize]));
+        }
+        let sheets: Vec<i32> = guesses.iter().map(|(.., sheet)| *sheet).collect();
+        let guesses = guesses.into_iter().map(|(x, path, _)| (x, path)).collect();
+        let found = solve_near(self.plan, self.solver, guesses, PATIENT_STEP)?;
+        let most = self.most_value();
+        let tracks: Vec<Track> = (found.into_iter().zip(sheets))
+            .filter_map(|(found, sheet)| {
+                let (path, value) = found.filter(|(_, value)| *value <= most)?;
+                Some(Track {
+                    path,
+                    value,
+                    sheet,
+                    whole: true,
+                })
+            })
+            .collect();
+        self.states += tracks.len();
+        self.add(tracks, floor)
+    }
+
+    /// States spread over the faces of bounds; the end of the horizon needs none.
+    fn on_faces(&self, bounds: &[[f64; 2]]) -> Vec<Vec<f64>> {
+        let n = bounds.len();
+        let faces = 2 * n - usize::from(self.axis.is_some());
+        (0..faces)
+            .flat_map(|face| {
+                let mut side = bounds.to_vec();
+                side[face / 2] = [bounds[face / 2][face % 2]; 2];
+                spread_over(&side, FIRST[n] / (2 * n))
+            })
+            .collect()
+    }
+
+    /// Wanted states, of these as many as the budget has room for.
+    fn budgeted(&mut self, mut states: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+        self.first[1] += states.len();
+        states.truncate(self.states_left(1.0));
+        states
+    }
+
     /// As [`Work::searched`], of as many states, from the first on, as the budget has room for.
-    pub(super) fn searched_in_budget(
+    fn searched_in_budget(
         &mut self,
-        mut states: Vec<f64>,
+        states: Vec<Vec<f64>>,
         share: f64,
     ) -> Result<(Vec<Track>, Vec<f64>), BackendError> {
         let n = self.cloud.variables;
-        self.first[1] += states.len() / n;
-        states.truncate(n * self.states_left(1.0));
+        let states = self.budgeted(states);
+        let mut states = self.of_levels(states);
         let (mut tracks, mut values) = (Vec::new(), Vec::new());
         let began = Instant::now();
         while !states.is_empty() {

@@ -3,6 +3,8 @@
 //! At every point of an extremal V(x, t) is the cost from there on; its slopes are p and dV/dt = -H. Dynamics and cost do not
 //! depend on time, so the problem from (x, t) is that of a horizon of T - t, and V(x, T) is the terminal cost.
 
+use super::Work;
+use super::errands::Errand;
 use crate::backend::BackendError;
 use crate::backend::cpu::{Cpu, map::Evaluator};
 use crate::hamiltonian::Hamiltonian;
@@ -10,19 +12,17 @@ use crate::model::{Horizon, MapAim, Model};
 use crate::program::Program;
 use crate::shooting::{End, Path, Solver};
 use crate::sweep::{Choices, Plan};
-use crate::value::{Archive, ConjugatePoints, Track, solver};
+use crate::value::{Archive, ConjugatePoints, Track, TrackPoints, solver};
 use std::collections::BTreeMap;
 
 /// Times at which the first states are searched, in equal steps: each sets up a search of its own.
-pub(super) const FIRST_TIMES: usize = 4;
+const FIRST_TIMES: usize = 4;
 /// Coarsest step of times at which states are searched later, of the horizon.
 const LEVELS: usize = 16;
 /// Finest step of times at which states are searched, as a share of the horizon: of more times more problems are set up.
 const FINEST: f64 = 1.0 / 4096.0;
 /// States whose remaining time is a smaller share of the horizon than this are at its end.
 const AT_END: f64 = 1.0 / 4096.0;
-/// Times of fresh states.
-pub(super) const CHECKED: usize = 8;
 
 /// The time axis of a map.
 pub(super) struct TimeAxis {
@@ -133,5 +133,83 @@ impl TimeAxis {
             self.shorter.insert(t.to_bits(), made);
         }
         Ok(self.shorter.get_mut(&t.to_bits()).expect("it was made"))
+    }
+}
+
+impl Work<'_, '_> {
+    /// States one after the other, their times of few.
+    pub(super) fn of_levels(&self, mut states: Vec<Vec<f64>>) -> Vec<f64> {
+        if let Some(axis) = &self.axis {
+            for x in &mut states {
+                let t = x.last_mut().expect("time is the last");
+                let times = FIRST_TIMES as f64;
+                *t = (*t / axis.last * times).floor().min(times - 1.0) * axis.last / times;
+            }
+        }
+        states.into_iter().flatten().collect()
+    }
+
+    /// Moves the time of an errand's state to one of few, which are as close as its cell is short.
+    pub(super) fn to_few_times(&self, errand: &Errand, x: &mut [f64]) {
+        let (Some(axis), Some(t)) = (&self.axis, x.last_mut()) else {
+            return;
+        };
+        let few = axis.of_few(*t, self.extent_in_time(errand));
+        if !axis.is_at_end(few) {
+            *t = few;
+        }
+    }
+
+    /// How far an errand's cell reaches in time.
+    fn extent_in_time(&self, errand: &Errand) -> f64 {
+        let v = errand.half.len();
+        let n = self.frame.inverse_row(v - 1);
+        n.iter().zip(&errand.half).map(|(r, h)| (r * h).abs()).sum()
+    }
+
+    /// The state of an errand, and the path to begin with.
+    pub(super) fn way(&self, errand: &Errand) -> (Vec<f64>, Path) {
+        let mut path = self.guess(errand.from);
+        let Some(axis) = &self.axis else {
+            return (errand.x.clone(), path);
+        };
+        let n = errand.x.len() - 1;
+        path.set_horizon(axis.last - errand.x[n]);
+        (errand.x[..n].to_vec(), path)
+    }
+
+    /// Takes out errands to the end of the horizon: there nothing is solved.
+    pub(super) fn take_ends(&mut self, errands: &mut Vec<Errand>) {
+        let is_at_end = |e: &mut Errand| (self.axis.as_ref()).is_some_and(|axis| axis.is_at_end(e.x[e.x.len() - 1]));
+        let ends: Vec<Vec<f64>> = errands.extract_if(.., is_at_end).map(|e| e.x).collect();
+        self.add_ends(&ends);
+    }
+
+    /// Points at the end of the horizon, where V is the terminal cost, at states (with a time or without).
+    pub(super) fn add_ends(&mut self, states: &[Vec<f64>]) {
+        let Some(axis) = &self.axis else { return };
+        let n = self.plan.system.states;
+        let reference = &self.plan.system.reference;
+        let mut found = TrackPoints {
+            states: n,
+            ..TrackPoints::default()
+        };
+        let mut tracks = Vec::new();
+        let bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; n];
+        for x in states {
+            let s: Vec<f64> = x.iter().zip(reference).map(|(x, r)| x - r).collect();
+            let (node, value) = axis.at_end(&s);
+            if value > self.most_value() || !value.is_finite() {
+                continue;
+            }
+            found.push(&node, value, (self.tracks.len() + tracks.len()) as u32, 0.0);
+            tracks.push(Track {
+                path: Path::new(&node),
+                value,
+                sheet: 0,
+                whole: false,
+            });
+        }
+        self.keep(tracks, found, (&bounds, &bounds));
     }
 }

@@ -307,24 +307,17 @@ impl Pieces {
 
     /// Without the pieces whose bounds are above `most`, relative to the larger one of V and the floor. A cell of several
     /// sheets says nothing if one of them is: it might be the lowest.
-    pub fn within(&self, most: f64) -> Self {
-        let mut kept = Self {
-            cells: Vec::with_capacity(self.cells.len()),
-            pieces: Vec::with_capacity(self.pieces.len()),
-            ..self.clone()
-        };
-        for cell in &self.cells {
-            let own = &self.pieces[cell.pieces.clone()];
-            let first = kept.pieces.len();
-            if own.iter().all(|piece| piece.bound <= most) {
-                kept.pieces.extend_from_slice(own);
+    pub fn within(mut self, most: f64) -> Self {
+        let mut all: Vec<Option<Piece>> = self.pieces.drain(..).map(Some).collect();
+        for cell in &mut self.cells {
+            let own = &mut all[cell.pieces.clone()];
+            let first = self.pieces.len();
+            if own.iter().flatten().all(|piece| piece.bound <= most) {
+                self.pieces.extend(own.iter_mut().filter_map(Option::take));
             }
-            kept.cells.push(Cell {
-                pieces: first..kept.pieces.len(),
-                ..cell.clone()
-            });
+            cell.pieces = first..self.pieces.len();
         }
-        kept
+        self
     }
 
     /// Raises the bounds of the pieces at a state to the error that V shows of them there.
@@ -369,7 +362,7 @@ impl Pieces {
     }
 
     /// The cell in which a place lies.
-    fn cell(&self, z: &[f64]) -> usize {
+    pub(super) fn cell(&self, z: &[f64]) -> usize {
         let mut node = 0;
         loop {
             match self.nodes[node] {

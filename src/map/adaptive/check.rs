@@ -1,0 +1,205 @@
+//! Fresh states, which the map never used: what it says of them, and more states where it is wrong.
+
+use super::{NEAR, Work};
+use crate::backend::BackendError;
+use crate::map::pieces::{Pieces, Region, Said, Want};
+use crate::sweep::spread_over;
+use crate::value::PointStatus;
+
+/// Rounds of fresh states.
+pub(super) const CHECKS: usize = 4;
+/// Times of fresh states, where time is an axis.
+const TIMES: usize = 8;
+/// Share of fresh states whose error may be above the bound.
+const ABOVE_BOUND: f64 = 0.01;
+/// States in a cell that a fresh state has shown to be wrong, which are searched for all sheets.
+const SEARCHED: usize = 4;
+/// States that tell where the error is met.
+const LOOKED_AT: usize = 4096;
+
+/// A fresh state and what the map says of it.
+#[derive(Clone, Debug)]
+pub struct Checked {
+    /// Of a map with a time axis the time is the last component.
+    pub x: Vec<f64>,
+    pub status: PointStatus,
+    /// V solved for, and said with its bound; NaN where there is none.
+    pub solved: f64,
+    pub said: f64,
+    pub bound: f64,
+}
+
+impl Checked {
+    pub(super) fn of(x: &[f64], (status, solved): (PointStatus, f64), said: Option<&Said>) -> Self {
+        Self {
+            x: x.to_vec(),
+            status,
+            solved,
+            said: said.map_or(f64::NAN, |s| s.v),
+            bound: said.map_or(f64::NAN, |s| s.v_bound),
+        }
+    }
+}
+
+/// A point that a solution meets, with V.
+pub(super) type Met = (Vec<f64>, f64);
+
+/// What is said in the end, and how much of the region is not.
+pub(super) struct Judged {
+    pub pieces: Pieces,
+    /// As in [`super::Adaptive`].
+    pub unmet: f64,
+    pub uncertain: f64,
+}
+
+const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// A number from 0 to 1 of which close arguments tell nothing.
+fn mixed(mut z: u64) -> f64 {
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+impl Work<'_, '_> {
+    /// Pieces without those that are too uncertain; judged by many states, since cells reach over the region's faces.
+    pub(super) fn judged(&self, pieces: Pieces) -> Judged {
+        let looked_at = spread_over(&self.bounds, LOOKED_AT);
+        let region = &pieces.region;
+        let mut unmet = 0;
+        let mut said: Vec<&Vec<f64>> = Vec::new();
+        for x in &looked_at {
+            let Some(here) = pieces.at(x) else {
+                // Nothing is said above the largest V of interest; of a map without pieces nothing is.
+                unmet += usize::from(region.value_max == f64::INFINITY || pieces.pieces.is_empty());
+                continue;
+            };
+            unmet += usize::from(here.v_bound > region.error * here.v.abs().max(region.floor));
+            said.push(x);
+        }
+        let pieces = pieces.within(self.aim.error_max);
+        let uncertain = said.into_iter().filter(|x| pieces.at(x).is_none()).count();
+        let share = |count: usize| count as f64 / looked_at.len() as f64;
+        Judged {
+            unmet: share(unmet),
+            uncertain: share(uncertain),
+            pieces,
+        }
+    }
+
+    /// Fresh states of which the map says too small a bound; none where they are few enough.
+    pub(super) fn wrong(check: &[Checked]) -> Vec<&Checked> {
+        let wrong: Vec<&Checked> = (check.iter())
+            .filter(|c| c.status != PointStatus::AboveMax && (c.said - c.solved).abs() > c.bound)
+            .collect();
+        let enough = wrong.len() as f64 <= ABOVE_BOUND * check.len() as f64;
+        if enough { Vec::new() } else { wrong }
+    }
+
+    /// Searches for states in the cells that said too little of their errors; what more is wanted in these.
+    pub(super) fn searched_around(
+        &mut self,
+        wrong: &[&Checked],
+        pieces: &Pieces,
+        region: &Region,
+    ) -> Result<Vec<Want>, BackendError> {
+        let more: Vec<Want> = wrong.iter().map(|c| self.want_around(pieces, c)).collect();
+        let mut states = Vec::new();
+        for (want, c) in more.iter().zip(wrong) {
+            for _ in 0..SEARCHED {
+                let mut x = (self.inside(want, region))
+                    .map(|z| self.frame.state(&z))
+                    .unwrap_or_default();
+                if let (Some(t), Some(_)) = (x.last_mut(), &self.axis) {
+                    // Of as many times as there are already.
+                    *t = c.x[c.x.len() - 1];
+                }
+                states.extend(x);
+            }
+        }
+        if !states.is_empty() {
+            let (tracks, _) = self.searched(states, NEAR)?;
+            self.add(tracks, region.floor)?;
+        }
+        Ok(more)
+    }
+
+    /// Fresh states, solved from scratch and looked up; and what their solutions meet outside the region, with V.
+    pub(super) fn checked(&mut self, pieces: &Pieces) -> Result<(Vec<Checked>, Vec<Met>), BackendError> {
+        let n = self.cloud.variables;
+        let mut states = self.fresh(self.aim.check);
+        if self.axis.is_some() {
+            // Of as many times as there are, the first ones'.
+            for k in TIMES..states.len() / n {
+                states[k * n + n - 1] = states[(k % TIMES) * n + n - 1];
+            }
+        }
+        let all = self.solve(states.clone(), false)?;
+        let mut of = vec![(0, 0); states.len() / n];
+        for (group, (numbers, answers)) in all.iter().enumerate() {
+            for (number, target) in numbers.iter().zip(&answers.targets.of_given) {
+                of[*number] = (group, *target);
+            }
+        }
+        let met = self.met_beyond(&all, &pieces.region)?;
+        let check = (states.chunks(n).zip(of))
+            .map(|(x, (group, target))| {
+                let answers = &all[group].1;
+                let above = answers
+                    .answer(target)
+                    .is_some_and(|a| a.value > pieces.region.value_max);
+                let status = if above {
+                    PointStatus::AboveMax
+                } else {
+                    answers.status(target)
+                };
+                let solved = answers.answer(target).map_or(f64::NAN, |e| e.value);
+                Checked::of(x, (status, solved), pieces.at(x).as_ref())
+            })
+            .collect();
+        Ok((check, met))
+    }
+
+    /// More states for the cell round a fresh state.
+    fn want_around(&self, pieces: &Pieces, checked: &Checked) -> Want {
+        let mut z = vec![0.0; checked.x.len()];
+        self.frame.of(&checked.x, &mut z);
+        let cell = &pieces.cells[pieces.cell(&z)];
+        let more = |i: usize| 0.3 * (cell.hi[i] - cell.lo[i]);
+        let near = |k: &u32| {
+            let at = self.cloud.z(*k as usize);
+            (0..z.len()).all(|i| at[i] >= cell.lo[i] - more(i) && at[i] <= cell.hi[i] + more(i))
+        };
+        Want {
+            lo: cell.lo.clone(),
+            hi: cell.hi.clone(),
+            excess: (checked.said - checked.solved).abs() / checked.bound * 2.0,
+            bare: Vec::new(),
+            points: (0..self.cloud.len() as u32).filter(near).collect(),
+            dense: false,
+        }
+    }
+
+    /// Fresh states of the region (absolute), in an order without end. The seed asked for turns them, and nothing else of a map.
+    fn fresh(&mut self, count: usize) -> Vec<f64> {
+        let bounds = self.bounds.clone();
+        let turn = |i: usize| match self.plan.seed {
+            0 => 0.0,
+            seed => mixed(seed.wrapping_add((i as u64 + 1).wrapping_mul(GOLDEN))),
+        };
+        let turns: Vec<f64> = (0..bounds.len()).map(turn).collect();
+        (0..count)
+            .flat_map(|_| {
+                (bounds.iter().zip(&turns))
+                    .map(|([lo, hi], turn)| lo + (hi - lo) * (self.uniform() + turn).fract())
+                    .collect::<Vec<_>>()
+            })
+            .collect()
+    }
+
+    /// A number from 0 to 1 (splitmix64).
+    pub(super) fn uniform(&mut self) -> f64 {
+        self.random = self.random.wrapping_add(GOLDEN);
+        mixed(self.random)
+    }
+}

@@ -1,0 +1,213 @@
+//! States solved for where pieces want them, along the ways from points near.
+
+use super::refine::key;
+use super::{NEAR, Work};
+use crate::backend::BackendError;
+use crate::map::pieces::{Region, Want};
+use crate::shooting::Path;
+use crate::value::{Track, path_from, solve_near};
+
+/// States asked for in a cell at once: this many times a power of its error over the one asked for, and the most.
+const A_CELL: f64 = 3.0;
+const MORE: f64 = 0.4;
+const MOST_A_CELL: f64 = 48.0;
+/// A round solves for at most this many times the states solved before.
+const GROWTH: f64 = 3.0;
+const GROWTH_BY_QUARTERS: f64 = 2.0;
+/// Shortest step of the way from a point of an extremal to a state near it.
+const LEAST_STEP: f64 = 1.0 / 8.0;
+/// A change of V by itself counts as so many widths of a cell.
+const STEEP: f64 = 2.0;
+/// Draws of a state in the part of a cell that lies in the region.
+const DRAWS: usize = 20;
+
+/// A state to be solved for, from which point of the cloud, for which cell.
+pub(super) struct Errand {
+    /// With its time where the map has that axis.
+    pub x: Vec<f64>,
+    pub from: u32,
+    cell: Vec<u64>,
+    /// Half widths of the cell.
+    pub half: Vec<f64>,
+    /// The cell itself is good enough.
+    only_bare: bool,
+}
+
+impl Work<'_, '_> {
+    /// Solves for states in cells that want some, with a share of the budget; false where there is nothing to start from.
+    pub(super) fn answer(&mut self, wants: Vec<Want>, region: &Region, share: f64) -> Result<bool, BackendError> {
+        let mut errands = self.errands(wants, region, share);
+        if errands.is_empty() {
+            return Ok(false);
+        }
+        self.take_ends(&mut errands);
+        // Where sheets lie over each other a way from a point near tells nothing of the others.
+        if self.cloud.several {
+            self.search_for(errands, region)?;
+        } else {
+            self.go(errands, region)?;
+        }
+        Ok(true)
+    }
+
+    /// States for cells that want some.
+    fn errands(&mut self, mut wants: Vec<Want>, region: &Region, share: f64) -> Vec<Errand> {
+        let in_time = (self.seconds_left(share) / self.pace).max(0.0);
+        let in_time = if in_time.is_nan() { usize::MAX } else { in_time as usize };
+        let growth = if self.cloud.leaves_quarters() {
+            GROWTH_BY_QUARTERS
+        } else {
+            GROWTH
+        };
+        let budget = self
+            .states_left(share)
+            .min((growth * self.states as f64) as usize)
+            .min(in_time)
+            .max(1);
+        wants.sort_by(|a, b| b.excess.total_cmp(&a.excess));
+        let mut errands = Vec::new();
+        // One for each in turn, the worst first: many in few cells at once would halve these where their points lie alone.
+        let quota = |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE)).min(MOST_A_CELL) as usize;
+        for turn in 0..MOST_A_CELL as usize {
+            for want in wants.iter().filter(|w| turn < quota(w)) {
+                if errands.len() >= budget {
+                    break;
+                }
+                self.errand(want, turn, region, &mut errands);
+            }
+        }
+        errands
+    }
+
+    /// Searches for all sheets at the states.
+    fn search_for(&mut self, errands: Vec<Errand>, region: &Region) -> Result<(), BackendError> {
+        let mut states = Vec::new();
+        let mut widest = 0.0f64;
+        for errand in &errands {
+            let shift = &self.origins[errand.from as usize].1;
+            let at = states.len();
+            states.extend(errand.x.iter().zip(shift).map(|(x, s)| x + s));
+            self.to_few_times(errand, &mut states[at..]);
+            widest = errand.half.iter().fold(widest, |a, h| a.max(*h));
+        }
+        let (tracks, values) = self.searched(states, widest.min(NEAR))?;
+        for (errand, _) in (errands.into_iter().zip(values)).filter(|(e, v)| e.only_bare || v.is_nan()) {
+            *self.failures.entry(errand.cell).or_default() += 1;
+        }
+        self.add(tracks, region.floor)
+    }
+
+    /// Solves for the states along the ways from points near them.
+    fn go(&mut self, errands: Vec<Errand>, region: &Region) -> Result<(), BackendError> {
+        let guesses: Vec<_> = errands.iter().map(|e| self.way(e)).collect();
+        let found = solve_near(self.plan, self.solver, guesses, LEAST_STEP)?;
+        let mut tracks = Vec::new();
+        let most = self.most_value();
+        for (errand, found) in errands.into_iter().zip(found) {
+            let found = found.filter(|(_, value)| *value <= most);
+            if errand.only_bare || found.is_none() {
+                *self.failures.entry(errand.cell).or_default() += 1;
+            }
+            let Some((path, value)) = found else {
+                self.failed += 1;
+                continue;
+            };
+            self.states += 1;
+            tracks.push(Track {
+                path,
+                value,
+                sheet: self.cloud.sheet[errand.from as usize],
+                whole: true,
+            });
+        }
+        self.add(tracks, region.floor)
+    }
+
+    /// A way to a state of a cell, a bare corner or one that is drawn, from the nearest point.
+    fn errand(&mut self, want: &Want, turn: usize, region: &Region, errands: &mut Vec<Errand>) {
+        let n = self.cloud.variables;
+        let places = want.bare.len() / n;
+        let z: Vec<f64> = if turn < places {
+            want.bare[((turn + self.rounds) % places) * n..][..n].to_vec()
+        } else if want.excess > 1.0 {
+            match self.inside(want, region) {
+                Some(z) => z,
+                None => {
+                    *self.failures.entry(key(want)).or_default() += 1;
+                    return;
+                }
+            }
+        } else {
+            return;
+        };
+        // In widths of the cell, and by how much V would change on the way.
+        let distance = |k: u32| -> f64 {
+            let (at, q) = (self.cloud.z(k as usize), self.cloud.q(k as usize));
+            let (mut far, mut change) = (0.0, 0.0);
+            for i in 0..n {
+                far += ((z[i] - at[i]) / (want.hi[i] - want.lo[i])).powi(2);
+                change += q[i] * (z[i] - at[i]);
+            }
+            far + (STEEP * change / self.cloud.v[k as usize].abs().max(region.floor)).powi(2)
+        };
+        let nearest = want
+            .points
+            .iter()
+            .copied()
+            .filter(|k| self.goes_on(*k))
+            .min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
+        let Some(from) = nearest.or_else(|| self.nearest(&z)) else {
+            return;
+        };
+        // As many periods away as the point that it is reached from.
+        let shift = &self.origins[from as usize].1;
+        errands.push(Errand {
+            x: self.frame.state(&z).iter().zip(shift).map(|(x, s)| x - s).collect(),
+            from,
+            cell: key(want),
+            half: want.lo.iter().zip(&want.hi).map(|(lo, hi)| 0.5 * (hi - lo)).collect(),
+            only_bare: want.excess <= 1.0,
+        });
+    }
+
+    /// A place drawn from the part of a cell that lies in the region.
+    pub(super) fn inside(&mut self, want: &Want, region: &Region) -> Option<Vec<f64>> {
+        let n = want.lo.len();
+        (0..DRAWS).find_map(|_| {
+            let z: Vec<f64> = (0..n)
+                .map(|i| want.lo[i] + (want.hi[i] - want.lo[i]) * self.uniform())
+                .collect();
+            let x = self.frame.state(&z);
+            region.covers(&x).then_some(z)
+        })
+    }
+
+    /// The point nearest to a place, of all.
+    pub(super) fn nearest(&self, z: &[f64]) -> Option<u32> {
+        let distance = |k: usize| -> f64 { self.cloud.z(k).iter().zip(z).map(|(a, b)| (a - b).powi(2)).sum() };
+        (0..self.cloud.len())
+            .filter(|k| self.goes_on(*k as u32))
+            .min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
+            .map(|k| k as u32)
+    }
+
+    /// Whether a point's track goes on from there: one at the end of a horizon is no guess of another.
+    fn goes_on(&self, k: u32) -> bool {
+        let track = self.points.track[self.origins[k as usize].0 as usize];
+        self.tracks[track as usize].path.segments() > 0
+    }
+
+    /// The path from a point of the cloud on.
+    pub(super) fn guess(&self, k: u32) -> Path {
+        let (point, _) = &self.origins[k as usize];
+        let number = *point as usize;
+        let track = self.points.track[number] as usize;
+        let t = self.points.t[number];
+        let mut later: Vec<(f64, &[f64])> = (self.of_track[track].iter())
+            .map(|q| (self.points.t[*q as usize], self.points.node(*q as usize)))
+            .filter(|(q, _)| t < 0.0 && *q > t && *q < 0.0)
+            .collect();
+        later.sort_by(|a, b| a.0.total_cmp(&b.0));
+        path_from(&self.tracks[track], self.points.node(number), t, &later)
+    }
+}

@@ -1,0 +1,130 @@
+//! Pieces built and states asked for in turns; the frame of their coordinates.
+
+use super::{BETTER, Work};
+use crate::backend::BackendError;
+use crate::map::pieces::{Before, Frame, Pieces, Region, Steep, Want, build};
+use std::collections::HashMap;
+use std::time::Instant;
+
+/// Share of the budget before the last rounds, and that is worth no further round.
+const BEFORE_CLOSING: f64 = 0.88;
+const ALL_BUT: f64 = 0.97;
+/// Failures in a cell after which no more states are tried there.
+const MOST_FAILURES: u32 = 6;
+/// States solved after which the frame stays.
+const SETTLED: usize = 3000;
+
+impl Work<'_, '_> {
+    /// Builds pieces, and solves for states where they are not good enough, until they are.
+    pub(super) fn refined(&mut self, region: &Region, more: Vec<Want>) -> Result<Pieces, BackendError> {
+        let mut more = Some(more).filter(|m| !m.is_empty());
+        let mut before: Option<(Pieces, usize)> = None;
+        let mut last: Option<(Instant, usize)> = None;
+        let mut closing = false;
+        loop {
+            if self.states < SETTLED && self.turn(region) {
+                before = None;
+            }
+            let old = before.as_ref().map(|(pieces, points)| Before {
+                pieces,
+                points: *points,
+                apart: Vec::new(),
+            });
+            let (pieces, wants) = build(&self.cloud, region, &self.frame, old);
+            let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
+                .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
+                .collect();
+            if asked.is_empty() || self.is_spent(1.0) || (closing && self.is_spent(ALL_BUT)) {
+                return Ok(pieces);
+            }
+            // The last states are first for the holes that the rounds before have left between their new cells, and for cells
+            // of which nothing would be said.
+            closing = self.is_spent(BEFORE_CLOSING);
+            let asked = match closing.then(|| holes(&asked, self.aim.error_max / self.aim.error)) {
+                Some(holes) if !holes.is_empty() => holes,
+                _ => asked,
+            };
+            let (solved, clock) = (self.states + self.failed, Instant::now());
+            if let Some((began, first)) = last {
+                self.pace = (clock - began).as_secs_f64() / (solved - first).max(1) as f64;
+            }
+            last = Some((clock, solved));
+            self.rounds += 1;
+            let known = self.cloud.len();
+            let share = if closing { 1.0 } else { BEFORE_CLOSING };
+            if !self.answer(asked, region, share)? {
+                return Ok(pieces);
+            }
+            let said = format!("in {} cells", pieces.cells.len());
+            (self.progress)(&said, self.states, self.states + wants.len());
+            before = Some((pieces, known));
+        }
+    }
+
+    /// Turns the frame to where V is steep, relative to itself, if that is in one direction; whether it was turned.
+    fn turn(&mut self, region: &Region) -> bool {
+        let places = self.steep_places(region, None);
+        let Some(frame) = Frame::fitted(region, &places) else {
+            return false;
+        };
+        if frame.across(region, &places) > BETTER * self.frame.across(region, &places) {
+            return false;
+        }
+        self.frame = frame;
+        let n = self.cloud.variables;
+        for k in 0..self.origins.len() {
+            let (point, shift) = &self.origins[k];
+            let (mut x, p) = self.coordinates(*point as usize);
+            x.iter_mut().zip(shift).for_each(|(x, s)| *x += s);
+            let z = &mut self.cloud.z[k * n..][..n];
+            self.frame.of(&x, z);
+            self.frame.gradient_of(z, &p, &mut self.cloud.q[k * n..][..n]);
+        }
+        true
+    }
+
+    /// Points in the region, but not in a part of it, with V's slopes relative to itself; all parts weigh the same.
+    pub(super) fn steep_places(&self, region: &Region, without: Option<&Region>) -> Vec<Steep> {
+        let n = self.cloud.variables;
+        let a_side = if n <= 4 { 8.0 } else { 4.0 };
+        let mut counts: HashMap<Vec<u8>, f64> = HashMap::new();
+        let mut places = Vec::new();
+        let mut boxes = Vec::new();
+        for k in 0..self.points.len() {
+            let (x, p) = self.coordinates(k);
+            let t: Vec<f64> = (0..n).map(|i| (x[i] - region.lo[i]) / region.width(i)).collect();
+            if !t.iter().all(|t| (0.0..=1.0).contains(t)) || without.is_some_and(|part| part.covers(&x)) {
+                continue;
+            }
+            let part: Vec<u8> = t.iter().map(|t| (t * a_side) as u8).collect();
+            *counts.entry(part.clone()).or_default() += 1.0;
+            boxes.push(part);
+            let size = self.points.v[k].abs().max(region.floor);
+            places.push(Steep {
+                slope: (0..n).map(|i| p[i] * region.width(i) / size).collect(),
+                t,
+                weight: 0.0,
+            });
+        }
+        for (place, part) in places.iter_mut().zip(&boxes) {
+            place.weight = 1.0 / (counts[part] * counts.len() as f64);
+        }
+        places
+    }
+}
+
+/// Cells with bare places, and those in error by more than `most` times the one asked for.
+fn holes(wants: &[Want], most: f64) -> Vec<Want> {
+    let bad = |w: &Want| w.excess > most;
+    let some = wants.iter().filter(|w| bad(w) || !w.bare.is_empty());
+    some.map(|w| Want {
+        excess: if bad(w) { w.excess } else { 1.0 },
+        ..w.clone()
+    })
+    .collect()
+}
+
+/// A cell as a key.
+pub(super) fn key(want: &Want) -> Vec<u64> {
+    want.lo.iter().chain(&want.hi).map(|x| x.to_bits()).collect()
+}
