@@ -231,7 +231,7 @@ fn the_program_says_the_same(file: &Path) {
 
 #[test]
 fn two_sheets_of_the_pendulum() {
-    let file = made("pendulum", "error = 1e-3\nfloor = 1e-2\nstates = 400\ncheck = 1");
+    let file = made("pendulum", "error = 1e-3\nfloor = 1e-2\nstates = 800\ncheck = 1");
     assert!(compared(&file, 5000, 0.8) > 0, "several sheets lie over some states");
 }
 
