@@ -118,9 +118,10 @@ fn a_law_finds_its_way_where_solutions_leave_the_region() {
     let [x, y] = [0, 1].map(|i| [beyond.region.lo[i], beyond.region.hi[i]]);
     assert!(x[0] < 0.2 && x[1] < 2.0, "{x:?} reaches towards the equilibrium");
     let map = ValueMap::new(&stored).unwrap();
-    let mut over = vec![];
+    let (mut over, mut outside) = (vec![], 0);
     for [x, y] in spread([x, y], 2000) {
         let inside = (0.5..=1.3).contains(&x) && (-0.4..=0.9).contains(&y);
+        outside += usize::from(!inside);
         let Some(here) = map.at(&[x, y]).lowest.ok().filter(|here| here.in_pieces) else {
             assert!(!inside, "{x}, {y}");
             continue;
@@ -137,7 +138,12 @@ fn a_law_finds_its_way_where_solutions_leave_the_region() {
         quantile(&over, 0.99),
         quantile(&over, 1.0)
     );
-    assert!(over.len() > 400, "{} states outside are known", over.len());
+    // The way from the region narrows towards the equilibrium.
+    assert!(
+        2 * over.len() > outside,
+        "of {outside} states outside {} are known",
+        over.len()
+    );
     assert!(quantile(&over, 0.99) <= 1.0 && quantile(&over, 1.0) <= 3.0);
     let told = done(costate(&[
         "evaluate".as_ref(),
