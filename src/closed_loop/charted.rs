@@ -8,11 +8,10 @@ use super::equations::{Equations, set_chart};
 use super::fallback::{Help, Plan, Rest};
 use super::flights::{Starts, Watch};
 use super::legs::Journey;
-use super::pace::Pace;
 use super::simulate::{Batch, Ground, OUTSIDE_MAP};
 use super::{Chart, Expansions, LoopError};
 use crate::backend::{BackendError, Kernel, Legs, Relay, Run, Trajectories};
-use crate::model::Outside;
+use crate::model::{ClosedLoop, Outside};
 use rayon::prelude::*;
 
 /// Trajectories that one thread flies from their start to their end: few enough to balance the load, many enough that the
@@ -97,6 +96,21 @@ pub(super) struct Clock {
     pub all: usize,
 }
 
+impl Clock {
+    /// Of a period, or else a sample's interval.
+    pub fn of(scene: &ClosedLoop) -> Self {
+        let sampling = scene.interval();
+        let updates = scene
+            .period
+            .map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
+        Self {
+            step: sampling / updates as f64,
+            updates,
+            all: scene.samples * updates,
+        }
+    }
+}
+
 /// What is known of a batch's trajectories from one update of their law to the next.
 pub(super) struct Pilots<'p> {
     pub chart: &'p dyn Chart,
@@ -125,22 +139,9 @@ pub(super) struct When<'t> {
 }
 
 impl Ground<'_> {
-    pub fn clock(&self) -> Clock {
-        let scene = self.setting.closed_loop;
-        let sampling = scene.final_time / scene.samples as f64;
-        let updates = scene
-            .period
-            .map_or(1, |p| (sampling / p - 1e-9).ceil().max(1.0) as usize);
-        Clock {
-            step: sampling / updates as f64,
-            updates,
-            all: scene.samples * updates,
-        }
-    }
-
     /// What legs of these equations are flown with: in units of their own lengths where they are timed.
     pub fn leg(&self, equations: &Equations, timed: bool) -> Run {
-        let clock = self.clock();
+        let clock = Clock::of(self.setting.closed_loop);
         let length = if timed { 1.0 } else { clock.step };
         let mut run = self.run(equations, vec![length]);
         run.step *= length / clock.step;
@@ -170,7 +171,6 @@ impl Ground<'_> {
             self.by_relay((relay, &run), wings, self.pilots(chart, count), &mut batch, watch)?;
             return Ok(batch);
         }
-        let pace = Pace::new(self);
         if watch.is_none()
             && let Some(legs) = kernel.legs(&run)
         {
@@ -180,7 +180,7 @@ impl Ground<'_> {
                     let mut part = self.batch(x0, first + k * size, starts);
                     let pilots = self.pilots(chart, x0.len() / self.equations.states);
                     let mut wings = Wings::new(By::Own(legs.as_ref()), &run, timed);
-                    Journey::new(self, &pace, pilots, &mut part, false).fly(&mut wings, &mut None)?;
+                    Journey::new(self, pilots, &mut part, false).fly(&mut wings, &mut None)?;
                     Ok(part)
                 })
                 .collect::<Result<_, BackendError>>()?;
@@ -192,7 +192,7 @@ impl Ground<'_> {
         let mut batch = self.batch(x0, first, starts);
         let mut wings = Wings::new(By::Whole(kernel), &run, timed);
         let pilots = self.pilots(chart, count);
-        Journey::new(self, &pace, pilots, &mut batch, watch.is_some()).fly(&mut wings, watch)?;
+        Journey::new(self, pilots, &mut batch, watch.is_some()).fly(&mut wings, watch)?;
         batch.round_trips += wings.trips;
         Ok(batch)
     }
@@ -209,7 +209,7 @@ impl Ground<'_> {
             asked: Asked::default(),
             patience: match outside {
                 Outside::Hold => usize::MAX,
-                _ => (HOLD * self.clock().all as f64) as usize,
+                _ => (HOLD * Clock::of(self.setting.closed_loop).all as f64) as usize,
             },
             room: Expansions::default(),
             plans: vec![None; count],

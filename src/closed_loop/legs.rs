@@ -15,7 +15,6 @@ const INSTANT: f64 = 1e-9;
 /// A batch on its way.
 pub(super) struct Journey<'j, 'g> {
     ground: &'j Ground<'g>,
-    pace: &'j Pace,
     pilots: Pilots<'j>,
     batch: &'j mut Batch,
     courses: Vec<Course>,
@@ -27,22 +26,15 @@ pub(super) struct Journey<'j, 'g> {
 }
 
 impl<'j, 'g> Journey<'j, 'g> {
-    pub fn new(
-        ground: &'j Ground<'g>,
-        pace: &'j Pace,
-        pilots: Pilots<'j>,
-        batch: &'j mut Batch,
-        watched: bool,
-    ) -> Self {
+    pub fn new(ground: &'j Ground<'g>, pilots: Pilots<'j>, batch: &'j mut Batch, watched: bool) -> Self {
         let count = batch.status.len();
-        let all = watched || !ground.setting.closed_loop.records.is_empty() || matches!(pace, Pace::Period(_));
+        let all = watched || !ground.setting.closed_loop.records.is_empty() || matches!(ground.pace, Pace::Period(_));
         let mut sampled = vec![all; count];
         batch.kept.iter().for_each(|(i, _)| sampled[*i] = true);
         Self {
             ground,
-            pace,
             pilots,
-            courses: vec![Course::new(pace); count],
+            courses: vec![Course::new(&ground.pace); count],
             begin: batch.end.clone(),
             sampled,
             batch,
@@ -74,19 +66,12 @@ impl<'j, 'g> Journey<'j, 'g> {
     }
 
     fn interval(&self) -> f64 {
-        let scene = self.ground.setting.closed_loop;
-        scene.final_time / scene.samples as f64
+        self.ground.setting.closed_loop.interval()
     }
 
     /// The time at which a leg has to end at the latest.
     fn stop(&self, i: usize) -> f64 {
-        let scene = self.ground.setting.closed_loop;
-        let course = &self.courses[i];
-        if self.sampled[i] && course.sample < scene.samples {
-            self.interval() * course.sample as f64
-        } else {
-            scene.final_time
-        }
+        self.courses[i].stop(self.ground.setting.closed_loop, self.sampled[i])
     }
 
     /// Asks the chart where legs have ended; the trajectories whose legs were good enough, each with the place of the answer. The
@@ -95,8 +80,8 @@ impl<'j, 'g> Journey<'j, 'g> {
         let last = self.ground.setting.closed_loop.final_time - INSTANT * self.interval();
         let ends = |i: usize| self.courses[i].t + self.courses[i].length;
         let (lanes, done): (Vec<usize>, Vec<usize>) =
-            (arrived.iter()).partition(|i| ends(**i) < last || self.pace.judges(&self.courses[**i]));
-        let middle = lanes.first().map_or(0.0, |i| ends(*i)) + 0.5 * self.pace.leg_of_lost();
+            (arrived.iter()).partition(|i| ends(**i) < last || self.ground.pace.judges(&self.courses[**i]));
+        let middle = lanes.first().map_or(0.0, |i| ends(*i)) + 0.5 * self.ground.pace.leg_of_lost();
         (self.pilots.asked).ask(self.ground, self.pilots.chart, self.batch, &lanes, middle);
         let bad = self.undone(&lanes);
         let good = lanes
@@ -111,12 +96,12 @@ impl<'j, 'g> Journey<'j, 'g> {
 
     /// Trajectories whose legs cost too much by the chart's answers, taken back to where these began.
     fn undone(&mut self, lanes: &[usize]) -> Vec<usize> {
-        let Pace::AsNeeded(judge) = self.pace else {
+        let Pace::AsNeeded(judge) = &self.ground.pace else {
             return Vec::new();
         };
         let dim = self.batch.dim;
         let judged: Vec<(usize, usize)> = (lanes.iter().copied().enumerate())
-            .filter(|(_, i)| self.pace.judges(&self.courses[*i]))
+            .filter(|(_, i)| self.ground.pace.judges(&self.courses[*i]))
             .collect();
         // Under the law in use, and under the chart's.
         let (mut used, mut charted) = (Vec::new(), Vec::new());
@@ -203,20 +188,18 @@ impl<'j, 'g> Journey<'j, 'g> {
         watch: &mut Option<Watch<'_>>,
         going: &[(usize, usize)],
     ) -> Result<(), BackendError> {
-        let last = self.ground.setting.closed_loop.final_time;
-        let lost = self.pace.leg_of_lost();
-        let left: Vec<f64> = (0..self.courses.len())
-            .map(|i| self.stop(i) - self.courses[i].t)
-            .collect();
-        let t = |i: usize| self.courses[i].t;
-        let longest = going.iter().map(|(_, i)| last - t(*i)).fold(0.0, f64::max);
+        let scene = self.ground.setting.closed_loop;
+        let lost = self.ground.pace.leg_of_lost();
+        let (courses, sampled) = (&self.courses, &self.sampled);
+        let t = |i: usize| courses[i].t;
+        let longest = going.iter().map(|(_, i)| scene.final_time - t(*i)).fold(0.0, f64::max);
         let when = When {
             t: &t,
             rest: Rest {
                 legs: (longest / lost - INSTANT).ceil() as usize,
                 length: lost,
             },
-            first: &|i| left[i].min(lost),
+            first: &|i| (courses[i].stop(scene, sampled[i]) - courses[i].t).min(lost),
         };
         (self.ground).set(wings, &mut self.pilots, self.batch, watch, (&when, going))?;
         for &(j, i) in going {
@@ -241,9 +224,9 @@ impl<'j, 'g> Journey<'j, 'g> {
         for &i in alive {
             let left = self.stop(i) - self.courses[i].t;
             let course = &mut self.courses[i];
-            let lost = !course.charted && matches!(self.pace, Pace::AsNeeded(_));
+            let lost = !course.charted && matches!(self.ground.pace, Pace::AsNeeded(_));
             course.length = match lost {
-                true => left.min(self.pace.leg_of_lost()),
+                true => left.min(self.ground.pace.leg_of_lost()),
                 false => left / (left / course.wanted * (1.0 - INSTANT)).ceil().max(1.0),
             };
             course.legs += 1;
@@ -259,7 +242,7 @@ impl<'j, 'g> Journey<'j, 'g> {
         let mut ended = Vec::new();
         for (j, &i) in alive.iter().enumerate() {
             let reached = flown.status[j] == Status::Reached;
-            if !reached && self.pace.may_shorten(&self.courses[i]) {
+            if !reached && self.ground.pace.may_shorten(&self.courses[i]) {
                 // It stays where the leg began.
                 self.courses[i].wanted = 0.5 * self.courses[i].length;
                 self.courses[i].length = 0.0;
@@ -291,7 +274,7 @@ impl<'j, 'g> Journey<'j, 'g> {
     ) -> Result<(), BackendError> {
         let dim = self.batch.dim;
         for (j, &i) in alive.iter().enumerate() {
-            if flown.status[j] != Status::StepLimit || self.pace.may_shorten(&self.courses[i]) {
+            if flown.status[j] != Status::StepLimit || self.ground.pace.may_shorten(&self.courses[i]) {
                 continue;
             }
             let vector = &mut vectors[j * dim..][..dim];

@@ -9,9 +9,11 @@
 //!
 //! by which J grows faster than V falls. It is compared with the running cost, whose integral is V.
 
-use super::simulate::Ground;
+use super::Setting;
+use super::charted::Clock;
+use super::equations::Equations;
 use crate::backend::cpu::map::Evaluator;
-use crate::model::Horizon;
+use crate::model::{ClosedLoop, Horizon};
 
 /// What is lost may be so many times `rtol` of the running cost: what is promised for V.
 const LOSS: f64 = 30.0;
@@ -71,16 +73,15 @@ pub(super) struct Course {
 impl Pace {
     /// At times of a horizon, and under disturbances, which say when they change, legs are all the same; so are those of a method
     /// that takes steps of one length.
-    pub fn new(ground: &Ground<'_>) -> Self {
-        let setting = ground.setting;
+    pub fn new(setting: &Setting<'_>, equations: &Equations) -> Self {
         let same = setting.closed_loop.period.is_some()
             || matches!(setting.model.horizon, Horizon::Finite { .. })
-            || ground.equations.supplied().is_some()
+            || equations.supplied().is_some()
             || !setting.leg_method.adaptive();
         if same {
-            Pace::Period(ground.clock().step)
+            Pace::Period(Clock::of(setting.closed_loop).step)
         } else {
-            Pace::AsNeeded(Judge::new(ground))
+            Pace::AsNeeded(Judge::new(setting, equations))
         }
     }
 
@@ -111,15 +112,15 @@ impl Pace {
 }
 
 impl Judge {
-    pub fn new(ground: &Ground<'_>) -> Self {
-        let scene = ground.setting.closed_loop;
-        let rtol = ground.setting.numerics.rtol;
+    fn new(setting: &Setting<'_>, equations: &Equations) -> Self {
+        let scene = setting.closed_loop;
+        let rtol = setting.numerics.rtol;
         Self {
-            rates: Evaluator::new(&ground.equations.rates()),
+            rates: Evaluator::new(&equations.rates()),
             tolerance: LOSS * rtol,
-            floor: rtol * ground.setting.value_scale / scene.final_time,
+            floor: rtol * setting.value_scale / scene.final_time,
             final_time: scene.final_time,
-            interval: scene.final_time / scene.samples as f64,
+            interval: scene.interval(),
         }
     }
 
@@ -164,7 +165,8 @@ impl Judge {
         };
         Verdict {
             good: good || course.length <= shortest,
-            length: (change * course.length).clamp(shortest, LONGEST * self.final_time),
+            // Of few samples the interval may be above the longest.
+            length: (change * course.length).min(LONGEST * self.final_time).max(shortest),
         }
     }
 }
@@ -179,5 +181,50 @@ impl Course {
             charted: false,
             legs: 0,
         }
+    }
+
+    /// The time at which the next leg has to end at the latest.
+    pub fn stop(&self, scene: &ClosedLoop, sampled: bool) -> f64 {
+        if sampled && self.sample < scene.samples {
+            scene.interval() * self.sample as f64
+        } else {
+            scene.final_time
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::expr::{Graph, Kind};
+    use crate::program::Program;
+
+    /// A trajectory that slides has legs of a sample's interval, also where that is longer than all others.
+    #[test]
+    fn few_samples_make_no_leg_impossible() {
+        let mut graph = Graph::default();
+        let x = graph.symbol("x", Kind::State);
+        let judge = Judge {
+            rates: Evaluator::new(&Program::lower(&graph, &[x], &[x, x])),
+            tolerance: 1e-5,
+            floor: 1e-9,
+            final_time: 8.0,
+            interval: 4.0,
+        };
+        let course = Course {
+            t: 0.0,
+            sample: 1,
+            length: 0.5,
+            wanted: 0.5,
+            charted: true,
+            legs: PATIENCE + 1,
+        };
+        // The law in use costs 1 more than the chart's: by far too much, but it is not flown again.
+        let verdict = judge.verdict(&course, &[0.0, 2.0], &[0.0, 1.0], &[1.0]);
+        assert!(verdict.good);
+        assert_eq!(verdict.length, 4.0);
+        let verdict = judge.verdict(&Course { legs: 1, ..course }, &[0.0, 2.0], &[0.0, 1.0], &[1.0]);
+        assert!(!verdict.good);
+        assert_eq!(verdict.length, 0.05);
     }
 }

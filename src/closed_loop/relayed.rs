@@ -29,7 +29,7 @@ impl Ground<'_> {
         batch: &mut Batch,
         watch: &mut Option<Watch<'_>>,
     ) -> Result<(), BackendError> {
-        let (dim, clock) = (batch.dim, self.clock());
+        let (dim, clock) = (batch.dim, Clock::of(self.setting.closed_loop));
         let at_start = |of| Waiting {
             of,
             leg: 0,

@@ -33,6 +33,7 @@ pub(super) struct Ground<'s> {
     pub equations: Equations,
     /// The same with the length of each leg, where these are of a chart's law and of many lengths.
     pub timed: Option<Equations>,
+    pub pace: Pace,
     pub observer: Evaluator,
     guards: Option<Evaluator>,
     terminal: Option<Evaluator>,
@@ -96,6 +97,7 @@ impl<'s> Simulator<'s> {
             guards: equations.guard_values().map(|g| Evaluator::new(&g)),
             terminal: equations.terminal().map(|t| Evaluator::new(&t)),
             timed: None,
+            pace: Pace::new(setting, &equations),
             equations,
         };
         let compile = |equations: &Equations| backend.compile(&equations.spec(own, precision, !equations.charted));
@@ -108,7 +110,7 @@ impl<'s> Simulator<'s> {
         let (kernel, relay) = match asking {
             Some((kernel, relay)) => (kernel, Some(relay)),
             None => {
-                let as_needed = ground.equations.charted && matches!(Pace::new(&ground), Pace::AsNeeded(_));
+                let as_needed = ground.equations.charted && matches!(ground.pace, Pace::AsNeeded(_));
                 ground.timed = as_needed.then(|| ground.equations.scaled());
                 (compile(ground.timed.as_ref().unwrap_or(&ground.equations))?, None)
             }

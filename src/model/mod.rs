@@ -288,6 +288,13 @@ pub struct ClosedLoop {
     pub span: Span,
 }
 
+impl ClosedLoop {
+    /// Time between samples.
+    pub fn interval(&self) -> f64 {
+        self.final_time / self.samples as f64
+    }
+}
+
 /// What the law of a map does where the map knows nothing, until it knows again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Outside {
