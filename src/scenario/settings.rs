@@ -23,6 +23,18 @@ pub const DEFAULT_ATOL_SHARE: f64 = 1e-3;
 /// Points of a grid.
 const MOST_POINTS: f64 = 2e6;
 
+/// Keys of a map that is made to an error.
+const OF_ERROR: [&str; 8] = [
+    "error_max",
+    "equal_cost",
+    "floor",
+    "region",
+    "states",
+    "seconds",
+    "check",
+    "time",
+];
+
 const SHOOT_OUT_KEYS: [&str; 9] = [
     "value_max",
     "spacing",
@@ -211,34 +223,14 @@ impl<'a> Reader<'a> {
 
     /// `[map]`: a regular grid over the region.
     pub fn map(&mut self, section: &Section<'a>, states: &[Declared<'a>]) -> Option<MapGrid> {
-        self.check_keys(
-            section,
-            &[
-                "resolution",
-                "value_max",
-                "error",
-                "error_max",
-                "equal_cost",
-                "floor",
-                "region",
-                "states",
-                "seconds",
-                "check",
-                "time",
-            ],
-        );
+        let keys: Vec<&str> = ["resolution", "value_max", "error"]
+            .into_iter()
+            .chain(OF_ERROR)
+            .collect();
+        self.check_keys(section, &keys);
         let accurate = section.get("error").is_some();
         if !accurate {
-            for key in [
-                "error_max",
-                "equal_cost",
-                "floor",
-                "region",
-                "states",
-                "seconds",
-                "check",
-                "time",
-            ] {
+            for key in OF_ERROR {
                 if let Some(value) = section.get(key) {
                     let message = format!("`{key}` belongs to a map that is made to an error");
                     self.refuse::<()>(value.span(), message, "give `error = 1e-3` too, or leave it out");

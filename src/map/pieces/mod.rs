@@ -90,6 +90,27 @@ pub struct Piece {
     pub support: Vec<[f64; 2]>,
 }
 
+impl Piece {
+    /// A place in the piece's own variables.
+    fn place(&self, z: &[f64]) -> [f64; MOST_VARIABLES] {
+        let mut y = [0.0; MOST_VARIABLES];
+        for i in 0..z.len() {
+            y[i] = (z[i] - self.center[i]) / self.half[i];
+        }
+        y
+    }
+
+    /// V and its gradient (in coordinates of the region) at a place in its own variables.
+    fn value(&self, terms: &Terms, y: &[f64]) -> (f64, [f64; MOST_VARIABLES]) {
+        let mut q = [0.0; MOST_VARIABLES];
+        let (v, slope) = self.shape.back(terms.sum(&self.coefficients, y, &mut q));
+        for i in 0..y.len() {
+            q[i] *= slope / self.half[i];
+        }
+        (v, q)
+    }
+}
+
 /// Directions along which points are enclosed: the axes and those between two of them; of two variables more.
 pub fn directions(n: usize) -> Vec<Vec<f64>> {
     if n == 2 {
@@ -378,10 +399,7 @@ impl Pieces {
     fn told(&self, piece: usize, z: &[f64]) -> Option<Told> {
         let n = z.len();
         let piece = &self.pieces[piece];
-        let mut y = [0.0; MOST_VARIABLES];
-        for i in 0..n {
-            y[i] = (z[i] - piece.center[i]) / piece.half[i];
-        }
+        let y = piece.place(z);
         let along = |d: &[f64]| (0..n).map(|i| d[i] * y[i]).sum::<f64>();
         let inside = (piece.support.iter().zip(&self.directions)).all(|([lo, hi], d)| {
             let at = along(d);
@@ -390,13 +408,10 @@ impl Pieces {
         if !inside {
             return None;
         }
-        let mut q = [0.0; MOST_VARIABLES];
-        let w = self.terms.sum(&piece.coefficients, &y[..n], &mut q);
-        let (v, slope) = piece.shape.back(w);
+        let (v, q) = piece.value(&self.terms, &y[..n]);
         let size = v.abs().max(self.region.floor);
         let mut p_bound = [0.0; MOST_VARIABLES];
         for i in 0..n {
-            q[i] *= slope / piece.half[i];
             p_bound[i] = piece.p_bound * size / piece.half[i];
         }
         v.is_finite().then_some(Told {

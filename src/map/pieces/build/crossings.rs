@@ -124,19 +124,14 @@ impl Builder<'_> {
     }
 
     fn told(&self, piece: &Piece, z: &[f64]) -> Told {
-        let n = self.cloud.variables;
-        let y: Vec<f64> = (0..n).map(|i| (z[i] - piece.center[i]) / piece.half[i]).collect();
+        let y = piece.place(z);
         let outside = (piece.support.iter().zip(&self.directions))
             .map(|([lo, hi], d)| {
                 let at: f64 = d.iter().zip(&y).map(|(d, y)| d * y).sum();
                 (at - hi).max(lo - at)
             })
             .fold(f64::NEG_INFINITY, f64::max);
-        let mut q = [0.0; MOST_VARIABLES];
-        let (v, slope) = piece.shape.back(self.terms.sum(&piece.coefficients, &y, &mut q[..n]));
-        for i in 0..n {
-            q[i] *= slope / piece.half[i];
-        }
+        let (v, q) = piece.value(&self.terms, &y[..z.len()]);
         Told {
             v,
             q,

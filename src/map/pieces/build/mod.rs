@@ -435,9 +435,8 @@ impl Builder<'_> {
         let agrees = |k: usize| {
             let z = self.cloud.z(k);
             own.iter().any(|piece| {
-                let y: Vec<f64> = (0..n).map(|i| (z[i] - piece.center[i]) / piece.half[i]).collect();
-                let mut gradient = [0.0; super::MOST_VARIABLES];
-                let (v, _) = piece.shape.back(self.terms.sum(&piece.coefficients, &y, &mut gradient));
+                let y = piece.place(z);
+                let (v, _) = piece.value(&self.terms, &y[..n]);
                 let size = self.cloud.v[k].abs().max(self.region.floor);
                 // Outside the cell it is blended with others.
                 y.iter().any(|y| y.abs() > 1.0) || (v - self.cloud.v[k]).abs() <= piece.bound * size
