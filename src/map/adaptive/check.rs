@@ -176,7 +176,7 @@ impl Work<'_, '_> {
             excess: (checked.said - checked.solved).abs() / checked.bound * 2.0,
             bare: Vec::new(),
             points: (0..self.cloud.len() as u32).filter(near).collect(),
-            dense: false,
+            near: 0,
         }
     }
 

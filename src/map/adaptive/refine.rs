@@ -28,7 +28,6 @@ impl Work<'_, '_> {
             let old = before.as_ref().map(|(pieces, points)| Before {
                 pieces,
                 points: *points,
-                apart: Vec::new(),
             });
             let (pieces, wants) = build(&self.cloud, region, &self.frame, old);
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))

@@ -12,9 +12,10 @@ pub fn most_of_group(variables: usize) -> usize {
 }
 
 /// What is a polynomial: V itself, or a function of it that is smoother where V falls or rises steeply.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(i32)]
 pub enum Shape {
+    #[default]
     Value = 0,
     Root = 1,
     Logarithm = 2,

@@ -73,7 +73,7 @@ impl Region {
 }
 
 /// A polynomial over a cell and a little around it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Piece {
     /// In coordinates of the frame, 0 to 1; monomials are of `(z - center) / half`.
     pub center: Vec<f64>,

@@ -11,6 +11,7 @@ use super::fit::{Data, Shape};
 use super::terms::Terms;
 use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree};
 use rayon::join;
+use rayon::prelude::*;
 
 /// Points as far outside a cell as this share of its half width are fitted too.
 const FIT: f64 = 0.3;
@@ -123,7 +124,7 @@ impl Cloud {
 }
 
 /// A cell in which more must be known.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Want {
     pub lo: Vec<f64>,
     pub hi: Vec<f64>,
@@ -131,9 +132,9 @@ pub struct Want {
     pub excess: f64,
     /// Places that no point is near to, `[place][variable]`.
     pub bare: Vec<f64>,
-    /// Points in the cell and around it, and whether they are enough for its halves.
+    /// Points in the cell and around it, and how many of them are no further away than is usual.
     pub points: Vec<u32>,
-    pub dense: bool,
+    pub near: usize,
 }
 
 /// A box while it is looked at.
@@ -161,7 +162,7 @@ struct Builder<'c> {
 
 /// Built pieces of a block.
 enum Grown {
-    Cell(Vec<Piece>, Vec<f64>, Vec<f64>),
+    Cell(Vec<Piece>, Want),
     Split(usize, f64, Box<(Grown, Grown)>),
 }
 
@@ -169,205 +170,250 @@ enum Grown {
 pub struct Before<'b> {
     pub pieces: &'b Pieces,
     pub points: usize,
-    /// Cells that are to be halved although their own points tell of no error, because their neighbours say otherwise; none: no
-    /// cell is.
-    pub apart: Vec<bool>,
 }
 
 /// Makes pieces of points; and cells where more points are needed for the error asked for. Cells made before whose pieces
 /// are good enough stay, if they say what the new points say.
 pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Before<'_>>) -> (Pieces, Vec<Want>) {
-    agreed(cloud, region, frame, (before, None))
+    let mut made = Builder::new(cloud, region, (frame, None), before).built(HALVINGS_APART);
+    made.wants.retain(|w| w.excess > 1.0 || !w.bare.is_empty());
+    (made.pieces, made.wants)
 }
 
 /// Makes pieces of a region round another, in which nothing is wanted of them.
 pub fn build_around(cloud: &Cloud, region: &Region, frame: &Frame, inner: &Region) -> Pieces {
-    agreed(cloud, region, frame, (None, Some(inner))).0
+    // There a law needs no more than the bounds to be true.
+    Builder::new(cloud, region, (frame, Some(inner)), None).built(0).pieces
 }
 
-/// Pieces that agree with their neighbours: of those that do not cells with points enough are halved, and the others' bounds
-/// are raised.
-fn agreed<'c>(
-    cloud: &'c Cloud,
-    region: &'c Region,
-    frame: &'c Frame,
-    (before, without): (Option<Before<'c>>, Option<&'c Region>),
-) -> (Pieces, Vec<Want>) {
-    let mut made = built(cloud, region, frame, (before, without));
-    if cloud.leaves_quarters() {
-        return (made.pieces, wanting(made.wants));
-    }
-    // Round another region a law needs no more than the bounds to be true.
-    let halvings = if without.is_none() { HALVINGS_APART } else { 0 };
-    for _ in 0..halvings {
-        let mut apart = vec![false; made.pieces.cells.len()];
-        for (cell, _) in made.pieces.disagreements() {
-            apart[cell] |= made.dense[cell];
-        }
-        if !apart.contains(&true) {
-            break;
-        }
-        let before = Before {
-            pieces: &made.pieces,
-            points: cloud.len(),
-            apart,
-        };
-        made = built(cloud, region, frame, (Some(before), without));
-    }
-    for (cell, disagreement) in made.pieces.disagreements() {
-        made.pieces.raise(cell, disagreement);
-        let excess = &mut made.wants[cell].excess;
-        *excess = excess.max(disagreement / region.error);
-    }
-    (made.pieces, wanting(made.wants))
-}
-
-fn wanting(mut wants: Vec<Want>) -> Vec<Want> {
-    wants.retain(|w| w.excess > 1.0 || !w.bare.is_empty());
-    wants
-}
-
-/// What [`built`] makes, one want a cell.
+/// Pieces, and what is wanted in each of their cells.
 struct Built {
     pieces: Pieces,
     wants: Vec<Want>,
-    /// Whether the halves of each cell have points enough.
-    dense: Vec<bool>,
 }
 
-fn built(
-    cloud: &Cloud,
-    region: &Region,
-    frame: &Frame,
-    (before, without): (Option<Before<'_>>, Option<&Region>),
-) -> Built {
-    let n = cloud.variables;
-    let highest = highest_degree(n);
-    let builder = Builder {
-        cloud,
-        terms: Terms::new(n, highest),
-        region,
-        frame,
-        without,
-        directions: directions(n),
-        highest,
-        habits: Habits::of(n, cloud.leaves_quarters()),
-        before,
-    };
-    let root = builder.before.as_ref().map(|_| 0);
-    let whole = Block {
-        lo: vec![0.0; n],
-        hi: vec![1.0; n],
-        points: (0..cloud.len() as u32).collect(),
-        near: cloud.len(),
-    };
-    // One a cell, in their order.
-    let (grown, wants) = builder.grow(whole, root);
-    let mut pieces = Pieces {
-        region: region.clone(),
-        frame: frame.clone(),
-        terms: builder.terms,
-        directions: builder.directions,
-        nodes: Vec::new(),
-        cells: Vec::new(),
-        pieces: Vec::new(),
-    };
-    plant(&mut pieces, grown);
-    pieces.finish();
-    pieces.label();
-    Built {
-        dense: wants.iter().map(|want| want.dense).collect(),
-        pieces,
-        wants,
+impl Built {
+    /// Adds a block's cells and nodes; the number of its node.
+    fn plant(&mut self, grown: Grown) -> usize {
+        match grown {
+            Grown::Cell(own, want) => self.put(own, want),
+            Grown::Split(axis, at, both) => {
+                let (below, above) = *both;
+                self.fork(axis, at, |this| [below, above].map(|half| this.plant(half)))
+            }
+        }
+    }
+
+    /// Moves what lies below a node of another here; what has grown in a cell of it instead of that cell.
+    fn replant(&mut self, other: &mut Self, node: usize, regrown: &mut [Option<Grown>]) -> usize {
+        match other.pieces.nodes[node] {
+            Node::Cell(cell) => {
+                if let Some(grown) = regrown[cell].take() {
+                    return self.plant(grown);
+                }
+                let range = other.pieces.cells[cell].pieces.clone();
+                let own = other.pieces.pieces[range].iter_mut().map(std::mem::take).collect();
+                self.put(own, std::mem::take(&mut other.wants[cell]))
+            }
+            Node::Split {
+                axis, at, below, above, ..
+            } => self.fork(axis, at, |this| {
+                [below, above].map(|half| this.replant(other, half, regrown))
+            }),
+        }
+    }
+
+    fn put(&mut self, own: Vec<Piece>, want: Want) -> usize {
+        let pieces = &mut self.pieces;
+        let first = pieces.pieces.len();
+        pieces.pieces.extend(own);
+        pieces.nodes.push(Node::Cell(pieces.cells.len()));
+        pieces.cells.push(Cell {
+            lo: want.lo.clone(),
+            hi: want.hi.clone(),
+            pieces: first..pieces.pieces.len(),
+        });
+        self.wants.push(want);
+        self.pieces.nodes.len() - 1
+    }
+
+    fn fork(&mut self, axis: usize, at: f64, halves: impl FnOnce(&mut Self) -> [usize; 2]) -> usize {
+        let here = self.pieces.nodes.len();
+        self.pieces.nodes.push(Node::Cell(0));
+        let [below, above] = halves(self);
+        self.pieces.nodes[here] = Node::Split {
+            axis,
+            at,
+            below,
+            above,
+            reach: [at, at],
+        };
+        here
     }
 }
 
-/// Adds a block's cells and nodes; the number of its node.
-fn plant(pieces: &mut Pieces, grown: Grown) -> usize {
-    let here = pieces.nodes.len();
-    match grown {
-        Grown::Cell(own, lo, hi) => {
-            let first = pieces.pieces.len();
-            pieces.pieces.extend(own);
-            pieces.nodes.push(Node::Cell(pieces.cells.len()));
-            pieces.cells.push(Cell {
-                lo,
-                hi,
-                pieces: first..pieces.pieces.len(),
-            });
-        }
-        Grown::Split(axis, at, both) => {
-            pieces.nodes.push(Node::Cell(0));
-            let (below, above) = *both;
-            let below = plant(pieces, below);
-            let above = plant(pieces, above);
-            pieces.nodes[here] = Node::Split {
-                axis,
-                at,
-                below,
-                above,
-                reach: [at, at],
-            };
+impl<'c> Builder<'c> {
+    fn new(
+        cloud: &'c Cloud,
+        region: &'c Region,
+        (frame, without): (&'c Frame, Option<&'c Region>),
+        before: Option<Before<'c>>,
+    ) -> Self {
+        let n = cloud.variables;
+        let highest = highest_degree(n);
+        Self {
+            cloud,
+            terms: Terms::new(n, highest),
+            region,
+            frame,
+            without,
+            directions: directions(n),
+            highest,
+            habits: Habits::of(n, cloud.leaves_quarters()),
+            before,
         }
     }
-    here
-}
 
-impl Builder<'_> {
+    /// Pieces that agree with their neighbours: of those that do not cells with points enough are halved, so many times, and the
+    /// others' bounds are raised.
+    fn built(&self, halvings: usize) -> Built {
+        let n = self.cloud.variables;
+        let whole = Block {
+            lo: vec![0.0; n],
+            hi: vec![1.0; n],
+            points: (0..self.cloud.len() as u32).collect(),
+            near: self.cloud.len(),
+        };
+        let mut made = self.nothing();
+        made.plant(self.grow(whole, self.before.as_ref().map(|_| 0)));
+        made.pieces.finish();
+        if self.leaves_quarters() {
+            made.pieces.label();
+            return made;
+        }
+        for _ in 0..halvings {
+            let mut apart: Vec<usize> = made.pieces.disagreements().into_iter().map(|(cell, _)| cell).collect();
+            apart.sort_unstable();
+            apart.dedup();
+            match self.halved(made, &apart) {
+                (halved, true) => made = halved,
+                (same, false) => {
+                    made = same;
+                    break;
+                }
+            }
+        }
+        made.pieces.label();
+        for (cell, disagreement) in made.pieces.disagreements() {
+            made.pieces.raise(cell, disagreement);
+            let excess = &mut made.wants[cell].excess;
+            *excess = excess.max(disagreement / self.region.error);
+        }
+        made
+    }
+
+    fn nothing(&self) -> Built {
+        Built {
+            pieces: Pieces {
+                region: self.region.clone(),
+                frame: self.frame.clone(),
+                terms: self.terms.clone(),
+                directions: self.directions.clone(),
+                nodes: Vec::new(),
+                cells: Vec::new(),
+                pieces: Vec::new(),
+            },
+            wants: Vec::new(),
+        }
+    }
+
+    /// Pieces with some of their cells halved; whether any could be.
+    fn halved(&self, mut made: Built, cells: &[usize]) -> (Built, bool) {
+        let mut regrown: Vec<Option<Grown>> = Vec::new();
+        regrown.resize_with(made.pieces.cells.len(), || None);
+        let grown: Vec<(usize, Grown)> = (cells.par_iter())
+            .filter_map(|cell| Some((*cell, self.halves(&made, *cell)?)))
+            .collect();
+        if grown.is_empty() {
+            return (made, false);
+        }
+        for (cell, halves) in grown {
+            regrown[cell] = Some(halves);
+        }
+        let mut all = self.nothing();
+        all.replant(&mut made, 0, &mut regrown);
+        all.pieces.finish();
+        (all, true)
+    }
+
+    /// What grows in the halves of a cell, if they have points enough.
+    fn halves(&self, made: &Built, cell: usize) -> Option<Grown> {
+        let want = &made.wants[cell];
+        let block = Block {
+            lo: want.lo.clone(),
+            hi: want.hi.clone(),
+            points: want.points.clone(),
+            near: want.near,
+        };
+        if !self.is_dense(&block) {
+            return None;
+        }
+        let own = made.pieces.pieces[made.pieces.cells[cell].pieces.clone()].iter();
+        let own: Vec<_> = own.map(|piece| (piece.clone(), block.points.clone())).collect();
+        let axis = self.axis(&block, &own);
+        (!self.is_finest(&block, axis)).then(|| self.split(block, axis, [None; 2]))
+    }
+
     /// `old` is the node of the pieces made before that is this block's.
-    fn grow(&self, block: Block, old: Option<usize>) -> (Grown, Vec<Want>) {
+    fn grow(&self, block: Block, old: Option<usize>) -> Grown {
         let unwanted = |inner: &Region| self.frame.lies_in(inner, &block.lo, &block.hi);
         if !self.frame.may_meet(self.region, &block.lo, &block.hi) || self.without.is_some_and(unwanted) {
             let nothing = Want {
-                lo: block.lo.clone(),
-                hi: block.hi.clone(),
-                excess: 0.0,
-                bare: Vec::new(),
-                points: Vec::new(),
-                dense: false,
+                lo: block.lo,
+                hi: block.hi,
+                ..Want::default()
             };
-            return (Grown::Cell(Vec::new(), block.lo, block.hi), vec![nothing]);
+            return Grown::Cell(Vec::new(), nothing);
         }
-        let mut apart = false;
         if let (Some(before), Some(old)) = (&self.before, old) {
             match before.pieces.nodes[old] {
-                Node::Split {
-                    axis, at, below, above, ..
-                } => return self.split(block, axis, at, [Some(below), Some(above)]),
+                Node::Split { axis, below, above, .. } => return self.split(block, axis, [Some(below), Some(above)]),
                 Node::Cell(cell) => {
-                    apart = before.apart.get(cell) == Some(&true);
-                    if let Some(kept) = self.kept(&block, before, cell).filter(|_| !apart) {
-                        return kept;
+                    if let Some((own, excess)) = self.kept(&block, before, cell) {
+                        return self.cell(block, own, excess);
                     }
                 }
             }
         }
         let dense = self.is_dense(&block);
         let (own, excess) = self.fitted(&block, dense);
-        let settled = excess <= self.habits.enough && !apart;
-        let axis = self.axis(&block, &own);
-        let finest = block.hi[axis] - block.lo[axis] <= 0.5f64.powi(self.habits.most_halvings);
-        if settled || !dense || finest {
-            // Of several sheets none says anything much beyond its own points.
-            let beyond = if own.len() > 1 {
-                self.region.beyond.min(BEYOND_OF_SEVERAL)
-            } else {
-                self.region.beyond
-            };
-            let mut pieces: Vec<Piece> = own
-                .into_iter()
-                .map(|(piece, points)| self.finished(piece, &points, &block, beyond))
-                .collect();
-            let wants = self.wants(&block, excess, &mut pieces);
-            return (Grown::Cell(pieces, block.lo, block.hi), wants);
+        if dense && excess > self.habits.enough {
+            let axis = self.axis(&block, &own);
+            if !self.is_finest(&block, axis) {
+                return self.split(block, axis, [None; 2]);
+            }
         }
-        let at = 0.5 * (block.lo[axis] + block.hi[axis]);
-        self.split(block, axis, at, [None; 2])
+        // Of several sheets none says anything much beyond its own points.
+        let beyond = if own.len() > 1 {
+            self.region.beyond.min(BEYOND_OF_SEVERAL)
+        } else {
+            self.region.beyond
+        };
+        let pieces: Vec<Piece> = own
+            .into_iter()
+            .map(|(piece, points)| self.finished(piece, &points, &block, beyond))
+            .collect();
+        self.cell(block, pieces, excess)
+    }
+
+    fn is_finest(&self, block: &Block, axis: usize) -> bool {
+        block.hi[axis] - block.lo[axis] <= 0.5f64.powi(self.habits.most_halvings)
     }
 
     /// The two halves of a block.
-    fn split(&self, block: Block, axis: usize, at: f64, old: [Option<usize>; 2]) -> (Grown, Vec<Want>) {
+    fn split(&self, block: Block, axis: usize, old: [Option<usize>; 2]) -> Grown {
         let n = self.cloud.variables;
+        let at = 0.5 * (block.lo[axis] + block.hi[axis]);
         let half = |upper: bool| {
             let (mut lo, mut hi) = (block.lo.clone(), block.hi.clone());
             if upper {
@@ -408,17 +454,17 @@ impl Builder<'_> {
         };
         let (below, above) = (half(false), half(true));
         drop(block.points);
-        let ((below, mut wants), (above, more)) = if below.points.len() + above.points.len() > 500 {
+        let both = if below.points.len() + above.points.len() > 500 {
             join(|| self.grow(below, old[0]), || self.grow(above, old[1]))
         } else {
             (self.grow(below, old[0]), self.grow(above, old[1]))
         };
-        wants.extend(more);
-        (Grown::Split(axis, at, Box::new((below, above))), wants)
+        Grown::Split(axis, at, Box::new(both))
     }
 
-    /// A cell made before, if it was good enough and new points do not say otherwise.
-    fn kept(&self, block: &Block, before: &Before<'_>, cell: usize) -> Option<(Grown, Vec<Want>)> {
+    /// Pieces of a cell made before, if they were good enough and new points do not say otherwise; with their error over the one
+    /// asked for.
+    fn kept(&self, block: &Block, before: &Before<'_>, cell: usize) -> Option<(Vec<Piece>, f64)> {
         let own = &before.pieces.pieces[before.pieces.cells[cell].pieces.clone()];
         // A few points more make no better polynomial of one that is not good enough.
         let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
@@ -448,27 +494,25 @@ impl Builder<'_> {
         }
         let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);
         let excess = if own.is_empty() { f64::INFINITY } else { excess };
-        let mut own = own.to_vec();
-        let wants = self.wants(block, excess.max(surface), &mut own);
-        let grown = Grown::Cell(own, block.lo.clone(), block.hi.clone());
-        Some((grown, wants))
+        Some((own.to_vec(), excess.max(surface)))
     }
 
-    /// What may be missing in a cell. Where a sheet ends too early its pieces may err by as much as V would jump.
-    fn wants(&self, block: &Block, excess: f64, pieces: &mut [Piece]) -> Vec<Want> {
-        let (mut bare, jump) = self.ends(block, pieces);
-        for piece in pieces {
+    /// A cell, with what may be missing in it. Where a sheet ends too early its pieces may err by as much as V would jump.
+    fn cell(&self, block: Block, mut pieces: Vec<Piece>, excess: f64) -> Grown {
+        let (mut bare, jump) = self.ends(&block, &pieces);
+        for piece in &mut pieces {
             piece.bound = piece.bound.max(jump);
         }
-        bare.extend(self.bare_places(block));
-        vec![Want {
-            lo: block.lo.clone(),
-            hi: block.hi.clone(),
+        bare.extend(self.bare_places(&block));
+        let want = Want {
             excess: excess.max(jump / self.region.error),
             bare,
-            points: block.points.clone(),
-            dense: self.is_dense(block),
-        }]
+            lo: block.lo,
+            hi: block.hi,
+            points: block.points,
+            near: block.near,
+        };
+        Grown::Cell(pieces, want)
     }
 
     /// Points that determine a polynomial of the highest degree.
