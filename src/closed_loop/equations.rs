@@ -340,3 +340,14 @@ pub(super) fn set_chart(vector: &mut [f64], p: &[f64], hessian: &[f64]) {
         }
     }
 }
+
+/// p at s of a vector's chart, as [`set_chart`] has written it.
+pub(super) fn chart_of(vector: &[f64], n: usize) -> impl Iterator<Item = f64> {
+    (0..n).map(move |i| {
+        let entry = |j: usize| {
+            let (row, column) = (i.min(j), i.max(j));
+            vector[2 * n + row * n - row * (row + 1) / 2 + column]
+        };
+        vector[n + i] + (0..n).map(|j| entry(j) * vector[j]).sum::<f64>()
+    })
+}

@@ -1,10 +1,10 @@
 //! Trajectories of a batch under the law of a chart, each leg by leg from its start to its end.
 
 use super::charted::{Pilots, When, Wings};
-use super::equations::set_chart;
+use super::equations::{chart_of, set_chart};
 use super::fallback::{Rest, hold_here};
 use super::flights::Watch;
-use super::pace::{Course, Pace};
+use super::pace::{Course, End, Pace};
 use super::simulate::{Batch, Ground};
 use crate::backend::{BackendError, Status, Trajectories};
 use crate::model::Outside;
@@ -103,26 +103,37 @@ impl<'j, 'g> Journey<'j, 'g> {
         let judged: Vec<(usize, usize)> = (lanes.iter().copied().enumerate())
             .filter(|(_, i)| self.ground.pace.judges(&self.courses[*i]))
             .collect();
-        // Under the law in use, and under the chart's.
-        let (mut used, mut charted) = (Vec::new(), Vec::new());
+        // Under the law in use, under the chart's, and under that of the opposite p.
+        let n = self.ground.equations.states;
+        let mut laws = Vec::with_capacity(3 * judged.len() * dim);
+        let mut p_in_use = Vec::with_capacity(judged.len() * n);
         for &(j, i) in &judged {
             if let Some(answer) = self.pilots.asked.answer(j) {
-                let at = charted.len();
-                used.extend_from_slice(&self.batch.end[i * dim..][..dim]);
-                charted.extend_from_slice(&self.batch.end[i * dim..][..dim]);
-                set_chart(&mut charted[at..], answer.p, answer.hessian);
+                let end = &self.batch.end[i * dim..][..dim];
+                p_in_use.extend(chart_of(end, n));
+                let at = laws.len();
+                (0..3).for_each(|_| laws.extend_from_slice(end));
+                set_chart(&mut laws[at + dim..][..dim], answer.p, answer.hessian);
+                let opposite: Vec<f64> = answer.p.iter().map(|p| -p).collect();
+                set_chart(&mut laws[at + 2 * dim..], &opposite, answer.hessian);
             }
         }
-        let width = self.ground.equations.states + 1;
-        let (used, charted) = (judge.rates(&used, dim), judge.rates(&charted, dim));
-        let mut rates = used.chunks_exact(width).zip(charted.chunks_exact(width));
+        let rates = judge.rates(&laws, dim);
+        let mut ends = rates.chunks_exact(3 * (n + 1)).zip(p_in_use.chunks_exact(n));
         let mut bad = Vec::new();
         for (j, i) in judged {
             let course = &mut self.courses[i];
             let verdict = match self.pilots.asked.answer(j) {
                 Some(answer) => {
-                    let (used, charted) = rates.next().expect("one for each answer");
-                    judge.verdict(course, used, charted, answer.p)
+                    let (rates, p_in_use) = ends.next().expect("one for each answer");
+                    let end = End {
+                        in_use: &rates[..=n],
+                        charted: &rates[n + 1..][..=n],
+                        opposed: &rates[2 * (n + 1)..],
+                        p: answer.p,
+                        p_in_use,
+                    };
+                    judge.verdict(course, &end)
                 }
                 None => judge.failed(course),
             };

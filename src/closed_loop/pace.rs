@@ -8,6 +8,14 @@
 //! ```
 //!
 //! by which J grows faster than V falls. It is compared with the running cost, whose integral is V.
+//!
+//! Of controls at their bounds this says nothing: they may be the same at the end of a leg, and should have been others on the
+//! way. There p of the law in use, q, must be near the chart's: over the range of f under all controls, of which f under the
+//! controls of p and of -p is taken, the Hamiltonian must not differ by much,
+//!
+//! ```text
+//! sum over i of |q_i - p_i| |f_i(x, u(p)) - f_i(x, u(-p))|.
+//! ```
 
 use super::Setting;
 use super::charted::Clock;
@@ -19,6 +27,7 @@ use crate::model::{ClosedLoop, Horizon};
 const LOSS: f64 = 30.0;
 /// p errs with the square of the leg's length, and what is lost goes with the square of that.
 const ORDER: f64 = 4.0;
+const ORDER_OF_P: f64 = 2.0;
 /// A leg is so much shorter than would be just good enough.
 const SAFETY: f64 = 0.9;
 /// Changes of length from leg to leg.
@@ -53,6 +62,17 @@ pub(super) struct Judge {
 pub(super) struct Verdict {
     pub good: bool,
     pub length: f64,
+}
+
+/// What is known at the end of a leg.
+pub(super) struct End<'e> {
+    /// f and L under the law in use, under the chart's, and under the chart's with -p.
+    pub in_use: &'e [f64],
+    pub charted: &'e [f64],
+    pub opposed: &'e [f64],
+    /// The chart's p, and that of the law in use.
+    pub p: &'e [f64],
+    pub p_in_use: &'e [f64],
 }
 
 /// How a trajectory comes along.
@@ -145,18 +165,26 @@ impl Judge {
         self.rates.eval(vectors, dim)
     }
 
-    /// A leg at whose end these are the rates of the law in use and of the chart's, and p.
-    pub fn verdict(&self, course: &Course, in_use: &[f64], charted: &[f64], p: &[f64]) -> Verdict {
-        let n = p.len();
-        let hamiltonian = |rates: &[f64]| -> f64 { rates[n] + p.iter().zip(rates).map(|(p, f)| p * f).sum::<f64>() };
-        let lost = (hamiltonian(in_use) - hamiltonian(charted)) / (self.tolerance * (charted[n].abs() + self.floor));
+    /// A leg at whose end these are the laws.
+    pub fn verdict(&self, course: &Course, end: &End<'_>) -> Verdict {
+        let n = end.p.len();
+        let hamiltonian = |rates: &[f64]| -> f64 { rates[n] + end.p.iter().zip(rates).map(|(p, f)| p * f).sum::<f64>() };
+        let cost = end.charted[n].abs() + self.floor;
+        let lost = (hamiltonian(end.in_use) - hamiltonian(end.charted)) / (self.tolerance * cost);
+        let missed: f64 = (0..n)
+            .map(|i| (end.p_in_use[i] - end.p[i]).abs() * (end.charted[i] - end.opposed[i]).abs())
+            .sum();
+        let missed = missed / (std::env::var("TUNE").unwrap().parse::<f64>().unwrap() * self.tolerance.sqrt() * cost);
         let shortest = self.shortest(course);
         // What is not a number is not good.
-        let good = lost <= 1.0;
-        let change = if lost > 0.0 {
-            SAFETY * lost.powf(-1.0 / ORDER)
-        } else {
-            GROW
+        let good = lost <= 1.0 && missed <= 1.0;
+        let fitting = |excess: f64, order: f64| match excess > 0.0 {
+            true => SAFETY * excess.powf(-1.0 / order),
+            false => GROW,
+        };
+        let change = match lost.is_nan() || missed.is_nan() {
+            true => f64::NAN,
+            false => fitting(lost, ORDER).min(fitting(missed, ORDER_OF_P)),
         };
         let change = if change.is_nan() {
             SHRINK
@@ -220,10 +248,17 @@ mod tests {
             legs: PATIENCE + 1,
         };
         // The law in use costs 1 more than the chart's: by far too much, but it is not flown again.
-        let verdict = judge.verdict(&course, &[0.0, 2.0], &[0.0, 1.0], &[1.0]);
+        let end = End {
+            in_use: &[0.0, 2.0],
+            charted: &[0.0, 1.0],
+            opposed: &[0.0, 1.0],
+            p: &[1.0],
+            p_in_use: &[1.0],
+        };
+        let verdict = judge.verdict(&course, &end);
         assert!(verdict.good);
         assert_eq!(verdict.length, 4.0);
-        let verdict = judge.verdict(&Course { legs: 1, ..course }, &[0.0, 2.0], &[0.0, 1.0], &[1.0]);
+        let verdict = judge.verdict(&Course { legs: 1, ..course }, &end);
         assert!(!verdict.good);
         assert_eq!(verdict.length, 0.05);
     }

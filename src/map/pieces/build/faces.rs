@@ -6,10 +6,16 @@ use rayon::prelude::*;
 /// Places on a face, in shares of the cell's width along its other axes: its middle, and towards two opposite corners.
 const PLACES: [f64; 3] = [0.5, 0.15, 0.85];
 
+/// A cell whose only piece differs from that of a neighbour by more than the bounds of both.
+pub(super) struct Disagreement {
+    pub cell: usize,
+    pub beside: usize,
+    /// By how much, relative to the larger one of V and the floor.
+    pub off: f64,
+}
+
 impl Pieces {
-    /// Cells whose only piece differs from that of a neighbour by more than the bounds of both, and by how much, relative to
-    /// the larger one of V and the floor.
-    pub(super) fn disagreements(&self) -> Vec<(usize, f64)> {
+    pub(super) fn disagreements(&self) -> Vec<Disagreement> {
         let n = self.states();
         let alone = |cell: usize| {
             let own = self.cells[cell].pieces.clone();
@@ -36,8 +42,9 @@ impl Pieces {
                         };
                         // One that is in error anyway is to blame before one that is not.
                         let [own, its] = [piece, other].map(|k| self.pieces[k].bound > self.region.error);
-                        met.extend((own || !its).then_some((cell, off)));
-                        met.extend((its || !own).then_some((beside, off)));
+                        let of = |cell: usize, beside: usize| Disagreement { cell, beside, off };
+                        met.extend((own || !its).then(|| of(cell, beside)));
+                        met.extend((its || !own).then(|| of(beside, cell)));
                     }
                 }
                 met

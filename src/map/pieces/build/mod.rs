@@ -10,8 +10,10 @@ mod tracks;
 use super::fit::{Data, Shape};
 use super::terms::Terms;
 use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree};
+use faces::Disagreement;
 use rayon::join;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Points as far outside a cell as this share of its half width are fitted too.
 const FIT: f64 = 0.3;
@@ -33,6 +35,8 @@ const REACH: f64 = 1.25;
 const BESIDE: f64 = 0.8;
 /// How far beyond their points pieces of several sheets in one cell say something, in half widths.
 const BEYOND_OF_SEVERAL: f64 = 0.05;
+/// Points of neighbours are fitted where they are nearer to a cell that disagrees with them than this share of its half width.
+const ANCHORED: f64 = 2.0;
 /// Times that cells which disagree with their neighbours are halved at once.
 const HALVINGS_APART: usize = 3;
 /// Share of new points at which a cell in error is fitted again.
@@ -292,7 +296,7 @@ impl<'c> Builder<'c> {
             return made;
         }
         for _ in 0..halvings {
-            let mut apart: Vec<usize> = made.pieces.disagreements().into_iter().map(|(cell, _)| cell).collect();
+            let mut apart: Vec<usize> = made.pieces.disagreements().iter().map(|d| d.cell).collect();
             apart.sort_unstable();
             apart.dedup();
             match self.halved(made, &apart) {
@@ -303,13 +307,63 @@ impl<'c> Builder<'c> {
                 }
             }
         }
+        self.reconcile(&mut made);
         made.pieces.label();
-        for (cell, disagreement) in made.pieces.disagreements() {
-            made.pieces.raise(cell, disagreement);
+        for Disagreement { cell, off, .. } in made.pieces.disagreements() {
+            made.pieces.raise(cell, off);
             let excess = &mut made.wants[cell].excess;
-            *excess = excess.max(disagreement / self.region.error);
+            *excess = excess.max(off / self.region.error);
         }
         made
+    }
+
+    /// Fits the pieces of cells that disagree with their neighbours again, to the points of these too: where all points of a cell
+    /// lie in a corner, its polynomial is anything in the others.
+    fn reconcile(&self, made: &mut Built) {
+        let mut beside: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for disagreement in made.pieces.disagreements() {
+            beside.entry(disagreement.cell).or_default().push(disagreement.beside);
+        }
+        let both = &*made;
+        let refitted: Vec<(usize, Piece)> = (beside.par_iter())
+            .filter_map(|(cell, beside)| Some((*cell, self.reconciled(both, *cell, beside)?)))
+            .collect();
+        for (cell, piece) in refitted {
+            let first = made.pieces.cells[cell].pieces.start;
+            made.pieces.pieces[first] = piece;
+        }
+    }
+
+    /// A cell's piece, fitted to points of some of its neighbours too; if it errs no more for that.
+    fn reconciled(&self, made: &Built, cell: usize, beside: &[usize]) -> Option<Piece> {
+        let want = &made.wants[cell];
+        let near = |k: &u32| {
+            let z = self.cloud.z(*k as usize);
+            (z.iter().zip(want.lo.iter().zip(&want.hi))).all(|(z, (lo, hi))| {
+                let margin = 0.5 * ANCHORED * (hi - lo);
+                (lo - margin..=hi + margin).contains(z)
+            })
+        };
+        let mut theirs: Vec<u32> = (beside.iter())
+            .flat_map(|other| made.wants[*other].points.iter().copied().filter(near))
+            .collect();
+        theirs.sort_unstable();
+        theirs.dedup();
+        let own = &want.points;
+        let mut points = thinned(&theirs, own.len());
+        points.extend(own);
+        points.sort_unstable();
+        points.dedup();
+        let block = Block {
+            lo: want.lo.clone(),
+            hi: want.hi.clone(),
+            points: Vec::new(),
+            near: want.near,
+        };
+        let (piece, _) = self.of_group(&block, &points, false)?;
+        let piece = self.finished(piece, own, &block, self.region.beyond);
+        let before = made.pieces.pieces[made.pieces.cells[cell].pieces.start].bound;
+        (piece.bound <= before.max(self.region.error)).then_some(piece)
     }
 
     fn nothing(&self) -> Built {
