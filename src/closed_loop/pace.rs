@@ -25,6 +25,9 @@ use crate::model::{ClosedLoop, Horizon};
 
 /// What is lost may be so many times `rtol` of the running cost: what is promised for V.
 const LOSS: f64 = 30.0;
+/// What p is off by may change the Hamiltonian, over the range of f, by so many times the root of `rtol` of the running cost: what
+/// is lost goes with the square of it.
+const MISS: f64 = 100.0;
 /// p errs with the square of the leg's length, and what is lost goes with the square of that.
 const ORDER: f64 = 4.0;
 const ORDER_OF_P: f64 = 2.0;
@@ -52,6 +55,7 @@ pub(super) struct Judge {
     /// f and L.
     rates: Evaluator,
     tolerance: f64,
+    tolerance_of_p: f64,
     /// Running cost that counts as none.
     floor: f64,
     final_time: f64,
@@ -138,6 +142,7 @@ impl Judge {
         Self {
             rates: Evaluator::new(&equations.rates()),
             tolerance: LOSS * rtol,
+            tolerance_of_p: MISS * rtol.sqrt(),
             floor: rtol * setting.value_scale / scene.final_time,
             final_time: scene.final_time,
             interval: scene.interval(),
@@ -168,13 +173,14 @@ impl Judge {
     /// A leg at whose end these are the laws.
     pub fn verdict(&self, course: &Course, end: &End<'_>) -> Verdict {
         let n = end.p.len();
-        let hamiltonian = |rates: &[f64]| -> f64 { rates[n] + end.p.iter().zip(rates).map(|(p, f)| p * f).sum::<f64>() };
+        let hamiltonian =
+            |rates: &[f64]| -> f64 { rates[n] + end.p.iter().zip(rates).map(|(p, f)| p * f).sum::<f64>() };
         let cost = end.charted[n].abs() + self.floor;
         let lost = (hamiltonian(end.in_use) - hamiltonian(end.charted)) / (self.tolerance * cost);
         let missed: f64 = (0..n)
             .map(|i| (end.p_in_use[i] - end.p[i]).abs() * (end.charted[i] - end.opposed[i]).abs())
             .sum();
-        let missed = missed / (std::env::var("TUNE").unwrap().parse::<f64>().unwrap() * self.tolerance.sqrt() * cost);
+        let missed = missed / (self.tolerance_of_p * cost);
         let shortest = self.shortest(course);
         // What is not a number is not good.
         let good = lost <= 1.0 && missed <= 1.0;
@@ -235,6 +241,7 @@ mod tests {
         let judge = Judge {
             rates: Evaluator::new(&Program::lower(&graph, &[x], &[x, x])),
             tolerance: 1e-5,
+            tolerance_of_p: 0.1,
             floor: 1e-9,
             final_time: 8.0,
             interval: 4.0,
@@ -261,5 +268,46 @@ mod tests {
         let verdict = judge.verdict(&Course { legs: 1, ..course }, &end);
         assert!(!verdict.good);
         assert_eq!(verdict.length, 0.05);
+    }
+
+    /// A control at its bound at the end may have been at another on the way, if p of the law in use is far from the chart's.
+    #[test]
+    fn p_is_judged_where_controls_are_at_their_bounds() {
+        let mut graph = Graph::default();
+        let x = graph.symbol("x", Kind::State);
+        let judge = Judge {
+            rates: Evaluator::new(&Program::lower(&graph, &[x], &[x, x])),
+            tolerance: 1e-5,
+            tolerance_of_p: 0.1,
+            floor: 1e-9,
+            final_time: 8.0,
+            interval: 4.0,
+        };
+        let course = Course {
+            t: 0.0,
+            sample: 1,
+            length: 0.5,
+            wanted: 0.5,
+            charted: true,
+            legs: 1,
+        };
+        // x' = u between -1 and 1, u = -1 under both laws, L = 2.
+        let end = |p_in_use: f64| {
+            let p_in_use = [p_in_use];
+            let end = End {
+                in_use: &[-1.0, 2.0],
+                charted: &[-1.0, 2.0],
+                opposed: &[1.0, 2.0],
+                p: &[3.0],
+                p_in_use: &p_in_use,
+            };
+            judge.verdict(&course, &end)
+        };
+        let near = end(3.025);
+        assert!(near.good);
+        assert!((near.length / 0.5 - SAFETY * 2.0).abs() < 1e-9, "{}", near.length);
+        let far = end(5.0);
+        assert!(!far.good);
+        assert!(far.length < 0.25 * 0.5);
     }
 }

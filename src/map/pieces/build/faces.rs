@@ -1,29 +1,33 @@
 //! Where two cells meet their polynomials say the same, or one of them errs by what they differ.
 
 use super::super::{MOST_VARIABLES, Pieces};
+use super::{Builder, Built};
 use rayon::prelude::*;
 
 /// Places on a face, in shares of the cell's width along its other axes: its middle, and towards two opposite corners.
 const PLACES: [f64; 3] = [0.5, 0.15, 0.85];
 
-/// A cell whose only piece differs from that of a neighbour by more than the bounds of both.
+/// One of two is right, and the other wrong, where it is so many times nearer to what the nearest point says.
+const CLEARLY: f64 = 5.0;
+
+/// Two cells whose only pieces differ by more than their bounds where they meet.
+#[derive(Clone, Copy)]
 pub(super) struct Disagreement {
-    pub cell: usize,
-    pub beside: usize,
-    /// By how much, relative to the larger one of V and the floor.
+    pub cells: [usize; 2],
+    /// Where, in coordinates of the frame.
+    pub z: [f64; MOST_VARIABLES],
+    /// V said by each.
+    pub v: [f64; 2],
+    /// By how much they differ, relative to the larger one of V and the floor.
     pub off: f64,
 }
 
 impl Pieces {
     pub(super) fn disagreements(&self) -> Vec<Disagreement> {
         let n = self.states();
-        let alone = |cell: usize| {
-            let own = self.cells[cell].pieces.clone();
-            (own.len() == 1).then_some(own.start)
-        };
         (0..self.cells.len())
             .into_par_iter()
-            .filter_map(|cell| Some((cell, alone(cell)?)))
+            .filter_map(|cell| Some((cell, self.alone(cell)?)))
             .flat_map_iter(|(cell, piece)| {
                 let mut met = Vec::new();
                 for face in 0..2 * n {
@@ -36,20 +40,24 @@ impl Pieces {
                         if face % 2 == 0 && self.are_level(cell, beside, face / 2) {
                             continue;
                         }
-                        let Some(other) = alone(beside) else { continue };
-                        let Some(off) = self.difference(piece, other, &z[..n]) else {
-                            continue;
-                        };
-                        // One that is in error anyway is to blame before one that is not.
-                        let [own, its] = [piece, other].map(|k| self.pieces[k].bound > self.region.error);
-                        let of = |cell: usize, beside: usize| Disagreement { cell, beside, off };
-                        met.extend((own || !its).then(|| of(cell, beside)));
-                        met.extend((its || !own).then(|| of(beside, cell)));
+                        let Some(other) = self.alone(beside) else { continue };
+                        met.extend(self.difference(piece, other, &z[..n]).map(|(v, off)| Disagreement {
+                            cells: [cell, beside],
+                            z,
+                            v,
+                            off,
+                        }));
                     }
                 }
                 met
             })
             .collect()
+    }
+
+    /// The only piece of a cell.
+    pub(super) fn alone(&self, cell: usize) -> Option<usize> {
+        let own = self.cells[cell].pieces.clone();
+        (own.len() == 1).then_some(own.start)
     }
 
     /// Whether two cells have the same extent along all axes but one.
@@ -75,12 +83,12 @@ impl Pieces {
         inside.then_some(z)
     }
 
-    /// By how much two pieces differ at a place, relative to V, if it is more than their bounds.
-    fn difference(&self, a: usize, b: usize, z: &[f64]) -> Option<f64> {
+    /// What two pieces say at a place, and by how much they differ, relative to V, if it is more than their bounds.
+    fn difference(&self, a: usize, b: usize, z: &[f64]) -> Option<([f64; 2], f64)> {
         let (a, b) = (self.told(a, z)?, self.told(b, z)?);
         let off = (a.v - b.v).abs();
         let size = a.v.abs().min(b.v.abs()).max(self.region.floor);
-        (off > a.v_bound + b.v_bound).then_some(off / size)
+        (off > a.v_bound + b.v_bound).then_some(([a.v, b.v], off / size))
     }
 
     /// Makes the bounds of a cell's pieces no less than `bound`.
@@ -91,5 +99,44 @@ impl Pieces {
                 piece.bound = bound;
             }
         }
+    }
+}
+
+impl Builder<'_> {
+    /// Cells to blame for disagreements, each with what these are.
+    pub(super) fn blamed(&self, made: &Built) -> Vec<(usize, Disagreement)> {
+        (made.pieces.disagreements().into_par_iter())
+            .flat_map_iter(|disagreement| {
+                let guilty = self.guilty(made, &disagreement);
+                let of = |k: usize| guilty[k].then_some((disagreement.cells[k], disagreement));
+                [of(0), of(1)].into_iter().flatten()
+            })
+            .collect()
+    }
+
+    /// Which of two cells that disagree errs: one that is in error anyway; else one that contradicts the nearest point; else both.
+    fn guilty(&self, made: &Built, disagreement: &Disagreement) -> [bool; 2] {
+        let Disagreement { cells, z, v, .. } = disagreement;
+        let pieces = &made.pieces;
+        let in_error =
+            cells.map(|cell| (pieces.alone(cell)).is_some_and(|k| pieces.pieces[k].bound > self.region.error));
+        if in_error[0] != in_error[1] {
+            return in_error;
+        }
+        let n = self.cloud.variables;
+        let (lo, hi) = (&pieces.cells[cells[0]].lo, &pieces.cells[cells[0]].hi);
+        let away = |k: &u32| -> f64 {
+            let at = self.cloud.z(*k as usize);
+            (0..n).map(|i| ((at[i] - z[i]) / (hi[i] - lo[i])).powi(2)).sum()
+        };
+        let points = cells.iter().flat_map(|cell| &made.wants[*cell].points);
+        let Some(nearest) = points.min_by(|a, b| away(a).total_cmp(&away(b))) else {
+            return [true; 2];
+        };
+        let k = *nearest as usize;
+        let (at, q) = (self.cloud.z(k), self.cloud.q(k));
+        let there = self.cloud.v[k] + (0..n).map(|i| q[i] * (z[i] - at[i])).sum::<f64>();
+        let [one, other] = v.map(|v| (v - there).abs());
+        [one * CLEARLY >= other, other * CLEARLY >= one]
     }
 }

@@ -10,7 +10,6 @@ mod tracks;
 use super::fit::{Data, Shape};
 use super::terms::Terms;
 use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree};
-use faces::Disagreement;
 use rayon::join;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -296,7 +295,7 @@ impl<'c> Builder<'c> {
             return made;
         }
         for _ in 0..halvings {
-            let mut apart: Vec<usize> = made.pieces.disagreements().iter().map(|d| d.cell).collect();
+            let mut apart: Vec<usize> = self.blamed(&made).iter().map(|(cell, _)| *cell).collect();
             apart.sort_unstable();
             apart.dedup();
             match self.halved(made, &apart) {
@@ -309,10 +308,10 @@ impl<'c> Builder<'c> {
         }
         self.reconcile(&mut made);
         made.pieces.label();
-        for Disagreement { cell, off, .. } in made.pieces.disagreements() {
-            made.pieces.raise(cell, off);
+        for (cell, disagreement) in self.blamed(&made) {
+            made.pieces.raise(cell, disagreement.off);
             let excess = &mut made.wants[cell].excess;
-            *excess = excess.max(off / self.region.error);
+            *excess = excess.max(disagreement.off / self.region.error);
         }
         made
     }
@@ -321,8 +320,9 @@ impl<'c> Builder<'c> {
     /// lie in a corner, its polynomial is anything in the others.
     fn reconcile(&self, made: &mut Built) {
         let mut beside: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-        for disagreement in made.pieces.disagreements() {
-            beside.entry(disagreement.cell).or_default().push(disagreement.beside);
+        for (cell, disagreement) in self.blamed(made) {
+            let other = disagreement.cells.into_iter().find(|other| *other != cell);
+            beside.entry(cell).or_default().extend(other);
         }
         let both = &*made;
         let refitted: Vec<(usize, Piece)> = (beside.par_iter())
