@@ -108,16 +108,7 @@ impl Work<'_, '_> {
                 cloud.add(&frame, (&x, &p), self.points.v[k], (track, sheet));
             }
         }
-            eprintln!(
-                "beyond {} points of {}, {:.1} s",
-                cloud.len(),
-                self.points.len(),
-                self.clock.elapsed().as_secs_f64()
-            );
-        }
         let mut pieces = build_around(&cloud, &outer, &frame, region);
-            eprintln!("built {:.1} s", self.clock.elapsed().as_secs_f64());
-        }
         let check = (met.iter())
             .map(|(x, v)| Checked::of(x, (PointStatus::Converged, *v), pieces.at(x).as_ref()))
             .collect();
