@@ -55,7 +55,7 @@ pub(super) struct Judged {
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// A number from 0 to 1 of which close arguments tell nothing.
-fn mixed(mut z: u64) -> f64 {
+pub(super) fn mixed(mut z: u64) -> f64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64

@@ -1,5 +1,6 @@
 //! Pieces built and states asked for in turns; the frame of their coordinates.
 
+use super::check::mixed;
 use super::{BETTER, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Before, Frame, Pieces, Region, Steep, Want, build};
@@ -11,6 +12,8 @@ const BEFORE_CLOSING: f64 = 0.88;
 const ALL_BUT: f64 = 0.97;
 /// Failures in a cell after which no more states are tried there.
 const MOST_FAILURES: u32 = 6;
+/// Points that a frame is fitted to, about; more of them are drawn by lot.
+const MOST_PLACES: usize = 200_000;
 /// States solved after which the frame stays.
 const SETTLED: usize = 3000;
 
@@ -89,7 +92,8 @@ impl Work<'_, '_> {
         let mut counts: HashMap<Vec<u8>, f64> = HashMap::new();
         let mut places = Vec::new();
         let mut boxes = Vec::new();
-        for k in 0..self.points.len() {
+        let share = MOST_PLACES as f64 / self.points.len().max(1) as f64;
+        for k in (0..self.points.len()).filter(|k| mixed(*k as u64) < share) {
             let (x, p) = self.coordinates(k);
             let t: Vec<f64> = (0..n).map(|i| (x[i] - region.lo[i]) / region.width(i)).collect();
             if !t.iter().all(|t| (0.0..=1.0).contains(t)) || without.is_some_and(|part| part.covers(&x)) {
