@@ -107,6 +107,7 @@ impl<'j, 'g> Journey<'j, 'g> {
         let n = self.ground.equations.states;
         let mut laws = Vec::with_capacity(3 * judged.len() * dim);
         let mut p_in_use = Vec::with_capacity(judged.len() * n);
+        let mut opposite = vec![0.0; n];
         for &(j, i) in &judged {
             if let Some(answer) = self.pilots.asked.answer(j) {
                 let end = &self.batch.end[i * dim..][..dim];
@@ -114,7 +115,7 @@ impl<'j, 'g> Journey<'j, 'g> {
                 let at = laws.len();
                 (0..3).for_each(|_| laws.extend_from_slice(end));
                 set_chart(&mut laws[at + dim..][..dim], answer.p, answer.hessian);
-                let opposite: Vec<f64> = answer.p.iter().map(|p| -p).collect();
+                opposite.iter_mut().zip(answer.p).for_each(|(o, p)| *o = -p);
                 set_chart(&mut laws[at + 2 * dim..], &opposite, answer.hessian);
             }
         }

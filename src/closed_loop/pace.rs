@@ -233,46 +233,8 @@ mod tests {
     use crate::expr::{Graph, Kind};
     use crate::program::Program;
 
-    /// A trajectory that slides has legs of a sample's interval, also where that is longer than all others.
-    #[test]
-    fn few_samples_make_no_leg_impossible() {
-        let mut graph = Graph::default();
-        let x = graph.symbol("x", Kind::State);
-        let judge = Judge {
-            rates: Evaluator::new(&Program::lower(&graph, &[x], &[x, x])),
-            tolerance: 1e-5,
-            tolerance_of_p: 0.1,
-            floor: 1e-9,
-            final_time: 8.0,
-            interval: 4.0,
-        };
-        let course = Course {
-            t: 0.0,
-            sample: 1,
-            length: 0.5,
-            wanted: 0.5,
-            charted: true,
-            legs: PATIENCE + 1,
-        };
-        // The law in use costs 1 more than the chart's: by far too much, but it is not flown again.
-        let end = End {
-            in_use: &[0.0, 2.0],
-            charted: &[0.0, 1.0],
-            opposed: &[0.0, 1.0],
-            p: &[1.0],
-            p_in_use: &[1.0],
-        };
-        let verdict = judge.verdict(&course, &end);
-        assert!(verdict.good);
-        assert_eq!(verdict.length, 4.0);
-        let verdict = judge.verdict(&Course { legs: 1, ..course }, &end);
-        assert!(!verdict.good);
-        assert_eq!(verdict.length, 0.05);
-    }
-
-    /// A control at its bound at the end may have been at another on the way, if p of the law in use is far from the chart's.
-    #[test]
-    fn p_is_judged_where_controls_are_at_their_bounds() {
+    /// A judge of a problem to t = 8 in samples of 4, and a leg of 0.5 from its start.
+    fn setting() -> (Judge, Course) {
         let mut graph = Graph::default();
         let x = graph.symbol("x", Kind::State);
         let judge = Judge {
@@ -291,6 +253,37 @@ mod tests {
             charted: true,
             legs: 1,
         };
+        (judge, course)
+    }
+
+    /// A trajectory that slides has legs of a sample's interval, also where that is longer than all others.
+    #[test]
+    fn few_samples_make_no_leg_impossible() {
+        let (judge, course) = setting();
+        // The law in use costs 1 more than the chart's: by far too much, but it is not flown again.
+        let end = End {
+            in_use: &[0.0, 2.0],
+            charted: &[0.0, 1.0],
+            opposed: &[0.0, 1.0],
+            p: &[1.0],
+            p_in_use: &[1.0],
+        };
+        let sliding = Course {
+            legs: PATIENCE + 1,
+            ..course
+        };
+        let verdict = judge.verdict(&sliding, &end);
+        assert!(verdict.good);
+        assert_eq!(verdict.length, 4.0);
+        let verdict = judge.verdict(&course, &end);
+        assert!(!verdict.good);
+        assert_eq!(verdict.length, 0.05);
+    }
+
+    /// A control at its bound at the end may have been at another on the way, if p of the law in use is far from the chart's.
+    #[test]
+    fn p_is_judged_where_controls_are_at_their_bounds() {
+        let (judge, course) = setting();
         // x' = u between -1 and 1, u = -1 under both laws, L = 2.
         let end = |p_in_use: f64| {
             let p_in_use = [p_in_use];

@@ -6,7 +6,6 @@ use rayon::prelude::*;
 
 /// Places on a face, in shares of the cell's width along its other axes: its middle, and towards two opposite corners.
 const PLACES: [f64; 3] = [0.5, 0.15, 0.85];
-
 /// One of two is right, and the other wrong, where it is so many times nearer to what the nearest point says.
 const CLEARLY: f64 = 5.0;
 
@@ -23,6 +22,7 @@ pub(super) struct Disagreement {
 }
 
 impl Pieces {
+    /// Where cells of one piece disagree with their neighbours.
     pub(super) fn disagreements(&self) -> Vec<Disagreement> {
         let n = self.states();
         (0..self.cells.len())

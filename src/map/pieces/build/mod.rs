@@ -403,15 +403,15 @@ impl<'c> Builder<'c> {
     /// What grows in the halves of a cell, if they have points enough.
     fn halves(&self, made: &Built, cell: usize) -> Option<Grown> {
         let want = &made.wants[cell];
+        if !self.is_dense(want.near) {
+            return None;
+        }
         let block = Block {
             lo: want.lo.clone(),
             hi: want.hi.clone(),
             points: want.points.clone(),
             near: want.near,
         };
-        if !self.is_dense(&block) {
-            return None;
-        }
         let own = made.pieces.pieces[made.pieces.cells[cell].pieces.clone()].iter();
         let own: Vec<_> = own.map(|piece| (piece.clone(), block.points.clone())).collect();
         let axis = self.axis(&block, &own);
@@ -439,7 +439,7 @@ impl<'c> Builder<'c> {
                 }
             }
         }
-        let dense = self.is_dense(&block);
+        let dense = self.is_dense(block.near);
         let (own, excess) = self.fitted(&block, dense);
         if dense && excess > self.habits.enough {
             let axis = self.axis(&block, &own);
@@ -524,7 +524,7 @@ impl<'c> Builder<'c> {
         let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
         let untouched = more == 0
             || (!self.leaves_quarters()
-                && !self.is_dense(block)
+                && !self.is_dense(block.near)
                 && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
         let surface = self.excess_of_surface(block, own);
@@ -574,9 +574,9 @@ impl<'c> Builder<'c> {
         LEAST_EQUATIONS * self.terms.upto[self.highest] as f64 / (self.cloud.variables + 1) as f64 / self.habits.learned
     }
 
-    /// Whether the halves of a block have points enough for polynomials of their own, of the highest degree.
-    fn is_dense(&self, block: &Block) -> bool {
-        block.near as f64 > 2.0 * self.least()
+    /// Whether the halves of a block with so many points near have enough for polynomials of their own, of the highest degree.
+    fn is_dense(&self, near: usize) -> bool {
+        near as f64 > 2.0 * self.least()
     }
 
     fn leaves_quarters(&self) -> bool {
