@@ -12,7 +12,7 @@ const BEFORE_CLOSING: f64 = 0.88;
 const ALL_BUT: f64 = 0.97;
 /// Failures in a cell after which no more states are tried there.
 const MOST_FAILURES: u32 = 6;
-/// Points that a frame is fitted to, about; more of them are drawn by lot.
+/// Points that a frame is fitted to, about; from the fullest parts of the region they are drawn by lot.
 const MOST_PLACES: usize = 200_000;
 /// States solved after which the frame stays.
 const SETTLED: usize = 3000;
@@ -89,18 +89,30 @@ impl Work<'_, '_> {
     pub(super) fn steep_places(&self, region: &Region, without: Option<&Region>) -> Vec<Steep> {
         let n = self.cloud.variables;
         let a_side = if n <= 4 { 8.0 } else { 4.0 };
-        let mut counts: HashMap<Vec<u8>, f64> = HashMap::new();
-        let mut places = Vec::new();
-        let mut boxes = Vec::new();
-        let share = MOST_PLACES as f64 / self.points.len().max(1) as f64;
-        for k in (0..self.points.len()).filter(|k| mixed(*k as u64) < share) {
+        let place = |k: usize| {
             let (x, p) = self.coordinates(k);
             let t: Vec<f64> = (0..n).map(|i| (x[i] - region.lo[i]) / region.width(i)).collect();
-            if !t.iter().all(|t| (0.0..=1.0).contains(t)) || without.is_some_and(|part| part.covers(&x)) {
+            let inside = t.iter().all(|t| (0.0..=1.0).contains(t)) && !without.is_some_and(|part| part.covers(&x));
+            let part: Vec<u8> = t.iter().map(|t| (t * a_side) as u8).collect();
+            inside.then_some((t, p, part))
+        };
+
+        let mut points: HashMap<Vec<u8>, usize> = HashMap::new();
+        for (_, _, part) in (0..self.points.len()).filter_map(place) {
+            *points.entry(part).or_default() += 1;
+        }
+        // A lot for all points alike would leave the parts with few of them to chance, and they weigh as much as the others.
+        let most = MOST_PLACES / points.len().max(1);
+
+        let mut drawn: HashMap<Vec<u8>, f64> = HashMap::new();
+        let mut places = Vec::new();
+        let mut boxes = Vec::new();
+        for k in 0..self.points.len() {
+            let Some((t, p, part)) = place(k) else { continue };
+            if mixed(k as u64) * points[&part] as f64 > most as f64 {
                 continue;
             }
-            let part: Vec<u8> = t.iter().map(|t| (t * a_side) as u8).collect();
-            *counts.entry(part.clone()).or_default() += 1.0;
+            *drawn.entry(part.clone()).or_default() += 1.0;
             boxes.push(part);
             let size = self.points.v[k].abs().max(region.floor);
             places.push(Steep {
@@ -110,7 +122,7 @@ impl Work<'_, '_> {
             });
         }
         for (place, part) in places.iter_mut().zip(&boxes) {
-            place.weight = 1.0 / (counts[part] * counts.len() as f64);
+            place.weight = 1.0 / (drawn[part] * drawn.len() as f64);
         }
         places
     }
