@@ -41,10 +41,13 @@ impl Builder<'_> {
                     continue;
                 }
                 let each: Option<Vec<_>> = groups.iter().map(|g| self.of_group(block, g, can_be_halved)).collect();
-                let Some(each) = each else { continue };
+                let Some(mut each) = each else { continue };
                 let worst = each.iter().map(|(_, e)| *e).fold(0.0, f64::max);
-                if !self.is_supported(block, &each, &groups) {
+                let Some(lower) = self.lower_without_points(block, &each, &groups) else {
                     continue;
+                };
+                for ((piece, _), lower) in each.iter_mut().zip(lower) {
+                    piece.bound = piece.bound.max(lower);
                 }
                 // Where two cost the same they may have to be known better than elsewhere.
                 let surface = self.excess_of_unfinished(block, &each, &groups);
@@ -115,8 +118,10 @@ impl Builder<'_> {
         Some(groups.into())
     }
 
-    /// Whether no sheet says that it is lower than another where it has no points of its own.
-    fn is_supported(&self, block: &Block, each: &[(Piece, f64)], groups: &[Vec<u32>]) -> bool {
+    /// By how much each sheet says, at most, that it is lower than another where it has no points of its own, relative to V;
+    /// `None` if that is more than the error asked for.
+    fn lower_without_points(&self, block: &Block, each: &[(Piece, f64)], groups: &[Vec<u32>]) -> Option<Vec<f64>> {
+        let mut lower = vec![0.0f64; each.len()];
         let n = self.cloud.variables;
         let far = |k: u32, l: u32| -> f64 {
             let (a, b) = (self.cloud.z(k as usize), self.cloud.z(l as usize));
@@ -135,15 +140,19 @@ impl Builder<'_> {
                     let y: Vec<f64> = (0..n).map(|i| (z[i] - piece.center[i]) / piece.half[i]).collect();
                     let mut gradient = [0.0; MOST_VARIABLES];
                     let (said, _) = piece.shape.back(self.terms.sum(&piece.coefficients, &y, &mut gradient));
-                    let lower = said < v - self.region.error * v.abs().max(self.region.floor);
+                    let by = (v - said) / v.abs().max(self.region.floor);
                     let near = |l: &u32| far(k, *l) < 0.25 * NEAR_PAIR * NEAR_PAIR;
-                    if lower && !groups[other].iter().any(near) {
-                        return false;
+                    if by <= lower[other] || groups[other].iter().any(near) {
+                        continue;
                     }
+                    if by > self.region.error {
+                        return None;
+                    }
+                    lower[other] = by;
                 }
             }
         }
-        true
+        Some(lower)
     }
 
     /// Whether gradients jump between groups where they are near each other: those of a smooth function that was cut in two

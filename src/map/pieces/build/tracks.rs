@@ -10,7 +10,7 @@ const DEGREES: usize = 3;
 /// The most that one error counts in the choice of an axis.
 const WORST: f64 = 1e6;
 /// No bound is below this share of the error asked for: so few points do not tell.
-const LEAST_BOUND: f64 = 0.1;
+const LEAST_BOUND: f64 = 0.3;
 /// The bound of a piece without points on one side is so many times larger.
 const AT_EDGES: f64 = 2.0;
 
