@@ -3,7 +3,7 @@
 //! `cargo bench --bench kernels` (a GPU adapter, software included, is benched where there is one). Throughput is in
 //! right-hand sides, attempted steps and trajectories a second.
 
-use costate::backend::cpu::{Cpu, map::Evaluator};
+use costate::backend::cpu::{Cpu, Evaluator};
 use costate::backend::gpu::{Gpu, Selection};
 use costate::backend::{Backend, BackendError, By, Run, Spec};
 use costate::hamiltonian::{Hamiltonian, System};

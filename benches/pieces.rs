@@ -9,7 +9,7 @@ use costate::hamiltonian::Hamiltonian;
 use costate::map::ValueMap;
 use costate::map::pieces::Region;
 use costate::model::{Model, Outside};
-use costate::output::Stored;
+use costate::result::Stored;
 use costate::sweep::Choices;
 use rayon::prelude::*;
 use std::path::PathBuf;
@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         None => made()?,
     };
     let stored = Stored::open(&file)?;
-    let map = ValueMap::new(&stored)?;
+    let map = stored.value_map()?;
     let Some(pieces) = stored.map_pieces()? else {
         println!("{} holds no map in pieces", file.display());
         return Ok(());

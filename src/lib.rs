@@ -37,27 +37,30 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Writing the blocks to HDF5 is [`output`]'s; the program around it all is [`cli`].
+//! Writing the blocks to HDF5 is [`result`]'s; the program around it all is [`cli`].
 pub mod attenuation;
 pub mod backend;
 pub mod bench;
 pub mod cli;
 pub mod closed_loop;
-pub(crate) mod digits;
+pub mod diagnostics;
 pub mod dynamic_programming;
 pub mod expr;
 pub mod feedback;
+pub mod files;
 pub mod hamiltonian;
+pub mod hdf5;
 pub mod integrator;
 pub mod local;
 pub mod map;
 pub mod model;
-pub mod output;
+pub mod numeric;
 pub mod program;
-pub(crate) mod quantile;
 pub mod report;
+pub mod result;
 pub mod scenario;
 pub mod shooting;
 pub mod study;
 pub mod sweep;
+pub mod trajectories;
 pub mod value;

@@ -1,13 +1,14 @@
 //! A study: the optimal trajectory from one state for several values of a scene's parameters.
 
 use crate::backend::{Backend, BackendError};
+use crate::diagnostics::ScenarioErrors;
 use crate::expr::Id;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Extremum, Model, Record};
-use crate::output::TrajectoryBlock;
 use crate::program::Program;
-use crate::scenario::{self, ScenarioErrors};
+use crate::scenario;
 use crate::sweep::{Choices, PlanError};
+use crate::trajectories::TrajectoryBlock;
 use crate::value::{self, Grid, PointStatus, StatesError};
 use std::collections::HashMap;
 
@@ -98,7 +99,7 @@ fn variant(
     };
     let overrides = [model.overrides.as_slice(), set].concat();
     let model = scenario::parse(&model.text, &model.file_name, &overrides).map_err(scene)?;
-    let hamiltonian = Hamiltonian::derive(&model).map_err(|p| scene(ScenarioErrors::new(&model, p)))?;
+    let hamiltonian = Hamiltonian::derive(&model).map_err(|p| scene(model.errors(p)))?;
     let asked = model
         .study
         .as_ref()

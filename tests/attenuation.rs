@@ -6,7 +6,7 @@ use costate::backend::cpu::Cpu;
 use costate::hamiltonian::Hamiltonian;
 use costate::local::{Cause, LinearAttenuation, LocalError, Riccati};
 use costate::model::Model;
-use costate::output::Stored;
+use costate::result::Stored;
 use costate::scenario::parse;
 use costate::sweep::Choices;
 use costate::value::PointStatus;

@@ -1,6 +1,6 @@
 //! The dissipation inequality through the program: a nonlinear game from its sweep on, a linear one without, file and report.
 
-use costate::output::Stored;
+use costate::result::Stored;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -8,11 +8,11 @@ use common_commands::{costate, done, manufactured, scene};
 use costate::feedback::{Known, value_header};
 use costate::hamiltonian::{Hamiltonian, System};
 use costate::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
+use costate::map::Coverage;
 use costate::map::pieces::Region;
-use costate::map::{Coverage, ValueMap};
 use costate::model::{Model, SeedValue};
-use costate::output::Stored;
-use costate::sweep::random;
+use costate::numeric::random::random;
+use costate::result::Stored;
 use std::path::{Path, PathBuf};
 
 fn scratch(name: &str) -> PathBuf {
@@ -60,7 +60,7 @@ fn size(p: &[f64]) -> f64 {
 /// A header against what `costate value` says: numbers of states that both know, that neither does, and of those that only
 /// one knows; and the largest differences of V (relative to V and the floor), p and u (to their sizes).
 fn compare(stored: &Stored, states: &[Vec<f64>], said: &[Said]) -> ([usize; 3], [f64; 3]) {
-    let map = ValueMap::new(stored).unwrap();
+    let map = stored.value_map().unwrap();
     let floor = stored.map_pieces().unwrap().unwrap().region.floor;
     let (mut counts, mut off) = ([0; 3], [0.0f64; 3]);
     // Where p or u passes 0, its size elsewhere counts.

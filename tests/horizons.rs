@@ -10,7 +10,7 @@ use costate::backend::cpu::Cpu;
 use costate::model::Model;
 use costate::shooting::End;
 use costate::sweep::Plan;
-use costate::value::{self, Answers, Archive, Index, Request, march, segment_duration};
+use costate::value::{self, Answers, Archive, Index, Request, march};
 use nalgebra::{DMatrix, DVector};
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -194,7 +194,7 @@ fn archived_paths_have_the_horizon() {
         let near = index.near(&[0.1, 0.2], f64::INFINITY, 40);
         paths += near.len();
         for (place, _) in near {
-            let path = swept.archive.path(place, &end, 1.0, segment_duration(plan));
+            let path = swept.archive.path(place, &end, 1.0, plan.segment_duration());
             assert_eq!(path.horizon(), time);
         }
     }

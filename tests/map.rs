@@ -4,8 +4,8 @@ mod common_commands;
 
 use common_commands::{costate, done, manufactured, scratch, sections_of};
 use costate::map::pieces::Pieces;
-use costate::map::{Coverage, Unknown, ValueMap};
-use costate::output::Stored;
+use costate::map::{Coverage, Unknown};
+use costate::result::Stored;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Output;
@@ -74,7 +74,7 @@ fn pieces(stored: &Stored) -> Pieces {
 #[test]
 fn a_smooth_value_is_met_everywhere_with_true_bounds() {
     let (stored, summary) = made("manufactured", "error = 1e-4\nfloor = 1e-3\ncheck = 50");
-    let map = ValueMap::new(&stored).unwrap();
+    let map = stored.value_map().unwrap();
     let (mut errors, mut over, mut slopes) = (vec![], vec![], vec![]);
     for [x, y] in spread([[-1.5, 1.5]; 2], 1000) {
         // By hand.
@@ -117,7 +117,7 @@ fn a_law_finds_its_way_where_solutions_leave_the_region() {
     assert!(summary["pieces_beyond"].as_u64().unwrap() >= 1);
     let [x, y] = [0, 1].map(|i| [beyond.region.lo[i], beyond.region.hi[i]]);
     assert!(x[0] < 0.2 && x[1] < 2.0, "{x:?} reaches towards the equilibrium");
-    let map = ValueMap::new(&stored).unwrap();
+    let map = stored.value_map().unwrap();
     let (mut over, mut outside) = (vec![], 0);
     for [x, y] in spread([x, y], 2000) {
         let inside = (0.5..=1.3).contains(&x) && (-0.4..=0.9).contains(&y);
@@ -229,7 +229,7 @@ fn p_is_the_gradient_and_v_is_continuous() {
 #[test]
 fn nothing_is_said_behind_the_fold_of_a_game() {
     let (stored, summary) = made("folding_game", "error = 1e-4\ncheck = 100");
-    let map = ValueMap::new(&stored).unwrap();
+    let map = stored.value_map().unwrap();
     let floor = pieces(&stored).region.floor;
     let (b, r, e, k, gamma) = (1.0f64, 1.0f64, 1.0f64, 0.3f64, 0.85f64);
     let s = b * b / r - gamma.powi(-2);
@@ -324,7 +324,7 @@ fn a_steep_corner_of_the_compressor() {
         "moore_greitzer",
         &format!("error = 1e-2\nstates = 2500\ncheck = 10\n{region}"),
     );
-    let map = ValueMap::new(&stored).unwrap();
+    let map = stored.value_map().unwrap();
     let here = map.at(&[1.0, 2.1, 0.12, 1.524]).lowest.expect("it is known");
     println!("V = {} +- {:.1e}; {summary}", here.v, here.v_error);
     assert!(
@@ -440,7 +440,7 @@ fn rounding_is_within_the_errors_said() {
     std::fs::write(&path, text).unwrap();
     let out = path.with_extension("h5");
     done(run(&path, &out));
-    let map = ValueMap::new(&Stored::open(&out).unwrap()).unwrap();
+    let map = Stored::open(&out).unwrap().value_map().unwrap();
     let root = 3.0f64.sqrt();
     // V = (r x^2 + 2 x v + r v^2) / 2 with r the root of 3.
     let root = [root, -root.mul_add(root, -3.0) / (2.0 * root)];
@@ -489,7 +489,7 @@ fn rounding_is_within_the_errors_said() {
 #[test]
 fn the_series_errors_hold_for_p_too() {
     let (stored, _) = made("manufactured", "error = 1e-4\nfloor = 1e-3\ncheck = 3");
-    let map = ValueMap::new(&stored).unwrap();
+    let map = stored.value_map().unwrap();
     let (mut worst, mut count) = ([0.0f64; 2], 0);
     for [size, angle] in spread([[-6.0, 0.0], [0.0, 6.3]], 2000) {
         let [x, y] = [angle.cos(), angle.sin()].map(|c| c * 10f64.powf(size));

@@ -6,10 +6,11 @@ use common_commands::made_up::made_up;
 use common_commands::{costate, done, manufactured, scenario, scene, scratch};
 use costate::backend::Backend;
 use costate::backend::gpu::{Gpu, Selection};
+use costate::hdf5::ResultFile;
 use costate::map::pieces::Region;
-use costate::map::{Adaptive, At, DeviceError, DeviceMap, ValueMap};
+use costate::map::{Adaptive, At, DeviceError, DeviceMap};
 use costate::model::Precision;
-use costate::output::{Axis, ResultFile, Stored, TrajectorySchema};
+use costate::result::{Axis, Stored, TrajectorySchema};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -118,7 +119,7 @@ fn difference((region, widths): (&Region, &[f64]), x: &[f64], (a, b): (&[At], &[
 /// On both precisions, `least` of the states being known; how many have several sheets.
 fn compared(file: &Path, count: usize, least: f64) -> usize {
     let stored = Stored::open(file).unwrap();
-    let map = ValueMap::new(&stored).unwrap();
+    let map = stored.value_map().unwrap();
     let region = stored.map_pieces().unwrap().expect("a map in pieces").region;
     let x = spread(&region.lo, &region.hi, count);
     let cpu = map.at_many(&x, false);
@@ -165,7 +166,7 @@ fn a_smooth_value_on_a_gpu_is_the_exact_one() {
     compared(&file, 5000, 0.95);
     // By hand, whatever the CPU says.
     let stored = Stored::open(&file).unwrap();
-    let map = ValueMap::new(&stored).unwrap();
+    let map = stored.value_map().unwrap();
     let states = spread(&[-1.48; 2], &[1.48; 2], 1000);
     let said = DeviceMap::new(&map, &gpu(), Precision::F64)
         .unwrap()
@@ -314,7 +315,7 @@ fn what_a_gpu_does_not_do_is_said() {
         assert!(!out.exists());
     }
     let map_of_scattered = Stored::open(&scattered).unwrap();
-    let map = ValueMap::new(&map_of_scattered).unwrap();
+    let map = map_of_scattered.value_map().unwrap();
     let refused = DeviceMap::new(&map, &gpu(), Precision::F64).err();
     assert!(matches!(refused, Some(DeviceError::NoPieces)));
 }
@@ -327,7 +328,7 @@ fn whole_periods_are_taken_off_in_f64() {
     let lines = "[map]\nerror = 1e-2\nfloor = 1e-1\nstates = 200\ncheck = 1";
     let file = solved(&scene(&directory, "pendulum", lines));
     let stored = Stored::open(&file).unwrap();
-    let map = ValueMap::new(&stored).unwrap();
+    let map = stored.value_map().unwrap();
     let gpu = gpu();
     let device = DeviceMap::new(&map, &gpu, Precision::F32).unwrap();
     let turn = 2.0 * std::f64::consts::PI;

@@ -10,7 +10,7 @@ use costate::backend::{Backend, cpu::Cpu};
 use costate::closed_loop::LawResult;
 use costate::map::ValueMap;
 use costate::model::Precision;
-use costate::output::Stored;
+use costate::result::Stored;
 use costate::scenario::PROBLEM_SECTIONS;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -44,7 +44,7 @@ impl Mapped {
         }
         Self {
             scene: Scene::new(text),
-            map: ValueMap::new(&Stored::open(&out).unwrap()).unwrap(),
+            map: Stored::open(&out).unwrap().value_map().unwrap(),
         }
     }
 

@@ -1,7 +1,7 @@
 //! Maps of finite horizons, V(x, t): against exact value functions, in a closed loop, as a header, and asked wrongly.
 
 use costate::map::ValueMap;
-use costate::output::Stored;
+use costate::result::Stored;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -113,7 +113,7 @@ fn v_of_two_sheets_is_known_at_all_times() {
     // With its bound, however large, something is to be said everywhere.
     let lines = "error = 3e-3\nerror_max = 1e6\nfloor = 3e-2\ncheck = 40\nstates = 1500\nregion = { x = [-1.0, 1.0], y = [-0.5, 0.5] }\n";
     let file = made(&directory, &format!("{TWO_WELLS}{lines}"));
-    let map = ValueMap::new(&Stored::open(&file).unwrap()).unwrap();
+    let map = Stored::open(&file).unwrap().value_map().unwrap();
     assert_eq!(map.time(), Some(2.0));
     let (mut errors, mut over, mut rates, mut unknown, mut met) = (vec![], vec![], vec![], 0, 0);
     for place in spread([[-1.0, 1.0], [-0.5, 0.5], [0.0, 2.0]], 1000) {
@@ -238,7 +238,7 @@ fn a_linear_quadratic_map_and_its_law() {
     let scene = |map: &str| format!("{SPRING}{loops}[map]\n{map}");
     let file = made(&directory, &scene("error = 1e-4\nfloor = 1e-2\ncheck = 40\n"));
     let stored = Stored::open(&file).unwrap();
-    let map = ValueMap::new(&stored).unwrap();
+    let map = stored.value_map().unwrap();
     let (mut errors, mut over, mut slopes) = (vec![], vec![], vec![]);
     for [x, v, t] in spread([[-1.0, 1.0], [-1.0, 1.0], [0.0, 2.0]], 1000) {
         let [p, rate] = riccati(t);
@@ -515,7 +515,7 @@ fn written_values_are_read_at_the_beginning(directory: &Path, file: &Path) {
     assert!((rows.v[0] - exact([0.3, 0.1])).abs() < 1e-4 && rows.p.len() == 2 && rows.u.len() == 1);
     // Values of the files are values of V(x, 0) again.
     for path in [&grid, &points] {
-        let map = ValueMap::new(&Stored::open(path).unwrap()).unwrap();
+        let map = Stored::open(path).unwrap().value_map().unwrap();
         let at = if path == &grid { [0.25, 0.4] } else { [0.3, 0.1] };
         let here = map.at(&at).lowest.unwrap();
         assert!((here.v - exact(at)).abs() < 1e-4, "{}", here.v);

@@ -9,7 +9,7 @@
 mod common_oracles;
 
 use common_oracles::{Asked, F32, F64, Sweep, Worst, dot, minus, scene};
-use costate::backend::cpu::map::Evaluator;
+use costate::backend::cpu::Evaluator;
 use costate::model::Model;
 use costate::program::Program;
 

@@ -1,9 +1,10 @@
 //! `costate report`: what is on the page, what the pictures are, and what is refused.
 
+use costate::hdf5::{Dimension, Group, ResultFile, Variable};
 use costate::model::Report;
-use costate::output::{Dimension, Group, ResultFile, Stored, Variable};
 use costate::report::contour::{self, Grid};
 use costate::report::{self, Options, Source};
+use costate::result::Stored;
 use costate::scenario;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -6,7 +6,9 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use costate::output::{Axis, Compression, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema};
+use costate::hdf5::{Compression, ResultFile};
+use costate::result::{Axis, RunRecord, TrajectorySchema};
+use costate::trajectories::TrajectoryBlock;
 
 /// One file to write and check.
 struct Case {
@@ -99,7 +101,7 @@ fn write(case: &Case, path: &Path) {
         title: "test".to_owned(),
         // Longer than the 64 KiB that an attribute can hold in place.
         scenario: "theta = \"\u{3b8}\"\n".repeat(10_000),
-        created: costate::output::utc_timestamp(std::time::SystemTime::now()),
+        created: costate::result::utc_timestamp(std::time::SystemTime::now()),
         rtol: 1e-8,
         ..RunRecord::default()
     };

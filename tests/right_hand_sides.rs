@@ -6,7 +6,7 @@ mod common_oracles;
 
 use common_oracles::numbers::{Double, Dual, Number, Sized};
 use common_oracles::{Random, derive, scene};
-use costate::backend::cpu::{Cpu, map::Evaluator};
+use costate::backend::cpu::{Cpu, Evaluator};
 use costate::backend::{Backend, By, Run, Spec};
 use costate::hamiltonian::System;
 use costate::model::{Method, Model, Precision};

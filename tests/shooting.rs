@@ -8,7 +8,7 @@ use costate::hamiltonian::Hamiltonian;
 use costate::model::Precision;
 use costate::shooting::{End, Equations, Goal, Job, Path, Scheme, Solver};
 use costate::sweep::{Choices, Plan, sweep_keeping};
-use costate::value::{Archive, Index, segment_duration};
+use costate::value::{Archive, Index};
 
 /// First guesses from a sweep, with the states they are to reach.
 struct Problems {
@@ -36,7 +36,7 @@ fn problems(scene: &str, count: usize) -> Problems {
     sweep_keeping::<BackendError>(&plan, &cpu, &mut |_, _| {}, keep, &mut |_| Ok(())).unwrap();
     let index = Index::new(&archive, &plan.widths, &plan.region, plan.shoot_out.spacing);
     let end = End::new(&plan.system, plan.local.as_ref());
-    let duration = segment_duration(&plan);
+    let duration = plan.segment_duration();
     let value = 0.01 * plan.shoot_out.value_max.unwrap_or(1.0);
     let guesses = (0..count)
         .map(|i| {

@@ -4,8 +4,9 @@
 mod common_commands;
 
 use common_commands::{costate, done, manufactured, scenario, scratch};
-use costate::map::{Unknown, ValueMap};
-use costate::output::{Stored, StoredPoints};
+use costate::map::Unknown;
+use costate::result::Stored;
+use costate::trajectories::SolvedStates;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -29,7 +30,7 @@ fn made(name: &str, command: &str, scene: &Path) -> PathBuf {
 }
 
 /// Two-dimensional states as `costate solve` solves them.
-fn solved(name: &str, scene: &Path, header: &str, states: &[[f64; 2]]) -> StoredPoints {
+fn solved(name: &str, scene: &Path, header: &str, states: &[[f64; 2]]) -> SolvedStates {
     let (points, path) = (
         folder().join(format!("{name}.csv")),
         folder().join(format!("{name}-solved.h5")),
@@ -68,7 +69,10 @@ fn quantile(values: &[f64], share: f64) -> f64 {
 
 #[test]
 fn values_are_those_of_an_exact_solution() {
-    let map = ValueMap::new(&Stored::open(&result("manufactured", "shoot-out")).unwrap()).unwrap();
+    let map = Stored::open(&result("manufactured", "shoot-out"))
+        .unwrap()
+        .value_map()
+        .unwrap();
     let (mut errors, mut slopes, mut controls, mut over) = (vec![], vec![], vec![], vec![]);
     let mut quick = 0.0f64;
     for [a, b] in spread(400) {
@@ -120,7 +124,7 @@ fn values_are_those_of_an_exact_solution() {
 
 #[test]
 fn sheets_are_not_mixed_where_the_answer_is_known() {
-    let map = ValueMap::new(&Stored::open(&result("hopf_lax", "run")).unwrap()).unwrap();
+    let map = Stored::open(&result("hopf_lax", "run")).unwrap().value_map().unwrap();
     // Hopf and Lax: V = min over the end point of the terminal cost + distance^2 / (2 T), the y direction by itself.
     let exact = |x: f64, y: f64| {
         let phi = |e: f64| e.powi(4) / 4.0 - e * e + 0.1 * e + (x - e).powi(2) / 4.0;
@@ -147,7 +151,7 @@ fn sheets_are_not_mixed_where_the_answer_is_known() {
 fn the_pendulum_is_as_solved() {
     let states: Vec<[f64; 2]> = spread(120).map(|[a, b]| [-3.8 + 6.1 * a, -6.0 + 14.0 * b]).collect();
     let solved = solved("pendulum", &scenario("pendulum"), "theta,omega", &states);
-    let map = ValueMap::new(&Stored::open(pendulum()).unwrap()).unwrap();
+    let map = Stored::open(pendulum()).unwrap().value_map().unwrap();
     let (mut errors, mut controls) = (Vec::new(), Vec::new());
     for k in 0..solved.count {
         let x = &solved.x[2 * k..2 * k + 2];
@@ -175,7 +179,7 @@ fn the_pendulum_is_as_solved() {
 #[test]
 fn both_sides_of_the_equal_cost_state_are_told() {
     // theta = 2.40894 on omega = 0 (tests/sheets.rs): before it u = -11, behind it 23.
-    let map = ValueMap::new(&Stored::open(pendulum()).unwrap()).unwrap();
+    let map = Stored::open(pendulum()).unwrap().value_map().unwrap();
     for (theta, least, most) in [
         (2.40, -12.0, -10.0),
         (2.4085, -12.0, -10.0),
@@ -198,7 +202,7 @@ fn both_sides_of_the_equal_cost_state_are_told() {
 
 #[test]
 fn what_is_not_known_is_said() {
-    let map = ValueMap::new(&Stored::open(pendulum()).unwrap()).unwrap();
+    let map = Stored::open(pendulum()).unwrap().value_map().unwrap();
     assert_eq!(map.at(&[0.0, 60.0]).lowest.unwrap_err(), Unknown::Far);
     // V there is 414 (solved), the file goes to 185, its slice to 370.
     assert!(map.at(&[-3.3087, -10.2913]).lowest.is_err());
@@ -427,7 +431,7 @@ shoot_out = { value_max = 2.0, spacing = 0.1, samples = 50 }
     let swept = made("weak", "shoot-out", &scene);
     let states: Vec<[f64; 2]> = spread(250).map(|[a, b]| [2.0 * a - 1.0, 2.0 * b - 1.0]).collect();
     let solved = solved("weak", &scene, "x,v", &states);
-    let map = ValueMap::new(&Stored::open(&swept).unwrap()).unwrap();
+    let map = Stored::open(&swept).unwrap().value_map().unwrap();
     let (mut known, mut errors) = (0, Vec::new());
     for (state, v) in states.iter().zip(&solved.v) {
         let Ok(here) = map.at(state).lowest else { continue };

@@ -7,10 +7,11 @@ pub use refuse::refusal;
 pub use search::{Covering, Outcome, Row, Search, Sought, search};
 
 use crate::backend::{Backend, BackendError};
+use crate::diagnostics::ScenarioErrors;
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{AttenuationError, Cause, LinearAttenuation, Linearization, linear_attenuation};
 use crate::model::{self, Homotopy, Model};
-use crate::scenario::{self, ScenarioErrors};
+use crate::scenario;
 use crate::sweep::Choices;
 use crate::value::{self, Grid, PointStatus, StatesError};
 
@@ -66,7 +67,7 @@ pub fn with_value(model: &Model, parameter: &str, value: f64) -> Result<(Model, 
     let set = (parameter.to_owned(), format!("{value:?}"));
     let overrides = [model.overrides.as_slice(), &[set]].concat();
     let other = scenario::parse(&model.text, &model.file_name, &overrides)?;
-    let hamiltonian = Hamiltonian::derive(&other).map_err(|p| ScenarioErrors::new(&other, p))?;
+    let hamiltonian = Hamiltonian::derive(&other).map_err(|p| other.errors(p))?;
     Ok((other, hamiltonian))
 }
 

@@ -1,9 +1,9 @@
 //! A scene whose level of attenuation is below what its linearization allows is refused, with what would be allowed.
 
+use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{Cause, LocalError, Riccati};
 use crate::model::{Horizon, Model};
-use crate::scenario::{Problem, ScenarioErrors};
 
 /// The refusal of a game whose linearization has no solution because of its level, or which is not at rest at its equilibrium; `None` where it has one, or lacks it for
 /// another reason (which the local solution's own error tells).
@@ -18,7 +18,7 @@ pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioError
     if let LocalError::NotStationary { .. } = error {
         // No level mends that.
         let problem = Problem::at(span.clone(), error.to_string(), "no equilibrium of the game");
-        return Some(ScenarioErrors::new(model, vec![problem]));
+        return Some(model.errors(vec![problem]));
     }
     let Some(asked) = &model.attenuation else {
         let told = matches!(
@@ -27,7 +27,7 @@ pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioError
         );
         let problem = Problem::at(span.clone(), error.to_string(), "linearized here")
             .with_help("name the parameter that is its level in [attenuation], to be told the smallest one allowed");
-        return told.then(|| ScenarioErrors::new(model, vec![problem]));
+        return told.then(|| model.errors(vec![problem]));
     };
     let (name, own) = (&asked.parameter, model.parameter(&asked.parameter)?);
     // Where there is no gamma*, the reason for that is more than this refusal could say.
@@ -48,5 +48,5 @@ pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioError
         label: format!("must be above {:.10}", linear.star),
         help: Some(format!("{name}*: {}", linear.cause.explained())),
     };
-    Some(ScenarioErrors::new(model, vec![problem]))
+    Some(model.errors(vec![problem]))
 }

@@ -5,6 +5,7 @@
 
 pub mod constants;
 pub mod cpu;
+pub mod flops;
 pub mod gpu;
 
 use crate::model::{Method, Precision};
@@ -114,6 +115,9 @@ pub enum Status {
 }
 
 impl Status {
+    /// Ends that say nothing about the problem but that the integration could not go on.
+    pub const FAILURES: [Status; 3] = [Status::StepFloor, Status::StepLimit, Status::NotFinite];
+
     pub const ALL: [(Status, &'static str); 6] = [
         (Status::Reached, "reached"),
         (Status::LeftRegion, "left_region"),

@@ -14,10 +14,10 @@
 
 use super::reference::{Reference, Slopes, follow};
 use super::work::Work;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::backend::{Status, Trajectories};
+use crate::numeric::quantile::nearest_rank;
 use crate::program::Program;
-use crate::quantile::nearest_rank;
 
 /// Median, 99 % and largest of an error over trajectories; NaN where there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,11 +2,11 @@
 
 use super::BenchError;
 use super::errors::{Errors, Meter, Quantiles, compare};
-use super::flops;
 use super::pareto;
 use super::reference::{self, Reference, Slopes};
 use super::variants::{self, Ladder, Missing, Series, Steps, Wanted};
 use super::work::{Pass, Work};
+use crate::backend::flops;
 use crate::backend::{Backend, BackendError, Kernel, Status};
 use crate::model::{Method, Precision};
 use std::time::Instant;

@@ -5,13 +5,12 @@
 //! - [`devices`] opens what can integrate, [`variants`] lists what is to be measured and what cannot be;
 //! - [`mod@reference`] and [`errors`] say how wrong a result is, off the manifold of optimal solutions;
 //! - [`measure()`] takes the times, variants in turn; [`pareto`] chooses among them;
-//! - [`flops`] and [`Backend::peak`](crate::backend::Backend::peak) give the share of what a device can do;
-//! - [`picture`] draws, [`ResultFile::speed_error`](crate::output::ResultFile::speed_error) stores;
+//! - [`flops`](crate::backend::flops) and [`Backend::peak`](crate::backend::Backend::peak) give the share of what a device can do;
+//! - [`picture`] draws, [`ResultFile::speed_error`](crate::hdf5::ResultFile::speed_error) stores;
 //! - [`host_share`] tells the kernel's time from all other time of a whole run.
 
 pub mod devices;
 pub mod errors;
-pub mod flops;
 pub mod host_share;
 pub mod measure;
 pub mod pareto;

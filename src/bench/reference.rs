@@ -147,7 +147,7 @@ impl Slopes {
                 &work.plan.system.rate[..2 * n],
             );
             let r = &reference.result;
-            crate::backend::cpu::map::Evaluator::new(&rate).eval(&r.samples[1..], 1 + r.dim)
+            crate::backend::cpu::Evaluator::new(&rate).eval(&r.samples[1..], 1 + r.dim)
         });
         let mut values = vec![f64::NAN; count * levels * n * n];
         for (at, to) in values.chunks_mut(n * n).enumerate() {

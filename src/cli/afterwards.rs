@@ -8,43 +8,14 @@ use super::report::Terminal;
 use super::{CliError, attenuation, dissipation, fit};
 use crate::backend::Backend;
 use crate::closed_loop::{self, Available, GROUPS, Laws};
+use crate::files::Draft;
 use crate::hamiltonian::Hamiltonian;
+use crate::hdf5::ResultFile;
 use crate::model::Model;
-use crate::output::{ATTENUATION_GROUPS, OutputError, ResultFile, Stored, Temporary};
 use crate::report::{self, Options};
+use crate::result::{ATTENUATION_GROUPS, Stored};
 use crate::sweep::Choices;
 use std::path::{Path, PathBuf};
-
-/// A result file under a hidden name; gone when dropped before [`Draft::publish`].
-pub(super) struct Draft {
-    hidden: Temporary,
-    path: PathBuf,
-}
-
-impl Draft {
-    /// The draft of what will be `path`.
-    pub fn of(path: &Path) -> Self {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let hidden = path.with_file_name(format!(".{name}.{}.draft", std::process::id()));
-        Self {
-            hidden: Temporary::new(hidden),
-            path: path.to_owned(),
-        }
-    }
-
-    pub fn hidden(&self) -> &Path {
-        self.hidden.path()
-    }
-
-    /// Gives the draft its name.
-    ///
-    /// # Errors
-    /// [`OutputError::Rename`].
-    pub fn publish(self) -> Result<(), OutputError> {
-        let path = self.path;
-        (self.hidden.publish(&path)).map_err(|source| OutputError::Rename { path, source })
-    }
-}
 
 /// Whether anything is left to do when a scene has been swept and solved.
 pub(super) fn wanted(model: &Model) -> bool {
@@ -82,7 +53,7 @@ pub(super) fn laws(
             &stored,
             model,
             &model.feedback,
-            &Beside::of(&draft.path, None),
+            &Beside::of(draft.path(), None),
             terminal,
         ) {
             Ok(fitted) => {
@@ -130,7 +101,7 @@ fn loops(
         match evaluate::perform(&from, scene, &wanted, backend, terminal, &mut file) {
             Ok((evaluation, _)) => {
                 file.finish()?;
-                done["closed_loop"] = evaluate::as_json(&evaluation, &draft.path);
+                done["closed_loop"] = evaluate::as_json(&evaluation, draft.path());
             }
             Err(e) => terminal.note(&format!("no closed loop was simulated: {e}")),
         }

@@ -7,7 +7,7 @@ use crate::backend::gpu;
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LinearAttenuation, LocalError, Riccati, linear_law, show_eigenvalue};
 use crate::model::{Guard, Horizon, Model};
-use crate::scenario::{self, Problem, ScenarioErrors};
+use crate::scenario::{self, Problem};
 use crate::sweep::{Choices, Plan, PlanError};
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -19,7 +19,7 @@ pub(super) fn load(args: &super::SceneArgs) -> Result<(Model, Hamiltonian), CliE
 
 /// A scene with its equations; a game whose level of attenuation its linearization does not allow is refused.
 pub(super) fn derived(model: Model) -> Result<(Model, Hamiltonian), CliError> {
-    let hamiltonian = Hamiltonian::derive(&model).map_err(|problems| ScenarioErrors::new(&model, problems))?;
+    let hamiltonian = Hamiltonian::derive(&model).map_err(|problems| model.errors(problems))?;
     // Before anything is computed or written, whatever the command.
     match attenuation::refusal(&model, &hamiltonian) {
         Some(refused) => Err(refused.into()),
@@ -54,7 +54,7 @@ fn at_equilibrium(model: &Model, error: &LocalError) -> CliError {
             help: None,
         },
     };
-    ScenarioErrors::new(model, vec![problem]).into()
+    model.errors(vec![problem]).into()
 }
 
 pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {

@@ -8,8 +8,8 @@ use crate::backend::Backend;
 use crate::closed_loop::dissipation::{Certificate, Dissipation, Origin, TOLERANCE, check, flight, ratio_text};
 use crate::closed_loop::{Laws, solved_values};
 use crate::hamiltonian::Hamiltonian;
+use crate::hdf5::ResultFile;
 use crate::model::Model;
-use crate::output::ResultFile;
 use crate::sweep::Choices;
 
 /// V at initial states is solved for with this tolerance unless the scene's is tighter.

@@ -2,9 +2,9 @@
 
 use super::CliError;
 use super::report::Terminal;
+use crate::hdf5::ResultFile;
 use crate::local::show_eigenvalue;
 use crate::model::Precision;
-use crate::output::ResultFile;
 use crate::sweep::accuracy::{self, Accuracy, PROMISE, Spread};
 use crate::sweep::stiffness::{self, HeldSteps, Segments, Separation};
 use crate::sweep::{Plan, SweepReport};

@@ -9,9 +9,10 @@ use crate::closed_loop::{
     self, Available, Chart, Evaluation, GROUPS, Initial, LQR, Law, Laws, MAP, Setting, Weights, solved_values,
 };
 use crate::hamiltonian::Hamiltonian;
+use crate::hdf5::ResultFile;
 use crate::map::ValueMap;
 use crate::model::{ClosedLoop, Model, Outside};
-use crate::output::{ResultFile, RunRecord, Stored};
+use crate::result::{RunRecord, Stored};
 use crate::scenario;
 use crate::sweep::Choices;
 use std::io::Write as _;
@@ -138,7 +139,7 @@ impl<'s> Sources<'s> {
         let map = stored.filter(|s| s.has_any(&["trajectories", "points", "map", "map_pieces"]));
         let map = map.and_then(|s| {
             let unknown = |e| terminal.note(&format!("no value map: {e}"));
-            ValueMap::new(s).map_err(unknown).ok()
+            s.value_map().map_err(unknown).ok()
         });
         let available = Available {
             map: map.is_some(),

@@ -5,11 +5,11 @@ use super::report::Terminal;
 use super::run::default_output;
 use super::{CliError, ExportArgs};
 use crate::feedback::{Known, Law, LawError, NetworkError, header, value_header};
+use crate::files::write_text;
 use crate::hamiltonian::{Hamiltonian, System};
 use crate::local::{LocalError, LocalPolynomial, Riccati};
-use crate::map::ValueMap;
 use crate::model::{Horizon, Model};
-use crate::output::{Stored, write_text};
+use crate::result::Stored;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -120,7 +120,7 @@ fn map(name: &str, path: &Path) -> Result<Made, CliError> {
     if !stored.has("map_pieces") {
         return Err(missing().into());
     }
-    let map = ValueMap::new(&stored)?;
+    let map = stored.value_map()?;
     let (pieces, local, system) = map.in_parts().ok_or_else(missing)?;
     let numbers: usize = pieces.pieces.iter().map(|p| p.coefficients.len()).sum();
     let (p, c) = (pieces.pieces.len(), pieces.cells.len());

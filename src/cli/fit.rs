@@ -4,9 +4,10 @@ use super::evaluate::other_scene;
 use super::report::{Bar, Terminal};
 use super::{CliError, FitArgs};
 use crate::feedback::{Data, Exports, Fitted, FittedLaw, GROUP, Samples, Step, fit};
+use crate::hdf5::ResultFile;
 use crate::map::ValueMap;
 use crate::model::{Feedback, Model};
-use crate::output::{ResultFile, Stored};
+use crate::result::Stored;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -61,7 +62,7 @@ pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
 /// no objection, neighbouring samples decide.
 fn judge(stored: &Stored) -> Option<ValueMap> {
     let periodic = stored.model.states.iter().any(|s| s.period.is_some());
-    (periodic || stored.has("points_sheets")).then(|| ValueMap::new(stored).ok())?
+    (periodic || stored.has("points_sheets")).then(|| stored.value_map().ok())?
 }
 
 /// Where the laws' files go, and what their names begin with.
@@ -88,7 +89,8 @@ pub(super) fn fit_laws(
     beside: &Beside,
     terminal: &Terminal,
 ) -> Result<Done, CliError> {
-    let samples = Samples::of(stored)?;
+    let sizes = (stored.model.states.len(), stored.model.controls.len());
+    let samples = Samples::new(sizes, stored.trajectories()?.as_ref(), stored.points()?.as_ref());
     if samples.is_empty() {
         return Err(FitCommandError::NoData {
             path: stored.path.clone(),

@@ -2,8 +2,8 @@
 
 use super::report::Done;
 use super::{CliError, SolveArgs, csv_text};
-use crate::digits::plain;
 use crate::model::Model;
+use crate::numeric::digits::plain;
 use crate::value::Answers;
 
 /// V and u at the first few states that the user listed.

@@ -26,9 +26,12 @@ use crate::attenuation::SmallestError;
 use crate::backend::{Backend, BackendError};
 use crate::bench::BenchError;
 use crate::closed_loop::{LawError, LoopError};
+use crate::files::FileError;
+use crate::files::target;
+use crate::hdf5::OutputError;
 use crate::map::DeviceError;
 use crate::model::{Method, Model, Precision};
-use crate::output::{OutputError, StoredError, target};
+use crate::result::StoredError;
 use crate::scenario::{LoadError, ScenarioErrors};
 use crate::study::StudyError;
 use crate::sweep::Choices;
@@ -506,6 +509,8 @@ enum CliError {
     Backend(#[from] BackendError),
     #[error(transparent)]
     Output(#[from] OutputError),
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error(
         "nothing was swept: all {outside} seeds lie outside the guards (is the equilibrium too near their boundary for this seed_value?)"
     )]
@@ -533,7 +538,7 @@ enum CliError {
     #[error(transparent)]
     Place(#[from] value::PlaceError),
     #[error(transparent)]
-    Map(#[from] crate::map::MapError),
+    Map(#[from] crate::result::StoredMapError),
     #[error(transparent)]
     Bench(#[from] BenchError),
     #[error(transparent)]
@@ -629,11 +634,7 @@ impl CliError {
             | CliError::OtherScene { .. }
             | CliError::SetOfResult
             | CliError::AdapterOfCpu { .. } => 2,
-            CliError::Output(
-                OutputError::TargetIsDirectory { .. }
-                | OutputError::TargetIsSpecial { .. }
-                | OutputError::NoFileName { .. },
-            ) => 2,
+            CliError::File(error) | CliError::Output(OutputError::File(error)) if error.is_of_name() => 2,
             CliError::BadOut { .. } | CliError::OverScene { .. } | CliError::SameLaw { .. } => 2,
             CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
             CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
@@ -744,7 +745,7 @@ pub fn main() -> ExitCode {
     }
     // Without it a signal leaves a hidden file beside the result's name, and no more is lost.
     #[cfg(unix)]
-    let _ = crate::output::removed_at_signals();
+    let _ = crate::files::removed_at_signals();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(e) => {

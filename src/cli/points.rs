@@ -1,7 +1,7 @@
 //! Reading states from a CSV file.
 
+use crate::diagnostics::{did_you_mean, shorten};
 use crate::model::Model;
-use crate::scenario::{shorten, suggestion};
 use std::path::{Path, PathBuf};
 
 /// What is wrong with a file of points; each error names the place.
@@ -126,7 +126,7 @@ pub(super) fn read_with_times(
                 path: at(),
                 name: shorten(name),
                 states: arguments(),
-                help: suggestion(name, names.iter().copied()).map_or_else(String::new, |s| format!("; {s}")),
+                help: did_you_mean(name, names.iter().copied()).map_or_else(String::new, |s| format!("; {s}")),
             });
         };
         if columns.contains(&state) {

@@ -5,7 +5,7 @@ use super::{CliError, SceneArgs};
 use crate::backend::{Backend, Status};
 use crate::map::Adaptive;
 use crate::model::Model;
-use crate::output::RunRecord;
+use crate::result::RunRecord;
 use crate::study::Variant;
 use crate::sweep::{Plan, Sampling, SweepReport};
 use crate::value::{Answers, EqualCost, Evidence, PointStatus};
@@ -149,9 +149,6 @@ impl Bar {
         self.0.finish_and_clear();
     }
 }
-
-/// Ends that say nothing about the problem but that the integration could not go on.
-const FAILURES: [Status; 3] = [Status::StepFloor, Status::StepLimit, Status::NotFinite];
 
 /// Quantiles of |H|: median, 99 %, largest.
 pub(super) fn quantiles(drift: &[f64]) -> [f64; 3] {
@@ -343,7 +340,7 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
     }
     lines.push(if c.uncovered + c.indistinguishable == 0 {
         let failed: usize = (swept.by_status.iter())
-            .filter(|(code, _)| FAILURES.iter().any(|f| *f as i32 == **code))
+            .filter(|(code, _)| Status::FAILURES.iter().any(|f| *f as i32 == **code))
             .map(|(_, n)| n)
             .sum();
         let covered = format!(

@@ -2,8 +2,8 @@
 
 use super::{CliError, ReportArgs};
 use crate::model::Report;
-use crate::output::Stored;
 use crate::report::{self, Options};
+use crate::result::Stored;
 use crate::scenario;
 use std::io::Write as _;
 

@@ -1,6 +1,6 @@
 //! `costate run` and its parts.
 
-use super::afterwards::{self, Draft};
+use super::afterwards;
 use super::check::{load, planned};
 use super::estimates::Estimates;
 use super::grid::GridRefusal;
@@ -10,12 +10,15 @@ use crate::backend::cpu::Cpu;
 use crate::backend::gpu::{Gpu, Selection};
 use crate::backend::{Backend, BackendError, Trajectories};
 use crate::dynamic_programming::GridValue;
+use crate::files::{Draft, target, write_text};
 use crate::hamiltonian::Hamiltonian;
+use crate::hdf5::ResultFile;
 use crate::map;
 use crate::model::{Method, Model};
-use crate::output::{Axis, ResultFile, RunRecord, TrajectoryBlock, TrajectorySchema, target, write_text};
+use crate::result::{Axis, RunRecord, TrajectorySchema};
 use crate::shooting::Solver;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
+use crate::trajectories::TrajectoryBlock;
 use crate::value::{self, Answers, Archive, Grid, Request};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -99,7 +102,9 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
 
     // The final name first: what is wrong with it is said before the work is done.
     let path = target(&path)?;
-    let draft = (all && afterwards::wanted(&model)).then(|| Draft::of(&path));
+    let draft = (all && afterwards::wanted(&model))
+        .then(|| Draft::begin(&path))
+        .transpose()?;
     // None for a table.
     let mut file = match &draft {
         _ if table => None,

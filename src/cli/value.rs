@@ -2,11 +2,13 @@
 
 use super::report::Terminal;
 use super::{CliError, Kind, PrecisionChoice, ValueArgs, points, run};
-use crate::digits::plain;
+use crate::diagnostics::shorten;
+use crate::files::write_text;
+use crate::hdf5::ResultFile;
 use crate::map::{At, Coverage, DeviceMap, Fronts, Unknown, Value, ValueMap};
 use crate::model::{Model, Precision};
-use crate::output::{Places, ResultFile, RunRecord, Stored, Times, write_text};
-use crate::scenario::shorten;
+use crate::numeric::digits::plain;
+use crate::result::{Places, RunRecord, Stored, Times};
 use crate::value::Grid;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -76,7 +78,7 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             axes.pop();
         }
     }
-    let map = ValueMap::new(&stored)?;
+    let map = stored.value_map()?;
     let asked = ask(&map, &states, &times, args)?;
     let found = asked.found;
     let timed = map.time().is_some();

@@ -1,8 +1,8 @@
 //! Which laws are simulated: those asked for, or all there are.
 
 use super::law::{Law, LawError, Laws};
+use crate::diagnostics::did_you_mean;
 use crate::model::ClosedLoop;
-use crate::scenario::suggestion;
 
 /// The value map's law.
 pub const MAP: &str = "map";
@@ -89,7 +89,7 @@ impl Available {
     fn unknown(&self, laws: &Laws<'_>, scene: &ClosedLoop, name: String) -> LawError {
         let mut known = self.all(laws, scene);
         known.extend(self.added.iter().map(|w| w.name.clone()));
-        let help = suggestion(&name, known.iter().map(String::as_str));
+        let help = did_you_mean(&name, known.iter().map(String::as_str));
         let help = help.unwrap_or_else(|| format!("there are: {}", known.join(", ")));
         LawError::Unknown { name, help }
     }

@@ -5,7 +5,7 @@ use super::sets::{Line, area, contour};
 use super::{Initial, Setting};
 use crate::backend::{Backend, Status};
 use crate::model::{Extremum, OperatingSet};
-use crate::quantile::nearest_rank;
+use crate::numeric::quantile::nearest_rank;
 use std::collections::BTreeMap;
 
 /// One law, from all initial states.

@@ -2,7 +2,7 @@
 
 use super::{Chart, LoopError};
 use crate::model::{ClosedLoop, Model, Start};
-use crate::sweep::uniform;
+use crate::numeric::random::uniform;
 use crate::value::{Grid, spaced};
 use rayon::prelude::*;
 

@@ -1,11 +1,11 @@
 //! Feedback laws as expressions: the controls of a scene as functions of its states, saturated as in the scene.
 
+use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::expr::{Graph, Id};
 use crate::feedback::{self, NetworkError};
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LocalError, Riccati, linear_law};
 use crate::model::{Formula, GivenLaw, Horizon, Model, Span};
-use crate::scenario::{Problem, ScenarioErrors};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -322,7 +322,7 @@ impl<'s> Laws<'s> {
         match error {
             LawError::Unfit { law, reason } => {
                 let problem = Problem::at(span.clone(), format!("law `{law}`: {reason}"), "this law");
-                ScenarioErrors::new(self.model, vec![problem]).into()
+                self.model.errors(vec![problem]).into()
             }
             other => other,
         }

@@ -20,7 +20,7 @@
 use super::Setting;
 use super::charted::Clock;
 use super::equations::Equations;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::model::{ClosedLoop, Horizon};
 
 /// What is lost may be so many times `rtol` of the running cost: what is promised for V.

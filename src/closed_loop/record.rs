@@ -8,7 +8,7 @@
 //! ever nearer points on both sides, and looked for where an argument of min, max or abs changes its sign.
 
 use super::equations::Equations;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::backend::{BackendError, Kernel, Run, Status};
 use crate::model::{Extremum, Record};
 use rayon::prelude::*;

@@ -7,7 +7,7 @@ use super::law::Law;
 use super::pace::Pace;
 use super::record::Records;
 use super::{Chart, LoopError, Setting};
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::backend::{Backend, Kernel, Relay, Run, Status, Trajectories, batch_limit};
 use crate::sweep::GUARD_STATUS;
 

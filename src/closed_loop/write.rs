@@ -1,8 +1,8 @@
 //! An evaluation in a result file.
 
 use super::{Evaluation, LawResult, Setting};
+use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::model::Variable as Named;
-use crate::output::{Dimension, Group, OutputError, ResultFile, Variable};
 
 /// The groups that an evaluation writes, and replaces where a file has them.
 pub const GROUPS: [&str; 5] = [

@@ -5,7 +5,7 @@ use super::equations::Equations;
 use super::lattice::{Lattice, by_states, interpolate, slope};
 use super::level::{Candidate, Iteration, Level, last, middle, whole};
 use crate::backend::BackendError;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use rayon::prelude::*;
 
 /// Nodes of a block: one task of the evaluator.

@@ -6,8 +6,8 @@ use super::lattice::Lattice;
 use super::level::{Level, STEEP, Stride, last, middle, ranges, spread};
 use super::stationary::{Solution, outside};
 use super::{Clock, Domain, DpError, Runner};
-use crate::backend::cpu::map::Evaluator;
-use crate::quantile::nearest_rank;
+use crate::backend::cpu::Evaluator;
+use crate::numeric::quantile::nearest_rank;
 
 /// Cells that a step of a quick node (see `QUICK`) crosses at most.
 const CELLS: f64 = 4.0;

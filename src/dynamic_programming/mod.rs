@@ -235,7 +235,7 @@ pub fn solve(
         equations,
         end: End::new(&plan.system, plan.local.as_ref()),
         spread,
-        segment: crate::value::segment_duration(plan),
+        segment: plan.segment_duration(),
         lifted: domain.lifted,
     })
 }

@@ -6,7 +6,7 @@ use super::equations::Equations;
 use super::lattice::{Lattice, MOST_STATES, by_states, interpolate};
 use super::level::{Level, STEEP, Stride, ranges, spread};
 use super::{Clock, Domain, DpError, Runner};
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::local::LocalSolution;
 
 /// Cells that a step crosses, by the number of states: the coarser a lattice, the more errors of interpolation weigh against those

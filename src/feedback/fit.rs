@@ -8,7 +8,7 @@ use super::samples::{Optimality, Samples, Selection};
 use super::shape::Shape;
 use super::training::{Rules, Step, Trained, train};
 use super::units;
-use crate::bench::flops;
+use crate::backend::flops;
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LocalError, Riccati, linear_law};
 use crate::model::{Base, Feedback, LawOutput, Model, Precision, Target};

@@ -2,10 +2,10 @@
 
 use super::network::Network;
 use super::weights::{self, NetworkError, Weights, matrix_text, quoted, vector_text};
+use crate::diagnostics::Problem;
 use crate::expr::{Graph, Id};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
-use crate::scenario::Problem;
 use nalgebra::DMatrix;
 use std::collections::HashMap;
 

@@ -5,8 +5,8 @@ use super::samples::{Samples, at_samples};
 use crate::expr::Id;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
+use crate::numeric::quantile::nearest_rank as quantile;
 use crate::program::Program;
-use crate::quantile::nearest_rank as quantile;
 use rayon::prelude::*;
 use std::collections::HashMap;
 

@@ -3,8 +3,9 @@
 use super::fit::FittedLaw;
 use super::header::header;
 use super::onnx::onnx;
+use crate::files::{FileError, write_bytes, write_text};
+use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::model::Model;
-use crate::output::{Dimension, Group, OutputError, ResultFile, Variable, write_bytes, write_text};
 use std::path::{Path, PathBuf};
 
 /// The group that fitted laws are written to.
@@ -178,13 +179,13 @@ impl Fitted {
     ///
     /// # Errors
     /// Those of writing.
-    pub fn export(&self, directory: &Path, stem: &str, model: &Model) -> Result<Vec<Exports>, OutputError> {
+    pub fn export(&self, directory: &Path, stem: &str, model: &Model) -> Result<Vec<Exports>, FileError> {
         self.laws.iter().map(|law| law.export(directory, stem, model)).collect()
     }
 }
 
 impl FittedLaw {
-    fn export(&self, directory: &Path, stem: &str, model: &Model) -> Result<Exports, OutputError> {
+    fn export(&self, directory: &Path, stem: &str, model: &Model) -> Result<Exports, FileError> {
         let path = |extension: &str| directory.join(format!("{stem}_{}.{extension}", self.name));
         let title = model.title.replace(['\n', '\r'], " ");
         let toml = format!("# Law `{}` of the scene: {title}\n{}", self.name, self.law.to_toml());

@@ -295,7 +295,7 @@ impl Normal {
 mod tests {
     use super::*;
     use crate::model::Activation;
-    use crate::sweep::random;
+    use crate::numeric::random::random;
 
     fn numbers(count: usize, seed: u64) -> Vec<f64> {
         (0..count)

@@ -2,9 +2,9 @@
 
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Feedback, Model};
-use crate::output::{Stored, StoredError};
+use crate::numeric::random::random;
 use crate::program::Program;
-use crate::sweep::random;
+use crate::trajectories::{SolvedStates, SweptTrajectories};
 use crate::value::nearest::{MOST_DIMENSIONS, index};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -71,30 +71,30 @@ impl Samples {
         self.v.is_empty()
     }
 
-    /// Everything in a result file: `/trajectories` and `/points`.
-    ///
-    /// # Errors
-    /// [`StoredError`] where these groups are not as this program writes them.
-    pub fn of(stored: &Stored) -> Result<Self, StoredError> {
-        let (n, m) = (stored.model.states.len(), stored.model.controls.len());
+    /// All samples of swept trajectories, and all solved states; `states` and `controls` of the system.
+    pub fn new(
+        (states, controls): (usize, usize),
+        swept: Option<&SweptTrajectories>,
+        solved: Option<&SolvedStates>,
+    ) -> Self {
         let mut samples = Samples {
-            states: n,
-            controls: m,
+            states,
+            controls,
             ..Samples::default()
         };
         let mut trajectory = 0;
-        if let Some(all) = stored.trajectories()? {
+        if let Some(all) = swept {
             samples.extend(&all.x, &all.p, &all.u, &all.v);
             for _ in 0..all.count {
                 samples.trajectory.extend(std::iter::repeat_n(trajectory, all.samples));
                 trajectory += 1;
             }
         }
-        if let Some(points) = stored.points()? {
+        if let Some(points) = solved {
             samples.extend(&points.x, &points.p, &points.u, &points.v);
             samples.trajectory.extend((trajectory..).take(points.count));
         }
-        Ok(samples)
+        samples
     }
 
     fn extend(&mut self, x: &[f64], p: &[f64], u: &[f64], v: &[f64]) {

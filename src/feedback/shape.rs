@@ -197,7 +197,7 @@ impl Shape {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sweep::random;
+    use crate::numeric::random::random;
 
     fn shapes() -> Vec<Shape> {
         let sizes: [&[usize]; 4] = [&[3, 2], &[2, 5, 1], &[3, 4, 3, 2], &[2, 3, 4, 3, 1]];

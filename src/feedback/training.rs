@@ -6,7 +6,7 @@
 
 use super::regression::{Normal, Regression};
 use super::shape::Shape;
-use crate::sweep::random;
+use crate::numeric::random::random;
 use nalgebra::DVector;
 use rayon::prelude::*;
 

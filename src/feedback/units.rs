@@ -38,7 +38,7 @@ pub(super) fn spacing(data: &Regression, trajectory: &[u32]) -> f64 {
     if all.is_empty() {
         return 0.0;
     }
-    crate::quantile::nearest_rank(&all, WITHIN).sqrt()
+    crate::numeric::quantile::nearest_rank(&all, WITHIN).sqrt()
 }
 
 /// Largest length of a unit's input weights for which its transition is wider than the spacing; none without hidden units.

@@ -2,8 +2,8 @@
 //! The last layer of a single output may be a vector `w<i>` and a number `b<i>`.
 
 use super::network::{Activation, Layer, Network};
+use crate::diagnostics::{Problem, ScenarioErrors, did_you_mean};
 use crate::model::Span;
-use crate::scenario::{Problem, ScenarioErrors, suggestion};
 use nalgebra::{DMatrix, DVector};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -34,7 +34,7 @@ pub(super) fn read<T>(
     file: &str,
     read: impl FnOnce(&mut Weights<'_>) -> Option<T>,
 ) -> Result<T, NetworkError> {
-    let wrong = |problems| NetworkError::Contents(ScenarioErrors::of(file, text, problems));
+    let wrong = |problems| NetworkError::Contents(ScenarioErrors::new(file, text, problems));
     let (document, errors) = DeTable::parse_recoverable(text);
     if !errors.is_empty() {
         let at = |e: &toml::de::Error| e.span().unwrap_or(text.len()..text.len());
@@ -119,7 +119,7 @@ impl<'a> Weights<'a> {
         for (key, _) in self.root.iter() {
             let name = key.get_ref().as_ref();
             if !all().any(|k| k == name) {
-                let help = suggestion(name, all()).unwrap_or_else(|| {
+                let help = did_you_mean(name, all()).unwrap_or_else(|| {
                     format!("keys: activation, inputs, output, W1, b1, ... without a gap; here up to W{layers}")
                 });
                 let message = format!("unknown key `{name}` in a weights file");

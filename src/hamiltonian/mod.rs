@@ -12,9 +12,9 @@ mod system;
 pub use slope::{Slope, infinite};
 pub use system::{GuardExpr, Observer, System, Terminal};
 
+use crate::diagnostics::Problem;
 use crate::expr::{Graph, Id, Kind};
 use crate::model::{Guard, Located, Model};
-use crate::scenario::Problem;
 use std::collections::HashMap;
 
 /// The derived equations, in the scene's own symbols (parameters not yet replaced by their values).

@@ -1,9 +1,9 @@
 //! The extremal controls and disturbances: `dH/d(u, w) = 0`, solved symbolically.
 
 use super::implied_guard;
+use crate::diagnostics::Problem;
 use crate::expr::{Graph, Id, NotPolynomial, Polynomial};
 use crate::model::{Guard, Located, Model, Span, Variable};
-use crate::scenario::Problem;
 use std::collections::HashMap;
 
 /// Highest power of the inputs looked at: enough to name the offending term.

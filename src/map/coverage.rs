@@ -1,10 +1,9 @@
 //! How far a cheaper sheet can be excluded at a state: what the sweep's fronts covered, and what was searched.
 
-use super::ValueMap;
+use super::{Known, ValueMap};
 use crate::backend::Status;
-use crate::output::{Stored, StoredTrajectories};
 use crate::sweep::{Plan, Sampling};
-use serde_json::Value as Json;
+use crate::trajectories::SweptTrajectories;
 
 /// What a value's being the least rests on. The error estimate covers no sheet that was not found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,25 +62,17 @@ pub struct Fronts {
 }
 
 impl Fronts {
-    /// From the summary of the run that made the file; where it has none nothing counts as covered.
-    pub(super) fn of(stored: &Stored, plan: &Plan, trajectories: Option<&StoredTrajectories>) -> Self {
-        let summary = stored.summary();
-        let coverage = &summary["coverage"];
-        let count = |name: &str| coverage[name].as_u64();
-        let known = count("gaps_for_want_of_seeds").zip(count("gaps_indistinguishable"));
-        let failed = Status::ALL
-            .iter()
-            .filter(|(s, _)| FAILURES.contains(s))
-            .map(|(_, name)| name);
+    /// Of what is known; where that tells nothing of the sweep nothing counts as covered.
+    pub(super) fn new(known: &Known, plan: &Plan) -> Self {
         let mut this = Self {
-            swept: trajectories.is_some_and(|t| t.count > 0),
-            searched: stored.attribute("source").is_none(),
-            gaps: known.map_or(u64::MAX, |(a, b)| a + b),
-            widest: coverage["widest_gap"].as_f64().unwrap_or(f64::NAN),
-            failed: failed.filter_map(|name| summary["status"][*name].as_u64()).sum(),
+            swept: known.swept.as_ref().is_some_and(|t| t.count > 0),
+            searched: known.searched,
+            gaps: known.sweep.gaps.unwrap_or(u64::MAX),
+            widest: known.sweep.widest,
+            failed: known.sweep.failed,
             below: 0.0,
         };
-        if let Some(swept) = trajectories.filter(|_| this.gaps > 0 || this.failed > 0) {
+        if let Some(swept) = known.swept.as_ref().filter(|_| this.gaps > 0 || this.failed > 0) {
             this.below = covered_below(swept, plan).unwrap_or(0.0);
         }
         this
@@ -93,12 +84,9 @@ impl Fronts {
     }
 }
 
-/// Ends of trajectories that say nothing about the problem but that the integration could not go on.
-const FAILURES: [Status; 3] = [Status::StepFloor, Status::StepLimit, Status::NotFinite];
-
 /// V below which neighbouring trajectories are nowhere further apart than the spacing. Of two states with an equilibrium,
 /// where the seeds lie on a closed curve about it and neighbours follow from the angle; else it is not known.
-fn covered_below(swept: &StoredTrajectories, plan: &Plan) -> Option<f64> {
+fn covered_below(swept: &SweptTrajectories, plan: &Plan) -> Option<f64> {
     let n = plan.system.states;
     if n != 2 || plan.local.is_none() || plan.sampling == Sampling::Time || swept.count < 3 || swept.samples < 2 {
         return None;
@@ -140,7 +128,7 @@ fn covered_below(swept: &StoredTrajectories, plan: &Plan) -> Option<f64> {
     // Where a trajectory failed, what lies beyond is not covered.
     let failed = around
         .iter()
-        .filter(|(_, t)| FAILURES.iter().any(|f| *f as i32 == swept.status[*t]));
+        .filter(|(_, t)| Status::FAILURES.iter().any(|f| *f as i32 == swept.status[*t]));
     for &(_, t) in failed {
         let row = &swept.v[t * swept.samples..(t + 1) * swept.samples];
         below = below.min(row.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max));
@@ -161,27 +149,5 @@ impl ValueMap {
             false if self.fronts.searched && (solved || !self.fronts.swept) => Coverage::Searched,
             false => Coverage::Uncovered,
         }
-    }
-}
-
-/// Worst relative errors of V and p of solved states that the run of a file found (see
-/// [`SolvedAccuracy`](crate::value::SolvedAccuracy)); `None` where it told none.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct OwnErrors {
-    pub v: f64,
-    pub p: f64,
-}
-
-impl OwnErrors {
-    pub fn of(stored: &Stored) -> Option<Self> {
-        let summary = stored.summary();
-        let worst = |name: &str| -> Option<f64> {
-            let spread: &Json = &summary["homotopy"]["error_estimate"][name];
-            spread["max"].as_f64().filter(|e| e.is_finite())
-        };
-        Some(Self {
-            v: worst("V")?,
-            p: worst("p")?,
-        })
     }
 }

@@ -48,11 +48,13 @@ impl ValueMap {
 
     /// The errors of a solved state from the run's estimate; whether there is one.
     fn estimate_solved(&self, x: &[f64], value: &mut Value) -> bool {
-        let Some(own) = self.own_errors else { return false };
+        let Some([own_v, own_p]) = self.own_errors else {
+            return false;
+        };
         let (w, scale) = (&self.plan.widths, SMALL * self.plan.value_scale);
         let size = (value.p.iter().zip(w)).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
-        value.v_error = own.v * (value.v.abs() + scale);
-        let of_p = own.p * (size + scale);
+        value.v_error = own_v * (value.v.abs() + scale);
+        let of_p = own_p * (size + scale);
         value.p_error = of_p / size.max(f64::MIN_POSITIVE);
         // u moves by no more than an error in each component of p makes it, one after the other.
         let s: Vec<f64> = (0..w.len())

@@ -7,8 +7,8 @@
 //! the others, fitted again, say where a site is.
 //!
 //! ```no_run
-//! use costate::{map::ValueMap, output::Stored};
-//! let map = ValueMap::new(&Stored::open("out/scene.h5".as_ref())?)?;
+//! use costate::result::Stored;
+//! let map = Stored::open("out/scene.h5".as_ref())?.value_map()?;
 //! match map.at(&[2.0, 0.0]).lowest {
 //!     Ok(here) => println!("V = {} within about {}, u = {:?}", here.v, here.v_error, here.u),
 //!     Err(unknown) => println!("{unknown}"),
@@ -21,6 +21,7 @@ mod coverage;
 mod device;
 mod errors;
 mod hasty;
+mod known;
 mod many;
 mod nodal;
 mod opinions;
@@ -31,18 +32,18 @@ mod swift;
 pub use adaptive::{Adaptive, Beyond, Checked, adaptive};
 pub use coverage::{Coverage, Fronts};
 pub use device::{DeviceError, DeviceMap};
+pub use known::{Known, SweepRecord};
 pub use many::Many;
 pub use sites::Source;
 pub(crate) use swift::Room;
 
-use crate::backend::cpu::{Cpu, map::Evaluator};
-use crate::hamiltonian::System;
+use crate::backend::cpu::{Cpu, Evaluator};
+use crate::hamiltonian::{Hamiltonian, System};
 use crate::local::{LocalErrors, LocalPolynomial};
-use crate::output::{Stored, StoredError};
+use crate::model::Model;
 use crate::program::Program;
 use crate::sweep::{Choices, Plan, PlanError, spread_over};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
-use coverage::OwnErrors;
 use nodal::{Nodal, Prediction};
 use opinions::{Opinion, blend, distance_between, surrounded};
 use pieces::{Pieces, Said};
@@ -51,13 +52,11 @@ use sites::{Sites, UNLABELLED};
 use std::sync::OnceLock;
 use swift::{Swift, turns_into, unwind};
 
-/// Why a file gives no value map.
+/// Why there is no value map.
 #[derive(Debug, thiserror::Error)]
 pub enum MapError {
-    #[error(transparent)]
-    Stored(#[from] StoredError),
-    #[error("{path} holds no values: neither /trajectories nor /points nor /map has any", path = path.display())]
-    Empty { path: std::path::PathBuf },
+    #[error("no values are known: there are neither swept trajectories nor solved states")]
+    Empty,
     #[error(transparent)]
     Plan(#[from] PlanError),
     #[error(transparent)]
@@ -143,7 +142,7 @@ pub struct ValueMap {
     /// Windings to try, one a combination of periodic states.
     windings: Vec<Vec<i32>>,
     fronts: Fronts,
-    own_errors: Option<OwnErrors>,
+    own_errors: Option<[f64; 2]>,
     /// A map that was made to an error: it answers within its region.
     pieces: Option<Pieces>,
     /// Of use outside the region of these.
@@ -188,12 +187,12 @@ pub(crate) const ISAACS_RESIDUAL: f64 = 3e-3;
 const MOST_WINDINGS: i32 = 3;
 
 impl ValueMap {
-    /// Reads all values of a result file.
+    /// Prepares look-ups in what is known. Where trajectories were swept this sweeps some more, next to the equilibrium.
     ///
     /// # Errors
     /// [`MapError`].
-    pub fn new(stored: &Stored) -> Result<Self, MapError> {
-        let states = stored.model.states.len();
+    pub fn new(model: &Model, hamiltonian: &Hamiltonian, known: Known) -> Result<Self, MapError> {
+        let states = model.states.len();
         if states > MOST_DIMENSIONS {
             return Err(MapError::TooManyStates { states });
         }
@@ -201,17 +200,16 @@ impl ValueMap {
             unasked: true,
             ..Choices::default()
         };
-        let plan = Plan::new(&stored.model, &stored.hamiltonian, &Cpu::new(), choices)?;
-        let trajectories = stored.trajectories()?;
-        let fronts = Fronts::of(stored, &plan, trajectories.as_ref());
-        let sites = Sites::collect(stored, &plan, trajectories)?;
-        let pieces = stored.map_pieces()?;
-        let beyond = stored.map_beyond()?.filter(|_| pieces.is_some());
+        let plan = Plan::new(model, hamiltonian, &Cpu::new(), choices)?;
+        let fronts = Fronts::new(&known, &plan);
+        let sites = Sites::collect(model, hamiltonian, &plan, &known)?;
+        let Known {
+            pieces, beyond, errors, ..
+        } = known;
+        let beyond = beyond.filter(|_| pieces.is_some());
         let nothing_else = sites.source.iter().all(|s| *s == Source::Local);
         if pieces.is_none() && nothing_else {
-            return Err(MapError::Empty {
-                path: stored.path.clone(),
-            });
+            return Err(MapError::Empty);
         }
         let control = Program::lower(&plan.system.graph, &plan.system.inputs, &plan.system.observer.control);
         let isaacs = plan.game.then(|| {
@@ -240,9 +238,9 @@ impl ValueMap {
             plan,
             sites,
             fronts,
-            own_errors: OwnErrors::of(stored),
+            own_errors: errors,
             pieces_alone: pieces.is_some() && nothing_else,
-            time: (pieces.as_ref().filter(|p| p.states() > states)).and(stored.model.final_time()),
+            time: (pieces.as_ref().filter(|p| p.states() > states)).and(model.final_time()),
             pieces,
             beyond,
             swift,

@@ -1,9 +1,9 @@
 //! Where V and p are known: swept samples, solved states, map nodes, and the local solution near the equilibrium.
 
-use super::{MapError, SHEETS};
+use super::{Known, MapError, SHEETS};
 use crate::backend::{BackendError, cpu::Cpu};
-use crate::model::{Horizon, SeedValue};
-use crate::output::{Stored, StoredTrajectories};
+use crate::hamiltonian::Hamiltonian;
+use crate::model::{Horizon, Model, SeedValue};
 use crate::sweep::{Choices, Plan, Sampling, sweep};
 use crate::value::Grid;
 use std::collections::HashMap;
@@ -43,34 +43,30 @@ pub(super) struct Sites {
 }
 
 impl Sites {
-    /// All sites of a file, thinned to about half the distance between neighbouring trajectories.
+    /// All sites, thinned to about half the distance between neighbouring trajectories.
     ///
     /// # Errors
-    /// [`MapError`] where groups are not as this program writes them.
-    pub fn collect(stored: &Stored, plan: &Plan, swept: Option<StoredTrajectories>) -> Result<Self, MapError> {
+    /// [`MapError`] where the sweep next to the equilibrium fails.
+    pub fn collect(model: &Model, hamiltonian: &Hamiltonian, plan: &Plan, known: &Known) -> Result<Self, MapError> {
         let mut all = Gathering::new(plan);
-        // `costate value` writes one solution a state alone.
-        let entries = match stored.points_sheets()? {
-            None => stored.points()?,
-            entries => entries,
-        };
-        if let Some(entries) = entries {
+        if let Some(entries) = &known.solved {
             for k in 0..entries.count {
                 all.add(&entries.x, &entries.v, &entries.p, k, entries.sheet[k], Source::Solved);
             }
         }
-        if let Some(map) = stored.map()? {
-            let x = Grid { axes: map.axes }.points();
+        if let Some(map) = &known.grid {
+            let axes = map.axes.clone();
+            let x = Grid { axes }.points();
             for k in 0..map.v.len() {
                 all.add(&x, &map.v, &map.p, k, map.sheet[k], Source::Solved);
             }
         }
         // V of a finite horizon depends on time: only at its beginning is it the value function asked for.
-        let begins = match stored.model.horizon {
+        let begins = match model.horizon {
             Horizon::Finite { final_time, .. } => -final_time * (1.0 - 1e-9),
             Horizon::Infinite { .. } => f64::INFINITY,
         };
-        if let Some(swept) = swept {
+        if let Some(swept) = &known.swept {
             for k in (0..swept.count * swept.samples).filter(|k| swept.t[*k] <= begins) {
                 let sheet = swept.sheet[k / swept.samples];
                 all.add(&swept.x, &swept.v, &swept.p, k, sheet, Source::Sample);
@@ -81,7 +77,7 @@ impl Sites {
                 .copied()
                 .filter(|v| *v > 0.0)
                 .fold(f64::INFINITY, f64::min);
-            all.add_inner(stored, plan, least)?;
+            all.add_inner((model, hamiltonian), plan, least)?;
         }
         all.add_local(plan);
         Ok(all.finished())
@@ -227,7 +223,12 @@ impl<'p> Gathering<'p> {
 
     /// Levels of V at equal distances leave gaps near the equilibrium: the first is far from the seeds, and between the first
     /// few the radius grows by half and more. A small sweep of its own fills them.
-    fn add_inner(&mut self, stored: &Stored, plan: &Plan, least: f64) -> Result<(), MapError> {
+    fn add_inner(
+        &mut self,
+        (model, hamiltonian): (&Model, &Hamiltonian),
+        plan: &Plan,
+        least: f64,
+    ) -> Result<(), MapError> {
         /// Distance between neighbours on the outermost front, of its largest radius.
         const SPACING: f64 = 0.15;
         const LEVELS: usize = 8;
@@ -245,7 +246,7 @@ impl<'p> Gathering<'p> {
                 (LEVELS as f64 * least / local.quadratic(&s).max(f64::MIN_POSITIVE)).sqrt()
             })
             .fold(0.0, f64::max);
-        let mut model = stored.model.clone();
+        let mut model = model.clone();
         let mut inner = plan.shoot_out.clone();
         if plan.sampling == Sampling::ArcLength {
             inner.arc_length *= LEVELS as f64 / inner.samples as f64;
@@ -259,7 +260,7 @@ impl<'p> Gathering<'p> {
         inner.seed_value = SeedValue::Auto;
         model.shoot_out = Some(inner);
         let backend = Cpu::new();
-        let plan = Plan::new(&model, &stored.hamiltonian, &backend, Choices::default())?;
+        let plan = Plan::new(&model, hamiltonian, &backend, Choices::default())?;
         sweep::<BackendError>(&plan, &backend, &mut |_, _| {}, &mut |block| {
             for k in 0..block.v.len() {
                 self.add(&block.x, &block.v, &block.p, k, UNLABELLED, Source::Sample);

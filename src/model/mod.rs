@@ -4,11 +4,10 @@ mod feedback;
 
 pub use feedback::{Activation, Base, Feedback, LawOutput, Target};
 
+use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::expr::{Graph, Id};
-use std::ops::Range;
 
-/// Byte range in the scenario's text, for messages.
-pub type Span = Range<usize>;
+pub use crate::diagnostics::Span;
 
 /// A named, possibly unit-carrying axis entry.
 #[derive(Clone, Debug)]
@@ -492,6 +491,11 @@ pub struct Model {
 }
 
 impl Model {
+    /// Problems that a later stage found in the model, to be reported with its text.
+    pub fn errors(&self, problems: Vec<Problem>) -> ScenarioErrors {
+        ScenarioErrors::new(&self.file_name, &self.text, problems)
+    }
+
     /// The present value of a parameter; `None` where there is none of this name.
     pub fn parameter(&self, name: &str) -> Option<f64> {
         self.parameters.iter().find(|p| p.name == name).map(|p| p.value)
@@ -514,7 +518,7 @@ impl Model {
     pub fn state(&self, name: &str) -> Result<usize, String> {
         let names = || self.states.iter().map(|s| s.variable.name.as_str());
         names().position(|n| n == name).ok_or_else(|| {
-            let hint = crate::scenario::suggestion(name, names()).map_or_else(String::new, |s| format!("; {s}"));
+            let hint = crate::diagnostics::did_you_mean(name, names()).map_or_else(String::new, |s| format!("; {s}"));
             let all: Vec<&str> = names().collect();
             format!(
                 "`{name}` is not a state of the scenario (states: {}){hint}",

@@ -3,7 +3,7 @@
 use crate::expr::Id;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
-use crate::output::StoredTrajectories;
+use crate::trajectories::SweptTrajectories;
 use std::collections::HashMap;
 
 /// Points between two samples.
@@ -37,7 +37,7 @@ impl<'s> Flow<'s> {
 
     /// The state at each sample of a trajectory and at some times between samples (cubic Hermite interpolation), with the
     /// number of the sample before and the time.
-    pub fn path(&mut self, t: &StoredTrajectories, k: usize) -> Vec<(usize, f64, Vec<f64>)> {
+    pub fn path(&mut self, t: &SweptTrajectories, k: usize) -> Vec<(usize, f64, Vec<f64>)> {
         let n = self.hamiltonian.x.len();
         let mut path: Vec<(usize, f64, Vec<f64>)> = Vec::new();
         let mut before: Option<(usize, Vec<f64>)> = None;

@@ -25,8 +25,9 @@ mod ticks;
 
 pub use source::{OptionsError, Source};
 
+use crate::files::{FileError, write_bytes, write_text};
 use crate::model::Report;
-use crate::output::{OutputError, Stored, StoredError, write_bytes, write_text};
+use crate::result::{Stored, StoredError};
 use canvas::{Anchor, Canvas, Rect, Style, TITLE};
 use raster::{Raster, RasterError};
 use std::path::{Path, PathBuf};
@@ -70,7 +71,7 @@ pub enum ReportError {
     #[error(transparent)]
     Stored(#[from] StoredError),
     #[error(transparent)]
-    Output(#[from] OutputError),
+    Output(#[from] FileError),
     #[error(transparent)]
     Raster(#[from] RasterError),
     #[error("cannot write {path}: {source}", path = path.display())]

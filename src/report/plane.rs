@@ -1,7 +1,7 @@
 //! V over a plane of two states, made from what is known at the points of a grid.
 
 use crate::map::{Value, ValueMap};
-use crate::output::{StoredMap, StoredPoints};
+use crate::trajectories::{SolvedGrid, SolvedStates};
 use rayon::prelude::*;
 
 /// What is known of the value function at a state.
@@ -40,7 +40,7 @@ pub struct GridField {
 impl GridField {
     /// From `/map`. Points that are in `above` (or nothing is) have no value because V is above `limit`: next to known
     /// ones they are given one, at least the limit, so that regions up to the limit end where V passes it.
-    pub fn of_map(map: &StoredMap, controls: usize, above: &[bool], limit: f64) -> Self {
+    pub fn of_map(map: &SolvedGrid, controls: usize, above: &[bool], limit: f64) -> Self {
         let mut field = Self {
             axes: map.axes.clone(),
             v: map.v.clone(),
@@ -214,7 +214,7 @@ impl GridField {
     }
 
     /// From `/points`, where these are all points of a grid, each once.
-    pub fn of_points(points: &StoredPoints, states: usize, controls: usize) -> Option<Self> {
+    pub fn of_points(points: &SolvedStates, states: usize, controls: usize) -> Option<Self> {
         let mut axes: Vec<Vec<f64>> = (0..states)
             .map(|k| points.x.iter().skip(k).step_by(states).copied().collect())
             .collect();
@@ -512,11 +512,11 @@ mod tests {
         }
     }
 
-    fn map(count: usize) -> StoredMap {
+    fn map(count: usize) -> SolvedGrid {
         let axis = even([-2.0, 2.0], count);
-        let mut map = StoredMap {
+        let mut map = SolvedGrid {
             axes: vec![axis.clone(), axis.clone()],
-            ..StoredMap::default()
+            ..SolvedGrid::default()
         };
         for x in &axis {
             for y in &axis {
@@ -567,9 +567,9 @@ mod tests {
         // One well, known up to a limit: it is continued by its own quadratic, on the grid's side of the limit.
         let limit = 6.0;
         let axis = even([-3.0, 3.0], 13);
-        let mut well = StoredMap {
+        let mut well = SolvedGrid {
             axes: vec![axis.clone(), axis.clone()],
-            ..StoredMap::default()
+            ..SolvedGrid::default()
         };
         let mut above = Vec::new();
         for x in &axis {
@@ -604,9 +604,9 @@ mod tests {
             .map(|l| l.split(',').map(|v| v.parse().unwrap()).collect())
             .collect();
         let (grid, others) = rows.split_at(63);
-        let mut points = StoredPoints {
+        let mut points = SolvedStates {
             count: grid.len(),
-            ..StoredPoints::default()
+            ..SolvedStates::default()
         };
         for row in grid {
             points.x.extend(&row[..2]);
@@ -634,9 +634,9 @@ mod tests {
         let whole = map(5);
         let field = GridField::of_map(&whole, 1, &[], f64::INFINITY);
         let order: Vec<usize> = (0..25).map(|k| k * 7 % 25).collect();
-        let mut points = StoredPoints {
+        let mut points = SolvedStates {
             count: 25,
-            ..StoredPoints::default()
+            ..SolvedStates::default()
         };
         for k in order {
             points.x.extend(field.state(k));

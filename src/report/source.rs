@@ -3,9 +3,9 @@
 use super::plane::{GridField, Plane, refined};
 use super::ticks::significant;
 use super::{names, ticks};
-use crate::map::ValueMap;
 use crate::model::{Model, Report};
-use crate::output::{Stored, StoredPoints, StoredTrajectories};
+use crate::result::Stored;
+use crate::trajectories::{SolvedStates, SweptTrajectories};
 use crate::value::PointStatus;
 use std::cell::OnceCell;
 
@@ -48,9 +48,9 @@ pub struct Source<'s> {
     pub base: Vec<f64>,
     /// Asked for; empty: to be chosen.
     levels: Vec<f64>,
-    trajectories: Result<Option<StoredTrajectories>, String>,
-    points: Result<Option<StoredPoints>, String>,
-    sheets: Result<Option<StoredPoints>, String>,
+    trajectories: Result<Option<SweptTrajectories>, String>,
+    points: Result<Option<SolvedStates>, String>,
+    sheets: Result<Option<SolvedStates>, String>,
     field: Result<Option<GridField>, String>,
     plane: OnceCell<Option<Plane>>,
 }
@@ -66,7 +66,7 @@ impl<'s> Source<'s> {
         // Before anything is read: a mistake is told at once.
         let asked = axes(model, &merged, None)?;
         base(model, &merged, asked, None)?;
-        let text = |e: crate::output::StoredError| e.to_string();
+        let text = |e: crate::result::StoredError| e.to_string();
         let trajectories = stored.trajectories().map_err(text);
         let points = stored.points().map_err(text);
         let sheets = stored.points_sheets().map_err(text);
@@ -89,13 +89,13 @@ impl<'s> Source<'s> {
     }
 
     /// `/trajectories`.
-    pub fn trajectories(&self) -> Result<Option<&StoredTrajectories>, String> {
+    pub fn trajectories(&self) -> Result<Option<&SweptTrajectories>, String> {
         let found = self.trajectories.as_ref().map_err(Clone::clone)?;
         Ok(found.as_ref().filter(|t| t.count > 0 && t.samples > 0))
     }
 
     /// `/points`.
-    pub fn points(&self) -> Result<Option<&StoredPoints>, String> {
+    pub fn points(&self) -> Result<Option<&SolvedStates>, String> {
         Ok(self
             .points
             .as_ref()
@@ -105,7 +105,7 @@ impl<'s> Source<'s> {
     }
 
     /// `/points_sheets`.
-    pub fn sheets(&self) -> Result<Option<&StoredPoints>, String> {
+    pub fn sheets(&self) -> Result<Option<&SolvedStates>, String> {
         Ok(self
             .sheets
             .as_ref()
@@ -136,7 +136,7 @@ impl<'s> Source<'s> {
         if !known || self.axes[0] == self.axes[1] {
             return None;
         }
-        let map = ValueMap::new(self.stored).ok()?;
+        let map = self.stored.value_map().ok()?;
         let swept = self.trajectories().ok().flatten().map(|t| &t.v);
         let solved = self.points().ok().flatten().map(|p| &p.v);
         let said = map.highest_in_pieces();
@@ -275,7 +275,7 @@ fn state(model: &Model, name: &str, what: &'static str) -> Result<usize, Options
         .ok_or_else(|| OptionsError::UnknownState {
             what,
             name: name.to_owned(),
-            hint: crate::scenario::suggestion(name, names()).map_or_else(
+            hint: crate::diagnostics::did_you_mean(name, names()).map_or_else(
                 || format!("; its states: {}", names().collect::<Vec<_>>().join(", ")),
                 |s| format!("; {s}"),
             ),
@@ -328,7 +328,7 @@ fn base(model: &Model, choice: &Report, axes: [usize; 2], grid: Option<&GridFiel
 }
 
 /// The solved states as a grid: the map, else points that form one in two states or more.
-fn field(stored: &Stored, points: &Result<Option<StoredPoints>, String>) -> Result<Option<GridField>, String> {
+fn field(stored: &Stored, points: &Result<Option<SolvedStates>, String>) -> Result<Option<GridField>, String> {
     let (n, m) = (stored.model.states.len(), stored.model.controls.len());
     if let Some(map) = stored.map().map_err(|e| e.to_string())? {
         let above: Vec<bool> = map.status.iter().map(|s| *s == PointStatus::AboveMax as i32).collect();

@@ -2,7 +2,7 @@
 
 use super::ticks::significant;
 use super::{Source, names};
-use crate::output::{Array, StoredGroup};
+use crate::result::{Array, StoredGroup};
 use serde_json::Value;
 
 /// A table; the first column names the rows.

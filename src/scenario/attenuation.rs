@@ -3,10 +3,10 @@
 use super::declare::{Declarations, Declared};
 use super::reader::{Reader, Section, Value};
 use super::settings::grid_points;
-use super::suggest::did_you_mean;
-use super::syntax_error::shorten;
+use crate::diagnostics::Problem;
+use crate::diagnostics::did_you_mean;
+use crate::diagnostics::shorten;
 use crate::model::{Attenuation, GridAxis};
-use crate::scenario::Problem;
 use toml::de::DeValue;
 
 const KEYS: [&str; 5] = ["parameter", "range", "tolerance", "states", "levels"];

@@ -4,11 +4,12 @@ use super::parser::{Ast, GuardTree, Tree};
 use super::quoted::Offsets;
 use super::reader::Reader;
 use super::scope::{Kinds, Meaning, functions, reserved};
-use super::suggest::did_you_mean;
-use super::syntax_error::{SyntaxError, shorten};
+use super::syntax_error::SyntaxError;
+use crate::diagnostics::Problem;
+use crate::diagnostics::did_you_mean;
+use crate::diagnostics::shorten;
 use crate::expr::{Fun, Id};
 use crate::model::Span;
-use crate::scenario::Problem;
 use std::collections::HashSet;
 use std::ops::Range;
 

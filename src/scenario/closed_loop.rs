@@ -6,14 +6,14 @@ use super::lexer::Relation;
 use super::parser::{Ast, parse_expression};
 use super::reader::{Reader, Section, Value};
 use super::scope::{Entry, Kinds, Meaning, Role};
-use super::suggest::did_you_mean;
-use super::syntax_error::shorten;
+use crate::diagnostics::Problem;
+use crate::diagnostics::did_you_mean;
+use crate::diagnostics::shorten;
 use crate::expr::{Id, Kind};
 use crate::model::{
     ClosedLoop, DEFAULT_CONVERGED, DEFAULT_LOOP_MARGIN, Extremum, Formula, GivenLaw, Located, OperatingSet, Outside,
     Record, Span, Start,
 };
-use crate::scenario::Problem;
 use toml::de::DeValue;
 
 /// Points at which quantities are recorded unless `samples` says otherwise.

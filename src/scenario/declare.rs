@@ -4,11 +4,11 @@ use super::build::{Origin, Use};
 use super::lexer::is_identifier;
 use super::reader::{Reader, Section, Value};
 use super::scope::{Entry, Kinds, Meaning, Role, reserved};
-use super::suggest::did_you_mean;
-use super::syntax_error::shorten;
+use crate::diagnostics::Problem;
+use crate::diagnostics::did_you_mean;
+use crate::diagnostics::shorten;
 use crate::expr::{Id, Kind};
 use crate::model::{Control, Parameter, Span, State, Variable};
-use crate::scenario::Problem;
 use std::collections::HashMap;
 
 /// A declared name with its value in the file.
@@ -53,7 +53,7 @@ impl<'a> Reader<'a> {
         };
         let symbol = kind.map(|kind| self.graph.symbol(name, kind));
         if let Some(first) = self.scope.get(name) {
-            let line = super::report::position(self.text, first.span.start).0;
+            let line = crate::diagnostics::position(self.text, first.span.start).0;
             let message = format!("`{name}` is already {} (line {line})", first.role.noun());
             self.report(Problem::at(span.clone(), message, "declared a second time").with_help("every name once"));
         } else {

@@ -2,9 +2,9 @@
 
 use super::closed_loop::LoopScope;
 use super::reader::{Reader, Section, Value};
-use super::syntax_error::shorten;
+use crate::diagnostics::Problem;
+use crate::diagnostics::shorten;
 use crate::model::Dissipation;
-use crate::scenario::Problem;
 use toml::de::DeValue;
 
 /// Disturbances under each law unless `disturbances` says otherwise.

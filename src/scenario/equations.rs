@@ -5,10 +5,10 @@ use super::declare::Declared;
 use super::lexer::Relation;
 use super::reader::{Reader, Section, Value};
 use super::scope::Kinds;
-use super::suggest::did_you_mean;
-use super::syntax_error::shorten;
+use crate::diagnostics::Problem;
+use crate::diagnostics::did_you_mean;
+use crate::diagnostics::shorten;
 use crate::model::{Guard, Located};
-use crate::scenario::Problem;
 
 /// Terminal cost with the time it is paid at.
 #[derive(Clone, Debug)]

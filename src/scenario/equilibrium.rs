@@ -2,10 +2,10 @@
 
 use super::declare::Declared;
 use super::reader::{Reader, Section};
-use super::syntax_error::shorten;
+use crate::diagnostics::Problem;
+use crate::diagnostics::shorten;
 use crate::expr::{Fun, Graph, Id, Op};
 use crate::model::{Control, Guard, Located, Span, Variable};
-use crate::scenario::Problem;
 use std::collections::HashMap;
 
 /// What may remain of f and L at the equilibrium, relative to the size of the terms they are made of, there and over the

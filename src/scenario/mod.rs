@@ -14,28 +14,22 @@ mod equilibrium;
 mod feedback;
 mod lexer;
 mod parser;
-mod problem;
 mod quoted;
 mod reader;
-mod report;
 mod report_section;
 mod scene;
 mod scope;
 mod settings;
 mod stationary;
 mod study;
-mod suggest;
 mod syntax_error;
 #[cfg(test)]
 mod tests;
 
-pub use problem::Problem;
-pub use report::ScenarioErrors;
+pub use crate::diagnostics::{Problem, ScenarioErrors};
 pub use report_section::{constant, definitions};
 pub use scene::PROBLEM_SECTIONS;
 pub use settings::{DEFAULT_ATOL_SHARE, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
-pub(crate) use suggest::did_you_mean as suggestion;
-pub(crate) use syntax_error::shorten;
 
 use crate::model::Model;
 use std::path::{Path, PathBuf};
@@ -70,5 +64,5 @@ pub fn load(path: &Path, overrides: &[(String, String)]) -> Result<Model, LoadEr
 /// # Errors
 /// [`ScenarioErrors`] with everything that is wrong.
 pub fn parse(text: &str, file_name: &str, overrides: &[(String, String)]) -> Result<Model, ScenarioErrors> {
-    scene::read(text, file_name, overrides).map_err(|problems| ScenarioErrors::of(file_name, text, problems))
+    scene::read(text, file_name, overrides).map_err(|problems| ScenarioErrors::new(file_name, text, problems))
 }

@@ -4,10 +4,10 @@ use super::build::{Origin, Use};
 use super::declare::Declared;
 use super::reader::{Reader, Section, Value};
 use super::scope::{Entry, Kinds, Meaning, Role};
-use super::suggest::did_you_mean;
-use super::syntax_error::shorten;
+use crate::diagnostics::Problem;
+use crate::diagnostics::did_you_mean;
+use crate::diagnostics::shorten;
 use crate::model::{Model, Report};
-use crate::scenario::Problem;
 use toml::de::{DeTable, DeValue};
 
 impl<'a> Reader<'a> {

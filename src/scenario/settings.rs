@@ -2,13 +2,13 @@
 
 use super::declare::Declared;
 use super::reader::{Reader, Section, Value};
-use super::syntax_error::shorten;
+use crate::diagnostics::Problem;
+use crate::diagnostics::shorten;
 use crate::model::{
     DEFAULT_ARC_LENGTH, DEFAULT_MAP_CHECK, DEFAULT_MAP_STATES, DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS,
     GridAxis, Homotopy, Integrator, LEAST_MAP_ERROR, MAP_ERROR_MAX, MAP_ERRORS_MAX, MOST_MAP_ERROR, MOST_MAP_STATES,
     MapAim, MapGrid, Method, Precision, SampleBy, SeedValue, Sheets, ShootOut,
 };
-use crate::scenario::Problem;
 use toml::de::DeValue;
 
 /// Largest gap on a front unless `[shoot_out] spacing` says otherwise.

@@ -3,9 +3,9 @@
 
 use super::equilibrium::{POINTS, Scene, is_zero, sized};
 use super::reader::Reader;
+use crate::diagnostics::Problem;
 use crate::expr::{Fun, Graph, Id, Kind, Node};
 use crate::model::Located;
-use crate::scenario::Problem;
 use std::collections::HashMap;
 
 /// Longest text of an expression that is shown, in leaves of its tree.

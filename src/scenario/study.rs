@@ -3,10 +3,10 @@
 use super::closed_loop::LoopScope;
 use super::reader::{Reader, Section, Value};
 use super::scope::Role;
-use super::suggest::did_you_mean;
-use super::syntax_error::shorten;
+use crate::diagnostics::Problem;
+use crate::diagnostics::did_you_mean;
+use crate::diagnostics::shorten;
 use crate::model::Study;
-use crate::scenario::Problem;
 use toml::de::DeValue;
 
 const KEYS: [&str; 4] = ["vary", "from", "record", "samples"];

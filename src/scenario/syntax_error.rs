@@ -1,6 +1,7 @@
 //! What is wrong with an expression's syntax, in words.
 
 use super::lexer::{Kind, Relation, Token};
+use crate::diagnostics::shorten;
 use std::ops::Range;
 
 /// A syntax error and its byte range in the expression's text.
@@ -45,14 +46,6 @@ fn shown(kind: Kind<'_>) -> String {
         Kind::Relation(Relation::LessEqual) => "<=".into(),
         Kind::Relation(Relation::Greater) => ">".into(),
         Kind::Relation(Relation::GreaterEqual) => ">=".into(),
-    }
-}
-
-/// At most 40 characters of `text`.
-pub(crate) fn shorten(text: &str) -> String {
-    match text.char_indices().nth(40) {
-        Some((end, _)) => format!("{}...", &text[..end]),
-        None => text.to_owned(),
     }
 }
 

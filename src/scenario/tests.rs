@@ -6,7 +6,7 @@ use super::parser::{parse_expression, parse_guard};
 use super::quoted::Offsets;
 use super::reader::Reader;
 use super::scope::{Entry, Kinds, Meaning, Role};
-use super::suggest::nearest;
+use crate::diagnostics::nearest;
 use crate::expr::{Fun, Graph, Id, Kind, Node, Op};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

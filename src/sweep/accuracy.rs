@@ -9,7 +9,7 @@
 use super::plan::Plan;
 use super::sample::Sample;
 use crate::backend::cpu::Cpu;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::backend::{Backend, BackendError, Status, Trajectories, batch_limit};
 use crate::model::{Method, Precision};
 use crate::program::Program;

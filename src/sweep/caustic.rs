@@ -2,7 +2,7 @@
 
 use super::plan::Plan;
 use crate::backend::Trajectories;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::hamiltonian::Slope;
 
 /// A point of the caustic: `det dx/dseed = 0`.

@@ -7,7 +7,7 @@ use super::plan::Plan;
 use super::sample::{Sample, Sampler};
 use crate::backend::{Backend, BackendError, Kernel, Status, Trajectories, batch_limit};
 use crate::model::Precision;
-use crate::output::TrajectoryBlock;
+use crate::trajectories::TrajectoryBlock;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};

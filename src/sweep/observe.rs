@@ -2,10 +2,10 @@
 
 use super::caustic::{FoldPoint, Folds};
 use super::plan::{FOLD_STATUS, GUARD_STATUS, Plan, Sampling};
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::backend::{Status, Trajectories};
-use crate::output::TrajectoryBlock;
 use crate::program::Program;
+use crate::trajectories::TrajectoryBlock;
 
 /// Sheets are labelled when sheets are computed; a sweep leaves them open.
 pub const NO_SHEET: i32 = -1;

@@ -174,7 +174,22 @@ pub struct Plan {
     pub seed: u64,
 }
 
+/// Segments are about as long as the fastest mode takes to grow by e to this power.
+const SEGMENT_GROWTH: f64 = 3.0;
+
 impl Plan {
+    /// Duration of a segment of a first guess.
+    pub fn segment_duration(&self) -> f64 {
+        match (&self.local, &self.system.terminal) {
+            (Some(local), _) => {
+                let fastest = local.riccati.eigenvalues.iter().map(|e| e.norm()).fold(0.0, f64::max);
+                SEGMENT_GROWTH / fastest
+            }
+            (None, Some(terminal)) => terminal.time / 16.0,
+            (None, None) => 1.0,
+        }
+    }
+
     /// Plans the sweep of a scene on a backend.
     ///
     /// # Errors
@@ -575,7 +590,7 @@ fn nowhere_negative(system: &System, expr: Id, region: &[[f64; 2]]) -> bool {
         .flat_map(|s| s.into_iter().chain(std::iter::repeat_n(0.0, n)))
         .collect();
     let scale = |v: &[f64]| v.iter().fold(0.0f64, |a, b| a.max(b.abs()));
-    let values = crate::backend::cpu::map::Evaluator::new(&program).eval(&points, 2 * n);
+    let values = crate::backend::cpu::Evaluator::new(&program).eval(&points, 2 * n);
     let rounding = 1e-12 * scale(&values);
     // Outside its domain the model says nothing about the sign.
     values.iter().all(|l| l.is_nan() || *l >= -rounding)

@@ -9,7 +9,7 @@
 
 use super::plan::Plan;
 use super::sample::Sample;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::integrator::Scheme;
 use crate::local::eigenvalues_of;
 use crate::program::Program;

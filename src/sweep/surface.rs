@@ -1,9 +1,9 @@
 //! Where trajectories start, backward in time: the seed ellipsoid, or the terminal cost over the region.
 
 use super::complex::{Complex, Edge, Vertex};
-use super::sample::random;
 use crate::hamiltonian::{System, Terminal};
 use crate::local::LocalSolution;
+use crate::numeric::random::random;
 use crate::program::Program;
 
 /// Initial seeds for each dimension of the surface; fronts that need more get more.

@@ -4,9 +4,10 @@ use super::solve::{Answers, Entry, MOST_RTOL, scheme};
 use crate::backend::BackendError;
 use crate::backend::cpu::Cpu;
 use crate::model::Precision;
+use crate::numeric::random::random;
 use crate::shooting::{Goal, Job, Solver};
+use crate::sweep::Plan;
 use crate::sweep::accuracy::{PROMISE, SMALL, Spread};
-use crate::sweep::{Plan, random};
 
 /// Solutions solved again at most.
 const MOST: usize = 32;

@@ -9,8 +9,6 @@ use crate::sweep::{Plan, Sampling};
 const MOST_NUMBERS: usize = 48 << 20;
 /// Points of one trajectory nearer to each other than this share of the spacing are not all looked up.
 const THIN: f64 = 0.25;
-/// Segments are about as long as the fastest mode takes to grow by e to this power.
-const GROWTH: f64 = 3.0;
 /// Most segments that a first guess begins with.
 const MOST_SEGMENTS: f64 = 400.0;
 
@@ -232,17 +230,5 @@ impl Index {
         (self.tree.near(state, within, most).into_iter())
             .map(|(k, d)| (self.places[k], d))
             .collect()
-    }
-}
-
-/// Duration of a segment of a first guess.
-pub fn segment_duration(plan: &Plan) -> f64 {
-    match (&plan.local, &plan.system.terminal) {
-        (Some(local), _) => {
-            let fastest = local.riccati.eigenvalues.iter().map(|e| e.norm()).fold(0.0, f64::max);
-            GROWTH / fastest
-        }
-        (None, Some(terminal)) => terminal.time / 16.0,
-        (None, None) => 1.0,
     }
 }

@@ -5,7 +5,6 @@
 //! Linear Programming and Economic Analysis, 1958, ch. 12).
 
 use super::approach::{Approach, follow};
-use super::archive::segment_duration;
 use super::extremal::Extremal;
 use super::survey::{Miss, PointStatus, Survey};
 use crate::backend::BackendError;
@@ -141,7 +140,7 @@ impl Field {
             rate: Program::lower(&system.graph, &system.inputs, &system.rate[..2 * system.states]),
             scales: solver.scheme.equations.scales.clone(),
             time,
-            segment: segment_duration(plan),
+            segment: plan.segment_duration(),
         }
     }
 

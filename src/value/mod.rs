@@ -23,7 +23,7 @@ mod tracks;
 
 pub use accuracy::{SolvedAccuracy, accuracy};
 pub use approach::{Approach, Unreached, follow};
-pub use archive::{Archive, Index, Place, segment_duration};
+pub use archive::{Archive, Index, Place};
 pub use conjugate::ConjugatePoints;
 pub use cover::Cover;
 pub use equal_cost::BoundaryPoint;

@@ -5,7 +5,7 @@ use super::survey::Survey;
 use super::targets::Targets;
 use crate::backend::BackendError;
 use crate::dynamic_programming::GridValue;
-use crate::quantile::nearest_rank;
+use crate::numeric::quantile::nearest_rank;
 use crate::shooting::Solver;
 use crate::sweep::Plan;
 

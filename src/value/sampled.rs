@@ -2,10 +2,10 @@
 
 use super::solve::Entry;
 use crate::backend::BackendError;
-use crate::output::TrajectoryBlock;
 use crate::program::Program;
 use crate::shooting::{Path, Solver};
 use crate::sweep::Plan;
+use crate::trajectories::TrajectoryBlock;
 
 /// Status of a sampled solution, that of a trajectory which has reached its end.
 const REACHED: i32 = crate::backend::Status::Reached as i32;
@@ -30,7 +30,7 @@ pub fn sampled(
     ]
     .concat();
     let program = Program::lower(&plan.system.graph, &plan.system.inputs, &roots);
-    let evaluator = crate::backend::cpu::map::Evaluator::new(&program);
+    let evaluator = crate::backend::cpu::Evaluator::new(&program);
     let mut block = TrajectoryBlock {
         count: entries.len(),
         ..TrajectoryBlock::default()

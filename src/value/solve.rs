@@ -1,6 +1,6 @@
 //! V, p and u at the targets of a scene: grids and single states, from the sweep to the answers.
 
-use super::archive::{Archive, segment_duration};
+use super::archive::Archive;
 use super::cover::Cover;
 use super::direct::Direct;
 use super::equal_cost::BoundaryPoint;
@@ -293,7 +293,7 @@ fn scheme_of(plan: &Plan, variations: usize, tolerance: f64) -> Scheme {
         equations: Equations::new(&plan.system, &plan.widths, scale, variations),
         end: End::new(&plan.system, plan.local.as_ref()),
         tolerance,
-        duration: segment_duration(plan),
+        duration: plan.segment_duration(),
     }
 }
 
@@ -368,10 +368,10 @@ pub fn solve(
     };
     let mut survey = Survey::new(plan, &targets, solver)?;
     let mut cover = Cover::serves(plan)
-        .then(|| Cover::new(plan, model, segment_duration(plan), &Cpu::new()))
+        .then(|| Cover::new(plan, model, plan.segment_duration(), &Cpu::new()))
         .transpose()?;
     if !request.points.is_empty() && !cover.as_ref().is_some_and(Cover::has_cells) {
-        survey.direct = Direct::new(plan, model, segment_duration(plan));
+        survey.direct = Direct::new(plan, model, plan.segment_duration());
     }
     let mut make = || coarse_grid(plan, model);
     let second = match &request.grid {

@@ -4,7 +4,7 @@ use super::Entry;
 use super::survey::Survey;
 use super::targets::Targets;
 use crate::backend::BackendError;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::program::Program;
 use crate::shooting::{Path, Solver};
 use crate::sweep::Plan;

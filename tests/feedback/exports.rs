@@ -6,7 +6,7 @@ use costate::closed_loop::Laws;
 use costate::feedback::{FittedLaw, Law, Meaning, header, onnx};
 use costate::hamiltonian::Hamiltonian;
 use costate::model::Model;
-use costate::sweep::random;
+use costate::numeric::random::random;
 use std::path::Path;
 use std::process::Command;
 

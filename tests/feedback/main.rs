@@ -7,7 +7,7 @@ mod support;
 use costate::feedback::{Data, FittedLaw, Law, Samples, fit};
 use costate::hamiltonian::Hamiltonian;
 use costate::model::{Feedback, Model};
-use costate::sweep::random;
+use costate::numeric::random::random;
 use std::process::Command;
 use support::{Points, output, scratch};
 
@@ -466,7 +466,7 @@ fn a_result_file_gets_its_laws() {
     assert!(text.contains("law line: u: a 2-1 logistic network"), "{text}");
     assert_eq!(Points::read(&out).law, ["line"]);
     assert!(
-        costate::output::Stored::open(&out)
+        costate::result::Stored::open(&out)
             .unwrap()
             .trajectories()
             .unwrap()

@@ -4,15 +4,17 @@ pub(crate) mod arithmetic;
 mod block;
 mod code;
 mod decide;
+mod evaluator;
 #[cfg(target_arch = "x86_64")]
 mod jit;
 pub(crate) mod lanes;
-pub mod map;
 mod peak;
 pub(crate) mod real;
 mod routine;
 mod steps;
 mod taylor;
+
+pub use evaluator::Evaluator;
 
 use super::{Backend, BackendError, Kernel, Legs, Run, Spec, Status, Trajectories, Variant};
 use crate::integrator::Scheme;

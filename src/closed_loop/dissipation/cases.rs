@@ -4,7 +4,6 @@ use super::{Certificate, Laws, LoopError};
 use crate::closed_loop::Initial;
 use crate::closed_loop::forcing::{WAVES, Wave, components};
 use crate::model::{self, Model};
-use crate::sweep;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
@@ -64,7 +63,7 @@ pub struct Cases {
 
 /// In [0, 1): a function of seed, case and place alone.
 fn uniform(seed: u64, case: usize, place: usize) -> f64 {
-    sweep::uniform(seed ^ OWN, case as u64 * STRIDE + place as u64)
+    crate::numeric::random::uniform(seed ^ OWN, case as u64 * STRIDE + place as u64)
 }
 
 impl Cases {

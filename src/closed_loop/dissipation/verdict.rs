@@ -3,7 +3,7 @@
 use super::{Cases, Certificate, Dissipation, DisturbanceKind, Law, Origin, Setting, TOLERANCE};
 use crate::backend::Status;
 use crate::closed_loop::Path;
-use crate::quantile::nearest_rank;
+use crate::numeric::quantile::nearest_rank;
 use rayon::prelude::*;
 
 /// One trajectory as far as V is known along it.

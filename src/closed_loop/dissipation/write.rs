@@ -2,8 +2,8 @@
 
 use super::{Dissipation, DisturbanceKind, LawCheck, Origin, Summary, TOLERANCE};
 use crate::closed_loop::Path;
+use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::model::Model;
-use crate::output::{Dimension, Group, OutputError, ResultFile, Variable};
 
 /// The groups that a check writes, and replaces where a file has them.
 pub const GROUPS: [&str; 3] = ["dissipation", "dissipation_kinds", "dissipation_trajectories"];

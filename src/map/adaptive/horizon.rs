@@ -6,7 +6,7 @@
 use super::Work;
 use super::errands::Errand;
 use crate::backend::BackendError;
-use crate::backend::cpu::{Cpu, map::Evaluator};
+use crate::backend::cpu::{Cpu, Evaluator};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Horizon, MapAim, Model};
 use crate::program::Program;

@@ -2,12 +2,12 @@
 
 use super::Made;
 use super::phase::FOLD;
-use crate::output::{StoredError, StoredGroup};
 use crate::report::canvas::{Canvas, Dash, Ink, Rect, Stroke};
 use crate::report::contour::{self, Grid};
 use crate::report::frame::{Axis, Frame, Legend, Mark, dashed, range};
 use crate::report::ticks::significant;
 use crate::report::{Drawing, Picture, Source, colours, names};
+use crate::result::{StoredError, StoredGroup};
 use crate::value::PointStatus;
 
 /// From this ratio of the largest value to the smallest on, the axis of values is logarithmic.

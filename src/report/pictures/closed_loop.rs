@@ -2,13 +2,13 @@
 
 use super::bands::fill;
 use super::panels::{Curve, Panel, Panels};
-use crate::output::{StoredError, StoredGroup};
 use crate::report::canvas::{Anchor, Canvas, Dash, Ink, Point, Rect, Stroke, Style};
 use crate::report::colours;
 use crate::report::contour::{self, Grid};
 use crate::report::frame::{Axis, Bar, Frame, LINE, Legend, Mark};
 use crate::report::ticks::{self, significant};
 use crate::report::{Drawing, Picture, Source, names, text};
+use crate::result::{StoredError, StoredGroup};
 
 /// Variables of `/closed_loop` that are no recorded quantities.
 const OTHERS: [&str; 9] = [

@@ -4,10 +4,10 @@ use super::Made;
 use super::histories;
 use super::panels::{Curve, Panel, Panels};
 use crate::closed_loop::dissipation::ratio_text;
-use crate::output::{StoredError, StoredGroup};
 use crate::report::canvas::{Dash, Ink, Stroke};
 use crate::report::frame::{Mark, dashed};
 use crate::report::{Picture, Source, colours, names};
+use crate::result::{StoredError, StoredGroup};
 
 /// Points of a curve: more are not told apart.
 const POINTS: usize = 400;

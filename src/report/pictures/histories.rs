@@ -3,11 +3,11 @@
 use super::Made;
 use super::panels::{Curve, Panel, Panels};
 use crate::model::{Horizon, Model};
-use crate::output::StoredTrajectories;
 use crate::report::canvas::{Dash, Ink, Stroke};
 use crate::report::flow::Flow;
 use crate::report::frame::Mark;
 use crate::report::{Picture, Source, colours, names};
+use crate::trajectories::SweptTrajectories;
 
 /// Trajectories of the picture: more are not told apart.
 const SHOWN: usize = 5;
@@ -80,7 +80,7 @@ pub fn closed_loop(source: &Source<'_>) -> Made {
     let Some(group) = source.stored.group("closed_loop_trajectories") else {
         return Ok(None);
     };
-    let text = |e: crate::output::StoredError| e.to_string();
+    let text = |e: crate::result::StoredError| e.to_string();
     let laws = group.texts("law").map_err(text)?;
     let (t, x, u) = (
         group.f64("t").map_err(text)?,
@@ -166,7 +166,7 @@ pub fn panels(model: &Model) -> Vec<Panel> {
 }
 
 /// Trajectories whose first points are far from each other, in units of the region, and within it if any is.
-fn far_apart(model: &Model, t: &StoredTrajectories, most: usize) -> Vec<usize> {
+fn far_apart(model: &Model, t: &SweptTrajectories, most: usize) -> Vec<usize> {
     let n = model.states.len();
     let first = |k: usize| (k * t.samples..(k + 1) * t.samples).find(|s| t.v[*s].is_finite());
     let place = |k: usize| -> Option<Vec<f64>> {

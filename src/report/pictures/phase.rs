@@ -2,7 +2,6 @@
 
 use super::Made;
 use super::boundary::Boundary;
-use crate::output::{StoredError, StoredTrajectories};
 use crate::report::canvas::{Canvas, Ink, Rect, Stroke};
 use crate::report::colours;
 use crate::report::flow::Flow;
@@ -10,6 +9,8 @@ use crate::report::frame::{Axis, Bar, Frame, Legend, Mark};
 use crate::report::plane::{Field, GridField};
 use crate::report::ticks::significant;
 use crate::report::{Drawing, Picture, Source};
+use crate::result::StoredError;
+use crate::trajectories::SweptTrajectories;
 use std::collections::BTreeMap;
 
 /// Trajectories of a picture.
@@ -188,7 +189,7 @@ fn shifts(source: &Source<'_>) -> Vec<Vec<f64>> {
 }
 
 /// Every trajectory with every shift that brings it into the picture.
-fn seen(source: &Source<'_>, t: &StoredTrajectories, field: Option<&GridField>, shifts: &[Vec<f64>]) -> Vec<Seen> {
+fn seen(source: &Source<'_>, t: &SweptTrajectories, field: Option<&GridField>, shifts: &[Vec<f64>]) -> Vec<Seen> {
     let n = source.model.states.len();
     let mut all = Vec::new();
     for k in 0..t.count {
@@ -217,7 +218,7 @@ fn seen(source: &Source<'_>, t: &StoredTrajectories, field: Option<&GridField>, 
 }
 
 /// The sheet of each sample of a trajectory. With a finite horizon V is known at the initial time only.
-fn sheets_along(source: &Source<'_>, t: &StoredTrajectories, field: &GridField, k: usize, shift: &[f64]) -> Vec<i32> {
+fn sheets_along(source: &Source<'_>, t: &SweptTrajectories, field: &GridField, k: usize, shift: &[f64]) -> Vec<i32> {
     let n = shift.len();
     let largest = field.largest();
     let range = k * t.samples..(k + 1) * t.samples;
@@ -278,7 +279,7 @@ fn spread(source: &Source<'_>, all: &[&Seen], most: usize) -> Vec<Seen> {
 /// Pieces of one trajectory of equal class; where a class ends the next begins.
 fn pieces(
     source: &Source<'_>,
-    t: &StoredTrajectories,
+    t: &SweptTrajectories,
     flow: &mut Flow<'_>,
     seen: &Seen,
     class: impl Fn(usize) -> i32,
@@ -298,7 +299,7 @@ fn pieces(
 }
 
 impl Phase {
-    fn by_sheet(&mut self, source: &Source<'_>, t: &StoredTrajectories, flow: &mut Flow<'_>, shown: &[Seen]) {
+    fn by_sheet(&mut self, source: &Source<'_>, t: &SweptTrajectories, flow: &mut Flow<'_>, shown: &[Seen]) {
         let mut by_class: BTreeMap<i32, Vec<Path>> = BTreeMap::new();
         for seen in shown {
             for (sheet, path) in pieces(source, t, flow, seen, |s| seen.sheets[s - seen.number * t.samples]) {
@@ -321,7 +322,7 @@ impl Phase {
         }
     }
 
-    fn by_value(&mut self, source: &Source<'_>, t: &StoredTrajectories, flow: &mut Flow<'_>, shown: &[Seen]) {
+    fn by_value(&mut self, source: &Source<'_>, t: &SweptTrajectories, flow: &mut Flow<'_>, shown: &[Seen]) {
         // What lies outside the picture would take the colours of what is in it.
         let shown_here = |k: usize| {
             let x = &t.x[k * source.model.states.len()..][..source.model.states.len()];
@@ -347,7 +348,7 @@ impl Phase {
     }
 
     /// Some fronts, cut where they are not optimal and where neighbours are far apart; their V.
-    fn draw_fronts(&mut self, source: &Source<'_>, t: &StoredTrajectories, all: &[Seen]) -> Vec<String> {
+    fn draw_fronts(&mut self, source: &Source<'_>, t: &SweptTrajectories, all: &[Seen]) -> Vec<String> {
         let value = |j: usize| {
             let values = (0..t.count).map(|k| t.v[k * t.samples + j]).filter(|v| v.is_finite());
             values.fold(f64::NAN, f64::max)
@@ -382,7 +383,7 @@ impl Phase {
         levels
     }
 
-    fn front(&mut self, source: &Source<'_>, t: &StoredTrajectories, ring: &[&Seen], j: usize) {
+    fn front(&mut self, source: &Source<'_>, t: &SweptTrajectories, ring: &[&Seen], j: usize) {
         let spacing = source.model.shoot_out.as_ref().map_or(0.05, |s| s.spacing);
         let widths = source
             .axes
@@ -407,7 +408,7 @@ impl Phase {
 }
 
 /// Puts trajectories of two states in the order in which they lie around the equilibrium, by their innermost points.
-fn in_order(source: &Source<'_>, t: &StoredTrajectories, ring: &mut [&Seen]) {
+fn in_order(source: &Source<'_>, t: &SweptTrajectories, ring: &mut [&Seen]) {
     let at = source.model.reference();
     let width = source.model.region.iter().map(|[a, b]| b - a).collect::<Vec<_>>();
     let angle = |seen: &Seen| {

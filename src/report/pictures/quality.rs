@@ -79,7 +79,7 @@ pub fn picture(source: &Source<'_>) -> Made {
     }))
 }
 
-fn wrong(e: crate::output::StoredError) -> String {
+fn wrong(e: crate::result::StoredError) -> String {
     e.to_string()
 }
 

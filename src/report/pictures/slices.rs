@@ -2,12 +2,12 @@
 
 use super::Made;
 use super::panels::{Curve, Panel, Panels};
-use crate::output::StoredPoints;
 use crate::report::canvas::{Ink, Stroke};
 use crate::report::flow::hermite;
 use crate::report::frame::Mark;
 use crate::report::ticks::significant;
 use crate::report::{Picture, Source, colours, names};
+use crate::trajectories::SolvedStates;
 use std::collections::BTreeMap;
 
 /// Fewer states make no line.
@@ -22,7 +22,7 @@ struct Slice {
 
 impl Slice {
     /// The axis with the most values; the others where they are nearest to what is asked for.
-    fn find(points: &StoredPoints, base: &[f64]) -> Option<Self> {
+    fn find(points: &SolvedStates, base: &[f64]) -> Option<Self> {
         let n = base.len();
         let values: Vec<Vec<f64>> = (0..n)
             .map(|k| {
@@ -269,7 +269,7 @@ fn crossings(source: &Source<'_>, slice: &Slice) -> Result<Vec<[f64; 2]>, String
     let Some(group) = source.stored.group("equal_cost") else {
         return Ok(Vec::new());
     };
-    let text = |e: crate::output::StoredError| e.to_string();
+    let text = |e: crate::result::StoredError| e.to_string();
     let (x, v) = (
         group.f64("x").map_err(text)?.values,
         group.f64("V").map_err(text)?.values,

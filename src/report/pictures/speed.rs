@@ -1,10 +1,10 @@
 //! Speed against error, of `costate bench`.
 
 use super::Made;
-use crate::output::{StoredError, StoredGroup};
 use crate::report::canvas::{Canvas, Dash, Ink, Rect, Stroke};
 use crate::report::frame::{Axis, Frame, Legend, Mark, range};
 use crate::report::{Drawing, Picture, Source, colours};
+use crate::result::{StoredError, StoredGroup};
 
 /// Larger errors are of no use.
 const USEFUL: f64 = 0.1;

@@ -1,6 +1,6 @@
 //! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked for.
 
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::backend::{Backend, BackendError, By, Guards, Kernel, Run, Spec, Status, batch_limit};
 use crate::local::{LocalSolution, SeedChoice};
 use crate::model::{Method, Model, Precision, SeedValue};

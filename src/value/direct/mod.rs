@@ -9,8 +9,9 @@ mod descent;
 mod stage;
 
 use crate::model::{Horizon, Model};
+use crate::numeric::random::uniform;
 use crate::shooting::{End, Path};
-use crate::sweep::{Plan, uniform};
+use crate::sweep::Plan;
 use crate::value::flight::homeward;
 use descent::{Descent, Transcription};
 use rayon::prelude::*;

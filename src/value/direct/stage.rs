@@ -1,6 +1,6 @@
 //! A step of the transcribed problem: state and cost after it, with derivatives by state and control.
 
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::expr::Kind;
 use crate::model::Model;
 use crate::program::Program;

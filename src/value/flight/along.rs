@@ -2,7 +2,7 @@
 
 use super::{Expansion, Law, tangent};
 use crate::backend::BackendError;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::program::Program;
 use crate::shooting::{Path, Solver};
 use crate::sweep::Plan;

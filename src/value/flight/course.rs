@@ -5,7 +5,6 @@ use crate::local::{LocalSolution, closed_loop_margin};
 use crate::program::Program;
 use crate::shooting::{End, Path};
 use crate::sweep::{Plan, guard_holds};
-use crate::value::segment_duration;
 
 /// Periods of a first guess' segment: the first, the shortest and the longest one of a flight.
 const FIRST: f64 = 1.0 / 6.0;
@@ -106,7 +105,7 @@ impl Course {
             let strict = system.guards.iter().map(|g| g.strict).collect();
             (Program::lower(&system.graph, &system.inputs, &exprs), strict)
         });
-        let segment = segment_duration(plan);
+        let segment = plan.segment_duration();
         let slowest = plan.local.as_ref().map(|l| closed_loop_margin(&l.riccati).recip());
         let time = system.terminal.as_ref().map(|t| t.time);
         let longest = fine * (LONGEST * segment).min(time.map_or(f64::INFINITY, |t| t / FINITE_PERIODS));

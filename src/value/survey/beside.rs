@@ -3,8 +3,8 @@
 
 use super::{MOST_SHEETS, Survey, times};
 use crate::backend::BackendError;
+use crate::numeric::random::{random, uniform};
 use crate::shooting::{Path, Solver};
-use crate::sweep::{random, uniform};
 use crate::value::extremal::Extremal;
 use crate::value::flight::{Drifting, Flight, Law, Pilot, Terminal};
 use crate::value::fold;

@@ -25,7 +25,7 @@ pub use checked::Support;
 pub use status::{Miss, PointStatus};
 
 use super::approach::{Approach, Unreached, follow};
-use super::archive::{Archive, Index, segment_duration};
+use super::archive::{Archive, Index};
 use super::conjugate::ConjugatePoints;
 use super::cover::Cover;
 use super::direct::Direct;
@@ -35,7 +35,7 @@ use super::grow::grown;
 use super::march;
 use super::targets::Targets;
 use crate::backend::BackendError;
-use crate::backend::cpu::map::Evaluator;
+use crate::backend::cpu::Evaluator;
 use crate::dynamic_programming::GridValue;
 use crate::program::Program;
 use crate::shooting::{Failure, Path, Solver};
@@ -185,7 +185,7 @@ impl<'a> Survey<'a> {
             joined: Sheets::default(),
             lifted: Vec::new(),
             scales: solver.scheme.equations.scales.clone(),
-            duration: segment_duration(plan),
+            duration: plan.segment_duration(),
             guards,
             conjugate: (plan.game.then(|| ConjugatePoints::new(plan)).transpose()?).map(Mutex::new),
         })

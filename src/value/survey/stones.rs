@@ -4,8 +4,8 @@
 use super::spread::Effort;
 use super::{Errand, Progress, SHORT, Survey, Wanted};
 use crate::backend::BackendError;
+use crate::numeric::random::uniform;
 use crate::shooting::Solver;
-use crate::sweep::uniform;
 use crate::value::approach::Approach;
 use crate::value::archive::Archive;
 use crate::value::cover::Cover;

@@ -1,8 +1,9 @@
 //! `/attenuation`, `/attenuation_regions` and `/attenuation_caustic`.
 
+use super::TrajectorySchema;
 use super::answers::{Names, status};
-use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Variable};
 use crate::attenuation::{Attenuated, Covering};
+use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::value::PointStatus;
 
 /// The groups of the smallest level of attenuation.

@@ -1,65 +1,18 @@
 //! What can go wrong while a result file is declared, written and put in place.
 
+use crate::files::FileError;
+use rust_hdf5::Hdf5Error;
 use std::io;
 use std::path::{Path, PathBuf};
-
-use rust_hdf5::Hdf5Error;
 
 /// A result file could not be declared, written or put in place.
 ///
 /// `path` is always the final name the caller gave, not the temporary one.
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
-    /// The final name is a directory, so nothing can be renamed to it.
-    #[error("cannot write {}: it is a directory; name a file in it", path.display())]
-    TargetIsDirectory {
-        /// The final name.
-        path: PathBuf,
-    },
-    /// The final name is a device, a pipe or a socket, which a rename would destroy.
-    #[error("cannot write {}: it is a device, a pipe or a socket; name a regular file", path.display())]
-    TargetIsSpecial {
-        /// The final name.
-        path: PathBuf,
-    },
-    /// The path ends in `..` or is empty or a root, so it names no file.
-    #[error("cannot write {:?}: the path has no file name", path)]
-    NoFileName {
-        /// The final name.
-        path: PathBuf,
-    },
-    /// A parent directory is missing and cannot be made.
-    #[error("cannot create the directory {}: {source}", directory.display())]
-    CreateDirectory {
-        /// The directory.
-        directory: PathBuf,
-        /// The operating system's answer.
-        source: io::Error,
-    },
-    /// The temporary file beside the final name cannot be created.
-    #[error("cannot create {}: {source}", path.display())]
-    Create {
-        /// The final name.
-        path: PathBuf,
-        /// The operating system's answer.
-        source: io::Error,
-    },
-    /// The operating system refused a write, a disk that is full included.
-    #[error("cannot write to {}: {source}", path.display())]
-    Write {
-        /// The final name.
-        path: PathBuf,
-        /// The operating system's answer.
-        source: io::Error,
-    },
-    /// The complete file cannot be renamed to its final name.
-    #[error("cannot give the finished file its name {}: {source}", path.display())]
-    Rename {
-        /// The final name.
-        path: PathBuf,
-        /// The operating system's answer.
-        source: io::Error,
-    },
+    /// The file could not be begun, written or given its name.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The HDF5 layer refused, for a reason other than I/O.
     #[error("cannot write {object} of the result file {}: {source}", path.display())]
     Hdf5 {
@@ -163,13 +116,13 @@ pub enum OutputError {
 
 impl OutputError {
     /// Sorts an error of the HDF5 layer: the operating system's answers come out as
-    /// [`OutputError::Write`], all others with the `object` in hand.
+    /// [`FileError::Write`], all others with the `object` in hand.
     pub(super) fn from_hdf5(path: &Path, object: &str, error: Hdf5Error) -> Self {
         match io_cause(error) {
-            Ok(source) => Self::Write {
+            Ok(source) => Self::File(FileError::Write {
                 path: path.to_owned(),
                 source,
-            },
+            }),
             Err(source) => Self::Hdf5 {
                 path: path.to_owned(),
                 object: object.to_owned(),
@@ -220,7 +173,7 @@ mod tests {
         let io = Hdf5Error::Io(io::Error::other("gone"));
         assert!(matches!(
             OutputError::from_hdf5(path, "t", io),
-            OutputError::Write { .. }
+            OutputError::File(FileError::Write { .. })
         ));
     }
 }

@@ -1,7 +1,6 @@
 //! Rendering of problems, with the text underlined.
 
-use super::Problem;
-use crate::model::{Model, Span};
+use super::{Problem, Span};
 use miette::{
     Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteError, MietteSpanContents, SourceCode,
     SourceSpan, SpanContents,
@@ -46,12 +45,8 @@ impl fmt::Display for ScenarioErrors {
 }
 
 impl ScenarioErrors {
-    /// Problems that a later stage found in a model, for the same report.
-    pub fn new(model: &Model, problems: Vec<Problem>) -> Self {
-        Self::of(&model.file_name, &model.text, problems)
-    }
-
-    pub(crate) fn of(file_name: &str, text: &str, mut problems: Vec<Problem>) -> Self {
+    /// The problems of a text, in its order.
+    pub fn new(file_name: &str, text: &str, mut problems: Vec<Problem>) -> Self {
         problems.sort_by_key(|p| p.span.as_ref().map_or((usize::MAX, 0), |s| (s.start, s.end)));
         problems.dedup();
         Self {
@@ -100,7 +95,7 @@ impl ScenarioErrors {
 }
 
 /// Line and column (in characters) of a byte offset, both from 1.
-pub(super) fn position(text: &str, offset: usize) -> (usize, usize) {
+pub(crate) fn position(text: &str, offset: usize) -> (usize, usize) {
     let before = &text.as_bytes()[..offset.min(text.len())];
     let line_start = before.iter().rposition(|b| *b == b'\n').map_or(0, |i| i + 1);
     let line = before.iter().filter(|b| **b == b'\n').count() + 1;

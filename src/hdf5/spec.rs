@@ -20,7 +20,7 @@ pub enum Compression {
 
 /// The values along a dimension.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Coordinate {
+pub(crate) enum Coordinate {
     Index { length: usize },
     Unlimited,
     Names(Vec<String>),
@@ -82,7 +82,7 @@ impl Dimension {
     }
 
     /// The length, `None` when it grows.
-    pub(super) fn length(&self) -> Option<usize> {
+    pub(crate) fn length(&self) -> Option<usize> {
         match &self.coordinate {
             Coordinate::Index { length } => Some(*length),
             Coordinate::Unlimited => None,
@@ -94,7 +94,7 @@ impl Dimension {
 
 /// What a variable stores.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Storage {
+pub(crate) enum Storage {
     F64,
     I32,
     Text(Vec<String>),
@@ -243,12 +243,12 @@ impl Group {
     }
 
     /// The dimension a variable names.
-    pub(super) fn find_dimension(&self, name: &str) -> Option<&Dimension> {
+    pub(crate) fn find_dimension(&self, name: &str) -> Option<&Dimension> {
         self.dimensions.iter().find(|d| d.name == name)
     }
 
     /// Refuses what no file can hold, before anything is written.
-    pub(super) fn check(&self) -> Result<(), OutputError> {
+    pub(crate) fn check(&self) -> Result<(), OutputError> {
         check_name(&self.name, &self.name)?;
         let mut names = BTreeSet::new();
         let mut growing = None;

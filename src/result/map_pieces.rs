@@ -1,7 +1,8 @@
 //! The groups `/map_pieces`, `/map_beyond` and `/map_check`.
 
 use super::answers::{Names, status};
-use super::{Dimension, Group, OutputError, ResultFile, Stored, StoredError, TrajectorySchema, Variable};
+use super::{Stored, StoredError, TrajectorySchema};
+use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::map::Adaptive;
 use crate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
 

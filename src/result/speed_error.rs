@@ -1,10 +1,10 @@
 //! The groups `/speed_error` and `/host_share`: what `costate bench` has measured.
 
-use super::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::backend::Status;
 use crate::bench::errors::Quantiles;
 use crate::bench::host_share::HostShare;
 use crate::bench::{Bench, Row};
+use crate::hdf5::{AttributeValue, Dimension, Group, OutputError, ResultFile, Variable};
 
 /// A numeric column: name, unit, meaning, value.
 type Column = (&'static str, &'static str, &'static str, fn(&Bench, &Row) -> f64);
@@ -182,11 +182,11 @@ impl ResultFile {
 }
 
 /// What all rows have in common.
-fn attributes(bench: &Bench) -> Vec<(&'static str, super::AttributeValue)> {
+fn attributes(bench: &Bench) -> Vec<(&'static str, AttributeValue)> {
     let [a, b] = bench.floor.methods.map(|m| m.name());
     let worst = |q: &Quantiles| q.worst;
     let missing: Vec<String> = bench.missing.iter().map(|m| format!("{}: {}", m.what, m.why)).collect();
-    let integer = |n: usize| super::AttributeValue::from(i64::try_from(n).unwrap_or(i64::MAX));
+    let integer = |n: usize| AttributeValue::from(i64::try_from(n).unwrap_or(i64::MAX));
     let floor = &bench.floor.errors;
     vec![
         ("title", "speed against error".into()),

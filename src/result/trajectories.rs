@@ -1,7 +1,8 @@
 //! The group `/trajectories`.
 
-use super::spec::{Dimension, Group, Variable};
-use super::{Compression, GroupWriter, OutputError, ResultFile};
+use crate::hdf5::{Compression, GroupWriter, OutputError, ResultFile};
+use crate::hdf5::{Dimension, Group, Variable};
+use crate::trajectories::TrajectoryBlock;
 
 /// A state, control or disturbance as the file names it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -47,38 +48,6 @@ pub struct TrajectorySchema {
     pub expected_trajectories: Option<usize>,
     /// How the values are stored.
     pub compression: Compression,
-}
-
-/// Trajectories to append, every list row-major as in the file: the trajectory slowest, then the
-/// sample, then the component. NaN is 'no value'.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct TrajectoryBlock {
-    /// How many trajectories.
-    pub count: usize,
-    /// Times, `count x samples`, ascending along a trajectory.
-    pub t: Vec<f64>,
-    /// States, `count x samples x states`.
-    pub x: Vec<f64>,
-    /// Costates dV/dx, `count x samples x states`.
-    pub p: Vec<f64>,
-    /// Controls, `count x samples x controls`.
-    pub u: Vec<f64>,
-    /// Disturbances, `count x samples x disturbances`.
-    pub w: Vec<f64>,
-    /// Values, `count x samples`.
-    pub v: Vec<f64>,
-    /// Hamiltonians, `count x samples`.
-    pub h: Vec<f64>,
-    /// How each ended, `count`.
-    pub status: Vec<i32>,
-    /// The sheet of the value function each belongs to, `count`.
-    pub sheet: Vec<i32>,
-    /// Accepted steps, `count`.
-    pub steps: Vec<i32>,
-    /// Rejected steps, `count`.
-    pub rejected: Vec<i32>,
-    /// Largest deviation of the Hamiltonian from its invariant value, `count`.
-    pub hamiltonian_drift: Vec<f64>,
 }
 
 /// Writes the group `/trajectories`.
@@ -256,7 +225,7 @@ pub(super) fn quotient(numerator: &str, denominator: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::testing::TemporaryDirectory;
+    use crate::files::testing::TemporaryDirectory;
     use rust_hdf5::H5File;
 
     fn axis(name: &str, unit: Option<&str>) -> Axis {

@@ -1,12 +1,9 @@
-//! The result file: HDF5 that `xarray.open_dataset(FILE, group=...)` opens with no keyword.
+//! HDF5 that `xarray.open_dataset(FILE, group=...)` opens with no keyword, and nothing of what is in it.
 //!
-//! Three layers, each usable without the one above it:
-//!
-//! - [`ResultFile`] is the file: written under a temporary name beside its target, renamed to the
+//! - [`ResultFile`] is the file: written under a hidden name beside its target, renamed to the
 //!   final name by [`ResultFile::finish`], gone when dropped before that;
 //! - [`Group`], [`Dimension`] and [`Variable`] declare one netCDF-like group, [`GroupWriter`] fills
-//!   it, in blocks along a growing first dimension or variable by variable;
-//! - [`TrajectoryWriter`] is the group `/trajectories`.
+//!   it, in blocks along a growing first dimension or variable by variable.
 //!
 //! Every dimension is a dimension scale with a value for each index, every variable carries `units`
 //! and `long_name`, a missing floating-point value is NaN (also declared as `_FillValue`), and
@@ -14,7 +11,7 @@
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! # use costate::output::*;
+//! # use costate::hdf5::*;
 //! let mut file = ResultFile::create("out/points.h5")?;
 //! let mut points = file.group(
 //!     &Group::new("points")
@@ -28,35 +25,14 @@
 //! # Ok(()) }
 //! ```
 
-mod answers;
-mod attenuation;
 mod attribute;
-mod caustic;
 mod dataset;
 mod error;
 mod file;
-mod interpolated;
-mod map_pieces;
-mod record;
 mod spec;
-mod speed_error;
-mod stored;
-mod study;
-mod temporary;
-#[cfg(test)]
-mod testing;
-mod trajectories;
 
-pub use attenuation::ATTENUATION_GROUPS;
 pub use attribute::AttributeValue;
 pub use dataset::{GroupWriter, Values};
 pub use error::OutputError;
-pub use file::{ResultFile, target, write_bytes, write_text};
-pub use interpolated::{Places, Times};
-pub use record::{RunRecord, utc_timestamp};
+pub use file::ResultFile;
 pub use spec::{Compression, Dimension, Group, Variable};
-pub use stored::{Array, Stored, StoredError, StoredGroup, StoredMap, StoredPoints, StoredTrajectories};
-pub use temporary::Temporary;
-#[cfg(unix)]
-pub use temporary::removed_at_signals;
-pub use trajectories::{Axis, TrajectoryBlock, TrajectorySchema, TrajectoryWriter};

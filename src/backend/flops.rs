@@ -4,8 +4,8 @@
 //! Elementary functions count as their polynomials and argument reductions do. Comparisons, selections, moves, the step
 //! control and what happens at levels are not counted.
 
-use crate::backend::Spec;
-use crate::backend::constants::Constants;
+use super::Spec;
+use super::constants::Constants;
 use crate::integrator::{Scheme, Tableau};
 use crate::model::Precision;
 use crate::program::{Instr, Primitive, Program};

@@ -1,7 +1,8 @@
 //! `/study` and `/study_trajectories`.
 
+use super::TrajectorySchema;
 use super::answers::{Names, status};
-use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Variable};
+use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::model::Study;
 use crate::study::Variant;
 
@@ -92,7 +93,7 @@ impl ResultFile {
             group = group.variable(u.long_name("control"));
         }
         let mut writer = self.group(&group)?;
-        let flat = |width: usize, f: &dyn Fn(&crate::output::TrajectoryBlock) -> Vec<f64>| -> Vec<f64> {
+        let flat = |width: usize, f: &dyn Fn(&crate::trajectories::TrajectoryBlock) -> Vec<f64>| -> Vec<f64> {
             (variants.iter())
                 .flat_map(|v| v.trajectory.as_ref().map_or_else(|| vec![f64::NAN; samples * width], f))
                 .collect()

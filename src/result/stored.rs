@@ -1,9 +1,11 @@
 //! Reading a result file: its scene, and its groups as arrays.
 
 use super::record::RunRecord;
+use crate::diagnostics::ScenarioErrors;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
-use crate::scenario::{self, ScenarioErrors};
+use crate::scenario;
+use crate::trajectories::{SolvedGrid, SolvedStates, SweptTrajectories};
 use rust_hdf5::{H5Dataset, H5File, Hdf5Error};
 use std::path::{Path, PathBuf};
 
@@ -69,57 +71,6 @@ pub struct StoredGroup<'s> {
     name: String,
 }
 
-/// `/trajectories` whole; arrays row-major, NaN where a trajectory has no value.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct StoredTrajectories {
-    pub count: usize,
-    pub samples: usize,
-    /// `[trajectory][sample]`: time, 0 at the end at the equilibrium.
-    pub t: Vec<f64>,
-    /// `[trajectory][sample][state]`.
-    pub x: Vec<f64>,
-    /// `[trajectory][sample][state]`.
-    pub p: Vec<f64>,
-    /// `[trajectory][sample][control]`.
-    pub u: Vec<f64>,
-    /// `[trajectory][sample]`: V.
-    pub v: Vec<f64>,
-    /// `[trajectory][sample]`: H.
-    pub h: Vec<f64>,
-    pub status: Vec<i32>,
-    pub sheet: Vec<i32>,
-}
-
-/// Solutions at states: `/points` (the cheapest each) or `/points_sheets` (all of them).
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct StoredPoints {
-    pub count: usize,
-    /// `[point][state]`.
-    pub x: Vec<f64>,
-    pub v: Vec<f64>,
-    pub p: Vec<f64>,
-    pub u: Vec<f64>,
-    pub sheet: Vec<i32>,
-    /// Index of the state in `/points`, as the file has them: rows of other times are left out here.
-    pub point: Vec<i32>,
-    /// Codes as the file has them; empty where it has none.
-    pub status: Vec<i32>,
-}
-
-/// `/map`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct StoredMap {
-    /// Values along the axis of each state.
-    pub axes: Vec<Vec<f64>>,
-    /// `[axis 0]..[axis n-1]`, last fastest; likewise the others.
-    pub v: Vec<f64>,
-    pub p: Vec<f64>,
-    pub u: Vec<f64>,
-    pub sheet: Vec<i32>,
-    /// Codes as the file has them; empty where it has none.
-    pub status: Vec<i32>,
-}
-
 impl Stored {
     /// Opens a result file and reads its scene.
     ///
@@ -155,7 +106,7 @@ impl Stored {
             errors: Box::new(errors),
         };
         let model = scenario::parse(&text, &name, &overrides).map_err(wrong)?;
-        let hamiltonian = Hamiltonian::derive(&model).map_err(|p| wrong(ScenarioErrors::new(&model, p)))?;
+        let hamiltonian = Hamiltonian::derive(&model).map_err(|p| wrong(model.errors(p)))?;
         Ok(Self {
             path: path.to_owned(),
             model,
@@ -196,7 +147,7 @@ impl Stored {
     ///
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it.
-    pub fn trajectories(&self) -> Result<Option<StoredTrajectories>, StoredError> {
+    pub fn trajectories(&self) -> Result<Option<SweptTrajectories>, StoredError> {
         let Some(group) = self.group("trajectories") else {
             return Ok(None);
         };
@@ -205,7 +156,7 @@ impl Stored {
         let &[count, samples] = v.shape.as_slice() else {
             return Err(group.error("V", "not trajectory x sample"));
         };
-        Ok(Some(StoredTrajectories {
+        Ok(Some(SweptTrajectories {
             count,
             samples,
             t: group.shaped("t", &[count, samples])?,
@@ -223,7 +174,7 @@ impl Stored {
     ///
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it, or has rows of later times alone.
-    pub fn points(&self) -> Result<Option<StoredPoints>, StoredError> {
+    pub fn points(&self) -> Result<Option<SolvedStates>, StoredError> {
         let Some(group) = self.group("points") else {
             return Ok(None);
         };
@@ -244,7 +195,7 @@ impl Stored {
             return Err(group.error(name, &self.later("no row")));
         }
         let (n, m) = (self.model.states.len(), self.model.controls.len());
-        Ok(Some(StoredPoints {
+        Ok(Some(SolvedStates {
             count: kept.len(),
             x: taken(&points.x, n, &kept),
             v: taken(&points.v, 1, &kept),
@@ -275,7 +226,7 @@ impl Stored {
     ///
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it.
-    pub fn points_sheets(&self) -> Result<Option<StoredPoints>, StoredError> {
+    pub fn points_sheets(&self) -> Result<Option<SolvedStates>, StoredError> {
         let (Some(group), Some(points)) = (self.group("points_sheets"), self.points()?) else {
             return Ok(None);
         };
@@ -292,16 +243,16 @@ impl Stored {
         Ok(Some(entries))
     }
 
-    fn solutions(&self, group: &StoredGroup<'_>, count: usize) -> Result<StoredPoints, StoredError> {
+    fn solutions(&self, group: &StoredGroup<'_>, count: usize) -> Result<SolvedStates, StoredError> {
         let (n, m) = (self.model.states.len(), self.model.controls.len());
-        Ok(StoredPoints {
+        Ok(SolvedStates {
             count,
             v: group.shaped("V", &[count])?,
             p: group.shaped("p", &[count, n])?,
             u: group.shaped("u", &[count, m])?,
             sheet: group.i32("sheet")?.1,
             status: group.codes("status", count)?,
-            ..StoredPoints::default()
+            ..SolvedStates::default()
         })
     }
 
@@ -309,7 +260,7 @@ impl Stored {
     ///
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it, or is of later times alone.
-    pub fn map(&self) -> Result<Option<StoredMap>, StoredError> {
+    pub fn map(&self) -> Result<Option<SolvedGrid>, StoredError> {
         let Some(group) = self.group("map") else {
             return Ok(None);
         };
@@ -323,7 +274,7 @@ impl Stored {
         let counts: Vec<usize> = lengths.collect();
         let nodes: usize = counts.iter().product();
         let with = |last: usize| [counts.as_slice(), &[last]].concat();
-        let map = StoredMap {
+        let map = SolvedGrid {
             v: group.shaped("V", &counts)?,
             p: group.shaped("p", &with(n))?,
             u: group.shaped("u", &with(m))?,
@@ -337,7 +288,7 @@ impl Stored {
             return Err(group.error(self.model.time_name(), &self.later("nothing")));
         };
         let kept: Vec<usize> = (first..nodes).step_by(times.len()).collect();
-        Ok(Some(StoredMap {
+        Ok(Some(SolvedGrid {
             v: taken(&map.v, 1, &kept),
             p: taken(&map.p, n, &kept),
             u: taken(&map.u, m, &kept),

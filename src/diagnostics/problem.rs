@@ -1,6 +1,7 @@
 //! Problems found in a scenario, each with its place; all of a file are reported together.
 
-use crate::model::Span;
+/// A byte range of a scenario's text.
+pub type Span = std::ops::Range<usize>;
 
 /// One problem: what is wrong, where, and what may help.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,7 +2,7 @@
 
 /// The candidate most like `name`, if one is like enough: a difference in case only, or at most one edit in three
 /// characters. Names of one letter are never guessed.
-pub(super) fn nearest<'c>(name: &str, candidates: impl IntoIterator<Item = &'c str>) -> Option<&'c str> {
+pub(crate) fn nearest<'c>(name: &str, candidates: impl IntoIterator<Item = &'c str>) -> Option<&'c str> {
     let length = name.chars().count();
     if length > 64 {
         return None;

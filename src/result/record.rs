@@ -2,7 +2,7 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use super::{OutputError, ResultFile};
+use crate::hdf5::{OutputError, ResultFile};
 use crate::model::Model;
 
 /// The root attributes of a result file: where its numbers come from.

@@ -1,7 +1,8 @@
 //! `/map` and `/points` of `costate value`: interpolated values with their errors.
 
+use super::TrajectorySchema;
 use super::answers::Names;
-use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Variable};
+use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::map::{At, Coverage, Unknown, Value};
 
 /// Whether a value is known, as files write it.

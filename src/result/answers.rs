@@ -1,7 +1,8 @@
 //! The groups `/points`, `/points_sheets`, `/map`, `/equal_cost` and `/folds`.
 
+use super::TrajectorySchema;
 use super::trajectories::{Axis, common, quotient, with_axes};
-use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Values, Variable};
+use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Values, Variable};
 use crate::value::{Answers, Entry, Evidence, Grid, PointStatus};
 
 const NO_SHEET: i32 = -1;

@@ -1,7 +1,8 @@
 //! `/caustic`: where swept trajectories end in folds of the manifold.
 
+use super::TrajectorySchema;
 use super::answers::Names;
-use super::{Dimension, Group, OutputError, ResultFile, TrajectorySchema, Variable};
+use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::sweep::FoldPoint;
 
 impl ResultFile {

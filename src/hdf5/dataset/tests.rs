@@ -1,8 +1,8 @@
 //! Round trips of declared groups, read back with the HDF5 layer itself.
 
 use super::*;
-use crate::output::ResultFile;
-use crate::output::testing::TemporaryDirectory;
+use crate::files::testing::TemporaryDirectory;
+use crate::hdf5::ResultFile;
 
 fn table() -> Group {
     Group::new("table")

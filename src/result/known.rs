@@ -1,0 +1,81 @@
+//! What a value map is made of, from a file.
+
+use super::{Stored, StoredError};
+use crate::backend::Status;
+use crate::map::{Known, MapError, SweepRecord, ValueMap};
+use serde_json::Value as Json;
+
+/// Why a file gives no value map.
+#[derive(Debug, thiserror::Error)]
+pub enum StoredMapError {
+    #[error(transparent)]
+    Stored(#[from] StoredError),
+    #[error("{path} holds no values: neither /trajectories nor /points nor /map has any", path = path.display())]
+    Empty { path: std::path::PathBuf },
+    #[error(transparent)]
+    Map(MapError),
+}
+
+impl Stored {
+    /// All values of the file, ready to be looked up. Where it has swept trajectories this sweeps some more, next to the
+    /// equilibrium.
+    ///
+    /// # Errors
+    /// [`StoredMapError`].
+    pub fn value_map(&self) -> Result<ValueMap, StoredMapError> {
+        let known = self.known()?;
+        ValueMap::new(&self.model, &self.hamiltonian, known).map_err(|error| match error {
+            MapError::Empty => StoredMapError::Empty {
+                path: self.path.clone(),
+            },
+            error => StoredMapError::Map(error),
+        })
+    }
+
+    /// What the file holds of the value function.
+    ///
+    /// # Errors
+    /// [`StoredError`] where groups are not as this program writes them.
+    pub fn known(&self) -> Result<Known, StoredError> {
+        // `costate value` writes one solution a state alone.
+        let solved = match self.points_sheets()? {
+            None => self.points()?,
+            entries => entries,
+        };
+        let summary = self.summary();
+        Ok(Known {
+            swept: self.trajectories()?,
+            solved,
+            grid: self.map()?,
+            pieces: self.map_pieces()?,
+            beyond: self.map_beyond()?,
+            sweep: sweep_record(&summary),
+            searched: self.attribute("source").is_none(),
+            errors: own_errors(&summary),
+        })
+    }
+}
+
+/// From the summary of the run that made the file.
+fn sweep_record(summary: &Json) -> SweepRecord {
+    let coverage = &summary["coverage"];
+    let count = |name: &str| coverage[name].as_u64();
+    let gaps = count("gaps_for_want_of_seeds").zip(count("gaps_indistinguishable"));
+    let failed = (Status::ALL.iter())
+        .filter(|(status, _)| Status::FAILURES.contains(status))
+        .filter_map(|(_, name)| summary["status"][*name].as_u64());
+    SweepRecord {
+        gaps: gaps.map(|(a, b)| a + b),
+        widest: coverage["widest_gap"].as_f64().unwrap_or(f64::NAN),
+        failed: failed.sum(),
+    }
+}
+
+/// Worst relative errors of V and p of the solved states.
+fn own_errors(summary: &Json) -> Option<[f64; 2]> {
+    let worst = |name: &str| -> Option<f64> {
+        let spread = &summary["homotopy"]["error_estimate"][name];
+        spread["max"].as_f64().filter(|e| e.is_finite())
+    };
+    Some([worst("V")?, worst("p")?])
+}

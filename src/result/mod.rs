@@ -1,0 +1,20 @@
+//! The result file: what its groups hold, written ([`crate::hdf5::ResultFile`]) and read back ([`Stored`]).
+
+mod answers;
+mod attenuation;
+mod caustic;
+mod interpolated;
+mod known;
+mod map_pieces;
+mod record;
+mod speed_error;
+mod stored;
+mod study;
+mod trajectories;
+
+pub use attenuation::ATTENUATION_GROUPS;
+pub use interpolated::{Places, Times};
+pub use known::StoredMapError;
+pub use record::{RunRecord, utc_timestamp};
+pub use stored::{Array, Stored, StoredError, StoredGroup};
+pub use trajectories::{Axis, TrajectorySchema, TrajectoryWriter};
