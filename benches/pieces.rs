@@ -58,7 +58,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             &pieces.region,
             count / 25,
         )?,
-        None => loops(&stored.model, &map, &pieces.region, count / 25)?,
+        None => loops(&stored.scene.model, &map, &pieces.region, count / 25)?,
     }
     Ok(())
 }

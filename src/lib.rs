@@ -59,8 +59,11 @@ pub mod program;
 pub mod report;
 pub mod result;
 pub mod scenario;
+pub mod scene;
 pub mod shooting;
 pub mod study;
 pub mod sweep;
 pub mod trajectories;
 pub mod value;
+
+pub use scene::Scene;

@@ -3,10 +3,9 @@
 use crate::backend::{Backend, BackendError};
 use crate::diagnostics::ScenarioErrors;
 use crate::expr::Id;
-use crate::hamiltonian::Hamiltonian;
 use crate::model::{Extremum, Model, Record};
 use crate::program::Program;
-use crate::scenario;
+use crate::scene::Scene;
 use crate::sweep::{Choices, PlanError};
 use crate::trajectories::TrajectoryBlock;
 use crate::value::{self, Grid, PointStatus, StatesError};
@@ -59,12 +58,12 @@ pub struct Variant {
 /// # Panics
 /// Without a `[study]`.
 pub fn study(
-    model: &Model,
+    scene: &Scene,
     backend: &dyn Backend,
     choices: Choices,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Vec<Variant>, StudyError> {
-    let asked = model.study.as_ref().expect("the scene has a [study]");
+    let asked = scene.model.study.as_ref().expect("the scene has a [study]");
     let axes: Vec<Vec<f64>> = asked.vary.iter().map(|(_, values)| values.clone()).collect();
     let count = axes.iter().map(Vec::len).product();
     let combinations = Grid { axes }.points();
@@ -72,39 +71,37 @@ pub fn study(
     for k in 0..count {
         progress(k, count);
         let parameters = combinations[k * asked.vary.len()..][..asked.vary.len()].to_vec();
-        let set: Vec<(String, String)> = (asked.vary.iter().zip(&parameters))
-            .map(|((name, _), value)| (name.clone(), format!("{value:?}")))
+        let set: Vec<(&str, f64)> = (asked.vary.iter().zip(&parameters))
+            .map(|((name, _), value)| (name.as_str(), *value))
             .collect();
         let name = set
             .iter()
-            .map(|(n, v)| format!("{n} = {v}"))
+            .map(|(n, v)| format!("{n} = {v:?}"))
             .collect::<Vec<_>>()
             .join(", ");
-        all.push(variant(model, &set, &name, parameters, backend, choices)?);
+        all.push(variant(scene, &set, &name, parameters, backend, choices)?);
     }
     Ok(all)
 }
 
 fn variant(
-    model: &Model,
-    set: &[(String, String)],
+    scene: &Scene,
+    set: &[(&str, f64)],
     name: &str,
     parameters: Vec<f64>,
     backend: &dyn Backend,
     choices: Choices,
 ) -> Result<Variant, StudyError> {
-    let scene = |errors| StudyError::Scene {
+    let wrong = |errors| StudyError::Scene {
         variant: name.to_owned(),
         errors: Box::new(errors),
     };
-    let overrides = [model.overrides.as_slice(), set].concat();
-    let model = scenario::parse(&model.text, &model.file_name, &overrides).map_err(scene)?;
-    let hamiltonian = Hamiltonian::derive(&model).map_err(|p| scene(model.errors(p)))?;
+    let Scene { model, hamiltonian, .. } = &scene.with(set).map_err(wrong)?;
     let asked = model
         .study
         .as_ref()
         .expect("the scene has a [study] whatever the parameters");
-    let solving = value::solve_states(&model, &hamiltonian, backend, choices, &asked.from, &mut |_, _, _| {});
+    let solving = value::solve_states(model, hamiltonian, backend, choices, &asked.from, &mut |_, _, _| {});
     let (plan, mut solver, found) = solving.map_err(|e| match e {
         StatesError::Plan(source) => StudyError::Plan {
             variant: name.to_owned(),
@@ -131,7 +128,7 @@ fn variant(
     row.u = entry.u.clone();
     row.duration = entry.path.horizon();
     let fine = value::sampled(&plan, &mut solver, &[entry], LOOKED_AT)?;
-    row.records = recorded(&model, &asked.records, &fine);
+    row.records = recorded(model, &asked.records, &fine);
     row.trajectory = Some(value::sampled(&plan, &mut solver, &[entry], asked.samples)?);
     Ok(row)
 }

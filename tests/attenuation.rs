@@ -1,13 +1,11 @@
 //! The smallest level of attenuation: gamma* against exact values and an independent method, the search on functions made
 //! up, the region of a scalar game in closed form, and the refusals.
 
+use costate::Scene;
 use costate::attenuation::{Covering, Outcome, Sought, linear, search, smallest};
 use costate::backend::cpu::Cpu;
-use costate::hamiltonian::Hamiltonian;
 use costate::local::{Cause, LinearAttenuation, LocalError, Riccati};
-use costate::model::Model;
 use costate::result::Stored;
-use costate::scenario::parse;
 use costate::sweep::Choices;
 use costate::value::PointStatus;
 use nalgebra::{Complex, DMatrix};
@@ -91,8 +89,8 @@ impl Game {
     }
 
     fn star(&self) -> LinearAttenuation {
-        let model = model(&self.text(), &[]);
-        linear(&model, model.attenuation.as_ref().unwrap()).unwrap_or_else(|e| panic!("{e}"))
+        let scene = scene(&self.text());
+        linear(&scene, scene.model.attenuation.as_ref().unwrap()).unwrap_or_else(|e| panic!("{e}"))
     }
 
     /// The Hamiltonian matrix has the eigenvalue i omega exactly where gamma^2 is an eigenvalue of
@@ -126,14 +124,13 @@ impl Game {
     }
 }
 
-fn model(text: &str, set: &[(&str, f64)]) -> Model {
-    let set: Vec<_> = set.iter().map(|(n, v)| ((*n).to_owned(), format!("{v:?}"))).collect();
-    parse(text, "game.toml", &set).unwrap_or_else(|e| panic!("{e}\n{text}"))
+fn scene(text: &str) -> Scene {
+    Scene::parse(text, "game.toml").unwrap_or_else(|e| panic!("{e}\n{text}"))
 }
 
 fn riccati(text: &str, gamma: f64) -> Result<Riccati, LocalError> {
-    let model = model(text, &[("gamma", gamma)]);
-    Riccati::solve(&Hamiltonian::derive(&model).unwrap(), &model)
+    let scene = scene(text).with(&[("gamma", gamma)]).unwrap();
+    Riccati::solve(&scene.hamiltonian, &scene.model)
 }
 
 fn agrees(found: &LinearAttenuation, exact: f64, cause: Cause) {
@@ -248,8 +245,8 @@ fn random_games_of_four_states() {
 fn what_has_no_gamma_star() {
     let text = Game::new(1, &[-1.0], &[0.5], &[1.0], 1.0, 2.0).text();
     let of = |text: &str| {
-        let model = model(text, &[]);
-        linear(&model, model.attenuation.as_ref().unwrap())
+        let scene = scene(text);
+        linear(&scene, scene.model.attenuation.as_ref().unwrap())
     };
     let ranged = |range: &str| of(&format!("{text}range = {range}\n"));
     // gamma* = 0.894...
@@ -403,7 +400,7 @@ attenuation = { parameter = "gamma", tolerance = 1e-4, states = { x = [-1, 1, 21
 
 #[test]
 fn the_region_of_a_scalar_game() {
-    let found = smallest(&model(SCALAR, &[]), &Cpu::new(), Choices::default(), &mut |_| {}).unwrap();
+    let found = smallest(&scene(SCALAR), &Cpu::new(), Choices::default(), &mut |_| {}).unwrap();
     agrees(&found.linear, 1.25f64.sqrt().recip(), Cause::Axis);
     let exact = 0.75f64.sqrt().recip();
     let Covering::Smallest { lower, upper } = found.search.covering else {

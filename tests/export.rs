@@ -97,8 +97,8 @@ const SINGLE: [f64; 3] = [1e-5, 1e-4, 1e-4];
 fn headers_agree(name: &str, map: &str, more: f64) -> [usize; 3] {
     let directory = scratch(name);
     let stored = exported(&directory, name, map);
-    let sizes = [stored.model.states.len(), stored.model.controls.len()];
-    let states = places(&stored.model, more, 1500);
+    let sizes = [stored.scene.model.states.len(), stored.scene.model.controls.len()];
+    let states = places(&stored.scene.model, more, 1500);
     let (double, off) = compare(&stored, &states, &ask(&directory, "map", sizes, &["-O2"], &states));
     println!("{name}: known, unknown, differing {double:?}; off {off:?}");
     assert_eq!(double[2], 0);

@@ -123,7 +123,7 @@ fn compared(file: &Path, count: usize, least: f64) -> usize {
     let region = stored.map_pieces().unwrap().expect("a map in pieces").region;
     let x = spread(&region.lo, &region.hi, count);
     let cpu = map.at_many(&x, false);
-    let widths: Vec<f64> = stored.model.region.iter().map(|[lo, hi]| hi - lo).collect();
+    let widths: Vec<f64> = stored.scene.model.region.iter().map(|[lo, hi]| hi - lo).collect();
     let gpu = gpu();
     assert_eq!(gpu.name(), "gpu");
     let mut several = 0;
@@ -301,7 +301,7 @@ fn what_a_gpu_does_not_do_is_said() {
     ];
     done(costate(&arguments));
     let (file, out) = (scattered.to_str().unwrap(), folder().join("none.csv"));
-    let at = Stored::open(&scattered).unwrap().model.states[0].variable.name.clone() + "=0.1";
+    let at = Stored::open(&scattered).unwrap().scene.model.states[0].variable.name.clone() + "=0.1";
     let to = out.to_str().unwrap();
     for (args, wanted, status) in [
         (vec!["--backend", "gpu"], "holds no map in pieces", 2),

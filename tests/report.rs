@@ -270,16 +270,16 @@ fn a_plane_without_a_map_is_told_by_what_is_around_it() {
     let file = whole("linear_quadratic");
     let stored = Stored::open(&file).unwrap();
     let choice = Report {
-        slice: vec![(stored.model.states[3].variable.name.clone(), 0.1)],
+        slice: vec![(stored.scene.model.states[3].variable.name.clone(), 0.1)],
         ..Report::default()
     };
     let source = Source::new(&stored, &choice).unwrap();
     assert_eq!(source.axes, [0, 1]);
     let plane = source.plane().unwrap().unwrap();
-    let p = costate::local::Riccati::solve(&stored.hamiltonian, &stored.model)
+    let p = costate::local::Riccati::solve(&stored.scene.hamiltonian, &stored.scene.model)
         .unwrap()
         .p;
-    let at = stored.model.reference();
+    let at = stored.scene.model.reference();
     let mut known = 0;
     for (i, x) in plane.x.iter().enumerate() {
         for (j, y) in plane.y.iter().enumerate() {

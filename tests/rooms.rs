@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// From the ground up; a room may import what stands before it. ARCHITECTURE.md draws them.
-const FLOORS: [&str; 26] = [
+const FLOORS: [&str; 27] = [
     "diagnostics",
     "numeric",
     "trajectories",
@@ -15,6 +15,7 @@ const FLOORS: [&str; 26] = [
     "model",
     "scenario",
     "hamiltonian",
+    "scene",
     "integrator",
     "local",
     "backend",

@@ -1,5 +1,6 @@
 //! The scenes that come with the program: they are read, and those with a known answer satisfy its equation.
 
+use costate::Scene;
 use costate::expr::Id;
 use costate::model::{Horizon, Model};
 use costate::scenario::load;
@@ -96,6 +97,40 @@ fn overrides_reach_what_is_computed_from_them() {
     assert_eq!(model.reference()[0], 1.25);
     assert_eq!(model.controls[0].max, Some(0.2));
     assert!((parameter(&model, "gamma0") - 2.25 / parameter(&model, "Psi0").sqrt()).abs() < 1e-15);
+}
+
+/// A number given as a number, negative ones too, makes the same scene as one typed, down to the order of its graph.
+#[test]
+fn a_scene_at_other_values_is_that_of_typed_ones() {
+    let path = format!("{}/scenarios/moore_greitzer.toml", env!("CARGO_MANIFEST_DIR"));
+    let scene = Scene::load(&path).unwrap();
+    for (name, value) in [("Phi0", 1.25), ("c", -0.3), ("v_max", 0.2), ("beta", 1.0 / 3.0)] {
+        let typed = [(name.to_owned(), format!("{value:?}"))];
+        let (with, typed) = (scene.with(&[(name, value)]), Scene::load_with(&path, &typed));
+        let (with, typed) = match (with, typed) {
+            (Ok(with), Ok(typed)) => (with, typed),
+            // What is wrong with the scene then is the same too.
+            (with, typed) => {
+                assert_eq!(with.unwrap_err().to_string(), typed.unwrap_err().to_string());
+                continue;
+            }
+        };
+        assert_eq!(parameter(&with.model, name), value);
+        assert_eq!(with.model.overrides, typed.model.overrides);
+        assert_eq!(with.model.reference(), typed.model.reference());
+        assert_eq!(
+            format!("{:?}", with.model.parameters),
+            format!("{:?}", typed.model.parameters)
+        );
+        assert_eq!(with.hamiltonian.adjoint_rate, typed.hamiltonian.adjoint_rate);
+        let shown = |s: &Scene| s.hamiltonian.graph.show(s.hamiltonian.open);
+        assert_eq!(shown(&with), shown(&typed));
+    }
+    // The last value counts, and an unknown name is refused as on the command line.
+    let twice = scene.with(&[("Phi0", 1.2)]).unwrap().with(&[("Phi0", 1.3)]).unwrap();
+    assert_eq!(parameter(&twice.model, "Phi0"), 1.3);
+    let refused = scene.with(&[("Phi1", 1.0)]).unwrap_err().to_string();
+    assert!(refused.contains("there is no parameter `Phi1`"), "{refused}");
 }
 
 #[test]

@@ -8,10 +8,9 @@ pub use search::{Covering, Outcome, Row, Search, Sought, search};
 
 use crate::backend::{Backend, BackendError};
 use crate::diagnostics::ScenarioErrors;
-use crate::hamiltonian::Hamiltonian;
 use crate::local::{AttenuationError, Cause, LinearAttenuation, Linearization, linear_attenuation};
-use crate::model::{self, Homotopy, Model};
-use crate::scenario;
+use crate::model::{self, Homotopy};
+use crate::scene::Scene;
 use crate::sweep::Choices;
 use crate::value::{self, Grid, PointStatus, StatesError};
 
@@ -59,27 +58,15 @@ impl Attenuated {
     }
 }
 
-/// The scene with another value of a parameter, as `--set` gives it: what follows from the parameter follows.
-///
-/// # Errors
-/// All that is then wrong with the scene.
-pub fn with_value(model: &Model, parameter: &str, value: f64) -> Result<(Model, Hamiltonian), ScenarioErrors> {
-    let set = (parameter.to_owned(), format!("{value:?}"));
-    let overrides = [model.overrides.as_slice(), &[set]].concat();
-    let other = scenario::parse(&model.text, &model.file_name, &overrides)?;
-    let hamiltonian = Hamiltonian::derive(&other).map_err(|p| other.errors(p))?;
-    Ok((other, hamiltonian))
-}
-
 /// gamma* of the scene's linearization.
 ///
 /// # Errors
 /// [`SmallestError::Linear`].
-pub fn linear(model: &Model, asked: &model::Attenuation) -> Result<LinearAttenuation, SmallestError> {
-    let own = model.parameter(&asked.parameter).unwrap_or(f64::NAN);
+pub fn linear(scene: &Scene, asked: &model::Attenuation) -> Result<LinearAttenuation, SmallestError> {
+    let own = scene.model.parameter(&asked.parameter).unwrap_or(f64::NAN);
     let mut at = |value: f64| {
-        let (model, hamiltonian) = with_value(model, &asked.parameter, value)?;
-        Ok(Linearization::new(&hamiltonian, &model))
+        let other = scene.with(&[(&asked.parameter, value)])?;
+        Ok(Linearization::new(&other.hamiltonian, &other.model))
     };
     linear_attenuation(own, asked.range, &mut at).map_err(|source| SmallestError::Linear {
         parameter: asked.parameter.clone(),
@@ -96,15 +83,16 @@ pub fn linear(model: &Model, asked: &model::Attenuation) -> Result<LinearAttenua
 /// # Panics
 /// Without an `[attenuation]`.
 pub fn smallest(
-    model: &Model,
+    scene: &Scene,
     backend: &dyn Backend,
     choices: Choices,
     progress: &mut dyn FnMut(&str),
 ) -> Result<Attenuated, SmallestError> {
+    let model = &scene.model;
     let asked = model.attenuation.as_ref().expect("the scene has an [attenuation]");
     let parameter = asked.parameter.clone();
     progress(&format!("{parameter}* of the linearization"));
-    let linear = linear(model, asked)?;
+    let linear = linear(scene, asked)?;
     let own = model.parameter(&parameter).unwrap_or(f64::NAN);
     let star = linear.star;
     let bounded = linear.cause == Cause::None;
@@ -122,7 +110,7 @@ pub fn smallest(
         done += 1;
         progress(&head);
         let mut told = |what: &str, of: usize, all: usize| progress(&format!("{head}: {of} of {all} states, {what}"));
-        outcome(model, &parameter, value, &states, backend, choices, &mut told)
+        outcome(scene, &parameter, value, &states, backend, choices, &mut told)
     };
     let sought = Sought {
         star,
@@ -144,7 +132,7 @@ pub fn smallest(
 
 /// The states solved for at one level.
 fn outcome(
-    model: &Model,
+    scene: &Scene,
     parameter: &str,
     value: f64,
     states: &[f64],
@@ -152,14 +140,14 @@ fn outcome(
     choices: Choices,
     progress: value::Progress<'_>,
 ) -> Result<Outcome, SmallestError> {
-    let scene = |errors| SmallestError::Scene {
+    let wrong = |errors| SmallestError::Scene {
         parameter: parameter.to_owned(),
         value,
         errors: Box::new(errors),
     };
-    let (other, hamiltonian) = with_value(model, parameter, value).map_err(scene)?;
-    let count = states.len() / model.states.len();
-    match value::solve_states_folding(&other, &hamiltonian, backend, choices, states, progress) {
+    let other = scene.with(&[(parameter, value)]).map_err(wrong)?;
+    let count = states.len() / other.model.states.len();
+    match value::solve_states_folding(&other.model, &other.hamiltonian, backend, choices, states, progress) {
         Ok((_, _, answers, folds)) => {
             let targets = &answers.targets.of_given;
             let status: Vec<PointStatus> = targets.iter().map(|t| answers.status(*t)).collect();

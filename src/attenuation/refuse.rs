@@ -1,13 +1,14 @@
 //! A scene whose level of attenuation is below what its linearization allows is refused, with what would be allowed.
 
 use crate::diagnostics::{Problem, ScenarioErrors};
-use crate::hamiltonian::Hamiltonian;
 use crate::local::{Cause, LocalError, Riccati};
-use crate::model::{Horizon, Model};
+use crate::model::Horizon;
+use crate::scene::Scene;
 
 /// The refusal of a game whose linearization has no solution because of its level, or which is not at rest at its equilibrium; `None` where it has one, or lacks it for
 /// another reason (which the local solution's own error tells).
-pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioErrors> {
+pub fn refusal(scene: &Scene) -> Option<ScenarioErrors> {
+    let Scene { model, hamiltonian, .. } = scene;
     let Horizon::Infinite { span, .. } = &model.horizon else {
         return None;
     };
@@ -31,7 +32,7 @@ pub fn refusal(model: &Model, hamiltonian: &Hamiltonian) -> Option<ScenarioError
     };
     let (name, own) = (&asked.parameter, model.parameter(&asked.parameter)?);
     // Where there is no gamma*, the reason for that is more than this refusal could say.
-    let linear = super::linear(model, asked).ok()?;
+    let linear = super::linear(scene, asked).ok()?;
     if linear.cause == Cause::None || own >= linear.star {
         return None;
     }

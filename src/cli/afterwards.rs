@@ -9,11 +9,11 @@ use super::{CliError, attenuation, dissipation, fit};
 use crate::backend::Backend;
 use crate::closed_loop::{self, Available, GROUPS, Laws};
 use crate::files::Draft;
-use crate::hamiltonian::Hamiltonian;
 use crate::hdf5::ResultFile;
 use crate::model::Model;
 use crate::report::{self, Options};
 use crate::result::{ATTENUATION_GROUPS, Stored};
+use crate::scene::Scene;
 use crate::sweep::Choices;
 use std::path::{Path, PathBuf};
 
@@ -24,7 +24,8 @@ pub(super) fn wanted(model: &Model) -> bool {
 }
 
 /// Finds mistakes in the scene's laws before a long run does.
-pub(super) fn check(model: &Model, hamiltonian: &Hamiltonian) -> Result<(), CliError> {
+pub(super) fn check(scene: &Scene) -> Result<(), CliError> {
+    let Scene { model, hamiltonian, .. } = scene;
     if let Some(scene) = &model.closed_loop {
         let laws = Laws::new(model, hamiltonian, scene.track);
         let available = Available {
@@ -40,11 +41,12 @@ pub(super) fn check(model: &Model, hamiltonian: &Hamiltonian) -> Result<(), CliE
 /// Fits and simulates the scene's laws, in the draft. What cannot be done is said and left out: the sweep is not lost for it.
 pub(super) fn laws(
     draft: &Draft,
-    (model, hamiltonian): (&Model, &Hamiltonian),
+    scene: &Scene,
     backend: &dyn Backend,
     choices: Choices,
     terminal: &Terminal,
 ) -> Result<serde_json::Value, CliError> {
+    let model = &scene.model;
     let mut done =
         serde_json::json!({ "feedback": null, "closed_loop": null, "dissipation": null, "attenuation": null });
     if !model.feedback.is_empty() {
@@ -64,11 +66,11 @@ pub(super) fn laws(
         }
     }
     if model.closed_loop.is_some() || model.dissipation.is_some() {
-        loops(draft, (model, hamiltonian), backend, choices, terminal, &mut done)?;
+        loops(draft, scene, backend, choices, terminal, &mut done)?;
     }
     if model.attenuation.is_some() {
         let mut file = ResultFile::extend(draft.hidden(), &ATTENUATION_GROUPS)?;
-        match attenuation::write(&mut file, model, backend, choices, terminal) {
+        match attenuation::write(&mut file, scene, backend, choices, terminal) {
             Ok(found) => {
                 file.finish()?;
                 terminal.say(&attenuation::text(&found))?;
@@ -83,7 +85,7 @@ pub(super) fn laws(
 /// Closed loops and the check by simulation; what came of them goes into `done`.
 fn loops(
     draft: &Draft,
-    scene: (&Model, &Hamiltonian),
+    scene: &Scene,
     backend: &dyn Backend,
     choices: Choices,
     terminal: &Terminal,
@@ -95,7 +97,7 @@ fn loops(
         ..Wanted::default()
     };
     let from = Sources::new(Some(&stored), &wanted, terminal)?;
-    let model = scene.0;
+    let model = &scene.model;
     if model.closed_loop.is_some() {
         let mut file = ResultFile::extend(draft.hidden(), &GROUPS)?;
         match evaluate::perform(&from, scene, &wanted, backend, terminal, &mut file) {

@@ -9,9 +9,9 @@ use crate::attenuation::{Attenuated, Covering, Row, smallest};
 use crate::backend::Backend;
 use crate::hdf5::ResultFile;
 use crate::local::{Cause, LinearAttenuation};
-use crate::model::Model;
 use crate::report::{self, ATTENUATION_PICTURES};
 use crate::result::{RunRecord, Stored};
+use crate::scene::Scene;
 use crate::sweep::Choices;
 use std::path::Path;
 use std::time::{Instant, SystemTime};
@@ -22,11 +22,12 @@ pub(super) fn attenuation(args: &RunArgs) -> Result<(), CliError> {
     if args.grid_guesses {
         return Err(super::grid::GridRefusal::Nothing.into());
     }
-    let (model, _) = load(&args.scene)?;
+    let scene = load(&args.scene)?;
+    let model = &scene.model;
     if model.attenuation.is_none() {
         return Err(CliError::NoAttenuation);
     }
-    let backend = args.numerics.open(&model)?;
+    let backend = args.numerics.open(model)?;
     let terminal = Terminal::new(&args.scene);
     terminal.say(&model.title)?;
     let path = args.out.clone().unwrap_or_else(|| {
@@ -36,14 +37,14 @@ pub(super) fn attenuation(args: &RunArgs) -> Result<(), CliError> {
     });
     let mut file = ResultFile::create(&path)?;
     let choices = args.numerics.choices(args.seed);
-    let found = write(&mut file, &model, backend.as_ref(), choices, &terminal)?;
+    let found = write(&mut file, &scene, backend.as_ref(), choices, &terminal)?;
     let record = RunRecord {
         backend: backend.name().to_owned(),
         adapter: backend.adapter(),
         rtol: args.numerics.rtol.unwrap_or(model.integrator.rtol),
         atol: model.integrator.atol,
         wall_seconds: clock.elapsed().as_secs_f64(),
-        ..RunRecord::begun(&model, started)
+        ..RunRecord::begun(model, started)
     };
     record.write(&file)?;
     let path = file.finish()?;
@@ -65,18 +66,18 @@ pub(super) fn attenuation(args: &RunArgs) -> Result<(), CliError> {
 /// Finds the smallest level that the scene asks for and writes its groups.
 pub(super) fn write(
     file: &mut ResultFile,
-    model: &Model,
+    scene: &Scene,
     backend: &dyn Backend,
     choices: Choices,
     terminal: &Terminal,
 ) -> Result<Attenuated, CliError> {
     let bar = terminal.progress();
-    let found = smallest(model, backend, choices, &mut |what| {
+    let found = smallest(scene, backend, choices, &mut |what| {
         bar.say(&format!("attenuation: {what}"))
     });
     bar.clear();
     let found = found?;
-    file.attenuation(&axes(model), &found)?;
+    file.attenuation(&axes(&scene.model), &found)?;
     Ok(found)
 }
 

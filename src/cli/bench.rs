@@ -8,10 +8,10 @@ use crate::bench::devices::{self, Which};
 use crate::bench::host_share::{HostShare, Metered};
 use crate::bench::{BenchError, Options, Wanted, Work, measure, picture};
 use crate::files::write_text;
-use crate::hamiltonian::Hamiltonian;
 use crate::hdf5::ResultFile;
-use crate::model::{Model, Precision};
+use crate::model::Precision;
 use crate::result::RunRecord;
+use crate::scene::Scene;
 use crate::sweep::{Choices, sweep};
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
@@ -21,7 +21,8 @@ const ENDLESS: f64 = 1e-12;
 
 pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     let (started, clock) = (SystemTime::now(), Instant::now());
-    let (model, hamiltonian) = load(&args.scene)?;
+    let scene = load(&args.scene)?;
+    let model = &scene.model;
     // Seeds and levels are those of the scene's own sweep, in f64 for the sake of the references.
     let choices = Choices {
         precision: Some(Precision::F64),
@@ -29,7 +30,7 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
         ..Choices::default()
     };
     let cpu = crate::backend::cpu::Cpu::new();
-    let plan = planned(&model, &hamiltonian, &cpu, choices)?;
+    let plan = planned(&scene, &cpu, choices)?;
     let which: Vec<Which> = args.backend.iter().map(|b| which(*b)).collect();
     let (backends, unavailable) = devices::open(&which, args.adapter.as_deref())?;
     let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
@@ -40,7 +41,7 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     let terminal = report::Terminal::new(&args.scene);
     let mut file = ResultFile::create(&path)?;
 
-    let work = Work::new(plan, &model, args.trajectories, args.seed, !args.ends).map_err(BenchError::from)?;
+    let work = Work::new(plan, model, args.trajectories, args.seed, !args.ends).map_err(BenchError::from)?;
     let options = options(args);
     let bar = terminal.progress();
     let mut bench = measure(&work, &backends, &options, &mut |what| bar.say(what))?;
@@ -50,15 +51,7 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     for &count in &args.host_share {
         for (device, backend) in backends.iter().enumerate() {
             let folder = file.path().with_extension("host_share.tmp.h5");
-            shares.push(host_share(
-                args,
-                &model,
-                &hamiltonian,
-                device,
-                backend.as_ref(),
-                count,
-                &folder,
-            )?);
+            shares.push(host_share(args, &scene, device, backend.as_ref(), count, &folder)?);
         }
     }
 
@@ -152,8 +145,7 @@ fn default_output(scenario: &Path) -> PathBuf {
 /// again: everything that `run` does for a sweep but reading and deriving the scene.
 fn host_share(
     args: &BenchArgs,
-    model: &Model,
-    hamiltonian: &Hamiltonian,
+    scene: &Scene,
     device: usize,
     backend: &dyn Backend,
     count: usize,
@@ -165,7 +157,7 @@ fn host_share(
         ..Choices::default()
     };
     let plan = || {
-        planned(model, hamiltonian, backend, choices).map(|mut plan| {
+        planned(scene, backend, choices).map(|mut plan| {
             plan.shoot_out.spacing = ENDLESS;
             plan.shoot_out.max_seeds = count;
             plan
@@ -180,7 +172,7 @@ fn host_share(
     let plan = plan()?;
     let mut quiet = report::Terminal::new(&args.scene);
     let mut file = ResultFile::create(path)?;
-    let mut writer = file.trajectories(&run::schema(model, &plan))?;
+    let mut writer = file.trajectories(&run::schema(&scene.model, &plan))?;
     let mut writing_seconds = 0.0;
     let swept = run::sweep_into(&plan, &metered, &mut quiet, &mut |_, _| {}, &mut |block| {
         let begin = Instant::now();

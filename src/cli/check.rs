@@ -4,36 +4,34 @@ use super::{CheckArgs, CliError};
 use crate::attenuation;
 use crate::backend::Backend;
 use crate::backend::gpu;
+use crate::diagnostics::Problem;
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LinearAttenuation, LocalError, Riccati, linear_law, show_eigenvalue};
 use crate::model::{Guard, Horizon, Model};
-use crate::scenario::{self, Problem};
+use crate::scene::Scene;
 use crate::sweep::{Choices, Plan, PlanError};
 use std::fmt::Write as _;
 use std::io::Write as _;
+use std::path::Path;
 
 /// Reads a scene and derives its equations; problems of both are reported with their places.
-pub(super) fn load(args: &super::SceneArgs) -> Result<(Model, Hamiltonian), CliError> {
-    derived(scenario::load(&args.scenario, &args.set)?)
+pub(super) fn load(args: &super::SceneArgs) -> Result<Scene, CliError> {
+    loaded(&args.scenario, &args.set)
 }
 
-/// A scene with its equations; a game whose level of attenuation its linearization does not allow is refused.
-pub(super) fn derived(model: Model) -> Result<(Model, Hamiltonian), CliError> {
-    let hamiltonian = Hamiltonian::derive(&model).map_err(|problems| model.errors(problems))?;
+/// The scene of a file; a game whose level of attenuation its linearization does not allow is refused.
+pub(super) fn loaded(path: &Path, set: &[(String, String)]) -> Result<Scene, CliError> {
+    let scene = Scene::load_with(path, set)?;
     // Before anything is computed or written, whatever the command.
-    match attenuation::refusal(&model, &hamiltonian) {
+    match attenuation::refusal(&scene) {
         Some(refused) => Err(refused.into()),
-        None => Ok((model, hamiltonian)),
+        None => Ok(scene),
     }
 }
 
 /// The plan of a scene's sweep; an error of the local solution has its place in the file.
-pub(super) fn planned(
-    model: &Model,
-    hamiltonian: &Hamiltonian,
-    backend: &dyn Backend,
-    choices: Choices,
-) -> Result<Plan, CliError> {
+pub(super) fn planned(scene: &Scene, backend: &dyn Backend, choices: Choices) -> Result<Plan, CliError> {
+    let Scene { model, hamiltonian, .. } = scene;
     Plan::new(model, hamiltonian, backend, choices).map_err(|e| match e {
         PlanError::Local(e) => at_equilibrium(model, &e),
         other => other.into(),
@@ -58,15 +56,16 @@ fn at_equilibrium(model: &Model, error: &LocalError) -> CliError {
 }
 
 pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
-    let (model, hamiltonian) = load(&args.scene)?;
+    let scene = load(&args.scene)?;
+    let Scene { model, hamiltonian, .. } = &scene;
     let riccati = match model.horizon {
-        Horizon::Infinite { .. } => Some(Riccati::solve(&hamiltonian, &model).map_err(|e| at_equilibrium(&model, &e))?),
+        Horizon::Infinite { .. } => Some(Riccati::solve(hamiltonian, model).map_err(|e| at_equilibrium(model, &e))?),
         Horizon::Finite { .. } => None,
     };
-    super::afterwards::check(&model, &hamiltonian)?;
-    let rest = At::of(&model, &hamiltonian, riccati.as_ref());
+    super::afterwards::check(&scene)?;
+    let rest = At::of(model, hamiltonian, riccati.as_ref());
     let smallest = (model.attenuation.as_ref())
-        .map(|a| attenuation::linear(&model, a))
+        .map(|a| attenuation::linear(&scene, a))
         .transpose()?;
     let smallest = model.attenuation.as_ref().zip(smallest);
     if args.scene.quiet {
@@ -78,8 +77,8 @@ pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
             out,
             "{:#}",
             as_json(
-                &model,
-                &hamiltonian,
+                model,
+                hamiltonian,
                 riccati.as_ref().zip(rest.as_ref()),
                 smallest.as_ref().map(|(_, l)| l)
             )
@@ -88,7 +87,7 @@ pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
         write!(
             out,
             "{}",
-            as_text(&model, &hamiltonian, riccati.as_ref().zip(rest.as_ref()))
+            as_text(model, hamiltonian, riccati.as_ref().zip(rest.as_ref()))
         )?;
         if let Some((asked, linear)) = &smallest {
             let text = super::attenuation::star_text(&asked.parameter, linear);

@@ -8,6 +8,7 @@ use crate::dynamic_programming::{Device, GridValue, Options, extent, solve};
 use crate::model::Model;
 use crate::numeric::quantile::nearest_rank;
 use crate::result::Stored;
+use crate::scene::Scene;
 use crate::value::{self, Claims, Flown, Led, Opinion, PointStatus, referee};
 use clap::Args;
 use std::path::PathBuf;
@@ -66,14 +67,14 @@ fn share(text: &str) -> Result<f64, String> {
 pub(super) fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
     let clock = Instant::now();
     let stored = Stored::open(&args.file)?;
-    let (model, hamiltonian) = (&stored.model, &stored.hamiltonian);
+    let Scene { model, hamiltonian, .. } = &stored.scene;
     grid::refuse(model, &stored.path.display().to_string())?;
     let claims = claims(&stored)?;
     let n = model.states.len();
     let counts = grid::counts(&args.nodes, model)?;
     let backend = args.numerics.open(model)?;
     let choices = value::for_guesses(args.numerics.choices(0), n, claims.v.len());
-    let plan = check::planned(model, hamiltonian, backend.as_ref(), choices)?;
+    let plan = check::planned(&stored.scene, backend.as_ref(), choices)?;
     let terminal = Terminal::with(args.quiet, args.json);
     let bar = terminal.progress();
     bar.say("V on a grid");
@@ -125,7 +126,7 @@ fn claims(stored: &Stored) -> Result<Claims, CliError> {
         Some(group) if status.len() != count => Err(group.error("status", "not as many as there are states")),
         _ => Ok(()),
     };
-    let n = stored.model.states.len();
+    let n = stored.scene.model.states.len();
     if let Some(points) = stored.points()? {
         complete("points", &points.status, points.count)?;
         for (k, x) in points.x.chunks(n).enumerate() {

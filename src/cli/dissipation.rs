@@ -7,9 +7,8 @@ use super::report::Terminal;
 use crate::backend::Backend;
 use crate::closed_loop::dissipation::{Certificate, Dissipation, Origin, TOLERANCE, check, flight, ratio_text};
 use crate::closed_loop::{Laws, solved_values};
-use crate::hamiltonian::Hamiltonian;
 use crate::hdf5::ResultFile;
-use crate::model::Model;
+use crate::scene::Scene;
 use crate::sweep::Choices;
 
 /// V at initial states is solved for with this tolerance unless the scene's is tighter.
@@ -18,16 +17,17 @@ const SOLVED_RTOL: f64 = 1e-8;
 /// Checks the laws of a scene's `[dissipation]` and writes what came of it.
 pub(super) fn perform(
     from: &Sources<'_>,
-    (model, hamiltonian): (&Model, &Hamiltonian),
+    scene: &Scene,
     wanted: &Wanted,
     backend: &dyn Backend,
     terminal: &Terminal,
     file: &mut ResultFile,
 ) -> Result<Dissipation, CliError> {
+    let Scene { model, hamiltonian, .. } = scene;
     let asked = model.dissipation.as_ref().ok_or(CliError::NoClosedLoop)?;
     let track = model.closed_loop.as_ref().and_then(|s| s.track);
     let laws = Laws::new(model, hamiltonian, track);
-    let same = from.stored.is_some_and(|s| same_problem(&s.model, model));
+    let same = from.stored.is_some_and(|s| same_problem(&s.scene.model, model));
     let bar = terminal.progress();
     let solve = |states: &[f64]| {
         // More exact than what is interpolated, of which the ratio should say nothing.

@@ -1,5 +1,6 @@
 //! `costate evaluate`: laws simulated side by side.
 
+use super::check::loaded;
 use super::columns::columns;
 use super::report::Terminal;
 use super::run::default_output;
@@ -8,12 +9,11 @@ use crate::backend::Backend;
 use crate::closed_loop::{
     self, Available, Chart, Evaluation, GROUPS, Initial, LQR, Law, Laws, MAP, Setting, Weights, solved_values,
 };
-use crate::hamiltonian::Hamiltonian;
 use crate::hdf5::ResultFile;
 use crate::map::ValueMap;
 use crate::model::{ClosedLoop, Model, Outside};
 use crate::result::{RunRecord, Stored};
-use crate::scenario;
+use crate::scene::Scene;
 use crate::sweep::Choices;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -49,13 +49,14 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     let other = match (&stored, &args.scene) {
         (Some(_), None) => None,
         (Some(stored), Some(scene)) => Some(other_scene(stored, scene, &args.set)?),
-        (None, _) => Some(derived(&args.file, &args.set)?),
+        (None, _) => Some(loaded(&args.file, &args.set)?),
     };
-    let (model, hamiltonian) = match (&other, &stored) {
-        (Some((model, hamiltonian)), _) => (model, hamiltonian),
-        (None, Some(stored)) => (&stored.model, &stored.hamiltonian),
+    let scene = match (&other, &stored) {
+        (Some(scene), _) => scene,
+        (None, Some(stored)) => &stored.scene,
         (None, None) => return Err(CliError::NoClosedLoop),
     };
+    let model = &scene.model;
     if model.closed_loop.is_none() && model.dissipation.is_none() {
         return Err(CliError::NoClosedLoop);
     }
@@ -84,7 +85,6 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         (None, out) => ResultFile::create(out.clone().unwrap_or_else(|| own_output(&args.file)))?,
     };
     let from = Sources::new(stored.as_ref(), &wanted, &terminal)?;
-    let scene = (model, hamiltonian);
     let mut summary = serde_json::json!({});
     let mut numerics = None;
     if model.closed_loop.is_some() {
@@ -190,12 +190,13 @@ impl<'s> Sources<'s> {
 /// Simulates the laws of a scene's `[closed_loop]` and writes what came of it.
 pub(super) fn perform(
     from: &Sources<'_>,
-    (model, hamiltonian): (&Model, &Hamiltonian),
+    given: &Scene,
     wanted: &Wanted,
     backend: &dyn Backend,
     terminal: &Terminal,
     file: &mut ResultFile,
 ) -> Result<(Evaluation, crate::sweep::Numerics), CliError> {
+    let Scene { model, hamiltonian, .. } = given;
     let scene = model.closed_loop.as_ref().ok_or(CliError::NoClosedLoop)?;
     let laws = Laws::new(model, hamiltonian, scene.track);
     let setting = Setting::new(&laws, scene, backend, wanted.choices)?;
@@ -263,7 +264,7 @@ fn known_values(
     const ESTIMATED: usize = 5000;
     let unknown = vec![f64::NAN; initial.count()];
     let Some(stored) = from.stored else { return Ok(unknown) };
-    if !same_problem(&stored.model, model) {
+    if !same_problem(&stored.scene.model, model) {
         terminal.note("V in the file is of another problem (other parameters, equations or cost): J is not compared with it (--solve finds V)");
         return Ok(unknown);
     }
@@ -319,28 +320,20 @@ pub(super) fn same_problem(a: &Model, b: &Model) -> bool {
     shown(a) == shown(b) && a.reference() == b.reference()
 }
 
-fn derived(path: &Path, set: &[(String, String)]) -> Result<(Model, Hamiltonian), CliError> {
-    let model = scenario::load(path, set)?;
-    super::check::derived(model)
-}
-
 /// Another scene with the states and controls of the stored one, and the parameters that the stored run was given.
-pub(super) fn other_scene(
-    stored: &Stored,
-    path: &Path,
-    set: &[(String, String)],
-) -> Result<(Model, Hamiltonian), CliError> {
-    let overrides = [stored.model.overrides.as_slice(), set].concat();
-    let (model, hamiltonian) = derived(path, &overrides)?;
+pub(super) fn other_scene(stored: &Stored, path: &Path, set: &[(String, String)]) -> Result<Scene, CliError> {
+    let overrides = [stored.scene.model.overrides.as_slice(), set].concat();
+    let scene = loaded(path, &overrides)?;
+    let model = &scene.model;
     let states = |m: &Model| m.states.iter().map(|s| s.variable.name.clone()).collect::<Vec<_>>();
     let controls = |m: &Model| m.controls.iter().map(|c| c.variable.name.clone()).collect::<Vec<_>>();
-    if states(&model) != states(&stored.model) || controls(&model) != controls(&stored.model) {
+    if states(model) != states(&stored.scene.model) || controls(model) != controls(&stored.scene.model) {
         return Err(CliError::OtherScene {
             scene: path.to_owned(),
             file: stored.path.clone(),
         });
     }
-    Ok((model, hamiltonian))
+    Ok(scene)
 }
 
 fn weights(path: &PathBuf) -> Result<Weights, CliError> {

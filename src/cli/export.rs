@@ -6,10 +6,11 @@ use super::run::default_output;
 use super::{CliError, ExportArgs};
 use crate::feedback::{Known, Law, LawError, NetworkError, header, value_header};
 use crate::files::write_text;
-use crate::hamiltonian::{Hamiltonian, System};
+use crate::hamiltonian::System;
 use crate::local::{LocalError, LocalPolynomial, Riccati};
-use crate::model::{Horizon, Model};
+use crate::model::Horizon;
 use crate::result::Stored;
+use crate::scene::Scene;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -79,11 +80,10 @@ pub(super) fn export(args: &ExportArgs) -> Result<(), CliError> {
         (None, true) => {
             let name = name.unwrap_or("local");
             if scene {
-                let (model, hamiltonian) = super::check::derived(crate::scenario::load(&path, &args.set)?)?;
-                local(name, &model, &hamiltonian, args.degree)?
+                local(name, &super::check::loaded(&path, &args.set)?, args.degree)?
             } else {
                 let stored = Stored::open(&path)?;
-                local(name, &stored.model, &stored.hamiltonian, args.degree)?
+                local(name, &stored.scene, args.degree)?
             }
         }
     };
@@ -126,7 +126,7 @@ fn map(name: &str, path: &Path) -> Result<Made, CliError> {
     let (p, c) = (pieces.pieces.len(), pieces.cells.len());
     Ok(Made {
         name: name.to_owned(),
-        text: value_header(name, Known::Map(pieces, local.as_ref()), system, &stored.model),
+        text: value_header(name, Known::Map(pieces, local.as_ref()), system, &stored.scene.model),
         said: format!("map: {p} pieces in {c} cells, {numbers} coefficients"),
         summary: json!({ "kind": "map", "pieces": p, "cells": c, "coefficients": numbers }),
     })
@@ -152,12 +152,12 @@ fn law(name: Option<&str>, wanted: Option<&str>, path: &Path) -> Result<Made, Cl
     let name = name.map_or(stored_law.name, str::to_owned);
     let law = Law::from_toml(&stored_law.text, &stored_law.file).map_err(ExportError::from)?;
     let form = law
-        .closed_form(&stored.model, &stored.hamiltonian)
+        .closed_form(&stored.scene.model, &stored.scene.hamiltonian)
         .map_err(ExportError::from)?;
     let sizes = law.network.layers.iter().map(|l| l.weights.len() + l.bias.len());
     let weights: usize = sizes.sum();
     Ok(Made {
-        text: header(&name, &law, &form, &stored.model),
+        text: header(&name, &law, &form, &stored.scene.model),
         said: format!("law {name}: {}, {weights} weights", form.outputs.join(", ")),
         summary: json!({
             "kind": "law", "fitted": law.meaning.name(), "outputs": form.outputs, "parameters": weights,
@@ -166,7 +166,8 @@ fn law(name: Option<&str>, wanted: Option<&str>, path: &Path) -> Result<Made, Cl
     })
 }
 
-fn local(name: &str, model: &Model, hamiltonian: &Hamiltonian, degree: usize) -> Result<Made, CliError> {
+fn local(name: &str, scene: &Scene, degree: usize) -> Result<Made, CliError> {
+    let Scene { model, hamiltonian, .. } = scene;
     if matches!(model.horizon, Horizon::Finite { .. }) {
         return Err(ExportError::Finite.into());
     }

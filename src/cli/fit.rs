@@ -31,9 +31,9 @@ pub(super) struct Done {
 pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
     let stored = Stored::open(&args.file)?;
     let terminal = Terminal::with(args.quiet, args.json);
-    let other = (args.scene.as_deref()).map(|scene| other_scene(&stored, scene, &[]).map(|(model, _)| model));
+    let other = (args.scene.as_deref()).map(|scene| other_scene(&stored, scene, &[]));
     let other = other.transpose()?;
-    let scene = other.as_ref().unwrap_or(&stored.model);
+    let scene = other.as_ref().map_or(&stored.scene.model, |scene| &scene.model);
     if scene.feedback.is_empty() {
         let path = args.scene.clone().unwrap_or_else(|| args.file.clone());
         return Err(FitCommandError::NoFeedback { path }.into());
@@ -61,7 +61,7 @@ pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
 /// Who knows which samples are optimal: the value map, where solutions of several sheets may be in the file. Where it has
 /// no objection, neighbouring samples decide.
 fn judge(stored: &Stored) -> Option<ValueMap> {
-    let periodic = stored.model.states.iter().any(|s| s.period.is_some());
+    let periodic = stored.scene.model.states.iter().any(|s| s.period.is_some());
     (periodic || stored.has("points_sheets")).then(|| stored.value_map().ok())?
 }
 
@@ -89,7 +89,7 @@ pub(super) fn fit_laws(
     beside: &Beside,
     terminal: &Terminal,
 ) -> Result<Done, CliError> {
-    let sizes = (stored.model.states.len(), stored.model.controls.len());
+    let sizes = (stored.scene.model.states.len(), stored.scene.model.controls.len());
     let samples = Samples::new(sizes, stored.trajectories()?.as_ref(), stored.points()?.as_ref());
     if samples.is_empty() {
         return Err(FitCommandError::NoData {
@@ -102,8 +102,8 @@ pub(super) fn fit_laws(
     let map = judge(stored);
     let known = |x: &[f64], v: f64| map.as_ref().filter(|map| !map.is_lowest(x, v)).map(|_| false);
     let data = Data {
-        model: &stored.model,
-        hamiltonian: &stored.hamiltonian,
+        model: &stored.scene.model,
+        hamiltonian: &stored.scene.hamiltonian,
         samples: &samples,
         known: &known,
     };
@@ -133,7 +133,7 @@ pub(super) fn fit_laws(
             });
         }
     }
-    let exports = fitted.export(directory, &beside.stem, &stored.model)?;
+    let exports = fitted.export(directory, &beside.stem, &stored.scene.model)?;
     Ok(Done { fitted, exports })
 }
 

@@ -4,8 +4,8 @@ use super::CliError;
 use crate::backend::Backend;
 use crate::dynamic_programming::{Device, extent};
 use crate::dynamic_programming::{DpError, GridValue, MOST_STATES, Options, solve};
-use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
+use crate::scene::Scene;
 use crate::sweep::Plan;
 use std::path::PathBuf;
 
@@ -85,7 +85,7 @@ pub(super) fn counts(given: &[usize], model: &Model) -> Result<Vec<usize>, CliEr
 
 /// V on a grid over the region and some states (`[state][n]`, absolute), for guesses.
 pub(super) fn for_guesses(
-    (model, hamiltonian): (&Model, &Hamiltonian),
+    scene: &Scene,
     plan: &Plan,
     backend: &dyn Backend,
     states: &[f64],
@@ -94,5 +94,11 @@ pub(super) fn for_guesses(
         holds: extent(plan, states),
         ..Options::default()
     };
-    Ok(solve(model, hamiltonian, plan, &options, Device::of(backend))?)
+    Ok(solve(
+        &scene.model,
+        &scene.hamiltonian,
+        plan,
+        &options,
+        Device::of(backend),
+    )?)
 }

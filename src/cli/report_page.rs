@@ -65,7 +65,7 @@ pub(super) fn report(args: &ReportArgs) -> Result<(), CliError> {
 /// What is asked for, numbers being expressions of the scene's parameters.
 fn choice(args: &ReportArgs, stored: &Stored) -> Result<Report, OptionError> {
     let number = |option: &'static str, text: &str| {
-        scenario::constant(text, &stored.model).map_err(|reason| OptionError {
+        scenario::constant(text, &stored.scene.model).map_err(|reason| OptionError {
             option,
             text: text.to_owned(),
             reason,

@@ -11,11 +11,11 @@ use crate::backend::gpu::{Gpu, Selection};
 use crate::backend::{Backend, BackendError, Trajectories};
 use crate::dynamic_programming::GridValue;
 use crate::files::{Draft, target, write_text};
-use crate::hamiltonian::Hamiltonian;
 use crate::hdf5::ResultFile;
 use crate::map;
 use crate::model::{Method, Model};
 use crate::result::{Axis, RunRecord, TrajectorySchema};
+use crate::scene::Scene;
 use crate::shooting::Solver;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::trajectories::TrajectoryBlock;
@@ -58,13 +58,14 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         _ => &[Kind::Result],
     };
     super::check_out(args.out.as_deref(), kinds, &inputs)?;
-    let (model, hamiltonian) = load(&args.scene)?;
+    let scene = load(&args.scene)?;
+    let model = &scene.model;
     if let Some(solve) = solve.filter(|_| table) {
-        listed::check_table(solve, &model)?;
+        listed::check_table(solve, model)?;
     }
-    let mut wanted = wanted(&model, parts)?;
+    let mut wanted = wanted(model, parts)?;
     if args.grid_guesses {
-        super::grid::refuse(&model, "--grid-guesses")?;
+        super::grid::refuse(model, "--grid-guesses")?;
         if wanted.is_none() {
             return Err(GridRefusal::Nothing.into());
         }
@@ -75,7 +76,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         .as_ref()
         .filter(|_| all || matches!(parts, Parts::Homotopy));
     let solves = wanted.is_some() || aim.is_some();
-    let backend = args.numerics.open(&model)?;
+    let backend = args.numerics.open(model)?;
     let stored = parts.sweeps() && model.shoot_out.is_some();
     let choices = Choices {
         inner_levels: solves,
@@ -87,22 +88,22 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         unasked: solves,
         ..args.numerics.choices(args.seed)
     };
-    let plan = planned(&model, &hamiltonian, backend.as_ref(), choices)?;
+    let plan = planned(&scene, backend.as_ref(), choices)?;
     if all {
-        afterwards::check(&model, &hamiltonian)?;
+        afterwards::check(&scene)?;
     }
     let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
     let mut terminal = report::Terminal::new(&args.scene);
-    terminal.heading(&model, &plan, backend.as_ref());
+    terminal.heading(model, &plan, backend.as_ref());
     if let Some(solve) = solve
-        && points::has_published(&solve.points, &model)
+        && points::has_published(&solve.points, model)
     {
         terminal.note(&format!("column {} of the points is not read", points::PUBLISHED));
     }
 
     // The final name first: what is wrong with it is said before the work is done.
     let path = target(&path)?;
-    let draft = (all && afterwards::wanted(&model))
+    let draft = (all && afterwards::wanted(model))
         .then(|| Draft::begin(&path))
         .transpose()?;
     // None for a table.
@@ -111,7 +112,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         Some(draft) => Some(ResultFile::create(draft.hidden())?),
         None => Some(ResultFile::create(&path)?),
     };
-    let schema = schema(&model, &plan);
+    let schema = schema(model, &plan);
     let mut writer = match &mut file {
         Some(file) if stored => Some(file.trajectories(&schema)?),
         _ => None,
@@ -131,18 +132,17 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let mut answers = None;
     if let (Some(wanted), Some(archive)) = (&mut wanted, &mut archive) {
         if args.grid_guesses {
-            let scene = (&model, &hamiltonian);
-            wanted.request.grid = Some(wanted.grid(scene, &plan, backend.as_ref(), &terminal)?);
+            wanted.request.grid = Some(wanted.grid(&scene, &plan, backend.as_ref(), &terminal)?);
         }
         let mut solver = value::solver(&plan, backend.as_ref())?;
-        let mut found = wanted.solve(&plan, &model, &mut solver, archive, &terminal)?;
+        let mut found = wanted.solve(&plan, model, &mut solver, archive, &terminal)?;
         // What nothing has led to may have a swept trajectory near it.
         if direct && value::may_need_sweep(&plan) && found.lacks_guesses() {
             swept = swept_for(&plan, backend.as_ref(), &mut terminal, Some(archive), &mut |_| Ok(()))?;
-            found = wanted.solve(&plan, &model, &mut solver, archive, &terminal)?;
+            found = wanted.solve(&plan, model, &mut solver, archive, &terminal)?;
         }
         if let Some(file) = &mut file {
-            wanted.write(file, &schema, &model, &found)?;
+            wanted.write(file, &schema, model, &found)?;
         }
         if let (Some(solve), Some(file)) = (solve, &mut file)
             && solve.trajectories
@@ -164,7 +164,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         let mut solver = value::solver(&plan, backend.as_ref())?;
         let bar = terminal.progress();
         let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
-        let made = map::adaptive(&plan, &model, &mut solver, archive, aim, &mut told)?;
+        let made = map::adaptive(&plan, model, &mut solver, archive, aim, &mut told)?;
         bar.clear();
         if let Some(file) = &mut file {
             file.map_pieces(&schema, model.time_name(), &made)?;
@@ -172,7 +172,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         mapped = Some(made);
     }
     let variants = match &mut file {
-        Some(file) if all => super::study::write(file, &model, backend.as_ref(), choices, &terminal)?,
+        Some(file) if all => super::study::write(file, &scene, backend.as_ref(), choices, &terminal)?,
         _ => Vec::new(),
     };
     let estimates = Estimates::of(&plan, &swept, stored, answers.as_ref())?;
@@ -184,7 +184,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         rtol: plan.run.rtol,
         atol: plan.atol,
         wall_seconds: clock.elapsed().as_secs_f64(),
-        ..RunRecord::begun(&model, started)
+        ..RunRecord::begun(model, started)
     };
     if let Some(file) = &file {
         record.write(file)?;
@@ -202,7 +202,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         estimates: &estimates,
         record: &record,
         variants: &variants,
-        model: &model,
+        model,
         path: &path,
         seconds: clock.elapsed().as_secs_f64(),
     };
@@ -220,8 +220,7 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     }
     terminal.summary(&done)?;
     if let Some(draft) = draft {
-        let scene = (&model, &hamiltonian);
-        let laws = afterwards::laws(&draft, scene, backend.as_ref(), choices, &terminal)?;
+        let laws = afterwards::laws(&draft, &scene, backend.as_ref(), choices, &terminal)?;
         for key in ["feedback", "closed_loop", "dissipation", "attenuation"] {
             summary[key] = laws[key].clone();
         }
@@ -263,7 +262,7 @@ impl WantedStates {
     /// V on a grid over the states.
     fn grid(
         &self,
-        scene: (&Model, &Hamiltonian),
+        scene: &Scene,
         plan: &Plan,
         backend: &dyn Backend,
         terminal: &report::Terminal,

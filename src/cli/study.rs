@@ -9,6 +9,7 @@ use crate::backend::Backend;
 use crate::hdf5::ResultFile;
 use crate::model::Model;
 use crate::result::RunRecord;
+use crate::scene::Scene;
 use crate::study::{Variant, study as studied};
 use crate::sweep::Choices;
 use crate::value::PointStatus;
@@ -20,11 +21,12 @@ pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
     if args.grid_guesses {
         return Err(super::grid::GridRefusal::Nothing.into());
     }
-    let (model, _) = load(&args.scene)?;
+    let scene = load(&args.scene)?;
+    let model = &scene.model;
     if model.study.is_none() {
         return Err(CliError::NoStudy);
     }
-    let backend = args.numerics.open(&model)?;
+    let backend = args.numerics.open(model)?;
     let terminal = Terminal::new(&args.scene);
     terminal.say(&model.title)?;
     let path = args.out.clone().unwrap_or_else(|| {
@@ -35,7 +37,7 @@ pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
     let mut file = ResultFile::create(&path)?;
     let variants = write(
         &mut file,
-        &model,
+        &scene,
         backend.as_ref(),
         args.numerics.choices(args.seed),
         &terminal,
@@ -46,18 +48,18 @@ pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
         rtol: args.numerics.rtol.unwrap_or(model.integrator.rtol),
         atol: model.integrator.atol,
         wall_seconds: clock.elapsed().as_secs_f64(),
-        ..RunRecord::begun(&model, started)
+        ..RunRecord::begun(model, started)
     };
     record.write(&file)?;
     let path = file.finish()?;
-    terminal.say(&table(&model, &variants))?;
+    terminal.say(&table(model, &variants))?;
     terminal.say(&format!(
         "{:.2} s, written to {}",
         clock.elapsed().as_secs_f64(),
         path.display()
     ))?;
     if args.scene.json {
-        super::print(&format!("{:#}\n", as_json(&model, &variants)))?;
+        super::print(&format!("{:#}\n", as_json(model, &variants)))?;
     }
     Ok(())
 }
@@ -65,19 +67,19 @@ pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
 /// Makes the scene's study and writes its groups.
 pub(super) fn write(
     file: &mut ResultFile,
-    model: &Model,
+    scene: &Scene,
     backend: &dyn Backend,
     choices: Choices,
     terminal: &Terminal,
 ) -> Result<Vec<Variant>, CliError> {
-    let Some(asked) = &model.study else {
+    let Some(asked) = &scene.model.study else {
         return Ok(Vec::new());
     };
     let bar = terminal.progress();
     let mut told = |done: usize, of: usize| bar.say(&format!("study: {done} of {of} variants"));
-    let variants = studied(model, backend, choices, &mut told)?;
+    let variants = studied(scene, backend, choices, &mut told)?;
     bar.clear();
-    file.study(&axes(model), asked, &variants)?;
+    file.study(&axes(&scene.model), asked, &variants)?;
     Ok(variants)
 }
 

@@ -47,7 +47,7 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         super::check_out(Some(out), &[Kind::Result, Kind::Table], &inputs)?;
     }
     let stored = Stored::open(&args.file)?;
-    let model = &stored.model;
+    let model = &stored.scene.model;
     // A missing map is told below; here what is asked of it.
     let knows = stored.map_pieces()?.is_some_and(|p| p.states() > model.states.len());
     let check = |t: f64| known_time(model, knows, t);

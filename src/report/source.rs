@@ -61,7 +61,7 @@ impl<'s> Source<'s> {
     /// # Errors
     /// [`OptionsError`] where a choice does not fit the scene.
     pub fn new(stored: &'s Stored, choice: &Report) -> Result<Self, OptionsError> {
-        let model = &stored.model;
+        let model = &stored.scene.model;
         let merged = merged(choice, model.report.as_ref());
         // Before anything is read: a mistake is told at once.
         let asked = axes(model, &merged, None)?;
@@ -329,10 +329,11 @@ fn base(model: &Model, choice: &Report, axes: [usize; 2], grid: Option<&GridFiel
 
 /// The solved states as a grid: the map, else points that form one in two states or more.
 fn field(stored: &Stored, points: &Result<Option<SolvedStates>, String>) -> Result<Option<GridField>, String> {
-    let (n, m) = (stored.model.states.len(), stored.model.controls.len());
+    let (n, m) = (stored.scene.model.states.len(), stored.scene.model.controls.len());
     if let Some(map) = stored.map().map_err(|e| e.to_string())? {
         let above: Vec<bool> = map.status.iter().map(|s| *s == PointStatus::AboveMax as i32).collect();
         let limit = stored
+            .scene
             .model
             .map
             .as_ref()

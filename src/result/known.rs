@@ -24,7 +24,7 @@ impl Stored {
     /// [`StoredMapError`].
     pub fn value_map(&self) -> Result<ValueMap, StoredMapError> {
         let known = self.known()?;
-        ValueMap::new(&self.model, &self.hamiltonian, known).map_err(|error| match error {
+        ValueMap::new(&self.scene.model, &self.scene.hamiltonian, known).map_err(|error| match error {
             MapError::Empty => StoredMapError::Empty {
                 path: self.path.clone(),
             },

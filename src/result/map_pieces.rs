@@ -274,8 +274,8 @@ impl Stored {
         };
         // The states, and on a finite horizon the time where it is an axis.
         let n = group.f64("lower")?.values.len();
-        let states = self.model.states.len();
-        if n != states && !(n == states + 1 && self.model.final_time().is_some()) {
+        let states = self.scene.model.states.len();
+        if n != states && !(n == states + 1 && self.scene.model.final_time().is_some()) {
             return Err(group.error("lower", "it has not one bound a state"));
         }
         let number = |name: &str| -> Result<f64, StoredError> {

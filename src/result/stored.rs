@@ -2,9 +2,7 @@
 
 use super::record::RunRecord;
 use crate::diagnostics::ScenarioErrors;
-use crate::hamiltonian::Hamiltonian;
-use crate::model::Model;
-use crate::scenario;
+use crate::scene::Scene;
 use crate::trajectories::{SolvedGrid, SolvedStates, SweptTrajectories};
 use rust_hdf5::{H5Dataset, H5File, Hdf5Error};
 use std::path::{Path, PathBuf};
@@ -52,8 +50,7 @@ pub struct Array {
 /// it are in the file.
 pub struct Stored {
     pub path: PathBuf,
-    pub model: Model,
-    pub hamiltonian: Hamiltonian,
+    pub scene: Scene,
     file: H5File,
 }
 
@@ -105,12 +102,10 @@ impl Stored {
             path: path.to_owned(),
             errors: Box::new(errors),
         };
-        let model = scenario::parse(&text, &name, &overrides).map_err(wrong)?;
-        let hamiltonian = Hamiltonian::derive(&model).map_err(|p| wrong(model.errors(p)))?;
+        let scene = Scene::parse_with(&text, &name, &overrides).map_err(wrong)?;
         Ok(Self {
             path: path.to_owned(),
-            model,
-            hamiltonian,
+            scene,
             file,
         })
     }
@@ -151,7 +146,7 @@ impl Stored {
         let Some(group) = self.group("trajectories") else {
             return Ok(None);
         };
-        let (n, m) = (self.model.states.len(), self.model.controls.len());
+        let (n, m) = (self.scene.model.states.len(), self.scene.model.controls.len());
         let v = group.f64("V")?;
         let &[count, samples] = v.shape.as_slice() else {
             return Err(group.error("V", "not trajectory x sample"));
@@ -186,7 +181,7 @@ impl Stored {
         let Some(times) = self.times(&group)? else {
             return Ok(Some(points));
         };
-        let name = self.model.time_name();
+        let name = self.scene.model.time_name();
         if times.len() != count {
             return Err(group.error(name, "not as many as there are states"));
         }
@@ -194,7 +189,7 @@ impl Stored {
         if kept.is_empty() && count > 0 {
             return Err(group.error(name, &self.later("no row")));
         }
-        let (n, m) = (self.model.states.len(), self.model.controls.len());
+        let (n, m) = (self.scene.model.states.len(), self.scene.model.controls.len());
         Ok(Some(SolvedStates {
             count: kept.len(),
             x: taken(&points.x, n, &kept),
@@ -209,8 +204,8 @@ impl Stored {
 
     /// Times of a group's rows, or along its axis; `None` where it has none, and all is of t = 0.
     fn times(&self, group: &StoredGroup<'_>) -> Result<Option<Vec<f64>>, StoredError> {
-        let name = self.model.time_name();
-        if self.model.final_time().is_none() || !group.has(name) {
+        let name = self.scene.model.time_name();
+        if self.scene.model.final_time().is_none() || !group.has(name) {
             return Ok(None);
         }
         Ok(Some(group.f64(name)?.values))
@@ -218,7 +213,7 @@ impl Stored {
 
     /// Why values of later times are of no use where V(x, 0) is wanted.
     fn later(&self, what: &str) -> String {
-        let name = self.model.time_name();
+        let name = self.scene.model.time_name();
         format!("{what} is at {name} = 0, and V is wanted there: ask for it with {name} = 0 too")
     }
 
@@ -231,7 +226,7 @@ impl Stored {
             return Ok(None);
         };
         let (_, point) = group.i32("point")?;
-        let n = self.model.states.len();
+        let n = self.scene.model.states.len();
         let mut entries = self.solutions(&group, point.len())?;
         for &k in &point {
             let row = points.point.binary_search(&k).ok();
@@ -244,7 +239,7 @@ impl Stored {
     }
 
     fn solutions(&self, group: &StoredGroup<'_>, count: usize) -> Result<SolvedStates, StoredError> {
-        let (n, m) = (self.model.states.len(), self.model.controls.len());
+        let (n, m) = (self.scene.model.states.len(), self.scene.model.controls.len());
         Ok(SolvedStates {
             count,
             v: group.shaped("V", &[count])?,
@@ -265,10 +260,10 @@ impl Stored {
             return Ok(None);
         };
         let mut axes = Vec::new();
-        for state in &self.model.states {
+        for state in &self.scene.model.states {
             axes.push(group.f64(&state.variable.name)?.values);
         }
-        let (n, m) = (self.model.states.len(), self.model.controls.len());
+        let (n, m) = (self.scene.model.states.len(), self.scene.model.controls.len());
         let times = self.times(&group)?;
         let lengths = axes.iter().chain(&times).map(Vec::len);
         let counts: Vec<usize> = lengths.collect();
@@ -285,7 +280,7 @@ impl Stored {
         let Some(times) = times else { return Ok(Some(map)) };
         // The time runs fastest.
         let Some(first) = times.iter().position(|t| *t == 0.0) else {
-            return Err(group.error(self.model.time_name(), &self.later("nothing")));
+            return Err(group.error(self.scene.model.time_name(), &self.later("nothing")));
         };
         let kept: Vec<usize> = (first..nodes).step_by(times.len()).collect();
         Ok(Some(SolvedGrid {

@@ -1,6 +1,7 @@
 //! The sections that declare names: parameters, states, controls, disturbances, definitions.
 
-use super::build::{Origin, Use};
+use super::build::{Built, Origin, Use};
+use super::document::Given;
 use super::lexer::is_identifier;
 use super::reader::{Reader, Section, Value};
 use super::scope::{Entry, Kinds, Meaning, Role, reserved};
@@ -94,13 +95,13 @@ impl<'a> Reader<'a> {
     }
 
     /// Evaluates the parameters in order, with the definitions given on the command line in place of the file's.
-    pub fn parameters(&mut self, declared: &[Declared<'a>], overrides: &[(String, String)]) -> Vec<Parameter> {
-        let mut replaced: HashMap<&str, &str> = HashMap::new();
+    pub fn parameters(&mut self, declared: &[Declared<'a>], overrides: &[(String, Given)]) -> Vec<Parameter> {
+        let mut replaced: HashMap<&str, &Given> = HashMap::new();
         for (name, value) in overrides {
             if declared.iter().any(|d| d.name == name) {
                 replaced.insert(name, value);
             } else {
-                self.unknown_override(name, value);
+                self.unknown_override(name, &value.text());
             }
         }
         declared
@@ -124,7 +125,21 @@ impl<'a> Reader<'a> {
         });
     }
 
-    fn parameter(&mut self, declared: &Declared<'a>, replacement: Option<&str>) -> Option<Parameter> {
+    /// The node of a number; a negative one is made as the parser makes it, so that graphs do not depend on how it was given.
+    fn number_built(&mut self, number: f64) -> Built {
+        let size = self.graph.constant(number.abs());
+        let expr = if number.is_sign_negative() {
+            self.graph.neg(size)
+        } else {
+            size
+        };
+        Built {
+            expr,
+            kinds: Kinds::NONE,
+        }
+    }
+
+    fn parameter(&mut self, declared: &Declared<'a>, replacement: Option<&Given>) -> Option<Parameter> {
         let name = declared.name;
         let what = format!("parameter `{}`", shorten(name));
         let purpose = Use {
@@ -133,9 +148,13 @@ impl<'a> Reader<'a> {
             rule: "numbers and earlier parameters",
         };
         self.scope.set(name, Role::Parameter, Meaning::Current);
-        let command_line = replacement.map(|text| (text, Origin::CommandLine(shorten(&format!("{name}={text}")))));
+        let command_line = replacement.map(|given| {
+            let typed = Origin::CommandLine(shorten(&format!("{name}={}", given.text())));
+            (given, typed)
+        });
         let built = match &command_line {
-            Some((text, origin)) => self.parse_and_build(text, origin, &purpose),
+            Some((Given::Text(text), origin)) => self.parse_and_build(text, origin, &purpose),
+            Some((Given::Number(number), _)) => Some(self.number_built(*number)),
             None => self.expression(declared.value, &purpose),
         };
         let value = built.and_then(|b| {

@@ -9,6 +9,7 @@ mod build;
 mod closed_loop;
 mod declare;
 mod dissipation;
+mod document;
 mod equations;
 mod equilibrium;
 mod feedback;
@@ -27,6 +28,7 @@ mod syntax_error;
 mod tests;
 
 pub use crate::diagnostics::{Problem, ScenarioErrors};
+pub use document::{Document, Given};
 pub use report_section::{constant, definitions};
 pub use scene::PROBLEM_SECTIONS;
 pub use settings::{DEFAULT_ATOL_SHARE, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
@@ -64,5 +66,12 @@ pub fn load(path: &Path, overrides: &[(String, String)]) -> Result<Model, LoadEr
 /// # Errors
 /// [`ScenarioErrors`] with everything that is wrong.
 pub fn parse(text: &str, file_name: &str, overrides: &[(String, String)]) -> Result<Model, ScenarioErrors> {
-    scene::read(text, file_name, overrides).map_err(|problems| ScenarioErrors::new(file_name, text, problems))
+    Document::parse(text, file_name)?.model(&texts(overrides))
+}
+
+/// Overrides as they were typed.
+pub fn texts(overrides: &[(String, String)]) -> Vec<(String, Given)> {
+    (overrides.iter())
+        .map(|(name, text)| (name.clone(), Given::Text(text.clone())))
+        .collect()
 }

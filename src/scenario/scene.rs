@@ -2,6 +2,7 @@
 
 use super::closed_loop::LoopScope;
 use super::declare::Declarations;
+use super::document::Given;
 use super::equations::Cost;
 use super::equilibrium::{Equilibrium, Scene};
 use super::feedback::law_names;
@@ -47,31 +48,9 @@ const EXPRESSIONS: [&str; 6] = ["parameters", "definitions", "dynamics", "cost",
 
 type Sections<'a> = HashMap<&'static str, Section<'a>>;
 
-/// Reads a scenario's text.
-///
-/// # Errors
-/// All problems found, in no particular order.
-pub(super) fn read(text: &str, file_name: &str, overrides: &[(String, String)]) -> Result<Model, Vec<Problem>> {
-    let (document, errors) = DeTable::parse_recoverable(text);
-    let mut reader = Reader::new(text);
-    if !errors.is_empty() {
-        reader.toml_problems(&errors);
-        reader.expression_syntax(document.get_ref());
-        return Err(reader.problems);
-    }
-    let model = reader.model(document.get_ref(), file_name, overrides);
-    match model {
-        Some(model) if reader.problems.is_empty() => Ok(Model {
-            graph: reader.graph,
-            ..model
-        }),
-        _ => Err(reader.problems),
-    }
-}
-
 impl<'a> Reader<'a> {
     /// What the TOML parser refused. One error a line: what follows on the same line is often a consequence.
-    fn toml_problems(&mut self, errors: &[toml::de::Error]) {
+    pub(super) fn toml_problems(&mut self, errors: &[toml::de::Error]) {
         let end = self.text.len();
         let mut errors: Vec<_> = errors
             .iter()
@@ -89,7 +68,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Syntax errors of the expressions in a file that is not good TOML: they do not depend on the rest.
-    fn expression_syntax(&mut self, root: &'a DeTable<'a>) {
+    pub(super) fn expression_syntax(&mut self, root: &'a DeTable<'a>) {
         let bad_lines: Vec<usize> = self
             .problems
             .iter()
@@ -180,7 +159,12 @@ impl<'a> Reader<'a> {
     }
 
     /// Everything, with an empty graph in the place of the reader's; `None` only after a report.
-    fn model(&mut self, root: &'a DeTable<'a>, file_name: &str, overrides: &[(String, String)]) -> Option<Model> {
+    pub(super) fn model(
+        &mut self,
+        root: &'a DeTable<'a>,
+        file_name: &str,
+        overrides: &[(String, Given)],
+    ) -> Option<Model> {
         let (sections, title) = self.sections(root);
         self.require(
             root,
@@ -286,7 +270,9 @@ impl<'a> Reader<'a> {
             title: title.unwrap_or_else(|| stem(file_name)),
             file_name: file_name.to_owned(),
             text: self.text.to_owned(),
-            overrides: overrides.to_vec(),
+            overrides: (overrides.iter())
+                .map(|(name, given)| (name.clone(), given.text()))
+                .collect(),
             graph: Default::default(),
             parameters,
             states: states?,

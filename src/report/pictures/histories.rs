@@ -25,7 +25,7 @@ pub fn picture(source: &Source<'_>) -> Made {
     let mut panels = panels(source.model);
     let n = source.model.states.len();
     let m = source.model.controls.len();
-    let mut flow = Flow::new(source.model, &source.stored.hamiltonian);
+    let mut flow = Flow::new(source.model, &source.stored.scene.hamiltonian);
     for (place, k) in shown.iter().enumerate() {
         let stroke = Stroke::new(Ink::Colour(colours::class(place)), 1.7);
         let path = flow.path(t, *k);

@@ -127,7 +127,7 @@ pub fn picture(source: &Source<'_>) -> Made {
             ", projected: lines that cross differ in the other states"
         },
     );
-    let mut flow = Flow::new(source.model, &source.stored.hamiltonian);
+    let mut flow = Flow::new(source.model, &source.stored.scene.hamiltonian);
     if sheets.len() > 1 {
         drawing.by_sheet(source, t, &mut flow, &shown);
         caption += "A colour is a sheet: a family of optimal trajectories that goes its own way. ";

@@ -90,7 +90,7 @@ fn along_trajectories(source: &Source<'_>) -> Result<Vec<f64>, String> {
     };
     let drift = group.f64("hamiltonian_drift").map_err(wrong)?.values;
     let n = source.model.states.len();
-    let mut flow = Flow::new(source.model, &source.stored.hamiltonian);
+    let mut flow = Flow::new(source.model, &source.stored.scene.hamiltonian);
     let mut all = Vec::new();
     for k in (0..t.count).step_by(t.count.div_ceil(TRAJECTORIES)) {
         let finite: Vec<usize> = (k * t.samples..(k + 1) * t.samples)
@@ -120,7 +120,7 @@ fn at_points(source: &Source<'_>) -> Result<Vec<Row>, String> {
     // What was interpolated has neither.
     if source.infinite() && group.has("H") {
         let h = group.f64("H").map_err(wrong)?.values;
-        let mut flow = Flow::new(source.model, &source.stored.hamiltonian);
+        let mut flow = Flow::new(source.model, &source.stored.scene.hamiltonian);
         let values: Vec<f64> = (solved.iter().step_by(solved.len().div_ceil(8000).max(1)))
             .map(|k| h[row(*k)].abs() / flow.at(&points.x[k * n..(k + 1) * n], &points.p[k * n..(k + 1) * n])[n].abs())
             .filter(|v| v.is_finite())
