@@ -301,7 +301,11 @@ fn what_a_gpu_does_not_do_is_said() {
     ];
     done(costate(&arguments));
     let (file, out) = (scattered.to_str().unwrap(), folder().join("none.csv"));
-    let at = Stored::open(&scattered).unwrap().scene.model.states[0].variable.name.clone() + "=0.1";
+    let at = Stored::open(&scattered).unwrap().scene.model.states[0]
+        .variable
+        .name
+        .clone()
+        + "=0.1";
     let to = out.to_str().unwrap();
     for (args, wanted, status) in [
         (vec!["--backend", "gpu"], "holds no map in pieces", 2),
