@@ -69,7 +69,7 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
         rtol: work.plan.run.rtol,
         atol: work.plan.atol,
         wall_seconds: clock.elapsed().as_secs_f64(),
-        ..RunRecord::begun(&model, started)
+        ..RunRecord::begun(model, started)
     };
     record.write(&file)?;
     file.attribute("machine", devices::machine())?;
