@@ -162,7 +162,7 @@ impl GroupWriter {
     /// # Errors
     /// [`OutputError::NotGrowing`], [`OutputError::UnknownVariable`],
     /// [`OutputError::MissingVariable`], [`OutputError::Length`] and [`OutputError::Type`] on the
-    /// block; [`OutputError::Write`] and [`OutputError::Hdf5`] on writing.
+    /// block; [`OutputError::File`] and [`OutputError::Hdf5`] on writing.
     pub fn append(&mut self, rows: usize, block: &[(&str, Values<'_>)]) -> Result<(), OutputError> {
         let Some(index) = &self.growing_index else {
             return Err(OutputError::NotGrowing {
@@ -204,7 +204,7 @@ impl GroupWriter {
     ///
     /// # Errors
     /// [`OutputError::UnknownVariable`], [`OutputError::Length`] and [`OutputError::Type`] on the
-    /// values; [`OutputError::Write`] and [`OutputError::Hdf5`] on writing.
+    /// values; [`OutputError::File`] and [`OutputError::Hdf5`] on writing.
     pub fn write<'v>(&mut self, name: &str, values: impl Into<Values<'v>>) -> Result<(), OutputError> {
         let values = values.into();
         let column = self.column(name, false)?;

@@ -70,7 +70,7 @@ impl RunRecord {
     /// Writes the record as root attributes.
     ///
     /// # Errors
-    /// [`OutputError::Write`] and [`OutputError::Hdf5`].
+    /// [`OutputError::File`] and [`OutputError::Hdf5`].
     pub fn write(&self, file: &ResultFile) -> Result<(), OutputError> {
         let texts = [
             ("title", &self.title),

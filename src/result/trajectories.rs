@@ -63,7 +63,7 @@ impl ResultFile {
     ///
     /// # Errors
     /// [`OutputError::EmptyDimension`] without a state or a sample, [`OutputError::Duplicate`] the
-    /// second time, [`OutputError::Write`] and [`OutputError::Hdf5`].
+    /// second time, [`OutputError::File`] and [`OutputError::Hdf5`].
     pub fn trajectories(&mut self, schema: &TrajectorySchema) -> Result<TrajectoryWriter, OutputError> {
         Ok(TrajectoryWriter {
             writer: self.group(&schema.group())?,
@@ -85,7 +85,7 @@ impl TrajectoryWriter {
     /// # Errors
     /// [`OutputError::Length`] for a list that does not fit the block's `count`,
     /// [`OutputError::UnknownVariable`] for controls or disturbances that the schema does not have;
-    /// nothing is written then. [`OutputError::Write`] and [`OutputError::Hdf5`].
+    /// nothing is written then. [`OutputError::File`] and [`OutputError::Hdf5`].
     pub fn append(&mut self, block: &TrajectoryBlock) -> Result<(), OutputError> {
         let mut values = vec![
             ("t", (&block.t).into()),
