@@ -8,7 +8,7 @@ use costate::backend::Backend;
 use costate::backend::gpu::{Gpu, Selection};
 use costate::hdf5::ResultFile;
 use costate::map::pieces::Region;
-use costate::map::{Adaptive, At, DeviceError, DeviceMap};
+use costate::map::{Adaptive, At, DeviceError, DeviceMap, Part};
 use costate::model::Precision;
 use costate::result::{Axis, Stored, TrajectorySchema};
 use std::ffi::OsStr;
@@ -277,8 +277,10 @@ fn all_that_pieces_can_be() {
         rounds: 0,
         first: [0; 2],
         beyond: None,
-        unmet: 0.0,
+        unmet: Part::default(),
+        unknown: Part::default(),
         uncertain: 0.0,
+        spent: false,
         error_max: f64::INFINITY,
         seconds: 0.0,
     };

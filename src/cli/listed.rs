@@ -1,46 +1,52 @@
 //! What `costate solve` answers at the states that the user listed, one by one.
 
+use super::columns::columns;
 use super::report::Done;
 use super::{CliError, SolveArgs, csv_text};
 use crate::model::Model;
 use crate::numeric::digits::plain;
+use crate::numeric::quantile::nearest_rank;
 use crate::value::Answers;
 
 /// V and u at the first few states that the user listed.
 pub(super) fn text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
     const SHOWN: usize = 10;
-    let nine = |v: f64| match v.abs() {
-        size if size == 0.0 || (1e-3..1e15).contains(&size) => format!("{v:.9}"),
-        _ => format!("{v:.9e}"),
+    let short = |v: f64| match v.abs() {
+        size if size == 0.0 || (1e-3..1e6).contains(&size) => format!("{v:.6}"),
+        _ => format!("{v:.6e}"),
     };
-    let list = |names: &mut dyn Iterator<Item = &str>, values: &[f64]| {
-        let parts: Vec<String> = names.zip(values).map(|(n, v)| format!("{n} = {}", nine(*v))).collect();
-        parts.join(", ")
-    };
-    let mut lines: Vec<String> = (answers.targets.of_given[..done.listed].iter().take(SHOWN))
-        .map(|&target| {
-            let x = list(
-                &mut done.names.iter().map(String::as_str),
-                answers.targets.state(target),
-            );
+    let controls = done.model.controls.iter().map(|c| c.variable.name.clone());
+    let header = done.names.iter().cloned().chain(["V".to_owned()]).chain(controls);
+    let mut table: Vec<Vec<String>> = vec![header.chain(["status".to_owned()]).collect()];
+    let last = table[0].len() - 1;
+    table.extend(
+        (answers.targets.of_given[..done.listed].iter().take(SHOWN)).map(|&target| {
+            let mut row: Vec<String> = answers.targets.state(target).iter().copied().map(plain).collect();
             let Some(answer) = answers.answer(target) else {
-                return format!("  {x}: {}", answers.status(target).name().replace('_', " "));
+                row.resize(last, "-".to_owned());
+                row.push(answers.status(target).name().replace('_', " "));
+                return row;
             };
-            let mut controls = done.model.controls.iter().map(|c| c.variable.name.as_str());
+            row.push(format!("{:.12}", answer.value));
+            row.extend(answer.u.iter().copied().map(short));
             let sheets = match answers.of(target).len() {
                 1 => String::new(),
-                n => format!(" (least of {n} solutions)"),
+                n => format!(", least of {n} solutions"),
             };
             let bound = match answers.support[target].bound {
                 Some(bound) => format!("; NOT THE LEAST: a flown control costs {bound:.9}"),
                 None => String::new(),
             };
-            format!(
-                "  {x}: V = {:.12}, {}{sheets}{bound}",
-                answer.value,
-                list(&mut controls, &answer.u)
-            )
-        })
+            row.push(format!(
+                "{}{sheets}{bound}",
+                answers.evidence(target).name().replace('_', " ")
+            ));
+            row
+        }),
+    );
+    let mut lines: Vec<String> = columns(&table, &[last])
+        .lines()
+        .map(|line| format!("  {line}"))
         .collect();
     if done.listed > SHOWN {
         lines.push(format!("  and {} more: see the file, or --json", done.listed - SHOWN));
@@ -52,9 +58,16 @@ pub(super) fn text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
 /// What simulated controls along the answers have cost.
 fn flown(done: &Done<'_>, answers: &Answers) -> Option<String> {
     let listed = &answers.targets.of_given[..done.listed];
+    // Next to the equilibrium V says nothing of its own size.
+    let mut sizes: Vec<f64> = listed
+        .iter()
+        .filter_map(|t| Some(answers.answer(*t)?.value.abs()))
+        .collect();
+    sizes.sort_by(f64::total_cmp);
+    let least = (0.01 * nearest_rank(&sizes, 0.5)).max(f64::MIN_POSITIVE);
     let all = listed.iter().filter_map(|&target| {
         let (value, flown) = (answers.answer(target)?.value, answers.support[target].flown?);
-        Some((flown - value) / value.abs().max(f64::MIN_POSITIVE))
+        Some((flown - value) / value.abs().max(least))
     });
     let (home, lost): (Vec<f64>, Vec<f64>) = all.partition(|more| more.is_finite());
     let most = home.iter().copied().fold(f64::NEG_INFINITY, f64::max);

@@ -1,7 +1,8 @@
 //! What a run says of a map that was made to an error.
 
 use super::report::{Done, quantiles};
-use crate::map::{Adaptive, Beyond, Checked};
+use crate::map::pieces::Region;
+use crate::map::{Adaptive, Beyond, Checked, Part};
 use crate::model::MOST_MAP_STATES;
 use crate::value::PointStatus;
 
@@ -12,9 +13,16 @@ struct Shown {
     /// Median, 99 % and largest.
     error: [f64; 3],
     over_bound: [f64; 3],
+    /// States whose error is above the bound.
+    above_bound: usize,
     /// States without an answer for which the map says one.
     said_of_none: usize,
 }
+
+/// Share of fresh states whose error may be above the bound without a warning.
+const TOLERATED: f64 = 0.01;
+/// A part of the region that is wider than this share of it along a variable is not told by that.
+const ALL_ALONG: f64 = 0.7;
 
 fn shown(check: &[Checked], floor: f64) -> Shown {
     let solved: Vec<&Checked> = (check.iter())
@@ -30,10 +38,32 @@ fn shown(check: &[Checked], floor: f64) -> Shown {
         solved: solved.len(),
         known: known.len(),
         error: quantiles(&error),
+        above_bound: over_bound.iter().filter(|o| **o > 1.0).count(),
         over_bound: quantiles(&over_bound),
         said_of_none: (check.iter())
-            .filter(|c| !c.solved.is_finite() && c.said.is_finite() && c.status != PointStatus::AboveMax)
+            .filter(|c| !c.solved.is_finite() && c.said.is_finite())
+            // Where a guard excludes a state, look-ups say nothing.
+            .filter(|c| !matches!(c.status, PointStatus::AboveMax | PointStatus::OutsideGuard))
             .count(),
+    }
+}
+
+/// Names of the map's variables: the states, and the time where it is an axis.
+fn variables(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
+    let time = (made.pieces.states() > done.names.len()).then(|| done.model.time_name().to_owned());
+    done.names.iter().cloned().chain(time).collect()
+}
+
+/// Where nine tenths of a part of the region lie along each variable, if that tells something.
+fn mostly(names: &[String], part: &Part, region: &Region) -> String {
+    let each = names.iter().zip(&part.bounds).enumerate();
+    let narrow: Vec<String> = each
+        .filter(|(i, (_, [lo, hi]))| hi - lo < ALL_ALONG * region.width(*i))
+        .map(|(_, (name, [lo, hi]))| format!("{name} from {lo:.4} to {hi:.4}"))
+        .collect();
+    match narrow.is_empty() {
+        true => String::new(),
+        false => format!(", nine tenths of it with {}", narrow.join(", ")),
     }
 }
 
@@ -56,25 +86,41 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
             made.first[0], made.first[1]
         ));
     }
-    lines.push(if made.unmet > 0.0 {
-        format!(
-            "  error of V asked for {:.1e}, relative to max(V, {:.1e}): not met in {:.2} % of the region (by its own measure)",
-            region.error,
-            region.floor,
-            100.0 * made.unmet
-        )
-    } else {
-        format!(
-            "  error of V asked for {:.1e}, relative to max(V, {:.1e}): met by its own measure",
-            region.error, region.floor
-        )
-    });
-    if made.uncertain > 0.0 {
+    let asked = format!(
+        "  error of V asked for {:.1e}, relative to max(V, {:.1e})",
+        region.error, region.floor
+    );
+    if made.unmet.share > 0.0 {
+        let names = variables(done, made);
         lines.push(format!(
-            "  nothing is said in {:.2} % of the region, where the bound is above {:.1e} (`error_max`)",
-            100.0 * made.uncertain,
-            made.error_max
+            "{asked}: not met in {:.2} % of the region (by its own measure){}",
+            100.0 * made.unmet.share,
+            mostly(&names, &made.unmet, region)
         ));
+        let why = match made.uncertain {
+            0.0 => "as no points are there, or no answer exists".to_owned(),
+            uncertain => format!(
+                "in {:.2} % as the bound is above {:.1e} (`error_max`), elsewhere as no points are there, or no answer exists",
+                100.0 * uncertain,
+                made.error_max
+            ),
+        };
+        if made.unknown.share > 0.0 {
+            lines.push(format!(
+                "  nothing is said in {:.2} % of the region ({why}){}",
+                100.0 * made.unknown.share,
+                mostly(&names, &made.unknown, region)
+            ));
+        }
+        lines.push(match made.spent {
+            true => "  the budget was spent: with more `states` or `seconds` the error is met in more of it".to_owned(),
+            false => format!(
+                "  more states would not help: of those tried there {} had no answer, and cells with too many of them are left",
+                made.failed
+            ),
+        });
+    } else {
+        lines.push(format!("{asked}: met by its own measure"));
     }
     if made.check.is_empty() {
         return lines;
@@ -98,9 +144,15 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
         shown.over_bound[1],
         shown.over_bound[2]
     ));
+    if shown.above_bound as f64 > TOLERATED * shown.known as f64 {
+        lines.push(format!(
+            "  WARNING: at {} of {} fresh states the error is above its bound: these bounds are not to be relied on; give more `states`",
+            shown.above_bound, shown.known
+        ));
+    }
     if shown.said_of_none > 0 {
         lines.push(format!(
-            "  at {} fresh states without an answer the map says one",
+            "  WARNING: at {} fresh states without an answer the map says one",
             shown.said_of_none
         ));
     }
@@ -159,13 +211,14 @@ pub(super) fn as_json(made: &Adaptive, states: usize) -> serde_json::Value {
         "pieces": made.pieces.pieces.len(), "cells": made.pieces.cells.len(), "points": made.points,
         "states": made.states, "failed": made.failed, "rounds": made.rounds, "seconds": made.seconds,
         "first_search": { "states": made.first[0], "wanted": made.first[1] },
-        "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet,
-        "error_max": made.error_max, "share_uncertain": made.uncertain,
+        "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet.share,
+        "unmet_within": made.unmet.bounds, "share_unknown": made.unknown.share, "unknown_within": made.unknown.bounds,
+        "error_max": made.error_max, "share_uncertain": made.uncertain, "budget_spent": made.spent,
         "pieces_beyond": made.beyond.as_ref().map(|beyond| beyond.pieces.pieces.len()),
         "check": {
             "states": made.check.len(), "solved": shown.solved, "known": shown.known,
             "V_error": quantiles(shown.error), "V_error_over_bound": quantiles(shown.over_bound),
-            "said_without_answer": shown.said_of_none,
+            "above_bound": shown.above_bound, "said_without_answer": shown.said_of_none,
         },
     })
 }

@@ -252,9 +252,9 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         format!(" (first guesses from {trajectories} swept trajectories)")
     };
     lines.push(format!(
-        "{:.2} s solving: {:.0} states/s, {:.1} integrations of a trajectory each{guess}",
+        "{:.2} s solving: {}, {:.1} integrations of a trajectory each{guess}",
         answers.seconds,
-        answers.targets.len() as f64 / answers.seconds.max(1e-9),
+        pace(answers.targets.len(), answers.seconds),
         answers.evaluations as f64 / answers.targets.len().max(1) as f64,
     ));
     lines
@@ -478,4 +478,14 @@ pub(super) fn as_json(done: &Done<'_>) -> serde_json::Value {
         "wall_seconds": seconds,
         "trajectories_per_second": swept.trajectories as f64 / swept.integrate_seconds.max(1e-9),
     })
+}
+
+/// States a second, or seconds a state.
+fn pace(states: usize, seconds: f64) -> String {
+    let a_second = states as f64 / seconds.max(1e-9);
+    if a_second >= 10.0 || states == 0 {
+        format!("{a_second:.0} states/s")
+    } else {
+        format!("{:.2} s a state", 1.0 / a_second)
+    }
 }

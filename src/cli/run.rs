@@ -14,7 +14,7 @@ use crate::files::{Draft, target, write_text};
 use crate::hdf5::ResultFile;
 use crate::map;
 use crate::model::{Method, Model};
-use crate::result::{Axis, RunRecord, TrajectorySchema};
+use crate::result::{Axis, RunRecord, Stored, TrajectorySchema};
 use crate::scene::Scene;
 use crate::shooting::Solver;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
@@ -92,8 +92,18 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     if all {
         afterwards::check(&scene)?;
     }
-    let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
+    let (path, beside) = match &args.out {
+        Some(path) => (path.clone(), None),
+        None => own_output(&args.scene.scenario, solve.is_some()),
+    };
     let mut terminal = report::Terminal::new(&args.scene);
+    if let Some(other) = beside {
+        terminal.note(&format!(
+            "{} holds other results and stays as it is; the answers go to {}",
+            other.display(),
+            path.display()
+        ));
+    }
     terminal.heading(model, &plan, backend.as_ref());
     if let Some(solve) = solve
         && points::has_published(&solve.points, model)
@@ -397,6 +407,27 @@ pub(super) fn open_backend(
 pub(super) fn default_output(scenario: &Path) -> PathBuf {
     let stem = scenario.file_stem().unwrap_or_else(|| "result".as_ref());
     Path::new("out").join(stem).with_extension("h5")
+}
+
+/// Where results go that nobody has named a file for. Answers at some states are not written over the results of a run; then
+/// these are the second path.
+fn own_output(scenario: &Path, answers: bool) -> (PathBuf, Option<PathBuf>) {
+    const OTHERS: [&str; 8] = [
+        "map_pieces",
+        "map",
+        "study",
+        "feedback",
+        "closed_loop",
+        "dissipation",
+        "attenuation",
+        "caustic",
+    ];
+    let path = default_output(scenario);
+    if !answers || !Stored::open(&path).is_ok_and(|stored| stored.has_any(&OTHERS)) {
+        return (path, None);
+    }
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    (path.with_file_name(format!("{stem}_points.h5")), Some(path))
 }
 
 pub(super) fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {

@@ -262,7 +262,7 @@ fn single(text: &str, model: &Model, time: &Time<'_>) -> Result<(Vec<f64>, f64),
     for part in text.split(',') {
         let (name, value) = part
             .split_once('=')
-            .ok_or_else(|| wrong(format!("`{part}` is not NAME=VALUE")))?;
+            .ok_or_else(|| wrong(format!("`{part}` is not NAME=VALUE; several are separated by commas")))?;
         let state = argument(name.trim(), model, time).map_err(&wrong)?;
         if given.contains(&state) {
             return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
@@ -440,13 +440,20 @@ fn of_all(found: &[At], fronts: &Fronts) -> Option<String> {
 /// Why V is not known at a state.
 fn reason(model: &Model, x: &[f64], unknown: Unknown, map: &ValueMap) -> String {
     match map.outside(x).filter(|_| unknown == Unknown::Far) {
-        Some((state, [lo, hi])) => format!(
-            "{unknown}: {} = {} lies outside the region of the map, from {} to {}",
-            model.states[state].variable.name,
-            plain(x[state]),
-            plain(lo),
-            plain(hi)
-        ),
+        Some((state, [lo, hi])) => {
+            let beyond = if map.maps_beyond() {
+                " (of the map round it, which solutions that leave the region have made, too little is known there)"
+            } else {
+                ""
+            };
+            format!(
+                "{unknown}: {} = {} lies outside the region of the map, from {} to {}{beyond}",
+                model.states[state].variable.name,
+                plain(x[state]),
+                plain(lo),
+                plain(hi)
+            )
+        }
         None => unknown.to_string(),
     }
 }
@@ -498,6 +505,11 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap
                 lines.push(format!("  {}{}", list(&controls, &here.u), error(here.u_error)));
             }
             lines.push(format!("  {}; {}", sheet(here), how(here)));
+            if let Some(asked) = map.falls_short(here) {
+                lines.push(format!(
+                    "  the map was asked for an error of {asked:.1e}, which is not met here"
+                ));
+            }
             lines.extend(
                 coverage(here, fronts)
                     .into_iter()

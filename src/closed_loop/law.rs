@@ -28,7 +28,9 @@ pub enum LawError {
     Unknown { name: String, help: String },
     #[error("law `lqr`: {0}")]
     Local(#[from] LocalError),
-    #[error("law `lqr` needs an equilibrium, and the horizon is finite")]
+    #[error(
+        "law `lqr` is that of an infinite horizon, and the horizon is finite: leave it out, or give a law of your own in [closed_loop.law]"
+    )]
     NoEquilibrium,
 }
 

@@ -10,16 +10,17 @@ mod points;
 mod refine;
 mod search;
 
-use super::pieces::{Cloud, Frame, MOST_VARIABLES, Pieces, Region};
+use super::pieces::{Cloud, Flow, Frame, MOST_VARIABLES, Pieces, Region};
 use crate::backend::BackendError;
 use crate::model::{MapAim, Model};
 use crate::shooting::Solver;
 use crate::sweep::Plan;
 use crate::value::{Archive, Progress, Track, TrackPoints};
 pub use beyond::Beyond;
-pub use check::Checked;
 use check::{CHECKS, Met};
+pub use check::{Checked, Part};
 use horizon::TimeAxis;
+use refine::ALL_BUT;
 use std::collections::HashMap;
 use std::time::Instant;
 
@@ -46,10 +47,14 @@ pub struct Adaptive {
     pub rounds: usize,
     /// States of the first search: those that the budget had room for, and all.
     pub first: [usize; 2],
-    /// Share of the region in cells where the error is above the one asked for, or nothing is known.
-    pub unmet: f64,
-    /// Share of the region where pieces are left out because their bounds are above `error_max`.
+    /// Where the error is above the one asked for, or nothing is known.
+    pub unmet: Part,
+    /// Where nothing is said.
+    pub unknown: Part,
+    /// Share of the region where that is because bounds are above `error_max`.
     pub uncertain: f64,
+    /// Whether the budget ended it.
+    pub spent: bool,
     pub error_max: f64,
     pub seconds: f64,
 }
@@ -67,6 +72,8 @@ struct Work<'a, 'p> {
     of_track: Vec<Vec<u32>>,
     cloud: Cloud,
     frame: Frame,
+    /// Where V solves the Hamilton-Jacobi-Bellman equation in the variables of the map.
+    flow: Option<Flow>,
     /// Track point and turns by periods that each point of the cloud comes from.
     origins: Vec<(u32, Vec<f64>)>,
     failures: HashMap<Vec<u64>, u32>,
@@ -113,7 +120,9 @@ pub fn adaptive(
         beyond: if plan.game { BEYOND_OF_GAME } else { BEYOND },
         game: plan.game,
     };
+    let flow = Flow::of(plan, axis.is_some());
     let mut work = Work {
+        flow,
         plan,
         model,
         solver,
@@ -165,6 +174,8 @@ impl Work<'_, '_> {
         }
         Ok(Adaptive {
             unmet: judged.unmet,
+            unknown: judged.unknown,
+            spent: self.is_spent(ALL_BUT),
             uncertain: judged.uncertain,
             error_max: self.aim.error_max,
             beyond: self.beyond(&region, &met),

@@ -79,6 +79,7 @@ impl ValueMap {
                 });
             });
         }
+        self.leave_out_excluded(x, &mut found);
         self.add_controls(x, &mut found);
         (found.into_par_iter().zip(x.par_chunks(n)).zip(t))
             .map(|((value, x), t)| match value {
@@ -90,6 +91,17 @@ impl ValueMap {
                 None => self.without_errors_at(x, *t),
             })
             .collect()
+    }
+
+    /// Of states that a guard excludes nothing is said.
+    fn leave_out_excluded<T: Send>(&self, x: &[f64], found: &mut [Option<T>]) {
+        let n = self.states();
+        if self.guards.is_some() {
+            (x.par_chunks(n).zip(found)).for_each(|(x, found)| {
+                let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+                found.take_if(|_| self.excluded(&s));
+            });
+        }
     }
 
     /// States as the pieces want them: with their times where time is an axis.

@@ -29,7 +29,7 @@ pub mod pieces;
 mod sites;
 mod swift;
 
-pub use adaptive::{Adaptive, Beyond, Checked, adaptive};
+pub use adaptive::{Adaptive, Beyond, Checked, Part, adaptive};
 pub use coverage::{Coverage, Fronts};
 pub use device::{DeviceError, DeviceMap};
 pub use known::{Known, SweepRecord};
@@ -74,6 +74,8 @@ pub enum Unknown {
     Edge,
     #[error("the map says nothing at this state: points are missing there, or its error is above `error_max`")]
     Uncertain,
+    #[error("a guard of the scene excludes this state")]
+    Guard,
     /// In a game, where the lowest of several is not the value (see [`ValueMap`]).
     #[error("several sheets lie over this state: none is the value")]
     SeveralSheets,
@@ -137,6 +139,8 @@ pub struct ValueMap {
     overlap: OnceLock<f64>,
     plan: Plan,
     control: Program,
+    /// The scene's guards that depend on the state alone.
+    guards: Option<Evaluator>,
     /// Of a game H, L and the states' rates.
     isaacs: Option<Program>,
     /// Windings to try, one a combination of periodic states.
@@ -212,6 +216,20 @@ impl ValueMap {
             return Err(MapError::Empty);
         }
         let control = Program::lower(&plan.system.graph, &plan.system.inputs, &plan.system.observer.control);
+        let of_state: Vec<_> = (plan.system.guards.iter())
+            .map(|g| g.expr)
+            .filter(|expr| {
+                let adjoints = &plan.system.inputs[states..];
+                !adjoints.iter().any(|p| plan.system.graph.depends_on(&[*expr], *p))
+            })
+            .collect();
+        let guards = (!of_state.is_empty()).then(|| {
+            Evaluator::new(&Program::lower(
+                &plan.system.graph,
+                &plan.system.inputs[..states],
+                &of_state,
+            ))
+        });
         let isaacs = plan.game.then(|| {
             let system = &plan.system;
             let running = system.rate[2 * states];
@@ -234,6 +252,7 @@ impl ValueMap {
             isaacs,
             controls: Evaluator::new(&control),
             control,
+            guards,
             local_errors: plan.local.as_ref().map(LocalErrors::new),
             plan,
             sites,
@@ -410,6 +429,12 @@ impl ValueMap {
         x.extend(self.time.map(|_| t));
         let asked = pieces.covers(&x);
         let pieces = if asked { pieces } else { self.beyond.as_ref()? };
+        if asked && self.excluded(&s) {
+            return Some(At {
+                lowest: Err(Unknown::Guard),
+                others: Vec::new(),
+            });
+        }
         let mut values = (pieces.sheets(&x).into_iter())
             .filter(|said| self.solves_isaacs(&s, &said.p))
             .map(|said| self.value_in_pieces(pieces, &x, &winding, said))
@@ -423,6 +448,26 @@ impl ValueMap {
             lowest,
             others: values.collect(),
         })
+    }
+
+    /// The error that the map in pieces was asked for, relative to the larger one of V and its floor, where a value of it has a
+    /// larger one.
+    pub fn falls_short(&self, value: &Value) -> Option<f64> {
+        let region = &self.pieces.as_ref().filter(|_| value.in_pieces)?.region;
+        (value.v_error > region.error * value.v.abs().max(region.floor)).then_some(region.error)
+    }
+
+    /// Whether there is a map round the region of the one asked for.
+    pub fn maps_beyond(&self) -> bool {
+        self.beyond.is_some()
+    }
+
+    /// Whether a guard excludes a state (deviation), by more than rounding: pieces are smooth and say something there too.
+    fn excluded(&self, s: &[f64]) -> bool {
+        const ROUNDING: f64 = 1e-12;
+        let Some(guards) = &self.guards else { return false };
+        let size = (self.plan.system.reference.iter().zip(s)).fold(1.0f64, |a, (r, s)| a.max(r.abs() + s.abs()));
+        guards.eval(s, s.len()).iter().any(|g| *g < -ROUNDING * size)
     }
 
     /// A state moved by whole periods into the region of a map in pieces, with the numbers of periods.

@@ -18,6 +18,7 @@ fn code(at: &At) -> i32 {
         Err(Unknown::SeveralSheets) => 3,
         Err(Unknown::Uncertain) => 4,
         Err(Unknown::OtherTime) => 5,
+        Err(Unknown::Guard) => 6,
     }
 }
 

@@ -114,7 +114,7 @@ static inline void NAME_blend(const REAL *t, int own, int piece, int alone, REAL
 /* V and p from the pieces at x, moved by whole periods; s is that x less the reference. 0 where nothing is known. */
 static inline int NAME_chart(const REAL *x, REAL *V, REAL *p, REAL *s)
 {
-    REAL at[NAME_states], t[NAME_states], q[NAME_states], slope[NAME_states], value[NAME_sheets];
+    REAL at[NAME_states], t[NAME_states], q[NAME_states], slope[NAME_states], value[NAME_sheets] = {0};
     int which[NAME_sheets], count = 0, node = 0, cell, i, j, k;
     for (i = 0; i < NAME_states; i++) {
         at[i] = NAME_turned(i, x[i]);

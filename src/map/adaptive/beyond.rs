@@ -108,7 +108,7 @@ impl Work<'_, '_> {
                 cloud.add(&frame, (&x, &p), self.points.v[k], (track, sheet));
             }
         }
-        let mut pieces = build_around(&cloud, &outer, &frame, region);
+        let mut pieces = build_around(&cloud, &outer, &frame, self.flow.as_ref(), region);
         let check = (met.iter())
             .map(|(x, v)| Checked::of(x, (PointStatus::Converged, *v), pieces.at(x).as_ref()))
             .collect();

@@ -3,6 +3,7 @@
 use super::{NEAR, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Pieces, Region, Said, Want};
+use crate::numeric::quantile::nearest_rank;
 use crate::sweep::spread_over;
 use crate::value::PointStatus;
 
@@ -48,8 +49,33 @@ pub(super) type Met = (Vec<f64>, f64);
 pub(super) struct Judged {
     pub pieces: Pieces,
     /// As in [`super::Adaptive`].
-    pub unmet: f64,
+    pub unmet: Part,
+    pub unknown: Part,
     pub uncertain: f64,
+}
+
+/// A part of the region.
+#[derive(Clone, Debug, Default)]
+pub struct Part {
+    /// Of the region's volume.
+    pub share: f64,
+    /// Where nine tenths of it lie along each variable; empty where there is none.
+    pub bounds: Vec<[f64; 2]>,
+}
+
+impl Part {
+    fn of(states: &[&Vec<f64>], all: usize) -> Self {
+        let variables = states.first().map_or(0, |x| x.len());
+        let bounds = (0..variables).map(|i| {
+            let mut along: Vec<f64> = states.iter().map(|x| x[i]).collect();
+            along.sort_by(f64::total_cmp);
+            [nearest_rank(&along, 0.05), nearest_rank(&along, 0.95)]
+        });
+        Self {
+            share: states.len() as f64 / all as f64,
+            bounds: bounds.collect(),
+        }
+    }
 }
 
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
@@ -66,23 +92,36 @@ impl Work<'_, '_> {
     pub(super) fn judged(&self, pieces: Pieces) -> Judged {
         let looked_at = spread_over(&self.bounds, LOOKED_AT);
         let region = &pieces.region;
-        let mut unmet = 0;
-        let mut said: Vec<&Vec<f64>> = Vec::new();
+        let (mut unmet, mut unknown, mut said) = (Vec::new(), Vec::new(), Vec::new());
         for x in &looked_at {
             let Some(here) = pieces.at(x) else {
                 // Nothing is said above the largest V of interest; of a map without pieces nothing is.
-                unmet += usize::from(region.value_max == f64::INFINITY || pieces.pieces.is_empty());
+                if region.value_max == f64::INFINITY || pieces.pieces.is_empty() {
+                    unmet.push(x);
+                    unknown.push(x);
+                }
                 continue;
             };
-            unmet += usize::from(here.v_bound > region.error * here.v.abs().max(region.floor));
+            if here.v_bound > region.error * here.v.abs().max(region.floor) {
+                unmet.push(x);
+            }
             said.push(x);
         }
         let pieces = pieces.within(self.aim.error_max);
-        let uncertain = said.into_iter().filter(|x| pieces.at(x).is_none()).count();
-        let share = |count: usize| count as f64 / looked_at.len() as f64;
+        let before = unknown.len();
+        let uncertain: Vec<_> = said.into_iter().filter(|x| pieces.at(x).is_none()).collect();
+        unmet.extend(
+            uncertain
+                .iter()
+                .filter(|x| !unmet.contains(x))
+                .copied()
+                .collect::<Vec<_>>(),
+        );
+        unknown.extend(uncertain);
         Judged {
-            unmet: share(unmet),
-            uncertain: share(uncertain),
+            uncertain: (unknown.len() - before) as f64 / looked_at.len() as f64,
+            unmet: Part::of(&unmet, looked_at.len()),
+            unknown: Part::of(&unknown, looked_at.len()),
             pieces,
         }
     }

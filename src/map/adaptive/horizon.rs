@@ -195,7 +195,10 @@ impl Work<'_, '_> {
             ..TrackPoints::default()
         };
         let mut tracks = Vec::new();
-        let bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; n];
+        // Any state, but of one with a period only the copies that are looked at.
+        let bounds: Vec<[f64; 2]> = (self.farthest().into_iter().zip(&self.plan.periods))
+            .map(|(bounds, period)| period.map_or([f64::NEG_INFINITY, f64::INFINITY], |_| bounds))
+            .collect();
         for x in states {
             let s: Vec<f64> = x.iter().zip(reference).map(|(x, r)| x - r).collect();
             let (node, value) = axis.at_end(&s);

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 /// Share of the budget before the last rounds, and that is worth no further round.
 const BEFORE_CLOSING: f64 = 0.88;
-const ALL_BUT: f64 = 0.97;
+pub(super) const ALL_BUT: f64 = 0.97;
 /// Failures in a cell after which no more states are tried there.
 const MOST_FAILURES: u32 = 6;
 /// Points that a frame is fitted to, about; from the fullest parts of the region they are drawn by lot.
@@ -32,7 +32,7 @@ impl Work<'_, '_> {
                 pieces,
                 points: *points,
             });
-            let (pieces, wants) = build(&self.cloud, region, &self.frame, old);
+            let (pieces, wants) = build(&self.cloud, region, &self.frame, self.flow.as_ref(), old);
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
                 .collect();

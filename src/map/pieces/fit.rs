@@ -1,7 +1,7 @@
 //! A polynomial fitted to V and p at scattered points, by weighted least squares.
 
-use super::least_squares::{Equations, Factors, stride};
-use super::terms::Terms;
+use super::least_squares::{Equations, LANES, width};
+use super::terms::{MOST_VARIABLES, Terms};
 
 /// Equations of a group: it is left out by a system of so many.
 const MOST_OF_GROUP: usize = 48;
@@ -69,6 +69,23 @@ pub struct Data<'d> {
     size: Vec<f64>,
     /// Points of one group are not independent of each other.
     group: Vec<u32>,
+    /// Slopes along directions, whose equations come after those of the points.
+    along: Vec<Along>,
+    floor: f64,
+}
+
+/// What is known of V's slope along a direction at a place.
+#[derive(Clone, Debug)]
+pub struct Along {
+    /// In the variables of a cell.
+    pub y: [f64; MOST_VARIABLES],
+    /// The largest component is 1.
+    pub direction: [f64; MOST_VARIABLES],
+    /// By the length of the direction.
+    pub slope: f64,
+    /// The same by the piece that the direction is of, and V by it.
+    pub said: f64,
+    pub v: f64,
 }
 
 /// A polynomial, with the largest errors that points have of V and of its gradient, each group of points left out of the fit in
@@ -88,7 +105,7 @@ impl<'d> Data<'d> {
         of: impl Fn(usize, &mut [f64], &mut [f64]) -> (f64, u32),
     ) -> Self {
         let (n, count) = (terms.variables, terms.upto[degree]);
-        let stride = stride((n + 1) * points);
+        let stride = ((n + 1) * points).max(1);
         let mut this = Self {
             terms,
             rows: vec![0.0; count * stride],
@@ -97,6 +114,8 @@ impl<'d> Data<'d> {
             q: vec![0.0; n * points],
             size: Vec::with_capacity(points),
             group: Vec::with_capacity(points),
+            along: Vec::new(),
+            floor,
         };
         let mut at = vec![0.0; n * points];
         let (mut y, mut q) = (vec![0.0; n], vec![0.0; n]);
@@ -129,6 +148,31 @@ impl<'d> Data<'d> {
         this
     }
 
+    /// With slopes along directions beside the points.
+    pub fn with(self, along: Vec<Along>) -> Self {
+        let n = self.terms.variables;
+        let count = self.rows.len() / self.stride;
+        let equations = (n + 1) * self.len();
+        let wider = equations + along.len();
+        let mut rows = vec![0.0; count * wider];
+        for (own, from) in rows.chunks_mut(wider).zip(self.rows.chunks(self.stride)) {
+            own[..equations].copy_from_slice(&from[..equations]);
+        }
+        let (mut values, mut slopes) = (vec![0.0; count], vec![0.0; n * count]);
+        for (k, one) in along.iter().enumerate() {
+            self.terms.at(&one.y[..n], &mut values, &mut slopes);
+            for term in 0..count {
+                rows[term * wider + equations + k] = (0..n).map(|i| one.direction[i] * slopes[i * count + term]).sum();
+            }
+        }
+        Self {
+            rows,
+            stride: wider,
+            along,
+            ..self
+        }
+    }
+
     pub fn len(&self) -> usize {
         self.v.len()
     }
@@ -140,27 +184,52 @@ impl<'d> Data<'d> {
     /// The equations of a shape, weighted by what an error of each means for V; and the weights, one a point.
     fn equations(&self, shape: Shape, count: usize) -> (Equations, Vec<f64>) {
         let (n, points) = (self.terms.variables, self.len());
-        let mut right = vec![0.0; self.stride];
-        let mut weights = vec![0.0; points];
+        let equations = (n + 1) * points + self.along.len();
+        let mut right = vec![0.0; equations];
+        let mut weights = vec![0.0; equations];
         for k in 0..points {
             let (w, slope) = shape.of(self.v[k]);
             weights[k] = 1.0 / (self.size[k] * slope.abs());
             right[k] = weights[k] * w;
             for i in 0..n {
+                weights[(1 + i) * points + k] = weights[k];
                 right[(1 + i) * points + k] = weights[k] * slope * self.q[i * points + k];
             }
         }
-        let mut rows = self.rows[..count * self.stride].to_vec();
-        for part in rows
-            .chunks_mut(self.stride)
-            .flat_map(|row| row[..(n + 1) * points].chunks_mut(points.max(1)))
-        {
-            part.iter_mut().zip(&weights).for_each(|(a, w)| *a *= w);
+        for (k, one) in self.along.iter().enumerate() {
+            let (_, slope) = shape.of(one.v);
+            let at = (n + 1) * points + k;
+            weights[at] = 1.0 / (one.v.abs().max(self.floor) * slope.abs());
+            right[at] = weights[at] * slope * one.slope;
+        }
+
+        // From rows of one monomial to rows of one equation, some monomials at a time.
+        let width = width(count);
+        let mut rows = vec![0.0; equations * width];
+        for first in (0..count).step_by(LANES) {
+            let terms: [&[f64]; LANES] = std::array::from_fn(|t| match first + t < count {
+                true => &self.rows[(first + t) * self.stride..][..equations],
+                false => &[],
+            });
+            let some = LANES.min(count - first);
+            if some == LANES {
+                let terms = terms.map(|row| &row[..equations]);
+                for (e, own) in rows.chunks_exact_mut(width).enumerate() {
+                    for t in 0..LANES {
+                        own[first + t] = weights[e] * terms[t][e];
+                    }
+                }
+            } else {
+                for (e, own) in rows.chunks_exact_mut(width).enumerate() {
+                    for t in 0..some {
+                        own[first + t] = weights[e] * terms[t][e];
+                    }
+                }
+            }
         }
         let equations = Equations {
             rows,
             right,
-            stride: self.stride,
             coefficients: count,
         };
         (equations, weights)
@@ -194,14 +263,20 @@ impl<'d> Data<'d> {
             return Vec::new();
         }
         let (equations, weights) = self.equations(shape, self.terms.upto[degree]);
-        let right = equations.right.clone();
         let factors = equations.factors();
+        let (n, points) = (self.terms.variables, self.len());
         let mut groups: Vec<u32> = (0..self.len() as u32).collect();
         groups.sort_by_key(|k| self.group[*k as usize]);
         let groups: Vec<&[u32]> = groups
             .chunk_by(|a, b| self.group[*a as usize] == self.group[*b as usize])
             .filter(|group| group.iter().any(|k| counts(*k as usize)))
+            .map(|group| &group[..group.len().min(most_of_group(n))])
             .collect();
+        // The equations of each group one after the other: V of its points, then their slopes along each variable.
+        let of_groups: Vec<u32> = (groups.iter())
+            .flat_map(|group| (0..=n).flat_map(|block| group.iter().map(move |k| (block * points) as u32 + k)))
+            .collect();
+        let mut basis = factors.basis(&of_groups);
         let mut found: Vec<Tested> = Vec::new();
         for count in (self.terms.upto[..=degree].iter().copied().rev()).filter(|count| *count <= factors.determined) {
             // Lower ones too where a group alone determines something of the higher.
@@ -212,52 +287,39 @@ impl<'d> Data<'d> {
             if !coefficients.iter().all(|c| c.is_finite()) {
                 continue;
             }
-            let each = groups
-                .iter()
-                .map(|group| self.left_out(shape, &factors, count, &right, &weights, group, &counts));
-            let errors = each.fold([0.0f64; 2], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
+            basis.cut(count);
+            let mut errors = [0.0f64; 2];
+            let mut first = 0;
+            for group in &groups {
+                let of_group = first..first + (n + 1) * group.len();
+                first = of_group.end;
+                let Some(residual) = factors.left_out(&basis, of_group.clone()) else {
+                    errors = [f64::INFINITY; 2];
+                    break;
+                };
+                let right = &basis.right[of_group];
+                for (at, k) in group
+                    .iter()
+                    .map(|k| *k as usize)
+                    .enumerate()
+                    .filter(|(_, k)| counts(*k))
+                {
+                    let said = |block: usize| {
+                        let at = block * group.len() + at;
+                        (right[at] - residual[at]) / weights[k]
+                    };
+                    let mut gradient = [0.0; MOST_VARIABLES];
+                    (0..n).for_each(|i| gradient[i] = said(1 + i));
+                    let error = self.error(shape, k, said(0), &gradient[..n]);
+                    errors = [errors[0].max(error[0]), errors[1].max(error[1])];
+                }
+            }
             found.push(Tested { coefficients, errors });
             if errors[0] <= enough {
                 break;
             }
         }
         found
-    }
-
-    /// The largest errors of a group's points by the polynomial fitted without them.
-    #[allow(clippy::too_many_arguments)]
-    fn left_out(
-        &self,
-        shape: Shape,
-        factors: &Factors,
-        count: usize,
-        right: &[f64],
-        weights: &[f64],
-        group: &[u32],
-        counts: &impl Fn(usize) -> bool,
-    ) -> [f64; 2] {
-        let (n, points) = (self.terms.variables, self.len());
-        let group = &group[..group.len().min(most_of_group(n))];
-        let rows: Vec<usize> = (0..=n)
-            .flat_map(|block| group.iter().map(move |k| block * points + *k as usize))
-            .collect();
-        let Some(residual) = factors.left_out(count, right, self.stride, &rows) else {
-            return [f64::INFINITY; 2];
-        };
-        let mut worst = [0.0f64; 2];
-        for (at, k) in group
-            .iter()
-            .map(|k| *k as usize)
-            .enumerate()
-            .filter(|(_, k)| counts(*k))
-        {
-            let said = |block: usize| (right[block * points + k] - residual[block * group.len() + at]) / weights[k];
-            let mut gradient = [0.0; super::MOST_VARIABLES];
-            (0..n).for_each(|i| gradient[i] = said(1 + i));
-            let error = self.error(shape, k, said(0), &gradient[..n]);
-            worst = [worst[0].max(error[0]), worst[1].max(error[1])];
-        }
-        worst
     }
 
     /// Errors at a point where a shape and its gradient are said.
@@ -283,7 +345,7 @@ impl<'d> Data<'d> {
         for (c, row) in coefficients.iter().zip(self.rows.chunks(self.stride)) {
             said.iter_mut().zip(row).for_each(|(s, a)| *s += c * a);
         }
-        let mut gradient = [0.0; super::MOST_VARIABLES];
+        let mut gradient = [0.0; MOST_VARIABLES];
         (0..points)
             .map(|k| {
                 (0..n).for_each(|i| gradient[i] = said[(1 + i) * points + k]);
@@ -319,6 +381,58 @@ mod tests {
                 assert!((a - b).abs() < 1e-8, "{shape:?}: {a} {b}");
             }
             assert!(data.errors(shape, &found).iter().all(|e| e[0] < 1e-9 && e[1] < 1e-8));
+        }
+    }
+
+    /// Two points leave most coefficients open; slopes along one direction at other places tell them.
+    #[test]
+    fn slopes_along_directions_count_as_points_do() {
+        let terms = Terms::new(2, 3);
+        let coefficients: Vec<f64> = (0..terms.upto[3]).map(|k| 2.0 / (1.0 + k as f64)).collect();
+        let place = |k: usize| {
+            let mut y = [0.0; MOST_VARIABLES];
+            y[0] = (k as f64 * 0.618).fract() * 2.0 - 1.0;
+            y[1] = (k as f64 * 0.755).fract() * 2.0 - 1.0;
+            y
+        };
+        for (shape, _) in Shape::ALL {
+            let at = |y: &[f64], q: &mut [f64]| {
+                let (v, slope) = shape.back(terms.sum(&coefficients, y, q));
+                q.iter_mut().for_each(|q| *q *= slope);
+                v
+            };
+            let data = || {
+                Data::new(&terms, 3, 1e-3, 2, |k, y, q| {
+                    y.copy_from_slice(&place(k + 50)[..2]);
+                    (at(y, q), k as u32)
+                })
+            };
+            assert!(
+                data()
+                    .fitted(shape, 3)
+                    .is_none_or(|c| (c[9] - coefficients[9]).abs() > 1e-3)
+            );
+            let along: Vec<Along> = (0..30)
+                .map(|k| {
+                    let y = place(k);
+                    let mut direction = [0.0; MOST_VARIABLES];
+                    (direction[0], direction[1]) = if k % 2 == 0 { (1.0, -0.3) } else { (0.4, 1.0) };
+                    let mut q = [0.0; 2];
+                    let v = at(&y[..2], &mut q);
+                    let slope = direction[0] * q[0] + direction[1] * q[1];
+                    Along {
+                        y,
+                        direction,
+                        slope,
+                        said: f64::NAN,
+                        v,
+                    }
+                })
+                .collect();
+            let found = data().with(along).fitted(shape, 3).unwrap();
+            for (a, b) in found.iter().zip(&coefficients) {
+                assert!((a - b).abs() < 1e-6, "{shape:?}: {a} {b}");
+            }
         }
     }
 

@@ -361,6 +361,20 @@ impl Frame {
         }
     }
 
+    /// Rates of the coordinates where the state changes at rates `f`, at coordinates `t`.
+    pub fn rates(&self, t: &[f64], f: &[f64], rates: &mut [f64]) {
+        let n = f.len();
+        for (rate, row) in rates.iter_mut().zip(self.matrix.chunks(n)) {
+            *rate = row.iter().zip(f).map(|(m, f)| m * f).sum();
+        }
+        if let Some(bend) = &self.bend {
+            let mut slope = [0.0; MOST_VARIABLES];
+            bend.phi(&t[..n], &mut slope);
+            let sheared: f64 = (0..n).map(|i| slope[i] * rates[i]).sum();
+            rates[bend.axis] = (rates[bend.axis] + sheared) / bend.width;
+        }
+    }
+
     /// The gradient by states of one by coordinates, at coordinates `t`.
     pub fn gradient(&self, t: &[f64], q: &[f64], p: &mut [f64]) {
         self.by_states(t, q, p, |x| x);

@@ -1,58 +1,71 @@
-//! Dense linear least squares in rows of one coefficient each, with the orthogonal basis that leave-out errors are made of.
+//! Dense linear least squares, with the orthogonal basis that leave-out errors are made of.
 
 use crate::backend::cpu::Simd;
 
 /// Of the unit diagonal, added to all: what the equations do not determine stays small.
 const RIDGE: f64 = 1e-13;
-/// Rows are padded to a multiple of this many equations.
+/// Rows are padded to a multiple of this many numbers.
 pub const LANES: usize = 8;
+/// Rows of a tile of products.
+const TILE: usize = 4;
+/// Equations whose rows stay in the nearest cache while they are summed.
+const PANEL: usize = 48;
 
-/// Equations `sum_i c_i row_i = right`, one column an equation, to be solved by least squares.
+/// Equations `row . c = right` for coefficients c, to be solved by least squares.
 pub struct Equations {
-    /// `[coefficient][equation]`, each row `stride` long, zero behind the last equation.
+    /// `[equation][coefficient]`, each row `width` long, zero behind the last coefficient.
     pub rows: Vec<f64>,
     pub right: Vec<f64>,
-    pub stride: usize,
     pub coefficients: usize,
 }
 
-/// Their factors: with `rows = L basis` the basis is orthonormal, and the solution of the leading coefficients alone has
+/// Their factors: with `rows = basis L'` the basis is orthonormal, and the solution of the leading coefficients alone has
 /// the leading entries of `along` as its components.
 pub struct Factors {
     /// How many coefficients the equations determine.
     pub determined: usize,
-    /// `[coefficient][equation]`.
-    pub basis: Vec<f64>,
+    equations: Equations,
     /// Components of the right side along the basis.
-    pub along: Vec<f64>,
+    along: Vec<f64>,
+    /// Of the rows in units of `scale`, row-major.
     lower: Vec<f64>,
     scale: Vec<f64>,
-    coefficients: usize,
 }
 
-pub fn stride(equations: usize) -> usize {
-    equations.max(1).next_multiple_of(LANES)
+/// Equations as they are in the orthonormal basis of the leading coefficients.
+pub struct Basis {
+    /// `[equation][coefficient]`, each row `width` long.
+    rows: Vec<f64>,
+    width: usize,
+    pub right: Vec<f64>,
+    /// Leading coefficients that count.
+    count: usize,
+}
+
+/// Length of a row of so many coefficients.
+pub fn width(coefficients: usize) -> usize {
+    coefficients.max(1).next_multiple_of(LANES)
 }
 
 impl Equations {
     /// The factors by Cholesky's method.
     pub fn factors(self) -> Factors {
+        let m = self.coefficients;
         let mut factors = Factors {
-            determined: self.coefficients,
-            along: vec![0.0; self.coefficients],
-            lower: vec![0.0; self.coefficients * self.coefficients],
-            scale: vec![0.0; self.coefficients],
-            coefficients: self.coefficients,
-            basis: self.rows,
+            determined: m,
+            along: vec![0.0; width(m)],
+            lower: vec![0.0; m * m],
+            scale: vec![0.0; m],
+            equations: self,
         };
         match Simd::detect() {
-            Simd::Baseline => factors.fill::<false>(&self.right, self.stride),
+            Simd::Baseline => factors.fill::<false, 8>(),
             // SAFETY: the features were detected.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => unsafe { avx2(&mut factors, &self.right, self.stride) },
+            Simd::Avx2 => unsafe { avx2(&mut factors) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => unsafe { avx512(&mut factors, &self.right, self.stride) },
+            Simd::Avx512 => unsafe { avx512(&mut factors) },
         }
         factors
     }
@@ -60,19 +73,25 @@ impl Equations {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn avx2(factors: &mut Factors, right: &[f64], stride: usize) {
-    factors.fill::<true>(right, stride);
+fn avx2(factors: &mut Factors) {
+    factors.fill::<true, 8>();
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-fn avx512(factors: &mut Factors, right: &[f64], stride: usize) {
-    factors.fill::<true>(right, stride);
+fn avx512(factors: &mut Factors) {
+    factors.fill::<true, 16>();
 }
 
 #[inline(always)]
 fn add<const FMA: bool>(a: f64, b: f64, c: f64) -> f64 {
     if FMA { a.mul_add(b, c) } else { a * b + c }
+}
+
+#[inline(always)]
+fn total(sums: [f64; LANES]) -> f64 {
+    let [a, b, c, d, e, f, g, h] = sums;
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
 }
 
 /// Inner products of a row with four others.
@@ -88,7 +107,7 @@ fn products<const FMA: bool>(row: &[f64], others: [&[f64]; 4]) -> [f64; 4] {
             sums[3][i] = add::<FMA>(a[i], s[i], sums[3][i]);
         }
     }
-    sums.map(|s| s.iter().sum())
+    sums.map(total)
 }
 
 /// Inner product of rows of any length.
@@ -102,7 +121,7 @@ fn product<const FMA: bool>(a: &[f64], b: &[f64]) -> f64 {
             sums[i] = add::<FMA>(a[i], b[i], sums[i]);
         }
     }
-    sums.iter().sum::<f64>() + tail
+    total(sums) + tail
 }
 
 /// The factor of a symmetric matrix of `m` rows (row-major; on and below the diagonal) in its place, as far as pivots are above
@@ -125,70 +144,106 @@ fn factorized<const FMA: bool>(matrix: &mut [f64], m: usize, least: f64) -> usiz
     m
 }
 
+/// `sums[r][k] += a[r] b[k]`.
+#[inline(always)]
+fn accumulate<const FMA: bool, const WIDE: usize>(sums: &mut [[f64; WIDE]; TILE], a: [f64; TILE], b: &[f64]) {
+    let b = &b[..WIDE];
+    for r in 0..TILE {
+        for k in 0..WIDE {
+            sums[r][k] = add::<FMA>(a[r], b[k], sums[r][k]);
+        }
+    }
+}
+
+/// Adds inner products of columns of some rows, those from `first` on with those from `at` on, on and below the diagonal.
+#[inline(always)]
+fn gram<const FMA: bool, const WIDE: usize>(
+    rows: &[f64],
+    width: usize,
+    [first, at]: [usize; 2],
+    sums: &mut [f64],
+    m: usize,
+) {
+    let mut own = [[0.0; WIDE]; TILE];
+    for row in rows.chunks_exact(width) {
+        let a = &row[first..first + TILE];
+        accumulate::<FMA, WIDE>(&mut own, [a[0], a[1], a[2], a[3]], &row[at..]);
+    }
+    for i in first..(first + TILE).min(m) {
+        for j in at..(at + WIDE).min(i + 1) {
+            sums[i * m + j] += own[i - first][j - at];
+        }
+    }
+}
+
+/// Columns from `at` on of rows times a matrix that is zero below the diagonal.
+#[inline(always)]
+fn times<const FMA: bool, const WIDE: usize>(
+    own: [&[f64]; TILE],
+    matrix: &[f64],
+    width: usize,
+    at: usize,
+    rows: &mut [f64],
+) {
+    let mut sums = [[0.0; WIDE]; TILE];
+    for (j, row) in matrix.chunks_exact(width).take(at + WIDE).enumerate() {
+        accumulate::<FMA, WIDE>(&mut sums, [own[0][j], own[1][j], own[2][j], own[3][j]], &row[at..]);
+    }
+    for (row, sums) in rows.chunks_exact_mut(width).zip(&sums) {
+        row[at..at + WIDE].copy_from_slice(sums);
+    }
+}
+
 impl Factors {
     #[inline(always)]
-    fn fill<const FMA: bool>(&mut self, right: &[f64], stride: usize) {
-        let m = self.coefficients;
-        let row = |rows: &[f64], i: usize| -> std::ops::Range<usize> {
-            debug_assert!((i + 1) * stride <= rows.len());
-            i * stride..(i + 1) * stride
-        };
-        // Rows of very different sizes: scaled to unit length.
-        for i in 0..m {
-            let own = &self.basis[row(&self.basis, i)];
-            let size = products::<FMA>(own, [own; 4])[0].sqrt();
-            let scale = if size > 0.0 { size.recip() } else { 0.0 };
-            self.scale[i] = scale;
-            self.basis[i * stride..][..stride].iter_mut().for_each(|a| *a *= scale);
-        }
+    fn fill<const FMA: bool, const WIDE: usize>(&mut self) {
+        let m = self.equations.coefficients;
+        let width = width(m);
+
         // Inner products on and below the diagonal, and with the right side.
-        for i in 0..m {
-            let own = &self.basis[row(&self.basis, i)];
-            for j in (0..=i).step_by(4) {
-                let four = std::array::from_fn(|k| &self.basis[row(&self.basis, (j + k).min(i))]);
-                for (k, product) in products::<FMA>(own, four).into_iter().enumerate() {
-                    if j + k <= i {
-                        self.lower[i * m + j + k] = product;
+        for panel in self.equations.rows.chunks(PANEL * width) {
+            for first in (0..m).step_by(TILE) {
+                let mut at = 0;
+                while at < (first + TILE).min(m) {
+                    if WIDE > LANES && at + WIDE <= width {
+                        gram::<FMA, WIDE>(panel, width, [first, at], &mut self.lower, m);
+                        at += WIDE;
+                    } else {
+                        gram::<FMA, LANES>(panel, width, [first, at], &mut self.lower, m);
+                        at += LANES;
                     }
                 }
             }
-            self.lower[i * m + i] += RIDGE;
-            self.along[i] = products::<FMA>(own, [right; 4])[0];
         }
+        for (row, right) in self.equations.rows.chunks_exact(width).zip(&self.equations.right) {
+            for k in 0..width {
+                self.along[k] = add::<FMA>(row[k], *right, self.along[k]);
+            }
+        }
+
+        // Coefficients of very different sizes: scaled so that the diagonal is 1.
+        for i in 0..m {
+            let size = self.lower[i * m + i].sqrt();
+            self.scale[i] = if size > 0.0 { size.recip() } else { 0.0 };
+            self.along[i] *= self.scale[i];
+        }
+        for i in 0..m {
+            for j in 0..=i {
+                self.lower[i * m + j] *= self.scale[i] * self.scale[j];
+            }
+            self.lower[i * m + i] += RIDGE;
+        }
+
         self.determined = factorized::<FMA>(&mut self.lower, m, 0.0);
         for i in 0..self.determined {
             let lower = &self.lower[i * m..][..=i];
             self.along[i] = (self.along[i] - product::<FMA>(&lower[..i], &self.along[..i])) / lower[i];
         }
-        // The basis in place of the rows.
-        for i in 0..self.determined {
-            let (before, own) = self.basis.split_at_mut(i * stride);
-            let own = &mut own[..stride];
-            let lower = &self.lower[i * m..][..m];
-            let mut j = 0;
-            while j + 4 <= i {
-                let [a, b, c, d] = std::array::from_fn(|k| &before[(j + k) * stride..][..stride]);
-                let [p, q, r, s] = std::array::from_fn(|k| -lower[j + k]);
-                for e in 0..stride {
-                    let far = add::<FMA>(r, c[e], s * d[e]);
-                    own[e] = add::<FMA>(p, a[e], add::<FMA>(q, b[e], own[e] + far));
-                }
-                j += 4;
-            }
-            for j in j..i {
-                let other = &before[j * stride..][..stride];
-                for e in 0..stride {
-                    own[e] = add::<FMA>(-lower[j], other[e], own[e]);
-                }
-            }
-            let inverse = lower[i].recip();
-            own.iter_mut().for_each(|a| *a *= inverse);
-        }
     }
 
     /// The solution for the leading coefficients alone.
     pub fn solution(&self, count: usize) -> Vec<f64> {
-        let m = self.coefficients;
+        let m = self.equations.coefficients;
         let mut x = self.along[..count].to_vec();
         for i in (0..count).rev() {
             let below: f64 = (i + 1..count).map(|k| self.lower[k * m + i] * x[k]).sum();
@@ -197,49 +252,96 @@ impl Factors {
         x.iter_mut().zip(&self.scale).for_each(|(x, s)| *x *= s);
         x
     }
-}
 
-impl Factors {
-    /// What the residuals of some equations would be had these been left out of the fit of the leading coefficients:
-    /// `(I - Q Q') e = r` with the rows of the basis `Q` that are theirs. `None` where they determine a coefficient alone.
-    pub fn left_out(&self, count: usize, right: &[f64], stride: usize, equations: &[usize]) -> Option<Vec<f64>> {
+    /// Some equations in the basis of all coefficients that are determined.
+    pub fn basis(&self, equations: &[u32]) -> Basis {
         match Simd::detect() {
-            Simd::Baseline => self.without::<false>(count, right, stride, equations),
+            Simd::Baseline => self.in_basis::<false, 8>(equations),
             // SAFETY: the features were detected.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => unsafe { avx2_without(self, count, right, stride, equations) },
+            Simd::Avx2 => unsafe { avx2_basis(self, equations) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => unsafe { avx512_without(self, count, right, stride, equations) },
+            Simd::Avx512 => unsafe { avx512_basis(self, equations) },
         }
     }
 
     #[inline(always)]
-    fn without<const FMA: bool>(
-        &self,
-        count: usize,
-        right: &[f64],
-        stride: usize,
-        equations: &[usize],
-    ) -> Option<Vec<f64>> {
+    fn in_basis<const FMA: bool, const WIDE: usize>(&self, equations: &[u32]) -> Basis {
+        let (m, count) = (self.equations.coefficients, self.determined);
+        let width = width(m);
+
+        // Rows of the inverse of L, then its transpose in units of the rows: a row of the basis is a row times that.
+        let mut inverse = vec![0.0; count * width];
+        for i in 0..count {
+            let (before, own) = inverse.split_at_mut(i * width);
+            let lower = &self.lower[i * m..][..=i];
+            let own = &mut own[..i.next_multiple_of(LANES).max(LANES)];
+            for (j, other) in before.chunks_exact(width).enumerate() {
+                for k in 0..own.len() {
+                    own[k] = add::<FMA>(-lower[j], other[k], own[k]);
+                }
+            }
+            own.iter_mut().for_each(|x| *x /= lower[i]);
+            inverse[i * width + i] = lower[i].recip();
+        }
+        let mut spread = vec![0.0; count * width];
+        for i in 0..count {
+            for j in 0..=i {
+                spread[j * width + i] = inverse[i * width + j] * self.scale[j];
+            }
+        }
+
+        let mut rows = vec![0.0; equations.len() * width];
+        for (four, list) in rows.chunks_mut(TILE * width).zip(equations.chunks(TILE)) {
+            let own: [&[f64]; TILE] = std::array::from_fn(|r| {
+                let equation = list[r.min(list.len() - 1)] as usize;
+                &self.equations.rows[equation * width..][..width]
+            });
+            let mut at = 0;
+            while at < count {
+                if WIDE > LANES && at + WIDE <= width {
+                    times::<FMA, WIDE>(own, &spread, width, at, four);
+                    at += WIDE;
+                } else {
+                    times::<FMA, LANES>(own, &spread, width, at, four);
+                    at += LANES;
+                }
+            }
+        }
+        Basis {
+            rows,
+            width,
+            right: equations.iter().map(|k| self.equations.right[*k as usize]).collect(),
+            count,
+        }
+    }
+
+    /// What the residuals of some equations, which follow each other in a basis, would be had these been left out of the fit:
+    /// `(I - Q Q') e = r` with the rows of the basis `Q` that are theirs. `None` where they determine a coefficient alone.
+    pub fn left_out(&self, basis: &Basis, equations: std::ops::Range<usize>) -> Option<Vec<f64>> {
+        match Simd::detect() {
+            Simd::Baseline => self.without::<false>(basis, equations),
+            // SAFETY: the features were detected.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => unsafe { avx2_without(self, basis, equations) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => unsafe { avx512_without(self, basis, equations) },
+        }
+    }
+
+    #[inline(always)]
+    fn without<const FMA: bool>(&self, basis: &Basis, equations: std::ops::Range<usize>) -> Option<Vec<f64>> {
         /// Below this pivot the others say too little of a coefficient.
         const LEAST: f64 = 1e-8;
         let n = equations.len();
-        // `[equation][coefficient]`, in rows of whole lanes.
-        let width = count.next_multiple_of(LANES);
-        let mut own = vec![0.0; n * width];
-        for (i, basis) in self.basis.chunks_exact(stride).take(count).enumerate() {
-            for (own, equation) in own.chunks_exact_mut(width).zip(equations) {
-                own[i] = basis[*equation];
-            }
-        }
-        let mut along = vec![0.0; width];
-        along[..count].copy_from_slice(&self.along[..count]);
-        let row = |k: usize| &own[k * width..][..width];
-        // Not in a closure, which would not have the vector unit's instructions.
-        let mut residual = vec![0.0; n];
+        let used = width(basis.count);
+        let row = |k: usize| &basis.rows[(equations.start + k) * basis.width..][..used];
+        // Not in closures, which would not have the vector unit's instructions. Behind `count` rows are zero.
+        let mut residual = basis.right[equations.clone()].to_vec();
         for k in 0..n {
-            residual[k] = right[equations[k]] - product::<FMA>(&own[k * width..][..width], &along);
+            residual[k] -= product::<FMA>(row(k), &self.along[..used]);
         }
         let mut matrix = vec![0.0; n * n];
         for i in 0..n {
@@ -268,14 +370,37 @@ impl Factors {
     }
 }
 
+impl Basis {
+    /// That of fewer leading coefficients.
+    pub fn cut(&mut self, count: usize) {
+        let behind = count..width(self.count);
+        for row in self.rows.chunks_exact_mut(self.width) {
+            row[behind.clone()].fill(0.0);
+        }
+        self.count = count;
+    }
+}
+
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn avx2_without(of: &Factors, count: usize, right: &[f64], stride: usize, equations: &[usize]) -> Option<Vec<f64>> {
-    of.without::<true>(count, right, stride, equations)
+fn avx2_basis(of: &Factors, equations: &[u32]) -> Basis {
+    of.in_basis::<true, 8>(equations)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-fn avx512_without(of: &Factors, count: usize, right: &[f64], stride: usize, equations: &[usize]) -> Option<Vec<f64>> {
-    of.without::<true>(count, right, stride, equations)
+fn avx512_basis(of: &Factors, equations: &[u32]) -> Basis {
+    of.in_basis::<true, 16>(equations)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn avx2_without(of: &Factors, basis: &Basis, equations: std::ops::Range<usize>) -> Option<Vec<f64>> {
+    of.without::<true>(basis, equations)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+fn avx512_without(of: &Factors, basis: &Basis, equations: std::ops::Range<usize>) -> Option<Vec<f64>> {
+    of.without::<true>(basis, equations)
 }

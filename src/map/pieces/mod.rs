@@ -16,7 +16,7 @@ mod least_squares;
 mod rounding;
 mod terms;
 
-pub use build::{Before, Cloud, Want, build, build_around};
+pub use build::{Before, Cloud, Flow, Want, build, build_around};
 pub use fit::Shape;
 pub use flat::{Desk, Flat, Here, LANES};
 pub use frame::{Bend, Frame, Steep};
@@ -98,6 +98,14 @@ impl Piece {
             y[i] = (z[i] - self.center[i]) / self.half[i];
         }
         y
+    }
+
+    /// Whether a place in its own variables lies within the extent of its points.
+    fn supports(&self, directions: &[Vec<f64>], y: &[f64]) -> bool {
+        (self.support.iter().zip(directions)).all(|([lo, hi], d)| {
+            let at: f64 = d.iter().zip(y).map(|(d, y)| d * y).sum();
+            at >= *lo && at <= *hi
+        })
     }
 
     /// V and its gradient (in coordinates of the region) at a place in its own variables.
@@ -400,12 +408,7 @@ impl Pieces {
         let n = z.len();
         let piece = &self.pieces[piece];
         let y = piece.place(z);
-        let along = |d: &[f64]| (0..n).map(|i| d[i] * y[i]).sum::<f64>();
-        let inside = (piece.support.iter().zip(&self.directions)).all(|([lo, hi], d)| {
-            let at = along(d);
-            at >= *lo && at <= *hi
-        });
-        if !inside {
+        if !piece.supports(&self.directions, &y[..n]) {
             return None;
         }
         let (v, q) = piece.value(&self.terms, &y[..n]);

@@ -2,6 +2,7 @@
 
 mod crossings;
 mod faces;
+mod flow;
 mod groups;
 mod places;
 mod quarters;
@@ -10,6 +11,7 @@ mod tracks;
 use super::fit::{Data, Shape};
 use super::terms::Terms;
 use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree};
+pub use flow::Flow;
 use rayon::join;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -161,6 +163,7 @@ struct Builder<'c> {
     highest: usize,
     habits: Habits,
     before: Option<Before<'c>>,
+    flow: Option<&'c Flow>,
 }
 
 /// Built pieces of a block.
@@ -177,16 +180,24 @@ pub struct Before<'b> {
 
 /// Makes pieces of points; and cells where more points are needed for the error asked for. Cells made before whose pieces
 /// are good enough stay, if they say what the new points say.
-pub fn build(cloud: &Cloud, region: &Region, frame: &Frame, before: Option<Before<'_>>) -> (Pieces, Vec<Want>) {
-    let mut made = Builder::new(cloud, region, (frame, None), before).built(HALVINGS_APART);
+pub fn build(
+    cloud: &Cloud,
+    region: &Region,
+    frame: &Frame,
+    flow: Option<&Flow>,
+    before: Option<Before<'_>>,
+) -> (Pieces, Vec<Want>) {
+    let mut made = Builder::new(cloud, region, (frame, None), flow, before).built(HALVINGS_APART);
     made.wants.retain(|w| w.excess > 1.0 || !w.bare.is_empty());
     (made.pieces, made.wants)
 }
 
 /// Makes pieces of a region round another, in which nothing is wanted of them.
-pub fn build_around(cloud: &Cloud, region: &Region, frame: &Frame, inner: &Region) -> Pieces {
+pub fn build_around(cloud: &Cloud, region: &Region, frame: &Frame, flow: Option<&Flow>, inner: &Region) -> Pieces {
     // There a law needs no more than the bounds to be true.
-    Builder::new(cloud, region, (frame, Some(inner)), None).built(0).pieces
+    Builder::new(cloud, region, (frame, Some(inner)), flow, None)
+        .built(0)
+        .pieces
 }
 
 /// Pieces, and what is wanted in each of their cells.
@@ -260,6 +271,7 @@ impl<'c> Builder<'c> {
         cloud: &'c Cloud,
         region: &'c Region,
         (frame, without): (&'c Frame, Option<&'c Region>),
+        flow: Option<&'c Flow>,
         before: Option<Before<'c>>,
     ) -> Self {
         let n = cloud.variables;
@@ -274,6 +286,7 @@ impl<'c> Builder<'c> {
             highest,
             habits: Habits::of(n, cloud.leaves_quarters()),
             before,
+            flow,
         }
     }
 
@@ -361,7 +374,8 @@ impl<'c> Builder<'c> {
             near: want.near,
         };
         let (piece, _) = self.of_group(&block, &points, false)?;
-        let piece = self.finished(piece, own, &block, self.region.beyond);
+        let mut piece = self.finished(piece, own, &block, self.region.beyond);
+        self.judge(&mut piece, &[], (own, self.region.beyond));
         let before = made.pieces.pieces[made.pieces.cells[cell].pieces.start].bound;
         (piece.bound <= before.max(self.region.error)).then_some(piece)
     }
@@ -453,11 +467,25 @@ impl<'c> Builder<'c> {
         } else {
             self.region.beyond
         };
-        let pieces: Vec<Piece> = own
-            .into_iter()
-            .map(|(piece, points)| self.finished(piece, &points, &block, beyond))
+        let mut pieces: Vec<Piece> = (own.iter())
+            .map(|(piece, points)| self.finished(piece.clone(), points, &block, beyond))
             .collect();
-        self.cell(block, pieces, excess)
+        for k in 0..pieces.len() {
+            let mut piece = pieces.remove(k);
+            self.judge(&mut piece, &pieces, (&own[k].1, beyond));
+            pieces.insert(k, piece);
+        }
+        let of_bounds = pieces
+            .iter()
+            .map(|p| p.bound / self.region.error)
+            .fold(excess, f64::max);
+        if dense && of_bounds > self.habits.enough && self.without.is_none() {
+            let axis = self.axis(&block, &own);
+            if !self.is_finest(&block, axis) {
+                return self.split(block, axis, [None; 2]);
+            }
+        }
+        self.cell(block, pieces, of_bounds)
     }
 
     fn is_finest(&self, block: &Block, axis: usize) -> bool {

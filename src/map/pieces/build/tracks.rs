@@ -5,6 +5,15 @@ use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, 
 
 /// Points beside those fitted to that test a fit, at most.
 const MOST_TESTS: usize = 150;
+/// Points of a block that are looked at, about.
+const MOST_POINTS: usize = 4096;
+/// A residual of the equation along the flow counts as this share of an error: it may change its sign within the block.
+const RESIDUAL: f64 = 0.5;
+/// Blocks that can be halved are fitted along the flow where they err by at most so many times what is good.
+const NEARLY_GOOD: f64 = 30.0;
+/// Places that are fitted to, those that choose between fits, and those that bounds are of (at 0) are not the same.
+const FITTED_TO: f64 = 0.61;
+const CHOSEN_BY: f64 = 0.37;
 /// So many degrees are tried.
 const DEGREES: usize = 3;
 /// The most that one error counts in the choice of an axis.
@@ -19,6 +28,15 @@ impl Builder<'_> {
     pub(super) fn by_tracks(&self, block: &Block, points: &[u32], can_be_halved: bool) -> Option<(Piece, f64)> {
         let n = self.cloud.variables;
         let (center, half) = self.extent(block);
+        // All the same, many points tell no more than some thousands.
+        let some: Vec<u32>;
+        let points = if points.len() > MOST_POINTS {
+            let share = MOST_POINTS as f64 / points.len() as f64 * f64::from(u32::MAX);
+            some = points.iter().copied().filter(|k| f64::from(mix(*k)) <= share).collect();
+            &some
+        } else {
+            points
+        };
         let equations = |count: usize| ((n + 1) * count) as f64;
         let determined = |degree: usize| equations(points.len()) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64;
         let highest = (1..=self.highest).rev().find(|d| determined(*d))?;
@@ -72,8 +90,9 @@ impl Builder<'_> {
             }
         }
         let (shape, mut fit) = best?;
-        // Points that it was not fitted to.
         if !hopeless {
+            self.fit_along(block, &mine, (can_be_halved, good), (shape, &mut fit));
+            // Points that it was not fitted to.
             let beside: Vec<u32> = thinned(points, MOST_TESTS).into_iter().filter(inside).collect();
             let degree = self.degree_of(&fit.coefficients);
             let errors = self
@@ -86,6 +105,44 @@ impl Builder<'_> {
         bounds[0] = bounds[0].max(LEAST_BOUND * self.region.error);
         let fitted = (shape, fit.coefficients);
         Some(self.piece((center, half), fitted, enough.then_some(bounds), points))
+    }
+
+    /// Fits again with the equation along the flow at places of the block, where a fit to points alone is not good enough but not
+    /// far from it; takes the new fit if it errs less and solves the equation better.
+    fn fit_along(
+        &self,
+        block: &Block,
+        points: &[u32],
+        (can_be_halved, good): (bool, f64),
+        (shape, fit): (Shape, &mut Tested),
+    ) {
+        let Some(flow) = self.flow.filter(|flow| flow.repeats()) else {
+            return;
+        };
+        let (center, half) = self.extent(block);
+        let degree = self.degree_of(&fit.coefficients).max(LOW);
+        let fitted = (shape, fit.coefficients.clone());
+        let (mut piece, _) = self.piece((center.clone(), half.clone()), fitted, None, &[]);
+        let residual = |piece: &Piece| self.residual(piece, &[], CHOSEN_BY);
+        let mut score = fit.errors[0].max(RESIDUAL * residual(&piece));
+        if score <= good || (can_be_halved && score > NEARLY_GOOD * good) {
+            return;
+        }
+        let places = self.places(&piece, &[], (self.terms.upto[degree], FITTED_TO));
+        let along = self.along(&piece, &places, flow, &[]).into_iter().flatten().collect();
+        let data = self.data(&center, &half, points, degree).with(along);
+        let inside = |k: &u32| {
+            let z = self.cloud.z(*k as usize);
+            (0..center.len()).all(|i| (z[i] - center[i]).abs() <= half[i])
+        };
+        for tested in data.tested(shape, degree, (DEGREES, good), |k| inside(&points[k])) {
+            piece.coefficients.clone_from(&tested.coefficients);
+            let own = tested.errors[0].max(RESIDUAL * residual(&piece));
+            // Where the points are too few to tell anything their error is 0.
+            if own < score && tested.errors[0].is_finite() {
+                (score, *fit) = (own, tested);
+            }
+        }
     }
 
     /// A piece at whose edge points are missing errs more: beyond the outermost of them nothing tells.
@@ -127,10 +184,13 @@ impl Builder<'_> {
     pub(super) fn axis_by_halves(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> usize {
         let wide = self.wide(block);
         let errors: Vec<Option<f64>> = match pieces {
-            [(piece, points)] => wide
-                .iter()
-                .map(|i| self.error_of_halves(block, piece, points, *i))
-                .collect(),
+            [(piece, points)] => {
+                let most = (2.0 * self.habits.most_equations * self.terms.upto[LOW.min(self.highest)] as f64) as usize;
+                let drawn = thinned(points, most);
+                (wide.iter())
+                    .map(|i| self.error_of_halves(block, piece, &drawn, *i))
+                    .collect()
+            }
             _ => vec![None; wide.len()],
         };
         let best = |score: &dyn Fn(usize) -> f64| {
@@ -148,10 +208,8 @@ impl Builder<'_> {
     fn error_of_halves(&self, block: &Block, piece: &Piece, points: &[u32], axis: usize) -> Option<f64> {
         let degree = LOW.min(self.highest);
         let at = 0.5 * (block.lo[axis] + block.hi[axis]);
-        let most = (2.0 * self.habits.most_equations * self.terms.upto[degree] as f64) as usize;
-        let drawn = thinned(points, most);
         let (below, above): (Vec<u32>, Vec<u32>) =
-            (drawn.iter().copied()).partition(|k| self.cloud.z(*k as usize)[axis] < at);
+            (points.iter().copied()).partition(|k| self.cloud.z(*k as usize)[axis] < at);
         let mut sum = 0.0;
         for half in [below, above] {
             if ((self.cloud.variables + 1) * half.len()) as f64 <= LEAST_EQUATIONS * self.terms.upto[degree] as f64 {
