@@ -322,7 +322,7 @@ fn a_steep_corner_of_the_compressor() {
     let region = "region = { Phi = [1.0, 1.01], Psi = [2.09, 2.105], R = [0.115, 0.125], gamma = [1.515, 1.535] }";
     let (stored, summary) = made(
         "moore_greitzer",
-        &format!("error = 1e-2\nstates = 2500\ncheck = 10\n{region}"),
+        &format!("error = 1e-2\nstates = 4000\ncheck = 10\n{region}"),
     );
     let map = stored.value_map().unwrap();
     let here = map.at(&[1.0, 2.1, 0.12, 1.524]).lowest.expect("it is known");

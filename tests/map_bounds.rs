@@ -90,16 +90,17 @@ fn bounds_hold_along_a_switching_curve() {
 /// -0.008 where it is 99.7).
 #[test]
 fn nothing_low_is_said_above_the_largest_value() {
-    for (most, states) in [(0.3, 800), (3.0, 800), (10.0, 800)] {
+    // The first is 1 in 30 of the region, about which most states that are tried lie above it.
+    for (most, share) in [(0.3, 0.8), (3.0, 0.95), (10.0, 0.95)] {
         let (stored, _) = made(
             &format!("up_to_{most}"),
-            &bounded(&format!("value_max = {most:?}, states = {states}")),
+            &bounded(&format!("value_max = {most:?}, states = 800")),
         );
         let over = over_bounds(&stored);
         let inside = solved().1.iter().filter(|v| **v < most).count();
         let largest = over.iter().copied().fold(0.0, f64::max);
         println!("up to {most}: {} known of {inside}, largest {largest:.2}", over.len());
-        assert!(over.len() as f64 > 0.9 * inside as f64, "{} of {inside}", over.len());
+        assert!(over.len() as f64 > share * inside as f64, "{} of {inside}", over.len());
         assert!(largest <= 3.0, "{largest}");
     }
 }

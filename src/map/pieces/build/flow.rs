@@ -21,7 +21,7 @@ const MOST_DRAWN: usize = 64;
 const SHARE: f64 = 1.0;
 const SHARE_IN_PLANE: f64 = 0.25;
 /// Errors so many times larger than asked for are those of a polynomial that goes on without points.
-const FAR_OFF: f64 = 100.0;
+const FAR_OFF: f64 = 30.0;
 /// Whole periods looked at where the cost tells them apart.
 const PERIODS: i32 = 2;
 /// States with a period that are moved by several.
@@ -212,18 +212,32 @@ impl Builder<'_> {
         least.into_iter().filter(|r| r.is_finite()).fold(0.0, f64::max)
     }
 
-    /// Raises the bound of a piece to what its residual shows, where it says the least of the cell's pieces. One that goes on without
-    /// points may say too much there: it first keeps closer to them.
-    pub(super) fn judge(&self, piece: &mut Piece, others: &[Piece], (points, beyond): (&[u32], f64)) {
+    /// What the bound of a piece is at least, by its residual where it says the least of the cell's pieces.
+    fn bound_by_equation(&self, piece: &Piece, others: &[Piece]) -> f64 {
         let share = if self.cloud.variables <= 2 {
             SHARE_IN_PLANE
         } else {
             SHARE
         };
-        let mut bound = share * self.residual(piece, others, 0.0);
-        if bound > piece.bound && (!piece.support.is_empty() || bound > FAR_OFF * self.region.error) {
+        share * self.residual(piece, others, 0.0)
+    }
+
+    /// Whether the equation says that a cell's pieces err by more than is good enough, and than their bounds.
+    pub(super) fn is_contradicted(&self, pieces: &[Piece]) -> bool {
+        let enough = self.habits.enough * self.region.error;
+        (0..pieces.len()).any(|k| {
+            let others: Vec<Piece> = [&pieces[..k], &pieces[k + 1..]].concat();
+            self.bound_by_equation(&pieces[k], &others) > pieces[k].bound.max(enough)
+        })
+    }
+
+    /// Raises the bound of a piece to what the equation shows. One that goes on without points may say too much there: it first keeps
+    /// closer to them.
+    pub(super) fn judge(&self, piece: &mut Piece, others: &[Piece], (points, beyond): (&[u32], f64)) {
+        let mut bound = self.bound_by_equation(piece, others);
+        if bound > piece.bound.max(FAR_OFF * self.region.error) {
             piece.support = self.enclosed(piece, points, beyond.min(BEYOND_OF_SEVERAL));
-            bound = share * self.residual(piece, others, 0.0);
+            bound = self.bound_by_equation(piece, others);
         }
         if bound > piece.bound {
             // Of a polynomial that meets its points exactly nothing is known of p's errors.

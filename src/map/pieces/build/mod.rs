@@ -470,6 +470,13 @@ impl<'c> Builder<'c> {
         let mut pieces: Vec<Piece> = (own.iter())
             .map(|(piece, points)| self.finished(piece.clone(), points, &block, beyond))
             .collect();
+        // Halves ask for states of their own where the equation is not met; what cannot be halved keeps to its points there.
+        if dense && self.without.is_none() && self.is_contradicted(&pieces) {
+            let axis = self.axis(&block, &own);
+            if !self.is_finest(&block, axis) {
+                return self.split(block, axis, [None; 2]);
+            }
+        }
         for k in 0..pieces.len() {
             let mut piece = pieces.remove(k);
             self.judge(&mut piece, &pieces, (&own[k].1, beyond));
@@ -479,12 +486,6 @@ impl<'c> Builder<'c> {
             .iter()
             .map(|p| p.bound / self.region.error)
             .fold(excess, f64::max);
-        if dense && of_bounds > self.habits.enough && self.without.is_none() {
-            let axis = self.axis(&block, &own);
-            if !self.is_finest(&block, axis) {
-                return self.split(block, axis, [None; 2]);
-            }
-        }
         self.cell(block, pieces, of_bounds)
     }
 
