@@ -321,9 +321,12 @@ fn told(piece: u32, place: Spot) -> Told {
     // Derivatives of V by the function of it that is a polynomial.
     var slope: real = 1.0;
     var bend: real = 0.0;
+    // A polynomial that crosses 0 comes to a branch of the function on which no V lies.
+    var on_branch = true;
     answer.v = sum.v;
     switch words[head + 2u] {
         case ROOT: {
+            on_branch = sum.v >= 0.0;
             answer.v = sum.v * sum.v;
             slope = 2.0 * sum.v;
             bend = 2.0;
@@ -334,6 +337,7 @@ fn told(piece: u32, place: Spot) -> Told {
             bend = answer.v;
         }
         case RECIPROCAL: {
+            on_branch = sum.v > 0.0;
             answer.v = 1.0 / sum.v;
             slope = -(answer.v * answer.v);
             bend = 2.0 * answer.v * answer.v * answer.v;
@@ -367,6 +371,6 @@ fn told(piece: u32, place: Spot) -> Told {
     }
 //end
     answer.sheet = words[head + 3u];
-    answer.known = is_finite(answer.v);
+    answer.known = on_branch & is_finite(answer.v);
     return answer;
 }

@@ -3,7 +3,7 @@
 use super::check::load;
 use super::columns::columns;
 use super::report::Terminal;
-use super::run::{axes, default_output};
+use super::run::{axes, output_of};
 use super::{CliError, RunArgs};
 use crate::attenuation::{Attenuated, Covering, Row, smallest};
 use crate::backend::Backend;
@@ -30,11 +30,7 @@ pub(super) fn attenuation(args: &RunArgs) -> Result<(), CliError> {
     let backend = args.numerics.open(model)?;
     let terminal = Terminal::new(&args.scene);
     terminal.say(&model.title)?;
-    let path = args.out.clone().unwrap_or_else(|| {
-        let path = default_output(&args.scene.scenario);
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        path.with_file_name(format!("{stem}_attenuation.h5"))
-    });
+    let path = (args.out.clone()).unwrap_or_else(|| output_of(&args.scene.scenario, "_attenuation"));
     let mut file = ResultFile::create(&path)?;
     let choices = args.numerics.choices(args.seed);
     let found = write(&mut file, &scene, backend.as_ref(), choices, &terminal)?;

@@ -13,7 +13,7 @@ use crate::model::Precision;
 use crate::result::RunRecord;
 use crate::scene::Scene;
 use crate::sweep::{Choices, sweep};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Instant, SystemTime};
 
 /// Largest gap that leaves no edge of a front alone: the cap on seeds ends such a sweep.
@@ -33,7 +33,10 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     let plan = planned(&scene, &cpu, choices)?;
     let which: Vec<Which> = args.backend.iter().map(|b| which(*b)).collect();
     let (backends, unavailable) = devices::open(&which, args.adapter.as_deref())?;
-    let path = args.out.clone().unwrap_or_else(|| default_output(&args.scene.scenario));
+    let path = args
+        .out
+        .clone()
+        .unwrap_or_else(|| run::output_of(&args.scene.scenario, "_bench"));
     if path.extension().is_some_and(|e| e == "svg") {
         return Err(CliError::PictureName { path });
     }
@@ -132,13 +135,6 @@ fn wanted_errors(args: &BenchArgs) -> Vec<f64> {
     wanted.sort_by(|a, b| b.total_cmp(a));
     wanted.dedup();
     wanted
-}
-
-fn default_output(scenario: &Path) -> PathBuf {
-    let plain = run::default_output(scenario);
-    let mut name = plain.file_stem().unwrap_or_default().to_owned();
-    name.push("_bench.h5");
-    plain.with_file_name(name)
 }
 
 /// Sweeps the scene with its own settings until `count` trajectories are done, and writes them to a file that is removed

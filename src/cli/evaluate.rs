@@ -3,7 +3,7 @@
 use super::check::loaded;
 use super::columns::columns;
 use super::report::Terminal;
-use super::run::default_output;
+use super::run::output_of;
 use super::{CliError, EvaluateArgs, dissipation};
 use crate::backend::Backend;
 use crate::closed_loop::{
@@ -82,7 +82,7 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
             ResultFile::extend(&args.file, &replaced)?
         }
         (Some(_), Some(out)) => ResultFile::create(out)?,
-        (None, out) => ResultFile::create(out.clone().unwrap_or_else(|| own_output(&args.file)))?,
+        (None, out) => ResultFile::create(out.clone().unwrap_or_else(|| output_of(&args.file, "_closed_loop")))?,
     };
     let from = Sources::new(stored.as_ref(), &wanted, &terminal)?;
     let mut summary = serde_json::json!({});
@@ -365,12 +365,6 @@ pub(super) fn fitted(stored: &Stored) -> Result<Vec<Weights>, CliError> {
             text,
         })
         .collect())
-}
-
-fn own_output(scenario: &Path) -> PathBuf {
-    let path = default_output(scenario);
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    path.with_file_name(format!("{stem}_closed_loop.h5"))
 }
 
 /// Laws side by side.

@@ -405,8 +405,15 @@ pub(super) fn open_backend(
 }
 
 pub(super) fn default_output(scenario: &Path) -> PathBuf {
-    let stem = scenario.file_stem().unwrap_or_else(|| "result".as_ref());
-    Path::new("out").join(stem).with_extension("h5")
+    output_of(scenario, "")
+}
+
+/// The same of a command with a file of its own, whose name ends so.
+pub(super) fn output_of(scenario: &Path, ending: &str) -> PathBuf {
+    let mut name = scenario.file_stem().unwrap_or_else(|| "result".as_ref()).to_owned();
+    name.push(ending);
+    name.push(".h5");
+    Path::new("out").join(name)
 }
 
 /// Where results go that nobody has named a file for. Answers at some states are not written over the results of a run; then
@@ -426,8 +433,7 @@ fn own_output(scenario: &Path, answers: bool) -> (PathBuf, Option<PathBuf>) {
     if !answers || !Stored::open(&path).is_ok_and(|stored| stored.has_any(&OTHERS)) {
         return (path, None);
     }
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    (path.with_file_name(format!("{stem}_points.h5")), Some(path))
+    (output_of(scenario, "_points"), Some(path))
 }
 
 pub(super) fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {

@@ -3,7 +3,7 @@
 use super::check::load;
 use super::columns::columns;
 use super::report::Terminal;
-use super::run::{axes, default_output};
+use super::run::{axes, output_of};
 use super::{CliError, RunArgs};
 use crate::backend::Backend;
 use crate::hdf5::ResultFile;
@@ -29,11 +29,7 @@ pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
     let backend = args.numerics.open(model)?;
     let terminal = Terminal::new(&args.scene);
     terminal.say(&model.title)?;
-    let path = args.out.clone().unwrap_or_else(|| {
-        let path = default_output(&args.scene.scenario);
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        path.with_file_name(format!("{stem}_study.h5"))
-    });
+    let path = (args.out.clone()).unwrap_or_else(|| output_of(&args.scene.scenario, "_study"));
     let mut file = ResultFile::create(&path)?;
     let variants = write(
         &mut file,

@@ -79,7 +79,9 @@ impl ValueMap {
                 });
             });
         }
-        self.leave_out_excluded(x, &mut found);
+        if let Some(excluded) = self.excluded(x) {
+            (found.iter_mut().zip(excluded)).for_each(|(found, excluded)| *found = found.take().filter(|_| !excluded));
+        }
         self.add_controls(x, &mut found);
         (found.into_par_iter().zip(x.par_chunks(n)).zip(t))
             .map(|((value, x), t)| match value {
@@ -93,15 +95,21 @@ impl ValueMap {
             .collect()
     }
 
-    /// Of states that a guard excludes nothing is said.
-    fn leave_out_excluded<T: Send>(&self, x: &[f64], found: &mut [Option<T>]) {
+    /// Whether a guard excludes each of some states (absolute), by more than rounding: pieces are smooth and say something there
+    /// too. `None` where the scene has no guard of the state alone.
+    pub(super) fn excluded(&self, x: &[f64]) -> Option<Vec<bool>> {
+        const ROUNDING: f64 = 1e-12;
+        let guards = self.guards.as_ref()?;
         let n = self.states();
-        if self.guards.is_some() {
-            (x.par_chunks(n).zip(found)).for_each(|(x, found)| {
-                let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
-                found.take_if(|_| self.excluded(&s));
-            });
-        }
+        let reference = &self.plan.system.reference;
+        let s: Vec<f64> = (x.iter().zip(reference.iter().cycle())).map(|(x, r)| x - r).collect();
+        let margins = guards.eval(&s, n);
+        let own = (margins.len() * n / s.len().max(1)).max(1);
+        let excluded = (s.chunks_exact(n).zip(margins.chunks_exact(own))).map(|(s, margins)| {
+            let size = (reference.iter().zip(s)).fold(1.0f64, |a, (r, s)| a.max(r.abs() + s.abs()));
+            margins.iter().any(|g| *g < -ROUNDING * size)
+        });
+        Some(excluded.collect())
     }
 
     /// States as the pieces want them: with their times where time is an axis.
@@ -251,8 +259,11 @@ impl ValueMap {
             tell(k, found.as_ref().map(|_| &slow));
         };
         let t = self.time.map_or(0.0, |last| t.clamp(0.0, last));
+        let excluded = self.excluded(x);
+        let is_excluded = |k: usize| excluded.as_ref().is_some_and(|excluded| excluded[k]);
         match &self.swift {
             Some(swift) => swift.each(&self.places(x, |_| t), second, room, |k, answer| match answer {
+                _ if is_excluded(k) => tell(k, None),
                 Answer::Known(here) if self.time.is_some() => {
                     let mut here = *here;
                     if second {

@@ -426,10 +426,11 @@ impl ValueMap {
         let pieces = self.pieces.as_ref().filter(|_| t == 0.0 || self.time.is_some())?;
         let (mut x, winding) = self.wound(pieces, x);
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let excluded = self.excluded(&x).is_some_and(|excluded| excluded[0]);
         x.extend(self.time.map(|_| t));
         let asked = pieces.covers(&x);
         let pieces = if asked { pieces } else { self.beyond.as_ref()? };
-        if asked && self.excluded(&s) {
+        if excluded {
             return Some(At {
                 lowest: Err(Unknown::Guard),
                 others: Vec::new(),
@@ -460,14 +461,6 @@ impl ValueMap {
     /// Whether there is a map round the region of the one asked for.
     pub fn maps_beyond(&self) -> bool {
         self.beyond.is_some()
-    }
-
-    /// Whether a guard excludes a state (deviation), by more than rounding: pieces are smooth and say something there too.
-    fn excluded(&self, s: &[f64]) -> bool {
-        const ROUNDING: f64 = 1e-12;
-        let Some(guards) = &self.guards else { return false };
-        let size = (self.plan.system.reference.iter().zip(s)).fold(1.0f64, |a, (r, s)| a.max(r.abs() + s.abs()));
-        guards.eval(s, s.len()).iter().any(|g| *g < -ROUNDING * size)
     }
 
     /// A state moved by whole periods into the region of a map in pieces, with the numbers of periods.

@@ -7,8 +7,10 @@ static inline int NAME_piece(int k, const REAL *t, REAL *V, REAL *q)
     for (i = 0; i < NAME_states; i++) y[i] = (t[i] - NAME_center[k][i]) / NAME_half[k][i];
     if (!NAME_supported(k, y)) return 0;
     w = NAME_sum(NAME_coefficients + NAME_first[k], (int)(NAME_first[k + 1] - NAME_first[k]), y, q);
+    /* A polynomial that crosses 0 comes to a branch of the function on which no V lies. */
     switch (NAME_shape[k]) {
     case 1: /* of sqrt(V) */
+        if (!(w >= 0)) return 0;
         *V = w * w;
         slope = 2 * w;
         break;
@@ -16,6 +18,7 @@ static inline int NAME_piece(int k, const REAL *t, REAL *V, REAL *q)
         *V = slope = FUN(exp)(w);
         break;
     case 3: /* of 1/V */
+        if (!(w > 0)) return 0;
         *V = 1 / w;
         slope = -1 / (w * w);
         break;

@@ -92,34 +92,26 @@ impl Work<'_, '_> {
     pub(super) fn judged(&self, pieces: Pieces) -> Judged {
         let looked_at = spread_over(&self.bounds, LOOKED_AT);
         let region = &pieces.region;
-        let (mut unmet, mut unknown, mut said) = (Vec::new(), Vec::new(), Vec::new());
-        for x in &looked_at {
-            let Some(here) = pieces.at(x) else {
-                // Nothing is said above the largest V of interest; of a map without pieces nothing is.
-                if region.value_max == f64::INFINITY || pieces.pieces.is_empty() {
-                    unmet.push(x);
-                    unknown.push(x);
-                }
-                continue;
-            };
-            if here.v_bound > region.error * here.v.abs().max(region.floor) {
+        // Whether each meets the error, where anything is said.
+        let meets = |here: Said| here.v_bound <= region.error * here.v.abs().max(region.floor);
+        let met: Vec<Option<bool>> = looked_at.iter().map(|x| pieces.at(x).map(meets)).collect();
+        // Nothing is said above the largest V of interest; of a map without pieces nothing is.
+        let may_be_above = region.value_max < f64::INFINITY && !pieces.pieces.is_empty();
+        let pieces = pieces.within(self.aim.error_max);
+        let (mut unmet, mut unknown) = (Vec::new(), Vec::new());
+        let mut uncertain = 0;
+        for (x, met) in looked_at.iter().zip(met) {
+            let left_out = met.is_some() && pieces.at(x).is_none();
+            uncertain += usize::from(left_out);
+            if left_out || (met.is_none() && !may_be_above) {
+                unknown.push(x);
+                unmet.push(x);
+            } else if met == Some(false) {
                 unmet.push(x);
             }
-            said.push(x);
         }
-        let pieces = pieces.within(self.aim.error_max);
-        let before = unknown.len();
-        let uncertain: Vec<_> = said.into_iter().filter(|x| pieces.at(x).is_none()).collect();
-        unmet.extend(
-            uncertain
-                .iter()
-                .filter(|x| !unmet.contains(x))
-                .copied()
-                .collect::<Vec<_>>(),
-        );
-        unknown.extend(uncertain);
         Judged {
-            uncertain: (unknown.len() - before) as f64 / looked_at.len() as f64,
+            uncertain: uncertain as f64 / looked_at.len() as f64,
             unmet: Part::of(&unmet, looked_at.len()),
             unknown: Part::of(&unknown, looked_at.len()),
             pieces,

@@ -40,9 +40,12 @@ impl Shape {
         }
     }
 
-    /// V and its derivative by the function.
+    /// V and its derivative by the function. V is not a number where no V has this value of the function: a polynomial that
+    /// crosses 0 comes to another branch.
     pub fn back(self, w: f64) -> (f64, f64) {
         match self {
+            Shape::Root if w < 0.0 => (f64::NAN, f64::NAN),
+            Shape::Reciprocal if w <= 0.0 => (f64::NAN, f64::NAN),
             Shape::Value => (w, 1.0),
             Shape::Root => (w * w, 2.0 * w),
             Shape::Logarithm => (w.exp(), w.exp()),
@@ -329,9 +332,7 @@ impl<'d> Data<'d> {
             .map(|(i, g)| (slope * g - self.q[i * self.len() + k]).abs())
             .fold(0.0, f64::max);
         let error = (v - self.v[k]).abs() / self.size[k];
-        // On the other branch of the shape V is something else.
-        let wrong = (shape == Shape::Root && said < 0.0) || (shape == Shape::Reciprocal && said <= 0.0);
-        if error.is_finite() && !wrong {
+        if error.is_finite() {
             [error, off / self.size[k]]
         } else {
             [f64::INFINITY; 2]

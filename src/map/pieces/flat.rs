@@ -451,17 +451,20 @@ impl<T: Real> Flat<T> {
     }
 }
 
-/// V and its first and second derivative by the function of it that is a polynomial.
+/// V and its first and second derivative by the function of it that is a polynomial; V is not a number where no V has this value
+/// of the function.
 #[inline(always)]
 fn back<T: Real>(shape: Shape, w: T) -> (T, T, T) {
     let (zero, one, two) = (T::of(0.0), T::of(1.0), T::of(2.0));
     match shape {
         Shape::Value => (w, one, zero),
+        Shape::Root if w < zero => (T::of(f64::NAN), zero, zero),
         Shape::Root => (w * w, two * w, two),
         Shape::Logarithm => {
             let v = T::of(w.f64().exp());
             (v, v, v)
         }
+        Shape::Reciprocal if w <= zero => (T::of(f64::NAN), zero, zero),
         Shape::Reciprocal => {
             let v = one / w;
             (v, -(v * v), two * v * v * v)

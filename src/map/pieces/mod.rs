@@ -100,6 +100,13 @@ impl Piece {
         y
     }
 
+    /// The inverse: coordinates of a place in its own variables.
+    fn coordinates(&self, y: &[f64]) -> Vec<f64> {
+        (self.center.iter().zip(&self.half).zip(y))
+            .map(|((center, half), y)| center + half * y)
+            .collect()
+    }
+
     /// Whether a place in its own variables lies within the extent of its points.
     fn supports(&self, directions: &[Vec<f64>], y: &[f64]) -> bool {
         (self.support.iter().zip(directions)).all(|([lo, hi], d)| {

@@ -5,7 +5,7 @@
 //! `dH/dp = f` at the minimizing control (the step of policy iteration). Places without points take part in a fit by this
 //! equation, and every piece is judged by its residual at places spread over it.
 
-use super::super::fit::{Along, Shape};
+use super::super::fit::Along;
 use super::super::{MOST_VARIABLES, Piece};
 use super::{BEYOND_OF_SEVERAL, Builder};
 use crate::backend::cpu::Evaluator;
@@ -103,9 +103,18 @@ impl Flow {
     }
 }
 
+/// What the equation says of a piece.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Residual {
+    /// Relative to V.
+    pub largest: f64,
+    /// Whether it comes to another branch of its function of V, where it says nothing.
+    pub off_branch: bool,
+}
+
 impl Builder<'_> {
-    /// Places spread over a piece where it says something, in its variables; `turn` makes others. The least of the cell's pieces
-    /// counts.
+    /// Places spread over a piece, in its variables, where it says the least of the cell's pieces, or comes to another branch of its
+    /// function of V; `turn` makes others.
     pub(super) fn places(
         &self,
         piece: &Piece,
@@ -127,10 +136,12 @@ impl Builder<'_> {
                 })
             })
             .filter(|y: &[f64; MOST_VARIABLES]| {
-                let z: Vec<f64> = (0..n).map(|i| piece.center[i] + piece.half[i] * y[i]).collect();
-                piece.supports(&self.directions, &y[..n])
-                    && self.region.covers(&self.frame.state(&z))
-                    && piece.value(&self.terms, &y[..n]).0 <= self.least_of(others, &z).min(self.region.value_max)
+                let z = piece.coordinates(&y[..n]);
+                let above = || {
+                    let said = piece.value(&self.terms, &y[..n]).0;
+                    said > self.region.value_max || said > self.least_of(others, &z)
+                };
+                piece.supports(&self.directions, &y[..n]) && self.region.covers(&self.frame.state(&z)) && !above()
             })
             .take(count)
             .collect()
@@ -160,7 +171,7 @@ impl Builder<'_> {
         let (mut x, mut p) = (Vec::new(), Vec::new());
         let mut said = Vec::new();
         for y in places {
-            let z: Vec<f64> = (0..n).map(|i| piece.center[i] + piece.half[i] * y[i]).collect();
+            let z = piece.coordinates(&y[..n]);
             let (value, q) = piece.value(&self.terms, &y[..n]);
             let mut own = vec![0.0; n];
             self.frame.gradient(&z, &q[..n], &mut own);
@@ -183,24 +194,19 @@ impl Builder<'_> {
                     said: along,
                     v: value,
                 };
-                let serves = value > 0.0 || piece.shape == Shape::Value;
-                (serves && speed > 0.0 && one.slope.is_finite() && along.is_finite()).then_some(one)
+                (speed > 0.0 && one.slope.is_finite() && along.is_finite()).then_some(one)
             })
             .collect()
     }
 
     /// The largest residual of the equation at places of a piece: by how much V errs, relative to itself, on the way of one half
     /// width along the flow. 0 where nothing is known of it.
-    pub(super) fn residual(&self, piece: &Piece, others: &[Piece], turn: f64) -> f64 {
-        let Some(flow) = self.flow else { return 0.0 };
-        let places = self.places(piece, others, (PLACES, turn));
-        // Beyond a pole or a root V comes back with the other sign.
-        let comes_back = |y: &[f64; MOST_VARIABLES]| {
-            piece.shape != Shape::Value && piece.value(&self.terms, &y[..self.cloud.variables]).0 <= 0.0
+    pub(super) fn residual(&self, piece: &Piece, others: &[Piece], turn: f64) -> Residual {
+        let Some(flow) = self.flow else {
+            return Residual::default();
         };
-        if places.iter().any(comes_back) {
-            return f64::INFINITY;
-        }
+        let n = self.cloud.variables;
+        let places = self.places(piece, others, (PLACES, turn));
         let mut least = vec![f64::INFINITY; places.len()];
         for moved in &flow.moves {
             for (least, along) in least.iter_mut().zip(self.along(piece, &places, flow, moved)) {
@@ -209,36 +215,46 @@ impl Builder<'_> {
                 *least = off.min(*least);
             }
         }
-        least.into_iter().filter(|r| r.is_finite()).fold(0.0, f64::max)
+        Residual {
+            largest: least.into_iter().filter(|r| r.is_finite()).fold(0.0, f64::max),
+            off_branch: (places.iter()).any(|y| piece.value(&self.terms, &y[..n]).0.is_nan()),
+        }
     }
 
-    /// What the bound of a piece is at least, by its residual where it says the least of the cell's pieces.
-    fn bound_by_equation(&self, piece: &Piece, others: &[Piece]) -> f64 {
+    /// What the bounds of a cell's pieces are at least, by the equation where each says the least of them.
+    pub(super) fn bounds_by_equation(&self, pieces: &[Piece]) -> Vec<Residual> {
+        (0..pieces.len())
+            .map(|k| self.bound_by_equation(&pieces[k], &[&pieces[..k], &pieces[k + 1..]].concat()))
+            .collect()
+    }
+
+    fn bound_by_equation(&self, piece: &Piece, others: &[Piece]) -> Residual {
         let share = if self.cloud.variables <= 2 {
             SHARE_IN_PLANE
         } else {
             SHARE
         };
-        share * self.residual(piece, others, 0.0)
+        let residual = self.residual(piece, others, 0.0);
+        Residual {
+            largest: share * residual.largest,
+            ..residual
+        }
     }
 
     /// Whether the equation says that a cell's pieces err by more than is good enough, and than their bounds.
-    pub(super) fn is_contradicted(&self, pieces: &[Piece]) -> bool {
+    pub(super) fn is_contradicted(&self, pieces: &[Piece], bounds: &[Residual]) -> bool {
         let enough = self.habits.enough * self.region.error;
-        (0..pieces.len()).any(|k| {
-            let others: Vec<Piece> = [&pieces[..k], &pieces[k + 1..]].concat();
-            self.bound_by_equation(&pieces[k], &others) > pieces[k].bound.max(enough)
-        })
+        (pieces.iter().zip(bounds)).any(|(piece, by)| by.off_branch || by.largest > piece.bound.max(enough))
     }
 
     /// Raises the bound of a piece to what the equation shows. One that goes on without points may say too much there: it first keeps
     /// closer to them.
-    pub(super) fn judge(&self, piece: &mut Piece, others: &[Piece], (points, beyond): (&[u32], f64)) {
-        let mut bound = self.bound_by_equation(piece, others);
-        if bound > piece.bound.max(FAR_OFF * self.region.error) {
+    pub(super) fn judge(&self, piece: &mut Piece, mut by: Residual, others: &[Piece], (points, beyond): (&[u32], f64)) {
+        if by.off_branch || by.largest > piece.bound.max(FAR_OFF * self.region.error) {
             piece.support = self.enclosed(piece, points, beyond.min(BEYOND_OF_SEVERAL));
-            bound = self.bound_by_equation(piece, others);
+            by = self.bound_by_equation(piece, others);
         }
+        let bound = by.largest;
         if bound > piece.bound {
             // Of a polynomial that meets its points exactly nothing is known of p's errors.
             piece.p_bound = piece.p_bound.max(bound) * (bound / piece.bound.max(0.01 * bound));

@@ -375,7 +375,8 @@ impl<'c> Builder<'c> {
         };
         let (piece, _) = self.of_group(&block, &points, false)?;
         let mut piece = self.finished(piece, own, &block, self.region.beyond);
-        self.judge(&mut piece, &[], (own, self.region.beyond));
+        let by = self.bounds_by_equation(std::slice::from_ref(&piece))[0];
+        self.judge(&mut piece, by, &[], (own, self.region.beyond));
         let before = made.pieces.pieces[made.pieces.cells[cell].pieces.start].bound;
         (piece.bound <= before.max(self.region.error)).then_some(piece)
     }
@@ -471,7 +472,8 @@ impl<'c> Builder<'c> {
             .map(|(piece, points)| self.finished(piece.clone(), points, &block, beyond))
             .collect();
         // Halves ask for states of their own where the equation is not met; what cannot be halved keeps to its points there.
-        if dense && self.without.is_none() && self.is_contradicted(&pieces) {
+        let by = self.bounds_by_equation(&pieces);
+        if dense && self.without.is_none() && self.is_contradicted(&pieces, &by) {
             let axis = self.axis(&block, &own);
             if !self.is_finest(&block, axis) {
                 return self.split(block, axis, [None; 2]);
@@ -479,7 +481,7 @@ impl<'c> Builder<'c> {
         }
         for k in 0..pieces.len() {
             let mut piece = pieces.remove(k);
-            self.judge(&mut piece, &pieces, (&own[k].1, beyond));
+            self.judge(&mut piece, by[k], &pieces, (&own[k].1, beyond));
             pieces.insert(k, piece);
         }
         let of_bounds = pieces

@@ -1,6 +1,7 @@
 //! Fits of one sheet in three variables and more: each track is left out in turn, which one factorization tells.
 
 use super::super::fit::{Shape, Tested, most_of_group};
+use super::flow::Residual;
 use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist, thinned};
 
 /// Points beside those fitted to that test a fit, at most.
@@ -91,7 +92,8 @@ impl Builder<'_> {
         }
         let (shape, mut fit) = best?;
         if !hopeless {
-            self.fit_along(block, &mine, (can_be_halved, good), (shape, &mut fit));
+            let extent = (center.clone(), half.clone());
+            self.fit_along(extent, (&mine, &inside), (can_be_halved, good), (shape, &mut fit));
             // Points that it was not fitted to.
             let beside: Vec<u32> = thinned(points, MOST_TESTS).into_iter().filter(inside).collect();
             let degree = self.degree_of(&fit.coefficients);
@@ -111,19 +113,21 @@ impl Builder<'_> {
     /// far from it; takes the new fit if it errs less and solves the equation better.
     fn fit_along(
         &self,
-        block: &Block,
-        points: &[u32],
+        (center, half): (Vec<f64>, Vec<f64>),
+        (points, inside): (&[u32], &impl Fn(&u32) -> bool),
         (can_be_halved, good): (bool, f64),
         (shape, fit): (Shape, &mut Tested),
     ) {
         let Some(flow) = self.flow.filter(|flow| flow.repeats()) else {
             return;
         };
-        let (center, half) = self.extent(block);
         let degree = self.degree_of(&fit.coefficients).max(LOW);
         let fitted = (shape, fit.coefficients.clone());
         let (mut piece, _) = self.piece((center.clone(), half.clone()), fitted, None, &[]);
-        let residual = |piece: &Piece| self.residual(piece, &[], CHOSEN_BY);
+        let residual = |piece: &Piece| match self.residual(piece, &[], CHOSEN_BY) {
+            Residual { off_branch: true, .. } => f64::INFINITY,
+            residual => residual.largest,
+        };
         let mut score = fit.errors[0].max(RESIDUAL * residual(&piece));
         if score <= good || (can_be_halved && score > NEARLY_GOOD * good) {
             return;
@@ -131,10 +135,6 @@ impl Builder<'_> {
         let places = self.places(&piece, &[], (self.terms.upto[degree], FITTED_TO));
         let along = self.along(&piece, &places, flow, &[]).into_iter().flatten().collect();
         let data = self.data(&center, &half, points, degree).with(along);
-        let inside = |k: &u32| {
-            let z = self.cloud.z(*k as usize);
-            (0..center.len()).all(|i| (z[i] - center[i]).abs() <= half[i])
-        };
         for tested in data.tested(shape, degree, (DEGREES, good), |k| inside(&points[k])) {
             piece.coefficients.clone_from(&tested.coefficients);
             let own = tested.errors[0].max(RESIDUAL * residual(&piece));
