@@ -95,15 +95,18 @@ const SINGLE: [f64; 3] = [1e-5, 1e-4, 1e-4];
 
 /// In both precisions, optimized and not, at states in and around the region.
 fn headers_agree(name: &str, map: &str, more: f64) -> [usize; 3] {
-    let directory = scratch(name);
-    let stored = exported(&directory, name, map);
+    headers_agree_in(&scratch(name), name, map, more)
+}
+
+fn headers_agree_in(directory: &Path, name: &str, map: &str, more: f64) -> [usize; 3] {
+    let stored = exported(directory, name, map);
     let sizes = [stored.scene.model.states.len(), stored.scene.model.controls.len()];
     let states = places(&stored.scene.model, more, 1500);
-    let (double, off) = compare(&stored, &states, &ask(&directory, "map", sizes, &["-O2"], &states));
+    let (double, off) = compare(&stored, &states, &ask(directory, "map", sizes, &["-O2"], &states));
     println!("{name}: known, unknown, differing {double:?}; off {off:?}");
     assert_eq!(double[2], 0);
     assert!((0..3).all(|i| off[i] <= DOUBLE[i]), "{off:?}");
-    let single = ask(&directory, "map", sizes, &["-DCOSTATE_FLOAT"], &states);
+    let single = ask(directory, "map", sizes, &["-DCOSTATE_FLOAT"], &states);
     let (counts, off) = compare(&stored, &states, &single);
     println!("{name} in single precision: {counts:?}; off {off:?}");
     // Rounded states may lie on the other side of a boundary.
@@ -147,6 +150,14 @@ fn a_periodic_map_is_its_header() {
 #[test]
 fn a_game_s_map_is_its_header() {
     let [known, unknown, _] = headers_agree("folding_game", "[map]\nerror = 1e-3\ncheck = 1", 0.0);
+    assert!(known > 800 && unknown > 100, "{known} {unknown}");
+}
+
+/// A guard excludes states of the region, by more than rounding.
+#[test]
+fn a_guarded_map_is_its_header() {
+    let map = "[guards]\nwall = \"x + y < 1.2\"\n[map]\nerror = 1e-4\nfloor = 1e-3\ncheck = 1";
+    let [known, unknown, _] = headers_agree_in(&scratch("guarded"), "manufactured", map, 0.0);
     assert!(known > 800 && unknown > 100, "{known} {unknown}");
 }
 

@@ -77,6 +77,8 @@ struct Work<'a, 'p> {
     /// Track point and turns by periods that each point of the cloud comes from.
     origins: Vec<(u32, Vec<f64>)>,
     failures: HashMap<Vec<u64>, u32>,
+    /// States (absolute, with their times) at which a search found no solution, and whether one was found that leaves a guard.
+    unanswered: Vec<(Vec<f64>, bool)>,
     random: u64,
     states: usize,
     failed: usize,
@@ -142,6 +144,7 @@ pub fn adaptive(
         frame: Frame::along(&region),
         origins: Vec::new(),
         failures: HashMap::new(),
+        unanswered: Vec::new(),
         random: 0x5eed,
         states: 0,
         failed: 0,
@@ -165,8 +168,13 @@ impl Work<'_, '_> {
         for attempt in 0..CHECKS {
             (check, met) = self.checked(&judged.pieces)?;
             let wrong = Self::wrong(&check);
-            if wrong.is_empty() || attempt + 1 == CHECKS || self.is_spent(1.0) {
+            let unfounded = Self::unfounded(&check);
+            if (wrong.is_empty() && unfounded.is_empty()) || attempt + 1 == CHECKS || self.is_spent(1.0) {
                 break;
+            }
+            let unfounded: Vec<_> = unfounded.iter().map(|c| (c.x.clone(), c.status)).collect();
+            for (x, status) in unfounded {
+                self.note(&x, status);
             }
             let more = self.searched_around(&wrong, &judged.pieces, &region)?;
             let pieces = self.refined(&region, more)?;

@@ -2,7 +2,7 @@
 
 use super::pieces::{Here, Said};
 use super::swift::{Answer, Room, turns_into};
-use super::{At, Coverage, Value, ValueMap, of_states};
+use super::{At, Coverage, GUARD_ROUNDING, Value, ValueMap, of_states};
 use crate::model::MAP_ERROR_MAX;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -98,7 +98,6 @@ impl ValueMap {
     /// Whether a guard excludes each of some states (absolute), by more than rounding: pieces are smooth and say something there
     /// too. `None` where the scene has no guard of the state alone.
     pub(super) fn excluded(&self, x: &[f64]) -> Option<Vec<bool>> {
-        const ROUNDING: f64 = 1e-12;
         let guards = self.guards.as_ref()?;
         let n = self.states();
         let reference = &self.plan.system.reference;
@@ -107,7 +106,7 @@ impl ValueMap {
         let own = (margins.len() * n / s.len().max(1)).max(1);
         let excluded = (s.chunks_exact(n).zip(margins.chunks_exact(own))).map(|(s, margins)| {
             let size = (reference.iter().zip(s)).fold(1.0f64, |a, (r, s)| a.max(r.abs() + s.abs()));
-            margins.iter().any(|g| *g < -ROUNDING * size)
+            margins.iter().any(|g| *g < -GUARD_ROUNDING * size)
         });
         Some(excluded.collect())
     }

@@ -187,6 +187,8 @@ const OF_SIZE: f64 = 0.02;
 const SAME: f64 = 1e-12;
 /// Of a game p counts as a solution of H = 0 where H is at most this share of its terms.
 pub(crate) const ISAACS_RESIDUAL: f64 = 3e-3;
+/// A guard's margin below 0 by this share of the state's size is rounding.
+pub(crate) const GUARD_ROUNDING: f64 = 1e-12;
 /// Most windings to either side.
 const MOST_WINDINGS: i32 = 3;
 
@@ -374,6 +376,12 @@ impl ValueMap {
 
     /// All sheets by rising V.
     fn ranked(&self, x: &[f64], t: f64) -> At {
+        if self.pieces.is_some() && self.excluded(x).is_some_and(|excluded| excluded[0]) {
+            return At {
+                lowest: Err(Unknown::Guard),
+                others: Vec::new(),
+            };
+        }
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
         if let Some(value) = self.near_equilibrium(&s) {
             return At {
@@ -426,16 +434,9 @@ impl ValueMap {
         let pieces = self.pieces.as_ref().filter(|_| t == 0.0 || self.time.is_some())?;
         let (mut x, winding) = self.wound(pieces, x);
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
-        let excluded = self.excluded(&x).is_some_and(|excluded| excluded[0]);
         x.extend(self.time.map(|_| t));
         let asked = pieces.covers(&x);
         let pieces = if asked { pieces } else { self.beyond.as_ref()? };
-        if excluded {
-            return Some(At {
-                lowest: Err(Unknown::Guard),
-                others: Vec::new(),
-            });
-        }
         let mut values = (pieces.sheets(&x).into_iter())
             .filter(|said| self.solves_isaacs(&s, &said.p))
             .map(|said| self.value_in_pieces(pieces, &x, &winding, said))

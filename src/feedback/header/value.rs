@@ -2,10 +2,11 @@
 //! [`Pieces::sheets`] and [`LocalPolynomial::at`] in C (`pieces.c`, `local.c`, `sum.c` beside this file).
 
 use super::syntax::{self, Syntax, comment, fingerprint, real_text};
+use crate::expr::Id;
 use crate::hamiltonian::System;
 use crate::local::LocalPolynomial;
-use crate::map::ISAACS_RESIDUAL;
 use crate::map::pieces::{BLEND, Node, Pieces, SAME, Terms};
+use crate::map::{GUARD_ROUNDING, ISAACS_RESIDUAL};
 use crate::model::Model;
 
 const SUM: &str = include_str!("sum.c");
@@ -337,6 +338,7 @@ impl Writer<'_> {
             text += &filled(LOCAL);
         }
         if self.known.pieces().is_some() {
+            text += &self.allowed();
             text += &self.solves();
             text += &format!(
                 "\n/* State i moved into the region by whole periods, where it has one. */\n\
@@ -350,6 +352,9 @@ impl Writer<'_> {
             "\n/* V, p and the deviation s from the reference that they are of. */\n\
              static inline int {name}_at(const {real} *x, {real} *V, {real} *p, {real} *s)\n{{\n"
         );
+        if self.guarded() {
+            text += &format!("    if (!{name}_allowed(x)) return 0;\n");
+        }
         if self.known.local().is_some() {
             let near = format!("{name}_near(s, V, p)");
             text += &format!(
@@ -394,6 +399,39 @@ impl Writer<'_> {
         let (s, p) = self.system.inputs.split_at(self.system.states);
         self.c
             .straight(&self.system.graph, &[(s, "s"), (p, "p")], roots, target)
+    }
+
+    /// The scene's guards that depend on the state alone.
+    fn guards(&self) -> Vec<Id> {
+        let System {
+            graph, inputs, states, ..
+        } = self.system;
+        let of_state = |expr: &Id| !inputs[*states..].iter().any(|p| graph.depends_on(&[*expr], *p));
+        (self.system.guards.iter().map(|g| g.expr)).filter(of_state).collect()
+    }
+
+    fn guarded(&self) -> bool {
+        self.known.pieces().is_some() && !self.guards().is_empty()
+    }
+
+    /// Whether no guard excludes a state by more than rounding.
+    fn allowed(&self) -> String {
+        if !self.guarded() {
+            return String::new();
+        }
+        let Syntax { name, real, function } = self.c;
+        let (n, guards) = (self.system.states, self.guards());
+        let count = guards.len();
+        format!(
+            "\n/* Whether no guard excludes x by more than rounding. */\n\
+             static inline int {name}_allowed(const {real} *x)\n{{\n    {real} s[{n}], g[{count}], size = 1;\n    int i;\n    \
+             for (i = 0; i < {n}; i++) {{\n        s[i] = x[i] - {name}_reference[i];\n        \
+             if ({function}(fabs)(s[i]) + {function}(fabs)({name}_reference[i]) > size)\n            \
+             size = {function}(fabs)(s[i]) + {function}(fabs)({name}_reference[i]);\n    }}\n\
+             {}    for (i = 0; i < {count}; i++)\n        \
+             if (g[i] < -size * ({real})(sizeof({real}) < sizeof(double) ? 1e-6 : {GUARD_ROUNDING:e})) return 0;\n    return 1;\n}}\n",
+            self.straight(&guards, "g")
+        )
     }
 
     /// Of a game whether p solves H = 0, as the value map asks; else always.

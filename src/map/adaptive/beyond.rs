@@ -144,7 +144,7 @@ impl Work<'_, '_> {
             beyond: false,
             ..self.wish(region.floor)
         };
-        let points = track_points(self.plan, self.solver, &tracks, 0, &self.in_any_period(&wish))?;
+        let points = track_points(self.plan, self.solver, &tracks, 0, &self.in_any_period(&wish, &tracks))?;
         let n = self.plan.system.states;
         let mut met = Vec::new();
         for k in 0..points.len() {

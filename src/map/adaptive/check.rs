@@ -87,6 +87,12 @@ pub(super) fn mixed(mut z: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
+/// Whether a state has no solution, as far as a search tells; one that a guard itself excludes is not asked about.
+fn is_without_solution(status: PointStatus) -> bool {
+    use PointStatus::{Fold, Horizon, LeavesGuard, NoGuess, NotFinite, NotReached};
+    matches!(status, Fold | Horizon | LeavesGuard | NoGuess | NotFinite | NotReached)
+}
+
 impl Work<'_, '_> {
     /// Pieces without those that are too uncertain; judged by many states, since cells reach over the region's faces.
     pub(super) fn judged(&self, pieces: Pieces) -> Judged {
@@ -125,6 +131,22 @@ impl Work<'_, '_> {
             .collect();
         let enough = wrong.len() as f64 <= ABOVE_BOUND * check.len() as f64;
         if enough { Vec::new() } else { wrong }
+    }
+
+    /// Fresh states without a solution of which the map says a value; none where they are few enough.
+    pub(super) fn unfounded(check: &[Checked]) -> Vec<&Checked> {
+        let unfounded: Vec<&Checked> = (check.iter())
+            .filter(|c| is_without_solution(c.status) && c.said.is_finite())
+            .collect();
+        let enough = unfounded.len() as f64 <= ABOVE_BOUND * check.len() as f64;
+        if enough { Vec::new() } else { unfounded }
+    }
+
+    /// Notes a state (absolute) if a search found no solution there.
+    pub(super) fn note(&mut self, x: &[f64], status: PointStatus) {
+        if is_without_solution(status) && !self.plan.game {
+            self.unanswered.push((x.to_vec(), status == PointStatus::LeavesGuard));
+        }
     }
 
     /// Searches for states in the cells that said too little of their errors; what more is wanted in these.

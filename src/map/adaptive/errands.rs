@@ -5,7 +5,7 @@ use super::{NEAR, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Region, Want};
 use crate::shooting::Path;
-use crate::value::{Track, path_from, solve_near};
+use crate::value::{PointStatus, Track, path_from, solve_near};
 
 /// States asked for in a cell at once: this many times a power of its error over the one asked for, and the most.
 const A_CELL: f64 = 3.0;
@@ -110,6 +110,12 @@ impl Work<'_, '_> {
             }
             let Some((path, value)) = found else {
                 self.failed += 1;
+                // Near a guard's shadow there is nothing to be found; elsewhere the way may only have been a bad one.
+                if !self.plan.system.guards.is_empty() {
+                    let shift = &self.origins[errand.from as usize].1;
+                    let x: Vec<f64> = errand.x.iter().zip(shift).map(|(x, s)| x + s).collect();
+                    self.note(&x, PointStatus::NotReached);
+                }
                 continue;
             };
             self.states += 1;

@@ -61,17 +61,40 @@ impl Work<'_, '_> {
     pub(super) fn add(&mut self, tracks: Vec<Track>, floor: f64) -> Result<(), BackendError> {
         let wish = self.wish(floor);
         let first = self.tracks.len() as u32;
-        let found = track_points(self.plan, self.solver, &tracks, first, &self.in_any_period(&wish))?;
+        let found = track_points(
+            self.plan,
+            self.solver,
+            &tracks,
+            first,
+            &self.in_any_period(&wish, &tracks),
+        )?;
         self.keep(tracks, found, (&wish.bounds, &wish.around));
         Ok(())
     }
 
-    /// Of a state with a period any number of periods away will do.
-    pub(super) fn in_any_period(&self, wish: &Wish) -> Wish {
+    /// Of a state with a period any number of periods away will do; where the cost tells whole periods apart, as far away as
+    /// tracks begin: further out is no least V.
+    pub(super) fn in_any_period(&self, wish: &Wish, tracks: &[Track]) -> Wish {
+        let turns = |i: usize, [lo, hi]: [f64; 2], period: f64| {
+            let begin = self.tracks.iter().chain(tracks).map(|track| track.path.node(0)[i]);
+            begin.fold([0.0f64; 2], |[least, most], s| {
+                let (first, last) = (((lo - s) / period).ceil(), ((hi - s) / period).floor());
+                // Of several the one that moves it least.
+                let turns = if first > last { 0.0 } else { 0.0f64.clamp(first, last) };
+                [least.min(turns), most.max(turns)]
+            })
+        };
         let wide = |bounds: &[[f64; 2]]| -> Vec<[f64; 2]> {
-            let each = bounds.iter().zip(&self.plan.periods);
-            each.map(|(b, period)| period.map_or(*b, |_| [f64::NEG_INFINITY, f64::INFINITY]))
-                .collect()
+            let each = bounds.iter().enumerate();
+            each.map(|(i, b)| match (self.plan.periods[i], self.plan.recurrent[i]) {
+                (None, _) => *b,
+                (Some(_), Some(_)) => [f64::NEG_INFINITY, f64::INFINITY],
+                (Some(period), None) => {
+                    let [least, most] = turns(i, *b, period);
+                    [b[0] - most * period, b[1] - least * period]
+                }
+            })
+            .collect()
         };
         Wish {
             bounds: wide(&wish.bounds),

@@ -3,7 +3,7 @@
 use super::check::mixed;
 use super::{BETTER, Work};
 use crate::backend::BackendError;
-use crate::map::pieces::{Before, Frame, Pieces, Region, Steep, Want, build};
+use crate::map::pieces::{Before, Frame, Pieces, Region, Steep, Unanswered, Want, build};
 use std::collections::HashMap;
 use std::time::Instant;
 
@@ -32,6 +32,7 @@ impl Work<'_, '_> {
                 pieces,
                 points: *points,
             });
+            self.cloud.unanswered = self.unanswered_places();
             let (pieces, wants) = build(&self.cloud, region, &self.frame, self.flow.as_ref(), old);
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
@@ -61,6 +62,19 @@ impl Work<'_, '_> {
             (self.progress)(&said, self.states, self.states + wants.len());
             before = Some((pieces, known));
         }
+    }
+
+    /// States without a solution, in coordinates of the frame.
+    fn unanswered_places(&self) -> Unanswered {
+        let n = self.cloud.variables;
+        let mut places = Unanswered {
+            z: vec![0.0; n * self.unanswered.len()],
+            leaves_guard: self.unanswered.iter().map(|(_, leaves)| *leaves).collect(),
+        };
+        for (z, (x, _)) in places.z.chunks_exact_mut(n).zip(&self.unanswered) {
+            self.frame.of(x, z);
+        }
+        places
     }
 
     /// Turns the frame to where V is steep, relative to itself, if that is in one direction; whether it was turned.

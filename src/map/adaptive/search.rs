@@ -14,7 +14,8 @@ impl Work<'_, '_> {
         let half = vec![half; self.cloud.variables];
         let mut given = vec![f64::NAN; states.len() / self.cloud.variables];
         let mut tracks = Vec::new();
-        for (numbers, answers) in self.solve(states, self.axis.is_some())? {
+        let v = self.cloud.variables;
+        for (numbers, answers) in self.solve(states.clone(), self.axis.is_some())? {
             let (values, mut found, others) = self.taken(&answers, &half);
             if let Some(axis) = &mut self.axis {
                 found = axis.unfolded(found, &others)?;
@@ -22,6 +23,9 @@ impl Work<'_, '_> {
             tracks.extend(found);
             for (number, target) in numbers.into_iter().zip(&answers.targets.of_given) {
                 given[number] = values[*target];
+                if values[*target].is_nan() {
+                    self.note(&states[number * v..][..v], answers.status(*target));
+                }
             }
         }
         Ok((tracks, given))

@@ -16,7 +16,7 @@ mod least_squares;
 mod rounding;
 mod terms;
 
-pub use build::{Before, Cloud, Flow, Want, build, build_around};
+pub use build::{Before, Cloud, Flow, Unanswered, Want, build, build_around};
 pub use fit::Shape;
 pub use flat::{Desk, Flat, Here, LANES};
 pub use frame::{Bend, Frame, Steep};

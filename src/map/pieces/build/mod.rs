@@ -90,6 +90,16 @@ pub struct Cloud {
     pub sheet: Vec<i32>,
     /// Whether some states have several answers: else labels of sheets tell nothing.
     pub several: bool,
+    pub unanswered: Unanswered,
+}
+
+/// Places at which a search found no solution.
+#[derive(Clone, Debug, Default)]
+pub struct Unanswered {
+    /// `[place][variable]`, in coordinates of the frame.
+    pub z: Vec<f64>,
+    /// Whether the solution was found, but leaves a guard on its way: else it may only have been missed.
+    pub leaves_guard: Vec<bool>,
 }
 
 impl Cloud {
@@ -150,6 +160,8 @@ struct Block {
     points: Vec<u32>,
     /// How many of them are no further away than is usual.
     near: usize,
+    /// Places in it at which a search found no solution.
+    unanswered: Vec<u32>,
 }
 
 struct Builder<'c> {
@@ -299,6 +311,7 @@ impl<'c> Builder<'c> {
             hi: vec![1.0; n],
             points: (0..self.cloud.len() as u32).collect(),
             near: self.cloud.len(),
+            unanswered: (0..self.cloud.unanswered.leaves_guard.len() as u32).collect(),
         };
         let mut made = self.nothing();
         made.plant(self.grow(whole, self.before.as_ref().map(|_| 0)));
@@ -372,6 +385,7 @@ impl<'c> Builder<'c> {
             hi: want.hi.clone(),
             points: Vec::new(),
             near: want.near,
+            unanswered: Vec::new(),
         };
         let (piece, _) = self.of_group(&block, &points, false)?;
         let mut piece = self.finished(piece, own, &block, self.region.beyond);
@@ -426,6 +440,7 @@ impl<'c> Builder<'c> {
             hi: want.hi.clone(),
             points: want.points.clone(),
             near: want.near,
+            unanswered: self.unanswered_in(&want.lo, &want.hi),
         };
         let own = made.pieces.pieces[made.pieces.cells[cell].pieces.clone()].iter();
         let own: Vec<_> = own.map(|piece| (piece.clone(), block.points.clone())).collect();
@@ -473,7 +488,9 @@ impl<'c> Builder<'c> {
             .collect();
         // Halves ask for states of their own where the equation is not met; what cannot be halved keeps to its points there.
         let by = self.bounds_by_equation(&pieces);
-        if dense && self.without.is_none() && self.is_contradicted(&pieces, &by) {
+        let unfounded = |this: &Self, pieces: &[Piece]| !this.without_answer(&block, pieces).is_empty();
+        let is_wrong = || self.is_contradicted(&pieces, &by) || unfounded(self, &pieces);
+        if dense && self.without.is_none() && is_wrong() {
             let axis = self.axis(&block, &own);
             if !self.is_finest(&block, axis) {
                 return self.split(block, axis, [None; 2]);
@@ -483,6 +500,14 @@ impl<'c> Builder<'c> {
             let mut piece = pieces.remove(k);
             self.judge(&mut piece, by[k], &pieces, (&own[k].1, beyond));
             pieces.insert(k, piece);
+        }
+        if unfounded(self, &pieces) {
+            for (piece, (_, points)) in pieces.iter_mut().zip(&own) {
+                piece.support = self.enclosed(piece, points, 0.0);
+            }
+            if unfounded(self, &pieces) {
+                pieces.clear();
+            }
         }
         let of_bounds = pieces
             .iter()
@@ -535,7 +560,16 @@ impl<'c> Builder<'c> {
                 }
                 points = within(reach);
             }
-            Block { points, lo, hi, near }
+            let unanswered = (block.unanswered.iter().copied())
+                .filter(|k| self.cloud.unanswered.lies_in(*k, &lo, &hi))
+                .collect();
+            Block {
+                points,
+                lo,
+                hi,
+                near,
+                unanswered,
+            }
         };
         let (below, above) = (half(false), half(true));
         drop(block.points);
@@ -574,7 +608,7 @@ impl<'c> Builder<'c> {
             })
         };
         let fresh = block.points.iter().map(|k| *k as usize).filter(|k| *k >= before.points);
-        if !{ fresh }.all(agrees) {
+        if !{ fresh }.all(agrees) || !self.without_answer(block, own).is_empty() {
             return None;
         }
         let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);

@@ -1,6 +1,20 @@
 //! Where points are and where they are missing.
 
-use super::{BESIDE, Block, Builder, Piece, REACH};
+use super::{BESIDE, Block, Builder, Piece, REACH, Unanswered};
+use std::collections::HashSet;
+
+/// Without a solution a place counts if no point is nearer than this share of the usual distance between tracks.
+const NO_POINT_WITHIN: f64 = 1.5;
+/// The same where the solution is known to leave a guard.
+const NO_POINT_WITHIN_OF_CUT: f64 = 0.25;
+
+impl Unanswered {
+    /// Whether a place lies in a box.
+    pub(super) fn lies_in(&self, k: u32, lo: &[f64], hi: &[f64]) -> bool {
+        let n = lo.len();
+        (self.z[k as usize * n..][..n].iter().zip(lo.iter().zip(hi))).all(|(z, (lo, hi))| z >= lo && z <= hi)
+    }
+}
 
 impl Builder<'_> {
     /// The axis along which a block is halved.
@@ -67,6 +81,45 @@ impl Builder<'_> {
                 [lo - beyond, hi + beyond]
             })
             .collect()
+    }
+
+    pub(super) fn unanswered_in(&self, lo: &[f64], hi: &[f64]) -> Vec<u32> {
+        let all = 0..self.cloud.unanswered.leaves_guard.len() as u32;
+        all.filter(|k| self.cloud.unanswered.lies_in(*k, lo, hi)).collect()
+    }
+
+    /// Places of a block at which pieces say something although a search found no solution: no point is near them. One that was
+    /// only missed lies among the tracks of others.
+    pub(super) fn without_answer(&self, block: &Block, pieces: &[Piece]) -> Vec<u32> {
+        let n = self.cloud.variables;
+        let places = &self.cloud.unanswered;
+        let z = |k: u32| &places.z[k as usize * n..][..n];
+        let is_said = |k: u32| {
+            pieces.iter().any(|piece| {
+                let y = piece.place(z(k));
+                piece.supports(&self.directions, &y[..n])
+                    && piece.value(&self.terms, &y[..n]).0 <= self.region.value_max
+            })
+        };
+        let said: Vec<u32> = block.unanswered.iter().copied().filter(|k| is_said(*k)).collect();
+        if said.is_empty() {
+            return said;
+        }
+        let tracks: HashSet<u32> = block.points.iter().map(|k| self.cloud.track[*k as usize]).collect();
+        // Of so many tracks spread over the block, in its widths.
+        let usual = (tracks.len() as f64).powf(-1.0 / n as f64);
+        let is_alone = |k: &u32| {
+            let share = match places.leaves_guard[*k as usize] {
+                true => NO_POINT_WITHIN_OF_CUT,
+                false => NO_POINT_WITHIN,
+            };
+            let near = |point: &u32| {
+                let at = self.cloud.z(*point as usize);
+                (0..n).all(|i| (at[i] - z(*k)[i]).abs() <= share * usual * (block.hi[i] - block.lo[i]))
+            };
+            !block.points.iter().any(near)
+        };
+        said.into_iter().filter(is_alone).collect()
     }
 
     /// Places of a block that no point is near to: where few variables allow high degrees, between its corners too.
