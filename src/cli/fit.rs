@@ -18,7 +18,7 @@ use std::sync::Mutex;
 pub(super) enum FitCommandError {
     #[error("{path} asks for no law: it has no [feedback] (or take one from another scenario with --scene)", path = path.display())]
     NoFeedback { path: PathBuf },
-    #[error("{path} holds neither trajectories nor solved states to fit a law to", path = path.display())]
+    #[error("{path} holds neither trajectories, solved states nor a map to an error to fit a law to", path = path.display())]
     NoData { path: PathBuf },
 }
 
@@ -58,11 +58,22 @@ pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Who knows which samples are optimal: the value map, where solutions of several sheets may be in the file. Where it has
-/// no objection, neighbouring samples decide.
+/// States of a map to an error that are looked at for each sample wanted: conditions leave some out.
+const LOOKED_AT: usize = 8;
+/// The most of them.
+const MOST_LOOKED_AT: usize = 1 << 20;
+
+/// Who knows which samples are optimal: the value map, where solutions of several sheets may be in the file, or samples are the
+/// map's own. Where it has no objection, neighbouring samples decide.
 fn judge(stored: &Stored) -> Option<ValueMap> {
     let periodic = stored.scene.model.states.iter().any(|s| s.period.is_some());
-    (periodic || stored.has("points_sheets")).then(|| stored.value_map().ok())?
+    let asked = periodic || stored.has("points_sheets") || is_mapped(stored);
+    asked.then(|| stored.value_map().ok())?
+}
+
+/// Whether a file has a map to an error to draw samples from; on a finite horizon laws are fitted along trajectories.
+fn is_mapped(stored: &Stored) -> bool {
+    stored.has("map_pieces") && stored.scene.model.final_time().is_none()
 }
 
 /// Where the laws' files go, and what their names begin with.
@@ -91,7 +102,7 @@ pub(super) fn fit_laws(
 ) -> Result<Done, CliError> {
     let sizes = (stored.scene.model.states.len(), stored.scene.model.controls.len());
     let samples = Samples::new(sizes, stored.trajectories()?.as_ref(), stored.points()?.as_ref());
-    if samples.is_empty() {
+    if samples.is_empty() && !is_mapped(stored) {
         return Err(FitCommandError::NoData {
             path: stored.path.clone(),
         }
@@ -101,14 +112,16 @@ pub(super) fn fit_laws(
     bar.say("reading the value map");
     let map = judge(stored);
     let known = |x: &[f64], v: f64| map.as_ref().filter(|map| !map.is_lowest(x, v)).map(|_| false);
-    let data = Data {
-        model: &stored.scene.model,
-        hamiltonian: &stored.scene.hamiltonian,
-        samples: &samples,
-        known: &known,
-    };
     let mut fitted = Fitted::default();
     for law in laws {
+        let mapped = (map.as_ref().filter(|_| is_mapped(stored)))
+            .map(|map| samples.with_map(map, &law.bounds, (LOOKED_AT * law.max_samples).min(MOST_LOOKED_AT)));
+        let data = Data {
+            model: &stored.scene.model,
+            hamiltonian: &stored.scene.hamiltonian,
+            samples: mapped.as_ref().unwrap_or(&samples),
+            known: &known,
+        };
         let made = fit(data, scene, law, &Shown::new(&bar, law).report());
         fitted.laws.push(made.inspect_err(|_| bar.clear())?);
     }

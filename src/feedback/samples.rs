@@ -1,9 +1,11 @@
 //! Data of a fit: samples of optimal trajectories and solved states, selected, thinned and divided.
 
 use crate::hamiltonian::Hamiltonian;
+use crate::map::ValueMap;
 use crate::model::{Feedback, Model};
 use crate::numeric::random::random;
 use crate::program::Program;
+use crate::sweep::spread_over;
 use crate::trajectories::{SolvedStates, SweptTrajectories};
 use crate::value::nearest::{MOST_DIMENSIONS, index};
 use rayon::prelude::*;
@@ -93,6 +95,27 @@ impl Samples {
         if let Some(points) = solved {
             samples.extend(&points.x, &points.p, &points.u, &points.v);
             samples.trajectory.extend((trajectory..).take(points.count));
+        }
+        samples
+    }
+
+    /// With states spread over a box, at which a map to an error tells V, p and u: as many of `count` as it knows. Of the samples
+    /// that there are those outside its region stay.
+    pub fn with_map(&self, map: &ValueMap, bounds: &[[f64; 2]], count: usize) -> Self {
+        let outside = |x: &[f64]| map.outside(x).is_some();
+        let beside: Vec<usize> = (0..self.len()).filter(|k| outside(self.x_of(*k))).collect();
+        let mut samples = self.take(&beside);
+        let (n, m) = (self.states, self.controls);
+        let mut spread = spread_over(bounds, count);
+        spread.retain(|x| !outside(x));
+        let spread = spread.concat();
+        let told = map.many(&spread);
+        // Each state is one by itself.
+        let next = samples.trajectory.iter().max().map_or(0, |last| last + 1);
+        for k in (0..told.v.len()).filter(|k| told.v[*k].is_finite()) {
+            let (x, p, u) = (&spread[k * n..][..n], &told.p[k * n..][..n], &told.u[k * m..][..m]);
+            samples.extend(x, p, u, &told.v[k..=k]);
+            samples.trajectory.push(next + k as u32);
         }
         samples
     }

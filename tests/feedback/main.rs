@@ -497,3 +497,42 @@ fn a_result_file_gets_its_laws() {
     );
     std::fs::remove_dir_all(directory).unwrap();
 }
+
+/// A file with a map to an error and no sweep: samples are the map's, all over the box, under the law's conditions.
+#[test]
+fn a_map_gives_the_samples_of_its_laws() {
+    let directory = scratch("map");
+    let text = include_str!("../../scenarios/manufactured.toml");
+    let (before, _) = text.split_once("[homotopy]").unwrap();
+    let scene = format!(
+        "{before}[map]\nerror = 1e-4\nfloor = 1e-3\ncheck = 1\nregion = {{ x = [-1.1, 1.1], y = [-1.1, 1.1] }}\n\
+         [feedback]\nfit = \"V\"\nhidden = [10]\nactivation = \"tanh\"\nstarts = 1\niterations = 100\nmax_samples = 2000\n\
+         box = {{ x = [-1, 1], y = [-1, 1] }}\nwhere = [\"x + y < 1\"]\n"
+    );
+    let (toml, out) = (directory.join("scene.toml"), directory.join("result.h5"));
+    std::fs::write(&toml, &scene).unwrap();
+    let costate = || Command::new(env!("CARGO_BIN_EXE_costate"));
+    output(
+        costate()
+            .args(["homotopy", "--backend", "cpu", "--quiet"])
+            .arg(&toml)
+            .arg("--out")
+            .arg(&out),
+    );
+    let summary = output(costate().args(["fit", "--json", "--quiet"]).arg(&out));
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    let sets = summary["laws"][0]["samples"].as_array().unwrap();
+    assert_eq!(sets.iter().map(|s| s.as_u64().unwrap()).sum::<u64>(), 2000, "{summary}");
+    let law = Law::load(&directory.join("result_network.toml")).unwrap();
+    let (mut worst, mut count) = (0.0f64, 0);
+    for k in 0..400 {
+        let x = [f64::from(k % 20) / 10.0 - 0.95, f64::from(k / 20) / 10.0 - 0.95];
+        if x[0] + x[1] < 1.0 {
+            worst = worst.max((law.eval(&x)[0] - manufactured(x).0).abs());
+            count += 1;
+        }
+    }
+    println!("largest error of V at {count} states: {worst:.1e}");
+    // V is up to 4.
+    assert!(worst < 1e-2, "{worst}");
+}
