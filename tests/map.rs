@@ -378,12 +378,16 @@ fn the_first_search_keeps_within_the_budget() {
         assert!(summary["first_search"]["states"].as_u64().unwrap() <= states);
         assert!(summary["first_search"]["wanted"].as_u64().unwrap() > 250);
     }
-    let scene = scene("manufactured", "error = 1e-4\nseconds = 1e-6\ncheck = 1");
+    let scene = scene("manufactured", "error = 1e-4\nseconds = 1e-6\ncheck = 100");
     let arguments = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
     let out = scene.with_extension("h5");
     let said = done(costate(&[&arguments[..], &[out.as_ref(), scene.as_ref()]].concat()));
     assert!(
         said.contains("the budget ended the first search after 8 of its"),
+        "{said}"
+    );
+    assert!(
+        said.contains("check with 16 of 100 (`seconds` leaves no more time) fresh states"),
         "{said}"
     );
     // One that is large enough ends nothing.

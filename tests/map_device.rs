@@ -271,6 +271,7 @@ fn all_that_pieces_can_be() {
     let made = Adaptive {
         pieces,
         check: Vec::new(),
+        check_asked: 0,
         states: 0,
         failed: 0,
         points: 0,

@@ -126,19 +126,26 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
         return lines;
     }
     let shown = shown(&made.check, made.pieces.region.floor);
+    let count = if made.check.len() < made.check_asked {
+        format!(
+            "{} of {} (`seconds` leaves no more time)",
+            made.check.len(),
+            made.check_asked
+        )
+    } else {
+        made.check.len().to_string()
+    };
     if shown.known == 0 {
         lines.push(format!(
-            "  check with {} fresh states, never used in the map: {} solved, none of them known",
-            made.check.len(),
+            "  check with {count} fresh states, never used in the map: {} solved, none of them known",
             shown.solved
         ));
         return lines;
     }
     let [median, most, worst] = shown.error;
     lines.push(format!(
-        "  check with {} fresh states, never used in the map: {} solved, of them {} known; relative error of V: median {median:.1e}, \
+        "  check with {count} fresh states, never used in the map: {} solved, of them {} known; relative error of V: median {median:.1e}, \
          99 % {most:.1e}, largest {worst:.1e}; error over its bound: 99 % {:.2}, largest {:.2}",
-        made.check.len(),
         shown.solved,
         shown.known,
         shown.over_bound[1],
@@ -216,7 +223,7 @@ pub(super) fn as_json(made: &Adaptive, states: usize) -> serde_json::Value {
         "error_max": made.error_max, "share_uncertain": made.uncertain, "budget_spent": made.spent,
         "pieces_beyond": made.beyond.as_ref().map(|beyond| beyond.pieces.pieces.len()),
         "check": {
-            "states": made.check.len(), "solved": shown.solved, "known": shown.known,
+            "states": made.check.len(), "asked": made.check_asked, "solved": shown.solved, "known": shown.known,
             "V_error": quantiles(shown.error), "V_error_over_bound": quantiles(shown.over_bound),
             "above_bound": shown.above_bound, "said_without_answer": shown.said_of_none,
         },

@@ -45,6 +45,8 @@ pub struct Adaptive {
     pub failed: usize,
     pub points: usize,
     pub rounds: usize,
+    /// Fresh states that the check was asked for: with a limit of seconds it may have had room for fewer.
+    pub check_asked: usize,
     /// States of the first search: those that the budget had room for, and all.
     pub first: [usize; 2],
     /// Where the error is above the one asked for, or nothing is known.
@@ -188,6 +190,7 @@ impl Work<'_, '_> {
             error_max: self.aim.error_max,
             beyond: self.beyond(&region, &met),
             pieces: judged.pieces,
+            check_asked: self.aim.check,
             check,
             states: self.states,
             failed: self.failed,

@@ -39,6 +39,8 @@ const TAKEN: [&str; 14] = [
     "sheets",
     "duration",
 ];
+/// Updates of a law in one closed loop.
+const MOST_UPDATES: f64 = 1e7;
 const KEYS: [&str; 13] = [
     "final_time",
     "samples",
@@ -90,6 +92,9 @@ impl<'a> Reader<'a> {
             .and_then(|v| self.choice(v, "outside", &Outside::ALL));
         let final_time = self.loop_time(section, given_time, scope);
         let samples = section.get("samples").and_then(|v| self.sample_count(v));
+        if let (Some(period), Some(time)) = (period, final_time) {
+            self.check_period(section, period, time, samples.unwrap_or(DEFAULT_SAMPLES));
+        }
         let random = section.get("random").and_then(|v| self.count(v, "random", 1));
         let initial = self.starts(section, scope, random.is_some());
         let given = self.given_laws(section, scope);
@@ -119,6 +124,28 @@ impl<'a> Reader<'a> {
             outside: outside.unwrap_or_default(),
             span: section.span.clone(),
         })
+    }
+
+    /// A law is updated at every sample at least, and not so often that a loop has no end.
+    fn check_period(&mut self, section: &Section<'a>, period: f64, final_time: f64, samples: usize) {
+        let between = final_time / samples as f64;
+        let updates = final_time / period;
+        let problem = |message: String, label: &str| {
+            let span = section.get("period").map_or(section.span.clone(), |v| v.span());
+            Problem::at(span, message, label)
+        };
+        // Of thirds of a decimal number the last digit is rounded.
+        if period > between * (1.0 + 1e-9) {
+            let message = format!("the law is updated at every sample, and samples are {between:?} apart");
+            let problem = problem(message, "longer than that");
+            self.report(problem.with_help(format!(
+                "leave period out, or take samples = {} at most",
+                updates.max(1.0) as u64
+            )));
+        } else if updates > MOST_UPDATES {
+            let message = format!("{updates:.1e} updates of a closed loop; at most {MOST_UPDATES:.0e} are made");
+            self.report(problem(message, "too short"));
+        }
     }
 
     fn loop_time(&mut self, section: &Section<'a>, given: Option<f64>, scope: &LoopScope<'_, 'a>) -> Option<f64> {

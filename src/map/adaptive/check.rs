@@ -6,6 +6,7 @@ use crate::map::pieces::{Pieces, Region, Said, Want};
 use crate::numeric::quantile::nearest_rank;
 use crate::sweep::spread_over;
 use crate::value::PointStatus;
+use std::time::Instant;
 
 /// Rounds of fresh states.
 pub(super) const CHECKS: usize = 4;
@@ -13,6 +14,9 @@ pub(super) const CHECKS: usize = 4;
 const TIMES: usize = 8;
 /// Share of fresh states whose error may be above the bound.
 const ABOVE_BOUND: f64 = 0.01;
+/// With a limit of seconds: fresh states of the first batch, and the share of the limit that all of them may take about.
+const FIRST_CHECKED: usize = 16;
+const CHECK_SHARE: f64 = 0.25;
 /// States in a cell that a fresh state has shown to be wrong, which are searched for all sheets.
 const SEARCHED: usize = 4;
 /// States that tell where the error is met.
@@ -187,13 +191,32 @@ impl Work<'_, '_> {
                 states[k * n + n - 1] = states[(k % TIMES) * n + n - 1];
             }
         }
-        let all = self.solve(states.clone(), false)?;
-        let mut of = vec![(0, 0); states.len() / n];
-        for (group, (numbers, answers)) in all.iter().enumerate() {
-            for (number, target) in numbers.iter().zip(&answers.targets.of_given) {
-                of[*number] = (group, *target);
+        let (mut all, mut of) = (Vec::new(), Vec::new());
+        let began = Instant::now();
+        loop {
+            let done = of.len();
+            // A check is not part of the budget, but does not take much longer.
+            let room = match (self.aim.seconds, done) {
+                (None, _) => states.len() / n,
+                (Some(_), 0) => FIRST_CHECKED,
+                (Some(seconds), _) => {
+                    let taken = began.elapsed().as_secs_f64();
+                    ((CHECK_SHARE * seconds - taken).max(0.0) / taken * done as f64) as usize
+                }
+            };
+            let batch: Vec<f64> = states[done * n..].iter().copied().take(room * n).collect();
+            if batch.is_empty() {
+                break;
+            }
+            of.resize(done + batch.len() / n, (0, 0));
+            for (numbers, answers) in self.solve(batch, false)? {
+                for (number, target) in numbers.iter().zip(&answers.targets.of_given) {
+                    of[done + number] = (all.len(), *target);
+                }
+                all.push((numbers, answers));
             }
         }
+        states.truncate(of.len() * n);
         let met = self.met_beyond(&all, &pieces.region)?;
         let check = (states.chunks(n).zip(of))
             .map(|(x, (group, target))| {
