@@ -202,7 +202,7 @@ fn blended(place: Spot) -> Said {
                 }
             }
             // The piece of the same sheet, if the neighbour has one.
-            let alone = (said.sheets == 1u) & (end == begin + 1u);
+            let alone = (said.sheets == 1u) & (words[OWNED + own + 1u] == words[OWNED + own] + 1u) & (end == begin + 1u);
             let same = abs(best.v - first.v) <= SAME * (best.v_bound + first.v_bound);
             if (!(best.known & (alone | same))) {
                 continue;

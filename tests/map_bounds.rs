@@ -172,6 +172,78 @@ fn nothing_is_said_in_the_shadow_of_a_guard() {
     assert!(deep <= 16, "{deep}");
 }
 
+/// A wall of a twentieth of the usual distance between samples of a trajectory: nothing passes through it.
+#[test]
+fn a_thin_wall_is_met() {
+    let scene = "states = { x = {}, y = {} }\ncontrols = { u = {}, w = {} }\ndynamics = { x = \"u\", y = \"w\" }\n\
+                 cost = { running = \"0.5*(u^2 + w^2 + x^2 + y^2)\" }\nequilibrium = { x = 0, y = 0, u = 0, w = 0 }\n\
+                 region = { x = [-2, 2], y = [-2, 2] }\nguards = { wall = \"((x - 1)/0.02)^2 + (y/0.5)^2 > 1\" }\n";
+    let (path, points, out) = ("wall.toml", "wall.csv", "wall_solved.csv");
+    let [path, points, out] = [path, points, out].map(|name| folder().join(name));
+    std::fs::write(&path, scene).unwrap();
+    // Behind the wall, in front of it, and past its end.
+    let states = [[1.5, 0.3], [1.9, -0.6], [1.1, 0.0], [0.9, 0.1], [1.5, 1.5], [1.2, 0.8]];
+    let lines: Vec<String> = states.iter().map(|[x, y]| format!("{x},{y}")).collect();
+    std::fs::write(&points, format!("x,y\n{}\n", lines.join("\n"))).unwrap();
+    let fixed = ["solve", "--backend", "cpu", "--quiet", "--points"].map(OsStr::new);
+    let last = [
+        points.as_os_str(),
+        path.as_os_str(),
+        OsStr::new("--out"),
+        out.as_os_str(),
+    ];
+    done(costate(&[&fixed[..], &last].concat()));
+    let mut table = csv::Reader::from_path(&out).unwrap();
+    let status = table.headers().unwrap().iter().position(|h| h == "status").unwrap();
+    let statuses: Vec<String> = table.records().map(|row| row.unwrap()[status].to_owned()).collect();
+    let cut = "leaves_guard";
+    assert_eq!(statuses, [cut, cut, cut, "converged", "converged", "converged"]);
+
+    let (stored, _) = made(
+        "walled",
+        &format!("{scene}map = {{ error = 1e-3, states = 1500, check = 20 }}\n"),
+    );
+    let map = stored.value_map().unwrap();
+    let (mut told, mut dark, mut lit, mut known) = (0, 0, 0, 0);
+    for k in 1..=4000 {
+        let x = [0.754_877_666, 0.569_840_290].map(|step| 4.0 * (f64::from(k) * step).fract() - 2.0);
+        let here = usize::from(map.at(&x).lowest.is_ok());
+        // Where the way to 0 passes x = 1.
+        let passes = x[1] / x[0];
+        if x[0] > 1.02 && passes.abs() < 0.49 {
+            (dark, told) = (dark + 1, told + here);
+        } else if x[0] < 0.98 || passes.abs() > 0.51 {
+            (lit, known) = (lit + 1, known + here);
+        }
+    }
+    println!("{told} of {dark} behind the wall told, {known} of {lit} others known");
+    assert!((told as f64) < 0.35 * dark as f64, "{told} of {dark}");
+    assert!(known as f64 > 0.98 * lit as f64, "{known} of {lit}");
+}
+
+/// V = |x|^2/2 and a bump of a fortieth of the region's width, manufactured: few of a cell's points lie on it, but they are exact.
+#[test]
+fn a_narrow_bump_is_not_passed_over() {
+    let scene = "parameters = { h = 0.04, w = 0.1 }\nstates = { x = {}, y = {} }\ncontrols = { u = {}, v = {} }\n\
+                 definitions = { b = \"h*exp(-((x-1)^2+(y-0.5)^2)/w^2)\", Vx = \"x - 2*(x-1)/w^2*b\", Vy = \"y - 2*(y-0.5)/w^2*b\" }\n\
+                 dynamics = { x = \"-0.3*Vy + u\", y = \"0.3*Vx + v\" }\ncost = { running = \"0.5*(Vx^2 + Vy^2 + u^2 + v^2)\" }\n\
+                 equilibrium = { x = 0, y = 0, u = 0, v = 0 }\nregion = { x = [-2, 2], y = [-2, 2] }\n\
+                 map = { error = 1e-3, check = 20 }\n";
+    let (stored, _) = made("bump", scene);
+    let map = stored.value_map().unwrap();
+    let mut worst = 0.0f64;
+    for k in 0..1600 {
+        let x = [0.8 + 0.01 * f64::from(k % 40), 0.3 + 0.01 * f64::from(k / 40)];
+        let (dx, dy) = (x[0] - 1.0, x[1] - 0.5);
+        let exact = 0.5 * (x[0] * x[0] + x[1] * x[1]) + 0.04 * (-(dx * dx + dy * dy) / 0.01).exp();
+        let here = map.at(&x).lowest.unwrap();
+        worst = worst.max((here.v - exact).abs() / here.v_error);
+    }
+    println!("largest error over bound on the bump: {worst:.2}");
+    // One polynomial over the region was off by 62 bounds, with an error of 6 %.
+    assert!(worst < 3.0, "{worst}");
+}
+
 /// `x' = x + u` with |u| <= 1 is lost from |x| >= 1, V is infinite there: nothing negative is said, though a polynomial of 1/V
 /// passes through 0.
 #[test]

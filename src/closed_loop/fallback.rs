@@ -148,7 +148,7 @@ impl Ground<'_> {
     }
 
     /// For each of some trajectories a way back to where the chart has answers, foretold with the equations themselves: p of the
-    /// nearest state known, if that comes back within the periods left; else the cheapest of the plans that first hold a control
+    /// nearest state known, if that comes back within the periods left, or to the end of a finite horizon; else the cheapest of the plans that first hold a control
     /// at a bound of it, by its cost and V where it comes back. A period is a leg of the rest; the first one of each may be shorter.
     pub fn search(
         &self,
@@ -264,6 +264,9 @@ impl Ground<'_> {
             help.room.t += 0.5 * rest.length;
             help.chart.slopes(n, &x, help.room);
             let room = &help.room;
+            // At the end of a finite horizon nothing is to come back to.
+            let terminal =
+                (self.terminal.as_ref().filter(|_| period + 1 == rest.legs)).map(|t| t.eval(&flown.end, dim));
             seeds.clear();
             let mut j = 0;
             alive.retain(|trial| {
@@ -275,11 +278,15 @@ impl Ground<'_> {
                 if flown.status[k] != Status::Reached || dear {
                     return false;
                 }
-                if !room.known[k] {
-                    seeds.extend_from_slice(end);
-                    return true;
-                }
-                let whole = spent + room.v[k];
+                let left = match &terminal {
+                    Some(terminal) => terminal[k],
+                    None if room.known[k] => room.v[k],
+                    None => {
+                        seeds.extend_from_slice(end);
+                        return true;
+                    }
+                };
+                let whole = spent + left;
                 if best.plan.is_none_or(|(least, _)| whole < least) {
                     best.plan = Some((whole, trial.number));
                     best.last = best.last.min(LONGER * (period + 1) + AT_LEAST);

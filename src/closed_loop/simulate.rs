@@ -36,7 +36,7 @@ pub(super) struct Ground<'s> {
     pub pace: Pace,
     pub observer: Evaluator,
     guards: Option<Evaluator>,
-    terminal: Option<Evaluator>,
+    pub terminal: Option<Evaluator>,
 }
 
 /// A batch while it flies.

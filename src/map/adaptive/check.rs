@@ -17,6 +17,10 @@ const ABOVE_BOUND: f64 = 0.01;
 /// With a limit of seconds: fresh states of the first batch, and the share of the limit that all of them may take about.
 const FIRST_CHECKED: usize = 16;
 const CHECK_SHARE: f64 = 0.25;
+/// V above that of all points by more than this share is not known.
+const ABOVE_POINTS: f64 = 0.5;
+/// So many times its bound the error of one alone is too much.
+const GROSS: f64 = 3.0;
 /// States in a cell that a fresh state has shown to be wrong, which are searched for all sheets.
 const SEARCHED: usize = 4;
 /// States that tell where the error is met.
@@ -99,14 +103,16 @@ fn is_without_solution(status: PointStatus) -> bool {
 
 impl Work<'_, '_> {
     /// Pieces without those that are too uncertain; judged by many states, since cells reach over the region's faces.
-    pub(super) fn judged(&self, pieces: Pieces) -> Judged {
+    pub(super) fn judged(&self, mut pieces: Pieces) -> Judged {
+        // A polynomial of 1/V or log V goes on to any V where no solution exists.
+        pieces.region.value_max = pieces.region.value_max.min(self.highest());
         let looked_at = spread_over(&self.bounds, LOOKED_AT);
         let region = &pieces.region;
         // Whether each meets the error, where anything is said.
         let meets = |here: Said| here.v_bound <= region.error * here.v.abs().max(region.floor);
         let met: Vec<Option<bool>> = looked_at.iter().map(|x| pieces.at(x).map(meets)).collect();
         // Nothing is said above the largest V of interest; of a map without pieces nothing is.
-        let may_be_above = region.value_max < f64::INFINITY && !pieces.pieces.is_empty();
+        let may_be_above = self.aim.value_max.is_some() && !pieces.pieces.is_empty();
         let pieces = pieces.within(self.aim.error_max);
         let (mut unmet, mut unknown) = (Vec::new(), Vec::new());
         let mut uncertain = 0;
@@ -128,13 +134,24 @@ impl Work<'_, '_> {
         }
     }
 
+    /// The highest V that may lie between points.
+    fn highest(&self) -> f64 {
+        let most = self.cloud.v.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        most + ABOVE_POINTS * most.abs()
+    }
+
     /// Fresh states of which the map says too small a bound; none where they are few enough.
     pub(super) fn wrong(check: &[Checked]) -> Vec<&Checked> {
         let wrong: Vec<&Checked> = (check.iter())
             .filter(|c| c.status != PointStatus::AboveMax && (c.said - c.solved).abs() > c.bound)
             .collect();
         let enough = wrong.len() as f64 <= ABOVE_BOUND * check.len() as f64;
-        if enough { Vec::new() } else { wrong }
+        let gross = |c: &&Checked| (c.said - c.solved).abs() > GROSS * c.bound;
+        if enough && !wrong.iter().any(gross) {
+            Vec::new()
+        } else {
+            wrong
+        }
     }
 
     /// Fresh states without a solution of which the map says a value; none where they are few enough.
@@ -163,7 +180,8 @@ impl Work<'_, '_> {
         let more: Vec<Want> = wrong.iter().map(|c| self.want_around(pieces, c)).collect();
         let mut states = Vec::new();
         for (want, c) in more.iter().zip(wrong) {
-            for _ in 0..SEARCHED {
+            states.extend(&c.x);
+            for _ in 1..SEARCHED {
                 let mut x = (self.inside(want, region))
                     .map(|z| self.frame.state(&z))
                     .unwrap_or_default();
@@ -223,7 +241,7 @@ impl Work<'_, '_> {
                 let answers = &all[group].1;
                 let above = answers
                     .answer(target)
-                    .is_some_and(|a| a.value > pieces.region.value_max);
+                    .is_some_and(|a| self.aim.value_max.is_some_and(|most| a.value > most));
                 let status = if above {
                     PointStatus::AboveMax
                 } else {

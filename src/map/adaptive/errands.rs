@@ -109,13 +109,9 @@ impl Work<'_, '_> {
                 *self.failures.entry(errand.cell).or_default() += 1;
             }
             let Some((path, value)) = found else {
-                self.failed += 1;
-                // Near a guard's shadow there is nothing to be found; elsewhere the way may only have been a bad one.
-                if !self.plan.system.guards.is_empty() {
-                    let shift = &self.origins[errand.from as usize].1;
-                    let x: Vec<f64> = errand.x.iter().zip(shift).map(|(x, s)| x + s).collect();
-                    self.note(&x, PointStatus::NotReached);
-                }
+                let shift = &self.origins[errand.from as usize].1;
+                let x: Vec<f64> = errand.x.iter().zip(shift).map(|(x, s)| x + s).collect();
+                self.missed(&x);
                 continue;
             };
             self.states += 1;
@@ -127,6 +123,15 @@ impl Work<'_, '_> {
             });
         }
         self.add(tracks, region.floor)
+    }
+
+    /// Counts a state (absolute) that the way from a point near does not lead to.
+    pub(super) fn missed(&mut self, x: &[f64]) {
+        self.failed += 1;
+        // Near a guard's shadow there is nothing to be found; elsewhere the way may only have been a bad one.
+        if !self.plan.system.guards.is_empty() {
+            self.note(x, PointStatus::NotReached);
+        }
     }
 
     /// A way to a state of a cell, a bare corner or one that is drawn, from the nearest point.

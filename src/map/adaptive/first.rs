@@ -66,8 +66,8 @@ impl Work<'_, '_> {
         self.first[0] += states.len();
         let mut z = vec![0.0; n];
         let mut guesses = Vec::new();
-        for x in states {
-            self.frame.of(&x, &mut z);
+        for x in &states {
+            self.frame.of(x, &mut z);
             let Some(from) = self.nearest(&z) else { return Ok(()) };
             let shift = &self.origins[from as usize].1;
             let x = x.iter().zip(shift).map(|(x, s)| x - s).collect();
@@ -76,6 +76,9 @@ impl Work<'_, '_> {
         let sheets: Vec<i32> = guesses.iter().map(|(.., sheet)| *sheet).collect();
         let guesses = guesses.into_iter().map(|(x, path, _)| (x, path)).collect();
         let found = solve_near(self.plan, self.solver, guesses, PATIENT_STEP)?;
+        for (x, _) in states.iter().zip(&found).filter(|(_, found)| found.is_none()) {
+            self.missed(x);
+        }
         let most = self.most_value();
         let tracks: Vec<Track> = (found.into_iter().zip(sheets))
             .filter_map(|(found, sheet)| {

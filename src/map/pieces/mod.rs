@@ -394,7 +394,8 @@ impl Pieces {
             .collect();
         own.sort_by(|a, b| a.v.total_cmp(&b.v));
         own.retain(|told| told.v <= self.region.value_max);
-        (0..own.len()).map(|k| self.blended(z, &own, k)).collect()
+        let alone = own.len() == 1 && self.cells[self.cell(z)].pieces.len() == 1;
+        (0..own.len()).map(|k| self.blended(z, &own[k], alone)).collect()
     }
 
     /// The cell in which a place lies.
@@ -434,9 +435,8 @@ impl Pieces {
     }
 
     /// One sheet's blend at a place.
-    fn blended(&self, z: &[f64], own: &[Told], which: usize) -> Said {
+    fn blended(&self, z: &[f64], first: &Told, sole: bool) -> Said {
         let n = z.len();
-        let first = &own[which];
         let (mut total, mut slope) = (0.0, [0.0; MOST_VARIABLES]);
         let (mut v, mut q) = (0.0, [0.0; MOST_VARIABLES]);
         let (mut v_bound, mut p_bound) = (first.v_bound, first.p_bound);
@@ -476,7 +476,7 @@ impl Pieces {
                 }
             }
             let Some(told) = best else { return };
-            let alone = own.len() == 1 && self.cells[cell].pieces.len() == 1;
+            let alone = sole && self.cells[cell].pieces.len() == 1;
             if alone || (told.v - first.v).abs() <= SAME * (told.v_bound + first.v_bound) {
                 add(&told, w, &dw);
             }

@@ -8,6 +8,10 @@ use std::sync::PoisonError;
 
 /// Parts of a segment at whose ends guards are looked at.
 const GUARD_PIECES: usize = 8;
+/// Steps to where a margin is least between samples.
+const HALVINGS: usize = 24;
+/// (sqrt(5) - 1)/2.
+const GOLDEN: f64 = 0.618_033_988_749_894_8;
 
 impl Survey<'_> {
     /// Whether all nodes are inside the guards, but for rounding.
@@ -60,8 +64,122 @@ impl Survey<'_> {
             return Ok(vec![true; paths.len()]);
         }
         let between = solver.between_nodes(paths, GUARD_PIECES)?;
-        Ok((paths.iter().zip(between))
-            .map(|(path, between)| self.inside(&path.nodes) && self.inside(&between))
-            .collect())
+        let mut valid: Vec<bool> = (paths.iter().zip(&between))
+            .map(|(path, between)| self.inside(&path.nodes) && self.inside(between))
+            .collect();
+        // What is thin lies between the samples: flights to where a guard's margin seems to be least, if that is below 0.
+        let mut doubts = Vec::new();
+        let samples = paths.iter().zip(&between).enumerate();
+        for (k, (path, between)) in samples.filter(|(k, _)| valid[*k]) {
+            doubts.extend(self.doubts(path, between).into_iter().map(|part| (k, part)));
+        }
+        if doubts.is_empty() {
+            return Ok(valid);
+        }
+        let parts: Vec<&Path> = doubts.iter().map(|(_, part)| part).collect();
+        for ((k, _), flown) in doubts.iter().zip(solver.ends_of(&parts, true)?) {
+            valid[*k] &= flown.is_none_or(|(end, _)| self.inside(&end));
+        }
+        Ok(valid)
+    }
+
+    /// From samples of a trajectory before them, the ways to where a guard's margin is least between samples, if it is below 0
+    /// there: by cubics through the samples.
+    fn doubts(&self, path: &Path, between: &[f64]) -> Vec<Path> {
+        let (Some((guards, strict)), Some(rates)) = (&self.guards, &self.rates) else {
+            return Vec::new();
+        };
+        let width = path.width;
+        let mut nodes = Vec::with_capacity(path.nodes.len() + between.len());
+        let mut lengths = Vec::new();
+        for (k, duration) in path.durations.iter().enumerate() {
+            nodes.extend_from_slice(path.node(k));
+            let inner = (GUARD_PIECES - 1) * width;
+            nodes.extend_from_slice(&between[k * inner..][..inner]);
+            lengths.extend([duration / GUARD_PIECES as f64; GUARD_PIECES]);
+        }
+        nodes.extend_from_slice(path.last());
+        if lengths.is_empty() {
+            return Vec::new();
+        }
+        let margins = guards.eval(&nodes, width);
+        let each = strict.len();
+        let at = |g: usize, j: usize| margins[j * each + g];
+        // Between three places a smooth margin falls by less than it rises to the highest of them; from the first of a trajectory it
+        // falls, by a parabola through the next two, if it bends by more than it rises.
+        let may_fall = |g: usize, j: usize| {
+            let last = lengths.len();
+            let inward = match j {
+                0 => Some([1, 2]),
+                j if j == last => Some([last - 1, last - 2]),
+                _ => None,
+            };
+            let here = at(g, j);
+            match inward {
+                Some([next, after]) => {
+                    let rise = at(g, next) - here;
+                    let bend = 0.5 * (at(g, after) - 2.0 * at(g, next) + here);
+                    rise >= 0.0 && bend > rise && here <= bend
+                }
+                None => {
+                    let (before, after) = (at(g, j - 1), at(g, j + 1));
+                    here <= before && here <= after && here <= (before - here).max(after - here)
+                }
+            }
+        };
+        let least: Vec<(usize, usize)> = (0..each)
+            .flat_map(|g| (0..=lengths.len()).map(move |j| (g, j)))
+            .filter(|(g, j)| may_fall(*g, *j))
+            .collect();
+        if least.is_empty() {
+            return Vec::new();
+        }
+        let slopes = rates.eval(&nodes, width);
+        let cubic = |k: usize, share: f64| -> Vec<f64> {
+            let (h, a, b) = (lengths[k], k * width, (k + 1) * width);
+            let (t, r) = (share, 1.0 - share);
+            let weights = [
+                r * r * (1.0 + 2.0 * t),
+                t * t * (1.0 + 2.0 * r),
+                r * r * t * h,
+                -t * t * r * h,
+            ];
+            (0..width)
+                .map(|i| {
+                    // The rates are backward in time.
+                    weights[0] * nodes[a + i] + weights[1] * nodes[b + i]
+                        - weights[2] * slopes[a + i]
+                        - weights[3] * slopes[b + i]
+                })
+                .collect()
+        };
+        let place = |at: f64| {
+            let k = (at as usize).min(lengths.len() - 1);
+            (k, at - k as f64)
+        };
+        let margin = |g: usize, at: f64| -> f64 {
+            let (k, share) = place(at);
+            guards.eval(&cubic(k, share), width)[g]
+        };
+        let mut found = Vec::new();
+        for (g, j) in least {
+            // Golden section.
+            let (mut lo, mut hi) = ((j as f64 - 1.0).max(0.0), (j as f64 + 1.0).min(lengths.len() as f64));
+            for _ in 0..HALVINGS {
+                let (a, b) = (hi - GOLDEN * (hi - lo), lo + GOLDEN * (hi - lo));
+                if margin(g, a) <= margin(g, b) {
+                    hi = b;
+                } else {
+                    lo = a;
+                }
+            }
+            let (k, share) = place(0.5 * (lo + hi));
+            if !holds(margin(g, 0.5 * (lo + hi)), strict[g]) {
+                let mut part = Path::new(&nodes[k * width..][..width]);
+                part.push(share * lengths[k], &nodes[(k + 1) * width..][..width]);
+                found.push(part);
+            }
+        }
+        found
     }
 }

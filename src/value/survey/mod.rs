@@ -129,6 +129,8 @@ pub struct Survey<'a> {
     pub(super) scales: Vec<f64>,
     duration: f64,
     guards: Option<(Evaluator, Vec<bool>)>,
+    /// Rates of (s, p) backward in time, where there are guards.
+    rates: Option<Evaluator>,
     /// In a game, where extremals with a fold along them are none.
     /// (Locked only so that a survey may be read by several threads.)
     conjugate: Option<Mutex<ConjugatePoints>>,
@@ -186,6 +188,11 @@ impl<'a> Survey<'a> {
             lifted: Vec::new(),
             scales: solver.scheme.equations.scales.clone(),
             duration: plan.segment_duration(),
+            rates: guards.as_ref().map(|_| {
+                let system = &plan.system;
+                let rates = &system.rate[..2 * system.states];
+                Evaluator::new(&Program::lower(&system.graph, &system.inputs, rates))
+            }),
             guards,
             conjugate: (plan.game.then(|| ConjugatePoints::new(plan)).transpose()?).map(Mutex::new),
         })

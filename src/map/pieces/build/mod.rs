@@ -40,6 +40,8 @@ const BEYOND_OF_SEVERAL: f64 = 0.05;
 const ANCHORED: f64 = 2.0;
 /// Times that cells which disagree with their neighbours are halved at once.
 const HALVINGS_APART: usize = 3;
+/// Some of a block's points test its pieces; one of all that is off by so many bounds contradicts them.
+const GROSS: f64 = 3.0;
 /// Share of new points at which a cell in error is fitted again.
 const WORTH_WHILE: f64 = 0.2;
 
@@ -489,7 +491,10 @@ impl<'c> Builder<'c> {
         // Halves ask for states of their own where the equation is not met; what cannot be halved keeps to its points there.
         let by = self.bounds_by_equation(&pieces);
         let unfounded = |this: &Self, pieces: &[Piece]| !this.without_answer(&block, pieces).is_empty();
-        let is_wrong = || self.is_contradicted(&pieces, &by) || unfounded(self, &pieces);
+        let off = self.off_points(&block, &pieces);
+        let far_off = |(piece, off): (&Piece, &f64)| *off > GROSS * piece.bound.max(self.region.error);
+        let is_wrong =
+            || self.is_contradicted(&pieces, &by) || unfounded(self, &pieces) || pieces.iter().zip(&off).any(far_off);
         if dense && self.without.is_none() && is_wrong() {
             let axis = self.axis(&block, &own);
             if !self.is_finest(&block, axis) {
@@ -499,6 +504,9 @@ impl<'c> Builder<'c> {
         for k in 0..pieces.len() {
             let mut piece = pieces.remove(k);
             self.judge(&mut piece, by[k], &pieces, (&own[k].1, beyond));
+            if far_off((&piece, &off[k])) {
+                piece.bound = off[k];
+            }
             pieces.insert(k, piece);
         }
         if unfounded(self, &pieces) {

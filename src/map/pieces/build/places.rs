@@ -122,6 +122,34 @@ impl Builder<'_> {
         said.into_iter().filter(is_alone).collect()
     }
 
+    /// By how much V of points in a block is off what its pieces say there, at most, relative to V: of each piece where it is the
+    /// nearest. Where sheets lie over each other a point above them may be of another sheet.
+    pub(super) fn off_points(&self, block: &Block, pieces: &[Piece]) -> Vec<f64> {
+        let n = self.cloud.variables;
+        let mut off = vec![0.0f64; pieces.len()];
+        if self.without.is_some() {
+            return off;
+        }
+        for k in block.points.iter().map(|k| *k as usize) {
+            let (z, v) = (self.cloud.z(k), self.cloud.v[k]);
+            if (0..n).any(|i| z[i] < block.lo[i] || z[i] > block.hi[i]) {
+                continue;
+            }
+            let by = |piece: &Piece| {
+                let y = piece.place(z);
+                let said = piece.value(&self.terms, &y[..n]).0;
+                (said.is_finite() && piece.supports(&self.directions, &y[..n]))
+                    .then(|| (v - said) / v.abs().max(self.region.floor))
+            };
+            let said = pieces.iter().enumerate().filter_map(|(j, piece)| Some((j, by(piece)?)));
+            let nearest = said.min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+            if let Some((j, by)) = nearest.filter(|(_, by)| *by < 0.0 || !self.cloud.several) {
+                off[j] = off[j].max(by.abs());
+            }
+        }
+        off
+    }
+
     /// Places of a block that no point is near to: where few variables allow high degrees, between its corners too.
     pub(super) fn bare_places(&self, block: &Block) -> Vec<f64> {
         let (a_side, reach) = match self.cloud.variables {
