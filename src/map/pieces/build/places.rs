@@ -3,6 +3,8 @@
 use super::{BESIDE, Block, Builder, Piece, REACH, Unanswered};
 use std::collections::HashSet;
 
+/// Points of a block of which a fit and its tests see only a part.
+const MANY_POINTS: usize = 500;
 /// Without a solution a place counts if no point is nearer than this share of the usual distance between tracks.
 const NO_POINT_WITHIN: f64 = 1.5;
 /// The same where the solution is known to leave a guard.
@@ -127,7 +129,8 @@ impl Builder<'_> {
     pub(super) fn off_points(&self, block: &Block, pieces: &[Piece]) -> Vec<f64> {
         let n = self.cloud.variables;
         let mut off = vec![0.0f64; pieces.len()];
-        if self.without.is_some() {
+        // Of fewer points most have tested the fit.
+        if self.without.is_some() || block.points.len() < MANY_POINTS {
             return off;
         }
         for k in block.points.iter().map(|k| *k as usize) {
