@@ -140,6 +140,7 @@ fn blended(place: Spot) -> Said {
         return said;
     }
     var first: Told;
+    let sole = words[OWNED + own + 1u] == words[OWNED + own] + 1u;
     for (var piece = words[OWNED + own]; piece < words[OWNED + own + 1u]; piece += 1u) {
         let here = told(piece, place);
         if (here.known & (here.v <= VALUE_MAX)) {
@@ -202,7 +203,7 @@ fn blended(place: Spot) -> Said {
                 }
             }
             // The piece of the same sheet, if the neighbour has one.
-            let alone = (said.sheets == 1u) & (words[OWNED + own + 1u] == words[OWNED + own] + 1u) & (end == begin + 1u);
+            let alone = sole & (end == begin + 1u);
             let same = abs(best.v - first.v) <= SAME * (best.v_bound + first.v_bound);
             if (!(best.known & (alone | same))) {
                 continue;

@@ -35,6 +35,25 @@ fn bounded(map: &str) -> String {
     )
 }
 
+/// A column of what `costate solve` writes of states of a scene, whose variables are named as in a header.
+fn solve(name: &str, scene: &str, (header, states): (&str, &[[f64; 2]]), column: &str) -> Vec<String> {
+    let [path, points, out] = ["toml", "csv", "solved.csv"].map(|ending| folder().join(format!("{name}.{ending}")));
+    std::fs::write(&path, scene).unwrap();
+    let lines: Vec<String> = states.iter().map(|[x, y]| format!("{x},{y}")).collect();
+    std::fs::write(&points, format!("{header}\n{}\n", lines.join("\n"))).unwrap();
+    let fixed = ["solve", "--backend", "cpu", "--quiet", "--points"].map(OsStr::new);
+    let last = [
+        points.as_os_str(),
+        path.as_os_str(),
+        OsStr::new("--out"),
+        out.as_os_str(),
+    ];
+    done(costate(&[&fixed[..], &last].concat()));
+    let mut table = csv::Reader::from_path(&out).unwrap();
+    let column = table.headers().unwrap().iter().position(|h| h == column).unwrap();
+    table.records().map(|row| row.unwrap()[column].to_owned()).collect()
+}
+
 /// States spread over the region, and V of each as `costate solve` finds it.
 fn solved() -> &'static (Vec<[f64; 2]>, Vec<f64>) {
     static SOLVED: OnceLock<(Vec<[f64; 2]>, Vec<f64>)> = OnceLock::new();
@@ -42,21 +61,8 @@ fn solved() -> &'static (Vec<[f64; 2]>, Vec<f64>) {
         let states: Vec<[f64; 2]> = (1..=4000)
             .map(|k| [0.754_877_666, 0.569_840_290].map(|step| 6.0 * (f64::from(k) * step).fract() - 3.0))
             .collect();
-        let (scene, points, out) = ("solved.toml", "states.csv", "solved.csv");
-        let [scene, points, out] = [scene, points, out].map(|name| folder().join(name));
-        std::fs::write(&scene, bounded("states = 10")).unwrap();
-        let lines: Vec<String> = states.iter().map(|[x, v]| format!("{x},{v}")).collect();
-        std::fs::write(&points, format!("x,v\n{}\n", lines.join("\n"))).unwrap();
-        let fixed = ["solve", "--backend", "cpu", "--quiet", "--points"].map(OsStr::new);
-        let last = [
-            points.as_os_str(),
-            scene.as_os_str(),
-            OsStr::new("--out"),
-            out.as_os_str(),
-        ];
-        done(costate(&[&fixed[..], &last].concat()));
-        let mut table = csv::Reader::from_path(&out).unwrap();
-        let values = table.records().map(|row| row.unwrap()[2].parse().unwrap()).collect();
+        let values = solve("solved", &bounded("states = 10"), ("x,v", &states), "V");
+        let values = values.iter().map(|v| v.parse().unwrap()).collect();
         (states, values)
     })
 }
@@ -178,24 +184,9 @@ fn a_thin_wall_is_met() {
     let scene = "states = { x = {}, y = {} }\ncontrols = { u = {}, w = {} }\ndynamics = { x = \"u\", y = \"w\" }\n\
                  cost = { running = \"0.5*(u^2 + w^2 + x^2 + y^2)\" }\nequilibrium = { x = 0, y = 0, u = 0, w = 0 }\n\
                  region = { x = [-2, 2], y = [-2, 2] }\nguards = { wall = \"((x - 1)/0.02)^2 + (y/0.5)^2 > 1\" }\n";
-    let (path, points, out) = ("wall.toml", "wall.csv", "wall_solved.csv");
-    let [path, points, out] = [path, points, out].map(|name| folder().join(name));
-    std::fs::write(&path, scene).unwrap();
     // Behind the wall, in front of it, and past its end.
     let states = [[1.5, 0.3], [1.9, -0.6], [1.1, 0.0], [0.9, 0.1], [1.5, 1.5], [1.2, 0.8]];
-    let lines: Vec<String> = states.iter().map(|[x, y]| format!("{x},{y}")).collect();
-    std::fs::write(&points, format!("x,y\n{}\n", lines.join("\n"))).unwrap();
-    let fixed = ["solve", "--backend", "cpu", "--quiet", "--points"].map(OsStr::new);
-    let last = [
-        points.as_os_str(),
-        path.as_os_str(),
-        OsStr::new("--out"),
-        out.as_os_str(),
-    ];
-    done(costate(&[&fixed[..], &last].concat()));
-    let mut table = csv::Reader::from_path(&out).unwrap();
-    let status = table.headers().unwrap().iter().position(|h| h == "status").unwrap();
-    let statuses: Vec<String> = table.records().map(|row| row.unwrap()[status].to_owned()).collect();
+    let statuses = solve("wall", scene, ("x,y", &states), "status");
     let cut = "leaves_guard";
     assert_eq!(statuses, [cut, cut, cut, "converged", "converged", "converged"]);
 

@@ -65,9 +65,9 @@ const MOST_LOOKED_AT: usize = 1 << 20;
 
 /// Who knows which samples are optimal: the value map, where solutions of several sheets may be in the file, or samples are the
 /// map's own. Where it has no objection, neighbouring samples decide.
-fn judge(stored: &Stored) -> Option<ValueMap> {
+fn judge(stored: &Stored, mapped: bool) -> Option<ValueMap> {
     let periodic = stored.scene.model.states.iter().any(|s| s.period.is_some());
-    let asked = periodic || stored.has("points_sheets") || is_mapped(stored);
+    let asked = periodic || stored.has("points_sheets") || mapped;
     asked.then(|| stored.value_map().ok())?
 }
 
@@ -102,7 +102,8 @@ pub(super) fn fit_laws(
 ) -> Result<Done, CliError> {
     let sizes = (stored.scene.model.states.len(), stored.scene.model.controls.len());
     let samples = Samples::new(sizes, stored.trajectories()?.as_ref(), stored.points()?.as_ref());
-    if samples.is_empty() && !is_mapped(stored) {
+    let mapped = is_mapped(stored);
+    if samples.is_empty() && !mapped {
         return Err(FitCommandError::NoData {
             path: stored.path.clone(),
         }
@@ -110,16 +111,16 @@ pub(super) fn fit_laws(
     }
     let bar = terminal.progress();
     bar.say("reading the value map");
-    let map = judge(stored);
+    let map = judge(stored, mapped);
     let known = |x: &[f64], v: f64| map.as_ref().filter(|map| !map.is_lowest(x, v)).map(|_| false);
     let mut fitted = Fitted::default();
     for law in laws {
-        let mapped = (map.as_ref().filter(|_| is_mapped(stored)))
+        let of_map = (map.as_ref().filter(|_| mapped))
             .map(|map| samples.with_map(map, &law.bounds, (LOOKED_AT * law.max_samples).min(MOST_LOOKED_AT)));
         let data = Data {
             model: &stored.scene.model,
             hamiltonian: &stored.scene.hamiltonian,
-            samples: mapped.as_ref().unwrap_or(&samples),
+            samples: of_map.as_ref().unwrap_or(&samples),
             known: &known,
         };
         let made = fit(data, scene, law, &Shown::new(&bar, law).report());

@@ -59,6 +59,14 @@ pub struct GuardExpr {
 }
 
 impl System {
+    /// The guards that depend on the state alone.
+    pub fn guards_of_state(&self) -> Vec<Id> {
+        let adjoints = &self.inputs[self.states..];
+        (self.guards.iter().map(|g| g.expr))
+            .filter(|expr| !adjoints.iter().any(|p| self.graph.depends_on(&[*expr], *p)))
+            .collect()
+    }
+
     pub fn new(hamiltonian: &Hamiltonian, model: &Model) -> Self {
         let mut graph = hamiltonian.graph.clone();
         let n = hamiltonian.states();

@@ -174,10 +174,7 @@ impl Work<'_, '_> {
             if (wrong.is_empty() && unfounded.is_empty()) || attempt + 1 == CHECKS || self.is_spent(1.0) {
                 break;
             }
-            let unfounded: Vec<_> = unfounded.iter().map(|c| (c.x.clone(), c.status)).collect();
-            for (x, status) in unfounded {
-                self.note(&x, status);
-            }
+            unfounded.iter().for_each(|c| self.note(&c.x, c.status));
             let more = self.searched_around(&wrong, &judged.pieces, &region)?;
             let pieces = self.refined(&region, more)?;
             judged = self.judged(pieces);
@@ -212,6 +209,12 @@ impl Work<'_, '_> {
 
     fn seconds_left(&self, share: f64) -> f64 {
         (self.aim.seconds).map_or(f64::INFINITY, |s| share * s - self.clock.elapsed().as_secs_f64())
+    }
+
+    /// How many more states there is time for, at the pace of those done since `began`.
+    fn fitting(seconds_left: f64, began: Instant, done: usize) -> usize {
+        let pace = began.elapsed().as_secs_f64() / done as f64;
+        (seconds_left.max(0.0) / pace) as usize
     }
 
     /// V up to which points are kept: a little beyond what is asked for, for the pieces at its edge.

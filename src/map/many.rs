@@ -80,7 +80,7 @@ impl ValueMap {
             });
         }
         if let Some(excluded) = self.excluded(x) {
-            (found.iter_mut().zip(excluded)).for_each(|(found, excluded)| *found = found.take().filter(|_| !excluded));
+            (found.iter_mut().zip(excluded)).for_each(|(found, excluded)| drop(found.take_if(|_| excluded)));
         }
         self.add_controls(x, &mut found);
         (found.into_par_iter().zip(x.par_chunks(n)).zip(t))
@@ -258,25 +258,27 @@ impl ValueMap {
             tell(k, found.as_ref().map(|_| &slow));
         };
         let t = self.time.map_or(0.0, |last| t.clamp(0.0, last));
-        let excluded = self.excluded(x);
-        let is_excluded = |k: usize| excluded.as_ref().is_some_and(|excluded| excluded[k]);
         match &self.swift {
-            Some(swift) => swift.each(&self.places(x, |_| t), second, room, |k, answer| match answer {
-                _ if is_excluded(k) => tell(k, None),
-                Answer::Known(here) if self.time.is_some() => {
-                    let mut here = *here;
-                    if second {
-                        let hessian = of_states(&here.hessian, n + 1, n);
-                        here.hessian[..n * n].copy_from_slice(&hessian);
+            Some(swift) => {
+                let excluded = self.excluded(x);
+                let is_excluded = |k: usize| excluded.as_ref().is_some_and(|excluded| excluded[k]);
+                swift.each(&self.places(x, |_| t), second, room, |k, answer| match answer {
+                    _ if is_excluded(k) => tell(k, None),
+                    Answer::Known(here) if self.time.is_some() => {
+                        let mut here = *here;
+                        if second {
+                            let hessian = of_states(&here.hessian, n + 1, n);
+                            here.hessian[..n * n].copy_from_slice(&hessian);
+                        }
+                        tell(k, Some(&here));
                     }
-                    tell(k, Some(&here));
-                }
-                Answer::Known(here) => tell(k, Some(here)),
-                Answer::Unknown => tell(k, None),
-                // What is interpolated between solutions far apart is no law.
-                Answer::Elsewhere if self.pieces_alone || self.beyond.is_some() => tell(k, None),
-                Answer::Elsewhere => ask(k, &mut tell),
-            }),
+                    Answer::Known(here) => tell(k, Some(here)),
+                    Answer::Unknown => tell(k, None),
+                    // What is interpolated between solutions far apart is no law.
+                    Answer::Elsewhere if self.pieces_alone || self.beyond.is_some() => tell(k, None),
+                    Answer::Elsewhere => ask(k, &mut tell),
+                })
+            }
             None => (0..x.len() / n).for_each(|k| ask(k, &mut tell)),
         }
     }

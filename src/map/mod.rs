@@ -218,13 +218,7 @@ impl ValueMap {
             return Err(MapError::Empty);
         }
         let control = Program::lower(&plan.system.graph, &plan.system.inputs, &plan.system.observer.control);
-        let of_state: Vec<_> = (plan.system.guards.iter())
-            .map(|g| g.expr)
-            .filter(|expr| {
-                let adjoints = &plan.system.inputs[states..];
-                !adjoints.iter().any(|p| plan.system.graph.depends_on(&[*expr], *p))
-            })
-            .collect();
+        let of_state = plan.system.guards_of_state();
         let guards = (!of_state.is_empty()).then(|| {
             Evaluator::new(&Program::lower(
                 &plan.system.graph,

@@ -8,6 +8,7 @@ use costate::feedback::{Data, FittedLaw, Law, Samples, fit};
 use costate::hamiltonian::Hamiltonian;
 use costate::model::{Feedback, Model};
 use costate::numeric::random::random;
+use std::path::Path;
 use std::process::Command;
 use support::{Points, output, scratch};
 
@@ -415,6 +416,15 @@ fn too_few_data_are_refused() {
     assert!(message.contains("law `network`: of 20 samples"), "{message}");
 }
 
+/// The summary of `costate fit` on what a command makes of a scene.
+fn fitted_by(command: &str, toml: &Path, out: &Path) -> serde_json::Value {
+    let costate = || Command::new(env!("CARGO_BIN_EXE_costate"));
+    let made = [command, "--backend", "cpu", "--quiet", "--out"];
+    output(costate().args(made).arg(out).arg(toml));
+    let summary = output(costate().args(["fit", "--json", "--quiet"]).arg(out));
+    serde_json::from_str(&summary).unwrap()
+}
+
 /// The whole way: a sweep, `costate fit`, the group and the files.
 #[test]
 fn a_result_file_gets_its_laws() {
@@ -425,15 +435,7 @@ fn a_result_file_gets_its_laws() {
     let (toml, out) = (directory.join("scene.toml"), directory.join("result.h5"));
     std::fs::write(&toml, &scene).unwrap();
     let costate = || Command::new(env!("CARGO_BIN_EXE_costate"));
-    output(
-        costate()
-            .args(["run", "--backend", "cpu", "--quiet"])
-            .arg(&toml)
-            .arg("--out")
-            .arg(&out),
-    );
-    let summary = output(costate().args(["fit", "--json", "--quiet"]).arg(&out));
-    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    let summary = fitted_by("run", &toml, &out);
     let law = &summary["laws"][0];
     // The bound acts nowhere up to V = 0.3, so the law is linear, which four logistic units approximate.
     assert!(law["u_error"]["mean"].as_f64().unwrap() < 2e-3, "{law}");
@@ -511,16 +513,7 @@ fn a_map_gives_the_samples_of_its_laws() {
     );
     let (toml, out) = (directory.join("scene.toml"), directory.join("result.h5"));
     std::fs::write(&toml, &scene).unwrap();
-    let costate = || Command::new(env!("CARGO_BIN_EXE_costate"));
-    output(
-        costate()
-            .args(["homotopy", "--backend", "cpu", "--quiet"])
-            .arg(&toml)
-            .arg("--out")
-            .arg(&out),
-    );
-    let summary = output(costate().args(["fit", "--json", "--quiet"]).arg(&out));
-    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    let summary = fitted_by("homotopy", &toml, &out);
     let sets = summary["laws"][0]["samples"].as_array().unwrap();
     assert_eq!(sets.iter().map(|s| s.as_u64().unwrap()).sum::<u64>(), 2000, "{summary}");
     let law = Law::load(&directory.join("result_network.toml")).unwrap();

@@ -337,8 +337,14 @@ impl Writer<'_> {
         if self.known.local().is_some() {
             text += &filled(LOCAL);
         }
+        let guards = match self.known {
+            Known::Map(..) => self.system.guards_of_state(),
+            Known::Local(_) => Vec::new(),
+        };
         if self.known.pieces().is_some() {
-            text += &self.allowed();
+            if !guards.is_empty() {
+                text += &self.allowed(&guards);
+            }
             text += &self.solves();
             text += &format!(
                 "\n/* State i moved into the region by whole periods, where it has one. */\n\
@@ -352,7 +358,7 @@ impl Writer<'_> {
             "\n/* V, p and the deviation s from the reference that they are of. */\n\
              static inline int {name}_at(const {real} *x, {real} *V, {real} *p, {real} *s)\n{{\n"
         );
-        if self.guarded() {
+        if !guards.is_empty() {
             text += &format!("    if (!{name}_allowed(x)) return 0;\n");
         }
         if self.known.local().is_some() {
@@ -401,27 +407,10 @@ impl Writer<'_> {
             .straight(&self.system.graph, &[(s, "s"), (p, "p")], roots, target)
     }
 
-    /// The scene's guards that depend on the state alone.
-    fn guards(&self) -> Vec<Id> {
-        let System {
-            graph, inputs, states, ..
-        } = self.system;
-        let of_state = |expr: &Id| !inputs[*states..].iter().any(|p| graph.depends_on(&[*expr], *p));
-        (self.system.guards.iter().map(|g| g.expr)).filter(of_state).collect()
-    }
-
-    fn guarded(&self) -> bool {
-        self.known.pieces().is_some() && !self.guards().is_empty()
-    }
-
     /// Whether no guard excludes a state by more than rounding.
-    fn allowed(&self) -> String {
-        if !self.guarded() {
-            return String::new();
-        }
+    fn allowed(&self, guards: &[Id]) -> String {
         let Syntax { name, real, function } = self.c;
-        let (n, guards) = (self.system.states, self.guards());
-        let count = guards.len();
+        let (n, count) = (self.system.states, guards.len());
         format!(
             "\n/* Whether no guard excludes x by more than rounding. */\n\
              static inline int {name}_allowed(const {real} *x)\n{{\n    {real} s[{n}], g[{count}], size = 1;\n    int i;\n    \
@@ -430,7 +419,7 @@ impl Writer<'_> {
              size = {function}(fabs)(s[i]) + {function}(fabs)({name}_reference[i]);\n    }}\n\
              {}    for (i = 0; i < {count}; i++)\n        \
              if (g[i] < -size * ({real})(sizeof({real}) < sizeof(double) ? 1e-6 : {GUARD_ROUNDING:e})) return 0;\n    return 1;\n}}\n",
-            self.straight(&guards, "g")
+            self.straight(guards, "g")
         )
     }
 

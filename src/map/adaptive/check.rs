@@ -218,8 +218,8 @@ impl Work<'_, '_> {
                 (None, _) => states.len() / n,
                 (Some(_), 0) => FIRST_CHECKED,
                 (Some(seconds), _) => {
-                    let taken = began.elapsed().as_secs_f64();
-                    ((CHECK_SHARE * seconds - taken).max(0.0) / taken * done as f64) as usize
+                    let left = CHECK_SHARE * seconds - began.elapsed().as_secs_f64();
+                    Self::fitting(left, began, done)
                 }
             };
             let batch: Vec<f64> = states[done * n..].iter().copied().take(room * n).collect();

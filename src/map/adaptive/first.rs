@@ -132,10 +132,7 @@ impl Work<'_, '_> {
                 // Without any state there is no map.
                 Some(_) if self.first[0] == 0 => FIRST_BATCH,
                 Some(_) if values.is_empty() && self.seconds_left(share) > 0.0 => FIRST_BATCH,
-                Some(_) => {
-                    let pace = began.elapsed().as_secs_f64() / values.len() as f64;
-                    (self.seconds_left(share).max(0.0) / pace) as usize
-                }
+                Some(_) => Self::fitting(self.seconds_left(share), began, values.len()),
             };
             let rest = states.split_off(states.len().min(n * fits));
             if states.is_empty() {

@@ -394,8 +394,8 @@ impl Pieces {
             .collect();
         own.sort_by(|a, b| a.v.total_cmp(&b.v));
         own.retain(|told| told.v <= self.region.value_max);
-        let alone = own.len() == 1 && self.cells[self.cell(z)].pieces.len() == 1;
-        (0..own.len()).map(|k| self.blended(z, &own[k], alone)).collect()
+        let sole = self.cells[self.cell(z)].pieces.len() == 1;
+        (0..own.len()).map(|k| self.blended(z, &own[k], sole)).collect()
     }
 
     /// The cell in which a place lies.
@@ -434,7 +434,7 @@ impl Pieces {
         })
     }
 
-    /// One sheet's blend at a place.
+    /// One sheet's blend at a place; `sole`: its cell has no other piece.
     fn blended(&self, z: &[f64], first: &Told, sole: bool) -> Said {
         let n = z.len();
         let (mut total, mut slope) = (0.0, [0.0; MOST_VARIABLES]);

@@ -2,8 +2,8 @@
 
 use super::Made;
 use super::panels::{Curve, Panel, Panels};
+use crate::numeric::hermite::hermite;
 use crate::report::canvas::{Ink, Stroke};
-use crate::report::flow::hermite;
 use crate::report::frame::Mark;
 use crate::report::ticks::significant;
 use crate::report::{Picture, Source, colours, names};

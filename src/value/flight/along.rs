@@ -3,6 +3,7 @@
 use super::{Expansion, Law, tangent};
 use crate::backend::BackendError;
 use crate::backend::cpu::Evaluator;
+use crate::numeric::hermite::hermite;
 use crate::program::Program;
 use crate::shooting::{Path, Solver};
 use crate::sweep::Plan;
@@ -140,23 +141,9 @@ impl Guide {
         let duration = self.times[segment + 1] - self.times[segment];
         let (a, b) = (2 * n * segment, 2 * n * (segment + 1));
         let x = share;
-        // Cubic Hermite interpolation of the nodes.
-        let weights = [
-            (1.0 + 2.0 * x) * (1.0 - x).powi(2),
-            x * (1.0 - x).powi(2) * duration,
-            x * x * (3.0 - 2.0 * x),
-            x * x * (x - 1.0) * duration,
-        ];
+        let end = |i: usize| [self.nodes[i], self.rates[i]];
         let node: Vec<f64> = (0..2 * n)
-            .map(|i| {
-                let values = [
-                    self.nodes[a + i],
-                    self.rates[a + i],
-                    self.nodes[b + i],
-                    self.rates[b + i],
-                ];
-                weights.iter().zip(values).map(|(w, v)| w * v).sum()
-            })
+            .map(|i| hermite(x, duration, end(a + i), end(b + i)))
             .collect();
         let slope = (0..n * n)
             .map(|q| (1.0 - x) * self.slopes[segment * n * n + q] + x * self.slopes[(segment + 1) * n * n + q])

@@ -2,6 +2,7 @@
 
 use super::{PointStatus, Survey};
 use crate::backend::BackendError;
+use crate::numeric::hermite::hermite;
 use crate::shooting::{Path, Solver};
 use crate::sweep::guard_holds as holds;
 use std::sync::PoisonError;
@@ -13,18 +14,37 @@ const HALVINGS: usize = 24;
 /// (sqrt(5) - 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_8;
 
+/// All samples of a path, `[sample][2n]`: its nodes, and those between them.
+fn samples(path: &Path, between: &[f64]) -> Vec<f64> {
+    let inner = (GUARD_PIECES - 1) * path.width;
+    let mut nodes = Vec::with_capacity(path.nodes.len() + between.len());
+    for (k, between) in between.chunks_exact(inner).enumerate() {
+        nodes.extend_from_slice(path.node(k));
+        nodes.extend_from_slice(between);
+    }
+    nodes.extend_from_slice(path.last());
+    nodes
+}
+
 impl Survey<'_> {
     /// Whether all nodes are inside the guards, but for rounding.
     pub(in crate::value) fn inside(&self, nodes: &[f64]) -> bool {
+        let Some((guards, _)) = &self.guards else {
+            return true;
+        };
+        self.hold(nodes, &guards.eval(nodes, 2 * self.targets.states))
+    }
+
+    /// Whether guards with these margins hold at nodes, but for rounding.
+    fn hold(&self, nodes: &[f64], margins: &[f64]) -> bool {
         let Some((guards, strict)) = &self.guards else {
             return true;
         };
         const ROUNDING: f64 = 1e-9;
         let (n, width) = (self.targets.states, 2 * self.targets.states);
-        let values = guards.eval(nodes, width);
         nodes
             .chunks(width)
-            .zip(values.chunks(strict.len()))
+            .zip(margins.chunks(strict.len()))
             .all(|(node, values)| {
                 values.iter().enumerate().all(|(g, v)| {
                     if holds(*v, strict[g]) {
@@ -60,18 +80,21 @@ impl Survey<'_> {
 
     /// Whether trajectories stay inside the guards, at their nodes and between them.
     pub(in crate::value) fn valid(&self, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<bool>, BackendError> {
-        if self.guards.is_none() {
+        let Some((guards, _)) = &self.guards else {
             return Ok(vec![true; paths.len()]);
-        }
+        };
         let between = solver.between_nodes(paths, GUARD_PIECES)?;
-        let mut valid: Vec<bool> = (paths.iter().zip(&between))
-            .map(|(path, between)| self.inside(&path.nodes) && self.inside(between))
-            .collect();
+        let mut valid = Vec::with_capacity(paths.len());
         // What is thin lies between the samples: flights to where a guard's margin seems to be least, if that is below 0.
         let mut doubts = Vec::new();
-        let samples = paths.iter().zip(&between).enumerate();
-        for (k, (path, between)) in samples.filter(|(k, _)| valid[*k]) {
-            doubts.extend(self.doubts(path, between).into_iter().map(|part| (k, part)));
+        for (k, (path, between)) in paths.iter().zip(between).enumerate() {
+            let nodes = samples(path, &between);
+            let margins = guards.eval(&nodes, path.width);
+            valid.push(self.hold(&nodes, &margins));
+            if valid[k] {
+                let parts = self.doubts(path, &nodes, &margins);
+                doubts.extend(parts.into_iter().map(|part| (k, part)));
+            }
         }
         if doubts.is_empty() {
             return Ok(valid);
@@ -85,24 +108,17 @@ impl Survey<'_> {
 
     /// From samples of a trajectory before them, the ways to where a guard's margin is least between samples, if it is below 0
     /// there: by cubics through the samples.
-    fn doubts(&self, path: &Path, between: &[f64]) -> Vec<Path> {
+    fn doubts(&self, path: &Path, nodes: &[f64], margins: &[f64]) -> Vec<Path> {
         let (Some((guards, strict)), Some(rates)) = (&self.guards, &self.rates) else {
             return Vec::new();
         };
         let width = path.width;
-        let mut nodes = Vec::with_capacity(path.nodes.len() + between.len());
-        let mut lengths = Vec::new();
-        for (k, duration) in path.durations.iter().enumerate() {
-            nodes.extend_from_slice(path.node(k));
-            let inner = (GUARD_PIECES - 1) * width;
-            nodes.extend_from_slice(&between[k * inner..][..inner]);
-            lengths.extend([duration / GUARD_PIECES as f64; GUARD_PIECES]);
-        }
-        nodes.extend_from_slice(path.last());
+        let lengths: Vec<f64> = (path.durations.iter())
+            .flat_map(|duration| [duration / GUARD_PIECES as f64; GUARD_PIECES])
+            .collect();
         if lengths.is_empty() {
             return Vec::new();
         }
-        let margins = guards.eval(&nodes, width);
         let each = strict.len();
         let at = |g: usize, j: usize| margins[j * each + g];
         // Between three places a smooth margin falls by less than it rises to the highest of them; from the first of a trajectory it
@@ -134,23 +150,12 @@ impl Survey<'_> {
         if least.is_empty() {
             return Vec::new();
         }
-        let slopes = rates.eval(&nodes, width);
+        // The rates are backward in time.
+        let slopes = rates.eval(nodes, width);
         let cubic = |k: usize, share: f64| -> Vec<f64> {
-            let (h, a, b) = (lengths[k], k * width, (k + 1) * width);
-            let (t, r) = (share, 1.0 - share);
-            let weights = [
-                r * r * (1.0 + 2.0 * t),
-                t * t * (1.0 + 2.0 * r),
-                r * r * t * h,
-                -t * t * r * h,
-            ];
-            (0..width)
-                .map(|i| {
-                    // The rates are backward in time.
-                    weights[0] * nodes[a + i] + weights[1] * nodes[b + i]
-                        - weights[2] * slopes[a + i]
-                        - weights[3] * slopes[b + i]
-                })
+            let end = |i: usize| [nodes[i], -slopes[i]];
+            (k * width..(k + 1) * width)
+                .map(|i| hermite(share, lengths[k], end(i), end(i + width)))
                 .collect()
         };
         let place = |at: f64| {

@@ -490,11 +490,13 @@ impl<'c> Builder<'c> {
             .collect();
         // Halves ask for states of their own where the equation is not met; what cannot be halved keeps to its points there.
         let by = self.bounds_by_equation(&pieces);
-        let unfounded = |this: &Self, pieces: &[Piece]| !this.without_answer(&block, pieces).is_empty();
         let off = self.off_points(&block, &pieces);
         let far_off = |(piece, off): (&Piece, &f64)| *off > GROSS * piece.bound.max(self.region.error);
-        let is_wrong =
-            || self.is_contradicted(&pieces, &by) || unfounded(self, &pieces) || pieces.iter().zip(&off).any(far_off);
+        let is_wrong = || {
+            self.is_contradicted(&pieces, &by)
+                || self.is_unfounded(&block, &pieces)
+                || pieces.iter().zip(&off).any(far_off)
+        };
         if dense && self.without.is_none() && is_wrong() {
             let axis = self.axis(&block, &own);
             if !self.is_finest(&block, axis) {
@@ -509,11 +511,11 @@ impl<'c> Builder<'c> {
             }
             pieces.insert(k, piece);
         }
-        if unfounded(self, &pieces) {
+        if self.is_unfounded(&block, &pieces) {
             for (piece, (_, points)) in pieces.iter_mut().zip(&own) {
                 piece.support = self.enclosed(piece, points, 0.0);
             }
-            if unfounded(self, &pieces) {
+            if self.is_unfounded(&block, &pieces) {
                 pieces.clear();
             }
         }
@@ -616,7 +618,7 @@ impl<'c> Builder<'c> {
             })
         };
         let fresh = block.points.iter().map(|k| *k as usize).filter(|k| *k >= before.points);
-        if !{ fresh }.all(agrees) || !self.without_answer(block, own).is_empty() {
+        if !{ fresh }.all(agrees) || self.is_unfounded(block, own) {
             return None;
         }
         let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);

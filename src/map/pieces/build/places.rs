@@ -90,9 +90,9 @@ impl Builder<'_> {
         all.filter(|k| self.cloud.unanswered.lies_in(*k, lo, hi)).collect()
     }
 
-    /// Places of a block at which pieces say something although a search found no solution: no point is near them. One that was
+    /// Whether pieces say something at a place of a block at which a search found no solution, and no point is near: one that was
     /// only missed lies among the tracks of others.
-    pub(super) fn without_answer(&self, block: &Block, pieces: &[Piece]) -> Vec<u32> {
+    pub(super) fn is_unfounded(&self, block: &Block, pieces: &[Piece]) -> bool {
         let n = self.cloud.variables;
         let places = &self.cloud.unanswered;
         let z = |k: u32| &places.z[k as usize * n..][..n];
@@ -105,23 +105,22 @@ impl Builder<'_> {
         };
         let said: Vec<u32> = block.unanswered.iter().copied().filter(|k| is_said(*k)).collect();
         if said.is_empty() {
-            return said;
+            return false;
         }
         let tracks: HashSet<u32> = block.points.iter().map(|k| self.cloud.track[*k as usize]).collect();
         // Of so many tracks spread over the block, in its widths.
         let usual = (tracks.len() as f64).powf(-1.0 / n as f64);
-        let is_alone = |k: &u32| {
-            let share = match places.leaves_guard[*k as usize] {
+        said.into_iter().any(|k| {
+            let share = match places.leaves_guard[k as usize] {
                 true => NO_POINT_WITHIN_OF_CUT,
                 false => NO_POINT_WITHIN,
             };
             let near = |point: &u32| {
                 let at = self.cloud.z(*point as usize);
-                (0..n).all(|i| (at[i] - z(*k)[i]).abs() <= share * usual * (block.hi[i] - block.lo[i]))
+                (0..n).all(|i| (at[i] - z(k)[i]).abs() <= share * usual * (block.hi[i] - block.lo[i]))
             };
             !block.points.iter().any(near)
-        };
-        said.into_iter().filter(is_alone).collect()
+        })
     }
 
     /// By how much V of points in a block is off what its pieces say there, at most, relative to V: of each piece where it is the

@@ -121,7 +121,7 @@ impl<T: Real> Flat<T> {
                 }
                 // The piece of the same sheet, if the neighbour has one.
                 best.filter(|told| {
-                    let alone = sheets == 1 && own.sole && share.sole;
+                    let alone = own.sole && share.sole;
                     alone || (told.v - first.v).absolute() <= T::of(SAME) * (told.v_bound + first.v_bound)
                 })
             };
