@@ -310,8 +310,23 @@ fn told(piece: u32, place: Spot) -> Told {
             for (var i = 0u; i < N; i += 1u) {
                 at += reals[DIRECTION + d * N + i] * y[i];
             }
-            let extent = SUPPORTS + 2u * (support + d);
+            let extent = SUPPORTS + support + 2u * d;
             inside = inside & (at >= reals[extent]) & (at <= reals[extent + 1u]);
+        }
+        if (MARGINS > 0u) {
+            // The polynomial of the guards' margins along trajectories.
+            let own = SUPPORTS + support + 2u * DIRECTIONS;
+            var margin = reals[own];
+            var square = own + N;
+            for (var i = 0u; i < N; i += 1u) {
+                var slope = reals[own + 1u + i];
+                for (var j = i; j < N; j += 1u) {
+                    square += 1u;
+                    slope += reals[square] * y[j];
+                }
+                margin += y[i] * slope;
+            }
+            inside = inside & (margin >= 0.0);
         }
         if (!inside) {
             return answer;

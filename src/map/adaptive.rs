@@ -13,7 +13,7 @@ mod search;
 use super::pieces::{Cloud, Flow, Frame, MOST_VARIABLES, Pieces, Region};
 use crate::backend::BackendError;
 use crate::model::{MapAim, Model};
-use crate::shooting::Solver;
+use crate::shooting::{Path, Solver};
 use crate::sweep::Plan;
 use crate::value::{Archive, Progress, Track, TrackPoints};
 pub use beyond::Beyond;
@@ -61,6 +61,16 @@ pub struct Adaptive {
     pub seconds: f64,
 }
 
+/// A state at which a search found no solution.
+struct Hole {
+    /// Absolute, with its time where that is an axis.
+    x: Vec<f64>,
+    /// The solution there that leaves a guard, until its clearance is known.
+    cut: Option<Path>,
+    /// As in [`crate::map::pieces::Unanswered`].
+    clearance: f64,
+}
+
 struct Work<'a, 'p> {
     plan: &'a Plan,
     model: &'a Model,
@@ -79,8 +89,7 @@ struct Work<'a, 'p> {
     /// Track point and turns by periods that each point of the cloud comes from.
     origins: Vec<(u32, Vec<f64>)>,
     failures: HashMap<Vec<u64>, u32>,
-    /// States (absolute, with their times) at which a search found no solution, and whether one was found that leaves a guard.
-    unanswered: Vec<(Vec<f64>, bool)>,
+    unanswered: Vec<Hole>,
     random: u64,
     states: usize,
     failed: usize,
@@ -174,7 +183,7 @@ impl Work<'_, '_> {
             if (wrong.is_empty() && unfounded.is_empty()) || attempt + 1 == CHECKS || self.is_spent(1.0) {
                 break;
             }
-            unfounded.iter().for_each(|c| self.note(&c.x, c.status));
+            unfounded.iter().for_each(|c| self.note(&c.x, (c.status, None)));
             let more = self.searched_around(&wrong, &judged.pieces, &region)?;
             let pieces = self.refined(&region, more)?;
             judged = self.judged(pieces);

@@ -4,7 +4,7 @@ use super::answers::{Names, status};
 use super::{Stored, StoredError, TrajectorySchema};
 use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::map::Adaptive;
-use crate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
+use crate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions, margin_terms};
 
 const PIECES: &str = "map_pieces";
 const BEYOND: &str = "map_beyond";
@@ -160,6 +160,16 @@ impl ResultFile {
                 ),
             None => group,
         };
+        let margins = pieces.margin_terms();
+        let group = match margins {
+            0 => group,
+            _ => group
+                .dimension(Dimension::index("margin_term", margins))
+                .variable(Variable::f64("clearance", ["piece", "margin_term"]).long_name(
+                    "polynomial of the least margin of the guards along trajectories, in the monomials' variables: nothing is said \
+                     where it is negative; NaN: all of them stay inside",
+                )),
+        };
         let group = match time {
             Some((schema, name)) => {
                 let arguments = schema.states.iter().map(|s| s.name.as_str()).chain([name]);
@@ -233,6 +243,15 @@ impl ResultFile {
         };
         writer.write("support_lower", &support(0))?;
         writer.write("support_upper", &support(1))?;
+        if margins > 0 {
+            writer.write(
+                "clearance",
+                &all(&|p| match p.clearance.is_empty() {
+                    true => vec![f64::NAN; margins],
+                    false => p.margins(margins),
+                }),
+            )?;
+        }
         writer.write("V_bound", &all(&|p| vec![p.bound]))?;
         writer.write("p_bound", &all(&|p| vec![p.p_bound]))?;
         let whole = |f: &dyn Fn(&Piece) -> i32| -> Vec<i32> { pieces.pieces.iter().map(f).collect() };
@@ -316,6 +335,11 @@ impl Stored {
         let ways = directions(n).len();
         let supports = |name: &str| group.shaped(name, &[count, ways]);
         let support = [supports("support_lower")?, supports("support_upper")?];
+        let margins = margin_terms(n);
+        let clearance = match group.has("clearance") {
+            true => group.shaped("clearance", &[count, margins])?,
+            false => vec![f64::NAN; count * margins],
+        };
         let (bound, p_bound) = (group.shaped("V_bound", &[count])?, group.shaped("p_bound", &[count])?);
         let whole = |name: &str| -> Result<Vec<i32>, StoredError> { Ok(group.i32(name)?.1) };
         let (shape, sheet, first, terms) = (whole("shape")?, whole("sheet")?, whole("first")?, whole("terms")?);
@@ -354,6 +378,9 @@ impl Stored {
                 support: (0..ways)
                     .map(|i| [support[0][k * ways + i], support[1][k * ways + i]])
                     .filter(|s| !s[0].is_nan())
+                    .collect(),
+                clearance: (clearance[k * margins..][..margins].iter().copied())
+                    .filter(|c| !c.is_nan())
                     .collect(),
             })
         });

@@ -117,6 +117,7 @@ pub(super) fn add_marched(survey: &mut Survey<'_>, solver: &mut Solver) -> Resul
                 status: PointStatus::LeavesGuard,
                 furthest: Some(survey.targets.state(target).to_vec()),
                 left: 0.0,
+                cut: Some(job.path),
             });
         }
     }

@@ -3,6 +3,7 @@
 mod accuracy;
 mod approach;
 mod archive;
+mod clearance;
 mod conjugate;
 mod cover;
 mod direct;
@@ -24,6 +25,7 @@ mod tracks;
 pub use accuracy::{SolvedAccuracy, accuracy};
 pub use approach::{Approach, Unreached, follow};
 pub use archive::{Archive, Index, Place};
+pub use clearance::least_clearances;
 pub use conjugate::ConjugatePoints;
 pub use cover::Cover;
 pub use equal_cost::BoundaryPoint;

@@ -1,7 +1,8 @@
 //! Points along extremals: everywhere on one V and p are as exactly known as where it begins.
 
 use super::Entry;
-use super::survey::Survey;
+use super::clearance::{self, Guards};
+use super::survey::{Miss, Survey};
 use super::targets::Targets;
 use crate::backend::BackendError;
 use crate::backend::cpu::Evaluator;
@@ -49,6 +50,8 @@ pub struct TrackPoints {
     pub track: Vec<u32>,
     /// Time after the track's beginning; negative before it.
     pub t: Vec<f64>,
+    /// The least margin of the guards from there to the track's end; infinite where it is not known.
+    pub clearance: Vec<f64>,
 }
 
 impl TrackPoints {
@@ -69,6 +72,28 @@ impl TrackPoints {
         self.v.push(v);
         self.track.push(track);
         self.t.push(t);
+        self.clearance.push(f64::INFINITY);
+    }
+
+    pub fn extend(&mut self, other: Self) {
+        self.nodes.extend(other.nodes);
+        self.v.extend(other.v);
+        self.track.extend(other.track);
+        self.t.extend(other.t);
+        self.clearance.extend(other.clearance);
+    }
+
+    /// Leaves out points by their numbers.
+    pub fn retain(&mut self, keep: impl Fn(usize) -> bool) {
+        if (0..self.len()).all(&keep) {
+            return;
+        }
+        let all = std::mem::take(self);
+        self.states = all.states;
+        for k in (0..all.len()).filter(|k| keep(*k)) {
+            self.push(all.node(k), all.v[k], all.track[k], all.t[k]);
+            self.clearance[self.v.len() - 1] = all.clearance[k];
+        }
     }
 }
 
@@ -140,6 +165,7 @@ pub fn track_points(
     if wish.beyond {
         backward(plan, solver, tracks, first, wish, &mut points)?;
     }
+    clearance::tell(plan, solver, tracks, first, &mut points)?;
     Ok(points)
 }
 
@@ -244,10 +270,7 @@ fn backward(
     let n = points.states;
     let roots = [&system.rate[..=2 * n], &[system.observer.hamiltonian]].concat();
     let rates = Evaluator::new(&Program::lower(&system.graph, &system.inputs, &roots));
-    let guards = (!system.guards.is_empty()).then(|| {
-        let exprs: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
-        Evaluator::new(&Program::lower(&system.graph, &system.inputs, &exprs))
-    });
+    let guards = Guards::of(plan);
     let mut going: Vec<Going> = (tracks.iter().enumerate())
         .filter(|(_, track)| track.whole)
         .map(|(k, track)| Going {
@@ -292,7 +315,7 @@ fn backward(
         // Rounding and the ends of what guards allow.
         let nodes: Vec<f64> = next.iter().flat_map(|g| g.node.iter().copied()).collect();
         let values = rates.eval(&nodes, 2 * n);
-        let allowed = guards.as_ref().map(|g| g.eval(&nodes, 2 * n));
+        let allowed = guards.as_ref().map(|g| g.margins(&nodes));
         let mut k = 0;
         next.retain(|g| {
             let rate = &values[k * (2 * n + 2)..][..2 * n + 2];
@@ -346,7 +369,10 @@ pub fn path_from(track: &Track, node: &[f64], t: f64, later: &[(f64, &[f64])]) -
     path
 }
 
-/// Solves for states from guesses near them; of each what was found.
+/// A solution and V, or what is known where there is none.
+pub type FoundNear = Result<(Path, f64), Option<Miss>>;
+
+/// Solves for states from guesses near them; of each what was found, or why nothing was.
 ///
 /// # Errors
 /// Device failures only.
@@ -355,7 +381,7 @@ pub fn solve_near(
     solver: &mut Solver,
     guesses: Vec<(Vec<f64>, Path)>,
     least: f64,
-) -> Result<Vec<Option<(Path, f64)>>, BackendError> {
+) -> Result<Vec<FoundNear>, BackendError> {
     let n = plan.system.states;
     let count = guesses.len();
     // In the order given, without neighbours: each is a problem of its own.

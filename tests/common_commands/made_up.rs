@@ -52,11 +52,15 @@ pub fn made_up(region: Region) -> Pieces {
             bound,
             p_bound: bound,
             sheet: k as i32,
-            // The lower sheet of the third cell ends inside it.
-            support: if k == 4 {
-                vec![[-0.7, 0.2]; directions(3).len()]
-            } else {
-                Vec::new()
+            // The lower sheet of the third cell ends inside it, and a guard's shadow lies over the first.
+            support: match k {
+                0 => vec![[-4.0, 4.0]; directions(3).len()],
+                4 => vec![[-0.7, 0.2]; directions(3).len()],
+                _ => Vec::new(),
+            },
+            clearance: match k {
+                0 => vec![0.1, 0.4, -0.3, 0.2, 0.5, -0.2, 0.1, -0.6, 0.3, -0.4],
+                _ => Vec::new(),
             },
         }
     };

@@ -288,6 +288,7 @@ impl Writer<'_> {
         let c = &self.c;
         let ways = pieces.directions.len();
         let mut rows: Vec<f64> = Vec::new();
+        let (terms, mut margins) = (pieces.margin_terms(), Vec::new());
         let mut place = Vec::new();
         for piece in &pieces.pieces {
             place.push(if piece.support.is_empty() {
@@ -296,6 +297,9 @@ impl Writer<'_> {
                 1 + rows.len() / (2 * ways)
             });
             rows.extend(piece.support.iter().flatten());
+            if !piece.support.is_empty() {
+                margins.extend(piece.margins(terms));
+            }
         }
         let mut text = String::new();
         let mut inside = String::new();
@@ -310,6 +314,17 @@ impl Writer<'_> {
                  const {real} *extent = {name}_support[{name}_support_of[k] - 1] + 2 * j;\n        {real} along = 0;\n        \
                  for (i = 0; i < {name}_states; i++) along += {name}_direction[j][i] * y[i];\n        \
                  if (!(along >= extent[0] && along <= extent[1])) return 0;\n    }}\n"
+            );
+        }
+        if terms > 0 {
+            text += "/* Polynomials of the least margin of the guards along trajectories: nothing is said where they are negative. */\n";
+            text += &c.table("margin", &margins, terms);
+            inside += &format!(
+                "    {{\n        const {real} *c = {name}_margin[{name}_support_of[k] - 1];\n        \
+                 {real} margin = c[0];\n        int square = {name}_states;\n        \
+                 for (i = 0; i < {name}_states; i++) {{\n            {real} slope = c[1 + i];\n            \
+                 for (j = i; j < {name}_states; j++) slope += c[++square] * y[j];\n            \
+                 margin += y[i] * slope;\n        }}\n        if (!(margin >= 0)) return 0;\n    }}\n"
             );
         }
         let unused = if inside.is_empty() {

@@ -105,7 +105,12 @@ impl Work<'_, '_> {
                 }
                 let track = self.points.track[k];
                 let sheet = self.tracks[track as usize].sheet;
-                cloud.add(&frame, (&x, &p), self.points.v[k], (track, sheet));
+                cloud.add(
+                    &frame,
+                    (&x, &p),
+                    (self.points.v[k], self.points.clearance[k]),
+                    (track, sheet),
+                );
             }
         }
         let mut pieces = build_around(&cloud, &outer, &frame, self.flow.as_ref(), region);

@@ -1,9 +1,10 @@
 //! Fresh states, which the map never used: what it says of them, and more states where it is wrong.
 
-use super::{NEAR, Work};
+use super::{Hole, NEAR, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Pieces, Region, Said, Want};
 use crate::numeric::quantile::nearest_rank;
+use crate::shooting::Path;
 use crate::sweep::spread_over;
 use crate::value::PointStatus;
 use std::time::Instant;
@@ -163,10 +164,15 @@ impl Work<'_, '_> {
         if enough { Vec::new() } else { unfounded }
     }
 
-    /// Notes a state (absolute) if a search found no solution there.
-    pub(super) fn note(&mut self, x: &[f64], status: PointStatus) {
+    /// Notes a state (absolute) if a search found no solution there, or one that leaves a guard.
+    pub(super) fn note(&mut self, x: &[f64], (status, cut): (PointStatus, Option<Path>)) {
         if is_without_solution(status) && !self.plan.game {
-            self.unanswered.push((x.to_vec(), status == PointStatus::LeavesGuard));
+            let leaves_guard = status == PointStatus::LeavesGuard;
+            self.unanswered.push(Hole {
+                x: x.to_vec(),
+                cut: cut.filter(|_| leaves_guard),
+                clearance: if leaves_guard { 0.0 } else { f64::NAN },
+            });
         }
     }
 
@@ -271,6 +277,7 @@ impl Work<'_, '_> {
             bare: Vec::new(),
             points: (0..self.cloud.len() as u32).filter(near).collect(),
             near: 0,
+            shaded: None,
         }
     }
 

@@ -5,7 +5,7 @@ use super::{NEAR, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Region, Want};
 use crate::shooting::Path;
-use crate::value::{PointStatus, Track, path_from, solve_near};
+use crate::value::{Miss, PointStatus, Track, path_from, solve_near};
 
 /// States asked for in a cell at once: this many times a power of its error over the one asked for, and the most.
 const A_CELL: f64 = 3.0;
@@ -104,15 +104,22 @@ impl Work<'_, '_> {
         let mut tracks = Vec::new();
         let most = self.most_value();
         for (errand, found) in errands.into_iter().zip(found) {
-            let found = found.filter(|(_, value)| *value <= most);
-            if errand.only_bare || found.is_none() {
+            let high = found.as_ref().is_ok_and(|(_, value)| *value > most);
+            if errand.only_bare || high || found.is_err() {
                 *self.failures.entry(errand.cell).or_default() += 1;
             }
-            let Some((path, value)) = found else {
-                let shift = &self.origins[errand.from as usize].1;
-                let x: Vec<f64> = errand.x.iter().zip(shift).map(|(x, s)| x + s).collect();
-                self.missed(&x);
-                continue;
+            let (path, value) = match found {
+                Ok(_) if high => {
+                    self.failed += 1;
+                    continue;
+                }
+                Ok(found) => found,
+                Err(miss) => {
+                    let shift = &self.origins[errand.from as usize].1;
+                    let x: Vec<f64> = errand.x.iter().zip(shift).map(|(x, s)| x + s).collect();
+                    self.missed(&x, miss);
+                    continue;
+                }
             };
             self.states += 1;
             tracks.push(Track {
@@ -126,11 +133,12 @@ impl Work<'_, '_> {
     }
 
     /// Counts a state (absolute) that the way from a point near does not lead to.
-    pub(super) fn missed(&mut self, x: &[f64]) {
+    pub(super) fn missed(&mut self, x: &[f64], miss: Option<Miss>) {
         self.failed += 1;
         // Near a guard's shadow there is nothing to be found; elsewhere the way may only have been a bad one.
         if !self.plan.system.guards.is_empty() {
-            self.note(x, PointStatus::NotReached);
+            let why = miss.map_or((PointStatus::NotReached, None), |m| (m.status, m.cut));
+            self.note(x, why);
         }
     }
 
@@ -189,7 +197,7 @@ impl Work<'_, '_> {
                 .map(|i| want.lo[i] + (want.hi[i] - want.lo[i]) * self.uniform())
                 .collect();
             let x = self.frame.state(&z);
-            region.covers(&x).then_some(z)
+            (region.covers(&x) && !want.is_in_shadow(&z)).then_some(z)
         })
     }
 

@@ -76,13 +76,15 @@ impl Work<'_, '_> {
         let sheets: Vec<i32> = guesses.iter().map(|(.., sheet)| *sheet).collect();
         let guesses = guesses.into_iter().map(|(x, path, _)| (x, path)).collect();
         let found = solve_near(self.plan, self.solver, guesses, PATIENT_STEP)?;
-        for (x, _) in states.iter().zip(&found).filter(|(_, found)| found.is_none()) {
-            self.missed(x);
+        for (x, found) in states.iter().zip(&found) {
+            if let Err(miss) = found {
+                self.missed(x, miss.clone());
+            }
         }
         let most = self.most_value();
         let tracks: Vec<Track> = (found.into_iter().zip(sheets))
             .filter_map(|(found, sheet)| {
-                let (path, value) = found.filter(|(_, value)| *value <= most)?;
+                let (path, value) = found.ok().filter(|(_, value)| *value <= most)?;
                 Some(Track {
                     path,
                     value,

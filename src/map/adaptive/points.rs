@@ -133,14 +133,12 @@ impl Work<'_, '_> {
                     p.push(self.rates[number as usize]);
                     shift.push(0.0);
                 }
-                self.cloud.add(&self.frame, (&x, &p), found.v[k], (track, *sheet));
+                self.cloud
+                    .add(&self.frame, (&x, &p), (found.v[k], found.clearance[k]), (track, *sheet));
                 self.origins.push((number, shift));
             }
         }
-        self.points.nodes.extend(found.nodes);
-        self.points.v.extend(found.v);
-        self.points.track.extend(found.track);
-        self.points.t.extend(found.t);
+        self.points.extend(found);
     }
 
     /// State (absolute, moved by whole periods) of a point on a path, with its time where that is an axis.

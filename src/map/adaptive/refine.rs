@@ -4,6 +4,8 @@ use super::check::mixed;
 use super::{BETTER, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Before, Frame, Pieces, Region, Steep, Unanswered, Want, build};
+use crate::shooting::Path;
+use crate::value::least_clearances;
 use std::collections::HashMap;
 use std::time::Instant;
 
@@ -32,7 +34,7 @@ impl Work<'_, '_> {
                 pieces,
                 points: *points,
             });
-            self.cloud.unanswered = self.unanswered_places();
+            self.cloud.unanswered = self.unanswered_places()?;
             let (pieces, wants) = build(&self.cloud, region, &self.frame, self.flow.as_ref(), old);
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
@@ -65,16 +67,24 @@ impl Work<'_, '_> {
     }
 
     /// States without a solution, in coordinates of the frame.
-    fn unanswered_places(&self) -> Unanswered {
+    fn unanswered_places(&mut self) -> Result<Unanswered, BackendError> {
         let n = self.cloud.variables;
+        let cut: Vec<usize> = (0..self.unanswered.len())
+            .filter(|k| self.unanswered[*k].cut.is_some())
+            .collect();
+        let paths: Vec<Path> = cut.iter().filter_map(|k| self.unanswered[*k].cut.take()).collect();
+        let least = least_clearances(self.plan, self.solver, &paths.iter().collect::<Vec<_>>())?;
+        for (k, least) in cut.into_iter().zip(least) {
+            self.unanswered[k].clearance = least.min(0.0);
+        }
         let mut places = Unanswered {
             z: vec![0.0; n * self.unanswered.len()],
-            leaves_guard: self.unanswered.iter().map(|(_, leaves)| *leaves).collect(),
+            clearance: self.unanswered.iter().map(|hole| hole.clearance).collect(),
         };
-        for (z, (x, _)) in places.z.chunks_exact_mut(n).zip(&self.unanswered) {
-            self.frame.of(x, z);
+        for (z, hole) in places.z.chunks_exact_mut(n).zip(&self.unanswered) {
+            self.frame.of(&hole.x, z);
         }
-        places
+        Ok(places)
     }
 
     /// Turns the frame to where V is steep, relative to itself, if that is in one direction; whether it was turned.

@@ -24,7 +24,8 @@ impl Work<'_, '_> {
             for (number, target) in numbers.into_iter().zip(&answers.targets.of_given) {
                 given[number] = values[*target];
                 if values[*target].is_nan() {
-                    self.note(&states[number * v..][..v], answers.status(*target));
+                    let cut = answers.misses[*target].as_ref().and_then(|m| m.cut.clone());
+                    self.note(&states[number * v..][..v], (answers.status(*target), cut));
                 }
             }
         }

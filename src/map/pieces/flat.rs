@@ -41,7 +41,7 @@ struct Head<T> {
     degree: u8,
     shape: Shape,
     sheet: i32,
-    /// First row of its supports.
+    /// Where its supports begin.
     support: u32,
 }
 
@@ -69,7 +69,10 @@ pub struct Flat<T> {
     places: Vec<T>,
     /// Of divided powers, one piece after the other.
     coefficients: Vec<T>,
-    supports: Vec<[T; 2]>,
+    /// Of a piece lowest and highest extent along each direction, and the polynomial of the guards' margins if any has one.
+    supports: Vec<T>,
+    /// Coefficients of these polynomials.
+    margins: usize,
 }
 
 /// What is said of a state.
@@ -180,6 +183,7 @@ impl<T: Real> Flat<T> {
             places: Vec::with_capacity(pieces.pieces.len() * 2 * n),
             coefficients: Vec::new(),
             supports: Vec::new(),
+            margins: pieces.margin_terms(),
             tables,
         };
         for node in &pieces.nodes {
@@ -231,7 +235,10 @@ impl<T: Real> Flat<T> {
                 this.places.extend(all(&piece.half));
                 let scaled = piece.coefficients.iter().zip(&this.tables.scale);
                 this.coefficients.extend(scaled.map(|(c, s)| T::of(c * s)));
-                this.supports.extend(piece.support.iter().map(|s| s.map(T::of)));
+                this.supports.extend(piece.support.iter().flatten().map(|s| T::of(*s)));
+                if !piece.support.is_empty() {
+                    this.supports.extend(piece.margins(this.margins).into_iter().map(T::of));
+                }
             }
         }
         this.owned.push(this.heads.len() as u32);
@@ -356,17 +363,32 @@ impl<T: Real> Flat<T> {
         });
     }
 
-    /// Whether a place lies within a piece's points.
+    /// Whether a place lies within a piece's points, and outside the shadow of a guard.
     fn encloses(&self, support: usize, y: &[T]) -> bool {
         let n = y.len();
+        let zero = T::of(0.0);
         let ways = self.directions.chunks_exact(n);
-        self.supports[support..].iter().zip(ways).all(|([lo, hi], d)| {
-            let mut at = T::of(0.0);
+        let (extents, rest) = self.supports[support..].split_at(2 * ways.len());
+        let enclosed = extents.chunks_exact(2).zip(ways).all(|(extent, d)| {
+            let mut at = zero;
             for i in 0..n {
                 at = at + d[i] * y[i];
             }
-            at >= *lo && at <= *hi
-        })
+            at >= extent[0] && at <= extent[1]
+        });
+        if !enclosed || self.margins == 0 {
+            return enclosed;
+        }
+        let (mut margin, mut square) = (rest[0], n);
+        for i in 0..n {
+            let mut slope = rest[1 + i];
+            for y in &y[i..] {
+                square += 1;
+                slope = slope + rest[square] * *y;
+            }
+            margin = margin + y[i] * slope;
+        }
+        margin >= zero
     }
 
     /// Sums the polynomials of all tasks.

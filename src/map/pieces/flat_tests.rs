@@ -91,6 +91,12 @@ fn some_pieces(n: usize, turned: bool, random: &mut Random) -> Pieces {
                         .collect(),
                     false => Vec::new(),
                 },
+                clearance: match enclosed && random.next() < 0.5 {
+                    true => (0..super::margin_terms(n))
+                        .map(|t| if t == 0 { 0.2 } else { random.next() - 0.5 })
+                        .collect(),
+                    false => Vec::new(),
+                },
             });
         }
         cells.push(Cell {

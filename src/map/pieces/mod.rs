@@ -88,6 +88,9 @@ pub struct Piece {
     /// Extents of the points that it was fitted to along [`directions`], in its own variables, where points are missing on one
     /// side of the cell; else empty.
     pub support: Vec<[f64; 2]>,
+    /// Coefficients of the least margin of the guards along trajectories, a polynomial of up to the second degree in its own
+    /// variables (in the order of [`Terms`]): nothing is said where it is negative. Empty where all of them stay inside.
+    pub clearance: Vec<f64>,
 }
 
 impl Piece {
@@ -107,8 +110,22 @@ impl Piece {
             .collect()
     }
 
-    /// Whether a place in its own variables lies within the extent of its points.
+    /// Whether a place in its own variables lies within the extent of its points, and outside the shadow of a guard.
     fn supports(&self, directions: &[Vec<f64>], y: &[f64]) -> bool {
+        (self.clearance.is_empty() || quadratic(&self.clearance, y) >= 0.0) && self.encloses(directions, y)
+    }
+
+    /// All coefficients of the polynomial of the guards' margins: 1 where it has none.
+    pub fn margins(&self, count: usize) -> Vec<f64> {
+        let mut all = self.clearance.clone();
+        if all.is_empty() && count > 0 {
+            all.push(1.0);
+        }
+        all.resize(count, 0.0);
+        all
+    }
+
+    fn encloses(&self, directions: &[Vec<f64>], y: &[f64]) -> bool {
         (self.support.iter().zip(directions)).all(|([lo, hi], d)| {
             let at: f64 = d.iter().zip(y).map(|(d, y)| d * y).sum();
             at >= *lo && at <= *hi
@@ -124,6 +141,23 @@ impl Piece {
         }
         (v, q)
     }
+}
+
+/// Coefficients of a polynomial of the second degree in so many variables, that of the guards' margins.
+pub fn margin_terms(variables: usize) -> usize {
+    (variables + 1) * (variables + 2) / 2
+}
+
+/// A polynomial of up to the second degree, of whose coefficients those of no higher degree may be left out.
+fn quadratic(c: &[f64], y: &[f64]) -> f64 {
+    let n = y.len();
+    let (linear, mut squares) = (&c[1..=n], c[n + 1..].iter());
+    let mut sum = c[0];
+    for i in 0..n {
+        let bent: f64 = y[i..].iter().zip(squares.by_ref()).map(|(y, c)| c * y).sum();
+        sum += y[i] * (linear[i] + bent);
+    }
+    sum
 }
 
 /// Directions along which points are enclosed: the axes and those between two of them; of two variables more.
@@ -368,6 +402,14 @@ impl Pieces {
 
     pub fn states(&self) -> usize {
         self.region.lo.len()
+    }
+
+    /// Coefficients of the guards' margins in a piece; none where no piece has any.
+    pub fn margin_terms(&self) -> usize {
+        match self.pieces.iter().any(|p| !p.clearance.is_empty()) {
+            true => margin_terms(self.states()),
+            false => 0,
+        }
     }
 
     /// Whether a state (absolute) lies in the region.

@@ -2,17 +2,12 @@
 
 use super::{PointStatus, Survey};
 use crate::backend::BackendError;
-use crate::numeric::hermite::hermite;
 use crate::shooting::{Path, Solver};
 use crate::sweep::guard_holds as holds;
 use std::sync::PoisonError;
 
 /// Parts of a segment at whose ends guards are looked at.
 const GUARD_PIECES: usize = 8;
-/// Steps to where a margin is least between samples.
-const HALVINGS: usize = 24;
-/// (sqrt(5) - 1)/2.
-const GOLDEN: f64 = 0.618_033_988_749_894_8;
 
 /// All samples of a path, `[sample][2n]`: its nodes, and those between them.
 fn samples(path: &Path, between: &[f64]) -> Vec<f64> {
@@ -32,7 +27,7 @@ impl Survey<'_> {
         let Some((guards, _)) = &self.guards else {
             return true;
         };
-        self.hold(nodes, &guards.eval(nodes, 2 * self.targets.states))
+        self.hold(nodes, &guards.margins(nodes))
     }
 
     /// Whether guards with these margins hold at nodes, but for rounding.
@@ -55,7 +50,7 @@ impl Survey<'_> {
                         let mut moved = node.to_vec();
                         let step = ROUNDING * self.scales[q / 2];
                         moved[q / 2] += if q % 2 == 0 { step } else { -step };
-                        holds(guards.eval(&moved, width)[g], strict[g])
+                        holds(guards.margins(&moved)[g], strict[g])
                     })
                 })
             })
@@ -89,7 +84,7 @@ impl Survey<'_> {
         let mut doubts = Vec::new();
         for (k, (path, between)) in paths.iter().zip(between).enumerate() {
             let nodes = samples(path, &between);
-            let margins = guards.eval(&nodes, path.width);
+            let margins = guards.margins(&nodes);
             valid.push(self.hold(&nodes, &margins));
             if valid[k] {
                 let parts = self.doubts(path, &nodes, &margins);
@@ -109,7 +104,7 @@ impl Survey<'_> {
     /// From samples of a trajectory before them, the ways to where a guard's margin is least between samples, if it is below 0
     /// there: by cubics through the samples.
     fn doubts(&self, path: &Path, nodes: &[f64], margins: &[f64]) -> Vec<Path> {
-        let (Some((guards, strict)), Some(rates)) = (&self.guards, &self.rates) else {
+        let Some((guards, strict)) = &self.guards else {
             return Vec::new();
         };
         let width = path.width;
@@ -119,6 +114,12 @@ impl Survey<'_> {
         if lengths.is_empty() {
             return Vec::new();
         }
+        let times: Vec<f64> = std::iter::once(0.0)
+            .chain(lengths.iter().scan(0.0, |t, length| {
+                *t += length;
+                Some(*t)
+            }))
+            .collect();
         let each = strict.len();
         let at = |g: usize, j: usize| margins[j * each + g];
         // Between three places a smooth margin falls by less than it rises to the highest of them; from the first of a trajectory it
@@ -150,38 +151,15 @@ impl Survey<'_> {
         if least.is_empty() {
             return Vec::new();
         }
-        // The rates are backward in time.
-        let slopes = rates.eval(nodes, width);
-        let cubic = |k: usize, share: f64| -> Vec<f64> {
-            let end = |i: usize| [nodes[i], -slopes[i]];
-            (k * width..(k + 1) * width)
-                .map(|i| hermite(share, lengths[k], end(i), end(i + width)))
-                .collect()
-        };
-        let place = |at: f64| {
-            let k = (at as usize).min(lengths.len() - 1);
-            (k, at - k as f64)
-        };
-        let margin = |g: usize, at: f64| -> f64 {
-            let (k, share) = place(at);
-            guards.eval(&cubic(k, share), width)[g]
-        };
         let mut found = Vec::new();
         for (g, j) in least {
-            // Golden section.
-            let (mut lo, mut hi) = ((j as f64 - 1.0).max(0.0), (j as f64 + 1.0).min(lengths.len() as f64));
-            for _ in 0..HALVINGS {
-                let (a, b) = (hi - GOLDEN * (hi - lo), lo + GOLDEN * (hi - lo));
-                if margin(g, a) <= margin(g, b) {
-                    hi = b;
-                } else {
-                    lo = a;
-                }
-            }
-            let (k, share) = place(0.5 * (lo + hi));
-            if !holds(margin(g, 0.5 * (lo + hi)), strict[g]) {
+            let around = j.saturating_sub(1)..=(j + 1).min(lengths.len());
+            let places: Vec<(f64, &[f64])> = around.map(|k| (times[k], &nodes[k * width..][..width])).collect();
+            let [t, margin] = guards.least_between(g, &places);
+            if !holds(margin, strict[g]) {
+                let k = times[1..lengths.len()].partition_point(|at| *at <= t);
                 let mut part = Path::new(&nodes[k * width..][..width]);
-                part.push(share * lengths[k], &nodes[(k + 1) * width..][..width]);
+                part.push(t - times[k], &nodes[(k + 1) * width..][..width]);
                 found.push(part);
             }
         }

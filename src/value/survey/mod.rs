@@ -26,6 +26,7 @@ pub use status::{Miss, PointStatus};
 
 use super::approach::{Approach, Unreached, follow};
 use super::archive::{Archive, Index};
+use super::clearance::Guards;
 use super::conjugate::ConjugatePoints;
 use super::cover::Cover;
 use super::direct::Direct;
@@ -34,10 +35,9 @@ use super::fold::Fold;
 use super::grow::grown;
 use super::march;
 use super::targets::Targets;
+use super::tracks::FoundNear;
 use crate::backend::BackendError;
-use crate::backend::cpu::Evaluator;
 use crate::dynamic_programming::GridValue;
-use crate::program::Program;
 use crate::shooting::{Failure, Path, Solver};
 use crate::sweep::Plan;
 use label::Sheets;
@@ -128,9 +128,8 @@ pub struct Survey<'a> {
     pub(super) joined: Sheets,
     pub(super) scales: Vec<f64>,
     duration: f64,
-    guards: Option<(Evaluator, Vec<bool>)>,
-    /// Rates of (s, p) backward in time, where there are guards.
-    rates: Option<Evaluator>,
+    /// With whether each excludes its boundary.
+    guards: Option<(Guards, Vec<bool>)>,
     /// In a game, where extremals with a fold along them are none.
     /// (Locked only so that a survey may be read by several threads.)
     conjugate: Option<Mutex<ConjugatePoints>>,
@@ -159,11 +158,9 @@ impl<'a> Survey<'a> {
     /// # Errors
     /// When a kernel cannot be compiled.
     pub fn new(plan: &'a Plan, targets: &'a Targets, solver: &Solver) -> Result<Self, BackendError> {
-        let guards = (!plan.system.guards.is_empty()).then(|| {
-            let exprs: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
-            let program = Program::lower(&plan.system.graph, &plan.system.inputs, &exprs);
+        let guards = Guards::of(plan).map(|guards| {
             let strict = plan.system.guards.iter().map(|g| g.strict).collect();
-            (Evaluator::new(&program), strict)
+            (guards, strict)
         });
         Ok(Self {
             plan,
@@ -188,11 +185,6 @@ impl<'a> Survey<'a> {
             lifted: Vec::new(),
             scales: solver.scheme.equations.scales.clone(),
             duration: plan.segment_duration(),
-            rates: guards.as_ref().map(|_| {
-                let system = &plan.system;
-                let rates = &system.rate[..2 * system.states];
-                Evaluator::new(&Program::lower(&system.graph, &system.inputs, rates))
-            }),
             guards,
             conjugate: (plan.game.then(|| ConjugatePoints::new(plan)).transpose()?).map(Mutex::new),
         })
@@ -312,6 +304,7 @@ impl<'a> Survey<'a> {
                     status: PointStatus::OutsideGuard,
                     furthest: None,
                     left: f64::NAN,
+                    cut: None,
                 });
             }
         }
@@ -406,6 +399,10 @@ impl<'a> Survey<'a> {
                     Some(status) => {
                         let at = self.targets.state(target).to_vec();
                         self.miss(target, status, Some(at), 0.0);
+                        let miss = self.misses[target].as_mut();
+                        if let Some(miss) = miss.filter(|m| m.status == PointStatus::LeavesGuard) {
+                            miss.cut.get_or_insert(job.path);
+                        }
                     }
                 },
                 Err(unreached) => {
@@ -422,7 +419,7 @@ impl<'a> Survey<'a> {
         solver: &mut Solver,
         paths: Vec<Path>,
         least: f64,
-    ) -> Result<Vec<Option<(Path, f64)>>, BackendError> {
+    ) -> Result<Vec<FoundNear>, BackendError> {
         self.windings = vec![vec![0; self.targets.states]];
         let reference = &self.plan.system.reference;
         let errands = (paths.into_iter().enumerate())
@@ -437,11 +434,16 @@ impl<'a> Survey<'a> {
                 }
             })
             .collect();
-        let mut found = vec![None; self.targets.len()];
-        for (target, index) in self.send(solver, errands)? {
-            found[target] = index.map(|e| (self.extremals[e].path.clone(), self.extremals[e].value()));
-        }
-        Ok(found)
+        self.send(solver, errands)?;
+        let found = self
+            .at
+            .iter()
+            .zip(&self.misses)
+            .map(|(found, miss)| match found.first() {
+                Some(e) => Ok((self.extremals[*e].path.clone(), self.extremals[*e].value())),
+                None => Err(miss.clone()),
+            });
+        Ok(found.collect())
     }
 
     /// Solves along paths to targets from their ends, and from what that leads to.
@@ -513,7 +515,12 @@ impl<'a> Survey<'a> {
             .as_ref()
             .is_none_or(|m| m.furthest.is_none() || left < m.left);
         if better && self.at[target].is_empty() {
-            self.misses[target] = Some(Miss { status, furthest, left });
+            self.misses[target] = Some(Miss {
+                status,
+                furthest,
+                left,
+                cut: None,
+            });
         }
     }
 }

@@ -1,5 +1,7 @@
 //! Why a target has no solution.
 
+use crate::shooting::Path;
+
 /// Why a target has no solution, as a status; 0 is solved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(i32)]
@@ -60,4 +62,6 @@ pub struct Miss {
     /// Furthest state reached toward it (absolute), and the distance left in widths of the region.
     pub furthest: Option<Vec<f64>>,
     pub left: f64,
+    /// The solution there, if it was found but leaves a guard on its way.
+    pub cut: Option<Path>,
 }

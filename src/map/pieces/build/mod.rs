@@ -6,11 +6,12 @@ mod flow;
 mod groups;
 mod places;
 mod quarters;
+mod shadow;
 mod tracks;
 
 use super::fit::{Data, Shape};
 use super::terms::Terms;
-use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree};
+use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree, quadratic};
 pub use flow::Flow;
 use rayon::join;
 use rayon::prelude::*;
@@ -90,6 +91,8 @@ pub struct Cloud {
     /// Trajectory of each point: those of one are not independent of each other.
     pub track: Vec<u32>,
     pub sheet: Vec<i32>,
+    /// The least margin of the guards from each point to the end of its trajectory; infinite where it is not known.
+    pub clearance: Vec<f64>,
     /// Whether some states have several answers: else labels of sheets tell nothing.
     pub several: bool,
     pub unanswered: Unanswered,
@@ -100,8 +103,9 @@ pub struct Cloud {
 pub struct Unanswered {
     /// `[place][variable]`, in coordinates of the frame.
     pub z: Vec<f64>,
-    /// Whether the solution was found, but leaves a guard on its way: else it may only have been missed.
-    pub leaves_guard: Vec<bool>,
+    /// The least margin of the guards along the solution there, if it leaves one; 0 if it is only known that it does, and not a number
+    /// where none was found: it may only have been missed.
+    pub clearance: Vec<f64>,
 }
 
 impl Cloud {
@@ -109,14 +113,21 @@ impl Cloud {
         self.v.len()
     }
 
-    /// Adds a point: V and its gradient at a state (absolute), put into coordinates of the frame.
-    pub fn add(&mut self, frame: &Frame, (x, p): (&[f64], &[f64]), v: f64, (track, sheet): (u32, i32)) {
+    /// Adds a point: V, the least margin of the guards and V's gradient at a state (absolute), put into coordinates of the frame.
+    pub fn add(
+        &mut self,
+        frame: &Frame,
+        (x, p): (&[f64], &[f64]),
+        (v, clearance): (f64, f64),
+        (track, sheet): (u32, i32),
+    ) {
         let at = self.z.len();
         self.z.resize(at + self.variables, 0.0);
         self.q.resize(at + self.variables, 0.0);
         frame.of(x, &mut self.z[at..]);
         frame.gradient_of(&self.z[at..], p, &mut self.q[at..]);
         self.v.push(v);
+        self.clearance.push(clearance);
         self.track.push(track);
         self.sheet.push(sheet);
     }
@@ -152,6 +163,18 @@ pub struct Want {
     /// Points in the cell and around it, and how many of them are no further away than is usual.
     pub points: Vec<u32>,
     pub near: usize,
+    /// Its piece, where a shadow of a guard lies over a part of it.
+    pub shaded: Option<Box<Piece>>,
+}
+
+impl Want {
+    /// Whether a place in it is in the shadow of a guard, as far as its points tell.
+    pub fn is_in_shadow(&self, z: &[f64]) -> bool {
+        self.shaded.as_ref().is_some_and(|piece| {
+            let y = piece.place(z);
+            quadratic(&piece.clearance, &y[..z.len()]) < 0.0
+        })
+    }
 }
 
 /// A box while it is looked at.
@@ -313,7 +336,7 @@ impl<'c> Builder<'c> {
             hi: vec![1.0; n],
             points: (0..self.cloud.len() as u32).collect(),
             near: self.cloud.len(),
-            unanswered: (0..self.cloud.unanswered.leaves_guard.len() as u32).collect(),
+            unanswered: (0..self.cloud.unanswered.clearance.len() as u32).collect(),
         };
         let mut made = self.nothing();
         made.plant(self.grow(whole, self.before.as_ref().map(|_| 0)));
@@ -390,7 +413,7 @@ impl<'c> Builder<'c> {
             unanswered: Vec::new(),
         };
         let (piece, _) = self.of_group(&block, &points, false)?;
-        let mut piece = self.finished(piece, own, &block, self.region.beyond);
+        let (mut piece, _) = self.finished(piece, own, &block, self.region.beyond);
         let by = self.bounds_by_equation(std::slice::from_ref(&piece))[0];
         self.judge(&mut piece, by, &[], (own, self.region.beyond));
         let before = made.pieces.pieces[made.pieces.cells[cell].pieces.start].bound;
@@ -485,20 +508,24 @@ impl<'c> Builder<'c> {
         } else {
             self.region.beyond
         };
-        let mut pieces: Vec<Piece> = (own.iter())
+        let (mut pieces, edges): (Vec<Piece>, Vec<f64>) = (own.iter())
             .map(|(piece, points)| self.finished(piece.clone(), points, &block, beyond))
-            .collect();
+            .unzip();
+        let of_edges = edges.into_iter().fold(0.0, f64::max);
         // Halves ask for states of their own where the equation is not met; what cannot be halved keeps to its points there.
         let by = self.bounds_by_equation(&pieces);
         let off = self.off_points(&block, &pieces);
         let far_off = |(piece, off): (&Piece, &f64)| *off > GROSS * piece.bound.max(self.region.error);
         let is_wrong = || {
-            self.is_contradicted(&pieces, &by)
+            of_edges > 1.0
+                || self.is_contradicted(&pieces, &by)
                 || self.is_unfounded(&block, &pieces)
                 || pieces.iter().zip(&off).any(far_off)
         };
         if dense && self.without.is_none() && is_wrong() {
-            let axis = self.axis(&block, &own);
+            let by_edges = || self.axis_by_edges(&block, &own);
+            let axis = (of_edges > 1.0).then(by_edges).flatten();
+            let axis = axis.unwrap_or_else(|| self.axis(&block, &own));
             if !self.is_finest(&block, axis) {
                 return self.split(block, axis, [None; 2]);
             }
@@ -522,7 +549,7 @@ impl<'c> Builder<'c> {
         let of_bounds = pieces
             .iter()
             .map(|p| p.bound / self.region.error)
-            .fold(excess, f64::max);
+            .fold(excess.max(of_edges), f64::max);
         self.cell(block, pieces, of_bounds)
     }
 
@@ -603,6 +630,13 @@ impl<'c> Builder<'c> {
                 && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
         let surface = self.excess_of_surface(block, own);
+        let edge = match own {
+            [piece] => self.edge(piece, &block.points, &block.unanswered).excess,
+            _ => 0.0,
+        };
+        if !untouched && edge > 1.0 && self.is_dense(block.near) {
+            return None;
+        }
         if !untouched && (own.is_empty() || !own.iter().all(good) || surface > self.habits.enough) {
             return None;
         }
@@ -623,7 +657,7 @@ impl<'c> Builder<'c> {
         }
         let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);
         let excess = if own.is_empty() { f64::INFINITY } else { excess };
-        Some((own.to_vec(), excess.max(surface)))
+        Some((own.to_vec(), excess.max(surface).max(edge)))
     }
 
     /// A cell, with what may be missing in it. Where a sheet ends too early its pieces may err by as much as V would jump.
@@ -640,6 +674,10 @@ impl<'c> Builder<'c> {
             hi: block.hi,
             points: block.points,
             near: block.near,
+            shaded: match pieces.as_slice() {
+                [piece] if !piece.clearance.is_empty() => Some(Box::new(piece.clone())),
+                _ => None,
+            },
         };
         Grown::Cell(pieces, want)
     }
@@ -694,6 +732,7 @@ impl<'c> Builder<'c> {
             p_bound,
             sheet: self.label(points),
             support: Vec::new(),
+            clearance: Vec::new(),
         };
         (piece, bound / self.region.error)
     }

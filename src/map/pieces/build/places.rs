@@ -36,8 +36,9 @@ impl Builder<'_> {
         (0..n).filter(|i| width(*i) * self.habits.sliver > widest).collect()
     }
 
-    /// A piece as it is said: with the extent of its points where these do not lie all around.
-    pub(super) fn finished(&self, mut piece: Piece, points: &[u32], block: &Block, beyond: f64) -> Piece {
+    /// A piece as it is said: with the extent of its points where these do not lie all around, and outside shadows of guards; and how
+    /// far the edge of these is off, over what is good enough.
+    pub(super) fn finished(&self, mut piece: Piece, points: &[u32], block: &Block, beyond: f64) -> (Piece, f64) {
         // Alone in the region's inside, a sheet has points all around unless they are few.
         let reach = if beyond < self.region.beyond || self.region.game {
             BESIDE
@@ -45,14 +46,17 @@ impl Builder<'_> {
             REACH
         };
         let at_edge = !self.places_without(block, points, 2, reach).is_empty();
-        if at_edge || self.without.is_some() {
+        let edge = self.edge(&piece, points, &block.unanswered);
+        piece.clearance = edge.clearance;
+        if at_edge || self.without.is_some() || !piece.clearance.is_empty() {
             piece.support = self.enclosed(&piece, points, beyond);
         }
-        if self.leaves_quarters() {
+        let piece = if self.leaves_quarters() {
             self.with_all(piece, points)
         } else {
             self.bounded(piece, at_edge)
-        }
+        };
+        (piece, edge.excess)
     }
 
     /// How much V changes along an axis, relative to itself, differently at different points.
@@ -86,7 +90,7 @@ impl Builder<'_> {
     }
 
     pub(super) fn unanswered_in(&self, lo: &[f64], hi: &[f64]) -> Vec<u32> {
-        let all = 0..self.cloud.unanswered.leaves_guard.len() as u32;
+        let all = 0..self.cloud.unanswered.clearance.len() as u32;
         all.filter(|k| self.cloud.unanswered.lies_in(*k, lo, hi)).collect()
     }
 
@@ -111,9 +115,9 @@ impl Builder<'_> {
         // Of so many tracks spread over the block, in its widths.
         let usual = (tracks.len() as f64).powf(-1.0 / n as f64);
         said.into_iter().any(|k| {
-            let share = match places.leaves_guard[k as usize] {
-                true => NO_POINT_WITHIN_OF_CUT,
-                false => NO_POINT_WITHIN,
+            let share = match places.clearance[k as usize].is_nan() {
+                true => NO_POINT_WITHIN,
+                false => NO_POINT_WITHIN_OF_CUT,
             };
             let near = |point: &u32| {
                 let at = self.cloud.z(*point as usize);

@@ -41,9 +41,10 @@ impl Flat<f64> {
         to.count("EVERYWHERE", EVERYWHERE as usize);
         to.reals("PLACES", self.places.iter().copied());
         to.reals("COEFFICIENTS", self.coefficients.iter().copied());
-        to.reals("SUPPORTS", self.supports.iter().flatten().copied());
+        to.reals("SUPPORTS", self.supports.iter().copied());
         to.reals("DIRECTION", self.directions.iter().copied());
         to.count("DIRECTIONS", self.directions.len() / n);
+        to.count("MARGINS", self.margins);
         if let Some(shear) = &self.shear {
             shear.pack(to);
         }

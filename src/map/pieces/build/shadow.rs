@@ -1,0 +1,213 @@
+//! Where trajectories would leave a guard: the edge of its shadow.
+//!
+//! The least margin of the guards from a point to the end of its trajectory is a function of the point with continuous slopes, but
+//! where two places of a trajectory are as near to the guards. Beyond the points, where it comes to 0, the shadow begins.
+
+use super::super::least_squares::{Equations, width};
+use super::super::{BLEND, MOST_VARIABLES, Terms, margin_terms, quadratic};
+use super::{Block, Builder, Piece, thinned};
+
+/// Points as far outside a piece as this many half widths tell its margins.
+const AROUND: f64 = 1.5;
+/// Share of the points whose margins are small ones: larger ones count as if they were little more.
+const SMALL: f64 = 0.3;
+/// Places in a shadow tell of its edge where their margins are above so many small ones below 0.
+const DEEP: f64 = 0.3;
+/// Points with margins below this share of a small one weigh as much as those with none.
+const NEAR: f64 = 0.05;
+/// Fits again, to places in a shadow that a fit takes for places outside.
+const REFITS: usize = 2;
+/// Equations a coefficient.
+const EQUATIONS: usize = 3;
+/// Longest cells that are halved for edges, in their own widths.
+const SLIVER: f64 = 8.0;
+/// Points that choose an axis, at most.
+const MOST_POINTS: usize = 2000;
+/// Places a side at which a margin is looked at.
+const SIDE: usize = 5;
+/// Distance in widths of the region that an edge may be off, in relative errors asked for.
+const EDGE: f64 = 2.0;
+
+/// The edge of guards' shadows in a piece.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Edge {
+    /// As in [`Piece`].
+    pub clearance: Vec<f64>,
+    /// How far points say that it is off, over what is good enough.
+    pub excess: f64,
+}
+
+/// Points near a piece, in its variables, with the margins that are fitted.
+struct Near {
+    all: Vec<([f64; MOST_VARIABLES], f64)>,
+    /// Those so deep in a shadow that they tell nothing of where its edge is, with margins that are not above theirs.
+    deep: Vec<([f64; MOST_VARIABLES], f64)>,
+    /// What is a small margin.
+    small: f64,
+}
+
+impl Near {
+    /// Weight of the equation of a margin.
+    fn weight(&self, margin: f64) -> f64 {
+        1.0 / (margin.abs() + NEAR * self.small)
+    }
+
+    /// A polynomial of the margins, of the second degree or the first; `None` where there are too few points.
+    fn fitted(&self, n: usize) -> Option<Vec<f64>> {
+        let mut margins = self.fitted_to(n, &[])?;
+        for _ in 0..REFITS {
+            let above = |(y, margin): &&([f64; MOST_VARIABLES], f64)| quadratic(&margins, &y[..n]) > *margin;
+            let above: Vec<_> = self.deep.iter().filter(above).copied().collect();
+            if above.is_empty() {
+                break;
+            }
+            margins = self.fitted_to(n, &above)?;
+        }
+        Some(margins)
+    }
+
+    fn fitted_to(&self, n: usize, more: &[([f64; MOST_VARIABLES], f64)]) -> Option<Vec<f64>> {
+        let sizes = [margin_terms(n), n + 1];
+        let points = self.all.len() + more.len();
+        let count = sizes.into_iter().find(|some| points >= EQUATIONS * some)?;
+        let terms = Terms::new(n, 2);
+        let mut equations = Equations {
+            rows: vec![0.0; points * width(count)],
+            right: Vec::with_capacity(points),
+            coefficients: count,
+        };
+        let (mut values, mut slopes) = (vec![0.0; count], vec![0.0; n * count]);
+        let rows = equations.rows.chunks_exact_mut(width(count));
+        for ((y, margin), row) in self.all.iter().chain(more).zip(rows) {
+            let weight = self.weight(*margin);
+            terms.at(&y[..n], &mut values, &mut slopes);
+            row.iter_mut().zip(&values).for_each(|(to, value)| *to = weight * value);
+            equations.right.push(weight * margin);
+        }
+        let factors = equations.factors();
+        let determined = (sizes.into_iter()).find(|some| *some <= count && *some <= factors.determined)?;
+        let mut margins = factors.solution(determined);
+        margins.resize(margin_terms(n), 0.0);
+        margins.iter().all(|c| c.is_finite()).then_some(margins)
+    }
+
+    /// The part of it on one side of the middle along an axis.
+    fn half(&self, axis: usize, upper: bool) -> Self {
+        let half = |all: &[([f64; MOST_VARIABLES], f64)]| {
+            let own = all.iter().copied().filter(|(y, _)| (y[axis] >= 0.0) == upper);
+            own.collect()
+        };
+        Self {
+            all: half(&self.all),
+            deep: half(&self.deep),
+            small: self.small,
+        }
+    }
+
+    /// Sum of the squares by which a polynomial of its own is off; 0 where there are too few points for one.
+    fn misfit(&self, n: usize) -> f64 {
+        let Some(fitted) = self.fitted(n) else { return 0.0 };
+        (self.all.iter())
+            .map(|(y, margin)| (self.weight(*margin) * (quadratic(&fitted, &y[..n]) - margin)).powi(2))
+            .sum()
+    }
+}
+
+impl Builder<'_> {
+    fn near(&self, piece: &Piece, points: &[u32], unanswered: &[u32]) -> Near {
+        let n = self.cloud.variables;
+        let holes = &self.cloud.unanswered;
+        let cut = (unanswered.iter().map(|k| *k as usize))
+            .filter(|k| holes.clearance[*k] < 0.0)
+            .map(|k| (&holes.z[k * n..][..n], holes.clearance[k]));
+        let mut all: Vec<([f64; MOST_VARIABLES], f64)> = (points.iter().map(|k| *k as usize))
+            .map(|k| (self.cloud.z(k), self.cloud.clearance[k]))
+            .chain(cut)
+            .map(|(z, margin)| (piece.place(z), margin))
+            .filter(|(y, margin)| margin.is_finite() && y[..n].iter().all(|y| y.abs() <= AROUND))
+            .collect();
+        all.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let inside = all.partition_point(|near| near.1 < 0.0);
+        let rank = inside + (SMALL * (all.len() - inside) as f64) as usize;
+        let small = all.get(rank).map_or(0.0, |near| near.1).max(f64::MIN_POSITIVE);
+        let (mut deep, mut all): (Vec<_>, Vec<_>) = all.into_iter().partition(|(_, margin)| *margin <= -DEEP * small);
+        deep.iter_mut().for_each(|(_, margin)| *margin = -DEEP * small);
+        for (_, margin) in all.iter_mut().chain(&mut deep) {
+            *margin /= 1.0 + *margin / small;
+        }
+        Near { all, deep, small }
+    }
+
+    /// The axis along which a block is halved because the edge of shadows is off in it.
+    pub(super) fn axis_by_edges(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> Option<usize> {
+        let n = self.cloud.variables;
+        let near: Vec<Near> = (pieces.iter())
+            .map(|(piece, points)| self.near(piece, &thinned(points, MOST_POINTS), &block.unanswered))
+            .collect();
+        let misfit = |axis: usize| -> f64 {
+            let halves = near
+                .iter()
+                .flat_map(|near| [false, true].map(|upper| near.half(axis, upper)));
+            halves.map(|half| half.misfit(n)).sum()
+        };
+        let width = |i: usize| block.hi[i] - block.lo[i];
+        let widest = (0..n).map(width).fold(0.0, f64::max);
+        let wide = self.wide(block).into_iter().filter(|i| width(*i) * SLIVER > widest);
+        let each = wide.map(|axis| (axis, misfit(axis)));
+        each.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(axis, _)| axis)
+    }
+
+    /// The edge of shadows by points of a piece; none where margins are positive all over it, or not known.
+    pub(super) fn edge(&self, piece: &Piece, points: &[u32], unanswered: &[u32]) -> Edge {
+        let n = self.cloud.variables;
+        let near = self.near(piece, points, unanswered);
+        let Some(mut clearance) = near.fitted(n) else {
+            return Edge::default();
+        };
+
+        let (mut excess, mut above) = (0.0f64, 0.0f64);
+        for (y, exact) in near.all.iter().filter(|(y, _)| y[..n].iter().all(|y| y.abs() <= 1.0)) {
+            let (margin, slope) = slope_of(&clearance, &y[..n]);
+            // In half widths of the piece; where a point is further away from the edge, it tells nothing of where that is.
+            let size = slope[..n].iter().map(|s| s * s).sum::<f64>().sqrt();
+            if exact.min(margin) > size {
+                continue;
+            }
+            above = above.max(margin - exact);
+            let by_widths = (0..n).map(|i| (slope[i] / piece.half[i]).powi(2)).sum::<f64>().sqrt();
+            excess = excess.max((margin - exact).abs() / by_widths.max(f64::MIN_POSITIVE));
+        }
+        // What is near the edge of a shadow is rather not told than told in it.
+        clearance[0] -= above;
+        let mut places = 0..SIDE.pow(n as u32);
+        let is_there = places.any(|place| {
+            let mut rest = place;
+            let y: [f64; MOST_VARIABLES] = std::array::from_fn(|_| {
+                let step = rest % SIDE;
+                rest /= SIDE;
+                2.0 * step as f64 / (SIDE - 1) as f64 - 1.0
+            });
+            quadratic(&clearance, &y[..n]) < 0.0
+        });
+        Edge {
+            clearance: if is_there { clearance } else { Vec::new() },
+            excess: excess / (EDGE * self.region.error * (1.0 + BLEND)),
+        }
+    }
+}
+
+/// A polynomial of the second degree and its gradient.
+fn slope_of(c: &[f64], y: &[f64]) -> (f64, [f64; MOST_VARIABLES]) {
+    let n = y.len();
+    let mut slope = [0.0; MOST_VARIABLES];
+    slope[..n].copy_from_slice(&c[1..=n]);
+    let mut square = n;
+    for i in 0..n {
+        for j in i..n {
+            square += 1;
+            slope[i] += c[square] * y[j];
+            slope[j] += c[square] * y[i];
+        }
+    }
+    (quadratic(c, y), slope)
+}

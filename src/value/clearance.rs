@@ -1,0 +1,258 @@
+//! How far extremals keep from the guards.
+
+use super::tracks::{Track, TrackPoints};
+use crate::backend::BackendError;
+use crate::backend::cpu::Evaluator;
+use crate::numeric::hermite::hermite;
+use crate::program::Program;
+use crate::shooting::{Path, Solver};
+use crate::sweep::Plan;
+
+/// Parts of a segment at whose ends guards are looked at.
+const PARTS: usize = 8;
+/// Places of a track nearer to each other than this share of its length are one.
+const SAME: f64 = 1e-9;
+
+/// Steps to where a margin is least between places.
+const HALVINGS: usize = 24;
+/// (sqrt(5) - 1)/2.
+const GOLDEN: f64 = 0.618_033_988_749_894_8;
+
+/// Margins of the guards along trajectories.
+pub(super) struct Guards {
+    margins: Evaluator,
+    /// Of states and adjoints, backward in time.
+    rates: Evaluator,
+    pub count: usize,
+    width: usize,
+}
+
+/// A place of a trajectory, with the margins of the guards.
+struct Place {
+    t: f64,
+    node: Vec<f64>,
+    margins: Vec<f64>,
+    /// Number of the point that it is.
+    point: Option<usize>,
+}
+
+impl Guards {
+    /// `None` where there are none.
+    pub fn of(plan: &Plan) -> Option<Self> {
+        let system = &plan.system;
+        let width = 2 * system.states;
+        let margins: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
+        let evaluator = |outputs: &[_]| Evaluator::new(&Program::lower(&system.graph, &system.inputs, outputs));
+        (!margins.is_empty()).then(|| Self {
+            margins: evaluator(&margins),
+            rates: evaluator(&system.rate[..width]),
+            count: margins.len(),
+            width,
+        })
+    }
+
+    /// Margins `[node][guard]` at nodes `(s, p)`.
+    pub fn margins(&self, nodes: &[f64]) -> Vec<f64> {
+        self.margins.eval(nodes, self.width)
+    }
+
+    /// Time and least margin of a guard between places (time and node) of a trajectory, by cubics through these.
+    pub fn least_between(&self, guard: usize, places: &[(f64, &[f64])]) -> [f64; 2] {
+        let nodes: Vec<f64> = places.iter().flat_map(|(_, node)| node.iter().copied()).collect();
+        let slopes = self.rates.eval(&nodes, self.width);
+        let margin = |t: f64| {
+            let next = places[1..places.len() - 1].partition_point(|(at, _)| *at < t) + 1;
+            let ((from, a), (to, b)) = (places[next - 1], places[next]);
+            let slope = |place: usize, i: usize| -slopes[place * self.width + i];
+            let node: Vec<f64> = (0..self.width)
+                .map(|i| {
+                    let ends = ([a[i], slope(next - 1, i)], [b[i], slope(next, i)]);
+                    hermite((t - from) / (to - from), to - from, ends.0, ends.1)
+                })
+                .collect();
+            self.margins(&node)[guard]
+        };
+        // Golden section.
+        let (mut lo, mut hi) = (places[0].0, places[places.len() - 1].0);
+        for _ in 0..HALVINGS {
+            let (a, b) = (hi - GOLDEN * (hi - lo), lo + GOLDEN * (hi - lo));
+            if margin(a) <= margin(b) {
+                hi = b;
+            } else {
+                lo = a;
+            }
+        }
+        let t = 0.5 * (lo + hi);
+        [t, margin(t)]
+    }
+
+    /// Places of paths: their nodes, and some between them.
+    fn along(&self, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Vec<Place>>, BackendError> {
+        let between = solver.between_nodes(paths, PARTS)?;
+        let one = |(path, between): (&&Path, &Vec<f64>)| {
+            let mut t = 0.0;
+            let mut times = Vec::with_capacity(PARTS * path.segments() + 1);
+            let mut nodes = Vec::with_capacity(self.width * times.capacity());
+            let between = between.chunks_exact((PARTS - 1) * self.width);
+            for ((k, duration), between) in path.durations.iter().enumerate().zip(between) {
+                times.extend((0..PARTS).map(|part| t + duration * part as f64 / PARTS as f64));
+                nodes.extend_from_slice(path.node(k));
+                nodes.extend_from_slice(between);
+                t += duration;
+            }
+            times.push(t);
+            nodes.extend_from_slice(path.last());
+            let margins = self.margins(&nodes);
+            let each = nodes.chunks_exact(self.width).zip(margins.chunks_exact(self.count));
+            (times.into_iter().zip(each))
+                .map(|(t, (node, margins))| Place {
+                    t,
+                    node: node.to_vec(),
+                    margins: margins.to_vec(),
+                    point: None,
+                })
+                .collect()
+        };
+        Ok(paths.iter().zip(&between).map(one).collect())
+    }
+
+    /// The least margin of a guard from each of some places on, which are in order.
+    fn least_from(&self, guard: usize, places: &[Place]) -> Vec<f64> {
+        let all: Vec<[f64; 2]> = places.iter().map(|p| [p.t, p.margins[guard]]).collect();
+        least_from(&all, |three, [_, value], later| {
+            // The parabola is not what the margin is, but about.
+            let fall = all[three[1]][1] - value;
+            (value - 2.0 * fall < later).then(|| {
+                let near = three.map(|k| (places[k].t, places[k].node.as_slice()));
+                self.least_between(guard, &near)
+            })
+        })
+    }
+}
+
+/// The least margin of the guards along each of some paths; infinite where there are no guards.
+///
+/// # Errors
+/// Device failures only.
+pub fn least_clearances(plan: &Plan, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<f64>, BackendError> {
+    let Some(guards) = Guards::of(plan).filter(|_| !paths.is_empty()) else {
+        return Ok(vec![f64::INFINITY; paths.len()]);
+    };
+    let least = |places: &Vec<Place>| {
+        (0..guards.count)
+            .filter_map(|guard| guards.least_from(guard, places).first().copied())
+            .fold(f64::INFINITY, f64::min)
+    };
+    Ok(guards.along(solver, paths)?.iter().map(least).collect())
+}
+
+/// Tells of points of tracks, numbered from `first` on, the least margin of the guards from there to the track's end. Points before
+/// a track's beginning from which it would leave a guard are left out.
+///
+/// # Errors
+/// Device failures only.
+pub(super) fn tell(
+    plan: &Plan,
+    solver: &mut Solver,
+    tracks: &[Track],
+    first: u32,
+    points: &mut TrackPoints,
+) -> Result<(), BackendError> {
+    let Some(guards) = Guards::of(plan) else { return Ok(()) };
+    let paths: Vec<&Path> = tracks.iter().map(|track| &track.path).collect();
+    let mut of_track = guards.along(solver, &paths)?;
+    let margins = guards.margins(&points.nodes);
+    for (k, margins) in margins.chunks_exact(guards.count).enumerate() {
+        let track = (points.track[k] - first) as usize;
+        of_track[track].push(Place {
+            t: points.t[k],
+            node: points.node(k).to_vec(),
+            margins: margins.to_vec(),
+            point: Some(k),
+        });
+    }
+
+    let mut clearance = vec![f64::INFINITY; points.len()];
+    for mut places in of_track {
+        places.sort_by(|a, b| a.t.total_cmp(&b.t));
+        for guard in 0..guards.count {
+            for (least, place) in guards.least_from(guard, &places).into_iter().zip(&places) {
+                if let Some(k) = place.point {
+                    clearance[k] = clearance[k].min(least);
+                }
+            }
+        }
+    }
+    points.clearance = clearance;
+    // Of what was solved for it is known that it stays inside.
+    let (clearance, t) = (points.clearance.clone(), points.t.clone());
+    points.retain(|k| t[k] >= 0.0 || clearance[k] >= 0.0);
+    Ok(())
+}
+
+/// The least value from each of some places (time, value) on, which are in order. Where it may be least between three of them
+/// `refine` gives time and value by their numbers, the vertex of the parabola through them, and the least value that comes later.
+fn least_from(all: &[[f64; 2]], refine: impl Fn([usize; 3], [f64; 2], f64) -> Option<[f64; 2]>) -> Vec<f64> {
+    let same = match all {
+        [first, .., last] => SAME * (last[0] - first[0]),
+        _ => 0.0,
+    };
+    let mut apart: Vec<usize> = Vec::with_capacity(all.len());
+    let mut of = Vec::with_capacity(all.len());
+    for (k, at) in all.iter().enumerate() {
+        if apart.last().is_none_or(|last| at[0] - all[*last][0] > same) {
+            apart.push(k);
+        }
+        of.push(apart.len() - 1);
+    }
+    let mut from = vec![f64::INFINITY; apart.len()];
+    let mut least = f64::INFINITY;
+    for k in (0..apart.len()).rev() {
+        let here = all[apart[k]];
+        let inner = k > 0 && k + 1 < apart.len();
+        let lowest = inner.then(|| [apart[k - 1], apart[k], apart[k + 1]]).and_then(|three| {
+            let vertex = vertex(three.map(|k| all[k]))?;
+            refine(three, vertex, least.min(here[1]))
+        });
+        least = least.min(here[1]);
+        let after = lowest.filter(|[t, _]| *t >= here[0]);
+        from[k] = after.map_or(least, |[_, value]| least.min(value));
+        least = lowest.map_or(least, |[_, value]| least.min(value));
+    }
+    of.into_iter().map(|k| from[k]).collect()
+}
+
+/// Where a parabola through three places is least, if the middle one is not above the others.
+fn vertex([a, b, c]: [[f64; 2]; 3]) -> Option<[f64; 2]> {
+    if b[1] > a[1] || b[1] > c[1] {
+        return None;
+    }
+    let (left, right) = (a[0] - b[0], c[0] - b[0]);
+    // b + slope t + bend t^2 through the other two.
+    let (rise, fall) = ((c[1] - b[1]) / right, (a[1] - b[1]) / left);
+    let bend = (rise - fall) / (right - left);
+    let slope = rise - bend * right;
+    (bend > 0.0).then(|| [b[0] - 0.5 * slope / bend, b[1] - 0.25 * slope * slope / bend])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn least_values_from_places_on() {
+        let square = |t: f64| (t - 1.3) * (t - 1.3) + 0.25;
+        let all: Vec<[f64; 2]> = [0.0, 0.7, 1.0, 1.0, 1.9, 2.5].map(|t| [t, square(t)]).to_vec();
+        let least = least_from(&all, |_, vertex, _| Some(vertex));
+        for k in 0..4 {
+            assert!((least[k] - 0.25).abs() < 1e-14, "{least:?}");
+        }
+        assert_eq!(least[4..], [square(1.9), square(2.5)]);
+        // What falls to its end, and one place alone.
+        assert_eq!(
+            least_from(&[[0.0, 3.0], [1.0, 2.0], [2.0, -1.0]], |_, _, _| None),
+            [-1.0; 3]
+        );
+        assert_eq!(least_from(&[[0.0, 3.0]], |_, _, _| None), [3.0]);
+    }
+}
