@@ -67,8 +67,9 @@ struct Hole {
     x: Vec<f64>,
     /// The solution there that leaves a guard, until its clearance is known.
     cut: Option<Path>,
-    /// As in [`crate::map::pieces::Unanswered`].
-    clearance: f64,
+    /// Whether the solution leaves a guard, and how far it keeps from each, once that is known.
+    leaves_guard: bool,
+    clearances: Vec<f64>,
 }
 
 struct Work<'a, 'p> {
@@ -90,6 +91,8 @@ struct Work<'a, 'p> {
     origins: Vec<(u32, Vec<f64>)>,
     failures: HashMap<Vec<u64>, u32>,
     unanswered: Vec<Hole>,
+    /// Guards that a solution was seen to leave.
+    shadows: Vec<bool>,
     random: u64,
     states: usize,
     failed: usize,
@@ -156,6 +159,7 @@ pub fn adaptive(
         origins: Vec::new(),
         failures: HashMap::new(),
         unanswered: Vec::new(),
+        shadows: vec![false; plan.system.guards.len()],
         random: 0x5eed,
         states: 0,
         failed: 0,

@@ -13,10 +13,32 @@ const PARTS: usize = 8;
 /// Places of a track nearer to each other than this share of its length are one.
 const SAME: f64 = 1e-9;
 
+/// The end of a track counts where the margin there is above this share of the largest on it.
+const AT_END: f64 = 1e-3;
+/// Share of the largest margin that rounding may take a track outside by.
+const ROUNDING: f64 = 1e-6;
 /// Steps to where a margin is least between places.
 const HALVINGS: usize = 24;
 /// (sqrt(5) - 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_8;
+
+/// How far a point's trajectory keeps from the guards.
+#[derive(Clone, Copy, Debug)]
+pub struct Clearance {
+    /// The least margin from there to the end; infinite where it is not known.
+    pub margin: f64,
+    /// Whether that is yet to come: else a state has the least margin itself.
+    pub ahead: bool,
+}
+
+impl Default for Clearance {
+    fn default() -> Self {
+        Self {
+            margin: f64::INFINITY,
+            ahead: false,
+        }
+    }
+}
 
 /// Margins of the guards along trajectories.
 pub(super) struct Guards {
@@ -117,9 +139,11 @@ impl Guards {
     }
 
     /// The least margin of a guard from each of some places on, which are in order.
-    fn least_from(&self, guard: usize, places: &[Place]) -> Vec<f64> {
+    fn least_from(&self, guard: usize, places: &[Place]) -> Vec<Clearance> {
         let all: Vec<[f64; 2]> = places.iter().map(|p| [p.t, p.margins[guard]]).collect();
-        least_from(&all, |three, [_, value], later| {
+        // Of a guard that an equilibrium lies on the boundary of, the end tells nothing: all come near.
+        let end = all.last().map(|at| at[1]).filter(|end| *end > AT_END * size_of(&all));
+        least_from(&all, end.unwrap_or(f64::INFINITY), |three, [_, value], later| {
             // The parabola is not what the margin is, but about.
             let fall = all[three[1]][1] - value;
             (value - 2.0 * fall < later).then(|| {
@@ -130,35 +154,57 @@ impl Guards {
     }
 }
 
-/// The least margin of the guards along each of some paths; infinite where there are no guards.
-///
-/// # Errors
-/// Device failures only.
-pub fn least_clearances(plan: &Plan, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<f64>, BackendError> {
-    let Some(guards) = Guards::of(plan).filter(|_| !paths.is_empty()) else {
-        return Ok(vec![f64::INFINITY; paths.len()]);
-    };
-    let least = |places: &Vec<Place>| {
-        (0..guards.count)
-            .filter_map(|guard| guards.least_from(guard, places).first().copied())
-            .fold(f64::INFINITY, f64::min)
-    };
-    Ok(guards.along(solver, paths)?.iter().map(least).collect())
+/// The largest size of values.
+fn size_of(all: &[[f64; 2]]) -> f64 {
+    all.iter().fold(0.0, |size, at| at[1].abs().max(size))
 }
 
-/// Tells of points of tracks, numbered from `first` on, the least margin of the guards from there to the track's end. Points before
-/// a track's beginning from which it would leave a guard are left out.
+/// How far a path keeps from each guard: where the margin is negative the path leaves it by more than rounding.
 ///
 /// # Errors
 /// Device failures only.
-pub(super) fn tell(
+pub fn clearances(plan: &Plan, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Vec<f64>>, BackendError> {
+    let Some(guards) = Guards::of(plan).filter(|_| !paths.is_empty()) else {
+        return Ok(vec![Vec::new(); paths.len()]);
+    };
+    let one = |places: &Vec<Place>| {
+        let of = |guard: usize| {
+            let least = guards
+                .least_from(guard, places)
+                .first()
+                .map_or(f64::INFINITY, |c| c.margin);
+            if least < -rounding(guard, places) {
+                least
+            } else {
+                least.max(0.0)
+            }
+        };
+        (0..guards.count).map(of).collect()
+    };
+    Ok(guards.along(solver, paths)?.iter().map(one).collect())
+}
+
+/// What rounding may take a margin below 0 by.
+fn rounding(guard: usize, places: &[Place]) -> f64 {
+    ROUNDING * places.iter().fold(0.0, |size, p| p.margins[guard].abs().max(size))
+}
+
+/// Tells of points of tracks, numbered from `first` on, how far they keep from the guards that cast shadows. Of each point whether
+/// the track leaves one of these: before a track's beginning it may.
+///
+/// # Errors
+/// Device failures only.
+pub fn tell(
     plan: &Plan,
     solver: &mut Solver,
-    tracks: &[Track],
-    first: u32,
+    (tracks, first): (&[Track], u32),
+    shadows: &[bool],
     points: &mut TrackPoints,
-) -> Result<(), BackendError> {
-    let Some(guards) = Guards::of(plan) else { return Ok(()) };
+) -> Result<Vec<bool>, BackendError> {
+    let mut outside = vec![false; points.len()];
+    let Some(guards) = Guards::of(plan).filter(|_| shadows.contains(&true)) else {
+        return Ok(outside);
+    };
     let paths: Vec<&Path> = tracks.iter().map(|track| &track.path).collect();
     let mut of_track = guards.along(solver, &paths)?;
     let margins = guards.margins(&points.nodes);
@@ -172,27 +218,33 @@ pub(super) fn tell(
         });
     }
 
-    let mut clearance = vec![f64::INFINITY; points.len()];
+    points.clearance = vec![Clearance::default(); points.len()];
     for mut places in of_track {
         places.sort_by(|a, b| a.t.total_cmp(&b.t));
-        for guard in 0..guards.count {
-            for (least, place) in guards.least_from(guard, &places).into_iter().zip(&places) {
-                if let Some(k) = place.point {
-                    clearance[k] = clearance[k].min(least);
+        for guard in (0..guards.count).filter(|guard| shadows[*guard]) {
+            let least = guards.least_from(guard, &places);
+            let rounding = rounding(guard, &places);
+            for (least, place) in least.into_iter().zip(&places) {
+                let Some(k) = place.point else { continue };
+                // Of what was solved for it is known that it stays inside.
+                outside[k] |= points.t[k] < 0.0 && least.margin < -rounding;
+                if least.margin < points.clearance[k].margin {
+                    points.clearance[k] = least;
                 }
             }
         }
     }
-    points.clearance = clearance;
-    // Of what was solved for it is known that it stays inside.
-    let (clearance, t) = (points.clearance.clone(), points.t.clone());
-    points.retain(|k| t[k] >= 0.0 || clearance[k] >= 0.0);
-    Ok(())
+    Ok(outside)
 }
 
-/// The least value from each of some places (time, value) on, which are in order. Where it may be least between three of them
-/// `refine` gives time and value by their numbers, the vertex of the parabola through them, and the least value that comes later.
-fn least_from(all: &[[f64; 2]], refine: impl Fn([usize; 3], [f64; 2], f64) -> Option<[f64; 2]>) -> Vec<f64> {
+/// The least value from each of some places (time, value) on, which are in order, with what counts as the value at the end. Where
+/// it may be least between three of them `refine` gives time and value by their numbers, the vertex of the parabola through them,
+/// and the least value that comes later.
+fn least_from(
+    all: &[[f64; 2]],
+    end: f64,
+    refine: impl Fn([usize; 3], [f64; 2], f64) -> Option<[f64; 2]>,
+) -> Vec<Clearance> {
     let same = match all {
         [first, .., last] => SAME * (last[0] - first[0]),
         _ => 0.0,
@@ -205,8 +257,9 @@ fn least_from(all: &[[f64; 2]], refine: impl Fn([usize; 3], [f64; 2], f64) -> Op
         }
         of.push(apart.len() - 1);
     }
-    let mut from = vec![f64::INFINITY; apart.len()];
-    let mut least = f64::INFINITY;
+    let mut from = vec![Clearance::default(); apart.len()];
+    // Of what comes later.
+    let mut least = end;
     for k in (0..apart.len()).rev() {
         let here = all[apart[k]];
         let inner = k > 0 && k + 1 < apart.len();
@@ -214,9 +267,13 @@ fn least_from(all: &[[f64; 2]], refine: impl Fn([usize; 3], [f64; 2], f64) -> Op
             let vertex = vertex(three.map(|k| all[k]))?;
             refine(three, vertex, least.min(here[1]))
         });
-        least = least.min(here[1]);
         let after = lowest.filter(|[t, _]| *t >= here[0]);
-        from[k] = after.map_or(least, |[_, value]| least.min(value));
+        least = after.map_or(least, |[_, value]| least.min(value));
+        from[k] = Clearance {
+            margin: least.min(here[1]),
+            ahead: least < here[1],
+        };
+        // A minimum next to the place counts as one from before it on.
         least = lowest.map_or(least, |[_, value]| least.min(value));
     }
     of.into_iter().map(|k| from[k]).collect()
@@ -243,16 +300,21 @@ mod tests {
     fn least_values_from_places_on() {
         let square = |t: f64| (t - 1.3) * (t - 1.3) + 0.25;
         let all: Vec<[f64; 2]> = [0.0, 0.7, 1.0, 1.0, 1.9, 2.5].map(|t| [t, square(t)]).to_vec();
-        let least = least_from(&all, |_, vertex, _| Some(vertex));
-        for k in 0..4 {
-            assert!((least[k] - 0.25).abs() < 1e-14, "{least:?}");
+        let least = least_from(&all, f64::INFINITY, |_, vertex, _| Some(vertex));
+        for least in &least[..4] {
+            assert!((least.margin - 0.25).abs() < 1e-14 && least.ahead, "{least:?}");
         }
-        assert_eq!(least[4..], [square(1.9), square(2.5)]);
-        // What falls to its end, and one place alone.
-        assert_eq!(
-            least_from(&[[0.0, 3.0], [1.0, 2.0], [2.0, -1.0]], |_, _, _| None),
-            [-1.0; 3]
-        );
-        assert_eq!(least_from(&[[0.0, 3.0]], |_, _, _| None), [3.0]);
+        for k in 4..6 {
+            assert!(least[k].margin == all[k][1] && !least[k].ahead, "{:?}", least[k]);
+        }
+        // What falls to its end, which counts or not, and one place alone.
+        let falling = [[0.0, 3.0], [1.0, 2.0], [2.0, 1.0]];
+        let margins = |end: f64| -> Vec<f64> {
+            let least = least_from(&falling, end, |_, _, _| None);
+            least.iter().map(|c| c.margin).collect()
+        };
+        assert_eq!(margins(1.0), [1.0; 3]);
+        assert_eq!(margins(f64::INFINITY), [3.0, 2.0, 1.0]);
+        assert_eq!(least_from(&[[0.0, 3.0]], 3.0, |_, _, _| None)[0].margin, 3.0);
     }
 }

@@ -25,7 +25,7 @@ mod tracks;
 pub use accuracy::{SolvedAccuracy, accuracy};
 pub use approach::{Approach, Unreached, follow};
 pub use archive::{Archive, Index, Place};
-pub use clearance::least_clearances;
+pub use clearance::{Clearance, clearances, tell as tell_clearances};
 pub use conjugate::ConjugatePoints;
 pub use cover::Cover;
 pub use equal_cost::BoundaryPoint;

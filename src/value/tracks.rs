@@ -1,7 +1,7 @@
 //! Points along extremals: everywhere on one V and p are as exactly known as where it begins.
 
 use super::Entry;
-use super::clearance::{self, Guards};
+use super::clearance::{self, Clearance, Guards};
 use super::survey::{Miss, Survey};
 use super::targets::Targets;
 use crate::backend::BackendError;
@@ -50,8 +50,8 @@ pub struct TrackPoints {
     pub track: Vec<u32>,
     /// Time after the track's beginning; negative before it.
     pub t: Vec<f64>,
-    /// The least margin of the guards from there to the track's end; infinite where it is not known.
-    pub clearance: Vec<f64>,
+    /// From there to the track's end.
+    pub clearance: Vec<Clearance>,
 }
 
 impl TrackPoints {
@@ -72,7 +72,7 @@ impl TrackPoints {
         self.v.push(v);
         self.track.push(track);
         self.t.push(t);
-        self.clearance.push(f64::INFINITY);
+        self.clearance.push(Clearance::default());
     }
 
     pub fn extend(&mut self, other: Self) {
@@ -120,6 +120,8 @@ pub struct Wish {
     pub horizon: Option<f64>,
     /// Whether tracks are followed backward beyond where they begin.
     pub beyond: bool,
+    /// Guards that cast shadows.
+    pub shadows: Vec<bool>,
 }
 
 impl Wish {
@@ -165,7 +167,8 @@ pub fn track_points(
     if wish.beyond {
         backward(plan, solver, tracks, first, wish, &mut points)?;
     }
-    clearance::tell(plan, solver, tracks, first, &mut points)?;
+    let outside = clearance::tell(plan, solver, (tracks, first), &wish.shadows, &mut points)?;
+    points.retain(|k| !outside[k]);
     Ok(points)
 }
 

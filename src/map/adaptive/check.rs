@@ -171,7 +171,8 @@ impl Work<'_, '_> {
             self.unanswered.push(Hole {
                 x: x.to_vec(),
                 cut: cut.filter(|_| leaves_guard),
-                clearance: if leaves_guard { 0.0 } else { f64::NAN },
+                leaves_guard,
+                clearances: Vec::new(),
             });
         }
     }

@@ -4,7 +4,7 @@ use super::{AROUND, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::MOST_VARIABLES;
 use crate::shooting::Path;
-use crate::value::{Track, TrackPoints, Wish, track_points};
+use crate::value::{Track, TrackPoints, Wish, tell_clearances, track_points};
 
 /// Largest distance between points of an extremal, in widths of the region, and change of log V.
 const SPACING: f64 = 0.025;
@@ -54,6 +54,7 @@ impl Work<'_, '_> {
             onward: self.plan.local.is_some() || self.axis.is_some(),
             horizon: self.axis.as_ref().map(|axis| axis.last),
             beyond: self.goes_beyond(),
+            shadows: self.shadows.clone(),
         }
     }
 
@@ -114,31 +115,58 @@ impl Work<'_, '_> {
         if let Some(axis) = &self.axis {
             self.rates.extend(axis.rates(&found.nodes, 2 * n));
         }
-        self.of_track.resize(self.tracks.len() + tracks.len(), Vec::new());
+        let first = self.points.len();
         self.tracks.extend(tracks);
-        for k in 0..found.len() {
-            let track = found.track[k];
-            let number = self.points.len() as u32 + k as u32;
+        self.points.extend(found);
+        self.place(first, (bounds, around));
+    }
+
+    /// Puts points, from one on, into the cloud.
+    fn place(&mut self, first: usize, (bounds, around): (&[[f64; 2]], &[[f64; 2]])) {
+        let n = self.plan.system.states;
+        self.of_track.resize(self.tracks.len(), Vec::new());
+        for k in first..self.points.len() {
+            let track = self.points.track[k];
+            let number = k as u32;
             self.of_track[track as usize].push(number);
-            let node = found.node(k);
+            let node = self.points.node(k).to_vec();
             for mut shift in self.shifts(&node[..n], bounds) {
                 let near = |i: usize| (around[i][0]..=around[i][1]).contains(&(node[i] + shift[i]));
                 if !(0..n).all(near) {
                     continue;
                 }
                 let Track { path, sheet, .. } = &self.tracks[track as usize];
-                let x = self.state_of(&found, k, path, &shift);
+                let x = self.state_of(&self.points, k, path, &shift);
                 let mut p = node[n..].to_vec();
                 if self.axis.is_some() {
                     p.push(self.rates[number as usize]);
                     shift.push(0.0);
                 }
-                self.cloud
-                    .add(&self.frame, (&x, &p), (found.v[k], found.clearance[k]), (track, *sheet));
+                let told = (self.points.v[k], self.points.clearance[k]);
+                self.cloud.add(&self.frame, (&x, &p), told, (track, *sheet));
                 self.origins.push((number, shift));
             }
         }
-        self.points.extend(found);
+    }
+
+    /// Learns how far all points keep from the guards that cast shadows, and places them anew.
+    pub(super) fn shade(&mut self, floor: f64) -> Result<(), BackendError> {
+        let tracks = (self.tracks.as_slice(), 0);
+        let outside = tell_clearances(self.plan, self.solver, tracks, &self.shadows, &mut self.points)?;
+        self.points.retain(|k| !outside[k]);
+        if self.axis.is_some() {
+            let mut k = 0;
+            self.rates.retain(|_| {
+                k += 1;
+                !outside[k - 1]
+            });
+        }
+        self.cloud.clear();
+        self.of_track.clear();
+        self.origins.clear();
+        let wish = self.wish(floor);
+        self.place(0, (&wish.bounds, &wish.around));
+        Ok(())
     }
 
     /// State (absolute, moved by whole periods) of a point on a path, with its time where that is an axis.

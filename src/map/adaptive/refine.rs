@@ -1,11 +1,11 @@
 //! Pieces built and states asked for in turns; the frame of their coordinates.
 
 use super::check::mixed;
-use super::{BETTER, Work};
+use super::{BETTER, Hole, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Before, Frame, Pieces, Region, Steep, Unanswered, Want, build};
 use crate::shooting::Path;
-use crate::value::least_clearances;
+use crate::value::clearances;
 use std::collections::HashMap;
 use std::time::Instant;
 
@@ -27,6 +27,10 @@ impl Work<'_, '_> {
         let mut last: Option<(Instant, usize)> = None;
         let mut closing = false;
         loop {
+            if self.learn_shadows()? {
+                self.shade(region.floor)?;
+                before = None;
+            }
             if self.states < SETTLED && self.turn(region) {
                 before = None;
             }
@@ -34,7 +38,7 @@ impl Work<'_, '_> {
                 pieces,
                 points: *points,
             });
-            self.cloud.unanswered = self.unanswered_places()?;
+            self.cloud.unanswered = self.unanswered_places();
             let (pieces, wants) = build(&self.cloud, region, &self.frame, self.flow.as_ref(), old);
             let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
                 .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
@@ -66,25 +70,39 @@ impl Work<'_, '_> {
         }
     }
 
-    /// States without a solution, in coordinates of the frame.
-    fn unanswered_places(&mut self) -> Result<Unanswered, BackendError> {
-        let n = self.cloud.variables;
+    /// Learns how far solutions that leave a guard do so; whether guards are among these that were not known to cast a shadow.
+    fn learn_shadows(&mut self) -> Result<bool, BackendError> {
         let cut: Vec<usize> = (0..self.unanswered.len())
             .filter(|k| self.unanswered[*k].cut.is_some())
             .collect();
         let paths: Vec<Path> = cut.iter().filter_map(|k| self.unanswered[*k].cut.take()).collect();
-        let least = least_clearances(self.plan, self.solver, &paths.iter().collect::<Vec<_>>())?;
-        for (k, least) in cut.into_iter().zip(least) {
-            self.unanswered[k].clearance = least.min(0.0);
+        let margins = clearances(self.plan, self.solver, &paths.iter().collect::<Vec<_>>())?;
+        let mut is_new = false;
+        for (k, margins) in cut.into_iter().zip(margins) {
+            for (shadow, margin) in self.shadows.iter_mut().zip(&margins) {
+                is_new |= !*shadow && *margin < 0.0;
+                *shadow |= *margin < 0.0;
+            }
+            self.unanswered[k].clearances = margins;
         }
+        Ok(is_new)
+    }
+
+    /// States without a solution, in coordinates of the frame.
+    fn unanswered_places(&self) -> Unanswered {
+        let n = self.cloud.variables;
+        let clearance = |hole: &Hole| match hole.leaves_guard {
+            true => hole.clearances.iter().copied().fold(0.0, f64::min),
+            false => f64::NAN,
+        };
         let mut places = Unanswered {
             z: vec![0.0; n * self.unanswered.len()],
-            clearance: self.unanswered.iter().map(|hole| hole.clearance).collect(),
+            clearance: self.unanswered.iter().map(clearance).collect(),
         };
         for (z, hole) in places.z.chunks_exact_mut(n).zip(&self.unanswered) {
             self.frame.of(&hole.x, z);
         }
-        Ok(places)
+        places
     }
 
     /// Turns the frame to where V is steep, relative to itself, if that is in one direction; whether it was turned.

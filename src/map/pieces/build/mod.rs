@@ -12,6 +12,7 @@ mod tracks;
 use super::fit::{Data, Shape};
 use super::terms::Terms;
 use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree, quadratic};
+use crate::value::Clearance;
 pub use flow::Flow;
 use rayon::join;
 use rayon::prelude::*;
@@ -91,8 +92,8 @@ pub struct Cloud {
     /// Trajectory of each point: those of one are not independent of each other.
     pub track: Vec<u32>,
     pub sheet: Vec<i32>,
-    /// The least margin of the guards from each point to the end of its trajectory; infinite where it is not known.
-    pub clearance: Vec<f64>,
+    /// From each point to the end of its trajectory.
+    pub clearance: Vec<Clearance>,
     /// Whether some states have several answers: else labels of sheets tell nothing.
     pub several: bool,
     pub unanswered: Unanswered,
@@ -113,12 +114,12 @@ impl Cloud {
         self.v.len()
     }
 
-    /// Adds a point: V, the least margin of the guards and V's gradient at a state (absolute), put into coordinates of the frame.
+    /// Adds a point: V, how far its trajectory keeps from the guards, and V's gradient at a state (absolute), put into coordinates of the frame.
     pub fn add(
         &mut self,
         frame: &Frame,
         (x, p): (&[f64], &[f64]),
-        (v, clearance): (f64, f64),
+        (v, clearance): (f64, Clearance),
         (track, sheet): (u32, i32),
     ) {
         let at = self.z.len();
@@ -140,6 +141,16 @@ impl Cloud {
 
     pub fn is_empty(&self) -> bool {
         self.v.is_empty()
+    }
+
+    /// Takes out all points.
+    pub fn clear(&mut self) {
+        *self = Self {
+            variables: self.variables,
+            several: self.several,
+            unanswered: std::mem::take(&mut self.unanswered),
+            ..Self::default()
+        };
     }
 
     pub fn z(&self, k: usize) -> &[f64] {

@@ -6,6 +6,7 @@
 use super::super::least_squares::{Equations, width};
 use super::super::{BLEND, MOST_VARIABLES, Terms, margin_terms, quadratic};
 use super::{Block, Builder, Piece, thinned};
+use crate::value::Clearance;
 
 /// Points as far outside a piece as this many half widths tell its margins.
 const AROUND: f64 = 1.5;
@@ -37,11 +38,20 @@ pub(super) struct Edge {
     pub excess: f64,
 }
 
-/// Points near a piece, in its variables, with the margins that are fitted.
+/// A place near a piece, in its variables, with the margin there.
+#[derive(Clone, Copy)]
+struct Margin {
+    y: [f64; MOST_VARIABLES],
+    margin: f64,
+    /// Whether it is told by a trajectory that comes nearer to a guard later, or leaves it.
+    ahead: bool,
+}
+
+/// Points near a piece with the margins that are fitted.
 struct Near {
-    all: Vec<([f64; MOST_VARIABLES], f64)>,
+    all: Vec<Margin>,
     /// Those so deep in a shadow that they tell nothing of where its edge is, with margins that are not above theirs.
-    deep: Vec<([f64; MOST_VARIABLES], f64)>,
+    deep: Vec<Margin>,
     /// What is a small margin.
     small: f64,
 }
@@ -56,7 +66,7 @@ impl Near {
     fn fitted(&self, n: usize) -> Option<Vec<f64>> {
         let mut margins = self.fitted_to(n, &[])?;
         for _ in 0..REFITS {
-            let above = |(y, margin): &&([f64; MOST_VARIABLES], f64)| quadratic(&margins, &y[..n]) > *margin;
+            let above = |m: &&Margin| quadratic(&margins, &m.y[..n]) > m.margin;
             let above: Vec<_> = self.deep.iter().filter(above).copied().collect();
             if above.is_empty() {
                 break;
@@ -66,7 +76,7 @@ impl Near {
         Some(margins)
     }
 
-    fn fitted_to(&self, n: usize, more: &[([f64; MOST_VARIABLES], f64)]) -> Option<Vec<f64>> {
+    fn fitted_to(&self, n: usize, more: &[Margin]) -> Option<Vec<f64>> {
         let sizes = [margin_terms(n), n + 1];
         let points = self.all.len() + more.len();
         let count = sizes.into_iter().find(|some| points >= EQUATIONS * some)?;
@@ -78,7 +88,7 @@ impl Near {
         };
         let (mut values, mut slopes) = (vec![0.0; count], vec![0.0; n * count]);
         let rows = equations.rows.chunks_exact_mut(width(count));
-        for ((y, margin), row) in self.all.iter().chain(more).zip(rows) {
+        for (Margin { y, margin, .. }, row) in self.all.iter().chain(more).zip(rows) {
             let weight = self.weight(*margin);
             terms.at(&y[..n], &mut values, &mut slopes);
             row.iter_mut().zip(&values).for_each(|(to, value)| *to = weight * value);
@@ -93,8 +103,8 @@ impl Near {
 
     /// The part of it on one side of the middle along an axis.
     fn half(&self, axis: usize, upper: bool) -> Self {
-        let half = |all: &[([f64; MOST_VARIABLES], f64)]| {
-            let own = all.iter().copied().filter(|(y, _)| (y[axis] >= 0.0) == upper);
+        let half = |all: &[Margin]| {
+            let own = all.iter().copied().filter(|m| (m.y[axis] >= 0.0) == upper);
             own.collect()
         };
         Self {
@@ -108,7 +118,7 @@ impl Near {
     fn misfit(&self, n: usize) -> f64 {
         let Some(fitted) = self.fitted(n) else { return 0.0 };
         (self.all.iter())
-            .map(|(y, margin)| (self.weight(*margin) * (quadratic(&fitted, &y[..n]) - margin)).powi(2))
+            .map(|m| (self.weight(m.margin) * (quadratic(&fitted, &m.y[..n]) - m.margin)).powi(2))
             .sum()
     }
 }
@@ -119,21 +129,28 @@ impl Builder<'_> {
         let holes = &self.cloud.unanswered;
         let cut = (unanswered.iter().map(|k| *k as usize))
             .filter(|k| holes.clearance[*k] < 0.0)
-            .map(|k| (&holes.z[k * n..][..n], holes.clearance[k]));
-        let mut all: Vec<([f64; MOST_VARIABLES], f64)> = (points.iter().map(|k| *k as usize))
-            .map(|k| (self.cloud.z(k), self.cloud.clearance[k]))
+            .map(|k| (&holes.z[k * n..][..n], holes.clearance[k], true));
+        let mut all: Vec<Margin> = (points.iter().map(|k| *k as usize))
+            .map(|k| {
+                let Clearance { margin, ahead } = self.cloud.clearance[k];
+                (self.cloud.z(k), margin, ahead)
+            })
             .chain(cut)
-            .map(|(z, margin)| (piece.place(z), margin))
-            .filter(|(y, margin)| margin.is_finite() && y[..n].iter().all(|y| y.abs() <= AROUND))
+            .map(|(z, margin, ahead)| Margin {
+                y: piece.place(z),
+                margin,
+                ahead,
+            })
+            .filter(|m| m.margin.is_finite() && m.y[..n].iter().all(|y| y.abs() <= AROUND))
             .collect();
-        all.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let inside = all.partition_point(|near| near.1 < 0.0);
+        all.sort_by(|a, b| a.margin.total_cmp(&b.margin));
+        let inside = all.partition_point(|m| m.margin < 0.0);
         let rank = inside + (SMALL * (all.len() - inside) as f64) as usize;
-        let small = all.get(rank).map_or(0.0, |near| near.1).max(f64::MIN_POSITIVE);
-        let (mut deep, mut all): (Vec<_>, Vec<_>) = all.into_iter().partition(|(_, margin)| *margin <= -DEEP * small);
-        deep.iter_mut().for_each(|(_, margin)| *margin = -DEEP * small);
-        for (_, margin) in all.iter_mut().chain(&mut deep) {
-            *margin /= 1.0 + *margin / small;
+        let small = all.get(rank).map_or(0.0, |m| m.margin).max(f64::MIN_POSITIVE);
+        let (mut deep, mut all): (Vec<_>, Vec<_>) = all.into_iter().partition(|m| m.margin <= -DEEP * small);
+        deep.iter_mut().for_each(|m| m.margin = -DEEP * small);
+        for m in all.iter_mut().chain(&mut deep) {
+            m.margin /= 1.0 + m.margin / small;
         }
         Near { all, deep, small }
     }
@@ -166,13 +183,17 @@ impl Builder<'_> {
         };
 
         let (mut excess, mut above) = (0.0f64, 0.0f64);
-        for (y, exact) in near.all.iter().filter(|(y, _)| y[..n].iter().all(|y| y.abs() <= 1.0)) {
+        // A guard that is nearest at the states themselves has no shadow: it is asked for each state.
+        let mut is_there = !near.deep.is_empty();
+        let inside = |m: &&Margin| m.ahead && m.y[..n].iter().all(|y| y.abs() <= 1.0);
+        for Margin { y, margin: exact, .. } in near.all.iter().filter(inside) {
             let (margin, slope) = slope_of(&clearance, &y[..n]);
             // In half widths of the piece; where a point is further away from the edge, it tells nothing of where that is.
             let size = slope[..n].iter().map(|s| s * s).sum::<f64>().sqrt();
             if exact.min(margin) > size {
                 continue;
             }
+            is_there = true;
             above = above.max(margin - exact);
             let by_widths = (0..n).map(|i| (slope[i] / piece.half[i]).powi(2)).sum::<f64>().sqrt();
             excess = excess.max((margin - exact).abs() / by_widths.max(f64::MIN_POSITIVE));
@@ -180,7 +201,7 @@ impl Builder<'_> {
         // What is near the edge of a shadow is rather not told than told in it.
         clearance[0] -= above;
         let mut places = 0..SIDE.pow(n as u32);
-        let is_there = places.any(|place| {
+        is_there &= places.any(|place| {
             let mut rest = place;
             let y: [f64; MOST_VARIABLES] = std::array::from_fn(|_| {
                 let step = rest % SIDE;
