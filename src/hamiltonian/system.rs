@@ -4,6 +4,7 @@
 use super::Hamiltonian;
 use crate::expr::{Deviation, Graph, Id, Kind};
 use crate::model::{Horizon, Model};
+use crate::program::Program;
 use std::collections::HashMap;
 
 /// The backward bicharacteristics of a scene.
@@ -65,6 +66,24 @@ impl System {
         (self.guards.iter().map(|g| g.expr))
             .filter(|expr| !adjoints.iter().any(|p| self.graph.depends_on(&[*expr], *p)))
             .collect()
+    }
+
+    /// Sizes of the margins of these guards: the largest at the reference and the middles of a region's faces (as deviations), which
+    /// what is rounding is told by.
+    pub fn guard_sizes(&self, region: &[[f64; 2]]) -> Vec<f64> {
+        let guards = self.guards_of_state();
+        let program = Program::lower(&self.graph, &self.inputs[..self.states], &guards);
+        let faces = region.iter().enumerate().flat_map(|(i, bounds)| bounds.map(|s| (i, s)));
+        let mut sizes = vec![0.0f64; guards.len()];
+        for (i, s) in faces.chain([(0, 0.0)]) {
+            let mut state = vec![0.0; self.states];
+            state[i] = s;
+            let margins = program.eval(&state);
+            for (size, margin) in sizes.iter_mut().zip(margins).filter(|(_, m)| m.is_finite()) {
+                *size = size.max(margin.abs());
+            }
+        }
+        sizes
     }
 
     pub fn new(hamiltonian: &Hamiltonian, model: &Model) -> Self {

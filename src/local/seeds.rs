@@ -105,7 +105,7 @@ impl LocalSolution {
                 return Err(LocalError::SeedTooLarge {
                     value: c,
                     reason: format!(
-                        "the local solution holds up to V = {limit:.3e} (bounds of the controls, the region, the first front)"
+                        "the local solution holds up to V = {limit:.3e} (bounds of the controls, the region, the guards, the first front)"
                     ),
                 });
             }
@@ -438,6 +438,7 @@ fn range_limit(system: &System, model: &Model, riccati: &Riccati, t: &DMatrix<f6
 /// A V, at most `limit`, whose ellipsoid no kink of the equations cuts: a series cannot follow them.
 pub(super) fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: f64) -> f64 {
     let n = system.states;
+    let limit = short_of_guards(system, riccati, t, limit);
     let mut graph = system.graph.clone();
     let kinks = graph.kinks(&system.rate);
     if kinks.is_empty() {
@@ -466,6 +467,48 @@ pub(super) fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64
     }
     // Between the directions looked at a kink may be a little nearer.
     0.5 * (radius / PROBE_MARGIN).powi(2)
+}
+
+/// Places along each direction at which guards are looked at.
+const SHELLS: u32 = 40;
+
+/// A V, at most `limit`, whose ellipsoid lies inside the guards: then no way from there leaves one. Guards that the equilibrium lies
+/// on the boundary of are left out.
+fn short_of_guards(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: f64) -> f64 {
+    let guards: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
+    if guards.is_empty() {
+        return limit;
+    }
+    let n = system.states;
+    let program = Program::lower(&system.graph, &system.inputs, &guards);
+    let rest = program.eval(&vec![0.0; 2 * n]);
+    let whole = (2.0 * limit).sqrt();
+    let mut radius = whole;
+    for d in probes(n) {
+        let d = t * DVector::from_vec(d);
+        for k in 1..=SHELLS {
+            let share = whole * f64::from(k) / f64::from(SHELLS);
+            if share >= radius {
+                break;
+            }
+            let s = &d * share;
+            let p = &riccati.p * &s;
+            let point: Vec<f64> = s.iter().chain(p.iter()).copied().collect();
+            let margins = program.eval(&point);
+            if margins
+                .iter()
+                .zip(&rest)
+                .any(|(g, at_rest)| *at_rest > 0.0 && (*g < 0.0 || g.is_nan()))
+            {
+                radius = share;
+            }
+        }
+    }
+    if radius == whole {
+        return limit;
+    }
+    // Between the places looked at a guard may be a little nearer.
+    0.5 * (radius * (1.0 - 1.0 / f64::from(SHELLS)) / PROBE_MARGIN).powi(2)
 }
 
 /// Error of the quadratic V at a radius from the residual of H there: H is the rate at which V is wrong, and it falls

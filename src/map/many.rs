@@ -103,10 +103,11 @@ impl ValueMap {
         let reference = &self.plan.system.reference;
         let s: Vec<f64> = (x.iter().zip(reference.iter().cycle())).map(|(x, r)| x - r).collect();
         let margins = guards.eval(&s, n);
-        let own = (margins.len() * n / s.len().max(1)).max(1);
-        let excluded = (s.chunks_exact(n).zip(margins.chunks_exact(own))).map(|(s, margins)| {
-            let size = (reference.iter().zip(s)).fold(1.0f64, |a, (r, s)| a.max(r.abs() + s.abs()));
-            margins.iter().any(|g| *g < -GUARD_ROUNDING * size)
+        let sizes = &self.guard_sizes;
+        let excluded = margins.chunks_exact(sizes.len()).map(|margins| {
+            // Where a guard is not a number it does not hold.
+            let holds = |(margin, size): (&f64, &f64)| *margin >= -GUARD_ROUNDING * size;
+            !margins.iter().zip(sizes).all(holds)
         });
         Some(excluded.collect())
     }

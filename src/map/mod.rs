@@ -141,6 +141,8 @@ pub struct ValueMap {
     control: Program,
     /// The scene's guards that depend on the state alone.
     guards: Option<Evaluator>,
+    /// Sizes of their margins.
+    guard_sizes: Vec<f64>,
     /// Of a game H, L and the states' rates.
     isaacs: Option<Program>,
     /// Windings to try, one a combination of periodic states.
@@ -249,6 +251,7 @@ impl ValueMap {
             controls: Evaluator::new(&control),
             control,
             guards,
+            guard_sizes: plan.system.guard_sizes(&plan.region),
             local_errors: plan.local.as_ref().map(LocalErrors::new),
             plan,
             sites,

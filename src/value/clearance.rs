@@ -17,6 +17,8 @@ const SAME: f64 = 1e-9;
 const AT_END: f64 = 1e-3;
 /// Share of the largest margin that rounding may take a track outside by.
 const ROUNDING: f64 = 1e-6;
+/// Step of differences along a trajectory, in sizes of its states.
+const STEP: f64 = 1e-7;
 /// Steps to where a margin is least between places.
 const HALVINGS: usize = 24;
 /// (sqrt(5) - 1)/2.
@@ -76,6 +78,23 @@ impl Guards {
     /// Margins `[node][guard]` at nodes `(s, p)`.
     pub fn margins(&self, nodes: &[f64]) -> Vec<f64> {
         self.margins.eval(nodes, self.width)
+    }
+
+    /// Their rates of change along trajectories, `[node][guard]`.
+    pub fn slopes(&self, nodes: &[f64], margins: &[f64]) -> Vec<f64> {
+        let rates = self.rates.eval(nodes, self.width);
+        let size = |all: &[f64]| all.iter().fold(f64::MIN_POSITIVE, |size, x| x.abs().max(size));
+        let (nodes, rates) = (nodes.chunks_exact(self.width), rates.chunks_exact(self.width));
+        let steps: Vec<f64> = (nodes.clone().zip(rates.clone()))
+            .map(|(node, rate)| STEP * size(node) / size(rate))
+            .collect();
+        let moved: Vec<f64> = (nodes.zip(rates).zip(&steps))
+            .flat_map(|((node, rate), step)| node.iter().zip(rate).map(move |(z, rate)| z - step * rate))
+            .collect();
+        let moved = self.margins(&moved);
+        (moved.iter().zip(margins).enumerate())
+            .map(|(k, (moved, here))| (moved - here) / steps[k / self.count])
+            .collect()
     }
 
     /// Time and least margin of a guard between places (time and node) of a trajectory, by cubics through these.

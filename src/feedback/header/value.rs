@@ -424,16 +424,20 @@ impl Writer<'_> {
 
     /// Whether no guard excludes a state by more than rounding.
     fn allowed(&self, guards: &[Id]) -> String {
-        let Syntax { name, real, function } = self.c;
+        let Syntax { name, real, .. } = self.c;
         let (n, count) = (self.system.states, guards.len());
+        let region: Vec<[f64; 2]> = (self.model.region.iter().zip(&self.system.reference))
+            .map(|([lo, hi], r)| [lo - r, hi - r])
+            .collect();
+        let sizes = self.system.guard_sizes(&region);
         format!(
-            "\n/* Whether no guard excludes x by more than rounding. */\n\
-             static inline int {name}_allowed(const {real} *x)\n{{\n    {real} s[{n}], g[{count}], size = 1;\n    int i;\n    \
-             for (i = 0; i < {n}; i++) {{\n        s[i] = x[i] - {name}_reference[i];\n        \
-             if ({function}(fabs)(s[i]) + {function}(fabs)({name}_reference[i]) > size)\n            \
-             size = {function}(fabs)(s[i]) + {function}(fabs)({name}_reference[i]);\n    }}\n\
+            "\n{}/* Whether no guard excludes x by more than rounding. */\n\
+             static inline int {name}_allowed(const {real} *x)\n{{\n    {real} s[{n}], g[{count}];\n    int i;\n    \
+             for (i = 0; i < {n}; i++) s[i] = x[i] - {name}_reference[i];\n\
              {}    for (i = 0; i < {count}; i++)\n        \
-             if (g[i] < -size * ({real})(sizeof({real}) < sizeof(double) ? 1e-6 : {GUARD_ROUNDING:e})) return 0;\n    return 1;\n}}\n",
+             if (!(g[i] >= -{name}_guard_size[i] * ({real})(sizeof({real}) < sizeof(double) ? 1e-6 : {GUARD_ROUNDING:e}))) return 0;\n    \
+             return 1;\n}}\n",
+            self.c.list("guard_size", &sizes),
             self.straight(guards, "g")
         )
     }

@@ -6,6 +6,8 @@ use crate::shooting::{Path, Solver};
 use crate::sweep::guard_holds as holds;
 use std::sync::PoisonError;
 
+/// Where a margin is not convex it may be so many times lower than tangents tell.
+const DEEPER: f64 = 2.0;
 /// Parts of a segment at whose ends guards are looked at.
 const GUARD_PIECES: usize = 8;
 
@@ -144,16 +146,23 @@ impl Survey<'_> {
                 }
             }
         };
-        let least: Vec<(usize, usize)> = (0..each)
-            .flat_map(|g| (0..=lengths.len()).map(move |j| (g, j)))
-            .filter(|(g, j)| may_fall(*g, *j))
-            .collect();
-        if least.is_empty() {
-            return Vec::new();
+        // Where it falls at the beginning of a part and rises at its end it is least within; of a convex margin not below where the
+        // tangents meet.
+        let slopes = guards.slopes(nodes, margins);
+        let dips = |g: usize, j: usize| {
+            let (falls, rises) = (slopes[j * each + g], slopes[(j + 1) * each + g]);
+            let meet = (at(g, j + 1) - at(g, j) - rises * lengths[j]) / (falls - rises);
+            falls < 0.0 && rises > 0.0 && at(g, j) + DEEPER * falls * meet < 0.0
+        };
+        let parts = lengths.len();
+        let mut least: Vec<(usize, std::ops::RangeInclusive<usize>)> = Vec::new();
+        for g in 0..each {
+            let around = (0..=parts).filter(|j| may_fall(g, *j));
+            least.extend(around.map(|j| (g, j.saturating_sub(1)..=(j + 1).min(parts))));
+            least.extend((0..parts).filter(|j| dips(g, *j)).map(|j| (g, j..=j + 1)));
         }
         let mut found = Vec::new();
-        for (g, j) in least {
-            let around = j.saturating_sub(1)..=(j + 1).min(lengths.len());
+        for (g, around) in least {
             let places: Vec<(f64, &[f64])> = around.map(|k| (times[k], &nodes[k * width..][..width])).collect();
             let [t, margin] = guards.least_between(g, &places);
             if !holds(margin, strict[g]) {

@@ -642,7 +642,7 @@ impl<'c> Builder<'c> {
         let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
         let surface = self.excess_of_surface(block, own);
         let edge = match own {
-            [piece] => self.edge(piece, &block.points, &block.unanswered).excess,
+            [piece] => self.edge(piece, &block.points).excess,
             _ => 0.0,
         };
         if !untouched && edge > 1.0 && self.is_dense(block.near) {

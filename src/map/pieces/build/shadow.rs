@@ -124,10 +124,11 @@ impl Near {
 }
 
 impl Builder<'_> {
-    fn near(&self, piece: &Piece, points: &[u32], unanswered: &[u32]) -> Near {
+    fn near(&self, piece: &Piece, points: &[u32]) -> Near {
         let n = self.cloud.variables;
         let holes = &self.cloud.unanswered;
-        let cut = (unanswered.iter().map(|k| *k as usize))
+        // Those around the piece, too.
+        let cut = (0..holes.clearance.len())
             .filter(|k| holes.clearance[*k] < 0.0)
             .map(|k| (&holes.z[k * n..][..n], holes.clearance[k], true));
         let mut all: Vec<Margin> = (points.iter().map(|k| *k as usize))
@@ -159,7 +160,7 @@ impl Builder<'_> {
     pub(super) fn axis_by_edges(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> Option<usize> {
         let n = self.cloud.variables;
         let near: Vec<Near> = (pieces.iter())
-            .map(|(piece, points)| self.near(piece, &thinned(points, MOST_POINTS), &block.unanswered))
+            .map(|(piece, points)| self.near(piece, &thinned(points, MOST_POINTS)))
             .collect();
         let misfit = |axis: usize| -> f64 {
             let halves = near
@@ -175,11 +176,16 @@ impl Builder<'_> {
     }
 
     /// The edge of shadows by points of a piece; none where margins are positive all over it, or not known.
-    pub(super) fn edge(&self, piece: &Piece, points: &[u32], unanswered: &[u32]) -> Edge {
+    pub(super) fn edge(&self, piece: &Piece, points: &[u32]) -> Edge {
         let n = self.cloud.variables;
-        let near = self.near(piece, points, unanswered);
+        let near = self.near(piece, points);
         let Some(mut clearance) = near.fitted(n) else {
-            return Edge::default();
+            // Of a few points next to a shadow it is not known where that begins.
+            let is_dark = near.all.iter().chain(&near.deep).any(|m| m.margin < 0.0);
+            return Edge {
+                clearance: if is_dark { nowhere(n) } else { Vec::new() },
+                excess: 0.0,
+            };
         };
 
         let (mut excess, mut above) = (0.0f64, 0.0f64);
@@ -215,6 +221,13 @@ impl Builder<'_> {
             excess: excess / (EDGE * self.region.error * (1.0 + BLEND)),
         }
     }
+}
+
+/// A polynomial that is negative everywhere.
+fn nowhere(n: usize) -> Vec<f64> {
+    let mut margins = vec![0.0; margin_terms(n)];
+    margins[0] = -1.0;
+    margins
 }
 
 /// A polynomial of the second degree and its gradient.
