@@ -91,9 +91,10 @@ fn some_pieces(n: usize, turned: bool, random: &mut Random) -> Pieces {
                         .collect(),
                     false => Vec::new(),
                 },
-                clearance: match enclosed && random.next() < 0.5 {
+                // Without a draw of its own: others would be drawn.
+                clearance: match enclosed && sheet == 0 && depth % 2 == 0 {
                     true => (0..super::margin_terms(n))
-                        .map(|t| if t == 0 { 0.2 } else { random.next() - 0.5 })
+                        .map(|t| if t == 0 { 0.9 } else { (1.7 * (t * n) as f64).sin() })
                         .collect(),
                     false => Vec::new(),
                 },
