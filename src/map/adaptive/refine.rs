@@ -23,7 +23,7 @@ impl Work<'_, '_> {
     /// Builds pieces, and solves for states where they are not good enough, until they are.
     pub(super) fn refined(&mut self, region: &Region, more: Vec<Want>) -> Result<Pieces, BackendError> {
         let mut more = Some(more).filter(|m| !m.is_empty());
-        let mut before: Option<(Pieces, usize)> = None;
+        let mut before: Option<(Pieces, usize, usize)> = None;
         let mut last: Option<(Instant, usize)> = None;
         let mut closing = false;
         loop {
@@ -34,9 +34,10 @@ impl Work<'_, '_> {
             if self.states < SETTLED && self.turn(region) {
                 before = None;
             }
-            let old = before.as_ref().map(|(pieces, points)| Before {
+            let old = before.as_ref().map(|(pieces, points, unanswered)| Before {
                 pieces,
                 points: *points,
+                unanswered: *unanswered,
             });
             self.cloud.unanswered = self.unanswered_places();
             let (pieces, wants) = build(&self.cloud, region, &self.frame, self.flow.as_ref(), old);
@@ -59,14 +60,14 @@ impl Work<'_, '_> {
             }
             last = Some((clock, solved));
             self.rounds += 1;
-            let known = self.cloud.len();
+            let (known, dark) = (self.cloud.len(), self.unanswered.len());
             let share = if closing { 1.0 } else { BEFORE_CLOSING };
             if !self.answer(asked, region, share)? {
                 return Ok(pieces);
             }
             let said = format!("in {} cells", pieces.cells.len());
             (self.progress)(&said, self.states, self.states + wants.len());
-            before = Some((pieces, known));
+            before = Some((pieces, known, dark));
         }
     }
 

@@ -220,10 +220,11 @@ enum Grown {
     Split(usize, f64, Box<(Grown, Grown)>),
 }
 
-/// Pieces made before, of the cloud's first points.
+/// Pieces made before, of the cloud's first points and first places without a solution.
 pub struct Before<'b> {
     pub pieces: &'b Pieces,
     pub points: usize,
+    pub unanswered: usize,
 }
 
 /// Makes pieces of points; and cells where more points are needed for the error asked for. Cells made before whose pieces
@@ -632,20 +633,29 @@ impl<'c> Builder<'c> {
     /// Pieces of a cell made before, if they were good enough and new points do not say otherwise; with their error over the one
     /// asked for.
     fn kept(&self, block: &Block, before: &Before<'_>, cell: usize) -> Option<(Vec<Piece>, f64)> {
-        let own = &before.pieces.pieces[before.pieces.cells[cell].pieces.clone()];
+        let mut own = before.pieces.pieces[before.pieces.cells[cell].pieces.clone()].to_vec();
         // A few points more make no better polynomial of one that is not good enough.
         let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
+        let dark = block.unanswered.iter().filter(|k| **k as usize >= before.unanswered).count();
+        let dense = self.is_dense(block.near);
         let untouched = more == 0
-            || (!self.leaves_quarters()
-                && !self.is_dense(block.near)
-                && (more as f64) < WORTH_WHILE * block.points.len() as f64);
+            || (!self.leaves_quarters() && !dense && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
-        let surface = self.excess_of_surface(block, own);
-        let edge = match own {
-            [piece] => self.edge(piece, &block.points).excess,
+        let surface = self.excess_of_surface(block, &own);
+        let excess_of_edge = match own.as_mut_slice() {
+            // Its edge is by all that is known by now.
+            [piece] => {
+                let edge = self.edge(piece, &block.points);
+                piece.clearance = edge.clearance;
+                if !piece.clearance.is_empty() && piece.support.is_empty() {
+                    piece.support = self.enclosed(piece, &block.points, self.region.beyond);
+                }
+                edge.excess
+            }
+            _ if dark > 0 => return None,
             _ => 0.0,
         };
-        if !untouched && edge > 1.0 && self.is_dense(block.near) {
+        if more + dark > 0 && excess_of_edge > 1.0 && dense {
             return None;
         }
         if !untouched && (own.is_empty() || !own.iter().all(good) || surface > self.habits.enough) {
@@ -663,12 +673,12 @@ impl<'c> Builder<'c> {
             })
         };
         let fresh = block.points.iter().map(|k| *k as usize).filter(|k| *k >= before.points);
-        if !{ fresh }.all(agrees) || self.is_unfounded(block, own) {
+        if !{ fresh }.all(agrees) || self.is_unfounded(block, &own) {
             return None;
         }
         let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);
         let excess = if own.is_empty() { f64::INFINITY } else { excess };
-        Some((own.to_vec(), excess.max(surface).max(edge)))
+        Some((own, excess.max(surface).max(excess_of_edge)))
     }
 
     /// A cell, with what may be missing in it. Where a sheet ends too early its pieces may err by as much as V would jump.

@@ -5,7 +5,7 @@
 
 use super::super::least_squares::{Equations, width};
 use super::super::{BLEND, MOST_VARIABLES, Terms, margin_terms, quadratic};
-use super::{Block, Builder, Piece, thinned};
+use super::{Block, Builder, Piece, mix, thinned};
 use crate::value::Clearance;
 
 /// Points as far outside a piece as this many half widths tell its margins.
@@ -26,6 +26,8 @@ const SLIVER: f64 = 8.0;
 const MOST_POINTS: usize = 2000;
 /// Places a side at which a margin is looked at.
 const SIDE: usize = 5;
+/// Parts of the margins that are left out in turn, to tell how far an edge is off.
+const PARTS: u32 = 5;
 /// Distance in widths of the region that an edge may be off, in relative errors asked for.
 const EDGE: f64 = 2.0;
 
@@ -45,6 +47,8 @@ struct Margin {
     margin: f64,
     /// Whether it is told by a trajectory that comes nearer to a guard later, or leaves it.
     ahead: bool,
+    /// Part of the margins that it is left out with.
+    part: u32,
 }
 
 /// Points near a piece with the margins that are fitted.
@@ -54,6 +58,17 @@ struct Near {
     deep: Vec<Margin>,
     /// What is a small margin.
     small: f64,
+}
+
+/// How far a polynomial of margins is off.
+#[derive(Default)]
+struct Off {
+    /// Whether a margin tells of an edge.
+    is_there: bool,
+    /// Its largest overestimate.
+    above: f64,
+    /// The largest distance between edges, in widths of the region.
+    by: f64,
 }
 
 impl Near {
@@ -101,6 +116,43 @@ impl Near {
         margins.iter().all(|c| c.is_finite()).then_some(margins)
     }
 
+    /// How far a polynomial of the margins is off inside a piece, of all or of a part of them.
+    fn off(&self, n: usize, (polynomial, piece): (&[f64], &Piece), part: Option<u32>) -> Off {
+        let mut off = Off::default();
+        let asked = |m: &Margin| is_inside(m, n) && part.is_none_or(|part| m.part == part);
+        let deep = self.deep.iter().map(|m| (m, false));
+        let all = (self.all.iter().map(|m| (m, m.ahead)).chain(deep)).filter(|(m, _)| asked(m));
+        for (m, may_tell) in all {
+            let (margin, slope) = slope_of(polynomial, &m.y[..n]);
+            // In half widths of the piece; where a point is further away from the edge, it tells nothing of where that is.
+            let size = slope[..n].iter().map(|s| s * s).sum::<f64>().sqrt();
+            let tells = may_tell && m.margin.min(margin) <= size;
+            let above = match tells {
+                true => margin - m.margin,
+                // Places known to lie in a shadow are not told, whatever the fit says.
+                false if m.margin < 0.0 => margin,
+                false => continue,
+            };
+            off.above = off.above.max(above);
+            off.is_there |= tells;
+            if tells || above > 0.0 {
+                let by_widths = (0..n).map(|i| (slope[i] / piece.half[i]).powi(2)).sum::<f64>().sqrt();
+                off.by = off.by.max(above.abs() / by_widths.max(f64::MIN_POSITIVE));
+            }
+        }
+        off
+    }
+
+    /// All but a part of them.
+    fn without(&self, part: u32) -> Self {
+        let others = |all: &[Margin]| all.iter().copied().filter(|m| m.part != part).collect();
+        Self {
+            all: others(&self.all),
+            deep: others(&self.deep),
+            small: self.small,
+        }
+    }
+
     /// The part of it on one side of the middle along an axis.
     fn half(&self, axis: usize, upper: bool) -> Self {
         let half = |all: &[Margin]| {
@@ -130,17 +182,18 @@ impl Builder<'_> {
         // Those around the piece, too.
         let cut = (0..holes.clearance.len())
             .filter(|k| holes.clearance[*k] < 0.0)
-            .map(|k| (&holes.z[k * n..][..n], holes.clearance[k], true));
+            .map(|k| (&holes.z[k * n..][..n], holes.clearance[k], true, k as u32));
         let mut all: Vec<Margin> = (points.iter().map(|k| *k as usize))
             .map(|k| {
                 let Clearance { margin, ahead } = self.cloud.clearance[k];
-                (self.cloud.z(k), margin, ahead)
+                (self.cloud.z(k), margin, ahead, self.cloud.track[k])
             })
             .chain(cut)
-            .map(|(z, margin, ahead)| Margin {
+            .map(|(z, margin, ahead, part)| Margin {
                 y: piece.place(z),
                 margin,
                 ahead,
+                part: mix(part) % PARTS,
             })
             .filter(|m| m.margin.is_finite() && m.y[..n].iter().all(|y| y.abs() <= AROUND))
             .collect();
@@ -188,26 +241,22 @@ impl Builder<'_> {
             };
         };
 
-        let (mut excess, mut above) = (0.0f64, 0.0f64);
+        let good = EDGE * self.region.error * (1.0 + BLEND);
+        let mut off = near.off(n, (&clearance, piece), None);
         // A guard that is nearest at the states themselves has no shadow: it is asked for each state.
-        let mut is_there = !near.deep.is_empty();
-        let inside = |m: &&Margin| m.ahead && m.y[..n].iter().all(|y| y.abs() <= 1.0);
-        for Margin { y, margin: exact, .. } in near.all.iter().filter(inside) {
-            let (margin, slope) = slope_of(&clearance, &y[..n]);
-            // In half widths of the piece; where a point is further away from the edge, it tells nothing of where that is.
-            let size = slope[..n].iter().map(|s| s * s).sum::<f64>().sqrt();
-            if exact.min(margin) > size {
-                continue;
+        let is_there = off.is_there || !near.deep.is_empty();
+        if off.by > good {
+            // Not resolved, it may be anywhere between its points.
+            for part in 0..PARTS {
+                let others = near.without(part);
+                let Some(fitted) = others.fitted(n) else { continue };
+                off.above = off.above.max(near.off(n, (&fitted, piece), Some(part)).above);
             }
-            is_there = true;
-            above = above.max(margin - exact);
-            let by_widths = (0..n).map(|i| (slope[i] / piece.half[i]).powi(2)).sum::<f64>().sqrt();
-            excess = excess.max((margin - exact).abs() / by_widths.max(f64::MIN_POSITIVE));
         }
         // What is near the edge of a shadow is rather not told than told in it.
-        clearance[0] -= above;
+        clearance[0] -= off.above;
         let mut places = 0..SIDE.pow(n as u32);
-        is_there &= places.any(|place| {
+        let is_there = is_there && places.any(|place| {
             let mut rest = place;
             let y: [f64; MOST_VARIABLES] = std::array::from_fn(|_| {
                 let step = rest % SIDE;
@@ -218,9 +267,13 @@ impl Builder<'_> {
         });
         Edge {
             clearance: if is_there { clearance } else { Vec::new() },
-            excess: excess / (EDGE * self.region.error * (1.0 + BLEND)),
+            excess: off.by / good,
         }
     }
+}
+
+fn is_inside(m: &Margin, n: usize) -> bool {
+    m.y[..n].iter().all(|y| y.abs() <= 1.0)
 }
 
 /// A polynomial that is negative everywhere.
