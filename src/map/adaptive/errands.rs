@@ -20,6 +20,8 @@ const LEAST_STEP: f64 = 1.0 / 8.0;
 const STEEP: f64 = 2.0;
 /// Draws of a state in the part of a cell that lies in the region.
 const DRAWS: usize = 20;
+/// Draws of which one nearest to the edge of a shadow is taken.
+const DRAWS_AT_EDGE: usize = 8;
 
 /// A state to be solved for, from which point of the cloud, for which cell.
 pub(super) struct Errand {
@@ -155,7 +157,12 @@ impl Work<'_, '_> {
         let z: Vec<f64> = if turn < places {
             want.bare[((turn + self.rounds) % places) * n..][..n].to_vec()
         } else if want.excess > 1.0 {
-            match self.inside(want, region) {
+            // Half of those that tell of the edge of a shadow lie next to it.
+            let drawn = match &want.shaded {
+                Some(_) if turn % 2 == 1 => self.next_to_edge(want, region),
+                _ => self.inside(want, region),
+            };
+            match drawn {
                 Some(z) => z,
                 None => {
                     *self.failures.entry(key(want)).or_default() += 1;
@@ -196,16 +203,23 @@ impl Work<'_, '_> {
         });
     }
 
-    /// A place drawn from the part of a cell that lies in the region.
+    /// A place drawn from the part of a cell that lies in the region, and not in a shadow.
     pub(super) fn inside(&mut self, want: &Want, region: &Region) -> Option<Vec<f64>> {
-        let n = want.lo.len();
-        (0..DRAWS).find_map(|_| {
-            let z: Vec<f64> = (0..n)
-                .map(|i| want.lo[i] + (want.hi[i] - want.lo[i]) * self.uniform())
-                .collect();
-            let x = self.frame.state(&z);
-            (region.covers(&x) && !want.is_in_shadow(&z)).then_some(z)
-        })
+        (0..DRAWS).find_map(|_| self.drawn(want, region).filter(|z| !want.is_in_shadow(z)))
+    }
+
+    /// A place next to the edge of a shadow.
+    fn next_to_edge(&mut self, want: &Want, region: &Region) -> Option<Vec<f64>> {
+        let drawn: Vec<_> = (0..DRAWS_AT_EDGE).filter_map(|_| self.drawn(want, region)).collect();
+        (drawn.into_iter()).min_by(|a, b| want.margin(a).abs().total_cmp(&want.margin(b).abs()))
+    }
+
+    /// A place drawn from a cell, if it lies in the region.
+    fn drawn(&mut self, want: &Want, region: &Region) -> Option<Vec<f64>> {
+        let z: Vec<f64> = (want.lo.iter().zip(&want.hi))
+            .map(|(lo, hi)| lo + (hi - lo) * self.uniform())
+            .collect();
+        region.covers(&self.frame.state(&z)).then_some(z)
     }
 
     /// The point nearest to a place, of all.

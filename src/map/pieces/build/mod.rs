@@ -181,9 +181,14 @@ pub struct Want {
 impl Want {
     /// Whether a place in it is in the shadow of a guard, as far as its points tell.
     pub fn is_in_shadow(&self, z: &[f64]) -> bool {
-        self.shaded.as_ref().is_some_and(|piece| {
+        self.margin(z) < 0.0
+    }
+
+    /// How far the solution at a place keeps from the guards, as far as its points tell.
+    pub fn margin(&self, z: &[f64]) -> f64 {
+        self.shaded.as_ref().map_or(f64::INFINITY, |piece| {
             let y = piece.place(z);
-            quadratic(&piece.clearance, &y[..z.len()]) < 0.0
+            quadratic(&piece.clearance, &y[..z.len()])
         })
     }
 }
@@ -688,18 +693,20 @@ impl<'c> Builder<'c> {
             piece.bound = piece.bound.max(jump);
         }
         bare.extend(self.bare_places(&block));
-        let want = Want {
+        let mut want = Want {
             excess: excess.max(jump / self.region.error),
-            bare,
+            bare: Vec::new(),
             lo: block.lo,
             hi: block.hi,
             points: block.points,
             near: block.near,
             shaded: match pieces.as_slice() {
-                [piece] if !piece.clearance.is_empty() => Some(Box::new(piece.clone())),
+                [piece] if shadow::is_told(&piece.clearance) => Some(Box::new(piece.clone())),
                 _ => None,
             },
         };
+        let n = self.cloud.variables;
+        want.bare = bare.chunks(n).filter(|z| !want.is_in_shadow(z)).flatten().copied().collect();
         Grown::Cell(pieces, want)
     }
 

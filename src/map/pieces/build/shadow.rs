@@ -231,17 +231,20 @@ impl Builder<'_> {
     /// The edge of shadows by points of a piece; none where margins are positive all over it, or not known.
     pub(super) fn edge(&self, piece: &Piece, points: &[u32]) -> Edge {
         let n = self.cloud.variables;
+        let good = EDGE * self.region.error * (1.0 + BLEND);
         let near = self.near(piece, points);
         let Some(mut clearance) = near.fitted(n) else {
             // Of a few points next to a shadow it is not known where that begins.
             let is_dark = near.all.iter().chain(&near.deep).any(|m| m.margin < 0.0);
+            if !is_dark {
+                return Edge::default();
+            }
             return Edge {
-                clearance: if is_dark { nowhere(n) } else { Vec::new() },
-                excess: 0.0,
+                clearance: nowhere(n),
+                excess: piece.half.iter().copied().fold(0.0, f64::max) / good,
             };
         };
 
-        let good = EDGE * self.region.error * (1.0 + BLEND);
         let mut off = near.off(n, (&clearance, piece), None);
         // A guard that is nearest at the states themselves has no shadow: it is asked for each state.
         let is_there = off.is_there || !near.deep.is_empty();
@@ -270,6 +273,11 @@ impl Builder<'_> {
             excess: off.by / good,
         }
     }
+}
+
+/// Whether a polynomial tells of an edge: neither there is none, nor is it unknown where.
+pub(super) fn is_told(clearance: &[f64]) -> bool {
+    clearance.iter().skip(1).any(|c| *c != 0.0)
 }
 
 fn is_inside(m: &Margin, n: usize) -> bool {
