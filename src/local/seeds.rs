@@ -435,6 +435,12 @@ fn range_limit(system: &System, model: &Model, riccati: &Riccati, t: &DMatrix<f6
     short_of_kinks(system, riccati, t, limit)
 }
 
+/// A state with the adjoint of the quadratic V.
+fn point_on(riccati: &Riccati, s: DVector<f64>) -> Vec<f64> {
+    let p = &riccati.p * &s;
+    s.iter().chain(p.iter()).copied().collect()
+}
+
 /// A V, at most `limit`, whose ellipsoid no kink of the equations cuts: a series cannot follow them.
 pub(super) fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: f64) -> f64 {
     let n = system.states;
@@ -448,11 +454,8 @@ pub(super) fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64
     let rest = program.eval(&vec![0.0; 2 * n]);
     let cut = |radius: f64| {
         probes(n).any(|d| {
-            let s = t * DVector::from_vec(d) * radius;
-            let p = &riccati.p * &s;
-            let point: Vec<f64> = s.iter().chain(p.iter()).copied().collect();
             program
-                .eval(&point)
+                .eval(&point_on(riccati, t * DVector::from_vec(d) * radius))
                 .iter()
                 .zip(&rest)
                 .any(|(g, at_rest)| g * at_rest < 0.0)
@@ -491,10 +494,7 @@ fn short_of_guards(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: 
             if share >= radius {
                 break;
             }
-            let s = &d * share;
-            let p = &riccati.p * &s;
-            let point: Vec<f64> = s.iter().chain(p.iter()).copied().collect();
-            let margins = program.eval(&point);
+            let margins = program.eval(&point_on(riccati, &d * share));
             if margins
                 .iter()
                 .zip(&rest)

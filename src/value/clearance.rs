@@ -9,10 +9,9 @@ use crate::shooting::{Path, Solver};
 use crate::sweep::Plan;
 
 /// Parts of a segment at whose ends guards are looked at.
-const PARTS: usize = 8;
+pub(super) const PARTS: usize = 8;
 /// Places of a track nearer to each other than this share of its length are one.
 const SAME: f64 = 1e-9;
-
 /// The end of a track counts where the margin there is above this share of the largest on it.
 const AT_END: f64 = 1e-3;
 /// Share of the largest margin that rounding may take a track outside by.
@@ -131,18 +130,7 @@ impl Guards {
     fn along(&self, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Vec<Place>>, BackendError> {
         let between = solver.between_nodes(paths, PARTS)?;
         let one = |(path, between): (&&Path, &Vec<f64>)| {
-            let mut t = 0.0;
-            let mut times = Vec::with_capacity(PARTS * path.segments() + 1);
-            let mut nodes = Vec::with_capacity(self.width * times.capacity());
-            let between = between.chunks_exact((PARTS - 1) * self.width);
-            for ((k, duration), between) in path.durations.iter().enumerate().zip(between) {
-                times.extend((0..PARTS).map(|part| t + duration * part as f64 / PARTS as f64));
-                nodes.extend_from_slice(path.node(k));
-                nodes.extend_from_slice(between);
-                t += duration;
-            }
-            times.push(t);
-            nodes.extend_from_slice(path.last());
+            let (times, nodes) = samples(path, between);
             let margins = self.margins(&nodes);
             let each = nodes.chunks_exact(self.width).zip(margins.chunks_exact(self.count));
             (times.into_iter().zip(each))
@@ -161,7 +149,10 @@ impl Guards {
     fn least_from(&self, guard: usize, places: &[Place]) -> Vec<Clearance> {
         let all: Vec<[f64; 2]> = places.iter().map(|p| [p.t, p.margins[guard]]).collect();
         // Of a guard that an equilibrium lies on the boundary of, the end tells nothing: all come near.
-        let end = all.last().map(|at| at[1]).filter(|end| *end > AT_END * size_of(&all));
+        let end = all
+            .last()
+            .map(|at| at[1])
+            .filter(|end| *end > AT_END * size_of(guard, places));
         least_from(&all, end.unwrap_or(f64::INFINITY), |three, [_, value], later| {
             // The parabola is not what the margin is, but about.
             let fall = all[three[1]][1] - value;
@@ -173,9 +164,26 @@ impl Guards {
     }
 }
 
-/// The largest size of values.
-fn size_of(all: &[[f64; 2]]) -> f64 {
-    all.iter().fold(0.0, |size, at| at[1].abs().max(size))
+/// All samples of a path, `[sample][2n]`, with their times from its beginning: its nodes, and those between them.
+pub(super) fn samples(path: &Path, between: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let mut times = Vec::with_capacity(PARTS * path.segments() + 1);
+    let mut nodes = Vec::with_capacity(path.nodes.len() + between.len());
+    let mut t = 0.0;
+    let between = between.chunks_exact((PARTS - 1) * path.width);
+    for ((k, duration), between) in path.durations.iter().enumerate().zip(between) {
+        times.extend((0..PARTS).map(|part| t + duration * part as f64 / PARTS as f64));
+        nodes.extend_from_slice(path.node(k));
+        nodes.extend_from_slice(between);
+        t += duration;
+    }
+    times.push(t);
+    nodes.extend_from_slice(path.last());
+    (times, nodes)
+}
+
+/// The largest size of a guard's margins at places.
+fn size_of(guard: usize, places: &[Place]) -> f64 {
+    places.iter().fold(0.0, |size, p| p.margins[guard].abs().max(size))
 }
 
 /// How far a path keeps from each guard: where the margin is negative the path leaves it by more than rounding.
@@ -205,7 +213,7 @@ pub fn clearances(plan: &Plan, solver: &mut Solver, paths: &[&Path]) -> Result<V
 
 /// What rounding may take a margin below 0 by.
 fn rounding(guard: usize, places: &[Place]) -> f64 {
-    ROUNDING * places.iter().fold(0.0, |size, p| p.margins[guard].abs().max(size))
+    ROUNDING * size_of(guard, places)
 }
 
 /// Tells of points of tracks, numbered from `first` on, how far they keep from the guards that cast shadows. Of each point whether

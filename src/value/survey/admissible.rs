@@ -4,24 +4,11 @@ use super::{PointStatus, Survey};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
 use crate::sweep::guard_holds as holds;
+use crate::value::clearance::{PARTS, samples};
 use std::sync::PoisonError;
 
 /// Where a margin is not convex it may be so many times lower than tangents tell.
 const DEEPER: f64 = 2.0;
-/// Parts of a segment at whose ends guards are looked at.
-const GUARD_PIECES: usize = 8;
-
-/// All samples of a path, `[sample][2n]`: its nodes, and those between them.
-fn samples(path: &Path, between: &[f64]) -> Vec<f64> {
-    let inner = (GUARD_PIECES - 1) * path.width;
-    let mut nodes = Vec::with_capacity(path.nodes.len() + between.len());
-    for (k, between) in between.chunks_exact(inner).enumerate() {
-        nodes.extend_from_slice(path.node(k));
-        nodes.extend_from_slice(between);
-    }
-    nodes.extend_from_slice(path.last());
-    nodes
-}
 
 impl Survey<'_> {
     /// Whether all nodes are inside the guards, but for rounding.
@@ -80,16 +67,16 @@ impl Survey<'_> {
         let Some((guards, _)) = &self.guards else {
             return Ok(vec![true; paths.len()]);
         };
-        let between = solver.between_nodes(paths, GUARD_PIECES)?;
+        let between = solver.between_nodes(paths, PARTS)?;
         let mut valid = Vec::with_capacity(paths.len());
         // What is thin lies between the samples: flights to where a guard's margin seems to be least, if that is below 0.
         let mut doubts = Vec::new();
         for (k, (path, between)) in paths.iter().zip(between).enumerate() {
-            let nodes = samples(path, &between);
+            let (times, nodes) = samples(path, &between);
             let margins = guards.margins(&nodes);
             valid.push(self.hold(&nodes, &margins));
             if valid[k] {
-                let parts = self.doubts(path, &nodes, &margins);
+                let parts = self.doubts(&times, &nodes, &margins);
                 doubts.extend(parts.into_iter().map(|part| (k, part)));
             }
         }
@@ -105,32 +92,24 @@ impl Survey<'_> {
 
     /// From samples of a trajectory before them, the ways to where a guard's margin is least between samples, if it is below 0
     /// there: by cubics through the samples.
-    fn doubts(&self, path: &Path, nodes: &[f64], margins: &[f64]) -> Vec<Path> {
+    fn doubts(&self, times: &[f64], nodes: &[f64], margins: &[f64]) -> Vec<Path> {
         let Some((guards, strict)) = &self.guards else {
             return Vec::new();
         };
-        let width = path.width;
-        let lengths: Vec<f64> = (path.durations.iter())
-            .flat_map(|duration| [duration / GUARD_PIECES as f64; GUARD_PIECES])
-            .collect();
-        if lengths.is_empty() {
+        let width = 2 * self.targets.states;
+        let parts = times.len() - 1;
+        if parts == 0 {
             return Vec::new();
         }
-        let times: Vec<f64> = std::iter::once(0.0)
-            .chain(lengths.iter().scan(0.0, |t, length| {
-                *t += length;
-                Some(*t)
-            }))
-            .collect();
+        let length = |j: usize| times[j + 1] - times[j];
         let each = strict.len();
         let at = |g: usize, j: usize| margins[j * each + g];
         // Between three places a smooth margin falls by less than it rises to the highest of them; from the first of a trajectory it
         // falls, by a parabola through the next two, if it bends by more than it rises.
         let may_fall = |g: usize, j: usize| {
-            let last = lengths.len();
             let inward = match j {
                 0 => Some([1, 2]),
-                j if j == last => Some([last - 1, last - 2]),
+                j if j == parts => Some([parts - 1, parts - 2]),
                 _ => None,
             };
             let here = at(g, j);
@@ -151,10 +130,9 @@ impl Survey<'_> {
         let slopes = guards.slopes(nodes, margins);
         let dips = |g: usize, j: usize| {
             let (falls, rises) = (slopes[j * each + g], slopes[(j + 1) * each + g]);
-            let meet = (at(g, j + 1) - at(g, j) - rises * lengths[j]) / (falls - rises);
+            let meet = (at(g, j + 1) - at(g, j) - rises * length(j)) / (falls - rises);
             falls < 0.0 && rises > 0.0 && at(g, j) + DEEPER * falls * meet < 0.0
         };
-        let parts = lengths.len();
         let mut least: Vec<(usize, std::ops::RangeInclusive<usize>)> = Vec::new();
         for g in 0..each {
             let around = (0..=parts).filter(|j| may_fall(g, *j));
@@ -166,7 +144,7 @@ impl Survey<'_> {
             let places: Vec<(f64, &[f64])> = around.map(|k| (times[k], &nodes[k * width..][..width])).collect();
             let [t, margin] = guards.least_between(g, &places);
             if !holds(margin, strict[g]) {
-                let k = times[1..lengths.len()].partition_point(|at| *at <= t);
+                let k = times[1..parts].partition_point(|at| *at <= t);
                 let mut part = Path::new(&nodes[k * width..][..width]);
                 part.push(t - times[k], &nodes[(k + 1) * width..][..width]);
                 found.push(part);

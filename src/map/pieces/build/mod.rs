@@ -217,6 +217,10 @@ struct Builder<'c> {
     habits: Habits,
     before: Option<Before<'c>>,
     flow: Option<&'c Flow>,
+    /// Places whose solutions leave a guard.
+    cut: Vec<u32>,
+    /// Whether any guard casts a shadow.
+    is_shaded: bool,
 }
 
 /// Built pieces of a block.
@@ -330,7 +334,11 @@ impl<'c> Builder<'c> {
     ) -> Self {
         let n = cloud.variables;
         let highest = highest_degree(n);
+        let holes = &cloud.unanswered.clearance;
+        let cut: Vec<u32> = (0..holes.len() as u32).filter(|k| holes[*k as usize] < 0.0).collect();
         Self {
+            is_shaded: !cut.is_empty() || cloud.clearance.iter().any(|c| c.margin.is_finite()),
+            cut,
             cloud,
             terms: Terms::new(n, highest),
             region,
@@ -641,10 +649,14 @@ impl<'c> Builder<'c> {
         let mut own = before.pieces.pieces[before.pieces.cells[cell].pieces.clone()].to_vec();
         // A few points more make no better polynomial of one that is not good enough.
         let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
-        let dark = block.unanswered.iter().filter(|k| **k as usize >= before.unanswered).count();
+        let dark = block
+            .unanswered
+            .iter()
+            .filter(|k| **k as usize >= before.unanswered)
+            .count();
         let dense = self.is_dense(block.near);
-        let untouched = more == 0
-            || (!self.leaves_quarters() && !dense && (more as f64) < WORTH_WHILE * block.points.len() as f64);
+        let untouched =
+            more == 0 || (!self.leaves_quarters() && !dense && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
         let surface = self.excess_of_surface(block, &own);
         let excess_of_edge = match own.as_mut_slice() {
@@ -706,7 +718,12 @@ impl<'c> Builder<'c> {
             },
         };
         let n = self.cloud.variables;
-        want.bare = bare.chunks(n).filter(|z| !want.is_in_shadow(z)).flatten().copied().collect();
+        want.bare = bare
+            .chunks(n)
+            .filter(|z| !want.is_in_shadow(z))
+            .flatten()
+            .copied()
+            .collect();
         Grown::Cell(pieces, want)
     }
 

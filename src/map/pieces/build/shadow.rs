@@ -52,7 +52,8 @@ struct Margin {
 }
 
 /// Points near a piece with the margins that are fitted.
-struct Near {
+struct Near<'t> {
+    terms: &'t Terms,
     all: Vec<Margin>,
     /// Those so deep in a shadow that they tell nothing of where its edge is, with margins that are not above theirs.
     deep: Vec<Margin>,
@@ -71,31 +72,31 @@ struct Off {
     by: f64,
 }
 
-impl Near {
+impl Near<'_> {
     /// Weight of the equation of a margin.
     fn weight(&self, margin: f64) -> f64 {
         1.0 / (margin.abs() + NEAR * self.small)
     }
 
     /// A polynomial of the margins, of the second degree or the first; `None` where there are too few points.
-    fn fitted(&self, n: usize) -> Option<Vec<f64>> {
-        let mut margins = self.fitted_to(n, &[])?;
+    fn fitted(&self) -> Option<Vec<f64>> {
+        let mut margins = self.fitted_to(&[])?;
         for _ in 0..REFITS {
-            let above = |m: &&Margin| quadratic(&margins, &m.y[..n]) > m.margin;
+            let above = |m: &&Margin| self.at(&margins, m) > m.margin;
             let above: Vec<_> = self.deep.iter().filter(above).copied().collect();
             if above.is_empty() {
                 break;
             }
-            margins = self.fitted_to(n, &above)?;
+            margins = self.fitted_to(&above)?;
         }
         Some(margins)
     }
 
-    fn fitted_to(&self, n: usize, more: &[Margin]) -> Option<Vec<f64>> {
+    fn fitted_to(&self, more: &[Margin]) -> Option<Vec<f64>> {
+        let n = self.terms.variables;
         let sizes = [margin_terms(n), n + 1];
         let points = self.all.len() + more.len();
         let count = sizes.into_iter().find(|some| points >= EQUATIONS * some)?;
-        let terms = Terms::new(n, 2);
         let mut equations = Equations {
             rows: vec![0.0; points * width(count)],
             right: Vec::with_capacity(points),
@@ -105,7 +106,7 @@ impl Near {
         let rows = equations.rows.chunks_exact_mut(width(count));
         for (Margin { y, margin, .. }, row) in self.all.iter().chain(more).zip(rows) {
             let weight = self.weight(*margin);
-            terms.at(&y[..n], &mut values, &mut slopes);
+            self.terms.at(&y[..n], &mut values, &mut slopes);
             row.iter_mut().zip(&values).for_each(|(to, value)| *to = weight * value);
             equations.right.push(weight * margin);
         }
@@ -117,13 +118,15 @@ impl Near {
     }
 
     /// How far a polynomial of the margins is off inside a piece, of all or of a part of them.
-    fn off(&self, n: usize, (polynomial, piece): (&[f64], &Piece), part: Option<u32>) -> Off {
+    fn off(&self, (polynomial, piece): (&[f64], &Piece), part: Option<u32>) -> Off {
+        let n = self.terms.variables;
         let mut off = Off::default();
         let asked = |m: &Margin| is_inside(m, n) && part.is_none_or(|part| m.part == part);
         let deep = self.deep.iter().map(|m| (m, false));
         let all = (self.all.iter().map(|m| (m, m.ahead)).chain(deep)).filter(|(m, _)| asked(m));
         for (m, may_tell) in all {
-            let (margin, slope) = slope_of(polynomial, &m.y[..n]);
+            let mut slope = [0.0; MOST_VARIABLES];
+            let margin = self.terms.sum(polynomial, &m.y[..n], &mut slope);
             // In half widths of the piece; where a point is further away from the edge, it tells nothing of where that is.
             let size = slope[..n].iter().map(|s| s * s).sum::<f64>().sqrt();
             let tells = may_tell && m.margin.min(margin) <= size;
@@ -147,9 +150,10 @@ impl Near {
     fn without(&self, part: u32) -> Self {
         let others = |all: &[Margin]| all.iter().copied().filter(|m| m.part != part).collect();
         Self {
+            terms: self.terms,
+            small: self.small,
             all: others(&self.all),
             deep: others(&self.deep),
-            small: self.small,
         }
     }
 
@@ -160,42 +164,50 @@ impl Near {
             own.collect()
         };
         Self {
+            terms: self.terms,
+            small: self.small,
             all: half(&self.all),
             deep: half(&self.deep),
-            small: self.small,
         }
     }
 
+    fn at(&self, polynomial: &[f64], m: &Margin) -> f64 {
+        quadratic(polynomial, &m.y[..self.terms.variables])
+    }
+
     /// Sum of the squares by which a polynomial of its own is off; 0 where there are too few points for one.
-    fn misfit(&self, n: usize) -> f64 {
-        let Some(fitted) = self.fitted(n) else { return 0.0 };
+    fn misfit(&self) -> f64 {
+        let Some(fitted) = self.fitted() else { return 0.0 };
         (self.all.iter())
-            .map(|m| (self.weight(m.margin) * (quadratic(&fitted, &m.y[..n]) - m.margin)).powi(2))
+            .map(|m| (self.weight(m.margin) * (self.at(&fitted, m) - m.margin)).powi(2))
             .sum()
     }
 }
 
 impl Builder<'_> {
-    fn near(&self, piece: &Piece, points: &[u32]) -> Near {
+    fn near(&self, piece: &Piece, points: &[u32]) -> Near<'_> {
         let n = self.cloud.variables;
         let holes = &self.cloud.unanswered;
-        // Those around the piece, too.
-        let cut = (0..holes.clearance.len())
-            .filter(|k| holes.clearance[*k] < 0.0)
-            .map(|k| (&holes.z[k * n..][..n], holes.clearance[k], true, k as u32));
-        let mut all: Vec<Margin> = (points.iter().map(|k| *k as usize))
-            .map(|k| {
-                let Clearance { margin, ahead } = self.cloud.clearance[k];
-                (self.cloud.z(k), margin, ahead, self.cloud.track[k])
-            })
-            .chain(cut)
+        let hole = |k: &u32| {
+            let at = *k as usize;
+            (&holes.z[at * n..][..n], holes.clearance[at], true, *k)
+        };
+        let point = |k: &u32| {
+            let at = *k as usize;
+            let Clearance { margin, ahead } = self.cloud.clearance[at];
+            (self.cloud.z(at), margin, ahead, self.cloud.track[at])
+        };
+        // Holes around the piece, too.
+        let mut all: Vec<Margin> = (points.iter().map(point))
+            .chain(self.cut.iter().map(hole))
+            .filter(|(_, margin, ..)| margin.is_finite())
             .map(|(z, margin, ahead, part)| Margin {
                 y: piece.place(z),
                 margin,
                 ahead,
                 part: mix(part) % PARTS,
             })
-            .filter(|m| m.margin.is_finite() && m.y[..n].iter().all(|y| y.abs() <= AROUND))
+            .filter(|m| m.y[..n].iter().all(|y| y.abs() <= AROUND))
             .collect();
         all.sort_by(|a, b| a.margin.total_cmp(&b.margin));
         let inside = all.partition_point(|m| m.margin < 0.0);
@@ -206,7 +218,12 @@ impl Builder<'_> {
         for m in all.iter_mut().chain(&mut deep) {
             m.margin /= 1.0 + m.margin / small;
         }
-        Near { all, deep, small }
+        Near {
+            terms: &self.terms,
+            all,
+            deep,
+            small,
+        }
     }
 
     /// The axis along which a block is halved because the edge of shadows is off in it.
@@ -219,7 +236,7 @@ impl Builder<'_> {
             let halves = near
                 .iter()
                 .flat_map(|near| [false, true].map(|upper| near.half(axis, upper)));
-            halves.map(|half| half.misfit(n)).sum()
+            halves.map(|half| half.misfit()).sum()
         };
         let width = |i: usize| block.hi[i] - block.lo[i];
         let widest = (0..n).map(width).fold(0.0, f64::max);
@@ -230,10 +247,13 @@ impl Builder<'_> {
 
     /// The edge of shadows by points of a piece; none where margins are positive all over it, or not known.
     pub(super) fn edge(&self, piece: &Piece, points: &[u32]) -> Edge {
+        if !self.is_shaded {
+            return Edge::default();
+        }
         let n = self.cloud.variables;
         let good = EDGE * self.region.error * (1.0 + BLEND);
         let near = self.near(piece, points);
-        let Some(mut clearance) = near.fitted(n) else {
+        let Some(mut clearance) = near.fitted() else {
             // Of a few points next to a shadow it is not known where that begins.
             let is_dark = near.all.iter().chain(&near.deep).any(|m| m.margin < 0.0);
             if !is_dark {
@@ -245,29 +265,30 @@ impl Builder<'_> {
             };
         };
 
-        let mut off = near.off(n, (&clearance, piece), None);
+        let mut off = near.off((&clearance, piece), None);
         // A guard that is nearest at the states themselves has no shadow: it is asked for each state.
         let is_there = off.is_there || !near.deep.is_empty();
         if off.by > good {
             // Not resolved, it may be anywhere between its points.
             for part in 0..PARTS {
                 let others = near.without(part);
-                let Some(fitted) = others.fitted(n) else { continue };
-                off.above = off.above.max(near.off(n, (&fitted, piece), Some(part)).above);
+                let Some(fitted) = others.fitted() else { continue };
+                off.above = off.above.max(near.off((&fitted, piece), Some(part)).above);
             }
         }
         // What is near the edge of a shadow is rather not told than told in it.
         clearance[0] -= off.above;
         let mut places = 0..SIDE.pow(n as u32);
-        let is_there = is_there && places.any(|place| {
-            let mut rest = place;
-            let y: [f64; MOST_VARIABLES] = std::array::from_fn(|_| {
-                let step = rest % SIDE;
-                rest /= SIDE;
-                2.0 * step as f64 / (SIDE - 1) as f64 - 1.0
+        let is_there = is_there
+            && places.any(|place| {
+                let mut rest = place;
+                let y: [f64; MOST_VARIABLES] = std::array::from_fn(|_| {
+                    let step = rest % SIDE;
+                    rest /= SIDE;
+                    2.0 * step as f64 / (SIDE - 1) as f64 - 1.0
+                });
+                quadratic(&clearance, &y[..n]) < 0.0
             });
-            quadratic(&clearance, &y[..n]) < 0.0
-        });
         Edge {
             clearance: if is_there { clearance } else { Vec::new() },
             excess: off.by / good,
@@ -289,20 +310,4 @@ fn nowhere(n: usize) -> Vec<f64> {
     let mut margins = vec![0.0; margin_terms(n)];
     margins[0] = -1.0;
     margins
-}
-
-/// A polynomial of the second degree and its gradient.
-fn slope_of(c: &[f64], y: &[f64]) -> (f64, [f64; MOST_VARIABLES]) {
-    let n = y.len();
-    let mut slope = [0.0; MOST_VARIABLES];
-    slope[..n].copy_from_slice(&c[1..=n]);
-    let mut square = n;
-    for i in 0..n {
-        for j in i..n {
-            square += 1;
-            slope[i] += c[square] * y[j];
-            slope[j] += c[square] * y[i];
-        }
-    }
-    (quadratic(c, y), slope)
 }
