@@ -3,10 +3,9 @@
 
 mod common_commands;
 
-use common_commands::{costate, done, scratch};
+use common_commands::{column_of, scratch};
 use costate::map::Unknown;
 use costate::result::Stored;
-use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -17,13 +16,7 @@ fn folder() -> &'static Path {
 
 /// A map of a scene: its file, and its summary's "map".
 fn made(name: &str, text: &str) -> (Stored, serde_json::Value) {
-    let scene = folder().join(name).with_extension("toml");
-    std::fs::write(&scene, text).unwrap();
-    let out = scene.with_extension("h5");
-    let fixed = ["homotopy", "--backend", "cpu", "--json", "--out"].map(OsStr::new);
-    let printed = done(costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat()));
-    let summary: serde_json::Value = serde_json::from_str(&printed).unwrap();
-    (Stored::open(&out).unwrap(), summary["map"].clone())
+    common_commands::map_of(folder(), name, text)
 }
 
 /// A mass that a bounded force brings to rest: u* is at a bound but for a strip about a curve, at whose edges V is no polynomial.
@@ -35,25 +28,6 @@ fn bounded(map: &str) -> String {
     )
 }
 
-/// A column of what `costate solve` writes of states of a scene, whose variables are named as in a header.
-fn solve(name: &str, scene: &str, (header, states): (&str, &[[f64; 2]]), column: &str) -> Vec<String> {
-    let [path, points, out] = ["toml", "csv", "solved.csv"].map(|ending| folder().join(format!("{name}.{ending}")));
-    std::fs::write(&path, scene).unwrap();
-    let lines: Vec<String> = states.iter().map(|[x, y]| format!("{x},{y}")).collect();
-    std::fs::write(&points, format!("{header}\n{}\n", lines.join("\n"))).unwrap();
-    let fixed = ["solve", "--backend", "cpu", "--quiet", "--points"].map(OsStr::new);
-    let last = [
-        points.as_os_str(),
-        path.as_os_str(),
-        OsStr::new("--out"),
-        out.as_os_str(),
-    ];
-    done(costate(&[&fixed[..], &last].concat()));
-    let mut table = csv::Reader::from_path(&out).unwrap();
-    let column = table.headers().unwrap().iter().position(|h| h == column).unwrap();
-    table.records().map(|row| row.unwrap()[column].to_owned()).collect()
-}
-
 /// States spread over the region, and V of each as `costate solve` finds it.
 fn solved() -> &'static (Vec<[f64; 2]>, Vec<f64>) {
     static SOLVED: OnceLock<(Vec<[f64; 2]>, Vec<f64>)> = OnceLock::new();
@@ -61,7 +35,7 @@ fn solved() -> &'static (Vec<[f64; 2]>, Vec<f64>) {
         let states: Vec<[f64; 2]> = (1..=4000)
             .map(|k| [0.754_877_666, 0.569_840_290].map(|step| 6.0 * (f64::from(k) * step).fract() - 3.0))
             .collect();
-        let values = solve("solved", &bounded("states = 10"), ("x,v", &states), "V");
+        let values = column_of(folder(), "solved", &bounded("states = 10"), ("x,v", &states), "V");
         let values = values.iter().map(|v| v.parse().unwrap()).collect();
         (states, values)
     })
@@ -137,80 +111,6 @@ fn nothing_is_said_of_states_that_a_guard_excludes() {
             }
         }
     }
-}
-
-/// Solutions go straight to 0, and behind a disc that they may not enter there is none: the shadow is a hole of the map, although
-/// the same polynomial holds on both sides of it.
-#[test]
-fn nothing_is_said_in_the_shadow_of_a_guard() {
-    let scene = "states = { x = {}, y = {} }\ncontrols = { u = {}, w = {} }\ndynamics = { x = \"u\", y = \"w\" }\n\
-                 cost = { running = \"0.5*(u^2 + w^2 + x^2 + y^2)\" }\nequilibrium = { x = 0, y = 0, u = 0, w = 0 }\n\
-                 region = { x = [-1, 1], y = [-1, 1] }\nguards = { disc = \"(x - 0.5)^2 + y^2 > 0.04\" }\n\
-                 map = { error = 1e-3, states = 1500, check = 20 }\n";
-    let (stored, _) = made("disc", scene);
-    let map = stored.value_map().unwrap();
-    // How far from the disc the way to 0 passes, less its radius.
-    let clearance = |x: [f64; 2]| {
-        let square = x[0] * x[0] + x[1] * x[1];
-        let share = (0.5 * x[0] / square).clamp(0.0, 1.0);
-        (share * x[0] - 0.5).hypot(share * x[1]) - 0.2
-    };
-    let (mut lit, mut dark, mut deepest) = ([0; 2], [0; 2], 0.0f64);
-    for k in 1..=4000 {
-        let x = [0.754_877_666, 0.569_840_290].map(|step| 2.0 * (f64::from(k) * step).fract() - 1.0);
-        let known = usize::from(map.at(&x).lowest.is_ok());
-        let outside = (x[0] - 0.5).hypot(x[1]) > 0.2;
-        match clearance(x) {
-            c if c > 0.0 => lit = [lit[0] + 1, lit[1] + known],
-            c if outside => {
-                dark = [dark[0] + 1, dark[1] + known];
-                deepest = deepest.max(-c * known as f64);
-            }
-            _ => assert_eq!(known, 0, "{x:?} in the disc"),
-        }
-    }
-    println!(
-        "{} of {} lit known, {} of {} in the shadow, at most {deepest:.4} deep in it",
-        lit[1], lit[0], dark[1], dark[0]
-    );
-    assert!(lit[1] as f64 > 0.99 * lit[0] as f64, "{lit:?}");
-    assert!((dark[1] as f64) < 0.02 * dark[0] as f64, "{dark:?}");
-    // Of a region 2 wide.
-    assert!(deepest < 0.01, "{deepest}");
-}
-
-/// A wall of a twentieth of the usual distance between samples of a trajectory: nothing passes through it.
-#[test]
-fn a_thin_wall_is_met() {
-    let scene = "states = { x = {}, y = {} }\ncontrols = { u = {}, w = {} }\ndynamics = { x = \"u\", y = \"w\" }\n\
-                 cost = { running = \"0.5*(u^2 + w^2 + x^2 + y^2)\" }\nequilibrium = { x = 0, y = 0, u = 0, w = 0 }\n\
-                 region = { x = [-2, 2], y = [-2, 2] }\nguards = { wall = \"((x - 1)/0.02)^2 + (y/0.5)^2 > 1\" }\n";
-    // Behind the wall, in front of it, and past its end.
-    let states = [[1.5, 0.3], [1.9, -0.6], [1.1, 0.0], [0.9, 0.1], [1.5, 1.5], [1.2, 0.8]];
-    let statuses = solve("wall", scene, ("x,y", &states), "status");
-    let cut = "leaves_guard";
-    assert_eq!(statuses, [cut, cut, cut, "converged", "converged", "converged"]);
-
-    let (stored, _) = made(
-        "walled",
-        &format!("{scene}map = {{ error = 1e-3, states = 1500, check = 20 }}\n"),
-    );
-    let map = stored.value_map().unwrap();
-    let (mut told, mut dark, mut lit, mut known) = (0, 0, 0, 0);
-    for k in 1..=4000 {
-        let x = [0.754_877_666, 0.569_840_290].map(|step| 4.0 * (f64::from(k) * step).fract() - 2.0);
-        let here = usize::from(map.at(&x).lowest.is_ok());
-        // Where the way to 0 passes x = 1.
-        let passes = x[1] / x[0];
-        if x[0] > 1.02 && passes.abs() < 0.49 {
-            (dark, told) = (dark + 1, told + here);
-        } else if x[0] < 0.98 || passes.abs() > 0.51 {
-            (lit, known) = (lit + 1, known + here);
-        }
-    }
-    println!("{told} of {dark} behind the wall told, {known} of {lit} others known");
-    assert!((told as f64) < 0.03 * dark as f64, "{told} of {dark}");
-    assert!(known as f64 > 0.98 * lit as f64, "{known} of {lit}");
 }
 
 /// V = |x|^2/2 and a bump of a fortieth of the region's width, manufactured: few of a cell's points lie on it, but they are exact.

@@ -40,6 +40,8 @@ const GROW: f64 = 3.0;
 const SHORTEST: f64 = 1.0 / 65536.0;
 const FIRST: f64 = 1.0 / 4096.0;
 const LONGEST: f64 = 1.0 / 8.0;
+/// Legs without the chart's law are a sample's interval long, and at most this share of the final time.
+const LOST: f64 = 1.0 / 400.0;
 /// Legs after which a trajectory's are no longer made shorter than a sample's interval: it slides where V has a kink.
 const PATIENCE: u32 = 4096;
 
@@ -130,7 +132,7 @@ impl Pace {
     pub fn leg_of_lost(&self) -> f64 {
         match self {
             Pace::Period(period) => *period,
-            Pace::AsNeeded(judge) => judge.interval,
+            Pace::AsNeeded(judge) => judge.interval.min(LOST * judge.final_time),
         }
     }
 }

@@ -4,6 +4,7 @@
 pub mod header;
 pub mod made_up;
 
+use costate::result::Stored;
 use costate::scenario::PROBLEM_SECTIONS;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -58,6 +59,42 @@ pub fn scene(directory: &Path, name: &str, lines: &str) -> PathBuf {
     let kept = sections_of(name, |section| PROBLEM_SECTIONS.contains(&section));
     std::fs::write(&path, format!("{kept}\n{lines}\n")).unwrap();
     path
+}
+
+/// A map of a scene by `costate homotopy`, in a directory: its file, and its summary's "map".
+pub fn map_of(directory: &Path, name: &str, scene: &str) -> (Stored, serde_json::Value) {
+    let path = directory.join(name).with_extension("toml");
+    std::fs::write(&path, scene).unwrap();
+    let out = path.with_extension("h5");
+    let fixed = ["homotopy", "--backend", "cpu", "--json", "--out"].map(OsStr::new);
+    let printed = done(costate(&[&fixed[..], &[out.as_ref(), path.as_ref()]].concat()));
+    let summary: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    (Stored::open(&out).unwrap(), summary["map"].clone())
+}
+
+/// A column of what `costate solve` writes of states of a scene, whose variables are named as in a header.
+pub fn column_of(
+    directory: &Path,
+    name: &str,
+    scene: &str,
+    (header, states): (&str, &[[f64; 2]]),
+    column: &str,
+) -> Vec<String> {
+    let [path, points, out] = ["toml", "csv", "solved.csv"].map(|ending| directory.join(format!("{name}.{ending}")));
+    std::fs::write(&path, scene).unwrap();
+    let lines: Vec<String> = states.iter().map(|[x, y]| format!("{x},{y}")).collect();
+    std::fs::write(&points, format!("{header}\n{}\n", lines.join("\n"))).unwrap();
+    let fixed = ["solve", "--backend", "cpu", "--quiet", "--points"].map(OsStr::new);
+    let last = [
+        points.as_os_str(),
+        path.as_os_str(),
+        OsStr::new("--out"),
+        out.as_os_str(),
+    ];
+    done(costate(&[&fixed[..], &last].concat()));
+    let mut table = csv::Reader::from_path(&out).unwrap();
+    let column = table.headers().unwrap().iter().position(|h| h == column).unwrap();
+    table.records().map(|row| row.unwrap()[column].to_owned()).collect()
 }
 
 /// V, dV/dx and u of scenarios/manufactured.toml, by hand.

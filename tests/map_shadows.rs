@@ -1,0 +1,227 @@
+//! Maps to an error where guards cut off states: behind a guard, in its shadow, solutions would leave it, and nothing is said there,
+//! although the same polynomial holds on both sides of the shadow's edge.
+
+mod common_commands;
+
+use common_commands::{column_of, map_of, scratch};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector};
+
+/// What a map says on both sides of the edge of a shadow.
+#[derive(Debug, Default)]
+struct Said {
+    /// States whose solutions stay inside the guards, and of how many of them V is known.
+    lit: usize,
+    known: usize,
+    /// States, inside the guards, of which it is not so, and of how many of them a value is told.
+    dark: usize,
+    told: usize,
+    /// How far the solution of a state that is told leaves a guard, at most.
+    deepest: f64,
+}
+
+impl Said {
+    /// What is said at states spread over a region that is so many wide, of which the margins of the guards are told: at the state,
+    /// and the least along its solution.
+    fn of<const N: usize>(
+        (name, scene): (&str, &str),
+        half_widths: [f64; N],
+        guards: impl Fn(&SVector<f64, N>) -> f64,
+        along: impl Fn(&SVector<f64, N>) -> f64,
+    ) -> Self {
+        let folder = scratch(&format!("map_shadows_{name}"));
+        let (stored, _) = map_of(&folder, name, scene);
+        let map = stored.value_map().unwrap();
+        // Powers of the root of x^(N + 1) = x + 1 spread them evenly.
+        let root = (0..60).fold(1.5f64, |x, _| (x + 1.0).powf(1.0 / (N as f64 + 1.0)));
+        let mut said = Self::default();
+        for k in 1..=4000 {
+            let place = |i: usize| (f64::from(k) * root.powi(-(i as i32 + 1))).fract();
+            let x = SVector::<f64, N>::from_fn(|i, _| half_widths[i] * (2.0 * place(i) - 1.0));
+            let is_known = map.at(x.as_slice()).lowest.is_ok();
+            if guards(&x) < 0.0 {
+                assert!(!is_known, "{x:?} is excluded");
+                continue;
+            }
+            let margin = along(&x);
+            if margin > 0.0 {
+                said.lit += 1;
+                said.known += usize::from(is_known);
+            } else {
+                said.dark += 1;
+                said.told += usize::from(is_known);
+                said.deepest = said.deepest.max(if is_known { -margin } else { 0.0 });
+            }
+        }
+        println!("{name}: {said:?}");
+        said
+    }
+
+    fn check(&self, known: f64, told: f64, deepest: f64) {
+        assert!(self.lit > 1000 && self.dark > 60, "{self:?}");
+        assert!(self.known as f64 > known * self.lit as f64, "{self:?}");
+        assert!(self.told as f64 <= told * self.dark as f64, "{self:?}");
+        assert!(self.deepest <= deepest, "{self:?}");
+    }
+}
+
+/// V = |x|^2/2: solutions go straight to 0.
+fn straight(states: &str, controls: &str, more: &str) -> String {
+    let list = |names: &str| names.chars().map(|c| format!("{c} = {{}}, ")).collect::<String>();
+    let squares: Vec<String> = (states.chars().chain(controls.chars()))
+        .map(|c| format!("{c}^2"))
+        .collect();
+    let pairs: Vec<String> = (states.chars().zip(controls.chars()))
+        .map(|(x, u)| format!("{x} = \"{u}\""))
+        .collect();
+    let zeros: Vec<String> = (states.chars().chain(controls.chars()))
+        .map(|c| format!("{c} = 0"))
+        .collect();
+    let sides: Vec<String> = states.chars().map(|c| format!("{c} = [-1, 1]")).collect();
+    format!(
+        "states = {{ {} }}\ncontrols = {{ {} }}\ndynamics = {{ {} }}\ncost = {{ running = \"0.5*({})\" }}\n\
+         equilibrium = {{ {} }}\nregion = {{ {} }}\n{more}\n",
+        list(states).trim_end_matches(", "),
+        list(controls).trim_end_matches(", "),
+        pairs.join(", "),
+        squares.join(" + "),
+        zeros.join(", "),
+        sides.join(", "),
+    )
+}
+
+/// How far the way from a state straight to 0 passes from a point of a plane.
+fn passes<const N: usize>(x: &SVector<f64, N>, point: [f64; 2]) -> f64 {
+    let share = (point[0] * x[0] + point[1] * x[1]) / (x[0] * x[0] + x[1] * x[1]);
+    let share = share.clamp(0.0, 1.0);
+    (share * x[0] - point[0]).hypot(share * x[1] - point[1])
+}
+
+#[test]
+fn discs() {
+    let centers = [[0.5, 0.0], [-0.2, 0.6]];
+    let more = "guards = { disc = \"(x - 0.5)^2 + y^2 > 0.04\", other = \"(x + 0.2)^2 + (y - 0.6)^2 > 0.0225\" }\n\
+                map = { error = 1e-3, states = 3000, check = 20 }";
+    let margin = |far: [f64; 2]| (far[0] - 0.2).min(far[1] - 0.15);
+    let said = Said::of(
+        ("discs", &straight("xy", "uw", more)),
+        [1.0; 2],
+        |x| margin(centers.map(|c| (x[0] - c[0]).hypot(x[1] - c[1]))),
+        |x| margin(centers.map(|c| passes(x, c))),
+    );
+    said.check(0.99, 0.01, 0.01);
+}
+
+#[test]
+fn a_cylinder_in_three_states() {
+    let more =
+        "guards = { cylinder = \"(x - 0.5)^2 + y^2 > 0.04\" }\nmap = { error = 1e-3, states = 3000, check = 20 }";
+    let said = Said::of(
+        ("cylinder", &straight("xyz", "uws", more)),
+        [1.0; 3],
+        |x| (x[0] - 0.5).hypot(x[1]) - 0.2,
+        |x| passes(x, [0.5, 0.0]) - 0.2,
+    );
+    said.check(0.98, 0.02, 0.05);
+}
+
+/// The least margin along the linear closed loop from a state, in small steps.
+fn along_loop<const N: usize>(
+    x: &SVector<f64, N>,
+    closed_loop: &SMatrix<f64, N, N>,
+    guards: impl Fn(&SVector<f64, N>) -> f64,
+) -> f64 {
+    let small = closed_loop * 0.005;
+    // exp by its series.
+    let (mut step, mut term) = (SMatrix::identity(), SMatrix::identity());
+    for k in 1..8 {
+        term = term * small / f64::from(k);
+        step += term;
+    }
+    let mut at = *x;
+    let mut least = f64::INFINITY;
+    for _ in 0..3000 {
+        least = least.min(guards(&at));
+        at = step * at;
+    }
+    least
+}
+
+#[test]
+fn a_limit_of_speed() {
+    let scene = "states = { x = {}, v = {} }\ncontrols = { u = {} }\ndynamics = { x = \"v\", v = \"u\" }\n\
+                 cost = { running = \"0.5*(x^2 + v^2 + u^2)\" }\nequilibrium = { x = 0, v = 0, u = 0 }\n\
+                 region = { x = [-2, 2], v = [-2, 2] }\nguards = { slow = \"v < 0.8\", up = \"v > -0.8\" }\n\
+                 map = { error = 1e-3, states = 2000, check = 20 }\n";
+    // u = -x - sqrt(3) v.
+    let closed_loop = Matrix2::new(0.0, 1.0, -1.0, -(3.0f64.sqrt()));
+    let guards = |x: &SVector<f64, 2>| 0.8 - x[1].abs();
+    let said = Said::of(("speed", scene), [2.0; 2], guards, |x| {
+        along_loop(x, &closed_loop, guards)
+    });
+    said.check(0.99, 0.02, 0.01);
+}
+
+/// An ellipsoid and two planes in three states: solutions wind about 0, so that shadows are curved and far from what casts them.
+#[test]
+fn curved_shadows_in_three_states() {
+    let scene = "states = { x = {}, v = {}, a = {} }\ncontrols = { u = {} }\n\
+                 dynamics = { x = \"v\", v = \"a\", a = \"-x - 1.5*v - 0.5*a + u\" }\n\
+                 cost = { running = \"0.5*(2*x^2 + v^2 + 0.3*a^2 + 0.5*u^2)\" }\n\
+                 equilibrium = { x = 0, v = 0, a = 0, u = 0 }\nregion = { x = [-1, 1], v = [-1, 1], a = [-1.5, 1.5] }\n\
+                 guards = { ball = \"((x - 0.45)/0.25)^2 + ((v + 0.35)/0.2)^2 + ((a - 0.1)/0.5)^2 > 1\", \
+                 far = \"x + 0.3*v < 1.15\", low = \"a > -1.2\" }\nmap = { error = 1e-3, states = 3000, check = 20 }\n";
+    // A solution of the Riccati equation A'P + PA - 2 PBB'P + Q = 0 (scipy 1.11, solve_continuous_are).
+    let p = Matrix3::new(
+        3.346_799_12,
+        2.294_252_61,
+        0.618_033_99,
+        2.294_252_61,
+        3.176_282_75,
+        1.082_144_26,
+        0.618_033_99,
+        1.082_144_26,
+        0.887_824_36,
+    );
+    let a = Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, -1.0, -1.5, -0.5);
+    let bb = Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0);
+    let q = Matrix3::new(2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.3);
+    assert!((a.transpose() * p + p * a - p * bb * p + q).abs().max() < 1e-7);
+    let guards = |x: &SVector<f64, 3>| {
+        let ball = ((x[0] - 0.45) / 0.25).powi(2) + ((x[1] + 0.35) / 0.2).powi(2) + ((x[2] - 0.1) / 0.5).powi(2) - 1.0;
+        ball.min(1.15 - x[0] - 0.3 * x[1]).min(x[2] + 1.2)
+    };
+    let said = Said::of(("curved", scene), [1.0, 1.0, 1.5], guards, |x| {
+        along_loop(x, &(a - bb * p), guards)
+    });
+    assert!(said.dark > 800, "{said:?}");
+    // Margins of the ball are of 1 at its middle.
+    said.check(0.98, 0.03, 1.0);
+}
+
+/// A wall of a twentieth of the usual distance between samples of a trajectory: nothing passes through it.
+#[test]
+fn a_thin_wall() {
+    let more =
+        "guards = { wall = \"((x - 1)/0.02)^2 + (y/0.5)^2 > 1\" }\nmap = { error = 1e-3, states = 1500, check = 20 }";
+    let scene = straight("xy", "uw", more).replace("[-1, 1]", "[-2, 2]");
+    // Behind the wall, in front of it, and past its end.
+    let states = [[1.5, 0.3], [1.9, -0.6], [1.1, 0.0], [0.9, 0.1], [1.5, 1.5], [1.2, 0.8]];
+    let folder = scratch("map_shadows_solved");
+    let statuses = column_of(&folder, "wall", &scene, ("x,y", &states), "status");
+    let cut = "leaves_guard";
+    assert_eq!(statuses, [cut, cut, cut, "converged", "converged", "converged"]);
+
+    let margin = |x: f64, y: f64| ((x - 1.0) / 0.02).powi(2) + (y / 0.5).powi(2) - 1.0;
+    let said = Said::of(
+        ("wall", &scene),
+        [2.0; 2],
+        |x| margin(x[0], x[1]),
+        // Of a parabola along the straight way.
+        |x| {
+            let (a, b) = (x[0] * x[0] / 4e-4 + x[1] * x[1] / 0.25, x[0] / 4e-4);
+            let share = (b / a).clamp(0.0, 1.0);
+            margin(share * x[0], share * x[1])
+        },
+    );
+    said.check(0.98, 0.02, 1.0);
+}
