@@ -8,7 +8,7 @@ use costate::backend::Backend;
 use costate::backend::gpu::{Gpu, Selection};
 use costate::hdf5::ResultFile;
 use costate::map::pieces::Region;
-use costate::map::{Adaptive, At, DeviceError, DeviceMap, Part};
+use costate::map::{Adaptive, At, DeviceError, DeviceMap, Part, Unknown};
 use costate::model::Precision;
 use costate::result::{Axis, Stored, TrajectorySchema};
 use std::ffi::OsStr;
@@ -370,4 +370,30 @@ fn whole_periods_are_taken_off_in_f64() {
         "f32",
     ]));
     assert!(said.contains(&gpu.adapter()) && said.contains("f32"), "{said}");
+}
+
+/// Pieces are smooth and say something of states that a guard excludes, too: the GPU does not tell it either.
+#[test]
+fn nothing_is_said_of_states_that_a_guard_excludes() {
+    let path = folder().join("excluded.toml");
+    let text = "states = { x = {}, y = {} }\ncontrols = { u = {}, w = {} }\ndynamics = { x = \"u\", y = \"w\" }\n\
+                cost = { running = \"0.5*(u^2 + w^2 + x^2 + y^2)\" }\nequilibrium = { x = 0, y = 0, u = 0, w = 0 }\n\
+                region = { x = [-1, 1], y = [-1, 1] }\nguards = { slanted = \"y > -0.6 + 0.3*x\" }\n\
+                map = { error = 1e-3, states = 500, check = 10 }\n";
+    std::fs::write(&path, text).unwrap();
+    let map = Stored::open(&solved(&path)).unwrap().value_map().unwrap();
+    let x = spread(&[-1.0, -1.0], &[1.0, 1.0], 2000);
+    for precision in [Precision::F32, Precision::F64] {
+        let device = DeviceMap::new(&map, &gpu(), precision).unwrap();
+        let (mut excluded, mut known) = (0, 0);
+        for (x, at) in x.chunks(2).zip(device.at_many(&x).unwrap()) {
+            if x[1] < -0.6 + 0.3 * x[0] {
+                assert_eq!(at.lowest.err(), Some(Unknown::Guard), "{x:?}");
+                excluded += 1;
+            } else {
+                known += usize::from(at.lowest.is_ok());
+            }
+        }
+        assert!(excluded > 300 && known > 1500, "{excluded} excluded, {known} known");
+    }
 }

@@ -225,3 +225,19 @@ fn a_thin_wall() {
     );
     said.check(0.98, 0.02, 1.0);
 }
+
+/// A guard that leaves a hundred and twenty-eighth of the region: states are searched for and counted where it holds.
+#[test]
+fn a_small_part_of_the_region() {
+    let more = "guards = { near = \"x^2 + y^2 < 0.01\" }\nmap = { error = 1e-3, states = 500, check = 20 }";
+    let folder = scratch("map_shadows_near");
+    let (stored, summary) = map_of(&folder, "near", &straight("xy", "uw", more));
+    assert_eq!(summary["share_unknown"], 0.0, "{summary}");
+    let map = stored.value_map().unwrap();
+    for k in 0..100 {
+        let (radius, angle) = (0.099 * (f64::from(k) + 0.5) / 100.0, 2.4 * f64::from(k));
+        let value = map.at(&[radius * angle.cos(), radius * angle.sin()]).lowest.unwrap();
+        assert!((value.v - 0.5 * radius * radius).abs() < 1e-9, "{value:?}");
+        assert!(map.at(&[0.11 * angle.cos(), 0.11 * angle.sin()]).lowest.is_err());
+    }
+}

@@ -68,22 +68,30 @@ impl System {
             .collect()
     }
 
-    /// Sizes of the margins of these guards: the largest at the reference and the middles of a region's faces (as deviations), which
-    /// what is rounding is told by.
+    /// Sizes of the margins of these guards, by which it is told what is rounding: the median of those that are not 0 at the
+    /// reference and the middles of a region's faces (as deviations), next to one of which a guard may have a pole.
     pub fn guard_sizes(&self, region: &[[f64; 2]]) -> Vec<f64> {
         let guards = self.guards_of_state();
         let program = Program::lower(&self.graph, &self.inputs[..self.states], &guards);
         let faces = region.iter().enumerate().flat_map(|(i, bounds)| bounds.map(|s| (i, s)));
-        let mut sizes = vec![0.0f64; guards.len()];
+        let mut sizes = vec![Vec::new(); guards.len()];
         for (i, s) in faces.chain([(0, 0.0)]) {
             let mut state = vec![0.0; self.states];
             state[i] = s;
             let margins = program.eval(&state);
-            for (size, margin) in sizes.iter_mut().zip(margins).filter(|(_, m)| m.is_finite()) {
-                *size = size.max(margin.abs());
+            for (sizes, margin) in sizes
+                .iter_mut()
+                .zip(margins)
+                .filter(|(_, m)| m.is_finite() && *m != 0.0)
+            {
+                sizes.push(margin.abs());
             }
         }
-        sizes
+        let median = |mut sizes: Vec<f64>| {
+            sizes.sort_by(f64::total_cmp);
+            sizes.get(sizes.len().saturating_sub(1) / 2).copied().unwrap_or(0.0)
+        };
+        sizes.into_iter().map(median).collect()
     }
 
     pub fn new(hamiltonian: &Hamiltonian, model: &Model) -> Self {

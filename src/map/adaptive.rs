@@ -10,11 +10,12 @@ mod points;
 mod refine;
 mod search;
 
+use super::guarded::Guarded;
 use super::pieces::{Cloud, Flow, Frame, MOST_VARIABLES, Pieces, Region};
 use crate::backend::BackendError;
 use crate::model::{MapAim, Model};
 use crate::shooting::{Path, Solver};
-use crate::sweep::Plan;
+use crate::sweep::{Plan, spread_over};
 use crate::value::{Archive, Progress, Track, TrackPoints};
 pub use beyond::Beyond;
 use check::{CHECKS, Met};
@@ -93,6 +94,7 @@ struct Work<'a, 'p> {
     unanswered: Vec<Hole>,
     /// Guards that a solution was seen to leave.
     shadows: Vec<bool>,
+    guarded: Option<Guarded>,
     random: u64,
     states: usize,
     failed: usize,
@@ -160,6 +162,7 @@ pub fn adaptive(
         failures: HashMap::new(),
         unanswered: Vec::new(),
         shadows: vec![false; plan.system.guards.len()],
+        guarded: Guarded::of(plan),
         random: 0x5eed,
         states: 0,
         failed: 0,
@@ -175,6 +178,22 @@ pub fn adaptive(
 }
 
 impl Work<'_, '_> {
+    /// States spread over bounds.
+    fn spread(&self, bounds: &[[f64; 2]], count: usize) -> Vec<Vec<f64>> {
+        match &self.guarded {
+            Some(guarded) => guarded.spread(bounds, count),
+            None => spread_over(bounds, count),
+        }
+    }
+
+    /// Whether a guard excludes a state (absolute).
+    fn is_excluded(&self, x: &[f64]) -> bool {
+        let n = self.plan.system.states;
+        self.guarded
+            .as_ref()
+            .is_some_and(|guarded| guarded.excluded(&x[..n])[0])
+    }
+
     fn run(&mut self, mut region: Region) -> Result<Adaptive, BackendError> {
         region.floor = self.first()?;
         let (mut check, mut met) = (Vec::new(), Vec::new());

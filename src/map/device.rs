@@ -292,6 +292,12 @@ impl<'m> DeviceMap<'m> {
             Answer::Unknown => {}
             Answer::Elsewhere => why[k] = Unknown::Far,
         })?;
+        // Pieces are smooth, and say something of states that a guard excludes too.
+        for (k, excluded) in self.map.excluded(x).into_iter().flatten().enumerate() {
+            if excluded {
+                (found[k], why[k]) = (None, Unknown::Guard);
+            }
+        }
         self.map.add_controls(x, &mut found);
         let beyond = self.map.beyond.is_some();
         Ok((found.into_iter().zip(why).enumerate())

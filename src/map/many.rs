@@ -2,7 +2,7 @@
 
 use super::pieces::{Here, Said};
 use super::swift::{Answer, Room, turns_into};
-use super::{At, Coverage, GUARD_ROUNDING, Value, ValueMap, of_states};
+use super::{At, Coverage, Value, ValueMap, of_states};
 use crate::model::MAP_ERROR_MAX;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -98,18 +98,7 @@ impl ValueMap {
     /// Whether a guard excludes each of some states (absolute), by more than rounding: pieces are smooth and say something there
     /// too. `None` where the scene has no guard of the state alone.
     pub(super) fn excluded(&self, x: &[f64]) -> Option<Vec<bool>> {
-        let guards = self.guards.as_ref()?;
-        let n = self.states();
-        let reference = &self.plan.system.reference;
-        let s: Vec<f64> = (x.iter().zip(reference.iter().cycle())).map(|(x, r)| x - r).collect();
-        let margins = guards.eval(&s, n);
-        let sizes = &self.guard_sizes;
-        let excluded = margins.chunks_exact(sizes.len()).map(|margins| {
-            // Where a guard is not a number it does not hold.
-            let holds = |(margin, size): (&f64, &f64)| *margin >= -GUARD_ROUNDING * size;
-            !margins.iter().zip(sizes).all(holds)
-        });
-        Some(excluded.collect())
+        Some(self.guarded.as_ref()?.excluded(x))
     }
 
     /// States as the pieces want them: with their times where time is an axis.

@@ -20,6 +20,7 @@ mod adaptive;
 mod coverage;
 mod device;
 mod errors;
+mod guarded;
 mod hasty;
 mod known;
 mod many;
@@ -44,6 +45,8 @@ use crate::model::Model;
 use crate::program::Program;
 use crate::sweep::{Choices, Plan, PlanError, spread_over};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
+pub(crate) use guarded::GUARD_ROUNDING;
+use guarded::Guarded;
 use nodal::{Nodal, Prediction};
 use opinions::{Opinion, blend, distance_between, surrounded};
 use pieces::{Pieces, Said};
@@ -139,10 +142,7 @@ pub struct ValueMap {
     overlap: OnceLock<f64>,
     plan: Plan,
     control: Program,
-    /// The scene's guards that depend on the state alone.
-    guards: Option<Evaluator>,
-    /// Sizes of their margins.
-    guard_sizes: Vec<f64>,
+    guarded: Option<Guarded>,
     /// Of a game H, L and the states' rates.
     isaacs: Option<Program>,
     /// Windings to try, one a combination of periodic states.
@@ -189,8 +189,6 @@ const OF_SIZE: f64 = 0.02;
 const SAME: f64 = 1e-12;
 /// Of a game p counts as a solution of H = 0 where H is at most this share of its terms.
 pub(crate) const ISAACS_RESIDUAL: f64 = 3e-3;
-/// A guard's margin below 0 by this share of the state's size is rounding.
-pub(crate) const GUARD_ROUNDING: f64 = 1e-12;
 /// Most windings to either side.
 const MOST_WINDINGS: i32 = 3;
 
@@ -220,14 +218,6 @@ impl ValueMap {
             return Err(MapError::Empty);
         }
         let control = Program::lower(&plan.system.graph, &plan.system.inputs, &plan.system.observer.control);
-        let of_state = plan.system.guards_of_state();
-        let guards = (!of_state.is_empty()).then(|| {
-            Evaluator::new(&Program::lower(
-                &plan.system.graph,
-                &plan.system.inputs[..states],
-                &of_state,
-            ))
-        });
         let isaacs = plan.game.then(|| {
             let system = &plan.system;
             let running = system.rate[2 * states];
@@ -250,8 +240,7 @@ impl ValueMap {
             isaacs,
             controls: Evaluator::new(&control),
             control,
-            guards,
-            guard_sizes: plan.system.guard_sizes(&plan.region),
+            guarded: Guarded::of(&plan),
             local_errors: plan.local.as_ref().map(LocalErrors::new),
             plan,
             sites,

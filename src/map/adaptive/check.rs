@@ -24,6 +24,8 @@ const ABOVE_POINTS: f64 = 0.5;
 const GROSS: f64 = 3.0;
 /// States in a cell that a fresh state has shown to be wrong, which are searched for all sheets.
 const SEARCHED: usize = 4;
+/// Draws of a fresh state, where guards exclude states.
+const MOST_DRAWN: usize = 256;
 /// States that tell where the error is met.
 const LOOKED_AT: usize = 4096;
 
@@ -107,7 +109,12 @@ impl Work<'_, '_> {
     pub(super) fn judged(&self, mut pieces: Pieces) -> Judged {
         // A polynomial of 1/V or log V goes on to any V where no solution exists.
         pieces.region.value_max = pieces.region.value_max.min(self.highest());
-        let looked_at = spread_over(&self.bounds, LOOKED_AT);
+        // Of states that guards exclude nothing is to be said.
+        let looked_at = match &self.guarded {
+            Some(guarded) => guarded.admitted(guarded.spread(&self.bounds, LOOKED_AT)),
+            None => spread_over(&self.bounds, LOOKED_AT),
+        };
+        let all = looked_at.len().max(1);
         let region = &pieces.region;
         // Whether each meets the error, where anything is said.
         let meets = |here: Said| here.v_bound <= region.error * here.v.abs().max(region.floor);
@@ -128,9 +135,9 @@ impl Work<'_, '_> {
             }
         }
         Judged {
-            uncertain: uncertain as f64 / looked_at.len() as f64,
-            unmet: Part::of(&unmet, looked_at.len()),
-            unknown: Part::of(&unknown, looked_at.len()),
+            uncertain: uncertain as f64 / all as f64,
+            unmet: Part::of(&unmet, all),
+            unknown: Part::of(&unknown, all),
             pieces,
         }
     }
@@ -282,7 +289,7 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Fresh states of the region (absolute), in an order without end. The seed asked for turns them, and nothing else of a map.
+    /// Fresh states of the region (absolute) that no guard excludes, if some are found, in an order without end. The seed asked for turns them, and nothing else of a map.
     fn fresh(&mut self, count: usize) -> Vec<f64> {
         let bounds = self.bounds.clone();
         let turn = |i: usize| match self.plan.seed {
@@ -292,9 +299,16 @@ impl Work<'_, '_> {
         let turns: Vec<f64> = (0..bounds.len()).map(turn).collect();
         (0..count)
             .flat_map(|_| {
-                (bounds.iter().zip(&turns))
-                    .map(|([lo, hi], turn)| lo + (hi - lo) * (self.uniform() + turn).fract())
-                    .collect::<Vec<_>>()
+                let mut x = Vec::new();
+                for _ in 0..MOST_DRAWN {
+                    x = (bounds.iter().zip(&turns))
+                        .map(|([lo, hi], turn)| lo + (hi - lo) * (self.uniform() + turn).fract())
+                        .collect();
+                    if !self.is_excluded(&x) {
+                        break;
+                    }
+                }
+                x
             })
             .collect()
     }

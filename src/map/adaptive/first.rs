@@ -2,7 +2,6 @@
 
 use super::{AROUND, NEAR, Work};
 use crate::backend::BackendError;
-use crate::sweep::spread_over;
 use crate::value::{Track, solve_near};
 use std::time::Instant;
 
@@ -26,7 +25,7 @@ impl Work<'_, '_> {
             .map(|[lo, hi]| [lo - 0.5 * AROUND * (hi - lo), hi + 0.5 * AROUND * (hi - lo)])
             .collect();
         wide.extend(self.axis.as_ref().map(|axis| [0.0, axis.last]));
-        let (mut tracks, mut values) = self.searched_in_budget(spread_over(&wide, FIRST[n]), WITHIN)?;
+        let (mut tracks, mut values) = self.searched_in_budget(self.spread(&wide, FIRST[n]), WITHIN)?;
         // Where trajectories are not followed backward only states on the region's faces tell of these.
         if !self.goes_beyond() {
             let (more, others) = self.searched_in_budget(self.on_faces(&wide), FACES)?;
@@ -43,7 +42,7 @@ impl Work<'_, '_> {
             self.edges(floor)?;
         }
         if self.axis.is_some() {
-            let mut states = spread_over(&wide, FIRST[n]);
+            let mut states = self.spread(&wide, FIRST[n]);
             let corners = (0..1usize << (n - 1)).map(|corner| (0..n - 1).map(|i| wide[i][corner >> i & 1]).collect());
             states.extend(corners);
             self.add_ends(&states);
@@ -105,7 +104,7 @@ impl Work<'_, '_> {
             .flat_map(|face| {
                 let mut side = bounds.to_vec();
                 side[face / 2] = [bounds[face / 2][face % 2]; 2];
-                spread_over(&side, FIRST[n] / (2 * n))
+                self.spread(&side, FIRST[n] / (2 * n))
             })
             .collect()
     }
