@@ -441,7 +441,7 @@ fn point_on(riccati: &Riccati, s: DVector<f64>) -> Vec<f64> {
     s.iter().chain(p.iter()).copied().collect()
 }
 
-/// A V, at most `limit`, whose ellipsoid no kink of the equations cuts: a series cannot follow them.
+/// A V, at most `limit`, whose ellipsoid lies inside the guards, and no kink of the equations cuts: a series cannot follow them.
 pub(super) fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: f64) -> f64 {
     let n = system.states;
     let limit = short_of_guards(system, riccati, t, limit);

@@ -55,10 +55,15 @@ impl Guarded {
     /// So many states spread over bounds, among which guards exclude few: where they exclude most of them, others are drawn.
     pub fn spread(&self, bounds: &[[f64; 2]], count: usize) -> Vec<Vec<f64>> {
         let states = spread_over(bounds, count);
-        if 2 * self.admitted(states.clone()).len() >= count {
+        let mut some = self.admitted(states.clone());
+        if 2 * some.len() >= count {
             return states;
         }
-        let mut some = self.admitted(spread_over(bounds, MOST_DRAWN * count));
+        let mut drawn = 1;
+        while some.len() < count && drawn < MOST_DRAWN {
+            drawn *= 4;
+            some = self.admitted(spread_over(bounds, drawn * count));
+        }
         some.truncate(count);
         some
     }

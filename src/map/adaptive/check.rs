@@ -5,7 +5,6 @@ use crate::backend::BackendError;
 use crate::map::pieces::{Pieces, Region, Said, Want};
 use crate::numeric::quantile::nearest_rank;
 use crate::shooting::Path;
-use crate::sweep::spread_over;
 use crate::value::PointStatus;
 use std::time::Instant;
 
@@ -109,11 +108,11 @@ impl Work<'_, '_> {
     pub(super) fn judged(&self, mut pieces: Pieces) -> Judged {
         // A polynomial of 1/V or log V goes on to any V where no solution exists.
         pieces.region.value_max = pieces.region.value_max.min(self.highest());
+        let mut looked_at = self.spread(&self.bounds, LOOKED_AT);
         // Of states that guards exclude nothing is to be said.
-        let looked_at = match &self.guarded {
-            Some(guarded) => guarded.admitted(guarded.spread(&self.bounds, LOOKED_AT)),
-            None => spread_over(&self.bounds, LOOKED_AT),
-        };
+        if let Some(guarded) = &self.guarded {
+            looked_at = guarded.admitted(looked_at);
+        }
         let all = looked_at.len().max(1);
         let region = &pieces.region;
         // Whether each meets the error, where anything is said.
@@ -289,7 +288,8 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Fresh states of the region (absolute) that no guard excludes, if some are found, in an order without end. The seed asked for turns them, and nothing else of a map.
+    /// Fresh states of the region (absolute) that no guard excludes, if some are found, in an order without end. The seed asked for
+    /// turns them, and nothing else of a map.
     fn fresh(&mut self, count: usize) -> Vec<f64> {
         let bounds = self.bounds.clone();
         let turn = |i: usize| match self.plan.seed {

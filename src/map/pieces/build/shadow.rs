@@ -146,28 +146,14 @@ impl Near<'_> {
         off
     }
 
-    /// All but a part of them.
-    fn without(&self, part: u32) -> Self {
-        let others = |all: &[Margin]| all.iter().copied().filter(|m| m.part != part).collect();
+    /// Some of them.
+    fn only(&self, keep: impl Fn(&Margin) -> bool) -> Self {
+        let some = |all: &[Margin]| all.iter().copied().filter(|m| keep(m)).collect();
         Self {
             terms: self.terms,
             small: self.small,
-            all: others(&self.all),
-            deep: others(&self.deep),
-        }
-    }
-
-    /// The part of it on one side of the middle along an axis.
-    fn half(&self, axis: usize, upper: bool) -> Self {
-        let half = |all: &[Margin]| {
-            let own = all.iter().copied().filter(|m| (m.y[axis] >= 0.0) == upper);
-            own.collect()
-        };
-        Self {
-            terms: self.terms,
-            small: self.small,
-            all: half(&self.all),
-            deep: half(&self.deep),
+            all: some(&self.all),
+            deep: some(&self.deep),
         }
     }
 
@@ -235,7 +221,7 @@ impl Builder<'_> {
         let misfit = |axis: usize| -> f64 {
             let halves = near
                 .iter()
-                .flat_map(|near| [false, true].map(|upper| near.half(axis, upper)));
+                .flat_map(|near| [false, true].map(|upper| near.only(|m| (m.y[axis] >= 0.0) == upper)));
             halves.map(|half| half.misfit()).sum()
         };
         let width = |i: usize| block.hi[i] - block.lo[i];
@@ -271,7 +257,7 @@ impl Builder<'_> {
         if off.by > good {
             // Not resolved, it may be anywhere between its points.
             for part in 0..PARTS {
-                let others = near.without(part);
+                let others = near.only(|m| m.part != part);
                 let Some(fitted) = others.fitted() else { continue };
                 off.above = off.above.max(near.off((&fitted, piece), Some(part)).above);
             }
