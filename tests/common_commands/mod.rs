@@ -73,16 +73,16 @@ pub fn map_of(directory: &Path, name: &str, scene: &str) -> (Stored, serde_json:
 }
 
 /// A column of what `costate solve` writes of states of a scene, whose variables are named as in a header.
-pub fn column_of(
+pub fn column_of<const N: usize>(
     directory: &Path,
     name: &str,
     scene: &str,
-    (header, states): (&str, &[[f64; 2]]),
+    (header, states): (&str, &[[f64; N]]),
     column: &str,
 ) -> Vec<String> {
     let [path, points, out] = ["toml", "csv", "solved.csv"].map(|ending| directory.join(format!("{name}.{ending}")));
     std::fs::write(&path, scene).unwrap();
-    let lines: Vec<String> = states.iter().map(|[x, y]| format!("{x},{y}")).collect();
+    let lines: Vec<String> = states.iter().map(|x| x.map(|x| x.to_string()).join(",")).collect();
     std::fs::write(&points, format!("{header}\n{}\n", lines.join("\n"))).unwrap();
     let fixed = ["solve", "--backend", "cpu", "--quiet", "--points"].map(OsStr::new);
     let last = [

@@ -1,5 +1,6 @@
 //! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked for.
 
+use super::in_cells;
 use crate::backend::cpu::Evaluator;
 use crate::backend::{Backend, BackendError, By, Guards, Kernel, Run, Spec, Status, batch_limit};
 use crate::local::{LocalSolution, SeedChoice};
@@ -74,10 +75,13 @@ impl<'a> Fan<'a> {
         let switches = graph.kinks(&rate);
         let lower = |roots: &[_]| Program::lower(&graph, &plan.system.inputs, roots);
         let guards: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
+        // Cells with corners behind a guard would be divided without end along it: their trajectories go on, and it is told of
+        // each solution whether it leaves a guard.
+        let ends_at_guards = !guards.is_empty() && !in_cells(n);
         let finite = plan.system.terminal.as_ref().map(|t| t.time);
         let spec = Spec {
             rate: lower(&rate),
-            guards: (!guards.is_empty()).then(|| Guards {
+            guards: ends_at_guards.then(|| Guards {
                 program: lower(&guards),
                 strict: plan.system.guards.iter().map(|g| g.strict).collect(),
             }),
@@ -216,6 +220,9 @@ impl<'a> Fan<'a> {
             .collect();
         wanted.sort_unstable();
         wanted.dedup();
+        for v in wanted.extract_if(.., |v| !self.inside[*v as usize]) {
+            self.trajectories[v as usize] = Some(self.none_from(v));
+        }
         self.run.ceiling = ceiling.is_finite().then_some((2 * n, ceiling));
         let dim = 2 * n + 2;
         for part in wanted.chunks(batch_limit(dim, self.run.levels.len())) {
@@ -228,9 +235,7 @@ impl<'a> Fan<'a> {
             let batch = kernel.integrate(&self.run, &starts)?;
             self.integrated += part.len();
             for (i, v) in part.iter().enumerate() {
-                let mut points: Vec<f32> = Vec::new();
-                points.push(0.0);
-                points.extend(starts[i * dim..][..self.stride - 1].iter().map(|x| *x as f32));
+                let mut points = first_point(&starts[i * dim..][..self.stride - 1]);
                 let mut complete = batch.status[i] == Status::Reached;
                 for k in 0..batch.levels {
                     let sample = batch.sample(i, k);
@@ -256,6 +261,16 @@ impl<'a> Fan<'a> {
             }
         }
         Ok(())
+    }
+
+    /// The trajectory of a seed that a guard excludes: it ends where it begins.
+    fn none_from(&self, seed: u32) -> Trajectory {
+        let points = first_point(&self.surface.seed(&self.parameters[seed as usize]));
+        Trajectory {
+            end: Some(points.clone()),
+            points,
+            ceiling: f64::INFINITY,
+        }
     }
 
     /// The point of a seed's trajectory at a level (0 is the seed), and whether the trajectory came that far: else it is the
@@ -361,6 +376,11 @@ impl<'a> Fan<'a> {
     pub fn reached(&self, seed: u32) -> usize {
         (self.trajectories[seed as usize].as_ref()).map_or(0, |t| t.points.len() / self.stride - 1)
     }
+}
+
+/// A seed `(s, p, V)` as a stored point.
+fn first_point(seed: &[f64]) -> Vec<f32> {
+    std::iter::once(0.0).chain(seed.iter().map(|x| *x as f32)).collect()
 }
 
 /// The surface of seeds: chosen by the region and the cost there alone.

@@ -47,6 +47,11 @@ const MOST_ROUNDS: usize = 160;
 /// Trajectories of one search.
 const MOST_TRAJECTORIES: usize = 400_000;
 
+/// Whether the manifold over so many states is divided into cells.
+fn in_cells(states: usize) -> bool {
+    states <= MOST_IN_CELLS
+}
+
 /// A state looked for: a target's, as a deviation.
 #[derive(Clone, Debug)]
 pub struct Sought {
@@ -157,7 +162,7 @@ impl<'a> Cover<'a> {
 
     /// Whether it can be divided into cells, so that nothing is left out that is larger than the cells looked at.
     pub fn has_cells(&self) -> bool {
-        self.fan.plan.system.states <= MOST_IN_CELLS
+        in_cells(self.fan.plan.system.states)
     }
 
     /// Whether a state lies within the seeds, and the path of the local solution from there.

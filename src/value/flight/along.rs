@@ -221,10 +221,12 @@ impl<'a> Follower<'a> {
         s: &[f64],
         place: impl Fn(&[f64]) -> Option<(usize, f64)>,
     ) -> Option<(Vec<f64>, Vec<f64>)> {
-        if let Some(near) = self.local.as_ref().and_then(|local| local.within(s, ARRIVED)) {
+        let there: Vec<f64> = s.iter().zip(&self.turns).map(|(s, turn)| s - turn).collect();
+        // To the equilibrium that the guide leads to: the nearest winding of it may lie behind a guard.
+        let near = |local: &Expansion<'_>| local.within_about(s, there.clone(), ARRIVED);
+        if let Some(near) = self.local.as_ref().and_then(near) {
             return Some(near);
         }
-        let there: Vec<f64> = s.iter().zip(&self.turns).map(|(s, turn)| s - turn).collect();
         let Some((segment, share)) = place(&there) else {
             return self.local.as_ref()?.costate(t, s);
         };

@@ -51,8 +51,12 @@ impl<'a> Expansion<'a> {
 
     /// The expansion's costate where its estimated error is at most a `share` of V.
     pub(super) fn within(&self, s: &[f64], share: f64) -> Option<(Vec<f64>, Vec<f64>)> {
+        self.within_about(s, homeward(s, self.linear.periods), share)
+    }
+
+    /// The same about the winding of the equilibrium from which the state is `home` away.
+    pub(super) fn within_about(&self, s: &[f64], home: Vec<f64>, share: f64) -> Option<(Vec<f64>, Vec<f64>)> {
         let local = self.linear.local;
-        let home = homeward(s, self.linear.periods);
         let quadratic = local.quadratic(&home);
         if local.error_where(quadratic) > share * quadratic {
             return None;

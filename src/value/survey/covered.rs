@@ -312,9 +312,11 @@ impl Survey<'_> {
         })
     }
 
+    /// Solutions at a guess's copy of its target, those that leave a guard too.
     fn known_at(&self, candidate: &Candidate) -> impl Iterator<Item = &Extremal> {
         (self.at[candidate.target].iter())
             .map(|e| &self.extremals[*e])
+            .chain(&self.cut[candidate.target])
             .filter(|e| self.windings[e.winding] == candidate.turns)
     }
 }

@@ -102,6 +102,8 @@ pub struct Survey<'a> {
     /// Numbers of periods along each state.
     pub windings: Vec<Vec<i32>>,
     pub misses: Vec<Option<Miss>>,
+    /// Solutions that are no extremals for the scene: they leave a guard. Their paths are their beginnings alone.
+    cut: Vec<Vec<Extremal>>,
     /// Of a game with an equilibrium the extremal at each target on the sheet of the equilibrium; else empty.
     pub principal: Vec<Option<usize>>,
     pub folds: Vec<Fold>,
@@ -169,6 +171,7 @@ impl<'a> Survey<'a> {
             at: vec![Vec::new(); targets.len()],
             windings: Vec::new(),
             misses: vec![None; targets.len()],
+            cut: vec![Vec::new(); targets.len()],
             principal: Vec::new(),
             folds: Vec::new(),
             sheet: Vec::new(),
@@ -399,6 +402,13 @@ impl<'a> Survey<'a> {
                     Some(status) => {
                         let at = self.targets.state(target).to_vec();
                         self.miss(target, status, Some(at), 0.0);
+                        self.cut[target].push(Extremal {
+                            target,
+                            winding,
+                            path: Path::new(job.path.node(0)),
+                            solved,
+                            iterations: evaluations,
+                        });
                         let miss = self.misses[target].as_mut();
                         if let Some(miss) = miss.filter(|m| m.status == PointStatus::LeavesGuard) {
                             miss.cut.get_or_insert(job.path);

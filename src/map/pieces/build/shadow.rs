@@ -265,6 +265,10 @@ impl Builder<'_> {
         // What is near the edge of a shadow is rather not told than told in it.
         clearance[0] -= off.above;
         let mut places = 0..SIDE.pow(n as u32);
+        // A plane through a few points tells of the edge next to them alone.
+        if is_there && off.by > good && !is_curved(&clearance, n) {
+            clearance = nowhere(n);
+        }
         let is_there = is_there
             && places.any(|place| {
                 let mut rest = place;
@@ -285,6 +289,11 @@ impl Builder<'_> {
 /// Whether a polynomial tells of an edge: neither there is none, nor is it unknown where.
 pub(super) fn is_told(clearance: &[f64]) -> bool {
     clearance.iter().skip(1).any(|c| *c != 0.0)
+}
+
+/// Whether a polynomial has terms of the second degree.
+fn is_curved(clearance: &[f64], n: usize) -> bool {
+    clearance[n + 1..].iter().any(|c| *c != 0.0)
 }
 
 fn is_inside(m: &Margin, n: usize) -> bool {
