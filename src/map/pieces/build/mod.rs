@@ -16,6 +16,7 @@ use crate::value::Clearance;
 pub use flow::Flow;
 use rayon::join;
 use rayon::prelude::*;
+use shadow::Edge;
 use std::collections::BTreeMap;
 
 /// Points as far outside a cell as this share of its half width are fitted too.
@@ -513,8 +514,8 @@ impl<'c> Builder<'c> {
             match before.pieces.nodes[old] {
                 Node::Split { axis, below, above, .. } => return self.split(block, axis, [Some(below), Some(above)]),
                 Node::Cell(cell) => {
-                    if let Some((own, excess)) = self.kept(&block, before, cell) {
-                        return self.cell(block, own, excess);
+                    if let Some((own, excess, edges)) = self.kept(&block, before, cell) {
+                        return self.cell(block, own, excess, &edges);
                     }
                 }
             }
@@ -533,10 +534,10 @@ impl<'c> Builder<'c> {
         } else {
             self.region.beyond
         };
-        let (mut pieces, edges): (Vec<Piece>, Vec<f64>) = (own.iter())
+        let (mut pieces, edges): (Vec<Piece>, Vec<Edge>) = (own.iter())
             .map(|(piece, points)| self.finished(piece.clone(), points, &block, beyond))
             .unzip();
-        let of_edges = edges.into_iter().fold(0.0, f64::max);
+        let of_edges = edges.iter().map(|edge| edge.excess).fold(0.0, f64::max);
         // Halves ask for states of their own where the equation is not met; what cannot be halved keeps to its points there.
         let by = self.bounds_by_equation(&pieces);
         let off = self.off_points(&block, &pieces);
@@ -575,7 +576,7 @@ impl<'c> Builder<'c> {
             .iter()
             .map(|p| p.bound / self.region.error)
             .fold(excess.max(of_edges), f64::max);
-        self.cell(block, pieces, of_bounds)
+        self.cell(block, pieces, of_bounds, &edges)
     }
 
     fn is_finest(&self, block: &Block, axis: usize) -> bool {
@@ -644,8 +645,8 @@ impl<'c> Builder<'c> {
     }
 
     /// Pieces of a cell made before, if they were good enough and new points do not say otherwise; with their error over the one
-    /// asked for.
-    fn kept(&self, block: &Block, before: &Before<'_>, cell: usize) -> Option<(Vec<Piece>, f64)> {
+    /// asked for, and the edge of shadows in one that is alone.
+    fn kept(&self, block: &Block, before: &Before<'_>, cell: usize) -> Option<(Vec<Piece>, f64, Vec<Edge>)> {
         let mut own = before.pieces.pieces[before.pieces.cells[cell].pieces.clone()].to_vec();
         // A few points more make no better polynomial of one that is not good enough.
         let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
@@ -659,19 +660,20 @@ impl<'c> Builder<'c> {
             more == 0 || (!self.leaves_quarters() && !dense && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
         let surface = self.excess_of_surface(block, &own);
-        let excess_of_edge = match own.as_mut_slice() {
+        let edges = match own.as_mut_slice() {
             // Its edge is by all that is known by now.
             [piece] => {
                 let edge = self.edge(piece, &block.points);
-                piece.clearance = edge.clearance;
+                piece.clearance.clone_from(&edge.clearance);
                 if !piece.clearance.is_empty() && piece.support.is_empty() {
                     piece.support = self.enclosed(piece, &block.points, self.region.beyond);
                 }
-                edge.excess
+                vec![edge]
             }
             _ if dark > 0 => return None,
-            _ => 0.0,
+            _ => Vec::new(),
         };
+        let excess_of_edge = edges.first().map_or(0.0, |edge| edge.excess);
         if more + dark > 0 && excess_of_edge > 1.0 && dense {
             return None;
         }
@@ -695,11 +697,11 @@ impl<'c> Builder<'c> {
         }
         let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);
         let excess = if own.is_empty() { f64::INFINITY } else { excess };
-        Some((own, excess.max(surface).max(excess_of_edge)))
+        Some((own, excess.max(surface).max(excess_of_edge), edges))
     }
 
     /// A cell, with what may be missing in it. Where a sheet ends too early its pieces may err by as much as V would jump.
-    fn cell(&self, block: Block, mut pieces: Vec<Piece>, excess: f64) -> Grown {
+    fn cell(&self, block: Block, mut pieces: Vec<Piece>, excess: f64, edges: &[Edge]) -> Grown {
         let (mut bare, jump) = self.ends(&block, &pieces);
         for piece in &mut pieces {
             piece.bound = piece.bound.max(jump);
@@ -712,10 +714,7 @@ impl<'c> Builder<'c> {
             hi: block.hi,
             points: block.points,
             near: block.near,
-            shaded: match pieces.as_slice() {
-                [piece] if shadow::is_told(&piece.clearance) => Some(Box::new(piece.clone())),
-                _ => None,
-            },
+            shaded: self.shaded(&pieces, edges),
         };
         let n = self.cloud.variables;
         want.bare = bare

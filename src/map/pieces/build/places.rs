@@ -1,5 +1,6 @@
 //! Where points are and where they are missing.
 
+use super::shadow::Edge;
 use super::{BESIDE, Block, Builder, Piece, REACH, Unanswered};
 use std::collections::HashSet;
 
@@ -36,9 +37,9 @@ impl Builder<'_> {
         (0..n).filter(|i| width(*i) * self.habits.sliver > widest).collect()
     }
 
-    /// A piece as it is said: with the extent of its points where these do not lie all around, and outside shadows of guards; and how
-    /// far the edge of these is off, over what is good enough.
-    pub(super) fn finished(&self, mut piece: Piece, points: &[u32], block: &Block, beyond: f64) -> (Piece, f64) {
+    /// A piece as it is said: with the extent of its points where these do not lie all around, and outside shadows of guards; and the
+    /// edge of these.
+    pub(super) fn finished(&self, mut piece: Piece, points: &[u32], block: &Block, beyond: f64) -> (Piece, Edge) {
         // Alone in the region's inside, a sheet has points all around unless they are few.
         let reach = if beyond < self.region.beyond || self.region.game {
             BESIDE
@@ -47,7 +48,7 @@ impl Builder<'_> {
         };
         let at_edge = !self.places_without(block, points, 2, reach).is_empty();
         let edge = self.edge(&piece, points);
-        piece.clearance = edge.clearance;
+        piece.clearance.clone_from(&edge.clearance);
         if at_edge || self.without.is_some() || !piece.clearance.is_empty() {
             piece.support = self.enclosed(&piece, points, beyond);
         }
@@ -56,7 +57,7 @@ impl Builder<'_> {
         } else {
             self.bounded(piece, at_edge)
         };
-        (piece, edge.excess)
+        (piece, edge)
     }
 
     /// How much V changes along an axis, relative to itself, differently at different points.

@@ -36,6 +36,8 @@ const EDGE: f64 = 2.0;
 pub(super) struct Edge {
     /// As in [`Piece`].
     pub clearance: Vec<f64>,
+    /// Where nothing can be told of it yet: about where it is, for the states that are to tell.
+    pub about: Option<Vec<f64>>,
     /// How far points say that it is off, over what is good enough.
     pub excess: f64,
 }
@@ -231,6 +233,18 @@ impl Builder<'_> {
         each.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(axis, _)| axis)
     }
 
+    /// A piece with the edge by which states are asked for, if it is known.
+    pub(super) fn shaded(&self, pieces: &[Piece], edges: &[Edge]) -> Option<Box<Piece>> {
+        let ([piece], [edge]) = (pieces, edges) else {
+            return None;
+        };
+        let mut piece = piece.clone();
+        if let Some(about) = &edge.about {
+            piece.clearance.clone_from(about);
+        }
+        is_told(&piece.clearance).then(|| Box::new(piece))
+    }
+
     /// The edge of shadows by points of a piece; none where margins are positive all over it, or not known.
     pub(super) fn edge(&self, piece: &Piece, points: &[u32]) -> Edge {
         if !self.is_shaded {
@@ -247,6 +261,7 @@ impl Builder<'_> {
             }
             return Edge {
                 clearance: nowhere(n),
+                about: None,
                 excess: piece.half.iter().copied().fold(0.0, f64::max) / good,
             };
         };
@@ -264,11 +279,16 @@ impl Builder<'_> {
         }
         // What is near the edge of a shadow is rather not told than told in it.
         clearance[0] -= off.above;
-        let mut places = 0..SIDE.pow(n as u32);
+        let excess = off.by / good;
         // A plane through a few points tells of the edge next to them alone.
-        if is_there && off.by > good && !is_curved(&clearance, n) {
-            clearance = nowhere(n);
+        if is_there && excess > 1.0 && !is_curved(&clearance, n) {
+            return Edge {
+                about: Some(std::mem::replace(&mut clearance, nowhere(n))),
+                clearance,
+                excess,
+            };
         }
+        let mut places = 0..SIDE.pow(n as u32);
         let is_there = is_there
             && places.any(|place| {
                 let mut rest = place;
@@ -281,13 +301,14 @@ impl Builder<'_> {
             });
         Edge {
             clearance: if is_there { clearance } else { Vec::new() },
-            excess: off.by / good,
+            about: None,
+            excess,
         }
     }
 }
 
 /// Whether a polynomial tells of an edge: neither there is none, nor is it unknown where.
-pub(super) fn is_told(clearance: &[f64]) -> bool {
+fn is_told(clearance: &[f64]) -> bool {
     clearance.iter().skip(1).any(|c| *c != 0.0)
 }
 
