@@ -7,7 +7,7 @@
 
 use super::super::fit::Along;
 use super::super::{MOST_VARIABLES, Piece};
-use super::{BEYOND_OF_SEVERAL, Builder};
+use super::{BEYOND_OF_SEVERAL, Block, Builder};
 use crate::backend::cpu::Evaluator;
 use crate::program::Program;
 use crate::sweep::Plan;
@@ -245,6 +245,24 @@ impl Builder<'_> {
     pub(super) fn is_contradicted(&self, pieces: &[Piece], bounds: &[Residual]) -> bool {
         let enough = self.habits.enough * self.region.error;
         (pieces.iter().zip(bounds)).any(|(piece, by)| by.off_branch || by.largest > piece.bound.max(enough))
+    }
+
+    /// Lets a good piece that keeps to its points say what V is all over its cell, if the equation holds all over it: where it is
+    /// alone, no sheets lie over each other, no place is known to have no solution, and no guard casts a shadow.
+    pub(super) fn extend(&self, piece: &mut Piece, block: &Block) {
+        let is_good = piece.bound <= self.region.error && self.flow.is_some() && self.without.is_none();
+        let is_sole = !self.cloud.several && !self.is_shaded && block.unanswered.is_empty();
+        if piece.support.is_empty() || !is_good || !is_sole {
+            return;
+        }
+        let support = std::mem::take(&mut piece.support);
+        let all = [0.0, 0.25, 0.5, 0.75].map(|turn| self.residual(piece, &[], turn));
+        let largest = all.iter().map(|r| r.largest).fold(0.0, f64::max);
+        if all.iter().any(|r| r.off_branch) || largest > self.region.error {
+            piece.support = support;
+        } else {
+            piece.bound = piece.bound.max(largest);
+        }
     }
 
     /// Raises the bound of a piece to what the equation shows. One that goes on without points may say too much there: it first keeps

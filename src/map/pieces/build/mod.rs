@@ -572,6 +572,9 @@ impl<'c> Builder<'c> {
                 pieces.clear();
             }
         }
+        if let [piece] = pieces.as_mut_slice() {
+            self.extend(piece, &block);
+        }
         let of_bounds = pieces
             .iter()
             .map(|p| p.bound / self.region.error)
