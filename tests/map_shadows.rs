@@ -345,6 +345,65 @@ fn the_other_way_round() {
     assert!(wrong <= known / 1000, "{wrong} of {known}");
 }
 
+/// Solutions of the game go straight to 0, too.
+#[test]
+fn a_game() {
+    let scene = "states = { x = {}, y = {} }\ncontrols = { u = {}, w = {} }\ndisturbances = { d = {}, e = {} }\n\
+                 dynamics = { x = \"u + d\", y = \"w + e\" }\n\
+                 cost = { running = \"0.5*(x^2 + y^2 + u^2 + w^2 - 4*d^2 - 4*e^2)\" }\n\
+                 equilibrium = { x = 0, y = 0, u = 0, w = 0 }\nregion = { x = [-1, 1], y = [-1, 1] }\n\
+                 guards = { disc = \"(x - 0.5)^2 + y^2 > 0.04\" }\nmap = { error = 1e-3, states = 1500, check = 20 }\n";
+    let said = Said::of(
+        ("game", scene),
+        [1.0; 2],
+        |x| (x[0] - 0.5).hypot(x[1]) - 0.2,
+        |x| passes(x, [0.5, 0.0]) - 0.2,
+    );
+    said.check(0.99, 0.01, 0.01);
+}
+
+/// Nothing that a guard excludes has a solution, and no flight undercuts one by a way that a guard cuts off.
+#[test]
+fn guards_hold_for_all_that_solve_says() {
+    let folder = scratch("map_shadows_solve");
+    let status = |name: &str, scene: &str, (header, states): (&str, &[[f64; 2]])| {
+        column_of(&folder, name, scene, (header, states), "status")
+    };
+    // The equilibrium lies on the boundary; the local solution reaches beyond it.
+    let half = straight("xy", "uw", "guards = { half = \"x >= 0\" }");
+    let found = status(
+        "half",
+        &half,
+        ("x,y", &[[-0.1, 0.05], [-0.06, 0.0], [0.0, 0.1], [0.05, -0.1]]),
+    );
+    assert_eq!(found, ["outside_guard", "outside_guard", "converged", "converged"]);
+
+    // A wall between the state and 0, thinner than the steps of a flight; and a guard that is not the same one period later.
+    let circle = |guard: &str| {
+        format!(
+            "states = {{ th = {{ period = \"2*pi\" }}, y = {{}} }}\ncontrols = {{ u = {{}}, w = {{}} }}\n\
+             dynamics = {{ th = \"u\", y = \"w\" }}\ncost = {{ running = \"1 - cos(th) + 0.5*(u^2 + y^2 + w^2)\" }}\n\
+             equilibrium = {{ th = 0, y = 0, u = 0, w = 0 }}\nregion = {{ th = [\"-pi\", \"pi\"], y = [-1, 1] }}\n\
+             guards = {{ g = \"{guard}\" }}\n"
+        )
+    };
+    let behind = [1.732_184_278_348_262_8, 0.586_047_316_196_068_2];
+    let wall = circle("2*(1 - cos(th - 1.4)) > 0.002499479210067507");
+    let found = column_of(&folder, "wall", &wall, ("th,y", &[behind]), "V");
+    // p = 2 sin(th/2) along the circle, the other way round.
+    let round = 4.0 * (1.0 + (0.5 * behind[0]).cos()) + 0.5 * behind[1] * behind[1];
+    assert!(
+        (found[0].parse::<f64>().unwrap() - round).abs() < 1e-8,
+        "{found:?} instead of {round}"
+    );
+    let states = ("th,y", [behind, [1.916, 0.3137]]);
+    for (name, guard) in [("thin", wall.clone()), ("turning", circle("(th - 1.4)^2 + y^2 > 0.1"))] {
+        let found = status(name, &guard, (states.0, &states.1[1..]));
+        assert_eq!(found, ["converged"], "{name}");
+    }
+    assert_eq!(status("wall", &wall, ("th,y", &[behind])), ["converged"]);
+}
+
 /// A guard that leaves a hundred and twenty-eighth of the region: states are searched for and counted where it holds.
 #[test]
 fn a_small_part_of_the_region() {

@@ -481,12 +481,14 @@ impl Plan {
     }
 }
 
-/// The periods by which all rates, the running cost among them, repeat (looked at in many points).
+/// The periods by which all rates, the running cost among them, and the guards repeat (looked at in many points).
 fn recurrent(system: &System, periods: &[Option<f64>], region: &[[f64; 2]], widths: &[f64]) -> Vec<Option<f64>> {
     const POINTS: usize = 64;
     const ALIKE: f64 = 1e-9;
     let n = system.states;
     let program = Program::lower(&system.graph, &system.inputs, &system.rate);
+    let guards: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
+    let guards = Program::lower(&system.graph, &system.inputs, &guards);
     let points: Vec<Vec<f64>> = (spread_over(region, POINTS).into_iter().enumerate())
         .map(|(k, s)| {
             let p = (0..n).map(|i| ((k + i) as f64 * 0.618).fract() / widths[i]);
@@ -504,8 +506,23 @@ fn recurrent(system: &System, periods: &[Option<f64>], region: &[[f64; 2]], widt
                 .all(|(a, b)| (a - b).abs() <= ALIKE * size || a.is_nan())
         })
     };
+    // A guard's margin is compared with the largest anywhere: it may be 0 here.
+    let margins: Vec<Vec<f64>> = points.iter().map(|point| guards.eval(point)).collect();
+    let guards_repeat = |i: usize, period: f64| {
+        let moved = |point: &Vec<f64>| {
+            let mut moved = point.clone();
+            moved[i] += period;
+            guards.eval(&moved)
+        };
+        let there: Vec<Vec<f64>> = points.iter().map(moved).collect();
+        (0..system.guards.len()).all(|g| {
+            let along = |all: &[Vec<f64>]| all.iter().map(|m| m[g].abs()).fold(0.0, f64::max);
+            let size = along(&margins).max(along(&there));
+            (margins.iter().zip(&there)).all(|(a, b)| (a[g] - b[g]).abs() <= ALIKE * size || a[g].is_nan())
+        })
+    };
     (periods.iter().enumerate())
-        .map(|(i, period)| period.filter(|period| repeats(i, *period)))
+        .map(|(i, period)| period.filter(|period| repeats(i, *period) && guards_repeat(i, *period)))
         .collect()
 }
 

@@ -172,8 +172,9 @@ impl Work<'_, '_> {
 
     /// Notes a state (absolute) if a search found no solution there, or one that leaves a guard.
     pub(super) fn note(&mut self, x: &[f64], (status, cut): (PointStatus, Option<Path>)) {
-        if is_without_solution(status) && !self.plan.game {
-            let leaves_guard = status == PointStatus::LeavesGuard;
+        let leaves_guard = status == PointStatus::LeavesGuard;
+        // Behind a fold of a game there is no solution: its edge is that of the points.
+        if is_without_solution(status) && (leaves_guard || !self.plan.game) {
             self.unanswered.push(Hole {
                 x: x.to_vec(),
                 cut: cut.filter(|_| leaves_guard),

@@ -107,7 +107,16 @@ impl Survey<'_> {
                 });
             }
         }
-        Ok(undercut)
+        self.admissible(solver, undercut)
+    }
+
+    /// Those whose flights stay inside the guards: a flight looks at them at the ends of its steps, and may leap over what is thin.
+    fn admissible(&self, solver: &mut Solver, undercut: Vec<Undercutting>) -> Result<Vec<Undercutting>, BackendError> {
+        let paths: Vec<&Path> = undercut.iter().map(|u| &u.path).collect();
+        let valid = self.valid(solver, &paths)?;
+        Ok((undercut.into_iter().zip(valid))
+            .filter_map(|(undercut, valid)| valid.then_some(undercut))
+            .collect())
     }
 
     /// Cost below which nothing over a target was left out of the search. Nothing is shown on a finite horizon: the image of a cell of
@@ -189,7 +198,7 @@ impl Survey<'_> {
                 path,
             });
         }
-        Ok(found)
+        self.admissible(solver, found)
     }
 
     /// Solves from the paths of flights. Targets that have a lower V now; the others keep the bound.

@@ -25,6 +25,8 @@ const MOST_AT_ONCE: usize = 12;
 const FROM_CELL: f64 = 1.0 / 16.0;
 /// The same from a trajectory near the target.
 const FROM_POINT: f64 = 1.0 / 16.0;
+/// Where solutions leave guards, others are looked for up to this many times the V of the cheapest of them.
+const PAST_CUT: f64 = 16.0;
 /// Guesses near a target are tried up to this many times its least V where all sheets are looked for.
 const SHEETS: f64 = 1.5;
 /// A solution explains a guess whose adjoint differs by less than this share of the spread within the cell, and of its size.
@@ -98,7 +100,8 @@ impl Survey<'_> {
             return true;
         }
         let Some(least) = self.lowest(target).map(|e| self.extremals[e].value()) else {
-            return ceiling >= self.targets.limits[target];
+            let cut = self.cut[target].iter().map(Extremal::value).min_by(f64::total_cmp);
+            return ceiling >= self.targets.limits[target] || cut.is_some_and(|cut| ceiling >= times(PAST_CUT, cut));
         };
         let sheets = wanted.sheets && self.at[target].len() < MOST_SHEETS;
         // Once cells over the target were left out, what costs more can only be found by chance.

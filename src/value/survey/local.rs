@@ -11,7 +11,7 @@ impl Survey<'_> {
         for target in 0..self.targets.len() {
             for winding in 0..self.windings.len() {
                 let s = self.state(target, winding);
-                if !solver.scheme.end.covers(&s) {
+                if self.is_refused(target) || !solver.scheme.end.covers(&s) {
                     continue;
                 }
                 let at = solver.scheme.end.at(&s);

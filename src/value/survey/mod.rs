@@ -240,8 +240,8 @@ impl<'a> Survey<'a> {
         } else {
             self.all_windings(&index)
         };
-        self.near_end(solver);
         self.refuse_outside();
+        self.near_end(solver);
         march::add_marched(self, solver)?;
         Ok(index)
     }

@@ -28,6 +28,8 @@ const MOST_POINTS: usize = 2000;
 const SIDE: usize = 5;
 /// Parts of the margins that are left out in turn, to tell how far an edge is off.
 const PARTS: u32 = 5;
+/// How far an edge is off, at least, over what is good enough, where a few points tell of it.
+const FEW_POINTS: f64 = 2.0;
 /// Distance in widths of the region that an edge may be off, in relative errors asked for.
 const EDGE: f64 = 2.0;
 
@@ -280,12 +282,12 @@ impl Builder<'_> {
         // What is near the edge of a shadow is rather not told than told in it.
         clearance[0] -= off.above;
         let excess = off.by / good;
-        // A plane through a few points tells of the edge next to them alone.
-        if is_there && excess > 1.0 && !is_curved(&clearance, n) {
+        // A plane through a few points tells of the edge next to them alone: more are asked for.
+        if is_there && !is_curved(&clearance, n) {
             return Edge {
                 about: Some(std::mem::replace(&mut clearance, nowhere(n))),
                 clearance,
-                excess,
+                excess: excess.max(FEW_POINTS),
             };
         }
         let mut places = 0..SIDE.pow(n as u32);
