@@ -1,6 +1,6 @@
 //! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked for.
 
-use super::in_cells;
+use super::goes_behind_guards;
 use crate::backend::cpu::Evaluator;
 use crate::backend::{Backend, BackendError, By, Guards, Kernel, Run, Spec, Status, batch_limit};
 use crate::local::{LocalSolution, SeedChoice};
@@ -75,9 +75,7 @@ impl<'a> Fan<'a> {
         let switches = graph.kinks(&rate);
         let lower = |roots: &[_]| Program::lower(&graph, &plan.system.inputs, roots);
         let guards: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
-        // Cells with corners behind a guard would be divided without end along it: their trajectories go on, and it is told of
-        // each solution whether it leaves a guard.
-        let ends_at_guards = !guards.is_empty() && !in_cells(n);
+        let ends_at_guards = !guards.is_empty() && !goes_behind_guards(n);
         let finite = plan.system.terminal.as_ref().map(|t| t.time);
         let spec = Spec {
             rate: lower(&rate),

@@ -47,9 +47,11 @@ const MOST_ROUNDS: usize = 160;
 /// Trajectories of one search.
 const MOST_TRAJECTORIES: usize = 400_000;
 
-/// Whether the manifold over so many states is divided into cells.
-fn in_cells(states: usize) -> bool {
-    states <= MOST_IN_CELLS
+/// Whether trajectories go on behind guards, and it is told of each solution whether it leaves one. Cells with corners behind a
+/// guard, of which nothing is known, are divided along all of it: a line in a plane, but too much in space. In more states,
+/// where points near a state are looked up, those behind guards would crowd out others.
+pub(in crate::value) fn goes_behind_guards(states: usize) -> bool {
+    states == MOST_IN_CELLS
 }
 
 /// A state looked for: a target's, as a deviation.
@@ -162,7 +164,7 @@ impl<'a> Cover<'a> {
 
     /// Whether it can be divided into cells, so that nothing is left out that is larger than the cells looked at.
     pub fn has_cells(&self) -> bool {
-        in_cells(self.fan.plan.system.states)
+        self.fan.plan.system.states <= MOST_IN_CELLS
     }
 
     /// Whether a state lies within the seeds, and the path of the local solution from there.

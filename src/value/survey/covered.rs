@@ -4,7 +4,7 @@ use super::{COHORT, Errand, MOST_SHEETS, Progress, SHORT, Survey, Wanted, times}
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
-use crate::value::cover::{Candidate, Cover, Sought};
+use crate::value::cover::{Candidate, Cover, Sought, goes_behind_guards};
 use crate::value::extremal::{Extremal, is_elsewhere};
 use crate::value::flight::homeward;
 use std::collections::BTreeMap;
@@ -25,7 +25,8 @@ const MOST_AT_ONCE: usize = 12;
 const FROM_CELL: f64 = 1.0 / 16.0;
 /// The same from a trajectory near the target.
 const FROM_POINT: f64 = 1.0 / 16.0;
-/// Where solutions leave guards, others are looked for up to this many times the V of the cheapest of them.
+/// Where solutions leave guards, and trajectories go on behind these, others are looked for up to this many times the V of the
+/// cheapest of them.
 const PAST_CUT: f64 = 16.0;
 /// Guesses near a target are tried up to this many times its least V where all sheets are looked for.
 const SHEETS: f64 = 1.5;
@@ -101,7 +102,8 @@ impl Survey<'_> {
         }
         let Some(least) = self.lowest(target).map(|e| self.extremals[e].value()) else {
             let cut = self.cut[target].iter().map(Extremal::value).min_by(f64::total_cmp);
-            return ceiling >= self.targets.limits[target] || cut.is_some_and(|cut| ceiling >= times(PAST_CUT, cut));
+            let is_past = cut.is_some_and(|cut| ceiling >= times(PAST_CUT, cut));
+            return ceiling >= self.targets.limits[target] || (is_past && goes_behind_guards(self.targets.states));
         };
         let sheets = wanted.sheets && self.at[target].len() < MOST_SHEETS;
         // Once cells over the target were left out, what costs more can only be found by chance.
