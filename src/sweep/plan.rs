@@ -495,34 +495,35 @@ fn recurrent(system: &System, periods: &[Option<f64>], region: &[[f64; 2]], widt
             s.iter().copied().chain(p).collect()
         })
         .collect();
-    let repeats = |i: usize, period: f64| {
-        points.iter().all(|point| {
-            let mut moved = point.clone();
-            moved[i] += period;
-            let (here, there) = (program.eval(point), program.eval(&moved));
-            let size = here.iter().chain(&there).fold(0.0f64, |a, x| a.max(x.abs()));
-            here.iter()
-                .zip(&there)
-                .all(|(a, b)| (a - b).abs() <= ALIKE * size || a.is_nan())
-        })
-    };
-    // A guard's margin is compared with the largest anywhere: it may be 0 here.
-    let margins: Vec<Vec<f64>> = points.iter().map(|point| guards.eval(point)).collect();
-    let guards_repeat = |i: usize, period: f64| {
+    let here = |program: &Program| -> Vec<Vec<f64>> { points.iter().map(|point| program.eval(point)).collect() };
+    let there = |program: &Program, i: usize, period: f64| -> Vec<Vec<f64>> {
         let moved = |point: &Vec<f64>| {
             let mut moved = point.clone();
             moved[i] += period;
-            guards.eval(&moved)
+            program.eval(&moved)
         };
-        let there: Vec<Vec<f64>> = points.iter().map(moved).collect();
+        points.iter().map(moved).collect()
+    };
+    let largest = |all: &mut dyn Iterator<Item = f64>| all.fold(0.0f64, |a, x| a.max(x.abs()));
+    let alike = |a: f64, b: f64, size: f64| (a - b).abs() <= ALIKE * size || a.is_nan();
+
+    let (rates, margins) = (here(&program), here(&guards));
+    let rates_repeat = |i: usize, period: f64| {
+        (rates.iter().zip(there(&program, i, period))).all(|(here, there)| {
+            let size = largest(&mut here.iter().chain(&there).copied());
+            here.iter().zip(&there).all(|(a, b)| alike(*a, *b, size))
+        })
+    };
+    // A guard's margin is compared with the largest anywhere: it may be 0 here.
+    let guards_repeat = |i: usize, period: f64| {
+        let there = there(&guards, i, period);
         (0..system.guards.len()).all(|g| {
-            let along = |all: &[Vec<f64>]| all.iter().map(|m| m[g].abs()).fold(0.0, f64::max);
-            let size = along(&margins).max(along(&there));
-            (margins.iter().zip(&there)).all(|(a, b)| (a[g] - b[g]).abs() <= ALIKE * size || a[g].is_nan())
+            let size = largest(&mut margins.iter().chain(&there).map(|m| m[g]));
+            margins.iter().zip(&there).all(|(a, b)| alike(a[g], b[g], size))
         })
     };
     (periods.iter().enumerate())
-        .map(|(i, period)| period.filter(|period| repeats(i, *period) && guards_repeat(i, *period)))
+        .map(|(i, period)| period.filter(|period| rates_repeat(i, *period) && guards_repeat(i, *period)))
         .collect()
 }
 

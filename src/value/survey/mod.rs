@@ -336,10 +336,8 @@ impl<'a> Survey<'a> {
 
     /// Adds an extremal unless it is known; its index, and whether it is new.
     pub(in crate::value) fn add(&mut self, extremal: Extremal) -> (usize, bool) {
-        let known = self.at[extremal.target].iter().copied().find(|e| {
-            let other = &self.extremals[*e];
-            other.winding == extremal.winding && same(other.adjoint(), extremal.adjoint(), &self.scales)
-        });
+        let mut found = self.at[extremal.target].iter().copied();
+        let known = found.find(|e| self.is_same(&self.extremals[*e], &extremal));
         if let Some(known) = known {
             return (known, false);
         }
@@ -349,6 +347,11 @@ impl<'a> Survey<'a> {
         self.joined.push(index, &extremal);
         self.extremals.push(extremal);
         (index, true)
+    }
+
+    /// Whether two extremals of a target are one.
+    fn is_same(&self, a: &Extremal, b: &Extremal) -> bool {
+        a.winding == b.winding && same(a.adjoint(), b.adjoint(), &self.scales)
     }
 
     /// Joins two extremals' sheets, unless another extremal of the one lies over a state of the other: then the way between
@@ -402,13 +405,16 @@ impl<'a> Survey<'a> {
                     Some(status) => {
                         let at = self.targets.state(target).to_vec();
                         self.miss(target, status, Some(at), 0.0);
-                        self.cut[target].push(Extremal {
+                        let cut = Extremal {
                             target,
                             winding,
                             path: Path::new(job.path.node(0)),
                             solved,
                             iterations: evaluations,
-                        });
+                        };
+                        if !self.cut[target].iter().any(|known| self.is_same(known, &cut)) {
+                            self.cut[target].push(cut);
+                        }
                         let miss = self.misses[target].as_mut();
                         if let Some(miss) = miss.filter(|m| m.status == PointStatus::LeavesGuard) {
                             miss.cut.get_or_insert(job.path);

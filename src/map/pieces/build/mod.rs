@@ -666,8 +666,8 @@ impl<'c> Builder<'c> {
         let edges = match own.as_mut_slice() {
             // Its edge is by all that is known by now.
             [piece] => {
-                let edge = self.edge(piece, &block.points);
-                piece.clearance.clone_from(&edge.clearance);
+                let mut edge = self.edge(piece, &block.points);
+                piece.clearance = std::mem::take(&mut edge.clearance);
                 if !piece.clearance.is_empty() && piece.support.is_empty() {
                     piece.support = self.enclosed(piece, &block.points, self.region.beyond);
                 }

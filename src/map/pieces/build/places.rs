@@ -47,8 +47,8 @@ impl Builder<'_> {
             REACH
         };
         let at_edge = !self.places_without(block, points, 2, reach).is_empty();
-        let edge = self.edge(&piece, points);
-        piece.clearance.clone_from(&edge.clearance);
+        let mut edge = self.edge(&piece, points);
+        piece.clearance = std::mem::take(&mut edge.clearance);
         if at_edge || self.without.is_some() || !piece.clearance.is_empty() {
             piece.support = self.enclosed(&piece, points, beyond);
         }

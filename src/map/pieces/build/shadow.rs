@@ -36,7 +36,7 @@ const EDGE: f64 = 2.0;
 /// The edge of guards' shadows in a piece.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Edge {
-    /// As in [`Piece`].
+    /// As in [`Piece`], to be moved there.
     pub clearance: Vec<f64>,
     /// Where nothing can be told of it yet: about where it is, for the states that are to tell.
     pub about: Option<Vec<f64>>,
@@ -240,11 +240,12 @@ impl Builder<'_> {
         let ([piece], [edge]) = (pieces, edges) else {
             return None;
         };
-        let mut piece = piece.clone();
-        if let Some(about) = &edge.about {
-            piece.clearance.clone_from(about);
-        }
-        is_told(&piece.clearance).then(|| Box::new(piece))
+        let clearance = edge.about.as_ref().unwrap_or(&piece.clearance);
+        is_told(clearance).then(|| {
+            let mut shaded = piece.clone();
+            shaded.clearance.clone_from(clearance);
+            Box::new(shaded)
+        })
     }
 
     /// The edge of shadows by points of a piece; none where margins are positive all over it, or not known.
@@ -285,8 +286,8 @@ impl Builder<'_> {
         // A plane through a few points tells of the edge next to them alone: more are asked for.
         if is_there && !is_curved(&clearance, n) {
             return Edge {
-                about: Some(std::mem::replace(&mut clearance, nowhere(n))),
-                clearance,
+                clearance: nowhere(n),
+                about: Some(clearance),
                 excess: excess.max(FEW_POINTS),
             };
         }
