@@ -127,7 +127,7 @@ impl Chart for ValueMap {
     fn expansions(&self, states: usize, x: &[f64], to: &mut Expansions) {
         to.reset(states, x.len() / states);
         let mut room = std::mem::take(&mut to.room);
-        self.each(x, to.t, true, &mut room, |k, here| {
+        self.each(x, to.t, (true, true), &mut room, |k, here| {
             if let Some(here) = here {
                 to.put(k, here.v, &here.p[..states], &here.hessian[..states * states]);
             }
@@ -138,7 +138,7 @@ impl Chart for ValueMap {
     fn slopes(&self, states: usize, x: &[f64], to: &mut Expansions) {
         to.reset(states, x.len() / states);
         let mut room = std::mem::take(&mut to.room);
-        self.each(x, to.t, false, &mut room, |k, here| {
+        self.each(x, to.t, (false, true), &mut room, |k, here| {
             if let Some(here) = here {
                 to.known[k] = true;
                 to.v[k] = here.v;

@@ -290,7 +290,7 @@ impl<'m> DeviceMap<'m> {
                 });
             }
             Answer::Unknown => {}
-            Answer::Elsewhere => why[k] = Unknown::Far,
+            Answer::Rough(_) | Answer::Elsewhere => why[k] = Unknown::Far,
         })?;
         // Pieces are smooth, and say something of states that a guard excludes too.
         for (k, excluded) in self.map.excluded(x).into_iter().flatten().enumerate() {

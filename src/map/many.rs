@@ -2,8 +2,7 @@
 
 use super::pieces::{Here, Said};
 use super::swift::{Answer, Room, turns_into};
-use super::{At, Coverage, Value, ValueMap, of_states};
-use crate::model::MAP_ERROR_MAX;
+use super::{At, Value, ValueMap, of_states};
 use rayon::prelude::*;
 use std::borrow::Cow;
 
@@ -42,7 +41,7 @@ impl ValueMap {
             .zip(all.v_error.par_chunks_mut(CHUNK))
             .zip(all.p.par_chunks_mut(CHUNK * n));
         tasks.for_each_init(Room::new, |room, (((x, v), v_error), p)| {
-            self.each(x, 0.0, false, room, |k, here| {
+            self.each(x, 0.0, (false, false), room, |k, here| {
                 let Some(here) = here else { return };
                 v[k] = here.v;
                 v_error[k] = here.v_bound;
@@ -73,8 +72,6 @@ impl ValueMap {
                         && here.sheets == 1
                     {
                         found[k] = self.as_value(&x[k * n..][..n], here);
-                        // What is for laws only.
-                        found[k].take_if(|(value, _)| self.is_too_rough(value));
                     }
                 });
             });
@@ -127,12 +124,6 @@ impl ValueMap {
             pieces: here.pieces as usize,
         };
         Some(self.told(&moved, winding, said, &here.hessian))
-    }
-
-    /// Whether a value of the map round the region is too uncertain to be one.
-    pub(super) fn is_too_rough(&self, value: &Value) -> bool {
-        let floor = self.beyond.as_ref().map_or(0.0, |beyond| beyond.region.floor);
-        value.coverage == Coverage::Searched && value.v_error > MAP_ERROR_MAX * value.v.abs().max(floor)
     }
 
     /// u of values, and what the bound of p, one component after the other, makes of it.
@@ -225,12 +216,13 @@ impl ValueMap {
         true
     }
 
-    /// What is known of V at some states, at a time where that is an axis, on the lowest sheet, told with their numbers in some order.
+    /// What is known of V at some states, at a time where that is an axis, on the lowest sheet, told with their numbers in some
+    /// order; with second derivatives, and what is too uncertain to be told as V, where asked for.
     pub(crate) fn each(
         &self,
         x: &[f64],
         t: f64,
-        second: bool,
+        (second, rough): (bool, bool),
         room: &mut Room<f64>,
         mut tell: impl FnMut(usize, Option<&Here<f64>>),
     ) {
@@ -254,7 +246,8 @@ impl ValueMap {
                 let is_excluded = |k: usize| excluded.as_ref().is_some_and(|excluded| excluded[k]);
                 swift.each(&self.places(x, |_| t), second, room, |k, answer| match answer {
                     _ if is_excluded(k) => tell(k, None),
-                    Answer::Known(here) if self.time.is_some() => {
+                    Answer::Rough(_) if !rough => tell(k, None),
+                    Answer::Known(here) | Answer::Rough(here) if self.time.is_some() => {
                         let mut here = *here;
                         if second {
                             let hessian = of_states(&here.hessian, n + 1, n);
@@ -262,7 +255,7 @@ impl ValueMap {
                         }
                         tell(k, Some(&here));
                     }
-                    Answer::Known(here) => tell(k, Some(here)),
+                    Answer::Known(here) | Answer::Rough(here) => tell(k, Some(here)),
                     Answer::Unknown => tell(k, None),
                     // What is interpolated between solutions far apart is no law.
                     Answer::Elsewhere if self.pieces_alone || self.beyond.is_some() => tell(k, None),

@@ -41,7 +41,7 @@ pub(crate) use swift::Room;
 use crate::backend::cpu::{Cpu, Evaluator};
 use crate::hamiltonian::{Hamiltonian, System};
 use crate::local::{LocalErrors, LocalPolynomial};
-use crate::model::Model;
+use crate::model::{MAP_ERROR_MAX, Model};
 use crate::program::Program;
 use crate::sweep::{Choices, Plan, PlanError, spread_over};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
@@ -212,7 +212,8 @@ impl ValueMap {
         let Known {
             pieces, beyond, errors, ..
         } = known;
-        let beyond = beyond.filter(|_| pieces.is_some());
+        let rough = beyond.filter(|_| pieces.is_some());
+        let beyond = rough.clone().map(|pieces| pieces.within(MAP_ERROR_MAX));
         let nothing_else = sites.source.iter().all(|s| *s == Source::Local);
         if pieces.is_none() && nothing_else {
             return Err(MapError::Empty);
@@ -227,8 +228,8 @@ impl ValueMap {
         fn blank<T>(count: usize) -> Vec<OnceLock<T>> {
             (0..count).map(|_| OnceLock::new()).collect()
         }
-        let swift =
-            (pieces.as_ref().filter(|_| !plan.game)).and_then(|pieces| Swift::new(pieces, beyond.as_ref(), &plan));
+        let round = [beyond.as_ref(), rough.as_ref()];
+        let swift = (pieces.as_ref().filter(|_| !plan.game)).and_then(|pieces| Swift::new(pieces, round, &plan));
         let mut this = Self {
             tree: index(&sites.z, states),
             nodal: blank(sites.len()),
@@ -425,8 +426,7 @@ impl ValueMap {
         let pieces = if asked { pieces } else { self.beyond.as_ref()? };
         let mut values = (pieces.sheets(&x).into_iter())
             .filter(|said| self.solves_isaacs(&s, &said.p))
-            .map(|said| self.value_in_pieces(pieces, &x, &winding, said))
-            .filter(|value| !self.is_too_rough(value));
+            .map(|said| self.value_in_pieces(pieces, &x, &winding, said));
         let lowest = match values.next() {
             Some(value) => Ok(value),
             None if asked => Err(Unknown::Uncertain),

@@ -34,6 +34,8 @@ pub(super) fn unwind<T: Real>(s: &mut T, size: &mut f64, period: T) -> f64 {
 /// What is known of a state.
 pub enum Answer<'a, T> {
     Known(&'a Here<T>),
+    /// Outside the region, and too uncertain to be told as V; a law does better with it than with nothing.
+    Rough(&'a Here<T>),
     /// In the region, but nothing is known there.
     Unknown,
     /// Outside the region of the pieces, and those round it do not know either: others may.
@@ -44,8 +46,10 @@ pub enum Answer<'a, T> {
 pub struct Swift<T> {
     around: Option<Around<T>>,
     flat: Flat<T>,
-    /// Of use outside the region of the first.
+    /// Of use outside the region of the first; what is rough is not blended with what is not.
     beyond: Option<Flat<T>>,
+    /// The same with its rough pieces, of use where it knows nothing.
+    rough: Option<Flat<T>>,
     reference: Vec<T>,
     /// Period, and lower and upper bound of the region, of each state that has one.
     periods: Vec<(usize, T, [T; 2])>,
@@ -78,6 +82,9 @@ pub struct Room<T> {
     /// The same of those outside the region, and coordinates there.
     outside: Vec<u32>,
     far: Vec<T>,
+    /// The same of those of them that only rough pieces may know.
+    missed: Vec<u32>,
+    missed_at: Vec<T>,
     monomials: Vec<Lanes<T, LANES>>,
 }
 
@@ -92,6 +99,8 @@ impl<T: Real> Room<T> {
             x: Vec::new(),
             outside: Vec::new(),
             far: Vec::new(),
+            missed: Vec::new(),
+            missed_at: Vec::new(),
             monomials: Vec::new(),
         }
     }
@@ -105,7 +114,7 @@ impl<T: Real> Default for Room<T> {
 
 impl<T: Real> Swift<T> {
     /// `None` where the local solution is a polynomial of too high a degree.
-    pub fn new(pieces: &Pieces, beyond: Option<&Pieces>, plan: &Plan) -> Option<Self> {
+    pub fn new(pieces: &Pieces, [beyond, rough]: [Option<&Pieces>; 2], plan: &Plan) -> Option<Self> {
         let around = match &plan.local {
             Some(local) => Some(Around::new(local, &plan.system.reference)?),
             None => None,
@@ -118,6 +127,7 @@ impl<T: Real> Swift<T> {
             around,
             flat: Flat::new(pieces),
             beyond: beyond.map(Flat::new),
+            rough: rough.map(Flat::new),
             // Time is a coordinate of its own.
             reference: (plan.system.reference.iter().copied().chain([0.0]).take(pieces.states()))
                 .map(T::of)
@@ -158,6 +168,8 @@ impl<T: Real> Swift<T> {
         room.x.clear();
         room.outside.clear();
         room.far.clear();
+        room.missed.clear();
+        room.missed_at.clear();
         for (k, x) in x.chunks_exact(n).enumerate() {
             if self.is_near(x, &mut room.z, &mut room.deviations) {
                 room.near.push(k as u32);
@@ -187,6 +199,8 @@ impl<T: Real> Swift<T> {
             x,
             outside,
             far,
+            missed,
+            missed_at,
             monomials,
         } = room;
         if let Some(around) = &self.around {
@@ -198,9 +212,19 @@ impl<T: Real> Swift<T> {
             tell(inside[k] as usize, here.map_or(Answer::Unknown, Answer::Known));
         });
         if let Some(beyond) = &self.beyond {
-            beyond.each::<FMA>(far, second, desk, |k, here| {
-                tell(outside[k] as usize, here.map_or(Answer::Elsewhere, Answer::Known));
+            beyond.each::<FMA>(far, second, desk, |k, here| match here {
+                Some(here) => tell(outside[k] as usize, Answer::Known(here)),
+                None => {
+                    missed.push(outside[k]);
+                    missed_at.extend_from_slice(&far[k * n..][..n]);
+                }
             });
+        }
+        match &self.rough {
+            Some(rough) => rough.each::<FMA>(missed_at, second, desk, |k, here| {
+                tell(missed[k] as usize, here.map_or(Answer::Elsewhere, Answer::Rough));
+            }),
+            None => missed.iter().for_each(|k| tell(*k as usize, Answer::Elsewhere)),
         }
     }
 

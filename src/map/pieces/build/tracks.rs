@@ -15,6 +15,8 @@ const NEARLY_GOOD: f64 = 30.0;
 /// Places that are fitted to, those that choose between fits, and those that bounds are of (at 0) are not the same.
 const FITTED_TO: f64 = 0.61;
 const CHOSEN_BY: f64 = 0.37;
+/// Errors of V, relative to itself, above which a polynomial of a low degree is looked for.
+const ROUGH: f64 = 0.1;
 /// So many degrees are tried.
 const DEGREES: usize = 3;
 /// The most that one error counts in the choice of an axis.
@@ -103,6 +105,10 @@ impl Builder<'_> {
             let errors = largest(&errors);
             fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
         }
+        // What errs by much is halved if it can be.
+        if self.without.is_some() && !(can_be_halved && fit.errors[0] > ROUGH) {
+            self.tame((center.clone(), half.clone()), &mine, (shape, &mut fit));
+        }
         let mut bounds = fit.errors.map(|e| self.habits.allowance * e);
         bounds[0] = bounds[0].max(LEAST_BOUND * self.region.error);
         let fitted = (shape, fit.coefficients);
@@ -141,6 +147,33 @@ impl Builder<'_> {
             // Where the points are too few to tell anything their error is 0.
             if own < score && tested.errors[0].is_finite() {
                 (score, *fit) = (own, tested);
+            }
+        }
+    }
+
+    /// Takes a polynomial of a low degree instead of one that errs by much, if that errs less: what a high one says between few
+    /// tracks may have any slope, which a law would take for V's.
+    fn tame(&self, extent: (Vec<f64>, Vec<f64>), points: &[u32], (shape, fit): (Shape, &mut Tested)) {
+        let score = |coefficients: &[f64]| {
+            let (piece, _) = self.piece(extent.clone(), (shape, coefficients.to_vec()), None, &[]);
+            match self.residual(&piece, &[], CHOSEN_BY) {
+                Residual { off_branch: true, .. } => f64::INFINITY,
+                residual => RESIDUAL * residual.largest,
+            }
+        };
+        let mut least = fit.errors[0].max(score(&fit.coefficients));
+        if least <= ROUGH {
+            return;
+        }
+        let data = self.data(&extent.0, &extent.1, points, LOW);
+        for degree in (1..=LOW).rev() {
+            let Some(coefficients) = data.fitted(shape, degree) else {
+                continue;
+            };
+            let errors = largest(&data.errors(shape, &coefficients));
+            let own = errors[0].max(score(&coefficients));
+            if own < least {
+                (least, *fit) = (own, Tested { coefficients, errors });
             }
         }
     }
@@ -222,5 +255,92 @@ impl Builder<'_> {
                 .sum::<f64>();
         }
         Some(sum)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::fit::{Shape, Tested};
+    use super::super::super::{Frame, Region};
+    use super::super::{Builder, Cloud, Flow};
+    use crate::backend::cpu::Cpu;
+    use crate::hamiltonian::Hamiltonian;
+    use crate::sweep::{Choices, Plan};
+    use crate::value::Clearance;
+
+    /// Of V = |x|^2/2.
+    const STRAIGHT: &str = r#"
+        states = { a = {}, b = {}, c = {} }
+        controls = { u = {}, v = {}, w = {} }
+        dynamics = { a = "u", b = "v", c = "w" }
+        cost = { running = "0.5*(a^2 + b^2 + c^2 + u^2 + v^2 + w^2)" }
+        equilibrium = { a = 0, b = 0, c = 0, u = 0, v = 0, w = 0 }
+        region = { a = [-2, 2], b = [-2, 2], c = [-2, 2] }
+    "#;
+
+    /// All points lie in a plane, and the polynomial rises beside it, where the points do not show it: the equation does.
+    #[test]
+    fn what_the_equation_contradicts_gets_a_low_degree() {
+        let model = crate::scenario::parse(STRAIGHT, "test.toml", &[]).expect("a scene");
+        let hamiltonian = Hamiltonian::derive(&model).expect("a Hamiltonian");
+        let choices = Choices {
+            unasked: true,
+            ..Choices::default()
+        };
+        let plan = Plan::new(&model, &hamiltonian, &Cpu::new(), choices).expect("a plan");
+        let flow = Flow::of(&plan, false).expect("V solves the equation");
+        let region = Region {
+            lo: vec![1.0; 3],
+            hi: vec![2.0; 3],
+            error: 1e-3,
+            equal_cost: f64::INFINITY,
+            floor: 1e-3,
+            value_max: f64::INFINITY,
+            beyond: 0.1,
+            game: false,
+        };
+        let frame = Frame::along(&region);
+        let mut cloud = Cloud {
+            variables: 3,
+            ..Cloud::default()
+        };
+        for k in 0..60u32 {
+            let x = [1.5, 1.0 + f64::from(k % 8) / 7.0, 1.0 + f64::from(k / 8) / 7.0];
+            let v = 0.5 * x.iter().map(|x| x * x).sum::<f64>();
+            cloud.add(&frame, (&x, &x), (v, Clearance::default()), (k, 0));
+        }
+        // Those round which it is made for laws lie elsewhere.
+        let inner = Region {
+            lo: vec![5.0; 3],
+            hi: vec![6.0; 3],
+            ..region.clone()
+        };
+        let builder = Builder::new(&cloud, &region, (&frame, Some(&inner)), Some(&flow), None);
+        let points: Vec<u32> = (0..60).collect();
+        let extent = (vec![0.5; 3], vec![0.5; 3]);
+        // In variables y = 2 (x - 1.5): V, and what does not show at the points.
+        let wild = |excess: f64| {
+            let mut coefficients = vec![0.0; builder.terms.upto[4]];
+            let data = [3.375, 0.75, 0.75, 0.75, 0.125 + excess, 0.0, 0.0, 0.125, 0.0, 0.125];
+            coefficients[..10].copy_from_slice(&data);
+            coefficients
+        };
+        let slopes = |coefficients: Vec<f64>| -> Vec<f64> {
+            let (piece, _) = builder.piece(extent.clone(), (Shape::Value, coefficients), None, &[]);
+            let (_, q) = piece.value(&builder.terms, &[0.9, 0.3, -0.3]);
+            q[..3].to_vec()
+        };
+        for (excess, is_kept) in [(0.0, true), (40.0, false)] {
+            let coefficients = wild(excess);
+            let errors = [1e-6; 2];
+            let mut fit = Tested { coefficients, errors };
+            builder.tame(extent.clone(), &points, (Shape::Value, &mut fit));
+            assert_eq!(fit.coefficients.len() == builder.terms.upto[4], is_kept);
+            let slopes = slopes(fit.coefficients);
+            let off = slopes.iter().zip([1.95, 1.65, 1.35]).map(|(q, p)| (q - p).abs());
+            let off = off.fold(0.0, f64::max);
+            println!("{excess}: p errs by {off:.2}");
+            assert!(off < 0.5 && (off < 1e-9) == is_kept);
+        }
     }
 }
