@@ -228,6 +228,9 @@ impl ValueMap {
         fn blank<T>(count: usize) -> Vec<OnceLock<T>> {
             (0..count).map(|_| OnceLock::new()).collect()
         }
+        // Where none is rough the two are the same.
+        let parts = beyond.as_ref().map_or(0, |good| good.pieces.len());
+        let rough = rough.filter(|all| all.pieces.len() > parts);
         let round = [beyond.as_ref(), rough.as_ref()];
         let swift = (pieces.as_ref().filter(|_| !plan.game)).and_then(|pieces| Swift::new(pieces, round, &plan));
         let mut this = Self {

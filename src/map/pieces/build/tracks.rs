@@ -107,7 +107,8 @@ impl Builder<'_> {
         }
         // What errs by much is halved if it can be.
         if self.without.is_some() && !(can_be_halved && fit.errors[0] > ROUGH) {
-            self.tame((center.clone(), half.clone()), &mine, (shape, &mut fit));
+            let extent = (center.clone(), half.clone());
+            self.tame(extent, (&mine, &inside), (shape, &mut fit));
         }
         let mut bounds = fit.errors.map(|e| self.habits.allowance * e);
         bounds[0] = bounds[0].max(LEAST_BOUND * self.region.error);
@@ -130,11 +131,7 @@ impl Builder<'_> {
         let degree = self.degree_of(&fit.coefficients).max(LOW);
         let fitted = (shape, fit.coefficients.clone());
         let (mut piece, _) = self.piece((center.clone(), half.clone()), fitted, None, &[]);
-        let residual = |piece: &Piece| match self.residual(piece, &[], CHOSEN_BY) {
-            Residual { off_branch: true, .. } => f64::INFINITY,
-            residual => residual.largest,
-        };
-        let mut score = fit.errors[0].max(RESIDUAL * residual(&piece));
+        let mut score = fit.errors[0].max(self.share_of_residual(&piece));
         if score <= good || (can_be_halved && score > NEARLY_GOOD * good) {
             return;
         }
@@ -143,7 +140,7 @@ impl Builder<'_> {
         let data = self.data(&center, &half, points, degree).with(along);
         for tested in data.tested(shape, degree, (DEGREES, good), |k| inside(&points[k])) {
             piece.coefficients.clone_from(&tested.coefficients);
-            let own = tested.errors[0].max(RESIDUAL * residual(&piece));
+            let own = tested.errors[0].max(self.share_of_residual(&piece));
             // Where the points are too few to tell anything their error is 0.
             if own < score && tested.errors[0].is_finite() {
                 (score, *fit) = (own, tested);
@@ -152,29 +149,35 @@ impl Builder<'_> {
     }
 
     /// Takes a polynomial of a low degree instead of one that errs by much, if that errs less: what a high one says between few
-    /// tracks may have any slope, which a law would take for V's.
-    fn tame(&self, extent: (Vec<f64>, Vec<f64>), points: &[u32], (shape, fit): (Shape, &mut Tested)) {
-        let score = |coefficients: &[f64]| {
-            let (piece, _) = self.piece(extent.clone(), (shape, coefficients.to_vec()), None, &[]);
-            match self.residual(&piece, &[], CHOSEN_BY) {
-                Residual { off_branch: true, .. } => f64::INFINITY,
-                residual => RESIDUAL * residual.largest,
-            }
-        };
-        let mut least = fit.errors[0].max(score(&fit.coefficients));
+    /// tracks may have any slope, which a law would take for V's. Of tracks so few each tells how far to trust the others.
+    fn tame(
+        &self,
+        extent: (Vec<f64>, Vec<f64>),
+        (points, inside): (&[u32], &impl Fn(&u32) -> bool),
+        (shape, fit): (Shape, &mut Tested),
+    ) {
+        let (mut piece, _) = self.piece(extent, (shape, fit.coefficients.clone()), None, &[]);
+        let mut least = fit.errors[0].max(self.share_of_residual(&piece));
         if least <= ROUGH {
             return;
         }
-        let data = self.data(&extent.0, &extent.1, points, LOW);
-        for degree in (1..=LOW).rev() {
-            let Some(coefficients) = data.fitted(shape, degree) else {
-                continue;
-            };
-            let errors = largest(&data.errors(shape, &coefficients));
-            let own = errors[0].max(score(&coefficients));
+        let data = self.data(&piece.center, &piece.half, points, LOW);
+        for tested in data.tested(shape, LOW, (LOW, 0.0), |k| inside(&points[k])) {
+            piece.coefficients.clone_from(&tested.coefficients);
+            let of_points = largest(&data.errors(shape, &tested.coefficients));
+            let own = of_points[0].max(self.share_of_residual(&piece));
             if own < least {
-                (least, *fit) = (own, Tested { coefficients, errors });
+                let errors = [0, 1].map(|i| tested.errors[i].max(of_points[i]));
+                (least, *fit) = (own, Tested { errors, ..tested });
             }
+        }
+    }
+
+    /// What the residual of a piece counts beside errors of its points where fits are chosen; infinite off V's branch.
+    fn share_of_residual(&self, piece: &Piece) -> f64 {
+        match self.residual(piece, &[], CHOSEN_BY) {
+            Residual { off_branch: true, .. } => f64::INFINITY,
+            residual => RESIDUAL * residual.largest,
         }
     }
 
@@ -334,7 +337,7 @@ mod tests {
             let coefficients = wild(excess);
             let errors = [1e-6; 2];
             let mut fit = Tested { coefficients, errors };
-            builder.tame(extent.clone(), &points, (Shape::Value, &mut fit));
+            builder.tame(extent.clone(), (&points, &|_| true), (Shape::Value, &mut fit));
             assert_eq!(fit.coefficients.len() == builder.terms.upto[4], is_kept);
             let slopes = slopes(fit.coefficients);
             let off = slopes.iter().zip([1.95, 1.65, 1.35]).map(|(q, p)| (q - p).abs());
