@@ -6,6 +6,7 @@ use common_commands::{costate, done, manufactured, scratch, sections_of};
 use costate::closed_loop::{Chart, Expansions};
 use costate::map::pieces::Pieces;
 use costate::map::{Coverage, Unknown, ValueMap};
+use costate::model::MAP_ERROR_MAX;
 use costate::result::Stored;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -179,7 +180,7 @@ fn rough_pieces_round_the_region_are_for_laws_alone() {
     let counts = |k: usize| {
         let mut with = whole.clone();
         with.pieces[k].bound = 1e3;
-        let without = with.clone().within(0.1);
+        let without = with.clone().within(MAP_ERROR_MAX);
         let of: Vec<&[f64; 2]> = places.iter().filter(|x| is_of(&with, x)).collect();
         let beside = of.iter().filter(|x| without.at(&x[..]).is_some()).count();
         beside.min(of.len() - beside)
@@ -188,7 +189,7 @@ fn rough_pieces_round_the_region_are_for_laws_alone() {
     beyond.pieces[rough].bound = 1e3;
     beyond.pieces[rough].coefficients[0] += 5.0;
     let after = beyond.clone();
-    let without = beyond.clone().within(0.1);
+    let without = beyond.clone().within(MAP_ERROR_MAX);
     let map = ValueMap::new(&scene.model, &scene.hamiltonian, known).unwrap();
     let mut answers = Expansions::default();
     map.expansions(2, places.as_flattened(), &mut answers);
@@ -414,10 +415,10 @@ fn a_budget_that_is_spent_is_said() {
     let (said, strict) = made("budget.h5", "");
     assert!(said.contains("not met in"), "{said}");
     assert!(
-        said.contains("nothing is said in") && said.contains("above 1.0e-1"),
+        said.contains("nothing is said in") && said.contains("above 2.0e-2"),
         "{said}"
     );
-    assert!(!strict.pieces.is_empty() && strict.pieces.iter().all(|p| p.bound <= 0.1));
+    assert!(!strict.pieces.is_empty() && strict.pieces.iter().all(|p| p.bound <= MAP_ERROR_MAX));
     let (_, lenient) = made("lenient.h5", "\nerror_max = 0.5");
     assert_eq!(strict.cells.len(), lenient.cells.len());
     assert!(lenient.pieces.len() > strict.pieces.len());

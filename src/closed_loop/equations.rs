@@ -54,12 +54,12 @@ impl Equations {
         let zero = graph.constant(0.0);
         let mut symbols: HashMap<Id, Deviation> = HashMap::new();
         for (symbol, at) in model.parameter_values() {
-            symbols.insert(symbol, Deviation { at, change: zero });
+            symbols.insert(symbol, Deviation::new(at, zero));
         }
         let mut inputs = Vec::new();
         for (state, &at) in model.states.iter().zip(model.reference()) {
             let change = graph.symbol(&format!("d_{}", state.variable.name), Kind::State);
-            symbols.insert(state.variable.symbol, Deviation { at, change });
+            symbols.insert(state.variable.symbol, Deviation::new(at, change));
             inputs.push(change);
         }
         let quadratic = forcing.and_then(|f| f.quadratic.as_ref());
@@ -70,12 +70,12 @@ impl Equations {
             None => Vec::new(),
         };
         for (&symbol, change) in hamiltonian.p.iter().zip(p) {
-            symbols.insert(symbol, Deviation { at: 0.0, change });
+            symbols.insert(symbol, Deviation::new(0.0, change));
         }
         let first = inputs.len();
         let motion = forcing.map(|_| Motion::new(model, hamiltonian, &mut graph));
         for &change in motion.iter().flat_map(|m| &m.components) {
-            symbols.insert(change, Deviation { at: 0.0, change });
+            symbols.insert(change, Deviation::new(0.0, change));
             inputs.push(change);
         }
         let forced = first..inputs.len();

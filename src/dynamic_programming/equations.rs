@@ -28,17 +28,17 @@ impl Equations {
         let mut graph = hamiltonian.graph.clone();
         let zero = graph.constant(0.0);
         let mut symbols: HashMap<Id, Deviation> = (model.parameter_values().into_iter())
-            .map(|(symbol, at)| (symbol, Deviation { at, change: zero }))
+            .map(|(symbol, at)| (symbol, Deviation::new(at, zero)))
             .collect();
         let mut inputs = Vec::new();
         for (state, &at) in model.states.iter().zip(model.reference()) {
             let change = graph.symbol(&format!("d_{}", state.variable.name), Kind::State);
-            symbols.insert(state.variable.symbol, Deviation { at, change });
+            symbols.insert(state.variable.symbol, Deviation::new(at, change));
             inputs.push(change);
         }
         for control in &model.controls {
             let change = control.variable.symbol;
-            symbols.insert(change, Deviation { at: 0.0, change });
+            symbols.insert(change, Deviation::new(0.0, change));
             inputs.push(change);
         }
         let roots: Vec<Id> = (model.dynamics.iter().map(|f| f.expr))

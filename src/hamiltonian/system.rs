@@ -100,22 +100,16 @@ impl System {
         let mut symbols: HashMap<Id, Deviation> = HashMap::new();
         let zero = graph.constant(0.0);
         for (symbol, value) in model.parameter_values() {
-            symbols.insert(
-                symbol,
-                Deviation {
-                    at: value,
-                    change: zero,
-                },
-            );
+            symbols.insert(symbol, Deviation::new(value, zero));
         }
         let mut inputs = Vec::new();
         for (state, &at) in model.states.iter().zip(model.reference()) {
             let s = graph.symbol(&format!("d_{}", state.variable.name), Kind::State);
-            symbols.insert(state.variable.symbol, Deviation { at, change: s });
+            symbols.insert(state.variable.symbol, Deviation::new(at, s));
             inputs.push(s);
         }
         for &p in &hamiltonian.p {
-            symbols.insert(p, Deviation { at: 0.0, change: p });
+            symbols.insert(p, Deviation::new(0.0, p));
             inputs.push(p);
         }
         let roots: Vec<Id> = (hamiltonian.state_rate.iter())

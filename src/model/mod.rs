@@ -144,10 +144,10 @@ pub struct MapGrid {
     pub span: Span,
 }
 
-/// Least and largest error that a map can be asked for, relative to V.
 /// Bound of a map above which nothing is said unless the scene has another, and how many errors asked for it is at least.
-pub const MAP_ERROR_MAX: f64 = 0.1;
+pub const MAP_ERROR_MAX: f64 = 0.02;
 pub const MAP_ERRORS_MAX: f64 = 10.0;
+/// Least and largest error that a map can be asked for, relative to V.
 pub const LEAST_MAP_ERROR: f64 = 1e-8;
 pub const MOST_MAP_ERROR: f64 = 0.1;
 /// States up to which a map to an error is made.

@@ -12,6 +12,8 @@ use std::time::Instant;
 /// Share of the budget before the last rounds, and that is worth no further round.
 const BEFORE_CLOSING: f64 = 0.88;
 pub(super) const ALL_BUT: f64 = 0.97;
+/// With such a bound a cell counts as a hole: the last states go there first.
+const WORTHLESS: f64 = 0.1;
 /// Failures in a cell after which no more states are tried there.
 const MOST_FAILURES: u32 = 6;
 /// Points that a frame is fitted to, about; from the fullest parts of the region they are drawn by lot.
@@ -50,7 +52,8 @@ impl Work<'_, '_> {
             // The last states are first for the holes that the rounds before have left between their new cells, and for cells
             // of which nothing would be said.
             closing = self.is_spent(BEFORE_CLOSING);
-            let asked = match closing.then(|| holes(&asked, self.aim.error_max / self.aim.error)) {
+            let most = self.aim.error_max.max(WORTHLESS) / self.aim.error;
+            let asked = match closing.then(|| holes(&asked, most)) {
                 Some(holes) if !holes.is_empty() => holes,
                 _ => asked,
             };
