@@ -15,12 +15,16 @@ struct Shown {
     over_bound: [f64; 3],
     /// States whose error is above the bound.
     above_bound: usize,
+    /// The state at which it is most above it.
+    worst: Option<Checked>,
     /// States without an answer for which the map says one.
     said_of_none: usize,
 }
 
 /// Share of fresh states whose error may be above the bound without a warning.
 const TOLERATED: f64 = 0.01;
+/// A single error that is so many times its bound is worth one.
+const GROSS: f64 = 3.0;
 /// A part of the region that is wider than this share of it along a variable is not told by that.
 const ALL_ALONG: f64 = 0.7;
 
@@ -40,6 +44,7 @@ fn shown(check: &[Checked], floor: f64) -> Shown {
         error: quantiles(&error),
         above_bound: over_bound.iter().filter(|o| **o > 1.0).count(),
         over_bound: quantiles(&over_bound),
+        worst: (known.iter().max_by(|a, b| over(a).total_cmp(&over(b)))).map(|c| (**c).clone()),
         said_of_none: (check.iter())
             .filter(|c| !c.solved.is_finite() && c.said.is_finite())
             // Where a guard excludes a state, look-ups say nothing.
@@ -151,9 +156,23 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
         shown.over_bound[1],
         shown.over_bound[2]
     ));
-    if shown.above_bound as f64 > TOLERATED * shown.known as f64 {
+    if shown.above_bound as f64 > TOLERATED * shown.known as f64 || shown.over_bound[2] > GROSS {
+        let worst = shown.worst.as_ref().map_or(String::new(), |worst| {
+            let names = variables(done, made);
+            let at: Vec<String> = names
+                .iter()
+                .zip(&worst.x)
+                .map(|(name, x)| format!("{name} = {x}"))
+                .collect();
+            format!(
+                " (at {} it is {:.2e}, with a bound of {:.1e})",
+                at.join(", "),
+                (worst.said - worst.solved).abs(),
+                worst.bound
+            )
+        });
         lines.push(format!(
-            "  WARNING: at {} of {} fresh states the error is above its bound: these bounds are not to be relied on; give more `states`",
+            "  WARNING: at {} of {} fresh states the error is above its bound{worst}: these bounds are not to be relied on; give more `states`",
             shown.above_bound, shown.known
         ));
     }

@@ -299,7 +299,18 @@ impl Stored {
         }
         let number = |name: &str| -> Result<f64, StoredError> {
             let found = group.f64(name)?.values;
-            found.first().copied().ok_or_else(|| group.error(name, "it is empty"))
+            let first = found.first().ok_or_else(|| group.error(name, "it is empty"))?;
+            match first.is_nan() {
+                true => Err(group.error(name, "it is no number")),
+                false => Ok(*first),
+            }
+        };
+        let bounds = |name: &str, count: usize| -> Result<Vec<f64>, StoredError> {
+            let all = group.shaped(name, &[count])?;
+            match all.iter().all(|b| *b >= 0.0) {
+                true => Ok(all),
+                false => Err(group.error(name, "a bound of an error is below 0 or no number")),
+            }
         };
         let region = Region {
             lo: group.shaped("lower", &[n])?,
@@ -324,6 +335,12 @@ impl Stored {
         let frame = Frame::new(group.shaped("origin", &[n])?, group.shaped("frame", &[n, n])?, bend)
             .ok_or_else(|| group.error("frame", "it has no inverse"))?;
         let (axis, below, above) = (group.i32("axis")?.1, group.i32("below")?.1, group.i32("above")?.1);
+        if let Some((name, _)) = [("below", &below), ("above", &above)]
+            .into_iter()
+            .find(|(_, v)| v.len() != axis.len())
+        {
+            return Err(group.error(name, "it does not fit the others"));
+        }
         let split = group.shaped("split", &[axis.len()])?;
         let owners = group.i32("of_cell")?.1;
         let count = owners.len();
@@ -340,7 +357,7 @@ impl Stored {
             true => group.shaped("clearance", &[count, margins])?,
             false => vec![f64::NAN; count * margins],
         };
-        let (bound, p_bound) = (group.shaped("V_bound", &[count])?, group.shaped("p_bound", &[count])?);
+        let (bound, p_bound) = (bounds("V_bound", count)?, bounds("p_bound", count)?);
         let whole = |name: &str| -> Result<Vec<i32>, StoredError> { Ok(group.i32(name)?.1) };
         let (shape, sheet, first, terms) = (whole("shape")?, whole("sheet")?, whole("first")?, whole("terms")?);
         let coefficients = group.f64("coefficients")?.values;

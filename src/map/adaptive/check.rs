@@ -82,7 +82,12 @@ impl Part {
             [nearest_rank(&along, 0.05), nearest_rank(&along, 0.95)]
         });
         Self {
-            share: states.len() as f64 / all as f64,
+            // Where guards leave nothing to look at nothing is known.
+            share: if all == 0 {
+                1.0
+            } else {
+                states.len() as f64 / all as f64
+            },
             bounds: bounds.collect(),
         }
     }
@@ -113,7 +118,7 @@ impl Work<'_, '_> {
         if let Some(guarded) = &self.guarded {
             looked_at = guarded.admitted(looked_at);
         }
-        let all = looked_at.len().max(1);
+        let all = looked_at.len();
         let region = &pieces.region;
         // Whether each meets the error, where anything is said.
         let meets = |here: Said| here.v_bound <= region.error * here.v.abs().max(region.floor);
@@ -134,7 +139,7 @@ impl Work<'_, '_> {
             }
         }
         Judged {
-            uncertain: uncertain as f64 / all as f64,
+            uncertain: uncertain as f64 / all.max(1) as f64,
             unmet: Part::of(&unmet, all),
             unknown: Part::of(&unknown, all),
             pieces,

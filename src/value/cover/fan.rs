@@ -1,6 +1,6 @@
 //! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked for.
 
-use super::goes_behind_guards;
+use super::{MOST_IN_CELLS, goes_behind_guards};
 use crate::backend::cpu::Evaluator;
 use crate::backend::{Backend, BackendError, By, Guards, Kernel, Run, Spec, Status, batch_limit};
 use crate::local::{LocalSolution, SeedChoice};
@@ -34,6 +34,8 @@ pub struct Trajectory {
     points: Vec<f32>,
     /// Where it ended, if that is not its last level: beyond, nothing is known.
     end: Option<Vec<f32>>,
+    /// Whether a guard ended it: then cells reach up to there.
+    at_guard: bool,
     /// Cost up to which it was integrated.
     ceiling: f64,
 }
@@ -54,6 +56,8 @@ pub struct Fan<'a> {
     /// Seeds half-way between two others; none where no number lies between.
     middles: FxHashMap<(u32, u32), Option<u32>>,
     trajectories: Vec<Option<Trajectory>>,
+    /// Whether cells reach up to the guards that end trajectories: those between levels of arc length.
+    cuts: bool,
     /// Numbers of a stored point.
     stride: usize,
     /// Rates of `(s, p, V)` and of the arc length, of `(s, p)`.
@@ -134,6 +138,7 @@ impl<'a> Fan<'a> {
             boundary: Vec::new(),
             middles: FxHashMap::default(),
             trajectories: Vec::new(),
+            cuts: finite.is_none() && n < MOST_IN_CELLS,
             stride: 2 + 2 * n,
             rates,
             integrated: 0,
@@ -253,6 +258,7 @@ impl<'a> Fan<'a> {
                 let last = points[points.len() - self.stride..].to_vec();
                 self.trajectories[*v as usize] = Some(Trajectory {
                     end: (!complete).then_some(if usable { end } else { last }),
+                    at_guard: usable && self.cuts && batch.status[i] == Status::Guard,
                     points,
                     ceiling,
                 });
@@ -266,19 +272,26 @@ impl<'a> Fan<'a> {
         let points = first_point(&self.surface.seed(&self.parameters[seed as usize]));
         Trajectory {
             end: Some(points.clone()),
+            at_guard: false,
             points,
             ceiling: f64::INFINITY,
         }
     }
 
     /// The point of a seed's trajectory at a level (0 is the seed), and whether the trajectory came that far: else it is the
-    /// one where it ended.
+    /// one where it ended. A guard that ended it on the way to the level stands for this.
     pub fn point(&self, seed: u32, level: usize) -> Option<(&[f32], bool)> {
         let trajectory = self.trajectories[seed as usize].as_ref()?;
         match trajectory.points.get(level * self.stride..(level + 1) * self.stride) {
             Some(point) => Some((point, true)),
-            None => trajectory.end.as_deref().map(|end| (end, false)),
+            None => (trajectory.end.as_deref()).map(|end| (end, self.is_cut(seed, level))),
         }
+    }
+
+    /// Whether a guard ended a seed's trajectory on the way to a level.
+    pub fn is_cut(&self, seed: u32, level: usize) -> bool {
+        let known = self.trajectories[seed as usize].as_ref();
+        known.is_some_and(|t| t.at_guard && level * self.stride == t.points.len())
     }
 
     /// The widest gap between two trajectories at the levels that both reach below a cost, where what is between them may
@@ -370,9 +383,10 @@ impl<'a> Fan<'a> {
         self.run.levels[level] - below
     }
 
-    /// Levels that a seed's trajectory reaches.
+    /// Levels that a seed's trajectory reaches; a guard that ends it counts as one.
     pub fn reached(&self, seed: u32) -> usize {
-        (self.trajectories[seed as usize].as_ref()).map_or(0, |t| t.points.len() / self.stride - 1)
+        (self.trajectories[seed as usize].as_ref())
+            .map_or(0, |t| t.points.len() / self.stride - usize::from(!t.at_guard))
     }
 }
 

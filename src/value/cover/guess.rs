@@ -90,7 +90,12 @@ impl Cover<'_> {
             return lower;
         }
         let upper = self.mixed(cell, place, cell.level + 1);
-        // A cubic along the trajectory: it is known how fast all changes at both levels.
+        // A cubic along the trajectory: it is known how fast all changes at both levels, and how far they are apart.
+        if cell.seeds.iter().any(|seed| self.fan.is_cut(*seed, cell.level + 1)) {
+            return (lower.iter().zip(&upper))
+                .map(|(a, b)| a + place.share * (b - a))
+                .collect();
+        }
         let (q, step) = (place.share, self.fan.step(cell.level));
         let rates = self.fan.along(&[lower.as_slice(), &upper].concat());
         let (below, above) = rates.split_at(lower.len());
