@@ -7,6 +7,7 @@ mod errands;
 mod first;
 mod horizon;
 mod points;
+mod probe;
 mod refine;
 mod search;
 
@@ -94,6 +95,9 @@ struct Work<'a, 'p> {
     unanswered: Vec<Hole>,
     /// Guards that a solution was seen to leave.
     shadows: Vec<bool>,
+    /// States (absolute) with V to be asked whether points near them promise less; and solutions that leave guards.
+    asked: Vec<(Vec<f64>, f64)>,
+    cut: Vec<Path>,
     guarded: Option<Guarded>,
     random: u64,
     states: usize,
@@ -162,6 +166,8 @@ pub fn adaptive(
         failures: HashMap::new(),
         unanswered: Vec::new(),
         shadows: vec![false; plan.system.guards.len()],
+        asked: Vec::new(),
+        cut: Vec::new(),
         guarded: Guarded::of(plan),
         random: 0x5eed,
         states: 0,

@@ -113,8 +113,30 @@ impl GridField {
         Some(field)
     }
 
-    /// Gives solutions without a label that of all others, where these have but one.
+    /// Gives solutions without a label, as those next to the equilibrium, that of the neighbours with which their V and p agree best,
+    /// from the outside inward; or that of all others, where these have but one.
     fn label(&mut self) {
+        let is_open = |sheet: &[i32], v: &[f64], k: usize| sheet[k] < 0 && v[k].is_finite();
+        let mut open: Vec<usize> = (0..self.v.len())
+            .filter(|k| is_open(&self.sheet, &self.v, *k))
+            .collect();
+        while !open.is_empty() {
+            let of = |k: usize| -> Option<(usize, i32)> {
+                let labelled = self
+                    .beside(k)
+                    .into_iter()
+                    .filter(|j| self.sheet[*j] >= 0 && self.v[*j].is_finite());
+                let best = labelled.map(|j| (self.contradiction(&[(k, 0.0), (j, 0.0)]), j));
+                let (_, j) = best.min_by(|a, b| a.0.total_cmp(&b.0))?;
+                Some((k, self.sheet[j]))
+            };
+            let found: Vec<(usize, i32)> = open.iter().filter_map(|k| of(*k)).collect();
+            if found.is_empty() {
+                break;
+            }
+            found.iter().for_each(|(k, sheet)| self.sheet[*k] = *sheet);
+            open.retain(|k| self.sheet[*k] < 0);
+        }
         let mut labels: Vec<i32> = self.sheet.iter().copied().filter(|s| *s >= 0).collect();
         labels.sort_unstable();
         labels.dedup();
@@ -123,23 +145,26 @@ impl GridField {
         }
     }
 
+    /// The points next to one along the axes.
+    fn beside(&self, k: usize) -> Vec<usize> {
+        let (mut stride, mut all) = (1, Vec::new());
+        for axis in self.axes.iter().rev() {
+            let place = k / stride % axis.len();
+            all.extend((place > 0).then(|| k - stride));
+            all.extend((place + 1 < axis.len()).then(|| k + stride));
+            stride *= axis.len();
+        }
+        all
+    }
+
     /// Gives single unknown points amid known ones the values that their neighbours foretell.
     fn close(&mut self) {
         let known = |k: usize| self.v[k].is_finite();
         let mut new = Vec::new();
         for k in (0..self.v.len()).filter(|k| !known(*k)) {
-            let (mut stride, mut around, mut unknown) = (1, 0, 0);
-            for axis in self.axes.iter().rev() {
-                let place = k / stride % axis.len();
-                let sides = [
-                    (place > 0).then(|| k - stride),
-                    (place + 1 < axis.len()).then(|| k + stride),
-                ];
-                for side in sides.into_iter().flatten() {
-                    if known(side) { around += 1 } else { unknown += 1 }
-                }
-                stride *= axis.len();
-            }
+            let beside = self.beside(k);
+            let around = beside.iter().filter(|j| known(**j)).count();
+            let unknown = beside.len() - around;
             if around >= 2
                 && unknown <= 1
                 && let Some(value) = self.foretold(k)
@@ -556,6 +581,26 @@ mod tests {
         }
         assert!(seen.iter().all(|s| *s > 200), "{seen:?}");
         assert!(field.at(&[2.1, 0.0]).is_none());
+    }
+
+    #[test]
+    fn what_has_no_label_is_of_the_sheet_it_agrees_with() {
+        let labelled = map(41);
+        let mut map = labelled.clone();
+        // Round the bottom of a well, and over to where the other is the cheaper one.
+        let mut open = 0;
+        for (k, x) in (0..map.v.len()).map(|k| (k, [k / 41, k % 41].map(|i| map.axes[0][i]))) {
+            if (x[0] - 0.6).hypot(x[1]) < 0.8 {
+                map.sheet[k] = -1;
+                open += 1;
+            }
+        }
+        let mut field = GridField::of_map(&map, 1, &[], f64::INFINITY);
+        field.label();
+        let wrong = (field.sheet.iter().zip(&labelled.sheet))
+            .filter(|(a, b)| a != b)
+            .count();
+        assert!(open > 150 && wrong == 0, "{wrong} of {open}");
     }
 
     #[test]

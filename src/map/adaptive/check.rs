@@ -197,6 +197,9 @@ impl Work<'_, '_> {
         region: &Region,
     ) -> Result<Vec<Want>, BackendError> {
         let more: Vec<Want> = wrong.iter().map(|c| self.want_around(pieces, c)).collect();
+        // A guard may have cut off what the map goes by there.
+        let too_low = wrong.iter().filter(|c| c.said < c.solved);
+        self.asked.extend(too_low.map(|c| (c.x.clone(), c.solved)));
         let mut states = Vec::new();
         for (want, c) in more.iter().zip(wrong) {
             states.extend(&c.x);

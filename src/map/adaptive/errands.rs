@@ -232,7 +232,7 @@ impl Work<'_, '_> {
     }
 
     /// Whether a point's track goes on from there: one at the end of a horizon is no guess of another.
-    fn goes_on(&self, k: u32) -> bool {
+    pub(super) fn goes_on(&self, k: u32) -> bool {
         let track = self.points.track[self.origins[k as usize].0 as usize];
         self.tracks[track as usize].path.segments() > 0
     }

@@ -29,6 +29,7 @@ impl Work<'_, '_> {
         let mut last: Option<(Instant, usize)> = None;
         let mut closing = false;
         loop {
+            self.probe(region.floor)?;
             if self.learn_shadows()? {
                 self.shade(region.floor)?;
                 before = None;
@@ -79,14 +80,17 @@ impl Work<'_, '_> {
         let cut: Vec<usize> = (0..self.unanswered.len())
             .filter(|k| self.unanswered[*k].cut.is_some())
             .collect();
-        let paths: Vec<Path> = cut.iter().filter_map(|k| self.unanswered[*k].cut.take()).collect();
+        let mut paths: Vec<Path> = cut.iter().filter_map(|k| self.unanswered[*k].cut.take()).collect();
+        paths.append(&mut self.cut);
         let margins = clearances(self.plan, self.solver, &paths.iter().collect::<Vec<_>>())?;
         let mut is_new = false;
-        for (k, margins) in cut.into_iter().zip(margins) {
-            for (shadow, margin) in self.shadows.iter_mut().zip(&margins) {
+        for margins in &margins {
+            for (shadow, margin) in self.shadows.iter_mut().zip(margins) {
                 is_new |= !*shadow && *margin < 0.0;
                 *shadow |= *margin < 0.0;
             }
+        }
+        for (k, margins) in cut.into_iter().zip(margins) {
             self.unanswered[k].clearances = margins;
         }
         Ok(is_new)

@@ -23,6 +23,11 @@ impl Work<'_, '_> {
             tracks.extend(found);
             for (number, target) in numbers.into_iter().zip(&answers.targets.of_given) {
                 given[number] = values[*target];
+                // Of V(x, 0) only states that are solved tell; where V depends on no time their trajectories do, too.
+                if self.tells_of_beginnings() && values[*target].is_finite() {
+                    let x = states[number * v..][..v].to_vec();
+                    self.asked.push((x, values[*target]));
+                }
                 if values[*target].is_nan() {
                     let cut = answers.misses[*target].as_ref().and_then(|m| m.cut.clone());
                     self.note(&states[number * v..][..v], (answers.status(*target), cut));
