@@ -1,5 +1,8 @@
 //! `costate solve` and `costate homotopy` as a user runs them: files in, files out, refusals.
 
+mod common_commands;
+
+use common_commands::{column_of, scratch};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -209,4 +212,44 @@ fn result_groups_open_in_xarray() {
         String::from_utf8_lossy(&checked.stdout),
         String::from_utf8_lossy(&checked.stderr)
     );
+}
+
+/// `v' = f(v) + w` with the cost `(v^2 + w^2)/2`: H = 0 gives `p = f + sqrt(f^2 + v^2)`, and V is its integral.
+#[test]
+fn what_saturates_or_vanishes_at_the_equilibrium_counts_elsewhere() {
+    let folder = scratch("solve_saturated");
+    let cases: [(&str, &str, fn(f64) -> f64); 4] = [
+        ("tanh", "tanh(40*(v - 0.5)) + tanh(20)", |v| {
+            (40.0 * (v - 0.5)).tanh() + 20f64.tanh()
+        }),
+        ("bump", "exp(-((v - 0.5)*60)^2)", |v| {
+            (-((v - 0.5) * 60.0).powi(2)).exp()
+        }),
+        ("bump_less_deep", "exp(-((v - 0.5)*54)^2)", |v| {
+            (-((v - 0.5) * 54.0).powi(2)).exp()
+        }),
+        ("logistic", "1/(1 + exp(50 - 100*v))", |v| {
+            1.0 / (1.0 + (50.0 - 100.0 * v).exp())
+        }),
+    ];
+    for (name, text, f) in cases {
+        let scene = format!(
+            "states = {{ v = {{}} }}\ncontrols = {{ w = {{}} }}\ndynamics = {{ v = \"{text} + w\" }}\n\
+             cost = {{ running = \"0.5*(v^2 + w^2)\" }}\nequilibrium = {{ v = 0, w = 0 }}\nregion = {{ v = [-1, 1] }}\n"
+        );
+        let found = column_of(&folder, name, &scene, ("v", &[[0.45], [0.5], [0.55]]), "V");
+        for (x, v) in [0.45, 0.5, 0.55].into_iter().zip(&found) {
+            // Simpson's rule, in parts much shorter than the layer.
+            let count = 20_000;
+            let p = |v: f64| f(v) + f(v).hypot(v);
+            let h = x / f64::from(count);
+            let sum: f64 = (0..count)
+                .map(|k| h * f64::from(k))
+                .map(|a| p(a) + 4.0 * p(a + 0.5 * h) + p(a + h))
+                .sum();
+            let right = sum * h / 6.0;
+            let v: f64 = v.parse().unwrap();
+            assert!((v - right).abs() < 1e-8 * right, "{name}, {x}: {v} instead of {right}");
+        }
+    }
 }

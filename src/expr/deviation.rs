@@ -65,6 +65,14 @@ impl Graph {
                 Node::Binary(op, a, b) => self.deviate_binary(op, memo[&a], memo[&b]),
             };
             let whole = self.direct(self.node(id), &value, &memo);
+            // What is no longer wide is not a difference of what is.
+            let value = match (whole, self.node(id)) {
+                (Some(whole), Node::Binary(Op::Div | Op::Pow, ..) | Node::Unary(Fun::Log | Fun::Log1p, _)) => {
+                    self.plain(value.at, whole)
+                }
+                (Some(whole), Node::Powi(_, ..0)) => self.plain(value.at, whole),
+                _ => value,
+            };
             memo.insert(id, Deviation { whole, ..value });
         }
         roots.iter().map(|r| memo[r]).collect()
@@ -82,7 +90,7 @@ impl Graph {
     /// what is made of these.
     fn direct(&mut self, node: Node, value: &Deviation, of: &HashMap<Id, Deviation>) -> Option<Id> {
         let is_wide = |a: Id| of[&a].whole.is_some();
-        if value.at == 0.0 || self.is_zero(value.change) {
+        if value.at == 0.0 {
             return None;
         }
         match node {
@@ -93,6 +101,7 @@ impl Graph {
             }
             Node::Unary(f, a) => {
                 let exponential = match f {
+                    _ if self.is_zero(of[&a].change) => false,
                     Fun::Exp | Fun::Expm1 => of[&a].at > WIDE,
                     Fun::Sinh | Fun::Cosh => of[&a].at.abs() > WIDE,
                     _ => false,
@@ -380,6 +389,29 @@ mod tests {
             g.div(one, sum)
         };
         assert!(worst(logistic, same, |x| 1.0 / (1.0 + x.exp())) < 1e-12);
+        // Its derivative, as the other way round.
+        let slope = |g: &mut Graph, x: Id| {
+            let (one, e) = (g.constant(1.0), g.unary(Fun::Exp, x));
+            let sum = g.add(one, e);
+            let square = g.powi(sum, 2);
+            g.div(e, square)
+        };
+        let exact = |x: f64| (0.5 / (0.5 * x).cosh()).powi(2);
+        assert!(worst(slope, same, exact) < 1e-12);
+        // Of two quotients: to the rounding of what is as large as itself where it is largest.
+        let derived = |g: &mut Graph, x: Id| {
+            let of = logistic(g, x);
+            let (one, slope) = (g.constant(1.0), g.diff(of, x));
+            g.sub(one, slope)
+        };
+        assert!(worst(derived, same, |x| 1.0 + exact(x)) < 1e-12);
+        let logarithm = |g: &mut Graph, x: Id| {
+            let (one, e) = (g.constant(1.0), g.unary(Fun::Exp, x));
+            let sum = g.add(one, e);
+            let log = g.unary(Fun::Log, sum);
+            g.add(one, log)
+        };
+        assert!(worst(logarithm, same, |x| 1.0 + x.max(0.0) + (-x.abs()).exp().ln_1p()) < 1e-12);
         // exp(-x^2), of which nothing is left beyond 27.
         let bump = |g: &mut Graph, x: Id| {
             let square = g.powi(x, 2);
