@@ -218,7 +218,8 @@ fn result_groups_open_in_xarray() {
 #[test]
 fn what_saturates_or_vanishes_at_the_equilibrium_counts_elsewhere() {
     let folder = scratch("solve_saturated");
-    let cases: [(&str, &str, fn(f64) -> f64); 4] = [
+    type Drift = fn(f64) -> f64;
+    let cases: [(&str, &str, Drift); 4] = [
         ("tanh", "tanh(40*(v - 0.5)) + tanh(20)", |v| {
             (40.0 * (v - 0.5)).tanh() + 20f64.tanh()
         }),
