@@ -3,6 +3,8 @@
 use crate::map::{Value, ValueMap};
 use crate::trajectories::{SolvedGrid, SolvedStates};
 use rayon::prelude::*;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 
 /// What is known of the value function at a state.
 #[derive(Clone, Debug, PartialEq)]
@@ -113,29 +115,26 @@ impl GridField {
         Some(field)
     }
 
-    /// Gives solutions without a label, as those next to the equilibrium, that of the neighbours with which their V and p agree best,
-    /// from the outside inward; or that of all others, where these have but one.
+    /// Gives solutions without a label, as those next to the equilibrium, that of a neighbour, first those whose V and p agree best
+    /// with its; or that of all others, where these have but one.
     fn label(&mut self) {
-        let is_open = |sheet: &[i32], v: &[f64], k: usize| sheet[k] < 0 && v[k].is_finite();
-        let mut open: Vec<usize> = (0..self.v.len())
-            .filter(|k| is_open(&self.sheet, &self.v, *k))
-            .collect();
-        while !open.is_empty() {
-            let of = |k: usize| -> Option<(usize, i32)> {
-                let labelled = self
-                    .beside(k)
-                    .into_iter()
-                    .filter(|j| self.sheet[*j] >= 0 && self.v[*j].is_finite());
-                let best = labelled.map(|j| (self.contradiction(&[(k, 0.0), (j, 0.0)]), j));
-                let (_, j) = best.min_by(|a, b| a.0.total_cmp(&b.0))?;
-                Some((k, self.sheet[j]))
-            };
-            let found: Vec<(usize, i32)> = open.iter().filter_map(|k| of(*k)).collect();
-            if found.is_empty() {
-                break;
+        let mut offers = BinaryHeap::new();
+        // Contradictions are not negative: their bits are in their order.
+        let offer = |field: &Self, offers: &mut BinaryHeap<_>, from: usize| {
+            let open = field.beside(from).into_iter();
+            for k in open.filter(|k| field.sheet[*k] < 0 && field.v[*k].is_finite()) {
+                let off = field.contradiction(&[(k, 0.0), (from, 0.0)]);
+                offers.push(Reverse((off.to_bits(), k, field.sheet[from])));
             }
-            found.iter().for_each(|(k, sheet)| self.sheet[*k] = *sheet);
-            open.retain(|k| self.sheet[*k] < 0);
+        };
+        for k in (0..self.v.len()).filter(|k| self.sheet[*k] >= 0 && self.v[*k].is_finite()) {
+            offer(self, &mut offers, k);
+        }
+        while let Some(Reverse((_, k, sheet))) = offers.pop() {
+            if self.sheet[k] < 0 {
+                self.sheet[k] = sheet;
+                offer(self, &mut offers, k);
+            }
         }
         let mut labels: Vec<i32> = self.sheet.iter().copied().filter(|s| *s >= 0).collect();
         labels.sort_unstable();
