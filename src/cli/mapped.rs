@@ -2,7 +2,7 @@
 
 use super::report::{Done, quantiles};
 use crate::map::pieces::Region;
-use crate::map::{Adaptive, Beyond, Checked, Part};
+use crate::map::{ABOVE_BOUND, Adaptive, Beyond, Checked, GROSS, Part};
 use crate::model::MOST_MAP_STATES;
 use crate::value::PointStatus;
 
@@ -21,10 +21,6 @@ struct Shown {
     said_of_none: usize,
 }
 
-/// Share of fresh states whose error may be above the bound without a warning.
-const TOLERATED: f64 = 0.01;
-/// A single error that is so many times its bound is worth one.
-const GROSS: f64 = 3.0;
 /// A part of the region that is wider than this share of it along a variable is not told by that.
 const ALL_ALONG: f64 = 0.7;
 
@@ -156,7 +152,7 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
         shown.over_bound[1],
         shown.over_bound[2]
     ));
-    if shown.above_bound as f64 > TOLERATED * shown.known as f64 || shown.over_bound[2] > GROSS {
+    if shown.above_bound as f64 > ABOVE_BOUND * shown.known as f64 || shown.over_bound[2] > GROSS {
         let worst = shown.worst.as_ref().map_or(String::new(), |worst| {
             let names = variables(done, made);
             let at: Vec<String> = names

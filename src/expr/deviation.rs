@@ -67,10 +67,10 @@ impl Graph {
             let whole = self.direct(self.node(id), &value, &memo);
             // What is no longer wide is not a difference of what is.
             let value = match (whole, self.node(id)) {
-                (Some(whole), Node::Binary(Op::Div | Op::Pow, ..) | Node::Unary(Fun::Log | Fun::Log1p, _)) => {
-                    self.plain(value.at, whole)
-                }
-                (Some(whole), Node::Powi(_, ..0)) => self.plain(value.at, whole),
+                (
+                    Some(whole),
+                    Node::Binary(Op::Div | Op::Pow, ..) | Node::Unary(Fun::Log | Fun::Log1p, _) | Node::Powi(_, ..0),
+                ) => self.plain(value.at, whole),
                 _ => value,
             };
             memo.insert(id, Deviation { whole, ..value });
@@ -122,14 +122,7 @@ impl Graph {
                     return None;
                 }
                 let (a, b) = (self.whole(of[&a]), self.whole(of[&b]));
-                Some(match op {
-                    Op::Add => self.add(a, b),
-                    Op::Sub => self.sub(a, b),
-                    Op::Mul => self.mul(a, b),
-                    Op::Div => self.div(a, b),
-                    Op::Pow => self.pow(a, b),
-                    Op::Min | Op::Max => self.binary(op, a, b),
-                })
+                Some(self.binary(op, a, b))
             }
             Node::Binary(..) => None,
         }

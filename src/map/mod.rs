@@ -30,7 +30,7 @@ pub mod pieces;
 mod sites;
 mod swift;
 
-pub use adaptive::{Adaptive, Beyond, Checked, Part, adaptive};
+pub use adaptive::{ABOVE_BOUND, Adaptive, Beyond, Checked, GROSS, Part, adaptive};
 pub use coverage::{Coverage, Fronts};
 pub use device::{DeviceError, DeviceMap};
 pub use known::{Known, SweepRecord};

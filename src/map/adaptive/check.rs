@@ -13,14 +13,14 @@ pub(super) const CHECKS: usize = 4;
 /// Times of fresh states, where time is an axis.
 const TIMES: usize = 8;
 /// Share of fresh states whose error may be above the bound.
-const ABOVE_BOUND: f64 = 0.01;
+pub const ABOVE_BOUND: f64 = 0.01;
 /// With a limit of seconds: fresh states of the first batch, and the share of the limit that all of them may take about.
 const FIRST_CHECKED: usize = 16;
 const CHECK_SHARE: f64 = 0.25;
 /// V above that of all points by more than this share is not known.
 const ABOVE_POINTS: f64 = 0.5;
 /// So many times its bound the error of one alone is too much.
-const GROSS: f64 = 3.0;
+pub const GROSS: f64 = 3.0;
 /// States in a cell that a fresh state has shown to be wrong, which are searched for all sheets.
 const SEARCHED: usize = 4;
 /// Draws of a fresh state, where guards exclude states.

@@ -103,7 +103,7 @@ impl Work<'_, '_> {
 
     /// Solves for the states along the ways from points near them.
     fn go(&mut self, errands: Vec<Errand>, region: &Region) -> Result<(), BackendError> {
-        let guesses: Vec<_> = errands.iter().map(|e| self.way(e)).collect();
+        let guesses: Vec<_> = errands.iter().map(|e| self.way(&e.x, e.from)).collect();
         let found = solve_near(self.plan, self.solver, guesses, LEAST_STEP)?;
         let mut tracks = Vec::new();
         let most = self.most_value();

@@ -167,15 +167,15 @@ impl Work<'_, '_> {
         n.iter().zip(&errand.half).map(|(r, h)| (r * h).abs()).sum()
     }
 
-    /// The state of an errand, and the path to begin with.
-    pub(super) fn way(&self, errand: &Errand) -> (Vec<f64>, Path) {
-        let mut path = self.guess(errand.from);
+    /// A state, without its time and as many periods away as a point of the cloud, and the path from that point to begin with.
+    pub(super) fn way(&self, x: &[f64], from: u32) -> (Vec<f64>, Path) {
+        let mut path = self.guess(from);
         let Some(axis) = &self.axis else {
-            return (errand.x.clone(), path);
+            return (x.to_vec(), path);
         };
-        let n = errand.x.len() - 1;
-        path.set_horizon(axis.last - errand.x[n]);
-        (errand.x[..n].to_vec(), path)
+        let n = x.len() - 1;
+        path.set_horizon(axis.last - x[n]);
+        (x[..n].to_vec(), path)
     }
 
     /// Takes out errands to the end of the horizon: there nothing is solved.

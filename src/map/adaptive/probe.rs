@@ -3,7 +3,6 @@
 
 use super::Work;
 use crate::backend::BackendError;
-use crate::shooting::Path;
 use crate::value::{Track, solve_near};
 
 /// States that are asked at once.
@@ -38,7 +37,12 @@ impl Work<'_, '_> {
         if asked.is_empty() {
             return Ok(());
         }
-        let guesses = asked.iter().map(|(x, _, from)| self.onward(x, *from)).collect();
+        let guess = |(x, _, from): &(Vec<f64>, f64, u32)| {
+            let shift = &self.origins[*from as usize].1;
+            let moved: Vec<f64> = x.iter().zip(shift).map(|(x, s)| x - s).collect();
+            self.way(&moved, *from)
+        };
+        let guesses = asked.iter().map(guess).collect();
         let mut tracks = Vec::new();
         for ((_, v, from), found) in asked
             .iter()
@@ -85,17 +89,5 @@ impl Work<'_, '_> {
             .filter(|(promised, _)| *promised < v - LESS * v.abs().max(floor))
             .min_by(|a, b| a.0.total_cmp(&b.0))
             .map(|(_, k)| k)
-    }
-
-    /// A state, as many periods away as a point, and the path from that point to begin with.
-    fn onward(&self, x: &[f64], from: u32) -> (Vec<f64>, Path) {
-        let shift = &self.origins[from as usize].1;
-        let mut x: Vec<f64> = x.iter().zip(shift).map(|(x, s)| x - s).collect();
-        let mut path = self.guess(from);
-        if let Some(axis) = &self.axis {
-            let t = x.pop().expect("time is the last");
-            path.set_horizon(axis.last - t);
-        }
-        (x, path)
     }
 }

@@ -56,8 +56,6 @@ pub struct Fan<'a> {
     /// Seeds half-way between two others; none where no number lies between.
     middles: FxHashMap<(u32, u32), Option<u32>>,
     trajectories: Vec<Option<Trajectory>>,
-    /// Whether cells reach up to the guards that end trajectories: those between levels of arc length.
-    cuts: bool,
     /// Numbers of a stored point.
     stride: usize,
     /// Rates of `(s, p, V)` and of the arc length, of `(s, p)`.
@@ -138,7 +136,6 @@ impl<'a> Fan<'a> {
             boundary: Vec::new(),
             middles: FxHashMap::default(),
             trajectories: Vec::new(),
-            cuts: finite.is_none() && n < MOST_IN_CELLS,
             stride: 2 + 2 * n,
             rates,
             integrated: 0,
@@ -228,6 +225,8 @@ impl<'a> Fan<'a> {
         }
         self.run.ceiling = ceiling.is_finite().then_some((2 * n, ceiling));
         let dim = 2 * n + 2;
+        // Cells between levels of arc length reach up to the guards that end trajectories.
+        let cuts = self.plan.system.terminal.is_none() && n < MOST_IN_CELLS;
         for part in wanted.chunks(batch_limit(dim, self.run.levels.len())) {
             let mut starts = Vec::with_capacity(part.len() * dim);
             for v in part {
@@ -258,7 +257,7 @@ impl<'a> Fan<'a> {
                 let last = points[points.len() - self.stride..].to_vec();
                 self.trajectories[*v as usize] = Some(Trajectory {
                     end: (!complete).then_some(if usable { end } else { last }),
-                    at_guard: usable && self.cuts && batch.status[i] == Status::Guard,
+                    at_guard: usable && cuts && batch.status[i] == Status::Guard,
                     points,
                     ceiling,
                 });
