@@ -67,6 +67,16 @@ pub struct SolvedStates {
     pub point: Vec<i32>,
     /// Codes of [`PointStatus`](crate::value::PointStatus); empty where there are none.
     pub status: Vec<i32>,
+    /// What is known of their errors if they were interpolated; empty where all of them were solved for.
+    pub errors: Vec<ToldErrors>,
+}
+
+/// Errors of an interpolated value: of V, and of p relative to its largest component, each times the region's width. NaN
+/// where they are not known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToldErrors {
+    pub v: f64,
+    pub p: f64,
 }
 
 /// Solutions on a regular grid.
@@ -81,4 +91,6 @@ pub struct SolvedGrid {
     pub sheet: Vec<i32>,
     /// Codes of [`PointStatus`](crate::value::PointStatus); empty where there are none.
     pub status: Vec<i32>,
+    /// As in [`SolvedStates`].
+    pub errors: Vec<ToldErrors>,
 }

@@ -455,6 +455,45 @@ fn the_first_search_keeps_within_the_budget() {
     }
 }
 
+/// States that are hard to solve for are given up, and that is said.
+#[test]
+fn seconds_end_a_search_that_goes_on_and_on() {
+    const HARD: &str = r#"
+        states = { a = { period = 6.283185307179586 }, b = { period = 6.283185307179586 }, c = {}, va = {}, vb = {}, vc = {} }
+        controls = { u = { min = -1, max = 1 }, v = { min = -1, max = 1 } }
+        equilibrium = { a = 0, b = 0, c = 0, va = 0, vb = 0, vc = 0, u = 0, v = 0 }
+        region = { a = [-3.2, 3.2], b = [-3.2, 3.2], c = [-3, 3], va = [-8, 8], vb = [-8, 8], vc = [-5, 5] }
+        map = { error = 1e-2, seconds = 1e-3, check = 100 }
+        [dynamics]
+        a = "va"
+        b = "vb"
+        c = "vc"
+        va = "5*sin(a) + u"
+        vb = "5*sin(b) + v - 0.1*va*vb"
+        vc = "-c^3 + 0.3*u + sin(a - b)"
+        [cost]
+        running = "sin(a/2)^2 + sin(b/2)^2 + c^2 + 0.5*(va^2 + vb^2 + vc^2 + u^2 + v^2)"
+    "#;
+    let scene = folder().join("hard.toml");
+    std::fs::write(&scene, HARD).unwrap();
+    let out = scene.with_extension("h5");
+    let arguments = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
+    let said = done(costate(&[&arguments[..], &[out.as_ref(), scene.as_ref()]].concat()));
+    assert!(
+        said.contains("the budget ended the first search after 0 of its"),
+        "{said}"
+    );
+    assert!(
+        said.contains("no fresh state could be solved for in `seconds`"),
+        "{said}"
+    );
+    assert!(said.contains("nothing is said in 100.00 % of the region"), "{said}");
+    // Nothing is known to those who ask, and they are told so.
+    let asked = costate(&["value".as_ref(), out.as_os_str(), "--at".as_ref(), "a=0.1".as_ref()]);
+    assert_eq!(asked.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&asked.stderr).contains("holds no values"));
+}
+
 #[test]
 fn the_seed_draws_other_states_for_the_check() {
     let scene = scene("manufactured", "error = 1e-3\ncheck = 7");

@@ -274,6 +274,7 @@ fn all_that_pieces_can_be() {
         check_asked: 0,
         states: 0,
         failed: 0,
+        above_max: 0,
         points: 0,
         rounds: 0,
         first: [0; 2],

@@ -483,6 +483,56 @@ fn tables_have_a_column_of_times(directory: &Path, file: &Path) {
     }
 }
 
+/// The end costs 0.2 cos 2y, and the way there half of its length squared over the time `left` (Hopf and Lax).
+fn waves(x: f64, left: f64) -> f64 {
+    let slope = |y: f64| -0.4 * (2.0 * y).sin() + (y - x) / left;
+    // No characteristics meet: the slope by the end rises.
+    let (mut low, mut high) = (x - 0.5, x + 0.5);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if slope(middle) > 0.0 {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    let y = 0.5 * (low + high);
+    0.2 * (2.0 * y).cos() + (x - y).powi(2) / (2.0 * left)
+}
+
+/// Where V is 0 in the midst of a region its error relative to V says nothing of places nearer to there.
+#[test]
+fn bounds_hold_where_v_changes_its_sign() {
+    let directory = scratch("signs");
+    for (name, floor) in [("own", ""), ("low", "floor = 1e-3")] {
+        let scene = format!(
+            "states = {{ x = {{}} }}\ncontrols = {{ u = {{}} }}\ndynamics = {{ x = \"u\" }}\nregion = {{ x = [-3, 3] }}\n\
+             cost = {{ running = \"0.5*u^2\", terminal = \"0.2*cos(2*x)\", final_time = 1.0 }}\n\
+             [map]\nerror = 1e-3\ncheck = 20\n{floor}\n"
+        );
+        let folder = directory.join(name);
+        std::fs::create_dir_all(&folder).unwrap();
+        let file = made(&folder, &scene);
+        let map = Stored::open(&file).unwrap().value_map().unwrap();
+        let (mut over, mut negative) = (Vec::new(), 0);
+        for [x, t] in spread([[-3.0, 3.0], [0.0, 0.999]], 4000) {
+            let Ok(here) = map.at_time(&[x], t).lowest else {
+                continue;
+            };
+            negative += usize::from(here.v < 0.0);
+            over.push((here.v - waves(x, 1.0 - t)).abs() / here.v_error);
+        }
+        println!(
+            "{name}: {} known, {negative} below 0, error over bound {:.2} (99 %), {:.2} at most",
+            over.len(),
+            quantile(&over, 0.99),
+            quantile(&over, 1.0)
+        );
+        assert!(over.len() > 3900 && negative > 1000);
+        assert!(quantile(&over, 0.99) < 1.0 && quantile(&over, 1.0) < 3.0);
+    }
+}
+
 /// Files that `costate value` wrote of several times: V(x, 0) is taken from their rows at t = 0, or none is.
 fn written_values_are_read_at_the_beginning(directory: &Path, file: &Path) {
     let write = |name: &str, arguments: &[&str]| {

@@ -212,6 +212,50 @@ fn what_is_not_known_is_said() {
     assert!((at.u[0] + 9.81 * 1.5f64.sin()).abs() < 1e-12);
 }
 
+/// A file of interpolated values says these again with the errors that they were told with, and nothing between them: no error
+/// that they show would include their own.
+#[test]
+fn values_of_values_are_those_alone() {
+    let text = std::fs::read_to_string(scenario("manufactured")).unwrap();
+    let scene = folder().join("manufactured-coarse.toml");
+    let end = ["[shoot_out]", "[homotopy]", "[map]"];
+    let cut = end.iter().filter_map(|section| text.find(section)).min().unwrap();
+    std::fs::write(&scene, format!("{}\n[map]\nerror = 2e-2\ncheck = 5\n", &text[..cut])).unwrap();
+    let map = made("coarse", "homotopy", &scene);
+    let exact = Stored::open(&map).unwrap().value_map().unwrap();
+    let grid = folder().join("coarse-grid.h5");
+    done(costate::<&dyn AsRef<OsStr>>(&[
+        &"value",
+        &map,
+        &"--grid",
+        &"x=-1:1:41,y=-1:1:41",
+        &"--out",
+        &grid,
+    ]));
+    let stored = Stored::open(&grid).unwrap();
+    let told = stored.map().unwrap().unwrap();
+    assert_eq!(told.errors.len(), 41 * 41);
+    let again = stored.value_map().unwrap();
+    for k in [0, 10 * 41 + 30, 40 * 41 + 3] {
+        let x = [told.axes[0][k / 41], told.axes[1][k % 41]];
+        let (here, there) = (again.at(&x).lowest.unwrap(), exact.at(&x).lowest.unwrap());
+        assert_eq!(
+            (here.v, here.v_error, here.p_error),
+            (there.v, there.v_error, there.p_error)
+        );
+        assert_eq!((here.solved, here.p, here.u), (0, there.p, there.u));
+        assert!(here.u_error >= there.u_error * (1.0 - 1e-9) && here.u_error.is_finite());
+    }
+    for [a, b] in spread(200) {
+        let x = [2.0 * a - 1.0, 2.0 * b - 1.0];
+        match again.at(&x).lowest {
+            // Next to the equilibrium the series says V.
+            Ok(here) => assert!(here.sites == 0 && x[0].hypot(x[1]) < 0.5, "{x:?}"),
+            Err(why) => assert_eq!(why, Unknown::Between),
+        }
+    }
+}
+
 #[test]
 fn tables_grids_and_json_agree() {
     let file = pendulum();

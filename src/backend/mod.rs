@@ -10,6 +10,7 @@ pub mod gpu;
 
 use crate::model::{Method, Precision};
 use crate::program::Program;
+use std::time::Instant;
 
 /// What a kernel is compiled for.
 #[derive(Clone, Debug)]
@@ -210,6 +211,24 @@ pub enum BackendError {
         "one trajectory of {bytes} bytes does not fit the adapter's limit of {limit} bytes a buffer; ask for fewer samples"
     )]
     TooLarge { bytes: u64, limit: u64 },
+    /// Work with a [`Deadline`] was given up; what it had found is lost.
+    #[error("the time given is over")]
+    OutOfTime,
+}
+
+/// When work is given up. Loops look at it where they hand work to a device.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Deadline(pub Option<Instant>);
+
+impl Deadline {
+    /// # Errors
+    /// [`BackendError::OutOfTime`] once it has passed.
+    pub fn check(self) -> Result<(), BackendError> {
+        match self.0 {
+            Some(end) if Instant::now() > end => Err(BackendError::OutOfTime),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Something that can compile kernels.

@@ -90,6 +90,28 @@ impl Beside {
             stem: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         }
     }
+
+    /// Whether the files can be written there, as far as can be told before: fitting takes long.
+    fn check(&self, scene: &Model, laws: &[Feedback]) -> Result<(), CliError> {
+        let above = self.directory.ancestors().find(|d| d.exists());
+        if let Some(place) = above.filter(|place| !place.is_dir()) {
+            return Err(CliError::OutDir {
+                path: self.directory.clone(),
+                source: std::io::Error::other(format!("{} is not a directory", place.display())),
+            });
+        }
+        for law in laws {
+            let weights = self.directory.join(format!("{}_{}.toml", self.stem, law.name));
+            let scene = std::fs::canonicalize(&scene.file_name);
+            if scene.is_ok_and(|s| std::fs::canonicalize(&weights).is_ok_and(|w| w == s)) {
+                return Err(CliError::OverScene {
+                    name: law.name.clone(),
+                    path: weights,
+                });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws' files to where they go.
@@ -100,6 +122,7 @@ pub(super) fn fit_laws(
     beside: &Beside,
     terminal: &Terminal,
 ) -> Result<Done, CliError> {
+    beside.check(scene, laws)?;
     let sizes = (stored.scene.model.states.len(), stored.scene.model.controls.len());
     let samples = Samples::new(sizes, stored.trajectories()?.as_ref(), stored.points()?.as_ref());
     let mapped = is_mapped(stored);
@@ -136,16 +159,6 @@ pub(super) fn fit_laws(
             path: directory.clone(),
             source,
         })?;
-    }
-    for law in &fitted.laws {
-        let weights = directory.join(format!("{}_{}.toml", beside.stem, law.name));
-        let scene = std::fs::canonicalize(&scene.file_name);
-        if scene.is_ok_and(|s| std::fs::canonicalize(&weights).is_ok_and(|w| w == s)) {
-            return Err(CliError::OverScene {
-                name: law.name.clone(),
-                path: weights,
-            });
-        }
     }
     let exports = fitted.export(directory, &beside.stem, &stored.scene.model)?;
     Ok(Done { fitted, exports })

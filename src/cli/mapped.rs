@@ -5,6 +5,7 @@ use crate::map::pieces::Region;
 use crate::map::{ABOVE_BOUND, Adaptive, Beyond, Checked, GROSS, Part};
 use crate::model::MOST_MAP_STATES;
 use crate::value::PointStatus;
+use std::collections::BTreeMap;
 
 /// What fresh states show: of those with an answer how many are known, errors relative to max(V, floor), and to the bound.
 struct Shown {
@@ -17,8 +18,8 @@ struct Shown {
     above_bound: usize,
     /// The state at which it is most above it.
     worst: Option<Checked>,
-    /// States without an answer for which the map says one.
-    said_of_none: usize,
+    /// States without an answer for which the map says one, by why they have none.
+    said_of_none: BTreeMap<PointStatus, usize>,
 }
 
 /// A part of the region that is wider than this share of it along a variable is not told by that.
@@ -45,7 +46,10 @@ fn shown(check: &[Checked], floor: f64) -> Shown {
             .filter(|c| !c.solved.is_finite() && c.said.is_finite())
             // Where a guard excludes a state, look-ups say nothing.
             .filter(|c| !matches!(c.status, PointStatus::AboveMax | PointStatus::OutsideGuard))
-            .count(),
+            .fold(BTreeMap::new(), |mut counts, c| {
+                *counts.entry(c.status).or_default() += 1;
+                counts
+            }),
     }
 }
 
@@ -68,22 +72,43 @@ fn mostly(names: &[String], part: &Part, region: &Region) -> String {
     }
 }
 
+/// How many states were tried in vain, and why, in brackets.
+fn failures(made: &Adaptive) -> String {
+    let reasons = [
+        (
+            made.failed - made.above_max,
+            "to which the ways tried led to no solution",
+        ),
+        (made.above_max, "of V above `value_max`"),
+    ];
+    let told: Vec<String> = reasons
+        .iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, why)| format!("{count} more {why}"))
+        .collect();
+    match told.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", told.join(", ")),
+    }
+}
+
 pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
     let region = &made.pieces.region;
     let mut lines = vec![format!(
-        "{}: {} pieces in {} cells, from {} points along the trajectories of {} states ({} more had no answer), {} rounds, {:.1} s",
+        "{}: {} pieces in {} cells, from {} points along the trajectories of {} states{}, {} rounds, {:.1} s",
         of_what(done, made),
         made.pieces.pieces.len(),
         made.pieces.cells.len(),
         made.points,
         made.states,
-        made.failed,
+        failures(made),
         made.rounds,
         made.seconds
     )];
     if made.first[0] < made.first[1] {
         lines.push(format!(
-            "  the budget ended the first search after {} of its {} states: give more `states` or `seconds`",
+            "  the budget ended the first search after {} of its {} states, so a cheaper sheet may have been missed: give more `states` or \
+             `seconds`",
             made.first[0], made.first[1]
         ));
     }
@@ -116,14 +141,18 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
         lines.push(match made.spent {
             true => "  the budget was spent: with more `states` or `seconds` the error is met in more of it".to_owned(),
             false => format!(
-                "  more states would not help: of those tried there {} had no answer, and cells with too many of them are left",
-                made.failed
+                "  more states would not help: cells with too many of those that were tried in vain are left{}",
+                failures(made)
             ),
         });
     } else {
         lines.push(format!("{asked}: met by its own measure"));
     }
     if made.check.is_empty() {
+        if made.check_asked > 0 {
+            lines
+                .push("  no fresh state could be solved for in `seconds`: nothing checks what the map says".to_owned());
+        }
         return lines;
     }
     let shown = shown(&made.check, made.pieces.region.floor);
@@ -172,14 +201,28 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
             shown.above_bound, shown.known
         ));
     }
-    if shown.said_of_none > 0 {
-        lines.push(format!(
-            "  WARNING: at {} fresh states without an answer the map says one",
-            shown.said_of_none
-        ));
-    }
+    lines.extend(of_none(&shown.said_of_none));
     lines.extend(made.beyond.as_ref().map(|beyond| of_beyond(done, beyond)));
     lines
+}
+
+/// Fresh states for which no solution was found, and of which the map says V.
+fn of_none(statuses: &BTreeMap<PointStatus, usize>) -> Vec<String> {
+    // A search may fail where there is a solution; where one meets a guard or a fold there is none.
+    let shows = |status: PointStatus| matches!(status, PointStatus::LeavesGuard | PointStatus::Fold);
+    let listed = |shown: bool| -> Option<String> {
+        let some: Vec<String> = (statuses.iter())
+            .filter(|(status, _)| shows(**status) == shown)
+            .map(|(status, count)| format!("{count} {}", status.name()))
+            .collect();
+        (!some.is_empty()).then(|| some.join(", "))
+    };
+    let without =
+        listed(true).map(|these| format!("  WARNING: at fresh states without an answer the map says one ({these})"));
+    let missed = listed(false).map(|these| {
+        format!("  at fresh states for which the search found no solution the map says V ({these}): one of the two is wrong there")
+    });
+    without.into_iter().chain(missed).collect()
 }
 
 /// Where solutions leave the region, and what is known there.
@@ -231,7 +274,7 @@ pub(super) fn as_json(made: &Adaptive, states: usize) -> serde_json::Value {
     serde_json::json!({
         "time": made.pieces.region.hi.get(states),
         "pieces": made.pieces.pieces.len(), "cells": made.pieces.cells.len(), "points": made.points,
-        "states": made.states, "failed": made.failed, "rounds": made.rounds, "seconds": made.seconds,
+        "states": made.states, "failed": made.failed, "above_max": made.above_max, "rounds": made.rounds, "seconds": made.seconds,
         "first_search": { "states": made.first[0], "wanted": made.first[1] },
         "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet.share,
         "unmet_within": made.unmet.bounds, "share_unknown": made.unknown.share, "unknown_within": made.unknown.bounds,
@@ -240,7 +283,7 @@ pub(super) fn as_json(made: &Adaptive, states: usize) -> serde_json::Value {
         "check": {
             "states": made.check.len(), "asked": made.check_asked, "solved": shown.solved, "known": shown.known,
             "V_error": quantiles(shown.error), "V_error_over_bound": quantiles(shown.over_bound),
-            "above_bound": shown.above_bound, "said_without_answer": shown.said_of_none,
+            "above_bound": shown.above_bound, "said_without_answer": shown.said_of_none.values().sum::<usize>(),
         },
     })
 }

@@ -59,7 +59,7 @@ pub(super) fn has_published(path: &Path, model: &Model) -> bool {
         .from_path(path);
     let header = reader.and_then(|mut r| r.headers().cloned());
     let is_state = model.states.iter().any(|s| s.variable.name == PUBLISHED);
-    header.is_ok_and(|h| h.iter().next_back() == Some(PUBLISHED)) && !is_state
+    header.is_ok_and(|h| h.iter().next_back().map(bare) == Some(PUBLISHED)) && !is_state
 }
 
 /// States `[point][n]` of a CSV file whose header names states; those it does not name stay at the reference point.
@@ -118,8 +118,7 @@ pub(super) fn read_with_times(
     let mut columns = Vec::new();
     let published = usize::from(has_published(path, model));
     for name in header.iter().take(header.len() - published) {
-        // A byte order mark is no part of a name.
-        let name = name.trim_start_matches('\u{feff}');
+        let name = bare(name);
         let is_time = time.as_ref().is_some_and(|t| t.name == name);
         let Some(state) = (names.iter().position(|n| *n == name)).or(is_time.then_some(names.len())) else {
             return Err(PointsError::UnknownState {
@@ -151,7 +150,7 @@ pub(super) fn read_with_times(
                 .unwrap_or_default()
         };
         for (text, &state) in record.iter().zip(&columns) {
-            x[state] = (text.parse().ok())
+            x[state] = (bare(text).parse().ok())
                 .filter(|v: &f64| v.is_finite())
                 .ok_or_else(|| PointsError::NotANumber {
                     path: at(),
@@ -178,6 +177,13 @@ pub(super) fn read_with_times(
     Ok((points, times))
 }
 
+/// A field without a byte order mark and quotes: beside either of these a reader takes quotes for a part of the text.
+fn bare(text: &str) -> &str {
+    let text = text.trim_start_matches('\u{feff}').trim();
+    let inner = text.strip_prefix('"').and_then(|text| text.strip_suffix('"'));
+    inner.map_or(text, str::trim)
+}
+
 /// Line (from 1) of the record that a reader began to look for at a byte: blank lines and comments before it are not it.
 fn line_of(text: &[u8], byte: u64) -> u64 {
     let at = (byte as usize).min(text.len());
@@ -186,4 +192,17 @@ fn line_of(text: &[u8], byte: u64) -> u64 {
         .take_while(|line| matches!(line.trim_ascii(), [] | [b'#', ..]))
         .count();
     (before + skipped + 1) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::bare;
+
+    #[test]
+    fn quotes_and_marks_are_no_part_of_a_field() {
+        for text in ["x1", "\u{feff}x1", "\u{feff}\"x1\"", " \"x1\"", "\" x1 \""] {
+            assert_eq!(bare(text), "x1");
+        }
+        assert_eq!(bare("\"x1"), "\"x1");
+    }
 }

@@ -13,7 +13,7 @@ mod search;
 
 use super::guarded::Guarded;
 use super::pieces::{Cloud, Flow, Frame, MOST_VARIABLES, Pieces, Region};
-use crate::backend::BackendError;
+use crate::backend::{BackendError, Deadline};
 use crate::model::{MapAim, Model};
 use crate::shooting::{Path, Solver};
 use crate::sweep::{Plan, spread_over};
@@ -24,7 +24,7 @@ use check::{CHECKS, Met};
 use horizon::TimeAxis;
 use refine::ALL_BUT;
 use std::collections::HashMap;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Points of extremals are wanted this far outside the region, in its widths.
 const AROUND: f64 = 0.05;
@@ -36,15 +36,22 @@ const BEYOND_OF_GAME: f64 = 0.02;
 /// Other sheets than the lowest are kept at a state if they may be the lowest within this share of the region.
 const NEAR: f64 = 0.05;
 
+/// With a limit of seconds: so many times as long, and some seconds, after which states are given up, and fresh states of the check.
+const GIVEN_UP: f64 = 1.5;
+const CHECK_GIVEN_UP: f64 = 2.0;
+const GRACE: Duration = Duration::from_secs(5);
+
 /// What came of it.
 pub struct Adaptive {
     pub pieces: Pieces,
     /// Of an infinite horizon and of V(x, t): where solutions from the region lead.
     pub beyond: Option<Beyond>,
     pub check: Vec<Checked>,
-    /// States solved for, and tried without an answer.
+    /// States solved for, and tried without an answer of use.
     pub states: usize,
     pub failed: usize,
+    /// Of these, how many have one of V above `value_max`.
+    pub above_max: usize,
     pub points: usize,
     pub rounds: usize,
     /// Fresh states that the check was asked for: with a limit of seconds it may have had room for fewer.
@@ -102,6 +109,7 @@ struct Work<'a, 'p> {
     random: u64,
     states: usize,
     failed: usize,
+    above_max: usize,
     rounds: usize,
     /// States of the first search that were taken up, and all of it.
     first: [usize; 2],
@@ -172,6 +180,7 @@ pub fn adaptive(
         random: 0x5eed,
         states: 0,
         failed: 0,
+        above_max: 0,
         rounds: 0,
         first: [0; 2],
         pace: 0.0,
@@ -229,6 +238,7 @@ impl Work<'_, '_> {
             check,
             states: self.states,
             failed: self.failed,
+            above_max: self.above_max,
             points: self.cloud.len(),
             rounds: self.rounds,
             first: self.first,
@@ -247,6 +257,22 @@ impl Work<'_, '_> {
 
     fn seconds_left(&self, share: f64) -> f64 {
         (self.aim.seconds).map_or(f64::INFINITY, |s| share * s - self.clock.elapsed().as_secs_f64())
+    }
+
+    /// Work on states; `None` if it takes so many times the limit of seconds, if there is one. What it had found is lost then.
+    fn in_time<T>(
+        &mut self,
+        times: f64,
+        work: impl FnOnce(&mut Self) -> Result<T, BackendError>,
+    ) -> Result<Option<T>, BackendError> {
+        let end = |seconds: f64| self.clock + Duration::from_secs_f64(times * seconds) + GRACE;
+        self.solver.deadline = Deadline(self.aim.seconds.map(end));
+        let done = work(self);
+        self.solver.deadline = Deadline::default();
+        match done {
+            Err(BackendError::OutOfTime) => Ok(None),
+            done => done.map(Some),
+        }
     }
 
     /// How many more states there is time for, at the pace of those done since `began`.

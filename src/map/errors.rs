@@ -24,6 +24,9 @@ impl ValueMap {
         let q: Vec<f64> = value.p.iter().zip(&self.plan.widths).map(|(p, w)| p * w).collect();
         let size = q.iter().fold(0.0f64, |a, q| a.max(q.abs()));
         let near = self.around(&place, SHEETS * (2 * n + 4), &[]);
+        if value.nearest < SAME && self.estimate_told(x, value, near.first().map(|(site, _)| *site)) {
+            return;
+        }
         let alike = near.iter().filter(|(site, distance)| {
             (self.opinion(&place, 0, *site, *distance, None)).is_some_and(|o| {
                 let far = distance_between(&o.says.q, &q);
@@ -46,6 +49,15 @@ impl ValueMap {
         value.u_error = worst[2];
     }
 
+    /// The errors of a value that was interpolated in its turn, as they were told with it; whether it is one.
+    fn estimate_told(&self, x: &[f64], value: &mut Value, site: Option<usize>) -> bool {
+        let Some(own) = site.and_then(|site| self.sites.errors.get(&site)) else {
+            return false;
+        };
+        (value.v_error, value.p_error, value.u_error) = (own.v, own.p, self.moved_control(x, value, own.p));
+        true
+    }
+
     /// The errors of a solved state from the run's estimate; whether there is one.
     fn estimate_solved(&self, x: &[f64], value: &mut Value) -> bool {
         let Some([own_v, own_p]) = self.own_errors else {
@@ -56,7 +68,19 @@ impl ValueMap {
         value.v_error = own_v * (value.v.abs() + scale);
         let of_p = own_p * (size + scale);
         value.p_error = of_p / size.max(f64::MIN_POSITIVE);
-        // u moves by no more than an error in each component of p makes it, one after the other.
+        value.u_error = self.moved_control(x, value, value.p_error);
+        true
+    }
+
+    /// What an error of p, relative to its largest component times the region's width, makes of u: no more than an error in each
+    /// component does, one after the other.
+    fn moved_control(&self, x: &[f64], value: &Value, relative: f64) -> f64 {
+        let w = &self.plan.widths;
+        let size = (value.p.iter().zip(w)).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
+        let of_p = relative * size.max(f64::MIN_POSITIVE);
+        if of_p.is_nan() {
+            return f64::NAN;
+        }
         let s: Vec<f64> = (0..w.len())
             .map(|i| x[i] - self.plan.system.reference[i] + self.turn(&value.winding, i) * w[i])
             .collect();
@@ -68,8 +92,7 @@ impl ValueMap {
                 *moved += (there - here).abs();
             }
         }
-        value.u_error = moved.into_iter().fold(0.0, f64::max);
-        true
+        moved.into_iter().fold(0.0, f64::max)
     }
 
     /// Errors of V, q (largest component) and u at a site where it is not used; NaN where the others do not reach it.

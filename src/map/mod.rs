@@ -85,6 +85,11 @@ pub enum Unknown {
     /// Of a finite horizon.
     #[error("V is known at t = 0 alone")]
     OtherTime,
+    /// Of a file of interpolated values: what lies between them no error of theirs tells.
+    #[error(
+        "the file holds interpolated values, and this state is none of theirs: ask the file that they were made of"
+    )]
+    Between,
 }
 
 /// V, its derivatives and u at a state, on one sheet.
@@ -398,6 +403,12 @@ impl ValueMap {
         if opinions.is_empty() {
             return At {
                 lowest: Err(Unknown::Far),
+                others: Vec::new(),
+            };
+        }
+        if opinions[0].distance >= SAME && !self.sites.errors.is_empty() {
+            return At {
+                lowest: Err(Unknown::Between),
                 others: Vec::new(),
             };
         }

@@ -5,6 +5,7 @@ use crate::backend::{BackendError, cpu::Cpu};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Horizon, Model, SeedValue};
 use crate::sweep::{Choices, Plan, Sampling, sweep};
+use crate::trajectories::ToldErrors;
 use crate::value::Grid;
 use std::collections::HashMap;
 
@@ -25,6 +26,8 @@ pub enum Source {
     Sample,
     /// A state solved for (`/points_sheets` or `/map`).
     Solved,
+    /// A value that was interpolated in its turn, with an error of its own.
+    Told,
     /// The local solution about the equilibrium.
     Local,
 }
@@ -40,6 +43,8 @@ pub(super) struct Sites {
     pub source: Vec<Source>,
     /// Row-major Hessian where it is known, of local sites.
     pub hessian: HashMap<usize, Vec<f64>>,
+    /// Of those that were interpolated.
+    pub errors: HashMap<usize, ToldErrors>,
 }
 
 impl Sites {
@@ -51,14 +56,16 @@ impl Sites {
         let mut all = Gathering::new(plan);
         if let Some(entries) = &known.solved {
             for k in 0..entries.count {
-                all.add(&entries.x, &entries.v, &entries.p, k, entries.sheet[k], Source::Solved);
+                let row = (entries.x.as_slice(), entries.v.as_slice(), entries.p.as_slice());
+                all.add_answer(row, k, entries.sheet[k], entries.errors.get(k));
             }
         }
         if let Some(map) = &known.grid {
             let axes = map.axes.clone();
             let x = Grid { axes }.points();
             for k in 0..map.v.len() {
-                all.add(&x, &map.v, &map.p, k, map.sheet[k], Source::Solved);
+                let row = (x.as_slice(), map.v.as_slice(), map.p.as_slice());
+                all.add_answer(row, k, map.sheet[k], map.errors.get(k));
             }
         }
         // V of a finite horizon depends on time: only at its beginning is it the value function asked for.
@@ -93,6 +100,11 @@ impl Sites {
             return self;
         }
         let kept: Vec<usize> = (0..self.len()).filter(|k| !dropped[*k]).collect();
+        fn moved<T: Clone>(all: &HashMap<usize, T>, kept: &[usize]) -> HashMap<usize, T> {
+            let each = kept.iter().enumerate();
+            each.filter_map(|(new, old)| Some((new, all.get(old)?.clone())))
+                .collect()
+        }
         let rows = |all: fn(&Self, usize) -> &[f64]| kept.iter().flat_map(|k| all(&self, *k)).copied().collect();
         Self {
             n: self.n,
@@ -101,9 +113,8 @@ impl Sites {
             v: kept.iter().map(|k| self.v[*k]).collect(),
             sheet: kept.iter().map(|k| self.sheet[*k]).collect(),
             source: kept.iter().map(|k| self.source[*k]).collect(),
-            hessian: (kept.iter().enumerate())
-                .filter_map(|(new, old)| Some((new, self.hessian.get(old)?.clone())))
-                .collect(),
+            hessian: moved(&self.hessian, &kept),
+            errors: moved(&self.errors, &kept),
         }
     }
 
@@ -126,7 +137,8 @@ impl Sites {
     }
 }
 
-type Datum<'d> = (&'d [f64], f64, &'d [f64]);
+/// x, V and p.
+type Datum<'d, V = f64> = (&'d [f64], V, &'d [f64]);
 
 fn consistent((za, va, qa): Datum<'_>, (zb, vb, qb): Datum<'_>) -> bool {
     // Third derivatives of V bend p over the distance by at most this share of its change.
@@ -165,13 +177,24 @@ impl<'p> Gathering<'p> {
         }
     }
 
+    /// A state's answer: solved for, unless it has errors of an interpolation.
+    fn add_answer(&mut self, (x, v, p): Datum<'_, &[f64]>, k: usize, sheet: i32, errors: Option<&ToldErrors>) {
+        let Some(errors) = errors else {
+            self.add(x, v, p, k, sheet, Source::Solved);
+            return;
+        };
+        if let Some(site) = self.add(x, v, p, k, sheet, Source::Told) {
+            self.sites.errors.insert(site, *errors);
+        }
+    }
+
     /// Row `k` of arrays `[row][state]`; what is not finite is left out.
-    fn add(&mut self, x: &[f64], v: &[f64], p: &[f64], k: usize, sheet: i32, source: Source) {
+    fn add(&mut self, x: &[f64], v: &[f64], p: &[f64], k: usize, sheet: i32, source: Source) -> Option<usize> {
         let n = self.sites.n;
         let row = k * n..(k + 1) * n;
         let reference = &self.plan.system.reference;
         let s: Vec<f64> = x[row.clone()].iter().zip(reference).map(|(x, r)| x - r).collect();
-        self.add_deviation(&s, v[k], &p[row], sheet, source);
+        self.add_deviation(&s, v[k], &p[row], sheet, source)
     }
 
     fn add_deviation(&mut self, s: &[f64], v: f64, p: &[f64], sheet: i32, source: Source) -> Option<usize> {
@@ -189,7 +212,7 @@ impl<'p> Gathering<'p> {
         let cell = z.iter().map(|z| (z / size).floor() as i64).collect();
         let here = self.cells.entry((level as i32, cell)).or_default();
         let sites = &mut self.sites;
-        // Solved states are exact: all are kept.
+        // Answers that were asked for are all kept.
         let taken = |&k: &usize| consistent((sites.z(k), sites.v[k], sites.q(k)), (&z, v, &q));
         if source == Source::Sample && here.iter().any(taken) {
             return None;

@@ -159,23 +159,28 @@ pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError>
     } else {
         folder
     };
+    // Drawing takes long: a command that is killed meanwhile leaves the report that was there, and else nothing.
+    let width = f64::from(options.width.unwrap_or(DEFAULT_WIDTH));
+    let drawn: Vec<String> = pictures.iter().map(|picture| picture.svg(width)).collect();
+    let mut files: Vec<(String, Vec<u8>)> = Vec::new();
+    for (picture, svg) in pictures.iter().zip(&drawn) {
+        files.push((format!("{}.svg", picture.name), svg.clone().into_bytes()));
+        let name = format!("{}.png", picture.name);
+        match picture.png(width) {
+            Ok(bytes) => files.push((name, bytes)),
+            Err(e) => missing.push((name, e.to_string())),
+        }
+    }
+    let html = page::html(&source, &pictures, &drawn, &missing, &folder);
+
     std::fs::create_dir_all(&folder).map_err(|source| ReportError::Write {
         path: folder.clone(),
         source,
     })?;
     clear(&folder);
-    let width = f64::from(options.width.unwrap_or(DEFAULT_WIDTH));
-    let mut drawn = Vec::new();
-    for picture in &pictures {
-        let svg = picture.svg(width);
-        write_text(&folder.join(format!("{}.svg", picture.name)), &svg)?;
-        match picture.png(width) {
-            Ok(bytes) => put(&folder.join(format!("{}.png", picture.name)), &bytes)?,
-            Err(e) => missing.push((format!("{}.png", picture.name), e.to_string())),
-        }
-        drawn.push(svg);
+    for (name, bytes) in &files {
+        put(&folder.join(name), bytes)?;
     }
-    let html = page::html(&source, &pictures, &drawn, &missing, &folder);
     write_text(&page, &html)?;
     Ok(Written {
         page,

@@ -131,8 +131,7 @@ impl<'s> Source<'s> {
 
     /// From solutions that form no map. With a finite horizon only solved states are of the initial time.
     fn scattered(&self) -> Option<Plane> {
-        let known =
-            self.stored.has("map_pieces") || self.infinite() && self.stored.has_any(&["trajectories", "points"]);
+        let known = self.knows_values();
         if !known || self.axes[0] == self.axes[1] {
             return None;
         }
@@ -206,6 +205,11 @@ impl<'s> Source<'s> {
         let asked = self.model.map.as_ref().and_then(|m| m.value_max);
         let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         asked.map_or(most, |a| a.min(most))
+    }
+
+    /// Whether V can be asked for at any state.
+    pub fn knows_values(&self) -> bool {
+        self.stored.has("map_pieces") || self.infinite() && self.stored.has_any(&["trajectories", "points"])
     }
 
     /// Whether the horizon is infinite: V grows from 0 at the equilibrium.

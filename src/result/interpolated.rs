@@ -19,10 +19,11 @@ fn code(at: &At) -> i32 {
         Err(Unknown::Uncertain) => 4,
         Err(Unknown::OtherTime) => 5,
         Err(Unknown::Guard) => 6,
+        Err(Unknown::Between) => 7,
     }
 }
 
-fn flags() -> [(i32, &'static str); 6] {
+fn flags() -> [(i32, &'static str); 8] {
     [
         (KNOWN, "interpolated"),
         (1, "far from data"),
@@ -30,6 +31,8 @@ fn flags() -> [(i32, &'static str); 6] {
         (3, "several sheets"),
         (4, "not known to the map"),
         (5, "other time"),
+        (6, "excluded by a guard"),
+        (7, "between interpolated values"),
     ]
 }
 

@@ -3,7 +3,7 @@
 use super::record::RunRecord;
 use crate::diagnostics::ScenarioErrors;
 use crate::scene::Scene;
-use crate::trajectories::{SolvedGrid, SolvedStates, SweptTrajectories};
+use crate::trajectories::{SolvedGrid, SolvedStates, SweptTrajectories, ToldErrors};
 use rust_hdf5::{H5Dataset, H5File, Hdf5Error};
 use std::path::{Path, PathBuf};
 
@@ -199,7 +199,17 @@ impl Stored {
             sheet: taken(&points.sheet, 1, &kept),
             point: taken(&points.point, 1, &kept),
             status: taken(&points.status, 1, &kept),
+            errors: taken(&points.errors, 1, &kept),
         }))
+    }
+
+    /// Errors of a group's values, if these were interpolated.
+    fn told_errors(&self, group: &StoredGroup<'_>, shape: &[usize]) -> Result<Vec<ToldErrors>, StoredError> {
+        if !group.has("V_error") {
+            return Ok(Vec::new());
+        }
+        let (of_v, of_p) = (group.shaped("V_error", shape)?, group.shaped("p_error", shape)?);
+        Ok(of_v.into_iter().zip(of_p).map(|(v, p)| ToldErrors { v, p }).collect())
     }
 
     /// Times of a group's rows, or along its axis; `None` where it has none, and all is of t = 0.
@@ -247,6 +257,7 @@ impl Stored {
             u: group.shaped("u", &[count, m])?,
             sheet: group.i32("sheet")?.1,
             status: group.codes("status", count)?,
+            errors: self.told_errors(group, &[count])?,
             ..SolvedStates::default()
         })
     }
@@ -275,6 +286,7 @@ impl Stored {
             u: group.shaped("u", &with(m))?,
             sheet: group.codes("sheet", nodes)?,
             status: group.codes("status", nodes)?,
+            errors: self.told_errors(&group, &counts)?,
             axes,
         };
         let Some(times) = times else { return Ok(Some(map)) };
@@ -289,6 +301,7 @@ impl Stored {
             u: taken(&map.u, m, &kept),
             sheet: taken(&map.sheet, 1, &kept),
             status: taken(&map.status, 1, &kept),
+            errors: taken(&map.errors, 1, &kept),
             axes: map.axes,
         }))
     }
@@ -395,7 +408,13 @@ impl StoredGroup<'_> {
 
     fn dataset(&self, name: &str) -> Result<H5Dataset, StoredError> {
         let path = format!("{}/{name}", self.name);
-        self.stored.file.dataset(&path).map_err(|e| self.hdf5(name, &e))
+        self.stored.file.dataset(&path).map_err(|e| match self.has(name) {
+            true => self.hdf5(name, &e),
+            false => self.error(
+                name,
+                "it is missing: the file is damaged, or another program changed it",
+            ),
+        })
     }
 
     fn hdf5(&self, name: &str, error: &Hdf5Error) -> StoredError {

@@ -4,7 +4,7 @@ use super::device;
 use super::elimination::Factors;
 use super::newton::{Elimination, Failure, Goal, Integrated, Job, Linear, Scheme, Stage};
 use super::path::Path;
-use crate::backend::{Backend, BackendError, Eliminator, Kernel, Run, Status};
+use crate::backend::{Backend, BackendError, Deadline, Eliminator, Kernel, Run, Status};
 use crate::model::{Method, Precision};
 use rayon::prelude::*;
 
@@ -42,6 +42,8 @@ pub struct Solver {
     /// Eliminates on the device, where the backend does that.
     eliminator: Option<Box<dyn Eliminator>>,
     pub work: Work,
+    /// When it gives up: for those who can do without what they asked for.
+    pub deadline: Deadline,
     /// Solves first, on another device or in another precision; what it finds are guesses here.
     draft: Option<Box<Solver>>,
 }
@@ -62,6 +64,7 @@ impl Solver {
             eliminator: backend.eliminator(equations.states, precision)?,
             scheme,
             work: Work::default(),
+            deadline: Deadline::default(),
             draft: None,
         })
     }
@@ -332,6 +335,7 @@ impl Solver {
     }
 
     fn integrate_alike(&mut self, paths: &[&Path], varied: bool, fine: bool) -> Result<Vec<Integrated>, BackendError> {
+        self.deadline.check()?;
         let clock = std::time::Instant::now();
         let each = if varied {
             self.scheme.equations.varied_width() * self.scheme.equations.groups()

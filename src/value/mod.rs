@@ -41,4 +41,4 @@ pub use solve::{
 pub use states::{StatesError, solve_states, solve_states_folding};
 pub use survey::{Miss, PointStatus, Progress, Support, Survey, Wanted};
 pub use targets::{Grid, Groups, Targets};
-pub use tracks::{Track, TrackPoints, Wish, path_from, solve_near, track_points};
+pub use tracks::{FoundNear, Track, TrackPoints, Wish, path_from, solve_near, track_points};

@@ -378,6 +378,9 @@ pub fn solve(
         Some(grid) => SecondOpinion::Given(grid),
         None => SecondOpinion::OnDemand(&mut make),
     };
+    if let Some(cover) = &mut cover {
+        cover.give_up_at(solver.deadline);
+    }
     survey.run(solver, archive, cover.as_mut(), wanted, second, progress)?;
     let boundary = if request.one_sheet || plan.game {
         Vec::new()

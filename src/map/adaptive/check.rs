@@ -1,6 +1,6 @@
 //! Fresh states, which the map never used: what it says of them, and more states where it is wrong.
 
-use super::{Hole, NEAR, Work};
+use super::{CHECK_GIVEN_UP, GIVEN_UP, Hole, NEAR, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Pieces, Region, Said, Want};
 use crate::numeric::quantile::nearest_rank;
@@ -214,8 +214,9 @@ impl Work<'_, '_> {
                 states.extend(x);
             }
         }
-        if !states.is_empty() {
-            let (tracks, _) = self.searched(states, NEAR)?;
+        if !states.is_empty()
+            && let Some((tracks, _)) = self.in_time(GIVEN_UP, |this| this.searched(states, NEAR))?
+        {
             self.add(tracks, region.floor)?;
         }
         Ok(more)
@@ -248,8 +249,12 @@ impl Work<'_, '_> {
             if batch.is_empty() {
                 break;
             }
-            of.resize(done + batch.len() / n, (0, 0));
-            for (numbers, answers) in self.solve(batch, false)? {
+            let count = batch.len() / n;
+            let Some(found) = self.in_time(CHECK_GIVEN_UP, |this| this.solve(batch, false))? else {
+                break;
+            };
+            of.resize(done + count, (0, 0));
+            for (numbers, answers) in found {
                 for (number, target) in numbers.iter().zip(&answers.targets.of_given) {
                     of[done + number] = (all.len(), *target);
                 }

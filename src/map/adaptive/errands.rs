@@ -1,11 +1,11 @@
 //! States solved for where pieces want them, along the ways from points near.
 
 use super::refine::key;
-use super::{NEAR, Work};
+use super::{GIVEN_UP, NEAR, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Region, Want};
 use crate::shooting::Path;
-use crate::value::{Miss, PointStatus, Track, path_from, solve_near};
+use crate::value::{FoundNear, Miss, PointStatus, Track, path_from, solve_near};
 
 /// States asked for in a cell at once: this many times a power of its error over the one asked for, and the most.
 const A_CELL: f64 = 3.0;
@@ -38,7 +38,7 @@ pub(super) struct Errand {
 }
 
 impl Work<'_, '_> {
-    /// Solves for states in cells that want some, with a share of the budget; false where there is nothing to start from.
+    /// Solves for states in cells that want some, with a share of the budget; false where there is nothing to start from, or it takes too long.
     pub(super) fn answer(&mut self, wants: Vec<Want>, region: &Region, share: f64) -> Result<bool, BackendError> {
         let mut errands = self.errands(wants, region, share);
         if errands.is_empty() {
@@ -47,11 +47,19 @@ impl Work<'_, '_> {
         self.take_ends(&mut errands);
         // Where sheets lie over each other a way from a point near tells nothing of the others.
         if self.cloud.several {
-            self.search_for(errands, region)?;
+            self.search_for(errands, region)
         } else {
-            self.go(errands, region)?;
+            self.go(errands, region)
         }
-        Ok(true)
+    }
+
+    /// Solves for states along the ways from points near them; `None` if that takes too long.
+    pub(super) fn near(
+        &mut self,
+        guesses: Vec<(Vec<f64>, Path)>,
+        least_step: f64,
+    ) -> Result<Option<Vec<FoundNear>>, BackendError> {
+        self.in_time(GIVEN_UP, |this| solve_near(this.plan, this.solver, guesses, least_step))
     }
 
     /// States for cells that want some.
@@ -83,8 +91,8 @@ impl Work<'_, '_> {
         errands
     }
 
-    /// Searches for all sheets at the states.
-    fn search_for(&mut self, errands: Vec<Errand>, region: &Region) -> Result<(), BackendError> {
+    /// Searches for all sheets at the states; false if that takes too long.
+    fn search_for(&mut self, errands: Vec<Errand>, region: &Region) -> Result<bool, BackendError> {
         let mut states = Vec::new();
         let mut widest = 0.0f64;
         for errand in &errands {
@@ -94,17 +102,22 @@ impl Work<'_, '_> {
             self.to_few_times(errand, &mut states[at..]);
             widest = errand.half.iter().fold(widest, |a, h| a.max(*h));
         }
-        let (tracks, values) = self.searched(states, widest.min(NEAR))?;
+        let Some((tracks, values)) = self.in_time(GIVEN_UP, |this| this.searched(states, widest.min(NEAR)))? else {
+            return Ok(false);
+        };
         for (errand, _) in (errands.into_iter().zip(values)).filter(|(e, v)| e.only_bare || v.is_nan()) {
             *self.failures.entry(errand.cell).or_default() += 1;
         }
-        self.add(tracks, region.floor)
+        self.add(tracks, region.floor)?;
+        Ok(true)
     }
 
-    /// Solves for the states along the ways from points near them.
-    fn go(&mut self, errands: Vec<Errand>, region: &Region) -> Result<(), BackendError> {
+    /// Solves for the states along the ways from points near them; false if that takes too long.
+    fn go(&mut self, errands: Vec<Errand>, region: &Region) -> Result<bool, BackendError> {
         let guesses: Vec<_> = errands.iter().map(|e| self.way(&e.x, e.from)).collect();
-        let found = solve_near(self.plan, self.solver, guesses, LEAST_STEP)?;
+        let Some(found) = self.near(guesses, LEAST_STEP)? else {
+            return Ok(false);
+        };
         let mut tracks = Vec::new();
         let most = self.most_value();
         for (errand, found) in errands.into_iter().zip(found) {
@@ -119,6 +132,7 @@ impl Work<'_, '_> {
             let (path, value) = match found {
                 Ok(_) if high => {
                     self.failed += 1;
+                    self.above_max += 1;
                     continue;
                 }
                 Ok(found) => found,
@@ -137,7 +151,8 @@ impl Work<'_, '_> {
                 whole: true,
             });
         }
-        self.add(tracks, region.floor)
+        self.add(tracks, region.floor)?;
+        Ok(true)
     }
 
     /// Counts a state (absolute) that the way from a point near does not lead to.

@@ -1,8 +1,8 @@
 //! The first states, as many as the budget has room for.
 
-use super::{AROUND, NEAR, Work};
+use super::{AROUND, GIVEN_UP, NEAR, Work};
 use crate::backend::BackendError;
-use crate::value::{Track, solve_near};
+use crate::value::Track;
 use std::time::Instant;
 
 /// States of the first round that are searched for all sheets, by number of states.
@@ -11,6 +11,10 @@ const FIRST: [usize; 7] = [0, 64, 256, 256, 256, 384, 512];
 const PATIENT_STEP: f64 = 1.0 / 64.0;
 /// Floor of V for relative errors unless the scene says, relative to the median over the region.
 const FLOOR: f64 = 1e-3;
+/// Where V is 0 in most of the region its size is this share of the largest one.
+const OF_LARGEST: f64 = 0.01;
+/// As [`FLOOR`], where V is negative somewhere: it is 0 on surfaces then, where nothing is special and nobody wants small relative errors.
+const FLOOR_OF_BOTH_SIGNS: f64 = 0.1;
 /// With a limit of seconds, states of the first batch: a batch is finished, and how long one takes is not known before.
 const FIRST_BATCH: usize = 8;
 /// Share of the seconds that the first states within the region may take, and those on its faces after them.
@@ -33,10 +37,15 @@ impl Work<'_, '_> {
             values.extend(others);
         }
         values.retain(|v| v.is_finite());
+        let is_signed = values.iter().any(|v| *v < 0.0);
         values.iter_mut().for_each(|v| *v = v.abs());
         values.sort_by(f64::total_cmp);
         let median = values.get(values.len() / 2).copied().unwrap_or(1.0);
-        let floor = self.aim.floor.unwrap_or(FLOOR * median);
+        let size = median.max(OF_LARGEST * values.last().copied().unwrap_or(0.0));
+        let floor = self
+            .aim
+            .floor
+            .unwrap_or(size * if is_signed { FLOOR_OF_BOTH_SIGNS } else { FLOOR });
         self.add(tracks, floor)?;
         if self.goes_beyond() {
             self.edges(floor)?;
@@ -62,7 +71,7 @@ impl Work<'_, '_> {
         if self.seconds_left(1.0) <= 0.0 {
             states.clear();
         }
-        self.first[0] += states.len();
+        let count = states.len();
         let mut z = vec![0.0; n];
         let mut guesses = Vec::new();
         for x in &states {
@@ -74,7 +83,10 @@ impl Work<'_, '_> {
         }
         let sheets: Vec<i32> = guesses.iter().map(|(.., sheet)| *sheet).collect();
         let guesses = guesses.into_iter().map(|(x, path, _)| (x, path)).collect();
-        let found = solve_near(self.plan, self.solver, guesses, PATIENT_STEP)?;
+        let Some(found) = self.near(guesses, PATIENT_STEP)? else {
+            return Ok(());
+        };
+        self.first[0] += count;
         for (x, found) in states.iter().zip(&found) {
             if let Err(miss) = found {
                 self.missed(x, miss.clone());
@@ -139,8 +151,11 @@ impl Work<'_, '_> {
             if states.is_empty() {
                 break;
             }
-            self.first[0] += states.len() / n;
-            let (found, own) = self.searched(states, NEAR)?;
+            let count = states.len() / n;
+            let Some((found, own)) = self.in_time(GIVEN_UP, |this| this.searched(states, NEAR))? else {
+                break;
+            };
+            self.first[0] += count;
             tracks.extend(found);
             values.extend(own);
             states = rest;

@@ -3,7 +3,7 @@
 
 use super::Work;
 use crate::backend::BackendError;
-use crate::value::{Track, solve_near};
+use crate::value::Track;
 
 /// States that are asked at once.
 const MOST: usize = 512;
@@ -43,11 +43,11 @@ impl Work<'_, '_> {
             self.way(&moved, *from)
         };
         let guesses = asked.iter().map(guess).collect();
+        let Some(found) = self.near(guesses, LEAST_STEP)? else {
+            return Ok(());
+        };
         let mut tracks = Vec::new();
-        for ((_, v, from), found) in asked
-            .iter()
-            .zip(solve_near(self.plan, self.solver, guesses, LEAST_STEP)?)
-        {
+        for ((_, v, from), found) in asked.iter().zip(found) {
             match found {
                 Ok((path, value)) if value < v - LESS * v.abs().max(floor) => tracks.push(Track {
                     path,

@@ -70,6 +70,7 @@ impl Work<'_, '_> {
         if let Some(axis) = self.axis.as_mut().filter(|_| t > 0.0) {
             let from = axis.from(t, self.plan, self.model)?;
             let (plan, model, archive) = (&from.plan, &from.model, &from.archive);
+            from.solver.deadline = self.solver.deadline;
             return value::solve(plan, model, &mut from.solver, archive, &request, &mut *self.progress);
         }
         value::solve(
@@ -88,9 +89,10 @@ impl Work<'_, '_> {
         let (mut tracks, mut dearer) = (Vec::new(), Vec::new());
         for target in 0..answers.targets.len() {
             self.cloud.several |= answers.of(target).len() > 1;
-            let answer = answers.answer(target).filter(|a| a.value <= self.most_value());
-            let Some(answer) = answer else {
+            let found = answers.answer(target);
+            let Some(answer) = found.filter(|a| a.value <= self.most_value()) else {
                 self.failed += 1;
+                self.above_max += usize::from(found.is_some());
                 continue;
             };
             self.states += 1;

@@ -59,6 +59,25 @@ impl Shape {
     }
 }
 
+/// What errors of V are relative to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Scale {
+    /// V at each point, and at least a floor.
+    OfEach(f64),
+    /// The same for all points of a cell. A polynomial errs by about as much all over its cell, so where V may be of either sign an
+    /// error relative to V at some points would tell too little of places nearer to V = 0.
+    OfAll(f64),
+}
+
+impl Scale {
+    fn of(self, v: f64) -> f64 {
+        match self {
+            Self::OfEach(floor) => v.abs().max(floor),
+            Self::OfAll(size) => size,
+        }
+    }
+}
+
 /// Points with V and its gradient in the coordinates of a cell.
 pub struct Data<'d> {
     pub terms: &'d Terms,
@@ -74,7 +93,7 @@ pub struct Data<'d> {
     group: Vec<u32>,
     /// Slopes along directions, whose equations come after those of the points.
     along: Vec<Along>,
-    floor: f64,
+    scale: Scale,
 }
 
 /// What is known of V's slope along a direction at a place.
@@ -103,7 +122,7 @@ impl<'d> Data<'d> {
     pub fn new(
         terms: &'d Terms,
         degree: usize,
-        floor: f64,
+        scale: Scale,
         points: usize,
         of: impl Fn(usize, &mut [f64], &mut [f64]) -> (f64, u32),
     ) -> Self {
@@ -118,7 +137,7 @@ impl<'d> Data<'d> {
             size: Vec::with_capacity(points),
             group: Vec::with_capacity(points),
             along: Vec::new(),
-            floor,
+            scale,
         };
         let mut at = vec![0.0; n * points];
         let (mut y, mut q) = (vec![0.0; n], vec![0.0; n]);
@@ -129,7 +148,7 @@ impl<'d> Data<'d> {
                 this.q[i * points + k] = q[i];
             }
             this.v.push(v);
-            this.size.push(v.abs().max(floor));
+            this.size.push(scale.of(v));
             this.group.push(group);
         }
         this.rows[..points].fill(1.0);
@@ -202,7 +221,7 @@ impl<'d> Data<'d> {
         for (k, one) in self.along.iter().enumerate() {
             let (_, slope) = shape.of(one.v);
             let at = (n + 1) * points + k;
-            weights[at] = 1.0 / (one.v.abs().max(self.floor) * slope.abs());
+            weights[at] = 1.0 / (self.scale.of(one.v) * slope.abs());
             right[at] = weights[at] * slope * one.slope;
         }
 
@@ -367,7 +386,7 @@ mod tests {
             .map(|k| if k == 0 { 2.0 } else { 0.05 * (k as f64 * 1.7).cos() })
             .collect();
         for (shape, _) in Shape::ALL {
-            let data = Data::new(&terms, 4, 1e-3, 24, |k, y, q| {
+            let data = Data::new(&terms, 4, Scale::OfEach(1e-3), 24, |k, y, q| {
                 let k = k as f64;
                 y[0] = (k * 0.618).fract() * 2.0 - 1.0;
                 y[1] = (k * 0.755).fract() * 2.0 - 1.0;
@@ -403,7 +422,7 @@ mod tests {
                 v
             };
             let data = || {
-                Data::new(&terms, 3, 1e-3, 2, |k, y, q| {
+                Data::new(&terms, 3, Scale::OfEach(1e-3), 2, |k, y, q| {
                     y.copy_from_slice(&place(k + 50)[..2]);
                     (at(y, q), k as u32)
                 })
@@ -454,7 +473,7 @@ mod tests {
         let points = 30;
         for shape in [Shape::Value, Shape::Logarithm, Shape::Reciprocal] {
             let data = |kept: &[usize]| {
-                Data::new(&terms, 3, 1e-3, kept.len(), |at, y, q| {
+                Data::new(&terms, 3, Scale::OfEach(1e-3), kept.len(), |at, y, q| {
                     place(kept[at], y);
                     (value(y, q), group(kept[at]))
                 })

@@ -5,6 +5,7 @@ mod bands;
 mod boundary;
 mod closed_loop;
 mod contours;
+mod curve;
 mod dissipation;
 mod histories;
 mod panels;
@@ -23,10 +24,11 @@ type Made = Result<Option<Picture>, String>;
 type Maker = fn(&Source<'_>) -> Made;
 
 /// Pictures by the names of their files, in the page's order.
-const BEFORE: [(&str, Maker); 7] = [
+const BEFORE: [(&str, Maker); 8] = [
     ("phase", phase::picture),
     ("contours", contours::picture),
     ("surface", surface::picture),
+    ("curve", curve::picture),
     ("slice", slices::picture),
     ("histories", histories::picture),
     ("coverage", attenuation::coverage),

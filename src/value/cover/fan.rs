@@ -2,7 +2,7 @@
 
 use super::{MOST_IN_CELLS, goes_behind_guards};
 use crate::backend::cpu::Evaluator;
-use crate::backend::{Backend, BackendError, By, Guards, Kernel, Run, Spec, Status, batch_limit};
+use crate::backend::{Backend, BackendError, By, Deadline, Guards, Kernel, Run, Spec, Status, batch_limit};
 use crate::local::{LocalSolution, SeedChoice};
 use crate::model::{Method, Model, Precision, SeedValue};
 use crate::program::Program;
@@ -61,6 +61,7 @@ pub struct Fan<'a> {
     /// Rates of `(s, p, V)` and of the arc length, of `(s, p)`.
     rates: Evaluator,
     pub integrated: usize,
+    pub deadline: Deadline,
 }
 
 impl<'a> Fan<'a> {
@@ -139,6 +140,7 @@ impl<'a> Fan<'a> {
             stride: 2 + 2 * n,
             rates,
             integrated: 0,
+            deadline: Deadline::default(),
         })
     }
 
@@ -223,6 +225,7 @@ impl<'a> Fan<'a> {
         for v in wanted.extract_if(.., |v| !self.inside[*v as usize]) {
             self.trajectories[v as usize] = Some(self.none_from(v));
         }
+        self.deadline.check()?;
         self.run.ceiling = ceiling.is_finite().then_some((2 * n, ceiling));
         let dim = 2 * n + 2;
         // Cells between levels of arc length reach up to the guards that end trajectories.

@@ -13,7 +13,7 @@ mod first;
 mod guess;
 mod near;
 
-use crate::backend::{Backend, BackendError};
+use crate::backend::{Backend, BackendError, Deadline};
 use crate::model::Model;
 use crate::shooting::{End, Path};
 use crate::sweep::Plan;
@@ -197,6 +197,11 @@ impl<'a> Cover<'a> {
             duration,
             unit,
         })
+    }
+
+    /// Lets a search fail with [`BackendError::OutOfTime`] once it takes longer.
+    pub fn give_up_at(&mut self, deadline: Deadline) {
+        self.fan.deadline = deadline;
     }
 
     /// Trajectories integrated so far.

@@ -58,6 +58,7 @@ impl Survey<'_> {
                 if left.is_empty() {
                     break;
                 }
+                solver.deadline.check()?;
                 let laws = self.various(round);
                 let laws: Vec<&dyn Law> = laws.iter().map(|law| law as &dyn Law).collect();
                 let before: Vec<(usize, f64)> = left.iter().map(|t| self.cheapest(*t)).collect();

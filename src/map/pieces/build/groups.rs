@@ -202,8 +202,9 @@ impl Builder<'_> {
     fn sorted_out(&self, block: &Block, mut groups: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
         const ROUNDS: usize = 8;
         let (center, half) = self.extent(block);
-        let data = |list: &[u32], degree: usize| self.data(&center, &half, list, degree);
         let all: Vec<u32> = groups.concat();
+        let scale = self.scale(&all);
+        let data = |list: &[u32], degree: usize| self.data((&center, &half), list, degree, scale);
         for round in 0..ROUNDS {
             let degree = if round < ROUNDS / 2 { 2 } else { self.highest.min(3) };
             let whole = data(&all, degree);

@@ -9,7 +9,7 @@ mod quarters;
 mod shadow;
 mod tracks;
 
-use super::fit::{Data, Shape};
+use super::fit::{Data, Scale, Shape};
 use super::terms::Terms;
 use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree, quadratic};
 use crate::value::Clearance;
@@ -222,6 +222,8 @@ struct Builder<'c> {
     cut: Vec<u32>,
     /// Whether any guard casts a shadow.
     is_shaded: bool,
+    /// Whether V is negative at a point.
+    is_signed: bool,
 }
 
 /// Built pieces of a block.
@@ -340,6 +342,7 @@ impl<'c> Builder<'c> {
         Self {
             is_shaded: !cut.is_empty() || cloud.clearance.iter().any(|c| c.margin.is_finite()),
             cut,
+            is_signed: cloud.v.iter().any(|v| *v < 0.0),
             cloud,
             terms: Terms::new(n, highest),
             region,
@@ -791,9 +794,9 @@ impl<'c> Builder<'c> {
     }
 
     /// Points in the variables of a box.
-    fn data(&self, center: &[f64], half: &[f64], list: &[u32], degree: usize) -> Data<'_> {
+    fn data(&self, (center, half): (&[f64], &[f64]), list: &[u32], degree: usize, scale: Scale) -> Data<'_> {
         let n = self.cloud.variables;
-        Data::new(&self.terms, degree, self.region.floor, list.len(), |at, y, q| {
+        Data::new(&self.terms, degree, scale, list.len(), |at, y, q| {
             let k = list[at] as usize;
             for i in 0..n {
                 y[i] = (self.cloud.z(k)[i] - center[i]) / half[i];
@@ -801,6 +804,25 @@ impl<'c> Builder<'c> {
             }
             (self.cloud.v[k], self.cloud.track[k])
         })
+    }
+
+    /// What errors in a cell with some points are relative to.
+    fn scale(&self, points: &[u32]) -> Scale {
+        /// V may be as much nearer to 0 than at all points, of the range that it has at them.
+        const NEARER: f64 = 0.25;
+        /// Where |V| is nowhere less than this share of what it is elsewhere in the cell, its own size will do.
+        const ALIKE: f64 = 0.5;
+        let floor = self.region.floor;
+        if !self.is_signed {
+            return Scale::OfEach(floor);
+        }
+        let values = || points.iter().map(|k| self.cloud.v[*k as usize]);
+        let (lowest, highest) = values().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+        let least = lowest.max(-highest) - NEARER * (highest - lowest);
+        match least >= ALIKE * highest.max(-lowest) {
+            true => Scale::OfEach(floor),
+            false => Scale::OfAll(least.max(floor)),
+        }
     }
 
     /// The label that most of some points have.

@@ -35,7 +35,8 @@ impl Builder<'_> {
             (0..n).all(|i| (z[i] - center[i]).abs() <= half[i])
         };
         let tests: Vec<u32> = tests.into_iter().filter(inside).collect();
-        let data = |list: &[u32], degree: usize| self.data(&center, &half, list, degree);
+        let scale = self.scale(points);
+        let data = |list: &[u32], degree: usize| self.data((&center, &half), list, degree, scale);
         let enough = points.iter().filter(|k| inside(k)).count() >= LEAST_TESTS;
         // Which function of V is smoothest here a low degree tells.
         let low = highest.min(LOW);
@@ -104,7 +105,8 @@ impl Builder<'_> {
         let n = self.cloud.variables;
         let degree = self.degree_of(&piece.coefficients);
         let most = (1.5 * self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64).ceil() as usize;
-        let data = |list: &[u32]| self.data(&piece.center, &piece.half, list, degree);
+        let scale = self.scale(points);
+        let data = |list: &[u32]| self.data((&piece.center, &piece.half), list, degree, scale);
         // It must not be worse than the one that was tested.
         let inside = |k: &u32| {
             let z = self.cloud.z(*k as usize);

@@ -66,7 +66,8 @@ impl Builder<'_> {
         // Which function of V is smoothest here a low degree tells.
         let low = highest.min(LOW);
         let few = used(low);
-        let rough = self.data(&center, &half, &few, low);
+        let scale = self.scale(points);
+        let rough = self.data((&center, &half), &few, low, scale);
         let least = rough.least();
         let shapes = (Shape::ALL.iter())
             .filter(|(shape, _)| shape.serves(least))
@@ -79,7 +80,7 @@ impl Builder<'_> {
         let degree = if hopeless { low } else { highest };
         let mine = used(degree);
         let enough = enough && mine.iter().filter(|k| inside(k)).count() >= LEAST_TESTS / 2;
-        let learned = self.data(&center, &half, &mine, degree);
+        let learned = self.data((&center, &half), &mine, degree, scale);
         let mut best: Option<(Shape, Tested)> = None;
         let good = self.habits.enough * self.region.error / self.habits.allowance;
         for shape in shapes {
@@ -100,7 +101,7 @@ impl Builder<'_> {
             let beside: Vec<u32> = thinned(points, MOST_TESTS).into_iter().filter(inside).collect();
             let degree = self.degree_of(&fit.coefficients);
             let errors = self
-                .data(&center, &half, &beside, degree)
+                .data((&center, &half), &beside, degree, scale)
                 .errors(shape, &fit.coefficients);
             let errors = largest(&errors);
             fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
@@ -137,7 +138,7 @@ impl Builder<'_> {
         }
         let places = self.places(&piece, &[], (self.terms.upto[degree], FITTED_TO));
         let along = self.along(&piece, &places, flow, &[]).into_iter().flatten().collect();
-        let data = self.data(&center, &half, points, degree).with(along);
+        let data = (self.data((&center, &half), points, degree, self.scale(points))).with(along);
         for tested in data.tested(shape, degree, (DEGREES, good), |k| inside(&points[k])) {
             piece.coefficients.clone_from(&tested.coefficients);
             let own = tested.errors[0].max(self.share_of_residual(&piece));
@@ -161,7 +162,7 @@ impl Builder<'_> {
         if least <= ROUGH {
             return;
         }
-        let data = self.data(&piece.center, &piece.half, points, LOW);
+        let data = self.data((&piece.center, &piece.half), points, LOW, self.scale(points));
         for tested in data.tested(shape, LOW, (LOW, 0.0), |k| inside(&points[k])) {
             piece.coefficients.clone_from(&tested.coefficients);
             let of_points = largest(&data.errors(shape, &tested.coefficients));
@@ -251,7 +252,7 @@ impl Builder<'_> {
             if ((self.cloud.variables + 1) * half.len()) as f64 <= LEAST_EQUATIONS * self.terms.upto[degree] as f64 {
                 return None;
             }
-            let data = self.data(&piece.center, &piece.half, &half, degree);
+            let data = self.data((&piece.center, &piece.half), &half, degree, self.scale(points));
             let fitted = data.fitted(piece.shape, degree)?;
             sum += (data.errors(piece.shape, &fitted).iter())
                 .map(|[v, p]| (v * v + p * p).min(WORST))
