@@ -9,6 +9,7 @@ use crate::model::Model;
 use crate::numeric::quantile::nearest_rank;
 use crate::result::Stored;
 use crate::scene::Scene;
+use crate::trajectories::ToldErrors;
 use crate::value::{self, Claims, Flown, Led, Opinion, PointStatus, referee};
 use clap::Args;
 use std::path::PathBuf;
@@ -114,12 +115,13 @@ pub(super) fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
 /// V at the solved states of a file.
 fn claims(stored: &Stored) -> Result<Claims, CliError> {
     let mut claims = Claims::default();
-    let mut add = |x: &[f64], v: f64, status: i32| {
+    let mut add = |x: &[f64], v: f64, status: i32, error: Option<&ToldErrors>| {
         // A state whose V is undercut by a flight has one all the same.
         let solved = [PointStatus::Converged, PointStatus::Undercut];
         if v.is_finite() && solved.iter().any(|s| *s as i32 == status) {
             claims.x.extend_from_slice(x);
             claims.v.push(v);
+            claims.error.push(error.map_or(0.0, |told| told.v.max(0.0)));
         }
     };
     let complete = |group: &str, status: &[i32], count: usize| match stored.group(group) {
@@ -130,14 +132,14 @@ fn claims(stored: &Stored) -> Result<Claims, CliError> {
     if let Some(points) = stored.points()? {
         complete("points", &points.status, points.count)?;
         for (k, x) in points.x.chunks(n).enumerate() {
-            add(x, points.v[k], points.status[k]);
+            add(x, points.v[k], points.status[k], points.errors.get(k));
         }
     }
     if let Some(map) = stored.map()? {
         complete("map", &map.status, map.v.len())?;
         let states = value::Grid { axes: map.axes }.points();
         for (k, x) in states.chunks(n).enumerate() {
-            add(x, map.v[k], map.status[k]);
+            add(x, map.v[k], map.status[k], map.errors.get(k));
         }
     }
     if claims.v.is_empty() {
@@ -240,8 +242,13 @@ impl Said<'_> {
                 rounds(grid)
             ),
             format!(
-                "{} solved states, {known} of them known to the grid",
-                self.claims.v.len()
+                "{} {} states, {known} of them known to the grid",
+                self.claims.v.len(),
+                if self.claims.error.iter().all(|e| *e == 0.0) {
+                    "solved"
+                } else {
+                    "interpolated"
+                }
             ),
         ];
         if known > 0 {

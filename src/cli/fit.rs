@@ -100,6 +100,12 @@ impl Beside {
                 source: std::io::Error::other(format!("{} is not a directory", place.display())),
             });
         }
+        let empty = self.directory.as_os_str().is_empty();
+        let place = above.filter(|_| !empty).unwrap_or(Path::new("."));
+        crate::files::can_hold(place).map_err(|source| CliError::OutDir {
+            path: self.directory.clone(),
+            source,
+        })?;
         for law in laws {
             let weights = self.directory.join(format!("{}_{}.toml", self.stem, law.name));
             let scene = std::fs::canonicalize(&scene.file_name);

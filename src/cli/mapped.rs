@@ -10,6 +10,8 @@ use std::collections::BTreeMap;
 /// What fresh states show: of those with an answer how many are known, errors relative to max(V, floor), and to the bound.
 struct Shown {
     solved: usize,
+    /// Others, by why V is not compared there.
+    unsolved: BTreeMap<PointStatus, usize>,
     known: usize,
     /// Median, 99 % and largest.
     error: [f64; 3],
@@ -42,15 +44,30 @@ fn shown(check: &[Checked], floor: f64) -> Shown {
         above_bound: over_bound.iter().filter(|o| **o > 1.0).count(),
         over_bound: quantiles(&over_bound),
         worst: (known.iter().max_by(|a, b| over(a).total_cmp(&over(b)))).map(|c| (**c).clone()),
-        said_of_none: (check.iter())
-            .filter(|c| !c.solved.is_finite() && c.said.is_finite())
-            // Where a guard excludes a state, look-ups say nothing.
-            .filter(|c| !matches!(c.status, PointStatus::AboveMax | PointStatus::OutsideGuard))
-            .fold(BTreeMap::new(), |mut counts, c| {
-                *counts.entry(c.status).or_default() += 1;
-                counts
-            }),
+        unsolved: by_status(
+            check
+                .iter()
+                .filter(|c| !c.solved.is_finite() || c.status == PointStatus::AboveMax),
+        ),
+        said_of_none: by_status(
+            (check.iter())
+                .filter(|c| !c.solved.is_finite() && c.said.is_finite())
+                // Where a guard excludes a state, look-ups say nothing.
+                .filter(|c| !matches!(c.status, PointStatus::AboveMax | PointStatus::OutsideGuard)),
+        ),
     }
+}
+
+fn by_status<'c>(some: impl Iterator<Item = &'c Checked>) -> BTreeMap<PointStatus, usize> {
+    some.fold(BTreeMap::new(), |mut counts, c| {
+        *counts.entry(c.status).or_default() += 1;
+        counts
+    })
+}
+
+fn listed<'c>(counts: impl Iterator<Item = (&'c PointStatus, &'c usize)>) -> String {
+    let each = counts.map(|(status, count)| format!("{count} {}", status.name()));
+    each.collect::<Vec<String>>().join(", ")
 }
 
 /// Names of the map's variables: the states, and the time where it is an axis.
@@ -133,8 +150,12 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
         };
         if made.unknown.share > 0.0 {
             lines.push(format!(
-                "  nothing is said in {:.2} % of the region ({why}){}",
+                "  nothing is said in {:.2} % of the region{} ({why}){}",
                 100.0 * made.unknown.share,
+                match done.model.map_aim.as_ref().is_some_and(|aim| aim.value_max.is_some()) {
+                    true => ", beside what may be above `value_max`",
+                    false => "",
+                },
                 mostly(&names, &made.unknown, region)
             ));
         }
@@ -165,16 +186,20 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
     } else {
         made.check.len().to_string()
     };
+    let others = match shown.unsolved.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", listed(shown.unsolved.iter())),
+    };
     if shown.known == 0 {
         lines.push(format!(
-            "  check with {count} fresh states, never used in the map: {} solved, none of them known",
+            "  check with {count} fresh states, never used in the map: {} solved{others}, none of them known",
             shown.solved
         ));
         return lines;
     }
     let [median, most, worst] = shown.error;
     lines.push(format!(
-        "  check with {count} fresh states, never used in the map: {} solved, of them {} known; relative error of V: median {median:.1e}, \
+        "  check with {count} fresh states, never used in the map: {} solved{others}, of them {} known; relative error of V: median {median:.1e}, \
          99 % {most:.1e}, largest {worst:.1e}; error over its bound: 99 % {:.2}, largest {:.2}",
         shown.solved,
         shown.known,
@@ -210,16 +235,13 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
 fn of_none(statuses: &BTreeMap<PointStatus, usize>) -> Vec<String> {
     // A search may fail where there is a solution; where one meets a guard or a fold there is none.
     let shows = |status: PointStatus| matches!(status, PointStatus::LeavesGuard | PointStatus::Fold);
-    let listed = |shown: bool| -> Option<String> {
-        let some: Vec<String> = (statuses.iter())
-            .filter(|(status, _)| shows(**status) == shown)
-            .map(|(status, count)| format!("{count} {}", status.name()))
-            .collect();
-        (!some.is_empty()).then(|| some.join(", "))
+    let some = |shown: bool| {
+        let text = listed(statuses.iter().filter(|(status, _)| shows(**status) == shown));
+        (!text.is_empty()).then_some(text)
     };
     let without =
-        listed(true).map(|these| format!("  WARNING: at fresh states without an answer the map says one ({these})"));
-    let missed = listed(false).map(|these| {
+        some(true).map(|these| format!("  WARNING: at fresh states without an answer the map says one ({these})"));
+    let missed = some(false).map(|these| {
         format!("  at fresh states for which the search found no solution the map says V ({these}): one of the two is wrong there")
     });
     without.into_iter().chain(missed).collect()

@@ -189,7 +189,7 @@ fn line_of(text: &[u8], byte: u64) -> u64 {
     let at = (byte as usize).min(text.len());
     let before = text[..at].iter().filter(|b| **b == b'\n').count();
     let skipped = (text[at..].split(|b| *b == b'\n'))
-        .take_while(|line| matches!(line.trim_ascii(), [] | [b'#', ..]))
+        .take_while(|line| matches!(line, [] | [b'\r'] | [b'#', ..]))
         .count();
     (before + skipped + 1) as u64
 }

@@ -222,6 +222,10 @@ fn known_time(model: &Model, knows: bool, t: f64) -> Result<(), String> {
         Some(_) if !knows && model.is_game() => {
             Err(format!("`{name}` = {at}, but of a game V is known at {name} = 0 alone"))
         }
+        Some(_) if !knows && model.map_aim.as_ref().is_some_and(|aim| aim.time) => Err(format!(
+            "`{name}` = {at}, but the file has no map of V(x, {name}): none was made, it knows nothing, or these are values of one at \
+             {name} = 0"
+        )),
         Some(_) if !knows => Err(format!(
             "`{name}` = {at}, but the file knows V at {name} = 0 alone: give the scene [map] with error = ... (and not time = false), and \
              run it again"

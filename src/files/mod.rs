@@ -115,6 +115,17 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     draft.publish().map(drop)
 }
 
+/// Whether files can be made in a directory: by making one, which is taken away again.
+///
+/// # Errors
+/// Those of making it.
+pub fn can_hold(directory: &Path) -> io::Result<()> {
+    let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
+    let name = format!(".costate.{}-{serial}.tmp", std::process::id());
+    let trial = Temporary::new(directory.join(name));
+    File::create_new(trial.path()).map(drop)
+}
+
 fn parent_directory(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,

@@ -265,8 +265,12 @@ impl Work<'_, '_> {
         times: f64,
         work: impl FnOnce(&mut Self) -> Result<T, BackendError>,
     ) -> Result<Option<T>, BackendError> {
-        let end = |seconds: f64| self.clock + Duration::from_secs_f64(times * seconds) + GRACE;
-        self.solver.deadline = Deadline(self.aim.seconds.map(end));
+        // Of more seconds than a clock tells there is no end.
+        let end = |seconds: f64| {
+            let given = Duration::try_from_secs_f64(times * seconds).ok()?;
+            self.clock.checked_add(given.checked_add(GRACE)?)
+        };
+        self.solver.deadline = Deadline(self.aim.seconds.and_then(end));
         let done = work(self);
         self.solver.deadline = Deadline::default();
         match done {

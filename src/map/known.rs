@@ -15,6 +15,8 @@ pub struct Known {
     /// The same round the region of `pieces`; of use with them only.
     pub beyond: Option<Pieces>,
     pub sweep: SweepRecord,
+    /// Whether fresh states checked the pieces.
+    pub checked: bool,
     /// Whether states were solved by a search, not interpolated.
     pub searched: bool,
     /// Worst relative errors of V and p that the run itself found at its solved states.

@@ -154,6 +154,8 @@ pub struct ValueMap {
     windings: Vec<Vec<i32>>,
     fronts: Fronts,
     own_errors: Option<[f64; 2]>,
+    /// Whether fresh states checked the map in pieces.
+    checked: bool,
     /// A map that was made to an error: it answers within its region.
     pieces: Option<Pieces>,
     /// Of use outside the region of these.
@@ -215,7 +217,11 @@ impl ValueMap {
         let fronts = Fronts::new(&known, &plan);
         let sites = Sites::collect(model, hamiltonian, &plan, &known)?;
         let Known {
-            pieces, beyond, errors, ..
+            pieces,
+            beyond,
+            errors,
+            checked,
+            ..
         } = known;
         let rough = beyond.filter(|_| pieces.is_some());
         let beyond = rough.clone().map(|pieces| pieces.within(MAP_ERROR_MAX));
@@ -255,6 +261,7 @@ impl ValueMap {
             sites,
             fronts,
             own_errors: errors,
+            checked,
             pieces_alone: pieces.is_some() && nothing_else,
             time: (pieces.as_ref().filter(|p| p.states() > states)).and(model.final_time()),
             pieces,
@@ -528,7 +535,7 @@ impl ValueMap {
 
     /// Of a state within a period of the region: outside it the map has what solutions from there met.
     fn coverage_of_pieces(&self, x: &[f64]) -> Coverage {
-        match self.pieces.as_ref().is_some_and(|asked| asked.covers(x)) {
+        match self.checked && self.pieces.as_ref().is_some_and(|asked| asked.covers(x)) {
             true => Coverage::Checked,
             false => Coverage::Searched,
         }

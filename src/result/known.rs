@@ -10,7 +10,7 @@ use serde_json::Value as Json;
 pub enum StoredMapError {
     #[error(transparent)]
     Stored(#[from] StoredError),
-    #[error("{path} holds no values: neither /trajectories nor /points nor /map has any", path = path.display())]
+    #[error("{path} holds no values: neither /trajectories nor /points nor /map has any, and there is no map in pieces that knows something", path = path.display())]
     Empty { path: std::path::PathBuf },
     #[error(transparent)]
     Map(MapError),
@@ -49,6 +49,7 @@ impl Stored {
             grid: self.map()?,
             pieces: self.map_pieces()?,
             beyond: self.map_beyond()?,
+            checked: self.has("map_check"),
             sweep: sweep_record(&summary),
             searched: self.attribute("source").is_none(),
             errors: own_errors(&summary),

@@ -26,6 +26,8 @@ pub struct Claims {
     /// `[state][n]`, absolute.
     pub x: Vec<f64>,
     pub v: Vec<f64>,
+    /// What V may be off by, where it was interpolated; 0 where it was solved for.
+    pub error: Vec<f64>,
 }
 
 /// Where the greedy path from a state led.
@@ -96,7 +98,7 @@ pub fn referee(
             let place = wanted.binary_search(&targets.of_given[claim]).ok()?;
             let found = greedy[place].extremal.map(|e| &survey.extremals[e]);
             let found = found.map(|e| (e.value(), e.adjoint().to_vec()));
-            Some(judged(plan, claim, claims.v[claim], greedy[place].cost, found))
+            Some(judged(plan, (claim, claims), greedy[place].cost, found))
         })
         .collect();
     Ok(Opinion {
@@ -106,8 +108,9 @@ pub fn referee(
     })
 }
 
-fn judged(plan: &Plan, claim: usize, v: f64, cost: Option<f64>, found: Option<(f64, Vec<f64>)>) -> Flown {
-    let enough = tolerance(plan, v);
+fn judged(plan: &Plan, (claim, claims): (usize, &Claims), cost: Option<f64>, found: Option<(f64, Vec<f64>)>) -> Flown {
+    let v = claims.v[claim];
+    let enough = tolerance(plan, v) + claims.error[claim];
     let led = match &found {
         None => Led::Nowhere,
         Some((value, _)) if *value < v - enough => Led::Lower,

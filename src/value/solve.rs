@@ -371,7 +371,7 @@ pub fn solve(
         .then(|| Cover::new(plan, model, plan.segment_duration(), &Cpu::new()))
         .transpose()?;
     if !request.points.is_empty() && !cover.as_ref().is_some_and(Cover::has_cells) {
-        survey.direct = Direct::new(plan, model, plan.segment_duration());
+        survey.direct = Direct::new(plan, model, plan.segment_duration()).map(|direct| direct.until(solver.deadline));
     }
     let mut make = || coarse_grid(plan, model);
     let second = match &request.grid {

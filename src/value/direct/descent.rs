@@ -2,6 +2,7 @@
 //! taken, down to Gauss-Newton steps.
 
 use super::stage::{Rates, Slopes, Steps, times};
+use crate::backend::Deadline;
 use nalgebra::DMatrix;
 
 /// Weights of the barrier, in units of the control's own cost at its bound. Without bounds the last one stands for all.
@@ -43,6 +44,7 @@ pub(super) struct Transcription {
     pub bounds: Vec<[f64; 2]>,
     /// Hessian of V about the equilibrium, row by row.
     pub end: Vec<f64>,
+    pub deadline: Deadline,
 }
 
 impl Transcription {
@@ -122,6 +124,7 @@ impl<'a> Descent<'a> {
             let (most, small) = if is_last { (LAST_STEPS, DONE) } else { (STEPS, SMALL) };
             let mut costs = Vec::new();
             for step in 0..most {
+                self.problem.deadline.check().ok()?;
                 let change = self.change(barrier, &p)?;
                 let size = self.advance(&change, barrier);
                 p = change.p;

@@ -8,6 +8,7 @@
 mod descent;
 mod stage;
 
+use crate::backend::Deadline;
 use crate::model::{Horizon, Model};
 use crate::numeric::random::uniform;
 use crate::shooting::{End, Path};
@@ -73,6 +74,7 @@ impl<'a> Direct<'a> {
                 .collect(),
             // Symmetric: by columns is by rows.
             end: local.riccati.p.as_slice().to_vec(),
+            deadline: Deadline::default(),
         };
         Some(Self {
             plan,
@@ -81,6 +83,12 @@ impl<'a> Direct<'a> {
             slow,
             duration,
         })
+    }
+
+    /// Leaves out what takes longer: whoever sets a deadline has to look at it afterwards.
+    pub fn until(mut self, deadline: Deadline) -> Self {
+        self.problem.deadline = deadline;
+        self
     }
 
     /// What comes of guesses with these numbers from a state, a deviation.

@@ -56,6 +56,7 @@ impl Survey<'_> {
             for &target in &left {
                 let guesses = round * count..(round + 1) * count;
                 let mut optimized = direct.optimized(&self.state(target, 0), guesses, &solver.scheme.end);
+                solver.deadline.check()?;
                 optimized.sort_by(|a, b| a.cost.total_cmp(&b.cost));
                 self.starts[target] += count as u32;
                 costs[target].extend(optimized.iter().map(|o| o.cost));
