@@ -42,6 +42,12 @@ fn run(scene: &Path, out: &Path) -> Output {
     costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat())
 }
 
+/// What a run says in words, with its result in a file.
+fn words(scene: &Path, out: &Path) -> String {
+    let fixed = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
+    done(costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat()))
+}
+
 /// A map made: the file, and its summary's "map".
 fn made(name: &str, lines: &str) -> (Stored, serde_json::Value) {
     let scene = scene(name, lines);
@@ -236,8 +242,7 @@ fn there_is_no_map_round_a_region_that_solutions_stay_in() {
     );
     for (scene, has_one) in [(stays, false), (leaves, true), (game, false)] {
         let out = scene.with_extension("h5");
-        let fixed = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
-        let said = done(costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat()));
+        let said = words(&scene, &out);
         assert_eq!(said.contains("solutions leave the region"), has_one, "{said}");
         let stored = Stored::open(&out).unwrap();
         assert!(!pieces(&stored).pieces.is_empty());
@@ -406,8 +411,7 @@ fn a_budget_that_is_spent_is_said() {
             &format!("error = 1e-6\nstates = 300\ncheck = 5{more}"),
         );
         let out = scene.with_extension(name);
-        let fixed = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
-        let said = done(costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat()));
+        let said = words(&scene, &out);
         let stored = Stored::open(&out).unwrap();
         assert!(stored.group("map_check").is_some() && stored.group("map").is_none());
         (said, pieces(&stored))
@@ -436,9 +440,7 @@ fn the_first_search_keeps_within_the_budget() {
         assert!(summary["first_search"]["wanted"].as_u64().unwrap() > 250);
     }
     let scene = scene("manufactured", "error = 1e-4\nseconds = 1e-6\ncheck = 100");
-    let arguments = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
-    let out = scene.with_extension("h5");
-    let said = done(costate(&[&arguments[..], &[out.as_ref(), scene.as_ref()]].concat()));
+    let said = words(&scene, &scene.with_extension("h5"));
     assert!(
         said.contains("the budget ended the first search after 8 of its"),
         "{said}"
@@ -477,8 +479,7 @@ fn seconds_end_a_search_that_goes_on_and_on() {
     let scene = folder().join("hard.toml");
     std::fs::write(&scene, HARD).unwrap();
     let out = scene.with_extension("h5");
-    let arguments = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
-    let said = done(costate(&[&arguments[..], &[out.as_ref(), scene.as_ref()]].concat()));
+    let said = words(&scene, &out);
     assert!(
         said.contains("the budget ended the first search after 0 of its"),
         "{said}"

@@ -473,6 +473,43 @@ fn what_is_not_as_expected_is_named_and_stops_nothing() {
     assert_eq!(written.page.file_name().unwrap(), "result_report.html");
 }
 
+/// V, p and u over the only state: a line each on a smooth sheet, also where the series about the equilibrium says V, and two
+/// where the cheapest way changes its side.
+#[test]
+fn a_scene_of_one_state_has_curves() {
+    let smooth =
+        "dynamics = { x = \"sin(x) + u\" }\ncost = { running = \"x^2 + u^2\" }\nequilibrium = { x = 0, u = 0 }\n";
+    let wells = "dynamics = { x = \"u\" }\n\
+                 cost = { running = \"0.5*u^2\", terminal = \"x^4/4 - x^2\", final_time = 2.0 }\n";
+    for (name, problem, lines) in [("smooth", smooth, 1), ("wells", wells, 2)] {
+        let folder = folder(&format!("curve-{name}"));
+        let scene = folder.join("scene.toml");
+        std::fs::write(
+            &scene,
+            format!(
+                "states = {{ x = {{}} }}\ncontrols = {{ u = {{}} }}\n{problem}region = {{ x = [-2, 2] }}\n\
+                 map = {{ error = 1e-3, time = false, check = 5 }}\n"
+            ),
+        )
+        .unwrap();
+        let file = folder.join("result.h5");
+        let made = [
+            "homotopy",
+            "--backend",
+            "cpu",
+            "--quiet",
+            scene.to_str().unwrap(),
+            "--out",
+            file.to_str().unwrap(),
+        ];
+        assert_eq!(costate(&made).status.code(), Some(0));
+        let (summary, _) = reported(&file, &folder.join("page.html"), &[]);
+        assert_eq!(pictures(&summary), ["curve"]);
+        let svg = std::fs::read_to_string(folder.join("page/curve.svg")).unwrap();
+        assert_eq!(svg.matches("stroke-width=\"1.9\"").count(), 3 * lines, "{name}");
+    }
+}
+
 #[test]
 fn an_empty_result_gives_a_page_without_pictures() {
     let file = written("empty", |_| {});

@@ -4,6 +4,7 @@ use super::evaluate::other_scene;
 use super::report::{Bar, Terminal};
 use super::{CliError, FitArgs};
 use crate::feedback::{Data, Exports, Fitted, FittedLaw, GROUP, Samples, Step, fit};
+use crate::files::can_hold;
 use crate::hdf5::ResultFile;
 use crate::map::ValueMap;
 use crate::model::{Feedback, Model};
@@ -93,23 +94,20 @@ impl Beside {
 
     /// Whether the files can be written there, as far as can be told before: fitting takes long.
     fn check(&self, scene: &Model, laws: &[Feedback]) -> Result<(), CliError> {
-        let above = self.directory.ancestors().find(|d| d.exists());
-        if let Some(place) = above.filter(|place| !place.is_dir()) {
-            return Err(CliError::OutDir {
-                path: self.directory.clone(),
-                source: std::io::Error::other(format!("{} is not a directory", place.display())),
-            });
-        }
-        let empty = self.directory.as_os_str().is_empty();
-        let place = above.filter(|_| !empty).unwrap_or(Path::new("."));
-        crate::files::can_hold(place).map_err(|source| CliError::OutDir {
+        // What is not there yet is made in what is.
+        let place = (self.directory.ancestors().find(|d| d.exists())).unwrap_or(Path::new("."));
+        let holds = match place.is_dir() {
+            true => can_hold(place),
+            false => Err(std::io::Error::other(format!("{} is not a directory", place.display()))),
+        };
+        holds.map_err(|source| CliError::OutDir {
             path: self.directory.clone(),
             source,
         })?;
+        let scene = std::fs::canonicalize(&scene.file_name).ok();
         for law in laws {
             let weights = self.directory.join(format!("{}_{}.toml", self.stem, law.name));
-            let scene = std::fs::canonicalize(&scene.file_name);
-            if scene.is_ok_and(|s| std::fs::canonicalize(&weights).is_ok_and(|w| w == s)) {
+            if scene.is_some() && scene == std::fs::canonicalize(&weights).ok() {
                 return Err(CliError::OverScene {
                     name: law.name.clone(),
                     path: weights,

@@ -131,8 +131,7 @@ impl<'s> Source<'s> {
 
     /// From solutions that form no map. With a finite horizon only solved states are of the initial time.
     fn scattered(&self) -> Option<Plane> {
-        let known = self.knows_values();
-        if !known || self.axes[0] == self.axes[1] {
+        if !self.knows_values() || self.axes[0] == self.axes[1] {
             return None;
         }
         let map = self.stored.value_map().ok()?;

@@ -408,13 +408,7 @@ impl StoredGroup<'_> {
 
     fn dataset(&self, name: &str) -> Result<H5Dataset, StoredError> {
         let path = format!("{}/{name}", self.name);
-        self.stored.file.dataset(&path).map_err(|e| match self.has(name) {
-            true => self.hdf5(name, &e),
-            false => self.error(
-                name,
-                "it is missing: the file is damaged, or another program changed it",
-            ),
-        })
+        self.stored.file.dataset(&path).map_err(|e| self.hdf5(name, &e))
     }
 
     fn hdf5(&self, name: &str, error: &Hdf5Error) -> StoredError {

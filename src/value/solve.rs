@@ -369,7 +369,8 @@ pub fn solve(
     let mut survey = Survey::new(plan, &targets, solver)?;
     let mut cover = Cover::serves(plan)
         .then(|| Cover::new(plan, model, plan.segment_duration(), &Cpu::new()))
-        .transpose()?;
+        .transpose()?
+        .map(|cover| cover.until(solver.deadline));
     if !request.points.is_empty() && !cover.as_ref().is_some_and(Cover::has_cells) {
         survey.direct = Direct::new(plan, model, plan.segment_duration()).map(|direct| direct.until(solver.deadline));
     }
@@ -378,9 +379,6 @@ pub fn solve(
         Some(grid) => SecondOpinion::Given(grid),
         None => SecondOpinion::OnDemand(&mut make),
     };
-    if let Some(cover) = &mut cover {
-        cover.give_up_at(solver.deadline);
-    }
     survey.run(solver, archive, cover.as_mut(), wanted, second, progress)?;
     let boundary = if request.one_sheet || plan.game {
         Vec::new()

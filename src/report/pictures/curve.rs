@@ -60,15 +60,18 @@ pub fn picture(source: &Source<'_>) -> Made {
     }))
 }
 
-/// What is known along the state, a line for each run of states on one sheet.
+/// What is known along the state, a line for each run of states on one sheet. That of the series about the equilibrium, which has
+/// no number, goes on on both sides.
 fn panel(label: String, x: &[f64], found: &[Option<Value>], of: impl Fn(&Value) -> f64) -> Panel {
     let stroke = Stroke::new(Ink::Colour(colours::class(0)), 1.9);
-    let sheet = |k: usize| found[k].as_ref().map(|value| value.sheet);
-    let places: Vec<usize> = (0..x.len()).collect();
-    let runs = places.chunk_by(|a, b| sheet(*a) == sheet(*b));
-    let curves = runs.filter_map(|run| {
+    let places: Vec<(f64, Option<&Value>)> = x.iter().copied().zip(found.iter().map(Option::as_ref)).collect();
+    let goes_on = |(_, a): &(f64, Option<&Value>), (_, b): &(f64, Option<&Value>)| match (a, b) {
+        (Some(a), Some(b)) => a.sheet == b.sheet || a.sheet.min(b.sheet) < 0,
+        _ => false,
+    };
+    let curves = places.chunk_by(goes_on).filter_map(|run| {
         let points: Vec<[f64; 2]> = (run.iter())
-            .filter_map(|k| Some([x[*k], of(found[*k].as_ref()?)]))
+            .filter_map(|(x, value)| Some([*x, of((*value)?)]))
             .collect();
         (points.len() > 1).then_some(Curve { points, stroke })
     });

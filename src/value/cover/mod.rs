@@ -199,9 +199,10 @@ impl<'a> Cover<'a> {
         })
     }
 
-    /// Lets a search fail with [`BackendError::OutOfTime`] once it takes longer.
-    pub fn give_up_at(&mut self, deadline: Deadline) {
+    /// Searches that take longer fail with [`BackendError::OutOfTime`].
+    pub fn until(mut self, deadline: Deadline) -> Self {
         self.fan.deadline = deadline;
+        self
     }
 
     /// Trajectories integrated so far.
