@@ -104,7 +104,7 @@ fn loops(model: &Model, map: &ValueMap, region: &Region, count: usize) -> Result
 
 /// The map of a part of the compressor's box, of which loops are flown.
 fn made() -> Result<PathBuf, Box<dyn std::error::Error>> {
-    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/moore_greitzer_map.toml");
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios/moore_greitzer_map.toml");
     let text = std::fs::read_to_string(shipped)?;
     let sections = text.find("[shoot_out]").ok_or("the scene has [shoot_out]")?;
     let region = "{ Phi = [1.0, 1.4], Psi = [1.6, 2.2], R = [0.0, 0.2], gamma = [1.3, 1.75] }";

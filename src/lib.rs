@@ -37,11 +37,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Writing the blocks to HDF5 is [`result`]'s; the program around it all is [`cli`].
+//! Writing the blocks to HDF5 is [`result`]'s. The program, pictures and speed measurements are crates of their own, in `crates/`.
 pub mod attenuation;
 pub mod backend;
-pub mod bench;
-pub mod cli;
 pub mod closed_loop;
 pub mod diagnostics;
 pub mod dynamic_programming;
@@ -56,7 +54,6 @@ pub mod map;
 pub mod model;
 pub mod numeric;
 pub mod program;
-pub mod report;
 pub mod result;
 pub mod scenario;
 pub mod scene;

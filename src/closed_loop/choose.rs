@@ -89,6 +89,10 @@ impl Available {
     fn unknown(&self, laws: &Laws<'_>, scene: &ClosedLoop, name: String) -> LawError {
         let mut known = self.all(laws, scene);
         known.extend(self.added.iter().map(|w| w.name.clone()));
+        if name == MAP && !self.map {
+            let help = "the result file knows V nowhere, or is not there".to_owned();
+            return LawError::Unknown { name, help };
+        }
         let help = did_you_mean(&name, known.iter().map(String::as_str));
         let help = help.unwrap_or_else(|| format!("there are: {}", known.join(", ")));
         LawError::Unknown { name, help }

@@ -9,12 +9,12 @@ mod suggest;
 pub use problem::{Problem, Span};
 pub use render::ScenarioErrors;
 pub(crate) use render::position;
-pub(crate) use suggest::did_you_mean;
+pub use suggest::did_you_mean;
 #[cfg(test)]
 pub(crate) use suggest::nearest;
 
 /// At most 40 characters of `text`.
-pub(crate) fn shorten(text: &str) -> String {
+pub fn shorten(text: &str) -> String {
     match text.char_indices().nth(40) {
         Some((end, _)) => format!("{}...", &text[..end]),
         None => text.to_owned(),

@@ -115,6 +115,35 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     draft.publish().map(drop)
 }
 
+/// Puts files in place together: all are written under hidden names in `beside`, a directory of the same file system, before
+/// any gets its own. Parent directories are made then.
+///
+/// # Errors
+/// As [`write_text`]; where one cannot be written none is in place.
+pub fn write_together(files: &[(PathBuf, Vec<u8>)], beside: &Path) -> Result<(), FileError> {
+    let mut drafts = Vec::with_capacity(files.len());
+    for (path, bytes) in files {
+        let path = target(path)?;
+        let hidden = Draft::begin(&beside.join(path.file_name().unwrap_or_default()))?;
+        std::fs::write(hidden.hidden(), bytes).map_err(|source| FileError::Write {
+            path: path.clone(),
+            source,
+        })?;
+        drafts.push((path, hidden.temporary));
+    }
+    for (path, draft) in drafts {
+        let directory = parent_directory(&path);
+        fs::create_dir_all(directory).map_err(|source| FileError::CreateDirectory {
+            directory: directory.to_owned(),
+            source,
+        })?;
+        draft
+            .publish(&path)
+            .map_err(|source| FileError::Rename { path, source })?;
+    }
+    Ok(())
+}
+
 /// Whether files can be made in a directory: by making one, which is taken away again.
 ///
 /// # Errors
@@ -169,6 +198,16 @@ mod tests {
             write_text(&taken, "no"),
             Err(FileError::TargetIsDirectory { .. })
         ));
+        // Together: where one cannot be, none is.
+        let both = [
+            (directory.path().join("pictures/a.svg"), b"a".to_vec()),
+            (taken.clone(), b"no".to_vec()),
+        ];
+        assert!(write_together(&both, directory.path()).is_err());
+        assert_eq!(entries(directory.path()), ["picture.svg", "taken"]);
+        write_together(&both[..1], directory.path()).unwrap();
+        assert_eq!(fs::read(&both[0].0).unwrap(), b"a");
+        fs::remove_dir_all(directory.path().join("pictures")).unwrap();
         // A missing directory is made, as for result files.
         write_text(&directory.path().join("new/sub/table.csv"), "x").unwrap();
         assert_eq!(entries(directory.path()), ["new", "picture.svg", "taken"]);

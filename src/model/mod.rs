@@ -155,6 +155,8 @@ pub const MOST_MAP_STATES: usize = 6;
 /// States that a map to an error may solve for, and fresh states that it is checked with, unless the scene says.
 pub const DEFAULT_MAP_STATES: usize = 100_000;
 pub const DEFAULT_MAP_CHECK: usize = 200;
+/// Fresh states that a scene may ask for.
+pub const MOST_MAP_CHECK: usize = 1_000_000;
 
 /// `[map]` with `error`: pieces, refined until the error is met.
 #[derive(Clone, Debug, PartialEq)]

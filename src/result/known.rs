@@ -10,8 +10,10 @@ use serde_json::Value as Json;
 pub enum StoredMapError {
     #[error(transparent)]
     Stored(#[from] StoredError),
-    #[error("{path} holds no values: neither /trajectories nor /points nor /map has any, and there is no map in pieces that knows something", path = path.display())]
+    #[error("{path} holds no values: neither /trajectories nor /points nor /map has any (`costate run` or `costate homotopy` of its scene makes some)", path = path.display())]
     Empty { path: std::path::PathBuf },
+    #[error("{path}: its map in pieces knows V nowhere: run its scene again; what is printed of the map says why", path = path.display())]
+    EmptyMap { path: std::path::PathBuf },
     #[error(transparent)]
     Map(MapError),
 }
@@ -25,6 +27,9 @@ impl Stored {
     pub fn value_map(&self) -> Result<ValueMap, StoredMapError> {
         let known = self.known()?;
         ValueMap::new(&self.scene.model, &self.scene.hamiltonian, known).map_err(|error| match error {
+            MapError::Empty if self.has("map_pieces") => StoredMapError::EmptyMap {
+                path: self.path.clone(),
+            },
             MapError::Empty => StoredMapError::Empty {
                 path: self.path.clone(),
             },

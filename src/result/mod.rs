@@ -7,7 +7,6 @@ mod interpolated;
 mod known;
 mod map_pieces;
 mod record;
-mod speed_error;
 mod stored;
 mod study;
 mod trajectories;

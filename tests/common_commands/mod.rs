@@ -33,9 +33,7 @@ pub fn done(output: Output) -> String {
 }
 
 pub fn scenario(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("scenarios")
-        .join(format!("{name}.toml"))
+    Path::new(crate::ROOT).join("scenarios").join(format!("{name}.toml"))
 }
 
 /// Some sections of a shipped scene.

@@ -7,8 +7,7 @@ use costate::hamiltonian::Hamiltonian;
 use costate::model::{Method, Model, Precision};
 use costate::sweep::Choices;
 
-#[path = "../common/mod.rs"]
-mod common;
+use crate::common;
 pub use common::any_gpu;
 
 pub struct Scene {

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex};
 
 /// A shipped scene, with parameters set as by `--set`.
 pub fn scene(name: &str, set: &[(&str, &str)]) -> Model {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+    let path = Path::new(crate::ROOT)
         .join("scenarios")
         .join(name)
         .with_extension("toml");

@@ -7,10 +7,8 @@ use costate::shooting::Solver;
 use costate::sweep::{Choices, Plan, sweep_keeping};
 use costate::value::{self, Answers, Archive, Entry, Grid, Request};
 
-#[path = "../common_oracles/mod.rs"]
-pub mod common_oracles;
 #[allow(unused_imports)] // each test file uses its part
-pub use common_oracles::{parse, scene};
+pub use crate::common_oracles::{parse, scene};
 
 /// A scene swept, ready to be solved at states.
 pub struct Swept {
@@ -21,7 +19,7 @@ pub struct Swept {
 
 impl Swept {
     pub fn on(model: Model, backend: &dyn Backend, most: usize) -> Self {
-        let hamiltonian = common_oracles::derive(&model);
+        let hamiltonian = crate::common_oracles::derive(&model);
         let choices = Choices {
             inner_levels: true,
             max_seeds: Some(most),

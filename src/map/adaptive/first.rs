@@ -42,6 +42,8 @@ impl Work<'_, '_> {
         values.sort_by(f64::total_cmp);
         let median = values.get(values.len() / 2).copied().unwrap_or(1.0);
         let size = median.max(OF_LARGEST * values.last().copied().unwrap_or(0.0));
+        // V that is 0 everywhere has no size of its own.
+        let size = if size > 0.0 { size } else { 1.0 };
         let floor = self
             .aim
             .floor
@@ -76,7 +78,11 @@ impl Work<'_, '_> {
         let mut guesses = Vec::new();
         for x in &states {
             self.frame.of(x, &mut z);
-            let Some(from) = self.nearest(&z) else { return Ok(()) };
+            let Some(from) = self.nearest(&z) else {
+                // No way leads there: these are no states that the budget had no room for.
+                self.first[1] -= count;
+                return Ok(());
+            };
             let shift = &self.origins[from as usize].1;
             let x = x.iter().zip(shift).map(|(x, s)| x - s).collect();
             guesses.push((x, self.guess(from), self.cloud.sheet[from as usize]));

@@ -1,0 +1,335 @@
+//! What a run says of a map that was made to an error.
+
+use super::report::{Done, quantiles};
+use costate::map::pieces::Region;
+use costate::map::{ABOVE_BOUND, Adaptive, Beyond, Checked, GROSS, Part};
+use costate::model::MOST_MAP_STATES;
+use costate::value::PointStatus;
+use std::collections::BTreeMap;
+
+/// What fresh states show: of those with an answer how many are known, errors relative to max(V, floor), and to the bound.
+struct Shown {
+    solved: usize,
+    /// Others, by why V is not compared there.
+    unsolved: BTreeMap<PointStatus, usize>,
+    known: usize,
+    /// Median, 99 % and largest.
+    error: [f64; 3],
+    over_bound: [f64; 3],
+    /// States whose error is above the bound.
+    above_bound: usize,
+    /// The state at which it is most above it.
+    worst: Option<Checked>,
+    /// States without an answer for which the map says one, by why they have none.
+    said_of_none: BTreeMap<PointStatus, usize>,
+}
+
+/// A part of the region that is wider than this share of it along a variable is not told by that.
+const ALL_ALONG: f64 = 0.7;
+
+fn shown(check: &[Checked], floor: f64) -> Shown {
+    let solved: Vec<&Checked> = (check.iter())
+        .filter(|c| c.solved.is_finite() && c.status != PointStatus::AboveMax)
+        .collect();
+    let known: Vec<&&Checked> = solved.iter().filter(|c| c.said.is_finite()).collect();
+    let off = |c: &Checked| (c.said - c.solved).abs();
+    let error: Vec<f64> = known.iter().map(|c| off(c) / c.solved.abs().max(floor)).collect();
+    // Where both are 0 the bound holds.
+    let over = |c: &Checked| if off(c) == 0.0 { 0.0 } else { off(c) / c.bound };
+    let over_bound: Vec<f64> = known.iter().map(|c| over(c)).collect();
+    Shown {
+        solved: solved.len(),
+        known: known.len(),
+        error: quantiles(&error),
+        above_bound: over_bound.iter().filter(|o| **o > 1.0).count(),
+        over_bound: quantiles(&over_bound),
+        worst: (known.iter().max_by(|a, b| over(a).total_cmp(&over(b)))).map(|c| (**c).clone()),
+        unsolved: by_status(
+            check
+                .iter()
+                .filter(|c| !c.solved.is_finite() || c.status == PointStatus::AboveMax),
+        ),
+        said_of_none: by_status(
+            (check.iter())
+                .filter(|c| !c.solved.is_finite() && c.said.is_finite())
+                // Where a guard excludes a state, look-ups say nothing.
+                .filter(|c| !matches!(c.status, PointStatus::AboveMax | PointStatus::OutsideGuard)),
+        ),
+    }
+}
+
+fn by_status<'c>(some: impl Iterator<Item = &'c Checked>) -> BTreeMap<PointStatus, usize> {
+    some.fold(BTreeMap::new(), |mut counts, c| {
+        *counts.entry(c.status).or_default() += 1;
+        counts
+    })
+}
+
+fn listed<'c>(counts: impl Iterator<Item = (&'c PointStatus, &'c usize)>) -> String {
+    let each = counts.map(|(status, count)| format!("{count} {}", status.name()));
+    each.collect::<Vec<String>>().join(", ")
+}
+
+/// Names of the map's variables: the states, and the time where it is an axis.
+fn variables(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
+    let time = (made.pieces.states() > done.names.len()).then(|| done.model.time_name().to_owned());
+    done.names.iter().cloned().chain(time).collect()
+}
+
+/// Where nine tenths of a part of the region lie along each variable, if that tells something.
+fn mostly(names: &[String], part: &Part, region: &Region) -> String {
+    let each = names.iter().zip(&part.bounds).enumerate();
+    let narrow: Vec<String> = each
+        .filter(|(i, (_, [lo, hi]))| hi - lo < ALL_ALONG * region.width(*i))
+        .map(|(_, (name, [lo, hi]))| format!("{name} from {} to {}", place(*lo, hi - lo), place(*hi, hi - lo)))
+        .collect();
+    match narrow.is_empty() {
+        true => String::new(),
+        false => format!(", nine tenths of it with {}", narrow.join(", ")),
+    }
+}
+
+/// Why nothing is known anywhere, if so.
+fn nothing(made: &Adaptive) -> Option<&'static str> {
+    if made.points > 0 {
+        return None;
+    }
+    Some(match (made.failed, made.above_max) {
+        (0, _) => "guards exclude every state that was drawn in the map's region: move the region, or the guards",
+        (failed, above) if failed == above => {
+            "V is above `value_max` at every state that was solved for: raise it, or leave it out"
+        }
+        _ => "no state that was tried has a solution: `costate solve` of one of them says more",
+    })
+}
+
+/// A number with as many digits as tell ends of an interval so wide apart.
+fn place(x: f64, width: f64) -> String {
+    let decimals = 3.0 - width.abs().max(f64::MIN_POSITIVE).log10().floor();
+    if decimals > 9.0 {
+        return format!("{x:.5e}");
+    }
+    format!("{x:.*}", decimals.clamp(0.0, 9.0) as usize)
+}
+
+/// How many states were tried in vain, and why, in brackets.
+fn failures(made: &Adaptive) -> String {
+    let reasons = [
+        (
+            made.failed - made.above_max,
+            "to which the ways tried led to no solution",
+        ),
+        (made.above_max, "of V above `value_max`"),
+    ];
+    let told: Vec<String> = reasons
+        .iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, why)| format!("{count} more {why}"))
+        .collect();
+    match told.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", told.join(", ")),
+    }
+}
+
+pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
+    let region = &made.pieces.region;
+    let mut lines = vec![format!(
+        "{}: {} pieces in {} cells, from {} points along the trajectories of {} states{}, {} rounds, {:.1} s",
+        of_what(done, made),
+        made.pieces.pieces.len(),
+        made.pieces.cells.len(),
+        made.points,
+        made.states,
+        failures(made),
+        made.rounds,
+        made.seconds
+    )];
+    if made.first[0] < made.first[1] {
+        lines.push(format!(
+            "  the budget ended the first search after {} of its {} states, so a cheaper sheet may have been missed: give more `states` or \
+             `seconds`",
+            made.first[0], made.first[1]
+        ));
+    }
+    lines.extend(nothing(made).map(|why| format!("  the map is empty: {why}")));
+    let asked = format!(
+        "  error of V asked for {:.1e}, relative to max(V, {:.1e})",
+        region.error, region.floor
+    );
+    if made.unmet.share > 0.0 {
+        let names = variables(done, made);
+        lines.push(format!(
+            "{asked}: not met in {:.2} % of the region (by its own measure){}",
+            100.0 * made.unmet.share,
+            mostly(&names, &made.unmet, region)
+        ));
+        let why = match made.uncertain {
+            0.0 => "as no points are there, or no answer exists".to_owned(),
+            uncertain => format!(
+                "in {:.2} % as the bound is above {:.1e} (`error_max`), elsewhere as no points are there, or no answer exists",
+                100.0 * uncertain,
+                made.error_max
+            ),
+        };
+        if made.unknown.share > 0.0 {
+            lines.push(format!(
+                "  nothing is said in {:.2} % of the region{} ({why}){}",
+                100.0 * made.unknown.share,
+                match done.model.map_aim.as_ref().is_some_and(|aim| aim.value_max.is_some()) {
+                    true => ", beside what may be above `value_max`",
+                    false => "",
+                },
+                mostly(&names, &made.unknown, region)
+            ));
+        }
+        lines.push(match made.spent {
+            true => "  the budget was spent: with more `states` or `seconds` the error is met in more of it".to_owned(),
+            false => format!(
+                "  more states would not help: cells with too many of those that were tried in vain are left{}",
+                failures(made)
+            ),
+        });
+    } else {
+        lines.push(format!("{asked}: met by its own measure"));
+    }
+    if made.check.is_empty() {
+        if made.check_asked > 0 {
+            lines
+                .push("  no fresh state could be solved for in `seconds`: nothing checks what the map says".to_owned());
+        }
+        return lines;
+    }
+    let shown = shown(&made.check, made.pieces.region.floor);
+    let count = if made.check.len() < made.check_asked {
+        format!(
+            "{} of {} (`seconds` leaves no more time)",
+            made.check.len(),
+            made.check_asked
+        )
+    } else {
+        made.check.len().to_string()
+    };
+    let others = match shown.unsolved.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", listed(shown.unsolved.iter())),
+    };
+    if shown.known == 0 {
+        lines.push(format!(
+            "  check with {count} fresh states, never used in the map: {} solved{others}, none of them known",
+            shown.solved
+        ));
+        return lines;
+    }
+    let [median, most, worst] = shown.error;
+    lines.push(format!(
+        "  check with {count} fresh states, never used in the map: {} solved{others}, of them {} known; relative error of V: median {median:.1e}, \
+         99 % {most:.1e}, largest {worst:.1e}; error over its bound: 99 % {:.2}, largest {:.2}",
+        shown.solved,
+        shown.known,
+        shown.over_bound[1],
+        shown.over_bound[2]
+    ));
+    if shown.above_bound as f64 > ABOVE_BOUND * shown.known as f64 || shown.over_bound[2] > GROSS {
+        let worst = shown.worst.as_ref().map_or(String::new(), |worst| {
+            let names = variables(done, made);
+            let at: Vec<String> = names
+                .iter()
+                .zip(&worst.x)
+                .map(|(name, x)| format!("{name} = {x}"))
+                .collect();
+            format!(
+                " (at {} it is {:.2e}, with a bound of {:.1e})",
+                at.join(", "),
+                (worst.said - worst.solved).abs(),
+                worst.bound
+            )
+        });
+        lines.push(format!(
+            "  WARNING: at {} of {} fresh states the error is above its bound{worst}: these bounds are not to be relied on; give more `states`",
+            shown.above_bound, shown.known
+        ));
+    }
+    lines.extend(of_none(&shown.said_of_none));
+    lines.extend(made.beyond.as_ref().map(|beyond| of_beyond(done, beyond)));
+    lines
+}
+
+/// Fresh states for which no solution was found, and of which the map says V.
+fn of_none(statuses: &BTreeMap<PointStatus, usize>) -> Vec<String> {
+    // A search may fail where there is a solution; where one meets a guard or a fold there is none.
+    let shows = |status: PointStatus| matches!(status, PointStatus::LeavesGuard | PointStatus::Fold);
+    let some = |shown: bool| {
+        let text = listed(statuses.iter().filter(|(status, _)| shows(**status) == shown));
+        (!text.is_empty()).then_some(text)
+    };
+    let without =
+        some(true).map(|these| format!("  WARNING: at fresh states without an answer the map says one ({these})"));
+    let missed = some(false).map(|these| {
+        format!("  at fresh states for which the search found no solution the map says V ({these}): one of the two is wrong there")
+    });
+    without.into_iter().chain(missed).collect()
+}
+
+/// Where solutions leave the region, and what is known there.
+fn of_beyond(done: &Done<'_>, beyond: &Beyond) -> String {
+    let region = &beyond.pieces.region;
+    let bounds = done.names.iter().zip(region.lo.iter().zip(&region.hi));
+    let bounds: Vec<String> = bounds
+        .map(|(name, (lo, hi))| format!("{name} {} to {}", place(*lo, hi - lo), place(*hi, hi - lo)))
+        .collect();
+    let mut line = format!(
+        "  solutions leave the region: for laws {} pieces where they lead ({})",
+        beyond.pieces.pieces.len(),
+        bounds.join(", ")
+    );
+    let shown = shown(&beyond.check, region.floor);
+    if shown.known > 0 {
+        line += &format!(
+            "; of {} points there on the fresh states' {:.1} % known, relative error of V: median {:.1e}, 99 % {:.1e}",
+            shown.solved,
+            100.0 * shown.known as f64 / shown.solved as f64,
+            shown.error[0],
+            shown.error[1]
+        );
+    }
+    line
+}
+
+/// On a finite horizon whether the map is V(x, t), or why not.
+fn of_what(done: &Done<'_>, made: &Adaptive) -> String {
+    let (Some(last), name) = (done.model.final_time(), done.model.time_name()) else {
+        return "map".to_owned();
+    };
+    if made.pieces.states() > done.names.len() {
+        return format!("map of V(x, {name}) for {name} from 0 to {last}");
+    }
+    let why = if done.model.is_game() {
+        "a game's has no time axis"
+    } else if done.names.len() >= MOST_MAP_STATES {
+        "time counts as a state, and there are too many"
+    } else {
+        "[map] time = false"
+    };
+    format!("map of V at {name} = 0 alone ({why})")
+}
+
+pub(super) fn as_json(made: &Adaptive, states: usize) -> serde_json::Value {
+    let shown = shown(&made.check, made.pieces.region.floor);
+    let quantiles = |q: [f64; 3]| serde_json::json!({ "median": q[0], "p99": q[1], "max": q[2] });
+    serde_json::json!({
+        "time": made.pieces.region.hi.get(states),
+        "pieces": made.pieces.pieces.len(), "cells": made.pieces.cells.len(), "points": made.points,
+        "states": made.states, "failed": made.failed, "above_max": made.above_max, "rounds": made.rounds, "seconds": made.seconds,
+        "first_search": { "states": made.first[0], "wanted": made.first[1] },
+        "error_asked": made.pieces.region.error, "floor": made.pieces.region.floor, "share_unmet": made.unmet.share,
+        "unmet_within": made.unmet.bounds, "share_unknown": made.unknown.share, "unknown_within": made.unknown.bounds,
+        "error_max": made.error_max, "share_uncertain": made.uncertain, "budget_spent": made.spent,
+        "pieces_beyond": made.beyond.as_ref().map(|beyond| beyond.pieces.pieces.len()),
+        "check": {
+            "states": made.check.len(), "asked": made.check_asked, "solved": shown.solved, "known": shown.known,
+            "V_error": quantiles(shown.error), "V_error_over_bound": quantiles(shown.over_bound),
+            "above_bound": shown.above_bound, "said_without_answer": shown.said_of_none.values().sum::<usize>(),
+        },
+    })
+}

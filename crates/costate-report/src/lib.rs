@@ -1,0 +1,258 @@
+//! The report of a result file: one page of HTML with its pictures in it, and the pictures beside it as SVG and PNG.
+//!
+//! Data flows one way: [`Source`] reads a [`Stored`] file once; each file of `pictures/` makes a [`Picture`] of it, where
+//! the file has the data; `canvas` is what drawing code knows, with `svg` and `raster` behind it; `page` puts all
+//! together. A picture that cannot be made is named in the page with the reason, and stops nothing.
+
+mod canvas;
+mod colours;
+pub mod contour;
+mod equations;
+mod flow;
+mod frame;
+mod hatch;
+mod names;
+mod page;
+mod pictures;
+pub mod plane;
+mod raster;
+mod shape;
+mod source;
+mod svg;
+mod tables;
+mod text;
+mod ticks;
+
+pub use source::{OptionsError, Source};
+
+use canvas::{Anchor, Canvas, Rect, Style, TITLE};
+use costate::files::{FileError, write_bytes, write_text, write_together};
+use costate::model::Report;
+use costate::result::{Stored, StoredError};
+use raster::{Raster, RasterError};
+use std::path::{Path, PathBuf};
+use svg::Svg;
+
+/// Width of pictures in pixels unless asked otherwise.
+pub const DEFAULT_WIDTH: u32 = 900;
+/// Room of a picture's title.
+const TITLE_ROOM: f64 = 30.0;
+const MARGIN: f64 = 8.0;
+
+/// What is asked for on the command line. `choice` goes before the scene's `[report]`.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// The page; default: the result file's name with `_report.html`.
+    pub out: Option<PathBuf>,
+    pub choice: Report,
+    /// Width of the pictures in pixels; default: [`DEFAULT_WIDTH`].
+    pub width: Option<u32>,
+}
+
+/// What was written.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Written {
+    pub page: PathBuf,
+    /// Its size in bytes.
+    pub bytes: usize,
+    /// Where the pictures are.
+    pub folder: PathBuf,
+    /// Names of the pictures, in the page's order: `folder/NAME.svg` and `folder/NAME.png`.
+    pub pictures: Vec<String>,
+    /// Pictures that could not be made, with the reason.
+    pub missing: Vec<(String, String)>,
+}
+
+/// Why there is no report.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    #[error(transparent)]
+    Options(#[from] OptionsError),
+    #[error(transparent)]
+    Stored(#[from] StoredError),
+    #[error(transparent)]
+    Output(#[from] FileError),
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    #[error("no picture `{name}`: {reason}")]
+    Picture { name: String, reason: String },
+}
+
+/// Something that can be drawn at any size.
+pub trait Drawing {
+    /// Height that suits a width.
+    fn height(&self, width: f64) -> f64;
+
+    fn draw(&self, canvas: &mut dyn Canvas, area: Rect);
+}
+
+/// A picture and what is said about it.
+pub struct Picture {
+    /// Name of its files.
+    pub name: String,
+    pub title: String,
+    /// What is seen, and how to read it.
+    pub caption: String,
+    pub drawing: Box<dyn Drawing>,
+}
+
+impl Picture {
+    fn size(&self, width: f64) -> [f64; 2] {
+        [
+            width,
+            (TITLE_ROOM + self.drawing.height(width - 2.0 * MARGIN) + MARGIN).round(),
+        ]
+    }
+
+    fn draw(&self, canvas: &mut dyn Canvas) {
+        let [width, height] = canvas.size();
+        let title = text::shortened(&self.title, TITLE, width - 2.0 * MARGIN);
+        canvas.text(
+            [MARGIN, 0.5 * TITLE_ROOM + 1.0],
+            &title,
+            Style::new(Anchor::Start).size(TITLE),
+        );
+        let area = Rect::new(MARGIN, TITLE_ROOM, width - MARGIN, height - MARGIN);
+        self.drawing.draw(canvas, area);
+    }
+
+    /// As SVG text, so wide.
+    pub fn svg(&self, width: f64) -> String {
+        let mut canvas = Svg::new(self.size(width));
+        self.draw(&mut canvas);
+        canvas.finish(&self.title)
+    }
+
+    /// As the bytes of a PNG file, so wide.
+    ///
+    /// # Errors
+    /// Where encoding fails.
+    pub fn png(&self, width: f64) -> Result<Vec<u8>, RasterError> {
+        let mut canvas = Raster::new(self.size(width))?;
+        self.draw(&mut canvas);
+        canvas.png()
+    }
+}
+
+/// The page's name for a result file: `out/x.h5` -> `out/x_report.html`.
+pub fn default_page(file: &Path) -> PathBuf {
+    let stem = file
+        .file_stem()
+        .map(|s| s.to_string_lossy().into_owned())
+        .unwrap_or_default();
+    file.with_file_name(format!("{stem}_report.html"))
+}
+
+/// Writes the report of a result file: the page, and a folder of its name (without `.html`) with the pictures. Pictures of
+/// an earlier report of that name are replaced.
+///
+/// # Errors
+/// [`ReportError::Options`] where the options do not fit the scene; else where nothing can be written. What cannot be
+/// drawn is no error: it is in [`Written::missing`] and on the page.
+pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError> {
+    let source = Source::new(stored, &options.choice)?;
+    let (pictures, mut missing) = pictures::all(&source);
+    let page = options.out.clone().unwrap_or_else(|| default_page(&stored.path));
+    let folder = page.with_extension("");
+    let folder = if folder == page {
+        page.with_extension("pictures")
+    } else {
+        folder
+    };
+    // Drawing takes long: a command that is killed meanwhile leaves the report that was there, and else nothing.
+    let width = f64::from(options.width.unwrap_or(DEFAULT_WIDTH));
+    let drawn: Vec<String> = pictures.iter().map(|picture| picture.svg(width)).collect();
+    let mut files: Vec<(String, Vec<u8>)> = Vec::new();
+    for (picture, svg) in pictures.iter().zip(&drawn) {
+        files.push((format!("{}.svg", picture.name), svg.clone().into_bytes()));
+        let name = format!("{}.png", picture.name);
+        match picture.png(width) {
+            Ok(bytes) => files.push((name, bytes)),
+            Err(e) => missing.push((name, e.to_string())),
+        }
+    }
+    let html = page::html(&source, &pictures, &drawn, &missing, &folder);
+
+    let mut placed: Vec<(PathBuf, Vec<u8>)> = (files.into_iter())
+        .map(|(name, bytes)| (folder.join(name), bytes))
+        .collect();
+    // The page last: where it is new its pictures are there.
+    placed.push((page.clone(), html.clone().into_bytes()));
+    let beside = page.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+    write_together(&placed, &beside)?;
+    clear(&folder, &placed);
+    Ok(Written {
+        page,
+        bytes: html.len(),
+        folder,
+        pictures: pictures.into_iter().map(|p| p.name).collect(),
+        missing,
+    })
+}
+
+/// One picture of a result file by its name; `None` where the file has no data for it.
+///
+/// # Errors
+/// As [`write()`]; [`ReportError::Picture`] where the data do not make a picture.
+pub fn single(stored: &Stored, name: &str) -> Result<Option<Picture>, ReportError> {
+    let source = Source::new(stored, &Report::default())?;
+    pictures::named(&source, name).map_err(|reason| ReportError::Picture {
+        name: name.to_owned(),
+        reason,
+    })
+}
+
+/// The pictures of the smallest level of attenuation.
+pub const ATTENUATION_PICTURES: [&str; 2] = ["coverage", "validity"];
+
+/// What was written beside a result file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Beside {
+    /// The SVG files.
+    pub pictures: Vec<String>,
+    /// Pictures that could not be made, with the reason.
+    pub missing: Vec<(String, String)>,
+}
+
+/// Writes single pictures of a result file beside it, as `out/x_NAME.svg` and `.png`; those that the file has no data for
+/// are left out.
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportError> {
+    let source = Source::new(stored, &Report::default())?;
+    let stem = (stored.path.file_stem()).map_or_else(String::new, |s| s.to_string_lossy().into_owned());
+    let mut done = Beside::default();
+    for name in names {
+        let picture = match pictures::named(&source, name) {
+            Ok(Some(picture)) => picture,
+            Ok(None) => continue,
+            Err(reason) => {
+                done.missing.push(((*name).to_owned(), reason));
+                continue;
+            }
+        };
+        let path = stored.path.with_file_name(format!("{stem}_{name}.svg"));
+        let width = f64::from(DEFAULT_WIDTH);
+        write_text(&path, &picture.svg(width))?;
+        write_bytes(&path.with_extension("png"), &picture.png(width)?)?;
+        done.pictures.push(path.display().to_string());
+    }
+    Ok(done)
+}
+
+/// Takes away pictures of an earlier report that the new one does not have, known by their names: the folder may hold other
+/// things.
+fn clear(folder: &Path, new: &[(PathBuf, Vec<u8>)]) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for path in entries.filter_map(|e| Some(e.ok()?.path())) {
+        let kind = path.extension().is_some_and(|e| e == "svg" || e == "png");
+        let name = path
+            .file_stem()
+            .is_some_and(|s| pictures::is_picture(&s.to_string_lossy()));
+        if kind && name && !new.iter().any(|(own, _)| *own == path) {
+            // What cannot be removed is no reason to stop.
+            let _ = std::fs::remove_file(&path);
+        }
+    }
+}

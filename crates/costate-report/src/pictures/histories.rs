@@ -1,0 +1,204 @@
+//! States and controls against time.
+
+use super::Made;
+use super::panels::{Curve, Panel, Panels};
+use crate::canvas::{Dash, Ink, Stroke};
+use crate::flow::Flow;
+use crate::frame::Mark;
+use crate::{Picture, Source, colours, names};
+use costate::model::{Horizon, Model};
+use costate::trajectories::SweptTrajectories;
+
+/// Trajectories of the picture: more are not told apart.
+const SHOWN: usize = 5;
+/// Initial states of the picture of closed loops.
+const STARTS: usize = 3;
+
+pub fn picture(source: &Source<'_>) -> Made {
+    let Some(t) = source.trajectories()? else {
+        return Ok(None);
+    };
+    let shown = far_apart(source.model, t, SHOWN);
+    if shown.is_empty() {
+        return Ok(None);
+    }
+    let mut panels = panels(source.model);
+    let n = source.model.states.len();
+    let m = source.model.controls.len();
+    let mut flow = Flow::new(source.model, &source.stored.scene.hamiltonian);
+    for (place, k) in shown.iter().enumerate() {
+        let stroke = Stroke::new(Ink::Colour(colours::class(place)), 1.7);
+        let path = flow.path(t, *k);
+        let Some(start) = path.first().map(|(_, time, _)| *time) else {
+            continue;
+        };
+        for (i, panel) in panels.iter_mut().enumerate() {
+            let points: Vec<[f64; 2]> = if i < n {
+                path.iter().map(|(_, time, x)| [time - start, x[i]]).collect()
+            } else {
+                let samples = (k * t.samples..(k + 1) * t.samples).filter(|s| t.v[*s].is_finite());
+                samples.map(|s| [t.t[s] - start, t.u[s * m + i - n]]).collect()
+            };
+            panel.curves.push(Curve { points, stroke });
+        }
+    }
+    let legend = (0..shown.len()).map(|k| {
+        let mark = Mark::Line(Stroke::new(Ink::Colour(colours::class(k)), 2.2));
+        (mark, format!("trajectory {}", shown[k]))
+    });
+    Ok(Some(Picture {
+        name: "histories".to_owned(),
+        title: "Optimal states and controls against time".to_owned(),
+        caption: format!(
+            "{} optimal trajectories whose initial states are far apart, from their first point on{}{}.",
+            shown.len(),
+            if source.infinite() {
+                "; dotted: the equilibrium"
+            } else {
+                ""
+            },
+            if has_bounds(source.model) {
+                "; dashed: a control's bounds"
+            } else {
+                ""
+            },
+        ),
+        drawing: Box::new(Panels {
+            x_label: "time (s)".to_owned(),
+            panels,
+            legend: legend.collect(),
+            marks: Vec::new(),
+            columns: 2,
+            tall: 1.0,
+            log: false,
+        }),
+    }))
+}
+
+/// Closed loops of several laws from the same initial states.
+pub fn closed_loop(source: &Source<'_>) -> Made {
+    let Some(group) = source.stored.group("closed_loop_trajectories") else {
+        return Ok(None);
+    };
+    let text = |e: costate::result::StoredError| e.to_string();
+    let laws = group.texts("law").map_err(text)?;
+    let (t, x, u) = (
+        group.f64("t").map_err(text)?,
+        group.f64("x").map_err(text)?,
+        group.f64("u").map_err(text)?,
+    );
+    let (n, m) = (source.model.states.len(), source.model.controls.len());
+    let (&[count, starts, samples], true) = (t.shape.as_slice(), x.values.len() == t.values.len() * n) else {
+        return Err("/closed_loop_trajectories: t is not law x trajectory x sample".to_owned());
+    };
+    if u.values.len() != t.values.len() * m || laws.len() != count {
+        return Err("/closed_loop_trajectories: u does not fit t".to_owned());
+    }
+    let mut panels = panels(source.model);
+    let shown = starts.min(STARTS);
+    const DASHES: [Dash; 3] = [Dash::Solid, Dash::Dashed, Dash::Dotted];
+    for law in 0..count {
+        for place in 0..shown {
+            let start = place * starts / shown;
+            let range = (law * starts + start) * samples..(law * starts + start + 1) * samples;
+            let stroke = Stroke::new(Ink::Colour(colours::class(law)), 1.7).dash(DASHES[place % 3]);
+            for (i, panel) in panels.iter_mut().enumerate() {
+                let value = |s: usize| {
+                    if i < n {
+                        x.values[s * n + i]
+                    } else {
+                        u.values[s * m + i - n]
+                    }
+                };
+                let points = range.clone().map(|s| [t.values[s], value(s)]).collect();
+                panel.curves.push(Curve { points, stroke });
+            }
+        }
+    }
+    let laws = laws.into_iter().enumerate().map(|(k, name)| {
+        let mark = Mark::Line(Stroke::new(Ink::Colour(colours::class(k)), 2.2));
+        (mark, name)
+    });
+    let dashes = (0..shown).filter(|_| shown > 1).map(|k| {
+        let mark = Mark::Line(Stroke::new(Ink::Text, 1.7).dash(DASHES[k % 3]));
+        (mark, format!("initial state {}", k + 1))
+    });
+    Ok(Some(Picture {
+        name: "closed_loop_histories".to_owned(),
+        title: "Closed loops against time".to_owned(),
+        caption: format!(
+            "The same {shown} initial states under every law: a colour is a law, a dash an initial state. Laws whose lines lie \
+             on each other act alike."
+        ),
+        drawing: Box::new(Panels {
+            x_label: "time (s)".to_owned(),
+            panels,
+            legend: laws.chain(dashes).collect(),
+            marks: Vec::new(),
+            columns: 2,
+            tall: 1.0,
+            log: false,
+        }),
+    }))
+}
+
+fn has_bounds(model: &Model) -> bool {
+    model.controls.iter().any(|c| c.min.is_some() || c.max.is_some())
+}
+
+/// A panel for each state and control, still empty.
+pub fn panels(model: &Model) -> Vec<Panel> {
+    let rest: Option<Vec<f64>> = match &model.horizon {
+        Horizon::Infinite { x, u, .. } => Some([x.as_slice(), u].concat()),
+        Horizon::Finite { .. } => None,
+    };
+    let states = model.states.iter().map(|s| (&s.variable, Vec::new()));
+    let controls =
+        (model.controls.iter()).map(|c| (&c.variable, [c.min, c.max].into_iter().flatten().collect::<Vec<_>>()));
+    (states.chain(controls).enumerate())
+        .map(|(k, (variable, bounds))| Panel {
+            label: names::label(variable),
+            bounds,
+            rest: rest.as_ref().map(|r| r[k]),
+            ..Panel::default()
+        })
+        .collect()
+}
+
+/// Trajectories whose first points are far from each other, in units of the region, and within it if any is.
+fn far_apart(model: &Model, t: &SweptTrajectories, most: usize) -> Vec<usize> {
+    let n = model.states.len();
+    let first = |k: usize| (k * t.samples..(k + 1) * t.samples).find(|s| t.v[*s].is_finite());
+    let place = |k: usize| -> Option<Vec<f64>> {
+        let s = first(k)?;
+        let scaled = |i: usize| (t.x[s * n + i] - model.region[i][0]) / (model.region[i][1] - model.region[i][0]);
+        Some((0..n).map(scaled).collect())
+    };
+    // Some thousands are as good as all.
+    let stride = t.count.div_ceil(4000).max(1);
+    let all: Vec<(usize, Vec<f64>)> = (0..t.count)
+        .step_by(stride)
+        .filter_map(|k| Some((k, place(k)?)))
+        .collect();
+    let inside = |x: &[f64]| x.iter().all(|v| (0.0..=1.0).contains(v));
+    let within: Vec<&(usize, Vec<f64>)> = all.iter().filter(|(_, x)| inside(x)).collect();
+    let all: Vec<&(usize, Vec<f64>)> = if within.len() >= most {
+        within
+    } else {
+        all.iter().collect()
+    };
+    let mut nearest = vec![f64::INFINITY; all.len()];
+    let mut chosen = Vec::new();
+    let mut next = (!all.is_empty()).then_some(0);
+    while let Some(k) = next.filter(|_| chosen.len() < most) {
+        chosen.push(all[k].0);
+        for (d, other) in nearest.iter_mut().zip(&all) {
+            let apart: f64 = other.1.iter().zip(&all[k].1).map(|(a, b)| (a - b) * (a - b)).sum();
+            *d = d.min(apart);
+        }
+        next = (0..all.len())
+            .max_by(|a, b| nearest[*a].total_cmp(&nearest[*b]))
+            .filter(|k| nearest[*k] > 0.0);
+    }
+    chosen
+}

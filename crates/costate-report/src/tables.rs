@@ -1,0 +1,255 @@
+//! Tables of a report: key figures, and groups with a row a law or a case.
+
+use super::ticks::significant;
+use super::{Source, names};
+use costate::result::{Array, StoredGroup};
+use serde_json::Value;
+
+/// A table; the first column names the rows.
+pub struct Table {
+    pub title: String,
+    pub columns: Vec<String>,
+    pub rows: Vec<Vec<String>>,
+    pub caption: String,
+}
+
+/// Groups that are shown as tables: name, title, caption.
+const GROUPS: [(&str, &str, &str); 5] = [
+    (
+        "feedback",
+        "Fitted laws",
+        "Errors are of held-out trajectories; the whole law is in the result file.",
+    ),
+    (
+        "closed_loop_laws",
+        "Closed loops",
+        "One row a law, all from the same initial states. J/V \u{2212} 1 is the loss against the optimum.",
+    ),
+    (
+        "operating_sets",
+        "Operating sets",
+        "Share of initial states inside, and area in the units of the grid's axes.",
+    ),
+    (
+        "dissipation_kinds",
+        "Dissipation inequality",
+        "E_z + V(x(t)) \u{2264} W + V0 under disturbances of each kind: E_z is what they did, W what they paid for. A ratio is E_z/(W + V0); \
+         violations are relative to W + V0.",
+    ),
+    ("study", "Study", "One row a variant."),
+];
+/// Longer texts are no cells.
+const LONGEST: usize = 60;
+
+/// All tables that the file has data for, and groups that could not be read.
+pub fn all(source: &Source<'_>) -> (Vec<Table>, Vec<(String, String)>) {
+    let (mut tables, mut missing) = (Vec::new(), Vec::new());
+    for (name, title, caption) in GROUPS {
+        let Some(group) = source.stored.group(name) else {
+            continue;
+        };
+        match of_group(&group, title, caption) {
+            Some(table) => tables.push(table),
+            None => missing.push((title.to_owned(), format!("/{name} has no column of a row's length"))),
+        }
+    }
+    (tables, missing)
+}
+
+/// Columns of one dimension, or of two whose second has names.
+fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table> {
+    let all = group.names();
+    // The dimension along which most variables extend: the first one with names.
+    let (index, labels) =
+        (["law", "variant", "row"].iter()).find_map(|d| Some((*d, texts(group, d).or_else(|| numbered(group, d))?)))?;
+    let mut columns = vec![index.to_owned()];
+    let mut rows: Vec<Vec<String>> = labels.iter().map(|l| vec![l.clone()]).collect();
+    let others: Vec<(String, Vec<String>)> = (all.iter())
+        .filter(|n| *n != index)
+        .filter_map(|n| Some((n.clone(), texts(group, n)?)))
+        .collect();
+    for name in all.iter().filter(|n| *n != index && *n != "toml") {
+        if let Some((_, texts)) = others.iter().find(|(n, _)| n == name) {
+            if !is_coordinate(name)
+                && *texts != labels
+                && texts.len() == rows.len()
+                && texts.iter().all(|t| t.len() <= LONGEST && !t.contains('\n'))
+            {
+                columns.push(heading(name));
+                rows.iter_mut().zip(texts).for_each(|(row, t)| row.push(t.clone()));
+            }
+            continue;
+        }
+        let Some(array) = numbers(group, name) else { continue };
+        let unit = group.attribute(Some(name), "units").filter(|u| !u.starts_with("see "));
+        let unit = names::unit(unit.as_deref());
+        match array.shape.as_slice() {
+            [count] if *count == rows.len() => {
+                columns.push(format!("{}{unit}", heading(name)));
+                rows.iter_mut()
+                    .zip(&array.values)
+                    .for_each(|(row, v)| row.push(significant(*v, 4)));
+            }
+            [count, width] if *count == rows.len() => {
+                // The second dimension's names.
+                let own = if name == "u" { "control" } else { "state" };
+                let fits = |(n, t): &&(String, Vec<String>)| is_coordinate(n) && !n.contains('_') && t.len() == *width;
+                let mut all = others.iter().filter(fits).collect::<Vec<_>>();
+                all.sort_by_key(|(n, _)| n != own);
+                let Some((_, parts)) = all.first() else {
+                    continue;
+                };
+                for (k, part) in parts.iter().enumerate() {
+                    columns.push(format!("{} {part}{unit}", heading(name)));
+                    for (row, values) in rows.iter_mut().zip(array.values.chunks(*width)) {
+                        row.push(significant(values[k], 4));
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    (columns.len() > 1 && !rows.is_empty()).then(|| Table {
+        title: title.to_owned(),
+        columns,
+        rows,
+        caption: caption.to_owned(),
+    })
+}
+
+/// Names along a dimension, or what is said of them.
+fn is_coordinate(name: &str) -> bool {
+    ["state", "control", "set", "output", "input"].contains(&name)
+        || name.ends_with("_units")
+        || name.ends_with("_long_name")
+}
+
+/// Numbers, integers too.
+fn numbers(group: &StoredGroup<'_>, name: &str) -> Option<Array> {
+    let integers = || {
+        let (shape, values) = group.i32(name).ok()?;
+        let values = values.into_iter().map(f64::from).collect();
+        Some(Array { shape, values })
+    };
+    group.f64(name).ok().or_else(integers)
+}
+
+/// Texts; numbers are none.
+fn texts(group: &StoredGroup<'_>, name: &str) -> Option<Vec<String>> {
+    group.texts(name).ok().filter(|t| !t.is_empty())
+}
+
+fn numbered(group: &StoredGroup<'_>, dimension: &str) -> Option<Vec<String>> {
+    if !group.has(dimension) {
+        return None;
+    }
+    if let Ok(values) = group.f64(dimension) {
+        return Some(values.values.iter().map(|v| significant(*v, 6)).collect());
+    }
+    // 64-bit integers are not read as f64: rows are counted.
+    let count = (group.names().iter()).find_map(|n| group.f64(n).ok()?.shape.first().copied())?;
+    Some((0..count).map(|k| k.to_string()).collect())
+}
+
+fn heading(name: &str) -> String {
+    name.replace('_', " ")
+}
+
+/// What the run was, and how well it went: name and value.
+pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
+    let s = source.stored.summary();
+    let mut all: Vec<(String, String)> = Vec::new();
+    let mut add = |name: &str, value: String| {
+        if !value.is_empty() {
+            all.push((name.to_owned(), value));
+        }
+    };
+    let errors = |at: &Value| {
+        let one = |name: &str| {
+            let worst = at[name]["max"].as_f64()?;
+            Some(format!("{name} {}", significant(worst, 2)))
+        };
+        let parts: Vec<String> = ["V", "p", "u"].iter().filter_map(|n| one(n)).collect();
+        if parts.is_empty() {
+            String::new()
+        } else {
+            format!("worst of a sample: {}", parts.join(", "))
+        }
+    };
+    let counts = |at: &Value| -> String {
+        let Some(map) = at.as_object() else {
+            return String::new();
+        };
+        map.iter()
+            .map(|(k, v)| format!("{v} {}", k.replace('_', " ")))
+            .collect::<Vec<_>>()
+            .join(", ")
+    };
+    if s["trajectories_stored"].as_bool().unwrap_or(false) {
+        add("Trajectories", counts(&s["status"]));
+        let gaps = &s["coverage"];
+        let open =
+            gaps["gaps_for_want_of_seeds"].as_u64().unwrap_or(0) + gaps["gaps_indistinguishable"].as_u64().unwrap_or(0);
+        let widest = gaps["widest_gap"].as_f64().map_or_else(String::new, |w| {
+            format!(", the widest {} of the region", significant(w, 3))
+        });
+        add(
+            "Fronts",
+            if open == 0 {
+                "covered".to_owned()
+            } else {
+                format!("{open} gaps left{widest}")
+            },
+        );
+        add("Errors of the sweep", errors(&s["error_estimate"]));
+    } else if let Ok(Some(t)) = source.trajectories() {
+        add("Trajectories", t.count.to_string());
+    }
+    let solved = &s["homotopy"];
+    if solved.is_object() {
+        add("Solved states", counts(&solved["status"]));
+        let number = |key: &str| solved[key].as_u64().unwrap_or(0);
+        add(
+            "Solutions",
+            format!("{} on {} sheets", number("solutions"), number("sheets")),
+        );
+        add("Errors of solved states", errors(&solved["error_estimate"]));
+    }
+    add(
+        "Attenuation",
+        super::pictures::attenuation_figure(source).unwrap_or_default(),
+    );
+    if let Some(met) = s["error_met"].as_bool() {
+        add("Promised accuracy", if met { "met" } else { "NOT met" }.to_owned());
+    }
+    let text = |name: &str| source.stored.attribute(name).unwrap_or_default();
+    add(
+        "Backend",
+        [text("backend"), text("adapter")]
+            .join(" on ")
+            .trim_matches(|c| c == ' ')
+            .to_owned(),
+    );
+    let tolerance = s["rtol"]
+        .as_f64()
+        .map_or_else(String::new, |r| format!(", rtol {}", significant(r, 2)));
+    add(
+        "Arithmetic",
+        format!("{} {}{tolerance}", text("precision"), text("method"))
+            .trim()
+            .to_owned(),
+    );
+    if let Some(seconds) = s["wall_seconds"].as_f64() {
+        add("Time", format!("{} s", significant(seconds, 3)));
+    }
+    add("Created", text("created"));
+    add("Command", text("command"));
+    add(
+        "Version",
+        [text("costate_version"), text("git_revision")]
+            .join(" ")
+            .trim()
+            .to_owned(),
+    );
+    all
+}

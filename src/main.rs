@@ -1,7 +1,0 @@
-//! The `costate` program: see `costate --help`.
-
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    costate::cli::main()
-}

@@ -1,0 +1,27 @@
+//! The program: what its commands print, write and refuse.
+
+#[path = "../common/mod.rs"]
+mod common;
+#[path = "../common_commands/mod.rs"]
+mod common_commands;
+#[path = "../common_oracles/mod.rs"]
+mod common_oracles;
+#[path = "../common_values/mod.rs"]
+mod common_values;
+
+mod attenuation;
+mod bench;
+mod check_least;
+mod dissipation_program;
+mod estimates;
+mod feedback;
+mod game;
+mod horizons;
+mod program;
+mod published;
+mod refusals;
+mod report;
+mod solve;
+
+/// The directory of the whole project.
+const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
