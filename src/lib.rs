@@ -47,6 +47,7 @@ pub mod expr;
 pub mod feedback;
 pub mod files;
 pub mod hamiltonian;
+#[cfg(feature = "hdf5")]
 pub mod hdf5;
 pub mod integrator;
 pub mod local;
@@ -54,6 +55,7 @@ pub mod map;
 pub mod model;
 pub mod numeric;
 pub mod program;
+#[cfg(feature = "hdf5")]
 pub mod result;
 pub mod scenario;
 pub mod scene;

@@ -62,7 +62,7 @@ XDG_RUNTIME_DIR="$(mktemp -d)"
 export XDG_RUNTIME_DIR
 trap 'rm -rf "$XDG_RUNTIME_DIR"' EXIT
 
-cargo test --release "$@"
+cargo test --release --workspace "$@"
 
 # Readers of the result file in other languages; a filtered run of the tests leaves them out.
 if [[ "$*" == "" || "$*" == --locked ]]; then

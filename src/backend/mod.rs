@@ -6,6 +6,7 @@
 pub mod constants;
 pub mod cpu;
 pub mod flops;
+#[cfg(feature = "gpu")]
 pub mod gpu;
 
 use crate::model::{Method, Precision};
@@ -189,6 +190,7 @@ pub enum BackendError {
     NoF64 { adapter: String },
     #[error("GPU kernels have no {method} method; use dop853, or --backend cpu")]
     NoMethod { method: &'static str },
+    #[cfg(feature = "gpu")]
     #[error("the adapter refused a device: {0}")]
     Device(#[from] wgpu::RequestDeviceError),
     #[error("generated shader does not validate, in {fragment} line {line}: {message}")]
@@ -197,8 +199,10 @@ pub enum BackendError {
         line: usize,
         message: String,
     },
+    #[cfg(feature = "gpu")]
     #[error("GPU work was lost: {0}")]
     Lost(#[from] wgpu::PollError),
+    #[cfg(feature = "gpu")]
     #[error("a GPU buffer could not be read: {0}")]
     Map(#[from] wgpu::BufferAsyncError),
     #[error("the GPU device reported: {message}")]
@@ -238,8 +242,13 @@ pub trait Backend: Send + Sync {
     /// The device, in words.
     fn adapter(&self) -> String;
     /// This device for what is no kernel, where it is a GPU.
+    #[cfg(feature = "gpu")]
     fn gpu(&self) -> Option<&gpu::Gpu> {
         None
+    }
+    /// Whether kernels can ask a [`Surface`] themselves.
+    fn asks_surfaces(&self) -> bool {
+        false
     }
     /// Whether kernels of this precision can be made.
     fn supports(&self, precision: Precision) -> bool;
@@ -317,7 +326,9 @@ pub trait Legs: Sync {
 /// A value function as kernels on a device ask for it themselves: text with a function `chart`, and the arrays that it reads
 /// (see `shaders/pieces.wgsl`).
 #[derive(Debug)]
+#[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "only a GPU asks it"))]
 pub struct Surface {
+    #[cfg(feature = "gpu")]
     pub(crate) fragments: Vec<gpu::shader::Fragment>,
     pub(crate) reals: Vec<f64>,
     pub(crate) words: Vec<u32>,

@@ -187,6 +187,7 @@ impl LawResult {
     }
 
     /// Of every trajectory the updates without an answer of the chart; 0 of a law without one.
+    #[cfg(feature = "hdf5")]
     pub(super) fn fallbacks(&self) -> Vec<i32> {
         let own = self.fallback.iter().map(|k| *k as i32);
         own.chain(std::iter::repeat(0)).take(self.status.len()).collect()

@@ -21,6 +21,7 @@ mod relayed;
 mod sets;
 mod simulate;
 mod values;
+#[cfg(feature = "hdf5")]
 mod write;
 
 pub use choose::{Available, Chosen, LQR, MAP, Weights};
@@ -31,6 +32,7 @@ pub use law::{Law, LawError, Laws};
 pub use sets::{Line, area, contour};
 pub use simulate::OUTSIDE_MAP;
 pub use values::solved_values;
+#[cfg(feature = "hdf5")]
 pub use write::GROUPS;
 
 use crate::backend::{Backend, BackendError, Status, Surface};
@@ -148,6 +150,7 @@ impl Chart for ValueMap {
         to.room = room;
     }
 
+    #[cfg(feature = "gpu")]
     fn surface(&self, precision: Precision) -> Option<Surface> {
         self.to_surface(precision)
     }

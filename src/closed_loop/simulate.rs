@@ -80,10 +80,8 @@ impl<'s> Simulator<'s> {
         let (method, precision) = (setting.numerics.method, setting.numerics.precision);
         let own = if equations.charted { setting.leg_method } else { method };
         // Of what a backend without a device has no use for nothing is made.
-        let surface = match (backend.gpu(), chart.filter(|_| equations.charted)) {
-            (Some(_), Some(chart)) => chart.surface(precision),
-            _ => None,
-        };
+        let asked = chart.filter(|_| equations.charted && backend.asks_surfaces());
+        let surface = asked.and_then(|chart| chart.surface(precision));
         let scaled = if scene.records.is_empty() {
             None
         } else {

@@ -9,6 +9,7 @@
 mod cpu;
 mod domain;
 mod equations;
+#[cfg(feature = "gpu")]
 mod gpu;
 mod greedy;
 mod horizon;
@@ -18,7 +19,6 @@ mod stationary;
 
 pub use lattice::{Axis, Lattice, MOST_STATES};
 
-use crate::backend::gpu::Gpu;
 use crate::backend::{Backend, BackendError};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
@@ -74,34 +74,38 @@ impl Default for Options {
     }
 }
 
-/// Where the iteration runs.
-#[derive(Clone, Copy, Debug)]
-pub enum Device<'a> {
-    /// All cores, f64.
-    Cpu,
-    /// The device of a GPU backend, f32.
-    Gpu(&'a Gpu),
-}
+/// Where the iteration runs: on all cores in f64, or on the device of a GPU backend in f32.
+#[derive(Clone, Copy)]
+pub struct Device<'a>(Option<&'a dyn Backend>);
 
 impl<'a> Device<'a> {
+    /// All cores.
+    pub fn cpu() -> Self {
+        Self(None)
+    }
+
     /// Where a backend computes.
     pub fn of(backend: &'a dyn Backend) -> Self {
-        backend.gpu().map_or(Device::Cpu, Device::Gpu)
+        Self(Some(backend))
     }
+
     /// `cpu` or `gpu`.
     pub fn name(self) -> &'static str {
-        match self {
-            Device::Cpu => "cpu",
-            Device::Gpu(_) => "gpu",
-        }
+        self.0.map_or("cpu", Backend::name)
     }
 
     /// The device made ready for a scene.
+    #[cfg(feature = "gpu")]
     fn runner(self, equations: &Equations) -> Result<Runner, DpError> {
-        Ok(match self {
-            Device::Cpu => Runner::Cpu,
-            Device::Gpu(gpu) => Runner::Gpu(gpu::Kernels::new(gpu, equations)?),
+        Ok(match self.0.and_then(Backend::gpu) {
+            None => Runner::Cpu,
+            Some(gpu) => Runner::Gpu(gpu::Kernels::new(gpu, equations)?),
         })
+    }
+
+    #[cfg(not(feature = "gpu"))]
+    fn runner(self, _: &Equations) -> Result<Runner, DpError> {
+        Ok(Runner::Cpu)
     }
 }
 
@@ -123,6 +127,7 @@ pub fn extent(plan: &Plan, states: &[f64]) -> Vec<[f64; 2]> {
 /// A device with what it needs for one scene.
 enum Runner {
     Cpu,
+    #[cfg(feature = "gpu")]
     Gpu(gpu::Kernels),
 }
 
@@ -130,6 +135,7 @@ impl Runner {
     fn iteration<'a>(&'a self, level: &'a Level, equations: &'a Equations) -> Result<Box<dyn Iteration + 'a>, DpError> {
         match self {
             Runner::Cpu => Ok(Box::new(cpu::CpuIteration::new(level, equations))),
+            #[cfg(feature = "gpu")]
             Runner::Gpu(kernels) => Ok(Box::new(gpu::GpuIteration::new(kernels, level, equations)?)),
         }
     }

@@ -1,29 +1,8 @@
-//! Fitted laws in the result file (`/feedback`) and beside it (weights, C header, ONNX model).
+//! Fitted laws in the result file: `/feedback`.
 
+use super::exports::{Fitted, GROUP};
 use super::fit::FittedLaw;
-use super::header::header;
-use super::onnx::onnx;
-use crate::files::{FileError, write_bytes, write_text};
 use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
-use crate::model::Model;
-use std::path::{Path, PathBuf};
-
-/// The group that fitted laws are written to.
-pub const GROUP: &str = "feedback";
-
-/// All laws that have been fitted.
-#[derive(Clone, Debug, Default)]
-pub struct Fitted {
-    pub laws: Vec<FittedLaw>,
-}
-
-/// What was written of a law beside the result file.
-#[derive(Clone, Debug)]
-pub struct Exports {
-    pub files: Vec<PathBuf>,
-    /// Why there is no ONNX model.
-    pub without_onnx: Option<String>,
-}
 
 type Number = (&'static str, &'static str, fn(&FittedLaw) -> f64);
 
@@ -173,37 +152,5 @@ impl Fitted {
             writer.write(name, &self.laws.iter().map(|l| of(l) as i32).collect::<Vec<i32>>())?;
         }
         Ok(())
-    }
-
-    /// Writes the files of each law, `STEM_NAME.toml`, `.h` and `.onnx`, to `directory`; `model` is the scene's.
-    ///
-    /// # Errors
-    /// Those of writing.
-    pub fn export(&self, directory: &Path, stem: &str, model: &Model) -> Result<Vec<Exports>, FileError> {
-        self.laws.iter().map(|law| law.export(directory, stem, model)).collect()
-    }
-}
-
-impl FittedLaw {
-    fn export(&self, directory: &Path, stem: &str, model: &Model) -> Result<Exports, FileError> {
-        let path = |extension: &str| directory.join(format!("{stem}_{}.{extension}", self.name));
-        let title = model.title.replace(['\n', '\r'], " ");
-        let toml = format!("# Law `{}` of the scene: {title}\n{}", self.name, self.law.to_toml());
-        let mut files = vec![path("toml"), path("h")];
-        write_text(&files[0], &toml)?;
-        write_text(&files[1], &header(&self.name, &self.law, &self.form, model))?;
-        let without_onnx = match onnx(&self.name, &self.law, &self.form, model) {
-            Ok(bytes) => {
-                files.push(path("onnx"));
-                write_bytes(&files[2], &bytes)?;
-                None
-            }
-            Err(e) => {
-                // One that is there is of another law.
-                let _ = std::fs::remove_file(path("onnx"));
-                Some(e.to_string())
-            }
-        };
-        Ok(Exports { files, without_onnx })
     }
 }

@@ -70,6 +70,13 @@ pub struct Adaptive {
     pub seconds: f64,
 }
 
+impl Adaptive {
+    /// Whether all states of the first search were searched: else a cheaper sheet may have been missed.
+    pub fn is_searched(&self) -> bool {
+        self.first[0] >= self.first[1]
+    }
+}
+
 /// A state at which a search found no solution.
 struct Hole {
     /// Absolute, with its time where that is an axis.

@@ -18,6 +18,7 @@
 
 mod adaptive;
 mod coverage;
+#[cfg(feature = "gpu")]
 mod device;
 mod errors;
 mod guarded;
@@ -32,6 +33,7 @@ mod swift;
 
 pub use adaptive::{ABOVE_BOUND, Adaptive, Beyond, Checked, GROSS, Part, adaptive};
 pub use coverage::{Coverage, Fronts};
+#[cfg(feature = "gpu")]
 pub use device::{DeviceError, DeviceMap};
 pub use known::{Known, SweepRecord};
 pub use many::Many;
@@ -615,6 +617,7 @@ impl ValueMap {
     }
 
     /// Bounds of the errors of V and p that the local solution says at a state, in arithmetic of a unit roundoff.
+    #[cfg(feature = "gpu")]
     fn local_bounds(&self, x: &[f64], unit: f64) -> Option<(f64, Vec<f64>)> {
         let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
         let (s, sizes, _) = self.unwound(&s);

@@ -1,7 +1,9 @@
 //! V, p and second derivatives at many states: the local solution about the equilibrium and the map in pieces, as flat arrays.
 
+#[cfg(feature = "gpu")]
 mod packed;
 
+#[cfg(feature = "gpu")]
 pub(crate) use packed::Packed;
 
 use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms, by_states};

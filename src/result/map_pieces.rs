@@ -12,6 +12,10 @@ const CHECK: &str = "map_check";
 /// Axis of a node that is a cell.
 const LEAF: i32 = -1;
 
+/// Attribute of `/map_check`: whether the first states, which are searched for all sheets, were all searched.
+const SEARCH: &str = "first_search";
+const COMPLETE: &str = "complete";
+
 impl ResultFile {
     /// Writes a map in pieces, and what fresh states say of it.
     ///
@@ -38,6 +42,14 @@ impl ResultFile {
             .attribute(
                 "title",
                 "fresh states, solved and never used in the map, and what the map says of them",
+            )
+            .attribute(
+                SEARCH,
+                if made.is_searched() {
+                    COMPLETE
+                } else {
+                    "cut by the budget"
+                },
             )
             .dimension(Dimension::index("point", made.check.len()));
         let group = names
@@ -285,6 +297,13 @@ impl Stored {
     /// As above.
     pub fn map_beyond(&self) -> Result<Option<Pieces>, StoredError> {
         self.read_pieces(BEYOND)
+    }
+
+    /// Whether fresh states checked the map, and no sheet was missed for want of a budget.
+    pub fn map_is_checked(&self) -> bool {
+        let check = self.group(CHECK);
+        // Files of before told nothing of it.
+        check.is_some_and(|check| check.attribute(None, SEARCH).is_none_or(|search| search == COMPLETE))
     }
 
     fn read_pieces(&self, group: &str) -> Result<Option<Pieces>, StoredError> {

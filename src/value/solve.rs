@@ -333,7 +333,7 @@ fn coarse_grid(plan: &Plan, model: &Model) -> Option<GridValue> {
         share: SHARE,
         ..Options::default()
     };
-    dynamic_programming::solve(model, &hamiltonian, plan, &options, Device::Cpu).ok()
+    dynamic_programming::solve(model, &hamiltonian, plan, &options, Device::cpu()).ok()
 }
 
 /// Solves for a request, with first guesses from an archive.

@@ -25,7 +25,7 @@ fn solved_on(model: &Model, options: &Options, device: Device<'_>) -> (Plan, Gri
 }
 
 fn solved(model: &Model, options: &Options) -> (Plan, GridValue) {
-    solved_on(model, options, Device::Cpu)
+    solved_on(model, options, Device::cpu())
 }
 
 /// So many nodes along each of two axes.
@@ -278,7 +278,7 @@ fn what_cannot_be_solved_is_refused() {
     let game = scene("pendulum_game", &[]);
     let refused = |model: &Model, options: &Options| {
         let plan = planned(model);
-        solve(model, &derive(model), &plan, options, Device::Cpu).err()
+        solve(model, &derive(model), &plan, options, Device::cpu()).err()
     };
     assert!(matches!(refused(&game, &Options::default()), Some(DpError::Game)));
     let wrong = Options {
@@ -335,7 +335,7 @@ fn both_devices_agree() {
     ];
     for (model, count) in scenes {
         let (plan, host) = solved(&model, &nodes(count));
-        let (_, device) = solved_on(&model, &nodes(count), Device::Gpu(&gpu));
+        let (_, device) = solved_on(&model, &nodes(count), Device::of(&gpu));
         assert_eq!((host.backend, device.backend), ("cpu", "gpu"));
         let compared = compare(&plan.region, &host, &device).unwrap_or_else(|e| panic!("{}: {e:?}", model.title));
         assert!(compared > 100, "{compared} values compared");

@@ -145,7 +145,7 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
         made.rounds,
         made.seconds
     )];
-    if made.first[0] < made.first[1] {
+    if !made.is_searched() {
         lines.push(format!(
             "  the budget ended the first search after {} of its {} states, so a cheaper sheet may have been missed: give more `states` or \
              `seconds`",

@@ -92,6 +92,10 @@ impl Backend for Gpu {
         Some(self)
     }
 
+    fn asks_surfaces(&self) -> bool {
+        true
+    }
+
     fn supports(&self, precision: Precision) -> bool {
         self.device.supports(precision)
     }

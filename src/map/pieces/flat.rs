@@ -5,6 +5,7 @@
 
 mod bend;
 mod blend;
+#[cfg(feature = "gpu")]
 mod packed;
 
 use super::jets::{Jet, MOST_SECOND, Sum, Tables};

@@ -4,6 +4,7 @@ use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
 use crate::map::pieces::jets::{Jet, MOST_SECOND, Sum, Tables};
 use crate::map::pieces::{Bend, LANES, MOST_VARIABLES};
+#[cfg(feature = "gpu")]
 use crate::map::swift::Packed;
 
 /// Along one axis `(t + phi(the other coordinates) - lowest) / width`; see [`Bend`].
@@ -57,6 +58,7 @@ impl<T: Real> Shear<T> {
     }
 
     /// See `Flat::pack`.
+    #[cfg(feature = "gpu")]
     pub fn pack(&self, to: &mut Packed) {
         to.condition("BEND");
         to.count("BEND_AXIS", self.axis);
