@@ -14,7 +14,8 @@ pub enum Coverage {
     Covered,
     /// Solved states alone: each was searched for sheets on its own, and no front shows that there is no other.
     Searched,
-    /// Swept trajectories between which there are gaps at this V: a cheaper sheet may lie in one.
+    /// Swept trajectories between which there are gaps at this V, or a map whose first states were not all searched for want of
+    /// a budget: a cheaper sheet may have been missed.
     Uncovered,
     /// A map in pieces, checked with fresh states that were searched for all sheets.
     Checked,

@@ -1,5 +1,6 @@
 //! What a value map is made of: plain data, from a file or from a run in memory.
 
+use super::Coverage;
 use super::pieces::Pieces;
 use crate::trajectories::{SolvedGrid, SolvedStates, SweptTrajectories};
 
@@ -15,8 +16,8 @@ pub struct Known {
     /// The same round the region of `pieces`; of use with them only.
     pub beyond: Option<Pieces>,
     pub sweep: SweepRecord,
-    /// Whether fresh states checked the pieces.
-    pub checked: bool,
+    /// How well the states of the pieces were searched for cheaper sheets.
+    pub coverage: Option<Coverage>,
     /// Whether states were solved by a search, not interpolated.
     pub searched: bool,
     /// Worst relative errors of V and p that the run itself found at its solved states.

@@ -156,8 +156,8 @@ pub struct ValueMap {
     windings: Vec<Vec<i32>>,
     fronts: Fronts,
     own_errors: Option<[f64; 2]>,
-    /// Whether fresh states checked the map in pieces.
-    checked: bool,
+    /// How well the states of the map in pieces were searched for cheaper sheets.
+    searched: Coverage,
     /// A map that was made to an error: it answers within its region.
     pieces: Option<Pieces>,
     /// Of use outside the region of these.
@@ -222,7 +222,7 @@ impl ValueMap {
             pieces,
             beyond,
             errors,
-            checked,
+            coverage,
             ..
         } = known;
         let rough = beyond.filter(|_| pieces.is_some());
@@ -263,7 +263,7 @@ impl ValueMap {
             sites,
             fronts,
             own_errors: errors,
-            checked,
+            searched: coverage.unwrap_or(Coverage::Searched),
             pieces_alone: pieces.is_some() && nothing_else,
             time: (pieces.as_ref().filter(|p| p.states() > states)).and(model.final_time()),
             pieces,
@@ -537,9 +537,9 @@ impl ValueMap {
 
     /// Of a state within a period of the region: outside it the map has what solutions from there met.
     fn coverage_of_pieces(&self, x: &[f64]) -> Coverage {
-        match self.checked && self.pieces.as_ref().is_some_and(|asked| asked.covers(x)) {
-            true => Coverage::Checked,
-            false => Coverage::Searched,
+        match (self.searched, self.pieces.as_ref().is_some_and(|asked| asked.covers(x))) {
+            (Coverage::Checked, false) => Coverage::Searched,
+            (searched, _) => searched,
         }
     }
 

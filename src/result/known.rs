@@ -54,7 +54,7 @@ impl Stored {
             grid: self.map()?,
             pieces: self.map_pieces()?,
             beyond: self.map_beyond()?,
-            checked: self.map_is_checked(),
+            coverage: Some(self.map_coverage()),
             sweep: sweep_record(&summary),
             searched: self.attribute("source").is_none(),
             errors: own_errors(&summary),

@@ -3,8 +3,8 @@
 use super::answers::{Names, status};
 use super::{Stored, StoredError, TrajectorySchema};
 use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
-use crate::map::Adaptive;
 use crate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions, margin_terms};
+use crate::map::{Adaptive, Coverage};
 
 const PIECES: &str = "map_pieces";
 const BEYOND: &str = "map_beyond";
@@ -12,7 +12,7 @@ const CHECK: &str = "map_check";
 /// Axis of a node that is a cell.
 const LEAF: i32 = -1;
 
-/// Attribute of `/map_check`: whether the first states, which are searched for all sheets, were all searched.
+/// Attribute of `/map_pieces`: whether the first states, which are searched for all sheets, were all searched.
 const SEARCH: &str = "first_search";
 const COMPLETE: &str = "complete";
 
@@ -29,11 +29,21 @@ impl ResultFile {
         let timed = made.pieces.states() > n;
         if !made.pieces.pieces.is_empty() {
             let title = "value function in pieces: cells of a region with a polynomial each";
-            self.write_pieces(&names, timed.then_some((schema, time)), (PIECES, title), &made.pieces)?;
+            self.write_pieces(
+                &names,
+                timed.then_some((schema, time)),
+                (PIECES, title, Some(made.is_searched())),
+                &made.pieces,
+            )?;
         }
         if let Some(beyond) = &made.beyond {
             let title = "the same where solutions from the region lead, of use outside the region only";
-            self.write_pieces(&names, timed.then_some((schema, time)), (BEYOND, title), &beyond.pieces)?;
+            self.write_pieces(
+                &names,
+                timed.then_some((schema, time)),
+                (BEYOND, title, None),
+                &beyond.pieces,
+            )?;
         }
         if made.check.is_empty() {
             return Ok(());
@@ -42,14 +52,6 @@ impl ResultFile {
             .attribute(
                 "title",
                 "fresh states, solved and never used in the map, and what the map says of them",
-            )
-            .attribute(
-                SEARCH,
-                if made.is_searched() {
-                    COMPLETE
-                } else {
-                    "cut by the budget"
-                },
             )
             .dimension(Dimension::index("point", made.check.len()));
         let group = names
@@ -85,7 +87,7 @@ impl ResultFile {
         &mut self,
         names: &Names<'_>,
         time: Option<(&TrajectorySchema, &str)>,
-        (group, title): (&'static str, &str),
+        (group, title, searched): (&'static str, &str, Option<bool>),
         pieces: &Pieces,
     ) -> Result<(), OutputError> {
         // Of what V is a function: the states, or these and the time.
@@ -96,8 +98,13 @@ impl ResultFile {
             .iter()
             .flat_map(|p| p.coefficients.iter().copied())
             .collect();
-        let group = Group::new(group)
-            .attribute("title", title)
+        let group = Group::new(group).attribute("title", title);
+        let group = match searched {
+            None => group,
+            Some(true) => group.attribute(SEARCH, COMPLETE),
+            Some(false) => group.attribute(SEARCH, "cut by the budget"),
+        };
+        let group = group
             .dimension(Dimension::index("coordinate", region.lo.len()))
             .dimension(Dimension::index("node", pieces.nodes.len()))
             .dimension(Dimension::index("way", pieces.directions.len()))
@@ -299,11 +306,16 @@ impl Stored {
         self.read_pieces(BEYOND)
     }
 
-    /// Whether fresh states checked the map, and no sheet was missed for want of a budget.
-    pub fn map_is_checked(&self) -> bool {
-        let check = self.group(CHECK);
-        // Files of before told nothing of it.
-        check.is_some_and(|check| check.attribute(None, SEARCH).is_none_or(|search| search == COMPLETE))
+    /// How well the states of the map were searched for cheaper sheets.
+    pub fn map_coverage(&self) -> Coverage {
+        let pieces = self.group(PIECES);
+        let search = pieces.and_then(|pieces| pieces.attribute(None, SEARCH));
+        // Files of before do not tell it.
+        match (search.is_none_or(|search| search == COMPLETE), self.has(CHECK)) {
+            (false, _) => Coverage::Uncovered,
+            (true, true) => Coverage::Checked,
+            (true, false) => Coverage::Searched,
+        }
     }
 
     fn read_pieces(&self, group: &str) -> Result<Option<Pieces>, StoredError> {
