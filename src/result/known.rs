@@ -27,7 +27,7 @@ impl Stored {
     pub fn value_map(&self) -> Result<ValueMap, StoredMapError> {
         let known = self.known()?;
         ValueMap::new(&self.scene.model, &self.scene.hamiltonian, known).map_err(|error| match error {
-            MapError::Empty if self.has("map_pieces") => StoredMapError::EmptyMap {
+            MapError::Empty if self.has_map() => StoredMapError::EmptyMap {
                 path: self.path.clone(),
             },
             MapError::Empty => StoredMapError::Empty {
@@ -35,6 +35,11 @@ impl Stored {
             },
             error => StoredMapError::Map(error),
         })
+    }
+
+    /// Whether the run made a map in pieces, which may know nothing.
+    pub fn has_map(&self) -> bool {
+        self.has("map_pieces") || self.summary()["map"].is_object()
     }
 
     /// What the file holds of the value function.

@@ -492,7 +492,60 @@ fn seconds_end_a_search_that_goes_on_and_on() {
     // Nothing is known to those who ask, and they are told so.
     let asked = costate(&["value".as_ref(), out.as_os_str(), "--at".as_ref(), "a=0.1".as_ref()]);
     assert_eq!(asked.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&asked.stderr).contains("holds no values"));
+    assert!(String::from_utf8_lossy(&asked.stderr).contains("knows V nowhere"));
+}
+
+/// Maps that say nothing say why, those whose first search was cut that a sheet may have been missed, and V that is 0 everywhere is
+/// known.
+#[test]
+fn what_is_empty_says_why() {
+    const SPRING: &str = r#"
+        states = { x = {}, v = {} }
+        controls = { u = { min = -2, max = 2 } }
+        dynamics = { x = "v", v = "-x + x^3/6 + u" }
+        cost = { running = "0.5*(x^2 + v^2 + u^2)" }
+        equilibrium = { x = 0, v = 0, u = 0 }
+        region = { x = [-1, 1], v = [-1, 1] }
+    "#;
+    const NOTHING: &str = r#"
+        states = { x = {} }
+        controls = { u = {} }
+        dynamics = { x = "u" }
+        cost = { running = "0.5*u^2", terminal = "0", final_time = 1 }
+        region = { x = [-1, 1] }
+        map = { error = 1e-3, states = 2000, check = 20 }
+    "#;
+    let said = |name: &str, scene: &str| {
+        let path = folder().join(name).with_extension("toml");
+        std::fs::write(&path, scene).unwrap();
+        let out = path.with_extension("h5");
+        (words(&path, &out), out)
+    };
+    let at = |file: &Path, at: &str| costate(&["value".as_ref(), file.as_os_str(), "--at".as_ref(), at.as_ref()]);
+    let low = "map = { error = 1e-3, check = 20, value_max = 1e-12 }";
+    let guarded = "guards = { g = \"x < 0.3\" }\nmap = { error = 1e-3, check = 20, region = { x = [0.5, 1] } }";
+    for (name, lines, why) in [
+        ("low", low, "V is above `value_max` at every state"),
+        ("guarded", guarded, "guards exclude every state"),
+    ] {
+        let (said, file) = said(name, &format!("{SPRING}{lines}"));
+        assert!(said.contains(why), "{said}");
+        assert!(!said.contains("budget"), "{said}");
+        let asked = at(&file, "x=0.6,v=0.1");
+        assert_eq!(asked.status.code(), Some(2));
+        assert!(String::from_utf8_lossy(&asked.stderr).contains("knows V nowhere"));
+    }
+    let (words, file) = said(
+        "cut",
+        &format!("{SPRING}map = {{ error = 1e-2, check = 20, states = 100 }}"),
+    );
+    assert!(words.contains("the budget ended the first search"), "{words}");
+    let shown = done(at(&file, "x=0.6,v=0.1"));
+    assert!(shown.contains("uncovered"), "{shown}");
+    let (_, file) = said("nothing", NOTHING);
+    let value = Stored::open(&file).unwrap().value_map().unwrap();
+    let known = value.at_time(&[0.3], 0.5).lowest.expect("V is 0 everywhere");
+    assert!(known.v.abs() <= 1e-12 && known.v_error < 1e-3, "{known:?}");
 }
 
 #[test]

@@ -117,7 +117,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<(), CliError> {
 fn map(name: &str, path: &Path) -> Result<Made, CliError> {
     let stored = Stored::open(path)?;
     let missing = || ExportError::NoMap { path: path.to_owned() };
-    if !stored.has("map_pieces") {
+    if !stored.has_map() {
         return Err(missing().into());
     }
     let map = stored.value_map()?;
