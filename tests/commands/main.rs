@@ -16,6 +16,7 @@ mod dissipation_program;
 mod estimates;
 mod feedback;
 mod game;
+mod guide;
 mod horizons;
 mod program;
 mod published;

@@ -541,7 +541,7 @@ fn what_is_empty_says_why() {
     );
     assert!(words.contains("the budget ended the first search"), "{words}");
     let shown = done(at(&file, "x=0.6,v=0.1"));
-    assert!(shown.contains("uncovered"), "{shown}");
+    assert!(shown.contains("a cheaper sheet may be missing"), "{shown}");
     let (_, file) = said("nothing", NOTHING);
     let value = Stored::open(&file).unwrap().value_map().unwrap();
     let known = value.at_time(&[0.3], 0.5).lowest.expect("V is 0 everywhere");

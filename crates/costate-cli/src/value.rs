@@ -378,6 +378,9 @@ fn sheet(value: &Value) -> String {
     }
 }
 
+/// Of a map whose first states were not all searched.
+const CUT: &str = "the budget ended the search of the map's first states";
+
 /// What a value's being the least rests on, where something may be missing.
 fn coverage(value: &Value, fronts: &Fronts) -> Option<String> {
     match value.coverage {
@@ -390,6 +393,7 @@ fn coverage(value: &Value, fronts: &Fronts) -> Option<String> {
             "the fronts of the sweep were not covered here ({}): what is known of cheaper sheets is the search at the solved states",
             gaps(fronts)
         )),
+        Coverage::Uncovered if value.in_pieces => Some(format!("{CUT}: a cheaper sheet may be missing, which the error does not include")),
         Coverage::Uncovered => Some(format!(
             "the fronts of the sweep were not covered here ({}): a cheaper sheet may be missing, which the error does not include",
             gaps(fronts)
@@ -425,6 +429,14 @@ fn of_all(found: &[At], fronts: &Fronts) -> Option<String> {
     let known: Vec<&Value> = found.iter().filter_map(|at| at.lowest.as_ref().ok()).collect();
     let count = |c: Coverage| known.iter().filter(|v| v.coverage == c).count();
     let (uncovered, searched) = (count(Coverage::Uncovered), count(Coverage::Searched));
+    let of_pieces = |v: &&&Value| v.in_pieces && v.coverage == Coverage::Uncovered;
+    let cut = known.iter().filter(of_pieces).count();
+    if cut > 0 {
+        return Some(format!(
+            "{cut} of {} answers are of a map to an error. {CUT}: a cheaper sheet may be missing, which the errors do not include",
+            known.len()
+        ));
+    }
     if uncovered > 0 {
         return Some(format!(
             "{uncovered} of {} answers lie where the fronts of the sweep were not covered ({}): a cheaper sheet may be missing \
