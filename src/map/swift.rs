@@ -44,6 +44,17 @@ pub enum Answer<'a, T> {
     Elsewhere,
 }
 
+/// Takes what is known of states, with their numbers.
+type Tell<'t, T> = &'t mut dyn FnMut(usize, Answer<'_, T>);
+
+/// The maps that are asked, one after the other.
+#[derive(Clone, Copy, PartialEq)]
+enum Map {
+    Region,
+    Beyond,
+    Rough,
+}
+
 /// Both, for states with the same periods.
 pub struct Swift<T> {
     around: Option<Around<T>>,
@@ -84,7 +95,7 @@ pub struct Room<T> {
     /// The same of those outside the region, and coordinates there.
     outside: Vec<u32>,
     far: Vec<T>,
-    /// The same of those of them that only rough pieces may know.
+    /// Of these (by their order among them) those that only rough pieces may know, and their coordinates.
     missed: Vec<u32>,
     missed_at: Vec<T>,
     monomials: Vec<Lanes<T, LANES>>,
@@ -142,26 +153,22 @@ impl<T: Real> Swift<T> {
     }
 
     /// What is known at states (absolute), told with their numbers in some order; second derivatives only where asked for.
-    pub fn each(&self, x: &[T], second: bool, room: &mut Room<T>, tell: impl FnMut(usize, Answer<'_, T>)) {
+    ///
+    /// The code behind it is large and compiled for three instruction sets: it is the same whatever `tell` is.
+    pub fn each(&self, x: &[T], second: bool, room: &mut Room<T>, mut tell: impl FnMut(usize, Answer<'_, T>)) {
         match self.simd {
-            Simd::Baseline => self.all::<false>(x, second, room, tell),
+            Simd::Baseline => self.all::<false>(x, second, room, &mut tell),
             // SAFETY: the features were detected.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => unsafe { avx2(self, x, second, room, tell) },
+            Simd::Avx2 => unsafe { avx2(self, x, second, room, &mut tell) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => unsafe { avx512(self, x, second, room, tell) },
+            Simd::Avx512 => unsafe { avx512(self, x, second, room, &mut tell) },
         }
     }
 
     #[inline(always)]
-    fn all<const FMA: bool>(
-        &self,
-        x: &[T],
-        second: bool,
-        room: &mut Room<T>,
-        mut tell: impl FnMut(usize, Answer<'_, T>),
-    ) {
+    fn all<const FMA: bool>(&self, x: &[T], second: bool, room: &mut Room<T>, tell: Tell<'_, T>) {
         let n = self.reference.len();
         room.near.clear();
         room.z.clear();
@@ -210,23 +217,31 @@ impl<T: Real> Swift<T> {
                 tell(near[k] as usize, Answer::Known(here));
             });
         }
-        self.flat.each::<FMA>(x, second, desk, |k, here| {
-            tell(inside[k] as usize, here.map_or(Answer::Unknown, Answer::Known));
-        });
-        if let Some(beyond) = &self.beyond {
-            beyond.each::<FMA>(far, second, desk, |k, here| match here {
-                Some(here) => tell(outside[k] as usize, Answer::Known(here)),
-                None => {
-                    missed.push(outside[k]);
-                    missed_at.extend_from_slice(&far[k * n..][..n]);
+        // One call for the three maps: what it calls is inlined here.
+        for map in [Map::Region, Map::Beyond, Map::Rough] {
+            let (flat, at): (_, &[T]) = match map {
+                Map::Region => (Some(&self.flat), x),
+                Map::Beyond => (self.beyond.as_ref(), far),
+                Map::Rough => (self.rough.as_ref(), missed_at),
+            };
+            let Some(flat) = flat else {
+                let unknown = missed.iter().filter(|_| map == Map::Rough);
+                unknown.for_each(|k| tell(outside[*k as usize] as usize, Answer::Elsewhere));
+                continue;
+            };
+            flat.each::<FMA>(at, second, desk, |k, here| match (map, here) {
+                (Map::Region, here) => tell(inside[k] as usize, here.map_or(Answer::Unknown, Answer::Known)),
+                (Map::Beyond, Some(here)) => tell(outside[k] as usize, Answer::Known(here)),
+                (Map::Beyond, None) => missed.push(k as u32),
+                (Map::Rough, here) => {
+                    let number = outside[missed[k] as usize] as usize;
+                    tell(number, here.map_or(Answer::Elsewhere, Answer::Rough));
                 }
             });
-        }
-        match &self.rough {
-            Some(rough) => rough.each::<FMA>(missed_at, second, desk, |k, here| {
-                tell(missed[k] as usize, here.map_or(Answer::Elsewhere, Answer::Rough));
-            }),
-            None => missed.iter().for_each(|k| tell(*k as usize, Answer::Elsewhere)),
+            if map == Map::Beyond {
+                let missed = missed.iter().map(|k| &far[*k as usize * n..][..n]);
+                missed.for_each(|at| missed_at.extend_from_slice(at));
+            }
         }
     }
 
@@ -345,12 +360,12 @@ impl<T: Real> Around<T> {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn avx2<T: Real>(this: &Swift<T>, x: &[T], second: bool, room: &mut Room<T>, tell: impl FnMut(usize, Answer<'_, T>)) {
+fn avx2<T: Real>(this: &Swift<T>, x: &[T], second: bool, room: &mut Room<T>, tell: Tell<'_, T>) {
     this.all::<true>(x, second, room, tell);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-fn avx512<T: Real>(this: &Swift<T>, x: &[T], second: bool, room: &mut Room<T>, tell: impl FnMut(usize, Answer<'_, T>)) {
+fn avx512<T: Real>(this: &Swift<T>, x: &[T], second: bool, room: &mut Room<T>, tell: Tell<'_, T>) {
     this.all::<true>(x, second, room, tell);
 }
