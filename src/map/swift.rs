@@ -157,7 +157,7 @@ impl<T: Real> Swift<T> {
     /// The code behind it is large and compiled for three instruction sets: it is the same whatever `tell` is.
     pub fn each(&self, x: &[T], second: bool, room: &mut Room<T>, mut tell: impl FnMut(usize, Answer<'_, T>)) {
         match self.simd {
-            Simd::Baseline => self.all::<false>(x, second, room, &mut tell),
+            Simd::Baseline => baseline(self, x, second, room, &mut tell),
             // SAFETY: the features were detected.
             #[cfg(target_arch = "x86_64")]
             Simd::Avx2 => unsafe { avx2(self, x, second, room, &mut tell) },
@@ -356,6 +356,10 @@ impl<T: Real> Around<T> {
         let Jet { q, h, .. } = jet;
         by_states(n, &self.matrix, zero, add, q, second.then_some(h));
     }
+}
+
+fn baseline<T: Real>(this: &Swift<T>, x: &[T], second: bool, room: &mut Room<T>, tell: Tell<'_, T>) {
+    this.all::<false>(x, second, room, tell);
 }
 
 #[cfg(target_arch = "x86_64")]
