@@ -1,6 +1,30 @@
 //! costate: value functions and optimal feedback of nonlinear systems over a region, by bicharacteristics.
 //!
-//! A scene is text; a sweep of it takes five steps, each a room of this crate:
+//! [`Scene`] is a problem, read from text; [`Session`] answers questions about it:
+//!
+//! ```
+//! use costate::{Scene, Session};
+//!
+//! let scene = Scene::parse(
+//!     r#"
+//!     states = { x = {}, v = {} }
+//!     controls = { u = { min = -2, max = 2 } }
+//!     dynamics = { x = "v", v = "-x + x^3/6 + u" }
+//!     cost = { running = "0.5*(x^2 + v^2 + u^2)" }
+//!     equilibrium = { x = 0, v = 0, u = 0 }
+//!     region = { x = [-1, 1], v = [-1, 1] }
+//!     "#,
+//!     "scene.toml",
+//! )?;
+//! let solved = Session::new(&scene).solve(&[0.5, -0.2])?;
+//! let answer = solved.answer(0).expect("solved");
+//! println!("V = {}, p = {:?}, u = {:?}", answer.value, answer.p, answer.u);
+//! # assert!((answer.u[0] + answer.p[1]).abs() < 1e-9); // u* = -p_v
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! [`Session::map`] makes a map of V over a region, [`Scene::with`] changes parameters. What they are made of are the rooms below, which promise
+//! less. A sweep, for example, takes five steps, each a room of this crate:
 //!
 //! ```
 //! use costate::backend::{BackendError, cpu::Cpu};
@@ -59,6 +83,7 @@ pub mod program;
 pub mod result;
 pub mod scenario;
 pub mod scene;
+pub mod session;
 pub mod shooting;
 pub mod study;
 pub mod sweep;
@@ -66,3 +91,4 @@ pub mod trajectories;
 pub mod value;
 
 pub use scene::Scene;
+pub use session::{Mapped, Session, SessionError, Solved};

@@ -103,7 +103,7 @@ def check_picture(path):
     root = ET.parse(path).getroot()
     check(root.tag.endswith("svg") and int(root.get("width")) >= 800, "the picture is an SVG of 800 pixels or more")
     words = " ".join("".join(t.itertext()).strip() for t in root.iter() if t.tag.endswith("text"))
-    for word in ("\u00b5s", "error of V", "Pareto", "tsit5", "f64"):
+    for word in ("trajectories a second", "error of V", "Pareto", "tsit5", "f64"):
         check(word in words, f"the picture does not say {word}: {words}")
 
 

@@ -14,6 +14,7 @@ mod search;
 use super::guarded::Guarded;
 use super::pieces::{Cloud, Flow, Frame, MOST_VARIABLES, Pieces, Region};
 use crate::backend::{BackendError, Deadline};
+use crate::map::Coverage;
 use crate::model::{MapAim, Model};
 use crate::shooting::{Path, Solver};
 use crate::sweep::{Plan, spread_over};
@@ -74,6 +75,15 @@ impl Adaptive {
     /// Whether all states of the first search were searched: else a cheaper sheet may have been missed.
     pub fn is_searched(&self) -> bool {
         self.first[0] >= self.first[1]
+    }
+
+    /// How well its states were searched for cheaper sheets.
+    pub fn coverage(&self) -> Coverage {
+        match (self.is_searched(), self.check.is_empty()) {
+            (false, _) => Coverage::Uncovered,
+            (true, false) => Coverage::Checked,
+            (true, true) => Coverage::Searched,
+        }
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// From the ground up; a room may import what stands before it. ARCHITECTURE.md draws them.
-const FLOORS: [&str; 24] = [
+const FLOORS: [&str; 25] = [
     "diagnostics",
     "numeric",
     "trajectories",
@@ -28,6 +28,7 @@ const FLOORS: [&str; 24] = [
     "closed_loop",
     "attenuation",
     "study",
+    "session",
     "result",
 ];
 

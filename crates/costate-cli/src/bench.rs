@@ -13,7 +13,7 @@ use costate::sweep::{Choices, sweep};
 use costate_bench::devices::{self, Which};
 use costate_bench::host_share::{HostShare, Metered};
 use costate_bench::{BenchError, Options, Wanted, Work, measure, write};
-use costate_report::DEFAULT_WIDTH;
+use costate_report::{DEFAULT_WIDTH, Picture};
 use std::path::Path;
 use std::time::{Instant, SystemTime};
 
@@ -81,7 +81,10 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     let path = file.finish()?;
     let svg = path.with_extension("svg");
     let drawn = match costate_report::single(&Stored::open(&path)?, "speed") {
-        Ok(picture) => picture,
+        Ok(picture) => picture.map(|picture| Picture {
+            title: format!("{}: speed against error", model.title),
+            ..picture
+        }),
         Err(e) => {
             terminal.note(&e.to_string());
             None

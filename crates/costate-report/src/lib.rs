@@ -180,6 +180,11 @@ pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError>
     placed.push((page.clone(), html.clone().into_bytes()));
     let beside = page.parent().map_or_else(PathBuf::new, Path::to_path_buf);
     write_together(&placed, &beside)?;
+    // The page names it, and there may be no pictures.
+    std::fs::create_dir_all(&folder).map_err(|source| FileError::CreateDirectory {
+        directory: folder.clone(),
+        source,
+    })?;
     clear(&folder, &placed);
     Ok(Written {
         page,

@@ -97,10 +97,17 @@ fn read(group: &StoredGroup<'_>) -> Result<Speed, StoredError> {
     Ok(Speed { series, pareto })
 }
 
+/// The line of the Pareto front.
+fn best() -> Stroke {
+    Stroke::new(Ink::Muted, 11.0).opacity(0.3)
+}
+
 impl Speed {
     fn legend(&self) -> Vec<(Mark, String)> {
         let line = |s: &Series| Mark::Line(Stroke::new(Ink::Colour(s.colour), 2.0).dash(s.dash));
-        self.series.iter().map(|s| (line(s), s.label.clone())).collect()
+        let series = self.series.iter().map(|s| (line(s), s.label.clone()));
+        let best = (Mark::Line(best()), "Pareto front: what nothing beats".to_owned());
+        series.chain([best]).collect()
     }
 }
 
@@ -121,7 +128,7 @@ impl Drawing for Speed {
         let y = Axis::log("trajectories a second", y).padded(0.06);
         let frame = Frame::within(Rect::new(area.left, top, area.right, area.bottom), x, y);
         frame.under(canvas);
-        canvas.lines(&frame.line(&self.pareto), Stroke::new(Ink::Muted, 11.0).opacity(0.3));
+        canvas.lines(&frame.line(&self.pareto), best());
         for s in &self.series {
             let ink = Ink::Colour(s.colour);
             canvas.lines(&frame.line(&s.points), Stroke::new(ink, 1.6).dash(s.dash));
