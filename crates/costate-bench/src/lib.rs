@@ -6,7 +6,7 @@
 //! - [`mod@reference`] and [`errors`] say how wrong a result is, off the manifold of optimal solutions;
 //! - [`measure()`] takes the times, variants in turn; [`pareto`] chooses among them;
 //! - [`flops`](costate::backend::flops) and [`Backend::peak`](costate::backend::Backend::peak) give the share of what a device can do;
-//! - [`write`] stores what was measured;
+//! - [`mod@write`] stores what was measured;
 //! - [`host_share`] tells the kernel's time from all other time of a whole run.
 
 pub mod devices;
