@@ -1,9 +1,9 @@
 //! The front door: a scene, where to compute, and what to ask of it.
 
-use crate::Scene;
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
 use crate::map::{self, Adaptive, Known, MapError, ValueMap};
+use crate::scene::Scene;
 use crate::sweep::{Choices, Plan, PlanError, sweep_keeping};
 use crate::value::{self, Answers, Archive, Entry, PointStatus, StatesError};
 
