@@ -17,7 +17,7 @@ import h5py
 import numpy
 
 # What no two runs have in common.
-TIMES = {"fit_seconds", "simulations_per_second", "seconds", "wall_seconds", "updates_per_second"}
+TIMES = {"rate", "fit_seconds", "simulations_per_second", "seconds", "wall_seconds", "updates_per_second"}
 
 
 def result(program, scene, out):
