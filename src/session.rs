@@ -4,7 +4,7 @@ use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
 use crate::map::{self, Adaptive, Known, MapError, ValueMap};
 use crate::scene::Scene;
-use crate::sweep::{Choices, Plan, PlanError, sweep_keeping};
+use crate::sweep::{Choices, Plan, PlanError};
 use crate::value::{self, Answers, Archive, Entry, PointStatus, StatesError};
 
 /// Why a session has no answer.
@@ -146,18 +146,11 @@ impl<'s> Session<'s> {
         let Scene { model, hamiltonian, .. } = self.scene;
         let aim = model.map_aim.as_ref().ok_or(SessionError::NoMap)?;
         let backend = self.backend.as_ref();
-        let choices = Choices {
-            inner_levels: true,
-            dispensable: true,
-            unasked: true,
-            max_seeds: Some(value::guess_seeds(model.states.len(), 0)),
-            ..self.choices
-        };
+        let choices = value::for_guesses(self.choices, model.states.len(), 0);
         let plan = Plan::new(model, hamiltonian, backend, choices)?;
         let mut archive = Archive::new(&plan);
         if !value::goes_without_sweep(&plan) {
-            let mut keep = |seeds: &[f64], batch: &_| archive.keep(seeds, batch);
-            sweep_keeping::<BackendError>(&plan, backend, &mut |_, _| {}, &mut keep, &mut |_| Ok(()))?;
+            archive.sweep(&plan, backend)?;
         }
         let mut solver = value::solver(&plan, backend)?;
         let made = map::adaptive(&plan, model, &mut solver, &archive, aim, &mut |_, _, _| {})?;

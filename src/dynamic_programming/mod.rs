@@ -91,7 +91,17 @@ impl<'a> Device<'a> {
 
     /// `cpu` or `gpu`.
     pub fn name(self) -> &'static str {
-        self.0.map_or("cpu", Backend::name)
+        if self.is_gpu() { "gpu" } else { "cpu" }
+    }
+
+    #[cfg(feature = "gpu")]
+    fn is_gpu(self) -> bool {
+        self.0.and_then(Backend::gpu).is_some()
+    }
+
+    #[cfg(not(feature = "gpu"))]
+    fn is_gpu(self) -> bool {
+        false
     }
 
     /// The device made ready for a scene.

@@ -10,6 +10,7 @@ pub use temporary::Temporary;
 #[cfg(unix)]
 pub use temporary::removed_at_signals;
 
+use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -33,16 +34,9 @@ impl Draft {
     /// Those of [`target`], and [`FileError::CreateDirectory`].
     pub fn begin(path: &Path) -> Result<Self, FileError> {
         let path = target(path)?;
-        let mut hidden = std::ffi::OsString::from(".");
-        hidden.push(path.file_name().unwrap_or_default());
-        let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
-        hidden.push(format!(".{}-{serial}.tmp", std::process::id()));
-        let directory = parent_directory(&path);
-        fs::create_dir_all(directory).map_err(|source| FileError::CreateDirectory {
-            directory: directory.to_owned(),
-            source,
-        })?;
-        let temporary = Temporary::new(path.with_file_name(hidden));
+        let directory = directory_of(&path);
+        make(directory)?;
+        let temporary = hidden(directory, path.file_name().unwrap_or_default());
         Ok(Self { path, temporary })
     }
 
@@ -67,7 +61,7 @@ impl Draft {
             source,
         })?;
         // The file is complete and in place; some network file systems refuse to flush a directory.
-        let _ = sync_directory(parent_directory(&path));
+        let _ = sync_directory(directory_of(&path));
         Ok(path)
     }
 }
@@ -124,19 +118,16 @@ pub fn write_together(files: &[(PathBuf, Vec<u8>)], beside: &Path) -> Result<(),
     let mut drafts = Vec::with_capacity(files.len());
     for (path, bytes) in files {
         let path = target(path)?;
-        let hidden = Draft::begin(&beside.join(path.file_name().unwrap_or_default()))?;
-        std::fs::write(hidden.hidden(), bytes).map_err(|source| FileError::Write {
+        make(beside)?;
+        let draft = hidden(beside, path.file_name().unwrap_or_default());
+        fs::write(draft.path(), bytes).map_err(|source| FileError::Write {
             path: path.clone(),
             source,
         })?;
-        drafts.push((path, hidden.temporary));
+        drafts.push((path, draft));
     }
     for (path, draft) in drafts {
-        let directory = parent_directory(&path);
-        fs::create_dir_all(directory).map_err(|source| FileError::CreateDirectory {
-            directory: directory.to_owned(),
-            source,
-        })?;
+        make(directory_of(&path))?;
         draft
             .publish(&path)
             .map_err(|source| FileError::Rename { path, source })?;
@@ -149,13 +140,32 @@ pub fn write_together(files: &[(PathBuf, Vec<u8>)], beside: &Path) -> Result<(),
 /// # Errors
 /// Those of making it.
 pub fn can_hold(directory: &Path) -> io::Result<()> {
-    let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
-    let name = format!(".costate.{}-{serial}.tmp", std::process::id());
-    let trial = Temporary::new(directory.join(name));
+    let trial = hidden(directory, "costate".as_ref());
     File::create_new(trial.path()).map(drop)
 }
 
-fn parent_directory(path: &Path) -> &Path {
+/// A hidden name in a directory for a file to be called so.
+fn hidden(directory: &Path, name: &OsStr) -> Temporary {
+    let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
+    let mut hidden = OsString::from(".");
+    hidden.push(name);
+    hidden.push(format!(".{}-{serial}.tmp", std::process::id()));
+    Temporary::new(directory.join(hidden))
+}
+
+/// Makes a directory that may be there.
+///
+/// # Errors
+/// [`FileError::CreateDirectory`].
+pub fn make(directory: &Path) -> Result<(), FileError> {
+    fs::create_dir_all(directory).map_err(|source| FileError::CreateDirectory {
+        directory: directory.to_owned(),
+        source,
+    })
+}
+
+/// The directory that a file lies in.
+pub fn directory_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

@@ -12,9 +12,8 @@ const CHECK: &str = "map_check";
 /// Axis of a node that is a cell.
 const LEAF: i32 = -1;
 
-/// Attribute of `/map_pieces`: whether the first states, which are searched for all sheets, were all searched.
-const SEARCH: &str = "first_search";
-const COMPLETE: &str = "complete";
+/// Attribute of `/map_pieces`: how well its states were searched for cheaper sheets.
+const COVERAGE: &str = "coverage";
 
 impl ResultFile {
     /// Writes a map in pieces, and what fresh states say of it.
@@ -32,7 +31,7 @@ impl ResultFile {
             self.write_pieces(
                 &names,
                 timed.then_some((schema, time)),
-                (PIECES, title, Some(made.is_searched())),
+                (PIECES, title, Some(made.coverage())),
                 &made.pieces,
             )?;
         }
@@ -87,7 +86,7 @@ impl ResultFile {
         &mut self,
         names: &Names<'_>,
         time: Option<(&TrajectorySchema, &str)>,
-        (group, title, searched): (&'static str, &str, Option<bool>),
+        (group, title, coverage): (&'static str, &str, Option<Coverage>),
         pieces: &Pieces,
     ) -> Result<(), OutputError> {
         // Of what V is a function: the states, or these and the time.
@@ -99,10 +98,9 @@ impl ResultFile {
             .flat_map(|p| p.coefficients.iter().copied())
             .collect();
         let group = Group::new(group).attribute("title", title);
-        let group = match searched {
+        let group = match coverage {
+            Some(coverage) => group.attribute(COVERAGE, coverage.name()),
             None => group,
-            Some(true) => group.attribute(SEARCH, COMPLETE),
-            Some(false) => group.attribute(SEARCH, "cut by the budget"),
         };
         let group = group
             .dimension(Dimension::index("coordinate", region.lo.len()))
@@ -308,14 +306,13 @@ impl Stored {
 
     /// How well the states of the map were searched for cheaper sheets.
     pub fn map_coverage(&self) -> Coverage {
-        let pieces = self.group(PIECES);
-        let search = pieces.and_then(|pieces| pieces.attribute(None, SEARCH));
+        let told = self.group(PIECES).and_then(|pieces| pieces.attribute(None, COVERAGE));
+        let told = told.and_then(|name| Coverage::ALL.iter().find(|(.., own)| *own == name).map(|(c, ..)| *c));
         // Files of before do not tell it.
-        match (search.is_none_or(|search| search == COMPLETE), self.has(CHECK)) {
-            (false, _) => Coverage::Uncovered,
-            (true, true) => Coverage::Checked,
-            (true, false) => Coverage::Searched,
-        }
+        told.unwrap_or(match self.has(CHECK) {
+            true => Coverage::Checked,
+            false => Coverage::Searched,
+        })
     }
 
     fn read_pieces(&self, group: &str) -> Result<Option<Pieces>, StoredError> {

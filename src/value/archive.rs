@@ -1,9 +1,9 @@
 //! Trajectories of a sweep, kept as first guesses for boundary value problems.
 
 use super::nearest::{self, Nearest};
-use crate::backend::{Status, Trajectories};
+use crate::backend::{Backend, BackendError, Status, Trajectories};
 use crate::shooting::{End, Path};
-use crate::sweep::{Plan, Sampling};
+use crate::sweep::{Plan, Sampling, SweepReport, sweep_keeping};
 
 /// Points kept at most; above it every second trajectory is left out.
 const MOST_NUMBERS: usize = 48 << 20;
@@ -52,6 +52,15 @@ impl Archive {
             seen: 0,
             whole: plan.sampling == Sampling::Time,
         }
+    }
+
+    /// Sweeps, and keeps the trajectories; nothing else is done with them.
+    ///
+    /// # Errors
+    /// Device failures.
+    pub fn sweep(&mut self, plan: &Plan, backend: &dyn Backend) -> Result<SweepReport, BackendError> {
+        let mut keep = |seeds: &[f64], batch: &Trajectories| self.keep(seeds, batch);
+        sweep_keeping(plan, backend, &mut |_, _| {}, &mut keep, &mut |_| Ok(()))
     }
 
     /// Keeps a batch of the sweep.

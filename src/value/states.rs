@@ -5,7 +5,7 @@ use crate::backend::{Backend, BackendError};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::shooting::Solver;
-use crate::sweep::{Choices, FoldPoint, Plan, PlanError, sweep_keeping};
+use crate::sweep::{Choices, FoldPoint, Plan, PlanError};
 
 /// Why states could not be solved for.
 #[derive(Debug, thiserror::Error)]
@@ -48,19 +48,10 @@ pub fn solve_states_folding(
     let choices = for_guesses(choices, n, states.len() / n);
     let plan = Plan::new(model, hamiltonian, backend, choices)?;
     let mut archive = Archive::new(&plan);
-    let sweep = |archive: &mut Archive| {
-        sweep_keeping::<BackendError>(
-            &plan,
-            backend,
-            &mut |_, _| {},
-            &mut |seeds, batch| archive.keep(seeds, batch),
-            &mut |_| Ok(()),
-        )
-    };
     let direct = goes_without_sweep(&plan);
     let mut folds = Vec::new();
     if !direct {
-        folds = sweep(&mut archive)?.folds;
+        folds = archive.sweep(&plan, backend)?.folds;
     }
     let mut solver = solver(&plan, backend)?;
     let request = Request {
@@ -71,7 +62,7 @@ pub fn solve_states_folding(
     };
     let mut found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
     if direct && may_need_sweep(&plan) && found.lacks_guesses() {
-        folds = sweep(&mut archive)?.folds;
+        folds = archive.sweep(&plan, backend)?.folds;
         found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
     }
     Ok((plan, solver, found, folds))

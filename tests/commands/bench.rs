@@ -1,6 +1,7 @@
 //! `costate bench`: the errors it reports against an exact value function, the table as its readers see it, refusals.
 //! Times are only looked at for being there: a test says nothing about speed.
 
+use crate::common_commands::checked_by;
 use crate::common_oracles;
 
 use common_oracles::{derive, dot, scene};
@@ -282,20 +283,7 @@ fn the_table_opens_in_xarray_and_agrees_with_the_summary() {
     left.sort();
     assert_eq!(left, ["table.h5", "table.svg"], "nothing else is left");
 
-    let python = std::env::var_os("COSTATE_TEST_PYTHON").unwrap_or_else(|| "python3".into());
-    let script = Path::new(crate::ROOT).join("tests/check_bench.py");
-    let checked = Command::new(python)
-        .arg(script)
-        .arg(&out)
-        .arg(folder.join("summary.json"))
-        .output()
-        .unwrap();
-    assert!(
-        checked.status.success(),
-        "{}{}",
-        String::from_utf8_lossy(&checked.stdout),
-        String::from_utf8_lossy(&checked.stderr)
-    );
+    checked_by("check_bench.py", &[&out, &folder.join("summary.json")]);
 }
 
 /// The lines that are recommended are a scenario's: a run with them is accepted and uses them.

@@ -2,7 +2,7 @@
 
 use crate::common_commands;
 
-use common_commands::{column_of, scratch};
+use common_commands::{checked_by, column_of, scratch};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -203,15 +203,7 @@ fn result_groups_open_in_xarray() {
     std::fs::write(&file, small).unwrap();
     let done = costate(&["run".as_ref(), file.as_ref(), "--out".as_ref(), out.as_ref()]);
     assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
-    let python = std::env::var_os("COSTATE_TEST_PYTHON").unwrap_or_else(|| "python3".into());
-    let script = Path::new(crate::ROOT).join("tests/check_answers.py");
-    let checked = Command::new(python).arg(script).arg(&out).output().unwrap();
-    assert!(
-        checked.status.success(),
-        "{}{}",
-        String::from_utf8_lossy(&checked.stdout),
-        String::from_utf8_lossy(&checked.stderr)
-    );
+    checked_by("check_answers.py", &[&out]);
 }
 
 /// `v' = f(v) + w` with the cost `(v^2 + w^2)/2`: H = 0 gives `p = f + sqrt(f^2 + v^2)`, and V is its integral.

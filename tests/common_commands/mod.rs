@@ -32,6 +32,21 @@ pub fn done(output: Output) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
+/// Runs a script of `tests/` that checks what was written; it must succeed. The Python with what it imports is
+/// `COSTATE_TEST_PYTHON`, which `tests/run.sh` sets.
+#[track_caller]
+pub fn checked_by(script: &str, files: &[&Path]) {
+    let python = std::env::var_os("COSTATE_TEST_PYTHON").unwrap_or_else(|| "python3".into());
+    let script = Path::new(crate::ROOT).join("tests").join(script);
+    let checked = Command::new(python).arg(script).args(files).output().unwrap();
+    assert!(
+        checked.status.success(),
+        "{}{}",
+        String::from_utf8_lossy(&checked.stdout),
+        String::from_utf8_lossy(&checked.stderr)
+    );
+}
+
 pub fn scenario(name: &str) -> PathBuf {
     Path::new(crate::ROOT).join("scenarios").join(format!("{name}.toml"))
 }

@@ -1,51 +1,36 @@
 //! `costate attenuation`, and the smallest level of attenuation of a run.
 
-use super::check::load;
+use super::alone::Alone;
 use super::columns::columns;
 use super::report::Terminal;
-use super::run::{axes, output_of};
+use super::run::axes;
 use super::{CliError, RunArgs};
 use costate::attenuation::{Attenuated, Covering, Row, smallest};
 use costate::backend::Backend;
 use costate::hdf5::ResultFile;
 use costate::local::{Cause, LinearAttenuation};
-use costate::result::{RunRecord, Stored};
+use costate::model::Model;
+use costate::result::Stored;
 use costate::scene::Scene;
 use costate::sweep::Choices;
 use costate_report::ATTENUATION_PICTURES;
 use std::path::Path;
-use std::time::{Instant, SystemTime};
 
 pub(super) fn attenuation(args: &RunArgs) -> Result<(), CliError> {
-    let (started, clock) = (SystemTime::now(), Instant::now());
-    super::check_out(args.out.as_deref(), &[super::Kind::Result], &[&args.scene.scenario])?;
-    if args.grid_guesses {
-        return Err(super::grid::GridRefusal::Nothing.into());
-    }
-    let scene = load(&args.scene)?;
-    let model = &scene.model;
-    if model.attenuation.is_none() {
-        return Err(CliError::NoAttenuation);
-    }
-    let backend = args.numerics.open(model)?;
-    let terminal = Terminal::new(&args.scene);
-    terminal.say(&model.title)?;
-    let path = (args.out.clone()).unwrap_or_else(|| output_of(&args.scene.scenario, "_attenuation"));
-    let mut file = ResultFile::create(&path)?;
+    let asks = |model: &Model| model.attenuation.as_ref().map(drop).ok_or(CliError::NoAttenuation);
+    let (begun, mut file) = Alone::begin(args, "_attenuation", asks)?;
+    let Alone {
+        scene,
+        backend,
+        terminal,
+        clock,
+        ..
+    } = &begun;
     let choices = args.numerics.choices(args.seed);
-    let found = write(&mut file, &scene, backend.as_ref(), choices, &terminal)?;
-    let record = RunRecord {
-        backend: backend.name().to_owned(),
-        adapter: backend.adapter(),
-        rtol: args.numerics.rtol.unwrap_or(model.integrator.rtol),
-        atol: model.integrator.atol,
-        wall_seconds: clock.elapsed().as_secs_f64(),
-        ..super::begun(model, started)
-    };
-    record.write(&file)?;
-    let path = file.finish()?;
+    let found = write(&mut file, scene, backend.as_ref(), choices, terminal)?;
+    let path = begun.finish(file)?;
     terminal.say(&text(&found))?;
-    let pictures = pictures(&path, &terminal);
+    let pictures = pictures(&path, terminal);
     let beside = if pictures.is_empty() {
         String::new()
     } else {

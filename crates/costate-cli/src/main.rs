@@ -1,6 +1,7 @@
 //! The program `costate` (see `costate --help`): reads arguments, calls the library, prints.
 
 mod afterwards;
+mod alone;
 mod attenuation;
 mod bench;
 mod bench_report;

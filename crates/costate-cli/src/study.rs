@@ -1,53 +1,32 @@
 //! `costate study`, and the study of a run.
 
-use super::check::load;
+use super::alone::Alone;
 use super::columns::columns;
 use super::report::Terminal;
-use super::run::{axes, output_of};
+use super::run::axes;
 use super::{CliError, RunArgs};
 use costate::backend::Backend;
 use costate::hdf5::ResultFile;
 use costate::model::Model;
-use costate::result::RunRecord;
 use costate::scene::Scene;
 use costate::study::{Variant, study as studied};
 use costate::sweep::Choices;
 use costate::value::PointStatus;
-use std::time::{Instant, SystemTime};
 
 pub(super) fn study(args: &RunArgs) -> Result<(), CliError> {
-    let (started, clock) = (SystemTime::now(), Instant::now());
-    super::check_out(args.out.as_deref(), &[super::Kind::Result], &[&args.scene.scenario])?;
-    if args.grid_guesses {
-        return Err(super::grid::GridRefusal::Nothing.into());
-    }
-    let scene = load(&args.scene)?;
+    let asks = |model: &Model| model.study.as_ref().map(drop).ok_or(CliError::NoStudy);
+    let (begun, mut file) = Alone::begin(args, "_study", asks)?;
+    let Alone {
+        scene,
+        backend,
+        terminal,
+        clock,
+        ..
+    } = &begun;
     let model = &scene.model;
-    if model.study.is_none() {
-        return Err(CliError::NoStudy);
-    }
-    let backend = args.numerics.open(model)?;
-    let terminal = Terminal::new(&args.scene);
-    terminal.say(&model.title)?;
-    let path = (args.out.clone()).unwrap_or_else(|| output_of(&args.scene.scenario, "_study"));
-    let mut file = ResultFile::create(&path)?;
-    let variants = write(
-        &mut file,
-        &scene,
-        backend.as_ref(),
-        args.numerics.choices(args.seed),
-        &terminal,
-    )?;
-    let record = RunRecord {
-        backend: backend.name().to_owned(),
-        adapter: backend.adapter(),
-        rtol: args.numerics.rtol.unwrap_or(model.integrator.rtol),
-        atol: model.integrator.atol,
-        wall_seconds: clock.elapsed().as_secs_f64(),
-        ..super::begun(model, started)
-    };
-    record.write(&file)?;
-    let path = file.finish()?;
+    let choices = args.numerics.choices(args.seed);
+    let variants = write(&mut file, scene, backend.as_ref(), choices, terminal)?;
+    let path = begun.finish(file)?;
     terminal.say(&table(model, &variants))?;
     terminal.say(&format!(
         "{:.2} s, written to {}",

@@ -26,7 +26,7 @@ mod ticks;
 pub use source::{OptionsError, Source};
 
 use canvas::{Anchor, Canvas, Rect, Style, TITLE};
-use costate::files::{FileError, write_bytes, write_text, write_together};
+use costate::files::{FileError, directory_of, make, write_bytes, write_text, write_together};
 use costate::model::Report;
 use costate::result::{Stored, StoredError};
 use raster::{Raster, RasterError};
@@ -178,13 +178,9 @@ pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError>
         .collect();
     // The page last: where it is new its pictures are there.
     placed.push((page.clone(), html.clone().into_bytes()));
-    let beside = page.parent().map_or_else(PathBuf::new, Path::to_path_buf);
-    write_together(&placed, &beside)?;
+    write_together(&placed, directory_of(&page))?;
     // The page names it, and there may be no pictures.
-    std::fs::create_dir_all(&folder).map_err(|source| FileError::CreateDirectory {
-        directory: folder.clone(),
-        source,
-    })?;
+    make(&folder)?;
     clear(&folder, &placed);
     Ok(Written {
         page,
