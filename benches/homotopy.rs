@@ -1,8 +1,8 @@
-//! How the time and memory of values at chosen states grow with the number of states solved for, and with the number
-//! of state variables.
+//! How the time and memory of values at chosen states grow with the number of states solved for,
+//! and with the number of state variables.
 //!
-//! `cargo bench --bench homotopy [-- targets|states|box]`; each line is one run: warm-up is not needed, as a run compiles nothing
-//! but its kernels, whose time is included.
+//! `cargo bench --bench homotopy [-- targets|states|box]`; each line is one run: warm-up is not
+//! needed, as a run compiles nothing but its kernels, whose time is included.
 
 use costate::backend::{BackendError, cpu::Cpu};
 use costate::hamiltonian::Hamiltonian;
@@ -38,7 +38,10 @@ fn scene(name: &str) -> Model {
 /// A chain of masses with cubic springs, pushed at its ends.
 fn chain(masses: usize) -> Model {
     let section = |name: &str, line: &dyn Fn(usize) -> String| {
-        format!("[{name}]\n{}\n", (0..masses).map(line).collect::<Vec<_>>().join("\n"))
+        format!(
+            "[{name}]\n{}\n",
+            (0..masses).map(line).collect::<Vec<_>>().join("\n")
+        )
     };
     let force = |i: usize| {
         if i == 0 || i + 1 == masses {
@@ -48,15 +51,22 @@ fn chain(masses: usize) -> Model {
         }
     };
     let neighbour = |i: usize, other: Option<usize>| {
-        other
-            .filter(|k| *k < masses)
-            .map_or_else(String::new, |k| format!(" + (x{k} - x{i}) + 0.3*(x{k} - x{i})^3"))
+        other.filter(|k| *k < masses).map_or_else(String::new, |k| {
+            format!(" + (x{k} - x{i}) + 0.3*(x{k} - x{i})^3")
+        })
     };
     let dynamics = |i: usize| {
         let (left, right) = (neighbour(i, i.checked_sub(1)), neighbour(i, Some(i + 1)));
-        format!("x{i} = \"v{i}\"\nv{i} = \"-x{i} - 0.1*v{i}{left}{right}{}\"", force(i))
+        format!(
+            "x{i} = \"v{i}\"\nv{i} = \"-x{i} - 0.1*v{i}{left}{right}{}\"",
+            force(i)
+        )
     };
-    let controls: Vec<usize> = if masses == 1 { vec![0] } else { vec![0, masses - 1] };
+    let controls: Vec<usize> = if masses == 1 {
+        vec![0]
+    } else {
+        vec![0, masses - 1]
+    };
     let cost: Vec<String> = (0..masses)
         .map(|i| format!("x{i}^2 + v{i}^2"))
         .chain(controls.iter().map(|i| format!("u{i}^2")))
@@ -73,14 +83,20 @@ fn chain(masses: usize) -> Model {
     text += &section("dynamics", &dynamics);
     text += &format!("[cost]\nrunning = \"0.5*({})\"\n", cost.join(" + "));
     text += &section("equilibrium", &|i| format!("x{i} = 0\nv{i} = 0"));
-    text += &controls.iter().map(|i| format!("u{i} = 0\n")).collect::<String>();
+    text += &controls
+        .iter()
+        .map(|i| format!("u{i} = 0\n"))
+        .collect::<String>();
     text += &section("region", &|i| format!("x{i} = [-1, 1]\nv{i} = [-1, 1]"));
     costate::scenario::parse(&text, "chain.toml", &[]).expect("a scene")
 }
 
 fn run(name: &str, model: &Model, request: &Request) {
     let gridded: usize = request.grids.iter().map(Grid::len).sum();
-    let seeds = value::guess_seeds(model.states.len(), gridded + request.points.len() / model.states.len());
+    let seeds = value::guess_seeds(
+        model.states.len(),
+        gridded + request.points.len() / model.states.len(),
+    );
     reset_peak();
     let start = Instant::now();
     let cpu = Cpu::new();
@@ -93,10 +109,20 @@ fn run(name: &str, model: &Model, request: &Request) {
     };
     let plan = Plan::new(model, &hamiltonian, &cpu, choices).expect("a plan");
     let mut archive = Archive::new(&plan);
-    let keep = &mut |seeds: &[f64], batch: &costate::backend::Trajectories| archive.keep(seeds, batch);
-    sweep_keeping::<BackendError>(&plan, &cpu, &mut |_, _| {}, keep, &mut |_| Ok(())).expect("the CPU works");
+    let keep =
+        &mut |seeds: &[f64], batch: &costate::backend::Trajectories| archive.keep(seeds, batch);
+    sweep_keeping::<BackendError>(&plan, &cpu, &mut |_, _| {}, keep, &mut |_| Ok(()))
+        .expect("the CPU works");
     let mut solver = value::solver(&plan, &cpu).expect("kernels");
-    let answers = value::solve(&plan, model, &mut solver, &archive, request, &mut |_, _, _| {}).expect("the CPU works");
+    let answers = value::solve(
+        &plan,
+        model,
+        &mut solver,
+        &archive,
+        request,
+        &mut |_, _, _| {},
+    )
+    .expect("the CPU works");
     let seconds = start.elapsed().as_secs_f64();
     let targets = answers.targets.len();
     println!(
@@ -116,7 +142,10 @@ fn spaced(first: f64, last: f64, count: usize) -> Vec<f64> {
 }
 
 fn main() {
-    let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let wanted: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|a| !a.starts_with("--"))
+        .collect();
     let asked = |what: &str| wanted.is_empty() || wanted.iter().any(|w| w == what);
     if asked("box") {
         let model = scene("moore_greitzer");

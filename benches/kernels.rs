@@ -1,7 +1,8 @@
-//! Criterion benches: right-hand side, step and sweep of the pendulum scene, for each backend found, precision and method.
+//! Criterion benches: right-hand side, step and sweep of the pendulum scene, for each backend
+//! found, precision and method.
 //!
-//! `cargo bench --bench kernels` (a GPU adapter, software included, is benched where there is one). Throughput is in
-//! right-hand sides, attempted steps and trajectories a second.
+//! `cargo bench --bench kernels` (a GPU adapter, software included, is benched where there is one).
+//! Throughput is in right-hand sides, attempted steps and trajectories a second.
 
 use costate::backend::cpu::{Cpu, Evaluator};
 use costate::backend::gpu::{Gpu, Selection};
@@ -56,11 +57,14 @@ fn right_hand_side(c: &mut Criterion) {
     let points = points();
     let mut group = c.benchmark_group("right_hand_side");
     group.throughput(Throughput::Elements(POINTS as u64));
-    group.bench_function("cpu/f64", |b| b.iter(|| evaluator.eval(black_box(&points), 5)));
+    group.bench_function("cpu/f64", |b| {
+        b.iter(|| evaluator.eval(black_box(&points), 5))
+    });
     group.finish();
 }
 
-/// A fixed number of steps of every trajectory. One step of rk4 is four right-hand sides, one of tsit5 six.
+/// A fixed number of steps of every trajectory. One step of rk4 is four right-hand sides, one of
+/// tsit5 six.
 fn step(c: &mut Criterion) {
     let (model, hamiltonian) = scene();
     let system = System::new(&hamiltonian, &model);
@@ -92,7 +96,11 @@ fn step(c: &mut Criterion) {
             let mut kernel = backend.compile(&spec).expect("the kernel compiles");
             let name = format!("{}/{}", backend.name(), precision.name());
             group.bench_function(BenchmarkId::new(name, method.name()), |b| {
-                b.iter(|| kernel.integrate(black_box(&run), &points).expect("the backend works"))
+                b.iter(|| {
+                    kernel
+                        .integrate(black_box(&run), &points)
+                        .expect("the backend works")
+                })
             });
         }
     }
@@ -118,10 +126,12 @@ fn whole_sweep(c: &mut Criterion) {
                 precision: Some(precision),
                 ..Choices::default()
             };
-            let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), choices).expect("the scene can be swept");
+            let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), choices)
+                .expect("the scene can be swept");
             let go = || {
                 let mut quiet = |_: usize, _: usize| {};
-                sweep::<BackendError>(&plan, backend.as_ref(), &mut quiet, &mut |_| Ok(())).expect("the sweep ends")
+                sweep::<BackendError>(&plan, backend.as_ref(), &mut quiet, &mut |_| Ok(()))
+                    .expect("the sweep ends")
             };
             group.throughput(Throughput::Elements(go().trajectories as u64));
             let name = format!("{}/{}", backend.name(), precision.name());

@@ -1,7 +1,8 @@
 //! How fast a map in pieces says V, p and u, and flies closed loops.
 //!
-//! `cargo bench --bench pieces`: of a small map of the compressor, made first. `-- FILE.h5 [STATES [SCENE.toml]]`: of a run whose scene
-//! has `[map] error`; closed loops are those of the scene's `[closed_loop]`. Random states of the map's region, all threads.
+//! `cargo bench --bench pieces`: of a small map of the compressor, made first. `-- FILE.h5 [STATES
+//! [SCENE.toml]]`: of a run whose scene has `[map] error`; closed loops are those of the scene's
+//! `[closed_loop]`. Random states of the map's region, all threads.
 
 use costate::backend::cpu::Cpu;
 use costate::closed_loop::{Chart, Initial, Laws, Setting};
@@ -42,13 +43,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         rayon::current_num_threads()
     );
     let known = x.par_chunks(n).filter(|x| pieces.at(x).is_some()).count();
-    let one_by_one = rate(count, || x.par_chunks(n).filter(|x| pieces.at(x).is_some()).count());
+    let one_by_one = rate(count, || {
+        x.par_chunks(n).filter(|x| pieces.at(x).is_some()).count()
+    });
     println!("one by one, V and p:       {one_by_one:>12.0}   ({known} known)");
     let together = rate(count, || map.many(&x).v.len());
     println!("at once, f64, V, p and u:  {together:>12.0}");
     let single = &x[..n * (count / 50).max(1)];
     let full = rate(single.len() / n, || {
-        single.par_chunks(n).filter(|x| map.local(x).is_some()).count()
+        single
+            .par_chunks(n)
+            .filter(|x| map.local(x).is_some())
+            .count()
     });
     println!("one by one, with d2V/dx2:  {full:>12.0}");
     match args.next() {
@@ -64,7 +70,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// Closed loops under the law of the map from random states of its region.
-fn loops(model: &Model, map: &ValueMap, region: &Region, count: usize) -> Result<(), Box<dyn std::error::Error>> {
+fn loops(
+    model: &Model,
+    map: &ValueMap,
+    region: &Region,
+    count: usize,
+) -> Result<(), Box<dyn std::error::Error>> {
     let Some(scene) = &model.closed_loop else {
         println!("the scene has no [closed_loop]: no loops are flown");
         return Ok(());
@@ -87,7 +98,8 @@ fn loops(model: &Model, map: &ValueMap, region: &Region, count: usize) -> Result
         let law = [laws.chart("map")];
         let mut home = 0.0;
         let flown = rate(count, || {
-            let flown = setting.evaluate(&law, initial.clone(), Some(chart), None, &cpu, &mut |_| {});
+            let flown =
+                setting.evaluate(&law, initial.clone(), Some(chart), None, &cpu, &mut |_| {});
             home = flown.map_or(f64::NAN, |e| e.laws[0].share_converged());
             count
         });
@@ -104,9 +116,14 @@ fn loops(model: &Model, map: &ValueMap, region: &Region, count: usize) -> Result
 
 /// The map of a part of the compressor's box, of which loops are flown.
 fn made() -> Result<PathBuf, Box<dyn std::error::Error>> {
-    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios/moore_greitzer_map.toml");
+    let shipped = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../scenarios/moore_greitzer_map.toml"
+    );
     let text = std::fs::read_to_string(shipped)?;
-    let sections = text.find("[shoot_out]").ok_or("the scene has [shoot_out]")?;
+    let sections = text
+        .find("[shoot_out]")
+        .ok_or("the scene has [shoot_out]")?;
     let region = "{ Phi = [1.0, 1.4], Psi = [1.6, 2.2], R = [0.0, 0.2], gamma = [1.3, 1.75] }";
     let loops = "final_time = 40.0\nsamples = 200";
     let whole = format!(
@@ -143,7 +160,9 @@ fn rate(count: usize, mut work: impl FnMut() -> usize) -> f64 {
         std::hint::black_box(work());
         best = best.min(clock.elapsed().as_secs_f64());
     }
-    let spent = processor_seconds().zip(before).map(|(after, before)| after - before);
+    let spent = processor_seconds()
+        .zip(before)
+        .map(|(after, before)| after - before);
     if let Some(spent) = spent.filter(|s| *s > 0.0) {
         let threads = rayon::current_num_threads() as f64;
         let free = (count * REPEATS) as f64 * threads / spent;
@@ -152,8 +171,8 @@ fn rate(count: usize, mut work: impl FnMut() -> usize) -> f64 {
     count as f64 / best
 }
 
-/// Processor time of this process on all threads, where the system tells it (Linux, in ticks of 10 ms): on a machine that does
-/// other work too the clock on the wall says little.
+/// Processor time of this process on all threads, where the system tells it (Linux, in ticks of 10
+/// ms): on a machine that does other work too the clock on the wall says little.
 fn processor_seconds() -> Option<f64> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
     let fields: Vec<&str> = stat.rsplit(')').next()?.split_whitespace().collect();

@@ -1,6 +1,6 @@
-//! The pendulum shooting-out work that other tools are measured on: seeds on `s'Ps/2 = 1e-4` at equal angles, integrated
-//! 4 time units backward, end states kept; error against f64 at the tightest tolerance by another
-//! method.
+//! The pendulum shooting-out work that other tools are measured on: seeds on `s'Ps/2 = 1e-4` at
+//! equal angles, integrated 4 time units backward, end states kept; error against f64 at the
+//! tightest tolerance by another method.
 //!
 //! `cargo bench --bench shoot_out -- [SEEDS] [cpu|gpu]` prints one JSON line a setting:
 //! backend, precision, method, rtol, n, seconds (median), traj_per_s, max_rel_err, median_rel_err.
@@ -17,7 +17,10 @@ const TIME: f64 = 4.0;
 const REPEATS: usize = 7;
 
 fn main() {
-    let args: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let args: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|a| !a.starts_with("--"))
+        .collect();
     let count: usize = args.iter().find_map(|a| a.parse().ok()).unwrap_or(4096);
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/pendulum.toml");
     let model = costate::scenario::load(path.as_ref(), &[]).expect("the scene is valid");
@@ -63,7 +66,9 @@ fn main() {
     }
     if asked("gpu") {
         let gpu = Gpu::open(&Selection::Any).expect("an adapter opens");
-        backends.push(Box::new(gpu.expect("there is an adapter, a software one included")));
+        backends.push(Box::new(
+            gpu.expect("there is an adapter, a software one included"),
+        ));
     }
     for backend in &backends {
         for &(method, precision, rtol, step) in &settings {
@@ -108,7 +113,10 @@ fn main() {
 /// Relative errors of the trajectories' ends, ascending.
 fn errors(end: &[f64], reference: &[f64]) -> Vec<f64> {
     let one = |(y, r): (&[f64], &[f64])| {
-        let each = y.iter().zip(r).map(|(y, r)| (y - r).abs() / r.abs().max(1.0));
+        let each = y
+            .iter()
+            .zip(r)
+            .map(|(y, r)| (y - r).abs() / r.abs().max(1.0));
         each.fold(0.0, f64::max)
     };
     let mut errors: Vec<f64> = end.chunks(5).zip(reference.chunks(5)).map(one).collect();
@@ -141,7 +149,14 @@ struct Work {
 }
 
 impl Work {
-    fn new(backend: &dyn Backend, rate: &Program, method: Method, precision: Precision, rtol: f64, step: f64) -> Self {
+    fn new(
+        backend: &dyn Backend,
+        rate: &Program,
+        method: Method,
+        precision: Precision,
+        rtol: f64,
+        step: f64,
+    ) -> Self {
         let spec = Spec {
             rate: rate.clone(),
             guards: None,
@@ -167,10 +182,14 @@ impl Work {
         }
     }
 
-    /// End states with the absolute angle, and the seconds from seeds on the host to results on the host.
+    /// End states with the absolute angle, and the seconds from seeds on the host to results on the
+    /// host.
     fn run(&mut self, seeds: &[f64]) -> (Vec<f64>, f64) {
         let start = Instant::now();
-        let result = self.kernel.integrate(&self.run, seeds).expect("the backend works");
+        let result = self
+            .kernel
+            .integrate(&self.run, seeds)
+            .expect("the backend works");
         let seconds = start.elapsed().as_secs_f64();
         assert!(
             result.status.iter().all(|s| *s == Status::Reached),

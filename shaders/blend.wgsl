@@ -1,5 +1,5 @@
-// What the pieces around a state say together, and what is said of a state: behind pieces.wgsl, mirroring
-// src/map/pieces/flat/blend.rs and src/map/swift.rs.
+// What the pieces around a state say together, and what is said of a state: behind pieces.wgsl,
+// mirroring src/map/pieces/flat/blend.rs and src/map/swift.rs.
 
 struct Weight {
     positive: bool,
@@ -55,7 +55,8 @@ fn weight(cell: u32, place: Spot) -> Weight {
         share.dw[i] = product;
     }
 //if ROUNDED
-    // The polynomial's terms are up to 31 in all, its slope's 30, its second derivative at most 6, in units of the overlap.
+    // The polynomial's terms are up to 31 in all, its slope's 30, its second derivative at most 6,
+    // in units of the overlap.
     var off = place.off;
     var way: real = 0.0;
     for (var i = 0u; i < N; i += 1u) {
@@ -95,8 +96,8 @@ struct Walk {
 
 const NO_CELL: u32 = 0xffffffffu;
 
-// The next cell that may reach over a place; the walk is a function of its own so that neighbouring invocations come to their
-// cells together.
+// The next cell that may reach over a place; the walk is a function of its own so that neighbouring
+// invocations come to their cells together.
 fn next_cell(walk: ptr<function, Walk>, place: Spot) -> u32 {
     var z = place.at;
     var cell = NO_CELL;
@@ -157,13 +158,15 @@ fn blended(place: Spot) -> Said {
     said.sheet = first.sheet;
     said.v_bound = first.v_bound;
     said.p_bound = first.p_bound;
-    // Sums of weights, and of weights times what a piece says more than the first one: the differences are small.
+    // Sums of weights, and of weights times what a piece says more than the first one: the
+    // differences are small.
     var total: real = 0.0;
     var more: real = 0.0;
     var total_slope: Place;
     var more_slope: Place;
 //if ROUNDED
-    // Of what is blended: what each piece lost at most, how far pieces are apart, and what the weights lost.
+    // Of what is blended: what each piece lost at most, how far pieces are apart, and what the
+    // weights lost.
     var v_lost = first.v_lost;
     var q_lost = first.q_lost;
     var apart: real = 0.0;
@@ -271,7 +274,8 @@ fn blended(place: Spot) -> Said {
     return said;
 }
 
-// Derivatives by states of those by coordinates `L s` (or those of the frame), whose rows are at `matrix`.
+// Derivatives by states of those by coordinates `L s` (or those of the frame), whose rows are at
+// `matrix`.
 fn by_states(slope: Place, matrix: u32, sizes: bool) -> Place {
     var q = slope;
     var p: Place;

@@ -1,9 +1,9 @@
-// The integrator, mirroring src/backend/cpu/block/: an invocation follows one trajectory through a bounded number of
-// attempted steps and keeps it in storage buffers in between (sweep.wgsl; with LEGS legs.wgsl, of which the law of a
-// trajectory is set anew at the beginning of each).
+// The integrator, mirroring src/backend/cpu/block/: an invocation follows one trajectory through a
+// bounded number of attempted steps and keeps it in storage buffers in between (sweep.wgsl; with
+// LEGS legs.wgsl, of which the law of a trajectory is set anew at the beginning of each).
 //
-// `Vector`, `Inputs`, `Step`, `attempt`, `interpolate` and what else is not here are generated (src/backend/gpu/emit.rs).
-// Lines from `//if` to `//end` are kept where the condition holds.
+// `Vector`, `Inputs`, `Step`, `attempt`, `interpolate` and what else is not here are generated
+// (src/backend/gpu/emit.rs). Lines from `//if` to `//end` are kept where the condition holds.
 
 struct Control {
     // Entries of the list of trajectories still on their way, and which of the two lists it is.
@@ -16,7 +16,8 @@ struct Control {
     max_steps: u32,
     levels: u32,
 //if LEGS
-    // Legs of a trajectory in all, those that it may fly in this flight, and how many of the first are traced.
+    // Legs of a trajectory in all, those that it may fly in this flight, and how many of the first
+    // are traced.
     legs: u32,
     room: u32,
     traced: u32,
@@ -26,9 +27,11 @@ struct Control {
 @group(0) @binding(0) var<uniform> control: Control;
 // See the offsets among the generated constants.
 @group(0) @binding(1) var<storage, read> settings: array<real>;
-// [field][trajectory]: y, k, t, h, before, first_step; with kinks also resume, sides; of legs y at the beginning.
+// [field][trajectory]: y, k, t, h, before, first_step; with kinks also resume, sides; of legs y at
+// the beginning.
 @group(0) @binding(2) var<storage, read_write> state: array<real>;
-// [field][trajectory]: status, next_level, steps, rejected, first_level; of legs the leg and how many were begun instead of that.
+// [field][trajectory]: status, next_level, steps, rejected, first_level; of legs the leg and how
+// many were begun instead of that.
 @group(0) @binding(3) var<storage, read_write> counters: array<u32>;
 // [list][entry]: trajectories still on their way.
 @group(0) @binding(4) var<storage, read_write> lists: array<u32>;
@@ -137,8 +140,8 @@ fn meet_kinks(decided: ptr<function, Decision>, lane: Lane, step: Step) {
     let sides = kink_values(inputs_of(step.y));
     let q = first_kink(lane.sides, sides);
     let accepted = (*decided).accepted;
-    // A share of the step that kinks have not shortened, and no less than the floor: what is left of shorter ones is
-    // lost in rounding.
+    // A share of the step that kinks have not shortened, and no less than the floor: what is left
+    // of shorter ones is lost in rounding.
     let near = max(AT_KINK * max(lane.h, lane.resume), FLOOR * max(lane.t, lane.first_step));
     let inside = accepted & (lane.h * q > near) & (lane.h * (1.0 - q) > near);
     let crosses = select(accepted & (q < 2.0), false, inside);
@@ -152,10 +155,11 @@ fn meet_kinks(decided: ptr<function, Decision>, lane: Lane, step: Step) {
 }
 //end
 
-// One attempted step. A step that ends the trajectory in its middle, once in a trajectory, is left to `conclude`.
+// One attempted step. A step that ends the trajectory in its middle, once in a trajectory, is left
+// to `conclude`.
 //
-// Some devices run both sides of a condition and every loop at least once. So what is rare stands outside the loop over
-// steps, and loops ask at their end whether to go on.
+// Some devices run both sides of a condition and every loop at least once. So what is rare stands
+// outside the loop over steps, and loops ask at their end whether to go on.
 fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
     let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
     let decided = decide(*lane, step);
@@ -224,7 +228,8 @@ fn eventful(lane: Lane, step: Step, run: Run) -> bool {
 }
 
 //if LEGS
-// Whether an accepted step ends where the leg does, as most legs' only one does: then nothing is to be located in it.
+// Whether an accepted step ends where the leg does, as most legs' only one does: then nothing is to
+// be located in it.
 fn ends_leg(lane: Lane, step: Step, run: Run) -> bool {
     let ends = lane.t + lane.h == run.last;
 //end
@@ -294,7 +299,8 @@ fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
         ended = REACHED;
     }
     if (ended == RUNNING) {
-        // This copy of the step may be rounded differently: then it ends short of the event, and the next one meets it.
+        // This copy of the step may be rounded differently: then it ends short of the event, and
+        // the next one meets it.
         commit(lane, step, decide(*lane, step), run);
         return;
     }
@@ -383,7 +389,8 @@ fn pass_levels(i: u32, lane: ptr<function, Lane>, step: Step, dense: Dense, most
 }
 
 //if BY_COMPONENT
-// Fraction of the step at which the coordinate takes the lane's level, by Newton's method kept within a bracket.
+// Fraction of the step at which the coordinate takes the lane's level, by Newton's method kept
+// within a bracket.
 fn locate(lane: ptr<function, Lane>, dense: Dense, h: real, begin: real, finish: real) -> real {
     let level = (*lane).level;
     let guess = (level - begin) / (finish - begin);
@@ -398,7 +405,8 @@ fn locate(lane: ptr<function, Lane>, dense: Dense, h: real, begin: real, finish:
         hi = select(hi, q, above);
         lo = select(q, lo, above);
         let newton = q - residual / (at.slope * h);
-        // A root at a bracket's end may be missed by rounding; halving the bracket then would lead away from it.
+        // A root at a bracket's end may be missed by rounding; halving the bracket then would lead
+        // away from it.
         let inside = (newton >= lo - 4.0 * EPSILON) & (newton <= hi + 4.0 * EPSILON);
         let next = select(0.5 * (lo + hi), newton, inside);
         left = select(left - 1u, 0u, abs(next - q) <= 2.0 * EPSILON);
@@ -476,7 +484,8 @@ fn begin(lane: ptr<function, Lane>, run: Run) {
     }
 //if ADAPTIVE
     let first = FIRST * norm((*lane).y, (*lane).y, run) / norm((*lane).k, (*lane).y, run);
-    // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the step limit.
+    // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the step
+    // limit.
     (*lane).first_step = FIRST;
     if (is_finite(first)) {
         (*lane).first_step = select(FIRST, first, first > 0.0);

@@ -1,6 +1,6 @@
-// Policy iteration on a lattice of states, one invocation a node; the same steps in the same order as
-// src/dynamic_programming/cpu.rs and lattice.rs. Generated: N, M, GUARDS and the other constants, the bounds of the controls,
-// `motion_at` and `law_at`.
+// Policy iteration on a lattice of states, one invocation a node; the same steps in the same order
+// as src/dynamic_programming/cpu.rs and lattice.rs. Generated: N, M, GUARDS and the other
+// constants, the bounds of the controls, `motion_at` and `law_at`.
 
 // Kind, integer and real arguments of a candidate; see `Candidate` in level.rs.
 struct Candidate {
@@ -18,7 +18,8 @@ struct Candidate {
 // Of each node the end of its best step, what it costs, and that with the value at its end.
 @group(0) @binding(5) var<storage, read_write> steps: array<f32>;
 @group(0) @binding(6) var<storage, read> known: array<u32>;
-// The level's settings (see `load_settings`), the linearization's controls of all nodes, then the fixed set.
+// The level's settings (see `load_settings`), the linearization's controls of all nodes, then the
+// fixed set.
 @group(0) @binding(7) var<storage, read> given: array<f32>;
 
 var<private> axis_first: array<f32, N>;
@@ -131,7 +132,8 @@ fn vertices_of(cell: Cell) -> Vertices {
     return v;
 }
 
-// Second differences along each axis on the line of vertices nearest to the point, the lesser of the two about the cell.
+// Second differences along each axis on the line of vertices nearest to the point, the lesser of
+// the two about the cell.
 fn curvature_of(cell: Cell, at: Vertices) -> State {
     var place = cell;
     var v = at;

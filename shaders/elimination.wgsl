@@ -1,8 +1,9 @@
-// Block elimination of linearized multiple-shooting equations, mirroring src/shooting/elimination.rs: an invocation
-// takes one path through a bounded number of its nodes. All that one node hands to the next is among the results.
+// Block elimination of linearized multiple-shooting equations, mirroring
+// src/shooting/elimination.rs: an invocation takes one path through a bounded number of its nodes.
+// All that one node hands to the next is among the results.
 //
-// N is the number of states, M = 2 N that of a node's components; both are generated constants, as are the places of
-// things in the buffers and NODES (src/backend/gpu/elimination.rs).
+// N is the number of states, M = 2 N that of a node's components; both are generated constants, as
+// are the places of things in the buffers and NODES (src/backend/gpu/elimination.rs).
 
 // The number of states again, 0; then [path]: segments, first segment.
 @group(0) @binding(0) var<storage, read> paths: array<u32>;
@@ -15,7 +16,8 @@
 // [node]: W (N x M), L (N x N), c (N), step (M).
 @group(0) @binding(4) var<storage, read_write> nodes: array<real>;
 
-// N and M as a compiler does not know them: it would unroll all loops, which takes llvmpipe minutes.
+// N and M as a compiler does not know them: it would unroll all loops, which takes llvmpipe
+// minutes.
 var<private> states: u32;
 var<private> components: u32;
 
@@ -58,7 +60,8 @@ fn carried_rows(node: u32, segment: u32, rows: ptr<function, Rows>, right: ptr<f
     }
 }
 
-// rows = L Q with orthonormal rows of Q in their place, by modified Gram-Schmidt, twice; then c from L c = right.
+// rows = L Q with orthonormal rows of Q in their place, by modified Gram-Schmidt, twice; then c
+// from L c = right.
 fn orthonormalize(node: u32, rows: ptr<function, Rows>, right: ptr<function, Column>) {
     for (var r = 0u; r < states; r += 1u) {
         var l: Column;
@@ -98,7 +101,8 @@ fn orthonormalize(node: u32, rows: ptr<function, Rows>, right: ptr<function, Col
     }
 }
 
-// Solves a x = b by elimination with row exchanges, x in place of b. False where a pivot is 0 or not finite.
+// Solves a x = b by elimination with row exchanges, x in place of b. False where a pivot is 0 or
+// not finite.
 fn solve(a: ptr<function, Square>, b: ptr<function, Column>) -> bool {
     var regular = true;
     for (var k = 0u; k < states; k += 1u) {

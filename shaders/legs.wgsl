@@ -1,10 +1,11 @@
-// Trajectories leg by leg, behind block.wgsl, pieces.wgsl and blend.wgsl and mirroring src/closed_loop/charted.rs: at the
-// beginning of a leg the map is asked, and the law `p = q + H s` is kept for the leg.
+// Trajectories leg by leg, behind block.wgsl, pieces.wgsl and blend.wgsl and mirroring
+// src/closed_loop/charted.rs: at the beginning of a leg the map is asked, and the law `p = q + H s`
+// is kept for the leg.
 //
 // `place_of`, `set_law` and `save_begin` are generated (src/backend/gpu/emit.rs).
 
-// [trajectory][leg of this flight][vector as the leg begins, V], of the first `control.traced` trajectories. V is not a
-// number where the map was not asked.
+// [trajectory][leg of this flight][vector as the leg begins, V], of the first `control.traced`
+// trajectories. V is not a number where the map was not asked.
 @group(0) @binding(7) var<storage, read_write> traces: array<real>;
 
 // Whether a trajectory is on its way.
@@ -12,7 +13,8 @@ fn is_going(status: u32) -> bool {
     return (status == RUNNING) | (status == ASK) | (status == GIVEN);
 }
 
-// Sets the law, where it is not given, and begins the leg; a trajectory of which the map does not know is lost here.
+// Sets the law, where it is not given, and begins the leg; a trajectory of which the map does not
+// know is lost here.
 fn begin_leg(i: u32, lane: ptr<function, Lane>, run: Run) {
     var v = not_a_number();
     if ((*lane).status == ASK) {

@@ -1,5 +1,6 @@
-// How fast the device multiplies and adds: chains of multiply-adds, independent of each other, as many as hide the
-// latency of one. `real`, ROUNDS and WORKGROUP come from Rust (src/backend/gpu/peak.rs).
+// How fast the device multiplies and adds: chains of multiply-adds, independent of each other, as
+// many as hide the latency of one. `real`, ROUNDS and WORKGROUP come from Rust
+// (src/backend/gpu/peak.rs).
 
 @group(0) @binding(0) var<storage, read_write> data: array<real>;
 

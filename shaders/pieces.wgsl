@@ -1,11 +1,14 @@
-// V in pieces at states, mirroring src/map/pieces/flat: the local solution about the equilibrium, and polynomials in cells,
-// blended where these overlap (blend.wgsl). States are deviations from the reference point.
+// V in pieces at states, mirroring src/map/pieces/flat: the local solution about the equilibrium,
+// and polynomials in cells, blended where these overlap (blend.wgsl). States are deviations from
+// the reference point.
 //
-// What the arrays hold, and the constants that say where in them, are made in src/map/swift/packed.rs.
-// Lines from `//if` to `//end` are kept where the condition holds; with SECOND second derivatives are told too, with
-// ROUNDED bounds include what rounding may do: to the first order in EPSILON, twice the unit roundoff. A sum of terms is off by
-// at most EPSILON times the sizes of all its partial sums (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, 3.3)
-// and a monomial of degree d by d divisions and products; what a place is off by counts by the sum of the slopes' terms.
+// What the arrays hold, and the constants that say where in them, are made in
+// src/map/swift/packed.rs. Lines from `//if` to `//end` are kept where the condition holds; with
+// SECOND second derivatives are told too, with ROUNDED bounds include what rounding may do: to the
+// first order in EPSILON, twice the unit roundoff. A sum of terms is off by at most EPSILON times
+// the sizes of all its partial sums (N. J. Higham, Accuracy and Stability of Numerical Algorithms,
+// 2002, 3.3) and a monomial of degree d by d divisions and products; what a place is off by counts
+// by the sum of the slopes' terms.
 
 @group(1) @binding(0) var<storage, read> reals: array<real>;
 @group(1) @binding(1) var<storage, read> words: array<u32>;

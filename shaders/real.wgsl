@@ -1,9 +1,10 @@
 // Elementary functions of `real` (f32 or f64), mirroring src/backend/cpu/real.rs.
 //
-// WGSL's own are not usable: f64 has none (a driver returns NaN without a word) and f32's are allowed errors far above
-// rounding. Shader compilers may re-associate: `(a + b) - a` may become `b`, `x - x` may become 0 and `!(x < y)` may
-// become `x >= y` although x is not a number. So nothing here recovers a rounding error by subtraction, finiteness is
-// read from bits, and conditions are asked in the positive.
+// WGSL's own are not usable: f64 has none (a driver returns NaN without a word) and f32's are
+// allowed errors far above rounding. Shader compilers may re-associate: `(a + b) - a` may become
+// `b`, `x - x` may become 0 and `!(x < y)` may become `x >= y` although x is not a number. So
+// nothing here recovers a rounding error by subtraction, finiteness is read from bits, and
+// conditions are asked in the positive.
 
 struct SinCos {
     sine: real,
@@ -96,7 +97,8 @@ fn logarithm(x: real) -> real {
     let k = i32(shifted >> MANTISSA) - BIAS - select(0, i32(MANTISSA), small);
     let m = bitcast<real>((shifted & MANTISSA_MASK) + ROOT_HALF);
     let v = log_of(m - 1.0, real(k));
-    // Infinity and NaN pass through; the root of a negative number is the NaN wanted, -1/0 the infinity.
+    // Infinity and NaN pass through; the root of a negative number is the NaN wanted, -1/0 the
+    // infinity.
     let positive = select(x, v, x <= LARGEST);
     return select(select(positive, -1.0 / abs(x), x == 0.0), sqrt(x), x < 0.0);
 }
@@ -107,7 +109,8 @@ fn log1p_(x: real) -> real {
 }
 
 fn arctangent(x: real) -> real {
-    // Reduced to |y| <= tan(pi/8) by atan(x) = pi/4 + atan((x-1)/(x+1)), atan(x) = pi/2 - atan(1/x).
+    // Reduced to |y| <= tan(pi/8) by atan(x) = pi/4 + atan((x-1)/(x+1)), atan(x) = pi/2 -
+    // atan(1/x).
     let size = abs(x);
     let high = size > 2.414213562373095;
     let middle = size > 0.41421356237309503;

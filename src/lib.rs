@@ -1,4 +1,5 @@
-//! costate: value functions and optimal feedback of nonlinear systems over a region, by bicharacteristics.
+//! costate: value functions and optimal feedback of nonlinear systems over a region, by
+//! bicharacteristics.
 //!
 //! [`Scene`] is a problem, read from text; [`Session`] answers questions about it:
 //!
@@ -23,8 +24,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`Session::map`] makes a map of V over a region, [`Scene::with`] changes parameters. What they are made of are the rooms below, which promise
-//! less. A sweep, for example, takes five steps, each a room of this crate:
+//! [`Session::map`] makes a map of V over a region, [`Scene::with`] changes parameters. What they
+//! are made of are the rooms below, which promise less. A sweep, for example, takes five steps,
+//! each a room of this crate:
 //!
 //! ```
 //! use costate::backend::{BackendError, cpu::Cpu};
@@ -61,7 +63,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Writing the blocks to HDF5 is [`result`]'s. The program, pictures and speed measurements are crates of their own, in `crates/`.
+//! Writing the blocks to HDF5 is [`result`]'s. The program, pictures and speed measurements are
+//! crates of their own, in `crates/`.
 pub mod attenuation;
 pub mod backend;
 pub mod closed_loop;

@@ -1,4 +1,5 @@
-//! A scene: the file, the model it describes, and the equations derived from it, which belong together.
+//! A scene: the file, the model it describes, and the equations derived from it, which belong
+//! together.
 
 use crate::diagnostics::ScenarioErrors;
 use crate::hamiltonian::Hamiltonian;
@@ -43,18 +44,25 @@ impl Scene {
         Self::load_with(path, &[])
     }
 
-    /// Reads a scenario file with definitions of parameters in place of the file's: a number or an expression of earlier
-    /// parameters each. Where a name is given twice, the last counts.
+    /// Reads a scenario file with definitions of parameters in place of the file's: a number or an
+    /// expression of earlier parameters each. Where a name is given twice, the last counts.
     ///
     /// # Errors
     /// [`LoadError`].
-    pub fn load_with(path: impl AsRef<Path>, overrides: &[(String, String)]) -> Result<Self, LoadError> {
+    pub fn load_with(
+        path: impl AsRef<Path>,
+        overrides: &[(String, String)],
+    ) -> Result<Self, LoadError> {
         let path = path.as_ref();
         let text = std::fs::read_to_string(path).map_err(|source| LoadError::Read {
             path: path.to_owned(),
             source,
         })?;
-        Ok(Self::parse_with(&text, &path.display().to_string(), overrides)?)
+        Ok(Self::parse_with(
+            &text,
+            &path.display().to_string(),
+            overrides,
+        )?)
     }
 
     /// Reads a scenario's text; `file_name` is for messages.
@@ -69,11 +77,16 @@ impl Scene {
     ///
     /// # Errors
     /// [`ScenarioErrors`].
-    pub fn parse_with(text: &str, file_name: &str, overrides: &[(String, String)]) -> Result<Self, ScenarioErrors> {
+    pub fn parse_with(
+        text: &str,
+        file_name: &str,
+        overrides: &[(String, String)],
+    ) -> Result<Self, ScenarioErrors> {
         Self::of(Document::parse(text, file_name)?, texts(overrides))
     }
 
-    /// The scene with other values of parameters: what follows from them follows. The file is not parsed again.
+    /// The scene with other values of parameters: what follows from them follows. The file is not
+    /// parsed again.
     ///
     /// # Errors
     /// [`ScenarioErrors`] with all that is then wrong, a name that is no parameter included.

@@ -70,7 +70,8 @@ pub struct Solved {
 }
 
 impl Solved {
-    /// The solution of least V from a state (by its number in the list); `None` where there is none: see [`Solved::status`].
+    /// The solution of least V from a state (by its number in the list); `None` where there is
+    /// none: see [`Solved::status`].
     pub fn answer(&self, state: usize) -> Option<&Entry> {
         self.answers.answer(self.answers.targets.of_given[state])
     }
@@ -103,21 +104,30 @@ impl<'s> Session<'s> {
         }
     }
 
-    /// V, p and u at states (`[state][component]`, absolute, in the scene's units), as `costate solve` finds them.
+    /// V, p and u at states (`[state][component]`, absolute, in the scene's units), as `costate
+    /// solve` finds them.
     ///
     /// # Errors
-    /// [`SessionError::Components`]; where the scene cannot be swept for first guesses; device failures. A state without an answer is
-    /// no error.
+    /// [`SessionError::Components`]; where the scene cannot be swept for first guesses; device
+    /// failures. A state without an answer is no error.
     pub fn solve(&self, states: &[f64]) -> Result<Solved, SessionError> {
         let n = self.scene.model.states.len();
         if !states.len().is_multiple_of(n) {
             let given = states.len();
             return Err(SessionError::Components { given, states: n });
         }
-        let Scene { model, hamiltonian, .. } = self.scene;
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
         let backend = self.backend.as_ref();
-        let (plan, _, answers) =
-            value::solve_states(model, hamiltonian, backend, self.choices, states, &mut |_, _, _| {})?;
+        let (plan, _, answers) = value::solve_states(
+            model,
+            hamiltonian,
+            backend,
+            self.choices,
+            states,
+            &mut |_, _, _| {},
+        )?;
         Ok(Solved { plan, answers })
     }
 
@@ -141,9 +151,12 @@ impl<'s> Session<'s> {
     /// ```
     ///
     /// # Errors
-    /// [`SessionError::NoMap`]; where the scene cannot be swept for first guesses, or nothing is known anywhere; device failures.
+    /// [`SessionError::NoMap`]; where the scene cannot be swept for first guesses, or nothing is
+    /// known anywhere; device failures.
     pub fn map(&self) -> Result<Mapped, SessionError> {
-        let Scene { model, hamiltonian, .. } = self.scene;
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
         let aim = model.map_aim.as_ref().ok_or(SessionError::NoMap)?;
         let backend = self.backend.as_ref();
         let choices = value::for_guesses(self.choices, model.states.len(), 0);
@@ -184,7 +197,10 @@ mod tests {
         let session = Session::new(&scene);
         assert!(matches!(
             session.solve(&[0.1, 0.2, 0.3]),
-            Err(SessionError::Components { given: 3, states: 2 })
+            Err(SessionError::Components {
+                given: 3,
+                states: 2
+            })
         ));
         assert!(matches!(session.map(), Err(SessionError::NoMap)));
         // No states are no error.

@@ -11,11 +11,12 @@ use crate::trajectories::TrajectoryBlock;
 use crate::value::{self, Grid, PointStatus, StatesError};
 use std::collections::HashMap;
 
-/// Points of a trajectory that recorded quantities are taken from: what an extremum may be missed by is of the second order
-/// in their distance.
+/// Points of a trajectory that recorded quantities are taken from: what an extremum may be missed
+/// by is of the second order in their distance.
 const LOOKED_AT: usize = 4001;
 
-/// Why a study could not be made. A variant that has no solution is a row with its status, no error.
+/// Why a study could not be made. A variant that has no solution is a row with its status, no
+/// error.
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
     #[error("variant {variant}: {errors}")]
@@ -49,8 +50,8 @@ pub struct Variant {
     pub trajectory: Option<TrajectoryBlock>,
 }
 
-/// All variants of the scene's `[study]`: every combination of the varied parameters' values, the last parameter's
-/// fastest. `progress` is told how many are done.
+/// All variants of the scene's `[study]`: every combination of the varied parameters' values, the
+/// last parameter's fastest. `progress` is told how many are done.
 ///
 /// # Errors
 /// [`StudyError`].
@@ -64,7 +65,11 @@ pub fn study(
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Vec<Variant>, StudyError> {
     let asked = scene.model.study.as_ref().expect("the scene has a [study]");
-    let axes: Vec<Vec<f64>> = asked.vary.iter().map(|(_, values)| values.clone()).collect();
+    let axes: Vec<Vec<f64>> = asked
+        .vary
+        .iter()
+        .map(|(_, values)| values.clone())
+        .collect();
     let count = axes.iter().map(Vec::len).product();
     let combinations = Grid { axes }.points();
     let mut all = Vec::with_capacity(count);
@@ -96,12 +101,21 @@ fn variant(
         variant: name.to_owned(),
         errors: Box::new(errors),
     };
-    let Scene { model, hamiltonian, .. } = &scene.with(set).map_err(wrong)?;
+    let Scene {
+        model, hamiltonian, ..
+    } = &scene.with(set).map_err(wrong)?;
     let asked = model
         .study
         .as_ref()
         .expect("the scene has a [study] whatever the parameters");
-    let solving = value::solve_states(model, hamiltonian, backend, choices, &asked.from, &mut |_, _, _| {});
+    let solving = value::solve_states(
+        model,
+        hamiltonian,
+        backend,
+        choices,
+        &asked.from,
+        &mut |_, _, _| {},
+    );
     let (plan, mut solver, found) = solving.map_err(|e| match e {
         StatesError::Plan(source) => StudyError::Plan {
             variant: name.to_owned(),

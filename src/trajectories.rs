@@ -32,7 +32,8 @@ pub struct TrajectoryBlock {
     pub hamiltonian_drift: Vec<f64>,
 }
 
-/// Swept trajectories, each with as many samples; arrays row-major, NaN where a trajectory has no value.
+/// Swept trajectories, each with as many samples; arrays row-major, NaN where a trajectory has no
+/// value.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SweptTrajectories {
     pub count: usize,
@@ -67,12 +68,13 @@ pub struct SolvedStates {
     pub point: Vec<i32>,
     /// Codes of [`PointStatus`](crate::value::PointStatus); empty where there are none.
     pub status: Vec<i32>,
-    /// What is known of their errors if they were interpolated; empty where all of them were solved for.
+    /// What is known of their errors if they were interpolated; empty where all of them were solved
+    /// for.
     pub errors: Vec<ToldErrors>,
 }
 
-/// Errors of an interpolated value: of V, and of p relative to its largest component, each times the region's width. NaN
-/// where they are not known.
+/// Errors of an interpolated value: of V, and of p relative to its largest component, each times
+/// the region's width. NaN where they are not known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToldErrors {
     pub v: f64,

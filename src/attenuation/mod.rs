@@ -31,7 +31,11 @@ pub enum SmallestError {
     #[error(
         "the level {value} of [attenuation] is below {parameter}* = {star:.10}, the smallest that the linearization allows"
     )]
-    LevelBelow { parameter: String, value: f64, star: f64 },
+    LevelBelow {
+        parameter: String,
+        value: f64,
+        star: f64,
+    },
     #[error(transparent)]
     Backend(#[from] BackendError),
 }
@@ -62,7 +66,10 @@ impl Attenuated {
 ///
 /// # Errors
 /// [`SmallestError::Linear`].
-pub fn linear(scene: &Scene, asked: &model::Attenuation) -> Result<LinearAttenuation, SmallestError> {
+pub fn linear(
+    scene: &Scene,
+    asked: &model::Attenuation,
+) -> Result<LinearAttenuation, SmallestError> {
     let own = scene.model.parameter(&asked.parameter).unwrap_or(f64::NAN);
     let mut at = |value: f64| {
         let other = scene.with(&[(&asked.parameter, value)])?;
@@ -74,11 +81,12 @@ pub fn linear(scene: &Scene, asked: &model::Attenuation) -> Result<LinearAttenua
     })
 }
 
-/// The smallest level whose region of validity covers the states of the scene's `[attenuation]`, and coverage against the
-/// level. `progress` is told what is being solved.
+/// The smallest level whose region of validity covers the states of the scene's `[attenuation]`,
+/// and coverage against the level. `progress` is told what is being solved.
 ///
 /// # Errors
-/// [`SmallestError`]. A level at which the scene cannot be swept is a row without coverage, no error.
+/// [`SmallestError`]. A level at which the scene cannot be swept is a row without coverage, no
+/// error.
 ///
 /// # Panics
 /// Without an `[attenuation]`.
@@ -89,15 +97,24 @@ pub fn smallest(
     progress: &mut dyn FnMut(&str),
 ) -> Result<Attenuated, SmallestError> {
     let model = &scene.model;
-    let asked = model.attenuation.as_ref().expect("the scene has an [attenuation]");
+    let asked = model
+        .attenuation
+        .as_ref()
+        .expect("the scene has an [attenuation]");
     let parameter = asked.parameter.clone();
     progress(&format!("{parameter}* of the linearization"));
     let linear = linear(scene, asked)?;
     let own = model.parameter(&parameter).unwrap_or(f64::NAN);
     let star = linear.star;
     let bounded = linear.cause == Cause::None;
-    if let Some(value) = (asked.levels.iter().copied()).find(|l| if bounded { *l < star } else { *l <= star }) {
-        return Err(SmallestError::LevelBelow { parameter, value, star });
+    if let Some(value) =
+        (asked.levels.iter().copied()).find(|l| if bounded { *l < star } else { *l <= star })
+    {
+        return Err(SmallestError::LevelBelow {
+            parameter,
+            value,
+            star,
+        });
     }
     let grid = Grid::homotopy(&Homotopy {
         axes: asked.axes.clone(),
@@ -109,8 +126,12 @@ pub fn smallest(
         let head = format!("{parameter} = {value:.6} ({} before it)", done);
         done += 1;
         progress(&head);
-        let mut told = |what: &str, of: usize, all: usize| progress(&format!("{head}: {of} of {all} states, {what}"));
-        outcome(scene, &parameter, value, &states, backend, choices, &mut told)
+        let mut told = |what: &str, of: usize, all: usize| {
+            progress(&format!("{head}: {of} of {all} states, {what}"))
+        };
+        outcome(
+            scene, &parameter, value, &states, backend, choices, &mut told,
+        )
     };
     let sought = Sought {
         star,
@@ -147,7 +168,14 @@ fn outcome(
     };
     let other = scene.with(&[(parameter, value)]).map_err(wrong)?;
     let count = states.len() / other.model.states.len();
-    match value::solve_states_folding(&other.model, &other.hamiltonian, backend, choices, states, progress) {
+    match value::solve_states_folding(
+        &other.model,
+        &other.hamiltonian,
+        backend,
+        choices,
+        states,
+        progress,
+    ) {
         Ok((_, _, answers, folds)) => {
             let targets = &answers.targets.of_given;
             let status: Vec<PointStatus> = targets.iter().map(|t| answers.status(*t)).collect();

@@ -1,14 +1,18 @@
-//! A scene whose level of attenuation is below what its linearization allows is refused, with what would be allowed.
+//! A scene whose level of attenuation is below what its linearization allows is refused, with what
+//! would be allowed.
 
 use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::local::{Cause, LocalError, Riccati};
 use crate::model::Horizon;
 use crate::scene::Scene;
 
-/// The refusal of a game whose linearization has no solution because of its level, or which is not at rest at its equilibrium; `None` where it has one, or lacks it for
-/// another reason (which the local solution's own error tells).
+/// The refusal of a game whose linearization has no solution because of its level, or which is not
+/// at rest at its equilibrium; `None` where it has one, or lacks it for another reason (which the
+/// local solution's own error tells).
 pub fn refusal(scene: &Scene) -> Option<ScenarioErrors> {
-    let Scene { model, hamiltonian, .. } = scene;
+    let Scene {
+        model, hamiltonian, ..
+    } = scene;
     let Horizon::Infinite { span, .. } = &model.horizon else {
         return None;
     };
@@ -18,7 +22,11 @@ pub fn refusal(scene: &Scene) -> Option<ScenarioErrors> {
     let error = Riccati::solve(hamiltonian, model).err()?;
     if let LocalError::NotStationary { .. } = error {
         // No level mends that.
-        let problem = Problem::at(span.clone(), error.to_string(), "no equilibrium of the game");
+        let problem = Problem::at(
+            span.clone(),
+            error.to_string(),
+            "no equilibrium of the game",
+        );
         return Some(model.errors(vec![problem]));
     }
     let Some(asked) = &model.attenuation else {

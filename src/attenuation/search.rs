@@ -60,10 +60,12 @@ impl Row {
         self.wanted() > 0 && self.valid() == self.wanted()
     }
 
-    /// Numbers of states by status, those that are valid or outside a guard left out; the most frequent first.
+    /// Numbers of states by status, those that are valid or outside a guard left out; the most
+    /// frequent first.
     pub fn failing(&self) -> Vec<(PointStatus, usize)> {
         let mut counts: BTreeMap<i32, (PointStatus, usize)> = BTreeMap::new();
-        let failing = |s: &&PointStatus| !matches!(s, PointStatus::Converged | PointStatus::OutsideGuard);
+        let failing =
+            |s: &&PointStatus| !matches!(s, PointStatus::Converged | PointStatus::OutsideGuard);
         for status in self.outcome.status.iter().filter(failing) {
             counts.entry(*status as i32).or_insert((*status, 0)).1 += 1;
         }
@@ -78,7 +80,8 @@ impl Row {
 pub struct Sought {
     /// gamma* of the linearization, below which nothing is asked.
     pub star: f64,
-    /// Whether `star` itself may be asked: it is the lower end of a range, not the end of what is possible.
+    /// Whether `star` itself may be asked: it is the lower end of a range, not the end of what is
+    /// possible.
     pub allowed: bool,
     /// The scene's own value.
     pub own: f64,
@@ -93,7 +96,8 @@ pub struct Sought {
 pub enum Covering {
     /// All values looked at from `upper` on cover; `lower`, the next one below it, does not.
     Smallest { lower: f64, upper: f64 },
-    /// All values looked at cover, down to this one: gamma* itself to the tolerance, or the lower end of the range.
+    /// All values looked at cover, down to this one: gamma* itself to the tolerance, or the lower
+    /// end of the range.
     All { upper: f64 },
     /// The largest value looked at does not cover.
     Never { top: f64, coverage: f64 },
@@ -121,7 +125,10 @@ impl Search {
     /// Values below the answer that cover nevertheless.
     pub fn covering_below(&self) -> Vec<f64> {
         let smallest = self.smallest().unwrap_or(f64::INFINITY);
-        let below = self.rows.iter().filter(|r| r.covers() && r.value < smallest);
+        let below = self
+            .rows
+            .iter()
+            .filter(|r| r.covers() && r.value < smallest);
         below.map(|r| r.value).collect()
     }
 
@@ -136,8 +143,9 @@ impl Search {
     }
 }
 
-/// Searches for the smallest value that covers: the upper end first, a coarse curve, bisection of the logarithm, then
-/// `levels` (chosen where there are none) and what the curve still lacks. Returned with the levels.
+/// Searches for the smallest value that covers: the upper end first, a coarse curve, bisection of
+/// the logarithm, then `levels` (chosen where there are none) and what the curve still lacks.
+/// Returned with the levels.
 ///
 /// # Errors
 /// Those of `evaluate`.
@@ -150,9 +158,18 @@ pub fn search<E>(
         rows: Vec::new(),
         evaluate,
     };
-    let Sought { star, tolerance, .. } = *sought;
-    let near = if sought.allowed { star } else { star * (1.0 + tolerance) };
-    let mut top = sought.top.unwrap_or(sought.own).max(near * (1.0 + tolerance));
+    let Sought {
+        star, tolerance, ..
+    } = *sought;
+    let near = if sought.allowed {
+        star
+    } else {
+        star * (1.0 + tolerance)
+    };
+    let mut top = sought
+        .top
+        .unwrap_or(sought.own)
+        .max(near * (1.0 + tolerance));
     let mut covered = curve.at(top)?;
     for _ in 0..DOUBLINGS {
         if covered || sought.top.is_some() {
@@ -167,7 +184,11 @@ pub fn search<E>(
     curve.narrow(tolerance)?;
     let own = sought.own.max(near);
     let levels = if levels.is_empty() {
-        let end = curve.covering().value().map_or(own, |c| c.min(own)).max(near);
+        let end = curve
+            .covering()
+            .value()
+            .map_or(own, |c| c.min(own))
+            .max(near);
         let mut chosen = SHARES.map(|s| between(star, end, s).max(near)).to_vec();
         chosen.push(own);
         chosen.dedup_by(|a, b| *a / *b < 1.0 + tolerance);
@@ -255,7 +276,10 @@ impl<E> Curve<'_, E> {
     }
 
     fn covering(&self) -> Edge {
-        match (self.rows.iter().rposition(|r| !r.covers()), self.rows.first()) {
+        match (
+            self.rows.iter().rposition(|r| !r.covers()),
+            self.rows.first(),
+        ) {
             (Some(k), _) if k + 1 == self.rows.len() => Edge::Never,
             (Some(k), _) => Edge::Between(self.rows[k].value, self.rows[k + 1].value),
             (None, Some(first)) => Edge::All(first.value),

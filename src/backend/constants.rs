@@ -1,7 +1,7 @@
 //! Constants of the elementary functions, shared by the CPU lanes and the shaders.
 //!
-//! Polynomials are those of fdlibm (f64) and Cephes / musl (f32), public-domain minimax approximations; highest
-//! coefficient first.
+//! Polynomials are those of fdlibm (f64) and Cephes / musl (f32), public-domain minimax
+//! approximations; highest coefficient first.
 
 use crate::model::Precision;
 
@@ -67,7 +67,10 @@ pub mod double {
         -1.388_888_888_887_410_957_49e-03,
         4.166_666_666_666_660_190_37e-02,
     ];
-    pub const LN2: [f64; 2] = [6.931_471_803_691_238_164_90e-01, 1.908_214_929_270_587_700_02e-10];
+    pub const LN2: [f64; 2] = [
+        6.931_471_803_691_238_164_90e-01,
+        1.908_214_929_270_587_700_02e-10,
+    ];
     /// Taylor: on |r| <= log(2)/2 the next term is below 1e-17.
     pub const EXP: [f64; 12] = [
         1.0 / 6_227_020_800.0,
@@ -111,7 +114,11 @@ pub mod double {
 
 /// For f32.
 pub mod single {
-    pub const PIO2: [f64; 3] = [1.570_312_5, 4.837_512_969_970_703e-4, 7.549_789_954_891_882e-8];
+    pub const PIO2: [f64; 3] = [
+        1.570_312_5,
+        4.837_512_969_970_703e-4,
+        7.549_789_954_891_882e-8,
+    ];
     pub const SIN: [f64; 3] = [-1.951_529_589_1e-4, 8.332_160_873_6e-3, -1.666_665_461_1e-1];
     pub const COS: [f64; 3] = [
         2.443_315_711_809_948e-5,
@@ -119,10 +126,22 @@ pub mod single {
         4.166_664_568_298_827e-2,
     ];
     pub const LN2: [f64; 2] = [6.933_593_75e-1, -2.121_944_400_546_906e-4];
-    pub const EXP: [f64; 6] = [1.0 / 5_040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5];
+    pub const EXP: [f64; 6] = [
+        1.0 / 5_040.0,
+        1.0 / 720.0,
+        1.0 / 120.0,
+        1.0 / 24.0,
+        1.0 / 6.0,
+        0.5,
+    ];
     pub const OVERFLOW: f64 = 88.722_84;
     pub const UNDERFLOW: f64 = -103.972_08;
-    pub const LOG: [f64; 4] = [0.242_790_788_41, 0.284_987_866_88, 0.400_009_721_52, 0.666_666_626_93];
+    pub const LOG: [f64; 4] = [
+        0.242_790_788_41,
+        0.284_987_866_88,
+        0.400_009_721_52,
+        0.666_666_626_93,
+    ];
     pub const ATAN: [f64; 5] = [
         6.168_760_731_8e-2,
         -1.064_801_737_7e-1,

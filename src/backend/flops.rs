@@ -1,8 +1,9 @@
-//! Floating-point operations that the equations and the method need: what a kernel's rate is held against.
+//! Floating-point operations that the equations and the method need: what a kernel's rate is held
+//! against.
 //!
-//! A multiply-add is two operations, a division or a root one (though a processor takes several times as long over it).
-//! Elementary functions count as their polynomials and argument reductions do. Comparisons, selections, moves, the step
-//! control and what happens at levels are not counted.
+//! A multiply-add is two operations, a division or a root one (though a processor takes several
+//! times as long over it). Elementary functions count as their polynomials and argument reductions
+//! do. Comparisons, selections, moves, the step control and what happens at levels are not counted.
 
 use super::Spec;
 use super::constants::Constants;
@@ -15,11 +16,17 @@ pub fn of_program(program: &Program, precision: Precision) -> f64 {
     let mut total = 0.0;
     for (i, instr) in program.code.iter().enumerate() {
         total += match *instr {
-            Instr::Input(_) | Instr::Const(_) | Instr::Neg(_) | Instr::Min(..) | Instr::Max(..) => 0.0,
+            Instr::Input(_) | Instr::Const(_) | Instr::Neg(_) | Instr::Min(..) | Instr::Max(..) => {
+                0.0
+            }
             Instr::Add(..) | Instr::Sub(..) | Instr::Mul(..) | Instr::Div(..) => 1.0,
             Instr::MulAdd(..) | Instr::MulSub(..) | Instr::NegMulAdd(..) => 2.0,
             // Computed with the sine before it.
-            Instr::Call(Primitive::Cos, a) if i > 0 && program.code[i - 1] == Instr::Call(Primitive::Sin, a) => 0.0,
+            Instr::Call(Primitive::Cos, a)
+                if i > 0 && program.code[i - 1] == Instr::Call(Primitive::Sin, a) =>
+            {
+                0.0
+            }
             Instr::Call(f, _) => of_primitive(f, precision),
         };
     }
@@ -31,12 +38,17 @@ fn of_primitive(f: Primitive, precision: Precision) -> f64 {
     let table = Constants::of(precision).polynomials;
     // Horner's rule.
     let polynomial = |name: &str| {
-        let length = table.iter().find(|(n, _)| *n == name).map_or(0, |(_, c)| c.len());
+        let length = table
+            .iter()
+            .find(|(n, _)| *n == name)
+            .map_or(0, |(_, c)| c.len());
         2.0 * (length.max(1) - 1) as f64
     };
     match f {
         // Reduction; sine and cosine, of which the quadrant chooses.
-        Primitive::Sin | Primitive::Cos => 10.0 + (3.0 + polynomial("sin")) + (5.0 + polynomial("cos")),
+        Primitive::Sin | Primitive::Cos => {
+            10.0 + (3.0 + polynomial("sin")) + (5.0 + polynomial("cos"))
+        }
         Primitive::Exp => 10.0 + polynomial("exp") + 3.0,
         Primitive::Expm1 => 10.0 + polynomial("exp") + 4.0,
         Primitive::Log => 15.0 + polynomial("log"),
@@ -54,7 +66,10 @@ pub fn of_step(spec: &Spec, rtol: f64) -> f64 {
         Scheme::Taylor(order) => of_expansion(spec, order),
     };
     // Looked at once a step.
-    let looked = [spec.kinks.as_ref(), spec.guards.as_ref().map(|g| &g.program)];
+    let looked = [
+        spec.kinks.as_ref(),
+        spec.guards.as_ref().map(|g| &g.program),
+    ];
     let looked = looked.into_iter().flatten();
     step + looked.map(|p| of_program(p, spec.precision)).sum::<f64>()
 }
@@ -67,7 +82,11 @@ fn of_stages(spec: &Spec, tableau: &Tableau) -> f64 {
     let mut total = 0.0;
     for (s, row) in tableau.a.iter().enumerate() {
         // Components that no rate depends on are needed only at the end of the step.
-        let components = if s + 1 == tableau.a.len() { dim } else { inputs };
+        let components = if s + 1 == tableau.a.len() {
+            dim
+        } else {
+            inputs
+        };
         total += rate + components * 2.0 * (used(row) + 1.0);
     }
     for estimate in [tableau.error, tableau.companion] {
@@ -83,22 +102,43 @@ fn of_stages(spec: &Spec, tableau: &Tableau) -> f64 {
 fn of_expansion(spec: &Spec, order: usize) -> f64 {
     let program = &spec.rate;
     let fixed = |v: u32| matches!(program.code[v as usize], Instr::Const(_));
-    // A number changes nothing beyond the first coefficient, and multiplies each of another series once.
-    let sum = |a, b, n: f64| if n > 0.0 && (fixed(a) || fixed(b)) { 0.0 } else { 1.0 };
-    let product = |a, b, n: f64| if fixed(a) || fixed(b) { 1.0 } else { 2.0 * n + 1.0 };
+    // A number changes nothing beyond the first coefficient, and multiplies each of another series
+    // once.
+    let sum = |a, b, n: f64| {
+        if n > 0.0 && (fixed(a) || fixed(b)) {
+            0.0
+        } else {
+            1.0
+        }
+    };
+    let product = |a, b, n: f64| {
+        if fixed(a) || fixed(b) {
+            1.0
+        } else {
+            2.0 * n + 1.0
+        }
+    };
     let mut total = of_program(program, spec.precision);
     for n in 1..order {
         let n = n as f64;
         for (i, instr) in program.code.iter().enumerate() {
             total += match *instr {
-                Instr::Input(_) | Instr::Const(_) | Instr::Neg(_) | Instr::Min(..) | Instr::Max(..) => 0.0,
+                Instr::Input(_)
+                | Instr::Const(_)
+                | Instr::Neg(_)
+                | Instr::Min(..)
+                | Instr::Max(..) => 0.0,
                 Instr::Add(a, b) | Instr::Sub(a, b) => sum(a, b, n),
                 Instr::Mul(a, b) => product(a, b, n),
                 Instr::Div(_, b) => 1.0 + if fixed(b) { 0.0 } else { 2.0 * n },
                 Instr::MulAdd(a, b, c) | Instr::MulSub(a, b, c) | Instr::NegMulAdd(a, b, c) => {
                     product(a, b, n) + sum(c, c, n)
                 }
-                Instr::Call(Primitive::Cos, a) if i > 0 && program.code[i - 1] == Instr::Call(Primitive::Sin, a) => 0.0,
+                Instr::Call(Primitive::Cos, a)
+                    if i > 0 && program.code[i - 1] == Instr::Call(Primitive::Sin, a) =>
+                {
+                    0.0
+                }
                 // Two series; one with its own; one with 1 + a^2.
                 Instr::Call(Primitive::Sin | Primitive::Cos, _) => 4.0 * n + 1.0,
                 Instr::Call(Primitive::Atan, _) => 4.0 * n + 3.0,
@@ -141,7 +181,8 @@ mod tests {
             by: By::Time,
             store: false,
         };
-        // Three inner stages with one weight for one component, the last one with four for two; four rates.
+        // Three inner stages with one weight for one component, the last one with four for two;
+        // four rates.
         let expected = 4.0 * 3.0 + 3.0 * (2.0 * 2.0) + 2.0 * (2.0 * 5.0);
         assert_eq!(of_step(&spec, 1e-6), expected);
         let spec = Spec {
@@ -152,7 +193,8 @@ mod tests {
             Scheme::Taylor(order) => order as f64,
             Scheme::RungeKutta(_) => unreachable!("Taylor's method has no tableau"),
         };
-        // Each further coefficient takes a product with a number and a quotient by one; what is added is a number.
+        // Each further coefficient takes a product with a number and a quotient by one; what is
+        // added is a number.
         let coefficients = 3.0 + (order - 1.0) * (1.0 + 1.0);
         assert_eq!(
             of_step(&spec, 1e-6),

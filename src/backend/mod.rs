@@ -1,7 +1,9 @@
-//! Backends integrate batches of trajectories: seeds in; end states, stored samples, status and counters out.
+//! Backends integrate batches of trajectories: seeds in; end states, stored samples, status and
+//! counters out.
 //!
-//! [`cpu`] and [`gpu`] implement the same traits and never import each other. What a batch does not ask for is not
-//! in its program: a [`Spec`] without guards or stored samples compiles to a kernel without them.
+//! [`cpu`] and [`gpu`] implement the same traits and never import each other. What a batch does not
+//! ask for is not in its program: a [`Spec`] without guards or stored samples compiles to a kernel
+//! without them.
 
 pub mod constants;
 pub mod cpu;
@@ -16,12 +18,13 @@ use std::time::Instant;
 /// What a kernel is compiled for.
 #[derive(Clone, Debug)]
 pub struct Spec {
-    /// Derivatives of the integrated vector; its inputs are the first `rate.inputs` components, its outputs all.
+    /// Derivatives of the integrated vector; its inputs are the first `rate.inputs` components, its
+    /// outputs all.
     pub rate: Program,
     /// Guard values of the same inputs, where the scene has guards.
     pub guards: Option<Guards>,
-    /// Values of the same inputs at whose zeros the rate has a kink, where it has any: adaptive steps are made to end
-    /// there, so that no step's error estimate is fooled by one inside.
+    /// Values of the same inputs at whose zeros the rate has a kink, where it has any: adaptive
+    /// steps are made to end there, so that no step's error estimate is fooled by one inside.
     pub kinks: Option<Program>,
     pub method: Method,
     pub precision: Precision,
@@ -67,8 +70,9 @@ pub struct Run {
     pub atol: Vec<f64>,
     /// Step of a fixed-step method.
     pub step: f64,
-    /// Step that an adaptive Runge-Kutta method tries first, or the whole way where that is shorter; else it is chosen from the
-    /// seed's size and speed. For short ways that one step may well take.
+    /// Step that an adaptive Runge-Kutta method tries first, or the whole way where that is
+    /// shorter; else it is chosen from the seed's size and speed. For short ways that one step may
+    /// well take.
     pub first: Option<f64>,
     /// Attempted steps after which a trajectory is given up.
     pub max_steps: u32,
@@ -76,7 +80,8 @@ pub struct Run {
     pub levels: Vec<f64>,
     /// A trajectory also ends, as reached, where this component passes this value (not located).
     pub ceiling: Option<(usize, f64)>,
-    /// `[lower, upper]` of the leading components; outside a trajectory has left the region. May be empty.
+    /// `[lower, upper]` of the leading components; outside a trajectory has left the region. May be
+    /// empty.
     pub bounds: Vec<[f64; 2]>,
 }
 
@@ -130,12 +135,18 @@ impl Status {
     ];
 
     pub fn name(self) -> &'static str {
-        Status::ALL.iter().find(|(s, _)| *s == self).map_or("?", |(_, n)| n)
+        Status::ALL
+            .iter()
+            .find(|(s, _)| *s == self)
+            .map_or("?", |(_, n)| n)
     }
 
     /// The status with this number, as kernels write it.
     pub fn from_code(code: i32) -> Option<Self> {
-        Status::ALL.iter().map(|(s, _)| *s).find(|s| *s as i32 == code)
+        Status::ALL
+            .iter()
+            .map(|(s, _)| *s)
+            .find(|s| *s as i32 == code)
     }
 }
 
@@ -154,9 +165,11 @@ pub struct Trajectories {
     /// Accepted and rejected steps.
     pub steps: Vec<u32>,
     pub rejected: Vec<u32>,
-    /// Steps that lanes were computed for, those with nothing to do included; 0 where the device does not tell.
+    /// Steps that lanes were computed for, those with nothing to do included; 0 where the device
+    /// does not tell.
     pub lane_steps: u64,
-    /// `[trajectory][level][1 + dim]`: backward time and vector at each level; NaN where a level was not passed.
+    /// `[trajectory][level][1 + dim]`: backward time and vector at each level; NaN where a level
+    /// was not passed.
     pub samples: Vec<f64>,
 }
 
@@ -165,13 +178,20 @@ impl Trajectories {
         self.status.len()
     }
 
-    /// Share of the lanes' steps that were steps of a trajectory; none where the device does not tell.
+    /// Share of the lanes' steps that were steps of a trajectory; none where the device does not
+    /// tell.
     pub fn occupancy(&self) -> Option<f64> {
-        let taken: u64 = self.steps.iter().chain(&self.rejected).map(|s| u64::from(*s)).sum();
+        let taken: u64 = self
+            .steps
+            .iter()
+            .chain(&self.rejected)
+            .map(|s| u64::from(*s))
+            .sum();
         (self.lane_steps > 0).then(|| taken as f64 / self.lane_steps as f64)
     }
 
-    /// Backward time and vector of trajectory `i` at level `k`; the time is NaN where the level was not passed.
+    /// Backward time and vector of trajectory `i` at level `k`; the time is NaN where the level was
+    /// not passed.
     pub fn sample(&self, i: usize, k: usize) -> &[f64] {
         let width = 1 + self.dim;
         let start = (i * self.levels + k) * width;
@@ -182,7 +202,9 @@ impl Trajectories {
 /// Set-up and device failures; a trajectory that fails is a [`Status`], not an error.
 #[derive(Debug, thiserror::Error)]
 pub enum BackendError {
-    #[error("no GPU adapter was found (a software one such as Mesa's llvmpipe will do, or use --backend cpu)")]
+    #[error(
+        "no GPU adapter was found (a software one such as Mesa's llvmpipe will do, or use --backend cpu)"
+    )]
     NoAdapter,
     #[error("no adapter's name contains `{wanted}`; found: {found}")]
     NoSuchAdapter { wanted: String, found: String },
@@ -207,7 +229,9 @@ pub enum BackendError {
     Map(#[from] wgpu::BufferAsyncError),
     #[error("the GPU device reported: {message}")]
     Fault { message: String },
-    #[error("the equations take {operations} operations, and a GPU kernel at most {limit}; use --backend cpu")]
+    #[error(
+        "the equations take {operations} operations, and a GPU kernel at most {limit}; use --backend cpu"
+    )]
     TooLong { operations: usize, limit: usize },
     #[error("kernel output slot {index} was not written")]
     Unwritten { index: usize },
@@ -257,17 +281,21 @@ pub trait Backend: Send + Sync {
     /// # Errors
     /// When the precision is not supported or the generated code is refused.
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError>;
-    /// Block elimination of multiple-shooting equations with `states` states on the device; `None` where the host is
-    /// to do it.
+    /// Block elimination of multiple-shooting equations with `states` states on the device; `None`
+    /// where the host is to do it.
     ///
     /// # Errors
     /// When the precision is not supported or the generated code is refused.
-    fn eliminator(&self, states: usize, precision: Precision) -> Result<Option<Box<dyn Eliminator>>, BackendError> {
+    fn eliminator(
+        &self,
+        states: usize,
+        precision: Precision,
+    ) -> Result<Option<Box<dyn Eliminator>>, BackendError> {
         let _ = (states, precision);
         Ok(None)
     }
-    /// Floating-point operations a second that the device was measured to do (a multiply-add is two); `None` where
-    /// that is not known.
+    /// Floating-point operations a second that the device was measured to do (a multiply-add is
+    /// two); `None` where that is not known.
     ///
     /// # Errors
     /// When the precision is not supported, and device failures.
@@ -277,8 +305,9 @@ pub trait Backend: Send + Sync {
     }
 }
 
-/// The linearized multiple-shooting equations of some paths (see [`crate::shooting::Factors`], which is the reference
-/// and gives the formulas). All arrays row-major, in scaled units; segments and nodes of the paths follow each other.
+/// The linearized multiple-shooting equations of some paths (see [`crate::shooting::Factors`],
+/// which is the reference and gives the formulas). All arrays row-major, in scaled units; segments
+/// and nodes of the paths follow each other.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Systems {
     /// n; a node has 2n components.
@@ -319,12 +348,13 @@ pub trait Eliminator: Send {
 
 /// A kernel on the calling thread, with a run: many short legs of few trajectories.
 pub trait Legs: Sync {
-    /// As [`Kernel::integrate`], bit by bit, without stored samples; `to` is overwritten and its memory used again.
+    /// As [`Kernel::integrate`], bit by bit, without stored samples; `to` is overwritten and its
+    /// memory used again.
     fn integrate(&self, seeds: &[f64], to: &mut Trajectories);
 }
 
-/// A value function as kernels on a device ask for it themselves: text with a function `chart`, and the arrays that it reads
-/// (see `shaders/pieces.wgsl`).
+/// A value function as kernels on a device ask for it themselves: text with a function `chart`, and
+/// the arrays that it reads (see `shaders/pieces.wgsl`).
 #[derive(Debug)]
 #[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "only a GPU asks it"))]
 pub struct Surface {
@@ -338,8 +368,9 @@ pub struct Surface {
     pub(crate) last: Option<f64>,
 }
 
-/// Trajectories to be flown over legs of one length, each from the beginning of one of them; the vector is `(s, q, H, ...)` with
-/// H's upper triangle row by row, and p = q + H s is set at the beginning of each leg.
+/// Trajectories to be flown over legs of one length, each from the beginning of one of them; the
+/// vector is `(s, q, H, ...)` with H's upper triangle row by row, and p = q + H s is set at the
+/// beginning of each leg.
 #[derive(Debug, Default)]
 pub struct Course {
     /// Legs of a trajectory in all.
@@ -376,10 +407,11 @@ pub struct Flown {
     pub leg: Vec<u32>,
     /// Legs begun.
     pub begun: Vec<u32>,
-    /// `[trajectory][dim]`: as the leg last begun began; only where a trajectory met the step limit.
+    /// `[trajectory][dim]`: as the leg last begun began; only where a trajectory met the step
+    /// limit.
     pub begin: Vec<f64>,
-    /// `[traced trajectory][leg of this flight][dim + 1]`: the vector as the leg began, and V, which is not a number where the law
-    /// was given. What was not begun holds nothing.
+    /// `[traced trajectory][leg of this flight][dim + 1]`: the vector as the leg began, and V,
+    /// which is not a number where the law was given. What was not begun holds nothing.
     pub rows: Vec<f64>,
     /// Legs that `rows` has room for.
     pub room: usize,
@@ -389,8 +421,8 @@ pub struct Flown {
 
 /// Flies closed loops leg by leg on a device that asks the law's surface itself.
 pub trait Relay: Send {
-    /// Each trajectory up to its end, its first leg without an answer or as far as there is room. How one goes does not depend
-    /// on the others.
+    /// Each trajectory up to its end, its first leg without an answer or as far as there is room.
+    /// How one goes does not depend on the others.
     ///
     /// # Errors
     /// Device failures only.
@@ -399,22 +431,23 @@ pub trait Relay: Send {
 
 /// A compiled kernel.
 pub trait Kernel: Send {
-    /// Integrates `seeds` (`[trajectory][dim]`, f64 whatever the precision) as one batch. The caller bounds the batch
-    /// (see [`batch_limit`]); a trajectory's result does not depend on the batch it is in.
+    /// Integrates `seeds` (`[trajectory][dim]`, f64 whatever the precision) as one batch. The
+    /// caller bounds the batch (see [`batch_limit`]); a trajectory's result does not depend on the
+    /// batch it is in.
     ///
     /// # Errors
     /// Device failures only.
     fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError>;
 
-    /// The kernel for callers that spread trajectories over threads themselves, for one run; `None` of a device that takes a
-    /// batch as a whole.
+    /// The kernel for callers that spread trajectories over threads themselves, for one run; `None`
+    /// of a device that takes a batch as a whole.
     fn legs<'k>(&'k mut self, run: &'k Run) -> Option<Box<dyn Legs + 'k>> {
         let _ = run;
         None
     }
 
-    /// The same equations, leg by leg under the law of a surface (with the bounds of `run`); `None` of a device that does not ask
-    /// itself, or for which the surface is too large.
+    /// The same equations, leg by leg under the law of a surface (with the bounds of `run`); `None`
+    /// of a device that does not ask itself, or for which the surface is too large.
     ///
     /// # Errors
     /// When the generated code is refused; device failures.
@@ -423,8 +456,8 @@ pub trait Kernel: Send {
         Ok(None)
     }
 
-    /// Seconds of the latest [`Kernel::integrate`] in which trajectories were computed: without transfers, waiting for
-    /// a device and the host's own work. `None` where that is not known.
+    /// Seconds of the latest [`Kernel::integrate`] in which trajectories were computed: without
+    /// transfers, waiting for a device and the host's own work. `None` where that is not known.
     fn kernel_seconds(&self) -> Option<f64> {
         None
     }

@@ -1,8 +1,9 @@
 //! Trajectories under the law of a chart: `p = q + H s`, set leg by leg at each trajectory's state.
 //!
-//! The CPU's lanes ask the chart as they go, each trajectory at times of its own (`legs`). A device asks a map in pieces itself
-//! (`relayed`); games, whose answers are checked one by one, charts that are no map in pieces, and maps larger than a device's
-//! buffers are asked here, with a round trip a leg.
+//! The CPU's lanes ask the chart as they go, each trajectory at times of its own (`legs`). A device
+//! asks a map in pieces itself (`relayed`); games, whose answers are checked one by one, charts
+//! that are no map in pieces, and maps larger than a device's buffers are asked here, with a round
+//! trip a leg.
 
 use super::equations::{Equations, set_chart};
 use super::fallback::{Help, Plan, Rest};
@@ -14,10 +15,12 @@ use crate::backend::{BackendError, Kernel, Legs, Relay, Run, Trajectories};
 use crate::model::{ClosedLoop, Outside};
 use rayon::prelude::*;
 
-/// Trajectories that one thread flies from their start to their end: few enough to balance the load, many enough that the
-/// kernel's lanes are full, also with the few that the chart has no answer for.
+/// Trajectories that one thread flies from their start to their end: few enough to balance the
+/// load, many enough that the kernel's lanes are full, also with the few that the chart has no
+/// answer for.
 const PART: usize = 1024;
-/// Longest share of the final time over which the last answer is held for want of anything better, unless that is the policy.
+/// Longest share of the final time over which the last answer is held for want of anything better,
+/// unless that is the policy.
 const HOLD: f64 = 0.25;
 /// Attempted steps that a leg may take, however many legs there are.
 const LEAST_STEPS: u32 = 10_000;
@@ -139,21 +142,23 @@ pub(super) struct When<'t> {
 }
 
 impl Ground<'_> {
-    /// What legs of these equations are flown with: in units of their own lengths where they are timed.
+    /// What legs of these equations are flown with: in units of their own lengths where they are
+    /// timed.
     pub fn leg(&self, equations: &Equations, timed: bool) -> Run {
         let clock = Clock::of(self.setting.closed_loop);
         let length = if timed { 1.0 } else { clock.step };
         let mut run = self.run(equations, vec![length]);
         run.step *= length / clock.step;
-        // The trajectory's limit is its legs' together; one that is stuck does not hold up its neighbours for all of it.
+        // The trajectory's limit is its legs' together; one that is stuck does not hold up its
+        // neighbours for all of it.
         run.max_steps = (run.max_steps / clock.all as u32).max(LEAST_STEPS);
         // A leg is short: mostly one step takes it.
         run.first = Some(length);
         run
     }
 
-    /// Flies a batch. Where the kernel can, each thread takes trajectories from start to end, asking the chart as it goes; a device
-    /// that asks itself takes the batch as a whole.
+    /// Flies a batch. Where the kernel can, each thread takes trajectories from start to end,
+    /// asking the chart as it goes; a device that asks itself takes the batch as a whole.
     pub fn by_chart(
         &self,
         kernel: &mut dyn Kernel,
@@ -168,13 +173,21 @@ impl Ground<'_> {
         if let Some(relay) = relay {
             let mut batch = self.batch(x0, first, starts);
             let wings = Wings::new(By::Whole(kernel), &run, false);
-            self.by_relay((relay, &run), wings, self.pilots(chart, count), &mut batch, watch)?;
+            self.by_relay(
+                (relay, &run),
+                wings,
+                self.pilots(chart, count),
+                &mut batch,
+                watch,
+            )?;
             return Ok(batch);
         }
         if watch.is_none()
             && let Some(legs) = kernel.legs(&run)
         {
-            let size = count.div_ceil(2 * rayon::current_num_threads()).clamp(16, PART);
+            let size = count
+                .div_ceil(2 * rayon::current_num_threads())
+                .clamp(16, PART);
             let parts: Vec<Batch> = (x0.par_chunks(size * self.equations.states).enumerate())
                 .map(|(k, x0)| {
                     let mut part = self.batch(x0, first + k * size, starts);
@@ -185,7 +198,9 @@ impl Ground<'_> {
                 })
                 .collect::<Result<_, BackendError>>()?;
             let mut parts = parts.into_iter();
-            let mut all = parts.next().unwrap_or_else(|| self.batch(&[], first, starts));
+            let mut all = parts
+                .next()
+                .unwrap_or_else(|| self.batch(&[], first, starts));
             parts.for_each(|part| all.append(part));
             return Ok(all);
         }
@@ -226,13 +241,18 @@ impl Ground<'_> {
         watch: &mut Option<Watch<'_>>,
         (when, lanes): (&When<'_>, &[usize]),
     ) -> Result<(), BackendError> {
-        let Some(&any) = lanes.first() else { return Ok(()) };
-        pilots.asked.ask(self, pilots.chart, batch, lanes, when.middle(any));
+        let Some(&any) = lanes.first() else {
+            return Ok(());
+        };
+        pilots
+            .asked
+            .ask(self, pilots.chart, batch, lanes, when.middle(any));
         let lanes: Vec<(usize, usize)> = lanes.iter().copied().enumerate().collect();
         self.set(wings, pilots, batch, watch, (when, &lanes))
     }
 
-    /// Sets the laws of trajectories, each with the place of its answer; one that has none, and no help, has come to its end.
+    /// Sets the laws of trajectories, each with the place of its answer; one that has none, and no
+    /// help, has come to its end.
     pub fn set(
         &self,
         wings: &mut Wings<'_>,
@@ -280,16 +300,31 @@ impl Ground<'_> {
         Ok(())
     }
 
-    /// What is told of trajectories that have come to the final time, and what is missing of those kept that have not.
-    pub fn conclude(&self, mut pilots: Pilots<'_>, batch: &mut Batch, ended: &[usize], watch: &mut Option<Watch<'_>>) {
+    /// What is told of trajectories that have come to the final time, and what is missing of those
+    /// kept that have not.
+    pub fn conclude(
+        &self,
+        mut pilots: Pilots<'_>,
+        batch: &mut Batch,
+        ended: &[usize],
+        watch: &mut Option<Watch<'_>>,
+    ) {
         let scene = self.setting.closed_loop;
         let (n, dim) = (self.equations.states, batch.dim);
         if let Some(watch) = watch {
-            pilots.asked.ask(self, pilots.chart, batch, ended, scene.final_time);
+            pilots
+                .asked
+                .ask(self, pilots.chart, batch, ended, scene.final_time);
             for (j, &i) in ended.iter().enumerate() {
                 if let Some(answer) = pilots.asked.answer(j) {
                     let end = &batch.end[i * dim..][..dim];
-                    self.show(watch, batch.first + i, scene.final_time, end, Some(answer.v));
+                    self.show(
+                        watch,
+                        batch.first + i,
+                        scene.final_time,
+                        end,
+                        Some(answer.v),
+                    );
                 }
             }
         }
@@ -300,10 +335,13 @@ impl Ground<'_> {
             let missing = scene.samples + 1 - path.t.len();
             path.t.extend(vec![f64::NAN; missing]);
             path.x.extend(vec![f64::NAN; missing * n]);
-            path.u.extend(vec![f64::NAN; missing * self.equations.controls]);
+            path.u
+                .extend(vec![f64::NAN; missing * self.equations.controls]);
             if self.equations.supplied().is_some() {
-                path.w
-                    .extend(vec![f64::NAN; missing * self.equations.disturbance_columns().len()]);
+                path.w.extend(vec![
+                    f64::NAN;
+                    missing * self.equations.disturbance_columns().len()
+                ]);
                 path.supplied.extend(vec![f64::NAN; missing]);
                 path.cost.extend(vec![f64::NAN; missing]);
             }
@@ -321,14 +359,28 @@ impl Ground<'_> {
     ) -> Result<Vec<bool>, BackendError> {
         let dim = batch.dim;
         if help.outside == Outside::Search {
-            let new: Vec<usize> = lost.iter().copied().filter(|i| plans[*i].is_none()).collect();
-            let from: Vec<f64> = new.iter().flat_map(|i| &batch.end[i * dim..][..dim]).copied().collect();
+            let new: Vec<usize> = lost
+                .iter()
+                .copied()
+                .filter(|i| plans[*i].is_none())
+                .collect();
+            let from: Vec<f64> = new
+                .iter()
+                .flat_map(|i| &batch.end[i * dim..][..dim])
+                .copied()
+                .collect();
             let first: Vec<f64> = new.iter().map(|i| (when.first)(*i)).collect();
-            for (i, plan) in new.iter().zip(self.search(help, (when.rest, &first), &from)?) {
+            for (i, plan) in new
+                .iter()
+                .zip(self.search(help, (when.rest, &first), &from)?)
+            {
                 plans[*i] = Some(plan);
             }
         }
-        let mut own: Vec<Plan> = lost.iter().map(|i| plans[*i].take().unwrap_or_default()).collect();
+        let mut own: Vec<Plan> = lost
+            .iter()
+            .map(|i| plans[*i].take().unwrap_or_default())
+            .collect();
         let mut vectors: Vec<f64> = lost
             .iter()
             .flat_map(|i| &batch.end[i * dim..][..dim])
@@ -344,7 +396,8 @@ impl Ground<'_> {
 }
 
 impl When<'_> {
-    /// Over a leg p of V(x, t) changes with time too: that of its middle errs only to the second order of its length.
+    /// Over a leg p of V(x, t) changes with time too: that of its middle errs only to the second
+    /// order of its length.
     fn middle(&self, i: usize) -> f64 {
         (self.t)(i) + 0.5 * self.rest.length
     }
@@ -365,10 +418,22 @@ pub(super) struct One<'a> {
 }
 
 impl Asked {
-    pub fn ask(&mut self, ground: &Ground<'_>, chart: &dyn Chart, batch: &Batch, alive: &[usize], t: f64) {
-        let (n, dim, reference) = (ground.equations.states, batch.dim, &ground.equations.reference);
+    pub fn ask(
+        &mut self,
+        ground: &Ground<'_>,
+        chart: &dyn Chart,
+        batch: &Batch,
+        alive: &[usize],
+        t: f64,
+    ) {
+        let (n, dim, reference) = (
+            ground.equations.states,
+            batch.dim,
+            &ground.equations.reference,
+        );
         self.states = n;
-        self.parts.resize_with(alive.len().div_ceil(PART), Default::default);
+        self.parts
+            .resize_with(alive.len().div_ceil(PART), Default::default);
         let one = |(x, answers): &mut (Vec<f64>, Expansions), alive: &[usize]| {
             x.clear();
             for i in alive {
@@ -379,7 +444,8 @@ impl Asked {
         };
         match self.parts.as_mut_slice() {
             [part] => one(part, alive),
-            parts => (parts.par_iter_mut().zip(alive.par_chunks(PART))).for_each(|(part, alive)| one(part, alive)),
+            parts => (parts.par_iter_mut().zip(alive.par_chunks(PART)))
+                .for_each(|(part, alive)| one(part, alive)),
         }
     }
 

@@ -36,11 +36,17 @@ pub struct Chosen {
 }
 
 impl Available {
-    /// The laws `wanted`, of which each must be there; without that those of the scene, as far as they are there, or all.
+    /// The laws `wanted`, of which each must be there; without that those of the scene, as far as
+    /// they are there, or all.
     ///
     /// # Errors
     /// An unknown name; what is wrong with a law.
-    pub fn choose(&self, laws: &Laws<'_>, scene: &ClosedLoop, wanted: Option<&[String]>) -> Result<Chosen, LawError> {
+    pub fn choose(
+        &self,
+        laws: &Laws<'_>,
+        scene: &ClosedLoop,
+        wanted: Option<&[String]>,
+    ) -> Result<Chosen, LawError> {
         let names: Vec<String> = match (wanted, &scene.laws) {
             (Some(wanted), _) => wanted.to_vec(),
             (None, Some(named)) => named.iter().map(|(n, _)| n.clone()).collect(),
@@ -72,8 +78,18 @@ impl Available {
             .collect()
     }
 
-    fn find(&self, laws: &Laws<'_>, scene: &ClosedLoop, name: &str) -> Result<Option<Law>, LawError> {
-        if let Some(weights) = self.added.iter().chain(&self.fitted).find(|w| w.name == name) {
+    fn find(
+        &self,
+        laws: &Laws<'_>,
+        scene: &ClosedLoop,
+        name: &str,
+    ) -> Result<Option<Law>, LawError> {
+        if let Some(weights) = self
+            .added
+            .iter()
+            .chain(&self.fitted)
+            .find(|w| w.name == name)
+        {
             return laws.weights(name, &weights.text, &weights.file).map(Some);
         }
         if let Some(given) = scene.given.iter().find(|g| g.name == name) {

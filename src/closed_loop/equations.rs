@@ -13,12 +13,13 @@ use std::ops::Range;
 
 /// Equations of a scene under a law, in deviations `s = x - reference` and forward time.
 ///
-/// The integrated vector is `(s, q, H, J)`: q and the upper triangle of H (row by row) only where the law is that of a
-/// chart, whose `p = q + H s` they hold constant. `J' = L`. [`Equations::scaled`] has a duration T before J, by which
-/// all rates are multiplied.
+/// The integrated vector is `(s, q, H, J)`: q and the upper triangle of H (row by row) only where
+/// the law is that of a chart, whose `p = q + H s` they hold constant. `J' = L`.
+/// [`Equations::scaled`] has a duration T before J, by which all rates are multiplied.
 ///
-/// With a [`Forcing`] it is `(s, q, H, d, W, J)`: d is what a trajectory's disturbance is made of, `W' = L(x, u, 0) - L(x, u, w)` what
-/// the disturbance pays for, and `J' = L(x, u, 0)`. Without one w = 0.
+/// With a [`Forcing`] it is `(s, q, H, d, W, J)`: d is what a trajectory's disturbance is made of,
+/// `W' = L(x, u, 0) - L(x, u, w)` what the disturbance pays for, and `J' = L(x, u, 0)`. Without one
+/// w = 0.
 pub(super) struct Equations {
     graph: Graph,
     pub states: usize,
@@ -114,13 +115,16 @@ impl Equations {
         let supply = take(usize::from(forcing.is_some())).first().copied();
         let disturbance = take(forcing.map_or(0, |_| model.disturbances.len()));
         let (values, control) = (take(records.len()), take(model.controls.len()));
-        let guards = (hamiltonian.guards.iter().zip(take(hamiltonian.guards.len())))
-            .map(|(g, expr)| GuardExpr {
-                name: g.name.clone(),
-                expr,
-                strict: g.strict,
-            })
-            .collect();
+        let guards = (hamiltonian
+            .guards
+            .iter()
+            .zip(take(hamiltonian.guards.len())))
+        .map(|(g, expr)| GuardExpr {
+            name: g.name.clone(),
+            expr,
+            strict: g.strict,
+        })
+        .collect();
         let terminal = take(1).first().copied();
         let sought = records
             .iter()
@@ -243,8 +247,8 @@ impl Equations {
         }
     }
 
-    /// Values and time derivatives of the records, then the controls, then the arguments at whose zeros records have kinks,
-    /// then the disturbances of a forcing.
+    /// Values and time derivatives of the records, then the controls, then the arguments at whose
+    /// zeros records have kinks, then the disturbances of a forcing.
     pub fn observed(&self) -> Program {
         self.program(
             &[
@@ -304,7 +308,9 @@ fn linear(graph: &mut Graph, p: &DMatrix<f64>, s: &[Id]) -> Vec<Id> {
 /// Adds q and H to the inputs; returns `p = q + H s`.
 fn chart_symbols(graph: &mut Graph, inputs: &mut Vec<Id>, n: usize) -> Vec<Id> {
     let s = inputs.clone();
-    let q: Vec<Id> = (0..n).map(|i| graph.symbol(&format!("q_{i}"), Kind::Adjoint)).collect();
+    let q: Vec<Id> = (0..n)
+        .map(|i| graph.symbol(&format!("q_{i}"), Kind::Adjoint))
+        .collect();
     inputs.extend(&q);
     let mut h = vec![vec![q[0]; n]; n];
     for i in 0..n {
@@ -325,7 +331,8 @@ fn chart_symbols(graph: &mut Graph, inputs: &mut Vec<Id>, n: usize) -> Vec<Id> {
         .collect()
 }
 
-/// Writes a chart's answer at `s` into the components behind s: `q = p - H s`, then H's upper triangle.
+/// Writes a chart's answer at `s` into the components behind s: `q = p - H s`, then H's upper
+/// triangle.
 pub(super) fn set_chart(vector: &mut [f64], p: &[f64], hessian: &[f64]) {
     let n = p.len();
     let mut place = 2 * n;

@@ -13,8 +13,8 @@ use std::collections::BTreeMap;
 pub struct LawResult {
     pub name: String,
     pub source: String,
-    /// `[initial]`: running cost up to the end, and what the linear solution (or the terminal cost) says is left; NaN where
-    /// the trajectory ended early.
+    /// `[initial]`: running cost up to the end, and what the linear solution (or the terminal cost)
+    /// says is left; NaN where the trajectory ended early.
     pub cost: Vec<f64>,
     /// `[initial][record]`.
     pub records: Vec<f64>,
@@ -26,7 +26,8 @@ pub struct LawResult {
     pub held: f64,
     /// `[initial]`: how many they were.
     pub fallback: Vec<u32>,
-    /// Of a chart's law: how often states went between the host and a device, or the host waited for one.
+    /// Of a chart's law: how often states went between the host and a device, or the host waited
+    /// for one.
     pub round_trips: usize,
     /// Time taken, compilation not included.
     pub seconds: f64,
@@ -85,7 +86,11 @@ impl Evaluation {
             sets: Vec::new(),
             backend: backend.name().to_owned(),
             adapter: backend.adapter(),
-            records: scene.records.iter().map(|r| (r.name.clone(), r.extremum)).collect(),
+            records: scene
+                .records
+                .iter()
+                .map(|r| (r.name.clone(), r.extremum))
+                .collect(),
             asked: scene.sets.clone(),
             status_names: (laws.iter().flat_map(|l| &l.status))
                 .map(|s| (*s, setting.status_name(*s)))
@@ -102,7 +107,8 @@ impl Evaluation {
         this
     }
 
-    /// A state is inside where its trajectory went to its end and the quantity keeps within the bound.
+    /// A state is inside where its trajectory went to its end and the quantity keeps within the
+    /// bound.
     fn set(&self, law: &LawResult, set: &OperatingSet) -> SetResult {
         let levels: Vec<f64> = (0..self.initial.count())
             .map(|i| {
@@ -119,7 +125,8 @@ impl Evaluation {
                 }
             })
             .collect();
-        let share = levels.iter().filter(|l| **l >= 0.0).count() as f64 / levels.len().max(1) as f64;
+        let share =
+            levels.iter().filter(|l| **l >= 0.0).count() as f64 / levels.len().max(1) as f64;
         match self.initial.axes.as_slice() {
             [(_, a), (_, b)] => SetResult {
                 share,
@@ -134,7 +141,8 @@ impl Evaluation {
         }
     }
 
-    /// J/V - 1 from each initial state; NaN where V is not known, or the trajectory did not converge.
+    /// J/V - 1 from each initial state; NaN where V is not known, or the trajectory did not
+    /// converge.
     pub fn suboptimality(&self, law: &LawResult) -> Vec<f64> {
         (law.cost.iter().zip(&self.values).zip(&law.converged))
             .map(|((j, v), converged)| {
@@ -149,7 +157,11 @@ impl Evaluation {
 
     /// Its quantiles; `None` where there is none.
     pub fn spread(&self, law: &LawResult) -> Option<Spread> {
-        let mut known: Vec<f64> = self.suboptimality(law).into_iter().filter(|s| !s.is_nan()).collect();
+        let mut known: Vec<f64> = self
+            .suboptimality(law)
+            .into_iter()
+            .filter(|s| !s.is_nan())
+            .collect();
         known.sort_by(f64::total_cmp);
         (!known.is_empty()).then(|| Spread {
             median: nearest_rank(&known, 0.5),
@@ -159,10 +171,16 @@ impl Evaluation {
         })
     }
 
-    /// The worst of a record under a law: the lowest minimum, the highest maximum or last value; NaN where there is none.
+    /// The worst of a record under a law: the lowest minimum, the highest maximum or last value;
+    /// NaN where there is none.
     pub fn worst(&self, law: &LawResult, record: usize) -> f64 {
         let count = self.records.len();
-        let values = law.records.iter().skip(record).step_by(count).filter(|v| !v.is_nan());
+        let values = law
+            .records
+            .iter()
+            .skip(record)
+            .step_by(count)
+            .filter(|v| !v.is_nan());
         match self.records[record].1 {
             Extremum::Min => values.copied().reduce(f64::min),
             Extremum::Max | Extremum::Final => values.copied().reduce(f64::max),
@@ -174,7 +192,9 @@ impl Evaluation {
     pub fn statuses(&self, law: &LawResult) -> BTreeMap<&str, usize> {
         let mut counts = BTreeMap::new();
         for status in &law.status {
-            *counts.entry(self.status_names[status].as_str()).or_default() += 1;
+            *counts
+                .entry(self.status_names[status].as_str())
+                .or_default() += 1;
         }
         counts
     }
@@ -190,7 +210,9 @@ impl LawResult {
     #[cfg(feature = "hdf5")]
     pub(super) fn fallbacks(&self) -> Vec<i32> {
         let own = self.fallback.iter().map(|k| *k as i32);
-        own.chain(std::iter::repeat(0)).take(self.status.len()).collect()
+        own.chain(std::iter::repeat(0))
+            .take(self.status.len())
+            .collect()
     }
 
     /// Trajectories along which the chart had no answer somewhere.

@@ -9,7 +9,8 @@ use crate::model::Outside;
 
 /// Ways from a state without an answer towards the reference point at which the chart is asked.
 const INWARD: [f64; 7] = [0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7];
-/// A search goes on for this many times the periods after which the first plan has come back, and these more.
+/// A search goes on for this many times the periods after which the first plan has come back, and
+/// these more.
 const LONGER: usize = 4;
 const AT_LEAST: usize = 4;
 
@@ -41,8 +42,8 @@ struct Trial {
     of: usize,
     number: usize,
     plan: Plan,
-    /// The period at which a shorter plan (of this number, the longer one having the next) leaves off holding p: until then they
-    /// are one flight.
+    /// The period at which a shorter plan (of this number, the longer one having the next) leaves
+    /// off holding p: until then they are one flight.
     parts: Option<usize>,
 }
 
@@ -56,8 +57,8 @@ struct Best {
 }
 
 impl Ground<'_> {
-    /// Sets p of trajectories for which the chart has no answer; says of each whether it goes on. `flying`: there is an answer
-    /// before that may still be held.
+    /// Sets p of trajectories for which the chart has no answer; says of each whether it goes on.
+    /// `flying`: there is an answer before that may still be held.
     pub fn fall_back(
         &self,
         help: &mut Help<'_, '_>,
@@ -76,7 +77,9 @@ impl Ground<'_> {
                 }
             }
             Outside::Nearest | Outside::Search => {
-                for ((vector, plan), helped) in vectors.chunks_exact_mut(dim).zip(plans).zip(&mut helped) {
+                for ((vector, plan), helped) in
+                    vectors.chunks_exact_mut(dim).zip(plans).zip(&mut helped)
+                {
                     if plan.left > 0 {
                         plan.left -= 1;
                         hold(vector, &plan.p);
@@ -108,13 +111,21 @@ impl Ground<'_> {
         true
     }
 
-    /// p of the nearest state that the chart knows, of those on the way from here, moved into the chart's region, to the
-    /// reference point, for the trajectories not yet helped. It is held over the period: the slope of p there may say nothing of
-    /// here.
+    /// p of the nearest state that the chart knows, of those on the way from here, moved into the
+    /// chart's region, to the reference point, for the trajectories not yet helped. It is held over
+    /// the period: the slope of p there may say nothing of here.
     fn by_nearest(&self, help: &mut Help<'_, '_>, vectors: &mut [f64], helped: &mut [bool]) {
-        let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
+        let (n, dim, reference) = (
+            self.equations.states,
+            self.equations.dim(),
+            &self.equations.reference,
+        );
         let (mut open, mut from, mut x) = (Vec::new(), Vec::new(), Vec::new());
-        for (k, vector) in vectors.chunks_exact(dim).enumerate().filter(|(k, _)| !helped[*k]) {
+        for (k, vector) in vectors
+            .chunks_exact(dim)
+            .enumerate()
+            .filter(|(k, _)| !helped[*k])
+        {
             let at = from.len();
             from.extend(vector[..n].iter().zip(reference).map(|(s, x)| s + x));
             if help.chart.clamp(&mut from[at..]) {
@@ -147,24 +158,35 @@ impl Ground<'_> {
         }
     }
 
-    /// For each of some trajectories a way back to where the chart has answers, foretold with the equations themselves: p of the
-    /// nearest state known, if that comes back within the periods left, or to the end of a finite horizon; else the cheapest of the
-    /// plans that first hold a control at a bound of it, by its cost and V where it comes back. A period is a leg of the rest; the
-    /// first one of each may be shorter.
+    /// For each of some trajectories a way back to where the chart has answers, foretold with the
+    /// equations themselves: p of the nearest state known, if that comes back within the periods
+    /// left, or to the end of a finite horizon; else the cheapest of the plans that first hold a
+    /// control at a bound of it, by its cost and V where it comes back. A period is a leg of the
+    /// rest; the first one of each may be shorter.
     pub fn search(
         &self,
         help: &mut Help<'_, '_>,
         (rest, first): (Rest, &[f64]),
         vectors: &[f64],
     ) -> Result<Vec<Plan>, BackendError> {
-        let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
+        let (n, dim, reference) = (
+            self.equations.states,
+            self.equations.dim(),
+            &self.equations.reference,
+        );
         let count = vectors.len() / dim;
         let mut found = vec![Plan::default(); count];
         let bounded = |vector: &[f64]| {
-            let mut x: Vec<f64> = vector[..n].iter().zip(reference).map(|(s, x)| s + x).collect();
+            let mut x: Vec<f64> = vector[..n]
+                .iter()
+                .zip(reference)
+                .map(|(s, x)| s + x)
+                .collect();
             help.chart.clamp(&mut x)
         };
-        let all: Vec<usize> = (0..count).filter(|k| bounded(&vectors[k * dim..][..dim])).collect();
+        let all: Vec<usize> = (0..count)
+            .filter(|k| bounded(&vectors[k * dim..][..dim]))
+            .collect();
         let nearest = (all.iter())
             .map(|k| Trial {
                 of: *k,
@@ -176,7 +198,8 @@ impl Ground<'_> {
         let back = self.cheapest(help, (rest, first), vectors, nearest)?;
         let lost: Vec<usize> = all.into_iter().filter(|k| back[*k].is_none()).collect();
         let mut plans: Vec<Vec<Plan>> = vec![Vec::new(); count];
-        let lengths = || std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < rest.legs);
+        let lengths =
+            || std::iter::successors(Some(1usize), |k| Some(2 * k)).take_while(|k| *k < rest.legs);
         let mut trials = Vec::new();
         for k in &lost {
             for p in self.pushes(&vectors[k * dim..][..dim]) {
@@ -211,7 +234,11 @@ impl Ground<'_> {
         vectors: &[f64],
         mut alive: Vec<Trial>,
     ) -> Result<Vec<Option<usize>>, BackendError> {
-        let (n, dim, reference) = (self.equations.states, self.equations.dim(), &self.equations.reference);
+        let (n, dim, reference) = (
+            self.equations.states,
+            self.equations.dim(),
+            &self.equations.reference,
+        );
         let cost = self.equations.cost();
         let count = vectors.len() / dim;
         let mut best = vec![
@@ -249,9 +276,15 @@ impl Ground<'_> {
                 alive.push(shorter);
                 seeds.extend_from_within(j * dim..(j + 1) * dim);
             }
-            let mut plans: Vec<Plan> = alive.iter_mut().map(|t| std::mem::take(&mut t.plan)).collect();
+            let mut plans: Vec<Plan> = alive
+                .iter_mut()
+                .map(|t| std::mem::take(&mut t.plan))
+                .collect();
             self.fall_back(help, &mut seeds, &mut plans, &vec![true; alive.len()]);
-            alive.iter_mut().zip(plans).for_each(|(t, plan)| t.plan = plan);
+            alive
+                .iter_mut()
+                .zip(plans)
+                .for_each(|(t, plan)| t.plan = plan);
             let length = |j: usize| match period {
                 0 => first[alive[j].of],
                 _ => rest.length,
@@ -266,8 +299,8 @@ impl Ground<'_> {
             help.chart.slopes(n, &x, help.room);
             let room = &help.room;
             // At the end of a finite horizon nothing is to come back to.
-            let terminal =
-                (self.terminal.as_ref().filter(|_| period + 1 == rest.legs)).map(|t| t.eval(&flown.end, dim));
+            let terminal = (self.terminal.as_ref().filter(|_| period + 1 == rest.legs))
+                .map(|t| t.eval(&flown.end, dim));
             seeds.clear();
             let mut j = 0;
             alive.retain(|trial| {

@@ -40,7 +40,8 @@ pub(super) struct Seen<'a> {
     pub v: Option<f64>,
 }
 
-/// Is shown every trajectory at its stored times, in order; under a chart's law also at its updates.
+/// Is shown every trajectory at its stored times, in order; under a chart's law also at its
+/// updates.
 pub(super) type Watch<'a> = &'a mut dyn FnMut(Seen<'_>);
 
 /// How closed-loop trajectories went, in the order of their initial states.
@@ -59,7 +60,8 @@ pub struct Flights {
     /// Updates of a chart's law, and of each trajectory those at which the chart had no answer.
     pub updates: usize,
     pub fallback: Vec<u32>,
-    /// Of a chart's law: how often states went between the host and a device, or the host waited for one.
+    /// Of a chart's law: how often states went between the host and a device, or the host waited
+    /// for one.
     pub round_trips: usize,
     /// `[trajectory][record]`.
     pub records: Vec<f64>,

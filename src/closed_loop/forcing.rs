@@ -1,4 +1,5 @@
-//! Disturbances of a closed loop as expressions, so that they are integrated in the kernels like everything else.
+//! Disturbances of a closed loop as expressions, so that they are integrated in the kernels like
+//! everything else.
 
 use crate::expr::{Fun, Graph, Id, Kind};
 use crate::hamiltonian::Hamiltonian;
@@ -6,8 +7,8 @@ use crate::model::Model;
 use nalgebra::DMatrix;
 use std::collections::HashMap;
 
-/// Sinusoids of a disturbance. The sum of so many with random phases is near a Gaussian process (Shinozuka & Deodatis,
-/// Applied Mechanics Reviews 44, 1991: the spectral representation).
+/// Sinusoids of a disturbance. The sum of so many with random phases is near a Gaussian process
+/// (Shinozuka & Deodatis, Applied Mechanics Reviews 44, 1991: the spectral representation).
 pub(super) const WAVES: usize = 8;
 
 /// `w_j = c w*_j(x, p) + sum_k a_jk sin(b_jk t + f_jk)`, and where its p comes from.
@@ -18,7 +19,8 @@ pub(super) struct Forcing {
 
 /// A forcing as expressions.
 pub(super) struct Motion {
-    /// c, then a, b, f of each wave of each disturbance, then t: symbols of constant components, but for t.
+    /// c, then a, b, f of each wave of each disturbance, then t: symbols of constant components,
+    /// but for t.
     pub components: Vec<Id>,
     /// Index of t among them.
     pub time: usize,
@@ -37,8 +39,8 @@ pub struct Wave {
     pub phase: f64,
 }
 
-/// Numbers that a trajectory's disturbance is made of, in the order of [`Motion::components`]; `waves` has [`WAVES`] a disturbance
-/// or fewer.
+/// Numbers that a trajectory's disturbance is made of, in the order of [`Motion::components`];
+/// `waves` has [`WAVES`] a disturbance or fewer.
 pub(super) fn components(worst: f64, waves: &[Vec<Wave>]) -> Vec<f64> {
     let mut all = vec![worst];
     for waves in waves {
@@ -61,7 +63,8 @@ impl Motion {
         for worst in &hamiltonian.disturbance {
             let mut terms = vec![graph.mul(share, *worst)];
             for _ in 0..WAVES {
-                let [a, b, f] = ["amplitude", "frequency", "phase"].map(|name| constant(graph, name));
+                let [a, b, f] =
+                    ["amplitude", "frequency", "phase"].map(|name| constant(graph, name));
                 components.extend([a, b, f]);
                 let turned = graph.mul(b, time);
                 let angle = graph.add(turned, f);
@@ -80,7 +83,8 @@ impl Motion {
     }
 }
 
-/// L is quadratic in w: `-(L_w w + 1/2 w'L_ww w)`, which does not cancel as the difference of two L would.
+/// L is quadratic in w: `-(L_w w + 1/2 w'L_ww w)`, which does not cancel as the difference of two L
+/// would.
 fn supply(model: &Model, graph: &mut Graph) -> Id {
     let w: Vec<Id> = model.disturbances.iter().map(|w| w.symbol).collect();
     let zero = graph.constant(0.0);

@@ -6,7 +6,8 @@ use crate::numeric::random::uniform;
 use crate::value::{Grid, spaced};
 use rayon::prelude::*;
 
-/// Picks along each of the first two axes of a grid (and of random states in all) that are kept whole.
+/// Picks along each of the first two axes of a grid (and of random states in all) that are kept
+/// whole.
 const PICKS: usize = 3;
 
 /// Where the closed loop starts.
@@ -15,7 +16,8 @@ pub struct Initial {
     /// `[initial][state]`.
     pub x: Vec<f64>,
     pub states: usize,
-    /// States that vary in the grid and their values; empty where states are random. The last axis varies fastest.
+    /// States that vary in the grid and their values; empty where states are random. The last axis
+    /// varies fastest.
     pub axes: Vec<(usize, Vec<f64>)>,
 }
 
@@ -23,8 +25,14 @@ impl Initial {
     /// The scene's initial states; `random` and `seed` replace its own.
     ///
     /// # Errors
-    /// [`LoopError::NoRange`] where nothing varies that is to be drawn at random, [`LoopError::NoCount`].
-    pub fn new(model: &Model, asked: &ClosedLoop, random: Option<usize>, seed: u64) -> Result<Self, LoopError> {
+    /// [`LoopError::NoRange`] where nothing varies that is to be drawn at random,
+    /// [`LoopError::NoCount`].
+    pub fn new(
+        model: &Model,
+        asked: &ClosedLoop,
+        random: Option<usize>,
+        seed: u64,
+    ) -> Result<Self, LoopError> {
         match random.or(asked.random) {
             Some(count) => Self::random(asked, count, seed),
             None => Self::of_axes(model, &asked.initial),
@@ -67,13 +75,19 @@ impl Initial {
     /// Each state is a function of the seed and its number alone.
     fn random(asked: &ClosedLoop, count: usize, seed: u64) -> Result<Self, LoopError> {
         let n = asked.initial.len();
-        if !asked.initial.iter().any(|s| matches!(s, Start::Range { .. })) {
+        if !asked
+            .initial
+            .iter()
+            .any(|s| matches!(s, Start::Range { .. }))
+        {
             return Err(LoopError::NoRange);
         }
         let x = (0..count * n)
             .map(|k| match asked.initial[k % n] {
                 Start::Fixed(x) => x,
-                Start::Range { first, last, .. } => first + (last - first) * uniform(seed, k as u64),
+                Start::Range { first, last, .. } => {
+                    first + (last - first) * uniform(seed, k as u64)
+                }
             })
             .collect();
         Ok(Self {
@@ -96,8 +110,8 @@ impl Initial {
         self.axes.iter().map(|(_, values)| values.len()).collect()
     }
 
-    /// Initial states whose trajectories are kept for pictures: the corners, sides' middles and middle of the first two
-    /// axes, at the middle of others; of random states the first few.
+    /// Initial states whose trajectories are kept for pictures: the corners, sides' middles and
+    /// middle of the first two axes, at the middle of others; of random states the first few.
     pub fn kept(&self) -> Vec<usize> {
         if self.axes.is_empty() {
             return (0..self.count().min(PICKS * PICKS)).collect();
@@ -129,13 +143,15 @@ impl Initial {
             .collect()
     }
 
-    /// V at those of them that are among given states (`[state][n]`), to a rounding error in units of `widths`.
+    /// V at those of them that are among given states (`[state][n]`), to a rounding error in units
+    /// of `widths`.
     pub fn looked_up(&self, states: &[f64], values: &[f64], widths: &[f64]) -> Vec<f64> {
         const SAME: f64 = 1e-9;
         let n = self.states;
         // By cells around the first coordinate: few share one.
         let key = |x: f64| (x / (widths[0] * 1e-6)).floor() as i64;
-        let mut cells: std::collections::HashMap<i64, Vec<usize>> = std::collections::HashMap::new();
+        let mut cells: std::collections::HashMap<i64, Vec<usize>> =
+            std::collections::HashMap::new();
         for (k, x) in states.chunks_exact(n).enumerate() {
             cells.entry(key(x[0])).or_default().push(k);
         }

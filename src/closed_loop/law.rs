@@ -1,4 +1,5 @@
-//! Feedback laws as expressions: the controls of a scene as functions of its states, saturated as in the scene.
+//! Feedback laws as expressions: the controls of a scene as functions of its states, saturated as
+//! in the scene.
 
 use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::expr::{Graph, Id};
@@ -9,7 +10,8 @@ use crate::model::{Formula, GivenLaw, Horizon, Model, Span};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// A commanded state is followed at this many times the fastest rate of the linear closed loop unless told otherwise.
+/// A commanded state is followed at this many times the fastest rate of the linear closed loop
+/// unless told otherwise.
 const TRACK: f64 = 5.0;
 
 /// Why a law could not be made of what was given.
@@ -21,7 +23,10 @@ pub enum LawError {
     #[error(transparent)]
     Network(#[from] NetworkError),
     #[error("cannot read {path}: {source}", path = path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error("law `{law}`: {reason}")]
     Unfit { law: String, reason: String },
     #[error("there is no law `{name}` ({help})")]
@@ -40,8 +45,8 @@ pub struct Law {
     pub name: String,
     /// The Hamiltonian's graph with the law's expressions.
     pub graph: Graph,
-    /// One a control, within its bounds; functions of states and parameters, and of the Hamiltonian's p where the law is
-    /// that of a [`Chart`](super::Chart).
+    /// One a control, within its bounds; functions of states and parameters, and of the
+    /// Hamiltonian's p where the law is that of a [`Chart`](super::Chart).
     pub control: Vec<Id>,
     /// Whether p is to be had from a chart.
     pub charted: bool,
@@ -59,7 +64,8 @@ pub struct Laws<'s> {
 }
 
 impl<'s> Laws<'s> {
-    /// For a scene; the local solution is looked for where its horizon is infinite, and need not exist.
+    /// For a scene; the local solution is looked for where its horizon is infinite, and need not
+    /// exist.
     pub fn new(model: &'s Model, hamiltonian: &'s Hamiltonian, track: Option<f64>) -> Self {
         let riccati = match model.horizon {
             Horizon::Infinite { .. } => Riccati::solve(hamiltonian, model).ok(),
@@ -119,7 +125,12 @@ impl<'s> Laws<'s> {
         let graph = self.hamiltonian.graph.clone();
         Law {
             charted: true,
-            ..self.law(name, graph, self.hamiltonian.unclamped.clone(), "the value map")
+            ..self.law(
+                name,
+                graph,
+                self.hamiltonian.unclamped.clone(),
+                "the value map",
+            )
         }
     }
 
@@ -130,7 +141,8 @@ impl<'s> Laws<'s> {
     pub fn given(&self, given: &GivenLaw) -> Result<Law, LawError> {
         match &given.formula {
             Formula::Expressions(outputs) => {
-                let outputs: Vec<(String, Id)> = outputs.iter().map(|(n, l)| (n.clone(), l.expr)).collect();
+                let outputs: Vec<(String, Id)> =
+                    outputs.iter().map(|(n, l)| (n.clone(), l.expr)).collect();
                 let graph = self.hamiltonian.graph.clone();
                 self.of_outputs(&given.name, graph, &outputs, "the scene")
                     .map_err(|e| self.placed(e, &given.span))
@@ -152,7 +164,8 @@ impl<'s> Laws<'s> {
         }
     }
 
-    /// The law of a weights file's text, a network's or of a value function's; `file` is for messages.
+    /// The law of a weights file's text, a network's or of a value function's; `file` is for
+    /// messages.
     ///
     /// # Errors
     /// What is wrong with it.
@@ -170,7 +183,8 @@ impl<'s> Laws<'s> {
     /// A law that gives controls, or states to be commanded, by name.
     ///
     /// # Errors
-    /// [`LawError::Unfit`] where a name is neither, a control is given twice or not at all, or a state cannot be commanded.
+    /// [`LawError::Unfit`] where a name is neither, a control is given twice or not at all, or a
+    /// state cannot be commanded.
     pub fn of_outputs(
         &self,
         name: &str,
@@ -188,18 +202,31 @@ impl<'s> Laws<'s> {
         for (output, expr) in outputs {
             if let Some(j) = controls.iter().position(|c| c.variable.name == *output) {
                 given[j] = Some(*expr);
-            } else if let Some(i) = self.model.states.iter().position(|s| s.variable.name == *output) {
+            } else if let Some(i) = self
+                .model
+                .states
+                .iter()
+                .position(|s| s.variable.name == *output)
+            {
                 commanded.push((self.actuator(&mut graph, i).map_err(unfit)?, *expr));
             } else {
-                return Err(unfit(format!("its output `{output}` is neither a control nor a state")));
+                return Err(unfit(format!(
+                    "its output `{output}` is neither a control nor a state"
+                )));
             }
         }
         for (actuator, _) in &commanded {
             let u = &controls[actuator.control].variable.name;
             let state = &self.model.states[actuator.state].variable.name;
-            let twice = commanded.iter().filter(|(a, _)| a.control == actuator.control).count() > 1;
+            let twice = commanded
+                .iter()
+                .filter(|(a, _)| a.control == actuator.control)
+                .count()
+                > 1;
             if twice || given[actuator.control].is_some() {
-                return Err(unfit(format!("control `{u}`, which moves `{state}`, is given twice")));
+                return Err(unfit(format!(
+                    "control `{u}`, which moves `{state}`, is given twice"
+                )));
             }
         }
         let moved: Vec<usize> = commanded.iter().map(|(a, _)| a.control).collect();
@@ -225,14 +252,20 @@ impl<'s> Laws<'s> {
     /// The rate at which commanded states are followed.
     fn track_rate(&self) -> Option<f64> {
         let fastest = |r: &Riccati| r.eigenvalues.iter().map(|e| e.norm()).fold(0.0, f64::max);
-        self.track.or_else(|| self.riccati.as_ref().map(|r| TRACK * fastest(r)))
+        self.track
+            .or_else(|| self.riccati.as_ref().map(|r| TRACK * fastest(r)))
     }
 
     /// How state `i` is moved: `x_i' = free + gain u_j`, with one control u_j.
     fn actuator(&self, graph: &mut Graph, i: usize) -> Result<Actuator, String> {
         let state = &self.model.states[i].variable.name;
         let rate = self.model.dynamics[i].expr;
-        let symbols: Vec<Id> = self.model.controls.iter().map(|c| c.variable.symbol).collect();
+        let symbols: Vec<Id> = self
+            .model
+            .controls
+            .iter()
+            .map(|c| c.variable.symbol)
+            .collect();
         let within: Vec<usize> = (0..symbols.len())
             .filter(|j| graph.depends_on(&[rate], symbols[*j]))
             .collect();
@@ -254,9 +287,16 @@ impl<'s> Laws<'s> {
         })
     }
 
-    /// `u = (d/dt c + rate (c - x_i) - free)/gain`, so that `x_i - c` decays at `rate` as far as u's bounds allow; without
-    /// `d/dt c` where that would depend on u itself.
-    fn follow(&self, graph: &mut Graph, actuator: &Actuator, command: Id, given: &[Option<Id>], rate: f64) -> Id {
+    /// `u = (d/dt c + rate (c - x_i) - free)/gain`, so that `x_i - c` decays at `rate` as far as
+    /// u's bounds allow; without `d/dt c` where that would depend on u itself.
+    fn follow(
+        &self,
+        graph: &mut Graph,
+        actuator: &Actuator,
+        command: Id,
+        given: &[Option<Id>],
+        rate: f64,
+    ) -> Id {
         let symbols: HashMap<Id, Id> = (self.model.controls.iter().zip(given))
             .filter_map(|(c, expr)| Some((c.variable.symbol, (*expr)?)))
             .collect();
@@ -323,7 +363,8 @@ impl<'s> Laws<'s> {
     fn placed(&self, error: LawError, span: &Span) -> LawError {
         match error {
             LawError::Unfit { law, reason } => {
-                let problem = Problem::at(span.clone(), format!("law `{law}`: {reason}"), "this law");
+                let problem =
+                    Problem::at(span.clone(), format!("law `{law}`: {reason}"), "this law");
                 self.model.errors(vec![problem]).into()
             }
             other => other,

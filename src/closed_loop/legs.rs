@@ -26,9 +26,16 @@ pub(super) struct Journey<'j, 'g> {
 }
 
 impl<'j, 'g> Journey<'j, 'g> {
-    pub fn new(ground: &'j Ground<'g>, pilots: Pilots<'j>, batch: &'j mut Batch, watched: bool) -> Self {
+    pub fn new(
+        ground: &'j Ground<'g>,
+        pilots: Pilots<'j>,
+        batch: &'j mut Batch,
+        watched: bool,
+    ) -> Self {
         let count = batch.status.len();
-        let all = watched || !ground.setting.closed_loop.records.is_empty() || matches!(ground.pace, Pace::Period(_));
+        let all = watched
+            || !ground.setting.closed_loop.records.is_empty()
+            || matches!(ground.pace, Pace::Period(_));
         let mut sampled = vec![all; count];
         batch.kept.iter().for_each(|(i, _)| sampled[*i] = true);
         Self {
@@ -43,7 +50,11 @@ impl<'j, 'g> Journey<'j, 'g> {
     }
 
     /// From the start to the end of all.
-    pub fn fly(mut self, wings: &mut Wings<'_>, watch: &mut Option<Watch<'_>>) -> Result<(), BackendError> {
+    pub fn fly(
+        mut self,
+        wings: &mut Wings<'_>,
+        watch: &mut Option<Watch<'_>>,
+    ) -> Result<(), BackendError> {
         let last = self.ground.setting.closed_loop.final_time;
         let mut alive: Vec<usize> = (0..self.batch.status.len()).collect();
         let mut arrived = alive.clone();
@@ -52,7 +63,9 @@ impl<'j, 'g> Journey<'j, 'g> {
             self.record(&accepted.iter().map(|(_, i)| *i).collect::<Vec<_>>());
             let going = self.onward(&accepted);
             self.give_laws(wings, watch, &going)?;
-            alive.retain(|i| self.batch.status[*i] == Status::Reached as i32 && self.courses[*i].t < last);
+            alive.retain(|i| {
+                self.batch.status[*i] == Status::Reached as i32 && self.courses[*i].t < last
+            });
             if alive.is_empty() {
                 break;
             }
@@ -74,13 +87,13 @@ impl<'j, 'g> Journey<'j, 'g> {
         self.courses[i].stop(self.ground.setting.closed_loop, self.sampled[i])
     }
 
-    /// Asks the chart where legs have ended; the trajectories whose legs were good enough, each with the place of the answer. The
-    /// others are where their legs began again.
+    /// Asks the chart where legs have ended; the trajectories whose legs were good enough, each
+    /// with the place of the answer. The others are where their legs began again.
     fn judged(&mut self, arrived: &[usize]) -> Vec<(usize, usize)> {
         let last = self.ground.setting.closed_loop.final_time - INSTANT * self.interval();
         let ends = |i: usize| self.courses[i].t + self.courses[i].length;
-        let (lanes, done): (Vec<usize>, Vec<usize>) =
-            (arrived.iter()).partition(|i| ends(**i) < last || self.ground.pace.judges(&self.courses[**i]));
+        let (lanes, done): (Vec<usize>, Vec<usize>) = (arrived.iter())
+            .partition(|i| ends(**i) < last || self.ground.pace.judges(&self.courses[**i]));
         let middle = lanes.first().map_or(0.0, |i| ends(*i)) + 0.5 * self.ground.pace.leg_of_lost();
         (self.pilots.asked).ask(self.ground, self.pilots.chart, self.batch, &lanes, middle);
         let bad = self.undone(&lanes);
@@ -89,12 +102,15 @@ impl<'j, 'g> Journey<'j, 'g> {
             .enumerate()
             .filter(|(_, i)| bad.binary_search(i).is_err());
         // Of those at the end nothing is asked any more.
-        let mut accepted: Vec<(usize, usize)> = good.chain(done.into_iter().map(|i| (usize::MAX, i))).collect();
+        let mut accepted: Vec<(usize, usize)> = good
+            .chain(done.into_iter().map(|i| (usize::MAX, i)))
+            .collect();
         accepted.sort_unstable_by_key(|(_, i)| *i);
         accepted
     }
 
-    /// Trajectories whose legs cost too much by the chart's answers, taken back to where these began.
+    /// Trajectories whose legs cost too much by the chart's answers, taken back to where these
+    /// began.
     fn undone(&mut self, lanes: &[usize]) -> Vec<usize> {
         let Pace::AsNeeded(judge) = &self.ground.pace else {
             return Vec::new();
@@ -120,7 +136,9 @@ impl<'j, 'g> Journey<'j, 'g> {
             }
         }
         let rates = judge.rates(&laws, dim);
-        let mut ends = rates.chunks_exact(3 * (n + 1)).zip(p_in_use.chunks_exact(n));
+        let mut ends = rates
+            .chunks_exact(3 * (n + 1))
+            .zip(p_in_use.chunks_exact(n));
         let mut bad = Vec::new();
         for (j, i) in judged {
             let course = &mut self.courses[i];
@@ -158,7 +176,13 @@ impl<'j, 'g> Journey<'j, 'g> {
             .copied()
             .filter(|i| self.courses[*i].length > 0.0)
             .collect();
-        let rows = |of: &[f64]| -> Vec<f64> { flown.iter().flat_map(|i| &of[i * dim..][..dim]).copied().collect() };
+        let rows = |of: &[f64]| -> Vec<f64> {
+            flown
+                .iter()
+                .flat_map(|i| &of[i * dim..][..dim])
+                .copied()
+                .collect()
+        };
         let (from, to) = (rows(&self.begin), rows(&self.batch.end));
         let observer = &self.ground.observer;
         let (before, after) = (observer.eval(&from, dim), observer.eval(&to, dim));
@@ -204,7 +228,10 @@ impl<'j, 'g> Journey<'j, 'g> {
         let lost = self.ground.pace.leg_of_lost();
         let (courses, sampled) = (&self.courses, &self.sampled);
         let t = |i: usize| courses[i].t;
-        let longest = going.iter().map(|(_, i)| scene.final_time - t(*i)).fold(0.0, f64::max);
+        let longest = going
+            .iter()
+            .map(|(_, i)| scene.final_time - t(*i))
+            .fold(0.0, f64::max);
         let when = When {
             t: &t,
             rest: Rest {
@@ -220,17 +247,24 @@ impl<'j, 'g> Journey<'j, 'g> {
         let (dim, interval) = (self.batch.dim, self.interval());
         for (i, path) in &mut self.batch.kept {
             let course = &self.courses[*i];
-            let at_sample = (course.t - interval * (course.sample - 1) as f64).abs() <= INSTANT * interval;
+            let at_sample =
+                (course.t - interval * (course.sample - 1) as f64).abs() <= INSTANT * interval;
             let here = going.binary_search_by_key(i, |(_, i)| *i).is_ok();
             if here && at_sample && self.batch.status[*i] == Status::Reached as i32 {
-                self.ground.keep(path, course.t, &self.batch.end[*i * dim..][..dim]);
+                self.ground
+                    .keep(path, course.t, &self.batch.end[*i * dim..][..dim]);
             }
         }
         Ok(())
     }
 
     /// Flies a leg of each; `arrived` are then those that have come to its end.
-    fn legs(&mut self, wings: &mut Wings<'_>, alive: &[usize], arrived: &mut Vec<usize>) -> Result<(), BackendError> {
+    fn legs(
+        &mut self,
+        wings: &mut Wings<'_>,
+        alive: &[usize],
+        arrived: &mut Vec<usize>,
+    ) -> Result<(), BackendError> {
         let dim = self.batch.dim;
         let mut vectors = Vec::with_capacity(alive.len() * dim);
         for &i in alive {
@@ -266,7 +300,10 @@ impl<'j, 'g> Journey<'j, 'g> {
                 arrived.push(i);
                 continue;
             }
-            let (start, end) = (&self.batch.start[i * dim..][..dim], &flown.end[j * dim..][..dim]);
+            let (start, end) = (
+                &self.batch.start[i * dim..][..dim],
+                &flown.end[j * dim..][..dim],
+            );
             self.batch.status[i] = self.ground.code(flown.status[j], start, end);
             self.batch.t_end[i] = self.courses[i].t + flown.end_time[j];
             self.courses[i].length = flown.end_time[j];
@@ -277,7 +314,8 @@ impl<'j, 'g> Journey<'j, 'g> {
         Ok(())
     }
 
-    /// Flies again, with p held, the legs that the model of V, next to where V is too steep for it, makes too stiff to follow.
+    /// Flies again, with p held, the legs that the model of V, next to where V is too steep for it,
+    /// makes too stiff to follow.
     fn fly_stiff(
         &mut self,
         wings: &mut Wings<'_>,
@@ -286,7 +324,9 @@ impl<'j, 'g> Journey<'j, 'g> {
     ) -> Result<(), BackendError> {
         let dim = self.batch.dim;
         for (j, &i) in alive.iter().enumerate() {
-            if flown.status[j] != Status::StepLimit || self.ground.pace.may_shorten(&self.courses[i]) {
+            if flown.status[j] != Status::StepLimit
+                || self.ground.pace.may_shorten(&self.courses[i])
+            {
                 continue;
             }
             let vector = &mut vectors[j * dim..][..dim];

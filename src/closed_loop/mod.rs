@@ -1,8 +1,9 @@
 //! The closed loop: feedback laws simulated from many initial states, side by side.
 //!
-//! A [`Law`] gives the controls as expressions of the states, or of p where a [`Chart`] knows that around each state. It is
-//! put into the scene's equations, which a backend integrates forward in time with the running cost; recorded quantities
-//! are followed to their extrema between samples; [`Evaluation`] says what came of it.
+//! A [`Law`] gives the controls as expressions of the states, or of p where a [`Chart`] knows that
+//! around each state. It is put into the scene's equations, which a backend integrates forward in
+//! time with the running cost; recorded quantities are followed to their extrema between samples;
+//! [`Evaluation`] says what came of it.
 
 mod charted;
 mod choose;
@@ -47,8 +48,8 @@ use std::time::Instant;
 
 /// A value function that is known around states: what the law of a value map is taken from.
 pub trait Chart: Sync {
-    /// V, its gradient and its second derivatives at a state; `None` where they are not known. A state with a period may be
-    /// any number of periods away.
+    /// V, its gradient and its second derivatives at a state; `None` where they are not known. A
+    /// state with a period may be any number of periods away.
     fn local(&self, x: &[f64]) -> Option<Expansion>;
 
     /// The same at many states `[state][component]`.
@@ -71,7 +72,8 @@ pub trait Chart: Sync {
         None
     }
 
-    /// Moves a state into the region of which the chart knows something; false where that has no bounds.
+    /// Moves a state into the region of which the chart knows something; false where that has no
+    /// bounds.
     fn clamp(&self, _x: &mut [f64]) -> bool {
         false
     }
@@ -131,7 +133,12 @@ impl Chart for ValueMap {
         let mut room = std::mem::take(&mut to.room);
         self.each(x, to.t, (true, true), &mut room, |k, here| {
             if let Some(here) = here {
-                to.put(k, here.v, &here.p[..states], &here.hessian[..states * states]);
+                to.put(
+                    k,
+                    here.v,
+                    &here.p[..states],
+                    &here.hessian[..states * states],
+                );
             }
         });
         to.room = room;
@@ -206,14 +213,16 @@ pub enum LoopError {
         "[dissipation] {key} = \"auto\" follows from the closed loop's eigenvalues, of which there are none here: give {key}"
     )]
     NoRates { key: &'static str },
-    #[error("[dissipation] amplitude = \"auto\" is the largest w* over the region, which is 0: give amplitude")]
+    #[error(
+        "[dissipation] amplitude = \"auto\" is the largest w* over the region, which is 0: give amplitude"
+    )]
     NoAmplitude,
     #[error("V is known at none of the initial states of [dissipation]")]
     NoStates,
 }
 
-/// Down to this tolerance legs of a period, which mostly are one step whatever its order, are taken by a method of low order
-/// where none is named.
+/// Down to this tolerance legs of a period, which mostly are one step whatever its order, are taken
+/// by a method of low order where none is named.
 const LEGS_RTOL: f64 = 1e-8;
 
 /// What all laws are simulated with.
@@ -224,7 +233,8 @@ pub struct Setting<'s> {
     pub numerics: Numerics,
     /// Method of a chart's law, whose legs are a period long.
     pub leg_method: Method,
-    /// P of the local solution; where there is none, squares of deviations in units of the region's widths.
+    /// P of the local solution; where there is none, squares of deviations in units of the region's
+    /// widths.
     metric: DMatrix<f64>,
     /// Whether `metric` is P, so that `1/2 d'metric d` is a cost.
     local: bool,
@@ -254,22 +264,28 @@ impl<'s> Setting<'s> {
         let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
         let local = laws.riccati().map(|r| r.p.clone());
         let n = widths.len();
-        let scaled = || DMatrix::from_fn(n, n, |i, j| if i == j { widths[i].powi(-2) } else { 0.0 });
+        let scaled =
+            || DMatrix::from_fn(n, n, |i, j| if i == j { widths[i].powi(-2) } else { 0.0 });
         let metric = local.clone().unwrap_or_else(scaled);
         let scale = mean_over_region(&metric, model);
-        let value_scale = (model.shoot_out.as_ref().and_then(|s| s.value_max)).unwrap_or(match local {
-            Some(_) => scale,
-            None => 1.0,
-        });
-        let bounds = (model.region.iter().zip(model.reference()).zip(&model.states))
-            .map(|(([lo, hi], x), state)| {
-                let margin = closed_loop.margin * (hi - lo);
-                match state.period {
-                    Some(_) => [f64::NEG_INFINITY, f64::INFINITY],
-                    None => [lo - x - margin, hi - x + margin],
-                }
-            })
-            .collect();
+        let value_scale =
+            (model.shoot_out.as_ref().and_then(|s| s.value_max)).unwrap_or(match local {
+                Some(_) => scale,
+                None => 1.0,
+            });
+        let bounds = (model
+            .region
+            .iter()
+            .zip(model.reference())
+            .zip(&model.states))
+        .map(|(([lo, hi], x), state)| {
+            let margin = closed_loop.margin * (hi - lo);
+            match state.period {
+                Some(_) => [f64::NEG_INFINITY, f64::INFINITY],
+                None => [lo - x - margin, hi - x + margin],
+            }
+        })
+        .collect();
         let numerics = Numerics::choose(model, backend, choices)?;
         let leg_method = match choices.method.or(model.integrator.method) {
             None if numerics.rtol >= LEGS_RTOL => Method::Tsit5,
@@ -316,8 +332,8 @@ impl<'s> Setting<'s> {
 
     /// Status codes and their meanings.
     pub fn status_flags(&self) -> Vec<(i32, String)> {
-        let general =
-            (Status::ALL.iter().filter(|(s, _)| *s != Status::Guard)).map(|(s, n)| (*s as i32, (*n).to_owned()));
+        let general = (Status::ALL.iter().filter(|(s, _)| *s != Status::Guard))
+            .map(|(s, n)| (*s as i32, (*n).to_owned()));
         let guards = (self.hamiltonian.guards.iter().enumerate())
             .map(|(k, g)| (GUARD_STATUS + k as i32, format!("guard_{}", g.name)));
         general
@@ -344,7 +360,9 @@ impl<'s> Setting<'s> {
         backend: &dyn Backend,
     ) -> Result<LawResult, LoopError> {
         if law.charted && chart.is_none() {
-            return Err(LoopError::NoChart { law: law.name.clone() });
+            return Err(LoopError::NoChart {
+                law: law.name.clone(),
+            });
         }
         let clock = Instant::now();
         let mut simulator = Simulator::new(self, law, None, chart, backend)?;
@@ -363,8 +381,9 @@ impl<'s> Setting<'s> {
         Ok(self.judge(law, flights, seconds))
     }
 
-    /// Under a chart's law a trajectory may end at another copy of the equilibrium, periods away, where the running cost need
-    /// not vanish. Its cost is that of the same motion written so that it ends at the equilibrium itself: as V is meant.
+    /// Under a chart's law a trajectory may end at another copy of the equilibrium, periods away,
+    /// where the running cost need not vanish. Its cost is that of the same motion written so that
+    /// it ends at the equilibrium itself: as V is meant.
     fn unwind(
         &self,
         simulator: &mut Simulator<'_>,
@@ -379,7 +398,10 @@ impl<'s> Setting<'s> {
             if flights.status[i] == Status::Reached as i32 && turns.iter().any(|k| *k != 0.0) {
                 moved.push(i);
                 let from = &initial.x[i * n..][..n];
-                x.extend((from.iter().zip(&turns).zip(&self.periods)).map(|((x, k), p)| x - k * p.unwrap_or(0.0)));
+                x.extend(
+                    (from.iter().zip(&turns).zip(&self.periods))
+                        .map(|((x, k), p)| x - k * p.unwrap_or(0.0)),
+                );
             }
         }
         let again = simulator.fly(
@@ -411,7 +433,8 @@ impl<'s> Setting<'s> {
             status: flights.status,
             t_end: flights.t_end,
             paths: flights.paths,
-            held: flights.fallback.iter().map(|k| f64::from(*k)).sum::<f64>() / flights.updates.max(1) as f64,
+            held: flights.fallback.iter().map(|k| f64::from(*k)).sum::<f64>()
+                / flights.updates.max(1) as f64,
             fallback: flights.fallback,
             round_trips: flights.round_trips,
             seconds,
@@ -428,14 +451,17 @@ impl<'s> Setting<'s> {
                 None if self.local => left,
                 None => 0.0,
             };
-            result
-                .cost
-                .push(if reached { flights.cost[i] + rest } else { f64::NAN });
+            result.cost.push(if reached {
+                flights.cost[i] + rest
+            } else {
+                f64::NAN
+            });
         }
         result
     }
 
-    /// Simulates several laws from the same initial states. `values` are V there, where known; else those of the chart.
+    /// Simulates several laws from the same initial states. `values` are V there, where known; else
+    /// those of the chart.
     ///
     /// # Errors
     /// As [`Self::simulate`].
@@ -458,7 +484,8 @@ impl<'s> Setting<'s> {
     }
 }
 
-/// Mean of `1/2 d'M d` over the region: `1/2 sum M_ij (m_i m_j + [i = j] w_i^2/12)`, m being its centre's deviation.
+/// Mean of `1/2 d'M d` over the region: `1/2 sum M_ij (m_i m_j + [i = j] w_i^2/12)`, m being its
+/// centre's deviation.
 fn mean_over_region(metric: &DMatrix<f64>, model: &Model) -> f64 {
     let centre: Vec<f64> = (model.region.iter().zip(model.reference()))
         .map(|([lo, hi], x)| 0.5 * (lo + hi) - x)

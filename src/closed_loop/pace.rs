@@ -1,7 +1,8 @@
 //! For how long the law of a chart is kept before the chart is asked again.
 //!
-//! A period, where one is asked for. Else as long as the law in use costs next to nothing more than the chart's. Where p is
-//! the chart's at the end of a leg and `u` the control of the law in use, that is
+//! A period, where one is asked for. Else as long as the law in use costs next to nothing more than
+//! the chart's. Where p is the chart's at the end of a leg and `u` the control of the law in use,
+//! that is
 //!
 //! ```text
 //! L(x, u) + p'f(x, u) - min over v of (L(x, v) + p'f(x, v)) >= 0,
@@ -9,9 +10,10 @@
 //!
 //! by which J grows faster than V falls. It is compared with the running cost, whose integral is V.
 //!
-//! Of controls at their bounds this says nothing: they may be the same at the end of a leg, and should have been others on the
-//! way. There p of the law in use, q, must be near the chart's: over the range of f under all controls, of which f under the
-//! controls of p and of -p is taken, the Hamiltonian must not differ by much,
+//! Of controls at their bounds this says nothing: they may be the same at the end of a leg, and
+//! should have been others on the way. There p of the law in use, q, must be near the chart's: over
+//! the range of f under all controls, of which f under the controls of p and of -p is taken, the
+//! Hamiltonian must not differ by much,
 //!
 //! ```text
 //! sum over i of |q_i - p_i| |f_i(x, u(p)) - f_i(x, u(-p))|.
@@ -25,8 +27,8 @@ use crate::model::{ClosedLoop, Horizon};
 
 /// What is lost may be so many times `rtol` of the running cost: what is promised for V.
 const LOSS: f64 = 30.0;
-/// What p is off by may change the Hamiltonian, over the range of f, by so many times the root of `rtol` of the running cost: what
-/// is lost goes with the square of it.
+/// What p is off by may change the Hamiltonian, over the range of f, by so many times the root of
+/// `rtol` of the running cost: what is lost goes with the square of it.
 const MISS: f64 = 100.0;
 /// p errs with the square of the leg's length, and what is lost goes with the square of that.
 const ORDER: f64 = 4.0;
@@ -40,9 +42,11 @@ const GROW: f64 = 3.0;
 const SHORTEST: f64 = 1.0 / 65536.0;
 const FIRST: f64 = 1.0 / 4096.0;
 const LONGEST: f64 = 1.0 / 8.0;
-/// Legs without the chart's law are a sample's interval long, and at most this share of the final time.
+/// Legs without the chart's law are a sample's interval long, and at most this share of the final
+/// time.
 const LOST: f64 = 1.0 / 400.0;
-/// Legs after which a trajectory's are no longer made shorter than a sample's interval: it slides where V has a kink.
+/// Legs after which a trajectory's are no longer made shorter than a sample's interval: it slides
+/// where V has a kink.
 const PATIENCE: u32 = 4096;
 
 /// How long legs are.
@@ -97,8 +101,8 @@ pub(super) struct Course {
 }
 
 impl Pace {
-    /// At times of a horizon, and under disturbances, which say when they change, legs are all the same; so are those of a method
-    /// that takes steps of one length.
+    /// At times of a horizon, and under disturbances, which say when they change, legs are all the
+    /// same; so are those of a method that takes steps of one length.
     pub fn new(setting: &Setting<'_>, equations: &Equations) -> Self {
         let same = setting.closed_loop.period.is_some()
             || matches!(setting.model.horizon, Horizon::Finite { .. })
@@ -175,8 +179,9 @@ impl Judge {
     /// A leg at whose end these are the laws.
     pub fn verdict(&self, course: &Course, end: &End<'_>) -> Verdict {
         let n = end.p.len();
-        let hamiltonian =
-            |rates: &[f64]| -> f64 { rates[n] + end.p.iter().zip(rates).map(|(p, f)| p * f).sum::<f64>() };
+        let hamiltonian = |rates: &[f64]| -> f64 {
+            rates[n] + end.p.iter().zip(rates).map(|(p, f)| p * f).sum::<f64>()
+        };
         let cost = end.charted[n].abs() + self.floor;
         let lost = (hamiltonian(end.in_use) - hamiltonian(end.charted)) / (self.tolerance * cost);
         let missed: f64 = (0..n)
@@ -202,7 +207,9 @@ impl Judge {
         Verdict {
             good: good || course.length <= shortest,
             // Of few samples the interval may be above the longest.
-            length: (change * course.length).min(LONGEST * self.final_time).max(shortest),
+            length: (change * course.length)
+                .min(LONGEST * self.final_time)
+                .max(shortest),
         }
     }
 }
@@ -258,7 +265,8 @@ mod tests {
         (judge, course)
     }
 
-    /// A trajectory that slides has legs of a sample's interval, also where that is longer than all others.
+    /// A trajectory that slides has legs of a sample's interval, also where that is longer than all
+    /// others.
     #[test]
     fn few_samples_make_no_leg_impossible() {
         let (judge, course) = setting();
@@ -282,7 +290,8 @@ mod tests {
         assert_eq!(verdict.length, 0.05);
     }
 
-    /// A control at its bound at the end may have been at another on the way, if p of the law in use is far from the chart's.
+    /// A control at its bound at the end may have been at another on the way, if p of the law in
+    /// use is far from the chart's.
     #[test]
     fn p_is_judged_where_controls_are_at_their_bounds() {
         let (judge, course) = setting();
@@ -300,7 +309,11 @@ mod tests {
         };
         let near = end(3.025);
         assert!(near.good);
-        assert!((near.length / 0.5 - SAFETY * 2.0).abs() < 1e-9, "{}", near.length);
+        assert!(
+            (near.length / 0.5 - SAFETY * 2.0).abs() < 1e-9,
+            "{}",
+            near.length
+        );
         let far = end(5.0);
         assert!(!far.good);
         assert!(far.length < 0.25 * 0.5);

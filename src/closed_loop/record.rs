@@ -1,11 +1,13 @@
 //! Least, largest and last values of recorded quantities along trajectories.
 //!
-//! Samples alone would see an extremum only to the second order in their distance. Where the quantity's slope changes
-//! sign between two samples, or the cubic through values and slopes has an extremum there, the trajectory is integrated
-//! again from the sample before to the estimated time, and once more from what is seen then. Values are of points of the
-//! trajectory in any case, so that they are as accurate as the integration; what is missed is the second order in the
-//! error of a time that is itself of high order. Kinks of the quantity are met by the intersection of tangents, from
-//! ever nearer points on both sides, and looked for where an argument of min, max or abs changes its sign.
+//! Samples alone would see an extremum only to the second order in their distance. Where the
+//! quantity's slope changes sign between two samples, or the cubic through values and slopes has an
+//! extremum there, the trajectory is integrated again from the sample before to the estimated time,
+//! and once more from what is seen then. Values are of points of the trajectory in any case, so
+//! that they are as accurate as the integration; what is missed is the second order in the error of
+//! a time that is itself of high order. Kinks of the quantity are met by the intersection of
+//! tangents, from ever nearer points on both sides, and looked for where an argument of min, max or
+//! abs changes its sign.
 
 use super::equations::Equations;
 use crate::backend::cpu::Evaluator;
@@ -46,7 +48,8 @@ struct Place {
     flattest: f64,
 }
 
-/// What is known of one quantity along one trajectory; maxima with the opposite sign, so that all are minima.
+/// What is known of one quantity along one trajectory; maxima with the opposite sign, so that all
+/// are minima.
 #[derive(Clone, Debug)]
 struct Track {
     best: f64,
@@ -56,8 +59,9 @@ struct Track {
     undefined: bool,
 }
 
-/// Where an argument of min, max or abs in a recorded expression changes its sign: there the quantity has a kink, and two
-/// of them between samples may hide an extremum from the slopes at these.
+/// Where an argument of min, max or abs in a recorded expression changes its sign: there the
+/// quantity has a kink, and two of them between samples may hide an extremum from the slopes at
+/// these.
 #[derive(Clone, Debug)]
 struct Crossing {
     /// The integrated vector at the stretch's beginning.
@@ -82,8 +86,8 @@ pub(super) struct View<'r> {
 }
 
 impl View<'_> {
-    /// A stretch of the trajectory, `length` long, from the vector `from`; `ends` are the records' values and slopes (and
-    /// what else the evaluator gives) at its ends.
+    /// A stretch of the trajectory, `length` long, from the vector `from`; `ends` are the records'
+    /// values and slopes (and what else the evaluator gives) at its ends.
     pub fn see(&mut self, length: f64, from: &[f64], ends: [&[f64]; 2]) {
         for column in self.switches.clone() {
             let [a, b] = ends.map(|e| e[column]);
@@ -142,7 +146,8 @@ enum Asked {
 }
 
 impl Records {
-    /// `switches`: which columns of the observer's rows are the arguments at whose zeros records have kinks.
+    /// `switches`: which columns of the observer's rows are the arguments at whose zeros records
+    /// have kinks.
     pub fn new(records: &[Record], switches: Range<usize>, trajectories: usize) -> Self {
         let track = Track {
             best: f64::INFINITY,
@@ -170,7 +175,10 @@ impl Records {
         if kinds.is_empty() {
             return;
         }
-        let all = self.tracks.par_chunks_mut(kinds.len()).zip(&mut self.crossings);
+        let all = self
+            .tracks
+            .par_chunks_mut(kinds.len())
+            .zip(&mut self.crossings);
         all.enumerate().for_each(|(i, (tracks, crossings))| {
             let mut view = View {
                 kinds,
@@ -218,7 +226,8 @@ impl Records {
         Ok(())
     }
 
-    /// Points to look at, with the times since their stretch's beginning, and the seeds that lead there.
+    /// Points to look at, with the times since their stretch's beginning, and the seeds that lead
+    /// there.
     fn ask(&self) -> (Vec<(Asked, f64)>, Vec<f64>) {
         let (mut asked, mut seeds) = (Vec::new(), Vec::new());
         let mut seed = |from: &[f64], time: f64| {
@@ -269,9 +278,16 @@ impl Records {
                         seen[track][place].push((*time, point));
                     }
                 }
-                Asked::Crossing { trajectory, crossing } => {
+                Asked::Crossing {
+                    trajectory,
+                    crossing,
+                } => {
                     let crossing = &mut self.crossings[trajectory][crossing];
-                    crossing.narrow(*time, row.get(crossing.column).copied().unwrap_or(f64::NAN), rtol);
+                    crossing.narrow(
+                        *time,
+                        row.get(crossing.column).copied().unwrap_or(f64::NAN),
+                        rtol,
+                    );
                     for (k, kind) in self.kinds.iter().enumerate().filter(|_| !row.is_empty()) {
                         // `min` leaves NaN out.
                         let track = &mut self.tracks[trajectory * count + k];
@@ -326,8 +342,8 @@ impl Track {
 }
 
 impl Place {
-    /// Times at which the extremum may be, estimated from the bracket: at first for want of knowing better as of a smooth
-    /// quantity and as of one with a kink.
+    /// Times at which the extremum may be, estimated from the bracket: at first for want of knowing
+    /// better as of a smooth quantity and as of one with a kink.
     fn times(&self) -> Vec<f64> {
         let [(start, a), (end, b)] = self.bracket;
         let length = end - start;
@@ -381,9 +397,11 @@ fn crossing(a: Point, b: Point, length: f64) -> Option<f64> {
     (a.1 < 0.0 && b.1 > 0.0).then(|| (b.0 - a.0 - b.1 * length) / (a.1 - b.1))
 }
 
-/// Time of the minimum of the cubic with these values and slopes at 0 and `length`, where it has one between.
+/// Time of the minimum of the cubic with these values and slopes at 0 and `length`, where it has
+/// one between.
 fn cubic_minimum(a: Point, b: Point, length: f64) -> Option<f64> {
-    // In x = t/length: c3 x^3 + c2 x^2 + c1 x + a; its slope vanishes with rising sign at the root taken.
+    // In x = t/length: c3 x^3 + c2 x^2 + c1 x + a; its slope vanishes with rising sign at the root
+    // taken.
     let (da, db, rise) = (a.1 * length, b.1 * length, b.0 - a.0);
     let (c1, c2, c3) = (da, 3.0 * rise - 2.0 * da - db, da + db - 2.0 * rise);
     let root = (c2 * c2 - 3.0 * c3 * c1).sqrt();
@@ -450,6 +468,9 @@ mod tests {
     fn a_straight_line_promises_nothing() {
         assert_eq!(promise((0.0, 1.0), (1.0, 1.0), 1.0), None);
         assert_eq!(promise((1.0, 0.0), (1.0, 0.0), 1.0), None);
-        assert_eq!(promise((f64::NAN, -1.0), (1.0, 1.0), 1.0).filter(|p| *p < 1.0), None);
+        assert_eq!(
+            promise((f64::NAN, -1.0), (1.0, 1.0), 1.0).filter(|p| *p < 1.0),
+            None
+        );
     }
 }

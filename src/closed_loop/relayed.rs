@@ -1,5 +1,5 @@
-//! Trajectories under the law of a chart that a device asks itself: those it has no answer for are set here, while the others
-//! have gone on, and join a later flight at the beginning of that leg.
+//! Trajectories under the law of a chart that a device asks itself: those it has no answer for are
+//! set here, while the others have gone on, and join a later flight at the beginning of that leg.
 
 use super::charted::{Clock, Pilots, When, Wings};
 use super::fallback::{Rest, hold_here};
@@ -19,8 +19,8 @@ struct Waiting {
 }
 
 impl Ground<'_> {
-    /// Flies a batch with as few round trips as there are legs without an answer one after the other, and as there is room to tell
-    /// of legs that are looked at.
+    /// Flies a batch with as few round trips as there are legs without an answer one after the
+    /// other, and as there is room to tell of legs that are looked at.
     pub fn by_relay(
         &self,
         (relay, run): (&mut (dyn Relay + '_), &Run),
@@ -57,7 +57,14 @@ impl Ground<'_> {
             let flown = relay.fly(run, &course)?;
             batch.round_trips += flown.waits;
             let stopped = pilots.outside == Outside::Stop;
-            self.see(batch, &waiting[..course.traced], &flown, clock, stopped, watch);
+            self.see(
+                batch,
+                &waiting[..course.traced],
+                &flown,
+                clock,
+                stopped,
+                watch,
+            );
             let (mut next, mut stiff) = (Vec::new(), Vec::new());
             for (j, from) in waiting.iter().enumerate() {
                 let (i, leg) = (from.of, flown.leg[j] as usize);
@@ -71,10 +78,13 @@ impl Ground<'_> {
                     Halt::Lost => lost.entry(leg).or_default().push(i),
                     Halt::Paused => next.push(Waiting { leg, ..at_start(i) }),
                     Halt::Ended(Status::StepLimit) if !stopped => stiff.push((i, leg, j)),
-                    Halt::Ended(status) => self.end(batch, i, status, clock.step * leg as f64 + flown.time[j]),
+                    Halt::Ended(status) => {
+                        self.end(batch, i, status, clock.step * leg as f64 + flown.time[j])
+                    }
                 }
             }
-            // With p held, what the model of V, next to where V is too steep for it, makes too stiff to follow.
+            // With p held, what the model of V, next to where V is too steep for it, makes too
+            // stiff to follow.
             if !stiff.is_empty() {
                 let mut seeds: Vec<f64> = (stiff.iter())
                     .flat_map(|(_, _, j)| &flown.begin[j * dim..][..dim])
@@ -96,12 +106,17 @@ impl Ground<'_> {
                             ..at_start(i)
                         });
                     } else {
-                        self.end(batch, i, again.status[j], clock.step * leg as f64 + again.end_time[j]);
+                        self.end(
+                            batch,
+                            i,
+                            again.status[j],
+                            clock.step * leg as f64 + again.end_time[j],
+                        );
                     }
                 }
             }
-            // A search takes many flights, as many for one as for all that are lost at a leg: so the legs come one after the other,
-            // each once, when all others have come there.
+            // A search takes many flights, as many for one as for all that are lost at a leg: so
+            // the legs come one after the other, each once, when all others have come there.
             let helped = match pilots.outside {
                 Outside::Search if !next.is_empty() => BTreeMap::new(),
                 Outside::Search => lost.pop_first().into_iter().collect(),
@@ -118,8 +133,14 @@ impl Ground<'_> {
                     first: &|_| clock.step,
                 };
                 self.update(&mut wings, &mut pilots, batch, watch, (&when, &lanes))?;
-                let goes_on = lanes.into_iter().filter(|i| batch.status[*i] == Status::Reached as i32);
-                next.extend(goes_on.map(|of| Waiting { of, leg, given: true }));
+                let goes_on = lanes
+                    .into_iter()
+                    .filter(|i| batch.status[*i] == Status::Reached as i32);
+                next.extend(goes_on.map(|of| Waiting {
+                    of,
+                    leg,
+                    given: true,
+                }));
             }
             next.sort_by_key(|w| w.of);
             waiting = next;
@@ -162,7 +183,8 @@ impl Ground<'_> {
                 }
             }
         }
-        let place: HashMap<usize, usize> = seen.iter().enumerate().map(|(j, w)| (w.of, j)).collect();
+        let place: HashMap<usize, usize> =
+            seen.iter().enumerate().map(|(j, w)| (w.of, j)).collect();
         for (i, path) in &mut batch.kept {
             let Some(&j) = place.get(i) else { continue };
             let legs = (0..flown.begun[j] as usize).map(|r| (r, seen[j].leg + r));
@@ -189,7 +211,10 @@ impl Ground<'_> {
                 }
             }
         }
-        let (before, after) = (self.observer.eval(&flown.rows, dim + 1), self.observer.eval(&ends, dim));
+        let (before, after) = (
+            self.observer.eval(&flown.rows, dim + 1),
+            self.observer.eval(&ends, dim),
+        );
         batch.records.each(|i, view| {
             let Some(&j) = place.get(&i) else { return };
             let begun = flown.begun[j] as usize;
@@ -201,19 +226,32 @@ impl Ground<'_> {
                     Halt::Ended(_) if r + 1 == begun => flown.time[j],
                     _ => clock.step,
                 };
-                let both = [&before[at * width..][..width], &after[at * width..][..width]];
+                let both = [
+                    &before[at * width..][..width],
+                    &after[at * width..][..width],
+                ];
                 view.see(length, &row(j, r)[..dim], both);
             }
         });
     }
 
-    /// Shows legs that were flown with p held, of trajectories with the first of these numbers, to their records.
-    fn see_again(&self, batch: &mut Batch, stiff: &[(usize, usize, usize)], seeds: &[f64], again: &Trajectories) {
+    /// Shows legs that were flown with p held, of trajectories with the first of these numbers, to
+    /// their records.
+    fn see_again(
+        &self,
+        batch: &mut Batch,
+        stiff: &[(usize, usize, usize)],
+        seeds: &[f64],
+        again: &Trajectories,
+    ) {
         if self.setting.closed_loop.records.is_empty() {
             return;
         }
         let (dim, width) = (batch.dim, self.observer_width());
-        let (before, after) = (self.observer.eval(seeds, dim), self.observer.eval(&again.end, dim));
+        let (before, after) = (
+            self.observer.eval(seeds, dim),
+            self.observer.eval(&again.end, dim),
+        );
         batch.records.each(|i, view| {
             if let Some(j) = stiff.iter().position(|(of, ..)| *of == i) {
                 let both = [&before[j * width..][..width], &after[j * width..][..width]];

@@ -1,8 +1,9 @@
 //! Sets of initial states on a grid of two axes: their areas and contours.
 //!
-//! Each cell is cut into four triangles about its centre (whose level is the corners' mean), in each of which the level is
-//! interpolated linearly: no cell is ambiguous, and the area is of the second order in the spacing. Where a corner has no
-//! level the triangle of the other three is left; with two of them missing, nothing.
+//! Each cell is cut into four triangles about its centre (whose level is the corners' mean), in
+//! each of which the level is interpolated linearly: no cell is ambiguous, and the area is of the
+//! second order in the spacing. Where a corner has no level the triangle of the other three is
+//! left; with two of them missing, nothing.
 
 use std::collections::HashMap;
 
@@ -17,8 +18,8 @@ struct Corner {
     level: f64,
 }
 
-/// Area, in the axes' units, of the part of a grid where a level is not negative. `levels` has the last axis fastest;
-/// NaN: no level.
+/// Area, in the axes' units, of the part of a grid where a level is not negative. `levels` has the
+/// last axis fastest; NaN: no level.
 pub fn area(axes: [&[f64]; 2], levels: &[f64]) -> f64 {
     let mut total = 0.0;
     triangles(axes, levels, &mut |corners| {
@@ -64,7 +65,9 @@ pub fn contour(axes: [&[f64]; 2], levels: &[f64]) -> Vec<Line> {
     });
     let mut of: HashMap<Edge, Vec<usize>> = HashMap::new();
     for (k, piece) in pieces.iter().enumerate() {
-        piece.iter().for_each(|edge| of.entry(*edge).or_default().push(k));
+        piece
+            .iter()
+            .for_each(|edge| of.entry(*edge).or_default().push(k));
     }
     let mut used = vec![false; pieces.len()];
     let mut lines = Vec::new();
@@ -114,7 +117,12 @@ fn triangles(axes: [&[f64]; 2], levels: &[f64], see: &mut dyn FnMut([Corner; 3])
                     level: levels[id],
                 }
             };
-            let around = [corner(i, j), corner(i, j + 1), corner(i + 1, j + 1), corner(i + 1, j)];
+            let around = [
+                corner(i, j),
+                corner(i, j + 1),
+                corner(i + 1, j + 1),
+                corner(i + 1, j),
+            ];
             let known: Vec<Corner> = around.into_iter().filter(|c| !c.level.is_nan()).collect();
             match known.as_slice() {
                 &[a, b, c] => see([a, b, c]),
@@ -138,8 +146,11 @@ mod tests {
     use std::f64::consts::PI;
 
     fn disk(count: usize) -> (Vec<f64>, Vec<f64>) {
-        let axis: Vec<f64> = (0..count).map(|k| -1.0 + 2.0 * k as f64 / (count - 1) as f64).collect();
-        let levels = (axis.iter()).flat_map(|x| axis.iter().map(move |y| 0.7f64.powi(2) - x * x - y * y));
+        let axis: Vec<f64> = (0..count)
+            .map(|k| -1.0 + 2.0 * k as f64 / (count - 1) as f64)
+            .collect();
+        let levels =
+            (axis.iter()).flat_map(|x| axis.iter().map(move |y| 0.7f64.powi(2) - x * x - y * y));
         let levels = levels.collect();
         (axis, levels)
     }
@@ -163,7 +174,8 @@ mod tests {
         assert_eq!(lines.len(), 1);
         assert_eq!(lines[0].first(), lines[0].last());
         for [x, y] in &lines[0] {
-            // Linear interpolation: off by at most an eighth of the squared spacing times the curvature, 2.
+            // Linear interpolation: off by at most an eighth of the squared spacing times the
+            // curvature, 2.
             assert!((x.hypot(*y) - 0.7).abs() < 0.05f64.powi(2), "{x} {y}");
         }
         let length: f64 = lines[0]

@@ -13,7 +13,8 @@ use crate::sweep::GUARD_STATUS;
 
 /// Status of a trajectory whose chart has no answer where it has come to.
 pub const OUTSIDE_MAP: i32 = 8;
-/// A trajectory that cannot go on has met a guard whose value is below this share of that at its start.
+/// A trajectory that cannot go on has met a guard whose value is below this share of that at its
+/// start.
 const AT_GUARD: f64 = 1e-4;
 /// Trajectories of a batch under a chart's law.
 const CHARTED_BATCH: usize = 16384;
@@ -69,7 +70,13 @@ impl<'s> Simulator<'s> {
         backend: &dyn Backend,
     ) -> Result<Self, LoopError> {
         let scene = setting.closed_loop;
-        let equations = Equations::new(setting.model, setting.hamiltonian, law, &scene.records, forcing);
+        let equations = Equations::new(
+            setting.model,
+            setting.hamiltonian,
+            law,
+            &scene.records,
+            forcing,
+        );
         let operations = equations.operations();
         if operations > crate::sweep::MOST_OPERATIONS {
             return Err(LoopError::TooLong {
@@ -78,7 +85,11 @@ impl<'s> Simulator<'s> {
             });
         }
         let (method, precision) = (setting.numerics.method, setting.numerics.precision);
-        let own = if equations.charted { setting.leg_method } else { method };
+        let own = if equations.charted {
+            setting.leg_method
+        } else {
+            method
+        };
         // Of what a backend without a device has no use for nothing is made.
         let asked = chart.filter(|_| equations.charted && backend.asks_surfaces());
         let surface = asked.and_then(|chart| chart.surface(precision));
@@ -98,7 +109,9 @@ impl<'s> Simulator<'s> {
             pace: Pace::new(setting, &equations),
             equations,
         };
-        let compile = |equations: &Equations| backend.compile(&equations.spec(own, precision, !equations.charted));
+        let compile = |equations: &Equations| {
+            backend.compile(&equations.spec(own, precision, !equations.charted))
+        };
         let mut asking = None;
         if let Some(surface) = surface {
             let kernel = compile(&ground.equations)?;
@@ -108,9 +121,13 @@ impl<'s> Simulator<'s> {
         let (kernel, relay) = match asking {
             Some((kernel, relay)) => (kernel, Some(relay)),
             None => {
-                let as_needed = ground.equations.charted && matches!(ground.pace, Pace::AsNeeded(_));
+                let as_needed =
+                    ground.equations.charted && matches!(ground.pace, Pace::AsNeeded(_));
                 ground.timed = as_needed.then(|| ground.equations.scaled());
-                (compile(ground.timed.as_ref().unwrap_or(&ground.equations))?, None)
+                (
+                    compile(ground.timed.as_ref().unwrap_or(&ground.equations))?,
+                    None,
+                )
             }
         };
         Ok(Self {
@@ -141,7 +158,9 @@ impl<'s> Simulator<'s> {
             let (ground, kernel) = (&self.ground, self.kernel.as_mut());
             let relay = self.relay.as_deref_mut();
             let batch = match chart.filter(|_| ground.equations.charted) {
-                Some(chart) => ground.by_chart(kernel, relay, (chunk, k * size, starts), chart, &mut watch)?,
+                Some(chart) => {
+                    ground.by_chart(kernel, relay, (chunk, k * size, starts), chart, &mut watch)?
+                }
                 None => {
                     let mut batch = ground.batch(chunk, k * size, starts);
                     ground.by_formula(kernel, &mut batch, &mut watch)?;
@@ -167,14 +186,17 @@ impl<'s> Simulator<'s> {
                 rtol: numerics.rtol,
                 atol,
                 // Time runs from 0 to 1 over at most one interval.
-                step: ground.setting.model.integrator.step.unwrap_or(0.0) * scene.samples as f64 / scene.final_time,
+                step: ground.setting.model.integrator.step.unwrap_or(0.0) * scene.samples as f64
+                    / scene.final_time,
                 first: None,
                 max_steps: u32::MAX,
                 levels: vec![1.0],
                 ceiling: None,
                 bounds: Vec::new(),
             };
-            batch.records.refine(scaled, kernel.as_mut(), &run, &ground.observer)?;
+            batch
+                .records
+                .refine(scaled, kernel.as_mut(), &run, &ground.observer)?;
         }
         let (n, dim) = (ground.equations.states, batch.dim);
         if let Some(terminal) = &ground.terminal {
@@ -190,7 +212,9 @@ impl<'s> Simulator<'s> {
         flights.t_end.extend(batch.t_end);
         flights.status.extend(batch.status);
         flights.records.extend(batch.records.values());
-        flights.paths.extend(batch.kept.into_iter().map(|(_, path)| path));
+        flights
+            .paths
+            .extend(batch.kept.into_iter().map(|(_, path)| path));
         Ok(())
     }
 }
@@ -229,7 +253,12 @@ impl Ground<'_> {
                 self.equations.switch_columns(),
                 count,
             ),
-            kept: (starts.kept.iter().filter(here).map(|i| (i - first, path(*i)))).collect(),
+            kept: (starts
+                .kept
+                .iter()
+                .filter(here)
+                .map(|i| (i - first, path(*i))))
+            .collect(),
             updates: 0,
             round_trips: 0,
             fallback: vec![0; count],
@@ -245,7 +274,10 @@ impl Ground<'_> {
         for (atol, width) in atol.iter_mut().zip(&setting.widths) {
             *atol = numerics.atol * width;
         }
-        for integral in [Some(equations.cost()), equations.supplied()].into_iter().flatten() {
+        for integral in [Some(equations.cost()), equations.supplied()]
+            .into_iter()
+            .flatten()
+        {
             atol[integral] = numerics.atol * setting.value_scale;
         }
         Run {
@@ -300,7 +332,13 @@ impl Ground<'_> {
         }
         if let Some(watch) = watch {
             for i in 0..flown.count() {
-                self.show(watch, batch.first + i, 0.0, &batch.start[i * dim..][..dim], None);
+                self.show(
+                    watch,
+                    batch.first + i,
+                    0.0,
+                    &batch.start[i * dim..][..dim],
+                    None,
+                );
                 for k in 0..flown.levels {
                     let sample = flown.sample(i, k);
                     if sample[0].is_nan() {
@@ -332,7 +370,14 @@ impl Ground<'_> {
         self.equations.disturbance_columns().end
     }
 
-    pub fn show(&self, watch: &mut Watch<'_>, trajectory: usize, t: f64, vector: &[f64], v: Option<f64>) {
+    pub fn show(
+        &self,
+        watch: &mut Watch<'_>,
+        trajectory: usize,
+        t: f64,
+        vector: &[f64],
+        v: Option<f64>,
+    ) {
         watch(Seen {
             trajectory,
             t,
@@ -346,12 +391,19 @@ impl Ground<'_> {
     pub fn keep(&self, path: &mut Path, t: f64, vector: &[f64]) {
         let n = self.equations.states;
         path.t.push(t);
-        path.x.extend((0..n).map(|i| vector[i] + self.equations.reference[i]));
+        path.x
+            .extend((0..n).map(|i| vector[i] + self.equations.reference[i]));
         let seen = self.observer.eval(vector, vector.len());
-        let known =
-            |values: &[f64]| -> Vec<f64> { values.iter().map(|v| if t.is_nan() { f64::NAN } else { *v }).collect() };
-        path.u.extend(known(&seen[self.equations.control_columns()]));
-        path.w.extend(known(&seen[self.equations.disturbance_columns()]));
+        let known = |values: &[f64]| -> Vec<f64> {
+            values
+                .iter()
+                .map(|v| if t.is_nan() { f64::NAN } else { *v })
+                .collect()
+        };
+        path.u
+            .extend(known(&seen[self.equations.control_columns()]));
+        path.w
+            .extend(known(&seen[self.equations.disturbance_columns()]));
         if let Some(supplied) = self.equations.supplied() {
             path.supplied.extend(known(&[vector[supplied]]));
             path.cost.extend(known(&[vector[self.equations.cost()]]));
@@ -369,11 +421,15 @@ impl Ground<'_> {
         batch.t_end.clone_from(&flown.end_time);
     }
 
-    /// The status with the guard's own number where one ended the trajectory: also where its equations end with a guard, so
-    /// that no step gets beyond it.
+    /// The status with the guard's own number where one ended the trajectory: also where its
+    /// equations end with a guard, so that no step gets beyond it.
     pub fn code(&self, status: Status, start: &[f64], end: &[f64]) -> i32 {
         let stopped = matches!(status, Status::NotFinite | Status::StepFloor);
-        let Some(guards) = self.guards.as_ref().filter(|_| stopped || status == Status::Guard) else {
+        let Some(guards) = self
+            .guards
+            .as_ref()
+            .filter(|_| stopped || status == Status::Guard)
+        else {
             return status as i32;
         };
         let (at_start, at_end) = (guards.eval(start, start.len()), guards.eval(end, end.len()));

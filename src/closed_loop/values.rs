@@ -8,7 +8,8 @@ use crate::value::{self, Progress};
 
 use super::LoopError;
 
-/// V at states (`[state][n]`), each solved for as `costate solve` does; NaN where no solution is found.
+/// V at states (`[state][n]`), each solved for as `costate solve` does; NaN where no solution is
+/// found.
 ///
 /// # Errors
 /// Where the scene cannot be swept for first guesses; device failures.
@@ -20,8 +21,13 @@ pub fn solved_values(
     states: &[f64],
     progress: Progress<'_>,
 ) -> Result<Vec<f64>, LoopError> {
-    let (_, _, found) = value::solve_states(model, hamiltonian, backend, choices, states, progress)?;
+    let (_, _, found) =
+        value::solve_states(model, hamiltonian, backend, choices, states, progress)?;
     Ok((0..states.len() / model.states.len())
-        .map(|k| found.answer(found.targets.of_given[k]).map_or(f64::NAN, |e| e.value))
+        .map(|k| {
+            found
+                .answer(found.targets.of_given[k])
+                .map_or(f64::NAN, |e| e.value)
+        })
         .collect())
 }

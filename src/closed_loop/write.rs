@@ -35,26 +35,40 @@ impl Evaluation {
         self.laws.iter().flat_map(of).collect()
     }
 
-    fn write_states(&self, setting: &Setting<'_>, file: &mut ResultFile) -> Result<(), OutputError> {
+    fn write_states(
+        &self,
+        setting: &Setting<'_>,
+        file: &mut ResultFile,
+    ) -> Result<(), OutputError> {
         let both = ["law", "initial"];
-        let states = setting.model.states.iter().map(|s| s.variable.name.as_str());
+        let states = setting
+            .model
+            .states
+            .iter()
+            .map(|s| s.variable.name.as_str());
         let mut group = Group::new("closed_loop")
             .dimension(self.laws_dimension())
             .dimension(Dimension::index("initial", self.initial.count()).long_name("initial state"))
             .dimension(Dimension::names("state", states))
             .variable(Variable::f64("x0", ["initial", "state"]).long_name("initial state"))
-            .variable(Variable::f64("V", ["initial"]).long_name("value function at the initial state"))
+            .variable(
+                Variable::f64("V", ["initial"]).long_name("value function at the initial state"),
+            )
             .variable(Variable::f64("J", both).long_name("cost of the closed loop"))
             .variable(Variable::f64("suboptimality", both).long_name("J/V - 1"))
             .variable(Variable::i32("converged", both).flags([(0, "no"), (1, "yes")]))
             .variable(Variable::i32("status", both).flags(setting.status_flags()))
             .variable(Variable::f64("t_end", both).long_name("time at the end of the trajectory"))
             .variable(
-                Variable::i32("fallback", both).long_name("updates of the map's law without an answer of the map"),
+                Variable::i32("fallback", both)
+                    .long_name("updates of the map's law without an answer of the map"),
             )
             .attribute("outside", setting.closed_loop.outside.name())
             .attribute("final_time", setting.closed_loop.final_time)
-            .attribute("converged_below", setting.closed_loop.converged * setting.scale)
+            .attribute(
+                "converged_below",
+                setting.closed_loop.converged * setting.scale,
+            )
             .attribute("backend", self.backend.as_str())
             .attribute("adapter", self.adapter.as_str())
             .attribute("precision", setting.numerics.precision.name())
@@ -64,8 +78,15 @@ impl Evaluation {
         if !self.initial.axes.is_empty() {
             let name = |(i, _): &(usize, Vec<f64>)| setting.model.states[*i].variable.name.clone();
             let axes: Vec<String> = self.initial.axes.iter().map(name).collect();
-            let counts: Vec<i32> = self.initial.counts().into_iter().map(|c| c as i32).collect();
-            group = group.attribute("axes", axes.join(" ")).attribute("counts", counts);
+            let counts: Vec<i32> = self
+                .initial
+                .counts()
+                .into_iter()
+                .map(|c| c as i32)
+                .collect();
+            group = group
+                .attribute("axes", axes.join(" "))
+                .attribute("counts", counts);
         }
         for record in &setting.closed_loop.records {
             group = group.variable(Variable::f64(&record.name, both).long_name(&record.text));
@@ -163,7 +184,10 @@ impl Evaluation {
     /// `41 reached, 3 guard_x`.
     pub fn status_text(&self, law: &LawResult) -> String {
         let counts = self.statuses(law);
-        let parts: Vec<String> = counts.iter().map(|(name, count)| format!("{count} {name}")).collect();
+        let parts: Vec<String> = counts
+            .iter()
+            .map(|(name, count)| format!("{count} {name}"))
+            .collect();
         parts.join(", ")
     }
 
@@ -179,10 +203,14 @@ impl Evaluation {
                 self.asked.iter().map(|s| s.text.as_str()),
             ))
             .variable(Variable::f64("share", both).long_name("share of initial states inside"))
-            .variable(Variable::f64("area", both).long_name("area inside, in the units of the grid's axes"));
+            .variable(
+                Variable::f64("area", both)
+                    .long_name("area inside, in the units of the grid's axes"),
+            );
         let mut writer = file.group(&group)?;
-        let flat =
-            |of: fn(&super::evaluation::SetResult) -> f64| -> Vec<f64> { self.sets.iter().flatten().map(of).collect() };
+        let flat = |of: fn(&super::evaluation::SetResult) -> f64| -> Vec<f64> {
+            self.sets.iter().flatten().map(of).collect()
+        };
         writer.write("share", &flat(|s| s.share))?;
         writer.write("area", &flat(|s| s.area))?;
         drop(writer);
@@ -211,7 +239,11 @@ impl Evaluation {
             .map(|(i, _)| setting.model.states[*i].variable.name.as_str());
         let laws: Vec<&str> = self.laws.iter().map(|l| l.name.as_str()).collect();
         let vertex = |name: &str, flags: &[&str]| {
-            let flags: Vec<(i32, &str)> = flags.iter().enumerate().map(|(k, n)| (k as i32, *n)).collect();
+            let flags: Vec<(i32, &str)> = flags
+                .iter()
+                .enumerate()
+                .map(|(k, n)| (k as i32, *n))
+                .collect();
             let variable = Variable::i32(name, ["vertex"]);
             if flags.is_empty() {
                 variable
@@ -248,14 +280,19 @@ impl Evaluation {
             .dimension(Dimension::index("sample", points))
             .dimension(Dimension::names("state", states))
             .dimension(Dimension::names("control", controls))
-            .variable(Variable::i32("initial", ["trajectory"]).long_name("index of the initial state in /closed_loop"))
+            .variable(
+                Variable::i32("initial", ["trajectory"])
+                    .long_name("index of the initial state in /closed_loop"),
+            )
             .variable(Variable::f64("t", all).long_name("time"))
             .variable(Variable::f64("x", with("state")).long_name("state"))
             .variable(Variable::f64("u", with("control")).long_name("control"));
         let mut writer = file.group(&group)?;
         let initial: Vec<i32> = kept.iter().map(|i| *i as i32).collect();
         writer.write("initial", &initial)?;
-        let gather = |of: fn(&super::Path) -> &Vec<f64>| self.all(|l| l.paths.iter().flat_map(of).copied().collect());
+        let gather = |of: fn(&super::Path) -> &Vec<f64>| {
+            self.all(|l| l.paths.iter().flat_map(of).copied().collect())
+        };
         writer.write("t", &gather(|p| &p.t))?;
         writer.write("x", &gather(|p| &p.x))?;
         writer.write("u", &gather(|p| &p.u))

@@ -1,4 +1,5 @@
-//! What is wrong with a text, and where: problems, their places, what may help, and how people are shown them.
+//! What is wrong with a text, and where: problems, their places, what may help, and how people are
+//! shown them.
 //!
 //! Knows texts and byte ranges, and nothing of scenes: every room above reports by it.
 

@@ -2,8 +2,8 @@
 
 use super::{Problem, Span};
 use miette::{
-    Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteError, MietteSpanContents, SourceCode,
-    SourceSpan, SpanContents,
+    Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteError,
+    MietteSpanContents, SourceCode, SourceSpan, SpanContents,
 };
 use std::fmt;
 
@@ -12,7 +12,8 @@ const MAX_LINE: usize = 160;
 
 /// All problems of one scenario, in the file's order; those without a place come last.
 ///
-/// `Display` gives one `file:line:column: message` a line; [`ScenarioErrors::render`] shows the text underlined.
+/// `Display` gives one `file:line:column: message` a line; [`ScenarioErrors::render`] shows the
+/// text underlined.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScenarioErrors {
     /// As given, for messages.
@@ -47,7 +48,11 @@ impl fmt::Display for ScenarioErrors {
 impl ScenarioErrors {
     /// The problems of a text, in its order.
     pub fn new(file_name: &str, text: &str, mut problems: Vec<Problem>) -> Self {
-        problems.sort_by_key(|p| p.span.as_ref().map_or((usize::MAX, 0), |s| (s.start, s.end)));
+        problems.sort_by_key(|p| {
+            p.span
+                .as_ref()
+                .map_or((usize::MAX, 0), |s| (s.start, s.end))
+        });
         problems.dedup();
         Self {
             file_name: file_name.to_owned(),
@@ -97,7 +102,10 @@ impl ScenarioErrors {
 /// Line and column (in characters) of a byte offset, both from 1.
 pub(crate) fn position(text: &str, offset: usize) -> (usize, usize) {
     let before = &text.as_bytes()[..offset.min(text.len())];
-    let line_start = before.iter().rposition(|b| *b == b'\n').map_or(0, |i| i + 1);
+    let line_start = before
+        .iter()
+        .rposition(|b| *b == b'\n')
+        .map_or(0, |i| i + 1);
     let line = before.iter().filter(|b| **b == b'\n').count() + 1;
     (
         line,
@@ -126,11 +134,17 @@ impl std::error::Error for Shown<'_> {}
 
 impl Diagnostic for Shown<'_> {
     fn help<'a>(&'a self) -> Option<Box<dyn fmt::Display + 'a>> {
-        self.problem.help.as_ref().map(|h| Box::new(h) as Box<dyn fmt::Display>)
+        self.problem
+            .help
+            .as_ref()
+            .map(|h| Box::new(h) as Box<dyn fmt::Display>)
     }
 
     fn source_code(&self) -> Option<&dyn SourceCode> {
-        self.problem.span.as_ref().map(|_| &self.source as &dyn SourceCode)
+        self.problem
+            .span
+            .as_ref()
+            .map(|_| &self.source as &dyn SourceCode)
     }
 
     fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
@@ -156,14 +170,19 @@ impl Source<'_> {
     fn shown_span(&self, span: &Span) -> Span {
         let start = self.boundary(span.start);
         let (_, line_end) = self.line(start);
-        let end = span.end.clamp(start, line_end.max(start)).min(start + MAX_LINE / 2);
+        let end = span
+            .end
+            .clamp(start, line_end.max(start))
+            .min(start + MAX_LINE / 2);
         start..self.boundary(end)
     }
 
     /// Bounds of the line with a byte offset, without its end.
     fn line(&self, offset: usize) -> (usize, usize) {
         let start = self.text[..offset].rfind('\n').map_or(0, |i| i + 1);
-        let end = self.text[offset..].find('\n').map_or(self.text.len(), |i| offset + i);
+        let end = self.text[offset..]
+            .find('\n')
+            .map_or(self.text.len(), |i| offset + i);
         (start, end)
     }
 
@@ -187,7 +206,10 @@ impl SourceCode for Source<'_> {
         let offset = span.offset();
         let (start, end) = self.line(offset);
         let inner = self.text.read_span(span, before, after)?;
-        let short = inner.data().split(|b| *b == b'\n').all(|l| l.len() <= MAX_LINE);
+        let short = inner
+            .data()
+            .split(|b| *b == b'\n')
+            .all(|l| l.len() <= MAX_LINE);
         let (data, shown, line, column, lines) = if short && end - start <= MAX_LINE {
             (
                 inner.data(),

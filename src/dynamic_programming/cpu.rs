@@ -1,5 +1,6 @@
-//! The iteration on the CPU: blocks of nodes in parallel, the scene's equations in vectors of lanes. A node's result depends on
-//! the values before the call alone, so results do not depend on blocks or threads.
+//! The iteration on the CPU: blocks of nodes in parallel, the scene's equations in vectors of
+//! lanes. A node's result depends on the values before the call alone, so results do not depend on
+//! blocks or threads.
 
 use super::equations::Equations;
 use super::lattice::{Lattice, by_states, interpolate, slope};
@@ -75,7 +76,12 @@ impl<'a> CpuIteration<'a> {
             .collect();
         for i in 0..count {
             let s = &start[i * n..][..n];
-            middle(s, &k1[i * width..], times[i], &mut points[i * (n + m)..][..n]);
+            middle(
+                s,
+                &k1[i * width..],
+                times[i],
+                &mut points[i * (n + m)..][..n],
+            );
         }
         let k2 = self.motion.eval(&points, n + m);
         for i in 0..count {
@@ -91,17 +97,28 @@ impl<'a> CpuIteration<'a> {
                 &k3[i * width..][..width],
             ];
             // The third row's point lies off the path, and its guards say nothing.
-            let valid = rows[..2].iter().all(|r| equations.is_valid(r)) && rows[2][..=n].iter().all(|x| x.is_finite());
+            let valid = rows[..2].iter().all(|r| equations.is_valid(r))
+                && rows[2][..=n].iter().all(|x| x.is_finite());
             let step = |c: usize| whole(rows[0][c], rows[1][c], rows[2][c], times[i]);
             for c in 0..n {
-                to.foot[i * n + c] = if valid { start[i * n + c] + step(c) } else { f64::NAN };
+                to.foot[i * n + c] = if valid {
+                    start[i * n + c] + step(c)
+                } else {
+                    f64::NAN
+                };
             }
             to.cost[i] = if valid { step(n) } else { level.ceiling };
         }
     }
 
     /// The controls of a candidate for the nodes from `first` on.
-    fn propose<const N: usize>(&self, candidate: &Candidate, first: usize, present: &Steps, best: &Steps) -> Vec<f64> {
+    fn propose<const N: usize>(
+        &self,
+        candidate: &Candidate,
+        first: usize,
+        present: &Steps,
+        best: &Steps,
+    ) -> Vec<f64> {
         let (level, m) = (self.level, self.equations.controls);
         let count = best.cost.len();
         match candidate {
@@ -111,7 +128,9 @@ impl<'a> CpuIteration<'a> {
                 None => best.control.clone(),
             },
             Candidate::Neighbour { axis, forward } => (first..first + count)
-                .flat_map(|k| &self.steps.control[level.lattice.neighbour(k, *axis, *forward) * m..][..m])
+                .flat_map(|k| {
+                    &self.steps.control[level.lattice.neighbour(k, *axis, *forward) * m..][..m]
+                })
                 .copied()
                 .collect(),
             Candidate::Spread(k) => level.spread[*k].repeat(count),
@@ -142,7 +161,12 @@ impl<'a> CpuIteration<'a> {
                 place[c] = s[c] + share * (foot[c] - s[c]);
             }
             if let Some(cell) = level.lattice.locate::<N>(&place) {
-                costate.copy_from_slice(&slope(&level.lattice, &self.values, &cell, level.bent_below));
+                costate.copy_from_slice(&slope(
+                    &level.lattice,
+                    &self.values,
+                    &cell,
+                    level.bent_below,
+                ));
             }
         }
         self.law.eval(&points, 2 * n)
@@ -153,7 +177,8 @@ impl<'a> CpuIteration<'a> {
         let (level, ceiling) = (self.level, self.level.ceiling);
         for (i, total) in steps.total.iter_mut().enumerate() {
             let cost = steps.cost[i];
-            *total = total_of::<N>(level, &self.values, &steps.foot[i * N..][..N], cost).min(ceiling);
+            *total =
+                total_of::<N>(level, &self.values, &steps.foot[i * N..][..N], cost).min(ceiling);
         }
     }
 
@@ -198,15 +223,18 @@ impl<'a> CpuIteration<'a> {
     fn evaluated<const N: usize>(&self) -> Vec<f64> {
         let (level, ceiling) = (self.level, self.level.ceiling);
         let mut next = self.values.clone();
-        next.par_chunks_mut(BLOCK).enumerate().for_each(|(b, chunk)| {
-            for (j, value) in chunk.iter_mut().enumerate() {
-                let k = b * BLOCK + j;
-                if !level.known[k] {
-                    let foot = &self.steps.foot[k * N..][..N];
-                    *value = total_of::<N>(level, &self.values, foot, self.steps.cost[k]).min(ceiling);
+        next.par_chunks_mut(BLOCK)
+            .enumerate()
+            .for_each(|(b, chunk)| {
+                for (j, value) in chunk.iter_mut().enumerate() {
+                    let k = b * BLOCK + j;
+                    if !level.known[k] {
+                        let foot = &self.steps.foot[k * N..][..N];
+                        *value = total_of::<N>(level, &self.values, foot, self.steps.cost[k])
+                            .min(ceiling);
+                    }
                 }
-            }
-        });
+            });
         next
     }
 }
@@ -214,12 +242,16 @@ impl<'a> CpuIteration<'a> {
 /// A step's cost with the value at its end.
 #[inline]
 fn total_of<const N: usize>(level: &Level, values: &[f64], foot: &[f64], cost: f64) -> f64 {
-    let end =
-        (level.lattice.locate::<N>(foot)).map_or(level.ceiling, |cell| interpolate(values, &cell, level.bent_below));
+    let end = (level.lattice.locate::<N>(foot)).map_or(level.ceiling, |cell| {
+        interpolate(values, &cell, level.bent_below)
+    });
     cost + end
 }
 
-fn every_block<const N: usize>(iteration: &CpuIteration<'_>, candidates: &[Candidate]) -> Vec<Steps> {
+fn every_block<const N: usize>(
+    iteration: &CpuIteration<'_>,
+    candidates: &[Candidate],
+) -> Vec<Steps> {
     iteration.every_block::<N>(candidates)
 }
 

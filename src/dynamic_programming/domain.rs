@@ -12,7 +12,8 @@ const LIFTED_NODES: f64 = 1.5;
 /// How much more or less than the mean an axis may get, and its least number of nodes.
 const UNEVEN: f64 = 2.0;
 const LEAST_NODES: f64 = 11.0;
-/// States at which the equations are looked at for their periods, and the difference that counts as none.
+/// States at which the equations are looked at for their periods, and the difference that counts as
+/// none.
 const PROBES: usize = 64;
 const SAME: f64 = 1e-8;
 
@@ -22,8 +23,8 @@ pub(super) struct Domain {
     pub bounds: Vec<[f64; 2]>,
     /// Periods of axes that are closed to a ring.
     pub periods: Vec<Option<f64>>,
-    /// Periods of states of which the axis has a copy on either side: the cost tells the copies apart, so that winding is part
-    /// of the state.
+    /// Periods of states of which the axis has a copy on either side: the cost tells the copies
+    /// apart, so that winding is part of the state.
     pub lifted: Vec<Option<f64>>,
     pub counts: Vec<usize>,
 }
@@ -63,8 +64,9 @@ impl Domain {
         Ok(domain)
     }
 
-    /// Nodes of each axis: where there is an equilibrium, more along axes that are longer in the metric of P. That tells about the
-    /// equilibrium only: half-way, on a logarithmic scale, between equal numbers and equal errors there.
+    /// Nodes of each axis: where there is an equilibrium, more along axes that are longer in the
+    /// metric of P. That tells about the equilibrium only: half-way, on a logarithmic scale,
+    /// between equal numbers and equal errors there.
     fn spread_counts(&self, plan: &Plan, share: f64) -> Vec<usize> {
         let n = self.bounds.len();
         let turns = self.lifted.iter().flatten().count() as i32;
@@ -81,9 +83,13 @@ impl Domain {
             })
             .collect();
         let middle = lengths.iter().map(|l| l.ln()).sum::<f64>() / n as f64;
-        let count = |l: &f64| (mean * (l.ln() - middle).exp().clamp(1.0 / UNEVEN, UNEVEN)).max(LEAST_NODES);
+        let count =
+            |l: &f64| (mean * (l.ln() - middle).exp().clamp(1.0 / UNEVEN, UNEVEN)).max(LEAST_NODES);
         // Odd, so that the reference is a node without one more.
-        lengths.iter().map(|l| count(l) as usize / 2 * 2 + 1).collect()
+        lengths
+            .iter()
+            .map(|l| count(l) as usize / 2 * 2 + 1)
+            .collect()
     }
 
     /// The lattice with about these many nodes along each axis.
@@ -111,7 +117,9 @@ fn is_invariant(plan: &Plan, equations: &Equations, axis: usize, period: f64) ->
                 .map_or(Vec::new(), |t| t.eval(&[s, &zero].concat()))
         };
         let all = |s: &[f64]| [motion(s), terminal(s)].concat();
-        let same = |(a, b): (f64, f64)| (a - b).abs() <= SAME * (1.0 + a.abs()) || (a.is_nan() && b.is_nan());
+        let same = |(a, b): (f64, f64)| {
+            (a - b).abs() <= SAME * (1.0 + a.abs()) || (a.is_nan() && b.is_nan())
+        };
         all(&s).into_iter().zip(all(&further)).all(same)
     })
 }
@@ -123,7 +131,10 @@ pub(super) fn copies(lattice: &Lattice, lifted: &[Option<f64>], s: &[f64]) -> Ve
         let Some(period) = period else { continue };
         let axis = &lattice.axes[i];
         let (first, last) = (axis.at(0), axis.at(axis.count - 1));
-        let (from, to) = (((first - s[i]) / period).ceil(), ((last - s[i]) / period).floor());
+        let (from, to) = (
+            ((first - s[i]) / period).ceil(),
+            ((last - s[i]) / period).floor(),
+        );
         let turns = (0..).map(|k| from + f64::from(k)).take_while(|k| *k <= to);
         let moved = |(copy, k): (&Vec<f64>, f64)| {
             let mut copy = copy.clone();

@@ -59,7 +59,12 @@ impl Equations {
             law: Program::lower(&system.graph, &system.inputs, &system.observer.control),
             terminal,
             bounds: (model.controls.iter())
-                .map(|c| [c.min.unwrap_or(f64::NEG_INFINITY), c.max.unwrap_or(f64::INFINITY)])
+                .map(|c| {
+                    [
+                        c.min.unwrap_or(f64::NEG_INFINITY),
+                        c.max.unwrap_or(f64::INFINITY),
+                    ]
+                })
                 .collect(),
         }
     }

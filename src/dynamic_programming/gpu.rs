@@ -1,11 +1,14 @@
-//! The iteration on a GPU in f32: `shaders/dynamic_programming.wgsl` joined with the scene's programs as generated text.
+//! The iteration on a GPU in f32: `shaders/dynamic_programming.wgsl` joined with the scene's
+//! programs as generated text.
 
 use super::equations::Equations;
 use super::level::{Candidate, Iteration, Level, Stride};
 use crate::backend::BackendError;
 use crate::backend::gpu::adapter::Device;
 use crate::backend::gpu::emit::WORKGROUP;
-use crate::backend::gpu::memory::{bind, binding_limit, layout, pipelines, read_back, staging, storage, uses};
+use crate::backend::gpu::memory::{
+    bind, binding_limit, layout, pipelines, read_back, staging, storage, uses,
+};
 use crate::backend::gpu::shader::{Fragment, Source, conditional};
 use crate::backend::gpu::{Gpu, text};
 use crate::model::Precision;
@@ -42,11 +45,18 @@ impl Kernels {
         let source = source(equations);
         source.validate(device.info.f64_arithmetic)?;
         let layout = layout(&device, "dynamic programming", uses(BINDINGS, &WRITTEN));
-        let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some("dynamic programming"),
-            source: wgpu::ShaderSource::Wgsl(source.text.into()),
-        });
-        let [improve, accept, evaluate] = pipelines(&device, &[&layout], &module, ["improve", "accept", "evaluate"]);
+        let module = device
+            .device
+            .create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("dynamic programming"),
+                source: wgpu::ShaderSource::Wgsl(source.text.into()),
+            });
+        let [improve, accept, evaluate] = pipelines(
+            &device,
+            &[&layout],
+            &module,
+            ["improve", "accept", "evaluate"],
+        );
         device.check()?;
         Ok(Self {
             device,
@@ -76,13 +86,20 @@ pub(super) struct GpuIteration<'a> {
 impl<'a> GpuIteration<'a> {
     /// # Errors
     /// A lattice too large for the device.
-    pub fn new(kernels: &'a Kernels, level: &Level, equations: &Equations) -> Result<Self, BackendError> {
+    pub fn new(
+        kernels: &'a Kernels,
+        level: &Level,
+        equations: &Equations,
+    ) -> Result<Self, BackendError> {
         let device = &*kernels.device;
         let (n, m, nodes) = (equations.states, equations.controls, level.lattice.len());
         let largest = 4 * nodes * (n + 2).max(m);
         let limit = binding_limit(device);
         let groups = device.device.limits().max_compute_workgroups_per_dimension as usize;
-        if largest as u64 > limit || nodes.div_ceil(WORKGROUP as usize) > groups || nodes > MOST_NODES {
+        if largest as u64 > limit
+            || nodes.div_ceil(WORKGROUP as usize) > groups
+            || nodes > MOST_NODES
+        {
             return Err(BackendError::TooLarge {
                 bytes: largest as u64,
                 limit,
@@ -105,7 +122,8 @@ impl<'a> GpuIteration<'a> {
             candidates: buffer(CANDIDATE * MOST_CANDIDATES),
             staging,
         };
-        let write = |buffer: &wgpu::Buffer, bytes: &[u8]| device.queue.write_buffer(buffer, 0, bytes);
+        let write =
+            |buffer: &wgpu::Buffer, bytes: &[u8]| device.queue.write_buffer(buffer, 0, bytes);
         write(&this.given, bytemuck::cast_slice(&given));
         write(&this.known, bytemuck::cast_slice(&known));
         // Sentinels: a slot that still holds one was not written.
@@ -116,7 +134,12 @@ impl<'a> GpuIteration<'a> {
     }
 
     /// Runs a kernel once over all nodes, so many candidates being bound.
-    fn dispatch(&self, encoder: &mut wgpu::CommandEncoder, pipeline: &wgpu::ComputePipeline, candidates: usize) {
+    fn dispatch(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        pipeline: &wgpu::ComputePipeline,
+        candidates: usize,
+    ) {
         let buffers = [
             &self.candidates,
             &self.values[0],
@@ -129,7 +152,10 @@ impl<'a> GpuIteration<'a> {
         ];
         // As large as the list: the shader takes the number of candidates from it.
         let size = |k: usize| (k == 0).then_some(CANDIDATE * candidates.max(1));
-        let sized = buffers.into_iter().enumerate().map(|(k, buffer)| (buffer, size(k)));
+        let sized = buffers
+            .into_iter()
+            .enumerate()
+            .map(|(k, buffer)| (buffer, size(k)));
         let bindings = bind(self.device, &self.kernels.layout, sized);
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_pipeline(pipeline);
@@ -138,19 +164,30 @@ impl<'a> GpuIteration<'a> {
     }
 
     fn read(&self, buffer: &wgpu::Buffer, count: usize) -> Result<Vec<f64>, BackendError> {
-        let encoder = self.device.device.create_command_encoder(&Default::default());
-        read_back(self.device, &self.staging, encoder, [(buffer, 4 * count)], |[bytes]| {
-            let numbers: &[f32] = bytemuck::cast_slice(bytes);
-            match numbers.iter().position(|x| x.to_bits() == u32::MAX) {
-                Some(index) => Err(BackendError::Unwritten { index }),
-                None => Ok(numbers.iter().map(|x| f64::from(*x)).collect()),
-            }
-        })?
+        let encoder = self
+            .device
+            .device
+            .create_command_encoder(&Default::default());
+        read_back(
+            self.device,
+            &self.staging,
+            encoder,
+            [(buffer, 4 * count)],
+            |[bytes]| {
+                let numbers: &[f32] = bytemuck::cast_slice(bytes);
+                match numbers.iter().position(|x| x.to_bits() == u32::MAX) {
+                    Some(index) => Err(BackendError::Unwritten { index }),
+                    None => Ok(numbers.iter().map(|x| f64::from(*x)).collect()),
+                }
+            },
+        )?
     }
 
     fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<(), BackendError> {
         self.device.queue.submit([encoder.finish()]);
-        self.device.device.poll(wgpu::PollType::wait_indefinitely())?;
+        self.device
+            .device
+            .poll(wgpu::PollType::wait_indefinitely())?;
         self.device.check()
     }
 }
@@ -173,14 +210,20 @@ impl Iteration for GpuIteration<'_> {
         self.device
             .queue
             .write_buffer(&self.candidates, 0, bytemuck::cast_slice(&list));
-        let mut encoder = self.device.device.create_command_encoder(&Default::default());
+        let mut encoder = self
+            .device
+            .device
+            .create_command_encoder(&Default::default());
         self.dispatch(&mut encoder, &self.kernels.improve, list.len());
         self.policy.swap(0, 1);
         self.submit(encoder)
     }
 
     fn accept(&mut self) -> Result<(), BackendError> {
-        let mut encoder = self.device.device.create_command_encoder(&Default::default());
+        let mut encoder = self
+            .device
+            .device
+            .create_command_encoder(&Default::default());
         self.dispatch(&mut encoder, &self.kernels.accept, 1);
         self.values.swap(0, 1);
         self.submit(encoder)
@@ -188,7 +231,10 @@ impl Iteration for GpuIteration<'_> {
 
     fn evaluate(&mut self, times: usize) -> Result<(), BackendError> {
         for first in (0..times).step_by(DISPATCHES) {
-            let mut encoder = self.device.device.create_command_encoder(&Default::default());
+            let mut encoder = self
+                .device
+                .device
+                .create_command_encoder(&Default::default());
             for _ in first..times.min(first + DISPATCHES) {
                 self.dispatch(&mut encoder, &self.kernels.evaluate, 1);
                 self.values.swap(0, 1);
@@ -220,7 +266,8 @@ fn packed(candidate: &Candidate) -> [u32; 4] {
     }
 }
 
-/// The level's settings in the order of `load_settings`, the linearization's controls (zeros where there is none), the fixed set.
+/// The level's settings in the order of `load_settings`, the linearization's controls (zeros where
+/// there is none), the fixed set.
 fn given(level: &Level, count: usize) -> impl Iterator<Item = f64> + '_ {
     let axes = &level.lattice.axes;
     let (cells, longest) = match level.stride {
@@ -232,7 +279,9 @@ fn given(level: &Level, count: usize) -> impl Iterator<Item = f64> + '_ {
         level.ceiling,
         cells,
         longest,
-        level.bent_below.clamp(f64::from(f32::MIN), f64::from(f32::MAX)),
+        level
+            .bent_below
+            .clamp(f64::from(f32::MIN), f64::from(f32::MAX)),
         level.lattice.len() as f64,
     ];
     let linear = level.linear.iter().flatten().copied();
@@ -301,8 +350,16 @@ fn constants(equations: &Equations) -> String {
         );
     };
     let bounds = &equations.bounds;
-    table("lower_bound", "f32", bounds.iter().map(|b| real(b[0])).collect());
-    table("upper_bound", "f32", bounds.iter().map(|b| real(b[1])).collect());
+    table(
+        "lower_bound",
+        "f32",
+        bounds.iter().map(|b| real(b[0])).collect(),
+    );
+    table(
+        "upper_bound",
+        "f32",
+        bounds.iter().map(|b| real(b[1])).collect(),
+    );
     // An array has one element at least.
     let strict = equations
         .strict
@@ -328,8 +385,11 @@ fn model(equations: &Equations) -> String {
         let (inputs, output) = (format!("{name}_inputs"), format!("{name}_outputs"));
         text::structure(&mut out, &inputs, n + second);
         text::structure(&mut out, &output, outputs);
-        out +=
-            &text::function(name, program, &output, Precision::F32).replacen("x: Inputs", &format!("x: {inputs}"), 1);
+        out += &text::function(name, program, &output, Precision::F32).replacen(
+            "x: Inputs",
+            &format!("x: {inputs}"),
+            1,
+        );
         let arguments: Vec<String> = (0..n)
             .map(|i| format!("s[{i}]"))
             .chain((0..second).map(|i| format!("z[{i}]")))

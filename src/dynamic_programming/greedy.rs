@@ -1,4 +1,5 @@
-//! Greedy paths: from a state step by step under the control whose step and value at its end cost least.
+//! Greedy paths: from a state step by step under the control whose step and value at its end cost
+//! least.
 
 use super::equations::Equations;
 use super::level::{last, middle, whole};
@@ -6,15 +7,17 @@ use super::{GridValue, Stride};
 use crate::local::LocalSolution;
 use crate::shooting::{End, Path};
 
-/// Cells that the step crosses by which a control is judged: short ones are the better controls, longer ones cannot profit from
-/// what interpolation leaves out at a kink. Each is tried until a flight costs little more than the value says.
+/// Cells that the step crosses by which a control is judged: short ones are the better controls,
+/// longer ones cannot profit from what interpolation leaves out at a kink. Each is tried until a
+/// flight costs little more than the value says.
 const CELLS: [f64; 3] = [0.75, 3.0, 6.0];
 /// Cells that are flown before the next choice.
 const FLOWN: f64 = 0.75;
 const ENOUGH: f64 = 1.02;
 /// Parts in which a step is integrated.
 const PARTS: usize = 4;
-/// Share of the fastest mode's time constant that a step lasts at most, and one near the equilibrium.
+/// Share of the fastest mode's time constant that a step lasts at most, and one near the
+/// equilibrium.
 const LONGEST: f64 = 0.25;
 const LONGEST_LOCAL: f64 = 0.1;
 /// Steps at most.
@@ -40,10 +43,12 @@ struct Flight {
 }
 
 impl GridValue {
-    /// The greedy path from a deviation: what its flight costs, the cost from its end on included, which V is at most; and its
-    /// nodes `(s, p)` in forward time with p the grid's gradient. On an infinite horizon it ends in the local solution's range with
-    /// that solution's tail, and where the flight went round a periodic axis the whole path is moved by periods so that it ends at
-    /// the reference: its first state may be a copy of `s`. `None` where s is not reached, or the flight leads nowhere.
+    /// The greedy path from a deviation: what its flight costs, the cost from its end on included,
+    /// which V is at most; and its nodes `(s, p)` in forward time with p the grid's gradient. On an
+    /// infinite horizon it ends in the local solution's range with that solution's tail, and where
+    /// the flight went round a periodic axis the whole path is moved by periods so that it ends at
+    /// the reference: its first state may be a copy of `s`. `None` where s is not reached, or the
+    /// flight leads nowhere.
     pub fn greedy(&self, s: &[f64]) -> Option<(f64, Path)> {
         self.greedy_in_parts(s, 1)
     }
@@ -92,9 +97,17 @@ impl GridValue {
         let place = (time / self.slice_step).clamp(0.0, (self.slices.len() - 1) as f64);
         let k = (place as usize).min(self.slices.len() - 2);
         let fraction = place - k as f64;
-        let (before, after) = (self.at(&self.slices[k], s)?, self.at(&self.slices[k + 1], s)?);
+        let (before, after) = (
+            self.at(&self.slices[k], s)?,
+            self.at(&self.slices[k + 1], s)?,
+        );
         let between = |a: f64, b: f64| a + fraction * (b - a);
-        let p = before.1.iter().zip(&after.1).map(|(a, b)| between(*a, *b)).collect();
+        let p = before
+            .1
+            .iter()
+            .zip(&after.1)
+            .map(|(a, b)| between(*a, *b))
+            .collect();
         Some((between(before.0, after.0), p))
     }
 
@@ -107,7 +120,12 @@ impl GridValue {
 
     fn fly_to_rest(&self, flight: &mut Flight, local: &LocalSolution, dearest: f64) -> Option<()> {
         let level = super::stationary::local_level(local);
-        let fastest = local.riccati.eigenvalues.iter().map(|e| e.norm()).fold(0.0, f64::max);
+        let fastest = local
+            .riccati
+            .eigenvalues
+            .iter()
+            .map(|e| e.norm())
+            .fold(0.0, f64::max);
         let lattice = &self.grid.lattice;
         for _ in 0..STEPS {
             let near = lattice.wrapped(&flight.s);
@@ -117,7 +135,11 @@ impl GridValue {
                 flight.cost += at.0;
                 return Some(());
             }
-            if near.iter().zip(&lattice.axes).all(|(s, a)| s.abs() <= NEAR * a.step) {
+            if near
+                .iter()
+                .zip(&lattice.axes)
+                .all(|(s, a)| s.abs() <= NEAR * a.step)
+            {
                 self.local_step(flight, local, &near, LONGEST_LOCAL / fastest)?;
             } else {
                 self.greedy_step(flight, LONGEST / fastest)?;
@@ -130,7 +152,13 @@ impl GridValue {
     }
 
     /// One step under the linearization's law.
-    fn local_step(&self, flight: &mut Flight, local: &LocalSolution, near: &[f64], time: f64) -> Option<()> {
+    fn local_step(
+        &self,
+        flight: &mut Flight,
+        local: &LocalSolution,
+        near: &[f64],
+        time: f64,
+    ) -> Option<()> {
         let p = &local.riccati.p * nalgebra::DVector::from_column_slice(near);
         let u = self.equations.law.eval(&[&flight.s, p.as_slice()].concat());
         let (s, cost) = self.equations.flown(&flight.s, &u, time)?;
@@ -146,7 +174,9 @@ impl GridValue {
         }
         let at = self.end.at(&flight.s);
         flight.cost += at.value;
-        flight.nodes.push((flight.time, flight.s.clone(), at.gradient));
+        flight
+            .nodes
+            .push((flight.time, flight.s.clone(), at.gradient));
         Some(())
     }
 
@@ -198,7 +228,11 @@ impl GridValue {
         let (total, nodes) = (flight.time, flight.nodes);
         let end = nodes.last().map_or(Vec::new(), |n| n.1.clone());
         let copy: Vec<f64> = match &self.end {
-            End::Manifold(_) => end.iter().zip(lattice.wrapped(&end)).map(|(s, w)| w - s).collect(),
+            End::Manifold(_) => end
+                .iter()
+                .zip(lattice.wrapped(&end))
+                .map(|(s, w)| w - s)
+                .collect(),
             End::Terminal { .. } => vec![0.0; end.len()],
         };
         let joined = |(_, s, p): &(f64, Vec<f64>, Vec<f64>)| -> Vec<f64> {
@@ -245,7 +279,8 @@ impl Equations {
         let k2 = self.motion.eval(&point);
         last(s, &k1, &k2, time, &mut point[..n]);
         let k3 = self.motion.eval(&point);
-        let valid = self.is_valid(&k1) && self.is_valid(&k2) && k3[..=n].iter().all(|x| x.is_finite());
+        let valid =
+            self.is_valid(&k1) && self.is_valid(&k2) && k3[..=n].iter().all(|x| x.is_finite());
         let by = |c: usize| whole(k1[c], k2[c], k3[c], time);
         valid.then(|| ((0..n).map(|c| s[c] + by(c)).collect(), by(n)))
     }

@@ -15,8 +15,8 @@ const CELLS: f64 = 4.0;
 const QUICK: f64 = 0.75;
 /// Steps in all.
 const STEPS: [usize; 2] = [16, 40];
-/// More of them, up to a number, where steps are worse than this: cells by which Kutta's third-order method and the second-order
-/// one within it differ, at all but a share of the nodes.
+/// More of them, up to a number, where steps are worse than this: cells by which Kutta's
+/// third-order method and the second-order one within it differ, at all but a share of the nodes.
 const MOST_STEPS: usize = 320;
 const DIFFER: f64 = 0.25;
 const NEARLY_ALL: f64 = 0.9;
@@ -53,7 +53,10 @@ pub(super) fn solve(
         .flat_map(|(s, end)| s.iter().chain(&end[1..]).copied())
         .collect();
     let mut controls = Evaluator::new(&equations.law).eval(&inputs, 2 * n);
-    controls.iter_mut().filter(|u| !u.is_finite()).for_each(|u| *u = 0.0);
+    controls
+        .iter_mut()
+        .filter(|u| !u.is_finite())
+        .for_each(|u| *u = 0.0);
     let dead = outside(equations, &points, &controls);
     let (speed, running) = pace(equations, &lattice, &points, &controls, &dead);
     let largest = ends
@@ -65,7 +68,9 @@ pub(super) fn solve(
     let most = (NUMBERS / lattice.len()).clamp(STEPS[0], MOST_STEPS);
     let mut steps = ((time * speed / CELLS).ceil() as usize).clamp(STEPS[0], most.min(STEPS[1]));
     let flown = with_controls(&points, &controls, n, m);
-    while steps < most && difference(equations, &lattice, &flown, &dead, time / steps as f64) > DIFFER {
+    while steps < most
+        && difference(equations, &lattice, &flown, &dead, time / steps as f64) > DIFFER
+    {
         steps = (2 * steps).min(most);
     }
     let ranges = ranges(&controls, m);
@@ -81,7 +86,13 @@ pub(super) fn solve(
         points,
     };
     let first: Vec<f64> = (ends.iter().zip(&dead))
-        .map(|(end, dead)| if *dead || !end[0].is_finite() { ceiling } else { end[0] })
+        .map(|(end, dead)| {
+            if *dead || !end[0].is_finite() {
+                ceiling
+            } else {
+                end[0]
+            }
+        })
         .collect();
     march(&level, equations, first, controls, steps, device, clock)
 }
@@ -142,9 +153,15 @@ fn with_zeros(points: &[f64], n: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Cells by which the end of a step of Kutta's third-order method differs from that of the second-order one within it, at all but
-/// a few nodes.
-fn difference(equations: &Equations, lattice: &Lattice, inputs: &[f64], dead: &[bool], step: f64) -> f64 {
+/// Cells by which the end of a step of Kutta's third-order method differs from that of the
+/// second-order one within it, at all but a few nodes.
+fn difference(
+    equations: &Equations,
+    lattice: &Lattice,
+    inputs: &[f64],
+    dead: &[bool],
+    step: f64,
+) -> f64 {
     let (n, m, width) = (equations.states, equations.controls, equations.width());
     let motion = Evaluator::new(&equations.motion);
     let first = motion.eval(inputs, n + m);
@@ -173,7 +190,13 @@ fn difference(equations: &Equations, lattice: &Lattice, inputs: &[f64], dead: &[
 }
 
 /// Cells a unit of time of a quick node, and the largest running cost.
-fn pace(equations: &Equations, lattice: &Lattice, points: &[f64], controls: &[f64], dead: &[bool]) -> (f64, f64) {
+fn pace(
+    equations: &Equations,
+    lattice: &Lattice,
+    points: &[f64],
+    controls: &[f64],
+    dead: &[bool],
+) -> (f64, f64) {
     let (n, m) = (equations.states, equations.controls);
     let inputs = with_controls(points, controls, n, m);
     let rows = Evaluator::new(&equations.motion).eval(&inputs, n + m);
@@ -184,7 +207,10 @@ fn pace(equations: &Equations, lattice: &Lattice, points: &[f64], controls: &[f6
             .map(|(row, _)| row)
     };
     let mut speeds: Vec<f64> = alive()
-        .map(|row| (row.iter().zip(&lattice.axes)).fold(0.0f64, |most, (f, a)| most.max((f / a.step).abs())))
+        .map(|row| {
+            (row.iter().zip(&lattice.axes))
+                .fold(0.0f64, |most, (f, a)| most.max((f / a.step).abs()))
+        })
         .collect();
     speeds.sort_by(f64::total_cmp);
     let quick = speeds

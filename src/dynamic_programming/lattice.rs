@@ -11,7 +11,8 @@ const SLACK: f64 = 1e-9;
 /// Intervals of an axis at least.
 const LEAST_INTERVALS: f64 = 4.0;
 
-/// One axis, as deviations from the reference. The reference itself is a node wherever the axis holds it.
+/// One axis, as deviations from the reference. The reference itself is a node wherever the axis
+/// holds it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
     pub first: f64,
@@ -57,7 +58,8 @@ impl Axis {
 
     /// The nearest copy of a deviation to the reference.
     pub fn wrapped(&self, s: f64) -> f64 {
-        self.period.map_or(s, |period| s - period * (s / period).round())
+        self.period
+            .map_or(s, |period| s - period * (s / period).round())
     }
 }
 
@@ -68,7 +70,8 @@ pub struct Lattice {
     strides: Vec<usize>,
 }
 
-/// Where a point lies: offsets of the nodes about it along each axis, and how far it is between the two nearest (0 to 1).
+/// Where a point lies: offsets of the nodes about it along each axis, and how far it is between the
+/// two nearest (0 to 1).
 #[derive(Clone, Copy, Debug)]
 pub struct Cell<const N: usize> {
     lower: [usize; N],
@@ -145,7 +148,11 @@ impl Lattice {
 
     /// The nearest copy of a state to the reference.
     pub fn wrapped(&self, s: &[f64]) -> Vec<f64> {
-        self.axes.iter().zip(s).map(|(a, s)| a.wrapped(*s)).collect()
+        self.axes
+            .iter()
+            .zip(s)
+            .map(|(a, s)| a.wrapped(*s))
+            .collect()
     }
 
     /// The cell that holds a point; `None` outside and for what is not a number.
@@ -167,7 +174,11 @@ impl Lattice {
                 x -= count as f64 * turns as f64;
                 x += if x < 0.0 { count as f64 } else { 0.0 };
             }
-            let last = if axis.period.is_some() { count } else { count - 1 };
+            let last = if axis.period.is_some() {
+                count
+            } else {
+                count - 1
+            };
             if !(x >= -SLACK && x <= last as f64 + SLACK) {
                 return None;
             }
@@ -194,7 +205,8 @@ impl Lattice {
     }
 }
 
-/// Values at the vertices of a cell: bit i of a vertex's number says whether it is the upper one along axis i.
+/// Values at the vertices of a cell: bit i of a vertex's number says whether it is the upper one
+/// along axis i.
 struct Vertices<const N: usize> {
     index: [usize; VERTICES],
     value: [f64; VERTICES],
@@ -242,8 +254,9 @@ impl<const N: usize> Vertices<N> {
         (lo, hi)
     }
 
-    /// Second differences along each axis on the line of vertices nearest to the point: the one of least size of the two
-    /// about the cell, 0 where their signs differ (at a kink, which no parabola should follow).
+    /// Second differences along each axis on the line of vertices nearest to the point: the one of
+    /// least size of the two about the cell, 0 where their signs differ (at a kink, which no
+    /// parabola should follow).
     #[inline(always)]
     fn curvature<T: Copy + Into<f64>>(&self, cell: &Cell<N>, values: &[T]) -> [f64; N] {
         let mut near = 0;
@@ -298,11 +311,15 @@ fn lesser(a: f64, b: f64) -> f64 {
     }
 }
 
-/// The value at a point of a cell: multilinear, and where all vertices are below `bent_below` bent by second differences along the
-/// axes, which makes it exact for quadratics. It never leaves the range of the vertices, without which an iteration with it need
-/// not converge.
+/// The value at a point of a cell: multilinear, and where all vertices are below `bent_below` bent
+/// by second differences along the axes, which makes it exact for quadratics. It never leaves the
+/// range of the vertices, without which an iteration with it need not converge.
 #[inline(always)]
-pub fn interpolate<const N: usize, T: Copy + Into<f64>>(values: &[T], cell: &Cell<N>, bent_below: f64) -> f64 {
+pub fn interpolate<const N: usize, T: Copy + Into<f64>>(
+    values: &[T],
+    cell: &Cell<N>,
+    bent_below: f64,
+) -> f64 {
     let vertices = Vertices::new(cell, values);
     let linear = vertices.multilinear(cell);
     let (lo, hi) = vertices.range();
@@ -376,7 +393,9 @@ mod tests {
             Axis::new([-1.0, 1.0], 10, None),
             Axis::new([0.0, 0.0], 10, Some(2.0)),
         ] {
-            let nearest = (0..axis.count).map(|k| axis.at(k).abs()).fold(1.0, f64::min);
+            let nearest = (0..axis.count)
+                .map(|k| axis.at(k).abs())
+                .fold(1.0, f64::min);
             assert!(nearest < 1e-12 * axis.step.max(1.0), "{axis:?}");
         }
         assert_eq!(Axis::new([-1.0, 1.0], 11, None).count, 11);

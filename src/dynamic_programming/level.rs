@@ -1,4 +1,5 @@
-//! One lattice with everything that an iteration on it needs: what is known, how far a step goes, which controls are tried.
+//! One lattice with everything that an iteration on it needs: what is known, how far a step goes,
+//! which controls are tried.
 
 use super::equations::Equations;
 use super::lattice::Lattice;
@@ -20,7 +21,8 @@ impl Stride {
         match self {
             Stride::Fixed(time) => time,
             Stride::Cells { cells, longest } => {
-                let speed = (f.iter().zip(&lattice.axes)).fold(0.0f64, |most, (f, a)| most.max((f / a.step).abs()));
+                let speed = (f.iter().zip(&lattice.axes))
+                    .fold(0.0f64, |most, (f, a)| most.max((f / a.step).abs()));
                 longest.min(cells / speed)
             }
         }
@@ -44,8 +46,8 @@ pub(super) struct Level {
     pub spread: Vec<Vec<f64>>,
     /// Width of the range that matters, one a control.
     pub ranges: Vec<f64>,
-    /// Cells with larger values, beside those that nothing is known of, are interpolated linearly: monotone, so that what is not
-    /// reached does not make its neighbours swing.
+    /// Cells with larger values, beside those that nothing is known of, are interpolated linearly:
+    /// monotone, so that what is not reached does not make its neighbours swing.
     pub bent_below: f64,
 }
 
@@ -85,7 +87,11 @@ impl Level {
     /// The candidates of one round, the present control first.
     pub fn candidates(&self, round: usize) -> Vec<Candidate> {
         let (n, m) = (self.lattice.states(), self.ranges.len());
-        let mut list = vec![Candidate::Present, Candidate::Costate(1.0), Candidate::Costate(0.5)];
+        let mut list = vec![
+            Candidate::Present,
+            Candidate::Costate(1.0),
+            Candidate::Costate(0.5),
+        ];
         list.extend(self.linear.iter().map(|_| Candidate::Linear));
         for forward in [false, true] {
             let axis = round % n;
@@ -110,8 +116,8 @@ impl Level {
 pub(super) trait Iteration {
     /// Sets `[node]` values and `[node][m]` controls.
     fn load(&mut self, values: &[f64], controls: &[f64]) -> Result<(), BackendError>;
-    /// Tries the candidates of a round at every node and keeps the best step, whose cost [`Self::accept`] or
-    /// [`Self::evaluate`] bring into the values.
+    /// Tries the candidates of a round at every node and keeps the best step, whose cost
+    /// [`Self::accept`] or [`Self::evaluate`] bring into the values.
     fn improve(&mut self, candidates: &[Candidate]) -> Result<(), BackendError>;
     /// The values become what the best steps cost.
     fn accept(&mut self) -> Result<(), BackendError>;
@@ -128,10 +134,13 @@ const LEVELS: [usize; 4] = [9, 5, 3, 3];
 pub(super) fn spread(ranges: &[[f64; 2]]) -> Vec<Vec<f64>> {
     let count = LEVELS[ranges.len().clamp(1, LEVELS.len()) - 1];
     let mut list = vec![Vec::new()];
-    // Of many controls only the first ones are spread; the others stay in the middle of their ranges.
+    // Of many controls only the first ones are spread; the others stay in the middle of their
+    // ranges.
     for (k, [lo, hi]) in ranges.iter().enumerate() {
         let places = if k < LEVELS.len() { count } else { 1 };
-        let at = |j: usize| lo + (hi - lo) * (j as f64 + 0.5 * f64::from(places == 1)) / (places.max(2) - 1) as f64;
+        let at = |j: usize| {
+            lo + (hi - lo) * (j as f64 + 0.5 * f64::from(places == 1)) / (places.max(2) - 1) as f64
+        };
         list = (list.iter())
             .flat_map(|u: &Vec<f64>| (0..places).map(|j| [u.as_slice(), &[at(j)]].concat()))
             .collect();
@@ -174,7 +183,11 @@ pub(super) fn ranges(controls: &[f64], m: usize) -> Vec<[f64; 2]> {
         let [lo, hi] = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], u| {
             [lo.min(*u), hi.max(*u)]
         });
-        if hi > lo { [lo, hi] } else { [lo - 0.5, lo + 0.5] }
+        if hi > lo {
+            [lo, hi]
+        } else {
+            [lo - 0.5, lo + 0.5]
+        }
     };
     (0..m).map(of).collect()
 }

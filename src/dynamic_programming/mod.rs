@@ -1,10 +1,12 @@
-//! V on a grid by dynamic programming: a coarse second answer for up to four states, blind to sheets, and first guesses for
-//! multiple shooting.
+//! V on a grid by dynamic programming: a coarse second answer for up to four states, blind to
+//! sheets, and first guesses for multiple shooting.
 //!
-//! A semi-Lagrangian scheme: `V(x) = min_u [cost of a step under u + V(where it ends)]`, with values between nodes interpolated,
-//! and solved by policy iteration (infinite horizon) or backward in time (finite). It needs no guess and knows nothing of
-//! extremals; so what it says of which sheet is least does not rest on a search. The state is confined to the region and a margin:
-//! that raises V where optimal trajectories would leave it. An error of interpolation of a few per cent is in the nature of it.
+//! A semi-Lagrangian scheme: `V(x) = min_u [cost of a step under u + V(where it ends)]`, with
+//! values between nodes interpolated, and solved by policy iteration (infinite horizon) or backward
+//! in time (finite). It needs no guess and knows nothing of extremals; so what it says of which
+//! sheet is least does not rest on a search. The state is confined to the region and a margin: that
+//! raises V where optimal trajectories would leave it. An error of interpolation of a few per cent
+//! is in the nature of it.
 
 mod cpu;
 mod domain;
@@ -56,7 +58,8 @@ pub struct Options {
     pub share: f64,
     /// Widths of the region added on each side of axes that are not periodic.
     pub margin: f64,
-    /// What the axes hold beside the region, before the margin, as deviations (see [`extent`]); empty: nothing.
+    /// What the axes hold beside the region, before the margin, as deviations (see [`extent`]);
+    /// empty: nothing.
     pub holds: Vec<[f64; 2]>,
     /// Seconds after which an infinite horizon's values are given as they are.
     pub budget_seconds: Option<f64>,
@@ -130,7 +133,11 @@ pub fn extent(plan: &Plan, states: &[f64]) -> Vec<[f64; 2]> {
             .map(move |x| x - reference[i])
     };
     (0..reference.len())
-        .map(|i| along(i).fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], s| [lo.min(s), hi.max(s)]))
+        .map(|i| {
+            along(i).fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], s| {
+                [lo.min(s), hi.max(s)]
+            })
+        })
         .collect()
 }
 
@@ -142,11 +149,17 @@ enum Runner {
 }
 
 impl Runner {
-    fn iteration<'a>(&'a self, level: &'a Level, equations: &'a Equations) -> Result<Box<dyn Iteration + 'a>, DpError> {
+    fn iteration<'a>(
+        &'a self,
+        level: &'a Level,
+        equations: &'a Equations,
+    ) -> Result<Box<dyn Iteration + 'a>, DpError> {
         match self {
             Runner::Cpu => Ok(Box::new(cpu::CpuIteration::new(level, equations))),
             #[cfg(feature = "gpu")]
-            Runner::Gpu(kernels) => Ok(Box::new(gpu::GpuIteration::new(kernels, level, equations)?)),
+            Runner::Gpu(kernels) => {
+                Ok(Box::new(gpu::GpuIteration::new(kernels, level, equations)?))
+            }
         }
     }
 }
@@ -166,7 +179,8 @@ impl Clock {
     }
 
     fn is_over(&self) -> bool {
-        self.budget.is_some_and(|budget| self.begun.elapsed() > budget)
+        self.budget
+            .is_some_and(|budget| self.begun.elapsed() > budget)
     }
 }
 
@@ -184,8 +198,8 @@ pub struct GridValue {
     pub reached_below: f64,
     /// `cpu` or `gpu`.
     pub backend: &'static str,
-    /// What the relative changes of 99.9 % of the values stay below in each round of policy improvement, the coarse lattices' first; none on a finite
-    /// horizon, which has no iteration.
+    /// What the relative changes of 99.9 % of the values stay below in each round of policy
+    /// improvement, the coarse lattices' first; none on a finite horizon, which has no iteration.
     pub changes: Vec<f64>,
     pub seconds: f64,
     /// `[node][m]`: controls of the best steps.
@@ -266,8 +280,9 @@ impl std::fmt::Debug for GridValue {
 }
 
 impl GridValue {
-    /// V at a deviation from the reference: multilinear, bent by second differences along the axes; the least over the copies of a
-    /// periodic state. `None` outside the grid and where a vertex of the cell is not reached.
+    /// V at a deviation from the reference: multilinear, bent by second differences along the axes;
+    /// the least over the copies of a periodic state. `None` outside the grid and where a vertex of
+    /// the cell is not reached.
     pub fn value(&self, s: &[f64]) -> Option<f64> {
         self.best_copy(s).map(|(_, v, _)| v)
     }
@@ -280,7 +295,8 @@ impl GridValue {
     /// The copy of a state from which V is least, with V and dV/ds there.
     fn best_copy(&self, s: &[f64]) -> Option<(Vec<f64>, f64, Vec<f64>)> {
         let all = domain::copies(&self.grid.lattice, &self.lifted, s).into_iter();
-        let known = all.filter_map(|copy| self.at(&self.grid.values, &copy).map(|(v, p)| (copy, v, p)));
+        let known =
+            all.filter_map(|copy| self.at(&self.grid.values, &copy).map(|(v, p)| (copy, v, p)));
         known.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 

@@ -1,5 +1,5 @@
-//! The infinite horizon: values around the equilibrium are given, all others follow by policy iteration, from a coarse lattice
-//! to the one asked for.
+//! The infinite horizon: values around the equilibrium are given, all others follow by policy
+//! iteration, from a coarse lattice to the one asked for.
 
 use super::cpu::points;
 use super::equations::Equations;
@@ -9,8 +9,8 @@ use super::{Clock, Domain, DpError, Runner};
 use crate::backend::cpu::Evaluator;
 use crate::local::LocalSolution;
 
-/// Cells that a step crosses, by the number of states: the coarser a lattice, the more errors of interpolation weigh against those
-/// of a constant control.
+/// Cells that a step crosses, by the number of states: the coarser a lattice, the more errors of
+/// interpolation weigh against those of a constant control.
 const CELLS: [f64; MOST_STATES] = [1.5, 1.5, 2.0, 2.5];
 /// Share of the fastest mode's time constant that a step lasts at most: its control is constant.
 const LONGEST: f64 = 0.5;
@@ -25,7 +25,8 @@ const EVALUATIONS: [usize; MOST_STATES] = [20, 20, 12, 10];
 /// Relative change of a round below which a lattice is done: the finest one, and those before.
 const DONE: f64 = 1e-4;
 const DONE_COARSE: f64 = 2e-3;
-/// The share of the values whose changes are looked at: a few, beside what is not reached, never settle.
+/// The share of the values whose changes are looked at: a few, beside what is not reached, never
+/// settle.
 const NEARLY_ALL: f64 = 0.999;
 /// Share of the median below which values count as zero.
 const SMALL: f64 = 0.01;
@@ -70,13 +71,23 @@ pub(super) fn solve(
         let mut controls = level.linear.clone().unwrap_or_default();
         let mut changes = Vec::new();
         if let Some(coarse) = &solution {
-            prolong(coarse, equations.controls, &level, &mut values, &mut controls);
+            prolong(
+                coarse,
+                equations.controls,
+                &level,
+                &mut values,
+                &mut controls,
+            );
             changes.clone_from(&coarse.changes);
         }
         // From nothing first without bending, which then has something to go by.
         let phases: &[bool] = if k == 0 { &[false, true] } else { &[true] };
         for &bent in phases {
-            level.bent_below = if bent { STEEP * level.ceiling } else { f64::NEG_INFINITY };
+            level.bent_below = if bent {
+                STEEP * level.ceiling
+            } else {
+                f64::NEG_INFINITY
+            };
             let limit = if k == 0 { ROUNDS_COARSEST } else { ROUNDS };
             let aim = if finest { DONE } else { DONE_COARSE };
             let mut iteration = device.iteration(&level, equations)?;
@@ -112,7 +123,10 @@ pub(super) fn solve(
 fn ladder(counts: &[usize]) -> Vec<Vec<usize>> {
     let mut list = vec![counts.to_vec()];
     loop {
-        let next: Vec<usize> = list[0].iter().map(|c| (c / 2 + 1).max(COARSEST.min(*c))).collect();
+        let next: Vec<usize> = list[0]
+            .iter()
+            .map(|c| (c / 2 + 1).max(COARSEST.min(*c)))
+            .collect();
         if next == list[0] || next.iter().all(|c| *c <= COARSEST) {
             return list;
         }
@@ -125,11 +139,19 @@ fn level(lattice: Lattice, equations: &Equations, local: &LocalSolution) -> (Lev
     let (n, m) = (equations.states, equations.controls);
     let points = points(&lattice);
     let near = local_level(local);
-    let quadratic: Vec<f64> = points.chunks(n).map(|s| local.quadratic(&lattice.wrapped(s))).collect();
+    let quadratic: Vec<f64> = points
+        .chunks(n)
+        .map(|s| local.quadratic(&lattice.wrapped(s)))
+        .collect();
     let ceiling = CEILING * quadratic.iter().copied().fold(0.0, f64::max);
     let linear = linear_controls(&lattice, equations, local, &points);
     let ranges = ranges(&linear, m);
-    let fastest = local.riccati.eigenvalues.iter().map(|e| e.norm()).fold(0.0, f64::max);
+    let fastest = local
+        .riccati
+        .eigenvalues
+        .iter()
+        .map(|e| e.norm())
+        .fold(0.0, f64::max);
     let dead = outside(equations, &points, &linear);
     let values: Vec<f64> = (points.chunks(n).zip(&quadratic).zip(&dead))
         .map(|((s, q), dead)| {
@@ -164,17 +186,27 @@ fn level(lattice: Lattice, equations: &Equations, local: &LocalSolution) -> (Lev
 }
 
 /// `u*(s, P s)` at all nodes.
-fn linear_controls(lattice: &Lattice, equations: &Equations, local: &LocalSolution, points: &[f64]) -> Vec<f64> {
+fn linear_controls(
+    lattice: &Lattice,
+    equations: &Equations,
+    local: &LocalSolution,
+    points: &[f64],
+) -> Vec<f64> {
     let n = equations.states;
     let inputs: Vec<f64> = (points.chunks(n))
         .flat_map(|s| {
             let p = &local.riccati.p * nalgebra::DVector::from_vec(lattice.wrapped(s));
-            s.iter().copied().chain(p.iter().copied().collect::<Vec<f64>>())
+            s.iter()
+                .copied()
+                .chain(p.iter().copied().collect::<Vec<f64>>())
         })
         .collect();
     let mut controls = Evaluator::new(&equations.law).eval(&inputs, 2 * n);
     // Outside the model's domain there is none; such nodes are dead.
-    controls.iter_mut().filter(|u| !u.is_finite()).for_each(|u| *u = 0.0);
+    controls
+        .iter_mut()
+        .filter(|u| !u.is_finite())
+        .for_each(|u| *u = 0.0);
     controls
 }
 
@@ -192,17 +224,27 @@ pub(super) fn outside(equations: &Equations, points: &[f64], controls: &[f64]) -
 
 /// Values and controls of a coarser lattice at the nodes that are not known.
 fn prolong(coarse: &Solution, m: usize, level: &Level, values: &mut [f64], controls: &mut [f64]) {
-    by_states!(level.lattice.states(), prolong_in(coarse, m, level, values, controls));
+    by_states!(
+        level.lattice.states(),
+        prolong_in(coarse, m, level, values, controls)
+    );
 }
 
-fn prolong_in<const N: usize>(coarse: &Solution, m: usize, level: &Level, values: &mut [f64], controls: &mut [f64]) {
+fn prolong_in<const N: usize>(
+    coarse: &Solution,
+    m: usize,
+    level: &Level,
+    values: &mut [f64],
+    controls: &mut [f64],
+) {
     let mut component = vec![0.0; coarse.values.len()];
     let cells: Vec<_> = (level.points.chunks(N))
         .map(|s| coarse.lattice.locate::<N>(s))
         .collect();
     for (k, cell) in cells.iter().enumerate().filter(|(k, _)| !level.known[*k]) {
         if let Some(cell) = cell {
-            values[k] = interpolate(&coarse.values, cell, STEEP * coarse.ceiling).min(level.ceiling);
+            values[k] =
+                interpolate(&coarse.values, cell, STEEP * coarse.ceiling).min(level.ceiling);
         }
     }
     for c in 0..m {
@@ -218,10 +260,13 @@ fn prolong_in<const N: usize>(coarse: &Solution, m: usize, level: &Level, values
     }
 }
 
-/// What the relative changes of nearly all values that are reached stay below; relative to the value, or to a hundredth of the
-/// median where that is more.
+/// What the relative changes of nearly all values that are reached stay below; relative to the
+/// value, or to a hundredth of the median where that is more.
 pub(super) fn usual_change(before: &[f64], after: &[f64], ceiling: f64) -> f64 {
-    let pairs = before.iter().zip(after).filter(|(_, v)| **v < 0.5 * ceiling);
+    let pairs = before
+        .iter()
+        .zip(after)
+        .filter(|(_, v)| **v < 0.5 * ceiling);
     let pairs: Vec<(f64, f64)> = pairs.map(|(v, w)| (*v, *w)).collect();
     if pairs.is_empty() {
         return f64::INFINITY;
@@ -233,6 +278,9 @@ pub(super) fn usual_change(before: &[f64], after: &[f64], ceiling: f64) -> f64 {
     let floor = SMALL * at(0.5, pairs.iter().map(|(_, w)| w.abs()).collect());
     at(
         NEARLY_ALL,
-        pairs.iter().map(|(v, w)| (v - w).abs() / (w.abs() + floor)).collect(),
+        pairs
+            .iter()
+            .map(|(v, w)| (v - w).abs() / (w.abs() + floor))
+            .collect(),
     )
 }

@@ -1,11 +1,11 @@
 //! Expressions rewritten as value at a reference point plus a deviation.
 //!
-//! Near an equilibrium `f(x* + s)` is a small difference of large terms: evaluated as written, f32 loses
-//! the digits that tell neighbouring trajectories apart. Here every node becomes a pair `(c, d)` with
-//! `node = c + d`, `c` a number (the node at the reference point) and `d` an expression in the deviations
-//! that is computed without cancellation: `sin(c + d) - sin(c) = 2 sin(d/2) cos(c + d/2)`,
-//! `sqrt(c + d) - sqrt(c) = d / (sqrt(c + d) + sqrt(c))`, and so on. What cancels at the reference point
-//! cancels in the `c`s, once, in f64.
+//! Near an equilibrium `f(x* + s)` is a small difference of large terms: evaluated as written, f32
+//! loses the digits that tell neighbouring trajectories apart. Here every node becomes a pair `(c,
+//! d)` with `node = c + d`, `c` a number (the node at the reference point) and `d` an expression in
+//! the deviations that is computed without cancellation: `sin(c + d) - sin(c) = 2 sin(d/2) cos(c +
+//! d/2)`, `sqrt(c + d) - sqrt(c) = d / (sqrt(c + d) + sqrt(c))`, and so on. What cancels at the
+//! reference point cancels in the `c`s, once, in f64.
 
 use super::{Fun, Graph, Id, Node, Op};
 use std::collections::HashMap;
@@ -15,7 +15,8 @@ use std::collections::HashMap;
 pub struct Deviation {
     pub at: f64,
     pub change: Id,
-    /// The sum as an expression of its own, where the two may cancel: of what ranges over many orders of magnitude.
+    /// The sum as an expression of its own, where the two may cancel: of what ranges over many
+    /// orders of magnitude.
     whole: Option<Id>,
 }
 
@@ -29,9 +30,11 @@ impl Deviation {
     }
 }
 
-/// Arguments of exponentials at the reference point above which these are wide: much less of them may be left elsewhere.
+/// Arguments of exponentials at the reference point above which these are wide: much less of them
+/// may be left elsewhere.
 const WIDE: f64 = 2.0;
-/// Arguments of exponentials at the reference point below which their factors would overflow, or be lost, before the product.
+/// Arguments of exponentials at the reference point below which their factors would overflow, or be
+/// lost, before the product.
 const FAINT: f64 = -40.0;
 /// Arguments of tanh up to which its addition theorem loses no digits.
 const BEFORE_SATURATION: f64 = 1.0;
@@ -40,12 +43,16 @@ const BEFORE_SATURATION: f64 = 1.0;
 const CANCELLED: f64 = 8.0 * f64::EPSILON;
 
 fn cancel(sum: f64, scale: f64) -> f64 {
-    if sum.abs() <= CANCELLED * scale { 0.0 } else { sum }
+    if sum.abs() <= CANCELLED * scale {
+        0.0
+    } else {
+        sum
+    }
 }
 
 impl Graph {
-    /// Rewrites `roots` about a reference point. `symbols` maps each free symbol to its value there and its
-    /// deviation (a constant 0 for parameters).
+    /// Rewrites `roots` about a reference point. `symbols` maps each free symbol to its value there
+    /// and its deviation (a constant 0 for parameters).
     ///
     /// # Panics
     /// When a symbol that a root depends on is not in `symbols`.
@@ -69,7 +76,9 @@ impl Graph {
             let value = match (whole, self.node(id)) {
                 (
                     Some(whole),
-                    Node::Binary(Op::Div | Op::Pow, ..) | Node::Unary(Fun::Log | Fun::Log1p, _) | Node::Powi(_, ..0),
+                    Node::Binary(Op::Div | Op::Pow, ..)
+                    | Node::Unary(Fun::Log | Fun::Log1p, _)
+                    | Node::Powi(_, ..0),
                 ) => self.plain(value.at, whole),
                 _ => value,
             };
@@ -86,8 +95,8 @@ impl Graph {
         })
     }
 
-    /// A node from its whole operands, where `at + change` may cancel: of exponentials that are large at the reference point, and
-    /// what is made of these.
+    /// A node from its whole operands, where `at + change` may cancel: of exponentials that are
+    /// large at the reference point, and what is made of these.
     fn direct(&mut self, node: Node, value: &Deviation, of: &HashMap<Id, Deviation>) -> Option<Id> {
         let is_wide = |a: Id| of[&a].whole.is_some();
         if value.at == 0.0 {
@@ -133,7 +142,8 @@ impl Graph {
         self.mul(c, d)
     }
 
-    /// `f(whole) - f(at)`, for functions with no better form; a non-finite `f(at)` is left in the change.
+    /// `f(whole) - f(at)`, for functions with no better form; a non-finite `f(at)` is left in the
+    /// change.
     fn plain(&mut self, at: f64, whole: Id) -> Deviation {
         let at = if at.is_finite() { at } else { 0.0 };
         let c = self.constant(at);
@@ -151,7 +161,8 @@ impl Graph {
                 if c == 0.0 && f == Fun::Sin {
                     return Deviation::new(0.0, self.unary(Fun::Sin, d));
                 }
-                // sin(c+d) - sin(c) = 2 sin(d/2) (cos(c) cos(d/2) - sin(c) sin(d/2)), and alike for cos.
+                // sin(c+d) - sin(c) = 2 sin(d/2) (cos(c) cos(d/2) - sin(c) sin(d/2)), and alike for
+                // cos.
                 let half = self.scale(0.5, d);
                 let (s, k) = (self.unary(Fun::Sin, half), self.unary(Fun::Cos, half));
                 let (x, y) = if f == Fun::Sin {
@@ -166,8 +177,8 @@ impl Graph {
             Fun::Sinh | Fun::Cosh => {
                 let half = self.scale(0.5, d);
                 let s = self.unary(Fun::Sinh, half);
-                // sinh(c+d) - sinh(c) = 2 sinh(d/2) cosh(c + d/2), and alike for cosh; the sum below is that of large terms where d is
-                // about -2c.
+                // sinh(c+d) - sinh(c) = 2 sinh(d/2) cosh(c + d/2), and alike for cosh; the sum
+                // below is that of large terms where d is about -2c.
                 if c.abs() > WIDE {
                     let middle = self.whole(Deviation::new(c, half));
                     let other = if f == Fun::Sinh { Fun::Cosh } else { Fun::Sinh };
@@ -185,7 +196,8 @@ impl Graph {
                 let sum = self.add(p, q);
                 Deviation::new(value, self.mul(s, sum))
             }
-            // tanh(c+d) - tanh(c) = tanh(d) (1 - tanh(c) tanh(c+d)): of the addition theorem nothing is left where both saturate.
+            // tanh(c+d) - tanh(c) = tanh(d) (1 - tanh(c) tanh(c+d)): of the addition theorem
+            // nothing is left where both saturate.
             Fun::Tanh if c.abs() > BEFORE_SATURATION => {
                 let whole = self.whole(a);
                 let (t, there) = (self.unary(f, d), self.unary(f, whole));
@@ -323,7 +335,11 @@ impl Graph {
                 self.plain(a.at.powf(b.at), v)
             }
             Op::Min | Op::Max => {
-                let at = if op == Op::Min { a.at.min(b.at) } else { a.at.max(b.at) };
+                let at = if op == Op::Min {
+                    a.at.min(b.at)
+                } else {
+                    a.at.max(b.at)
+                };
                 let x = self.whole(Deviation::new(a.at - at, a.change));
                 let y = self.whole(Deviation::new(b.at - at, b.change));
                 Deviation::new(at, self.binary(op, x, y))
@@ -337,14 +353,23 @@ mod tests {
     use super::*;
     use crate::expr::Kind;
 
-    /// What is made of an argument k (x - x0), of which the number at the reference point is any, against the same written out.
-    fn worst(make: impl Fn(&mut Graph, Id) -> Id, argument: impl Fn(f64) -> f64, written: impl Fn(f64) -> f64) -> f64 {
+    /// What is made of an argument k (x - x0), of which the number at the reference point is any,
+    /// against the same written out.
+    fn worst(
+        make: impl Fn(&mut Graph, Id) -> Id,
+        argument: impl Fn(f64) -> f64,
+        written: impl Fn(f64) -> f64,
+    ) -> f64 {
         let mut worst = 0.0f64;
         for c in [
-            -600.0, -60.0, -41.0, -39.0, -20.0, -5.0, -1.5, -0.5, 0.0, 0.7, 3.0, 12.0, 20.0, 39.0, 60.0,
+            -600.0, -60.0, -41.0, -39.0, -20.0, -5.0, -1.5, -0.5, 0.0, 0.7, 3.0, 12.0, 20.0, 39.0,
+            60.0,
         ] {
             let mut graph = Graph::new();
-            let (x, s) = (graph.symbol("x", Kind::State), graph.symbol("s", Kind::State));
+            let (x, s) = (
+                graph.symbol("x", Kind::State),
+                graph.symbol("s", Kind::State),
+            );
             let root = make(&mut graph, x);
             let form = graph.deviations(&[root], &HashMap::from([(x, Deviation::new(c, s))]))[0];
             let whole = graph.whole(form);
@@ -353,7 +378,8 @@ mod tests {
                 let at = graph.eval(&[whole, form.change], &HashMap::from([(s, deviation)]));
                 // As rounded.
                 let right = written(argument(c + deviation));
-                // What is not wide may be left with the rounding of the number at the reference point.
+                // What is not wide may be left with the rounding of the number at the reference
+                // point.
                 let least = written(argument(c)).abs().min(WIDE.exp());
                 let off = (at[0] - right).abs() / right.abs().max(least).max(f64::MIN_POSITIVE);
                 // Of the change, relative to what it is a difference of.
@@ -404,7 +430,12 @@ mod tests {
             let log = g.unary(Fun::Log, sum);
             g.add(one, log)
         };
-        assert!(worst(logarithm, same, |x| 1.0 + x.max(0.0) + (-x.abs()).exp().ln_1p()) < 1e-12);
+        assert!(
+            worst(logarithm, same, |x| 1.0
+                + x.max(0.0)
+                + (-x.abs()).exp().ln_1p())
+                < 1e-12
+        );
         // exp(-x^2), of which nothing is left beyond 27.
         let bump = |g: &mut Graph, x: Id| {
             let square = g.powi(x, 2);
@@ -419,7 +450,10 @@ mod tests {
     fn near_the_reference_point_changes_keep_their_digits() {
         for c in [-300.0, -20.0, -1.5, 0.4, 2.5, 15.0] {
             let mut graph = Graph::new();
-            let (x, s) = (graph.symbol("x", Kind::State), graph.symbol("s", Kind::State));
+            let (x, s) = (
+                graph.symbol("x", Kind::State),
+                graph.symbol("s", Kind::State),
+            );
             for (f, slope) in [
                 (Fun::Exp, f64::exp(c)),
                 (Fun::Sinh, c.cosh()),
@@ -427,7 +461,8 @@ mod tests {
                 (Fun::Tanh, c.cosh().powi(-2)),
             ] {
                 let root = graph.unary(f, x);
-                let form = graph.deviations(&[root], &HashMap::from([(x, Deviation::new(c, s))]))[0];
+                let form =
+                    graph.deviations(&[root], &HashMap::from([(x, Deviation::new(c, s))]))[0];
                 let small = 1e-9;
                 let change = graph.eval(&[form.change], &HashMap::from([(s, small)]))[0] / small;
                 let size = f.apply(c).abs().max(1e-18);

@@ -6,7 +6,8 @@ use std::collections::HashMap;
 impl Graph {
     /// Derivative of `expr` by `symbol`.
     ///
-    /// At kinks the derivative of one side is taken: `d|x|/dx = sign(x)` and a clamp's derivative is 0 where it acts.
+    /// At kinks the derivative of one side is taken: `d|x|/dx = sign(x)` and a clamp's derivative
+    /// is 0 where it acts.
     pub fn diff(&mut self, expr: Id, symbol: Id) -> Id {
         self.diff_all(&[expr], symbol)[0]
     }
@@ -85,7 +86,11 @@ impl Graph {
                     return da;
                 }
                 // step(b - a) selects the smaller one.
-                let diff = if op == Op::Min { self.sub(b, a) } else { self.sub(a, b) };
+                let diff = if op == Op::Min {
+                    self.sub(b, a)
+                } else {
+                    self.sub(a, b)
+                };
                 let pick_a = self.unary(Fun::Step, diff);
                 let change = self.sub(da, db);
                 let x = self.mul(pick_a, change);

@@ -31,8 +31,8 @@ impl Graph {
         )
     }
 
-    /// Evaluates `roots` bottom-up in any algebra (numbers, intervals, truncated series). Negation and integer
-    /// powers are given to `binary` as products and differences.
+    /// Evaluates `roots` bottom-up in any algebra (numbers, intervals, truncated series). Negation
+    /// and integer powers are given to `binary` as products and differences.
     pub fn fold<T: Clone>(
         &self,
         roots: &[Id],
@@ -67,7 +67,11 @@ impl Graph {
                         }
                     }
                     let p = result.unwrap_or_else(|| constant(1.0));
-                    if n < 0 { binary(Op::Div, &constant(1.0), &p) } else { p }
+                    if n < 0 {
+                        binary(Op::Div, &constant(1.0), &p)
+                    } else {
+                        p
+                    }
                 }
             };
             value.insert(id, v);

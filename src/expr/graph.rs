@@ -23,8 +23,8 @@ pub struct Symbol {
     pub kind: Kind,
 }
 
-/// Functions of one argument. `Sign` and `Step` arise from differentiation: `Sign(x)` is -1, 0, 1 and
-/// `Step(x)` is 1 for x > 0 and else 0. `Expm1` and `Log1p` arise from the deviation form.
+/// Functions of one argument. `Sign` and `Step` arise from differentiation: `Sign(x)` is -1, 0, 1
+/// and `Step(x)` is 1 for x > 0 and else 0. `Expm1` and `Log1p` arise from the deviation form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Fun {
     Sin,
@@ -71,7 +71,10 @@ impl Fun {
             Fun::Step => "step",
             Fun::Expm1 => "expm1",
             Fun::Log1p => "log1p",
-            _ => Fun::CALLABLE.iter().find(|(_, f)| *f == self).map_or("?", |(n, _)| n),
+            _ => Fun::CALLABLE
+                .iter()
+                .find(|(_, f)| *f == self)
+                .map_or("?", |(n, _)| n),
         }
     }
 
@@ -156,7 +159,8 @@ impl Graph {
         self.nodes[id.0 as usize]
     }
 
-    /// Number of nodes made so far; ids below it are valid and arguments have smaller ids than their users.
+    /// Number of nodes made so far; ids below it are valid and arguments have smaller ids than
+    /// their users.
     pub fn len(&self) -> usize {
         self.nodes.len()
     }
@@ -173,7 +177,8 @@ impl Graph {
         if let Some(&id) = self.index.get(&node) {
             return id;
         }
-        let id = Id(u32::try_from(self.nodes.len()).expect("an expression graph holds fewer than 2^32 nodes"));
+        let id = Id(u32::try_from(self.nodes.len())
+            .expect("an expression graph holds fewer than 2^32 nodes"));
         self.nodes.push(node);
         self.index.insert(node, id);
         id
@@ -362,7 +367,8 @@ impl Graph {
         if let (Some(x), Some(y)) = (self.as_constant(a), self.as_constant(b)) {
             return self.constant(x * y);
         }
-        // Exact zero times a finite expression; expressions which overflow are caught at run time on the other factors.
+        // Exact zero times a finite expression; expressions which overflow are caught at run time
+        // on the other factors.
         if self.is_zero(a) || self.is_zero(b) {
             return self.constant(0.0);
         }
@@ -578,8 +584,8 @@ impl Graph {
             .collect()
     }
 
-    /// Expressions at whose zeros a root has a kink or a jump: differences of the arguments of min and max, arguments of
-    /// abs and sign.
+    /// Expressions at whose zeros a root has a kink or a jump: differences of the arguments of min
+    /// and max, arguments of abs and sign.
     pub fn kinks(&mut self, roots: &[Id]) -> Vec<Id> {
         let mut found = Vec::new();
         for id in self.reachable(roots) {

@@ -1,7 +1,8 @@
 //! Symbolic expressions: a hash-consed graph, differentiation, evaluation and printing.
 //!
 //! Every expression is a node of one [`Graph`]; equal sub-expressions are the same node, so common
-//! subexpressions are shared by construction and a program lowered from the graph computes each once.
+//! subexpressions are shared by construction and a program lowered from the graph computes each
+//! once.
 //!
 //! ```
 //! use costate::expr::{Graph, Kind};

@@ -3,7 +3,8 @@
 use super::{Graph, Id, Node, Op};
 use std::collections::{BTreeMap, HashMap};
 
-/// A polynomial: exponents of the chosen variables -> coefficient free of them. Zero coefficients are dropped.
+/// A polynomial: exponents of the chosen variables -> coefficient free of them. Zero coefficients
+/// are dropped.
 pub type Polynomial = BTreeMap<Vec<u8>, Id>;
 
 /// Why an expression is not a polynomial in the chosen variables.
@@ -19,8 +20,14 @@ impl Graph {
     /// `expr` as a polynomial in `variables`, up to `max_degree`.
     ///
     /// # Errors
-    /// [`NotPolynomial`] where a variable appears inside a function or divisor, or an intermediate degree passes `max_degree`.
-    pub fn polynomial(&mut self, expr: Id, variables: &[Id], max_degree: u8) -> Result<Polynomial, NotPolynomial> {
+    /// [`NotPolynomial`] where a variable appears inside a function or divisor, or an intermediate
+    /// degree passes `max_degree`.
+    pub fn polynomial(
+        &mut self,
+        expr: Id,
+        variables: &[Id],
+        max_degree: u8,
+    ) -> Result<Polynomial, NotPolynomial> {
         let mut memo: HashMap<Id, Polynomial> = HashMap::new();
         for id in self.reachable(&[expr]) {
             let value = self.polynomial_node(id, variables, max_degree, &memo)?;
@@ -42,7 +49,10 @@ impl Graph {
             let one = self.constant(1.0);
             return Ok(Polynomial::from([(exponents, one)]));
         }
-        let free = |args: &[Id]| args.iter().all(|a| memo[a].keys().all(|e| e.iter().all(|n| *n == 0)));
+        let free = |args: &[Id]| {
+            args.iter()
+                .all(|a| memo[a].keys().all(|e| e.iter().all(|n| *n == 0)))
+        };
         let args: Vec<Id> = self.arguments(id).collect();
         if free(&args) {
             let zero_exponent = vec![0; variables.len()];
@@ -67,10 +77,15 @@ impl Graph {
                 let minus = self.scale_polynomial(&memo[&b], -1.0);
                 Ok(self.add_polynomials(&memo[&a], &minus))
             }
-            Node::Binary(Op::Mul, a, b) => self.multiply_polynomials(&memo[&a], &memo[&b], max_degree),
+            Node::Binary(Op::Mul, a, b) => {
+                self.multiply_polynomials(&memo[&a], &memo[&b], max_degree)
+            }
             Node::Binary(Op::Div, a, b) if free(&[b]) => {
                 let terms: Vec<_> = memo[&a].iter().map(|(e, c)| (e.clone(), *c)).collect();
-                Ok(terms.into_iter().map(|(e, c)| (e, self.div(c, b))).collect())
+                Ok(terms
+                    .into_iter()
+                    .map(|(e, c)| (e, self.div(c, b)))
+                    .collect())
             }
             _ => inside(self),
         }
@@ -78,7 +93,9 @@ impl Graph {
 
     fn scale_polynomial(&mut self, p: &Polynomial, factor: f64) -> Polynomial {
         let factor = self.constant(factor);
-        p.iter().map(|(e, c)| (e.clone(), self.mul(factor, *c))).collect()
+        p.iter()
+            .map(|(e, c)| (e.clone(), self.mul(factor, *c)))
+            .collect()
     }
 
     fn accumulate(&mut self, p: &mut Polynomial, exponents: Vec<u8>, c: Id) {

@@ -13,7 +13,11 @@ const ATOM: u8 = 5;
 type Shown = (String, u8);
 
 fn wrapped((text, strength): Shown, least: u8) -> String {
-    if strength < least { format!("({text})") } else { text }
+    if strength < least {
+        format!("({text})")
+    } else {
+        text
+    }
 }
 
 /// `left` continued, in place: sums of many thousand terms are printed in linear time.
@@ -99,8 +103,14 @@ impl Graph {
                 };
                 (joined(left, "*", &right), PRODUCT)
             }
-            Op::Div => (format!("{}/{}", wrapped(left, PRODUCT), wrapped(right, UNARY)), PRODUCT),
-            Op::Pow => (format!("{}^{}", wrapped(left, ATOM), wrapped(right, ATOM)), POWER),
+            Op::Div => (
+                format!("{}/{}", wrapped(left, PRODUCT), wrapped(right, UNARY)),
+                PRODUCT,
+            ),
+            Op::Pow => (
+                format!("{}^{}", wrapped(left, ATOM), wrapped(right, ATOM)),
+                POWER,
+            ),
             Op::Min => (format!("min({}, {})", left.0, right.0), ATOM),
             Op::Max => (format!("max({}, {})", left.0, right.0), ATOM),
         }

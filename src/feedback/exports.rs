@@ -25,12 +25,21 @@ pub struct Exports {
 }
 
 impl Fitted {
-    /// Writes the files of each law, `STEM_NAME.toml`, `.h` and `.onnx`, to `directory`; `model` is the scene's.
+    /// Writes the files of each law, `STEM_NAME.toml`, `.h` and `.onnx`, to `directory`; `model` is
+    /// the scene's.
     ///
     /// # Errors
     /// Those of writing.
-    pub fn export(&self, directory: &Path, stem: &str, model: &Model) -> Result<Vec<Exports>, FileError> {
-        self.laws.iter().map(|law| law.export(directory, stem, model)).collect()
+    pub fn export(
+        &self,
+        directory: &Path,
+        stem: &str,
+        model: &Model,
+    ) -> Result<Vec<Exports>, FileError> {
+        self.laws
+            .iter()
+            .map(|law| law.export(directory, stem, model))
+            .collect()
     }
 }
 
@@ -38,7 +47,11 @@ impl FittedLaw {
     fn export(&self, directory: &Path, stem: &str, model: &Model) -> Result<Exports, FileError> {
         let path = |extension: &str| directory.join(format!("{stem}_{}.{extension}", self.name));
         let title = model.title.replace(['\n', '\r'], " ");
-        let toml = format!("# Law `{}` of the scene: {title}\n{}", self.name, self.law.to_toml());
+        let toml = format!(
+            "# Law `{}` of the scene: {title}\n{}",
+            self.name,
+            self.law.to_toml()
+        );
         let mut files = vec![path("toml"), path("h")];
         write_text(&files[0], &toml)?;
         write_text(&files[1], &header(&self.name, &self.law, &self.form, model))?;
@@ -54,6 +67,9 @@ impl FittedLaw {
                 Some(e.to_string())
             }
         };
-        Ok(Exports { files, without_onnx })
+        Ok(Exports {
+            files,
+            without_onnx,
+        })
     }
 }

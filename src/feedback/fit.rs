@@ -1,4 +1,5 @@
-//! The fit of a law: data, training in normalized variables, weights in the scene's own, and what it is worth.
+//! The fit of a law: data, training in normalized variables, weights in the scene's own, and what
+//! it is worth.
 
 use super::law::{ClosedForm, Law, LawError, Meaning, Polynomial};
 use super::network::{Layer, Network};
@@ -93,8 +94,8 @@ struct Scales {
     spread: Vec<f64>,
 }
 
-/// Fits a law. `scene` is the one that the law is part of: that of the data, or another one of the same states and
-/// controls. `progress` is called from all threads.
+/// Fits a law. `scene` is the one that the law is part of: that of the data, or another one of the
+/// same states and controls. `progress` is called from all threads.
 ///
 /// # Errors
 /// [`FitError`] where there are too few data, or no local solution to build on.
@@ -121,7 +122,12 @@ pub fn fit(
     let scales = Scales::of(law, base.is_some(), &fitted[0]);
     let [mut training, validation] = fitted.map(|r| scales.normalized(r, law, base.as_ref()));
     let shape = Shape {
-        sizes: [&[training.inputs], law.hidden.as_slice(), &[training.outputs]].concat(),
+        sizes: [
+            &[training.inputs],
+            law.hidden.as_slice(),
+            &[training.outputs],
+        ]
+        .concat(),
         activation: law.activation,
     };
     if shape.parameters() > training.residuals() {
@@ -148,7 +154,13 @@ pub fn fit(
     })?;
     let program = Program::lower(&form.graph, &form.x, &form.commands);
     let test = &sets.test;
-    let quality = Quality::of(&form, data.model, data.hamiltonian, test, &commanded(law, test));
+    let quality = Quality::of(
+        &form,
+        data.model,
+        data.hamiltonian,
+        test,
+        &commanded(law, test),
+    );
     let all = [&sets.training, &sets.validation, &sets.test];
     Ok(FittedLaw {
         name: law.name.clone(),
@@ -197,10 +209,11 @@ fn base(data: Data<'_>, law: &Feedback) -> Result<Option<Polynomial>, FitError> 
     if law.base == Base::None {
         return Ok(None);
     }
-    let riccati = Riccati::solve(data.hamiltonian, data.model).map_err(|source| FitError::Local {
-        law: law.name.clone(),
-        source,
-    })?;
+    let riccati =
+        Riccati::solve(data.hamiltonian, data.model).map_err(|source| FitError::Local {
+            law: law.name.clone(),
+            source,
+        })?;
     let reference = data.model.reference();
     let center = law.inputs.iter().map(|i| reference[*i]).collect();
     let Target::Law(outputs) = &law.target else {
@@ -210,7 +223,9 @@ fn base(data: Data<'_>, law: &Feedback) -> Result<Option<Polynomial>, FitError> 
             center,
             constant: vec![0.0],
             linear: DMatrix::zeros(1, n),
-            quadratic: Some(DMatrix::from_fn(n, n, |i, j| 0.5 * (among(i, j) + among(j, i)))),
+            quadratic: Some(DMatrix::from_fn(n, n, |i, j| {
+                0.5 * (among(i, j) + among(j, i))
+            })),
         }));
     };
     let h = data.hamiltonian;
@@ -253,8 +268,13 @@ fn unscaled(law: &Feedback, base: Option<&Polynomial>, samples: &Samples) -> Reg
         }
         if let Some(base) = base {
             let y = &mut regression.y[k * outputs..][..outputs];
-            y.iter_mut().enumerate().for_each(|(o, y)| *y -= base.eval(&x, o));
-            slopes.iter_mut().zip(base.slopes(&x)).for_each(|(s, b)| *s -= b);
+            y.iter_mut()
+                .enumerate()
+                .for_each(|(o, y)| *y -= base.eval(&x, o));
+            slopes
+                .iter_mut()
+                .zip(base.slopes(&x))
+                .for_each(|(s, b)| *s -= b);
         }
         regression.x.extend(x);
         regression.slopes.extend(slopes);
@@ -284,7 +304,14 @@ impl Scales {
                 let (mean, spread) = column(&data.y, data.outputs, o);
                 let mean = if pinned { 0.0 } else { mean };
                 let size = (mean.abs() + spread).max(f64::MIN_POSITIVE);
-                (mean, if spread > LEAST_SPREAD * size { spread } else { size })
+                (
+                    mean,
+                    if spread > LEAST_SPREAD * size {
+                        spread
+                    } else {
+                        size
+                    },
+                )
             })
             .unzip();
         Self {
@@ -295,7 +322,12 @@ impl Scales {
         }
     }
 
-    fn normalized(&self, mut data: Regression, law: &Feedback, base: Option<&Polynomial>) -> Regression {
+    fn normalized(
+        &self,
+        mut data: Regression,
+        law: &Feedback,
+        base: Option<&Polynomial>,
+    ) -> Regression {
         let place = |x: f64, i: usize| (x - self.center[i]) / self.width[i];
         let (inputs, outputs) = (data.inputs, data.outputs);
         for (k, x) in data.x.iter_mut().enumerate() {
@@ -308,7 +340,12 @@ impl Scales {
             *slope *= self.width[k % inputs] / self.spread[0];
         }
         data.pinned = base.map(|base| Pinned {
-            at: base.center.iter().enumerate().map(|(i, x)| place(*x, i)).collect(),
+            at: base
+                .center
+                .iter()
+                .enumerate()
+                .map(|(i, x)| place(*x, i))
+                .collect(),
             slopes: law.target == Target::Value,
         });
         data
@@ -389,5 +426,9 @@ fn assemble(
             }
         }
     }
-    Law { meaning, network, base }
+    Law {
+        meaning,
+        network,
+        base,
+    }
 }

@@ -164,10 +164,12 @@ impl Law {
         let mut text = format!("kind = {}\n", quoted(self.meaning.name()));
         text += &self.network.to_toml();
         if let Some(base) = &self.base {
-            text +=
-                "\n# Added to the network: constant + linear d + 1/2 d' quadratic d, d = inputs - center.\n[base]\n";
+            text += "\n# Added to the network: constant + linear d + 1/2 d' quadratic d, d = inputs - center.\n[base]\n";
             text += &format!("center = {}\n", vector_text(base.center.iter().copied()));
-            text += &format!("constant = {}\n", vector_text(base.constant.iter().copied()));
+            text += &format!(
+                "constant = {}\n",
+                vector_text(base.constant.iter().copied())
+            );
             text += &format!("linear = {}\n", matrix_text(&base.linear));
             if let Some(quadratic) = &base.quadratic {
                 text += &format!("quadratic = {}\n", matrix_text(quadratic));
@@ -190,7 +192,9 @@ impl Law {
     /// The outputs as expressions of the inputs, before any bounds.
     pub fn expressions(&self, graph: &mut Graph, inputs: &[Id]) -> Vec<Id> {
         let outputs = self.network.expressions(graph, inputs);
-        let Some(base) = &self.base else { return outputs };
+        let Some(base) = &self.base else {
+            return outputs;
+        };
         let add = |(i, output)| {
             let rest = base.expression(graph, inputs, i);
             graph.add(output, rest)
@@ -202,7 +206,11 @@ impl Law {
     ///
     /// # Errors
     /// [`LawError`] where the names are not those of the scene.
-    pub fn closed_form(&self, model: &Model, hamiltonian: &Hamiltonian) -> Result<ClosedForm, LawError> {
+    pub fn closed_form(
+        &self,
+        model: &Model,
+        hamiltonian: &Hamiltonian,
+    ) -> Result<ClosedForm, LawError> {
         let mut graph = hamiltonian.graph.clone();
         let state = |name: &String| model.states.iter().position(|s| s.variable.name == *name);
         let inputs: Vec<usize> = (self.network.inputs.iter())
@@ -260,10 +268,23 @@ impl ClosedForm {
             .map(|(symbol, value)| (symbol, graph.constant(value)))
             .collect();
         let commands = graph.substitute(&hamiltonian.control, &numbers);
-        let p: Vec<Id> = hamiltonian.x.iter().map(|x| graph.diff(value, *x)).collect();
-        let slopes = hamiltonian.p.iter().copied().zip(p.iter().copied()).collect();
+        let p: Vec<Id> = hamiltonian
+            .x
+            .iter()
+            .map(|x| graph.diff(value, *x))
+            .collect();
+        let slopes = hamiltonian
+            .p
+            .iter()
+            .copied()
+            .zip(p.iter().copied())
+            .collect();
         self.commands = graph.substitute(&commands, &slopes);
-        self.outputs = model.controls.iter().map(|c| c.variable.name.clone()).collect();
+        self.outputs = model
+            .controls
+            .iter()
+            .map(|c| c.variable.name.clone())
+            .collect();
         self.value = Some((value, p));
         self.optimal = Some(Optimal {
             p: hamiltonian.p.clone(),

@@ -1,7 +1,9 @@
-//! Feedback laws that are fitted to the optimal trajectories: networks, their training and their export.
+//! Feedback laws that are fitted to the optimal trajectories: networks, their training and their
+//! export.
 //!
-//! [`fit`] takes samples of optimal trajectories ([`Samples`]) and what a scene's `[feedback]` asks for, trains a
-//! [`Network`] by Levenberg-Marquardt, and returns a [`Law`] with what it is worth on trajectories it has not seen.
+//! [`fit`] takes samples of optimal trajectories ([`Samples`]) and what a scene's `[feedback]` asks
+//! for, trains a [`Network`] by Levenberg-Marquardt, and returns a [`Law`] with what it is worth on
+//! trajectories it has not seen.
 
 mod exports;
 mod fit;

@@ -60,8 +60,8 @@ impl Network {
     /// Reads a weights file's text; `file` is for messages.
     ///
     /// # Errors
-    /// Everything that is wrong with it, with its places. A law with a part beside the network (`[base]`), or of a
-    /// value function, is refused: that is a [`Law`](super::Law).
+    /// Everything that is wrong with it, with its places. A law with a part beside the network
+    /// (`[base]`), or of a value function, is refused: that is a [`Law`](super::Law).
     pub fn from_toml(text: &str, file: &str) -> Result<Self, super::NetworkError> {
         super::weights::read_network(text, file)
     }
@@ -127,7 +127,10 @@ impl Network {
 
     /// Number of weights and biases.
     pub fn parameters(&self) -> usize {
-        self.layers.iter().map(|l| l.weights.len() + l.bias.len()).sum()
+        self.layers
+            .iter()
+            .map(|l| l.weights.len() + l.bias.len())
+            .sum()
     }
 }
 
@@ -143,7 +146,8 @@ mod tests {
         Network::from_toml(PRINTED, "hardt_network.toml").unwrap()
     }
 
-    /// With sigma = 4, beta = 1 the printed law is 1.5239 at Phi0 = 1.2 (the weights are printed to four decimals).
+    /// With sigma = 4, beta = 1 the printed law is 1.5239 at Phi0 = 1.2 (the weights are printed to
+    /// four decimals).
     #[test]
     fn the_printed_law_at_the_equilibrium() {
         let (phi, psi_c0) = (1.2_f64, 0.1469);
@@ -168,13 +172,20 @@ mod tests {
                 ..printed()
             };
             let mut graph = Graph::new();
-            let inputs: Vec<_> = net.inputs.iter().map(|n| graph.symbol(n, Kind::State)).collect();
+            let inputs: Vec<_> = net
+                .inputs
+                .iter()
+                .map(|n| graph.symbol(n, Kind::State))
+                .collect();
             let outputs = net.expressions(&mut graph, &inputs);
             for x in [[1.2, 2.0, 0.0], [1.0, 1.6, 0.12], [-40.0, 300.0, 7.0]] {
                 let values: HashMap<_, _> = inputs.iter().copied().zip(x).collect();
                 let (by_graph, by_matrices) = (graph.eval(&outputs, &values)[0], net.eval(&x)[0]);
                 // Sums of ten terms of about 10, added in another order.
-                assert!((by_graph - by_matrices).abs() < 1e-13, "{by_graph} {by_matrices}");
+                assert!(
+                    (by_graph - by_matrices).abs() < 1e-13,
+                    "{by_graph} {by_matrices}"
+                );
             }
         }
     }
@@ -194,7 +205,11 @@ mod tests {
             assert_eq!(activation.value(1e6), 1.0);
             assert_eq!(
                 activation.value(-1e6),
-                if activation == Activation::Tanh { -1.0 } else { 0.0 }
+                if activation == Activation::Tanh {
+                    -1.0
+                } else {
+                    0.0
+                }
             );
         }
     }

@@ -35,8 +35,8 @@ pub struct Quality {
     pub loss: Option<Loss>,
 }
 
-/// What a law's control loses at a state: `H(x, p, u_fit) - H(x, p, u*)` with the true p, the rate at which cost is lost,
-/// relative to the running cost's scale.
+/// What a law's control loses at a state: `H(x, p, u_fit) - H(x, p, u*)` with the true p, the rate
+/// at which cost is lost, relative to the running cost's scale.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Loss {
     /// The running cost L(x, u*) in the mean over the samples.
@@ -71,7 +71,11 @@ impl Errors {
             count += 1.0;
             size += truth.abs();
             sum += error;
-            max = if error.is_nan() { f64::NAN } else { max.max(error) };
+            max = if error.is_nan() {
+                f64::NAN
+            } else {
+                max.max(error)
+            };
             (lowest, highest) = (lowest.min(truth), highest.max(truth));
         }
         Self {
@@ -92,7 +96,13 @@ impl Errors {
 
 impl Quality {
     /// `model` is that of the data. `wanted` is what the law is to give: `[sample][output]`.
-    pub fn of(form: &ClosedForm, model: &Model, hamiltonian: &Hamiltonian, data: &Samples, wanted: &[f64]) -> Self {
+    pub fn of(
+        form: &ClosedForm,
+        model: &Model,
+        hamiltonian: &Hamiltonian,
+        data: &Samples,
+        wanted: &[f64],
+    ) -> Self {
         let n = data.states;
         let mut roots = form.commands.clone();
         let outputs = roots.len();
@@ -108,15 +118,23 @@ impl Quality {
         };
         let mut quality = Self {
             samples: data.len(),
-            u: (0..outputs).map(of_output).reduce(Errors::worst).unwrap_or_default(),
+            u: (0..outputs)
+                .map(of_output)
+                .reduce(Errors::worst)
+                .unwrap_or_default(),
             ..Self::default()
         };
         quality.loss = Loss::of(form, model, hamiltonian, data, &rows);
         if form.value.is_none() {
             return quality;
         }
-        quality.v = Some(Errors::of(data.v.iter().zip(&rows).map(|(v, row)| (*v, row[outputs]))));
-        let fitted: Vec<f64> = rows.iter().flat_map(|row| row[outputs + 1..].to_vec()).collect();
+        quality.v = Some(Errors::of(
+            data.v.iter().zip(&rows).map(|(v, row)| (*v, row[outputs])),
+        ));
+        let fitted: Vec<f64> = rows
+            .iter()
+            .flat_map(|row| row[outputs + 1..].to_vec())
+            .collect();
         quality.p = Some(slope_errors(model, data, &fitted));
         // V is one function on the circle, of which each piece belongs to a number of rounds.
         let line = data.before_moving();
@@ -137,8 +155,15 @@ impl Quality {
 }
 
 impl Loss {
-    /// `rows` begin with the law's outputs at the samples. A command for a state has no loss of its own.
-    fn of(form: &ClosedForm, model: &Model, h: &Hamiltonian, data: &Samples, rows: &[Vec<f64>]) -> Option<Self> {
+    /// `rows` begin with the law's outputs at the samples. A command for a state has no loss of its
+    /// own.
+    fn of(
+        form: &ClosedForm,
+        model: &Model,
+        h: &Hamiltonian,
+        data: &Samples,
+        rows: &[Vec<f64>],
+    ) -> Option<Self> {
         let control = |name: &String| model.controls.iter().position(|c| c.variable.name == *name);
         let controls: Vec<usize> = form.outputs.iter().map(control).collect::<Option<_>>()?;
         let mut graph = h.graph.clone();
@@ -159,7 +184,10 @@ impl Loss {
             let mut u = data.u_of(k).to_vec();
             let at = |u: &[f64]| program.eval(&[&line[k * n..][..n], data.p_of(k), u].concat())[0];
             let least = at(&u);
-            controls.iter().zip(&rows[k]).for_each(|(i, fitted)| u[*i] = *fitted);
+            controls
+                .iter()
+                .zip(&rows[k])
+                .for_each(|(i, fitted)| u[*i] = *fitted);
             (at(&u) - least) / scale
         };
         let lost: Vec<f64> = (0..data.len()).into_par_iter().map(lost).collect();
@@ -185,12 +213,21 @@ impl Loss {
 }
 
 fn slope_errors(model: &Model, data: &Samples, fitted: &[f64]) -> Errors {
-    let widths: Vec<f64> = model.region.iter().map(|[lower, upper]| upper - lower).collect();
+    let widths: Vec<f64> = model
+        .region
+        .iter()
+        .map(|[lower, upper]| upper - lower)
+        .collect();
     let n = data.states;
     let (mut size, mut sum, mut max, mut largest) = (0.0, 0.0, 0.0f64, 0.0f64);
     for (k, fitted) in fitted.chunks(n).enumerate() {
         let truth = data.p_of(k);
-        let length = |of: &dyn Fn(usize) -> f64| (0..n).map(|i| (of(i) * widths[i]).powi(2)).sum::<f64>().sqrt();
+        let length = |of: &dyn Fn(usize) -> f64| {
+            (0..n)
+                .map(|i| (of(i) * widths[i]).powi(2))
+                .sum::<f64>()
+                .sqrt()
+        };
         let (error, full) = (length(&|i| truth[i] - fitted[i]), length(&|i| truth[i]));
         size += full;
         sum += error;

@@ -86,25 +86,37 @@ const NUMBERS: [Number; 22] = [
     ("flops", "floating-point operations of a call", |l| l.flops),
     ("fit_seconds", "time of the fit", |l| l.seconds),
     ("parameters", "weights and biases", |l| l.parameters as f64),
-    ("iterations", "steps of Levenberg-Marquardt up to these weights", |l| {
-        l.iterations as f64
+    (
+        "iterations",
+        "steps of Levenberg-Marquardt up to these weights",
+        |l| l.iterations as f64,
+    ),
+    ("seed", "seed of the sets and the first weights", |l| {
+        l.seed as f64
     }),
-    ("seed", "seed of the sets and the first weights", |l| l.seed as f64),
 ];
 
 type Count = (&'static str, &'static str, fn(&FittedLaw) -> usize);
 
 /// Integer variables.
 const COUNTS: [Count; 8] = [
-    ("training_samples", "samples of the training set", |l| l.sets[0]),
-    ("validation_samples", "samples of the validation set", |l| l.sets[1]),
+    ("training_samples", "samples of the training set", |l| {
+        l.sets[0]
+    }),
+    ("validation_samples", "samples of the validation set", |l| {
+        l.sets[1]
+    }),
     ("test_samples", "samples of the test set", |l| l.sets[2]),
-    ("training_trajectories", "trajectories of the training set", |l| {
-        l.trajectories[0]
-    }),
-    ("validation_trajectories", "trajectories of the validation set", |l| {
-        l.trajectories[1]
-    }),
+    (
+        "training_trajectories",
+        "trajectories of the training set",
+        |l| l.trajectories[0],
+    ),
+    (
+        "validation_trajectories",
+        "trajectories of the validation set",
+        |l| l.trajectories[1],
+    ),
     ("test_trajectories", "trajectories of the test set", |l| {
         l.trajectories[2]
     }),
@@ -113,7 +125,9 @@ const COUNTS: [Count; 8] = [
         "hidden units whose transition is narrower than the spacing of the samples",
         |l| l.narrow_units,
     ),
-    ("starts", "trainings from different first weights", |l| l.starts),
+    ("starts", "trainings from different first weights", |l| {
+        l.starts
+    }),
 ];
 
 fn or_nan<T>(of: Option<T>, number: fn(T) -> f64) -> f64 {
@@ -136,7 +150,9 @@ impl Fitted {
             .variable(text("kind", "what was fitted: u or V", &|l| {
                 l.law.meaning.name().to_owned()
             }))
-            .variable(text("outputs", "what the law commands", &|l| l.form.outputs.join(" ")))
+            .variable(text("outputs", "what the law commands", &|l| {
+                l.form.outputs.join(" ")
+            }))
             .variable(text("toml", "the weights file", &|l| l.law.to_toml()));
         for (name, what, _) in NUMBERS {
             group = group.variable(Variable::f64(name, ["law"]).long_name(what));
@@ -149,7 +165,10 @@ impl Fitted {
             writer.write(name, &self.laws.iter().map(of).collect::<Vec<f64>>())?;
         }
         for (name, _, of) in COUNTS {
-            writer.write(name, &self.laws.iter().map(|l| of(l) as i32).collect::<Vec<i32>>())?;
+            writer.write(
+                name,
+                &self.laws.iter().map(|l| of(l) as i32).collect::<Vec<i32>>(),
+            )?;
         }
         Ok(())
     }

@@ -1,17 +1,20 @@
-//! The least-squares problem of a fit, in normalized variables: residuals, cost, and the normal equations of a step.
+//! The least-squares problem of a fit, in normalized variables: residuals, cost, and the normal
+//! equations of a step.
 
 use super::shape::{Pass, Shape};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Parts into which the samples are divided: a fixed number, summed in order, so that results do not depend on threads.
+/// Parts into which the samples are divided: a fixed number, summed in order, so that results do
+/// not depend on threads.
 const PARTS: usize = 16;
 /// Rows of the Jacobian that are multiplied at once.
 const ROWS: usize = 256;
 /// Columns of the normal matrix that are computed at once: of blocks above the diagonal none is.
 const BLOCK: usize = 64;
 
-/// Where the network is made to vanish, by subtracting its value there, and its slopes where `slopes`.
+/// Where the network is made to vanish, by subtracting its value there, and its slopes where
+/// `slopes`.
 #[derive(Clone, Debug)]
 pub(super) struct Pinned {
     pub at: Vec<f64>,
@@ -30,7 +33,8 @@ pub(super) struct Regression {
     /// Of the only output by each input, `[sample][input]`; empty: not fitted.
     pub slopes: Vec<f64>,
     pub pinned: Option<Pinned>,
-    /// Bound on the length of each first unit's weights: beyond it the cost rises steeply (see `units`).
+    /// Bound on the length of each first unit's weights: beyond it the cost rises steeply (see
+    /// `units`).
     pub steepest: Option<f64>,
 }
 
@@ -80,7 +84,9 @@ impl Regression {
             }
         }
         for input in 0..if pinned.slopes { self.inputs } else { 0 } {
-            anchor.slopes.push(shape.slope(weights, input, &mut pass)[0]);
+            anchor
+                .slopes
+                .push(shape.slope(weights, input, &mut pass)[0]);
             if rows {
                 let mut row = vec![0.0; shape.parameters()];
                 shape.slope_by_weights(weights, 0, 1.0, &mut pass, &mut row);
@@ -103,15 +109,29 @@ impl Regression {
         out.clear();
         let x = &self.x[k * self.inputs..][..self.inputs];
         let y = &self.y[k * self.outputs..][..self.outputs];
-        out.extend(shape.forward(weights, x, pass).iter().zip(y).map(|(n, y)| n - y));
+        out.extend(
+            shape
+                .forward(weights, x, pass)
+                .iter()
+                .zip(y)
+                .map(|(n, y)| n - y),
+        );
         if let Some(anchor) = anchor {
-            out.iter_mut().zip(&anchor.values).for_each(|(r, v)| *r -= v);
+            out.iter_mut()
+                .zip(&anchor.values)
+                .for_each(|(r, v)| *r -= v);
             let distance = x.iter().zip(self.pinned_at()).map(|(x, at)| x - at);
-            out[0] -= distance.zip(&anchor.slopes).map(|(d, s)| d * s).sum::<f64>();
+            out[0] -= distance
+                .zip(&anchor.slopes)
+                .map(|(d, s)| d * s)
+                .sum::<f64>();
         }
         if !self.slopes.is_empty() {
             for input in 0..self.inputs {
-                let pinned = anchor.and_then(|a| a.slopes.get(input)).copied().unwrap_or(0.0);
+                let pinned = anchor
+                    .and_then(|a| a.slopes.get(input))
+                    .copied()
+                    .unwrap_or(0.0);
                 let slope = shape.slope(weights, input, pass)[0];
                 out.push(slope - pinned - self.slopes[k * self.inputs + input]);
             }
@@ -125,7 +145,12 @@ impl Regression {
     /// Every `stride`-th sample.
     pub fn thinned(&self, stride: usize) -> Self {
         let take = |values: &[f64], width: usize| -> Vec<f64> {
-            values.chunks(width.max(1)).step_by(stride).flatten().copied().collect()
+            values
+                .chunks(width.max(1))
+                .step_by(stride)
+                .flatten()
+                .copied()
+                .collect()
         };
         Self {
             x: take(&self.x, self.inputs),
@@ -135,18 +160,25 @@ impl Regression {
         }
     }
 
-    /// Units of the first layer that are steeper than the bound: where their weights begin, the length of these, and the
-    /// residual that stands for the excess. It weighs as all data together do.
+    /// Units of the first layer that are steeper than the bound: where their weights begin, the
+    /// length of these, and the residual that stands for the excess. It weighs as all data together
+    /// do.
     fn too_steep(&self, shape: &Shape, weights: &[f64]) -> Vec<(usize, f64, f64)> {
         let Some(steepest) = self.steepest else {
             return Vec::new();
         };
         let weight = (self.residuals() as f64).sqrt();
-        let units = weights[..shape.places()[0][1]].chunks(self.inputs).enumerate();
+        let units = weights[..shape.places()[0][1]]
+            .chunks(self.inputs)
+            .enumerate();
         units
             .map(|(unit, row)| {
                 let length = row.iter().map(|w| w * w).sum::<f64>().sqrt();
-                (unit * self.inputs, length, weight * (length / steepest - 1.0))
+                (
+                    unit * self.inputs,
+                    length,
+                    weight * (length / steepest - 1.0),
+                )
             })
             .filter(|(.., excess)| *excess > 0.0)
             .collect()
@@ -155,7 +187,9 @@ impl Regression {
     fn parts(&self) -> Vec<std::ops::Range<usize>> {
         let samples = self.samples();
         let bound = |part: usize| part * samples / PARTS;
-        (0..PARTS).map(|part| bound(part)..bound(part + 1)).collect()
+        (0..PARTS)
+            .map(|part| bound(part)..bound(part + 1))
+            .collect()
     }
 
     /// Half the sum of squares.
@@ -195,7 +229,8 @@ impl Regression {
         for (begin, length, excess) in self.too_steep(shape, weights) {
             total.cost += 0.5 * excess * excess;
             // Of the residual by the unit's weights.
-            let slope = (self.residuals() as f64).sqrt() / (self.steepest.unwrap_or(f64::INFINITY) * length);
+            let slope = (self.residuals() as f64).sqrt()
+                / (self.steepest.unwrap_or(f64::INFINITY) * length);
             let row = begin..begin + self.inputs;
             for i in row.clone() {
                 total.gradient[i] += slope * weights[i] * excess;
@@ -207,7 +242,13 @@ impl Regression {
         total
     }
 
-    fn part(&self, shape: &Shape, weights: &[f64], anchor: Option<&Anchor>, range: std::ops::Range<usize>) -> Normal {
+    fn part(
+        &self,
+        shape: &Shape,
+        weights: &[f64],
+        anchor: Option<&Anchor>,
+        range: std::ops::Range<usize>,
+    ) -> Normal {
         let size = shape.parameters();
         let mut normal = Normal {
             matrix: DMatrix::zeros(size, size),
@@ -250,7 +291,9 @@ impl Regression {
         row: &mut [f64],
     ) {
         let subtract = |from: &mut [f64], what: &[f64], factor: f64| {
-            from.iter_mut().zip(what).for_each(|(r, w)| *r -= factor * w);
+            from.iter_mut()
+                .zip(what)
+                .for_each(|(r, w)| *r -= factor * w);
         };
         if i < self.outputs {
             shape.by_weights(weights, i, 1.0, pass, row);
@@ -273,7 +316,8 @@ impl Regression {
 }
 
 impl Normal {
-    /// Adds the residuals' columns of derivatives, of which `used` count. Above the diagonal blocks nothing is added.
+    /// Adds the residuals' columns of derivatives, of which `used` count. Above the diagonal blocks
+    /// nothing is added.
     fn add(&mut self, columns: &DMatrix<f64>, residuals: &DVector<f64>, used: usize) {
         if used == 0 {
             return;
@@ -287,7 +331,8 @@ impl Normal {
             let lower = columns.rows(begin, size - begin);
             block.gemm(1.0, &lower, &transposed.columns(begin, width), 1.0);
         }
-        self.gradient.gemv(1.0, &columns, &residuals.rows(0, used), 1.0);
+        self.gradient
+            .gemv(1.0, &columns, &residuals.rows(0, used), 1.0);
     }
 }
 
@@ -325,7 +370,11 @@ mod tests {
                 outputs,
                 x: numbers(2 * samples, 1),
                 y: numbers(outputs * samples, 2),
-                slopes: if slopes { numbers(2 * samples, 3) } else { Vec::new() },
+                slopes: if slopes {
+                    numbers(2 * samples, 3)
+                } else {
+                    Vec::new()
+                },
                 pinned,
                 steepest: None,
             };
@@ -334,8 +383,8 @@ mod tests {
         choices.into_iter().map(make).collect()
     }
 
-    /// The gradient against central differences of the cost (about 100; h^2 and rounding leave 1e-8), and the lower
-    /// triangle of the matrix against products of differences of residuals.
+    /// The gradient against central differences of the cost (about 100; h^2 and rounding leave
+    /// 1e-8), and the lower triangle of the matrix against products of differences of residuals.
     #[test]
     fn normal_equations_are_those_of_finite_differences() {
         let h = 1e-5;
@@ -352,11 +401,20 @@ mod tests {
                 let anchor = problem.anchor(&shape, weights, false);
                 let (mut pass, mut residual, mut out) = (shape.pass(), Vec::new(), Vec::new());
                 for k in 0..problem.samples() {
-                    problem.residual(&shape, weights, anchor.as_ref(), k, &mut pass, &mut residual);
+                    problem.residual(
+                        &shape,
+                        weights,
+                        anchor.as_ref(),
+                        k,
+                        &mut pass,
+                        &mut residual,
+                    );
                     out.extend_from_slice(&residual);
                 }
                 let excess = problem.too_steep(&shape, weights);
-                out.extend((0..4).map(|unit| excess.iter().find(|e| e.0 == 2 * unit).map_or(0.0, |e| e.2)));
+                out.extend(
+                    (0..4).map(|unit| excess.iter().find(|e| e.0 == 2 * unit).map_or(0.0, |e| e.2)),
+                );
                 out
             };
             let residuals = DVector::from_vec(all(&weights));

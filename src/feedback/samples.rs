@@ -24,8 +24,8 @@ pub struct Samples {
     /// `[sample][control]`
     pub u: Vec<f64>,
     pub v: Vec<f64>,
-    /// x before it was moved by periods: the cost of a state with a period may tell how often it has gone round. Empty
-    /// where nothing was moved.
+    /// x before it was moved by periods: the cost of a state with a period may tell how often it
+    /// has gone round. Empty where nothing was moved.
     pub unmoved: Vec<f64>,
     /// The trajectory of each; a solved state is one by itself.
     pub trajectory: Vec<u32>,
@@ -52,7 +52,8 @@ pub struct Selection {
     pub kept: usize,
 }
 
-/// Whether V is the value function at a state, rather than that of a dearer sheet; `None` where that is not known.
+/// Whether V is the value function at a state, rather than that of a dearer sheet; `None` where
+/// that is not known.
 pub type Optimality<'f> = dyn Fn(&[f64], f64) -> Option<bool> + Sync + 'f;
 
 /// Samples among which dearer sheets are looked for: an evenly spread part of more.
@@ -73,7 +74,8 @@ impl Samples {
         self.v.is_empty()
     }
 
-    /// All samples of swept trajectories, and all solved states; `states` and `controls` of the system.
+    /// All samples of swept trajectories, and all solved states; `states` and `controls` of the
+    /// system.
     pub fn new(
         (states, controls): (usize, usize),
         swept: Option<&SweptTrajectories>,
@@ -88,7 +90,9 @@ impl Samples {
         if let Some(all) = swept {
             samples.extend(&all.x, &all.p, &all.u, &all.v);
             for _ in 0..all.count {
-                samples.trajectory.extend(std::iter::repeat_n(trajectory, all.samples));
+                samples
+                    .trajectory
+                    .extend(std::iter::repeat_n(trajectory, all.samples));
                 trajectory += 1;
             }
         }
@@ -99,8 +103,8 @@ impl Samples {
         samples
     }
 
-    /// With states spread over a box, at which a map to an error tells V, p and u: as many of `count` as it knows. Of the samples
-    /// that there are those outside its region stay.
+    /// With states spread over a box, at which a map to an error tells V, p and u: as many of
+    /// `count` as it knows. Of the samples that there are those outside its region stay.
     pub fn with_map(&self, map: &ValueMap, bounds: &[[f64; 2]], count: usize) -> Self {
         let outside = |x: &[f64]| map.outside(x).is_some();
         let beside: Vec<usize> = (0..self.len()).filter(|k| outside(self.x_of(*k))).collect();
@@ -113,7 +117,11 @@ impl Samples {
         // Each state is one by itself.
         let next = samples.trajectory.iter().max().map_or(0, |last| last + 1);
         for k in (0..told.v.len()).filter(|k| told.v[*k].is_finite()) {
-            let (x, p, u) = (&spread[k * n..][..n], &told.p[k * n..][..n], &told.u[k * m..][..m]);
+            let (x, p, u) = (
+                &spread[k * n..][..n],
+                &told.p[k * n..][..n],
+                &told.u[k * m..][..m],
+            );
             samples.extend(x, p, u, &told.v[k..=k]);
             samples.trajectory.push(next + k as u32);
         }
@@ -159,16 +167,24 @@ impl Samples {
             taken.extend(self.x_of(k), self.p_of(k), self.u_of(k), &self.v[k..=k]);
             taken.trajectory.push(self.trajectory[k]);
             if !self.unmoved.is_empty() {
-                taken.unmoved.extend(&self.unmoved[k * self.states..][..self.states]);
+                taken
+                    .unmoved
+                    .extend(&self.unmoved[k * self.states..][..self.states]);
             }
         }
         taken
     }
 
-    /// The samples that a law is fitted to: complete ones in its box and under its conditions (states with a period are
-    /// moved into the box by whole periods), the cheapest solution at their state, at most `max_samples`, spread evenly.
-    /// `scene` is the one with the law; `known` may tell which samples are optimal, and where it cannot, neighbours do.
-    pub fn select(&self, scene: &Model, law: &Feedback, known: &Optimality<'_>) -> (Samples, Selection) {
+    /// The samples that a law is fitted to: complete ones in its box and under its conditions
+    /// (states with a period are moved into the box by whole periods), the cheapest solution at
+    /// their state, at most `max_samples`, spread evenly. `scene` is the one with the law; `known`
+    /// may tell which samples are optimal, and where it cannot, neighbours do.
+    pub fn select(
+        &self,
+        scene: &Model,
+        law: &Feedback,
+        known: &Optimality<'_>,
+    ) -> (Samples, Selection) {
         let mut counts = Selection {
             offered: self.len(),
             ..Selection::default()
@@ -211,7 +227,9 @@ impl Samples {
             }
             let x = &*x;
             let complete = [self.p_of(k), self.u_of(k), &self.v[k..=k], x];
-            let complete = complete.iter().all(|values| values.iter().all(|v| v.is_finite()));
+            let complete = complete
+                .iter()
+                .all(|values| values.iter().all(|v| v.is_finite()));
             let within = x
                 .iter()
                 .zip(&law.bounds)
@@ -231,8 +249,9 @@ impl Samples {
         moved.take(&kept)
     }
 
-    /// Numbers of at most `most` samples, as evenly spread over the box as they can be: the box is divided into about so many
-    /// cells, and cells give one sample each, in turn, as long as they have some.
+    /// Numbers of at most `most` samples, as evenly spread over the box as they can be: the box is
+    /// divided into about so many cells, and cells give one sample each, in turn, as long as they
+    /// have some.
     fn thinned(&self, bounds: &[[f64; 2]], most: usize, seed: u64) -> Vec<usize> {
         if self.len() <= most {
             return (0..self.len()).collect();
@@ -241,7 +260,9 @@ impl Samples {
         let cell = |k: usize| -> Vec<u32> {
             let along = self.x_of(k).iter().zip(bounds);
             let along = along.map(|(x, [lower, upper])| divisions * (x - lower) / (upper - lower));
-            along.map(|place| place.clamp(0.0, divisions - 1.0) as u32).collect()
+            along
+                .map(|place| place.clamp(0.0, divisions - 1.0) as u32)
+                .collect()
         };
         let mut order: Vec<usize> = (0..self.len()).collect();
         order.sort_by_cached_key(|k| random(seed, *k as u64));
@@ -253,21 +274,31 @@ impl Samples {
             *turn += 1;
         }
         turns.sort_unstable();
-        let mut kept: Vec<usize> = turns[..most].iter().map(|(_, place)| order[*place]).collect();
+        let mut kept: Vec<usize> = turns[..most]
+            .iter()
+            .map(|(_, place)| order[*place])
+            .collect();
         kept.sort_unstable();
         kept
     }
 
-    /// Which of the candidates are the cheapest solution at their state. Where `known` cannot tell, a sample is taken for dearer
-    /// if a neighbour of another trajectory, extrapolated along its p, is cheaper by more than the bend of V between
-    /// the two (the difference of their p) can be.
-    fn optimal(&self, candidates: &[usize], bounds: &[[f64; 2]], known: &Optimality<'_>) -> Vec<usize> {
+    /// Which of the candidates are the cheapest solution at their state. Where `known` cannot tell,
+    /// a sample is taken for dearer if a neighbour of another trajectory, extrapolated along its p,
+    /// is cheaper by more than the bend of V between the two (the difference of their p) can be.
+    fn optimal(
+        &self,
+        candidates: &[usize],
+        bounds: &[[f64; 2]],
+        known: &Optimality<'_>,
+    ) -> Vec<usize> {
         let n = self.states;
         if self.is_empty() || n > MOST_DIMENSIONS {
             return candidates.to_vec();
         }
         let widths: Vec<f64> = bounds.iter().map(|[lower, upper]| upper - lower).collect();
-        let scaled: Vec<f64> = (self.x.iter().enumerate()).map(|(i, x)| x / widths[i % n]).collect();
+        let scaled: Vec<f64> = (self.x.iter().enumerate())
+            .map(|(i, x)| x / widths[i % n])
+            .collect();
         let tree = index(&scaled, n);
         let slack = DEARER * self.v.iter().copied().fold(0.0, f64::max);
         let cheaper = |k: usize, other: usize| {
@@ -285,14 +316,16 @@ impl Samples {
                     return optimal;
                 }
                 let near = tree.near(&scaled[k * n..][..n], f64::INFINITY, 4 * NEIGHBOURS);
-                let others = near.iter().filter(|(j, _)| self.trajectory[*j] != self.trajectory[k]);
+                let others = near
+                    .iter()
+                    .filter(|(j, _)| self.trajectory[*j] != self.trajectory[k]);
                 !others.take(NEIGHBOURS).any(|(j, _)| cheaper(k, *j))
             })
             .collect()
     }
 
-    /// Divides whole trajectories between the sets by the law's shares, at random by its seed. Every set has at least
-    /// one trajectory where there are three.
+    /// Divides whole trajectories between the sets by the law's shares, at random by its seed.
+    /// Every set has at least one trajectory where there are three.
     pub fn split(&self, law: &Feedback) -> Sets {
         let mut trajectories = self.trajectory.clone();
         trajectories.sort_unstable();
@@ -314,7 +347,9 @@ impl Samples {
             })
             .collect();
         let of = |which: usize| {
-            let members: Vec<usize> = (0..self.len()).filter(|k| set[&self.trajectory[*k]] == which).collect();
+            let members: Vec<usize> = (0..self.len())
+                .filter(|k| set[&self.trajectory[*k]] == which)
+                .collect();
             self.take(&members)
         };
         Sets {
@@ -338,7 +373,12 @@ pub(super) fn at_samples(
         .map(|(symbol, value)| (symbol, graph.constant(value)))
         .collect();
     let roots = graph.substitute(roots, &numbers);
-    let inputs: Vec<_> = hamiltonian.x.iter().chain(&hamiltonian.p).copied().collect();
+    let inputs: Vec<_> = hamiltonian
+        .x
+        .iter()
+        .chain(&hamiltonian.p)
+        .copied()
+        .collect();
     let program = Program::lower(&graph, &inputs, &roots);
     let n = hamiltonian.states();
     let points: Vec<Vec<f64>> = (x.par_chunks(n).zip(p.par_chunks(n)))

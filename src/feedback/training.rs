@@ -1,8 +1,9 @@
 //! Levenberg-Marquardt with early stopping, from several random starts.
 //!
-//! The steps solve `(J'J + d I) s = -J'r` (in normalized variables, so one damping d fits all weights); d follows the
-//! ratio of actual to predicted decrease (Nielsen 1999). The `levenberg-marquardt` crate is not used: it keeps the whole
-//! Jacobian (residuals x weights) for a QR factorization, and is bound to an older nalgebra.
+//! The steps solve `(J'J + d I) s = -J'r` (in normalized variables, so one damping d fits all
+//! weights); d follows the ratio of actual to predicted decrease (Nielsen 1999). The
+//! `levenberg-marquardt` crate is not used: it keeps the whole Jacobian (residuals x weights) for a
+//! QR factorization, and is bound to an older nalgebra.
 
 use super::regression::{Normal, Regression};
 use super::shape::Shape;
@@ -16,7 +17,8 @@ const FIRST_DAMPING: f64 = 1e-3;
 const STALLED: f64 = 1e-4;
 /// Residuals of this size in normalized variables are rounding.
 const ROUNDING: f64 = 1e-13;
-/// Starts are trained on a part of the samples with at least so many residuals a weight, and the best of them on all.
+/// Starts are trained on a part of the samples with at least so many residuals a weight, and the
+/// best of them on all.
 const A_WEIGHT: usize = 12;
 
 /// How a training goes.
@@ -49,8 +51,9 @@ pub(super) struct Trained {
     pub validation: f64,
 }
 
-/// Trains from all starts on a part of the samples, and the one best on the validation set on all. Neither the order in which
-/// starts finish nor the number of threads changes it. `progress` is called from all threads.
+/// Trains from all starts on a part of the samples, and the one best on the validation set on all.
+/// Neither the order in which starts finish nor the number of threads changes it. `progress` is
+/// called from all threads.
 pub(super) fn train(
     shape: &Shape,
     training: &Regression,
@@ -68,7 +71,9 @@ pub(super) fn train(
             descend(shape, data, rules, (start, first), progress)
         })
         .collect();
-    let best = all.into_iter().min_by(|a, b| a.validation.total_cmp(&b.validation));
+    let best = all
+        .into_iter()
+        .min_by(|a, b| a.validation.total_cmp(&b.validation));
     let best = best.expect("there is at least one start");
     if part.is_none() {
         return best;
@@ -92,7 +97,8 @@ fn normal(seed: u64, index: u64) -> f64 {
     (-2.0 * unit(0).ln()).sqrt() * (std::f64::consts::TAU * unit(1)).cos()
 }
 
-/// Random weights, so that what goes into the units is of the order of 1 and their centres are spread over the data.
+/// Random weights, so that what goes into the units is of the order of 1 and their centres are
+/// spread over the data.
 fn initial(shape: &Shape, seed: u64) -> Vec<f64> {
     let mut weights = vec![0.0; shape.parameters()];
     let last = shape.sizes.len() - 2;
@@ -133,7 +139,14 @@ fn descend(
     };
     let (mut since, mut before) = (0, f64::INFINITY);
     for iteration in 1..=rules.iterations {
-        let Some((moved, cost)) = step(shape, training, &weights, &equations, &mut damping, &mut growth) else {
+        let Some((moved, cost)) = step(
+            shape,
+            training,
+            &weights,
+            &equations,
+            &mut damping,
+            &mut growth,
+        ) else {
             break;
         };
         weights = moved;
@@ -181,7 +194,11 @@ fn step(
         (0..weights.len()).for_each(|i| matrix[(i, i)] += *damping);
         if let Some(factor) = matrix.cholesky() {
             let step = factor.solve(&(-&equations.gradient));
-            let moved: Vec<f64> = weights.iter().zip(step.iter()).map(|(w, s)| w + s).collect();
+            let moved: Vec<f64> = weights
+                .iter()
+                .zip(step.iter())
+                .map(|(w, s)| w + s)
+                .collect();
             let cost = training.cost(shape, &moved);
             let ratio = (equations.cost - cost) / predicted(&step, equations, *damping);
             if cost < equations.cost && ratio > 0.0 {

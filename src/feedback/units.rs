@@ -21,7 +21,8 @@ fn transition(activation: Activation) -> f64 {
     }
 }
 
-/// Distance (in normalized variables) within which nine of ten samples have one of another trajectory; 0 where there is none.
+/// Distance (in normalized variables) within which nine of ten samples have one of another
+/// trajectory; 0 where there is none.
 pub(super) fn spacing(data: &Regression, trajectory: &[u32]) -> f64 {
     let n = data.inputs;
     let stride = trajectory.len().div_ceil(PROBES).max(1);
@@ -29,11 +30,20 @@ pub(super) fn spacing(data: &Regression, trajectory: &[u32]) -> f64 {
         let here = &data.x[k * n..][..n];
         (data.x.chunks(n).zip(trajectory))
             .filter(|(_, t)| **t != trajectory[k])
-            .map(|(x, _)| x.iter().zip(here).map(|(a, b)| (a - b) * (a - b)).sum::<f64>())
+            .map(|(x, _)| {
+                x.iter()
+                    .zip(here)
+                    .map(|(a, b)| (a - b) * (a - b))
+                    .sum::<f64>()
+            })
             .fold(f64::INFINITY, f64::min)
     };
     let probes: Vec<usize> = (0..trajectory.len()).step_by(stride).collect();
-    let mut all: Vec<f64> = probes.into_par_iter().map(nearest).filter(|d| d.is_finite()).collect();
+    let mut all: Vec<f64> = probes
+        .into_par_iter()
+        .map(nearest)
+        .filter(|d| d.is_finite())
+        .collect();
     all.sort_by(f64::total_cmp);
     if all.is_empty() {
         return 0.0;
@@ -41,19 +51,23 @@ pub(super) fn spacing(data: &Regression, trajectory: &[u32]) -> f64 {
     crate::numeric::quantile::nearest_rank(&all, WITHIN).sqrt()
 }
 
-/// Largest length of a unit's input weights for which its transition is wider than the spacing; none without hidden units.
+/// Largest length of a unit's input weights for which its transition is wider than the spacing;
+/// none without hidden units.
 pub(super) fn steepest(shape: &Shape, spacing: f64) -> Option<f64> {
-    (shape.sizes.len() > 2 && spacing > 0.0).then(|| transition(shape.activation) / (MARGIN * spacing))
+    (shape.sizes.len() > 2 && spacing > 0.0)
+        .then(|| transition(shape.activation) / (MARGIN * spacing))
 }
 
-/// Hidden units, of all layers together, whose transition is narrower than the spacing at a sample that lies in it.
+/// Hidden units, of all layers together, whose transition is narrower than the spacing at a sample
+/// that lies in it.
 pub(super) fn narrow(shape: &Shape, weights: &[f64], data: &Regression, spacing: f64) -> usize {
     let hidden: usize = shape.sizes[1..shape.sizes.len() - 1].iter().sum();
     let n = data.inputs;
     let marked = |mut marks: (Vec<bool>, super::shape::Pass), x: &[f64]| {
         let units = shape.arguments(weights, x, &mut marks.1);
         for (mark, (argument, slope)) in marks.0.iter_mut().zip(units) {
-            *mark |= argument.abs() <= slope * spacing && transition(shape.activation) < slope * spacing;
+            *mark |=
+                argument.abs() <= slope * spacing && transition(shape.activation) < slope * spacing;
         }
         marks
     };
@@ -136,9 +150,21 @@ mod tests {
                 sizes: vec![1, 2, 1],
                 activation,
             };
-            // Weights, biases, weights, bias: the second unit's transition lies outside the samples.
-            let narrow = |w: f64| narrow(&shape, &[w, w, 0.0, 10.0 * w, 1.0, 1.0, 0.0], &data, spacing);
-            assert_eq!((narrow(0.99 * limit), narrow(1.01 * limit)), (0, 1), "{activation:?}");
+            // Weights, biases, weights, bias: the second unit's transition lies outside the
+            // samples.
+            let narrow = |w: f64| {
+                narrow(
+                    &shape,
+                    &[w, w, 0.0, 10.0 * w, 1.0, 1.0, 0.0],
+                    &data,
+                    spacing,
+                )
+            };
+            assert_eq!(
+                (narrow(0.99 * limit), narrow(1.01 * limit)),
+                (0, 1),
+                "{activation:?}"
+            );
             let bound = steepest(&shape, spacing).unwrap();
             assert!(bound < limit && bound > 0.8 * limit);
         }

@@ -1,5 +1,6 @@
-//! Weights files: TOML with the keys `activation`, `inputs`, `output` (or `outputs`), and `W<i>`, `b<i>` of each layer.
-//! The last layer of a single output may be a vector `w<i>` and a number `b<i>`.
+//! Weights files: TOML with the keys `activation`, `inputs`, `output` (or `outputs`), and `W<i>`,
+//! `b<i>` of each layer. The last layer of a single output may be a vector `w<i>` and a number
+//! `b<i>`.
 
 use super::network::{Activation, Layer, Network};
 use crate::diagnostics::{Problem, ScenarioErrors, did_you_mean};
@@ -14,7 +15,10 @@ use toml::de::{DeTable, DeValue};
 #[derive(Debug, thiserror::Error)]
 pub enum NetworkError {
     #[error("cannot read {path}: {source}", path = path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     /// The contents are wrong: each problem with its place.
     #[error(transparent)]
     Contents(#[from] ScenarioErrors),
@@ -115,7 +119,12 @@ impl<'a> Weights<'a> {
             .to_vec();
         known.extend((1..=layers).filter_map(|i| self.layer_key(i)));
         known.extend((1..=layers).map(|i| format!("b{i}")));
-        let all = || known.iter().map(String::as_str).chain(further.iter().copied());
+        let all = || {
+            known
+                .iter()
+                .map(String::as_str)
+                .chain(further.iter().copied())
+        };
         for (key, _) in self.root.iter() {
             let name = key.get_ref().as_ref();
             if !all().any(|k| k == name) {
@@ -147,7 +156,9 @@ impl<'a> Weights<'a> {
 
     fn outputs(&mut self) -> Option<Vec<String>> {
         match (self.root.get("output"), self.root.get_key_value("outputs")) {
-            (Some(_), Some((key, _))) => self.refuse(key.span(), "both `output` and `outputs`", "one of the two"),
+            (Some(_), Some((key, _))) => {
+                self.refuse(key.span(), "both `output` and `outputs`", "one of the two")
+            }
             (Some(value), None) => match value.get_ref().as_str() {
                 Some(name) => Some(vec![name.to_owned()]),
                 None => self.refuse(value.span(), "`output` must be a name", "expected a string"),
@@ -172,14 +183,28 @@ impl<'a> Weights<'a> {
         for value in array.iter() {
             match value.get_ref().as_str() {
                 Some(name) if names.iter().any(|n| n == name) => {
-                    return self.refuse(value.span(), format!("`{name}` a second time"), "every name once");
+                    return self.refuse(
+                        value.span(),
+                        format!("`{name}` a second time"),
+                        "every name once",
+                    );
                 }
                 Some(name) => names.push(name.to_owned()),
-                None => return self.refuse(value.span(), "a name must be a string", "expected a string"),
+                None => {
+                    return self.refuse(
+                        value.span(),
+                        "a name must be a string",
+                        "expected a string",
+                    );
+                }
             }
         }
         if names.is_empty() {
-            return self.refuse(value.span(), format!("`{key}` is empty"), "at least one name");
+            return self.refuse(
+                value.span(),
+                format!("`{key}` is empty"),
+                "at least one name",
+            );
         }
         Some(names)
     }
@@ -193,7 +218,9 @@ impl<'a> Weights<'a> {
             let row = self.vector(value, &key);
             row.map(|row| DMatrix::from_row_slice(1, row.len(), &row))
         } else {
-            let message = format!("only the last layer's weights may be a vector; `{key}` is followed by others");
+            let message = format!(
+                "only the last layer's weights may be a vector; `{key}` is followed by others"
+            );
             return self.refuse(value.span(), message, "expected a matrix");
         };
         let name = format!("b{i}");
@@ -206,7 +233,11 @@ impl<'a> Weights<'a> {
         };
         let (weights, bias) = (weights?, bias?);
         if weights.nrows() != bias.len() {
-            let message = format!("{key} has {} rows, {name} {} values", weights.nrows(), bias.len());
+            let message = format!(
+                "{key} has {} rows, {name} {} values",
+                weights.nrows(),
+                bias.len()
+            );
             return self.refuse(value.span(), message, "one bias a row");
         }
         Some(Layer {
@@ -252,13 +283,19 @@ impl<'a> Weights<'a> {
         };
         match number.filter(|n| n.is_finite()) {
             Some(number) => Some(number),
-            None => self.refuse(value.span(), format!("{what} must hold finite numbers"), "not one"),
+            None => self.refuse(
+                value.span(),
+                format!("{what} must hold finite numbers"),
+                "not one",
+            ),
         }
     }
 
     pub fn vector(&mut self, value: &Value<'_>, what: &str) -> Option<Vec<f64>> {
         match value.get_ref() {
-            DeValue::Array(array) if !array.is_empty() => array.iter().map(|v| self.number(v, what)).collect(),
+            DeValue::Array(array) if !array.is_empty() => {
+                array.iter().map(|v| self.number(v, what)).collect()
+            }
             _ => self.refuse(
                 value.span(),
                 format!("{what} must be a list of numbers"),
@@ -279,8 +316,15 @@ impl<'a> Weights<'a> {
         let mut rows: Vec<Vec<f64>> = Vec::new();
         for row in array.iter() {
             let numbers = self.vector(row, what)?;
-            if rows.first().is_some_and(|first| first.len() != numbers.len()) {
-                let message = format!("{what} has rows of {} and of {} numbers", rows[0].len(), numbers.len());
+            if rows
+                .first()
+                .is_some_and(|first| first.len() != numbers.len())
+            {
+                let message = format!(
+                    "{what} has rows of {} and of {} numbers",
+                    rows[0].len(),
+                    numbers.len()
+                );
                 return self.refuse(row.span(), message, "another length");
             }
             rows.push(numbers);
@@ -288,7 +332,11 @@ impl<'a> Weights<'a> {
         let Some(first) = rows.first() else {
             return self.refuse(value.span(), format!("{what} is empty"), "at least one row");
         };
-        Some(DMatrix::from_row_slice(rows.len(), first.len(), &rows.concat()))
+        Some(DMatrix::from_row_slice(
+            rows.len(),
+            first.len(),
+            &rows.concat(),
+        ))
     }
 }
 
@@ -300,7 +348,9 @@ pub(super) fn vector_text(values: impl IntoIterator<Item = f64>) -> String {
 
 /// A list of rows, one a line.
 pub(super) fn matrix_text(matrix: &DMatrix<f64>) -> String {
-    let rows = matrix.row_iter().map(|row| vector_text(row.iter().copied()));
+    let rows = matrix
+        .row_iter()
+        .map(|row| vector_text(row.iter().copied()));
     let rows: Vec<String> = rows.collect();
     format!("[\n  {},\n]", rows.join(",\n  "))
 }
@@ -329,11 +379,17 @@ pub(super) fn write_network(net: &Network) -> String {
     for (i, layer) in net.layers.iter().enumerate() {
         let number = i + 1;
         if number == net.layers.len() && layer.bias.len() == 1 {
-            line(&format!("w{number}"), vector_text(layer.weights.iter().copied()));
+            line(
+                &format!("w{number}"),
+                vector_text(layer.weights.iter().copied()),
+            );
             line(&format!("b{number}"), format!("{:?}", layer.bias[0]));
         } else {
             line(&format!("W{number}"), matrix_text(&layer.weights));
-            line(&format!("b{number}"), vector_text(layer.bias.iter().copied()));
+            line(
+                &format!("b{number}"),
+                vector_text(layer.bias.iter().copied()),
+            );
         }
     }
     text

@@ -19,8 +19,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Tells apart the temporary files of one process.
 static TEMPORARIES: AtomicU64 = AtomicU64::new(0);
 
-/// A file being written under a hidden name beside its final one. Dropped before [`Draft::publish`] it leaves nothing, and
-/// an older file under the final name stays as it is.
+/// A file being written under a hidden name beside its final one. Dropped before [`Draft::publish`]
+/// it leaves nothing, and an older file under the final name stays as it is.
 #[derive(Debug)]
 pub struct Draft {
     path: PathBuf,
@@ -28,7 +28,8 @@ pub struct Draft {
 }
 
 impl Draft {
-    /// Claims the hidden name for the file that will be `path`; missing parent directories are made. The caller makes the file.
+    /// Claims the hidden name for the file that will be `path`; missing parent directories are
+    /// made. The caller makes the file.
     ///
     /// # Errors
     /// Those of [`target`], and [`FileError::CreateDirectory`].
@@ -56,10 +57,12 @@ impl Draft {
     /// [`FileError::Rename`]; the file is then gone, and an older one is still there.
     pub fn publish(self) -> Result<PathBuf, FileError> {
         let Self { path, temporary } = self;
-        temporary.publish(&path).map_err(|source| FileError::Rename {
-            path: path.clone(),
-            source,
-        })?;
+        temporary
+            .publish(&path)
+            .map_err(|source| FileError::Rename {
+                path: path.clone(),
+                source,
+            })?;
         // The file is complete and in place; some network file systems refuse to flush a directory.
         let _ = sync_directory(directory_of(&path));
         Ok(path)
@@ -69,10 +72,13 @@ impl Draft {
 /// The file that a path names: of a link the one that it leads to.
 ///
 /// # Errors
-/// [`FileError::NoFileName`], [`FileError::TargetIsDirectory`] and [`FileError::TargetIsSpecial`]: nothing but a regular
-/// file is replaced.
+/// [`FileError::NoFileName`], [`FileError::TargetIsDirectory`] and [`FileError::TargetIsSpecial`]:
+/// nothing but a regular file is replaced.
 pub fn target(given: &Path) -> Result<PathBuf, FileError> {
-    let linked = given.is_symlink().then(|| fs::canonicalize(given).ok()).flatten();
+    let linked = given
+        .is_symlink()
+        .then(|| fs::canonicalize(given).ok())
+        .flatten();
     let path = linked.unwrap_or_else(|| given.to_owned());
     if path.file_name().is_none() {
         return Err(FileError::NoFileName { path });
@@ -89,8 +95,8 @@ pub fn target(given: &Path) -> Result<PathBuf, FileError> {
 /// Puts a text file in place whole: written beside it under a hidden name, flushed and renamed.
 ///
 /// # Errors
-/// Those of [`Draft::begin`], [`FileError::Create`], [`FileError::Write`] and [`FileError::Rename`]; an older file under the name is then
-/// still there.
+/// Those of [`Draft::begin`], [`FileError::Create`], [`FileError::Write`] and
+/// [`FileError::Rename`]; an older file under the name is then still there.
 pub fn write_text(path: &Path, text: &str) -> Result<(), FileError> {
     write_bytes(path, text.as_bytes())
 }
@@ -102,15 +108,16 @@ pub fn write_text(path: &Path, text: &str) -> Result<(), FileError> {
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let draft = Draft::begin(path)?;
     let at = || draft.path().to_owned();
-    let mut file = File::create(draft.hidden()).map_err(|source| FileError::Create { path: at(), source })?;
+    let mut file =
+        File::create(draft.hidden()).map_err(|source| FileError::Create { path: at(), source })?;
     let written = file.write_all(bytes).and_then(|()| file.sync_all());
     drop(file);
     written.map_err(|source| FileError::Write { path: at(), source })?;
     draft.publish().map(drop)
 }
 
-/// Puts files in place together: all are written under hidden names in `beside`, a directory of the same file system, before
-/// any gets its own. Parent directories are made then.
+/// Puts files in place together: all are written under hidden names in `beside`, a directory of the
+/// same file system, before any gets its own. Parent directories are made then.
 ///
 /// # Errors
 /// As [`write_text`]; where one cannot be written none is in place.

@@ -1,4 +1,5 @@
-//! Files under hidden names: gone unless they are given another one, whether by an error or by a signal to end.
+//! Files under hidden names: gone unless they are given another one, whether by an error or by a
+//! signal to end.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -36,34 +37,40 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // Nothing better can be done about a file that cannot be removed than to leave it hidden; a published one has gone.
+        // Nothing better can be done about a file that cannot be removed than to leave it hidden; a
+        // published one has gone.
         let _ = std::fs::remove_file(&self.path);
         let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
         open.retain(|path| *path != self.path);
     }
 }
 
-/// From now on a signal that ends the process (interrupt, terminate, hang up) removes its hidden files first. What the process
-/// was started to ignore, as `nohup` has it, it still ignores.
+/// From now on a signal that ends the process (interrupt, terminate, hang up) removes its hidden
+/// files first. What the process was started to ignore, as `nohup` has it, it still ignores.
 ///
 /// # Errors
 /// Where the system has no room for handlers or a thread.
 #[cfg(unix)]
 pub fn removed_at_signals() -> io::Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-    let ends: Vec<i32> = [SIGHUP, SIGINT, SIGTERM].into_iter().filter(|s| !ignored(*s)).collect();
+    let ends: Vec<i32> = [SIGHUP, SIGINT, SIGTERM]
+        .into_iter()
+        .filter(|s| !ignored(*s))
+        .collect();
     let mut signals = signal_hook::iterator::Signals::new(ends)?;
-    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
-        for signal in &mut signals {
-            // Held to the end: no other file comes after these.
-            let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
-            for path in open.iter() {
-                let _ = std::fs::remove_file(path);
+    std::thread::Builder::new()
+        .name("signals".to_owned())
+        .spawn(move || {
+            for signal in &mut signals {
+                // Held to the end: no other file comes after these.
+                let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+                for path in open.iter() {
+                    let _ = std::fs::remove_file(path);
+                }
+                // Whoever waits for the process is to see that the signal ended it.
+                let _ = signal_hook::low_level::emulate_default_handler(signal);
             }
-            // Whoever waits for the process is to see that the signal ended it.
-            let _ = signal_hook::low_level::emulate_default_handler(signal);
-        }
-    })?;
+        })?;
     Ok(())
 }
 
@@ -72,6 +79,7 @@ fn ignored(signal: i32) -> bool {
     // SAFETY: zeros are a valid `sigaction`, and with no new action the call only fills it in.
     unsafe {
         let mut now: libc::sigaction = std::mem::zeroed();
-        libc::sigaction(signal, std::ptr::null(), &mut now) == 0 && now.sa_sigaction == libc::SIG_IGN
+        libc::sigaction(signal, std::ptr::null(), &mut now) == 0
+            && now.sa_sigaction == libc::SIG_IGN
     }
 }

@@ -1,9 +1,9 @@
 //! The Hamiltonian and its bicharacteristics, derived symbolically from the dynamics and the cost.
 //!
-//! `H(x, p) = min_u max_w [ p'f(x, u, w) + L(x, u, w) ]`. f is affine and L quadratic in (u, w), so the
-//! extremal `u*`, `w*` are explicit; box bounds are a clamp, exact where the Hessian of H in that control is
-//! diagonal. By the envelope theorem `dH/dx` is taken at fixed `u*`, `w*`, clamps included
-//! (Hardt 1999, chapter V).
+//! `H(x, p) = min_u max_w [ p'f(x, u, w) + L(x, u, w) ]`. f is affine and L quadratic in (u, w), so
+//! the extremal `u*`, `w*` are explicit; box bounds are a clamp, exact where the Hessian of H in
+//! that control is diagonal. By the envelope theorem `dH/dx` is taken at fixed `u*`, `w*`, clamps
+//! included (Hardt 1999, chapter V).
 
 mod optimal;
 mod slope;
@@ -49,8 +49,9 @@ impl Hamiltonian {
     /// Derives all equations of a scene.
     ///
     /// # Errors
-    /// Every reason why the scene is outside the class handled: dynamics not affine or cost not quadratic in the
-    /// controls and disturbances, no (or an indefinite) quadratic term, bounds on a control coupled to another.
+    /// Every reason why the scene is outside the class handled: dynamics not affine or cost not
+    /// quadratic in the controls and disturbances, no (or an indefinite) quadratic term, bounds on
+    /// a control coupled to another.
     pub fn derive(model: &Model) -> Result<Self, Vec<Problem>> {
         let mut graph = model.graph.clone();
         let x: Vec<Id> = model.states.iter().map(|s| s.variable.symbol).collect();
@@ -96,7 +97,8 @@ impl Hamiltonian {
         self.x.len()
     }
 
-    /// Hessian of H in (x, p) without the clamps, at the reference point and p = 0, row-major (2n x 2n).
+    /// Hessian of H in (x, p) without the clamps, at the reference point and p = 0, row-major (2n x
+    /// 2n).
     ///
     /// The clamps are left out because the equilibrium control lies strictly between its bounds.
     pub fn hessian_at(&self, model: &Model) -> Vec<f64> {
@@ -128,7 +130,12 @@ impl Hamiltonian {
     /// Values of parameters, states at the reference point and zero adjoints.
     pub fn point(&self, model: &Model) -> HashMap<Id, f64> {
         let mut values = model.parameter_values();
-        values.extend(self.x.iter().copied().zip(model.reference().iter().copied()));
+        values.extend(
+            self.x
+                .iter()
+                .copied()
+                .zip(model.reference().iter().copied()),
+        );
         values.extend(self.p.iter().map(|p| (*p, 0.0)));
         values
     }

@@ -34,7 +34,11 @@ impl Optimum {
 }
 
 /// Solves for `u*`, `w*` as functions of (x, p).
-pub(super) fn extremal_inputs(model: &Model, graph: &mut Graph, p: &[Id]) -> Result<Optimum, Vec<Problem>> {
+pub(super) fn extremal_inputs(
+    model: &Model,
+    graph: &mut Graph,
+    p: &[Id],
+) -> Result<Optimum, Vec<Problem>> {
     let inputs: Vec<&Variable> = model
         .controls
         .iter()
@@ -184,7 +188,13 @@ fn at_reference(model: &Model, graph: &Graph, expr: Id) -> f64 {
     graph.eval(&[expr], &values)[0]
 }
 
-fn check_hessian(model: &Model, graph: &Graph, inputs: &[&Variable], hessian: &[Vec<Id>], problems: &mut Vec<Problem>) {
+fn check_hessian(
+    model: &Model,
+    graph: &Graph,
+    inputs: &[&Variable],
+    hessian: &[Vec<Id>],
+    problems: &mut Vec<Problem>,
+) {
     let k = model.controls.len();
     let span = |_: usize| -> Span { model.running.span.clone() };
     for (i, input) in inputs.iter().enumerate() {
@@ -198,7 +208,10 @@ fn check_hessian(model: &Model, graph: &Graph, inputs: &[&Variable], hessian: &[
             problems.push(
                 Problem::at(
                     span(i),
-                    format!("the running cost has no quadratic term in {role} `{}`", input.name),
+                    format!(
+                        "the running cost has no quadratic term in {role} `{}`",
+                        input.name
+                    ),
                     "no such term",
                 )
                 .with_help(format!(
@@ -245,7 +258,9 @@ fn check_hessian(model: &Model, graph: &Graph, inputs: &[&Variable], hessian: &[
         if size < 2 || !problems.is_empty() {
             continue;
         }
-        let entries = range.clone().flat_map(|i| range.clone().map(move |j| (i, j)));
+        let entries = range
+            .clone()
+            .flat_map(|i| range.clone().map(move |j| (i, j)));
         let numbers: Vec<f64> = entries
             .map(|(i, j)| sign * at_reference(model, graph, hessian[i][j]))
             .collect();
@@ -262,8 +277,14 @@ fn check_hessian(model: &Model, graph: &Graph, inputs: &[&Variable], hessian: &[
     }
 }
 
-/// Where the Hessian depends on the state it could lose its sign away from the reference point: a guard each.
-fn definiteness_guards(model: &Model, graph: &mut Graph, inputs: &[&Variable], hessian: &[Vec<Id>]) -> Vec<Guard> {
+/// Where the Hessian depends on the state it could lose its sign away from the reference point: a
+/// guard each.
+fn definiteness_guards(
+    model: &Model,
+    graph: &mut Graph,
+    inputs: &[&Variable],
+    hessian: &[Vec<Id>],
+) -> Vec<Guard> {
     let states: Vec<Id> = model.states.iter().map(|s| s.variable.symbol).collect();
     let mut guards = Vec::new();
     let k = model.controls.len();
@@ -282,7 +303,8 @@ fn definiteness_guards(model: &Model, graph: &mut Graph, inputs: &[&Variable], h
     guards
 }
 
-/// The `i`-th pivot of elimination without exchange: positive for all i exactly for a positive definite matrix.
+/// The `i`-th pivot of elimination without exchange: positive for all i exactly for a positive
+/// definite matrix.
 fn pivot(graph: &mut Graph, hessian: &[Vec<Id>], i: usize) -> Id {
     let mut a: Vec<Vec<Id>> = hessian[..=i].iter().map(|row| row[..=i].to_vec()).collect();
     for k in 0..i {

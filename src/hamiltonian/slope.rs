@@ -1,18 +1,21 @@
 //! The slope `X = dp/dx` of the manifold along its characteristics, and where the manifold folds.
 //!
-//! Neighbouring characteristics of a manifold that projects one-to-one have `dp = X dx`, X symmetric (the manifold is
-//! Lagrangian; where V exists X is its Hessian). From the variational equations, with H's derivatives on the characteristic,
-//! backward in time: `X' = H_xx + H_xp X + X H_px + X H_pp X`, the Riccati differential equation. X grows without limit
-//! exactly where `det dx/dseed = 0`: there the projection folds (a conjugate point, a point of the caustic), in the
-//! direction of time in which the equation is stable. (W. T. Reid, Riccati Differential Equations, 1972; A. J. van der
-//! Schaft, L2-Gain and Passivity Techniques in Nonlinear Control, chapter 11, for the Lagrangian manifold of a game.)
+//! Neighbouring characteristics of a manifold that projects one-to-one have `dp = X dx`, X
+//! symmetric (the manifold is Lagrangian; where V exists X is its Hessian). From the variational
+//! equations, with H's derivatives on the characteristic, backward in time: `X' = H_xx + H_xp X + X
+//! H_px + X H_pp X`, the Riccati differential equation. X grows without limit exactly where `det
+//! dx/dseed = 0`: there the projection folds (a conjugate point, a point of the caustic), in the
+//! direction of time in which the equation is stable. (W. T. Reid, Riccati Differential Equations,
+//! 1972; A. J. van der Schaft, L2-Gain and Passivity Techniques in Nonlinear Control, chapter 11,
+//! for the Lagrangian manifold of a game.)
 
 use super::System;
 use crate::expr::{Graph, Id, Kind};
 use crate::model::Precision;
 
-/// A slope this many times its scale counts as infinite: the fold then lies as small a part of the trajectory's own time
-/// scale ahead, and is extrapolated to. In single precision steps that follow the slope further are lost in rounding.
+/// A slope this many times its scale counts as infinite: the fold then lies as small a part of the
+/// trajectory's own time scale ahead, and is extrapolated to. In single precision steps that follow
+/// the slope further are lost in rounding.
 pub fn infinite(precision: Precision) -> f64 {
     match precision {
         Precision::F64 => 1e6,
@@ -32,8 +35,9 @@ pub struct Slope {
 }
 
 impl Slope {
-    /// The equation along a system's characteristics; enters its expressions into `graph`, the system's own or a copy.
-    /// `units` are the scales of X's entries (row-major); the guard is positive up to `limit` of them.
+    /// The equation along a system's characteristics; enters its expressions into `graph`, the
+    /// system's own or a copy. `units` are the scales of X's entries (row-major); the guard is
+    /// positive up to `limit` of them.
     pub fn new(graph: &mut Graph, system: &System, units: &[f64], limit: f64) -> Self {
         let n = system.states;
         let mut symbols = Vec::new();
@@ -50,10 +54,11 @@ impl Slope {
         let jacobian: Vec<Vec<Id>> = (system.inputs.iter())
             .map(|z| graph.diff_all(&system.rate[..2 * n], *z))
             .collect();
-        let product = |graph: &mut Graph, left: &dyn Fn(usize) -> Id, right: &dyn Fn(usize) -> Id| {
-            let terms: Vec<Id> = (0..n).map(|k| graph.mul(left(k), right(k))).collect();
-            graph.sum(&terms)
-        };
+        let product =
+            |graph: &mut Graph, left: &dyn Fn(usize) -> Id, right: &dyn Fn(usize) -> Id| {
+                let terms: Vec<Id> = (0..n).map(|k| graph.mul(left(k), right(k))).collect();
+                graph.sum(&terms)
+            };
         // Y = a_s + a_p X, by which neighbours part; X' = b_s + b_p X - X Y.
         let mut parting = vec![vec![zero; n]; n];
         for (i, row) in parting.iter_mut().enumerate() {
@@ -81,7 +86,11 @@ impl Slope {
         let size = graph.sum(&squares);
         let one = graph.constant(1.0);
         let guard = graph.sub(one, size);
-        Self { symbols, rate, guard }
+        Self {
+            symbols,
+            rate,
+            guard,
+        }
     }
 
     /// Number of entries of X's upper triangle.

@@ -1,5 +1,5 @@
-//! The equations in the form that is integrated: numbers for parameters, deviations from the reference point
-//! for states, backward time.
+//! The equations in the form that is integrated: numbers for parameters, deviations from the
+//! reference point for states, backward time.
 
 use super::Hamiltonian;
 use crate::expr::{Deviation, Graph, Id, Kind};
@@ -9,8 +9,8 @@ use std::collections::HashMap;
 
 /// The backward bicharacteristics of a scene.
 ///
-/// The integrated vector is `(s, p, V)` with `s = x - reference`, of dimension `2n + 1`, as functions of
-/// `tau = -t`: `ds/dtau = -f`, `dp/dtau = dH/dx`, `dV/dtau = L`.
+/// The integrated vector is `(s, p, V)` with `s = x - reference`, of dimension `2n + 1`, as
+/// functions of `tau = -t`: `ds/dtau = -f`, `dp/dtau = dH/dx`, `dV/dtau = L`.
 #[derive(Clone, Debug)]
 pub struct System {
     pub graph: Graph,
@@ -27,7 +27,8 @@ pub struct System {
     pub guards: Vec<GuardExpr>,
     /// x at s = 0.
     pub reference: Vec<f64>,
-    /// L at the point of least cost in u for the given s (p = 0): where it is nowhere negative V is monotone.
+    /// L at the point of least cost in u for the given s (p = 0): where it is nowhere negative V is
+    /// monotone.
     pub least_running: Id,
     /// Terminal cost and its gradient, where the horizon is finite.
     pub terminal: Option<Terminal>,
@@ -68,12 +69,16 @@ impl System {
             .collect()
     }
 
-    /// Sizes of the margins of these guards, by which it is told what is rounding: the median of those that are not 0 at the
-    /// reference and the middles of a region's faces (as deviations), next to one of which a guard may have a pole.
+    /// Sizes of the margins of these guards, by which it is told what is rounding: the median of
+    /// those that are not 0 at the reference and the middles of a region's faces (as deviations),
+    /// next to one of which a guard may have a pole.
     pub fn guard_sizes(&self, region: &[[f64; 2]]) -> Vec<f64> {
         let guards = self.guards_of_state();
         let program = Program::lower(&self.graph, &self.inputs[..self.states], &guards);
-        let faces = region.iter().enumerate().flat_map(|(i, bounds)| bounds.map(|s| (i, s)));
+        let faces = region
+            .iter()
+            .enumerate()
+            .flat_map(|(i, bounds)| bounds.map(|s| (i, s)));
         let mut sizes = vec![Vec::new(); guards.len()];
         for (i, s) in faces.chain([(0, 0.0)]) {
             let mut state = vec![0.0; self.states];
@@ -89,7 +94,10 @@ impl System {
         }
         let median = |mut sizes: Vec<f64>| {
             sizes.sort_by(f64::total_cmp);
-            sizes.get(sizes.len().saturating_sub(1) / 2).copied().unwrap_or(0.0)
+            sizes
+                .get(sizes.len().saturating_sub(1) / 2)
+                .copied()
+                .unwrap_or(0.0)
         };
         sizes.into_iter().map(median).collect()
     }
@@ -125,7 +133,9 @@ impl System {
         let terminal = match &model.horizon {
             Horizon::Infinite { .. } => None,
             Horizon::Finite {
-                terminal, final_time, ..
+                terminal,
+                final_time,
+                ..
             } => {
                 let mut roots = vec![terminal.expr];
                 roots.extend(hamiltonian.x.iter().map(|x| graph.diff(terminal.expr, *x)));
@@ -138,13 +148,19 @@ impl System {
                 })
             }
         };
-        // An equilibrium makes every rate, L and H vanish at s = 0, p = 0; what is left of their values there is
-        // rounding and is dropped. The scene's check has bounded it.
+        // An equilibrium makes every rate, L and H vanish at s = 0, p = 0; what is left of their
+        // values there is rounding and is dropped. The scene's check has bounded it.
         let at_rest = matches!(model.horizon, Horizon::Infinite { .. });
         let mut whole = |range: std::ops::Range<usize>, drop_value: bool| -> Vec<Id> {
             forms[range]
                 .iter()
-                .map(|f| if drop_value { f.change } else { graph.whole(*f) })
+                .map(|f| {
+                    if drop_value {
+                        f.change
+                    } else {
+                        graph.whole(*f)
+                    }
+                })
                 .collect()
         };
         let forward = whole(0..2 * n, at_rest);
@@ -199,7 +215,12 @@ impl System {
 
     /// Values of expressions at `(s, p)` in f64; for a few points, not for sweeps.
     pub fn eval(&self, exprs: &[Id], s: &[f64], p: &[f64]) -> Vec<f64> {
-        let values = self.inputs.iter().copied().zip(s.iter().chain(p).copied()).collect();
+        let values = self
+            .inputs
+            .iter()
+            .copied()
+            .zip(s.iter().chain(p).copied())
+            .collect();
         self.graph.eval(exprs, &values)
     }
 }

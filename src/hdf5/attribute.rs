@@ -81,8 +81,16 @@ impl AttributeOwner for H5Dataset {
                 .shape(())
                 .create(name)?
                 .write_string(text),
-            AttributeValue::F64(number) => self.new_attr::<f64>().shape(()).create(name)?.write_numeric(number),
-            AttributeValue::I64(number) => self.new_attr::<i64>().shape(()).create(name)?.write_numeric(number),
+            AttributeValue::F64(number) => self
+                .new_attr::<f64>()
+                .shape(())
+                .create(name)?
+                .write_numeric(number),
+            AttributeValue::I64(number) => self
+                .new_attr::<i64>()
+                .shape(())
+                .create(name)?
+                .write_numeric(number),
             AttributeValue::I32List(list) => self
                 .new_attr::<i32>()
                 .shape([list.len()])

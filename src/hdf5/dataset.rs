@@ -13,8 +13,8 @@ use super::{AttributeValue, Compression, Dimension, Group, OutputError, Variable
 const CHUNK_BYTES: usize = 512 * 1024;
 /// Most rows of a chunk, so that the one-dimensional variables of a short group stay small too.
 const CHUNK_ROWS: usize = 8192;
-/// Least rows times bytes of a chunk when few rows are expected: the HDF5 layer indexes no more than
-/// about 131,000 chunks of a growing variable, and more rows than expected may come.
+/// Least rows times bytes of a chunk when few rows are expected: the HDF5 layer indexes no more
+/// than about 131,000 chunks of a growing variable, and more rows than expected may come.
 const LEAST_CHUNK_BYTES: usize = 16 * 1024;
 
 /// Values of one variable, row-major in the order of its dimensions.
@@ -156,8 +156,8 @@ impl GroupWriter {
         self.rows
     }
 
-    /// Appends `rows` rows to every growing variable: `block` has the values of each of them, in any
-    /// order. Nothing is written when the block is refused.
+    /// Appends `rows` rows to every growing variable: `block` has the values of each of them, in
+    /// any order. Nothing is written when the block is refused.
     ///
     /// # Errors
     /// [`OutputError::NotGrowing`], [`OutputError::UnknownVariable`],
@@ -194,7 +194,9 @@ impl GroupWriter {
             result.map_err(|error| self.error(&column.name, error))?;
         }
         let numbers: Vec<i64> = (self.rows..self.rows + rows).map(|n| n as i64).collect();
-        index.append(&numbers).map_err(|error| self.error("the index", error))?;
+        index
+            .append(&numbers)
+            .map_err(|error| self.error("the index", error))?;
         self.rows += rows;
         Ok(())
     }
@@ -205,7 +207,11 @@ impl GroupWriter {
     /// # Errors
     /// [`OutputError::UnknownVariable`], [`OutputError::Length`] and [`OutputError::Type`] on the
     /// values; [`OutputError::File`] and [`OutputError::Hdf5`] on writing.
-    pub fn write<'v>(&mut self, name: &str, values: impl Into<Values<'v>>) -> Result<(), OutputError> {
+    pub fn write<'v>(
+        &mut self,
+        name: &str,
+        values: impl Into<Values<'v>>,
+    ) -> Result<(), OutputError> {
         let values = values.into();
         let column = self.column(name, false)?;
         self.check(column, column.elements, &values)?;
@@ -226,7 +232,12 @@ impl GroupWriter {
             })
     }
 
-    fn check(&self, column: &Column, expected: usize, values: &Values<'_>) -> Result<(), OutputError> {
+    fn check(
+        &self,
+        column: &Column,
+        expected: usize,
+        values: &Values<'_>,
+    ) -> Result<(), OutputError> {
         if values.kind() != column.kind {
             return Err(OutputError::Type {
                 group: self.group.clone(),
@@ -283,7 +294,11 @@ impl Maker<'_> {
 
     /// A variable, with `scales` in the order of the group's dimensions; `None` for one of texts,
     /// which is complete.
-    fn variable(&self, variable: &Variable, scales: &[H5Dataset]) -> Result<Option<Column>, Hdf5Error> {
+    fn variable(
+        &self,
+        variable: &Variable,
+        scales: &[H5Dataset],
+    ) -> Result<Option<Column>, Hdf5Error> {
         let shape: Vec<Option<usize>> = variable
             .dimensions
             .iter()
@@ -319,7 +334,12 @@ impl Maker<'_> {
     }
 
     /// A numeric dataset; `None` in `shape` grows from 0.
-    fn dataset<T: H5Type>(&self, name: &str, shape: &[Option<usize>], fill: Option<T>) -> Result<H5Dataset, Hdf5Error> {
+    fn dataset<T: H5Type>(
+        &self,
+        name: &str,
+        shape: &[Option<usize>],
+        fill: Option<T>,
+    ) -> Result<H5Dataset, Hdf5Error> {
         let now: Vec<usize> = shape.iter().map(|n| n.unwrap_or(0)).collect();
         let mut builder = self.h5.new_dataset::<T>().shape(&now);
         if let Some(fill) = fill {
@@ -351,7 +371,11 @@ fn describe(dataset: &H5Dataset, unit: &str, long_name: &str) -> Result<(), Hdf5
 
 /// The chunk of a dataset: whole rows as far as they fit, so that appending touches one chunk at a
 /// time; the leading dimensions are cut first.
-fn chunk_shape(shape: &[Option<usize>], element_bytes: usize, expected_rows: Option<usize>) -> Vec<usize> {
+fn chunk_shape(
+    shape: &[Option<usize>],
+    element_bytes: usize,
+    expected_rows: Option<usize>,
+) -> Vec<usize> {
     let mut inner = element_bytes;
     let mut chunk = vec![1; shape.len()];
     for (size, length) in chunk.iter_mut().zip(shape).rev() {

@@ -12,8 +12,8 @@ use std::path::{Path, PathBuf};
 ///
 /// It is written under a hidden name beside the final one. [`ResultFile::finish`] flushes it to the
 /// disk and renames it; until then a file that was there under the final name stays as it is. A
-/// `ResultFile` dropped before that leaves nothing, and a process that is killed outright nothing but the hidden file.
-/// It belongs to one thread.
+/// `ResultFile` dropped before that leaves nothing, and a process that is killed outright nothing
+/// but the hidden file. It belongs to one thread.
 pub struct ResultFile {
     // Closed before the name is removed: some systems do not remove open files.
     file: Open,
@@ -52,8 +52,8 @@ impl ResultFile {
         })
     }
 
-    /// A copy of the result file `path` without the groups named in `replace`, to which groups can be added;
-    /// [`ResultFile::finish`] puts it in the place of `path`.
+    /// A copy of the result file `path` without the groups named in `replace`, to which groups can
+    /// be added; [`ResultFile::finish`] puts it in the place of `path`.
     ///
     /// # Errors
     /// As [`ResultFile::create`], and [`FileError::Create`] where `path` cannot be copied.
@@ -76,7 +76,10 @@ impl ResultFile {
                 file.delete_group(group).map_err(|e| this.error(group, e))?;
             }
         }
-        this.groups = file.root_group().group_names().map_err(|e| this.error("/", e))?;
+        this.groups = file
+            .root_group()
+            .group_names()
+            .map_err(|e| this.error("/", e))?;
         this.file = Open(Some(file));
         Ok(this)
     }
@@ -91,7 +94,11 @@ impl ResultFile {
     ///
     /// # Errors
     /// [`FileError::Write`] and [`OutputError::Hdf5`].
-    pub fn attribute(&self, name: &str, value: impl Into<AttributeValue>) -> Result<(), OutputError> {
+    pub fn attribute(
+        &self,
+        name: &str,
+        value: impl Into<AttributeValue>,
+    ) -> Result<(), OutputError> {
         self.open_file()?
             .set(name, &value.into())
             .map_err(|error| self.error(&format!("the root attribute `{name}`"), error))
@@ -226,7 +233,10 @@ mod tests {
             at(""),
             Err(OutputError::File(FileError::TargetIsDirectory { .. }))
         ));
-        assert!(matches!(at(".."), Err(OutputError::File(FileError::NoFileName { .. }))));
+        assert!(matches!(
+            at(".."),
+            Err(OutputError::File(FileError::NoFileName { .. }))
+        ));
         fs::write(directory.path().join("file"), b"").unwrap();
         assert!(matches!(
             at("file/result.h5"),
@@ -281,7 +291,10 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), before);
         for start in [2.0, 3.0] {
             let mut file = ResultFile::extend(&path, &["fit", "other"]).unwrap();
-            assert!(matches!(file.group(&group("kept")), Err(OutputError::Duplicate { .. })));
+            assert!(matches!(
+                file.group(&group("kept")),
+                Err(OutputError::Duplicate { .. })
+            ));
             write(&mut file, "fit", start);
             write(&mut file, "other", 10.0 * start);
             file.finish().unwrap();
@@ -305,6 +318,9 @@ mod tests {
         let mut file = ResultFile::create(directory.path().join("result.h5")).unwrap();
         let group = Group::new("points");
         file.group(&group).unwrap();
-        assert!(matches!(file.group(&group), Err(OutputError::Duplicate { .. })));
+        assert!(matches!(
+            file.group(&group),
+            Err(OutputError::Duplicate { .. })
+        ));
     }
 }

@@ -1,4 +1,5 @@
-//! HDF5 that `xarray.open_dataset(FILE, group=...)` opens with no keyword, and nothing of what is in it.
+//! HDF5 that `xarray.open_dataset(FILE, group=...)` opens with no keyword, and nothing of what is
+//! in it.
 //!
 //! - [`ResultFile`] is the file: written under a hidden name beside its target, renamed to the
 //!   final name by [`ResultFile::finish`], gone when dropped before that;

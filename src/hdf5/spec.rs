@@ -139,7 +139,11 @@ impl Variable {
     /// One text for each index of the fixed dimension `dimension`. They are written with the
     /// declaration.
     #[must_use]
-    pub fn text<S: Into<String>>(name: &str, dimension: &str, values: impl IntoIterator<Item = S>) -> Self {
+    pub fn text<S: Into<String>>(
+        name: &str,
+        dimension: &str,
+        values: impl IntoIterator<Item = S>,
+    ) -> Self {
         let values = values.into_iter().map(Into::into).collect();
         Self::new(name, [dimension], Storage::Text(values))
     }
@@ -274,7 +278,11 @@ impl Group {
         Ok(())
     }
 
-    fn check_unique<'n>(&self, names: &mut BTreeSet<&'n str>, name: &'n str) -> Result<(), OutputError> {
+    fn check_unique<'n>(
+        &self,
+        names: &mut BTreeSet<&'n str>,
+        name: &'n str,
+    ) -> Result<(), OutputError> {
         check_name(&self.name, name)?;
         if names.insert(name) {
             Ok(())

@@ -2,16 +2,28 @@
 
 use super::Tableau;
 
-/// Order 8(5,3) method of E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I (1993), II.10
-/// (DOP853), with its dense output of order 7 in powers of the fraction of the step.
+/// Order 8(5,3) method of E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential
+/// Equations I (1993), II.10 (DOP853), with its dense output of order 7 in powers of the fraction
+/// of the step.
 pub static DOP853: Tableau = Tableau {
     order: 8,
     a: &[
         &[0.05260015195876773],
         &[0.0197250569845379, 0.0591751709536137],
         &[0.02958758547680685, 0.0, 0.08876275643042054],
-        &[0.2413651341592667, 0.0, -0.8845494793282861, 0.924834003261792],
-        &[0.037037037037037035, 0.0, 0.0, 0.17082860872947386, 0.12546768756682242],
+        &[
+            0.2413651341592667,
+            0.0,
+            -0.8845494793282861,
+            0.924834003261792,
+        ],
+        &[
+            0.037037037037037035,
+            0.0,
+            0.0,
+            0.17082860872947386,
+            0.12546768756682242,
+        ],
         &[
             0.037109375,
             0.0,
@@ -284,8 +296,8 @@ pub static DOP853: Tableau = Tableau {
             -149.72683625798564,
         ],
     ],
-    // q, q(1-q), q^2(1-q), q^2(1-q)^2, q^3(1-q)^2, q^3(1-q)^3, q^4(1-q)^3: the later ones, with the largest weights, are
-    // small, so that little is lost in rounding.
+    // q, q(1-q), q^2(1-q), q^2(1-q)^2, q^3(1-q)^2, q^3(1-q)^3, q^4(1-q)^3: the later ones, with the
+    // largest weights, are small, so that little is lost in rounding.
     basis: &[
         &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         &[1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0],

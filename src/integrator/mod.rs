@@ -13,15 +13,16 @@ pub struct Tableau {
     pub a: &'static [&'static [f64]],
     /// Weights of the error estimate, or empty for a fixed-step method.
     pub error: &'static [f64],
-    /// Weights of a second estimate, of lower order, or empty. With the mean squares e and c of both in the tolerance's
-    /// norm the squared error is `e^2 / (e + c/100)`.
+    /// Weights of a second estimate, of lower order, or empty. With the mean squares e and c of
+    /// both in the tolerance's norm the squared error is `e^2 / (e + c/100)`.
     pub companion: &'static [f64],
     /// Further stages that only dense output takes, like rows of `a`.
     pub extra: &'static [&'static [f64]],
-    /// Dense output: weight of stage j at fraction q of the step is the sum of `d[j][i]` times basis polynomial i. All
-    /// stages, the further ones included, have as many coefficients.
+    /// Dense output: weight of stage j at fraction q of the step is the sum of `d[j][i]` times
+    /// basis polynomial i. All stages, the further ones included, have as many coefficients.
     pub dense: &'static [&'static [f64]],
-    /// The basis polynomials: coefficients of q, q^2, ... of each; empty where polynomial i is `q^(i+1)`.
+    /// The basis polynomials: coefficients of q, q^2, ... of each; empty where polynomial i is
+    /// `q^(i+1)`.
     pub basis: &'static [&'static [f64]],
 }
 
@@ -36,8 +37,8 @@ impl Tableau {
         if self.order > 5 { 1.0 / 8.0 } else { 1.0 / 5.0 }
     }
 
-    /// First step: this fraction of |y|/|y'| in the tolerance's norm. A high order takes long steps, and many small ones
-    /// at the beginning would be most of the work of a short trajectory.
+    /// First step: this fraction of |y|/|y'| in the tolerance's norm. A high order takes long
+    /// steps, and many small ones at the beginning would be most of the work of a short trajectory.
     pub const fn first(&self) -> f64 {
         if self.order > 5 { 0.1 } else { control::SHARE }
     }
@@ -61,8 +62,8 @@ impl Tableau {
     }
 }
 
-/// The classical method of order 4 (Kutta 1901). Dense output is the cubic Hermite interpolant, of order 3 locally
-/// like the method's own global error.
+/// The classical method of order 4 (Kutta 1901). Dense output is the cubic Hermite interpolant, of
+/// order 3 locally like the method's own global error.
 pub static RK4: Tableau = Tableau {
     order: 4,
     a: &[
@@ -86,8 +87,9 @@ pub static RK4: Tableau = Tableau {
     ],
 };
 
-/// Order 5(4) pair of Ch. Tsitouras, "Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying
-/// assumption", Computers & Mathematics with Applications 62 (2011), 770-775; dense output of order 4 from there.
+/// Order 5(4) pair of Ch. Tsitouras, "Runge-Kutta pairs of order 5(4) satisfying only the first
+/// column simplifying assumption", Computers & Mathematics with Applications 62 (2011), 770-775;
+/// dense output of order 4 from there.
 pub static TSIT5: Tableau = Tableau {
     order: 5,
     a: &[
@@ -129,12 +131,32 @@ pub static TSIT5: Tableau = Tableau {
     extra: &[],
     basis: &[],
     dense: &[
-        &[1.0, -2.763706197274826, 2.9132554618219126, -1.0530884977290216],
+        &[
+            1.0,
+            -2.763706197274826,
+            2.9132554618219126,
+            -1.0530884977290216,
+        ],
         &[0.0, 0.13169999999999998, -0.2234, 0.1017],
-        &[0.0, 3.9302962368947516, -5.941033872131505, 2.490627285651253],
-        &[0.0, -12.411077166933676, 30.33818863028232, -16.548102889244902],
+        &[
+            0.0,
+            3.9302962368947516,
+            -5.941033872131505,
+            2.490627285651253,
+        ],
+        &[
+            0.0,
+            -12.411077166933676,
+            30.33818863028232,
+            -16.548102889244902,
+        ],
         &[0.0, 37.50931341651104, -88.1789048947664, 47.37952196281928],
-        &[0.0, -27.896526289197286, 65.09189467479366, -34.87065786149661],
+        &[
+            0.0,
+            -27.896526289197286,
+            65.09189467479366,
+            -34.87065786149661,
+        ],
         &[0.0, 1.5, -4.0, 2.5],
     ],
 };
@@ -178,8 +200,10 @@ impl crate::model::Method {
 
     /// The scheme for a relative tolerance.
     pub fn scheme(self, rtol: f64) -> Scheme {
-        self.tableau()
-            .map_or_else(|| Scheme::Taylor(control::taylor_order(rtol)), Scheme::RungeKutta)
+        self.tableau().map_or_else(
+            || Scheme::Taylor(control::taylor_order(rtol)),
+            Scheme::RungeKutta,
+        )
     }
 
     /// Whether steps are chosen by the tolerance.
@@ -190,15 +214,16 @@ impl crate::model::Method {
 
 /// Step control, shared by all backends.
 ///
-/// With `e` the RMS over components of error / (atol + rtol |y|), a step is accepted when `e <= 1` and the next one is
-/// `h * clamp(SAFETY * e^-ALPHA * e_before^BETA, SHRINK, GROW)` (PI control, Hairer & Wanner, Solving ODEs II, IV.2).
+/// With `e` the RMS over components of error / (atol + rtol |y|), a step is accepted when `e <= 1`
+/// and the next one is `h * clamp(SAFETY * e^-ALPHA * e_before^BETA, SHRINK, GROW)` (PI control,
+/// Hairer & Wanner, Solving ODEs II, IV.2).
 pub mod control {
     pub const SAFETY: f64 = 0.9;
     /// Exponents in units of the method's [`super::Tableau::exponent`].
     pub const ALPHA: f64 = 0.7;
     pub const BETA: f64 = 0.4;
-    /// A kink within this share of a step from one of its ends counts as met: its error is of the second order in it.
-    /// In f32 what is much nearer is lost in rounding.
+    /// A kink within this share of a step from one of its ends counts as met: its error is of the
+    /// second order in it. In f32 what is much nearer is lost in rounding.
     pub const fn at_kink(epsilon: f64) -> f64 {
         if epsilon > 1e-10 { 1e-4 } else { 1e-6 }
     }
@@ -206,13 +231,14 @@ pub mod control {
     pub const SHARE: f64 = 0.01;
     /// Weight of a companion estimate's mean square.
     pub const COMPANION: f64 = 0.01;
-    /// The order of Taylor's method at which the work for a tolerance is least: steps are then about `radius / e^2`
-    /// (Jorba & Zou, "A software package for the numerical integration of ODEs by means of high-order Taylor methods",
-    /// Experimental Mathematics 14 (2005), section 3).
+    /// The order of Taylor's method at which the work for a tolerance is least: steps are then
+    /// about `radius / e^2` (Jorba & Zou, "A software package for the numerical integration of ODEs
+    /// by means of high-order Taylor methods", Experimental Mathematics 14 (2005), section 3).
     pub fn taylor_order(rtol: f64) -> usize {
         ((-0.5 * rtol.ln()).ceil() as usize + 1).clamp(4, 24)
     }
-    /// Share taken of the step at which the last Taylor term would be as large as the tolerance (section 3 there).
+    /// Share taken of the step at which the last Taylor term would be as large as the tolerance
+    /// (section 3 there).
     pub fn taylor_safety(order: usize) -> f64 {
         (-0.7 / (order as f64 - 1.0)).exp()
     }
@@ -220,6 +246,7 @@ pub mod control {
     pub const GROW: f64 = 5.0;
     /// The step floor in units of rounding of the time or the first step.
     pub const FLOOR_ULPS: f64 = 16.0;
-    /// Smallest error remembered for the next step, so that one lucky step does not throw the next one.
+    /// Smallest error remembered for the next step, so that one lucky step does not throw the next
+    /// one.
     pub const LEAST_ERROR: f64 = 1e-4;
 }

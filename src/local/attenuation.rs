@@ -1,21 +1,24 @@
 //! The smallest level of attenuation that the linearization allows, found in two ways.
 //!
-//! With `H_pp = -B R^-1 B' + E E' / gamma^2` the game Riccati equation has a stabilizing solution P >= 0 exactly for gamma
-//! above some gamma* (Doyle, Glover, Khargonekar & Francis 1989). Going down to it, P grows until either eigenvalues of the
-//! Hamiltonian matrix meet on the imaginary axis, or P becomes infinite (the upper block of the stable invariant subspace
-//! becomes singular) and changes sign.
+//! With `H_pp = -B R^-1 B' + E E' / gamma^2` the game Riccati equation has a stabilizing solution P
+//! >= 0 exactly for gamma above some gamma* (Doyle, Glover, Khargonekar & Francis 1989). Going down
+//! to it, P grows until either eigenvalues of the Hamiltonian matrix meet on the imaginary axis, or
+//! P becomes infinite (the upper block of the stable invariant subspace becomes singular) and
+//! changes sign.
 
 use super::Linearization;
 use super::riccati::{ON_AXIS, eigenvalues_of, nearest_to_axis, polished, sign};
 use nalgebra::{Complex, DMatrix, Schur};
 
-/// Relative residual up to which a Riccati solution counts as one: it says how near gamma* can be come.
+/// Relative residual up to which a Riccati solution counts as one: it says how near gamma* can be
+/// come.
 const RESIDUAL: f64 = 1e-12;
 /// A semidefinite P has eigenvalues down to minus this, relative to its largest.
 const ROUNDING: f64 = 1e-12;
 /// Relative width at which a bracket is narrow enough.
 const WIDTH: f64 = 1e-13;
-/// Without a range, values from the scene's own are tried by factors of two up to 2 to this power, either way.
+/// Without a range, values from the scene's own are tried by factors of two up to 2 to this power,
+/// either way.
 const DOUBLINGS: i32 = 20;
 /// Values on each side of gamma* at which monotony is checked.
 const CHECKS: usize = 6;
@@ -44,8 +47,12 @@ impl Cause {
     pub fn explained(self) -> &'static str {
         match self {
             Cause::Axis => "below it the Hamiltonian matrix has eigenvalues on the imaginary axis",
-            Cause::Unbounded => "there the Riccati solution becomes infinite, and below it indefinite",
-            Cause::None => "the smallest value tried, at which the linearization still has a solution",
+            Cause::Unbounded => {
+                "there the Riccati solution becomes infinite, and below it indefinite"
+            }
+            Cause::None => {
+                "the smallest value tried, at which the linearization still has a solution"
+            }
         }
     }
 }
@@ -55,7 +62,8 @@ impl Cause {
 pub struct LinearAttenuation {
     /// By bisection on the game Riccati equation. Where [`Cause::None`]: an upper bound.
     pub star: f64,
-    /// By bisection on the Hamiltonian matrix alone: its eigenvalues, and its stable invariant subspace.
+    /// By bisection on the Hamiltonian matrix alone: its eigenvalues, and its stable invariant
+    /// subspace.
     pub hamiltonian: f64,
     pub cause: Cause,
 }
@@ -94,7 +102,8 @@ enum Verdict {
     Refused(Cause),
 }
 
-/// Bisection on the logarithm, from a refused and an allowed value to neighbours, with what was said of the refused one.
+/// Bisection on the logarithm, from a refused and an allowed value to neighbours, with what was
+/// said of the refused one.
 struct Bracket {
     lo: f64,
     hi: f64,
@@ -117,18 +126,20 @@ impl Bracket {
     }
 }
 
-/// gamma* for a parameter: `linearization` gives the scene's for a value of it. Searched are `range`, or values up to a
-/// million times above and below `own`.
+/// gamma* for a parameter: `linearization` gives the scene's for a value of it. Searched are
+/// `range`, or values up to a million times above and below `own`.
 ///
 /// # Errors
-/// [`AttenuationError`]: a value for which there is no linearization, no value at which there is a solution, or one
-/// above which there is none.
+/// [`AttenuationError`]: a value for which there is no linearization, no value at which there is a
+/// solution, or one above which there is none.
 pub fn linear_attenuation<E: std::error::Error + 'static>(
     own: f64,
     range: Option<[f64; 2]>,
     linearization: &mut dyn FnMut(f64) -> Result<Linearization, E>,
 ) -> Result<LinearAttenuation, AttenuationError<E>> {
-    let mut at = |value: f64| linearization(value).map_err(|source| AttenuationError::Scene { value, source });
+    let mut at = |value: f64| {
+        linearization(value).map_err(|source| AttenuationError::Scene { value, source })
+    };
     if range.is_none() && (own.is_nan() || own <= 0.0) {
         return Err(AttenuationError::NotPositive { value: own });
     }
@@ -170,7 +181,8 @@ pub fn linear_attenuation<E: std::error::Error + 'static>(
         }
     }
     let mut alone = |value: f64| Ok(by_hamiltonian(&at(value)?));
-    // What the other method says of the bracket's ends is not asked: it has to find its own way from there.
+    // What the other method says of the bracket's ends is not asked: it has to find its own way
+    // from there.
     let second = Bracket { lo, hi, cause }.narrow(&mut alone)?;
     // Exactly at an infinite P either may be said: the cause is asked for a little below.
     let cause = match by_hamiltonian(&at((found.lo * (1.0 - NEARLY)).max(lo))?) {
@@ -184,7 +196,8 @@ pub fn linear_attenuation<E: std::error::Error + 'static>(
     })
 }
 
-/// The nearest refused and allowed values by factors of two from `own`; both the same way out where there are none.
+/// The nearest refused and allowed values by factors of two from `own`; both the same way out where
+/// there are none.
 fn bracket<E: std::error::Error + 'static>(
     own: f64,
     judge: &mut dyn FnMut(f64) -> Result<Verdict, AttenuationError<E>>,
@@ -192,7 +205,12 @@ fn bracket<E: std::error::Error + 'static>(
     let allowed = judge(own)? == Verdict::Allowed;
     let mut last = own;
     for k in 1..=DOUBLINGS {
-        let next = own * if allowed { 0.5f64.powi(k) } else { 2f64.powi(k) };
+        let next = own
+            * if allowed {
+                0.5f64.powi(k)
+            } else {
+                2f64.powi(k)
+            };
         let here = judge(next)? == Verdict::Allowed;
         if here != allowed {
             return Ok((next.min(last), next.max(last)));
@@ -202,8 +220,8 @@ fn bracket<E: std::error::Error + 'static>(
     Ok((last.min(own), last.max(own)))
 }
 
-/// The Riccati equation's answer. P is judged by its inverse where that is the better one to compute: it passes 0 where P
-/// passes infinity.
+/// The Riccati equation's answer. P is judged by its inverse where that is the better one to
+/// compute: it passes 0 where P passes infinity.
 fn by_riccati(linear: &Linearization) -> Verdict {
     let n = linear.a.nrows();
     let axis = Verdict::Refused(Cause::Axis);
@@ -211,7 +229,8 @@ fn by_riccati(linear: &Linearization) -> Verdict {
         return axis;
     }
     let (linear, _) = linear.balanced();
-    let Some(sign) = sign(linear.hamiltonian_matrix()).filter(|s| s.iter().all(|x| x.is_finite())) else {
+    let Some(sign) = sign(linear.hamiltonian_matrix()).filter(|s| s.iter().all(|x| x.is_finite()))
+    else {
         return axis;
     };
     // The range of I - sign, of rank n.
@@ -235,12 +254,18 @@ fn by_riccati(linear: &Linearization) -> Verdict {
     };
     let (p, residual) = polished(&equation, (&p + p.transpose()) * 0.5);
     let closed = eigenvalues_of(&(&equation.a + &equation.g * &p));
-    let stable = closed.iter().all(|e| if direct { e.re < 0.0 } else { e.re > 0.0 });
+    let stable = closed
+        .iter()
+        .all(|e| if direct { e.re < 0.0 } else { e.re > 0.0 });
     if residual.is_nan() || residual > RESIDUAL || !stable {
         return axis;
     }
     let eigenvalues = p.symmetric_eigenvalues();
-    let bound = if direct { -ROUNDING * eigenvalues.amax() } else { 0.0 };
+    let bound = if direct {
+        -ROUNDING * eigenvalues.amax()
+    } else {
+        0.0
+    };
     if eigenvalues.min() >= bound {
         Verdict::Allowed
     } else {
@@ -248,8 +273,9 @@ fn by_riccati(linear: &Linearization) -> Verdict {
     }
 }
 
-/// The Hamiltonian matrix's answer: no eigenvalue on the imaginary axis, and X1'X2 >= 0 for a basis [X1; X2] of the stable
-/// invariant subspace. That matrix is P seen from the subspace: bounded, and singular with X1 where P becomes infinite.
+/// The Hamiltonian matrix's answer: no eigenvalue on the imaginary axis, and X1'X2 >= 0 for a basis
+/// [X1; X2] of the stable invariant subspace. That matrix is P seen from the subspace: bounded, and
+/// singular with X1 where P becomes infinite.
 fn by_hamiltonian(linear: &Linearization) -> Verdict {
     let n = linear.a.nrows();
     let axis = Verdict::Refused(Cause::Axis);
@@ -261,7 +287,9 @@ fn by_hamiltonian(linear: &Linearization) -> Verdict {
     if near.is_nan() || near < ON_AXIS * m.norm() {
         return axis;
     }
-    let Some(basis) = stable_subspace(&m) else { return axis };
+    let Some(basis) = stable_subspace(&m) else {
+        return axis;
+    };
     let (upper, lower) = (basis.view((0, 0), (n, n)), basis.view((n, 0), (n, n)));
     let inner = upper.adjoint() * lower;
     let eigen = ((&inner + inner.adjoint()) * Complex::new(0.5, 0.0)).symmetric_eigen();
@@ -278,8 +306,9 @@ fn by_hamiltonian(linear: &Linearization) -> Verdict {
     }
 }
 
-/// An orthonormal basis (`2n x n`) of the stable invariant subspace: Schur's form with the stable eigenvalues moved to its
-/// beginning by rotations (A. J. Laub 1979; Golub & Van Loan, section 7.6.2).
+/// An orthonormal basis (`2n x n`) of the stable invariant subspace: Schur's form with the stable
+/// eigenvalues moved to its beginning by rotations (A. J. Laub 1979; Golub & Van Loan, section
+/// 7.6.2).
 fn stable_subspace(m: &DMatrix<f64>) -> Option<DMatrix<Complex<f64>>> {
     let size = m.nrows();
     let complex = m.map(|x| Complex::new(x, 0.0));
@@ -346,6 +375,8 @@ mod tests {
         assert!((orthonormal - DMatrix::identity(3, 3)).norm() < 1e-14);
         let within = eigenvalues_of(&(basis.adjoint() * image).map(|z| z.re));
         assert_eq!(within.len(), 3);
-        assert!(by_hamiltonian(&linear) == Verdict::Allowed && by_riccati(&linear) == Verdict::Allowed);
+        assert!(
+            by_hamiltonian(&linear) == Verdict::Allowed && by_riccati(&linear) == Verdict::Allowed
+        );
     }
 }

@@ -1,8 +1,9 @@
-//! What the local solution's V and p may be off by at a state: the terms left out, what its coefficients are known to, and
-//! the rounding of the sums.
+//! What the local solution's V and p may be off by at a state: the terms left out, what its
+//! coefficients are known to, and the rounding of the sums.
 //!
-//! With `V_k` the part of degree k of V in z, `|V_k| <= C_k r^k` on the sphere of radius r gives `|dV_k/dz| <= k C_k r^(k-1)`
-//! (O. D. Kellogg 1928), and so a bound of p's error from one of V's, and of both from an error of z.
+//! With `V_k` the part of degree k of V in z, `|V_k| <= C_k r^k` on the sphere of radius r gives
+//! `|dV_k/dz| <= k C_k r^(k-1)` (O. D. Kellogg 1928), and so a bound of p's error from one of V's,
+//! and of both from an error of z.
 
 use super::seeds::LocalSolution;
 
@@ -11,7 +12,8 @@ use super::seeds::LocalSolution;
 pub struct LocalErrors {
     /// See [`LocalErrors::neglected`].
     neglected: Vec<(i32, f64)>,
-    /// By degree, the sum of the absolute values of the coefficients kept: no monomial is above 1 on the unit sphere.
+    /// By degree, the sum of the absolute values of the coefficients kept: no monomial is above 1
+    /// on the unit sphere.
     sizes: Vec<f64>,
     /// Relative error of the coefficients.
     coefficients: f64,
@@ -41,7 +43,12 @@ impl LocalErrors {
             coefficients: local.riccati.error,
             operations: (polynomial.coefficients.len() + polynomial.degree + n) as f64,
             columns: (0..n)
-                .map(|j| (0..n).map(|i| polynomial.matrix[i * n + j].powi(2)).sum::<f64>().sqrt())
+                .map(|j| {
+                    (0..n)
+                        .map(|i| polynomial.matrix[i * n + j].powi(2))
+                        .sum::<f64>()
+                        .sqrt()
+                })
                 .collect(),
             matrix: polynomial.matrix,
         }
@@ -52,13 +59,17 @@ impl LocalErrors {
         &self.neglected
     }
 
-    /// Bounds of the errors of V and of each component of p at a deviation s, given with the sizes of the numbers that it is a
-    /// difference of; `unit` is the unit roundoff.
+    /// Bounds of the errors of V and of each component of p at a deviation s, given with the sizes
+    /// of the numbers that it is a difference of; `unit` is the unit roundoff.
     pub fn at(&self, s: &[f64], sizes: &[f64], unit: f64, of_p: &mut [f64]) -> f64 {
         let n = s.len();
         let length = |product: &dyn Fn(usize, f64) -> f64| -> f64 {
-            let z = (self.matrix.chunks_exact(n))
-                .map(|row| row.iter().enumerate().map(|(j, m)| product(j, *m)).sum::<f64>());
+            let z = (self.matrix.chunks_exact(n)).map(|row| {
+                row.iter()
+                    .enumerate()
+                    .map(|(j, m)| product(j, *m))
+                    .sum::<f64>()
+            });
             z.map(|z| z * z).sum::<f64>().sqrt()
         };
         // What z is rounded by, and the largest that it may be.

@@ -4,7 +4,8 @@ use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use nalgebra::{DMatrix, DVector};
 
-/// Second derivatives of H at the equilibrium: `s' = A s + G p`, `p' = -Q s - A'p`, each matrix `n x n`.
+/// Second derivatives of H at the equilibrium: `s' = A s + G p`, `p' = -Q s - A'p`, each matrix `n
+/// x n`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Linearization {
     pub a: DMatrix<f64>,
@@ -16,16 +17,20 @@ pub struct Linearization {
 
 /// Widths of the region.
 pub(super) fn widths(model: &Model) -> DVector<f64> {
-    DVector::from_iterator(model.region.len(), model.region.iter().map(|[lo, hi]| hi - lo))
+    DVector::from_iterator(
+        model.region.len(),
+        model.region.iter().map(|[lo, hi]| hi - lo),
+    )
 }
 
 impl Linearization {
-    /// At the scene's equilibrium, in coordinates scaled by the region's widths, so that units do not matter. Entries are
-    /// not finite where H has no second derivatives there.
+    /// At the scene's equilibrium, in coordinates scaled by the region's widths, so that units do
+    /// not matter. Entries are not finite where H has no second derivatives there.
     pub fn new(hamiltonian: &Hamiltonian, model: &Model) -> Self {
         let n = hamiltonian.states();
         let h = hamiltonian.hessian_at(model);
-        let block = |row: usize, col: usize, i: usize, j: usize| h[(row * n + i) * 2 * n + col * n + j];
+        let block =
+            |row: usize, col: usize, i: usize, j: usize| h[(row * n + i) * 2 * n + col * n + j];
         let w = widths(model);
         Self {
             a: DMatrix::from_fn(n, n, |i, j| block(1, 0, i, j) * w[j] / w[i]),
@@ -35,7 +40,9 @@ impl Linearization {
     }
 
     pub fn is_finite(&self) -> bool {
-        let mut all = [&self.a, &self.g, &self.q].into_iter().flat_map(|m| m.iter());
+        let mut all = [&self.a, &self.g, &self.q]
+            .into_iter()
+            .flat_map(|m| m.iter());
         all.all(|x| x.is_finite())
     }
 
@@ -50,8 +57,8 @@ impl Linearization {
         m
     }
 
-    /// With adjoints scaled so that the Hamiltonian matrix's off-diagonal blocks are of like size, and the scale: P is so
-    /// many times larger. Eigenvalues are unchanged.
+    /// With adjoints scaled so that the Hamiltonian matrix's off-diagonal blocks are of like size,
+    /// and the scale: P is so many times larger. Eigenvalues are unchanged.
     pub fn balanced(&self) -> (Self, f64) {
         let (g, q) = (self.g.norm(), self.q.norm());
         // Without one of them the other is made of the size of A.

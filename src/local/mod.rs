@@ -1,4 +1,5 @@
-//! The solution near the equilibrium: Riccati matrix, closed loop, higher terms of V, and the seeds of the sweep.
+//! The solution near the equilibrium: Riccati matrix, closed loop, higher terms of V, and the seeds
+//! of the sweep.
 
 mod attenuation;
 mod errors;

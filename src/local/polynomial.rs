@@ -1,4 +1,5 @@
-//! V near the equilibrium as one polynomial of a degree that is asked for, for laws that are to be written down.
+//! V near the equilibrium as one polynomial of a degree that is asked for, for laws that are to be
+//! written down.
 
 use super::seeds::{coordinates, part_sizes, short_of_kinks};
 use super::series::{Basis, Equation};
@@ -12,7 +13,8 @@ const MOST_TERMS: usize = 1000;
 const MOST_LOOKED_AT: usize = 5005;
 /// Parts of V after the last one kept that are looked at: the first is 0 where V is even.
 const LOOK_AHEAD: usize = 2;
-/// What is left out of V may be this share of its quadratic part where the polynomial counts as known.
+/// What is left out of V may be this share of its quadratic part where the polynomial counts as
+/// known.
 const SHARE: f64 = 1e-2;
 
 /// V as a polynomial of `z = matrix (x - origin)`.
@@ -24,7 +26,8 @@ pub struct LocalPolynomial {
     pub origin: Vec<f64>,
     /// Row-major.
     pub matrix: Vec<f64>,
-    /// Of monomials of z by rising total degree, those of a degree in lexicographic order of their factors.
+    /// Of monomials of z by rising total degree, those of a degree in lexicographic order of their
+    /// factors.
     pub coefficients: Vec<f64>,
     /// It counts as known where `z'z / 2` is at most this.
     pub reach: f64,
@@ -35,10 +38,16 @@ impl LocalPolynomial {
     ///
     /// # Errors
     /// [`LocalError`]: `TooLong` and `NoSeries` where that degree cannot be had.
-    pub fn new(system: &System, model: &Model, riccati: &Riccati, degree: usize) -> Result<Self, LocalError> {
+    pub fn new(
+        system: &System,
+        model: &Model,
+        riccati: &Riccati,
+        degree: usize,
+    ) -> Result<Self, LocalError> {
         let n = system.states;
         let fits = |degree: usize| {
-            Basis::size(n, degree) <= MOST_TERMS && Basis::size(n, degree + LOOK_AHEAD) <= MOST_LOOKED_AT
+            Basis::size(n, degree) <= MOST_TERMS
+                && Basis::size(n, degree + LOOK_AHEAD) <= MOST_LOOKED_AT
         };
         if !fits(degree) {
             return Err(LocalError::TooLong {
@@ -94,7 +103,8 @@ impl LocalPolynomial {
         let (z, n) = (self.place(x), x.len());
         let monomials = basis.monomials(z.as_slice());
         let dot = |c: &[f64]| c.iter().zip(&monomials).map(|(c, m)| c * m).sum::<f64>();
-        let q = DVector::from_iterator(n, basis.gradient(&self.coefficients).iter().map(|g| dot(g)));
+        let q =
+            DVector::from_iterator(n, basis.gradient(&self.coefficients).iter().map(|g| dot(g)));
         let p = DMatrix::from_row_slice(n, n, &self.matrix).transpose() * q;
         (dot(&self.coefficients), p.as_slice().to_vec())
     }

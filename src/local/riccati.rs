@@ -1,4 +1,5 @@
-//! The stabilizing solution of the algebraic Riccati equation of the linearization (for a game, the game equation).
+//! The stabilizing solution of the algebraic Riccati equation of the linearization (for a game, the
+//! game equation).
 
 use super::LocalError;
 use super::linearization::{Linearization, widths};
@@ -9,8 +10,8 @@ use nalgebra::{Complex, DMatrix, DVector};
 
 /// Largest accepted `|A'P + PA + P H_pp P + Q|` relative to its terms.
 const RESIDUAL: f64 = 1e-10;
-/// Eigenvalues nearer to the imaginary axis than this, relative to the matrix, count as on it: a double eigenvalue
-/// there is computed to the square root of the rounding error.
+/// Eigenvalues nearer to the imaginary axis than this, relative to the matrix, count as on it: a
+/// double eigenvalue there is computed to the square root of the rounding error.
 pub(super) const ON_AXIS: f64 = 1e-7;
 /// Relative size under which a singular or eigenvalue counts as zero.
 const RANK: f64 = 1e-10;
@@ -30,7 +31,10 @@ pub struct Riccati {
 
 /// Distance of the slowest mode from the imaginary axis.
 pub fn closed_loop_margin(r: &Riccati) -> f64 {
-    r.eigenvalues.iter().map(|e| -e.re).fold(f64::INFINITY, f64::min)
+    r.eigenvalues
+        .iter()
+        .map(|e| -e.re)
+        .fold(f64::INFINITY, f64::min)
 }
 
 impl Riccati {
@@ -86,7 +90,8 @@ impl Riccati {
     }
 }
 
-/// The Newton step that lowers the residual no more, as large as P's error, and what a factor of P loses.
+/// The Newton step that lowers the residual no more, as large as P's error, and what a factor of P
+/// loses.
 fn forward_error(l: &Linearization, p: &DMatrix<f64>) -> f64 {
     /// A Newton step sees the residual with its rounding, which may hide as much as it shows.
     const HIDDEN: f64 = 2.0;
@@ -126,11 +131,17 @@ pub fn show_eigenvalue(e: Complex<f64>) -> String {
     if e.im.abs() <= 1e-12 * e.norm().max(1e-300) {
         format!("{:.6}", e.re)
     } else {
-        format!("{:.6} {} {:.6}i", e.re, if e.im < 0.0 { '-' } else { '+' }, e.im.abs())
+        format!(
+            "{:.6} {} {:.6}i",
+            e.re,
+            if e.im < 0.0 { '-' } else { '+' },
+            e.im.abs()
+        )
     }
 }
 
-/// The extremal inputs at the equilibrium and p = 0 must be those of the equilibrium, or it is none of the characteristics.
+/// The extremal inputs at the equilibrium and p = 0 must be those of the equilibrium, or it is none
+/// of the characteristics.
 fn check_stationary(hamiltonian: &Hamiltonian, model: &Model) -> Result<(), LocalError> {
     const ROUNDING: f64 = 1e-7;
     let Horizon::Infinite { u, .. } = &model.horizon else {
@@ -138,10 +149,17 @@ fn check_stationary(hamiltonian: &Hamiltonian, model: &Model) -> Result<(), Loca
     };
     let values = hamiltonian.point(model);
     let found = |exprs: &[crate::expr::Id]| hamiltonian.graph.eval(exprs, &values);
-    let controls = (model.controls.iter().zip(found(&hamiltonian.unclamped)).zip(u))
-        .map(|((c, value), wanted)| ("optimal control", &c.variable.name, value, *wanted));
-    let disturbances = (model.disturbances.iter().zip(found(&hamiltonian.disturbance)))
-        .map(|(w, value)| ("worst-case disturbance", &w.name, value, 0.0));
+    let controls = (model
+        .controls
+        .iter()
+        .zip(found(&hamiltonian.unclamped))
+        .zip(u))
+    .map(|((c, value), wanted)| ("optimal control", &c.variable.name, value, *wanted));
+    let disturbances = (model
+        .disturbances
+        .iter()
+        .zip(found(&hamiltonian.disturbance)))
+    .map(|(w, value)| ("worst-case disturbance", &w.name, value, 0.0));
     let off = |(_, _, value, wanted): &(&str, &String, f64, f64)| {
         let size = wanted.abs().max(if *wanted == 0.0 { 1.0 } else { 0.0 });
         (value - wanted).abs() > ROUNDING * size
@@ -173,7 +191,8 @@ fn input_matrix(hamiltonian: &Hamiltonian, model: &Model, widths: &DVector<f64>)
     b
 }
 
-/// Popov-Belevitch-Hautus test: `[A - lambda I, B]` keeps full rank at every eigenvalue that does not decay.
+/// Popov-Belevitch-Hautus test: `[A - lambda I, B]` keeps full rank at every eigenvalue that does
+/// not decay.
 fn check_stabilizable(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Result<(), LocalError> {
     let n = a.nrows();
     let scale = if a.norm() > 0.0 { a.norm() } else { 1.0 };
@@ -189,7 +208,12 @@ fn check_stabilizable(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Result<(), LocalErr
         }
         let test = DMatrix::from_fn(n, n + b.ncols(), |i, j| {
             let real = if j < n { a[(i, j)] } else { b[(i, j - n)] };
-            Complex::new(real, 0.0) - if i == j { *lambda } else { Complex::new(0.0, 0.0) }
+            Complex::new(real, 0.0)
+                - if i == j {
+                    *lambda
+                } else {
+                    Complex::new(0.0, 0.0)
+                }
         });
         let distance = test.singular_values().min() / scale;
         // The eigenvalue itself is only known to about this.
@@ -217,7 +241,8 @@ fn check_imaginary_axis(l: &Linearization, model: &Model, game: bool) -> Result<
     }
 }
 
-/// Why an eigenvalue lies on the axis, as far as the second derivatives of the cost at the equilibrium tell.
+/// Why an eigenvalue lies on the axis, as far as the second derivatives of the cost at the
+/// equilibrium tell.
 fn why_on_axis(l: &Linearization, model: &Model, eigenvalue: Complex<f64>, game: bool) -> String {
     let level = "the attenuation asked is below what the linearization allows";
     let size = l.q.norm();
@@ -237,7 +262,11 @@ fn why_on_axis(l: &Linearization, model: &Model, eigenvalue: Complex<f64>, game:
         let hint = format!(
             "the running cost curves down there along ({direction}): leaving the equilibrium that way pays, so resting at it is not optimal; make the cost convex in the states"
         );
-        return if game { format!("{level}, or {hint}") } else { hint };
+        return if game {
+            format!("{level}, or {hint}")
+        } else {
+            hint
+        };
     }
     if game {
         return format!("{level}, or a mode on the axis is not seen by the cost");
@@ -247,11 +276,13 @@ fn why_on_axis(l: &Linearization, model: &Model, eigenvalue: Complex<f64>, game:
             "its mode, along ({}), neither decays nor is seen by the cost; weigh it in the running cost or use a finite horizon",
             direction(model, mode.into_iter())
         ),
-        None => "the running cost does not hold the states there: make it convex in the states".to_owned(),
+        None => "the running cost does not hold the states there: make it convex in the states"
+            .to_owned(),
     }
 }
 
-/// Size of the running cost in the region: the largest of its second derivatives, each times the region's widths.
+/// Size of the running cost in the region: the largest of its second derivatives, each times the
+/// region's widths.
 fn running_size(model: &Model) -> f64 {
     let mut graph = model.graph.clone();
     let widths = widths(model);
@@ -276,17 +307,28 @@ fn running_size(model: &Model) -> f64 {
     largest
 }
 
-/// A direction in which the mode of an eigenvalue on the axis lies outside what the cost sees, in scaled coordinates:
-/// `[A - i omega; Q] v = 0`. `None` where there is none.
+/// A direction in which the mode of an eigenvalue on the axis lies outside what the cost sees, in
+/// scaled coordinates: `[A - i omega; Q] v = 0`. `None` where there is none.
 fn unseen_mode(l: &Linearization, eigenvalue: Complex<f64>) -> Option<Vec<f64>> {
     /// The eigenvalue itself is only known to about this (see [`ON_AXIS`]).
     const LOST: f64 = 1e-6;
     let n = l.a.nrows();
-    let (a, q) = (l.a.norm().max(f64::MIN_POSITIVE), l.q.norm().max(f64::MIN_POSITIVE));
+    let (a, q) = (
+        l.a.norm().max(f64::MIN_POSITIVE),
+        l.q.norm().max(f64::MIN_POSITIVE),
+    );
     let axis = Complex::new(0.0, eigenvalue.im);
     let test = DMatrix::from_fn(2 * n, n, |i, j| {
-        let on = if i == j { axis / a } else { Complex::new(0.0, 0.0) };
-        let entry = if i < n { l.a[(i, j)] / a } else { l.q[(i - n, j)] / q };
+        let on = if i == j {
+            axis / a
+        } else {
+            Complex::new(0.0, 0.0)
+        };
+        let entry = if i < n {
+            l.a[(i, j)] / a
+        } else {
+            l.q[(i - n, j)] / q
+        };
         Complex::new(entry, 0.0) - on
     });
     let svd = test.svd(false, true);
@@ -301,7 +343,9 @@ fn direction(model: &Model, components: impl Iterator<Item = f64>) -> String {
     let components: Vec<f64> = components.collect();
     let largest = components.iter().fold(0.0f64, |a, c| a.max(c.abs()));
     let names = model.states.iter().map(|s| s.variable.name.as_str());
-    let moved = names.zip(&components).filter(|(_, c)| c.abs() >= SHOWN * largest);
+    let moved = names
+        .zip(&components)
+        .filter(|(_, c)| c.abs() >= SHOWN * largest);
     moved
         .map(|(n, c)| format!("{n}: {c:.2}"))
         .collect::<Vec<_>>()
@@ -313,7 +357,8 @@ pub(super) fn nearest_to_axis(eigenvalues: &[Complex<f64>]) -> Option<Complex<f6
     (eigenvalues.iter().copied()).min_by(|x, y| x.re.abs().total_cmp(&y.re.abs()))
 }
 
-/// The matrix sign function, by Newton's iteration (J. D. Roberts 1980); `None` where it meets a singular matrix.
+/// The matrix sign function, by Newton's iteration (J. D. Roberts 1980); `None` where it meets a
+/// singular matrix.
 pub(super) fn sign(matrix: DMatrix<f64>) -> Option<DMatrix<f64>> {
     let mut z = matrix;
     for _ in 0..100 {
@@ -333,20 +378,26 @@ pub(super) fn sign(matrix: DMatrix<f64>) -> Option<DMatrix<f64>> {
 /// Matrix sign iteration for the stable invariant subspace, then Newton steps on the equation.
 fn stabilizing(l: &Linearization) -> Result<DMatrix<f64>, LocalError> {
     let n = l.a.nrows();
-    let no = |reason: &str| LocalError::NoSolution { reason: reason.into() };
+    let no = |reason: &str| LocalError::NoSolution {
+        reason: reason.into(),
+    };
     let (b, factor) = l.balanced();
-    let z = sign(b.hamiltonian_matrix()).ok_or_else(|| no("the sign iteration met a singular matrix"))?;
+    let z = sign(b.hamiltonian_matrix())
+        .ok_or_else(|| no("the sign iteration met a singular matrix"))?;
     // (sign + I) [I; P] = 0
     let identity = DMatrix::<f64>::identity(n, n);
     let mut left = DMatrix::zeros(2 * n, n);
-    left.view_mut((0, 0), (n, n)).copy_from(&z.view((0, n), (n, n)));
+    left.view_mut((0, 0), (n, n))
+        .copy_from(&z.view((0, n), (n, n)));
     left.view_mut((n, 0), (n, n))
         .copy_from(&(z.view((n, n), (n, n)) + &identity));
     let mut right = DMatrix::zeros(2 * n, n);
     right
         .view_mut((0, 0), (n, n))
         .copy_from(&-(z.view((0, 0), (n, n)) + &identity));
-    right.view_mut((n, 0), (n, n)).copy_from(&-z.view((n, 0), (n, n)));
+    right
+        .view_mut((n, 0), (n, n))
+        .copy_from(&-z.view((n, 0), (n, n)));
     let svd = left.svd(true, true);
     let smallest = svd.singular_values.min() / svd.singular_values.max();
     if smallest.is_nan() || smallest < RANK {
@@ -358,12 +409,15 @@ fn stabilizing(l: &Linearization) -> Result<DMatrix<f64>, LocalError> {
     Ok(polished(l, (&p + p.transpose()) * (0.5 * factor)).0)
 }
 
-/// Newton steps on the Riccati equation as long as they lower its relative residual, which is returned with the solution.
+/// Newton steps on the Riccati equation as long as they lower its relative residual, which is
+/// returned with the solution.
 pub(super) fn polished(l: &Linearization, p: DMatrix<f64>) -> (DMatrix<f64>, f64) {
     let mut p = p;
     let mut best = relative_residual(l, &p);
     for _ in 0..8 {
-        let Some(step) = newton_step(l, &p) else { break };
+        let Some(step) = newton_step(l, &p) else {
+            break;
+        };
         let next = &p + (&step + step.transpose()) * 0.5;
         let residual = relative_residual(l, &next);
         if residual.is_nan() || residual >= best {
@@ -416,14 +470,16 @@ fn check_positive(scaled: &DMatrix<f64>, model: &Model, game: bool) -> Result<()
     Ok(())
 }
 
-/// Eigenvalues of a matrix. The QR iteration may stand still on a defective one (a chain of integrators); a change of some
-/// roundings moves it on.
+/// Eigenvalues of a matrix. The QR iteration may stand still on a defective one (a chain of
+/// integrators); a change of some roundings moves it on.
 pub(crate) fn eigenvalues_of(matrix: &DMatrix<f64>) -> Vec<Complex<f64>> {
     const ITERATIONS: usize = 10_000;
     let size = matrix.amax().max(f64::MIN_POSITIVE);
     for change in [0.0, 1e-15, 1e-14, 1e-13, 1e-12] {
         let noise = |i: usize, j: usize| change * size * ((i * 7 + j * 13 + 1) as f64).sin();
-        let moved = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| matrix[(i, j)] + noise(i, j));
+        let moved = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
+            matrix[(i, j)] + noise(i, j)
+        });
         if let Some(schur) = nalgebra::Schur::try_new(moved, f64::EPSILON, ITERATIONS) {
             return schur.complex_eigenvalues().iter().copied().collect();
         }

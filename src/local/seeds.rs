@@ -13,7 +13,8 @@ const MAX_DEGREE: usize = 6;
 const MAX_TERMS: usize = 800;
 /// Parts of V after the last one used by which its error is told: the first is 0 where V is even.
 const LOOK_AHEAD: usize = 2;
-/// Directions in which the size of a homogeneous part is looked at, and what is added for those between.
+/// Directions in which the size of a homogeneous part is looked at, and what is added for those
+/// between.
 const PROBES: usize = 512;
 const PROBE_MARGIN: f64 = 1.5;
 
@@ -29,8 +30,8 @@ pub struct SeedChoice {
     pub outer: f64,
 }
 
-/// V and p near the equilibrium, and the ellipsoid `s'Ss/2 = seed_value` on which the sweep starts: S is P but where V falls
-/// along some trajectories of a game (see `shape`).
+/// V and p near the equilibrium, and the ellipsoid `s'Ss/2 = seed_value` on which the sweep starts:
+/// S is P but where V falls along some trajectories of a game (see `shape`).
 #[derive(Clone, Debug)]
 pub struct LocalSolution {
     pub riccati: Riccati,
@@ -59,8 +60,14 @@ impl LocalSolution {
     /// Expands V and chooses the seed ellipsoid.
     ///
     /// # Errors
-    /// [`LocalError`]; `SeedTooLarge` where a given seed value leads out of the range of the local solution.
-    pub fn new(system: &System, model: &Model, riccati: Riccati, choice: SeedChoice) -> Result<Self, LocalError> {
+    /// [`LocalError`]; `SeedTooLarge` where a given seed value leads out of the range of the local
+    /// solution.
+    pub fn new(
+        system: &System,
+        model: &Model,
+        riccati: Riccati,
+        choice: SeedChoice,
+    ) -> Result<Self, LocalError> {
         let n = system.states;
         let (t, l) = coordinates(model, &riccati)?;
         // t^-T = (L^-T)^-T = L
@@ -78,7 +85,8 @@ impl LocalSolution {
 
         let sizes = part_sizes(&basis, &value, n);
         let limit = range_limit(system, model, &riccati, &t, choice.ceiling);
-        // The first neglected part's size times radius^k is the error, or that of the part after it.
+        // The first neglected part's size times radius^k is the error, or that of the part after
+        // it.
         let error_at = |degree: usize, radius: f64| -> f64 {
             (degree + 1..=known)
                 .map(|k| sizes[k] * radius.powi(k as i32))
@@ -91,13 +99,20 @@ impl LocalSolution {
             }
             radius
         };
-        // Where the equations have no series or it is too long, the quadratic V is used, and H itself tells its error.
+        // Where the equations have no series or it is too long, the quadratic V is used, and H
+        // itself tells its error.
         let (degree, radius) = if known < 2 + LOOK_AHEAD {
-            (2, radius_by_residual(system, &riccati, &t, choice.tolerance, limit))
+            (
+                2,
+                radius_by_residual(system, &riccati, &t, choice.tolerance, limit),
+            )
         } else {
             (2..=known - LOOK_AHEAD)
                 .map(|d| (d, radius_for(d)))
-                .fold((2, 0.0), |best, this| if this.1 > best.1 { this } else { best })
+                .fold(
+                    (2, 0.0),
+                    |best, this| if this.1 > best.1 { this } else { best },
+                )
         };
         let seed_value = match choice.asked {
             SeedValue::Auto => 0.5 * radius * radius,
@@ -152,8 +167,8 @@ impl LocalSolution {
         })
     }
 
-    /// Largest V, at most `ceiling`, of an ellipsoid on which the estimated error of V is at most `error`, with the
-    /// controls well inside their bounds.
+    /// Largest V, at most `ceiling`, of an ellipsoid on which the estimated error of V is at most
+    /// `error`, with the controls well inside their bounds.
     pub fn value_within(&self, error: f64, ceiling: f64) -> f64 {
         let radius = (self.neglected.iter())
             .filter(|(_, size)| *size > 0.0)
@@ -217,18 +232,19 @@ impl LocalSolution {
         &self.basis.start
     }
 
-    /// `s'Ss/2`, by which the range of the local solution is told. At least `s'Ps/2`; the same but in some games.
+    /// `s'Ss/2`, by which the range of the local solution is told. At least `s'Ps/2`; the same but
+    /// in some games.
     pub fn quadratic(&self, s: &[f64]) -> f64 {
         let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
         0.5 * z.norm_squared()
     }
 
-    /// The seed `(s, p, V)` for a direction (a unit vector in the coordinates where S is the identity) in which the
-    /// linearized trajectory passes the outer ellipsoid.
+    /// The seed `(s, p, V)` for a direction (a unit vector in the coordinates where S is the
+    /// identity) in which the linearized trajectory passes the outer ellipsoid.
     ///
-    /// The modes of the closed loop grow at different rates backward in time, so that most of a front far out comes from
-    /// a thin part of the seed ellipsoid. Directions on the outer ellipsoid, brought inward along the linear flow, put
-    /// the seeds where the fronts need them.
+    /// The modes of the closed loop grow at different rates backward in time, so that most of a
+    /// front far out comes from a thin part of the seed ellipsoid. Directions on the outer
+    /// ellipsoid, brought inward along the linear flow, put the seeds where the fronts need them.
     pub fn seed(&self, direction: &[f64]) -> Vec<f64> {
         self.at(&self.flow.inward(direction))
     }
@@ -240,7 +256,11 @@ impl LocalSolution {
         let q = DVector::from_iterator(z.len(), self.gradient.iter().map(|g| dot(g)));
         let s = &self.t * DVector::from_column_slice(z);
         let p = &self.to_adjoint * q;
-        s.iter().chain(p.iter()).copied().chain([dot(&self.value)]).collect()
+        s.iter()
+            .chain(p.iter())
+            .copied()
+            .chain([dot(&self.value)])
+            .collect()
     }
 
     /// V of the local solution at a deviation `s`, with `p`.
@@ -255,7 +275,10 @@ impl LocalSolution {
 }
 
 /// `t` with `t'St = I` for the S of the seeds' ellipsoid, and `L = t^-T`.
-pub(super) fn coordinates(model: &Model, riccati: &Riccati) -> Result<(DMatrix<f64>, DMatrix<f64>), LocalError> {
+pub(super) fn coordinates(
+    model: &Model,
+    riccati: &Riccati,
+) -> Result<(DMatrix<f64>, DMatrix<f64>), LocalError> {
     let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
     let shape = shape(riccati, &widths).unwrap_or_else(|| riccati.p.clone());
     let factor = shape.cholesky().ok_or(LocalError::NoSolution {
@@ -313,8 +336,9 @@ impl Flow {
         sum
     }
 
-    /// The point where the trajectory from a direction on the outer sphere meets the inner sphere. `|z|` never rises along
-    /// the flow: the longest steps that stay outside come first, Newton's method finds the rest of the time.
+    /// The point where the trajectory from a direction on the outer sphere meets the inner sphere.
+    /// `|z|` never rises along the flow: the longest steps that stay outside come first, Newton's
+    /// method finds the rest of the time.
     fn inward(&self, direction: &[f64]) -> Vec<f64> {
         let norm = |z: &[f64]| z.iter().map(|x| x * x).sum::<f64>().sqrt();
         let mut z: Vec<f64> = direction.iter().map(|x| x * self.outer_radius).collect();
@@ -394,15 +418,26 @@ pub(super) fn part_sizes(basis: &Basis, value: &[f64], n: usize) -> Vec<f64> {
         let m = basis.monomials(&z);
         for (k, size) in sizes.iter_mut().enumerate() {
             let range = basis.start[k]..basis.start[k + 1];
-            let part: f64 = value[range.clone()].iter().zip(&m[range]).map(|(c, m)| c * m).sum();
+            let part: f64 = value[range.clone()]
+                .iter()
+                .zip(&m[range])
+                .map(|(c, m)| c * m)
+                .sum();
             *size = size.max(PROBE_MARGIN * part.abs());
         }
     }
     sizes
 }
 
-/// Largest V for which the ellipsoid keeps the controls half-way inside their bounds and stays inside the region.
-fn range_limit(system: &System, model: &Model, riccati: &Riccati, t: &DMatrix<f64>, ceiling: f64) -> f64 {
+/// Largest V for which the ellipsoid keeps the controls half-way inside their bounds and stays
+/// inside the region.
+fn range_limit(
+    system: &System,
+    model: &Model,
+    riccati: &Riccati,
+    t: &DMatrix<f64>,
+    ceiling: f64,
+) -> f64 {
     let n = system.states;
     let mut limit = ceiling;
     // Half-width of the ellipsoid along state i is sqrt(2c) |row i of t|.
@@ -413,16 +448,23 @@ fn range_limit(system: &System, model: &Model, riccati: &Riccati, t: &DMatrix<f6
     let zero = vec![0.0; n];
     let rest = system.eval(&system.observer.unclamped, &zero, &zero);
     for (k, control) in model.controls.iter().enumerate() {
-        let room = [control.min.map(|lo| rest[k] - lo), control.max.map(|hi| hi - rest[k])];
+        let room = [
+            control.min.map(|lo| rest[k] - lo),
+            control.max.map(|hi| hi - rest[k]),
+        ];
         let Some(room) = room.into_iter().flatten().reduce(f64::min) else {
             continue;
         };
-        // Gain of the linear law along each direction, by differences over the unit sphere of the ellipsoid.
+        // Gain of the linear law along each direction, by differences over the unit sphere of the
+        // ellipsoid.
         let h = 1e-6;
         let gain = (0..n)
             .map(|j| {
                 let s: Vec<f64> = (0..n).map(|i| h * t[(i, j)]).collect();
-                let p: Vec<f64> = (&riccati.p * DVector::from_column_slice(&s)).iter().copied().collect();
+                let p: Vec<f64> = (&riccati.p * DVector::from_column_slice(&s))
+                    .iter()
+                    .copied()
+                    .collect();
                 let u = system.eval(&system.observer.unclamped[k..=k], &s, &p)[0];
                 ((u - rest[k]) / h).powi(2)
             })
@@ -441,8 +483,14 @@ fn point_on(riccati: &Riccati, s: DVector<f64>) -> Vec<f64> {
     s.iter().chain(p.iter()).copied().collect()
 }
 
-/// A V, at most `limit`, whose ellipsoid lies inside the guards, and no kink of the equations cuts: a series cannot follow them.
-pub(super) fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: f64) -> f64 {
+/// A V, at most `limit`, whose ellipsoid lies inside the guards, and no kink of the equations cuts:
+/// a series cannot follow them.
+pub(super) fn short_of_kinks(
+    system: &System,
+    riccati: &Riccati,
+    t: &DMatrix<f64>,
+    limit: f64,
+) -> f64 {
     let n = system.states;
     let limit = short_of_guards(system, riccati, t, limit);
     let mut graph = system.graph.clone();
@@ -475,8 +523,8 @@ pub(super) fn short_of_kinks(system: &System, riccati: &Riccati, t: &DMatrix<f64
 /// Places along each direction at which guards are looked at.
 const SHELLS: u32 = 40;
 
-/// A V, at most `limit`, whose ellipsoid lies inside the guards: then no way from there leaves one. Guards that the equilibrium lies
-/// on the boundary of are left out.
+/// A V, at most `limit`, whose ellipsoid lies inside the guards: then no way from there leaves one.
+/// Guards that the equilibrium lies on the boundary of are left out.
 fn short_of_guards(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: f64) -> f64 {
     let guards: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
     if guards.is_empty() {
@@ -511,21 +559,33 @@ fn short_of_guards(system: &System, riccati: &Riccati, t: &DMatrix<f64>, limit: 
     0.5 * (radius * (1.0 - 1.0 / f64::from(SHELLS)) / PROBE_MARGIN).powi(2)
 }
 
-/// Error of the quadratic V at a radius from the residual of H there: H is the rate at which V is wrong, and it falls
-/// along the closed loop at least as a cubic term does.
+/// Error of the quadratic V at a radius from the residual of H there: H is the rate at which V is
+/// wrong, and it falls along the closed loop at least as a cubic term does.
 fn residual_error(system: &System, riccati: &Riccati, t: &DMatrix<f64>, radius: f64) -> f64 {
     let slowest = super::closed_loop_margin(riccati);
     let worst = probes(system.states)
         .map(|d| {
-            let s: Vec<f64> = (t * DVector::from_vec(d) * radius).iter().copied().collect();
-            let p: Vec<f64> = (&riccati.p * DVector::from_column_slice(&s)).iter().copied().collect();
+            let s: Vec<f64> = (t * DVector::from_vec(d) * radius)
+                .iter()
+                .copied()
+                .collect();
+            let p: Vec<f64> = (&riccati.p * DVector::from_column_slice(&s))
+                .iter()
+                .copied()
+                .collect();
             system.eval(&[system.observer.hamiltonian], &s, &p)[0].abs()
         })
         .fold(0.0, f64::max);
     PROBE_MARGIN * worst / (3.0 * slowest)
 }
 
-fn radius_by_residual(system: &System, riccati: &Riccati, t: &DMatrix<f64>, tolerance: f64, limit: f64) -> f64 {
+fn radius_by_residual(
+    system: &System,
+    riccati: &Riccati,
+    t: &DMatrix<f64>,
+    tolerance: f64,
+    limit: f64,
+) -> f64 {
     let mut radius = (2.0 * limit).sqrt();
     while residual_error(system, riccati, t, radius) > tolerance && radius > 1e-12 {
         radius *= 0.8;

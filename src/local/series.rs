@@ -1,7 +1,9 @@
-//! Truncated power series in several variables, and Al'brekht's expansion of V about the equilibrium.
+//! Truncated power series in several variables, and Al'brekht's expansion of V about the
+//! equilibrium.
 //!
-//! V is sought as a sum of homogeneous polynomials V_2 + V_3 + ...; the degree-k part of H(s, dV/ds) = 0 is a linear
-//! equation for V_k (E. G. Al'brekht, On the optimal stabilization of nonlinear systems, J. Appl. Math. Mech. 25, 1961).
+//! V is sought as a sum of homogeneous polynomials V_2 + V_3 + ...; the degree-k part of H(s,
+//! dV/ds) = 0 is a linear equation for V_k (E. G. Al'brekht, On the optimal stabilization of
+//! nonlinear systems, J. Appl. Math. Mech. 25, 1961).
 
 use super::Riccati;
 use crate::expr::{Fun, Graph, Id, Kind, Op};
@@ -30,7 +32,8 @@ impl Basis {
             homogeneous(variables, k, &mut Vec::new(), &mut exponents);
             start.push(exponents.len());
         }
-        let index: HashMap<&Vec<u8>, usize> = exponents.iter().enumerate().map(|(i, e)| (e, i)).collect();
+        let index: HashMap<&Vec<u8>, usize> =
+            exponents.iter().enumerate().map(|(i, e)| (e, i)).collect();
         let mut products = Vec::new();
         for (i, a) in exponents.iter().enumerate() {
             let left = degree - a.iter().map(|n| usize::from(*n)).sum::<usize>();
@@ -108,7 +111,12 @@ impl Basis {
 
     /// Gradient by each variable.
     pub fn gradient(&self, p: &[f64]) -> Vec<Vec<f64>> {
-        let index: HashMap<&Vec<u8>, usize> = self.exponents.iter().enumerate().map(|(i, e)| (e, i)).collect();
+        let index: HashMap<&Vec<u8>, usize> = self
+            .exponents
+            .iter()
+            .enumerate()
+            .map(|(i, e)| (e, i))
+            .collect();
         (0..self.variables)
             .map(|v| {
                 let mut g = self.zero();
@@ -201,8 +209,8 @@ impl Equation<'_> {
         result.into_iter().next().unwrap_or_else(|| basis.zero())
     }
 
-    /// Coefficients of V in coordinates z, `s = t z`, through the basis's degree. Stops early, at the
-    /// degree returned, where the equations have no series (a kink at the equilibrium).
+    /// Coefficients of V in coordinates z, `s = t z`, through the basis's degree. Stops early, at
+    /// the degree returned, where the equations have no series (a kink at the equilibrium).
     pub fn expand(&self, basis: &Basis, t: &DMatrix<f64>, riccati: &Riccati) -> (Vec<f64>, usize) {
         let n = basis.variables;
         let quadratic = rounded_identity(t.transpose() * &riccati.p * t);
@@ -231,7 +239,9 @@ impl Equation<'_> {
                         s[at] = t[(i, j)];
                     }
                     // p = t^-T q
-                    p.iter_mut().zip(&q[j]).for_each(|(p, q)| *p += inverse[(j, i)] * q);
+                    p.iter_mut()
+                        .zip(&q[j])
+                        .for_each(|(p, q)| *p += inverse[(j, i)] * q);
                 }
                 inputs.insert(self.inputs[i], s);
                 inputs.insert(self.inputs[n + i], p);
@@ -241,7 +251,9 @@ impl Equation<'_> {
             let right = -DVector::from_column_slice(&h[range.clone()]);
             let solution = drift_operator(basis, k, &rate).lu().solve(&right);
             match solution {
-                Some(x) if x.iter().all(|c| c.is_finite()) => v[range].copy_from_slice(x.as_slice()),
+                Some(x) if x.iter().all(|c| c.is_finite()) => {
+                    v[range].copy_from_slice(x.as_slice())
+                }
                 _ => return (v, k - 1),
             }
         }

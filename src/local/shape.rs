@@ -6,25 +6,32 @@ use nalgebra::{DMatrix, DVector};
 /// Rates of change below this share of the largest count as none.
 const ROUNDING: f64 = 1e-9;
 
-/// S of an ellipsoid `s'Ss/2 = c` that every trajectory of the linear closed loop enters; `None` where P serves.
+/// S of an ellipsoid `s'Ss/2 = c` that every trajectory of the linear closed loop enters; `None`
+/// where P serves.
 ///
-/// Along the closed loop `d/dt s'Ps = -s'Ms` with `M = -(Ac'P + P Ac)`. For minimal cost M is the running cost's and not
-/// negative; in a game the disturbance's share may make V rise along the closed loop, trajectories cross `{V = c}` twice and
-/// some of them leave it without having been seeds. S solves `Ac'S + S Ac = -|M|`, |M| with the absolute values of M's
-/// eigenvalues (in units of `widths`): it is at least P, and P itself where M has no negative eigenvalue.
+/// Along the closed loop `d/dt s'Ps = -s'Ms` with `M = -(Ac'P + P Ac)`. For minimal cost M is the
+/// running cost's and not negative; in a game the disturbance's share may make V rise along the
+/// closed loop, trajectories cross `{V = c}` twice and some of them leave it without having been
+/// seeds. S solves `Ac'S + S Ac = -|M|`, |M| with the absolute values of M's eigenvalues (in units
+/// of `widths`): it is at least P, and P itself where M has no negative eigenvalue.
 pub(super) fn shape(riccati: &Riccati, widths: &[f64]) -> Option<DMatrix<f64>> {
     let n = widths.len();
     let p = DMatrix::from_fn(n, n, |i, j| riccati.p[(i, j)] * widths[i] * widths[j]);
-    let a = DMatrix::from_fn(n, n, |i, j| riccati.closed_loop[(i, j)] * widths[j] / widths[i]);
+    let a = DMatrix::from_fn(n, n, |i, j| {
+        riccati.closed_loop[(i, j)] * widths[j] / widths[i]
+    });
     let m = -(a.transpose() * &p + &p * &a);
     let eigen = ((&m + m.transpose()) * 0.5).symmetric_eigen();
     if eigen.eigenvalues.min() >= -ROUNDING * eigen.eigenvalues.amax() {
         return None;
     }
     let size = eigen.eigenvalues.map(f64::abs);
-    let positive = &eigen.eigenvectors * DMatrix::from_diagonal(&size) * eigen.eigenvectors.transpose();
+    let positive =
+        &eigen.eigenvectors * DMatrix::from_diagonal(&size) * eigen.eigenvectors.transpose();
     let s = lyapunov(&a, &positive)?;
-    Some(DMatrix::from_fn(n, n, |i, j| s[(i, j)] / (widths[i] * widths[j])))
+    Some(DMatrix::from_fn(n, n, |i, j| {
+        s[(i, j)] / (widths[i] * widths[j])
+    }))
 }
 
 /// Solves `a'X + X a = -q` as a linear system of n^2 unknowns.
@@ -32,7 +39,9 @@ fn lyapunov(a: &DMatrix<f64>, q: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = a.nrows();
     let identity = DMatrix::<f64>::identity(n, n);
     let operator = identity.kronecker(&a.transpose()) + a.transpose().kronecker(&identity);
-    let x = operator.lu().solve(&-DVector::from_column_slice(q.as_slice()))?;
+    let x = operator
+        .lu()
+        .solve(&-DVector::from_column_slice(q.as_slice()))?;
     let x = DMatrix::from_column_slice(n, n, x.as_slice());
     Some((&x + x.transpose()) * 0.5)
 }

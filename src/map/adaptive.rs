@@ -1,5 +1,6 @@
-//! A map to the error asked for: states are chosen, solved, and their extremals cut into points, until pieces fitted to these
-//! say what points that were left out say, and what fresh states say that were never used.
+//! A map to the error asked for: states are chosen, solved, and their extremals cut into points,
+//! until pieces fitted to these say what points that were left out say, and what fresh states say
+//! that were never used.
 
 mod beyond;
 mod check;
@@ -31,13 +32,16 @@ use std::time::{Duration, Instant};
 const AROUND: f64 = 0.05;
 /// Slopes across that are this much less make another frame worth while.
 const BETTER: f64 = 0.7;
-/// How far beyond their outermost points pieces say something, in half widths: behind a fold of a game there is nothing.
+/// How far beyond their outermost points pieces say something, in half widths: behind a fold of a
+/// game there is nothing.
 const BEYOND: f64 = 0.6;
 const BEYOND_OF_GAME: f64 = 0.02;
-/// Other sheets than the lowest are kept at a state if they may be the lowest within this share of the region.
+/// Other sheets than the lowest are kept at a state if they may be the lowest within this share of
+/// the region.
 const NEAR: f64 = 0.05;
 
-/// With a limit of seconds: so many times as long, and some seconds, after which states are given up, and fresh states of the check.
+/// With a limit of seconds: so many times as long, and some seconds, after which states are given
+/// up, and fresh states of the check.
 const GIVEN_UP: f64 = 1.5;
 const CHECK_GIVEN_UP: f64 = 2.0;
 const GRACE: Duration = Duration::from_secs(5);
@@ -55,7 +59,8 @@ pub struct Adaptive {
     pub above_max: usize,
     pub points: usize,
     pub rounds: usize,
-    /// Fresh states that the check was asked for: with a limit of seconds it may have had room for fewer.
+    /// Fresh states that the check was asked for: with a limit of seconds it may have had room for
+    /// fewer.
     pub check_asked: usize,
     /// States of the first search: those that the budget had room for, and all.
     pub first: [usize; 2],
@@ -72,7 +77,8 @@ pub struct Adaptive {
 }
 
 impl Adaptive {
-    /// Whether all states of the first search were searched: else a cheaper sheet may have been missed.
+    /// Whether all states of the first search were searched: else a cheaper sheet may have been
+    /// missed.
     pub fn is_searched(&self) -> bool {
         self.first[0] >= self.first[1]
     }
@@ -119,7 +125,8 @@ struct Work<'a, 'p> {
     unanswered: Vec<Hole>,
     /// Guards that a solution was seen to leave.
     shadows: Vec<bool>,
-    /// States (absolute) with V to be asked whether points near them promise less; and solutions that leave guards.
+    /// States (absolute) with V to be asked whether points near them promise less; and solutions
+    /// that leave guards.
     asked: Vec<(Vec<f64>, f64)>,
     cut: Vec<Path>,
     guarded: Option<Guarded>,
@@ -235,10 +242,15 @@ impl Work<'_, '_> {
             (check, met) = self.checked(&judged.pieces)?;
             let wrong = Self::wrong(&check);
             let unfounded = Self::unfounded(&check);
-            if (wrong.is_empty() && unfounded.is_empty()) || attempt + 1 == CHECKS || self.is_spent(1.0) {
+            if (wrong.is_empty() && unfounded.is_empty())
+                || attempt + 1 == CHECKS
+                || self.is_spent(1.0)
+            {
                 break;
             }
-            unfounded.iter().for_each(|c| self.note(&c.x, (c.status, None)));
+            unfounded
+                .iter()
+                .for_each(|c| self.note(&c.x, (c.status, None)));
             let more = self.searched_around(&wrong, &judged.pieces, &region)?;
             let pieces = self.refined(&region, more)?;
             judged = self.judged(pieces);
@@ -273,10 +285,13 @@ impl Work<'_, '_> {
     }
 
     fn seconds_left(&self, share: f64) -> f64 {
-        (self.aim.seconds).map_or(f64::INFINITY, |s| share * s - self.clock.elapsed().as_secs_f64())
+        (self.aim.seconds).map_or(f64::INFINITY, |s| {
+            share * s - self.clock.elapsed().as_secs_f64()
+        })
     }
 
-    /// Work on states; `None` if it takes so many times the limit of seconds, if there is one. What it had found is lost then.
+    /// Work on states; `None` if it takes so many times the limit of seconds, if there is one. What
+    /// it had found is lost then.
     fn in_time<T>(
         &mut self,
         times: f64,
@@ -302,8 +317,11 @@ impl Work<'_, '_> {
         (seconds_left.max(0.0) / pace) as usize
     }
 
-    /// V up to which points are kept: a little beyond what is asked for, for the pieces at its edge.
+    /// V up to which points are kept: a little beyond what is asked for, for the pieces at its
+    /// edge.
     fn most_value(&self) -> f64 {
-        self.aim.value_max.map_or(f64::INFINITY, |v| v + 0.1 * v.abs())
+        self.aim
+            .value_max
+            .map_or(f64::INFINITY, |v| v + 0.1 * v.abs())
     }
 }

@@ -1,4 +1,5 @@
-//! How far a cheaper sheet can be excluded at a state: what the sweep's fronts covered, and what was searched.
+//! How far a cheaper sheet can be excluded at a state: what the sweep's fronts covered, and what
+//! was searched.
 
 use super::{Known, ValueMap};
 use crate::backend::Status;
@@ -10,12 +11,14 @@ use crate::trajectories::SweptTrajectories;
 pub enum Coverage {
     /// The local solution about the equilibrium.
     Local,
-    /// Fronts without gaps up to this V: no sheet as cheap lies over the state, at the sweep's spacing.
+    /// Fronts without gaps up to this V: no sheet as cheap lies over the state, at the sweep's
+    /// spacing.
     Covered,
-    /// Solved states alone: each was searched for sheets on its own, and no front shows that there is no other.
+    /// Solved states alone: each was searched for sheets on its own, and no front shows that there
+    /// is no other.
     Searched,
-    /// Swept trajectories between which there are gaps at this V, or a map whose first states were not all searched for want of
-    /// a budget: a cheaper sheet may have been missed.
+    /// Swept trajectories between which there are gaps at this V, or a map whose first states were
+    /// not all searched for want of a budget: a cheaper sheet may have been missed.
     Uncovered,
     /// A map in pieces, checked with fresh states that were searched for all sheets.
     Checked,
@@ -73,7 +76,11 @@ impl Fronts {
             failed: known.sweep.failed,
             below: 0.0,
         };
-        if let Some(swept) = known.swept.as_ref().filter(|_| this.gaps > 0 || this.failed > 0) {
+        if let Some(swept) = known
+            .swept
+            .as_ref()
+            .filter(|_| this.gaps > 0 || this.failed > 0)
+        {
             this.below = covered_below(swept, plan).unwrap_or(0.0);
         }
         this
@@ -85,11 +92,17 @@ impl Fronts {
     }
 }
 
-/// V below which neighbouring trajectories are nowhere further apart than the spacing. Of two states with an equilibrium,
-/// where the seeds lie on a closed curve about it and neighbours follow from the angle; else it is not known.
+/// V below which neighbouring trajectories are nowhere further apart than the spacing. Of two
+/// states with an equilibrium, where the seeds lie on a closed curve about it and neighbours follow
+/// from the angle; else it is not known.
 fn covered_below(swept: &SweptTrajectories, plan: &Plan) -> Option<f64> {
     let n = plan.system.states;
-    if n != 2 || plan.local.is_none() || plan.sampling == Sampling::Time || swept.count < 3 || swept.samples < 2 {
+    if n != 2
+        || plan.local.is_none()
+        || plan.sampling == Sampling::Time
+        || swept.count < 3
+        || swept.samples < 2
+    {
         return None;
     }
     let at = |trajectory: usize, sample: usize| -> [f64; 2] {
@@ -115,7 +128,9 @@ fn covered_below(swept: &SweptTrajectories, plan: &Plan) -> Option<f64> {
     let mut below = f64::INFINITY;
     for (k, &(_, a)) in around.iter().enumerate() {
         let b = around[(k + 1) % around.len()].1;
-        let v = |sample: usize| swept.v[a * swept.samples + sample].min(swept.v[b * swept.samples + sample]);
+        let v = |sample: usize| {
+            swept.v[a * swept.samples + sample].min(swept.v[b * swept.samples + sample])
+        };
         let open = |sample: &usize| {
             let (x, y) = (at(a, *sample), at(b, *sample));
             (0..n).all(|i| x[i].max(y[i]) >= bounds[i][0] && x[i].min(y[i]) <= bounds[i][1])
@@ -127,12 +142,19 @@ fn covered_below(swept: &SweptTrajectories, plan: &Plan) -> Option<f64> {
         }
     }
     // Where a trajectory failed, what lies beyond is not covered.
-    let failed = around
-        .iter()
-        .filter(|(_, t)| Status::FAILURES.iter().any(|f| *f as i32 == swept.status[*t]));
+    let failed = around.iter().filter(|(_, t)| {
+        Status::FAILURES
+            .iter()
+            .any(|f| *f as i32 == swept.status[*t])
+    });
     for &(_, t) in failed {
         let row = &swept.v[t * swept.samples..(t + 1) * swept.samples];
-        below = below.min(row.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max));
+        below = below.min(
+            row.iter()
+                .copied()
+                .filter(|v| v.is_finite())
+                .fold(0.0, f64::max),
+        );
     }
     Some(below)
 }
@@ -143,7 +165,8 @@ impl ValueMap {
         &self.fronts
     }
 
-    /// What a value's being the least rests on, of which all sites that were used are solved states or not.
+    /// What a value's being the least rests on, of which all sites that were used are solved states
+    /// or not.
     pub(super) fn coverage(&self, v: f64, solved: bool) -> Coverage {
         match self.fronts.cover(v) {
             true => Coverage::Covered,

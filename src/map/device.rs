@@ -23,9 +23,13 @@ pub enum DeviceError {
         "the file holds no map in pieces (a scene with [map] error has one): scattered solutions are looked up on the CPU only"
     )]
     NoPieces,
-    #[error("V is that of a game, of whose map the GPU does not ask where a sheet ends: use --backend cpu")]
+    #[error(
+        "V is that of a game, of whose map the GPU does not ask where a sheet ends: use --backend cpu"
+    )]
     Game,
-    #[error("the map takes {bytes} bytes on the GPU, which has at most {limit} a buffer; use --backend cpu")]
+    #[error(
+        "the map takes {bytes} bytes on the GPU, which has at most {limit} a buffer; use --backend cpu"
+    )]
     TooLarge { bytes: usize, limit: u64 },
     #[error(
         "{count} of the states lie outside the region of the map in pieces, where the file's scattered solutions may know V: these are \
@@ -63,7 +67,10 @@ fn source(packed: &Packed, precision: Precision) -> Source {
         },
         Fragment {
             name: "shaders/real.wgsl",
-            text: conditional(include_str!("../../shaders/real.wgsl"), &[text::condition(precision)]),
+            text: conditional(
+                include_str!("../../shaders/real.wgsl"),
+                &[text::condition(precision)],
+            ),
         },
     ];
     // In f64 rounding is far below any bound.
@@ -99,8 +106,8 @@ fn asked(packed: &Packed, precision: Precision, conditions: &[&str]) -> [Fragmen
 }
 
 impl ValueMap {
-    /// The map with second derivatives, for kernels that ask it themselves; `None` of a game, whose answers are checked one by one,
-    /// and where there are no pieces.
+    /// The map with second derivatives, for kernels that ask it themselves; `None` of a game, whose
+    /// answers are checked one by one, and where there are no pieces.
     pub(crate) fn to_surface(&self, precision: Precision) -> Option<Surface> {
         let pieces = self.pieces.as_ref().filter(|_| !self.plan.game)?;
         let packed = Packed::new(pieces, &self.plan)?;
@@ -116,7 +123,8 @@ impl ValueMap {
 
 impl<'m> DeviceMap<'m> {
     /// # Errors
-    /// Where there is no map in pieces, it does not fit the device, or the precision is not supported; device failures.
+    /// Where there is no map in pieces, it does not fit the device, or the precision is not
+    /// supported; device failures.
     pub fn new(map: &'m ValueMap, gpu: &Gpu, precision: Precision) -> Result<Self, DeviceError> {
         gpu.require(precision)?;
         let pieces = map.pieces.as_ref().ok_or(DeviceError::NoPieces)?;
@@ -129,7 +137,10 @@ impl<'m> DeviceMap<'m> {
             reals(packed.reals.iter().copied(), precision),
             bytemuck::cast_slice(&packed.words).to_vec(),
         ];
-        let (bytes, limit) = (contents[0].len().max(contents[1].len()), binding_limit(&device));
+        let (bytes, limit) = (
+            contents[0].len().max(contents[1].len()),
+            binding_limit(&device),
+        );
         if bytes as u64 > limit {
             return Err(DeviceError::TooLarge { bytes, limit });
         }
@@ -137,10 +148,12 @@ impl<'m> DeviceMap<'m> {
         source.validate(device.info.f64_arithmetic)?;
         let own = layout(&device, "pieces", uses(BINDINGS, &WRITTEN));
         let map_layout = layout(&device, "map", [Use::Read; 2]);
-        let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some("pieces"),
-            source: wgpu::ShaderSource::Wgsl(source.text.into()),
-        });
+        let module = device
+            .device
+            .create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("pieces"),
+                source: wgpu::ShaderSource::Wgsl(source.text.into()),
+            });
         let [pipeline] = pipelines(&device, &[&own, &map_layout], &module, ["evaluate"]);
         let held = contents.map(|bytes| filled(&device, "map", &bytes));
         let held = bind(&device, &map_layout, held.iter().map(|b| (b, None)));
@@ -156,11 +169,16 @@ impl<'m> DeviceMap<'m> {
         })
     }
 
-    /// What is known at states (absolute) `[state][component]`, with their times where time is an axis, on the lowest sheet, without second derivatives.
+    /// What is known at states (absolute) `[state][component]`, with their times where time is an
+    /// axis, on the lowest sheet, without second derivatives.
     ///
     /// # Errors
     /// Device failures; states of which only scattered solutions may know.
-    fn each(&self, x: &[f64], mut tell: impl FnMut(usize, Answer<'_, f64>)) -> Result<(), DeviceError> {
+    fn each(
+        &self,
+        x: &[f64],
+        mut tell: impl FnMut(usize, Answer<'_, f64>),
+    ) -> Result<(), DeviceError> {
         let n = self.states;
         let (mut elsewhere, mut room) = (0, Room::new());
         for (part, x) in x.chunks(STATES * n).enumerate() {
@@ -217,14 +235,22 @@ impl<'m> DeviceMap<'m> {
         // Time is given as it is.
         let from = |i: usize| reference.get(i).copied().unwrap_or(0.0);
         // Whole periods are taken off here: of a state many of them away f32 keeps no digits.
-        let near = |i: usize, x: f64| match (self.map.plan.periods.get(i).copied().flatten(), &self.map.pieces) {
+        let near = |i: usize, x: f64| match (
+            self.map.plan.periods.get(i).copied().flatten(),
+            &self.map.pieces,
+        ) {
             (Some(period), Some(pieces)) => {
                 let bounds = [pieces.region.lo[i], pieces.region.hi[i]];
                 x + turns_into(x, bounds, period) * period
             }
             _ => x,
         };
-        let given = (0..n).flat_map(|i| x.iter().skip(i).step_by(n).map(move |x| near(i, *x) - from(i)));
+        let given = (0..n).flat_map(|i| {
+            x.iter()
+                .skip(i)
+                .step_by(n)
+                .map(move |x| near(i, *x) - from(i))
+        });
         let sizes = [count * (2 + 2 * n) * real, count * KINDS * 4];
         let given = filled(device, "states", &reals(given, self.precision));
         // Sentinels: a slot that still holds one was not written.
@@ -232,7 +258,11 @@ impl<'m> DeviceMap<'m> {
         let room = sizes.iter().map(|s| padded(*s)).sum();
         let staging = staging(device, "values", room);
         // States as large as they are: the shader takes their number from it.
-        let buffers = [(&given, Some(count * n * real)), (&values, None), (&kinds, None)];
+        let buffers = [
+            (&given, Some(count * n * real)),
+            (&values, None),
+            (&kinds, None),
+        ];
         let bindings = bind(device, &self.layout, buffers);
         let mut encoder = device.device.create_command_encoder(&Default::default());
         {
@@ -255,8 +285,8 @@ impl<'m> DeviceMap<'m> {
         })
     }
 
-    /// V, p and u on the lowest sheet at states `[state][component]`, with bounds; other sheets and second derivatives are not
-    /// told. u follows from p on the CPU.
+    /// V, p and u on the lowest sheet at states `[state][component]`, with bounds; other sheets and
+    /// second derivatives are not told. u follows from p on the CPU.
     ///
     /// # Errors
     /// Device failures; states of which only scattered solutions may know.
@@ -276,7 +306,8 @@ impl<'m> DeviceMap<'m> {
             Answer::Known(here) => {
                 let x = &x[k * n..][..n];
                 let mut here = *here;
-                // Of the local solution the device tells no bound of p, and of V not all of what is rounded.
+                // Of the local solution the device tells no bound of p, and of V not all of what is
+                // rounded.
                 if here.pieces == 0
                     && let Some((v, p)) = self.map.local_bounds(x, 0.5 * self.precision.epsilon())
                 {

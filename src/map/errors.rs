@@ -7,9 +7,11 @@ use crate::sweep::accuracy::SMALL;
 const LEFT_OUT: usize = 4;
 
 impl ValueMap {
-    /// Errors of a value: the largest shown by leaving out one of the sites around that are on its sheet.
+    /// Errors of a value: the largest shown by leaving out one of the sites around that are on its
+    /// sheet.
     ///
-    /// Where a state was solved, its own error counts: that of the solutions which the run solved again.
+    /// Where a state was solved, its own error counts: that of the solutions which the run solved
+    /// again.
     pub(super) fn estimate(&self, x: &[f64], value: &mut Value) {
         if value.nearest < SAME && value.solved == value.sites && self.estimate_solved(x, value) {
             return;
@@ -21,10 +23,16 @@ impl ValueMap {
                 s / self.plan.widths[i] + self.turn(&value.winding, i)
             })
             .collect();
-        let q: Vec<f64> = value.p.iter().zip(&self.plan.widths).map(|(p, w)| p * w).collect();
+        let q: Vec<f64> = value
+            .p
+            .iter()
+            .zip(&self.plan.widths)
+            .map(|(p, w)| p * w)
+            .collect();
         let size = q.iter().fold(0.0f64, |a, q| a.max(q.abs()));
         let near = self.around(&place, SHEETS * (2 * n + 4), &[]);
-        if value.nearest < SAME && self.estimate_told(x, value, near.first().map(|(site, _)| *site)) {
+        if value.nearest < SAME && self.estimate_told(x, value, near.first().map(|(site, _)| *site))
+        {
             return;
         }
         let alike = near.iter().filter(|(site, distance)| {
@@ -49,12 +57,14 @@ impl ValueMap {
         value.u_error = worst[2];
     }
 
-    /// The errors of a value that was interpolated in its turn, as they were told with it; whether it is one.
+    /// The errors of a value that was interpolated in its turn, as they were told with it; whether
+    /// it is one.
     fn estimate_told(&self, x: &[f64], value: &mut Value, site: Option<usize>) -> bool {
         let Some(own) = site.and_then(|site| self.sites.errors.get(&site)) else {
             return false;
         };
-        (value.v_error, value.p_error, value.u_error) = (own.v, own.p, self.moved_control(x, value, own.p));
+        (value.v_error, value.p_error, value.u_error) =
+            (own.v, own.p, self.moved_control(x, value, own.p));
         true
     }
 
@@ -72,8 +82,8 @@ impl ValueMap {
         true
     }
 
-    /// What an error of p, relative to its largest component times the region's width, makes of u: no more than an error in each
-    /// component does, one after the other.
+    /// What an error of p, relative to its largest component times the region's width, makes of u:
+    /// no more than an error in each component does, one after the other.
     fn moved_control(&self, x: &[f64], value: &Value, relative: f64) -> f64 {
         let w = &self.plan.widths;
         let size = (value.p.iter().zip(w)).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
@@ -95,20 +105,33 @@ impl ValueMap {
         moved.into_iter().fold(0.0, f64::max)
     }
 
-    /// Errors of V, q (largest component) and u at a site where it is not used; NaN where the others do not reach it.
+    /// Errors of V, q (largest component) and u at a site where it is not used; NaN where the
+    /// others do not reach it.
     fn leave_out(&self, site: usize) -> [f64; 3] {
         let (z, v, q) = (self.sites.z(site), self.sites.v[site], self.sites.q(site));
         let opinions = self.opinions(z, Some(site));
         // The site's own sheet is the one whose p is nearest.
         let sheets = self.sheets(&opinions);
-        let blends = sheets.iter().map(|members| blend(self.sites.n, &opinions, members).0);
-        let nearest = blends.min_by(|a, b| distance_between(&a.q, q).total_cmp(&distance_between(&b.q, q)));
-        let Some(says) = nearest else { return [f64::NAN; 3] };
+        let blends = sheets
+            .iter()
+            .map(|members| blend(self.sites.n, &opinions, members).0);
+        let nearest =
+            blends.min_by(|a, b| distance_between(&a.q, q).total_cmp(&distance_between(&b.q, q)));
+        let Some(says) = nearest else {
+            return [f64::NAN; 3];
+        };
         let w = &self.plan.widths;
         let s: Vec<f64> = z.iter().zip(w).map(|(z, w)| z * w).collect();
         let unscaled = |q: &[f64]| q.iter().zip(w).map(|(q, w)| q / w).collect::<Vec<f64>>();
-        let (u, other) = (self.control(&s, &unscaled(q)), self.control(&s, &unscaled(&says.q)));
-        let largest = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
+        let (u, other) = (
+            self.control(&s, &unscaled(q)),
+            self.control(&s, &unscaled(&says.q)),
+        );
+        let largest = |a: &[f64], b: &[f64]| {
+            a.iter()
+                .zip(b)
+                .fold(0.0f64, |m, (a, b)| m.max((a - b).abs()))
+        };
         [(says.v - v).abs(), largest(&says.q, q), largest(&u, &other)]
     }
 }

@@ -23,7 +23,11 @@ impl Guarded {
         let system = &plan.system;
         let guards = system.guards_of_state();
         (!guards.is_empty()).then(|| Self {
-            margins: Evaluator::new(&Program::lower(&system.graph, &system.inputs[..system.states], &guards)),
+            margins: Evaluator::new(&Program::lower(
+                &system.graph,
+                &system.inputs[..system.states],
+                &guards,
+            )),
             sizes: system.guard_sizes(&plan.region),
             reference: system.reference.clone(),
         })
@@ -52,7 +56,8 @@ impl Guarded {
         states
     }
 
-    /// So many states spread over bounds, among which guards exclude few: where they exclude most of them, others are drawn.
+    /// So many states spread over bounds, among which guards exclude few: where they exclude most
+    /// of them, others are drawn.
     pub fn spread(&self, bounds: &[[f64; 2]], count: usize) -> Vec<Vec<f64>> {
         let states = spread_over(bounds, count);
         let mut some = self.admitted(states.clone());

@@ -4,13 +4,15 @@ use super::nodal::Prediction;
 use super::{BEYOND, INSIDE, LOOK, Opinion, Value, ValueMap};
 use crate::sweep::Sampling;
 
-/// Nearest sites among which one of the lowest sheet is looked for in haste, and the distance (in widths) at which none is.
+/// Nearest sites among which one of the lowest sheet is looked for in haste, and the distance (in
+/// widths) at which none is.
 const HASTY: usize = 12;
 const FAR: f64 = 0.5;
 
 impl ValueMap {
-    /// V, p, Hessian and u on the lowest sheet without errors, as fast as can be: what a controller asks for. Where only one
-    /// sheet is near, the nearest site alone speaks; else as [`ValueMap::without_errors`].
+    /// V, p, Hessian and u on the lowest sheet without errors, as fast as can be: what a controller
+    /// asks for. Where only one sheet is near, the nearest site alone speaks; else as
+    /// [`ValueMap::without_errors`].
     pub fn local(&self, x: &[f64]) -> Option<Value> {
         self.local_at(x, 0.0)
     }
@@ -18,7 +20,11 @@ impl ValueMap {
     /// The same at a time of a finite horizon; of a map of V(x, 0) that at all times.
     pub fn local_at(&self, x: &[f64], t: f64) -> Option<Value> {
         let t = self.time.map_or(0.0, |last| t.clamp(0.0, last));
-        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let s: Vec<f64> = x
+            .iter()
+            .zip(&self.plan.system.reference)
+            .map(|(x, r)| x - r)
+            .collect();
         if let Some(value) = self.near_equilibrium(&s) {
             return Some(value);
         }
@@ -28,17 +34,23 @@ impl ValueMap {
         if t > 0.0 {
             return None;
         }
-        let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
+        let z: Vec<f64> = s
+            .iter()
+            .zip(&self.plan.widths)
+            .map(|(s, w)| s / w)
+            .collect();
         match self.uncontested(&z) {
             Some(opinion) => {
                 let says = opinion.says.clone();
-                Some(self.value(&s, &opinion, says)).filter(|value| self.solves_isaacs(&s, &value.p))
+                Some(self.value(&s, &opinion, says))
+                    .filter(|value| self.solves_isaacs(&s, &value.p))
             }
             None => self.without_errors(x).lowest.ok(),
         }
     }
 
-    /// The opinion of the nearest site on the lowest sheet, where no other sheet is as low around it.
+    /// The opinion of the nearest site on the lowest sheet, where no other sheet is as low around
+    /// it.
     fn uncontested(&self, z: &[f64]) -> Option<Opinion> {
         let mut best: Option<Opinion> = None;
         for (w, winding) in self.windings.iter().enumerate() {
@@ -47,7 +59,8 @@ impl ValueMap {
             if near.first().is_none_or(|(_, distance)| *distance > FAR) {
                 continue;
             }
-            let Some(&(site, distance)) = near.iter().find(|(site, _)| !self.is_dominated(*site)) else {
+            let Some(&(site, distance)) = near.iter().find(|(site, _)| !self.is_dominated(*site))
+            else {
                 // All of another sheet, or none is left to ask.
                 continue;
             };
@@ -79,9 +92,14 @@ impl ValueMap {
         const MARGIN: f64 = 0.02;
         *self.dominated[site].get_or_init(|| {
             let w = &self.plan.widths;
-            let x: Vec<f64> = (self.sites.z(site).iter().zip(w).zip(&self.plan.system.reference))
-                .map(|((z, w), r)| z * w + r)
-                .collect();
+            let x: Vec<f64> = (self
+                .sites
+                .z(site)
+                .iter()
+                .zip(w)
+                .zip(&self.plan.system.reference))
+            .map(|((z, w), r)| z * w + r)
+            .collect();
             let v = self.sites.v[site];
             (self.ranked(&x, 0.0).lowest).is_ok_and(|here| here.v < v - MARGIN * v.abs())
         })

@@ -25,8 +25,9 @@ pub struct Many {
 }
 
 impl ValueMap {
-    /// V, p and u at states (absolute) `[state][component]`, on a finite horizon at t = 0: as [`ValueMap::without_errors`], many at once and fast where a map
-    /// in pieces or the local solution answers.
+    /// V, p and u at states (absolute) `[state][component]`, on a finite horizon at t = 0: as
+    /// [`ValueMap::without_errors`], many at once and fast where a map in pieces or the local
+    /// solution answers.
     pub fn many(&self, x: &[f64]) -> Many {
         let n = self.states();
         let count = x.len() / n;
@@ -52,8 +53,9 @@ impl ValueMap {
         all
     }
 
-    /// [`ValueMap::at`] (or, without `errors`, [`ValueMap::without_errors`]) at states `[state][component]`: many at once where a map
-    /// in pieces has one sheet, or the local solution holds.
+    /// [`ValueMap::at`] (or, without `errors`, [`ValueMap::without_errors`]) at states
+    /// `[state][component]`: many at once where a map in pieces has one sheet, or the local
+    /// solution holds.
     pub fn at_many(&self, x: &[f64], errors: bool) -> Vec<At> {
         self.at_times(x, &vec![0.0; x.len() / self.states()], errors)
     }
@@ -65,7 +67,8 @@ impl ValueMap {
         // Of a map of V(x, 0) what is said elsewhere is not known.
         let swift = self.swift.as_ref();
         if let Some(swift) = swift.filter(|_| self.time.is_some() || t.iter().all(|t| *t == 0.0)) {
-            let tasks = (x.par_chunks(CHUNK * n)).zip(t.par_chunks(CHUNK).zip(found.par_chunks_mut(CHUNK)));
+            let tasks =
+                (x.par_chunks(CHUNK * n)).zip(t.par_chunks(CHUNK).zip(found.par_chunks_mut(CHUNK)));
             tasks.for_each_init(Room::new, |room, (x, (t, found))| {
                 swift.each(&self.places(x, |k| t[k]), true, room, |k, answer| {
                     if let Answer::Known(here) = answer
@@ -77,7 +80,8 @@ impl ValueMap {
             });
         }
         if let Some(excluded) = self.excluded(x) {
-            (found.iter_mut().zip(excluded)).for_each(|(found, excluded)| drop(found.take_if(|_| excluded)));
+            (found.iter_mut().zip(excluded))
+                .for_each(|(found, excluded)| drop(found.take_if(|_| excluded)));
         }
         self.add_controls(x, &mut found);
         (found.into_par_iter().zip(x.par_chunks(n)).zip(t))
@@ -92,8 +96,8 @@ impl ValueMap {
             .collect()
     }
 
-    /// Whether a guard excludes each of some states (absolute), by more than rounding: pieces are smooth and say something there
-    /// too. `None` where the scene has no guard of the state alone.
+    /// Whether a guard excludes each of some states (absolute), by more than rounding: pieces are
+    /// smooth and say something there too. `None` where the scene has no guard of the state alone.
     pub(super) fn excluded(&self, x: &[f64]) -> Option<Vec<bool>> {
         Some(self.guarded.as_ref()?.excluded(x))
     }
@@ -104,7 +108,11 @@ impl ValueMap {
             return Cow::Borrowed(x);
         }
         let states = x.chunks_exact(self.states()).enumerate();
-        Cow::Owned(states.flat_map(|(k, x)| x.iter().copied().chain([t(k)])).collect())
+        Cow::Owned(
+            states
+                .flat_map(|(k, x)| x.iter().copied().chain([t(k)]))
+                .collect(),
+        )
     }
 
     /// What is said of a state, still without u; with the bounds of p.
@@ -112,7 +120,11 @@ impl ValueMap {
         let all = x.len() + usize::from(self.time.is_some());
         let (moved, mut winding) = self.wound(self.pieces.as_ref()?, x);
         if here.pieces == 0 {
-            let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+            let s: Vec<f64> = x
+                .iter()
+                .zip(&self.plan.system.reference)
+                .map(|(x, r)| x - r)
+                .collect();
             winding = self.unwound(&s).2;
         }
         let said = Said {
@@ -135,7 +147,8 @@ impl ValueMap {
         for (x, found) in x.chunks(states * n).zip(found.chunks_mut(states)) {
             let mut places = Vec::with_capacity(found.len() * rows * n);
             let mut costates = Vec::with_capacity(found.len() * rows * n);
-            for (x, (value, bound)) in (x.chunks_exact(n).zip(found.iter())).filter_map(|(x, f)| Some((x, f.as_ref()?)))
+            for (x, (value, bound)) in
+                (x.chunks_exact(n).zip(found.iter())).filter_map(|(x, f)| Some((x, f.as_ref()?)))
             {
                 for row in 0..rows {
                     places.extend_from_slice(x);
@@ -148,7 +161,8 @@ impl ValueMap {
             }
             let u = self.controls(&places, &costates);
             let width = u.len() / (places.len() / n).max(1);
-            for ((value, _), own) in (found.iter_mut().flatten()).zip(u.chunks(width.max(1) * rows)) {
+            for ((value, _), own) in (found.iter_mut().flatten()).zip(u.chunks(width.max(1) * rows))
+            {
                 value.u = own[..width].to_vec();
                 let off = own.chunks(width.max(1)).skip(1);
                 let off = off.flat_map(|row| row.iter().zip(&value.u).map(|(a, b)| (a - b).abs()));
@@ -157,12 +171,17 @@ impl ValueMap {
         }
     }
 
-    /// The bound of V's error at states, in units of the error that a map in pieces was asked for (NaN where there is none), and
-    /// whether V is known. `None` where no error was asked for.
+    /// The bound of V's error at states, in units of the error that a map in pieces was asked for
+    /// (NaN where there is none), and whether V is known. `None` where no error was asked for.
     pub fn excess(&self, x: &[f64]) -> Option<Vec<(f64, bool)>> {
         let region = &self.pieces.as_ref()?.region;
         let many = self.many(x);
-        let of = |(v, bound): (&f64, &f64)| (bound / (region.error * v.abs().max(region.floor)), v.is_finite());
+        let of = |(v, bound): (&f64, &f64)| {
+            (
+                bound / (region.error * v.abs().max(region.floor)),
+                v.is_finite(),
+            )
+        };
         Some(many.v.iter().zip(&many.v_error).map(of).collect())
     }
 
@@ -187,24 +206,28 @@ impl ValueMap {
         u
     }
 
-    /// The first component of a state that lies outside the region of the map in pieces, or else of the scene, with its bounds
-    /// there; periods do not count.
+    /// The first component of a state that lies outside the region of the map in pieces, or else of
+    /// the scene, with its bounds there; periods do not count.
     pub fn outside(&self, x: &[f64]) -> Option<(usize, [f64; 2])> {
         let bounds = |i: usize| match &self.pieces {
             Some(pieces) => [pieces.region.lo[i], pieces.region.hi[i]],
             None => self.plan.region[i].map(|s| s + self.plan.system.reference[i]),
         };
         (0..x.len()).map(|i| (i, bounds(i))).find(|(i, [lo, hi])| {
-            let turns = self.plan.periods[*i].map_or(0.0, |period| period * turns_into(x[*i], [*lo, *hi], period));
+            let turns = self.plan.periods[*i]
+                .map_or(0.0, |period| period * turns_into(x[*i], [*lo, *hi], period));
             !(*lo..=*hi).contains(&(x[*i] + turns))
         })
     }
 
-    /// Moves a state into the region of the map in pieces, a little within its faces; false where there is none.
+    /// Moves a state into the region of the map in pieces, a little within its faces; false where
+    /// there is none.
     pub(crate) fn clamp_to_pieces(&self, x: &mut [f64]) -> bool {
         /// Of the region's width.
         const WITHIN: f64 = 1e-6;
-        let Some(pieces) = &self.pieces else { return false };
+        let Some(pieces) = &self.pieces else {
+            return false;
+        };
         for i in 0..x.len() {
             let (lo, hi) = (pieces.region.lo[i], pieces.region.hi[i]);
             if let Some(period) = self.plan.periods[i] {
@@ -216,8 +239,9 @@ impl ValueMap {
         true
     }
 
-    /// What is known of V at some states, at a time where that is an axis, on the lowest sheet, told with their numbers in some
-    /// order; with second derivatives, and what is too uncertain to be told as V, where asked for.
+    /// What is known of V at some states, at a time where that is an axis, on the lowest sheet,
+    /// told with their numbers in some order; with second derivatives, and what is too uncertain to
+    /// be told as V, where asked for.
     pub(crate) fn each(
         &self,
         x: &[f64],
@@ -232,7 +256,11 @@ impl ValueMap {
             let found = self.local_at(&x[k * n..][..n], t);
             if let Some(value) = &found {
                 slow.v = value.v;
-                slow.v_bound = if value.in_pieces { value.v_error } else { f64::NAN };
+                slow.v_bound = if value.in_pieces {
+                    value.v_error
+                } else {
+                    f64::NAN
+                };
                 slow.p[..n].copy_from_slice(&value.p);
                 slow.hessian[..n * n].copy_from_slice(&value.hessian);
                 slow.sheet = value.sheet;
@@ -244,23 +272,30 @@ impl ValueMap {
             Some(swift) => {
                 let excluded = self.excluded(x);
                 let is_excluded = |k: usize| excluded.as_ref().is_some_and(|excluded| excluded[k]);
-                swift.each(&self.places(x, |_| t), second, room, |k, answer| match answer {
-                    _ if is_excluded(k) => tell(k, None),
-                    Answer::Rough(_) if !rough => tell(k, None),
-                    Answer::Known(here) | Answer::Rough(here) if self.time.is_some() => {
-                        let mut here = *here;
-                        if second {
-                            let hessian = of_states(&here.hessian, n + 1, n);
-                            here.hessian[..n * n].copy_from_slice(&hessian);
+                swift.each(
+                    &self.places(x, |_| t),
+                    second,
+                    room,
+                    |k, answer| match answer {
+                        _ if is_excluded(k) => tell(k, None),
+                        Answer::Rough(_) if !rough => tell(k, None),
+                        Answer::Known(here) | Answer::Rough(here) if self.time.is_some() => {
+                            let mut here = *here;
+                            if second {
+                                let hessian = of_states(&here.hessian, n + 1, n);
+                                here.hessian[..n * n].copy_from_slice(&hessian);
+                            }
+                            tell(k, Some(&here));
                         }
-                        tell(k, Some(&here));
-                    }
-                    Answer::Known(here) | Answer::Rough(here) => tell(k, Some(here)),
-                    Answer::Unknown => tell(k, None),
-                    // What is interpolated between solutions far apart is no law.
-                    Answer::Elsewhere if self.pieces_alone || self.beyond.is_some() => tell(k, None),
-                    Answer::Elsewhere => ask(k, &mut tell),
-                })
+                        Answer::Known(here) | Answer::Rough(here) => tell(k, Some(here)),
+                        Answer::Unknown => tell(k, None),
+                        // What is interpolated between solutions far apart is no law.
+                        Answer::Elsewhere if self.pieces_alone || self.beyond.is_some() => {
+                            tell(k, None)
+                        }
+                        Answer::Elsewhere => ask(k, &mut tell),
+                    },
+                )
             }
             None => (0..x.len() / n).for_each(|k| ask(k, &mut tell)),
         }

@@ -1,10 +1,12 @@
 //! The value map: V, p and u at any state, interpolated from scattered solutions.
 //!
-//! Each site (a state at which V and p are known) carries a cubic polynomial with the site's V and p and curvature fitted
-//! to the sites around it; polynomials of the sites around a state are blended (the modified Shepard method of Franke &
-//! Nielson 1980 and Renka 1988, here with gradients). Sites on different sheets are told apart by what their polynomials
-//! say at the state: on one sheet they agree. The lowest sheet counts; in a game there is a value only where there is one sheet. The error is that of leaving sites out: what
-//! the others, fitted again, say where a site is.
+//! Each site (a state at which V and p are known) carries a cubic polynomial with the site's V and
+//! p and curvature fitted to the sites around it; polynomials of the sites around a state are
+//! blended (the modified Shepard method of Franke & Nielson 1980 and Renka 1988, here with
+//! gradients). Sites on different sheets are told apart by what their polynomials say at the state:
+//! on one sheet they agree. The lowest sheet counts; in a game there is a value only where there is
+//! one sheet. The error is that of leaving sites out: what the others, fitted again, say where a
+//! site is.
 //!
 //! ```no_run
 //! use costate::result::Stored;
@@ -77,7 +79,9 @@ pub enum Unknown {
     Far,
     #[error("this state lies at the edge of what was computed")]
     Edge,
-    #[error("the map says nothing at this state: points are missing there, or its error is above `error_max`")]
+    #[error(
+        "the map says nothing at this state: points are missing there, or its error is above `error_max`"
+    )]
     Uncertain,
     #[error("a guard of the scene excludes this state")]
     Guard,
@@ -107,9 +111,9 @@ pub struct Value {
     pub u: Vec<f64>,
     /// Label of the sheet as in the file; -1 where no labelled solution is near.
     pub sheet: i32,
-    /// Errors of V, of p (largest component relative to |p|, each times the region's width) and of u (largest) that
-    /// leaving out sites around shows. NaN where they were not asked for. Of V it is no less than what the sites that were
-    /// blended disagree by.
+    /// Errors of V, of p (largest component relative to |p|, each times the region's width) and of
+    /// u (largest) that leaving out sites around shows. NaN where they were not asked for. Of V it
+    /// is no less than what the sites that were blended disagree by.
     pub v_error: f64,
     pub p_error: f64,
     pub u_error: f64,
@@ -130,15 +134,17 @@ pub struct Value {
 /// What is known at a state.
 #[derive(Clone, Debug)]
 pub struct At {
-    /// In a game the only sheet, or the lowest where it is below the level at which the manifold overlaps.
+    /// In a game the only sheet, or the lowest where it is below the level at which the manifold
+    /// overlaps.
     pub lowest: Result<Value, Unknown>,
-    /// Other sheets, by rising V; all where none is the value. One that is lower is interpolated at a state that was solved.
+    /// Other sheets, by rising V; all where none is the value. One that is lower is interpolated at
+    /// a state that was solved.
     pub others: Vec<Value>,
 }
 
-/// Interpolates V, p and u; see the module's text. In a game a state has a value where one sheet lies over it, or where V of
-/// the lowest is below the least V of a second sheet over the region: the part of the manifold below that level lies over the
-/// region one-to-one.
+/// Interpolates V, p and u; see the module's text. In a game a state has a value where one sheet
+/// lies over it, or where V of the lowest is below the least V of a second sheet over the region:
+/// the part of the manifold below that level lies over the region one-to-one.
 pub struct ValueMap {
     sites: Sites,
     tree: Box<dyn Nearest>,
@@ -176,8 +182,8 @@ pub struct ValueMap {
 
 /// Candidates looked at for each one wanted.
 const LOOK: usize = 8;
-/// A site counts as a neighbour only if no chosen one is nearer to it than this share of its own distance: neighbours on
-/// all sides rather than many on one trajectory.
+/// A site counts as a neighbour only if no chosen one is nearer to it than this share of its own
+/// distance: neighbours on all sides rather than many on one trajectory.
 const SPREAD: f64 = 0.5;
 /// Share of the other neighbours that one must be consistent with.
 const AGREED: f64 = 0.6;
@@ -185,13 +191,13 @@ const AGREED: f64 = 0.6;
 const SHEETS: usize = 3;
 /// Sites further away than this many times the reach of their own fit say nothing.
 const BEYOND: f64 = 1.0;
-/// Within this share of it a place counts as inside even if all sites are on one side: at an invariant boundary there
-/// are none beyond.
+/// Within this share of it a place counts as inside even if all sites are on one side: at an
+/// invariant boundary there are none beyond.
 const INSIDE: f64 = 0.5;
 /// At the edge: length of the mean unit vector to the sites around.
 const ONE_SIDED: f64 = 0.85;
-/// Two say the same of p at a place if they differ by less than these shares of what it changes by on the way, and of its
-/// size.
+/// Two say the same of p at a place if they differ by less than these shares of what it changes by
+/// on the way, and of its size.
 const OF_CHANGE: f64 = 0.5;
 const OF_SIZE: f64 = 0.02;
 /// Nearer than this, in widths, a place is a site.
@@ -202,7 +208,8 @@ pub(crate) const ISAACS_RESIDUAL: f64 = 3e-3;
 const MOST_WINDINGS: i32 = 3;
 
 impl ValueMap {
-    /// Prepares look-ups in what is known. Where trajectories were swept this sweeps some more, next to the equilibrium.
+    /// Prepares look-ups in what is known. Where trajectories were swept this sweeps some more,
+    /// next to the equilibrium.
     ///
     /// # Errors
     /// [`MapError`].
@@ -231,11 +238,19 @@ impl ValueMap {
         if pieces.is_none() && nothing_else {
             return Err(MapError::Empty);
         }
-        let control = Program::lower(&plan.system.graph, &plan.system.inputs, &plan.system.observer.control);
+        let control = Program::lower(
+            &plan.system.graph,
+            &plan.system.inputs,
+            &plan.system.observer.control,
+        );
         let isaacs = plan.game.then(|| {
             let system = &plan.system;
             let running = system.rate[2 * states];
-            let roots = [&[system.observer.hamiltonian, running], &system.rate[..states]].concat();
+            let roots = [
+                &[system.observer.hamiltonian, running],
+                &system.rate[..states],
+            ]
+            .concat();
             Program::lower(&system.graph, &system.inputs, &roots)
         });
         fn blank<T>(count: usize) -> Vec<OnceLock<T>> {
@@ -245,7 +260,8 @@ impl ValueMap {
         let parts = beyond.as_ref().map_or(0, |good| good.pieces.len());
         let rough = rough.filter(|all| all.pieces.len() > parts);
         let round = [beyond.as_ref(), rough.as_ref()];
-        let swift = (pieces.as_ref().filter(|_| !plan.game)).and_then(|pieces| Swift::new(pieces, round, &plan));
+        let swift = (pieces.as_ref().filter(|_| !plan.game))
+            .and_then(|pieces| Swift::new(pieces, round, &plan));
         let mut this = Self {
             tree: index(&sites.z, states),
             nodal: blank(sites.len()),
@@ -284,10 +300,15 @@ impl ValueMap {
         self.time
     }
 
-    /// The map in pieces, the series that is used near the equilibrium, and the equations: all that its answers are made of.
+    /// The map in pieces, the series that is used near the equilibrium, and the equations: all that
+    /// its answers are made of.
     pub fn in_parts(&self) -> Option<(&Pieces, Option<LocalPolynomial>, &System)> {
         let system = &self.plan.system;
-        let local = self.plan.local.as_ref().map(|l| l.polynomial(&system.reference));
+        let local = self
+            .plan
+            .local
+            .as_ref()
+            .map(|l| l.polynomial(&system.reference));
         Some((self.pieces.as_ref()?, local, system))
     }
 
@@ -308,7 +329,10 @@ impl ValueMap {
         let mut bounds: Vec<[f64; 2]> = (pieces.region.lo.iter().zip(&pieces.region.hi))
             .map(|(lo, hi)| [*lo, *hi])
             .collect();
-        bounds.iter_mut().skip(self.states()).for_each(|b| *b = [0.0; 2]);
+        bounds
+            .iter_mut()
+            .skip(self.states())
+            .for_each(|b| *b = [0.0; 2]);
         let values = spread_over(&bounds, LOOKED_AT)
             .into_iter()
             .filter_map(|x| Some(pieces.at(&x)?.v));
@@ -320,7 +344,9 @@ impl ValueMap {
         let n = self.sites.n;
         let mut all = vec![vec![0; n]];
         for i in 0..n {
-            let Some(period) = self.plan.periods[i] else { continue };
+            let Some(period) = self.plan.periods[i] else {
+                continue;
+            };
             let period = period / self.plan.widths[i];
             let coordinates = || self.sites.z.iter().skip(i).step_by(n);
             let lowest = coordinates().copied().fold(f64::INFINITY, f64::min);
@@ -359,7 +385,8 @@ impl ValueMap {
 
     /// The same with NaN for the errors: for many states.
     ///
-    /// Where a state was solved, its solution is the value; a lower one of interpolation is among the others.
+    /// Where a state was solved, its solution is the value; a lower one of interpolation is among
+    /// the others.
     pub fn without_errors(&self, x: &[f64]) -> At {
         self.without_errors_at(x, 0.0)
     }
@@ -386,7 +413,11 @@ impl ValueMap {
                 others: Vec::new(),
             };
         }
-        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let s: Vec<f64> = x
+            .iter()
+            .zip(&self.plan.system.reference)
+            .map(|(x, r)| x - r)
+            .collect();
         if let Some(value) = self.near_equilibrium(&s) {
             return At {
                 lowest: Ok(value),
@@ -407,7 +438,11 @@ impl ValueMap {
                 others: Vec::new(),
             };
         }
-        let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
+        let z: Vec<f64> = s
+            .iter()
+            .zip(&self.plan.widths)
+            .map(|(s, w)| s / w)
+            .collect();
         let opinions = self.opinions(&z, None);
         if opinions.is_empty() {
             return At {
@@ -439,11 +474,19 @@ impl ValueMap {
         }
     }
 
-    /// What the map in pieces says; `None` outside its region where the one round it does not know either.
+    /// What the map in pieces says; `None` outside its region where the one round it does not know
+    /// either.
     fn in_pieces(&self, x: &[f64], t: f64) -> Option<At> {
-        let pieces = self.pieces.as_ref().filter(|_| t == 0.0 || self.time.is_some())?;
+        let pieces = self
+            .pieces
+            .as_ref()
+            .filter(|_| t == 0.0 || self.time.is_some())?;
         let (mut x, winding) = self.wound(pieces, x);
-        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let s: Vec<f64> = x
+            .iter()
+            .zip(&self.plan.system.reference)
+            .map(|(x, r)| x - r)
+            .collect();
         x.extend(self.time.map(|_| t));
         let asked = pieces.covers(&x);
         let pieces = if asked { pieces } else { self.beyond.as_ref()? };
@@ -461,8 +504,8 @@ impl ValueMap {
         })
     }
 
-    /// The error that the map in pieces was asked for, relative to the larger one of V and its floor, where a value of it has a
-    /// larger one.
+    /// The error that the map in pieces was asked for, relative to the larger one of V and its
+    /// floor, where a value of it has a larger one.
     pub fn falls_short(&self, value: &Value) -> Option<f64> {
         let region = &self.pieces.as_ref().filter(|_| value.in_pieces)?.region;
         (value.v_error > region.error * value.v.abs().max(region.floor)).then_some(region.error)
@@ -473,7 +516,8 @@ impl ValueMap {
         self.beyond.is_some()
     }
 
-    /// A state moved by whole periods into the region of a map in pieces, with the numbers of periods.
+    /// A state moved by whole periods into the region of a map in pieces, with the numbers of
+    /// periods.
     fn wound(&self, pieces: &Pieces, x: &[f64]) -> (Vec<f64>, Vec<i32>) {
         let mut x = x.to_vec();
         let mut winding = vec![0; x.len()];
@@ -488,14 +532,24 @@ impl ValueMap {
 
     /// `x` and what is said of it have the time where that is an axis.
     fn value_in_pieces(&self, pieces: &Pieces, x: &[f64], winding: &[i32], said: Said) -> Value {
-        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let s: Vec<f64> = x
+            .iter()
+            .zip(&self.plan.system.reference)
+            .map(|(x, r)| x - r)
+            .collect();
         let told = self.told(x, winding.to_vec(), said, &pieces.hessian(x));
         self.with_control(&s, told)
     }
 
-    /// What is said of a state that was moved by whole periods, still without u; with the bounds of p. What is blended from no
-    /// piece is the local solution's.
-    fn told(&self, x: &[f64], winding: Vec<i32>, mut said: Said, hessian: &[f64]) -> (Value, Vec<f64>) {
+    /// What is said of a state that was moved by whole periods, still without u; with the bounds of
+    /// p. What is blended from no piece is the local solution's.
+    fn told(
+        &self,
+        x: &[f64],
+        winding: Vec<i32>,
+        mut said: Said,
+        hessian: &[f64],
+    ) -> (Value, Vec<f64>) {
         let n = self.states();
         let hessian = of_states(hessian, said.p.len(), n);
         let rate = said.p.get(n).copied().unwrap_or(f64::NAN);
@@ -535,18 +589,27 @@ impl ValueMap {
         }
     }
 
-    /// Of a state within a period of the region: outside it the map has what solutions from there met.
+    /// Of a state within a period of the region: outside it the map has what solutions from there
+    /// met.
     fn coverage_of_pieces(&self, x: &[f64]) -> Coverage {
-        match (self.searched, self.pieces.as_ref().is_some_and(|asked| asked.covers(x))) {
+        match (
+            self.searched,
+            self.pieces.as_ref().is_some_and(|asked| asked.covers(x)),
+        ) {
             (Coverage::Checked, false) => Coverage::Searched,
             (searched, _) => searched,
         }
     }
 
-    /// The largest component of a bound of p's error relative to that of p, each times the region's width.
+    /// The largest component of a bound of p's error relative to that of p, each times the region's
+    /// width.
     fn relative(&self, bound: &[f64], p: &[f64]) -> f64 {
         let widths = &self.plan.widths;
-        let largest = |p: &[f64]| p.iter().zip(widths).fold(0.0f64, |a, (p, w)| a.max((p * w).abs()));
+        let largest = |p: &[f64]| {
+            p.iter()
+                .zip(widths)
+                .fold(0.0f64, |a, (p, w)| a.max((p * w).abs()))
+        };
         match largest(bound) {
             // At the equilibrium itself p is 0 too.
             0.0 => 0.0,
@@ -562,14 +625,17 @@ impl ValueMap {
                 let mut p = p.to_vec();
                 p[i] += sign * bound[i];
                 let off = self.control(s, &p);
-                error = off.iter().zip(u).fold(error, |a, (x, y)| a.max((x - y).abs()));
+                error = off
+                    .iter()
+                    .zip(u)
+                    .fold(error, |a, (x, y)| a.max((x - y).abs()));
             }
         }
         error
     }
 
-    /// The level of V at which the manifold of a game overlaps itself: the least V of a second sheet over any of some states
-    /// of the region; without an equilibrium below everything.
+    /// The level of V at which the manifold of a game overlaps itself: the least V of a second
+    /// sheet over any of some states of the region; without an equilibrium below everything.
     fn overlap(&self) -> f64 {
         const LOOKED_AT: usize = 2048;
         *self.overlap.get_or_init(|| {
@@ -579,7 +645,11 @@ impl ValueMap {
             let points = spread_over(&self.plan.region, LOOKED_AT);
             (points.par_iter())
                 .filter_map(|s| {
-                    let z: Vec<f64> = s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect();
+                    let z: Vec<f64> = s
+                        .iter()
+                        .zip(&self.plan.widths)
+                        .map(|(s, w)| s / w)
+                        .collect();
                     let opinions = self.opinions(&z, None);
                     let sheets = self.sheets(&opinions);
                     let mut values: Vec<f64> = (sheets.iter())
@@ -592,7 +662,8 @@ impl ValueMap {
         })
     }
 
-    /// Whether a sample (x, V) of an extremal is, as far as the map can tell, on the lowest sheet (in a game the only one).
+    /// Whether a sample (x, V) of an extremal is, as far as the map can tell, on the lowest sheet
+    /// (in a game the only one).
     pub fn is_lowest(&self, x: &[f64], v: f64) -> bool {
         // Interpolation errs; a sheet that is better by less than this is as good.
         const MARGIN: f64 = 1e-3;
@@ -603,7 +674,8 @@ impl ValueMap {
             .is_none_or(|here| v <= here.v + MARGIN * here.v.abs().max(v.abs()))
     }
 
-    /// A deviation less whole periods, with the sizes of the numbers that it is a difference of, and the numbers of periods.
+    /// A deviation less whole periods, with the sizes of the numbers that it is a difference of,
+    /// and the numbers of periods.
     fn unwound(&self, s: &[f64]) -> (Vec<f64>, Vec<f64>, Vec<i32>) {
         let mut winding = vec![0; s.len()];
         let mut s = s.to_vec();
@@ -616,10 +688,15 @@ impl ValueMap {
         (s, sizes, winding)
     }
 
-    /// Bounds of the errors of V and p that the local solution says at a state, in arithmetic of a unit roundoff.
+    /// Bounds of the errors of V and p that the local solution says at a state, in arithmetic of a
+    /// unit roundoff.
     #[cfg(feature = "gpu")]
     fn local_bounds(&self, x: &[f64], unit: f64) -> Option<(f64, Vec<f64>)> {
-        let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+        let s: Vec<f64> = x
+            .iter()
+            .zip(&self.plan.system.reference)
+            .map(|(x, r)| x - r)
+            .collect();
         let (s, sizes, _) = self.unwound(&s);
         let mut bound = vec![0.0; s.len()];
         let of_v = self.local_errors.as_ref()?.at(&s, &sizes, unit, &mut bound);
@@ -634,7 +711,8 @@ impl ValueMap {
         }
         let (v, p, hessian) = local.expansion(&s);
         let mut p_bound = vec![0.0; s.len()];
-        let v_bound = (self.local_errors.as_ref()?).at(&s, &sizes, 0.5 * f64::EPSILON, &mut p_bound);
+        let v_bound =
+            (self.local_errors.as_ref()?).at(&s, &sizes, 0.5 * f64::EPSILON, &mut p_bound);
         let said = Said {
             v,
             p,
@@ -647,9 +725,12 @@ impl ValueMap {
         Some(self.with_control(&s, told))
     }
 
-    /// Of a game whether `H(x, p)` is about 0: behind a fold no p makes it so, whatever interpolation says.
+    /// Of a game whether `H(x, p)` is about 0: behind a fold no p makes it so, whatever
+    /// interpolation says.
     fn solves_isaacs(&self, s: &[f64], p: &[f64]) -> bool {
-        let Some(program) = &self.isaacs else { return true };
+        let Some(program) = &self.isaacs else {
+            return true;
+        };
         let values = program.eval(&[s, p].concat());
         let (h, running) = (values[0], values[1]);
         let power: f64 = values[2..].iter().zip(p).map(|(f, p)| (f * p).abs()).sum();
@@ -672,7 +753,9 @@ impl ValueMap {
         // One voice that nobody confirms is not heard.
         let confirmed = exact || members.len() > 1;
         if !confirmed
-            || !exact && first.distance > INSIDE * reach && !surrounded(n, members.iter().map(|k| &opinions[*k]))
+            || !exact
+                && first.distance > INSIDE * reach
+                && !surrounded(n, members.iter().map(|k| &opinions[*k]))
         {
             return None;
         }
@@ -704,13 +787,17 @@ impl ValueMap {
         let w = &self.plan.widths;
         let p: Vec<f64> = says.q.iter().zip(w).map(|(q, w)| q / w).collect();
         let winding = self.windings[from.winding].clone();
-        let moved: Vec<f64> = (0..n).map(|i| s[i] + self.turn(&winding, i) * w[i]).collect();
+        let moved: Vec<f64> = (0..n)
+            .map(|i| s[i] + self.turn(&winding, i) * w[i])
+            .collect();
         Value {
             v: says.v,
             u: self.control(&moved, &p),
             p,
             rate: f64::NAN,
-            hessian: (0..n * n).map(|k| says.hessian[k] / (w[k / n] * w[k % n])).collect(),
+            hessian: (0..n * n)
+                .map(|k| says.hessian[k] / (w[k / n] * w[k % n]))
+                .collect(),
             sheet: self.sites.sheet[from.site],
             v_error: f64::NAN,
             p_error: f64::NAN,

@@ -1,4 +1,5 @@
-//! A polynomial about each site that interpolates its V and p, with curvature from the sites around it.
+//! A polynomial about each site that interpolates its V and p, with curvature from the sites around
+//! it.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -22,7 +23,8 @@ pub(super) struct Prediction {
     pub hessian: Vec<f64>,
 }
 
-/// A neighbour's data relative to the site's: its deviation, V less the tangent plane, and the change of q.
+/// A neighbour's data relative to the site's: its deviation, V less the tangent plane, and the
+/// change of q.
 pub(super) struct Neighbour {
     pub d: Vec<f64>,
     pub distance: f64,
@@ -30,14 +32,16 @@ pub(super) struct Neighbour {
     pub dq: Vec<f64>,
 }
 
-/// Least share of the mean square direction to the neighbours that any direction has: less, and they lie on a line or a plane,
-/// off which nothing is known.
+/// Least share of the mean square direction to the neighbours that any direction has: less, and
+/// they lie on a line or a plane, off which nothing is known.
 const FLAT: f64 = 0.01;
-/// A neighbour whose data are off the polynomial by more than this many times the median is of another sheet.
+/// A neighbour whose data are off the polynomial by more than this many times the median is of
+/// another sheet.
 const OUTLIER: f64 = 5.0;
 /// Largest part of what q changes by that a polynomial may leave unexplained.
 const UNEXPLAINED: f64 = 0.2;
-/// Ridge of the normal equations, relative to their trace: what the neighbours say nothing about stays 0.
+/// Ridge of the normal equations, relative to their trace: what the neighbours say nothing about
+/// stays 0.
 const RIDGE: f64 = 1e-12;
 
 fn quadratic_terms(n: usize) -> usize {
@@ -53,15 +57,18 @@ pub(super) fn wanted(n: usize) -> usize {
     (8 * (quadratic_terms(n) + cubic_terms(n))).div_ceil(5 * (n + 1)) + 2 * n
 }
 
-/// Fits curvature to neighbours by least squares; weights fall off with the distance (Franke & Nielson 1980), rows of V are
-/// divided by the distance so that they weigh like those of q. `None` with too few neighbours.
+/// Fits curvature to neighbours by least squares; weights fall off with the distance (Franke &
+/// Nielson 1980), rows of V are divided by the distance so that they weigh like those of q. `None`
+/// with too few neighbours.
 ///
-/// Neighbours that turn out not to belong are left out, and a polynomial that explains the rest badly is none.
+/// Neighbours that turn out not to belong are left out, and a polynomial that explains the rest
+/// badly is none.
 pub(super) fn fit(n: usize, mut neighbours: Vec<Neighbour>) -> Option<Nodal> {
     const ROUNDS: usize = 3;
     for _ in 0..ROUNDS {
         let nodal = least_squares(n, &neighbours)?;
-        // What q changes by at the neighbours, by the data: a wild polynomial is no measure of itself.
+        // What q changes by at the neighbours, by the data: a wild polynomial is no measure of
+        // itself.
         let mut changes: Vec<f64> = neighbours.iter().map(|b| norm(&b.dq)).collect();
         changes.sort_by(f64::total_cmp);
         let usual = changes[changes.len() / 2].max(f64::MIN_POSITIVE);
@@ -249,7 +256,8 @@ mod tests {
     fn cubic(x: &[f64]) -> (f64, Vec<f64>, Vec<f64>) {
         let [a, b, c] = [x[0], x[1], x[2]];
         (
-            1.0 + a - 2.0 * b + a * a + 3.0 * a * c - b * b + a * b * c - 2.0 * c * c * c + a * a * b,
+            1.0 + a - 2.0 * b + a * a + 3.0 * a * c - b * b + a * b * c - 2.0 * c * c * c
+                + a * a * b,
             vec![
                 1.0 + 2.0 * a + 3.0 * c + b * c + 2.0 * a * b,
                 -2.0 - 2.0 * b + a * c + a * a,
@@ -295,8 +303,14 @@ mod tests {
         let d = [0.03, -0.02, 0.04];
         let x: Vec<f64> = site.iter().zip(&d).map(|(s, d)| s + d).collect();
         let (expected, found) = (cubic(&x), nodal.at(v, &q, &d));
-        // The ridge is the only error: 1e-12 of coefficients of order one, magnified by the conditioning.
-        assert!((found.v - expected.0).abs() < 1e-10, "{} {}", found.v, expected.0);
+        // The ridge is the only error: 1e-12 of coefficients of order one, magnified by the
+        // conditioning.
+        assert!(
+            (found.v - expected.0).abs() < 1e-10,
+            "{} {}",
+            found.v,
+            expected.0
+        );
         for (a, b) in found.q.iter().zip(&expected.1) {
             assert!((a - b).abs() < 1e-8);
         }

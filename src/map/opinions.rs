@@ -16,7 +16,12 @@ pub(super) struct Opinion {
 
 impl ValueMap {
     /// Sites near a place that lie on different sides of it, by distance; `without` is passed over.
-    pub(super) fn around(&self, place: &[f64], most: usize, without: &[usize]) -> Vec<(usize, f64)> {
+    pub(super) fn around(
+        &self,
+        place: &[f64],
+        most: usize,
+        without: &[usize],
+    ) -> Vec<(usize, f64)> {
         let near = self.tree.near(place, f64::INFINITY, LOOK * most);
         let mut chosen: Vec<(usize, f64)> = Vec::with_capacity(most);
         for (site, distance) in near {
@@ -25,7 +30,8 @@ impl ValueMap {
             }
             let crowded = chosen.iter().any(|(other, _)| {
                 self.sites.consistent(site, *other)
-                    && distance_between(self.sites.z(site), self.sites.z(*other)) < SPREAD * distance
+                    && distance_between(self.sites.z(site), self.sites.z(*other))
+                        < SPREAD * distance
             });
             if !crowded {
                 chosen.push((site, distance));
@@ -40,7 +46,10 @@ impl ValueMap {
     pub(super) fn nodal(&self, site: usize, without: Option<usize>) -> Option<Cow<'_, Nodal>> {
         match without {
             Some(without) => self.fit(site, Some(without)).map(Cow::Owned),
-            None => (self.nodal[site].get_or_init(|| self.fit(site, None)).as_ref()).map(Cow::Borrowed),
+            None => (self.nodal[site]
+                .get_or_init(|| self.fit(site, None))
+                .as_ref())
+            .map(Cow::Borrowed),
         }
     }
 
@@ -54,7 +63,10 @@ impl ValueMap {
         near.retain(|(k, d)| *d > SAME && self.sites.consistent(site, *k));
         let agreed: Vec<bool> = (near.iter())
             .map(|(k, _)| {
-                let with = near.iter().filter(|(j, _)| self.sites.consistent(*k, *j)).count();
+                let with = near
+                    .iter()
+                    .filter(|(j, _)| self.sites.consistent(*k, *j))
+                    .count();
                 with as f64 >= AGREED * near.len() as f64
             })
             .collect();
@@ -65,7 +77,9 @@ impl ValueMap {
                 let d: Vec<f64> = self.sites.z(k).iter().zip(z).map(|(a, b)| a - b).collect();
                 Neighbour {
                     distance,
-                    beyond_tangent: self.sites.v[k] - v - q.iter().zip(&d).map(|(q, d)| q * d).sum::<f64>(),
+                    beyond_tangent: self.sites.v[k]
+                        - v
+                        - q.iter().zip(&d).map(|(q, d)| q * d).sum::<f64>(),
                     dq: self.sites.q(k).iter().zip(q).map(|(a, b)| a - b).collect(),
                     d,
                 }
@@ -89,7 +103,13 @@ impl ValueMap {
         distance: f64,
         without: Option<usize>,
     ) -> Option<Opinion> {
-        let to: Vec<f64> = self.sites.z(site).iter().zip(place).map(|(z, p)| z - p).collect();
+        let to: Vec<f64> = self
+            .sites
+            .z(site)
+            .iter()
+            .zip(place)
+            .map(|(z, p)| z - p)
+            .collect();
         let nodal = match self.nodal(site, without) {
             Some(nodal) if distance < SAME || distance <= BEYOND * nodal.reach => nodal,
             // Where a site is, its own V and p are known whatever its neighbours say.
@@ -131,7 +151,9 @@ impl ValueMap {
     pub(super) fn sheets(&self, opinions: &[Opinion]) -> Vec<Vec<usize>> {
         let mut sheets: Vec<Vec<usize>> = Vec::new();
         for k in 0..opinions.len() {
-            match (sheets.iter_mut()).find(|members| self.agree(&opinions[members[0]], &opinions[k])) {
+            match (sheets.iter_mut())
+                .find(|members| self.agree(&opinions[members[0]], &opinions[k]))
+            {
                 Some(members) => members.push(k),
                 None => sheets.push(vec![k]),
             }
@@ -139,8 +161,8 @@ impl ValueMap {
         sheets
     }
 
-    /// Whether two sites mean the same sheet: they differ by less than a part of what their polynomials change by from
-    /// site to place.
+    /// Whether two sites mean the same sheet: they differ by less than a part of what their
+    /// polynomials change by from site to place.
     pub(super) fn agree(&self, a: &Opinion, b: &Opinion) -> bool {
         let norm = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
         let change = |o: &Opinion| distance_between(&o.says.q, self.sites.q(o.site));
@@ -152,8 +174,8 @@ impl ValueMap {
     }
 }
 
-/// Blends what the members say, with weights that are infinite at a site and 0 at the furthest; and how far they are
-/// apart in V (weighted root mean square).
+/// Blends what the members say, with weights that are infinite at a site and 0 at the furthest; and
+/// how far they are apart in V (weighted root mean square).
 pub(super) fn blend(n: usize, opinions: &[Opinion], members: &[usize]) -> (Prediction, f64) {
     let first = &opinions[members[0]];
     if first.distance < SAME || members.len() == 1 {
@@ -180,7 +202,10 @@ pub(super) fn blend(n: usize, opinions: &[Opinion], members: &[usize]) -> (Predi
         }
     }
     sum.v /= total;
-    sum.q.iter_mut().chain(&mut sum.hessian).for_each(|a| *a /= total);
+    sum.q
+        .iter_mut()
+        .chain(&mut sum.hessian)
+        .for_each(|a| *a /= total);
     let squares = members
         .iter()
         .zip(&weights)
@@ -203,5 +228,9 @@ pub(super) fn surrounded<'o>(n: usize, members: impl Iterator<Item = &'o Opinion
 }
 
 pub(super) fn distance_between(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| (a - b).powi(2))
+        .sum::<f64>()
+        .sqrt()
 }

@@ -1,4 +1,5 @@
-//! Where V and p are known: swept samples, solved states, map nodes, and the local solution near the equilibrium.
+//! Where V and p are known: swept samples, solved states, map nodes, and the local solution near
+//! the equilibrium.
 
 use super::{Known, MapError, SHEETS};
 use crate::backend::{BackendError, cpu::Cpu};
@@ -11,7 +12,8 @@ use std::collections::HashMap;
 
 /// No sheet number is known.
 pub(super) const UNLABELLED: i32 = -1;
-/// Finest and coarsest distance between sites that is wanted, in widths of the region: of the scene's `spacing`.
+/// Finest and coarsest distance between sites that is wanted, in widths of the region: of the
+/// scene's `spacing`.
 const COARSEST: f64 = 0.05;
 /// Distance from the equilibrium within which sites may lie closer, in proportion.
 const NEAR: f64 = 0.3;
@@ -52,11 +54,20 @@ impl Sites {
     ///
     /// # Errors
     /// [`MapError`] where the sweep next to the equilibrium fails.
-    pub fn collect(model: &Model, hamiltonian: &Hamiltonian, plan: &Plan, known: &Known) -> Result<Self, MapError> {
+    pub fn collect(
+        model: &Model,
+        hamiltonian: &Hamiltonian,
+        plan: &Plan,
+        known: &Known,
+    ) -> Result<Self, MapError> {
         let mut all = Gathering::new(plan);
         if let Some(entries) = &known.solved {
             for k in 0..entries.count {
-                let row = (entries.x.as_slice(), entries.v.as_slice(), entries.p.as_slice());
+                let row = (
+                    entries.x.as_slice(),
+                    entries.v.as_slice(),
+                    entries.p.as_slice(),
+                );
                 all.add_answer(row, k, entries.sheet[k], entries.errors.get(k));
             }
         }
@@ -68,7 +79,8 @@ impl Sites {
                 all.add_answer(row, k, map.sheet[k], map.errors.get(k));
             }
         }
-        // V of a finite horizon depends on time: only at its beginning is it the value function asked for.
+        // V of a finite horizon depends on time: only at its beginning is it the value function
+        // asked for.
         let begins = match model.horizon {
             Horizon::Finite { final_time, .. } => -final_time * (1.0 - 1e-9),
             Horizon::Infinite { .. } => f64::INFINITY,
@@ -105,7 +117,9 @@ impl Sites {
             each.filter_map(|(new, old)| Some((new, all.get(old)?.clone())))
                 .collect()
         }
-        let rows = |all: fn(&Self, usize) -> &[f64]| kept.iter().flat_map(|k| all(&self, *k)).copied().collect();
+        let rows = |all: fn(&Self, usize) -> &[f64]| {
+            kept.iter().flat_map(|k| all(&self, *k)).copied().collect()
+        };
         Self {
             n: self.n,
             z: rows(Self::z),
@@ -126,14 +140,17 @@ impl Sites {
         &self.q[i * self.n..(i + 1) * self.n]
     }
 
-    /// Whether two sites can lie on one smooth sheet: the trapezoidal rule over p gives the difference of V to within a
-    /// part of what p changes by.
+    /// Whether two sites can lie on one smooth sheet: the trapezoidal rule over p gives the
+    /// difference of V to within a part of what p changes by.
     pub fn consistent(&self, i: usize, j: usize) -> bool {
         let labels = [self.sheet[i], self.sheet[j]];
         if !labels.contains(&UNLABELLED) && labels[0] != labels[1] {
             return false;
         }
-        consistent((self.z(i), self.v[i], self.q(i)), (self.z(j), self.v[j], self.q(j)))
+        consistent(
+            (self.z(i), self.v[i], self.q(i)),
+            (self.z(j), self.v[j], self.q(j)),
+        )
     }
 }
 
@@ -178,7 +195,13 @@ impl<'p> Gathering<'p> {
     }
 
     /// A state's answer: solved for, unless it has errors of an interpolation.
-    fn add_answer(&mut self, (x, v, p): Datum<'_, &[f64]>, k: usize, sheet: i32, errors: Option<&ToldErrors>) {
+    fn add_answer(
+        &mut self,
+        (x, v, p): Datum<'_, &[f64]>,
+        k: usize,
+        sheet: i32,
+        errors: Option<&ToldErrors>,
+    ) {
         let Some(errors) = errors else {
             self.add(x, v, p, k, sheet, Source::Solved);
             return;
@@ -189,15 +212,34 @@ impl<'p> Gathering<'p> {
     }
 
     /// Row `k` of arrays `[row][state]`; what is not finite is left out.
-    fn add(&mut self, x: &[f64], v: &[f64], p: &[f64], k: usize, sheet: i32, source: Source) -> Option<usize> {
+    fn add(
+        &mut self,
+        x: &[f64],
+        v: &[f64],
+        p: &[f64],
+        k: usize,
+        sheet: i32,
+        source: Source,
+    ) -> Option<usize> {
         let n = self.sites.n;
         let row = k * n..(k + 1) * n;
         let reference = &self.plan.system.reference;
-        let s: Vec<f64> = x[row.clone()].iter().zip(reference).map(|(x, r)| x - r).collect();
+        let s: Vec<f64> = x[row.clone()]
+            .iter()
+            .zip(reference)
+            .map(|(x, r)| x - r)
+            .collect();
         self.add_deviation(&s, v[k], &p[row], sheet, source)
     }
 
-    fn add_deviation(&mut self, s: &[f64], v: f64, p: &[f64], sheet: i32, source: Source) -> Option<usize> {
+    fn add_deviation(
+        &mut self,
+        s: &[f64],
+        v: f64,
+        p: &[f64],
+        sheet: i32,
+        source: Source,
+    ) -> Option<usize> {
         let n = self.sites.n;
         let widths = &self.plan.widths;
         let z: Vec<f64> = s.iter().zip(widths).map(|(s, w)| s / w).collect();
@@ -226,9 +268,9 @@ impl<'p> Gathering<'p> {
         Some(sites.v.len() - 1)
     }
 
-    /// The sites, without swept samples of sheets far above: where more sheets lie over a cell than there is room for
-    /// (see [`SHEETS`]), those of highest V are dropped, or they would crowd out the lowest among the sites that are
-    /// looked at. Not of a game, where every sheet counts.
+    /// The sites, without swept samples of sheets far above: where more sheets lie over a cell than
+    /// there is room for (see [`SHEETS`]), those of highest V are dropped, or they would crowd out
+    /// the lowest among the sites that are looked at. Not of a game, where every sheet counts.
     fn finished(self) -> Sites {
         if self.plan.game {
             return self.sites;
@@ -244,8 +286,9 @@ impl<'p> Gathering<'p> {
         self.sites.without(&dropped)
     }
 
-    /// Levels of V at equal distances leave gaps near the equilibrium: the first is far from the seeds, and between the first
-    /// few the radius grows by half and more. A small sweep of its own fills them.
+    /// Levels of V at equal distances leave gaps near the equilibrium: the first is far from the
+    /// seeds, and between the first few the radius grows by half and more. A small sweep of its own
+    /// fills them.
     fn add_inner(
         &mut self,
         (model, hamiltonian): (&Model, &Hamiltonian),
@@ -257,7 +300,9 @@ impl<'p> Gathering<'p> {
         const LEVELS: usize = 8;
         const SAMPLES: usize = 4 * LEVELS;
         const MOST_SEEDS: usize = 4000;
-        let Some(local) = &plan.local else { return Ok(()) };
+        let Some(local) = &plan.local else {
+            return Ok(());
+        };
         if !least.is_finite() || least <= 2.0 * local.seed_value {
             return Ok(());
         }
@@ -314,8 +359,8 @@ impl<'p> Gathering<'p> {
         }
         let mut levels = vec![];
         let mut level = local.seed_value;
-        // Outward to where the samples begin, each twice as far; the error of V is relative to V. Beyond the reach controls
-        // meet their bounds.
+        // Outward to where the samples begin, each twice as far; the error of V is relative to V.
+        // Beyond the reach controls meet their bounds.
         let reach = local.value_within(f64::INFINITY, plan.value_scale);
         while local.error_where(level) <= LOCAL_ERROR * level && level < reach && levels.len() < 8 {
             levels.push(level);
@@ -325,7 +370,11 @@ impl<'p> Gathering<'p> {
         self.add_with_hessian(&zero);
         for level in levels {
             for direction in &directions {
-                let s: Vec<f64> = direction.iter().zip(&plan.widths).map(|(d, w)| d * w).collect();
+                let s: Vec<f64> = direction
+                    .iter()
+                    .zip(&plan.widths)
+                    .map(|(d, w)| d * w)
+                    .collect();
                 let size = (level / local.quadratic(&s).max(f64::MIN_POSITIVE)).sqrt();
                 let s: Vec<f64> = s.iter().map(|s| s * size).collect();
                 self.add_with_hessian(&s);
@@ -334,12 +383,16 @@ impl<'p> Gathering<'p> {
     }
 
     fn add_with_hessian(&mut self, s: &[f64]) {
-        let Some(local) = &self.plan.local else { return };
+        let Some(local) = &self.plan.local else {
+            return;
+        };
         let (v, p, hessian) = local.expansion(s);
         let n = self.sites.n;
         if let Some(k) = self.add_deviation(s, v, &p, UNLABELLED, Source::Local) {
             let w = &self.plan.widths;
-            let scaled = (0..n * n).map(|k| hessian[k] * w[k / n] * w[k % n]).collect();
+            let scaled = (0..n * n)
+                .map(|k| hessian[k] * w[k / n] * w[k % n])
+                .collect();
             self.sites.hessian.insert(k, scaled);
         }
     }

@@ -1,4 +1,5 @@
-//! V, p and second derivatives at many states: the local solution about the equilibrium and the map in pieces, as flat arrays.
+//! V, p and second derivatives at many states: the local solution about the equilibrium and the map
+//! in pieces, as flat arrays.
 
 #[cfg(feature = "gpu")]
 mod packed;
@@ -6,14 +7,18 @@ mod packed;
 #[cfg(feature = "gpu")]
 pub(crate) use packed::Packed;
 
-use super::pieces::{Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms, by_states};
+use super::pieces::{
+    Desk, Flat, Here, Jet, LANES, MOST_DEGREE, MOST_VARIABLES, Pieces, Sum, Tables, Terms,
+    by_states,
+};
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
 use crate::local::{LocalErrors, LocalSolution};
 use crate::sweep::Plan;
 
-/// Periods by which a coordinate must move to lie between bounds, if it can; 0 where it does. A winding number holds as many.
+/// Periods by which a coordinate must move to lie between bounds, if it can; 0 where it does. A
+/// winding number holds as many.
 pub(super) fn turns_into<T: Real>(x: T, [lo, hi]: [T; 2], period: T) -> f64 {
     const MOST: f64 = 1e9;
     if x < lo || x > hi {
@@ -23,7 +28,8 @@ pub(super) fn turns_into<T: Real>(x: T, [lo, hi]: [T; 2], period: T) -> f64 {
     }
 }
 
-/// Takes whole periods off a deviation, and adds them to the size of the numbers that it is a difference of; how many they are.
+/// Takes whole periods off a deviation, and adds them to the size of the numbers that it is a
+/// difference of; how many they are.
 #[inline(always)]
 pub(super) fn unwind<T: Real>(s: &mut T, size: &mut f64, period: T) -> f64 {
     let turns = (*s / period).f64().round();
@@ -36,7 +42,8 @@ pub(super) fn unwind<T: Real>(s: &mut T, size: &mut f64, period: T) -> f64 {
 /// What is known of a state.
 pub enum Answer<'a, T> {
     Known(&'a Here<T>),
-    /// Outside the region, and too uncertain to be told as V; a law does better with it than with nothing.
+    /// Outside the region, and too uncertain to be told as V; a law does better with it than with
+    /// nothing.
     Rough(&'a Here<T>),
     /// In the region, but nothing is known there.
     Unknown,
@@ -95,7 +102,8 @@ pub struct Room<T> {
     /// The same of those outside the region, and coordinates there.
     outside: Vec<u32>,
     far: Vec<T>,
-    /// Of these (by their order among them) those that only rough pieces may know, and their coordinates.
+    /// Of these (by their order among them) those that only rough pieces may know, and their
+    /// coordinates.
     missed: Vec<u32>,
     missed_at: Vec<T>,
     monomials: Vec<Lanes<T, LANES>>,
@@ -127,7 +135,11 @@ impl<T: Real> Default for Room<T> {
 
 impl<T: Real> Swift<T> {
     /// `None` where the local solution is a polynomial of too high a degree.
-    pub fn new(pieces: &Pieces, [beyond, rough]: [Option<&Pieces>; 2], plan: &Plan) -> Option<Self> {
+    pub fn new(
+        pieces: &Pieces,
+        [beyond, rough]: [Option<&Pieces>; 2],
+        plan: &Plan,
+    ) -> Option<Self> {
         let around = match &plan.local {
             Some(local) => Some(Around::new(local, &plan.system.reference)?),
             None => None,
@@ -142,9 +154,15 @@ impl<T: Real> Swift<T> {
             beyond: beyond.map(Flat::new),
             rough: rough.map(Flat::new),
             // Time is a coordinate of its own.
-            reference: (plan.system.reference.iter().copied().chain([0.0]).take(pieces.states()))
-                .map(T::of)
-                .collect(),
+            reference: (plan
+                .system
+                .reference
+                .iter()
+                .copied()
+                .chain([0.0])
+                .take(pieces.states()))
+            .map(T::of)
+            .collect(),
             periods: (plan.periods.iter().enumerate())
                 .filter_map(|(i, period)| Some(of(i, (*period)?)))
                 .collect(),
@@ -152,10 +170,18 @@ impl<T: Real> Swift<T> {
         })
     }
 
-    /// What is known at states (absolute), told with their numbers in some order; second derivatives only where asked for.
+    /// What is known at states (absolute), told with their numbers in some order; second
+    /// derivatives only where asked for.
     ///
-    /// The code behind it is large and compiled for three instruction sets: it is the same whatever `tell` is.
-    pub fn each(&self, x: &[T], second: bool, room: &mut Room<T>, mut tell: impl FnMut(usize, Answer<'_, T>)) {
+    /// The code behind it is large and compiled for three instruction sets: it is the same whatever
+    /// `tell` is.
+    pub fn each(
+        &self,
+        x: &[T],
+        second: bool,
+        room: &mut Room<T>,
+        mut tell: impl FnMut(usize, Answer<'_, T>),
+    ) {
         match self.simd {
             Simd::Baseline => baseline(self, x, second, room, &mut tell),
             // SAFETY: the features were detected.
@@ -230,7 +256,10 @@ impl<T: Real> Swift<T> {
                 continue;
             };
             flat.each::<FMA>(at, second, desk, |k, here| match (map, here) {
-                (Map::Region, here) => tell(inside[k] as usize, here.map_or(Answer::Unknown, Answer::Known)),
+                (Map::Region, here) => tell(
+                    inside[k] as usize,
+                    here.map_or(Answer::Unknown, Answer::Known),
+                ),
                 (Map::Beyond, Some(here)) => tell(outside[k] as usize, Answer::Known(here)),
                 (Map::Beyond, None) => missed.push(k as u32),
                 (Map::Rough, here) => {
@@ -245,10 +274,13 @@ impl<T: Real> Swift<T> {
         }
     }
 
-    /// Whether the local solution holds at a state; then its coordinates are added, and what their errors are told by.
+    /// Whether the local solution holds at a state; then its coordinates are added, and what their
+    /// errors are told by.
     #[inline(always)]
     fn is_near(&self, x: &[T], z: &mut Vec<T>, deviations: &mut Vec<f64>) -> bool {
-        let Some(around) = &self.around else { return false };
+        let Some(around) = &self.around else {
+            return false;
+        };
         let n = x.len();
         let mut s = [T::of(0.0); MOST_VARIABLES];
         for i in 0..n {
@@ -358,7 +390,13 @@ impl<T: Real> Around<T> {
     }
 }
 
-fn baseline<T: Real>(this: &Swift<T>, x: &[T], second: bool, room: &mut Room<T>, tell: Tell<'_, T>) {
+fn baseline<T: Real>(
+    this: &Swift<T>,
+    x: &[T],
+    second: bool,
+    room: &mut Room<T>,
+    tell: Tell<'_, T>,
+) {
     this.all::<false>(x, second, room, tell);
 }
 

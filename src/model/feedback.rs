@@ -11,14 +11,21 @@ pub enum Activation {
 }
 
 impl Activation {
-    pub const ALL: [(&'static str, Activation); 2] = [("logistic", Activation::Logistic), ("tanh", Activation::Tanh)];
+    pub const ALL: [(&'static str, Activation); 2] = [
+        ("logistic", Activation::Logistic),
+        ("tanh", Activation::Tanh),
+    ];
 
     pub fn name(self) -> &'static str {
-        Activation::ALL.iter().find(|(_, a)| *a == self).map_or("?", |(n, _)| n)
+        Activation::ALL
+            .iter()
+            .find(|(_, a)| *a == self)
+            .map_or("?", |(n, _)| n)
     }
 }
 
-/// What a law commands: a control, or a state that is to follow the command. The index among its kind.
+/// What a law commands: a control, or a state that is to follow the command. The index among its
+/// kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LawOutput {
     Control(usize),
@@ -38,8 +45,8 @@ pub enum Target {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Base {
     None,
-    /// The linear-quadratic solution at the equilibrium. The network is made to vanish there: to first order in a law's
-    /// value, to second order in V.
+    /// The linear-quadratic solution at the equilibrium. The network is made to vanish there: to
+    /// first order in a law's value, to second order in V.
     Local,
 }
 

@@ -1,4 +1,5 @@
-//! A scene as the rest of the program sees it: symbols, expressions and settings. Nothing here knows TOML.
+//! A scene as the rest of the program sees it: symbols, expressions and settings. Nothing here
+//! knows TOML.
 
 mod feedback;
 
@@ -66,7 +67,11 @@ pub struct Guard {
 #[derive(Clone, Debug)]
 pub enum Horizon {
     /// The equilibrium: values of all states and controls, where f = 0 and L = 0.
-    Infinite { x: Vec<f64>, u: Vec<f64>, span: Span },
+    Infinite {
+        x: Vec<f64>,
+        u: Vec<f64>,
+        span: Span,
+    },
     /// Terminal cost phi(x) at `final_time`; `reference` is the point deviations are taken from.
     Finite {
         terminal: Located,
@@ -94,7 +99,8 @@ pub struct ShootOut {
     pub samples: usize,
     /// Cap on the number of seeds.
     pub max_seeds: usize,
-    /// How far outside the region a trajectory is followed, as a fraction of the region's width on each side.
+    /// How far outside the region a trajectory is followed, as a fraction of the region's width on
+    /// each side.
     pub margin: f64,
     /// What stored points are levels of; `None`: V where it is monotone along trajectories.
     pub sample_by: Option<SampleBy>,
@@ -144,7 +150,8 @@ pub struct MapGrid {
     pub span: Span,
 }
 
-/// Bound of a map above which nothing is said unless the scene has another, and how many errors asked for it is at least.
+/// Bound of a map above which nothing is said unless the scene has another, and how many errors
+/// asked for it is at least.
 pub const MAP_ERROR_MAX: f64 = 0.02;
 pub const MAP_ERRORS_MAX: f64 = 10.0;
 /// Least and largest error that a map can be asked for, relative to V.
@@ -152,7 +159,8 @@ pub const LEAST_MAP_ERROR: f64 = 1e-8;
 pub const MOST_MAP_ERROR: f64 = 0.1;
 /// States up to which a map to an error is made.
 pub const MOST_MAP_STATES: usize = 6;
-/// States that a map to an error may solve for, and fresh states that it is checked with, unless the scene says.
+/// States that a map to an error may solve for, and fresh states that it is checked with, unless
+/// the scene says.
 pub const DEFAULT_MAP_STATES: usize = 100_000;
 pub const DEFAULT_MAP_CHECK: usize = 200;
 /// Fresh states that a scene may ask for.
@@ -165,7 +173,8 @@ pub struct MapAim {
     pub error: f64,
     /// Nothing is said where the bound is above this, relative to the same.
     pub error_max: f64,
-    /// Largest distance of the surface of equal cost of two sheets from where the map has it, in widths of the region; `None`: any.
+    /// Largest distance of the surface of equal cost of two sheets from where the map has it, in
+    /// widths of the region; `None`: any.
     pub equal_cost: Option<f64>,
     /// In units of the cost; `None`: chosen.
     pub floor: Option<f64>,
@@ -238,7 +247,8 @@ pub enum Extremum {
     Final,
 }
 
-/// A quantity recorded along the closed loop: an extremum, or the last value, of an expression of states and controls.
+/// A quantity recorded along the closed loop: an extremum, or the last value, of an expression of
+/// states and controls.
 #[derive(Clone, Debug)]
 pub struct Record {
     pub name: String,
@@ -278,9 +288,11 @@ pub struct ClosedLoop {
     pub sets: Vec<OperatingSet>,
     /// Rate at which a commanded state is followed.
     pub track: Option<f64>,
-    /// Share of the region's mean of 1/2 d'Pd below which a trajectory's end counts as at the equilibrium.
+    /// Share of the region's mean of 1/2 d'Pd below which a trajectory's end counts as at the
+    /// equilibrium.
     pub converged: f64,
-    /// How far outside the region a trajectory is followed, as a fraction of the region's width on each side.
+    /// How far outside the region a trajectory is followed, as a fraction of the region's width on
+    /// each side.
     pub margin: f64,
     /// Time between updates of the map's law.
     pub period: Option<f64>,
@@ -303,10 +315,11 @@ pub enum Outside {
     Stop,
     /// p goes on as `q + H s` of the last answer.
     Hold,
-    /// p is that of the nearest state known, on the way from the state, moved into the map's region, to the reference point.
+    /// p is that of the nearest state known, on the way from the state, moved into the map's
+    /// region, to the reference point.
     Nearest,
-    /// The same where the equations foretell that it leads back to where the map knows; else the cheapest plan that first
-    /// holds a control at a bound.
+    /// The same where the equations foretell that it leads back to where the map knows; else the
+    /// cheapest plan that first holds a control at a bound.
     #[default]
     Search,
     /// p is that of the Riccati solution at the equilibrium.
@@ -323,7 +336,10 @@ impl Outside {
     ];
 
     pub fn name(self) -> &'static str {
-        Self::ALL.iter().find(|(_, o)| *o == self).map_or("?", |(name, _)| name)
+        Self::ALL
+            .iter()
+            .find(|(_, o)| *o == self)
+            .map_or("?", |(name, _)| name)
     }
 }
 
@@ -361,7 +377,8 @@ pub struct Study {
     pub span: Span,
 }
 
-/// `[attenuation]`: the smallest level of a disturbance's attenuation that the linearization, and that a region, allows.
+/// `[attenuation]`: the smallest level of a disturbance's attenuation that the linearization, and
+/// that a region, allows.
 #[derive(Clone, Debug)]
 pub struct Attenuation {
     /// The parameter that is the level; larger is easier.
@@ -403,7 +420,10 @@ impl Method {
     ];
 
     pub fn name(self) -> &'static str {
-        Method::ALL.iter().find(|(_, m)| *m == self).map_or("?", |(n, _)| n)
+        Method::ALL
+            .iter()
+            .find(|(_, m)| *m == self)
+            .map_or("?", |(n, _)| n)
     }
 }
 
@@ -500,7 +520,10 @@ impl Model {
 
     /// The present value of a parameter; `None` where there is none of this name.
     pub fn parameter(&self, name: &str) -> Option<f64> {
-        self.parameters.iter().find(|p| p.name == name).map(|p| p.value)
+        self.parameters
+            .iter()
+            .find(|p| p.name == name)
+            .map(|p| p.value)
     }
 
     /// Whether there is a disturbance, and H = min max.
@@ -510,7 +533,10 @@ impl Model {
 
     /// Value of every parameter symbol.
     pub fn parameter_values(&self) -> std::collections::HashMap<Id, f64> {
-        self.parameters.iter().map(|p| (p.symbol, p.value)).collect()
+        self.parameters
+            .iter()
+            .map(|p| (p.symbol, p.value))
+            .collect()
     }
 
     /// Index of the state of a name; else what is wrong with it, in words.
@@ -520,7 +546,8 @@ impl Model {
     pub fn state(&self, name: &str) -> Result<usize, String> {
         let names = || self.states.iter().map(|s| s.variable.name.as_str());
         names().position(|n| n == name).ok_or_else(|| {
-            let hint = crate::diagnostics::did_you_mean(name, names()).map_or_else(String::new, |s| format!("; {s}"));
+            let hint = crate::diagnostics::did_you_mean(name, names())
+                .map_or_else(String::new, |s| format!("; {s}"));
             let all: Vec<&str> = names().collect();
             format!(
                 "`{name}` is not a state of the scenario (states: {}){hint}",
@@ -541,7 +568,10 @@ impl Model {
     pub fn time_name(&self) -> &'static str {
         let taken = |name: &&str| self.states.iter().any(|s| s.variable.name == *name);
         let names = ["t", "time", "time_of_horizon"];
-        names.into_iter().find(|n| !taken(n)).unwrap_or("costate_time")
+        names
+            .into_iter()
+            .find(|n| !taken(n))
+            .unwrap_or("costate_time")
     }
 
     /// The point deviations are taken from: the equilibrium, or the finite horizon's reference.

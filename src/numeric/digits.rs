@@ -1,6 +1,7 @@
 //! Numbers as people read them.
 
-/// The shortest decimal that reads back as the number; a very large or small one with an exponent, not in hundreds of digits.
+/// The shortest decimal that reads back as the number; a very large or small one with an exponent,
+/// not in hundreds of digits.
 pub fn plain(number: f64) -> String {
     let size = number.abs();
     if size != 0.0 && size.is_finite() && !(1e-6..1e15).contains(&size) {

@@ -1,4 +1,5 @@
-//! Small numerical tools that several rooms share: cubics, quantiles, random numbers, numbers as text.
+//! Small numerical tools that several rooms share: cubics, quantiles, random numbers, numbers as
+//! text.
 
 pub mod digits;
 pub mod hermite;

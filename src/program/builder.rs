@@ -27,7 +27,9 @@ impl Builder {
             Instr::Max(a, b) => Key(8, 0, a, b),
             Instr::Call(f, a) => Key(9, f as u64, a, 0),
             // Fused forms come from a later pass and are never looked up.
-            Instr::MulAdd(..) | Instr::MulSub(..) | Instr::NegMulAdd(..) => Key(10, self.code.len() as u64, 0, 0),
+            Instr::MulAdd(..) | Instr::MulSub(..) | Instr::NegMulAdd(..) => {
+                Key(10, self.code.len() as u64, 0, 0)
+            }
         };
         let next = self.code.len() as Value;
         let value = *self.known.entry(key).or_insert(next);
@@ -100,8 +102,8 @@ impl Builder {
                 self.emit(Instr::Mul(half, sum))
             }
             Fun::Tanh => {
-                // 1 - 2/(exp(2|a|) + 1) in expm1 form, given the sign: e/(e + 2) saturates without overflow
-                // to NaN because the argument is capped.
+                // 1 - 2/(exp(2|a|) + 1) in expm1 form, given the sign: e/(e + 2) saturates without
+                // overflow to NaN because the argument is capped.
                 let size = self.call(Primitive::Abs, a);
                 let two_a = self.emit(Instr::Add(size, size));
                 let cap = self.constant(80.0);
@@ -231,11 +233,16 @@ fn fuse(mut program: Program) -> Program {
 /// Removes what no output needs; inputs stay in front so that their values are their indices.
 fn compact(program: Program) -> Program {
     let mut needed = vec![false; program.code.len()];
-    program.outputs.iter().for_each(|o| needed[*o as usize] = true);
+    program
+        .outputs
+        .iter()
+        .for_each(|o| needed[*o as usize] = true);
     needed[..program.inputs].fill(true);
     for i in (0..program.code.len()).rev() {
         if needed[i] {
-            program.code[i].reads().for_each(|v| needed[v as usize] = true);
+            program.code[i]
+                .reads()
+                .for_each(|v| needed[v as usize] = true);
         }
     }
     let mut new = vec![0; program.code.len()];

@@ -1,7 +1,8 @@
 //! The register program: straight-line arithmetic that both backends run.
 //!
-//! [`Program::lower`] turns expressions into instructions in single-assignment form, each value computed once.
-//! Functions beyond the primitives are written out here, so the backends have few to provide and agree on the rest.
+//! [`Program::lower`] turns expressions into instructions in single-assignment form, each value
+//! computed once. Functions beyond the primitives are written out here, so the backends have few to
+//! provide and agree on the rest.
 
 mod builder;
 mod registers;
@@ -50,8 +51,8 @@ pub enum Primitive {
     Step,
 }
 
-/// Straight-line code from inputs to outputs. A [`Primitive::Cos`] of the same argument directly follows its
-/// [`Primitive::Sin`] where both are needed, so a backend can compute the pair at once.
+/// Straight-line code from inputs to outputs. A [`Primitive::Cos`] of the same argument directly
+/// follows its [`Primitive::Sin`] where both are needed, so a backend can compute the pair at once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Program {
     pub inputs: usize,
@@ -71,7 +72,9 @@ impl Instr {
             | Instr::Div(a, b)
             | Instr::Min(a, b)
             | Instr::Max(a, b) => [Some(a), Some(b), None],
-            Instr::MulAdd(a, b, c) | Instr::MulSub(a, b, c) | Instr::NegMulAdd(a, b, c) => [Some(a), Some(b), Some(c)],
+            Instr::MulAdd(a, b, c) | Instr::MulSub(a, b, c) | Instr::NegMulAdd(a, b, c) => {
+                [Some(a), Some(b), Some(c)]
+            }
         };
         list.into_iter().flatten()
     }

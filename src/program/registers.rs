@@ -5,7 +5,8 @@ use super::{Instr, Program};
 /// Index of a register.
 pub type Slot = u16;
 
-/// A program with values assigned to registers: constants first, then inputs, then reused temporaries.
+/// A program with values assigned to registers: constants first, then inputs, then reused
+/// temporaries.
 #[derive(Clone, Debug)]
 pub struct Allocation {
     /// Values of registers `0..constants.len()`.
@@ -19,8 +20,8 @@ pub struct Allocation {
 }
 
 impl Allocation {
-    /// Linear scan over the straight-line code. An instruction's register is never one of those it reads, nor that
-    /// of a value still needed.
+    /// Linear scan over the straight-line code. An instruction's register is never one of those it
+    /// reads, nor that of a value still needed.
     ///
     /// # Panics
     /// When the program needs more than 65536 registers.
@@ -30,12 +31,21 @@ impl Allocation {
         for (i, instr) in program.code.iter().enumerate() {
             instr.reads().for_each(|v| last_use[v as usize] = i);
         }
-        program.outputs.iter().for_each(|o| last_use[*o as usize] = count);
+        program
+            .outputs
+            .iter()
+            .for_each(|o| last_use[*o as usize] = count);
 
         let constants: Vec<f64> = program
             .code
             .iter()
-            .filter_map(|i| if let Instr::Const(c) = i { Some(*c) } else { None })
+            .filter_map(|i| {
+                if let Instr::Const(c) = i {
+                    Some(*c)
+                } else {
+                    None
+                }
+            })
             .collect();
         let first_input = constants.len();
         let mut registers = first_input + program.inputs;
@@ -56,7 +66,10 @@ impl Allocation {
             };
             let mut dead: Vec<usize> = (instr.reads())
                 .map(|v| v as usize)
-                .filter(|&v| last_use[v] == i && !matches!(program.code[v], Instr::Const(_) | Instr::Input(_)))
+                .filter(|&v| {
+                    last_use[v] == i
+                        && !matches!(program.code[v], Instr::Const(_) | Instr::Input(_))
+                })
                 .map(|v| slot[v])
                 .collect();
             dead.dedup();

@@ -21,7 +21,11 @@ impl<'a> Names<'a> {
     pub fn new(schema: &'a TrajectorySchema) -> Self {
         let cost = schema.cost_unit.clone().unwrap_or_else(|| "1".to_owned());
         let time = schema.time_unit.as_deref().unwrap_or("s");
-        let costates: Vec<String> = schema.states.iter().map(|s| quotient(&cost, s.unit())).collect();
+        let costates: Vec<String> = schema
+            .states
+            .iter()
+            .map(|s| quotient(&cost, s.unit()))
+            .collect();
         Self {
             state_unit: common(schema.states.iter().map(Axis::unit), "state_units"),
             costate_unit: common(costates.iter().map(String::as_str), "costate_units"),
@@ -37,7 +41,8 @@ impl<'a> Names<'a> {
         let cost = &self.cost;
         let costates = self.schema.states.iter().map(|s| quotient(cost, s.unit()));
         let group = group.variable(
-            Variable::text("costate_units", "state", costates).long_name("unit of the costate of each state"),
+            Variable::text("costate_units", "state", costates)
+                .long_name("unit of the costate of each state"),
         );
         with_axes(group, "control", &self.schema.controls)
     }
@@ -69,8 +74,9 @@ impl<'a> Names<'a> {
                     .long_name("sheet of the value function; -1 where there is none"),
             )
             .variable(
-                Variable::i32("lifted_sheet", dims.iter().copied())
-                    .long_name("sheet where copies by whole periods count as one; -1 where there is none"),
+                Variable::i32("lifted_sheet", dims.iter().copied()).long_name(
+                    "sheet where copies by whole periods count as one; -1 where there is none",
+                ),
             )
             .variable(
                 Variable::i32("winding", over("state"))
@@ -202,8 +208,8 @@ impl Columns {
 }
 
 impl ResultFile {
-    /// Writes `/points` and `/points_sheets` for the states given from the `first`-th on, `count` of them, in the order
-    /// in which they were given.
+    /// Writes `/points` and `/points_sheets` for the states given from the `first`-th on, `count`
+    /// of them, in the order in which they were given.
     ///
     /// # Errors
     /// [`OutputError`] on writing.
@@ -229,12 +235,19 @@ impl ResultFile {
         group = names
             .solution(group, &["point"])
             .variable(status(["point"]))
-            .variable(Variable::i32("iterations", ["point"]).long_name("integrations of the whole trajectory"))
+            .variable(
+                Variable::i32("iterations", ["point"])
+                    .long_name("integrations of the whole trajectory"),
+            )
             .variable(
                 Variable::f64("residual", ["point"])
                     .long_name("last Newton correction relative to the trajectory's size"),
             )
-            .variable(Variable::f64("H", ["point"]).unit(&names.rate).long_name("Hamiltonian"))
+            .variable(
+                Variable::f64("H", ["point"])
+                    .unit(&names.rate)
+                    .long_name("Hamiltonian"),
+            )
             .variable(Variable::i32("sheets", ["point"]).long_name("number of solutions found"))
             .variable(names.state(
                 "furthest",
@@ -244,7 +257,9 @@ impl ResultFile {
         group = support(group, &names, &["point"]).variable(
             Variable::f64("flown", ["point"])
                 .unit(&names.cost)
-                .long_name("cost of a simulated control along the answer, of states that were listed"),
+                .long_name(
+                    "cost of a simulated control along the answer, of states that were listed",
+                ),
         );
         let mut columns = Columns::default();
         let mut supports = SupportColumns::default();
@@ -294,7 +309,12 @@ impl ResultFile {
         self.points_sheets(&names, answers, given)
     }
 
-    fn points_sheets(&mut self, names: &Names<'_>, answers: &Answers, given: &[usize]) -> Result<(), OutputError> {
+    fn points_sheets(
+        &mut self,
+        names: &Names<'_>,
+        answers: &Answers,
+        given: &[usize],
+    ) -> Result<(), OutputError> {
         let mut columns = Columns::default();
         let (mut point, mut h, mut residual) = (Vec::new(), Vec::new(), Vec::new());
         for (k, &target) in given.iter().enumerate() {
@@ -309,14 +329,22 @@ impl ResultFile {
             return Ok(());
         }
         let mut group = Group::new("points_sheets")
-            .attribute("title", "all solutions found at the chosen states, optimal or not")
+            .attribute(
+                "title",
+                "all solutions found at the chosen states, optimal or not",
+            )
             .expected_rows(Some(point.len()))
             .dimension(Dimension::unlimited("entry"));
         group = names.axes(group);
-        group = group.variable(Variable::i32("point", ["entry"]).long_name("index of the point in /points"));
+        group = group
+            .variable(Variable::i32("point", ["entry"]).long_name("index of the point in /points"));
         group = names
             .solution(group, &["entry"])
-            .variable(Variable::f64("H", ["entry"]).unit(&names.rate).long_name("Hamiltonian"))
+            .variable(
+                Variable::f64("H", ["entry"])
+                    .unit(&names.rate)
+                    .long_name("Hamiltonian"),
+            )
             .variable(
                 Variable::f64("residual", ["entry"])
                     .long_name("last Newton correction relative to the trajectory's size"),
@@ -338,7 +366,8 @@ impl ResultFile {
         writer.append(point.len(), &values)
     }
 
-    /// Writes `/map` for a grid whose points are those given from the `first`-th on. V above `value_max` is left out.
+    /// Writes `/map` for a grid whose points are those given from the `first`-th on. V above
+    /// `value_max` is left out.
     ///
     /// # Errors
     /// [`OutputError`] on writing.
@@ -352,13 +381,20 @@ impl ResultFile {
     ) -> Result<(), OutputError> {
         let names = Names::new(schema);
         let dims: Vec<&str> = schema.states.iter().map(|s| s.name.as_str()).collect();
-        let mut group = Group::new("map").attribute("title", "value function on a regular grid: the lowest sheet");
+        let mut group = Group::new("map").attribute(
+            "title",
+            "value function on a regular grid: the lowest sheet",
+        );
         for (axis, values) in schema.states.iter().zip(&grid.axes) {
-            group = group
-                .dimension(Dimension::values(&axis.name, values.clone(), axis.unit()).long_name(axis.description()));
+            group = group.dimension(
+                Dimension::values(&axis.name, values.clone(), axis.unit())
+                    .long_name(axis.description()),
+            );
         }
         group = names.axes(group);
-        group = names.solution(group, &dims).variable(status(dims.iter().copied()));
+        group = names
+            .solution(group, &dims)
+            .variable(status(dims.iter().copied()));
         group = support(group, &names, &dims);
         let mut columns = Columns::default();
         let mut supports = SupportColumns::default();
@@ -392,7 +428,11 @@ impl ResultFile {
     ///
     /// # Errors
     /// [`OutputError`] on writing.
-    pub fn sheet_edges(&mut self, schema: &TrajectorySchema, answers: &Answers) -> Result<(), OutputError> {
+    pub fn sheet_edges(
+        &mut self,
+        schema: &TrajectorySchema,
+        answers: &Answers,
+    ) -> Result<(), OutputError> {
         let names = Names::new(schema);
         self.equal_cost(&names, answers)?;
         if answers.folds.is_empty() {
@@ -411,8 +451,14 @@ impl ResultFile {
                     .unit(&names.cost)
                     .long_name("cost of the extremal"),
             );
-        let flat = |f: &dyn Fn(&crate::value::Fold) -> Vec<f64>| answers.folds.iter().flat_map(f).collect::<Vec<f64>>();
-        let (x, p, v) = (flat(&|f| f.s.clone()), flat(&|f| f.p.clone()), flat(&|f| vec![f.value]));
+        let flat = |f: &dyn Fn(&crate::value::Fold) -> Vec<f64>| {
+            answers.folds.iter().flat_map(f).collect::<Vec<f64>>()
+        };
+        let (x, p, v) = (
+            flat(&|f| f.s.clone()),
+            flat(&|f| f.p.clone()),
+            flat(&|f| vec![f.value]),
+        );
         let mut writer = self.group(&group)?;
         writer.append(
             answers.folds.len(),
@@ -443,7 +489,8 @@ impl ResultFile {
                     .long_name("value function"),
             )
             .variable(
-                Variable::f64("difference", ["vertex"]).long_name("difference of V between the sheets, relative to V"),
+                Variable::f64("difference", ["vertex"])
+                    .long_name("difference of V between the sheets, relative to V"),
             )
             .variable(Variable::i32("sheet", ["vertex", "side"]).long_name("the two sheets"))
             .variable(
@@ -451,7 +498,10 @@ impl ResultFile {
                     .unit(&names.costate_unit)
                     .long_name("costate on each sheet"),
             )
-            .variable(Variable::i32("line", ["vertex"]).long_name("polyline; -1 where the points form none"))
+            .variable(
+                Variable::i32("line", ["vertex"])
+                    .long_name("polyline; -1 where the points form none"),
+            )
             .variable(Variable::i32("place", ["vertex"]).long_name("place on the polyline"));
         let controls = !names.schema.controls.is_empty();
         if controls {
@@ -467,8 +517,9 @@ impl ResultFile {
                         .long_name("control on the second sheet less that on the first"),
                 );
         }
-        let flat =
-            |f: &dyn Fn(&crate::value::EqualCost) -> Vec<f64>| order.iter().flat_map(|e| f(e)).collect::<Vec<f64>>();
+        let flat = |f: &dyn Fn(&crate::value::EqualCost) -> Vec<f64>| {
+            order.iter().flat_map(|e| f(e)).collect::<Vec<f64>>()
+        };
         let x = flat(&|e| e.point.x.clone());
         let value = flat(&|e| vec![e.point.value]);
         let difference = flat(&|e| vec![e.point.difference]);

@@ -7,14 +7,20 @@ use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::value::PointStatus;
 
 /// The groups of the smallest level of attenuation.
-pub const ATTENUATION_GROUPS: [&str; 3] = ["attenuation", "attenuation_regions", "attenuation_caustic"];
+pub const ATTENUATION_GROUPS: [&str; 3] =
+    ["attenuation", "attenuation_regions", "attenuation_caustic"];
 
 impl ResultFile {
-    /// Writes coverage against the level, the regions of validity of some levels, and the folds met at these.
+    /// Writes coverage against the level, the regions of validity of some levels, and the folds met
+    /// at these.
     ///
     /// # Errors
     /// [`OutputError`] on writing.
-    pub fn attenuation(&mut self, schema: &TrajectorySchema, found: &Attenuated) -> Result<(), OutputError> {
+    pub fn attenuation(
+        &mut self,
+        schema: &TrajectorySchema,
+        found: &Attenuated,
+    ) -> Result<(), OutputError> {
         self.attenuation_curve(found)?;
         let names = Names::new(schema);
         let regions = found.regions();
@@ -42,9 +48,21 @@ impl ResultFile {
             .long_name("value function, where it is valid");
         let group = group.variable(status(dims.iter().copied())).variable(v);
         let mut writer = self.group(&group)?;
-        let all = |r: &&crate::attenuation::Row| r.outcome.status.iter().map(|s| *s as i32).collect::<Vec<_>>();
-        writer.write("status", &regions.iter().flat_map(all).collect::<Vec<i32>>())?;
-        let v: Vec<f64> = regions.iter().flat_map(|r| r.outcome.v.iter().copied()).collect();
+        let all = |r: &&crate::attenuation::Row| {
+            r.outcome
+                .status
+                .iter()
+                .map(|s| *s as i32)
+                .collect::<Vec<_>>()
+        };
+        writer.write(
+            "status",
+            &regions.iter().flat_map(all).collect::<Vec<i32>>(),
+        )?;
+        let v: Vec<f64> = regions
+            .iter()
+            .flat_map(|r| r.outcome.v.iter().copied())
+            .collect();
         writer.write("V", &v)?;
         let folds: Vec<(i32, &Vec<f64>)> = (regions.iter().enumerate())
             .flat_map(|(k, r)| r.outcome.folds.iter().map(move |x| (k as i32, x)))
@@ -62,12 +80,17 @@ impl ResultFile {
             .dimension(level());
         group = names.axes(group);
         group = group
-            .variable(Variable::i32("level_index", ["vertex"]).long_name("index of the level in /attenuation_regions"))
+            .variable(
+                Variable::i32("level_index", ["vertex"])
+                    .long_name("index of the level in /attenuation_regions"),
+            )
             .variable(names.state("x", &["vertex", "state"], "state"));
         let index: Vec<i32> = folds.iter().map(|(k, _)| *k).collect();
         let x: Vec<f64> = folds.iter().flat_map(|(_, x)| x.iter().copied()).collect();
-        self.group(&group)?
-            .append(folds.len(), &[("level_index", (&index).into()), ("x", (&x).into())])
+        self.group(&group)?.append(
+            folds.len(),
+            &[("level_index", (&index).into()), ("x", (&x).into())],
+        )
     }
 
     fn attenuation_curve(&mut self, found: &Attenuated) -> Result<(), OutputError> {
@@ -82,7 +105,9 @@ impl ResultFile {
             (
                 "star",
                 found.linear.star,
-                format!("{name}*, the smallest value that the linearization allows, by the game Riccati equation"),
+                format!(
+                    "{name}*, the smallest value that the linearization allows, by the game Riccati equation"
+                ),
             ),
             (
                 "star_hamiltonian",
@@ -113,24 +138,39 @@ impl ResultFile {
             .dimension(Dimension::index("row", rows.len()))
             .dimension(Dimension::names("status", PointStatus::ALL.map(|(_, n)| n)))
             .variable(Variable::f64("value", ["row"]).long_name(name))
-            .variable(Variable::f64("coverage", ["row"]).long_name("share of the wanted states at which V is valid"))
+            .variable(
+                Variable::f64("coverage", ["row"])
+                    .long_name("share of the wanted states at which V is valid"),
+            )
             .variable(Variable::i32("valid", ["row"]).long_name("states at which V is valid"))
             .variable(Variable::i32("wanted", ["row"]).long_name("states inside the guards"))
-            .variable(Variable::i32("states", ["row", "status"]).long_name("number of states by status"))
-            .variable(Variable::i32("swept", ["row"]).long_name("1 where the scene could be swept at all"));
+            .variable(
+                Variable::i32("states", ["row", "status"]).long_name("number of states by status"),
+            )
+            .variable(
+                Variable::i32("swept", ["row"])
+                    .long_name("1 where the scene could be swept at all"),
+            );
         for (name, _, long_name) in &scalars {
             group = group.variable(Variable::f64(name, []).long_name(long_name));
         }
         let mut writer = self.group(&group)?;
-        let column = |f: &dyn Fn(&crate::attenuation::Row) -> f64| rows.iter().map(f).collect::<Vec<f64>>();
+        let column =
+            |f: &dyn Fn(&crate::attenuation::Row) -> f64| rows.iter().map(f).collect::<Vec<f64>>();
         writer.write("value", &column(&|r| r.value))?;
         writer.write("coverage", &column(&|r| r.coverage()))?;
-        let whole =
-            |f: &dyn Fn(&crate::attenuation::Row) -> usize| rows.iter().map(|r| f(r) as i32).collect::<Vec<_>>();
+        let whole = |f: &dyn Fn(&crate::attenuation::Row) -> usize| {
+            rows.iter().map(|r| f(r) as i32).collect::<Vec<_>>()
+        };
         writer.write("valid", &whole(&|r| r.valid()))?;
         writer.write("wanted", &whole(&|r| r.wanted()))?;
-        writer.write("swept", &whole(&|r| usize::from(r.outcome.failure.is_none())))?;
-        let count = |r: &crate::attenuation::Row, s: PointStatus| r.outcome.status.iter().filter(|t| **t == s).count();
+        writer.write(
+            "swept",
+            &whole(&|r| usize::from(r.outcome.failure.is_none())),
+        )?;
+        let count = |r: &crate::attenuation::Row, s: PointStatus| {
+            r.outcome.status.iter().filter(|t| **t == s).count()
+        };
         let states: Vec<i32> = (rows.iter())
             .flat_map(|r| PointStatus::ALL.map(|(s, _)| count(r, s) as i32))
             .collect();

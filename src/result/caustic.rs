@@ -10,7 +10,11 @@ impl ResultFile {
     ///
     /// # Errors
     /// [`OutputError`] on writing.
-    pub fn caustic(&mut self, schema: &TrajectorySchema, folds: &[FoldPoint]) -> Result<(), OutputError> {
+    pub fn caustic(
+        &mut self,
+        schema: &TrajectorySchema,
+        folds: &[FoldPoint],
+    ) -> Result<(), OutputError> {
         if folds.is_empty() {
             return Ok(());
         }
@@ -36,8 +40,13 @@ impl ResultFile {
                     .unit(schema.time_unit.as_deref().unwrap_or("s"))
                     .long_name("time"),
             )
-            .variable(Variable::i32("trajectory", ["vertex"]).long_name("index of the trajectory that ends there"));
-        let flat = |of: &dyn Fn(&FoldPoint) -> &[f64]| folds.iter().flat_map(of).copied().collect::<Vec<f64>>();
+            .variable(
+                Variable::i32("trajectory", ["vertex"])
+                    .long_name("index of the trajectory that ends there"),
+            );
+        let flat = |of: &dyn Fn(&FoldPoint) -> &[f64]| {
+            folds.iter().flat_map(of).copied().collect::<Vec<f64>>()
+        };
         let (x, p) = (flat(&|f| &f.x), flat(&|f| &f.p));
         let value: Vec<f64> = folds.iter().map(|f| f.value).collect();
         let t: Vec<f64> = folds.iter().map(|f| f.t).collect();

@@ -51,7 +51,8 @@ pub struct Times<'t> {
 }
 
 impl ResultFile {
-    /// Writes interpolated values, to `/map` for a grid (last axis fastest), to `/points` for single states.
+    /// Writes interpolated values, to `/map` for a grid (last axis fastest), to `/points` for
+    /// single states.
     ///
     /// # Errors
     /// [`OutputError`] on writing.
@@ -65,7 +66,8 @@ impl ResultFile {
         let names = Names::new(schema);
         let (group, dims): (Group, Vec<&str>) = match places {
             Places::Grid(axes) => {
-                let mut group = Group::new("map").attribute("title", "value function on a regular grid, interpolated");
+                let mut group = Group::new("map")
+                    .attribute("title", "value function on a regular grid, interpolated");
                 for (axis, values) in schema.states.iter().zip(*axes) {
                     let dimension = Dimension::values(&axis.name, values.clone(), axis.unit());
                     group = group.dimension(dimension.long_name(axis.description()));
@@ -73,7 +75,9 @@ impl ResultFile {
                 let mut dims: Vec<&str> = schema.states.iter().map(|s| s.name.as_str()).collect();
                 if let (Some(times), Some(axis)) = (&times, axes.get(dims.len())) {
                     let unit = schema.time_unit.as_deref().unwrap_or("s");
-                    group = group.dimension(Dimension::values(times.name, axis.clone(), unit).long_name("time"));
+                    group = group.dimension(
+                        Dimension::values(times.name, axis.clone(), unit).long_name("time"),
+                    );
                     dims.push(times.name);
                 }
                 (group, dims)
@@ -90,14 +94,19 @@ impl ResultFile {
             group = group.variable(names.state("x0", &["point", "state"], "chosen state"));
             if let Some(times) = &times {
                 let unit = schema.time_unit.as_deref().unwrap_or("s");
-                group = group.variable(Variable::f64(times.name, ["point"]).unit(unit).long_name("time"));
+                group = group.variable(
+                    Variable::f64(times.name, ["point"])
+                        .unit(unit)
+                        .long_name("time"),
+                );
             }
         }
         if times.is_some() {
             let rate = Variable::f64("dV_dt", dims.iter().copied());
             group = group.variable(rate.unit(names.rate()).long_name("derivative of V by time"));
         }
-        let error = |name: &str, what: &str| Variable::f64(name, dims.iter().copied()).long_name(what);
+        let error =
+            |name: &str, what: &str| Variable::f64(name, dims.iter().copied()).long_name(what);
         group = group
             .variable(error("V_error", "error of V that leaving data out shows").unit(names.cost()))
             .variable(error(
@@ -124,7 +133,10 @@ impl ResultFile {
         let (n, m) = (schema.states.len(), schema.controls.len());
         let known = |at: &At| at.lowest.as_ref().ok().cloned();
         let scalar = |f: &dyn Fn(&Value) -> f64| -> Vec<f64> {
-            values.iter().map(|at| known(at).map_or(f64::NAN, |v| f(&v))).collect()
+            values
+                .iter()
+                .map(|at| known(at).map_or(f64::NAN, |v| f(&v)))
+                .collect()
         };
         let vector = |width: usize, f: &dyn Fn(&Value) -> Vec<f64>| -> Vec<f64> {
             (values.iter())
@@ -136,7 +148,10 @@ impl ResultFile {
         if m > 0 {
             writer.write("u", &vector(m, &|v| v.u.clone()))?;
         }
-        let sheet: Vec<i32> = values.iter().map(|at| known(at).map_or(-1, |v| v.sheet)).collect();
+        let sheet: Vec<i32> = values
+            .iter()
+            .map(|at| known(at).map_or(-1, |v| v.sheet))
+            .collect();
         writer.write("sheet", &sheet)?;
         writer.write("V_error", &scalar(&|v| v.v_error))?;
         writer.write("p_error", &scalar(&|v| v.p_error))?;
@@ -144,7 +159,10 @@ impl ResultFile {
         let status: Vec<i32> = values.iter().map(code).collect();
         writer.write("status", &status)?;
         let coverage = |at: &At| known(at).map_or(NO_COVERAGE.0, |v| v.coverage.code());
-        writer.write("coverage", &values.iter().map(coverage).collect::<Vec<i32>>())?;
+        writer.write(
+            "coverage",
+            &values.iter().map(coverage).collect::<Vec<i32>>(),
+        )?;
         if let Places::Points(points) = places {
             writer.write("x0", *points)?;
             if let Some(times) = &times {

@@ -19,22 +19,24 @@ pub enum StoredMapError {
 }
 
 impl Stored {
-    /// All values of the file, ready to be looked up. Where it has swept trajectories this sweeps some more, next to the
-    /// equilibrium.
+    /// All values of the file, ready to be looked up. Where it has swept trajectories this sweeps
+    /// some more, next to the equilibrium.
     ///
     /// # Errors
     /// [`StoredMapError`].
     pub fn value_map(&self) -> Result<ValueMap, StoredMapError> {
         let known = self.known()?;
-        ValueMap::new(&self.scene.model, &self.scene.hamiltonian, known).map_err(|error| match error {
-            MapError::Empty if self.has_map() => StoredMapError::EmptyMap {
-                path: self.path.clone(),
+        ValueMap::new(&self.scene.model, &self.scene.hamiltonian, known).map_err(
+            |error| match error {
+                MapError::Empty if self.has_map() => StoredMapError::EmptyMap {
+                    path: self.path.clone(),
+                },
+                MapError::Empty => StoredMapError::Empty {
+                    path: self.path.clone(),
+                },
+                error => StoredMapError::Map(error),
             },
-            MapError::Empty => StoredMapError::Empty {
-                path: self.path.clone(),
-            },
-            error => StoredMapError::Map(error),
-        })
+        )
     }
 
     /// Whether the run made a map in pieces, which may know nothing.

@@ -3,7 +3,9 @@
 use super::answers::{Names, status};
 use super::{Stored, StoredError, TrajectorySchema};
 use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
-use crate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions, margin_terms};
+use crate::map::pieces::{
+    Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions, margin_terms,
+};
 use crate::map::{Adaptive, Coverage};
 
 const PIECES: &str = "map_pieces";
@@ -22,7 +24,12 @@ impl ResultFile {
     /// [`OutputError`] on writing.
     ///
     /// Where time is an axis it is the last of the pieces' arguments, and called `time`.
-    pub fn map_pieces(&mut self, schema: &TrajectorySchema, time: &str, made: &Adaptive) -> Result<(), OutputError> {
+    pub fn map_pieces(
+        &mut self,
+        schema: &TrajectorySchema,
+        time: &str,
+        made: &Adaptive,
+    ) -> Result<(), OutputError> {
         let names = Names::new(schema);
         let n = schema.states.len();
         let timed = made.pieces.states() > n;
@@ -36,7 +43,8 @@ impl ResultFile {
             )?;
         }
         if let Some(beyond) = &made.beyond {
-            let title = "the same where solutions from the region lead, of use outside the region only";
+            let title =
+                "the same where solutions from the region lead, of use outside the region only";
             self.write_pieces(
                 &names,
                 timed.then_some((schema, time)),
@@ -57,7 +65,11 @@ impl ResultFile {
             .axes(group)
             .variable(names.state("x0", &["point", "state"], "fresh state"))
             .variable(status(["point"]));
-        let value = |name: &str, what: &str| Variable::f64(name, ["point"]).unit(names.cost()).long_name(what);
+        let value = |name: &str, what: &str| {
+            Variable::f64(name, ["point"])
+                .unit(names.cost())
+                .long_name(what)
+        };
         let group = group
             .variable(value("V_solved", "V solved for"))
             .variable(value("V_said", "V that the map says"))
@@ -69,8 +81,14 @@ impl ResultFile {
             group
         };
         let mut writer = self.group(&group)?;
-        let column = |f: &dyn Fn(&crate::map::Checked) -> f64| -> Vec<f64> { made.check.iter().map(f).collect() };
-        let x0: Vec<f64> = made.check.iter().flat_map(|c| c.x[..n].iter().copied()).collect();
+        let column = |f: &dyn Fn(&crate::map::Checked) -> f64| -> Vec<f64> {
+            made.check.iter().map(f).collect()
+        };
+        let x0: Vec<f64> = made
+            .check
+            .iter()
+            .flat_map(|c| c.x[..n].iter().copied())
+            .collect();
         writer.write("x0", &x0)?;
         if timed {
             writer.write(time, &column(&|c| c.x[n]))?;
@@ -221,7 +239,10 @@ impl ResultFile {
             Node::Cell(_) => f64::NAN,
             Node::Split { at, .. } => *at,
         };
-        writer.write("split", &pieces.nodes.iter().map(split).collect::<Vec<f64>>())?;
+        writer.write(
+            "split",
+            &pieces.nodes.iter().map(split).collect::<Vec<f64>>(),
+        )?;
         writer.write(
             "below",
             &node(&|n| match n {
@@ -237,7 +258,11 @@ impl ResultFile {
             }),
         )?;
         let flat = |f: &dyn Fn(&Cell) -> &[f64]| -> Vec<f64> {
-            pieces.cells.iter().flat_map(|c| f(c).iter().copied()).collect()
+            pieces
+                .cells
+                .iter()
+                .flat_map(|c| f(c).iter().copied())
+                .collect()
         };
         writer.write("cell_lower", &flat(&|c| &c.lo))?;
         writer.write("cell_upper", &flat(&|c| &c.hi))?;
@@ -245,7 +270,9 @@ impl ResultFile {
             .flat_map(|(k, c)| std::iter::repeat_n(k as i32, c.pieces.len()))
             .collect();
         writer.write("of_cell", &owners)?;
-        let all = |f: &dyn Fn(&Piece) -> Vec<f64>| -> Vec<f64> { pieces.pieces.iter().flat_map(f).collect() };
+        let all = |f: &dyn Fn(&Piece) -> Vec<f64>| -> Vec<f64> {
+            pieces.pieces.iter().flat_map(f).collect()
+        };
         writer.write("center", &all(&|p| p.center.clone()))?;
         writer.write("half", &all(&|p| p.half.clone()))?;
         writer.write("direction", &pieces.directions.concat())?;
@@ -271,7 +298,8 @@ impl ResultFile {
         }
         writer.write("V_bound", &all(&|p| vec![p.bound]))?;
         writer.write("p_bound", &all(&|p| vec![p.p_bound]))?;
-        let whole = |f: &dyn Fn(&Piece) -> i32| -> Vec<i32> { pieces.pieces.iter().map(f).collect() };
+        let whole =
+            |f: &dyn Fn(&Piece) -> i32| -> Vec<i32> { pieces.pieces.iter().map(f).collect() };
         writer.write("shape", &whole(&|p| p.shape as i32))?;
         writer.write("sheet", &whole(&|p| p.sheet))?;
         writer.write("terms", &whole(&|p| p.coefficients.len() as i32))?;
@@ -306,8 +334,15 @@ impl Stored {
 
     /// How well the states of the map were searched for cheaper sheets.
     pub fn map_coverage(&self) -> Coverage {
-        let told = self.group(PIECES).and_then(|pieces| pieces.attribute(None, COVERAGE));
-        let told = told.and_then(|name| Coverage::ALL.iter().find(|(.., own)| *own == name).map(|(c, ..)| *c));
+        let told = self
+            .group(PIECES)
+            .and_then(|pieces| pieces.attribute(None, COVERAGE));
+        let told = told.and_then(|name| {
+            Coverage::ALL
+                .iter()
+                .find(|(.., own)| *own == name)
+                .map(|(c, ..)| *c)
+        });
         // Files of before do not tell it.
         told.unwrap_or(match self.has(CHECK) {
             true => Coverage::Checked,
@@ -327,7 +362,9 @@ impl Stored {
         }
         let number = |name: &str| -> Result<f64, StoredError> {
             let found = group.f64(name)?.values;
-            let first = found.first().ok_or_else(|| group.error(name, "it is empty"))?;
+            let first = found
+                .first()
+                .ok_or_else(|| group.error(name, "it is empty"))?;
             match first.is_nan() {
                 true => Err(group.error(name, "it is no number")),
                 false => Ok(*first),
@@ -353,16 +390,26 @@ impl Stored {
         let bend = match group.has("bend") {
             true => {
                 let place = group.shaped("bend_range", &[2])?;
-                let axis = usize::try_from(group.i32("bend_axis")?.1.first().copied().unwrap_or(-1)).ok();
+                let axis =
+                    usize::try_from(group.i32("bend_axis")?.1.first().copied().unwrap_or(-1)).ok();
                 let phi = group.f64("bend")?.values;
-                let bend = axis.and_then(|axis| Bend::new(n, axis, place[0], place[1] - place[0], phi));
+                let bend =
+                    axis.and_then(|axis| Bend::new(n, axis, place[0], place[1] - place[0], phi));
                 Some(bend.ok_or_else(|| group.error("bend", "it does not fit the others"))?)
             }
             false => None,
         };
-        let frame = Frame::new(group.shaped("origin", &[n])?, group.shaped("frame", &[n, n])?, bend)
-            .ok_or_else(|| group.error("frame", "it has no inverse"))?;
-        let (axis, below, above) = (group.i32("axis")?.1, group.i32("below")?.1, group.i32("above")?.1);
+        let frame = Frame::new(
+            group.shaped("origin", &[n])?,
+            group.shaped("frame", &[n, n])?,
+            bend,
+        )
+        .ok_or_else(|| group.error("frame", "it has no inverse"))?;
+        let (axis, below, above) = (
+            group.i32("axis")?.1,
+            group.i32("below")?.1,
+            group.i32("above")?.1,
+        );
         if let Some((name, _)) = [("below", &below), ("above", &above)]
             .into_iter()
             .find(|(_, v)| v.len() != axis.len())
@@ -387,10 +434,18 @@ impl Stored {
         };
         let (bound, p_bound) = (bounds("V_bound", count)?, bounds("p_bound", count)?);
         let whole = |name: &str| -> Result<Vec<i32>, StoredError> { Ok(group.i32(name)?.1) };
-        let (shape, sheet, first, terms) = (whole("shape")?, whole("sheet")?, whole("first")?, whole("terms")?);
+        let (shape, sheet, first, terms) = (
+            whole("shape")?,
+            whole("sheet")?,
+            whole("first")?,
+            whole("terms")?,
+        );
         let coefficients = group.f64("coefficients")?.values;
         let wrong = |name: &str| group.error(name, "it does not fit the others");
-        if [&shape, &sheet, &first, &terms].iter().any(|v| v.len() != count) {
+        if [&shape, &sheet, &first, &terms]
+            .iter()
+            .any(|v| v.len() != count)
+        {
             return Err(wrong("first"));
         }
         let nodes = (0..axis.len()).map(|k| {
@@ -411,7 +466,10 @@ impl Stored {
         let nodes: Vec<Node> = nodes.collect::<Option<_>>().ok_or_else(|| wrong("below"))?;
         let row = |all: &[f64], k: usize| all[k * n..][..n].to_vec();
         let pieces = (0..count).map(|k| {
-            let (first, terms) = (usize::try_from(first[k]).ok()?, usize::try_from(terms[k]).ok()?);
+            let (first, terms) = (
+                usize::try_from(first[k]).ok()?,
+                usize::try_from(terms[k]).ok()?,
+            );
             Some(Piece {
                 center: row(&center, k),
                 half: row(&half, k),
@@ -429,7 +487,9 @@ impl Stored {
                     .collect(),
             })
         });
-        let pieces: Vec<Piece> = pieces.collect::<Option<_>>().ok_or_else(|| wrong("coefficients"))?;
+        let pieces: Vec<Piece> = pieces
+            .collect::<Option<_>>()
+            .ok_or_else(|| wrong("coefficients"))?;
         let mut cells = Vec::with_capacity(cells_count);
         let mut next = 0;
         for k in 0..cells_count {

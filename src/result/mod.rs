@@ -1,4 +1,5 @@
-//! The result file: what its groups hold, written ([`crate::hdf5::ResultFile`]) and read back ([`Stored`]).
+//! The result file: what its groups hold, written ([`crate::hdf5::ResultFile`]) and read back
+//! ([`Stored`]).
 
 mod answers;
 mod attenuation;

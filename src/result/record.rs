@@ -44,11 +44,16 @@ impl RunRecord {
     /// What is known when a run of this process begins.
     pub fn begun(model: &Model, started: SystemTime) -> Self {
         let file = std::fs::canonicalize(&model.file_name);
-        let set: Vec<String> = model.overrides.iter().map(|(n, v)| format!("{n}={v}")).collect();
+        let set: Vec<String> = model
+            .overrides
+            .iter()
+            .map(|(n, v)| format!("{n}={v}"))
+            .collect();
         Self {
             title: model.title.clone(),
             scenario: model.text.clone(),
-            scenario_file: file.map_or_else(|_| model.file_name.clone(), |f| f.display().to_string()),
+            scenario_file: file
+                .map_or_else(|_| model.file_name.clone(), |f| f.display().to_string()),
             set: set.join("\n"),
             costate_version: env!("CARGO_PKG_VERSION").to_owned(),
             git_revision: "unknown".to_owned(),
@@ -99,7 +104,9 @@ impl RunRecord {
 /// its first second.
 #[must_use]
 pub fn utc_timestamp(time: SystemTime) -> String {
-    let seconds = time.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_secs());
+    let seconds = time
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_secs());
     let (days, second) = (seconds / 86_400, seconds % 86_400);
     let (year, month, day) = civil_date(days);
     let (hour, minute, second) = (second / 3_600, second / 60 % 60, second % 60);
@@ -111,7 +118,8 @@ pub fn utc_timestamp(time: SystemTime) -> String {
 fn civil_date(days: u64) -> (u64, u64, u64) {
     let shifted = days + 719_468;
     let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let year_of_era =
+        (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
     let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
     let month_from_march = (5 * day_of_year + 2) / 153;
     let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;

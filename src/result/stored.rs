@@ -11,7 +11,10 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum StoredError {
     #[error("cannot read {path}: {source}", path = path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error("{path} is a directory: name the result file in it", path = path.display())]
     Directory { path: PathBuf },
     #[error("{path} is not a result file (HDF5): {reason}{hint}", path = path.display())]
@@ -24,7 +27,10 @@ pub enum StoredError {
     NoScenario { path: PathBuf },
     /// The scene in the file is not one for this version.
     #[error("the scene stored in {path} cannot be read: {errors}", path = path.display())]
-    Scenario { path: PathBuf, errors: Box<ScenarioErrors> },
+    Scenario {
+        path: PathBuf,
+        errors: Box<ScenarioErrors>,
+    },
     #[error("{path}: `/{object}`: {reason}", path = path.display())]
     Object {
         path: PathBuf,
@@ -46,8 +52,8 @@ pub struct Array {
     pub values: Vec<f64>,
 }
 
-/// A result file open for reading, with its scene read again: the scenario's text and the `--set` of the run that made
-/// it are in the file.
+/// A result file open for reading, with its scene read again: the scenario's text and the `--set`
+/// of the run that made it are in the file.
 pub struct Stored {
     pub path: PathBuf,
     pub scene: Scene,
@@ -72,7 +78,8 @@ impl Stored {
     /// Opens a result file and reads its scene.
     ///
     /// # Errors
-    /// [`StoredError`] where it cannot be read, is no result file, or holds a scene that this version refuses.
+    /// [`StoredError`] where it cannot be read, is no result file, or holds a scene that this
+    /// version refuses.
     pub fn open(path: &Path) -> Result<Self, StoredError> {
         // The HDF5 layer's own message for a missing file does not say so.
         std::fs::File::open(path).map_err(|source| StoredError::Read {
@@ -80,19 +87,24 @@ impl Stored {
             source,
         })?;
         if path.is_dir() {
-            return Err(StoredError::Directory { path: path.to_owned() });
+            return Err(StoredError::Directory {
+                path: path.to_owned(),
+            });
         }
-        let file = (H5File::options().no_locking().open(path)).map_err(|e| StoredError::NotHdf5 {
-            path: path.to_owned(),
-            reason: e.to_string(),
-            hint: if path.extension().is_some_and(|e| e == "toml") {
-                "; this may be a scene: `costate run` makes a result file of it"
-            } else {
-                ""
-            },
-        })?;
+        let file =
+            (H5File::options().no_locking().open(path)).map_err(|e| StoredError::NotHdf5 {
+                path: path.to_owned(),
+                reason: e.to_string(),
+                hint: if path.extension().is_some_and(|e| e == "toml") {
+                    "; this may be a scene: `costate run` makes a result file of it"
+                } else {
+                    ""
+                },
+            })?;
         let Ok(text) = file.attr_string("scenario") else {
-            return Err(StoredError::NoScenario { path: path.to_owned() });
+            return Err(StoredError::NoScenario {
+                path: path.to_owned(),
+            });
         };
         let overrides = RunRecord::overrides(&file.attr_string("set").unwrap_or_default());
         let name = file
@@ -146,7 +158,10 @@ impl Stored {
         let Some(group) = self.group("trajectories") else {
             return Ok(None);
         };
-        let (n, m) = (self.scene.model.states.len(), self.scene.model.controls.len());
+        let (n, m) = (
+            self.scene.model.states.len(),
+            self.scene.model.controls.len(),
+        );
         let v = group.f64("V")?;
         let &[count, samples] = v.shape.as_slice() else {
             return Err(group.error("V", "not trajectory x sample"));
@@ -165,10 +180,12 @@ impl Stored {
         }))
     }
 
-    /// `/points`, of V(x, t) those at t = 0; `None` where it is absent. States without a solution have NaN.
+    /// `/points`, of V(x, t) those at t = 0; `None` where it is absent. States without a solution
+    /// have NaN.
     ///
     /// # Errors
-    /// [`StoredError::Object`] where it is not as this program writes it, or has rows of later times alone.
+    /// [`StoredError::Object`] where it is not as this program writes it, or has rows of later
+    /// times alone.
     pub fn points(&self) -> Result<Option<SolvedStates>, StoredError> {
         let Some(group) = self.group("points") else {
             return Ok(None);
@@ -189,7 +206,10 @@ impl Stored {
         if kept.is_empty() && count > 0 {
             return Err(group.error(name, &self.later("no row")));
         }
-        let (n, m) = (self.scene.model.states.len(), self.scene.model.controls.len());
+        let (n, m) = (
+            self.scene.model.states.len(),
+            self.scene.model.controls.len(),
+        );
         Ok(Some(SolvedStates {
             count: kept.len(),
             x: taken(&points.x, n, &kept),
@@ -204,12 +224,23 @@ impl Stored {
     }
 
     /// Errors of a group's values, if these were interpolated.
-    fn told_errors(&self, group: &StoredGroup<'_>, shape: &[usize]) -> Result<Vec<ToldErrors>, StoredError> {
+    fn told_errors(
+        &self,
+        group: &StoredGroup<'_>,
+        shape: &[usize],
+    ) -> Result<Vec<ToldErrors>, StoredError> {
         if !group.has("V_error") {
             return Ok(Vec::new());
         }
-        let (of_v, of_p) = (group.shaped("V_error", shape)?, group.shaped("p_error", shape)?);
-        Ok(of_v.into_iter().zip(of_p).map(|(v, p)| ToldErrors { v, p }).collect())
+        let (of_v, of_p) = (
+            group.shaped("V_error", shape)?,
+            group.shaped("p_error", shape)?,
+        );
+        Ok(of_v
+            .into_iter()
+            .zip(of_p)
+            .map(|(v, p)| ToldErrors { v, p })
+            .collect())
     }
 
     /// Times of a group's rows, or along its axis; `None` where it has none, and all is of t = 0.
@@ -227,7 +258,8 @@ impl Stored {
         format!("{what} is at {name} = 0, and V is wanted there: ask for it with {name} = 0 too")
     }
 
-    /// `/points_sheets`: every solution found at the states of `/points`; `None` where it is absent.
+    /// `/points_sheets`: every solution found at the states of `/points`; `None` where it is
+    /// absent.
     ///
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it.
@@ -241,15 +273,23 @@ impl Stored {
         for &k in &point {
             let row = points.point.binary_search(&k).ok();
             let at = row.and_then(|k| points.x.get(k * n..(k + 1) * n));
-            let at = at.ok_or_else(|| group.error("point", "names a point that /points does not have"))?;
+            let at =
+                at.ok_or_else(|| group.error("point", "names a point that /points does not have"))?;
             entries.x.extend_from_slice(at);
         }
         entries.point = point;
         Ok(Some(entries))
     }
 
-    fn solutions(&self, group: &StoredGroup<'_>, count: usize) -> Result<SolvedStates, StoredError> {
-        let (n, m) = (self.scene.model.states.len(), self.scene.model.controls.len());
+    fn solutions(
+        &self,
+        group: &StoredGroup<'_>,
+        count: usize,
+    ) -> Result<SolvedStates, StoredError> {
+        let (n, m) = (
+            self.scene.model.states.len(),
+            self.scene.model.controls.len(),
+        );
         Ok(SolvedStates {
             count,
             v: group.shaped("V", &[count])?,
@@ -265,7 +305,8 @@ impl Stored {
     /// `/map`, of V(x, t) at t = 0; `None` where it is absent.
     ///
     /// # Errors
-    /// [`StoredError::Object`] where it is not as this program writes it, or is of later times alone.
+    /// [`StoredError::Object`] where it is not as this program writes it, or is of later times
+    /// alone.
     pub fn map(&self) -> Result<Option<SolvedGrid>, StoredError> {
         let Some(group) = self.group("map") else {
             return Ok(None);
@@ -274,7 +315,10 @@ impl Stored {
         for state in &self.scene.model.states {
             axes.push(group.f64(&state.variable.name)?.values);
         }
-        let (n, m) = (self.scene.model.states.len(), self.scene.model.controls.len());
+        let (n, m) = (
+            self.scene.model.states.len(),
+            self.scene.model.controls.len(),
+        );
         let times = self.times(&group)?;
         let lengths = axes.iter().chain(&times).map(Vec::len);
         let counts: Vec<usize> = lengths.collect();
@@ -289,7 +333,9 @@ impl Stored {
             errors: self.told_errors(&group, &counts)?,
             axes,
         };
-        let Some(times) = times else { return Ok(Some(map)) };
+        let Some(times) = times else {
+            return Ok(Some(map));
+        };
         // The time runs fastest.
         let Some(first) = times.iter().position(|t| *t == 0.0) else {
             return Err(group.error(self.scene.model.time_name(), &self.later("nothing")));
@@ -343,7 +389,9 @@ impl StoredGroup<'_> {
     /// [`StoredError::Object`] where there is no such dataset of integers.
     pub fn i32(&self, name: &str) -> Result<(Vec<usize>, Vec<i32>), StoredError> {
         let dataset = self.dataset(name)?;
-        let values = dataset.read_numeric_as::<i32>().map_err(|e| self.hdf5(name, &e))?;
+        let values = dataset
+            .read_numeric_as::<i32>()
+            .map_err(|e| self.hdf5(name, &e))?;
         Ok((dataset.shape(), values))
     }
 
@@ -373,7 +421,13 @@ impl StoredGroup<'_> {
     /// A text attribute of a dataset, or of the group itself.
     pub fn attribute(&self, variable: Option<&str>, name: &str) -> Option<String> {
         match variable {
-            Some(variable) => self.dataset(variable).ok()?.attr(name).ok()?.read_string().ok(),
+            Some(variable) => self
+                .dataset(variable)
+                .ok()?
+                .attr(name)
+                .ok()?
+                .read_string()
+                .ok(),
             None => {
                 let group = self.stored.file.root_group().group(&self.name).ok()?;
                 group.attr_string(name).ok()
@@ -408,7 +462,10 @@ impl StoredGroup<'_> {
 
     fn dataset(&self, name: &str) -> Result<H5Dataset, StoredError> {
         let path = format!("{}/{name}", self.name);
-        self.stored.file.dataset(&path).map_err(|e| self.hdf5(name, &e))
+        self.stored
+            .file
+            .dataset(&path)
+            .map_err(|e| self.hdf5(name, &e))
     }
 
     fn hdf5(&self, name: &str, error: &Hdf5Error) -> StoredError {

@@ -11,7 +11,12 @@ impl ResultFile {
     ///
     /// # Errors
     /// [`OutputError`] on writing.
-    pub fn study(&mut self, schema: &TrajectorySchema, study: &Study, variants: &[Variant]) -> Result<(), OutputError> {
+    pub fn study(
+        &mut self,
+        schema: &TrajectorySchema,
+        study: &Study,
+        variants: &[Variant],
+    ) -> Result<(), OutputError> {
         let names = Names::new(schema);
         let count = variants.len();
         let mut group = Group::new("study")
@@ -43,11 +48,13 @@ impl ResultFile {
             group = group.variable(u.long_name("control at the beginning"));
         }
         for record in &study.records {
-            group = group.variable(Variable::f64(&record.name, ["variant"]).long_name(&record.text));
+            group =
+                group.variable(Variable::f64(&record.name, ["variant"]).long_name(&record.text));
         }
         let mut writer = self.group(&group)?;
         let column = |f: &dyn Fn(&Variant) -> f64| variants.iter().map(f).collect::<Vec<f64>>();
-        let flat = |f: &dyn Fn(&Variant) -> Vec<f64>| variants.iter().flat_map(f).collect::<Vec<f64>>();
+        let flat =
+            |f: &dyn Fn(&Variant) -> Vec<f64>| variants.iter().flat_map(f).collect::<Vec<f64>>();
         for (k, (name, _)) in study.vary.iter().enumerate() {
             writer.write(name, &column(&|v| v.parameters[k]))?;
         }
@@ -87,15 +94,25 @@ impl ResultFile {
                     .long_name("time, 0 at the state started from"),
             )
             .variable(names.state("x", &["variant", "sample", "state"], "state"))
-            .variable(Variable::f64("V", dims).unit(names.cost()).long_name("value function"));
+            .variable(
+                Variable::f64("V", dims)
+                    .unit(names.cost())
+                    .long_name("value function"),
+            );
         if m > 0 {
             let u = Variable::f64("u", ["variant", "sample", "control"]).unit(names.control_unit());
             group = group.variable(u.long_name("control"));
         }
         let mut writer = self.group(&group)?;
-        let flat = |width: usize, f: &dyn Fn(&crate::trajectories::TrajectoryBlock) -> Vec<f64>| -> Vec<f64> {
+        let flat = |width: usize,
+                    f: &dyn Fn(&crate::trajectories::TrajectoryBlock) -> Vec<f64>|
+         -> Vec<f64> {
             (variants.iter())
-                .flat_map(|v| v.trajectory.as_ref().map_or_else(|| vec![f64::NAN; samples * width], f))
+                .flat_map(|v| {
+                    v.trajectory
+                        .as_ref()
+                        .map_or_else(|| vec![f64::NAN; samples * width], f)
+                })
                 .collect()
         };
         let from_start = |t: &[f64]| t.iter().map(|at| at - t[0]).collect::<Vec<f64>>();

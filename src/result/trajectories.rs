@@ -64,7 +64,10 @@ impl ResultFile {
     /// # Errors
     /// [`OutputError::EmptyDimension`] without a state or a sample, [`OutputError::Duplicate`] the
     /// second time, [`OutputError::File`] and [`OutputError::Hdf5`].
-    pub fn trajectories(&mut self, schema: &TrajectorySchema) -> Result<TrajectoryWriter, OutputError> {
+    pub fn trajectories(
+        &mut self,
+        schema: &TrajectorySchema,
+    ) -> Result<TrajectoryWriter, OutputError> {
         Ok(TrajectoryWriter {
             writer: self.group(&schema.group())?,
             has_controls: !schema.controls.is_empty(),
@@ -116,7 +119,11 @@ impl TrajectorySchema {
         let cost = self.cost_unit.as_deref().unwrap_or(DIMENSIONLESS);
         let time = self.time_unit.as_deref().unwrap_or("s");
         let rate = quotient(cost, time);
-        let costates: Vec<String> = self.states.iter().map(|state| quotient(cost, state.unit())).collect();
+        let costates: Vec<String> = self
+            .states
+            .iter()
+            .map(|state| quotient(cost, state.unit()))
+            .collect();
 
         let mut group = Group::new("trajectories")
             .compression(self.compression)
@@ -129,10 +136,19 @@ impl TrajectorySchema {
         group = with_axes(group, "disturbance", &self.disturbances);
         group = group
             .variable(
-                Variable::text("costate_units", "state", costates.iter().map(String::as_str))
-                    .long_name("unit of the costate of each state"),
+                Variable::text(
+                    "costate_units",
+                    "state",
+                    costates.iter().map(String::as_str),
+                )
+                .long_name("unit of the costate of each state"),
             )
-            .variable(over_samples("t", None, time, "time, 0 at the end at the equilibrium"))
+            .variable(over_samples(
+                "t",
+                None,
+                time,
+                "time, 0 at the end at the equilibrium",
+            ))
             .variable(over_samples(
                 "x",
                 Some("state"),
@@ -150,7 +166,10 @@ impl TrajectorySchema {
             group = group.variable(over_samples("u", Some("control"), &unit, "control"));
         }
         if !self.disturbances.is_empty() {
-            let unit = common(self.disturbances.iter().map(Axis::unit), "disturbance_units");
+            let unit = common(
+                self.disturbances.iter().map(Axis::unit),
+                "disturbance_units",
+            );
             group = group.variable(over_samples("w", Some("disturbance"), &unit, "disturbance"));
         }
         group
@@ -187,7 +206,10 @@ pub(super) fn with_axes(group: Group, name: &str, axes: &[Axis]) -> Group {
     let descriptions = axes.iter().map(Axis::description);
     group
         .dimension(Dimension::names(name, names))
-        .variable(Variable::text(&format!("{name}_units"), name, units).long_name(&format!("unit of each {name}")))
+        .variable(
+            Variable::text(&format!("{name}_units"), name, units)
+                .long_name(&format!("unit of each {name}")),
+        )
         .variable(
             Variable::text(&format!("{name}_long_name"), name, descriptions)
                 .long_name(&format!("description of each {name}")),
@@ -298,7 +320,10 @@ mod tests {
         let mut writer = file.trajectories(&schema()).unwrap();
         let mut short = block();
         short.p.pop();
-        assert!(matches!(writer.append(&short), Err(OutputError::Length { .. })));
+        assert!(matches!(
+            writer.append(&short),
+            Err(OutputError::Length { .. })
+        ));
         let mut disturbed = block();
         disturbed.w = vec![0.0; 2];
         assert!(matches!(
@@ -307,7 +332,10 @@ mod tests {
         ));
         let mut undriven = block();
         undriven.u.clear();
-        assert!(matches!(writer.append(&undriven), Err(OutputError::Length { .. })));
+        assert!(matches!(
+            writer.append(&undriven),
+            Err(OutputError::Length { .. })
+        ));
         assert_eq!(writer.count(), 0);
     }
 
@@ -319,7 +347,10 @@ mod tests {
             states: vec![],
             ..schema()
         };
-        let unsampled = TrajectorySchema { samples: 0, ..schema() };
+        let unsampled = TrajectorySchema {
+            samples: 0,
+            ..schema()
+        };
         for schema in [stateless, unsampled] {
             assert!(matches!(
                 file.trajectories(&schema),

@@ -1,4 +1,5 @@
-//! `[attenuation]`: the parameter that is the level of attenuation, and where its smallest value is asked for.
+//! `[attenuation]`: the parameter that is the level of attenuation, and where its smallest value is
+//! asked for.
 
 use super::declare::{Declarations, Declared};
 use super::reader::{Reader, Section, Value};
@@ -50,10 +51,16 @@ impl<'a> Reader<'a> {
         }
         let parameter = self.level_parameter(section, &declared.parameters);
         let range = section.get("range").and_then(|v| self.level_range(v));
-        let tolerance = (section.get("tolerance"))
-            .and_then(|v| self.number_that(v, "tolerance", "from 1e-6 to 0.5", |t| (1e-6..=0.5).contains(&t)));
+        let tolerance = (section.get("tolerance")).and_then(|v| {
+            self.number_that(v, "tolerance", "from 1e-6 to 0.5", |t| {
+                (1e-6..=0.5).contains(&t)
+            })
+        });
         let axes = self.covered_states(section, &declared.states, region);
-        let levels = section.get("levels").map(|v| self.level_values(v)).unwrap_or_default();
+        let levels = section
+            .get("levels")
+            .map(|v| self.level_values(v))
+            .unwrap_or_default();
         (self.problems.len() == before).then_some(())?;
         let parameter = parameter?;
         Some(Attenuation {
@@ -85,8 +92,9 @@ impl<'a> Reader<'a> {
         let name = self.string(value, "parameter")?;
         let Some(found) = parameters.iter().find(|p| p.name == name) else {
             let names = || parameters.iter().map(|p| p.name);
-            let help = did_you_mean(name, names())
-                .unwrap_or_else(|| format!("parameters: {}", names().collect::<Vec<_>>().join(", ")));
+            let help = did_you_mean(name, names()).unwrap_or_else(|| {
+                format!("parameters: {}", names().collect::<Vec<_>>().join(", "))
+            });
             let message = format!("`{}` is not a parameter", shorten(name));
             self.report(Problem::at(value.span(), message, "not in [parameters]").with_help(help));
             return None;
@@ -97,7 +105,9 @@ impl<'a> Reader<'a> {
                 shorten(name)
             );
             let problem = Problem::at(value.span(), message, "other values are put in its place");
-            self.report(problem.with_help("name the parameter that it follows from, or write its value as a number"));
+            self.report(problem.with_help(
+                "name the parameter that it follows from, or write its value as a number",
+            ));
             return None;
         }
         Some(found)
@@ -122,8 +132,15 @@ impl<'a> Reader<'a> {
             return Vec::new();
         };
         if array.is_empty() || array.len() > MOST_LEVELS {
-            let message = format!("levels must be 1 to {MOST_LEVELS} values, not {}", array.len());
-            self.report(Problem::at(value.span(), message, "each is solved for, and drawn"));
+            let message = format!(
+                "levels must be 1 to {MOST_LEVELS} values, not {}",
+                array.len()
+            );
+            self.report(Problem::at(
+                value.span(),
+                message,
+                "each is solved for, and drawn",
+            ));
         }
         let mut levels: Vec<f64> = (array.iter())
             .filter_map(|v| self.number_that(v, "a level", "greater than 0", |v| v > 0.0))
@@ -148,14 +165,19 @@ impl<'a> Reader<'a> {
         let Some(value) = section.get("states") else {
             return (0..states.len()).map(whole).collect();
         };
-        let table = self.table(value, section.key_span("states"), "the states of [attenuation]")?;
+        let table = self.table(
+            value,
+            section.key_span("states"),
+            "the states of [attenuation]",
+        )?;
         let axes = self.grid_axes(&table, states, &whole)?;
         self.grid_size(&table, grid_points(&axes))?;
         Some(axes)
     }
 }
 
-/// Points along each axis of a grid that is not given: about 1000 in all, and odd, so that the middle is among them.
+/// Points along each axis of a grid that is not given: about 1000 in all, and odd, so that the
+/// middle is among them.
 fn default_count(states: usize) -> usize {
     let most = 1000f64.powf(1.0 / states.max(1) as f64).floor() as usize;
     (most - (most + 1) % 2).clamp(3, 401)

@@ -57,7 +57,13 @@ pub(super) struct Built {
 
 impl Origin {
     /// A problem at `range` of the expression's text.
-    pub fn problem(&self, range: &Range<usize>, message: String, label: String, help: Option<String>) -> Problem {
+    pub fn problem(
+        &self,
+        range: &Range<usize>,
+        message: String,
+        label: String,
+        help: Option<String>,
+    ) -> Problem {
         match self {
             Origin::File { offsets, .. } => Problem {
                 message,
@@ -101,19 +107,30 @@ struct Walk<'r, 'a, 'o> {
 }
 
 impl Reader<'_> {
-    /// The expression of `tree`; `None` if it has a problem, all of which are reported, or uses a name that has.
+    /// The expression of `tree`; `None` if it has a problem, all of which are reported, or uses a
+    /// name that has.
     pub fn build(&mut self, tree: &Tree<'_>, origin: &Origin, purpose: &Use<'_>) -> Option<Built> {
         let (ids, kinds) = self.build_all(tree, origin, purpose)?;
         ids.last().map(|&expr| Built { expr, kinds })
     }
 
     /// The two sides of a guard.
-    pub fn build_guard(&mut self, guard: &GuardTree<'_>, origin: &Origin, purpose: &Use<'_>) -> Option<(Id, Id)> {
+    pub fn build_guard(
+        &mut self,
+        guard: &GuardTree<'_>,
+        origin: &Origin,
+        purpose: &Use<'_>,
+    ) -> Option<(Id, Id)> {
         let (ids, _) = self.build_all(&guard.tree, origin, purpose)?;
         Some((ids[guard.left], ids[guard.right]))
     }
 
-    fn build_all(&mut self, tree: &Tree<'_>, origin: &Origin, purpose: &Use<'_>) -> Option<(Vec<Id>, Kinds)> {
+    fn build_all(
+        &mut self,
+        tree: &Tree<'_>,
+        origin: &Origin,
+        purpose: &Use<'_>,
+    ) -> Option<(Vec<Id>, Kinds)> {
         let reported = HashSet::new();
         let mut walk = Walk {
             reader: self,
@@ -173,11 +190,18 @@ impl Walk<'_, '_, '_> {
 
     /// Constant parts such as `1/0`, which would otherwise surface far from here.
     fn check_finite(&mut self, id: Id) {
-        if !self.broken && self.reader.graph.as_constant(id).is_some_and(|v| !v.is_finite()) {
+        if !self.broken
+            && self
+                .reader
+                .graph
+                .as_constant(id)
+                .is_some_and(|v| !v.is_finite())
+        {
             self.broken = true;
             let message = format!("{} has a part that is not finite", self.purpose.what);
             let label = "a division by zero, or a function outside its domain";
-            self.reader.report(self.origin.problem_of_all(message, label));
+            self.reader
+                .report(self.origin.problem_of_all(message, label));
         }
     }
 
@@ -195,7 +219,10 @@ impl Walk<'_, '_, '_> {
             let message = if kinds == entry.role.kinds() {
                 format!("{} may not use `{name}`, which is {noun}", purpose.what)
             } else {
-                format!("{} may not use `{name}`, which depends on {kind}", purpose.what)
+                format!(
+                    "{} may not use `{name}`, which depends on {kind}",
+                    purpose.what
+                )
             };
             let help = format!("it may use {}", purpose.rule);
             self.report(span, message, noun, Some(help));
@@ -246,7 +273,11 @@ impl Walk<'_, '_, '_> {
             );
             return None;
         }
-        let candidates = self.reader.scope.names(None).chain(reserved().map(|r| -> &str { r }));
+        let candidates = self
+            .reader
+            .scope
+            .names(None)
+            .chain(reserved().map(|r| -> &str { r }));
         let help = did_you_mean(name, candidates);
         self.report(
             span,
@@ -262,7 +293,11 @@ impl Walk<'_, '_, '_> {
             return Some(*f);
         }
         if self.reader.scope.get(name).is_some() || name == "pi" {
-            let noun = self.reader.scope.get(name).map_or("a number", |e| e.role.noun());
+            let noun = self
+                .reader
+                .scope
+                .get(name)
+                .map_or("a number", |e| e.role.noun());
             let message = format!("`{name}` is {noun}, not a function");
             self.report(
                 span,
@@ -280,7 +315,9 @@ impl Walk<'_, '_, '_> {
             "log10" => Some("write log(...)/log(10)".to_owned()),
             _ => did_you_mean(name, functions()),
         };
-        let help = help.unwrap_or_else(|| format!("functions: {}", functions().collect::<Vec<_>>().join(", ")));
+        let help = help.unwrap_or_else(|| {
+            format!("functions: {}", functions().collect::<Vec<_>>().join(", "))
+        });
         self.report(
             span,
             format!("unknown function `{}`", shorten(name)),

@@ -11,8 +11,8 @@ use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::expr::{Id, Kind};
 use crate::model::{
-    ClosedLoop, DEFAULT_CONVERGED, DEFAULT_LOOP_MARGIN, Extremum, Formula, GivenLaw, Located, OperatingSet, Outside,
-    Record, Span, Start,
+    ClosedLoop, DEFAULT_CONVERGED, DEFAULT_LOOP_MARGIN, Extremum, Formula, GivenLaw, Located,
+    OperatingSet, Outside, Record, Span, Start,
 };
 use toml::de::DeValue;
 
@@ -73,7 +73,11 @@ pub(super) struct LoopScope<'s, 'a> {
 
 impl<'a> Reader<'a> {
     /// `[closed_loop]`; `None` where something in it is wrong.
-    pub fn closed_loop(&mut self, section: &Section<'a>, scope: &LoopScope<'_, 'a>) -> Option<ClosedLoop> {
+    pub fn closed_loop(
+        &mut self,
+        section: &Section<'a>,
+        scope: &LoopScope<'_, 'a>,
+    ) -> Option<ClosedLoop> {
         self.check_keys(section, &KEYS);
         let before = self.problems.len();
         let positive = |v: f64| v > 0.0;
@@ -95,11 +99,15 @@ impl<'a> Reader<'a> {
         if let (Some(period), Some(time)) = (period, final_time) {
             self.check_period(section, period, time, samples.unwrap_or(DEFAULT_SAMPLES));
         }
-        let random = section.get("random").and_then(|v| self.count(v, "random", 1));
+        let random = section
+            .get("random")
+            .and_then(|v| self.count(v, "random", 1));
         let initial = self.starts(section, scope, random.is_some());
         let given = self.given_laws(section, scope);
         let names: Vec<&str> = given.iter().map(|g| g.name.as_str()).collect();
-        let laws = section.get("laws").and_then(|v| self.law_names(v, &names, scope));
+        let laws = section
+            .get("laws")
+            .and_then(|v| self.law_names(v, &names, scope));
         let records = section
             .get("record")
             .map(|v| self.records("closed_loop", section, v, scope));
@@ -127,28 +135,44 @@ impl<'a> Reader<'a> {
     }
 
     /// A law is updated at every sample at least, and not so often that a loop has no end.
-    fn check_period(&mut self, section: &Section<'a>, period: f64, final_time: f64, samples: usize) {
+    fn check_period(
+        &mut self,
+        section: &Section<'a>,
+        period: f64,
+        final_time: f64,
+        samples: usize,
+    ) {
         let between = final_time / samples as f64;
         let updates = final_time / period;
         let problem = |message: String, label: &str| {
-            let span = section.get("period").map_or(section.span.clone(), |v| v.span());
+            let span = section
+                .get("period")
+                .map_or(section.span.clone(), |v| v.span());
             Problem::at(span, message, label)
         };
         // Of thirds of a decimal number the last digit is rounded.
         if period > between * (1.0 + 1e-9) {
-            let message = format!("the law is updated at every sample, and samples are {between:?} apart");
+            let message =
+                format!("the law is updated at every sample, and samples are {between:?} apart");
             let problem = problem(message, "longer than that");
             self.report(problem.with_help(format!(
                 "leave period out, or take samples = {} at most",
                 updates.max(1.0) as u64
             )));
         } else if updates > MOST_UPDATES {
-            let message = format!("{updates:.1e} updates of a closed loop; at most {MOST_UPDATES:.0e} are made");
+            let message = format!(
+                "{updates:.1e} updates of a closed loop; at most {MOST_UPDATES:.0e} are made"
+            );
             self.report(problem(message, "too short"));
         }
     }
 
-    fn loop_time(&mut self, section: &Section<'a>, given: Option<f64>, scope: &LoopScope<'_, 'a>) -> Option<f64> {
+    fn loop_time(
+        &mut self,
+        section: &Section<'a>,
+        given: Option<f64>,
+        scope: &LoopScope<'_, 'a>,
+    ) -> Option<f64> {
         match (section.get("final_time"), scope.finite) {
             (Some(_), true) => {
                 let message = "the closed loop of a finite horizon ends with it";
@@ -159,7 +183,9 @@ impl<'a> Reader<'a> {
             (None, false) => {
                 let message = "[closed_loop] has no final_time";
                 let problem = Problem::at(section.span.clone(), message, "`final_time` is missing");
-                self.report(problem.with_help("add final_time = ..., how long each trajectory is followed"));
+                self.report(
+                    problem.with_help("add final_time = ..., how long each trajectory is followed"),
+                );
                 None
             }
             _ => given.or(scope.final_time),
@@ -167,7 +193,12 @@ impl<'a> Reader<'a> {
     }
 
     /// The entry `initial` of a section; without one, where states are drawn at random, the region.
-    pub fn starts(&mut self, section: &Section<'a>, scope: &LoopScope<'_, 'a>, random: bool) -> Option<Vec<Start>> {
+    pub fn starts(
+        &mut self,
+        section: &Section<'a>,
+        scope: &LoopScope<'_, 'a>,
+        random: bool,
+    ) -> Option<Vec<Start>> {
         let Some(value) = section.get("initial") else {
             if random {
                 let ranges = scope.region?.iter().map(|[first, last]| Start::Range {
@@ -191,17 +222,24 @@ impl<'a> Reader<'a> {
         let axes: Vec<Option<Start>> = (scope.states.iter().enumerate())
             .map(|(i, state)| match table.get(state.name) {
                 Some(value) => self.start(value, &shorten(state.name), random),
-                None => scope.reference.and_then(|r| r.get(i)).map(|x| Start::Fixed(*x)),
+                None => scope
+                    .reference
+                    .and_then(|r| r.get(i))
+                    .map(|x| Start::Fixed(*x)),
             })
             .collect();
         let axes = axes.into_iter().collect::<Option<Vec<_>>>()?;
         let points = axes.iter().map(|a| match a {
-            Start::Range { count: Some(count), .. } => *count as f64,
+            Start::Range {
+                count: Some(count), ..
+            } => *count as f64,
             _ => 1.0,
         });
         let points: f64 = points.product();
         if !random && points > MOST_STATES {
-            let message = format!("{points:.3e} initial states; at most {MOST_STATES:.0e} are simulated at once");
+            let message = format!(
+                "{points:.3e} initial states; at most {MOST_STATES:.0e} are simulated at once"
+            );
             return self.refuse(table.span.clone(), message, "too many states");
         }
         Some(axes)
@@ -219,12 +257,17 @@ impl<'a> Reader<'a> {
             ("[first, last]", 2)
         };
         let entries = self.array(value, &what, shape, length)?;
-        let ends = (self.number(&entries[0], &what), self.number(&entries[1], &what));
+        let ends = (
+            self.number(&entries[0], &what),
+            self.number(&entries[1], &what),
+        );
         let count = match entries.get(2) {
             Some(count) => Some(self.count(count, &format!("the count of {what}"), 2)?),
             None => None,
         };
-        let (Some(first), Some(last)) = ends else { return None };
+        let (Some(first), Some(last)) = ends else {
+            return None;
+        };
         if first >= last {
             let message = format!("{what} is empty: {first} is not below {last}");
             return self.refuse(value.span(), message, "the lower end comes first");
@@ -255,7 +298,13 @@ impl<'a> Reader<'a> {
         all
     }
 
-    fn formula(&mut self, name: &str, span: Span, value: &'a Value<'a>, scope: &LoopScope<'_, 'a>) -> Option<Formula> {
+    fn formula(
+        &mut self,
+        name: &str,
+        span: Span,
+        value: &'a Value<'a>,
+        scope: &LoopScope<'_, 'a>,
+    ) -> Option<Formula> {
         let what = format!("law `{}`", shorten(name));
         let table = self.table(value, span.clone(), &what)?;
         if let Some(file) = table.get("weights") {
@@ -266,11 +315,15 @@ impl<'a> Reader<'a> {
                 span: file.span(),
             });
         }
-        let outputs: Vec<Declared<'a>> = scope.controls.iter().chain(scope.states).cloned().collect();
+        let outputs: Vec<Declared<'a>> =
+            scope.controls.iter().chain(scope.states).cloned().collect();
         self.entries_of(&table, &outputs, "controls, and states to be commanded");
         let rule = "parameters, states and definitions without controls";
         let mut all = Vec::new();
-        for (output, _, value) in table.entries().filter(|(k, ..)| outputs.iter().any(|o| o.name == *k)) {
+        for (output, _, value) in table
+            .entries()
+            .filter(|(k, ..)| outputs.iter().any(|o| o.name == *k))
+        {
             let purpose = Use {
                 what: &format!("{what} for `{}`", shorten(output)),
                 allowed: Kinds::PARAMETER.and(Kinds::STATE),
@@ -282,7 +335,9 @@ impl<'a> Reader<'a> {
         }
         if all.is_empty() {
             let problem = Problem::at(span, format!("{what} gives nothing"), "no expression in it");
-            self.report(problem.with_help("add an expression a control, or weights = \"FILE.toml\""));
+            self.report(
+                problem.with_help("add an expression a control, or weights = \"FILE.toml\""),
+            );
             return None;
         }
         Some(Formula::Expressions(all))
@@ -296,7 +351,11 @@ impl<'a> Reader<'a> {
         scope: &LoopScope<'_, 'a>,
     ) -> Option<Vec<(String, Span)>> {
         let DeValue::Array(array) = value.get_ref() else {
-            let problem = Problem::at(value.span(), "laws must be a list of names", "expected [\"...\"]");
+            let problem = Problem::at(
+                value.span(),
+                "laws must be a list of names",
+                "expected [\"...\"]",
+            );
             self.report(problem.with_help("laws of your own are defined in [closed_loop.law]"));
             return None;
         };
@@ -335,7 +394,11 @@ impl<'a> Reader<'a> {
         for (name, span, value) in table.entries() {
             let states = scope.states.iter().chain(scope.controls);
             let taken = TAKEN.contains(&name) || states.into_iter().any(|d| d.name == name);
-            if taken || self.scope.get(name).is_some() || name.contains(['/', '\0']) || name.is_empty() {
+            if taken
+                || self.scope.get(name).is_some()
+                || name.contains(['/', '\0'])
+                || name.is_empty()
+            {
                 let message = format!("a recorded quantity cannot be named `{}`", shorten(name));
                 self.report(Problem::at(span, message, "the name is taken, or none"));
                 continue;
@@ -366,12 +429,15 @@ impl<'a> Reader<'a> {
         let last = tree.pop();
         let call = match &last {
             Some(Ast::Call {
-                function, arguments, ..
+                function,
+                arguments,
+                ..
             }) if arguments.len() == 1 => CHOICES.iter().find(|(n, _)| n == function),
             _ => None,
         };
         let Some((_, extremum)) = call else {
-            let message = format!("{what} must be min(...), max(...) or final(...) of one expression");
+            let message =
+                format!("{what} must be min(...), max(...) or final(...) of one expression");
             self.report(origin.problem_of_all(message, "not one of these"));
             return None;
         };
@@ -392,7 +458,12 @@ impl<'a> Reader<'a> {
         })
     }
 
-    fn sets(&mut self, section: &Section<'a>, value: &'a Value<'a>, records: &[Record]) -> Vec<OperatingSet> {
+    fn sets(
+        &mut self,
+        section: &Section<'a>,
+        value: &'a Value<'a>,
+        records: &[Record],
+    ) -> Vec<OperatingSet> {
         let span = section.key_span("sets");
         let Some(table) = self.table(value, span, "[closed_loop.sets]") else {
             return Vec::new();
@@ -406,7 +477,14 @@ impl<'a> Reader<'a> {
                     kinds: Kinds::STATE,
                 };
                 let (role, span) = (Role::State, r.of.span.clone());
-                self.scope.declare(&r.name, Entry { role, span, meaning });
+                self.scope.declare(
+                    &r.name,
+                    Entry {
+                        role,
+                        span,
+                        meaning,
+                    },
+                );
                 expr
             })
             .collect();
@@ -415,7 +493,13 @@ impl<'a> Reader<'a> {
             .collect()
     }
 
-    fn set(&mut self, name: &str, value: &'a Value<'a>, records: &[Record], symbols: &[Id]) -> Option<OperatingSet> {
+    fn set(
+        &mut self,
+        name: &str,
+        value: &'a Value<'a>,
+        records: &[Record],
+        symbols: &[Id],
+    ) -> Option<OperatingSet> {
         let what = format!("set `{}`", shorten(name));
         let purpose = Use {
             what: &what,
@@ -430,8 +514,11 @@ impl<'a> Reader<'a> {
             _ => (None, left, false),
         };
         let fixed = |side: Id| {
-            (self.graph.reachable(&[side]).into_iter())
-                .all(|id| self.graph.as_symbol(id).is_none_or(|s| s.kind == Kind::Parameter))
+            (self.graph.reachable(&[side]).into_iter()).all(|id| {
+                self.graph
+                    .as_symbol(id)
+                    .is_none_or(|s| s.kind == Kind::Parameter)
+            })
         };
         let Some(record) = found.filter(|_| fixed(other)) else {
             let names: Vec<&str> = records.iter().map(|r| r.name.as_str()).collect();
@@ -445,7 +532,11 @@ impl<'a> Reader<'a> {
         };
         let bound = self.graph.eval(&[other], &self.values)[0];
         if !bound.is_finite() {
-            return self.refuse(value.span(), format!("the bound of {what} is {bound}"), "not finite");
+            return self.refuse(
+                value.span(),
+                format!("the bound of {what} is {bound}"),
+                "not finite",
+            );
         }
         let above = matches!(relation, Relation::Greater | Relation::GreaterEqual);
         Some(OperatingSet {

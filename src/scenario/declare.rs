@@ -33,17 +33,25 @@ pub(super) struct Declarations<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Enters the names of a section into the scope. A bad name is reported and entered nevertheless, so that its
-    /// uses are not reported as well.
+    /// Enters the names of a section into the scope. A bad name is reported and entered
+    /// nevertheless, so that its uses are not reported as well.
     pub fn declare(&mut self, section: Option<&Section<'a>>, role: Role) -> Vec<Declared<'a>> {
-        let entries = section.map(|s| s.entries().collect::<Vec<_>>()).unwrap_or_default();
+        let entries = section
+            .map(|s| s.entries().collect::<Vec<_>>())
+            .unwrap_or_default();
         entries
             .into_iter()
             .map(|(name, span, value)| self.declare_one(name, span, value, role))
             .collect()
     }
 
-    fn declare_one(&mut self, name: &'a str, span: Span, value: &'a Value<'a>, role: Role) -> Declared<'a> {
+    fn declare_one(
+        &mut self,
+        name: &'a str,
+        span: Span,
+        value: &'a Value<'a>,
+        role: Role,
+    ) -> Declared<'a> {
         self.check_name(name, &span);
         let kind = match role {
             Role::Parameter => Some(Kind::Parameter),
@@ -56,7 +64,10 @@ impl<'a> Reader<'a> {
         if let Some(first) = self.scope.get(name) {
             let line = crate::diagnostics::position(self.text, first.span.start).0;
             let message = format!("`{name}` is already {} (line {line})", first.role.noun());
-            self.report(Problem::at(span.clone(), message, "declared a second time").with_help("every name once"));
+            self.report(
+                Problem::at(span.clone(), message, "declared a second time")
+                    .with_help("every name once"),
+            );
         } else {
             let meaning = match (role, symbol) {
                 (Role::State | Role::Control | Role::Disturbance, Some(expr)) => Meaning::Known {
@@ -84,18 +95,31 @@ impl<'a> Reader<'a> {
 
     fn check_name(&mut self, name: &str, span: &Span) {
         if !is_identifier(name) {
-            let message = format!("`{}` cannot be a name", shorten(&name.escape_debug().to_string()));
-            let help = "a name has letters a to z, A to Z, digits and _, and does not begin with a digit";
+            let message = format!(
+                "`{}` cannot be a name",
+                shorten(&name.escape_debug().to_string())
+            );
+            let help =
+                "a name has letters a to z, A to Z, digits and _, and does not begin with a digit";
             self.report(Problem::at(span.clone(), message, "not a name").with_help(help));
         } else if reserved().any(|r| r == name) {
-            let what = if name == "pi" { "the number pi" } else { "a function" };
+            let what = if name == "pi" {
+                "the number pi"
+            } else {
+                "a function"
+            };
             let message = format!("`{name}` is {what}, and cannot be declared");
             self.report(Problem::at(span.clone(), message, "a reserved name"));
         }
     }
 
-    /// Evaluates the parameters in order, with the definitions given on the command line in place of the file's.
-    pub fn parameters(&mut self, declared: &[Declared<'a>], overrides: &[(String, Given)]) -> Vec<Parameter> {
+    /// Evaluates the parameters in order, with the definitions given on the command line in place
+    /// of the file's.
+    pub fn parameters(
+        &mut self,
+        declared: &[Declared<'a>],
+        overrides: &[(String, Given)],
+    ) -> Vec<Parameter> {
         let mut replaced: HashMap<&str, &Given> = HashMap::new();
         for (name, value) in overrides {
             if declared.iter().any(|d| d.name == name) {
@@ -113,7 +137,10 @@ impl<'a> Reader<'a> {
     fn unknown_override(&mut self, name: &str, value: &str) {
         let (name, typed) = (shorten(name), shorten(&format!("{name}={value}")));
         let message = match self.scope.get(&name) {
-            Some(entry) => format!("--set {typed}: `{name}` is {}, not a parameter", entry.role.noun()),
+            Some(entry) => format!(
+                "--set {typed}: `{name}` is {}, not a parameter",
+                entry.role.noun()
+            ),
             None => format!("--set {typed}: there is no parameter `{name}`"),
         };
         let help = did_you_mean(&name, self.scope.names(Some(Role::Parameter)));
@@ -125,7 +152,8 @@ impl<'a> Reader<'a> {
         });
     }
 
-    /// The node of a number; a negative one is made as the parser makes it, so that graphs do not depend on how it was given.
+    /// The node of a number; a negative one is made as the parser makes it, so that graphs do not
+    /// depend on how it was given.
     fn number_built(&mut self, number: f64) -> Built {
         let size = self.graph.constant(number.abs());
         let expr = if number.is_sign_negative() {
@@ -139,7 +167,11 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn parameter(&mut self, declared: &Declared<'a>, replacement: Option<&Given>) -> Option<Parameter> {
+    fn parameter(
+        &mut self,
+        declared: &Declared<'a>,
+        replacement: Option<&Given>,
+    ) -> Option<Parameter> {
         let name = declared.name;
         let what = format!("parameter `{}`", shorten(name));
         let purpose = Use {
@@ -277,10 +309,17 @@ impl<'a> Reader<'a> {
     fn variable(&mut self, declared: &Declared<'a>, section: &Section<'a>) -> Option<Variable> {
         let mut text = |key: &str| {
             let what = format!("the {key} of {}", section.name);
-            section.get(key).and_then(|v| self.string(v, &what)).map(str::to_owned)
+            section
+                .get(key)
+                .and_then(|v| self.string(v, &what))
+                .map(str::to_owned)
         };
         let (unit, long_name) = (text("unit"), text("long_name"));
-        let (name, symbol, span) = (declared.name.to_owned(), declared.symbol?, declared.span.clone());
+        let (name, symbol, span) = (
+            declared.name.to_owned(),
+            declared.symbol?,
+            declared.span.clone(),
+        );
         Some(Variable {
             name,
             unit,

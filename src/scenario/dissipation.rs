@@ -25,7 +25,8 @@ const KEYS: [&str; 8] = [
 ];
 
 impl<'a> Reader<'a> {
-    /// `[dissipation]`; `None` where something in it is wrong. Laws of its own are those of `[closed_loop]`.
+    /// `[dissipation]`; `None` where something in it is wrong. Laws of its own are those of
+    /// `[closed_loop]`.
     pub fn dissipation(
         &mut self,
         section: &Section<'a>,
@@ -40,29 +41,43 @@ impl<'a> Reader<'a> {
                 "[dissipation] checks an L2 gain, and the scene has no disturbance",
                 "nothing to check",
             );
-            self.report(problem.with_help("declare disturbances in [disturbances], or remove this section"));
+            self.report(
+                problem.with_help("declare disturbances in [disturbances], or remove this section"),
+            );
         }
         if scope.finite {
-            let message = "[dissipation] needs an infinite horizon: with a final time V depends on time too";
-            self.report(Problem::at(section.span.clone(), message, "not with [cost] final_time"));
+            let message =
+                "[dissipation] needs an infinite horizon: with a final time V depends on time too";
+            self.report(Problem::at(
+                section.span.clone(),
+                message,
+                "not with [cost] final_time",
+            ));
         }
         let disturbances = section.get("disturbances").and_then(|v| {
             let wanted = format!("a whole number from 1 to {MOST}");
             let fits = |n: f64| n.fract() == 0.0 && (1.0..=f64::from(MOST)).contains(&n);
-            self.number_that(v, "disturbances", &wanted, fits).map(|n| n as usize)
+            self.number_that(v, "disturbances", &wanted, fits)
+                .map(|n| n as usize)
         });
         let final_time = self.auto_or_positive(section, "final_time");
-        let period = (section.get("period")).and_then(|v| self.number_that(v, "period", "greater than 0", |v| v > 0.0));
+        let period = (section.get("period"))
+            .and_then(|v| self.number_that(v, "period", "greater than 0", |v| v > 0.0));
         let samples = section.get("samples").and_then(|v| self.sample_count(v));
-        let amplitude =
-            (section.get("amplitude").filter(|v| !is_auto(v))).and_then(|v| self.amplitudes(v, section, scope));
-        let frequencies = (section.get("frequencies").filter(|v| !is_auto(v))).and_then(|v| self.band(v));
-        let initial = section.get("initial").and_then(|_| self.starts(section, scope, false));
+        let amplitude = (section.get("amplitude").filter(|v| !is_auto(v)))
+            .and_then(|v| self.amplitudes(v, section, scope));
+        let frequencies =
+            (section.get("frequencies").filter(|v| !is_auto(v))).and_then(|v| self.band(v));
+        let initial = section
+            .get("initial")
+            .and_then(|_| self.starts(section, scope, false));
         let given: Vec<&str> = match closed_loop.and_then(|s| s.get("law")).map(|v| v.get_ref()) {
             Some(DeValue::Table(table)) => table.keys().map(|k| k.get_ref().as_ref()).collect(),
             _ => Vec::new(),
         };
-        let laws = section.get("laws").and_then(|v| self.law_names(v, &given, scope));
+        let laws = section
+            .get("laws")
+            .and_then(|v| self.law_names(v, &given, scope));
         (self.problems.len() == before).then(|| Dissipation {
             disturbances: disturbances.unwrap_or(DEFAULT_DISTURBANCES),
             final_time,
@@ -99,9 +114,12 @@ impl<'a> Reader<'a> {
             .map(|w| {
                 let name = shorten(w.name);
                 match table.get(w.name) {
-                    Some(value) => {
-                        self.number_that(value, &format!("the amplitude of `{name}`"), "greater than 0", positive)
-                    }
+                    Some(value) => self.number_that(
+                        value,
+                        &format!("the amplitude of `{name}`"),
+                        "greater than 0",
+                        positive,
+                    ),
                     None => self.refuse(
                         table.span.clone(),
                         format!("disturbance `{name}` has no amplitude"),
@@ -117,7 +135,12 @@ impl<'a> Reader<'a> {
         let ends = self.array(value, "frequencies", "[lowest, highest]", 2)?;
         let positive = |v: f64| v > 0.0;
         let lowest = self.number_that(&ends[0], "the lowest frequency", "greater than 0", positive);
-        let highest = self.number_that(&ends[1], "the highest frequency", "greater than 0", positive);
+        let highest = self.number_that(
+            &ends[1],
+            "the highest frequency",
+            "greater than 0",
+            positive,
+        );
         let (lowest, highest) = (lowest?, highest?);
         if lowest >= highest {
             let message = format!("frequencies are none: {lowest} is not below {highest}");

@@ -1,4 +1,5 @@
-//! A scenario's text, parsed once: the scene at other values of its parameters is read from it again without another parse.
+//! A scenario's text, parsed once: the scene at other values of its parameters is read from it
+//! again without another parse.
 
 use super::reader::Reader;
 use crate::diagnostics::ScenarioErrors;
@@ -54,7 +55,8 @@ impl Document {
     /// Parses a scenario's text as TOML. `file_name` is for messages.
     ///
     /// # Errors
-    /// [`ScenarioErrors`] with everything that is wrong with the TOML, and with the syntax of expressions then.
+    /// [`ScenarioErrors`] with everything that is wrong with the TOML, and with the syntax of
+    /// expressions then.
     pub fn parse(text: &str, file_name: &str) -> Result<Self, ScenarioErrors> {
         let parsed = Parsed::try_new(text.to_owned(), |text| {
             let (document, errors) = DeTable::parse_recoverable(text);
@@ -77,7 +79,8 @@ impl Document {
         self.parsed.borrow_owner()
     }
 
-    /// The scene. Each of `overrides` replaces the definition of a parameter; where a name is given twice, the last counts.
+    /// The scene. Each of `overrides` replaces the definition of a parameter; where a name is given
+    /// twice, the last counts.
     ///
     /// # Errors
     /// [`ScenarioErrors`] with everything that is wrong.

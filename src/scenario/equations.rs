@@ -34,11 +34,19 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// The entry of each state (or control) in a section, and a report for each entry of anything else.
+    /// The entry of each state (or control) in a section, and a report for each entry of anything
+    /// else.
     pub fn entries_of(&mut self, section: &Section<'a>, known: &[Declared<'a>], nouns: &str) {
-        for (key, span, _) in section.entries().filter(|(k, ..)| !known.iter().any(|d| d.name == *k)) {
+        for (key, span, _) in section
+            .entries()
+            .filter(|(k, ..)| !known.iter().any(|d| d.name == *k))
+        {
             let message = match self.scope.get(key) {
-                Some(entry) => format!("`{key}` is {}; {} is for {nouns}", entry.role.noun(), section.name),
+                Some(entry) => format!(
+                    "`{key}` is {}; {} is for {nouns}",
+                    entry.role.noun(),
+                    section.name
+                ),
                 None => format!(
                     "unknown name `{}` in {}, which is for {nouns}",
                     shorten(key),
@@ -55,14 +63,23 @@ impl<'a> Reader<'a> {
     }
 
     /// `[dynamics]`: the time derivative of each state; `None` where one is missing or wrong.
-    pub fn dynamics(&mut self, section: &Section<'a>, states: &[Declared<'a>]) -> Option<Vec<Located>> {
+    pub fn dynamics(
+        &mut self,
+        section: &Section<'a>,
+        states: &[Declared<'a>],
+    ) -> Option<Vec<Located>> {
         self.entries_of(section, states, "states");
         let mut all = Vec::with_capacity(states.len());
         for state in states {
             let Some(value) = section.get(state.name) else {
-                let message = format!("state `{}` has no equation in [dynamics]", shorten(state.name));
+                let message = format!(
+                    "state `{}` has no equation in [dynamics]",
+                    shorten(state.name)
+                );
                 let help = format!("add {} = \"...\", its time derivative", shorten(state.name));
-                self.report(Problem::at(state.span.clone(), message, "declared here").with_help(help));
+                self.report(
+                    Problem::at(state.span.clone(), message, "declared here").with_help(help),
+                );
                 all.push(None);
                 continue;
             };
@@ -120,9 +137,12 @@ impl<'a> Reader<'a> {
             .map(|value| self.number_that(value, "the final time", "greater than 0", |t| t > 0.0));
         let finite = terminal.is_some() || final_time.is_some();
         let terminal = match (terminal, final_time) {
-            (Some(terminal), Some(time)) => terminal
-                .zip(time)
-                .map(|(terminal, final_time)| Terminal { terminal, final_time }),
+            (Some(terminal), Some(time)) => {
+                terminal.zip(time).map(|(terminal, final_time)| Terminal {
+                    terminal,
+                    final_time,
+                })
+            }
             (Some(_), None) => self.refuse(
                 section.key_span("terminal"),
                 "a terminal cost needs a final time",
@@ -132,7 +152,12 @@ impl<'a> Reader<'a> {
                 let help = "add terminal = \"...\", an expression of the states; \"0\" for none";
                 let message = "a final time needs a terminal cost";
                 self.report(
-                    Problem::at(section.key_span("final_time"), message, "no terminal with it").with_help(help),
+                    Problem::at(
+                        section.key_span("final_time"),
+                        message,
+                        "no terminal with it",
+                    )
+                    .with_help(help),
                 );
                 None
             }
@@ -149,7 +174,9 @@ impl<'a> Reader<'a> {
     pub fn guards(&mut self, section: &Section<'a>) -> Vec<Guard> {
         section
             .entries()
-            .filter_map(|(name, _, value)| self.condition(name, &format!("guard `{}`", shorten(name)), value))
+            .filter_map(|(name, _, value)| {
+                self.condition(name, &format!("guard `{}`", shorten(name)), value)
+            })
             .collect()
     }
 
@@ -157,7 +184,14 @@ impl<'a> Reader<'a> {
     pub fn condition(&mut self, name: &str, what: &str, value: &'a Value<'a>) -> Option<Guard> {
         let allowed = Kinds::PARAMETER.and(Kinds::STATE);
         let rule = "parameters, states and definitions without controls";
-        let (left, relation, right) = self.guard(value, &Use { what, allowed, rule })?;
+        let (left, relation, right) = self.guard(
+            value,
+            &Use {
+                what,
+                allowed,
+                rule,
+            },
+        )?;
         let expr = match relation {
             Relation::Less | Relation::LessEqual => self.graph.sub(right, left),
             Relation::Greater | Relation::GreaterEqual => self.graph.sub(left, right),

@@ -8,9 +8,9 @@ use crate::expr::{Fun, Graph, Id, Op};
 use crate::model::{Control, Guard, Located, Span, Variable};
 use std::collections::HashMap;
 
-/// What may remain of f and L at the equilibrium, relative to the size of the terms they are made of, there and over the
-/// region: so states of any size are checked alike. Parameters are typed with some ten digits at best; rounding is far
-/// below.
+/// What may remain of f and L at the equilibrium, relative to the size of the terms they are made
+/// of, there and over the region: so states of any size are checked alike. Parameters are typed
+/// with some ten digits at best; rounding is far below.
 const TOLERANCE: f64 = 1e-9;
 /// What may remain in any case: sin(pi) is 1.2e-16, not 0.
 const ROUNDING: f64 = 1e-14;
@@ -53,11 +53,26 @@ impl<'a> Reader<'a> {
         controls: &[Declared<'a>],
         disturbances: &[Declared<'a>],
     ) -> Option<Equilibrium> {
-        for d in disturbances.iter().filter(|d| section.get(d.name).is_some()) {
-            let message = format!("`{}` is a disturbance, which is 0 at the equilibrium", shorten(d.name));
-            self.report(Problem::at(section.key_span(d.name), message, "remove this"));
+        for d in disturbances
+            .iter()
+            .filter(|d| section.get(d.name).is_some())
+        {
+            let message = format!(
+                "`{}` is a disturbance, which is 0 at the equilibrium",
+                shorten(d.name)
+            );
+            self.report(Problem::at(
+                section.key_span(d.name),
+                message,
+                "remove this",
+            ));
         }
-        let known: Vec<Declared<'a>> = states.iter().chain(controls).chain(disturbances).cloned().collect();
+        let known: Vec<Declared<'a>> = states
+            .iter()
+            .chain(controls)
+            .chain(disturbances)
+            .cloned()
+            .collect();
         self.entries_of(section, &known, "states and controls");
         let (x, u) = (
             self.values_of(section, states, "state"),
@@ -70,7 +85,12 @@ impl<'a> Reader<'a> {
         })
     }
 
-    fn values_of(&mut self, section: &Section<'a>, names: &[Declared<'a>], noun: &str) -> Option<Vec<Placed>> {
+    fn values_of(
+        &mut self,
+        section: &Section<'a>,
+        names: &[Declared<'a>],
+        noun: &str,
+    ) -> Option<Vec<Placed>> {
         let mut all = Vec::with_capacity(names.len());
         for declared in names {
             let name = shorten(declared.name);
@@ -82,10 +102,19 @@ impl<'a> Reader<'a> {
                 }
             });
         }
-        let place = |d: &Declared<'a>| section.get(d.name).map_or_else(|| section.span.clone(), |v| v.span());
+        let place = |d: &Declared<'a>| {
+            section
+                .get(d.name)
+                .map_or_else(|| section.span.clone(), |v| v.span())
+        };
         all.into_iter()
             .zip(names)
-            .map(|(v, d)| v.map(|value| Placed { value, span: place(d) }))
+            .map(|(v, d)| {
+                v.map(|value| Placed {
+                    value,
+                    span: place(d),
+                })
+            })
             .collect()
     }
 
@@ -98,10 +127,15 @@ impl<'a> Reader<'a> {
         region: Option<&[[f64; 2]]>,
         finite: bool,
     ) {
-        for ((placed, state), [lower, upper]) in at.x.iter().zip(states).zip(region.unwrap_or_default()) {
+        for ((placed, state), [lower, upper]) in
+            at.x.iter().zip(states).zip(region.unwrap_or_default())
+        {
             let value = placed.value;
             if value < *lower || value > *upper {
-                let message = format!("the equilibrium is outside the region: `{}` is {value}", state.name);
+                let message = format!(
+                    "the equilibrium is outside the region: `{}` is {value}",
+                    state.name
+                );
                 self.report(Problem::at(
                     placed.span.clone(),
                     message,
@@ -117,7 +151,9 @@ impl<'a> Reader<'a> {
             );
             if min < max && !(value > min && value < max) {
                 let name = &control.variable.name;
-                let message = format!("the equilibrium of `{name}` is {value}, not strictly between its bounds");
+                let message = format!(
+                    "the equilibrium of `{name}` is {value}, not strictly between its bounds"
+                );
                 let help = "the local solution at the equilibrium needs the control strictly inside its bounds";
                 let label = format!("not inside ({min}, {max})");
                 self.report(Problem::at(placed.span.clone(), message, label).with_help(help));
@@ -125,10 +161,12 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Largest size of an expression's terms at some points of the region, the other values as given; 1 where the region
-    /// is not known.
+    /// Largest size of an expression's terms at some points of the region, the other values as
+    /// given; 1 where the region is not known.
     fn size_over(&self, expr: Id, values: &HashMap<Id, f64>, scene: &Scene<'_>) -> f64 {
-        let Some(region) = scene.region else { return 1.0 };
+        let Some(region) = scene.region else {
+            return 1.0;
+        };
         let mut values = values.clone();
         (0..POINTS)
             .map(|k| {
@@ -139,11 +177,18 @@ impl<'a> Reader<'a> {
             .fold(0.0, f64::max)
     }
 
-    /// Checks f = 0, L = 0, dL/dx = 0 and smoothness (not with a final time) and the guards at the equilibrium.
+    /// Checks f = 0, L = 0, dL/dx = 0 and smoothness (not with a final time) and the guards at the
+    /// equilibrium.
     pub fn check_equilibrium(&mut self, at: &Equilibrium, scene: &Scene<'_>) {
         let before = self.problems.len();
         let mut values = self.values.clone();
-        values.extend(scene.states.iter().zip(&at.x).map(|(s, p)| (s.symbol, p.value)));
+        values.extend(
+            scene
+                .states
+                .iter()
+                .zip(&at.x)
+                .map(|(s, p)| (s.symbol, p.value)),
+        );
         values.extend(
             scene
                 .controls
@@ -156,7 +201,8 @@ impl<'a> Reader<'a> {
             let (value, size) = sized(&self.graph, f.expr, &values);
             if !is_zero(value, size.max(self.size_over(f.expr, &values, scene))) {
                 let name = &scene.states[i].name;
-                let message = format!("this is no equilibrium: d{name}/dt is {value:.6e} there, not 0");
+                let message =
+                    format!("this is no equilibrium: d{name}/dt is {value:.6e} there, not 0");
                 self.report(Problem::at(
                     at.x[i].span.clone(),
                     message,
@@ -169,7 +215,9 @@ impl<'a> Reader<'a> {
         if !scene.finite && !is_zero(value, size) {
             let message = format!("the running cost is {value:.6e} at the equilibrium, not 0");
             let problem = Problem::at(at.span.clone(), message, format!("L = {value:.6e} here"));
-            self.report(problem.with_help("V over an infinite horizon is finite only if L = 0 at the equilibrium"));
+            self.report(problem.with_help(
+                "V over an infinite horizon is finite only if L = 0 at the equilibrium",
+            ));
         }
         // Where it is no equilibrium, derivatives there say nothing.
         if !scene.finite && self.problems.len() == before {
@@ -192,7 +240,8 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// The `k`-th point of the region at which terms are looked at: corners first, then points between (a Kronecker sequence).
+/// The `k`-th point of the region at which terms are looked at: corners first, then points between
+/// (a Kronecker sequence).
 pub(super) fn point_of<'s>(
     k: usize,
     states: &'s [&'s Variable],
@@ -224,7 +273,8 @@ pub(super) fn is_zero(value: f64, size: f64) -> bool {
 
 /// Value of an expression and the size of the terms that may have cancelled in it.
 pub(super) fn sized(graph: &Graph, expr: Id, values: &HashMap<Id, f64>) -> (f64, f64) {
-    // A step small enough for the slope, large enough against rounding: near the square root of f64's epsilon.
+    // A step small enough for the slope, large enough against rounding: near the square root of
+    // f64's epsilon.
     const STEP: f64 = 1e-8;
     let pair = |v: f64| (v, v.abs());
     graph.fold(

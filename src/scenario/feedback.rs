@@ -59,7 +59,10 @@ fn is_divided(section: &Section<'_>) -> bool {
 /// Names of the laws that the section asks for, right or wrong.
 pub(super) fn law_names(section: &Section<'_>) -> Vec<String> {
     if is_divided(section) {
-        section.entries().map(|(name, ..)| name.to_owned()).collect()
+        section
+            .entries()
+            .map(|(name, ..)| name.to_owned())
+            .collect()
     } else {
         vec![ONLY.to_owned()]
     }
@@ -75,18 +78,27 @@ impl<'a> Reader<'a> {
         finite: bool,
     ) -> Vec<Feedback> {
         if finite {
-            let message = "[feedback] needs an infinite horizon: with a final time the law depends on time";
+            let message =
+                "[feedback] needs an infinite horizon: with a final time the law depends on time";
             self.report(Problem::at(section.span.clone(), message, "remove this"));
         }
         if !is_divided(section) {
-            return self.law(ONLY, section, declared, region).into_iter().collect();
+            return self
+                .law(ONLY, section, declared, region)
+                .into_iter()
+                .collect();
         }
         let mut laws = Vec::new();
         for (name, span, value) in section.entries() {
             if !is_identifier(name) || BUILT_IN.contains(&name) {
                 let message = format!("a law cannot be called `{}`", shorten(name));
-                let help = format!("names of letters, digits and _, not {}", BUILT_IN.join(" or "));
-                self.report(Problem::at(span.clone(), message, "not a name for a law").with_help(help));
+                let help = format!(
+                    "names of letters, digits and _, not {}",
+                    BUILT_IN.join(" or ")
+                );
+                self.report(
+                    Problem::at(span.clone(), message, "not a name for a law").with_help(help),
+                );
             }
             if let Some(table) = self.table(value, span, &format!("[feedback.{}]", shorten(name))) {
                 laws.extend(self.law(name, &table, declared, region));
@@ -112,15 +124,22 @@ impl<'a> Reader<'a> {
                     format!("{} has no fit", section.name),
                     "`fit` is missing",
                 );
-                self.report(problem.with_help("add fit = \"u\" (the law itself) or fit = \"V\" (the value function)"));
+                self.report(problem.with_help(
+                    "add fit = \"u\" (the law itself) or fit = \"V\" (the value function)",
+                ));
                 None
             }
         };
         let target = fit.and_then(|fit| self.target(section, fit, declared));
-        let inputs = target.as_ref().and_then(|t| self.inputs(section, t, declared));
+        let inputs = target
+            .as_ref()
+            .and_then(|t| self.inputs(section, t, declared));
         let bounds = self.bounds(section, &declared.states, region);
         let conditions = self.conditions(section);
-        let (validation, test) = (self.share(section, "validation"), self.share(section, "test"));
+        let (validation, test) = (
+            self.share(section, "validation"),
+            self.share(section, "test"),
+        );
         if validation + test > 0.9 {
             let span = section.key_span("test");
             self.refuse::<()>(
@@ -132,7 +151,9 @@ impl<'a> Reader<'a> {
         let base = self.base(section, target.as_ref());
         let counted = |reader: &mut Self, key: &str, least, default| {
             let value = section.get(key);
-            value.and_then(|v| reader.count(v, key, least)).unwrap_or(default)
+            value
+                .and_then(|v| reader.count(v, key, least))
+                .unwrap_or(default)
         };
         let feedback = Feedback {
             name: name.to_owned(),
@@ -176,7 +197,12 @@ impl<'a> Reader<'a> {
             .collect()
     }
 
-    fn target(&mut self, section: &Section<'a>, fit: Fit, declared: &Declarations<'a>) -> Option<Target> {
+    fn target(
+        &mut self,
+        section: &Section<'a>,
+        fit: Fit,
+        declared: &Declarations<'a>,
+    ) -> Option<Target> {
         let output = section.get("output");
         match (fit, output) {
             (Fit::Value, None) => return Some(Target::Value),
@@ -186,7 +212,9 @@ impl<'a> Reader<'a> {
             }
             (Fit::Law, None) => {
                 return Some(Target::Law(
-                    (0..declared.controls.len()).map(LawOutput::Control).collect(),
+                    (0..declared.controls.len())
+                        .map(LawOutput::Control)
+                        .collect(),
                 ));
             }
             (Fit::Law, Some(_)) => {}
@@ -196,7 +224,11 @@ impl<'a> Reader<'a> {
             let at = |list: &[Declared<'_>]| list.iter().position(|d| d.name == name);
             let found = at(&declared.controls).map(LawOutput::Control);
             let Some(found) = found.or_else(|| at(&declared.states).map(LawOutput::State)) else {
-                let known = declared.controls.iter().chain(&declared.states).map(|d| d.name);
+                let known = declared
+                    .controls
+                    .iter()
+                    .chain(&declared.states)
+                    .map(|d| d.name);
                 return self.unknown(name, value, "neither a control nor a state", known);
             };
             if outputs.contains(&found) {
@@ -218,15 +250,25 @@ impl<'a> Reader<'a> {
         what: &str,
         known: impl Iterator<Item = &'n str>,
     ) -> Option<T> {
-        let mut problem = Problem::at(value.span(), format!("`{}` is {what}", shorten(name)), "not known");
+        let mut problem = Problem::at(
+            value.span(),
+            format!("`{}` is {what}", shorten(name)),
+            "not known",
+        );
         problem.help = did_you_mean(name, known);
         self.report(problem);
         None
     }
 
-    fn inputs(&mut self, section: &Section<'a>, target: &Target, declared: &Declarations<'a>) -> Option<Vec<usize>> {
+    fn inputs(
+        &mut self,
+        section: &Section<'a>,
+        target: &Target,
+        declared: &Declarations<'a>,
+    ) -> Option<Vec<usize>> {
         let states = &declared.states;
-        let commanded = |i: usize| matches!(target, Target::Law(list) if list.contains(&LawOutput::State(i)));
+        let commanded =
+            |i: usize| matches!(target, Target::Law(list) if list.contains(&LawOutput::State(i)));
         let Some(value) = section.get("inputs") else {
             return Some((0..states.len()).filter(|i| !commanded(*i)).collect());
         };
@@ -236,7 +278,11 @@ impl<'a> Reader<'a> {
                 return self.unknown(name, value, "not a state", states.iter().map(|d| d.name));
             };
             if inputs.contains(&i) || commanded(i) {
-                let reason = if commanded(i) { "is the output" } else { "a second time" };
+                let reason = if commanded(i) {
+                    "is the output"
+                } else {
+                    "a second time"
+                };
                 return self.refuse(
                     value.span(),
                     format!("input `{}` {reason}", shorten(name)),
@@ -246,7 +292,11 @@ impl<'a> Reader<'a> {
             inputs.push(i);
         }
         if *target == Target::Value && inputs.len() < states.len() {
-            return self.refuse(value.span(), "V is a function of all states", "a state is missing");
+            return self.refuse(
+                value.span(),
+                "V is a function of all states",
+                "a state is missing",
+            );
         }
         Some(inputs)
     }
@@ -306,7 +356,8 @@ impl<'a> Reader<'a> {
             self.entries_of(&table, states, "states");
             for (state, bound) in states.iter().zip(&mut bounds) {
                 if let Some(value) = table.get(state.name) {
-                    *bound = self.interval(value, &format!("the box of `{}`", shorten(state.name)))?;
+                    *bound =
+                        self.interval(value, &format!("the box of `{}`", shorten(state.name)))?;
                 }
             }
         }
@@ -322,13 +373,20 @@ impl<'a> Reader<'a> {
             _ => vec![value],
         };
         (values.into_iter())
-            .filter_map(|v| self.condition(v.get_ref().as_str().unwrap_or(""), "a condition of `where`", v))
+            .filter_map(|v| {
+                self.condition(
+                    v.get_ref().as_str().unwrap_or(""),
+                    "a condition of `where`",
+                    v,
+                )
+            })
             .collect()
     }
 
     fn share(&mut self, section: &Section<'a>, key: &str) -> f64 {
         let value = section.get(key);
-        let share = value.and_then(|v| self.number_that(v, key, "above 0 and below 1", |s| s > 0.0 && s < 1.0));
+        let share = value
+            .and_then(|v| self.number_that(v, key, "above 0 and below 1", |s| s > 0.0 && s < 1.0));
         share.unwrap_or(DEFAULT_SHARE)
     }
 
@@ -344,7 +402,11 @@ impl<'a> Reader<'a> {
             }
             (DeValue::Boolean(gradient), _) => *gradient,
             _ => {
-                self.refuse::<()>(value.span(), "gradient must be true or false", "expected true or false");
+                self.refuse::<()>(
+                    value.span(),
+                    "gradient must be true or false",
+                    "expected true or false",
+                );
                 false
             }
         }

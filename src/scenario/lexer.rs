@@ -1,5 +1,5 @@
-//! Text of an expression -> tokens. Never fails: what is no token of the language becomes [`Kind::Foreign`], so that
-//! the parser can report the first thing wrong in reading order.
+//! Text of an expression -> tokens. Never fails: what is no token of the language becomes
+//! [`Kind::Foreign`], so that the parser can report the first thing wrong in reading order.
 
 use std::ops::Range;
 use winnow::ascii::{digit0, digit1};
@@ -59,8 +59,12 @@ pub(super) fn tokens(text: &str, limit: usize) -> Vec<Token<'_>> {
 }
 
 fn spaced_token<'t>(input: &mut Input<'t>) -> Result<(Kind<'t>, Range<usize>), ContextError> {
-    take_while(0.., char::is_whitespace).void().parse_next(input)?;
-    alt((number, name, operator, foreign)).with_span().parse_next(input)
+    take_while(0.., char::is_whitespace)
+        .void()
+        .parse_next(input)?;
+    alt((number, name, operator, foreign))
+        .with_span()
+        .parse_next(input)
 }
 
 fn number<'t>(input: &mut Input<'t>) -> Result<Kind<'t>, ContextError> {
@@ -75,7 +79,10 @@ fn number<'t>(input: &mut Input<'t>) -> Result<Kind<'t>, ContextError> {
 
 fn name<'t>(input: &mut Input<'t>) -> Result<Kind<'t>, ContextError> {
     let first = one_of(|c: char| c.is_alphabetic() || c == '_');
-    let text: &str = (first, take_while(0.., |c: char| c.is_alphanumeric() || c == '_'))
+    let text: &str = (
+        first,
+        take_while(0.., |c: char| c.is_alphanumeric() || c == '_'),
+    )
         .take()
         .parse_next(input)?;
     Ok(if is_identifier(text) {
@@ -94,7 +101,11 @@ pub(super) fn is_identifier(text: &str) -> bool {
 fn operator<'t>(input: &mut Input<'t>) -> Result<Kind<'t>, ContextError> {
     alt((
         alt(("**", "==", "!=", "&&", "||", "=<", "=>")).map(Kind::Foreign),
-        alt(("<=".value(Relation::LessEqual), ">=".value(Relation::GreaterEqual))).map(Kind::Relation),
+        alt((
+            "<=".value(Relation::LessEqual),
+            ">=".value(Relation::GreaterEqual),
+        ))
+        .map(Kind::Relation),
         any.verify_map(|c| match c {
             '+' => Some(Kind::Plus),
             '-' => Some(Kind::Minus),

@@ -1,8 +1,9 @@
 //! The scenario file: TOML text -> [`Model`]. The only room that knows TOML.
 //!
-//! A file is read as far as it can be read, and everything that is wrong with it is reported at once, each problem
-//! with its place in the text. Reading order: the names of all sections, the parameters (each from earlier ones), the
-//! definitions, and then the other sections, so that the order of sections in the file does not matter.
+//! A file is read as far as it can be read, and everything that is wrong with it is reported at
+//! once, each problem with its place in the text. Reading order: the names of all sections, the
+//! parameters (each from earlier ones), the definitions, and then the other sections, so that the
+//! order of sections in the file does not matter.
 
 mod attenuation;
 mod build;
@@ -41,7 +42,10 @@ use std::path::{Path, PathBuf};
 pub enum LoadError {
     /// The file cannot be read, or is not UTF-8.
     #[error("cannot read {path}: {source}", path = path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     /// The file's contents are wrong.
     #[error(transparent)]
     Scenario(#[from] ScenarioErrors),
@@ -60,12 +64,17 @@ pub fn load(path: &Path, overrides: &[(String, String)]) -> Result<Model, LoadEr
     Ok(parse(&text, &path.display().to_string(), overrides)?)
 }
 
-/// Reads a scenario's text. Each of `overrides` replaces the definition of a parameter by a number or an expression of
-/// earlier parameters; where a name is given twice, the last counts. `file_name` is for messages.
+/// Reads a scenario's text. Each of `overrides` replaces the definition of a parameter by a number
+/// or an expression of earlier parameters; where a name is given twice, the last counts.
+/// `file_name` is for messages.
 ///
 /// # Errors
 /// [`ScenarioErrors`] with everything that is wrong.
-pub fn parse(text: &str, file_name: &str, overrides: &[(String, String)]) -> Result<Model, ScenarioErrors> {
+pub fn parse(
+    text: &str,
+    file_name: &str,
+    overrides: &[(String, String)],
+) -> Result<Model, ScenarioErrors> {
     Document::parse(text, file_name)?.model(&texts(overrides))
 }
 

@@ -1,7 +1,7 @@
 //! Tokens of an expression -> syntax tree, by precedence climbing.
 //!
-//! The tree is an arena in which operands stand before their users, so whoever walks it needs no recursion; only the
-//! parser itself recurses, to a depth that is checked before it starts.
+//! The tree is an arena in which operands stand before their users, so whoever walks it needs no
+//! recursion; only the parser itself recurses, to a depth that is checked before it starts.
 
 use super::lexer::{Kind, Relation, Token, tokens};
 use super::syntax_error::{SyntaxError, after_operand, no_operand};
@@ -14,10 +14,12 @@ use winnow::stream::{Stateful, Stream, TokenSlice};
 
 /// Deepest nesting of parentheses, signs and powers.
 pub(super) const MAX_DEPTH: usize = 200;
-/// Longest expression in tokens; deriving the equations of anything longer would not end in useful time.
+/// Longest expression in tokens; deriving the equations of anything longer would not end in useful
+/// time.
 pub(super) const MAX_TOKENS: usize = 1_000_000;
 
-/// A node of the syntax tree; operands are indices of earlier nodes, spans are byte ranges in the expression's text.
+/// A node of the syntax tree; operands are indices of earlier nodes, spans are byte ranges in the
+/// expression's text.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Ast<'t> {
     Number(f64),
@@ -156,7 +158,10 @@ fn position(input: &Input<'_, '_>) -> usize {
 }
 
 fn expr(input: &mut Input<'_, '_>) -> Parsed<usize> {
-    expression(operand).prefix(prefix).infix(infix).parse_next(input)
+    expression(operand)
+        .prefix(prefix)
+        .infix(infix)
+        .parse_next(input)
 }
 
 fn push<'t>(input: &mut Input<'t, '_>, ast: Ast<'t>) -> usize {
@@ -183,7 +188,9 @@ fn operand<'t, 'a>(input: &mut Input<'t, 'a>) -> Parsed<usize> {
         Kind::Name(name) => {
             input.next_token();
             match input.peek_token() {
-                Some(Token { kind: Kind::Open, .. }) => call(input, name, token.span.clone()),
+                Some(Token {
+                    kind: Kind::Open, ..
+                }) => call(input, name, token.span.clone()),
                 _ => Ok(push(input, Ast::Name(name, token.span.clone()))),
             }
         }
@@ -216,7 +223,11 @@ fn close(input: &mut Input<'_, '_>, open: &Token<'_>) -> Parsed<usize> {
     }
 }
 
-fn call<'t>(input: &mut Input<'t, '_>, function: &'t str, name_span: Range<usize>) -> Parsed<usize> {
+fn call<'t>(
+    input: &mut Input<'t, '_>,
+    function: &'t str,
+    name_span: Range<usize>,
+) -> Parsed<usize> {
     let Some(open) = input.next_token() else {
         return backtrack();
     };
@@ -241,7 +252,9 @@ fn call<'t>(input: &mut Input<'t, '_>, function: &'t str, name_span: Range<usize
     loop {
         arguments.push(expr(input)?);
         match input.peek_token() {
-            Some(Token { kind: Kind::Comma, .. }) => input.next_token(),
+            Some(Token {
+                kind: Kind::Comma, ..
+            }) => input.next_token(),
             _ => break,
         };
     }
@@ -257,8 +270,11 @@ fn call<'t>(input: &mut Input<'t, '_>, function: &'t str, name_span: Range<usize
     ))
 }
 
-/// Binding powers: sum 1, product 3, sign 5, power 7, so that `-x^2` is `-(x^2)` and `2^-1` is allowed.
-fn prefix<'t, 'a>(input: &mut Input<'t, 'a>) -> Parsed<Prefix<Input<'t, 'a>, usize, ErrMode<SyntaxError>>> {
+/// Binding powers: sum 1, product 3, sign 5, power 7, so that `-x^2` is `-(x^2)` and `2^-1` is
+/// allowed.
+fn prefix<'t, 'a>(
+    input: &mut Input<'t, 'a>,
+) -> Parsed<Prefix<Input<'t, 'a>, usize, ErrMode<SyntaxError>>> {
     let at = position(input);
     match input.peek_token().map(|t| t.kind) {
         Some(Kind::Minus) => {
@@ -273,13 +289,25 @@ fn prefix<'t, 'a>(input: &mut Input<'t, 'a>) -> Parsed<Prefix<Input<'t, 'a>, usi
     }
 }
 
-fn infix<'t, 'a>(input: &mut Input<'t, 'a>) -> Parsed<Infix<Input<'t, 'a>, usize, ErrMode<SyntaxError>>> {
+fn infix<'t, 'a>(
+    input: &mut Input<'t, 'a>,
+) -> Parsed<Infix<Input<'t, 'a>, usize, ErrMode<SyntaxError>>> {
     let operator = match input.peek_token().map(|t| t.kind) {
-        Some(Kind::Plus) => Infix::Left(1, |i: &mut Input<'t, 'a>, a, b| Ok(binary(i, Op::Add, a, b))),
-        Some(Kind::Minus) => Infix::Left(1, |i: &mut Input<'t, 'a>, a, b| Ok(binary(i, Op::Sub, a, b))),
-        Some(Kind::Star) => Infix::Left(3, |i: &mut Input<'t, 'a>, a, b| Ok(binary(i, Op::Mul, a, b))),
-        Some(Kind::Slash) => Infix::Left(3, |i: &mut Input<'t, 'a>, a, b| Ok(binary(i, Op::Div, a, b))),
-        Some(Kind::Caret) => Infix::Right(7, |i: &mut Input<'t, 'a>, a, b| Ok(binary(i, Op::Pow, a, b))),
+        Some(Kind::Plus) => Infix::Left(1, |i: &mut Input<'t, 'a>, a, b| {
+            Ok(binary(i, Op::Add, a, b))
+        }),
+        Some(Kind::Minus) => Infix::Left(1, |i: &mut Input<'t, 'a>, a, b| {
+            Ok(binary(i, Op::Sub, a, b))
+        }),
+        Some(Kind::Star) => Infix::Left(3, |i: &mut Input<'t, 'a>, a, b| {
+            Ok(binary(i, Op::Mul, a, b))
+        }),
+        Some(Kind::Slash) => Infix::Left(3, |i: &mut Input<'t, 'a>, a, b| {
+            Ok(binary(i, Op::Div, a, b))
+        }),
+        Some(Kind::Caret) => Infix::Right(7, |i: &mut Input<'t, 'a>, a, b| {
+            Ok(binary(i, Op::Pow, a, b))
+        }),
         _ => return backtrack(),
     };
     input.next_token();
@@ -293,8 +321,10 @@ fn binary(input: &mut Input<'_, '_>, op: Op, a: usize, b: usize) -> usize {
 /// Refuses what would make the parser recurse too deep, or is too long to work with.
 fn check_size(text: &str, tokens: &[Token<'_>]) -> Result<(), SyntaxError> {
     if tokens.len() > MAX_TOKENS {
-        let message = format!("the expression has more than {MAX_TOKENS} numbers, names and operators");
-        return Err(SyntaxError::new(0..text.len(), message, "too long").with_help("name its parts in [definitions]"));
+        let message =
+            format!("the expression has more than {MAX_TOKENS} numbers, names and operators");
+        return Err(SyntaxError::new(0..text.len(), message, "too long")
+            .with_help("name its parts in [definitions]"));
     }
     // Signs and powers pending at each open parenthesis; sums and products end them.
     let mut pending: Vec<usize> = vec![0];
@@ -317,8 +347,12 @@ fn check_size(text: &str, tokens: &[Token<'_>]) -> Result<(), SyntaxError> {
             }
             if total > MAX_DEPTH {
                 let message = format!("the expression is nested more than {MAX_DEPTH} deep");
-                return Err(SyntaxError::new(token.span.clone(), message, "one level too many here")
-                    .with_help("name its parts in [definitions]"));
+                return Err(SyntaxError::new(
+                    token.span.clone(),
+                    message,
+                    "one level too many here",
+                )
+                .with_help("name its parts in [definitions]"));
             }
         } else if matches!(
             token.kind,

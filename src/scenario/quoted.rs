@@ -20,9 +20,9 @@ impl Offsets {
         let Some(literal) = text.get(span.clone()) else {
             return Self::Whole(span.clone());
         };
-        let quote = ["\"\"\"", "'''", "\"", "'"]
-            .into_iter()
-            .find(|q| literal.len() >= 2 * q.len() && literal.starts_with(q) && literal.ends_with(q));
+        let quote = ["\"\"\"", "'''", "\"", "'"].into_iter().find(|q| {
+            literal.len() >= 2 * q.len() && literal.starts_with(q) && literal.ends_with(q)
+        });
         let Some(quote) = quote else {
             return Self::Whole(span.clone());
         };
@@ -41,7 +41,12 @@ impl Offsets {
             return Self::Verbatim(start);
         }
         match follow(body, value, quote.starts_with('"')) {
-            Some(table) => Self::Table(table.into_iter().map(|(a, b)| (a + start, b + start)).collect()),
+            Some(table) => Self::Table(
+                table
+                    .into_iter()
+                    .map(|(a, b)| (a + start, b + start))
+                    .collect(),
+            ),
             None => Self::Whole(span.clone()),
         }
     }

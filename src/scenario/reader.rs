@@ -36,7 +36,9 @@ impl<'a> Section<'a> {
 
     /// Key, its place, and value, in the file's order.
     pub fn entries(&self) -> impl Iterator<Item = (&'a str, Span, &'a Value<'a>)> + use<'a> {
-        self.table.iter().map(|(k, v)| (k.get_ref().as_ref(), k.span(), v))
+        self.table
+            .iter()
+            .map(|(k, v)| (k.get_ref().as_ref(), k.span(), v))
     }
 
     pub fn get(&self, key: &str) -> Option<&'a Value<'a>> {
@@ -78,7 +80,12 @@ impl<'a> Reader<'a> {
     }
 
     /// Reports at `span`; returns `None`, for use in a chain.
-    pub fn refuse<T>(&mut self, span: Span, message: impl Into<String>, label: impl Into<String>) -> Option<T> {
+    pub fn refuse<T>(
+        &mut self,
+        span: Span,
+        message: impl Into<String>,
+        label: impl Into<String>,
+    ) -> Option<T> {
         self.report(Problem::at(span, message, label));
         None
     }
@@ -125,7 +132,13 @@ impl<'a> Reader<'a> {
     }
 
     /// The elements of an array that must have `names.len()` of them.
-    pub fn array(&mut self, value: &'a Value<'a>, what: &str, names: &str, length: usize) -> Option<&'a [Value<'a>]> {
+    pub fn array(
+        &mut self,
+        value: &'a Value<'a>,
+        what: &str,
+        names: &str,
+        length: usize,
+    ) -> Option<&'a [Value<'a>]> {
         match value.get_ref() {
             DeValue::Array(array) if array.len() == length => Some(array),
             DeValue::Array(array) => {
@@ -145,10 +158,14 @@ impl<'a> Reader<'a> {
             }
             DeValue::Integer(integer) => match integer.radix() {
                 10 => integer.as_str().parse::<f64>().ok(),
-                radix => i128::from_str_radix(integer.as_str(), radix).ok().map(|v| v as f64),
+                radix => i128::from_str_radix(integer.as_str(), radix)
+                    .ok()
+                    .map(|v| v as f64),
             },
             DeValue::Float(float) => float.as_str().parse::<f64>().ok(),
-            _ => return self.wrong_type(value, purpose.what, "a number or an expression in quotes"),
+            _ => {
+                return self.wrong_type(value, purpose.what, "a number or an expression in quotes");
+            }
         };
         match number.filter(|v| v.is_finite()) {
             Some(v) => Some(Built {
@@ -164,7 +181,12 @@ impl<'a> Reader<'a> {
     }
 
     /// As [`Self::expression`], for text from anywhere.
-    pub fn parse_and_build(&mut self, text: &str, origin: &Origin, purpose: &Use<'_>) -> Option<Built> {
+    pub fn parse_and_build(
+        &mut self,
+        text: &str,
+        origin: &Origin,
+        purpose: &Use<'_>,
+    ) -> Option<Built> {
         match parse_expression(text) {
             Ok(tree) => self.build(&tree, origin, purpose),
             Err(error) => {
@@ -175,7 +197,11 @@ impl<'a> Reader<'a> {
     }
 
     /// The two sides of a guard and the comparison between them.
-    pub fn guard(&mut self, value: &'a Value<'a>, purpose: &Use<'_>) -> Option<(Id, super::lexer::Relation, Id)> {
+    pub fn guard(
+        &mut self,
+        value: &'a Value<'a>,
+        purpose: &Use<'_>,
+    ) -> Option<(Id, super::lexer::Relation, Id)> {
         let DeValue::String(text) = value.get_ref() else {
             return self.wrong_type(value, purpose.what, "a comparison in quotes");
         };
@@ -232,7 +258,8 @@ impl<'a> Reader<'a> {
     pub fn count(&mut self, value: &'a Value<'a>, what: &str, least: u32) -> Option<usize> {
         let wanted = format!("a whole number of at least {least}");
         let fits = |v: f64| v.fract() == 0.0 && v >= f64::from(least) && v <= f64::from(u32::MAX);
-        self.number_that(value, what, &wanted, fits).map(|v| v as usize)
+        self.number_that(value, what, &wanted, fits)
+            .map(|v| v as usize)
     }
 
     /// A truth value.
@@ -248,13 +275,19 @@ impl<'a> Reader<'a> {
     }
 
     /// One of the named choices.
-    pub fn choice<T: Copy>(&mut self, value: &'a Value<'a>, what: &str, choices: &[(&str, T)]) -> Option<T> {
+    pub fn choice<T: Copy>(
+        &mut self,
+        value: &'a Value<'a>,
+        what: &str,
+        choices: &[(&str, T)],
+    ) -> Option<T> {
         let text = self.string(value, what)?;
         if let Some((_, choice)) = choices.iter().find(|(name, _)| *name == text) {
             return Some(*choice);
         }
         let names: Vec<&str> = choices.iter().map(|(n, _)| *n).collect();
-        let help = did_you_mean(text, names.iter().copied()).unwrap_or_else(|| format!("known: {}", names.join(", ")));
+        let help = did_you_mean(text, names.iter().copied())
+            .unwrap_or_else(|| format!("known: {}", names.join(", ")));
         let message = format!("unknown {what} `{}`", shorten(text));
         self.report(Problem::at(value.span(), message, "not known").with_help(help));
         None

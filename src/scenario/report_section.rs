@@ -20,11 +20,16 @@ impl<'a> Reader<'a> {
     ) -> Option<Report> {
         self.check_keys(section, &["levels", "slice", "axes"]);
         let before = self.problems.len();
-        let levels = section.get("levels").map_or_else(Vec::new, |v| self.levels(v));
-        let axes = section.get("axes").and_then(|v| self.report_axes(v, states));
+        let levels = section
+            .get("levels")
+            .map_or_else(Vec::new, |v| self.levels(v));
+        let axes = section
+            .get("axes")
+            .and_then(|v| self.report_axes(v, states));
         let mut slice = Vec::new();
         if let Some(value) = section.get("slice")
-            && let Some(table) = self.table(value, section.key_span("slice"), "the slice of [report]")
+            && let Some(table) =
+                self.table(value, section.key_span("slice"), "the slice of [report]")
         {
             self.entries_of(&table, states, "states");
             for (name, span, value) in table.entries() {
@@ -38,17 +43,23 @@ impl<'a> Reader<'a> {
                 if let Some([from, to]) = region.and_then(|r| r.get(k))
                     && !(number >= *from && number <= *to)
                 {
-                    let message = format!("{what} is {number}, outside the region, which is {from} to {to}");
+                    let message =
+                        format!("{what} is {number}, outside the region, which is {from} to {to}");
                     self.report(Problem::at(value.span(), message, "outside the region"));
                 } else if axes.as_ref().is_some_and(|a| a.iter().any(|a| a == name)) {
-                    let message = format!("{what} is one of the picture's axes, and has no fixed value");
+                    let message =
+                        format!("{what} is one of the picture's axes, and has no fixed value");
                     self.report(Problem::at(span, message, "an axis"));
                 } else {
                     slice.push((name.to_owned(), number));
                 }
             }
         }
-        (self.problems.len() == before).then_some(Report { levels, slice, axes })
+        (self.problems.len() == before).then_some(Report {
+            levels,
+            slice,
+            axes,
+        })
     }
 
     fn levels(&mut self, value: &'a Value<'a>) -> Vec<f64> {
@@ -62,13 +73,20 @@ impl<'a> Reader<'a> {
             .collect()
     }
 
-    fn report_axes(&mut self, value: &'a Value<'a>, states: &[Declared<'a>]) -> Option<[String; 2]> {
+    fn report_axes(
+        &mut self,
+        value: &'a Value<'a>,
+        states: &[Declared<'a>],
+    ) -> Option<[String; 2]> {
         let names = self.array(value, "axes", "the names of two states", 2)?;
         let mut found = Vec::new();
         for name in names {
             let text = self.string(name, "an axis")?;
             if !states.iter().any(|s| s.name == text) {
-                let message = format!("[report] has an axis `{}`, which is no state", shorten(text));
+                let message = format!(
+                    "[report] has an axis `{}`, which is no state",
+                    shorten(text)
+                );
                 let help = did_you_mean(text, states.iter().map(|s| s.name));
                 self.report(Problem {
                     help,
@@ -134,7 +152,10 @@ pub fn constant(text: &str, model: &Model) -> Result<f64, String> {
 /// Names and texts of a scene's definitions, as written; none where the text is no TOML.
 pub fn definitions(text: &str) -> Vec<(String, String)> {
     let (document, errors) = DeTable::parse_recoverable(text);
-    let section = document.get_ref().get("definitions").filter(|_| errors.is_empty());
+    let section = document
+        .get_ref()
+        .get("definitions")
+        .filter(|_| errors.is_empty());
     let Some(DeValue::Table(table)) = section.map(|s| s.get_ref()) else {
         return Vec::new();
     };

@@ -44,12 +44,20 @@ const SECTIONS: [&str; 20] = [
 pub const PROBLEM_SECTIONS: &[&str] = SECTIONS.split_at(10).0;
 const INTEGRATOR: &str = "integrator";
 /// Sections whose strings are expressions.
-const EXPRESSIONS: [&str; 6] = ["parameters", "definitions", "dynamics", "cost", "equilibrium", "region"];
+const EXPRESSIONS: [&str; 6] = [
+    "parameters",
+    "definitions",
+    "dynamics",
+    "cost",
+    "equilibrium",
+    "region",
+];
 
 type Sections<'a> = HashMap<&'static str, Section<'a>>;
 
 impl<'a> Reader<'a> {
-    /// What the TOML parser refused. One error a line: what follows on the same line is often a consequence.
+    /// What the TOML parser refused. One error a line: what follows on the same line is often a
+    /// consequence.
     pub(super) fn toml_problems(&mut self, errors: &[toml::de::Error]) {
         let end = self.text.len();
         let mut errors: Vec<_> = errors
@@ -59,15 +67,21 @@ impl<'a> Reader<'a> {
         errors.sort_by_key(|(span, _)| span.start);
         let mut last = None;
         for (span, message) in errors {
-            let between = &self.text.as_bytes()[last.unwrap_or(0).min(span.start)..span.start.min(end)];
+            let between =
+                &self.text.as_bytes()[last.unwrap_or(0).min(span.start)..span.start.min(end)];
             if last.is_none() || between.contains(&b'\n') {
-                self.report(Problem::at(span.clone(), format!("TOML: {message}"), "here"));
+                self.report(Problem::at(
+                    span.clone(),
+                    format!("TOML: {message}"),
+                    "here",
+                ));
             }
             last = Some(span.start);
         }
     }
 
-    /// Syntax errors of the expressions in a file that is not good TOML: they do not depend on the rest.
+    /// Syntax errors of the expressions in a file that is not good TOML: they do not depend on the
+    /// rest.
     pub(super) fn expression_syntax(&mut self, root: &'a DeTable<'a>) {
         let bad_lines: Vec<usize> = self
             .problems
@@ -118,8 +132,10 @@ impl<'a> Reader<'a> {
                     sections.insert(known, section);
                 }
             } else {
-                let help = did_you_mean(name, known.clone().chain(["title"]))
-                    .unwrap_or_else(|| format!("sections: {}", known.collect::<Vec<_>>().join(", ")));
+                let help =
+                    did_you_mean(name, known.clone().chain(["title"])).unwrap_or_else(|| {
+                        format!("sections: {}", known.collect::<Vec<_>>().join(", "))
+                    });
                 let message = match value.get_ref() {
                     DeValue::Table(_) => format!("unknown section [{}]", shorten(name)),
                     _ => format!("unknown key `{}` outside any section", shorten(name)),
@@ -130,8 +146,15 @@ impl<'a> Reader<'a> {
         (sections, title)
     }
 
-    /// Reports a required section that is missing, unless it is there with a wrong type (which has been reported).
-    fn require(&mut self, root: &DeTable<'_>, sections: &Sections<'a>, name: &'static str, what: &str) {
+    /// Reports a required section that is missing, unless it is there with a wrong type (which has
+    /// been reported).
+    fn require(
+        &mut self,
+        root: &DeTable<'_>,
+        sections: &Sections<'a>,
+        name: &'static str,
+        what: &str,
+    ) {
         let message = match sections.get(name) {
             Some(section) if section.entries().next().is_none() => format!("[{name}] is empty"),
             None if !root.contains_key(name) => format!("section [{name}] is missing"),
@@ -182,13 +205,19 @@ impl<'a> Reader<'a> {
                 self.require(root, &sections, name, what);
             }
         }
-        self.require(root, &sections, "region", "bounds [lower, upper] for each state");
+        self.require(
+            root,
+            &sections,
+            "region",
+            "bounds [lower, upper] for each state",
+        );
         let declared = self.declarations(&sections);
         let parameters = self.parameters(&declared.parameters, overrides);
         self.definitions(&declared.definitions);
         let game = !declared.disturbances.is_empty();
         let mut states = self.states(&declared.states);
-        // In a game the lower of V(x) and V(x + period) is no value: an angle counts as it is written.
+        // In a game the lower of V(x) and V(x + period) is no value: an angle counts as it is
+        // written.
         if let (true, Some(states)) = (game, &mut states) {
             states.iter_mut().for_each(|s| s.period = None);
         }
@@ -197,20 +226,33 @@ impl<'a> Reader<'a> {
         let dynamics = sections
             .get("dynamics")
             .and_then(|s| self.dynamics(s, &declared.states));
-        let cost = sections.get("cost").map(|s| self.cost(s)).unwrap_or_default();
-        let guards = sections.get("guards").map(|s| self.guards(s)).unwrap_or_default();
+        let cost = sections
+            .get("cost")
+            .map(|s| self.cost(s))
+            .unwrap_or_default();
+        let guards = sections
+            .get("guards")
+            .map(|s| self.guards(s))
+            .unwrap_or_default();
         let region = sections
             .get("region")
             .filter(|s| s.entries().next().is_some())
             .and_then(|s| self.region(s, &declared.states));
-        let equilibrium = sections
-            .get("equilibrium")
-            .and_then(|s| self.equilibrium(s, &declared.states, &declared.controls, &declared.disturbances));
+        let equilibrium = sections.get("equilibrium").and_then(|s| {
+            self.equilibrium(
+                s,
+                &declared.states,
+                &declared.controls,
+                &declared.disturbances,
+            )
+        });
         self.require_horizon(root, &sections, &cost);
         if let (Some(at), Some(states), Some(controls)) = (&equilibrium, &states, &controls) {
             let states: Vec<&Variable> = states.iter().map(|s| &s.variable).collect();
             self.check_equilibrium_range(at, &states, controls, region.as_deref(), cost.finite);
-            if let (Some(dynamics), Some(running), Some(disturbances)) = (&dynamics, &cost.running, &disturbances) {
+            if let (Some(dynamics), Some(running), Some(disturbances)) =
+                (&dynamics, &cost.running, &disturbances)
+            {
                 let finite = cost.finite;
                 let (states, guards) = (&states, &guards);
                 self.check_equilibrium(
@@ -235,11 +277,16 @@ impl<'a> Reader<'a> {
         let homotopy = sections
             .get("homotopy")
             .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));
-        let map = sections.get("map").and_then(|s| self.map(s, &declared.states));
-        let map_aim = sections
+        let map = sections
             .get("map")
-            .and_then(|s| self.map_aim(s, &declared.states, region.as_deref(), (cost.finite, game)));
-        let sheets = sections.get("sheets").map(|s| self.sheets(s)).unwrap_or_default();
+            .and_then(|s| self.map(s, &declared.states));
+        let map_aim = sections.get("map").and_then(|s| {
+            self.map_aim(s, &declared.states, region.as_deref(), (cost.finite, game))
+        });
+        let sheets = sections
+            .get("sheets")
+            .map(|s| self.sheets(s))
+            .unwrap_or_default();
         let feedback = sections
             .get("feedback")
             .map(|s| self.feedback(s, &declared, region.as_deref(), cost.finite))
@@ -259,13 +306,15 @@ impl<'a> Reader<'a> {
             finite: cost.finite,
             fitted: sections.get("feedback").map(law_names).unwrap_or_default(),
         };
-        let attenuation =
-            (sections.get("attenuation")).and_then(|s| self.attenuation(s, &declared, region.as_deref(), cost.finite));
+        let attenuation = (sections.get("attenuation"))
+            .and_then(|s| self.attenuation(s, &declared, region.as_deref(), cost.finite));
         let study = sections.get("study").and_then(|s| self.study(s, &scope));
         let dissipation = sections
             .get("dissipation")
             .and_then(|s| self.dissipation(s, sections.get("closed_loop"), &scope));
-        let closed_loop = sections.get("closed_loop").and_then(|s| self.closed_loop(s, &scope));
+        let closed_loop = sections
+            .get("closed_loop")
+            .and_then(|s| self.closed_loop(s, &scope));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
             file_name: file_name.to_owned(),
@@ -315,15 +364,27 @@ impl<'a> Reader<'a> {
 }
 
 /// The point deviations are taken from.
-fn reference(equilibrium: Option<&Equilibrium>, region: Option<&[[f64; 2]]>, finite: bool) -> Option<Vec<f64>> {
+fn reference(
+    equilibrium: Option<&Equilibrium>,
+    region: Option<&[[f64; 2]]>,
+    finite: bool,
+) -> Option<Vec<f64>> {
     match equilibrium {
         Some(at) => Some(at.x.iter().map(|p| p.value).collect()),
-        None if finite => region.map(|r| r.iter().map(|[lower, upper]| 0.5 * (lower + upper)).collect()),
+        None if finite => region.map(|r| {
+            r.iter()
+                .map(|[lower, upper]| 0.5 * (lower + upper))
+                .collect()
+        }),
         None => None,
     }
 }
 
-fn horizon(cost: &Cost, equilibrium: Option<Equilibrium>, reference: Option<Vec<f64>>) -> Option<Horizon> {
+fn horizon(
+    cost: &Cost,
+    equilibrium: Option<Equilibrium>,
+    reference: Option<Vec<f64>>,
+) -> Option<Horizon> {
     if cost.finite {
         let terminal = cost.terminal.clone()?;
         return Some(Horizon::Finite {
@@ -342,7 +403,8 @@ fn horizon(cost: &Cost, equilibrium: Option<Equilibrium>, reference: Option<Vec<
 }
 
 fn stem(file_name: &str) -> String {
-    Path::new(file_name)
-        .file_stem()
-        .map_or_else(|| file_name.to_owned(), |s| s.to_string_lossy().into_owned())
+    Path::new(file_name).file_stem().map_or_else(
+        || file_name.to_owned(),
+        |s| s.to_string_lossy().into_owned(),
+    )
 }

@@ -5,9 +5,10 @@ use super::reader::{Reader, Section, Value};
 use crate::diagnostics::Problem;
 use crate::diagnostics::shorten;
 use crate::model::{
-    DEFAULT_ARC_LENGTH, DEFAULT_MAP_CHECK, DEFAULT_MAP_STATES, DEFAULT_MARGIN, DEFAULT_MAX_SEEDS, DEFAULT_MAX_STEPS,
-    GridAxis, Homotopy, Integrator, LEAST_MAP_ERROR, MAP_ERROR_MAX, MAP_ERRORS_MAX, MOST_MAP_CHECK, MOST_MAP_ERROR,
-    MOST_MAP_STATES, MapAim, MapGrid, Method, Precision, SampleBy, SeedValue, Sheets, ShootOut,
+    DEFAULT_ARC_LENGTH, DEFAULT_MAP_CHECK, DEFAULT_MAP_STATES, DEFAULT_MARGIN, DEFAULT_MAX_SEEDS,
+    DEFAULT_MAX_STEPS, GridAxis, Homotopy, Integrator, LEAST_MAP_ERROR, MAP_ERROR_MAX,
+    MAP_ERRORS_MAX, MOST_MAP_CHECK, MOST_MAP_ERROR, MOST_MAP_STATES, MapAim, MapGrid, Method,
+    Precision, SampleBy, SeedValue, Sheets, ShootOut,
 };
 use toml::de::DeValue;
 
@@ -60,7 +61,11 @@ const PRECISIONS: [(&str, Option<Precision>); 3] = [
 
 impl<'a> Reader<'a> {
     /// `[region]`: bounds of each state; `None` where one is missing or wrong.
-    pub fn region(&mut self, section: &Section<'a>, states: &[Declared<'a>]) -> Option<Vec<[f64; 2]>> {
+    pub fn region(
+        &mut self,
+        section: &Section<'a>,
+        states: &[Declared<'a>],
+    ) -> Option<Vec<[f64; 2]>> {
         self.entries_of(section, states, "states");
         let mut all = Vec::with_capacity(states.len());
         for state in states {
@@ -70,7 +75,9 @@ impl<'a> Reader<'a> {
                 None => {
                     let message = format!("state `{name}` has no bounds in [region]");
                     let help = format!("add {name} = [lower, upper]");
-                    self.report(Problem::at(section.span.clone(), message, "missing here").with_help(help));
+                    self.report(
+                        Problem::at(section.span.clone(), message, "missing here").with_help(help),
+                    );
                     None
                 }
             });
@@ -94,7 +101,12 @@ impl<'a> Reader<'a> {
     }
 
     /// `[shoot_out]`; `finite`: the horizon is; `game`: there are disturbances.
-    pub fn shoot_out(&mut self, section: &Section<'a>, finite: bool, game: bool) -> Option<ShootOut> {
+    pub fn shoot_out(
+        &mut self,
+        section: &Section<'a>,
+        finite: bool,
+        game: bool,
+    ) -> Option<ShootOut> {
         self.check_keys(section, &SHOOT_OUT_KEYS);
         let before = self.problems.len();
         let positive = |v: f64| v > 0.0;
@@ -109,12 +121,18 @@ impl<'a> Reader<'a> {
             );
             self.report(problem.with_help("add value_max = ..., the largest V of interest"));
         }
-        let spacing = section
-            .get("spacing")
-            .and_then(|v| self.number_that(v, "spacing", "greater than 0 and at most 1", |s| s > 0.0 && s <= 1.0));
+        let spacing = section.get("spacing").and_then(|v| {
+            self.number_that(v, "spacing", "greater than 0 and at most 1", |s| {
+                s > 0.0 && s <= 1.0
+            })
+        });
         let seed_value = self.seed_value(section, value_max, finite);
-        let samples = section.get("samples").and_then(|v| self.count(v, "samples", 2));
-        let max_seeds = section.get("max_seeds").and_then(|v| self.count(v, "max_seeds", 1));
+        let samples = section
+            .get("samples")
+            .and_then(|v| self.count(v, "samples", 2));
+        let max_seeds = section
+            .get("max_seeds")
+            .and_then(|v| self.count(v, "max_seeds", 1));
         let margin = section
             .get("margin")
             .and_then(|v| self.number_that(v, "margin", "at least 0", |m| m >= 0.0));
@@ -124,11 +142,16 @@ impl<'a> Reader<'a> {
                 a > 0.0 && a <= 1e3
             })
         });
-        let folds = section.get("folds").and_then(|v| self.yes_or_no(v, "folds"));
+        let folds = section
+            .get("folds")
+            .and_then(|v| self.yes_or_no(v, "folds"));
         if let (true, Some(false)) = (game, folds) {
-            let message =
-                "with disturbances trajectories end where the manifold folds: behind a fold nothing is certified";
-            self.report(Problem::at(section.key_span("folds"), message, "remove this"));
+            let message = "with disturbances trajectories end where the manifold folds: behind a fold nothing is certified";
+            self.report(Problem::at(
+                section.key_span("folds"),
+                message,
+                "remove this",
+            ));
         }
         (self.problems.len() == before).then(|| ShootOut {
             value_max,
@@ -156,22 +179,37 @@ impl<'a> Reader<'a> {
         self.refuse(value.span(), message, "remove this, or write \"auto\"")
     }
 
-    fn seed_value(&mut self, section: &Section<'a>, value_max: Option<f64>, finite: bool) -> SeedValue {
+    fn seed_value(
+        &mut self,
+        section: &Section<'a>,
+        value_max: Option<f64>,
+        finite: bool,
+    ) -> SeedValue {
         let Some(value) = section.get("seed_value") else {
             return SeedValue::Auto;
         };
         if value.get_ref().as_str() == Some("auto") {
             return SeedValue::Auto;
         }
-        let Some(seed) = self.number_that(value, "seed_value", "greater than 0", |v| v > 0.0) else {
+        let Some(seed) = self.number_that(value, "seed_value", "greater than 0", |v| v > 0.0)
+        else {
             return SeedValue::Auto;
         };
         if finite {
-            let message = "seed_value has no meaning with a final time: seeds lie on the terminal cost";
-            self.report(Problem::at(value.span(), message, "remove this, or write \"auto\""));
+            let message =
+                "seed_value has no meaning with a final time: seeds lie on the terminal cost";
+            self.report(Problem::at(
+                value.span(),
+                message,
+                "remove this, or write \"auto\"",
+            ));
         } else if let Some(max) = value_max.filter(|max| seed >= *max) {
             let message = format!("seed_value must be below value_max, but {seed} >= {max}");
-            self.report(Problem::at(value.span(), message, format!("value_max is {max}")));
+            self.report(Problem::at(
+                value.span(),
+                message,
+                format!("value_max is {max}"),
+            ));
         }
         SeedValue::Value(seed)
     }
@@ -183,7 +221,11 @@ impl<'a> Reader<'a> {
         states: &[Declared<'a>],
         reference: Option<&[f64]>,
     ) -> Option<Homotopy> {
-        let fixed = |i: usize| reference.and_then(|r| r.get(i)).map(|&x| GridAxis::Fixed(x));
+        let fixed = |i: usize| {
+            reference
+                .and_then(|r| r.get(i))
+                .map(|&x| GridAxis::Fixed(x))
+        };
         let axes = self.grid_axes(section, states, &fixed)?;
         self.grid_size(section, grid_points(&axes))?;
         Some(Homotopy {
@@ -233,7 +275,11 @@ impl<'a> Reader<'a> {
             for key in OF_ERROR {
                 if let Some(value) = section.get(key) {
                     let message = format!("`{key}` belongs to a map that is made to an error");
-                    self.refuse::<()>(value.span(), message, "give `error = 1e-3` too, or leave it out");
+                    self.refuse::<()>(
+                        value.span(),
+                        message,
+                        "give `error = 1e-3` too, or leave it out",
+                    );
                 }
             }
         }
@@ -241,8 +287,8 @@ impl<'a> Reader<'a> {
             return None;
         }
         let before = self.problems.len();
-        let value_max =
-            (section.get("value_max")).and_then(|v| self.number_that(v, "value_max", "greater than 0", |v| v > 0.0));
+        let value_max = (section.get("value_max"))
+            .and_then(|v| self.number_that(v, "value_max", "greater than 0", |v| v > 0.0));
         let counts: Vec<usize> = match section.get("resolution") {
             None => vec![default_resolution(states.len()); states.len()],
             Some(value) if matches!(value.get_ref(), DeValue::Table(_)) => {
@@ -250,7 +296,11 @@ impl<'a> Reader<'a> {
                 self.entries_of(&table, states, "states");
                 (states.iter())
                     .map(|state| match table.get(state.name) {
-                        Some(value) => self.count(value, &format!("the resolution of `{}`", shorten(state.name)), 1),
+                        Some(value) => self.count(
+                            value,
+                            &format!("the resolution of `{}`", shorten(state.name)),
+                            1,
+                        ),
                         None => Some(1),
                     })
                     .collect::<Option<_>>()?
@@ -283,7 +333,11 @@ impl<'a> Reader<'a> {
                 .get(key)
                 .and_then(|v| self.number_that(v, key, "greater than 0", |v| v > 0.0))
         };
-        let (floor, value_max, seconds) = (positive("floor"), positive("value_max"), positive("seconds"));
+        let (floor, value_max, seconds) = (
+            positive("floor"),
+            positive("value_max"),
+            positive("seconds"),
+        );
         let equal_cost = positive("equal_cost");
         let count = |reader: &mut Self, key: &str, default: usize| match section.get(key) {
             Some(value) => reader.count(value, key, 1),
@@ -295,7 +349,11 @@ impl<'a> Reader<'a> {
             && asked > MOST_MAP_CHECK
         {
             let message = format!("check = {asked}: at most {MOST_MAP_CHECK} fresh states");
-            self.refuse::<()>(value.span(), message, "1000 tell a share of wrong bounds to 0.3 %");
+            self.refuse::<()>(
+                value.span(),
+                message,
+                "1000 tell a share of wrong bounds to 0.3 %",
+            );
         }
         if states.len() > MOST_MAP_STATES {
             let message = format!("a map to an error is made for at most {MOST_MAP_STATES} states");
@@ -311,7 +369,9 @@ impl<'a> Reader<'a> {
             let table = self.table(value, section.key_span("region"), "the region of the map")?;
             self.entries_of(&table, states, "states");
             for (state, bounds) in states.iter().zip(&mut bounds) {
-                let Some(value) = table.get(state.name) else { continue };
+                let Some(value) = table.get(state.name) else {
+                    continue;
+                };
                 let what = format!("the map's range of `{}`", shorten(state.name));
                 let [lo, hi] = self.array(value, &what, "[lower, upper]", 2)? else {
                     return None;
@@ -322,8 +382,15 @@ impl<'a> Reader<'a> {
                     return self.refuse(value.span(), message, "the lower end comes first");
                 }
                 if lo < bounds[0] || hi > bounds[1] {
-                    let message = format!("{what} is not inside the region, from {} to {}", bounds[0], bounds[1]);
-                    return self.refuse(value.span(), message, "make [region] wider, or this narrower");
+                    let message = format!(
+                        "{what} is not inside the region, from {} to {}",
+                        bounds[0], bounds[1]
+                    );
+                    return self.refuse(
+                        value.span(),
+                        message,
+                        "make [region] wider, or this narrower",
+                    );
                 }
                 *bounds = [lo, hi];
             }
@@ -351,8 +418,15 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Whether a map to an error has time as an axis: unless the scene says, wherever that can be had.
-    fn time_axis(&mut self, section: &Section<'a>, states: usize, finite: bool, game: bool) -> bool {
+    /// Whether a map to an error has time as an axis: unless the scene says, wherever that can be
+    /// had.
+    fn time_axis(
+        &mut self,
+        section: &Section<'a>,
+        states: usize,
+        finite: bool,
+        game: bool,
+    ) -> bool {
         let possible = finite && !game && states < MOST_MAP_STATES;
         let Some(value) = section.get("time") else {
             return possible;
@@ -376,7 +450,9 @@ impl<'a> Reader<'a> {
                 let most = MOST_MAP_STATES - 1;
                 (
                     message,
-                    format!("time counts as a state: at most {most} others; `time = false` makes that of V(x, 0)"),
+                    format!(
+                        "time counts as a state: at most {most} others; `time = false` makes that of V(x, 0)"
+                    ),
                 )
             };
             self.refuse::<()>(value.span(), message, help);
@@ -424,13 +500,21 @@ impl<'a> Reader<'a> {
             max_steps: DEFAULT_MAX_STEPS,
             span: section.map(|s| s.span.clone()),
         };
-        let Some(section) = section else { return integrator };
-        self.check_keys(section, &["method", "rtol", "atol", "step", "precision", "max_steps"]);
-        let method = section.get("method").map(|v| self.choice(v, "method", &methods()));
-        if let Some(rtol) = section
-            .get("rtol")
-            .and_then(|v| self.number_that(v, "rtol", "greater than 0 and at most 0.1", |r| r > 0.0 && r <= 0.1))
-        {
+        let Some(section) = section else {
+            return integrator;
+        };
+        self.check_keys(
+            section,
+            &["method", "rtol", "atol", "step", "precision", "max_steps"],
+        );
+        let method = section
+            .get("method")
+            .map(|v| self.choice(v, "method", &methods()));
+        if let Some(rtol) = section.get("rtol").and_then(|v| {
+            self.number_that(v, "rtol", "greater than 0 and at most 0.1", |r| {
+                r > 0.0 && r <= 0.1
+            })
+        }) {
             integrator.rtol = rtol;
             integrator.atol = DEFAULT_ATOL_SHARE * rtol;
         }
@@ -449,7 +533,10 @@ impl<'a> Reader<'a> {
         {
             integrator.precision = precision;
         }
-        if let Some(steps) = section.get("max_steps").and_then(|v| self.count(v, "max_steps", 1)) {
+        if let Some(steps) = section
+            .get("max_steps")
+            .and_then(|v| self.count(v, "max_steps", 1))
+        {
             integrator.max_steps = steps;
         }
         // An unknown method says nothing about whether it needs a step.

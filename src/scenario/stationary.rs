@@ -1,5 +1,5 @@
-//! What the local solution at an equilibrium needs of the equations: a running cost that is stationary there, and
-//! neither cost nor dynamics with a kink there.
+//! What the local solution at an equilibrium needs of the equations: a running cost that is
+//! stationary there, and neither cost nor dynamics with a kink there.
 
 use super::equilibrium::{POINTS, Scene, is_zero, sized};
 use super::reader::Reader;
@@ -12,9 +12,9 @@ use std::collections::HashMap;
 const SHOWN: f64 = 40.0;
 
 impl Reader<'_> {
-    /// Checks dL/dx = 0 at the equilibrium (the characteristics rest at (x*, 0) only there; dL/du = 0 is checked with
-    /// the extremal controls) and that nothing the linearization is made of jumps there. `values` are those of all
-    /// symbols at the equilibrium.
+    /// Checks dL/dx = 0 at the equilibrium (the characteristics rest at (x*, 0) only there; dL/du =
+    /// 0 is checked with the extremal controls) and that nothing the linearization is made of jumps
+    /// there. `values` are those of all symbols at the equilibrium.
     pub fn check_smooth_rest(&mut self, values: &HashMap<Id, f64>, scene: &Scene<'_>) {
         // Derivatives are looked at in a graph of their own: that of the model stays as it is.
         let mut graph = self.graph.clone();
@@ -40,7 +40,9 @@ impl Reader<'_> {
                      as ({name} - {at})^2, move [equilibrium] to where L is least, or give [cost] a final_time",
                     at = places[0][&state.symbol]
                 );
-                self.report(Problem::at(scene.running.span.clone(), message, label).with_help(help));
+                self.report(
+                    Problem::at(scene.running.span.clone(), message, label).with_help(help),
+                );
             }
         }
     }
@@ -58,7 +60,11 @@ impl Reader<'_> {
                 let message = format!("{what} a kink at the equilibrium: {kink}");
                 let help = "the local solution needs the dynamics once and the cost twice differentiable at the equilibrium: \
                             round the kink, such as sqrt(a^2 + e^2) - e for abs(a) with a small e, or move [equilibrium] off it";
-                let problem = Problem::at(located.span.clone(), message, "not smooth at the equilibrium");
+                let problem = Problem::at(
+                    located.span.clone(),
+                    message,
+                    "not smooth at the equilibrium",
+                );
                 self.report(problem.with_help(help));
             }
         }
@@ -67,25 +73,29 @@ impl Reader<'_> {
 
 /// The equilibrium, and points of the region with everything else as there.
 fn places(values: &HashMap<Id, f64>, scene: &Scene<'_>) -> Vec<HashMap<Id, f64>> {
-    let over = (0..POINTS).filter_map(|k| Some((k, scene.region?))).map(|(k, region)| {
-        let mut values = values.clone();
-        values.extend(super::equilibrium::point_of(k, scene.states, region));
-        values
-    });
+    let over = (0..POINTS)
+        .filter_map(|k| Some((k, scene.region?)))
+        .map(|(k, region)| {
+            let mut values = values.clone();
+            values.extend(super::equilibrium::point_of(k, scene.states, region));
+            values
+        });
     [values.clone()].into_iter().chain(over).collect()
 }
 
 /// Value at the first place, and the largest size of its terms at any.
 fn at_all(graph: &Graph, expr: Id, places: &[HashMap<Id, f64>]) -> (f64, f64) {
     let (value, size) = sized(graph, expr, &places[0]);
-    let sizes = places[1..].iter().map(|values| sized(graph, expr, values).1);
+    let sizes = places[1..]
+        .iter()
+        .map(|values| sized(graph, expr, values).1);
     (value, sizes.filter(|s| s.is_finite()).fold(size, f64::max))
 }
 
 /// The first kink through the equilibrium across which a derivative up to `order` jumps, in words.
 ///
-/// Each abs(a) with a = 0 there becomes sign * a. A derivative that differs between sign = 1 and -1 jumps: that of abs(x)
-/// does, that of the drag v*abs(v) does not.
+/// Each abs(a) with a = 0 there becomes sign * a. A derivative that differs between sign = 1 and -1
+/// jumps: that of abs(x) does, that of the drag v*abs(v) does not.
 fn kink(
     graph: &mut Graph,
     located: &Located,
@@ -115,7 +125,8 @@ fn kink(
                 at_all(graph, derivative, &places)
             };
             for &derivative in &derivatives {
-                let ((above, size), (below, other)) = (side(1.0, derivative), side(-1.0, derivative));
+                let ((above, size), (below, other)) =
+                    (side(1.0, derivative), side(-1.0, derivative));
                 let jump = above - below;
                 if jump.is_finite() && !is_zero(jump, size.max(other)) {
                     return Some(format!("`{text}`, whose argument is 0 there"));
@@ -126,9 +137,13 @@ fn kink(
     None
 }
 
-/// An expression with each abs(a), a = 0 at the first place, as sign * a; the new symbols, which are given the value 1 at
-/// all places, with the text of what they stand in for.
-fn with_signs(graph: &mut Graph, expr: Id, places: &mut [HashMap<Id, f64>]) -> (Id, Vec<(Id, String)>) {
+/// An expression with each abs(a), a = 0 at the first place, as sign * a; the new symbols, which
+/// are given the value 1 at all places, with the text of what they stand in for.
+fn with_signs(
+    graph: &mut Graph,
+    expr: Id,
+    places: &mut [HashMap<Id, f64>],
+) -> (Id, Vec<(Id, String)>) {
     let (mut expr, mut kinks) = (expr, Vec::new());
     loop {
         let found = graph
@@ -158,7 +173,13 @@ fn with_signs(graph: &mut Graph, expr: Id, places: &mut [HashMap<Id, f64>]) -> (
 
 /// The text of an expression, if it is short: shared parts are written out each time.
 fn shown(graph: &Graph, id: Id) -> String {
-    let leaves = graph.fold(&[id], &mut |_| 1.0, &mut |_| 1.0, &mut |_, a| *a, &mut |_, a, b| a + b)[0];
+    let leaves = graph.fold(
+        &[id],
+        &mut |_| 1.0,
+        &mut |_| 1.0,
+        &mut |_, a| *a,
+        &mut |_, a, b| a + b,
+    )[0];
     if leaves <= SHOWN {
         graph.show(id)
     } else {

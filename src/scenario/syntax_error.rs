@@ -59,12 +59,19 @@ pub(super) fn no_operand(tokens: &[Token<'_>], at: usize) -> SyntaxError {
             SyntaxError::new(before.span.clone(), message, "a value must follow")
         }
         (
-            Some(Token { kind: Kind::Open, span }),
+            Some(Token {
+                kind: Kind::Open,
+                span,
+            }),
             Some(Token {
                 kind: Kind::Close,
                 span: end,
             }),
-        ) => SyntaxError::new(span.start..end.end, "the parentheses are empty", "a value is missing"),
+        ) => SyntaxError::new(
+            span.start..end.end,
+            "the parentheses are empty",
+            "a value is missing",
+        ),
         (_, Some(token)) => match token.kind {
             Kind::Foreign(text) => foreign(text, token.span.clone()),
             kind => {
@@ -76,7 +83,8 @@ pub(super) fn no_operand(tokens: &[Token<'_>], at: usize) -> SyntaxError {
     }
 }
 
-/// Token `at` follows a complete value, but is no operator. `compared`: a comparison stands before it.
+/// Token `at` follows a complete value, but is no operator. `compared`: a comparison stands before
+/// it.
 pub(super) fn after_operand(tokens: &[Token<'_>], at: usize, compared: bool) -> SyntaxError {
     let token = &tokens[at];
     let span = token.span.clone();
@@ -94,24 +102,38 @@ pub(super) fn after_operand(tokens: &[Token<'_>], at: usize, compared: bool) -> 
                 shown(token.kind)
             };
             let message = format!("an operator is missing before `{}`", shown(token.kind));
-            SyntaxError::new(span, message, "no operator between this and what stands before it")
-                .with_help(format!("write {left}*{right}"))
+            SyntaxError::new(
+                span,
+                message,
+                "no operator between this and what stands before it",
+            )
+            .with_help(format!("write {left}*{right}"))
         }
         Kind::Close => SyntaxError::new(span, "`)` without `(`", "nothing to close here"),
         Kind::Comma => {
             let error = SyntaxError::new(span, "unexpected `,`", "not allowed here");
             match (before, tokens.get(at + 1).map(|t| t.kind)) {
-                (Kind::Number(a), Some(Kind::Number(b))) => error.with_help(format!("write {a}.{b} with a point")),
+                (Kind::Number(a), Some(Kind::Number(b))) => {
+                    error.with_help(format!("write {a}.{b} with a point"))
+                }
                 _ => error,
             }
         }
         Kind::Relation(_) if compared => {
-            SyntaxError::new(span, "a second comparison", "one comparison a guard").with_help("write two guards")
+            SyntaxError::new(span, "a second comparison", "one comparison a guard")
+                .with_help("write two guards")
         }
-        Kind::Relation(_) => SyntaxError::new(span, "a comparison is not a value", "not allowed here")
-            .with_help("comparisons stand between the two sides of a guard, in [guards], and nowhere else"),
+        Kind::Relation(_) => {
+            SyntaxError::new(span, "a comparison is not a value", "not allowed here").with_help(
+                "comparisons stand between the two sides of a guard, in [guards], and nowhere else",
+            )
+        }
         Kind::Foreign(text) => foreign(text, span),
-        kind => SyntaxError::new(span, format!("unexpected `{}`", shown(kind)), "not allowed here"),
+        kind => SyntaxError::new(
+            span,
+            format!("unexpected `{}`", shown(kind)),
+            "not allowed here",
+        ),
     }
 }
 
@@ -131,7 +153,9 @@ fn foreign(text: &str, span: Range<usize>) -> SyntaxError {
         "\u{2264}" => "write <=",
         "\u{2265}" => "write >=",
         "[" | "]" | "{" | "}" => "use parentheses ( )",
-        _ if text.chars().any(char::is_alphanumeric) => "names have letters a to z, A to Z, digits and _",
+        _ if text.chars().any(char::is_alphanumeric) => {
+            "names have letters a to z, A to Z, digits and _"
+        }
         _ => "the operators are + - * / ^",
     };
     let what = if text.chars().any(char::is_alphabetic) {

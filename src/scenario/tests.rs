@@ -96,7 +96,10 @@ fn precedence() {
 fn chains_are_as_deep_as_they_must() {
     let sum = vec!["x"; 50_000].join(" + ");
     assert_eq!(value(&sum), 100_000.0);
-    assert_eq!(value(&format!("{}x{}", "(".repeat(200), ")".repeat(200))), 2.0);
+    assert_eq!(
+        value(&format!("{}x{}", "(".repeat(200), ")".repeat(200))),
+        2.0
+    );
     // Signs and powers nest only until the next sum or product.
     assert_eq!(value(&vec!["-x^1^1"; 300].join(" + ")), -600.0);
     assert_eq!(value(&vec!["(-x^2)"; 300].join(" - ")), 1192.0);
@@ -152,7 +155,9 @@ enum Shape {
 }
 
 fn shape() -> impl Strategy<Value = Shape> {
-    let numbers = vec![-3.0, -1.0, -0.5, 0.0, 0.25, 0.5, 1.0, 2.0, 7.0, 1e-7, -2.5e-9, 1e17];
+    let numbers = vec![
+        -3.0, -1.0, -0.5, 0.0, 0.25, 0.5, 1.0, 2.0, 7.0, 1e-7, -2.5e-9, 1e17,
+    ];
     let leaf = prop_oneof![
         proptest::sample::select(numbers).prop_map(Shape::Constant),
         (0..3usize).prop_map(Shape::Symbol),
@@ -194,8 +199,8 @@ fn make(graph: &mut Graph, symbols: &[Id], shape: &Shape) -> Id {
     }
 }
 
-/// The value of a shape by plain arithmetic, without the graph, and how far rounding may move it; NaN where any part of
-/// it is large or not finite.
+/// The value of a shape by plain arithmetic, without the graph, and how far rounding may move it;
+/// NaN where any part of it is large or not finite.
 fn direct(shape: &Shape, at: &[f64]) -> (f64, f64) {
     // Leaves count as rounded too, some hundred times over, since the graph regroups operations.
     const LEAF: f64 = 300.0 * f64::EPSILON;
@@ -251,8 +256,9 @@ fn spelled(shape: &Shape) -> String {
     }
 }
 
-/// Whether two ways to compute one value agree. `size`: largest of the terms on the way. Rounding differs where terms
-/// are regrouped, by some epsilons of the terms' size for each of the up to hundred operations.
+/// Whether two ways to compute one value agree. `size`: largest of the terms on the way. Rounding
+/// differs where terms are regrouped, by some epsilons of the terms' size for each of the up to
+/// hundred operations.
 fn agree(a: f64, b: f64, size: f64) -> bool {
     const ROUNDING: f64 = 1e5 * f64::EPSILON;
     // Beyond this size nothing is left of the digits of a sum, or of the argument of a sine.
@@ -266,15 +272,24 @@ fn value_and_size(graph: &Graph, root: Id, values: &HashMap<Id, f64>) -> (f64, f
         .reachable(&[root])
         .into_iter()
         .map(|id| sized(graph, id, values).1);
-    let largest = sizes.fold(0.0, |a: f64, b| if b.is_finite() { a.max(b) } else { f64::INFINITY });
+    let largest = sizes.fold(0.0, |a: f64, b| {
+        if b.is_finite() {
+            a.max(b)
+        } else {
+            f64::INFINITY
+        }
+    });
     (sized(graph, root, values).0, largest)
 }
 
 fn has_only_finite_constants(graph: &Graph, root: Id) -> bool {
-    graph.reachable(&[root]).into_iter().all(|id| match graph.node(id) {
-        Node::Const(bits) => f64::from_bits(bits).is_finite(),
-        _ => true,
-    })
+    graph
+        .reachable(&[root])
+        .into_iter()
+        .all(|id| match graph.node(id) {
+            Node::Const(bits) => f64::from_bits(bits).is_finite(),
+            _ => true,
+        })
 }
 
 /// The same cases in every run; `PROPTEST_RNG_SEED` and `PROPTEST_CASES` choose others.
@@ -367,7 +382,8 @@ proptest! {
     fn every_character_of_a_string_is_found_in_the_file(
         parts in proptest::collection::vec(("[a-z \"\\\\\u{e9}\u{1f600}]", 0..3u8), 0..30),
     ) {
-        // Each character as it is, or as one of two escapes; then its place must be that of its notation.
+        // Each character as it is, or as one of two escapes; then its place must be that of its
+        // notation.
         let (mut text, mut value, mut places) = ("key = \"".to_owned(), String::new(), Vec::new());
         for (character, notation) in parts {
             let c = character.chars().next().unwrap_or('x');

@@ -4,8 +4,8 @@ use super::elimination::Factors;
 use super::newton::{Elimination, Linear};
 use crate::backend::{BackendError, Eliminator, Systems};
 
-/// Eliminates the equations of paths with `n` states, each with the wanted step of its first state, in batches of about
-/// `most` bytes.
+/// Eliminates the equations of paths with `n` states, each with the wanted step of its first state,
+/// in batches of about `most` bytes.
 pub(super) fn eliminate(
     eliminator: &mut dyn Eliminator,
     n: usize,
@@ -20,10 +20,12 @@ pub(super) fn eliminate(
             ..Systems::default()
         };
         let mut batch = Vec::new();
-        while let Some((linear, wanted)) =
-            problems.next_if(|(l, _)| batch.is_empty() || 8 * (systems.phi.len() + l.phi.len()) <= most)
+        while let Some((linear, wanted)) = problems
+            .next_if(|(l, _)| batch.is_empty() || 8 * (systems.phi.len() + l.phi.len()) <= most)
         {
-            systems.segments.push((linear.phi.len() / (4 * n * n)) as u32);
+            systems
+                .segments
+                .push((linear.phi.len() / (4 * n * n)) as u32);
             systems.phi.extend_from_slice(&linear.phi);
             systems.defects.extend_from_slice(&linear.residual.defects);
             systems.end.extend_from_slice(&linear.residual.end);
@@ -36,11 +38,17 @@ pub(super) fn eliminate(
         for phi in batch {
             let nodes = first..first + phi.len() / (4 * n * n) + 1;
             first = nodes.end;
-            let of = |list: &[f64], each: usize| list[nodes.start * each..nodes.end * each].to_vec();
+            let of =
+                |list: &[f64], each: usize| list[nodes.start * each..nodes.end * each].to_vec();
             let steps = of(&result.steps, 2 * n);
             let regular = steps.iter().all(|x| x.is_finite());
             done.push(Elimination {
-                factors: Factors::from_parts(n, phi, of(&result.w, 2 * n * n), of(&result.l, n * n)),
+                factors: Factors::from_parts(
+                    n,
+                    phi,
+                    of(&result.w, 2 * n * n),
+                    of(&result.l, n * n),
+                ),
                 step: regular.then_some((steps, 0.0)),
             });
         }

@@ -8,13 +8,15 @@
 //! s-part of d_0 given
 //! ```
 //!
-//! The end's n rows are carried backward through the segments: `W_{k+1} Phi_k = L_k W_k` with orthonormal rows in every
-//! `W_k`. Those rows span the conormal space of the stable manifold (of the terminal condition's flow), which attracts
-//! backward in time, so that no growing part of `Phi` is ever subtracted from another, and a conjugate point on the way
-//! does no harm. Forward again, each step is corrected onto its rows. (Compare the compactification of U. Ascher,
-//! R. Mattheij, R. Russell, Numerical Solution of Boundary Value Problems, SIAM 1995, ch. 7.)
+//! The end's n rows are carried backward through the segments: `W_{k+1} Phi_k = L_k W_k` with
+//! orthonormal rows in every `W_k`. Those rows span the conormal space of the stable manifold (of
+//! the terminal condition's flow), which attracts backward in time, so that no growing part of
+//! `Phi` is ever subtracted from another, and a conjugate point on the way does no harm. Forward
+//! again, each step is corrected onto its rows. (Compare the compactification of U. Ascher, R.
+//! Mattheij, R. Russell, Numerical Solution of Boundary Value Problems, SIAM 1995, ch. 7.)
 //!
-//! `W_0 = (A B)` tells the slope `dp/ds = -B^-1 A` of the sheet at the target; B is singular exactly on a fold.
+//! `W_0 = (A B)` tells the slope `dp/ds = -B^-1 A` of the sheet at the target; B is singular
+//! exactly on a fold.
 
 /// Elimination of one trajectory, kept for further right-hand sides.
 #[derive(Clone, Debug, Default)]
@@ -33,7 +35,8 @@ pub struct Factors {
 pub enum Start<'a> {
     /// The s-part of its step (scaled).
     Step(&'a [f64]),
-    /// The s-part is on a line: `excess + direction * t`; and `along . (t, dp) = advance`. One more unknown, t.
+    /// The s-part is on a line: `excess + direction * t`; and `along . (t, dp) = advance`. One more
+    /// unknown, t.
     Line {
         excess: &'a [f64],
         direction: &'a [f64],
@@ -62,7 +65,8 @@ impl Factors {
         this
     }
 
-    /// An elimination that was done elsewhere: propagators `[segment][2n x 2n]`, and the `W` and `L` of their nodes.
+    /// An elimination that was done elsewhere: propagators `[segment][2n x 2n]`, and the `W` and
+    /// `L` of their nodes.
     pub fn from_parts(n: usize, phi: Vec<f64>, w: Vec<f64>, l: Vec<f64>) -> Self {
         debug_assert_eq!(w.len(), (phi.len() / (4 * n * n) + 1) * 2 * n * n);
         debug_assert_eq!(2 * l.len(), w.len());
@@ -92,7 +96,10 @@ impl Factors {
         }
         for k in (0..=segments).rev() {
             if k < segments {
-                let (w, phi) = (&self.w[(k + 1) * n * m..][..n * m], &self.phi[k * m * m..][..m * m]);
+                let (w, phi) = (
+                    &self.w[(k + 1) * n * m..][..n * m],
+                    &self.phi[k * m * m..][..m * m],
+                );
                 rows.fill(0.0);
                 for i in 0..n {
                     for q in 0..m {
@@ -120,8 +127,9 @@ impl Factors {
             .map(|p| p.iter().fold(0.0f64, |a, x| a.max(x.abs())))
     }
 
-    /// Steps `[node][2n]` (scaled) for defects `[segment][2n]`, the end's residual e and the start's condition; `None`
-    /// where the first node's equations are singular. For a line, t comes last.
+    /// Steps `[node][2n]` (scaled) for defects `[segment][2n]`, the end's residual e and the
+    /// start's condition; `None` where the first node's equations are singular. For a line, t comes
+    /// last.
     pub fn solve(&self, defects: &[f64], end: &[f64], start: &Start<'_>) -> Option<Vec<f64>> {
         let n = self.n;
         let m = 2 * n;
@@ -210,20 +218,24 @@ impl Factors {
         }
     }
 
-    /// The sheet's slope `dp/ds` at the first node (scaled, row-major), and the smallest singular value of B: 0 on a
-    /// fold, 1 where p is free of s.
+    /// The sheet's slope `dp/ds` at the first node (scaled, row-major), and the smallest singular
+    /// value of B: 0 on a fold, 1 where p is free of s.
     pub fn slope(&self) -> (Option<Vec<f64>>, f64) {
         let n = self.n;
         let w = self.first_rows();
         let a = nalgebra::DMatrix::from_fn(n, n, |i, j| w[i * 2 * n + j]);
         let b = nalgebra::DMatrix::from_fn(n, n, |i, j| w[i * 2 * n + n + j]);
         let smallest = b.singular_values().min();
-        let slope = b.lu().solve(&a).map(|x| (-x).transpose().iter().copied().collect());
+        let slope = b
+            .lu()
+            .solve(&a)
+            .map(|x| (-x).transpose().iter().copied().collect());
         (slope, smallest)
     }
 
-    /// The sheet's slope `dp/ds` at a node (physical units, row-major), given the scales of `(s, p)`; `None` where the
-    /// smallest singular value of the node's equations for p is below `least`: near a fold.
+    /// The sheet's slope `dp/ds` at a node (physical units, row-major), given the scales of `(s,
+    /// p)`; `None` where the smallest singular value of the node's equations for p is below
+    /// `least`: near a fold.
     pub fn slope_at(&self, node: usize, scales: &[f64], least: f64) -> Option<Vec<f64>> {
         let n = self.n;
         let w = &self.w[node * 2 * n * n..][..2 * n * n];
@@ -239,8 +251,8 @@ impl Factors {
         slope.iter().all(|x| x.is_finite()).then_some(slope)
     }
 
-    /// The unit tangent `(t, dp)` of the sheet along a line with `direction`, oriented like `before` where given, and to
-    /// rising t otherwise.
+    /// The unit tangent `(t, dp)` of the sheet along a line with `direction`, oriented like
+    /// `before` where given, and to rising t otherwise.
     pub fn tangent(&self, direction: &[f64], before: Option<&[f64]>) -> Option<Vec<f64>> {
         let n = self.n;
         let w = self.first_rows();
@@ -264,8 +276,8 @@ impl Factors {
     }
 }
 
-/// `rows = L Q`, Q with orthonormal rows in place of `rows`: modified Gram-Schmidt, twice, as once is not orthogonal
-/// to rounding where the rows are nearly dependent.
+/// `rows = L Q`, Q with orthonormal rows in place of `rows`: modified Gram-Schmidt, twice, as once
+/// is not orthogonal to rounding where the rows are nearly dependent.
 #[inline(always)]
 fn orthonormalize(n: usize, rows: &mut [f64], l: &mut [f64]) {
     let m = 2 * n;
@@ -291,7 +303,8 @@ fn orthonormalize(n: usize, rows: &mut [f64], l: &mut [f64]) {
     }
 }
 
-/// Solves `a x = b` by elimination with row exchanges; x in place of b. `None` where a pivot is 0 or not finite.
+/// Solves `a x = b` by elimination with row exchanges; x in place of b. `None` where a pivot is 0
+/// or not finite.
 fn solve_dense(n: usize, a: &mut [f64], b: &mut [f64]) -> Option<()> {
     for k in 0..n {
         let pivot = (k..n).max_by(|i, j| a[i * n + k].abs().total_cmp(&a[j * n + k].abs()))?;

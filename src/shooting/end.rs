@@ -1,4 +1,5 @@
-//! Where a trajectory of the boundary value problem ends: on the local stable manifold, or on the terminal cost.
+//! Where a trajectory of the boundary value problem ends: on the local stable manifold, or on the
+//! terminal cost.
 
 use crate::hamiltonian::System;
 use crate::local::LocalSolution;
@@ -6,13 +7,15 @@ use crate::program::Program;
 
 /// Error of V that the end may contribute, relative to V at the target.
 const END_SHARE: f64 = 1e-11;
-/// The end lies this much further inside than its error demands, so that it may move with the target.
+/// The end lies this much further inside than its error demands, so that it may move with the
+/// target.
 const ROOM: f64 = 0.25;
 
 /// The condition `p = g(s)` at the end, with the cost from there on.
 #[derive(Clone, Debug)]
 pub enum End {
-    /// `g` is the gradient of the local solution; the horizon is long enough for the end to lie in its range.
+    /// `g` is the gradient of the local solution; the horizon is long enough for the end to lie in
+    /// its range.
     Manifold(Box<LocalSolution>),
     /// `g` is the gradient of the terminal cost after a fixed time.
     Terminal { program: Program, time: f64 },
@@ -31,7 +34,9 @@ impl End {
     pub fn new(system: &System, local: Option<&LocalSolution>) -> Self {
         let Some(terminal) = &system.terminal else {
             return End::Manifold(Box::new(
-                local.expect("an infinite horizon has a local solution").clone(),
+                local
+                    .expect("an infinite horizon has a local solution")
+                    .clone(),
             ));
         };
         let mut graph = system.graph.clone();
@@ -73,7 +78,8 @@ impl End {
         }
     }
 
-    /// Whether the end `s` of a trajectory that costs `value` lies where the condition holds to the accuracy asked.
+    /// Whether the end `s` of a trajectory that costs `value` lies where the condition holds to the
+    /// accuracy asked.
     pub fn holds(&self, s: &[f64], value: f64) -> bool {
         match self {
             End::Manifold(local) => local.quadratic(s) <= Self::farthest(local, value),
@@ -96,7 +102,8 @@ impl End {
         local.value_within(END_SHARE * value, f64::INFINITY)
     }
 
-    /// V and p of the linearization at a deviation, where there is an equilibrium: a guess anywhere, an answer nowhere.
+    /// V and p of the linearization at a deviation, where there is an equilibrium: a guess
+    /// anywhere, an answer nowhere.
     pub fn linear(&self, s: &[f64]) -> Option<(f64, Vec<f64>)> {
         match self {
             End::Manifold(local) => {
@@ -107,8 +114,9 @@ impl End {
         }
     }
 
-    /// Nodes `(s, p)` and durations that follow `s` on the local manifold until the end is deep enough for a
-    /// trajectory of cost `value`; nothing where it is already, or on a finite horizon.
+    /// Nodes `(s, p)` and durations that follow `s` on the local manifold until the end is deep
+    /// enough for a trajectory of cost `value`; nothing where it is already, or on a finite
+    /// horizon.
     pub fn tail(&self, s: &[f64], value: f64, duration: f64) -> (Vec<f64>, Vec<f64>) {
         let (mut nodes, mut durations) = (Vec::new(), Vec::new());
         let End::Manifold(local) = self else {

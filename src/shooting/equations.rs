@@ -12,16 +12,17 @@ const UNCONTROLLED: f64 = 1e30;
 
 /// Segments `(s, p)` integrated forward over a duration of their own, in units of their own size.
 ///
-/// With `z = (s, p)`, `z = r y`, r the size of z where the segment begins, and q the fraction of its duration D:
-/// `dy/dq = D (dH/dp, -dH/dx) / r`, `dV/dq = D L / r^2`, and for a column v of the variations `dv/dq = D J v`, J the
-/// Jacobian of the right-hand side (clamps included, almost everywhere). Errors are thus controlled relative to the
-/// segment's size: what is small near the equilibrium is still resolved, and a component that passes through 0 is not
-/// followed to nothing.
+/// With `z = (s, p)`, `z = r y`, r the size of z where the segment begins, and q the fraction of
+/// its duration D: `dy/dq = D (dH/dp, -dH/dx) / r`, `dV/dq = D L / r^2`, and for a column v of the
+/// variations `dv/dq = D J v`, J the Jacobian of the right-hand side (clamps included, almost
+/// everywhere). Errors are thus controlled relative to the segment's size: what is small near the
+/// equilibrium is still resolved, and a component that passes through 0 is not followed to nothing.
 #[derive(Clone, Debug)]
 pub struct Equations {
     /// Number of states n.
     pub states: usize,
-    /// Variation columns that one integrated vector carries; a segment takes `2n / columns` of them.
+    /// Variation columns that one integrated vector carries; a segment takes `2n / columns` of
+    /// them.
     pub columns: usize,
     /// Of `(y, D, r)`: rates of `(y, D, r, V)`.
     plain: Program,
@@ -64,7 +65,10 @@ impl Equations {
         // The system's rates are those of backward time.
         let backward = graph.neg(duration);
         let per_size = graph.div(backward, size);
-        let mut rates: Vec<Id> = system_rates[..2 * n].iter().map(|r| graph.mul(per_size, *r)).collect();
+        let mut rates: Vec<Id> = system_rates[..2 * n]
+            .iter()
+            .map(|r| graph.mul(per_size, *r))
+            .collect();
         let zero = graph.constant(0.0);
         rates.extend([zero, zero]);
         let cost = graph.mul(duration, system_rates[2 * n]);
@@ -156,8 +160,8 @@ impl Equations {
         Self::run(rtol, atol, max_steps)
     }
 
-    /// Settings of the integration with variations: steps are controlled by z alone, so that all groups of columns of a
-    /// segment take the same ones.
+    /// Settings of the integration with variations: steps are controlled by z alone, so that all
+    /// groups of columns of a segment take the same ones.
     pub fn varied_run(&self, rtol: f64, max_steps: u32) -> Run {
         let width = self.varied_width();
         // The norm is a mean over all components, which are 0 but for those of z.

@@ -1,21 +1,23 @@
 //! Damped Newton iterations over a batch of boundary value problems.
 //!
-//! One iteration of a problem integrates its segments with their variations, eliminates, and tries the step. The trial
-//! is integrated without variations and its simplified correction (same matrix, new residual) decides by the natural
-//! monotonicity test of P. Deuflhard (Newton Methods for Nonlinear Problems, 2004, ch. 3): taken whole where it
-//! contracts fast, when further trials with the same matrix follow; damped where it does not contract.
+//! One iteration of a problem integrates its segments with their variations, eliminates, and tries
+//! the step. The trial is integrated without variations and its simplified correction (same matrix,
+//! new residual) decides by the natural monotonicity test of P. Deuflhard (Newton Methods for
+//! Nonlinear Problems, 2004, ch. 3): taken whole where it contracts fast, when further trials with
+//! the same matrix follow; damped where it does not contract.
 
 use super::elimination::{Factors, Start};
 use super::end::End;
 use super::equations::Equations;
 use super::path::Path;
 
-/// Trial steps below this share of Newton's are not tried: the target is then approached in shorter steps.
+/// Trial steps below this share of Newton's are not tried: the target is then approached in shorter
+/// steps.
 const LEAST_DAMPING: f64 = 0.1;
 /// Longest step in units of the path's size.
 const MOST_STEP: f64 = 1.0;
-/// Relative size of the last correction of a solution that is only a point on the way, and of the one after which
-/// segments are integrated to the full tolerance.
+/// Relative size of the last correction of a solution that is only a point on the way, and of the
+/// one after which segments are integrated to the full tolerance.
 const ROUGH: f64 = 1e-4;
 /// Relative size of a correction from which on the error of rough segments may matter.
 const NEAR: f64 = 1e-2;
@@ -27,7 +29,8 @@ const MOST_ROUNDS: u32 = 40;
 const MOST_ROUNDS_LINE: u32 = 12;
 /// Segments whose propagator has larger entries are split: a digit is lost for each power of ten.
 const MOST_GROWTH: f64 = 1e3;
-/// Segments of a path above which none is split any more: such a path is mostly no solution, and takes most of the time.
+/// Segments of a path above which none is split any more: such a path is mostly no solution, and
+/// takes most of the time.
 const MOST_SEGMENTS: usize = 1000;
 
 /// What the first node has to meet.
@@ -35,8 +38,8 @@ const MOST_SEGMENTS: usize = 1000;
 pub enum Goal {
     /// The state of the first node, as a deviation.
     State(Vec<f64>),
-    /// A point of the line `origin + t * direction` (deviations), `advance` further along the sheet's `tangent`
-    /// `(t, p scaled)` than the point `from` `(t, p scaled)`.
+    /// A point of the line `origin + t * direction` (deviations), `advance` further along the
+    /// sheet's `tangent` `(t, p scaled)` than the point `from` `(t, p scaled)`.
     Line {
         origin: Vec<f64>,
         direction: Vec<f64>,
@@ -82,7 +85,8 @@ pub struct Solved {
     pub slope: Option<Vec<f64>>,
     /// Smallest singular value of the first node's equations for p: 0 on a fold, at most 1.
     pub fold: f64,
-    /// The last correction, relative to the path's size: an estimate of the relative error of the nodes.
+    /// The last correction, relative to the path's size: an estimate of the relative error of the
+    /// nodes.
     pub residual: f64,
     /// Parameter of a line's point.
     pub t: f64,
@@ -98,9 +102,11 @@ pub struct Job {
     pub iterations: u32,
     /// Whether a solution to a few digits will do: a point on the way to another.
     pub rough: bool,
-    /// Whether segments are integrated to the full tolerance: not before the guess is good to some digits.
+    /// Whether segments are integrated to the full tolerance: not before the guess is good to some
+    /// digits.
     pub(super) fine: bool,
-    /// Elimination at (or near) `path`. Given along with a first guess it saves the first linearization.
+    /// Elimination at (or near) `path`. Given along with a first guess it saves the first
+    /// linearization.
     pub factors: Factors,
     pub(super) stage: Stage,
 }
@@ -212,7 +218,8 @@ pub struct Scheme {
 }
 
 impl Scheme {
-    /// A job that comes with its matrix needs no first linearization: its first step is the tangent's.
+    /// A job that comes with its matrix needs no first linearization: its first step is the
+    /// tangent's.
     pub(super) fn begin(&self, job: &mut Job) {
         if matches!(job.stage, Stage::Done) {
             job.stage = Stage::Linearize;
@@ -229,7 +236,8 @@ impl Scheme {
         }
     }
 
-    /// Solves the linear equations for the path's goal: steps of the nodes, and of a line's parameter.
+    /// Solves the linear equations for the path's goal: steps of the nodes, and of a line's
+    /// parameter.
     fn step(
         &self,
         path: &Path,
@@ -253,7 +261,9 @@ impl Scheme {
                 advance,
             } => {
                 // The step's parameter is that of the new point: the line's origin is the excess.
-                let excess: Vec<f64> = (0..n).map(|i| (origin[i] - path.nodes[i]) / scales[i]).collect();
+                let excess: Vec<f64> = (0..n)
+                    .map(|i| (origin[i] - path.nodes[i]) / scales[i])
+                    .collect();
                 let scaled: Vec<f64> = (0..n).map(|i| direction[i] / scales[i]).collect();
                 let so_far: f64 = (0..n)
                     .map(|i| tangent[1 + i] * (path.nodes[n + i] / scales[n + i] - from[1 + i]))
@@ -274,11 +284,14 @@ impl Scheme {
     /// The scaled step of the first node's state to `s`.
     pub(super) fn wanted(&self, path: &Path, s: &[f64]) -> Vec<f64> {
         let scaled = path.start().iter().zip(&self.equations.scales);
-        s.iter().zip(scaled).map(|(s, (z, scale))| (s - z) / scale).collect()
+        s.iter()
+            .zip(scaled)
+            .map(|(s, (z, scale))| (s - z) / scale)
+            .collect()
     }
 
-    /// Tries a step unless it leads far from where the equations were linearized: what is found there would be an
-    /// accident.
+    /// Tries a step unless it leads far from where the equations were linearized: what is found
+    /// there would be an accident.
     fn try_within(&self, job: &mut Job, steps: Vec<f64>, t: f64) {
         let norm = largest(&steps);
         let scales = &self.equations.scales;
@@ -338,7 +351,13 @@ impl Scheme {
     pub(super) fn eliminate(&self, job: &Job, linear: Linear) -> Elimination {
         let Linear { phi, residual } = linear;
         let factors = Factors::new(self.equations.states, phi, &residual.hessian);
-        let step = self.step(&job.path, &job.goal, &factors, &residual.defects, &residual.end);
+        let step = self.step(
+            &job.path,
+            &job.goal,
+            &factors,
+            &residual.defects,
+            &residual.end,
+        );
         Elimination { factors, step }
     }
 
@@ -369,7 +388,13 @@ impl Scheme {
             None
         } else {
             let residual = self.residual(&trial.path, done);
-            let step = self.step(&trial.path, &job.goal, &job.factors, &residual.defects, &residual.end);
+            let step = self.step(
+                &trial.path,
+                &job.goal,
+                &job.factors,
+                &residual.defects,
+                &residual.end,
+            );
             step.map(|(steps, t)| (residual, steps, t))
         };
         let Some((residual, steps, t)) = found else {
@@ -423,7 +448,8 @@ impl Scheme {
         }
     }
 
-    /// Whether a solved path's end lies where its condition holds; the path is made longer where it does not.
+    /// Whether a solved path's end lies where its condition holds; the path is made longer where it
+    /// does not.
     fn ends_well(&self, job: &mut Job, value: f64) -> bool {
         let n = self.equations.states;
         let s = job.path.last()[..n].to_vec();
@@ -444,7 +470,8 @@ impl Scheme {
     fn damp(&self, job: &mut Job, trial: Trial, why: Failure) {
         let damping = 0.5 * trial.damping;
         if damping < LEAST_DAMPING || job.iterations > job.goal.most_rounds() {
-            // Near a solution it may be the rough segments that do not let the residual fall any further.
+            // Near a solution it may be the rough segments that do not let the residual fall any
+            // further.
             if !job.fine && trial.norm <= NEAR * trial.path.size(&self.equations.scales) {
                 job.fine = true;
                 return;
@@ -469,7 +496,9 @@ impl Scheme {
         let last = path.last();
         let at = self.end.at(&last[..n]);
         value += at.value;
-        let end = (0..n).map(|i| (at.gradient[i] - last[n + i]) / scales[n + i]).collect();
+        let end = (0..n)
+            .map(|i| (at.gradient[i] - last[n + i]) / scales[n + i])
+            .collect();
         let hessian = self.equations.scaled_slope(&at.hessian);
         Residual {
             defects,

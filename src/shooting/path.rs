@@ -1,6 +1,7 @@
 //! A trajectory as nodes joined by segments.
 
-/// Nodes `z = (s, p)` in forward time and the durations between them. The first node is the target's.
+/// Nodes `z = (s, p)` in forward time and the durations between them. The first node is the
+/// target's.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Path {
     /// Components of a node, `2n`.
@@ -59,13 +60,18 @@ impl Path {
         let (mut sum, mut lost) = (0.0f64, 0.0f64);
         for d in &self.durations {
             let next = sum + d;
-            lost += if sum >= *d { (sum - next) + d } else { (d - next) + sum };
+            lost += if sum >= *d {
+                (sum - next) + d
+            } else {
+                (d - next) + sum
+            };
             sum = next;
         }
         sum + lost
     }
 
-    /// Stretches all segments alike so that the horizon is `time` to the last bit; halving them keeps it so.
+    /// Stretches all segments alike so that the horizon is `time` to the last bit; halving them
+    /// keeps it so.
     pub fn set_horizon(&mut self, time: f64) {
         let factor = time / self.horizon();
         if factor == 1.0 || !factor.is_finite() {
@@ -101,7 +107,11 @@ impl Path {
     /// `self + factor * steps`, steps scaled by `scales`.
     pub fn moved(&self, steps: &[f64], scales: &[f64], factor: f64) -> Self {
         let mut moved = self.clone();
-        for (node, step) in moved.nodes.chunks_mut(self.width).zip(steps.chunks(self.width)) {
+        for (node, step) in moved
+            .nodes
+            .chunks_mut(self.width)
+            .zip(steps.chunks(self.width))
+        {
             for ((z, d), scale) in node.iter_mut().zip(step).zip(scales) {
                 *z += factor * d * scale;
             }
@@ -132,7 +142,9 @@ mod tests {
         for time in [0.1, 0.7, 1.3, 2.7, 20.0, 1e-3] {
             for count in [1, 3, 30, 64, 400] {
                 // As an archive in single precision had them.
-                let rough = |k: usize| f64::from((time * (1.0 + (k as f64).sin() / 3.0)) as f32) / count as f64;
+                let rough = |k: usize| {
+                    f64::from((time * (1.0 + (k as f64).sin() / 3.0)) as f32) / count as f64
+                };
                 let mut path = path(&(0..count).map(rough).collect::<Vec<_>>());
                 path.set_horizon(time);
                 assert_eq!(path.horizon(), time, "{count} segments");

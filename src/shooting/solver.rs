@@ -53,14 +53,20 @@ impl Solver {
     ///
     /// # Errors
     /// What [`Backend::compile`] refuses.
-    pub fn new(backend: &dyn Backend, precision: Precision, scheme: Scheme, rtol: f64) -> Result<Self, BackendError> {
+    pub fn new(
+        backend: &dyn Backend,
+        precision: Precision,
+        scheme: Scheme,
+        rtol: f64,
+    ) -> Result<Self, BackendError> {
         let method = Method::Dop853;
         let equations = &scheme.equations;
         Ok(Self {
             plain: backend.compile(&equations.plain_spec(method, precision))?,
             varied: backend.compile(&equations.varied_spec(method, precision))?,
             plain_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.plain_run(r, SEGMENT_STEPS)),
-            varied_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.varied_run(r, SEGMENT_STEPS)),
+            varied_runs: [rtol.max(ROUGH_RTOL), rtol]
+                .map(|r| equations.varied_run(r, SEGMENT_STEPS)),
             eliminator: backend.eliminator(equations.states, precision)?,
             scheme,
             work: Work::default(),
@@ -95,7 +101,8 @@ impl Solver {
         Ok(())
     }
 
-    /// Puts this solver's solutions in place of the jobs' guesses, where it finds any; the iterations of each.
+    /// Puts this solver's solutions in place of the jobs' guesses, where it finds any; the
+    /// iterations of each.
     fn draft_of(&mut self, jobs: &mut [Job]) -> Result<Vec<(usize, u32)>, BackendError> {
         let open: Vec<usize> = (0..jobs.len())
             .filter(|k| jobs[*k].outcome.is_none() && matches!(jobs[*k].goal, Goal::State(_)))
@@ -152,17 +159,24 @@ impl Solver {
         let eliminated = self.eliminate(jobs, linear)?;
         let scheme = &self.scheme;
         let long: Vec<Vec<usize>> = (jobs.par_iter_mut().zip(eliminated))
-            .map(|(job, eliminated)| eliminated.map_or_else(Vec::new, |e| scheme.linearized(job, e)))
+            .map(|(job, eliminated)| {
+                eliminated.map_or_else(Vec::new, |e| scheme.linearized(job, e))
+            })
             .collect();
         self.work.seconds_eliminating += clock.elapsed().as_secs_f64();
         self.split(jobs, &long)
     }
 
-    /// States and adjoints `[point][2n]` between the nodes of some paths, `pieces - 1` of them in each segment.
+    /// States and adjoints `[point][2n]` between the nodes of some paths, `pieces - 1` of them in
+    /// each segment.
     ///
     /// # Errors
     /// Device failures only.
-    pub fn between_nodes(&mut self, paths: &[&Path], pieces: usize) -> Result<Vec<Vec<f64>>, BackendError> {
+    pub fn between_nodes(
+        &mut self,
+        paths: &[&Path],
+        pieces: usize,
+    ) -> Result<Vec<Vec<f64>>, BackendError> {
         let parts: Vec<Path> = (paths.iter())
             .map(|path| {
                 let mut part = Path {
@@ -179,7 +193,11 @@ impl Solver {
             })
             .collect();
         let all: Vec<(&Path, bool)> = parts.iter().map(|p| (p, false)).collect();
-        Ok(self.integrate(&all, false)?.into_iter().map(|done| done.ends).collect())
+        Ok(self
+            .integrate(&all, false)?
+            .into_iter()
+            .map(|done| done.ends)
+            .collect())
     }
 
     /// Ends `[segment][2n]` and costs of a path's segments.
@@ -192,11 +210,16 @@ impl Solver {
         Ok((done.ends, done.costs))
     }
 
-    /// The same of many paths, to the rough tolerance or the full one; `None` where a segment fails.
+    /// The same of many paths, to the rough tolerance or the full one; `None` where a segment
+    /// fails.
     ///
     /// # Errors
     /// Device failures only.
-    pub fn ends_of(&mut self, paths: &[&Path], fine: bool) -> Result<Vec<Option<Ends>>, BackendError> {
+    pub fn ends_of(
+        &mut self,
+        paths: &[&Path],
+        fine: bool,
+    ) -> Result<Vec<Option<Ends>>, BackendError> {
         let all: Vec<(&Path, bool)> = paths.iter().map(|p| (*p, fine)).collect();
         let done = self.integrate(&all, false)?;
         Ok(done
@@ -205,7 +228,8 @@ impl Solver {
             .collect())
     }
 
-    /// Eliminations at paths that are solutions, to the rough tolerance: for their slopes. `None` where a segment fails.
+    /// Eliminations at paths that are solutions, to the rough tolerance: for their slopes. `None`
+    /// where a segment fails.
     ///
     /// # Errors
     /// Device failures only.
@@ -217,12 +241,15 @@ impl Solver {
         Ok((paths.par_iter().zip(done))
             .map(|(path, done)| {
                 let hessian = equations.scaled_slope(&end.at(&path.last()[..n]).hessian);
-                done.failure.is_none().then(|| Factors::new(n, done.phi, &hessian))
+                done.failure
+                    .is_none()
+                    .then(|| Factors::new(n, done.phi, &hessian))
             })
             .collect())
     }
 
-    /// Linearizes solved jobs at their solutions: the matrix left by the iterations is that of a guess.
+    /// Linearizes solved jobs at their solutions: the matrix left by the iterations is that of a
+    /// guess.
     ///
     /// # Errors
     /// Device failures only.
@@ -237,7 +264,8 @@ impl Solver {
         Ok(())
     }
 
-    /// Eliminates the jobs' equations: those of given states on the device where it does that, others here.
+    /// Eliminates the jobs' equations: those of given states on the device where it does that,
+    /// others here.
     fn eliminate(
         &mut self,
         jobs: &[&mut Job],
@@ -249,20 +277,29 @@ impl Solver {
             let (mut places, mut problems) = (Vec::new(), Vec::new());
             for (place, (job, linear)) in jobs.iter().zip(&mut linear).enumerate() {
                 let Goal::State(s) = &job.goal else { continue };
-                let Some(linear) = linear.take() else { continue };
+                let Some(linear) = linear.take() else {
+                    continue;
+                };
                 places.push(place);
                 problems.push((linear, scheme.wanted(&job.path, s)));
             }
-            let done = device::eliminate(eliminator.as_mut(), scheme.equations.states, problems, BATCH_BYTES)?;
+            let done = device::eliminate(
+                eliminator.as_mut(),
+                scheme.equations.states,
+                problems,
+                BATCH_BYTES,
+            )?;
             for (place, done) in places.into_iter().zip(done) {
                 eliminated[place] = Some(done);
             }
         }
-        (jobs.par_iter().zip(linear).zip(&mut eliminated)).for_each(|((job, linear), eliminated)| {
-            if let Some(linear) = linear {
-                *eliminated = Some(scheme.eliminate(job, linear));
-            }
-        });
+        (jobs.par_iter().zip(linear).zip(&mut eliminated)).for_each(
+            |((job, linear), eliminated)| {
+                if let Some(linear) = linear {
+                    *eliminated = Some(scheme.eliminate(job, linear));
+                }
+            },
+        );
         Ok(eliminated)
     }
 
@@ -289,7 +326,11 @@ impl Solver {
         }
         let done = self.integrate(&halves.iter().map(|p| (p, true)).collect::<Vec<_>>(), false)?;
         let mut done = done.into_iter();
-        for (job, long) in jobs.iter_mut().zip(long).filter(|(_, long)| !long.is_empty()) {
+        for (job, long) in jobs
+            .iter_mut()
+            .zip(long)
+            .filter(|(_, long)| !long.is_empty())
+        {
             let Some(halves) = done.next() else { break };
             if let Some(why) = halves.failure {
                 job.fail(why);
@@ -318,8 +359,13 @@ impl Solver {
         Ok(())
     }
 
-    /// Integrates all segments of some paths, each to the full tolerance or not, as batches of bounded size.
-    fn integrate(&mut self, paths: &[(&Path, bool)], varied: bool) -> Result<Vec<Integrated>, BackendError> {
+    /// Integrates all segments of some paths, each to the full tolerance or not, as batches of
+    /// bounded size.
+    fn integrate(
+        &mut self,
+        paths: &[(&Path, bool)],
+        varied: bool,
+    ) -> Result<Vec<Integrated>, BackendError> {
         let of = |fine: bool| {
             paths
                 .iter()
@@ -334,7 +380,12 @@ impl Solver {
         Ok(paths.iter().map(|p| p.1).filter_map(next).collect())
     }
 
-    fn integrate_alike(&mut self, paths: &[&Path], varied: bool, fine: bool) -> Result<Vec<Integrated>, BackendError> {
+    fn integrate_alike(
+        &mut self,
+        paths: &[&Path],
+        varied: bool,
+        fine: bool,
+    ) -> Result<Vec<Integrated>, BackendError> {
         self.deadline.check()?;
         let clock = std::time::Instant::now();
         let each = if varied {
@@ -348,7 +399,8 @@ impl Solver {
         while first < paths.len() {
             let mut segments = 0;
             let mut next = first;
-            while next < paths.len() && (next == first || segments + paths[next].segments() <= most) {
+            while next < paths.len() && (next == first || segments + paths[next].segments() <= most)
+            {
                 segments += paths[next].segments();
                 next += 1;
             }
@@ -359,7 +411,12 @@ impl Solver {
         Ok(done)
     }
 
-    fn batch(&mut self, paths: &[&Path], varied: bool, fine: bool) -> Result<Vec<Integrated>, BackendError> {
+    fn batch(
+        &mut self,
+        paths: &[&Path],
+        varied: bool,
+        fine: bool,
+    ) -> Result<Vec<Integrated>, BackendError> {
         let seeds = self.scheme.seeds(paths, varied);
         let (kernel, run) = if varied {
             (&mut self.varied, &self.varied_runs[usize::from(fine)])
@@ -368,7 +425,11 @@ impl Solver {
         };
         let result = kernel.integrate(run, &seeds)?;
         self.work.steps += result.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
-        let groups = if varied { self.scheme.equations.groups() } else { 1 };
+        let groups = if varied {
+            self.scheme.equations.groups()
+        } else {
+            1
+        };
         let segments = result.count() / groups;
         if varied {
             self.work.varied += segments as u64;
@@ -429,10 +490,13 @@ impl Scheme {
     fn integrated(&self, ends: &[f64], status: &[Status], varied: bool) -> Integrated {
         let n2 = 2 * self.equations.states;
         let scales = &self.equations.scales;
-        let failure = status.iter().find(|s| **s != Status::Reached).map(|s| match s {
-            Status::StepLimit | Status::StepFloor => Failure::Integration,
-            _ => Failure::NotFinite,
-        });
+        let failure = status
+            .iter()
+            .find(|s| **s != Status::Reached)
+            .map(|s| match s {
+                Status::StepLimit | Status::StepFloor => Failure::Integration,
+                _ => Failure::NotFinite,
+            });
         let mut done = Integrated {
             ends: Vec::new(),
             costs: Vec::new(),
@@ -455,8 +519,12 @@ impl Scheme {
         let segments = ends.len() / (groups * width);
         done.costs = vec![0.0; segments];
         done.phi = vec![0.0; segments * n2 * n2];
-        for (rows, phi) in ends.chunks(groups * width).zip(done.phi.chunks_mut(n2 * n2)) {
-            done.ends.extend(rows[..n2].iter().map(|y| y * rows[n2 + 1]));
+        for (rows, phi) in ends
+            .chunks(groups * width)
+            .zip(done.phi.chunks_mut(n2 * n2))
+        {
+            done.ends
+                .extend(rows[..n2].iter().map(|y| y * rows[n2 + 1]));
             for group in 0..groups {
                 for c in 0..columns {
                     let j = group * columns + c;

@@ -1,10 +1,11 @@
-//! A run's own estimate of its error: some of its trajectories again, in f64, to a tolerance a hundred times tighter, by
-//! another method where there is one.
+//! A run's own estimate of its error: some of its trajectories again, in f64, to a tolerance a
+//! hundred times tighter, by another method where there is one.
 //!
-//! Errors along the manifold of optimal solutions slide a point to another point of it, where V and p are right again.
-//! They grow with the parting of trajectories and are no errors of the answer, so they are taken out: of V by the slope,
-//! `e_V = |dV - (p + p_ref)/2 . dx|` (the trapezoidal rule: right to the third order in dx), of p by dp/dx along the
-//! manifold, which neighbours of the reference trajectory show. What curvature these leave counts as error.
+//! Errors along the manifold of optimal solutions slide a point to another point of it, where V and
+//! p are right again. They grow with the parting of trajectories and are no errors of the answer,
+//! so they are taken out: of V by the slope, `e_V = |dV - (p + p_ref)/2 . dx|` (the trapezoidal
+//! rule: right to the third order in dx), of p by dp/dx along the manifold, which neighbours of the
+//! reference trajectory show. What curvature these leave counts as error.
 
 use super::plan::Plan;
 use super::sample::Sample;
@@ -20,13 +21,16 @@ const TIGHTER: f64 = 1e-2;
 const LEAST_RTOL: f64 = 1e-14;
 /// The reference may take this many times the run's steps.
 const MORE_STEPS: u32 = 20;
-/// Sizes below this share of the largest V (of V per width of the region for p) are measured against it.
+/// Sizes below this share of the largest V (of V per width of the region for p) are measured
+/// against it.
 pub const SMALL: f64 = 1e-3;
-/// The asked error is met where the worst one of the sample is at most this many times the asked tolerance. The tolerance
-/// bounds a step's error in the mean over the 2n + 1 components, so one may take sqrt(2n + 1) of it, about 3; and off the
-/// manifold errors decay at the rates of the closed loop, so that a point has those of some ten steps.
+/// The asked error is met where the worst one of the sample is at most this many times the asked
+/// tolerance. The tolerance bounds a step's error in the mean over the 2n + 1 components, so one
+/// may take sqrt(2n + 1) of it, about 3; and off the manifold errors decay at the rates of the
+/// closed loop, so that a point has those of some ten steps.
 pub const PROMISE: f64 = 30.0;
-/// Share of the sample that may end otherwise than the reference does (at a guard it may graze, ...).
+/// Share of the sample that may end otherwise than the reference does (at a guard it may graze,
+/// ...).
 const MAY_DIFFER: f64 = 0.05;
 /// Share of the points that may have slid too far to be compared.
 const MAY_PART: f64 = 0.05;
@@ -69,13 +73,14 @@ pub struct Accuracy {
     /// Trajectories integrated again, and how many of them had failed in the run.
     pub sampled: usize,
     pub failed: usize,
-    /// Stored points compared, and those that have slid so far from their reference that what is left of their error after
-    /// the correction for it would be curvature of V.
+    /// Stored points compared, and those that have slid so far from their reference that what is
+    /// left of their error after the correction for it would be curvature of V.
     pub compared: usize,
     pub parted: usize,
     pub method: Method,
     pub rtol: f64,
-    /// Off-manifold error of V relative to `|V| + SMALL value_scale`, the seeds' own error included.
+    /// Off-manifold error of V relative to `|V| + SMALL value_scale`, the seeds' own error
+    /// included.
     pub value: Option<Spread>,
     /// Error of p, scaled by the region's widths, relative to `|p| + SMALL value_scale`.
     pub costate: Option<Spread>,
@@ -102,7 +107,8 @@ impl Accuracy {
     }
 }
 
-/// Largest error of V that a run asks for: [`PROMISE`] times its tolerance, that for small values included.
+/// Largest error of V that a run asks for: [`PROMISE`] times its tolerance, that for small values
+/// included.
 pub fn bound(plan: &Plan) -> f64 {
     // Where the precision is too low for what was asked, both tolerances are larger than that.
     let raised = plan.run.rtol / plan.rtol_asked;
@@ -135,7 +141,11 @@ pub fn estimate(plan: &Plan, sample: &Sample) -> Result<Accuracy, BackendError> 
     let failures = [Status::StepFloor, Status::StepLimit, Status::NotFinite];
     Ok(Accuracy {
         sampled: sample.kept.len(),
-        failed: sample.kept.iter().filter(|k| failures.contains(&k.status)).count(),
+        failed: sample
+            .kept
+            .iter()
+            .filter(|k| failures.contains(&k.status))
+            .count(),
         compared: comparison.value.len(),
         parted: comparison.parted,
         method: reference.method,
@@ -273,14 +283,16 @@ impl<'a> Comparison<'a> {
         let size = b[v].abs() + SMALL * self.plan.value_scale;
         let along = |w: &dyn Fn(usize) -> f64| (0..n).map(|j| w(j) * (a[j] - b[j])).sum::<f64>();
         let error = (a[v] - b[v] - along(&|j| 0.5 * (a[n + j] + b[n + j]))).abs();
-        // The second-order term is right to the third order: its share that changes over the distance is not.
+        // The second-order term is right to the third order: its share that changes over the
+        // distance is not.
         let curvature = 0.5 * along(&|j| a[n + j] - b[n + j]).abs() * self.slide(a, b);
         let hidden = curvature > bound(self.plan) * size && error <= CURVATURE * curvature;
         (!hidden).then(|| relative(error + seeds, size))
     }
 
-    /// Whether one of the two goes on where the other has ended. Ends outside the region are seen at the end of a step
-    /// only, and a level next to an end may be passed on one side: such differences say nothing.
+    /// Whether one of the two goes on where the other has ended. Ends outside the region are seen
+    /// at the end of a step only, and a level next to an end may be passed on one side: such
+    /// differences say nothing.
     fn ends_differ(&self, i: usize) -> bool {
         let (a, b) = (self.sample.passed(i), passed(self.again, i));
         let next = a.min(b) + 1;
@@ -296,7 +308,8 @@ impl<'a> Comparison<'a> {
             self.sample.kept[i].status,
             Status::StepFloor | Status::StepLimit | Status::NotFinite
         );
-        let inside = (point[1..].iter().zip(&self.plan.run.bounds)).all(|(x, [lo, hi])| lo < x && x < hi);
+        let inside =
+            (point[1..].iter().zip(&self.plan.run.bounds)).all(|(x, [lo, hi])| lo < x && x < hi);
         inside && !(failed && b > a)
     }
 
@@ -313,7 +326,8 @@ impl<'a> Comparison<'a> {
             seeds.extend(near.into_iter().filter(|s| plan.surface.inside(s)));
             first.push(seeds.len());
         }
-        let near = reference.integrate(plan, &seeds.iter().map(Vec::as_slice).collect::<Vec<_>>())?;
+        let near =
+            reference.integrate(plan, &seeds.iter().map(Vec::as_slice).collect::<Vec<_>>())?;
         // Rates of (s, p): the manifold's tangent along the trajectory.
         let rates = Evaluator::new(&Program::lower(
             &plan.system.graph,
@@ -336,7 +350,8 @@ impl<'a> Comparison<'a> {
                 let norm = |p: &mut dyn Iterator<Item = f64>| p.map(|x| x * x).sum::<f64>().sqrt();
                 let error = norm(&mut (0..n).map(|j| (a[n + j] - wanted[j]) * plan.widths[j]));
                 let size = norm(&mut (0..n).map(|j| wanted[j] * plan.widths[j]));
-                self.costate.push(relative(error, size + SMALL * plan.value_scale));
+                self.costate
+                    .push(relative(error, size + SMALL * plan.value_scale));
                 found.extend_from_slice(&a[..2 * n]);
                 right.extend_from_slice(&a[..n]);
                 right.extend_from_slice(&wanted);
@@ -347,9 +362,17 @@ impl<'a> Comparison<'a> {
     }
 
     /// How p changes along the manifold from the reference's point `b` to where its state is `x`.
-    fn along<'b>(&self, x: &[f64], b: &[f64], beside: impl Iterator<Item = &'b [f64]>, rate: &[f64]) -> Vec<f64> {
+    fn along<'b>(
+        &self,
+        x: &[f64],
+        b: &[f64],
+        beside: impl Iterator<Item = &'b [f64]>,
+        rate: &[f64],
+    ) -> Vec<f64> {
         let (n, widths) = (self.n, &self.plan.widths);
-        let mut columns: Vec<Vec<f64>> = beside.map(|z| z.iter().zip(b).map(|(z, b)| z - b).collect()).collect();
+        let mut columns: Vec<Vec<f64>> = beside
+            .map(|z| z.iter().zip(b).map(|(z, b)| z - b).collect())
+            .collect();
         columns.push(rate.to_vec());
         let mut tangents: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
         for c in columns {
@@ -381,13 +404,26 @@ impl<'a> Comparison<'a> {
         let m = system.observer.control.len();
         let program = Program::lower(&system.graph, &system.inputs, &system.observer.control);
         let evaluator = Evaluator::new(&program);
-        let (u, wanted) = (evaluator.eval(found, 2 * self.n), evaluator.eval(right, 2 * self.n));
+        let (u, wanted) = (
+            evaluator.eval(found, 2 * self.n),
+            evaluator.eval(right, 2 * self.n),
+        );
         for control in 0..m {
-            let of = |u: &[f64]| u.iter().skip(control).step_by(m).copied().collect::<Vec<_>>();
+            let of = |u: &[f64]| {
+                u.iter()
+                    .skip(control)
+                    .step_by(m)
+                    .copied()
+                    .collect::<Vec<_>>()
+            };
             let (u, wanted) = (of(&u), of(&wanted));
             let range = wanted.iter().copied().fold(f64::NEG_INFINITY, f64::max)
                 - wanted.iter().copied().fold(f64::INFINITY, f64::min);
-            (self.control).extend(u.iter().zip(&wanted).map(|(u, w)| relative((u - w).abs(), range)));
+            (self.control).extend(
+                u.iter()
+                    .zip(&wanted)
+                    .map(|(u, w)| relative((u - w).abs(), range)),
+            );
         }
     }
 }

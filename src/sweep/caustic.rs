@@ -31,9 +31,16 @@ impl Folds {
         })
     }
 
-    /// The fold that trajectory `i` of a batch ends before: X grows as `C / (tau_fold - tau)`, so what is left of tau is
-    /// `|X|^2 / (X . X')`; its square, relative to the time in which X changed, is neglected.
-    pub fn ahead(&self, plan: &Plan, batch: &Trajectories, i: usize, trajectory: usize) -> Option<FoldPoint> {
+    /// The fold that trajectory `i` of a batch ends before: X grows as `C / (tau_fold - tau)`, so
+    /// what is left of tau is `|X|^2 / (X . X')`; its square, relative to the time in which X
+    /// changed, is neglected.
+    pub fn ahead(
+        &self,
+        plan: &Plan,
+        batch: &Trajectories,
+        i: usize,
+        trajectory: usize,
+    ) -> Option<FoldPoint> {
         let n = plan.system.states;
         let end = &batch.end[i * batch.dim..][..batch.dim];
         let rate = self.rates.eval(end, batch.dim);
@@ -41,7 +48,11 @@ impl Folds {
         let (slope, change) = (&end[self.first..last], &rate[self.first..last]);
         let product = |other: &[f64]| Slope::product(slope, other, &plan.slope_units, n);
         let left = product(slope) / product(change);
-        let left = if left.is_finite() && left >= 0.0 { left } else { 0.0 };
+        let left = if left.is_finite() && left >= 0.0 {
+            left
+        } else {
+            0.0
+        };
         let at = |k: usize| end[k] + left * rate[k];
         let end_time = plan.system.terminal.as_ref().map_or(0.0, |t| t.time);
         let point = FoldPoint {

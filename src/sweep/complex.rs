@@ -1,8 +1,9 @@
 //! The seeds' neighbourhoods: a simplicial complex refined by splitting edges.
 //!
-//! For an infinite horizon it triangulates the sphere of directions (two states: a closed curve); for a finite horizon
-//! the box of terminal states. Splitting an edge splits every simplex that has it, so neighbours always match.
-//! What is settled is forgotten: memory follows the unsettled part, not the number of seeds.
+//! For an infinite horizon it triangulates the sphere of directions (two states: a closed curve);
+//! for a finite horizon the box of terminal states. Splitting an edge splits every simplex that has
+//! it, so neighbours always match. What is settled is forgotten: memory follows the unsettled part,
+//! not the number of seeds.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -28,7 +29,8 @@ struct EdgeRecord {
 #[derive(Clone, Debug)]
 struct Simplex {
     vertices: Vec<Vertex>,
-    /// The initial simplex it comes from: work goes from one to the next, so that few are open at a time.
+    /// The initial simplex it comes from: work goes from one to the next, so that few are open at a
+    /// time.
     root: u32,
     unsettled: u32,
 }
@@ -59,7 +61,8 @@ impl Complex {
         this
     }
 
-    /// The boundary of the cross-polytope in n dimensions, with its vertices' directions: `2n` vertices, `2^n` simplices.
+    /// The boundary of the cross-polytope in n dimensions, with its vertices' directions: `2n`
+    /// vertices, `2^n` simplices.
     pub fn sphere(n: usize) -> (Self, Vec<Vec<f64>>) {
         // In two dimensions in order round the curve; generally +e_0, +e_1, ..., -e_0, -e_1, ...
         let directions: Vec<Vec<f64>> = (0..2 * n)
@@ -142,7 +145,12 @@ impl Complex {
                 s.root = id;
             }
         }
-        self.fresh = self.edges.iter().filter(|(_, r)| !r.settled).map(|(e, _)| *e).collect();
+        self.fresh = self
+            .edges
+            .iter()
+            .filter(|(_, r)| !r.settled)
+            .map(|(e, _)| *e)
+            .collect();
         self.fresh.sort_unstable();
     }
 
@@ -248,7 +256,8 @@ impl Complex {
         let middle = self.next_vertex;
         self.next_vertex += 1;
         for id in simplices {
-            // The halves come first, so that edges they share with the old simplex are never without one.
+            // The halves come first, so that edges they share with the old simplex are never
+            // without one.
             let Some(old) = self.simplices.get(&id).cloned() else {
                 continue;
             };
@@ -273,9 +282,9 @@ impl Complex {
     }
 }
 
-/// Edges waiting for a seed, in the order in which they get one: the widest gaps first, to a factor of two, so that a cap
-/// on seeds leaves no part of a front far behind; among alike ones root simplex by root simplex, so that parts settle and
-/// can be forgotten.
+/// Edges waiting for a seed, in the order in which they get one: the widest gaps first, to a factor
+/// of two, so that a cap on seeds leaves no part of a front far behind; among alike ones root
+/// simplex by root simplex, so that parts settle and can be forgotten.
 #[derive(Clone, Debug, Default)]
 pub struct Waiting(BTreeMap<(u32, u32, u32, Edge), f32>);
 
@@ -309,7 +318,8 @@ impl Waiting {
 mod tests {
     use super::*;
 
-    /// Splits everything for some rounds; every (n-2)-face of a closed surface must belong to two simplices.
+    /// Splits everything for some rounds; every (n-2)-face of a closed surface must belong to two
+    /// simplices.
     fn closed(n: usize, rounds: usize) {
         let (mut complex, directions) = Complex::sphere(n);
         assert_eq!(directions.len(), complex.vertices());
@@ -333,7 +343,10 @@ mod tests {
             }
         }
         assert!(!faces.is_empty());
-        assert!(faces.values().all(|c| *c == 2), "a face is not shared by two simplices");
+        assert!(
+            faces.values().all(|c| *c == 2),
+            "a face is not shared by two simplices"
+        );
     }
 
     #[test]
@@ -353,7 +366,11 @@ mod tests {
             complex.settle(edge);
         }
         assert_eq!(
-            (complex.open_edges(), complex.simplices.len(), complex.edges.len()),
+            (
+                complex.open_edges(),
+                complex.simplices.len(),
+                complex.edges.len()
+            ),
             (0, 0, 0)
         );
         assert!(!complex.is_open(middle));
@@ -368,7 +385,8 @@ mod tests {
             .simplices
             .values()
             .map(|s| {
-                let at = |k: usize| nalgebra::Vector3::from_row_slice(&corners[s.vertices[k] as usize]);
+                let at =
+                    |k: usize| nalgebra::Vector3::from_row_slice(&corners[s.vertices[k] as usize]);
                 nalgebra::Matrix3::from_columns(&[at(1) - at(0), at(2) - at(0), at(3) - at(0)])
                     .determinant()
                     .abs()

@@ -1,4 +1,5 @@
-//! Refinement of fronts: neighbours further apart than the spacing on any front get a seed between them.
+//! Refinement of fronts: neighbours further apart than the spacing on any front get a seed between
+//! them.
 
 use super::caustic::FoldPoint;
 use super::complex::{Complex, Edge, Vertex, Waiting};
@@ -97,7 +98,8 @@ struct Fronts<'a> {
     waiting: Waiting,
     deferred: Vec<Edge>,
     pending: Vec<Vertex>,
-    /// The region in its own widths; endless along periodic states, whose every period meets it somewhere.
+    /// The region in its own widths; endless along periodic states, whose every period meets it
+    /// somewhere.
     bounds: Vec<[f32; 2]>,
     sampler: Sampler,
     report: SweepReport,
@@ -137,7 +139,8 @@ pub fn sweep_keeping<E: From<BackendError> + Send>(
     let observed = Observed::new(plan);
     let mut fronts = Fronts::new(plan);
     std::thread::scope(|scope| {
-        // What is reported of a batch is computed while the next one is prepared and integrated; memory stays bounded.
+        // What is reported of a batch is computed while the next one is prepared and integrated;
+        // memory stays bounded.
         let (send, receive) = sync_channel::<Trajectories>(1);
         let observer = scope.spawn(move || observe(plan, &observed, receive, sink));
         let finished = loop {
@@ -161,7 +164,8 @@ pub fn sweep_keeping<E: From<BackendError> + Send>(
         };
         finished?;
         let mut report = fronts.finished();
-        (report.drift, report.relative_drift, report.by_status) = (seen.drift, seen.relative_drift, seen.by_status);
+        (report.drift, report.relative_drift, report.by_status) =
+            (seen.drift, seen.relative_drift, seen.by_status);
         report.folds = seen.folds;
         Ok(report)
     })
@@ -177,7 +181,12 @@ struct Seen {
 }
 
 /// Hands on what is reported of each batch.
-fn observe<E>(plan: &Plan, observed: &Observed, batches: Receiver<Trajectories>, sink: Sink<'_, E>) -> Result<Seen, E> {
+fn observe<E>(
+    plan: &Plan,
+    observed: &Observed,
+    batches: Receiver<Trajectories>,
+    sink: Sink<'_, E>,
+) -> Result<Seen, E> {
     let mut seen = Seen::default();
     for batch in batches {
         let (block, relative) = observed.block(plan, &batch);
@@ -213,7 +222,10 @@ impl<'a> Fronts<'a> {
             deferred: Vec::new(),
             pending: Vec::new(),
             bounds,
-            sampler: Sampler::new(plan.seed, 8 * (plan.run.levels.len() + 1) * (1 + plan.spec.dim())),
+            sampler: Sampler::new(
+                plan.seed,
+                8 * (plan.run.levels.len() + 1) * (1 + plan.spec.dim()),
+            ),
             report: SweepReport::default(),
         };
         for (v, parameter) in parameters.into_iter().enumerate() {
@@ -286,14 +298,23 @@ impl<'a> Fronts<'a> {
                 if sample[0].is_nan() {
                     break;
                 }
-                path.extend(sample[1..=n].iter().zip(&self.plan.widths).map(|(s, w)| (s / w) as f32));
+                path.extend(
+                    sample[1..=n]
+                        .iter()
+                        .zip(&self.plan.widths)
+                        .map(|(s, w)| (s / w) as f32),
+                );
             }
             path.shrink_to_fit();
             let end = &batch.end[i * batch.dim..][..batch.dim];
-            let fold = (batch.status[i] != Status::Reached && self.plan.is_folded(end)).then(|| {
-                let scaled = end[..n].iter().zip(&self.plan.widths).map(|(s, w)| (s / w) as f32);
-                scaled.collect()
-            });
+            let fold =
+                (batch.status[i] != Status::Reached && self.plan.is_folded(end)).then(|| {
+                    let scaled = end[..n]
+                        .iter()
+                        .zip(&self.plan.widths)
+                        .map(|(s, w)| (s / w) as f32);
+                    scaled.collect()
+                });
             if let Some(node) = self.nodes.get_mut(v) {
                 node.state = NodeState::Swept(Swept { path, fold });
             }
@@ -352,14 +373,18 @@ impl<'a> Fronts<'a> {
         }
     }
 
-    /// Widest gap over the fronts that both trajectories reach, where the piece of front between them may meet the
-    /// region.
+    /// Widest gap over the fronts that both trajectories reach, where the piece of front between
+    /// them may meet the region.
     fn widest_gap(&self, a: &[f32], b: &[f32]) -> f32 {
         let n = self.plan.system.states;
         let mut widest = 0.0f32;
         for (x, y) in a.chunks_exact(n).zip(b.chunks_exact(n)) {
             if self.may_meet_region(x, y) {
-                let gap = x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
+                let gap = x
+                    .iter()
+                    .zip(y)
+                    .map(|(x, y)| (x - y).abs())
+                    .fold(0.0, f32::max);
                 widest = widest.max(gap);
             }
         }
@@ -368,18 +393,25 @@ impl<'a> Fronts<'a> {
 
     /// Whether a piece of front between two states (in widths of the region) may lie in the region.
     fn may_meet_region(&self, x: &[f32], y: &[f32]) -> bool {
-        (x.iter().zip(y).zip(&self.bounds)).all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi)
+        (x.iter().zip(y).zip(&self.bounds))
+            .all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi)
     }
 
-    /// Gap between the folds that neighbours end in. Where one of them goes on, or its fold is elsewhere although they have
-    /// come close together, the caustic has an end between them, and the gap is closed when they are `CLOSE`.
+    /// Gap between the folds that neighbours end in. Where one of them goes on, or its fold is
+    /// elsewhere although they have come close together, the caustic has an end between them, and
+    /// the gap is closed when they are `CLOSE`.
     fn gap_on_caustic(&self, a: &Swept, b: &Swept) -> f32 {
         const CLOSE: f64 = 1.0 / 32.0;
         let n = self.plan.system.states;
         if self.plan.slope.is_none() {
             return 0.0;
         }
-        let distance = |x: &[f32], y: &[f32]| x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f32::max);
+        let distance = |x: &[f32], y: &[f32]| {
+            x.iter()
+                .zip(y)
+                .map(|(x, y)| (x - y).abs())
+                .fold(0.0, f32::max)
+        };
         let last = a.path.len().min(b.path.len());
         let apart = if last < n {
             f32::INFINITY
@@ -389,9 +421,18 @@ impl<'a> Fronts<'a> {
         if f64::from(apart) <= CLOSE * self.plan.shoot_out.spacing {
             return 0.0;
         }
-        // What the longer one passes alone may lie in the region although the shorter one ends outside.
-        let longer = if a.path.len() > b.path.len() { &a.path } else { &b.path };
-        let alone = || longer[last..].chunks_exact(n).any(|x| self.may_meet_region(x, x));
+        // What the longer one passes alone may lie in the region although the shorter one ends
+        // outside.
+        let longer = if a.path.len() > b.path.len() {
+            &a.path
+        } else {
+            &b.path
+        };
+        let alone = || {
+            longer[last..]
+                .chunks_exact(n)
+                .any(|x| self.may_meet_region(x, x))
+        };
         match (&a.fold, &b.fold) {
             (Some(x), Some(y)) if self.may_meet_region(x, y) || alone() => distance(x, y),
             // Any gap above the spacing will do.
@@ -465,8 +506,13 @@ impl<'a> Fronts<'a> {
 
     fn finished(mut self) -> SweepReport {
         self.report.coverage.uncovered = self.waiting.len();
-        self.report.coverage.widest = self.report.coverage.widest.max(f64::from(self.waiting.widest()));
-        self.report.sample = (self.sampler).finish(self.plan.spec.dim(), self.plan.run.levels.len());
+        self.report.coverage.widest = self
+            .report
+            .coverage
+            .widest
+            .max(f64::from(self.waiting.widest()));
+        self.report.sample =
+            (self.sampler).finish(self.plan.spec.dim(), self.plan.run.levels.len());
         self.report
     }
 }

@@ -1,5 +1,5 @@
-//! Shooting out: seeds on the local solution (or the terminal cost) integrated backward in time, with new seeds between
-//! neighbours that part.
+//! Shooting out: seeds on the local solution (or the terminal cost) integrated backward in time,
+//! with new seeds between neighbours that part.
 
 pub mod accuracy;
 mod caustic;
@@ -16,6 +16,8 @@ pub use caustic::FoldPoint;
 pub use fronts::{Coverage, Progress, SweepReport, sweep, sweep_keeping};
 pub use observe::Observed;
 pub(crate) use plan::MOST_OPERATIONS;
-pub use plan::{Choices, FOLD_STATUS, GUARD_STATUS, Numerics, Plan, PlanError, Sampling, spread_over};
+pub use plan::{
+    Choices, FOLD_STATUS, GUARD_STATUS, Numerics, Plan, PlanError, Sampling, spread_over,
+};
 pub use sample::{Kept, Sample};
 pub use surface::{Surface, holds as guard_holds};

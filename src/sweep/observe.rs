@@ -10,7 +10,8 @@ use crate::trajectories::TrajectoryBlock;
 /// Sheets are labelled when sheets are computed; a sweep leaves them open.
 pub const NO_SHEET: i32 = -1;
 
-/// A trajectory that cannot go on has met a guard whose value is below this share of its largest along the trajectory.
+/// A trajectory that cannot go on has met a guard whose value is below this share of its largest
+/// along the trajectory.
 const AT_BOUNDARY: f64 = 1e-4;
 
 /// Computes the reported quantities of a batch, in f64 from the stored states and adjoints.
@@ -35,8 +36,13 @@ impl Observed {
             .collect();
         let program = Program::lower(&plan.system.graph, &plan.system.inputs, &roots);
         let guards: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
-        let guards = (!guards.is_empty())
-            .then(|| Evaluator::new(&Program::lower(&plan.system.graph, &plan.system.inputs, &guards)));
+        let guards = (!guards.is_empty()).then(|| {
+            Evaluator::new(&Program::lower(
+                &plan.system.graph,
+                &plan.system.inputs,
+                &guards,
+            ))
+        });
         Self {
             evaluator: Evaluator::new(&program),
             guards,
@@ -46,8 +52,8 @@ impl Observed {
         }
     }
 
-    /// The block to store, samples in order of rising t; and each trajectory's drift of H relative to its largest
-    /// running cost.
+    /// The block to store, samples in order of rising t; and each trajectory's drift of H relative
+    /// to its largest running cost.
     pub fn block(&self, plan: &Plan, batch: &Trajectories) -> (TrajectoryBlock, Vec<f64>) {
         let n = plan.system.states;
         let (count, levels, stride) = (batch.count(), batch.levels, 1 + batch.dim);
@@ -79,7 +85,8 @@ impl Observed {
         let end_time = plan.system.terminal.as_ref().map_or(0.0, |t| t.time);
         for i in 0..count {
             let hamiltonian = |level: usize| values[(i * levels + level) * width + m + k];
-            // On an infinite horizon H is 0 on the manifold; on a finite one it keeps the value it has at the end.
+            // On an infinite horizon H is 0 on the manifold; on a finite one it keeps the value it
+            // has at the end.
             let reference = match plan.sampling {
                 Sampling::Time if levels > 0 => hamiltonian(0),
                 _ => 0.0,
@@ -91,9 +98,12 @@ impl Observed {
                 let row = &values[(i * levels + level) * width..][..width];
                 let h = row[m + k];
                 block.t.push(end_time - sample[0]);
-                block
-                    .x
-                    .extend(sample[1..=n].iter().zip(&plan.system.reference).map(|(s, x)| s + x));
+                block.x.extend(
+                    sample[1..=n]
+                        .iter()
+                        .zip(&plan.system.reference)
+                        .map(|(s, x)| s + x),
+                );
                 block.p.extend_from_slice(&sample[1 + n..=2 * n]);
                 block.v.push(sample[1 + 2 * n]);
                 block.u.extend_from_slice(&row[..m]);
@@ -110,19 +120,27 @@ impl Observed {
         (block, relative)
     }
 
-    /// The folds in which trajectories of a batch have ended, `status` being those of its block and `first` the index of its
-    /// first trajectory.
-    pub fn folds(&self, plan: &Plan, batch: &Trajectories, status: &[i32], first: usize) -> Vec<FoldPoint> {
-        let Some(folds) = &self.folds else { return Vec::new() };
+    /// The folds in which trajectories of a batch have ended, `status` being those of its block and
+    /// `first` the index of its first trajectory.
+    pub fn folds(
+        &self,
+        plan: &Plan,
+        batch: &Trajectories,
+        status: &[i32],
+        first: usize,
+    ) -> Vec<FoldPoint> {
+        let Some(folds) = &self.folds else {
+            return Vec::new();
+        };
         (0..batch.count())
             .filter(|i| status[*i] == FOLD_STATUS)
             .filter_map(|i| folds.ahead(plan, batch, i, first + i))
             .collect()
     }
 
-    /// Status codes; a guard's own where one ended the trajectory. Where the equations end with a guard (a root of what the
-    /// guard keeps positive) no step gets beyond it, and the trajectory stops at the boundary for want of a finite step:
-    /// that is the guard's doing too.
+    /// Status codes; a guard's own where one ended the trajectory. Where the equations end with a
+    /// guard (a root of what the guard keeps positive) no step gets beyond it, and the trajectory
+    /// stops at the boundary for want of a finite step: that is the guard's doing too.
     fn statuses(&self, plan: &Plan, batch: &Trajectories) -> Vec<i32> {
         let stopped = |s: Status| matches!(s, Status::NotFinite | Status::StepFloor);
         let code = |i: usize, s: Status| match &self.guards {
@@ -144,13 +162,19 @@ impl Observed {
                 code(i, s)
             }
         };
-        batch.status.iter().enumerate().map(|(i, s)| ended(i, *s)).collect()
+        batch
+            .status
+            .iter()
+            .enumerate()
+            .map(|(i, s)| ended(i, *s))
+            .collect()
     }
 }
 
-/// The guard that a trajectory has come nearest to at its end, by its value's share of the largest along the trajectory (one
-/// that is 0 all along, an invariant boundary, is not met); with that share. Of a trajectory without samples nothing is
-/// known but the end: the nearest value, and no share.
+/// The guard that a trajectory has come nearest to at its end, by its value's share of the largest
+/// along the trajectory (one that is 0 all along, an invariant boundary, is not met); with that
+/// share. Of a trajectory without samples nothing is known but the end: the nearest value, and no
+/// share.
 fn nearest_guard(guards: &Evaluator, batch: &Trajectories, i: usize) -> (usize, f64) {
     let stride = 1 + batch.dim;
     let end = guards.eval(&batch.end[i * batch.dim..][..batch.dim], batch.dim);

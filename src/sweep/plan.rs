@@ -1,4 +1,5 @@
-//! What a scene's sweep integrates, with which tolerances, and where its trajectories are sampled and end.
+//! What a scene's sweep integrates, with which tolerances, and where its trajectories are sampled
+//! and end.
 
 use super::surface::{Surface, corners};
 use crate::backend::{Backend, By, Guards, Run, Spec, Status};
@@ -15,8 +16,8 @@ const F32_RTOL: f64 = 1e-5;
 const LEAST_RTOL: f64 = 4.0;
 /// Share of the tolerance that the seeds may use up.
 const SEED_SHARE: f64 = 0.1;
-/// A trajectory along which V may fall again is given up at this many times `value_max`, or the quadratic V of the region's
-/// corners where that is more.
+/// A trajectory along which V may fall again is given up at this many times `value_max`, or the
+/// quadratic V of the region's corners where that is more.
 const BEYOND_VALUE: f64 = 10.0;
 
 /// Status code of the first guard; the others follow.
@@ -44,7 +45,8 @@ pub enum PlanError {
     Local(#[from] LocalError),
 }
 
-/// The method that reaches a tolerance soonest on a backend (see benches/README.md for the measurements).
+/// The method that reaches a tolerance soonest on a backend (see benches/README.md for the
+/// measurements).
 fn best_method(backend: &dyn Backend, rtol: f64) -> Method {
     if rtol >= F32_RTOL {
         Method::Tsit5
@@ -69,15 +71,15 @@ pub struct Choices {
     pub precision: Option<Precision>,
     pub method: Option<Method>,
     pub rtol: Option<f64>,
-    /// Whether trajectories are also sampled between the seeds and the first stored level, for first guesses of
-    /// boundary value problems.
+    /// Whether trajectories are also sampled between the seeds and the first stored level, for
+    /// first guesses of boundary value problems.
     pub inner_levels: bool,
     /// Lowers the scene's cap on seeds.
     pub max_seeds: Option<usize>,
     /// Whether a scene without `[shoot_out]` is swept all the same, as far as its region may need.
     pub unasked: bool,
-    /// Whether the sweep is only for first guesses, which also come without: then its states are not limited (see
-    /// [`Plan::can_be_swept`]).
+    /// Whether the sweep is only for first guesses, which also come without: then its states are
+    /// not limited (see [`Plan::can_be_swept`]).
     pub dispensable: bool,
     /// Seed of the random sample that the error is estimated from.
     pub seed: u64,
@@ -102,7 +104,8 @@ pub struct Numerics {
     /// Tolerance asked; the one used may be larger where the precision is too low for it.
     pub rtol_asked: f64,
     pub rtol: f64,
-    /// Absolute tolerance in units of each component's scale: the scene's, in proportion where another `rtol` is asked.
+    /// Absolute tolerance in units of each component's scale: the scene's, in proportion where
+    /// another `rtol` is asked.
     pub atol: f64,
 }
 
@@ -111,21 +114,32 @@ impl Numerics {
     ///
     /// # Errors
     /// [`PlanError::NoStep`].
-    pub fn choose(model: &Model, backend: &dyn Backend, choices: Choices) -> Result<Self, PlanError> {
+    pub fn choose(
+        model: &Model,
+        backend: &dyn Backend,
+        choices: Choices,
+    ) -> Result<Self, PlanError> {
         let rtol_asked = choices.rtol.unwrap_or(model.integrator.rtol);
         let asked = choices.precision.or(model.integrator.precision);
-        let precision = asked.unwrap_or(if rtol_asked >= F32_RTOL || !backend.supports(Precision::F64) {
-            Precision::F32
-        } else {
-            Precision::F64
-        });
-        let method = (choices.method.or(model.integrator.method)).unwrap_or_else(|| best_method(backend, rtol_asked));
+        let precision = asked.unwrap_or(
+            if rtol_asked >= F32_RTOL || !backend.supports(Precision::F64) {
+                Precision::F32
+            } else {
+                Precision::F64
+            },
+        );
+        let method = (choices.method.or(model.integrator.method))
+            .unwrap_or_else(|| best_method(backend, rtol_asked));
         if !method.adaptive() && model.integrator.step.is_none() {
-            return Err(PlanError::NoStep { method: method.name() });
+            return Err(PlanError::NoStep {
+                method: method.name(),
+            });
         }
         let rtol = rtol_asked.max(Plan::least_rtol(precision));
-        // A tighter rtol alone would leave what is small against the region, or V on the first fronts, as it was.
-        let atol = model.integrator.atol * choices.rtol.map_or(1.0, |_| rtol / model.integrator.rtol);
+        // A tighter rtol alone would leave what is small against the region, or V on the first
+        // fronts, as it was.
+        let atol =
+            model.integrator.atol * choices.rtol.map_or(1.0, |_| rtol / model.integrator.rtol);
         Ok(Self {
             precision,
             method,
@@ -149,13 +163,14 @@ pub struct Plan {
     pub local: Option<LocalSolution>,
     /// Tolerance asked; the run's own may be larger where the precision is too low for it.
     pub rtol_asked: f64,
-    /// Absolute tolerance in units of each component's scale: the scene's, in proportion where another `rtol` is asked.
+    /// Absolute tolerance in units of each component's scale: the scene's, in proportion where
+    /// another `rtol` is asked.
     pub atol: f64,
     /// Periodic states are not limited to the region.
     pub periodic: Vec<bool>,
     pub periods: Vec<Option<f64>>,
-    /// The same where dynamics and cost do not tell the periods apart either: then another copy of the equilibrium is one too.
-    /// (A cost such as `theta^2` does tell them apart.)
+    /// The same where dynamics and cost do not tell the periods apart either: then another copy of
+    /// the equilibrium is one too. (A cost such as `theta^2` does tell them apart.)
     pub recurrent: Vec<Option<f64>>,
     pub widths: Vec<f64>,
     /// Scale of V: value_max, or the largest terminal cost.
@@ -163,7 +178,8 @@ pub struct Plan {
     /// Region as deviations.
     pub region: Vec<[f64; 2]>,
     pub system: System,
-    /// Whether H is `min max`: then what is certified ends at folds and no sheet is better than another.
+    /// Whether H is `min max`: then what is certified ends at folds and no sheet is better than
+    /// another.
     pub game: bool,
     /// Where the slope's upper triangle begins in the integrated vector, if it is integrated.
     pub slope: Option<usize>,
@@ -182,7 +198,12 @@ impl Plan {
     pub fn segment_duration(&self) -> f64 {
         match (&self.local, &self.system.terminal) {
             (Some(local), _) => {
-                let fastest = local.riccati.eigenvalues.iter().map(|e| e.norm()).fold(0.0, f64::max);
+                let fastest = local
+                    .riccati
+                    .eigenvalues
+                    .iter()
+                    .map(|e| e.norm())
+                    .fold(0.0, f64::max);
                 SEGMENT_GROWTH / fastest
             }
             (None, Some(terminal)) => terminal.time / 16.0,
@@ -221,7 +242,9 @@ impl Plan {
             });
         }
         let system = System::new(hamiltonian, model);
-        let operations = Program::lower(&system.graph, &system.inputs, &system.rate).code.len();
+        let operations = Program::lower(&system.graph, &system.inputs, &system.rate)
+            .code
+            .len();
         if operations > MOST_OPERATIONS {
             return Err(PlanError::TooLong { operations });
         }
@@ -260,7 +283,11 @@ impl Plan {
                     outer: value_max,
                 };
                 let local = LocalSolution::new(&system, model, riccati, choice)?;
-                (Surface::sphere(&system, local.clone()), Some(local), value_max)
+                (
+                    Surface::sphere(&system, local.clone()),
+                    Some(local),
+                    value_max,
+                )
             }
             Some(terminal) => {
                 let surface = Surface::terminal(&system, terminal, region.clone());
@@ -282,7 +309,9 @@ impl Plan {
         let mut inputs = system.inputs.clone();
         let value = 2 * n;
         let ceiling = if game {
-            let corners = local.as_ref().map_or(0.0, |l| largest_quadratic(model, &l.riccati));
+            let corners = local
+                .as_ref()
+                .map_or(0.0, |l| largest_quadratic(model, &l.riccati));
             BEYOND_VALUE * value_max.max(corners)
         } else {
             value_max
@@ -304,7 +333,11 @@ impl Plan {
             }
             Sampling::ArcLength => {
                 rate.push(system.arc_rate);
-                (By::Component(value + 1), steps(shoot_out.arc_length), Some(ceiling))
+                (
+                    By::Component(value + 1),
+                    steps(shoot_out.arc_length),
+                    Some(ceiling),
+                )
             }
         };
         let seed_value = local.as_ref().map_or(0.0, |l| l.seed_value);
@@ -321,17 +354,26 @@ impl Plan {
         }
         let bounds = (region.iter().zip(&widths).zip(&periodic))
             .map(|(([lo, hi], w), periodic)| {
-                let margin = if *periodic { f64::INFINITY } else { shoot_out.margin * w };
+                let margin = if *periodic {
+                    f64::INFINITY
+                } else {
+                    shoot_out.margin * w
+                };
                 [lo - margin, hi + margin]
             })
             .collect();
-        let mut graph = folds.as_ref().map_or(&system.graph, |(graph, _)| graph).clone();
+        let mut graph = folds
+            .as_ref()
+            .map_or(&system.graph, |(graph, _)| graph)
+            .clone();
         let switches = graph.kinks(&rate);
         let mut conditions: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
         let mut strict: Vec<bool> = system.guards.iter().map(|g| g.strict).collect();
         let slope = folds.map(|(_, slope)| {
             let first = rate.len();
-            inputs.extend((2 * n..first).map(|k| graph.symbol(&format!("component {k}"), Kind::State)));
+            inputs.extend(
+                (2 * n..first).map(|k| graph.symbol(&format!("component {k}"), Kind::State)),
+            );
             inputs.extend(&slope.symbols);
             rate.extend(&slope.rate);
             scales.extend(Slope::packed(&slope_units, n));
@@ -391,13 +433,14 @@ impl Plan {
         })
     }
 
-    /// Whether the plan's seeds can be triangulated. A plan that is made for a sweep always can be swept.
+    /// Whether the plan's seeds can be triangulated. A plan that is made for a sweep always can be
+    /// swept.
     pub fn can_be_swept(&self) -> bool {
         self.system.states <= most_states(self.system.terminal.is_some())
     }
 
-    /// The integrated vector at a seed `(s, p, V)`: arc length from 0, the slope of the local solution or of the terminal
-    /// cost.
+    /// The integrated vector at a seed `(s, p, V)`: arc length from 0, the slope of the local
+    /// solution or of the terminal cost.
     pub fn start(&self, seed: &[f64]) -> Vec<f64> {
         let n = self.system.states;
         let mut start = seed.to_vec();
@@ -408,8 +451,8 @@ impl Plan {
         start
     }
 
-    /// What the linearization gives for V at the costliest corner of the region; on a finite horizon the scale of V.
-    /// It does not depend on how far the scene's own sweep goes.
+    /// What the linearization gives for V at the costliest corner of the region; on a finite
+    /// horizon the scale of V. It does not depend on how far the scene's own sweep goes.
     pub fn corner_value(&self) -> f64 {
         let Some(local) = &self.local else {
             return self.value_scale;
@@ -422,8 +465,9 @@ impl Plan {
         }
     }
 
-    /// Whether neither the running cost nor, on a finite horizon, the terminal cost is negative anywhere in the region: then V
-    /// never falls backward along a trajectory. (Looked at in many points.)
+    /// Whether neither the running cost nor, on a finite horizon, the terminal cost is negative
+    /// anywhere in the region: then V never falls backward along a trajectory. (Looked at in many
+    /// points.)
     pub fn costs_are_positive(&self) -> bool {
         let terminal = self.system.terminal.as_ref().map(|t| t.value);
         value_is_monotone(&self.system, &self.region)
@@ -481,8 +525,14 @@ impl Plan {
     }
 }
 
-/// The periods by which all rates, the running cost among them, and the guards repeat (looked at in many points).
-fn recurrent(system: &System, periods: &[Option<f64>], region: &[[f64; 2]], widths: &[f64]) -> Vec<Option<f64>> {
+/// The periods by which all rates, the running cost among them, and the guards repeat (looked at in
+/// many points).
+fn recurrent(
+    system: &System,
+    periods: &[Option<f64>],
+    region: &[[f64; 2]],
+    widths: &[f64],
+) -> Vec<Option<f64>> {
     const POINTS: usize = 64;
     const ALIKE: f64 = 1e-9;
     let n = system.states;
@@ -495,7 +545,9 @@ fn recurrent(system: &System, periods: &[Option<f64>], region: &[[f64; 2]], widt
             s.iter().copied().chain(p).collect()
         })
         .collect();
-    let here = |program: &Program| -> Vec<Vec<f64>> { points.iter().map(|point| program.eval(point)).collect() };
+    let here = |program: &Program| -> Vec<Vec<f64>> {
+        points.iter().map(|point| program.eval(point)).collect()
+    };
     let there = |program: &Program, i: usize, period: f64| -> Vec<Vec<f64>> {
         let moved = |point: &Vec<f64>| {
             let mut moved = point.clone();
@@ -519,34 +571,51 @@ fn recurrent(system: &System, periods: &[Option<f64>], region: &[[f64; 2]], widt
         let there = there(&guards, i, period);
         (0..system.guards.len()).all(|g| {
             let size = largest(&mut margins.iter().chain(&there).map(|m| m[g]));
-            margins.iter().zip(&there).all(|(a, b)| alike(a[g], b[g], size))
+            margins
+                .iter()
+                .zip(&there)
+                .all(|(a, b)| alike(a[g], b[g], size))
         })
     };
     (periods.iter().enumerate())
-        .map(|(i, period)| period.filter(|period| rates_repeat(i, *period) && guards_repeat(i, *period)))
+        .map(|(i, period)| {
+            period.filter(|period| rates_repeat(i, *period) && guards_repeat(i, *period))
+        })
         .collect()
 }
 
 /// States up to which the seeds of a sweep are triangulated.
 fn most_states(finite: bool) -> usize {
-    if finite { MOST_STATES_FINITE } else { MOST_STATES }
+    if finite {
+        MOST_STATES_FINITE
+    } else {
+        MOST_STATES
+    }
 }
 
-/// Scales of the slope's entries (row-major): V's scale over those of the states, or what the slope is at the equilibrium
-/// where that is more.
+/// Scales of the slope's entries (row-major): V's scale over those of the states, or what the slope
+/// is at the equilibrium where that is more.
 fn slope_units(end: &End, widths: &[f64], value_scale: f64) -> Vec<f64> {
     let n = widths.len();
     let at_rest = end.at(&vec![0.0; n]).hessian;
     let steepest = (0..n).map(|i| (at_rest[i * n + i] * widths[i].powi(2)).abs());
-    let scale = steepest.filter(|x| x.is_finite()).fold(value_scale, f64::max);
-    (0..n * n).map(|q| scale / (widths[q / n] * widths[q % n])).collect()
+    let scale = steepest
+        .filter(|x| x.is_finite())
+        .fold(value_scale, f64::max);
+    (0..n * n)
+        .map(|q| scale / (widths[q / n] * widths[q % n]))
+        .collect()
 }
 
-/// A sweep for first guesses where the scene asks for none: up to the largest quadratic V of the region's corners.
+/// A sweep for first guesses where the scene asks for none: up to the largest quadratic V of the
+/// region's corners.
 fn unasked_sweep(model: &Model, hamiltonian: &Hamiltonian) -> Result<ShootOut, PlanError> {
     let value_max = match &model.horizon {
         Horizon::Finite { .. } => None,
-        Horizon::Infinite { .. } => Some(largest_quadratic(model, &Riccati::solve(hamiltonian, model)?)),
+        Horizon::Infinite { .. } => Some(largest_quadratic(
+            model,
+            &Riccati::solve(hamiltonian, model)?,
+        )),
     };
     Ok(ShootOut {
         value_max,
@@ -576,7 +645,11 @@ fn largest_at_corners(p: &nalgebra::DMatrix<f64>, region: &[[f64; 2]]) -> f64 {
     let at = |corner: &[bool]| {
         let side = |i: usize| region[i][usize::from(corner[i])];
         (0..n)
-            .map(|i| (0..n).map(|j| 0.5 * side(i) * p[(i, j)] * side(j)).sum::<f64>())
+            .map(|i| {
+                (0..n)
+                    .map(|j| 0.5 * side(i) * p[(i, j)] * side(j))
+                    .sum::<f64>()
+            })
             .sum::<f64>()
     };
     corners(n).map(|c| at(&c)).fold(0.0, f64::max)
@@ -594,7 +667,8 @@ fn inner_levels(seed_value: f64, first: f64) -> Vec<f64> {
     levels
 }
 
-/// Whether L is nowhere negative in the region, even at the cheapest control (looked at in many points).
+/// Whether L is nowhere negative in the region, even at the cheapest control (looked at in many
+/// points).
 fn value_is_monotone(system: &System, region: &[[f64; 2]]) -> bool {
     nowhere_negative(system, system.least_running, region)
 }
@@ -614,10 +688,15 @@ fn nowhere_negative(system: &System, expr: Id, region: &[[f64; 2]]) -> bool {
     values.iter().all(|l| l.is_nan() || *l >= -rounding)
 }
 
-/// States spread evenly over a box, the same in every run: a Kronecker sequence, by the square roots of primes.
+/// States spread evenly over a box, the same in every run: a Kronecker sequence, by the square
+/// roots of primes.
 pub fn spread_over(region: &[[f64; 2]], count: usize) -> Vec<Vec<f64>> {
     let is_prime = |p: &usize| (2..*p).all(|q| !p.is_multiple_of(q));
-    let primes: Vec<f64> = (2..).filter(is_prime).take(region.len()).map(|p| p as f64).collect();
+    let primes: Vec<f64> = (2..)
+        .filter(is_prime)
+        .take(region.len())
+        .map(|p| p as f64)
+        .collect();
     let place = |k: usize| {
         let along = region.iter().enumerate().map(|(i, [lo, hi])| {
             let fraction = ((k as f64 + 0.5) * primes[i].sqrt()).fract();

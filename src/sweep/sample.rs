@@ -1,4 +1,5 @@
-//! A random sample of a sweep's trajectories, kept whole: what the run's error and stiffness are told from.
+//! A random sample of a sweep's trajectories, kept whole: what the run's error and stiffness are
+//! told from.
 
 use crate::backend::{Status, Trajectories};
 use crate::numeric::random::random;
@@ -26,8 +27,8 @@ pub struct Kept {
     pub points: Vec<f64>,
 }
 
-/// Trajectories drawn at random, in random order. The choice depends on the seed and the trajectories' numbers alone, not
-/// on batches.
+/// Trajectories drawn at random, in random order. The choice depends on the seed and the
+/// trajectories' numbers alone, not on batches.
 #[derive(Clone, Debug, Default)]
 pub struct Sample {
     pub kept: Vec<Kept>,
@@ -51,7 +52,8 @@ impl Sample {
     }
 }
 
-/// Draws while a sweep goes on: each trajectory has a random number, those with the smallest ones are kept.
+/// Draws while a sweep goes on: each trajectory has a random number, those with the smallest ones
+/// are kept.
 #[derive(Clone, Debug)]
 pub struct Sampler {
     seed: u64,
@@ -75,7 +77,12 @@ impl Sampler {
     pub fn offer(&mut self, i: usize, batch: &Trajectories, seed: &[f64], parameter: &[f64]) {
         let key = (random(self.seed, self.seen), self.seen);
         self.seen += 1;
-        if self.kept.len() >= self.most && self.kept.last_key_value().is_some_and(|(last, _)| key > *last) {
+        if self.kept.len() >= self.most
+            && self
+                .kept
+                .last_key_value()
+                .is_some_and(|(last, _)| key > *last)
+        {
             return;
         }
         let stride = batch.levels * (1 + batch.dim);
@@ -140,7 +147,8 @@ mod tests {
         assert_eq!(draw(1, 300, 7).len(), LEAST);
     }
 
-    /// Each tenth of the trajectories has about its share: 26 of 256, with a standard deviation of 4.7.
+    /// Each tenth of the trajectories has about its share: 26 of 256, with a standard deviation of
+    /// 4.7.
     #[test]
     fn the_sample_is_spread_evenly() {
         let drawn = draw(3, 5000, 64);

@@ -1,11 +1,12 @@
 //! Where explicit methods, or shooting itself, are the wrong tool: rates too far apart.
 //!
-//! Shooting out follows all modes of the closed loop backward in time, where they grow. One that grows much faster than the
-//! slowest multiplies any difference of two seeds, down to rounding, before the slow one has come far: it is accuracy, not
-//! stability, that then limits the steps, and the fronts' part along the slow modes comes from seeds that no number
-//! tells apart ([`Separation`]). Stability limits the steps where a fast mode is absent: off the manifold, where it decays
-//! backward in time, or exactly zero along a trajectory ([`held_steps`]). Boundary value problems
-//! have segments as short as the fastest mode asks for ([`segments`]).
+//! Shooting out follows all modes of the closed loop backward in time, where they grow. One that
+//! grows much faster than the slowest multiplies any difference of two seeds, down to rounding,
+//! before the slow one has come far: it is accuracy, not stability, that then limits the steps, and
+//! the fronts' part along the slow modes comes from seeds that no number tells apart
+//! ([`Separation`]). Stability limits the steps where a fast mode is absent: off the manifold,
+//! where it decays backward in time, or exactly zero along a trajectory ([`held_steps`]). Boundary
+//! value problems have segments as short as the fastest mode asks for ([`segments`]).
 
 use super::plan::Plan;
 use super::sample::Sample;
@@ -20,8 +21,8 @@ const TRAJECTORIES: usize = 16;
 const POINTS: usize = 8;
 /// A trajectory over fewer time constants of its fastest mode is not stiff, whatever its steps.
 const TIME_CONSTANTS: f64 = 300.0;
-/// Mean |lambda| h over the boundary of stability from which on steps are held by it. Steps that accuracy chooses are well
-/// below at any useful tolerance.
+/// Mean |lambda| h over the boundary of stability from which on steps are held by it. Steps that
+/// accuracy chooses are well below at any useful tolerance.
 const HELD: f64 = 0.5;
 /// Share of all steps that must be held so to be worth a word.
 const SHARE: f64 = 0.5;
@@ -36,7 +37,8 @@ pub struct Separation {
     pub slowest: Complex<f64>,
     /// Of their real parts.
     pub ratio: f64,
-    /// Powers of ten by which the fastest mode outgrows the slowest from the seeds to the outermost front.
+    /// Powers of ten by which the fastest mode outgrows the slowest from the seeds to the outermost
+    /// front.
     pub digits: f64,
     /// Digits of the run's precision.
     pub resolved: f64,
@@ -82,8 +84,8 @@ pub struct HeldSteps {
     pub time_constants: f64,
 }
 
-/// Whether most steps of the sampled trajectories were held at the method's boundary of stability: from the eigenvalues of
-/// the characteristics' Jacobian along them and the number of steps taken.
+/// Whether most steps of the sampled trajectories were held at the method's boundary of stability:
+/// from the eigenvalues of the characteristics' Jacobian along them and the number of steps taken.
 pub fn held_steps(plan: &Plan, sample: &Sample) -> Option<HeldSteps> {
     let boundary = real_boundary(plan.spec.method.scheme(plan.run.rtol));
     // A stiff trajectory of so many time constants has at least this many steps.
@@ -92,7 +94,11 @@ pub fn held_steps(plan: &Plan, sample: &Sample) -> Option<HeldSteps> {
         .filter(|i| f64::from(sample.kept[*i].steps) >= least)
         .collect();
     let examined: Vec<usize> = candidates.iter().copied().take(TRAJECTORIES).collect();
-    let steps = |of: &[usize]| of.iter().map(|i| f64::from(sample.kept[*i].steps)).sum::<f64>();
+    let steps = |of: &[usize]| {
+        of.iter()
+            .map(|i| f64::from(sample.kept[*i].steps))
+            .sum::<f64>()
+    };
     let all = steps(&(0..sample.kept.len()).collect::<Vec<_>>());
     if examined.is_empty() || steps(&candidates) < SHARE * all {
         return None;
@@ -102,7 +108,9 @@ pub fn held_steps(plan: &Plan, sample: &Sample) -> Option<HeldSteps> {
     let mut rate = 0.0f64;
     for i in &examined {
         let (constants, largest) = time_constants(plan, sample, *i, &jacobian);
-        if constants >= TIME_CONSTANTS && constants / f64::from(sample.kept[*i].steps) >= HELD * boundary {
+        if constants >= TIME_CONSTANTS
+            && constants / f64::from(sample.kept[*i].steps) >= HELD * boundary
+        {
             held.push((*i, constants));
             rate = rate.max(largest);
         }
@@ -119,8 +127,8 @@ pub fn held_steps(plan: &Plan, sample: &Sample) -> Option<HeldSteps> {
     })
 }
 
-/// Integral of the largest |lambda| over a trajectory's time (from below: towards a singularity it rises without limit
-/// between two points), and the largest of all.
+/// Integral of the largest |lambda| over a trajectory's time (from below: towards a singularity it
+/// rises without limit between two points), and the largest of all.
 fn time_constants(plan: &Plan, sample: &Sample, i: usize, jacobian: &Jacobian) -> (f64, f64) {
     let kept = &sample.kept[i];
     let width = 2 * plan.system.states;
@@ -176,7 +184,10 @@ impl Jacobian {
         if matrix.iter().any(|x| !x.is_finite()) {
             return f64::NAN;
         }
-        eigenvalues_of(&matrix).iter().map(|e| e.norm()).fold(0.0, f64::max)
+        eigenvalues_of(&matrix)
+            .iter()
+            .map(|e| e.norm())
+            .fold(0.0, f64::max)
     }
 }
 
@@ -194,7 +205,9 @@ pub fn real_boundary(scheme: Scheme) -> f64 {
             }
             y
         }
-        Scheme::Taylor(order) => (1..=order).rev().fold(1.0, |sum, n| 1.0 + sum * z / n as f64),
+        Scheme::Taylor(order) => (1..=order)
+            .rev()
+            .fold(1.0, |sum, n| 1.0 + sum * z / n as f64),
     };
     let mut z = STEP;
     while growth(-z).abs() <= 1.0 && z < 100.0 {
@@ -213,9 +226,14 @@ pub struct Segments {
     pub beyond: usize,
 }
 
-/// Whether solutions take very many segments because the fastest mode is so much faster than the slowest; `beyond`: states
-/// whose trajectories do not come near the equilibrium within the longest horizon that is tried.
-pub fn segments(plan: &Plan, counts: impl Iterator<Item = usize>, beyond: usize) -> Option<Segments> {
+/// Whether solutions take very many segments because the fastest mode is so much faster than the
+/// slowest; `beyond`: states whose trajectories do not come near the equilibrium within the longest
+/// horizon that is tried.
+pub fn segments(
+    plan: &Plan,
+    counts: impl Iterator<Item = usize>,
+    beyond: usize,
+) -> Option<Segments> {
     let (mut sum, mut count) = (0, 0);
     for c in counts {
         (sum, count) = (sum + c, count + 1);

@@ -1,4 +1,5 @@
-//! Where trajectories start, backward in time: the seed ellipsoid, or the terminal cost over the region.
+//! Where trajectories start, backward in time: the seed ellipsoid, or the terminal cost over the
+//! region.
 
 use super::complex::{Complex, Edge, Vertex};
 use crate::hamiltonian::{System, Terminal};
@@ -27,7 +28,10 @@ enum Kind {
     /// Parameters are unit vectors.
     Sphere(Box<LocalSolution>),
     /// Parameters are fractions of the box of deviations.
-    Box { terminal: Program, region: Vec<[f64; 2]> },
+    Box {
+        terminal: Program,
+        region: Vec<[f64; 2]>,
+    },
 }
 
 impl Surface {
@@ -36,7 +40,12 @@ impl Surface {
     }
 
     pub fn terminal(system: &System, terminal: &Terminal, region: Vec<[f64; 2]>) -> Self {
-        let roots: Vec<_> = terminal.gradient.iter().copied().chain([terminal.value]).collect();
+        let roots: Vec<_> = terminal
+            .gradient
+            .iter()
+            .copied()
+            .chain([terminal.value])
+            .collect();
         let program = Program::lower(&system.graph, &system.inputs, &roots);
         Self::new(
             system,
@@ -57,8 +66,8 @@ impl Surface {
         }
     }
 
-    /// A first triangulation, with the parameters of its vertices.
-    /// With more than a few states every split multiplies simplices: there the corners alone are the start.
+    /// A first triangulation, with the parameters of its vertices. With more than a few states
+    /// every split multiplies simplices: there the corners alone are the start.
     pub fn triangulation(&self, most: usize) -> (Complex, Vec<Vec<f64>>) {
         let n = self.states;
         let dimension = match self.kind {
@@ -92,12 +101,16 @@ impl Surface {
             // The longest first; ties in order of creation.
             let length = |e: &Edge| distance(&parameters[e.0 as usize], &parameters[e.1 as usize]);
             let longest = open.iter().map(length).fold(0.0, f64::max);
-            let (split, keep): (Vec<Edge>, Vec<Edge>) = open.iter().copied().partition(|e| length(e) > 0.999 * longest);
+            let (split, keep): (Vec<Edge>, Vec<Edge>) = open
+                .iter()
+                .copied()
+                .partition(|e| length(e) > 0.999 * longest);
             for edge in split {
                 if parameters.len() >= wanted {
                     break;
                 }
-                let middle = self.between(&parameters[edge.0 as usize], &parameters[edge.1 as usize]);
+                let middle =
+                    self.between(&parameters[edge.0 as usize], &parameters[edge.1 as usize]);
                 if complex.split(edge).is_some() {
                     parameters.push(middle);
                 }
@@ -116,7 +129,11 @@ impl Surface {
 
     /// The parameter a fraction of the way from `a` to `b`.
     pub fn toward(&self, a: &[f64], b: &[f64], fraction: f64) -> Vec<f64> {
-        let mut m: Vec<f64> = a.iter().zip(b).map(|(x, y)| x + fraction * (y - x)).collect();
+        let mut m: Vec<f64> = a
+            .iter()
+            .zip(b)
+            .map(|(x, y)| x + fraction * (y - x))
+            .collect();
         if let Kind::Sphere(_) = self.kind {
             let norm = m.iter().map(|x| x * x).sum::<f64>().sqrt();
             m.iter_mut().for_each(|x| *x /= norm);
@@ -141,18 +158,22 @@ impl Surface {
         }
     }
 
-    /// Seeds a small distance away, relative to the surface, in every direction of the manifold: along the surface, and
-    /// where it surrounds an equilibrium also outward.
+    /// Seeds a small distance away, relative to the surface, in every direction of the manifold:
+    /// along the surface, and where it surrounds an equilibrium also outward.
     pub fn near(&self, parameter: &[f64], distance: f64) -> Vec<Vec<f64>> {
-        // On a sphere a step along its largest coordinate leads nowhere; the others span the tangent plane.
-        let largest = (0..parameter.len()).max_by(|i, j| parameter[*i].abs().total_cmp(&parameter[*j].abs()));
+        // On a sphere a step along its largest coordinate leads nowhere; the others span the
+        // tangent plane.
+        let largest =
+            (0..parameter.len()).max_by(|i, j| parameter[*i].abs().total_cmp(&parameter[*j].abs()));
         (0..parameter.len())
             .map(|i| {
                 if let (Kind::Sphere(local), true) = (&self.kind, Some(i) == largest) {
                     let s = &self.seed(parameter)[..self.states];
-                    return local.at_state(&s.iter().map(|x| x * (1.0 + distance)).collect::<Vec<_>>());
+                    return local
+                        .at_state(&s.iter().map(|x| x * (1.0 + distance)).collect::<Vec<_>>());
                 }
-                // Toward the middle: a box has nothing beyond its faces, nor has what a guard limits.
+                // Toward the middle: a box has nothing beyond its faces, nor has what a guard
+                // limits.
                 let mut q = parameter.to_vec();
                 let inward = match self.kind {
                     Kind::Sphere(_) => q[i] > 0.0,
@@ -174,16 +195,20 @@ impl Surface {
 
     /// Whether a seed lies on the boundary of a guard, to rounding.
     pub fn on_boundary(&self, seed: &[f64]) -> bool {
-        let size = seed[..self.states].iter().fold(0.0f64, |a, s| a.max(s.abs()));
-        self.guard_values(seed).iter().any(|v| v.abs() <= ROUNDING * size)
+        let size = seed[..self.states]
+            .iter()
+            .fold(0.0f64, |a, s| a.max(s.abs()));
+        self.guard_values(seed)
+            .iter()
+            .any(|v| v.abs() <= ROUNDING * size)
     }
 
     fn guard_values(&self, seed: &[f64]) -> Vec<f64> {
         self.guards.eval(&seed[..2 * self.states])
     }
 
-    /// The parameter moved back inside where it is outside by rounding alone: points between two on a guard's boundary
-    /// lie on it, but for rounding.
+    /// The parameter moved back inside where it is outside by rounding alone: points between two on
+    /// a guard's boundary lie on it, but for rounding.
     pub fn nudged(&self, parameter: Vec<f64>) -> Vec<f64> {
         const STEP: f64 = 1e-6;
         if self.strict.is_empty() {
@@ -193,8 +218,14 @@ impl Surface {
         let seed = self.seed(&parameter);
         let size = seed[..n].iter().fold(0.0f64, |a, s| a.max(s.abs()));
         let values = self.guard_values(&seed);
-        let worst = values.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((k, value)) = worst.filter(|(k, v)| !holds(*v, self.strict[*k]) && *v >= -ROUNDING * size) else {
+        let worst = values
+            .iter()
+            .copied()
+            .enumerate()
+            .min_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((k, value)) =
+            worst.filter(|(k, v)| !holds(*v, self.strict[*k]) && *v >= -ROUNDING * size)
+        else {
             return parameter;
         };
         let slopes: Vec<f64> = (0..parameter.len())
@@ -210,7 +241,11 @@ impl Surface {
         let square: f64 = slopes.iter().map(|x| x * x).sum();
         // Twice the way, so that rounding does not leave it outside again.
         let factor = (-2.0 * value + f64::EPSILON * size) / square;
-        let moved: Vec<f64> = parameter.iter().zip(&slopes).map(|(q, d)| q + factor * d).collect();
+        let moved: Vec<f64> = parameter
+            .iter()
+            .zip(&slopes)
+            .map(|(q, d)| q + factor * d)
+            .collect();
         if moved.iter().all(|x| x.is_finite()) {
             moved
         } else {
@@ -251,13 +286,15 @@ impl Surface {
     }
 }
 
-/// Corners of a box in n dimensions, as lower (`false`) or upper along each: all of them up to [`ALL_CORNERS`], above it
-/// as many, drawn the same in every run.
+/// Corners of a box in n dimensions, as lower (`false`) or upper along each: all of them up to
+/// [`ALL_CORNERS`], above it as many, drawn the same in every run.
 pub(super) fn corners(n: usize) -> impl Iterator<Item = Vec<bool>> {
     let all = n <= ALL_CORNERS;
     (0..1usize << n.min(ALL_CORNERS)).map(move |c| {
         let drawn = |i: usize| random(c as u64, i as u64) & 1 == 1;
-        (0..n).map(|i| if all { c >> i & 1 == 1 } else { drawn(i) }).collect()
+        (0..n)
+            .map(|i| if all { c >> i & 1 == 1 } else { drawn(i) })
+            .collect()
     })
 }
 
@@ -267,5 +304,9 @@ pub fn holds(value: f64, strict: bool) -> bool {
 }
 
 fn distance(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| (x - y).powi(2)).sum::<f64>().sqrt()
+    a.iter()
+        .zip(b)
+        .map(|(x, y)| (x - y).powi(2))
+        .sum::<f64>()
+        .sqrt()
 }

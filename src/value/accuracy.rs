@@ -1,4 +1,5 @@
-//! The error of solutions at states: some of them solved again, to a tolerance a hundred times tighter.
+//! The error of solutions at states: some of them solved again, to a tolerance a hundred times
+//! tighter.
 
 use super::solve::{Answers, Entry, MOST_RTOL, scheme};
 use crate::backend::BackendError;
@@ -75,7 +76,12 @@ pub fn accuracy(plan: &Plan, answers: &Answers) -> Result<Option<SolvedAccuracy>
             (entry.value - solved.value).abs(),
             solved.value.abs() + SMALL * plan.value_scale,
         ));
-        let norm = |at: &dyn Fn(usize) -> f64| (0..n).map(|i| (at(i) * plan.widths[i]).powi(2)).sum::<f64>().sqrt();
+        let norm = |at: &dyn Fn(usize) -> f64| {
+            (0..n)
+                .map(|i| (at(i) * plan.widths[i]).powi(2))
+                .sum::<f64>()
+                .sqrt()
+        };
         costate.push(relative(
             norm(&|i| entry.p[i] - p[i]),
             norm(&|i| p[i]) + SMALL * plan.value_scale,
@@ -91,7 +97,11 @@ pub fn accuracy(plan: &Plan, answers: &Answers) -> Result<Option<SolvedAccuracy>
         );
         // A single state has no range: then the control's own size.
         let range = |u: f64| if most > least { most - least } else { u.abs() };
-        control_errors.extend(controls.iter().map(|(a, b)| relative((a[k] - b[k]).abs(), range(b[k]))));
+        control_errors.extend(
+            controls
+                .iter()
+                .map(|(a, b)| relative((a[k] - b[k]).abs(), range(b[k]))),
+        );
     }
     Ok(Some(SolvedAccuracy {
         sampled: jobs.len(),

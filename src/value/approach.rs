@@ -1,4 +1,5 @@
-//! Homotopy: from a solved state to a target along the line between them, in steps as long as Newton's method follows.
+//! Homotopy: from a solved state to a target along the line between them, in steps as long as
+//! Newton's method follows.
 
 use crate::backend::BackendError;
 use crate::shooting::{Factors, Failure, Goal, Job, Path, Solved, Solver};
@@ -11,7 +12,8 @@ const RATIO: f64 = 0.35;
 /// Ways that are followed together.
 const COHORT: usize = 4096;
 
-/// One way from a path to a target. The path need not be a solution: it is tried as a guess for the target first.
+/// One way from a path to a target. The path need not be a solution: it is tried as a guess for the
+/// target first.
 #[derive(Clone, Debug)]
 pub struct Approach {
     job: Job,
@@ -67,8 +69,8 @@ impl Approach {
         }
     }
 
-    /// From a guess at its own state, in steps of at most a share of the way: without the leaps by which Newton's method may
-    /// come to another sheet.
+    /// From a guess at its own state, in steps of at most a share of the way: without the leaps by
+    /// which Newton's method may come to another sheet.
     pub fn along(path: Path, to: Vec<f64>, least: f64, longest: f64) -> Self {
         Self {
             step: longest,
@@ -90,8 +92,9 @@ impl Approach {
         self.at != Some(1.0) && self.failure.is_none()
     }
 
-    /// The next problems to try, with their shares of the way: the whole way first, then the guess's own state, then
-    /// steps of several lengths at once, as a batch costs little more than its longest member.
+    /// The next problems to try, with their shares of the way: the whole way first, then the
+    /// guess's own state, then steps of several lengths at once, as a batch costs little more than
+    /// its longest member.
     fn next(&self) -> Vec<(Job, f64)> {
         let shares = match self.at {
             None if self.step == 1.0 => vec![1.0],
@@ -136,7 +139,11 @@ impl Approach {
             // Not even a solution at the guess's own state.
             None if self.at.is_none() && self.step < 1.0 => self.failure = last,
             None => {
-                self.step *= if self.step == 1.0 { 0.5 } else { RATIO.powi(count) };
+                self.step *= if self.step == 1.0 {
+                    0.5
+                } else {
+                    RATIO.powi(count)
+                };
                 if self.step < self.least {
                     self.failure = last.or(Some(Failure::Diverged));
                 }
@@ -203,7 +210,10 @@ fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), Bac
             }
         }
         solver.solve(&mut jobs)?;
-        let mut tried = owners.into_iter().zip(jobs.into_iter().zip(shares)).peekable();
+        let mut tried = owners
+            .into_iter()
+            .zip(jobs.into_iter().zip(shares))
+            .peekable();
         for i in active {
             let mut own = Vec::new();
             while let Some((_, one)) = tried.next_if(|(owner, _)| *owner == i) {

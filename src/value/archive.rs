@@ -7,7 +7,8 @@ use crate::sweep::{Plan, Sampling, SweepReport, sweep_keeping};
 
 /// Points kept at most; above it every second trajectory is left out.
 const MOST_NUMBERS: usize = 48 << 20;
-/// Points of one trajectory nearer to each other than this share of the spacing are not all looked up.
+/// Points of one trajectory nearer to each other than this share of the spacing are not all looked
+/// up.
 const THIN: f64 = 0.25;
 /// Most segments that a first guess begins with.
 const MOST_SEGMENTS: f64 = 400.0;
@@ -18,9 +19,11 @@ pub struct Archive {
     width: usize,
     /// Numbers of a point: the node, V.
     stride: usize,
-    /// `[point][stride]`; a trajectory's points are consecutive, the seed first. f32: these are guesses.
+    /// `[point][stride]`; a trajectory's points are consecutive, the seed first. f32: these are
+    /// guesses.
     points: Vec<f32>,
-    /// Backward time of each point. f64: differences of these are durations of segments, which no iteration corrects.
+    /// Backward time of each point. f64: differences of these are durations of segments, which no
+    /// iteration corrects.
     times: Vec<f64>,
     /// First point of each trajectory, and the end.
     first: Vec<usize>,
@@ -58,7 +61,11 @@ impl Archive {
     ///
     /// # Errors
     /// Device failures.
-    pub fn sweep(&mut self, plan: &Plan, backend: &dyn Backend) -> Result<SweepReport, BackendError> {
+    pub fn sweep(
+        &mut self,
+        plan: &Plan,
+        backend: &dyn Backend,
+    ) -> Result<SweepReport, BackendError> {
         let mut keep = |seeds: &[f64], batch: &Trajectories| self.keep(seeds, batch);
         sweep_keeping(plan, backend, &mut |_, _| {}, &mut keep, &mut |_| Ok(()))
     }
@@ -82,7 +89,8 @@ impl Archive {
                     break;
                 }
                 self.times.push(sample[0]);
-                self.points.extend(sample[1..=self.stride].iter().map(|x| *x as f32));
+                self.points
+                    .extend(sample[1..=self.stride].iter().map(|x| *x as f32));
             }
             self.first.push(self.times.len());
             if self.points.len() > MOST_NUMBERS {
@@ -98,7 +106,8 @@ impl Archive {
         for t in (0..self.trajectories()).step_by(2) {
             let kept = self.first[t]..self.first[t + 1];
             times.extend_from_slice(&self.times[kept.clone()]);
-            points.extend_from_slice(&self.points[kept.start * self.stride..kept.end * self.stride]);
+            points
+                .extend_from_slice(&self.points[kept.start * self.stride..kept.end * self.stride]);
             first.push(times.len());
         }
         (self.points, self.times, self.first) = (points, times, first);
@@ -129,7 +138,10 @@ impl Archive {
 
     /// `(s, p)` at a place.
     pub fn node(&self, place: Place) -> Vec<f64> {
-        self.point(place)[..self.width].iter().map(|x| f64::from(*x)).collect()
+        self.point(place)[..self.width]
+            .iter()
+            .map(|x| f64::from(*x))
+            .collect()
     }
 
     /// V at a place.
@@ -137,8 +149,9 @@ impl Archive {
         f64::from(self.point(place)[self.width])
     }
 
-    /// The path from a place to the end: the rest of its trajectory, and on into the range of the end's condition for
-    /// a cost of `value`. On a finite horizon, whose places are the ends of trajectories, it lasts as long as the horizon.
+    /// The path from a place to the end: the rest of its trajectory, and on into the range of the
+    /// end's condition for a cost of `value`. On a finite horizon, whose places are the ends of
+    /// trajectories, it lasts as long as the horizon.
     pub fn path(&self, place: Place, end: &End, value: f64, duration: f64) -> Path {
         let mut path = Path::new(&self.node(place));
         let mut at = self.time(place);
@@ -191,14 +204,21 @@ impl Index {
             let mut last: Option<Vec<f64>> = None;
             for point in from..count {
                 let place = Place { trajectory, point };
-                let s: Vec<f64> = archive.point(place)[..n].iter().map(|x| f64::from(*x)).collect();
+                let s: Vec<f64> = archive.point(place)[..n]
+                    .iter()
+                    .map(|x| f64::from(*x))
+                    .collect();
                 let inside = s.iter().zip(bounds).all(|(s, [lo, hi])| s >= lo && s <= hi);
                 if !inside {
                     continue;
                 }
                 let s: Vec<f64> = s.iter().zip(widths).map(|(s, w)| s / w).collect();
                 let moved = last.as_ref().is_none_or(|l| {
-                    let gap = l.iter().zip(&s).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                    let gap = l
+                        .iter()
+                        .zip(&s)
+                        .map(|(a, b)| (a - b).abs())
+                        .fold(0.0, f64::max);
                     gap > THIN * spacing
                 });
                 if moved || point + 1 == count {

@@ -65,7 +65,8 @@ impl Guards {
         let system = &plan.system;
         let width = 2 * system.states;
         let margins: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
-        let evaluator = |outputs: &[_]| Evaluator::new(&Program::lower(&system.graph, &system.inputs, outputs));
+        let evaluator =
+            |outputs: &[_]| Evaluator::new(&Program::lower(&system.graph, &system.inputs, outputs));
         (!margins.is_empty()).then(|| Self {
             margins: evaluator(&margins),
             rates: evaluator(&system.rate[..width]),
@@ -82,13 +83,21 @@ impl Guards {
     /// Their rates of change along trajectories, `[node][guard]`.
     pub fn slopes(&self, nodes: &[f64], margins: &[f64]) -> Vec<f64> {
         let rates = self.rates.eval(nodes, self.width);
-        let size = |all: &[f64]| all.iter().fold(f64::MIN_POSITIVE, |size, x| x.abs().max(size));
-        let (nodes, rates) = (nodes.chunks_exact(self.width), rates.chunks_exact(self.width));
+        let size = |all: &[f64]| {
+            all.iter()
+                .fold(f64::MIN_POSITIVE, |size, x| x.abs().max(size))
+        };
+        let (nodes, rates) = (
+            nodes.chunks_exact(self.width),
+            rates.chunks_exact(self.width),
+        );
         let steps: Vec<f64> = (nodes.clone().zip(rates.clone()))
             .map(|(node, rate)| STEP * size(node) / size(rate))
             .collect();
         let moved: Vec<f64> = (nodes.zip(rates).zip(&steps))
-            .flat_map(|((node, rate), step)| node.iter().zip(rate).map(move |(z, rate)| z - step * rate))
+            .flat_map(|((node, rate), step)| {
+                node.iter().zip(rate).map(move |(z, rate)| z - step * rate)
+            })
             .collect();
         let moved = self.margins(&moved);
         (moved.iter().zip(margins).enumerate())
@@ -96,9 +105,13 @@ impl Guards {
             .collect()
     }
 
-    /// Time and least margin of a guard between places (time and node) of a trajectory, by cubics through these.
+    /// Time and least margin of a guard between places (time and node) of a trajectory, by cubics
+    /// through these.
     pub fn least_between(&self, guard: usize, places: &[(f64, &[f64])]) -> [f64; 2] {
-        let nodes: Vec<f64> = places.iter().flat_map(|(_, node)| node.iter().copied()).collect();
+        let nodes: Vec<f64> = places
+            .iter()
+            .flat_map(|(_, node)| node.iter().copied())
+            .collect();
         let slopes = self.rates.eval(&nodes, self.width);
         let margin = |t: f64| {
             let next = places[1..places.len() - 1].partition_point(|(at, _)| *at < t) + 1;
@@ -132,7 +145,9 @@ impl Guards {
         let one = |(path, between): (&&Path, &Vec<f64>)| {
             let (times, nodes) = samples(path, between);
             let margins = self.margins(&nodes);
-            let each = nodes.chunks_exact(self.width).zip(margins.chunks_exact(self.count));
+            let each = nodes
+                .chunks_exact(self.width)
+                .zip(margins.chunks_exact(self.count));
             (times.into_iter().zip(each))
                 .map(|(t, (node, margins))| Place {
                     t,
@@ -148,23 +163,29 @@ impl Guards {
     /// The least margin of a guard from each of some places on, which are in order.
     fn least_from(&self, guard: usize, places: &[Place]) -> Vec<Clearance> {
         let all: Vec<[f64; 2]> = places.iter().map(|p| [p.t, p.margins[guard]]).collect();
-        // Of a guard that an equilibrium lies on the boundary of, the end tells nothing: all come near.
+        // Of a guard that an equilibrium lies on the boundary of, the end tells nothing: all come
+        // near.
         let end = all
             .last()
             .map(|at| at[1])
             .filter(|end| *end > AT_END * size_of(guard, places));
-        least_from(&all, end.unwrap_or(f64::INFINITY), |three, [_, value], later| {
-            // The parabola is not what the margin is, but about.
-            let fall = all[three[1]][1] - value;
-            (value - 2.0 * fall < later).then(|| {
-                let near = three.map(|k| (places[k].t, places[k].node.as_slice()));
-                self.least_between(guard, &near)
-            })
-        })
+        least_from(
+            &all,
+            end.unwrap_or(f64::INFINITY),
+            |three, [_, value], later| {
+                // The parabola is not what the margin is, but about.
+                let fall = all[three[1]][1] - value;
+                (value - 2.0 * fall < later).then(|| {
+                    let near = three.map(|k| (places[k].t, places[k].node.as_slice()));
+                    self.least_between(guard, &near)
+                })
+            },
+        )
     }
 }
 
-/// All samples of a path, `[sample][2n]`, with their times from its beginning: its nodes, and those between them.
+/// All samples of a path, `[sample][2n]`, with their times from its beginning: its nodes, and those
+/// between them.
 pub(super) fn samples(path: &Path, between: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let mut times = Vec::with_capacity(PARTS * path.segments() + 1);
     let mut nodes = Vec::with_capacity(path.nodes.len() + between.len());
@@ -183,14 +204,21 @@ pub(super) fn samples(path: &Path, between: &[f64]) -> (Vec<f64>, Vec<f64>) {
 
 /// The largest size of a guard's margins at places.
 fn size_of(guard: usize, places: &[Place]) -> f64 {
-    places.iter().fold(0.0, |size, p| p.margins[guard].abs().max(size))
+    places
+        .iter()
+        .fold(0.0, |size, p| p.margins[guard].abs().max(size))
 }
 
-/// How far a path keeps from each guard: where the margin is negative the path leaves it by more than rounding.
+/// How far a path keeps from each guard: where the margin is negative the path leaves it by more
+/// than rounding.
 ///
 /// # Errors
 /// Device failures only.
-pub fn clearances(plan: &Plan, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Vec<f64>>, BackendError> {
+pub fn clearances(
+    plan: &Plan,
+    solver: &mut Solver,
+    paths: &[&Path],
+) -> Result<Vec<Vec<f64>>, BackendError> {
     let Some(guards) = Guards::of(plan).filter(|_| !paths.is_empty()) else {
         return Ok(vec![Vec::new(); paths.len()]);
     };
@@ -216,8 +244,8 @@ fn rounding(guard: usize, places: &[Place]) -> f64 {
     ROUNDING * size_of(guard, places)
 }
 
-/// Tells of points of tracks, numbered from `first` on, how far they keep from the guards that cast shadows. Of each point whether
-/// the track leaves one of these: before a track's beginning it may.
+/// Tells of points of tracks, numbered from `first` on, how far they keep from the guards that cast
+/// shadows. Of each point whether the track leaves one of these: before a track's beginning it may.
 ///
 /// # Errors
 /// Device failures only.
@@ -264,9 +292,10 @@ pub fn tell(
     Ok(outside)
 }
 
-/// The least value from each of some places (time, value) on, which are in order, with what counts as the value at the end. Where
-/// it may be least between three of them `refine` gives time and value by their numbers, the vertex of the parabola through them,
-/// and the least value that comes later.
+/// The least value from each of some places (time, value) on, which are in order, with what counts
+/// as the value at the end. Where it may be least between three of them `refine` gives time and
+/// value by their numbers, the vertex of the parabola through them, and the least value that comes
+/// later.
 fn least_from(
     all: &[[f64; 2]],
     end: f64,
@@ -290,10 +319,12 @@ fn least_from(
     for k in (0..apart.len()).rev() {
         let here = all[apart[k]];
         let inner = k > 0 && k + 1 < apart.len();
-        let lowest = inner.then(|| [apart[k - 1], apart[k], apart[k + 1]]).and_then(|three| {
-            let vertex = vertex(three.map(|k| all[k]))?;
-            refine(three, vertex, least.min(here[1]))
-        });
+        let lowest = inner
+            .then(|| [apart[k - 1], apart[k], apart[k + 1]])
+            .and_then(|three| {
+                let vertex = vertex(three.map(|k| all[k]))?;
+                refine(three, vertex, least.min(here[1]))
+            });
         let after = lowest.filter(|[t, _]| *t >= here[0]);
         least = after.map_or(least, |[_, value]| least.min(value));
         from[k] = Clearance {
@@ -316,7 +347,12 @@ fn vertex([a, b, c]: [[f64; 2]; 3]) -> Option<[f64; 2]> {
     let (rise, fall) = ((c[1] - b[1]) / right, (a[1] - b[1]) / left);
     let bend = (rise - fall) / (right - left);
     let slope = rise - bend * right;
-    (bend > 0.0).then(|| [b[0] - 0.5 * slope / bend, b[1] - 0.25 * slope * slope / bend])
+    (bend > 0.0).then(|| {
+        [
+            b[0] - 0.5 * slope / bend,
+            b[1] - 0.25 * slope * slope / bend,
+        ]
+    })
 }
 
 #[cfg(test)]
@@ -326,13 +362,22 @@ mod tests {
     #[test]
     fn least_values_from_places_on() {
         let square = |t: f64| (t - 1.3) * (t - 1.3) + 0.25;
-        let all: Vec<[f64; 2]> = [0.0, 0.7, 1.0, 1.0, 1.9, 2.5].map(|t| [t, square(t)]).to_vec();
+        let all: Vec<[f64; 2]> = [0.0, 0.7, 1.0, 1.0, 1.9, 2.5]
+            .map(|t| [t, square(t)])
+            .to_vec();
         let least = least_from(&all, f64::INFINITY, |_, vertex, _| Some(vertex));
         for least in &least[..4] {
-            assert!((least.margin - 0.25).abs() < 1e-14 && least.ahead, "{least:?}");
+            assert!(
+                (least.margin - 0.25).abs() < 1e-14 && least.ahead,
+                "{least:?}"
+            );
         }
         for k in 4..6 {
-            assert!(least[k].margin == all[k][1] && !least[k].ahead, "{:?}", least[k]);
+            assert!(
+                least[k].margin == all[k][1] && !least[k].ahead,
+                "{:?}",
+                least[k]
+            );
         }
         // What falls to its end, which counts or not, and one place alone.
         let falling = [[0.0, 3.0], [1.0, 2.0], [2.0, 1.0]];
@@ -342,6 +387,9 @@ mod tests {
         };
         assert_eq!(margins(1.0), [1.0; 3]);
         assert_eq!(margins(f64::INFINITY), [3.0, 2.0, 1.0]);
-        assert_eq!(least_from(&[[0.0, 3.0]], 3.0, |_, _, _| None)[0].margin, 3.0);
+        assert_eq!(
+            least_from(&[[0.0, 3.0]], 3.0, |_, _, _| None)[0].margin,
+            3.0
+        );
     }
 }

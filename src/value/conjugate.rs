@@ -1,4 +1,5 @@
-//! Whether an extremal has a conjugate point: whether the manifold folds along it before its state is reached.
+//! Whether an extremal has a conjugate point: whether the manifold folds along it before its state
+//! is reached.
 
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError, By, Guards, Kernel, Run, Spec, Status};
@@ -14,8 +15,9 @@ const RTOL: f64 = 1e-8;
 /// Of a step, by which the size of what is integrated is bounded.
 const MOST_STEPS: u32 = 100_000;
 
-/// Integrates the slope `X = dp/dx` along paths, from their end backward in time, one segment after the other from its
-/// stored node: errors along the manifold do not add up. `(s, p, X, D)`, D the segment's duration; time runs from 0 to 1.
+/// Integrates the slope `X = dp/dx` along paths, from their end backward in time, one segment after
+/// the other from its stored node: errors along the manifold do not add up. `(s, p, X, D)`, D the
+/// segment's duration; time runs from 0 to 1.
 pub struct ConjugatePoints {
     kernel: Box<dyn Kernel>,
     run: Run,
@@ -29,7 +31,12 @@ impl ConjugatePoints {
     pub fn new(plan: &Plan) -> Result<Self, BackendError> {
         let n = plan.system.states;
         let mut graph = plan.system.graph.clone();
-        let slope = Slope::new(&mut graph, &plan.system, &plan.slope_units, infinite(Precision::F64));
+        let slope = Slope::new(
+            &mut graph,
+            &plan.system,
+            &plan.slope_units,
+            infinite(Precision::F64),
+        );
         let duration = graph.symbol("segment duration", Kind::Parameter);
         let inputs = [plan.system.inputs.as_slice(), &slope.symbols, &[duration]].concat();
         let mut rate: Vec<_> = (plan.system.rate[..2 * n].iter().chain(&slope.rate))
@@ -70,7 +77,8 @@ impl ConjugatePoints {
         })
     }
 
-    /// Of each path whether it has none. A path along which the slope cannot be followed counts as one that has.
+    /// Of each path whether it has none. A path along which the slope cannot be followed counts as
+    /// one that has.
     ///
     /// # Errors
     /// Device failures only.

@@ -25,7 +25,8 @@ pub struct BoundaryPoint {
     pub value: f64,
     /// `|V1 - V2| / V`.
     pub difference: f64,
-    /// The sheets, the lower label first, with each one's adjoint and the deviation its solution starts from.
+    /// The sheets, the lower label first, with each one's adjoint and the deviation its solution
+    /// starts from.
     pub sheets: [i32; 2],
     pub p: [Vec<f64>; 2],
     pub s: [Vec<f64>; 2],
@@ -49,11 +50,16 @@ struct Pair {
 }
 
 impl Survey<'_> {
-    /// Locates the equal-cost boundary on all edges whose ends' cheapest solutions lie on different sheets.
+    /// Locates the equal-cost boundary on all edges whose ends' cheapest solutions lie on different
+    /// sheets.
     ///
     /// # Errors
     /// Device failures only.
-    pub fn equal_cost(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<Vec<BoundaryPoint>, BackendError> {
+    pub fn equal_cost(
+        &mut self,
+        solver: &mut Solver,
+        wanted: Wanted,
+    ) -> Result<Vec<BoundaryPoint>, BackendError> {
         let (mut points, joined) = self.crossings(solver, wanted)?;
         if joined {
             // Sheets that were one after all have one label now.
@@ -65,7 +71,11 @@ impl Survey<'_> {
     }
 
     /// The points where sheets cross; and whether two turned out to be the same, which are joined.
-    fn crossings(&mut self, solver: &mut Solver, wanted: Wanted) -> Result<(Vec<BoundaryPoint>, bool), BackendError> {
+    fn crossings(
+        &mut self,
+        solver: &mut Solver,
+        wanted: Wanted,
+    ) -> Result<(Vec<BoundaryPoint>, bool), BackendError> {
         let mut joined = false;
         let mut pairs = self.pairs(wanted);
         for _ in 0..MOST_ROUNDS {
@@ -79,7 +89,11 @@ impl Survey<'_> {
             for &k in &active {
                 for side in 0..2 {
                     let goal = self.on_edge(&pairs[k], side);
-                    ways.push(Approach::from_solution(pairs[k].paths[side].clone(), goal, LEAST));
+                    ways.push(Approach::from_solution(
+                        pairs[k].paths[side].clone(),
+                        goal,
+                        LEAST,
+                    ));
                 }
             }
             follow(solver, &mut ways)?;
@@ -107,8 +121,14 @@ impl Survey<'_> {
     /// The state at a pair's place on its edge, as a deviation with the winding of one side.
     fn on_edge(&self, pair: &Pair, side: usize) -> Vec<f64> {
         let winding = self.extremals[pair.extremals[side]].winding;
-        let (a, b) = (self.state(pair.edge.0, winding), self.state(pair.edge.1, winding));
-        a.iter().zip(&b).map(|(a, b)| a + pair.at * (b - a)).collect()
+        let (a, b) = (
+            self.state(pair.edge.0, winding),
+            self.state(pair.edge.1, winding),
+        );
+        a.iter()
+            .zip(&b)
+            .map(|(a, b)| a + pair.at * (b - a))
+            .collect()
     }
 
     /// V up to which the sheets of two neighbours are of interest.
@@ -125,12 +145,19 @@ impl Survey<'_> {
             };
             if self.sheet[i] == self.sheet[j]
                 || (0..self.targets.states).any(|k| self.base(a, k) != self.base(b, k))
-                || self.extremals[i].value().min(self.extremals[j].value()) > self.highest(a, b, wanted)
+                || self.extremals[i].value().min(self.extremals[j].value())
+                    > self.highest(a, b, wanted)
             {
                 continue;
             }
-            // The boundary is where the sheets cross: each must go on at least as far as the point between.
-            let on = |target: usize, sheet: i32| self.at[target].iter().copied().find(|e| self.sheet[*e] == sheet);
+            // The boundary is where the sheets cross: each must go on at least as far as the point
+            // between.
+            let on = |target: usize, sheet: i32| {
+                self.at[target]
+                    .iter()
+                    .copied()
+                    .find(|e| self.sheet[*e] == sheet)
+            };
             let (i_at_b, j_at_a) = (on(b, self.sheet[i]), on(a, self.sheet[j]));
             let value = |e: usize| self.extremals[e].value();
             let at = match (i_at_b, j_at_a) {
@@ -143,7 +170,10 @@ impl Survey<'_> {
             pairs.push(Pair {
                 edge: (a, b),
                 extremals: [i, j],
-                paths: [self.extremals[i].path.clone(), self.extremals[j].path.clone()],
+                paths: [
+                    self.extremals[i].path.clone(),
+                    self.extremals[j].path.clone(),
+                ],
                 at: if at.is_finite() { at } else { 0.5 },
                 low: 0.0,
                 high: 1.0,
@@ -164,7 +194,10 @@ impl Survey<'_> {
         let n = self.targets.states;
         let difference = a.1.value - b.1.value;
         let mean = 0.5 * (a.1.value + b.1.value);
-        let (x0, x1) = (self.targets.state(pair.edge.0), self.targets.state(pair.edge.1));
+        let (x0, x1) = (
+            self.targets.state(pair.edge.0),
+            self.targets.state(pair.edge.1),
+        );
         let slope: f64 = (0..n)
             .map(|i| (a.0.path.adjoint()[i] - b.0.path.adjoint()[i]) * (x1[i] - x0[i]))
             .sum();
@@ -206,9 +239,14 @@ impl Survey<'_> {
         pair.paths = [a.0.path, b.0.path];
     }
 
-    /// Joins the points of cells to polylines: two points on a cell's sides with the same pair of sheets are neighbours.
+    /// Joins the points of cells to polylines: two points on a cell's sides with the same pair of
+    /// sheets are neighbours.
     fn lines(&self, points: &mut [BoundaryPoint]) {
-        let on_edge: HashMap<(usize, usize), usize> = points.iter().enumerate().map(|(k, p)| (p.between, k)).collect();
+        let on_edge: HashMap<(usize, usize), usize> = points
+            .iter()
+            .enumerate()
+            .map(|(k, p)| (p.between, k))
+            .collect();
         let mut next: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         for cell in &self.targets.cells {
             let mut by_sheets: BTreeMap<[i32; 2], Vec<usize>> = BTreeMap::new();

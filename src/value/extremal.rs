@@ -4,7 +4,8 @@ use crate::shooting::{Path, Solved};
 
 /// Relative difference of adjoints below which two solutions at one state are the same.
 const SAME: f64 = 1e-5;
-/// How far the difference of two neighbours' adjoints may be from what their slopes predict, relative to it.
+/// How far the difference of two neighbours' adjoints may be from what their slopes predict,
+/// relative to it.
 const SMOOTH: f64 = 0.2;
 /// The same for V, whose prediction from p is of higher order.
 const SMOOTH_VALUE: f64 = 0.05;
@@ -14,7 +15,8 @@ const SMOOTH_VALUE: f64 = 0.05;
 pub struct Extremal {
     /// Target (in the survey's order).
     pub target: usize,
-    /// Which of the survey's windings: the solution starts that many periods away from the target as given.
+    /// Which of the survey's windings: the solution starts that many periods away from the target
+    /// as given.
     pub winding: usize,
     pub path: Path,
     pub solved: Solved,
@@ -58,18 +60,25 @@ pub fn misfit(a: &Extremal, b: &Extremal, scales: &[f64]) -> f64 {
         .map(|i| (b.path.start()[i] - a.path.start()[i]) / scales[i])
         .collect();
     let (pa, pb) = (scaled(a.adjoint(), scales), scaled(b.adjoint(), scales));
-    let along = |s: &[f64]| -> Vec<f64> { (0..n).map(|i| (0..n).map(|j| s[i * n + j] * h[j]).sum()).collect() };
+    let along = |s: &[f64]| -> Vec<f64> {
+        (0..n)
+            .map(|i| (0..n).map(|j| s[i * n + j] * h[j]).sum())
+            .collect()
+    };
     let (from_a, from_b) = (along(sa), along(sb));
     let change: Vec<f64> = (0..n).map(|i| pb[i] - pa[i]).collect();
     let predicted: Vec<f64> = (0..n).map(|i| 0.5 * (from_a[i] + from_b[i])).collect();
     // The slopes must agree with each other too, or their mean says little.
-    let size = largest(change.iter().chain(&predicted).copied()).max(SAME * largest(pa.iter().chain(&pb).copied()));
+    let size = largest(change.iter().chain(&predicted).copied())
+        .max(SAME * largest(pa.iter().chain(&pb).copied()));
     let off = largest((0..n).map(|i| change[i] - predicted[i]));
     // Scaled V: p and s are scaled so that their product is in units of the value's scale.
     let scale = scales[0] * scales[n];
     let mean: f64 = (0..n).map(|i| 0.5 * (pa[i] + pb[i]) * h[i]).sum();
     let moved = (b.value() - a.value()) / scale;
-    let travel: f64 = (0..n).map(|i| (0.5 * (pa[i].abs() + pb[i].abs()) * h[i]).abs()).sum();
+    let travel: f64 = (0..n)
+        .map(|i| (0.5 * (pa[i].abs() + pb[i].abs()) * h[i]).abs())
+        .sum();
     let value = (moved - mean).abs() / (SMOOTH_VALUE * travel + 1e-12);
     (off / (SMOOTH * size)).max(value)
 }
@@ -78,15 +87,19 @@ pub fn misfit(a: &Extremal, b: &Extremal, scales: &[f64]) -> f64 {
 pub fn predicted(a: &Extremal, state: &[f64], scales: &[f64]) -> Option<(Vec<f64>, f64)> {
     let n = a.adjoint().len();
     let slope = a.solved.slope.as_ref()?;
-    let h: Vec<f64> = (0..n).map(|i| (state[i] - a.path.start()[i]) / scales[i]).collect();
+    let h: Vec<f64> = (0..n)
+        .map(|i| (state[i] - a.path.start()[i]) / scales[i])
+        .collect();
     let p = scaled(a.adjoint(), scales);
-    let change: Vec<f64> = (0..n).map(|i| (0..n).map(|j| slope[i * n + j] * h[j]).sum()).collect();
+    let change: Vec<f64> = (0..n)
+        .map(|i| (0..n).map(|j| slope[i * n + j] * h[j]).sum())
+        .collect();
     let size = largest(change.iter().copied());
     Some(((0..n).map(|i| p[i] + change[i]).collect(), size))
 }
 
-/// V that a solution's sheet is expected to have at a state near its own, to second order; and the sum of the changes along
-/// the axes, whatever their signs.
+/// V that a solution's sheet is expected to have at a state near its own, to second order; and the
+/// sum of the changes along the axes, whatever their signs.
 pub fn expected_value(a: &Extremal, state: &[f64], scales: &[f64]) -> Option<(f64, f64)> {
     let n = a.adjoint().len();
     let (there, _) = predicted(a, state, scales)?;

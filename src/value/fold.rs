@@ -1,5 +1,5 @@
-//! Around a fold: continuation by pseudo-arclength (H. B. Keller, Numerical solution of bifurcation and nonlinear
-//! eigenvalue problems, 1977) along the line between two neighbouring states.
+//! Around a fold: continuation by pseudo-arclength (H. B. Keller, Numerical solution of bifurcation
+//! and nonlinear eigenvalue problems, 1977) along the line between two neighbouring states.
 
 use crate::backend::BackendError;
 use crate::shooting::{Goal, Job, Path, Solved, Solver};
@@ -12,7 +12,8 @@ const GROW: f64 = 1.5;
 const MOST_STEPS: usize = 80;
 /// Steps that were too long: a sheet that ends without a fold is not worth more.
 const MOST_FAILED: usize = 28;
-/// Iterations by which a fold is located, and how well (share of the line's direction in the tangent).
+/// Iterations by which a fold is located, and how well (share of the line's direction in the
+/// tangent).
 const LOCATE_STEPS: usize = 8;
 const LOCATED: f64 = 1e-7;
 /// Lines followed together.
@@ -132,9 +133,15 @@ impl Walker {
         let direction: Vec<f64> = edge.to.iter().zip(&origin).map(|(b, a)| b - a).collect();
         let n = origin.len();
         let scaled: Vec<f64> = (0..n).map(|i| direction[i] / scales[i]).collect();
-        let tangent = job.solved().and_then(|_| job.factors.tangent(&scaled, None));
+        let tangent = job
+            .solved()
+            .and_then(|_| job.factors.tangent(&scaled, None));
         let at = [&[0.0], scaled_adjoint(&job, scales).as_slice()].concat();
-        let stage = if tangent.is_some() { Stage::Walk } else { Stage::Done };
+        let stage = if tangent.is_some() {
+            Stage::Walk
+        } else {
+            Stage::Done
+        };
         let tangent = tangent.unwrap_or_else(|| vec![0.0; n + 1]);
         Self {
             advance: FIRST / tangent[0].abs().max(1e-3),
@@ -163,12 +170,18 @@ impl Walker {
         match &self.stage {
             Stage::Done => None,
             Stage::Walk => Some(self.line(&self.now, self.advance)),
-            Stage::Locate { behind, on, back, .. } => Some(self.line(behind, between(*on, *back))),
+            Stage::Locate {
+                behind, on, back, ..
+            } => Some(self.line(behind, between(*on, *back))),
             Stage::Arrive { at_start } => {
                 let state = if *at_start {
                     self.origin.clone()
                 } else {
-                    self.origin.iter().zip(&self.direction).map(|(a, d)| a + d).collect()
+                    self.origin
+                        .iter()
+                        .zip(&self.direction)
+                        .map(|(a, d)| a + d)
+                        .collect()
                 };
                 Some(self.now.job.clone().toward(Goal::State(state)))
             }
@@ -215,7 +228,8 @@ impl Walker {
 
     fn walked(&mut self, job: Job, scales: &[f64]) {
         let next = self.point(job, &self.now, scales);
-        // A tangent that turns sharply has jumped to another part of the curve, or the step is too long to be sure.
+        // A tangent that turns sharply has jumped to another part of the curve, or the step is too
+        // long to be sure.
         let turned = |next: &Point| {
             self.now
                 .tangent

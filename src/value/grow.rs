@@ -1,7 +1,9 @@
-//! Solutions along a flown path: its end is solved for first, then ever more of it, back to its start.
+//! Solutions along a flown path: its end is solved for first, then ever more of it, back to its
+//! start.
 //!
-//! A path that is nearly optimal, but too rough a guess as a whole, is followed from where little of it is left. Adjoints of a
-//! part that is put in front are those that its states have, carried backward from the solution behind it.
+//! A path that is nearly optimal, but too rough a guess as a whole, is followed from where little
+//! of it is left. Adjoints of a part that is put in front are those that its states have, carried
+//! backward from the solution behind it.
 
 use crate::backend::BackendError;
 use crate::program::Program;
@@ -21,8 +23,8 @@ pub fn adjoint_rate(plan: &Plan) -> Program {
     Program::lower(&system.graph, &system.inputs, &system.rate[n..2 * n])
 }
 
-/// A path with the adjoints before its node `from` replaced by those that its states have, from there backward:
-/// `dp/dtau = dH/dx`, whose rate is given.
+/// A path with the adjoints before its node `from` replaced by those that its states have, from
+/// there backward: `dp/dtau = dH/dx`, whose rate is given.
 pub fn with_adjoints(mut path: Path, from: usize, rate: &Program) -> Path {
     let n = path.width / 2;
     for k in (0..from).rev() {
@@ -33,7 +35,9 @@ pub fn with_adjoints(mut path: Path, from: usize, rate: &Program) -> Path {
             let share = 1.0 - (part as f64 + 0.5) / PARTS as f64;
             let s = (0..n).map(|i| before[i] + share * (after[i] - before[i]));
             let at: Vec<f64> = s.chain(p.iter().copied()).collect();
-            p.iter_mut().zip(rate.eval(&at)).for_each(|(p, r)| *p += step * r);
+            p.iter_mut()
+                .zip(rate.eval(&at))
+                .for_each(|(p, r)| *p += step * r);
         }
         path.nodes[k * 2 * n + n..(k + 1) * 2 * n].copy_from_slice(&p);
     }
@@ -52,9 +56,17 @@ struct Growing {
 
 /// The part of a path from one node to a later one, and another path behind it.
 fn joined(path: &Path, first: usize, last: usize, tail: &Path) -> Path {
-    let mut whole = Path::new(if first < last { path.node(first) } else { tail.node(0) });
+    let mut whole = Path::new(if first < last {
+        path.node(first)
+    } else {
+        tail.node(0)
+    });
     for k in first..last {
-        let node = if k + 1 < last { path.node(k + 1) } else { tail.node(0) };
+        let node = if k + 1 < last {
+            path.node(k + 1)
+        } else {
+            tail.node(0)
+        };
         whole.push(path.durations[k], node);
     }
     whole.append(&tail.nodes[tail.width..], &tail.durations);
@@ -101,7 +113,8 @@ impl Growing {
 
     fn learn(&mut self, tried: [Job; 2]) -> u32 {
         let evaluations = tried.iter().map(|job| job.iterations).sum();
-        let solved = (tried.into_iter()).find_map(|job| job.solved().map(|s| s.value).map(|value| (job.path, value)));
+        let solved = (tried.into_iter())
+            .find_map(|job| job.solved().map(|s| s.value).map(|value| (job.path, value)));
         match solved {
             Some(tail) => {
                 self.from = self.next();
@@ -117,16 +130,24 @@ impl Growing {
 /// A solution with V, if there is one, and the evaluations that it took.
 pub type Grown = (Option<(Path, f64)>, u32);
 
-/// The solutions from the starts of flown paths with V, `None` where a path could not be followed back to its start, and the
-/// evaluations of each.
+/// The solutions from the starts of flown paths with V, `None` where a path could not be followed
+/// back to its start, and the evaluations of each.
 ///
 /// # Errors
 /// Device failures only.
-pub fn grown(plan: &Plan, solver: &mut Solver, flown: Vec<Path>) -> Result<Vec<Grown>, BackendError> {
+pub fn grown(
+    plan: &Plan,
+    solver: &mut Solver,
+    flown: Vec<Path>,
+) -> Result<Vec<Grown>, BackendError> {
     let rate = adjoint_rate(plan);
-    let mut all: Vec<(Growing, u32)> = flown.into_iter().map(|path| (Growing::new(path), 0)).collect();
+    let mut all: Vec<(Growing, u32)> = flown
+        .into_iter()
+        .map(|path| (Growing::new(path), 0))
+        .collect();
     for _ in 0..ROUNDS {
-        let mut active: Vec<&mut (Growing, u32)> = all.iter_mut().filter(|(g, _)| g.is_active()).collect();
+        let mut active: Vec<&mut (Growing, u32)> =
+            all.iter_mut().filter(|(g, _)| g.is_active()).collect();
         if active.is_empty() {
             break;
         }

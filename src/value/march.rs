@@ -1,8 +1,10 @@
-//! Finite horizons by continuation in the horizon: from one so short that the state hardly moves to the scene's.
+//! Finite horizons by continuation in the horizon: from one so short that the state hardly moves to
+//! the scene's.
 //!
-//! Longer guesses are made in two ways, both tried at once: all durations stretched, or time spent where the path moves
-//! slowest, which is what a long horizon adds to a path that rests near a turnpike (R. Dorfman, P. Samuelson, R. Solow,
-//! Linear Programming and Economic Analysis, 1958, ch. 12).
+//! Longer guesses are made in two ways, both tried at once: all durations stretched, or time spent
+//! where the path moves slowest, which is what a long horizon adds to a path that rests near a
+//! turnpike (R. Dorfman, P. Samuelson, R. Solow, Linear Programming and Economic Analysis, 1958,
+//! ch. 12).
 
 use super::approach::{Approach, follow};
 use super::extremal::Extremal;
@@ -16,7 +18,8 @@ use crate::sweep::Plan;
 const FIRST: f64 = 0.25;
 /// Segments of the first path.
 const FIRST_SEGMENTS: usize = 8;
-/// Shorter first horizons that are tried at once, each this share of the one before, and how many times.
+/// Shorter first horizons that are tried at once, each this share of the one before, and how many
+/// times.
 const SHORTER: f64 = 1.0 / 8.0;
 const FIRST_LENGTHS: usize = 3;
 const FIRST_ROUNDS: usize = 4;
@@ -28,12 +31,14 @@ const LEAST_STEP: f64 = 1e-3;
 const RATIO: f64 = 0.4;
 /// Rounds of steps.
 const MOST_ROUNDS: u32 = 120;
-/// All of the horizon that is left is spent at the slowest point at once where its state moves by less than this share of the
-/// path's size in that time.
+/// All of the horizon that is left is spent at the slowest point at once where its state moves by
+/// less than this share of the path's size in that time.
 const AT_REST: f64 = 0.5;
-/// Values nearer to each other than this, relative to the larger, may be one: points on the way are solved to a few digits.
+/// Values nearer to each other than this, relative to the larger, may be one: points on the way are
+/// solved to a few digits.
 const SAME_VALUE: f64 = 1e-2;
-/// The second way begins at this share of the deviation, and its shortest step as a share of the way.
+/// The second way begins at this share of the deviation, and its shortest step as a share of the
+/// way.
 const SMALL: f64 = 1.0 / 16.0;
 const SHORT: f64 = 1.0 / 1024.0;
 /// States of a system from which on both ways are taken: there is no other search.
@@ -44,13 +49,18 @@ const COHORT: usize = 1024;
 /// What comes of one state: the problem with its path, and its solution.
 pub type Marched = Result<(Job, Solved), Failure>;
 
-/// Solves a finite-horizon plan's boundary value problem from each of some states (deviations, n each): by continuation
-/// in the horizon, and where that fails by continuation from a state near the reference point. What comes of a state does
-/// not depend on the others. On an infinite horizon every state fails with [`Failure::Horizon`].
+/// Solves a finite-horizon plan's boundary value problem from each of some states (deviations, n
+/// each): by continuation in the horizon, and where that fails by continuation from a state near
+/// the reference point. What comes of a state does not depend on the others. On an infinite horizon
+/// every state fails with [`Failure::Horizon`].
 ///
 /// # Errors
 /// Device failures only.
-pub fn march(solver: &mut Solver, plan: &Plan, starts: &[Vec<f64>]) -> Result<Vec<Marched>, BackendError> {
+pub fn march(
+    solver: &mut Solver,
+    plan: &Plan,
+    starts: &[Vec<f64>],
+) -> Result<Vec<Marched>, BackendError> {
     let Some(terminal) = &plan.system.terminal else {
         return Ok(starts.iter().map(|_| Err(Failure::Horizon)).collect());
     };
@@ -68,7 +78,11 @@ pub fn march(solver: &mut Solver, plan: &Plan, starts: &[Vec<f64>]) -> Result<Ve
 ///
 /// # Errors
 /// Device failures only.
-pub fn march_from_nearer(solver: &mut Solver, plan: &Plan, starts: &[Vec<f64>]) -> Result<Vec<Marched>, BackendError> {
+pub fn march_from_nearer(
+    solver: &mut Solver,
+    plan: &Plan,
+    starts: &[Vec<f64>],
+) -> Result<Vec<Marched>, BackendError> {
     let mut found: Vec<Marched> = starts.iter().map(|_| Err(Failure::Horizon)).collect();
     let Some(terminal) = &plan.system.terminal else {
         return Ok(found);
@@ -80,8 +94,12 @@ pub fn march_from_nearer(solver: &mut Solver, plan: &Plan, starts: &[Vec<f64>]) 
     Ok(found)
 }
 
-/// Adds the marched solution of every target without a winding to a survey; nothing on an infinite horizon.
-pub(super) fn add_marched(survey: &mut Survey<'_>, solver: &mut Solver) -> Result<(), BackendError> {
+/// Adds the marched solution of every target without a winding to a survey; nothing on an infinite
+/// horizon.
+pub(super) fn add_marched(
+    survey: &mut Survey<'_>,
+    solver: &mut Solver,
+) -> Result<(), BackendError> {
     if survey.plan.system.terminal.is_none() {
         return Ok(());
     }
@@ -138,7 +156,11 @@ impl Field {
     fn new(plan: &Plan, solver: &Solver, time: f64) -> Self {
         let system = &plan.system;
         Self {
-            rate: Program::lower(&system.graph, &system.inputs, &system.rate[..2 * system.states]),
+            rate: Program::lower(
+                &system.graph,
+                &system.inputs,
+                &system.rate[..2 * system.states],
+            ),
             scales: solver.scheme.equations.scales.clone(),
             time,
             segment: plan.segment_duration(),
@@ -149,7 +171,10 @@ impl Field {
     fn speed(&self, node: &[f64]) -> f64 {
         let rates = self.rate.eval(node);
         let speed = rates.iter().zip(&self.scales).map(|(r, s)| (r / s).abs());
-        speed.fold(0.0, |a, x| if x.is_nan() { f64::INFINITY } else { a.max(x) })
+        speed.fold(
+            0.0,
+            |a, x| if x.is_nan() { f64::INFINITY } else { a.max(x) },
+        )
     }
 }
 
@@ -167,11 +192,22 @@ struct March {
 }
 
 /// Continuation in the horizon of all states together.
-fn lengthened(solver: &mut Solver, field: &Field, starts: &[Vec<f64>]) -> Result<Vec<Marched>, BackendError> {
-    let mut marches: Vec<March> = starts.iter().map(|s| March::new(solver, field, s)).collect();
+fn lengthened(
+    solver: &mut Solver,
+    field: &Field,
+    starts: &[Vec<f64>],
+) -> Result<Vec<Marched>, BackendError> {
+    let mut marches: Vec<March> = starts
+        .iter()
+        .map(|s| March::new(solver, field, s))
+        .collect();
     loop {
         let (mut owners, mut horizons, mut jobs) = (Vec::new(), Vec::new(), Vec::new());
-        for (owner, march) in marches.iter().enumerate().filter(|(_, m)| m.outcome.is_none()) {
+        for (owner, march) in marches
+            .iter()
+            .enumerate()
+            .filter(|(_, m)| m.outcome.is_none())
+        {
             for (path, horizon) in march.guesses(solver, field) {
                 let mut job = Job::new(path, Goal::State(march.start.clone()));
                 job.rough = horizon < field.time;
@@ -223,15 +259,24 @@ impl March {
     fn guesses(&self, solver: &Solver, field: &Field) -> Vec<(Path, f64)> {
         let Some(job) = &self.job else {
             let lengths = (0..FIRST_LENGTHS).map(|k| self.step * SHORTER.powi(k as i32));
-            let node = [self.start.as_slice(), &solver.scheme.end.at(&self.start).gradient].concat();
-            return lengths.map(|length| (constant(&node, length), length)).collect();
+            let node = [
+                self.start.as_slice(),
+                &solver.scheme.end.at(&self.start).gradient,
+            ]
+            .concat();
+            return lengths
+                .map(|length| (constant(&node, length), length))
+                .collect();
         };
         let mut guesses = Vec::new();
         let slowest = field.slowest(&job.path);
         let left = field.time - self.at;
         let size = job.path.size(&field.scales);
         if field.speed(job.path.node(slowest)) * left <= AT_REST * size {
-            guesses.push((waiting(&job.path, slowest, field.time, field.segment), field.time));
+            guesses.push((
+                waiting(&job.path, slowest, field.time, field.segment),
+                field.time,
+            ));
         }
         let horizon = field.time.min(self.at * self.step.exp());
         if horizon < field.time || guesses.is_empty() {
@@ -248,7 +293,10 @@ impl March {
         self.rounds += 1;
         self.evaluations += tried.iter().map(|(_, job)| job.iterations).sum::<u32>();
         let why = tried.iter().find_map(|(_, job)| job.failure());
-        let shortest = tried.iter().map(|(horizon, _)| *horizon).fold(f64::INFINITY, f64::min);
+        let shortest = tried
+            .iter()
+            .map(|(horizon, _)| *horizon)
+            .fold(f64::INFINITY, f64::min);
         let mut best: Option<(f64, f64, Job)> = None;
         for (horizon, job) in tried {
             let Some(value) = job.solved().map(|s| s.value) else {
@@ -265,7 +313,10 @@ impl March {
         match best {
             Some((horizon, _, mut job)) if horizon == field.time => {
                 job.iterations = self.evaluations;
-                self.outcome = job.outcome.take().map(|solved| solved.map(|solved| (job, solved)));
+                self.outcome = job
+                    .outcome
+                    .take()
+                    .map(|solved| solved.map(|solved| (job, solved)));
             }
             Some((horizon, _, mut job)) => {
                 let step = if self.job.is_none() {
@@ -294,7 +345,9 @@ impl Field {
     /// The node at which a path moves slowest.
     fn slowest(&self, path: &Path) -> usize {
         let speeds = (0..=path.segments()).map(|k| (k, self.speed(path.node(k))));
-        speeds.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(k, _)| k)
+        speeds
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map_or(0, |(k, _)| k)
     }
 }
 
@@ -325,8 +378,8 @@ fn waiting(path: &Path, at: usize, horizon: f64, segment: f64) -> Path {
     longer
 }
 
-/// The second way, for states that the first has not solved: a state a little off the reference point is solved by the
-/// first, and continued to the state asked for.
+/// The second way, for states that the first has not solved: a state a little off the reference
+/// point is solved by the first, and continued to the state asked for.
 fn from_nearer(
     solver: &mut Solver,
     field: &Field,
@@ -388,16 +441,28 @@ mod tests {
     #[test]
     fn the_second_way_agrees_with_the_first() {
         let plan = plan();
-        let mut solver = crate::value::solver(&plan, &Cpu::new()).expect("the CPU compiles everything");
-        let starts = [vec![0.5, 0.2], vec![-1.0, 1.0], vec![1.8, 0.3], vec![0.0, 0.0]];
+        let mut solver =
+            crate::value::solver(&plan, &Cpu::new()).expect("the CPU compiles everything");
+        let starts = [
+            vec![0.5, 0.2],
+            vec![-1.0, 1.0],
+            vec![1.8, 0.3],
+            vec![0.0, 0.0],
+        ];
         let first = march(&mut solver, &plan, &starts).expect("the CPU works");
         let field = Field::new(&plan, &solver, 5.0);
         let mut second: Vec<_> = starts.iter().map(|_| Err(Failure::Diverged)).collect();
         from_nearer(&mut solver, &field, &starts, &mut second).expect("the CPU works");
         for (start, (first, second)) in starts.iter().zip(first.iter().zip(&second)) {
-            let ((a, first), (b, second)) = (first.as_ref().expect("solved"), second.as_ref().expect("solved"));
+            let ((a, first), (b, second)) = (
+                first.as_ref().expect("solved"),
+                second.as_ref().expect("solved"),
+            );
             assert_eq!((a.path.horizon(), b.path.horizon()), (5.0, 5.0));
-            assert_eq!((a.path.start(), b.path.start()), (start.as_slice(), start.as_slice()));
+            assert_eq!(
+                (a.path.start(), b.path.start()),
+                (start.as_slice(), start.as_slice())
+            );
             // Segments are integrated to 1e-12.
             assert!(
                 (first.value - second.value).abs() <= 1e-11 * first.value,

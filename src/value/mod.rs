@@ -35,8 +35,8 @@ pub use march::{Marched, march};
 pub use referee::{Claims, Flown, Led, Opinion, referee};
 pub use sampled::sampled;
 pub use solve::{
-    Answers, Entry, EqualCost, Evidence, Request, for_guesses, goes_without_sweep, guess_seeds, may_need_sweep, solve,
-    solver, spaced,
+    Answers, Entry, EqualCost, Evidence, Request, for_guesses, goes_without_sweep, guess_seeds,
+    may_need_sweep, solve, solver, spaced,
 };
 pub use states::{StatesError, solve_states, solve_states_folding};
 pub use survey::{Miss, PointStatus, Progress, Support, Survey, Wanted};

@@ -7,8 +7,8 @@ pub const MOST_DIMENSIONS: usize = 10;
 
 /// Points that can be asked for the ones nearest to a place.
 pub trait Nearest: Send + Sync {
-    /// Indices and distances of points by rising distance (equal ones by index): at most `most`, and none but the first
-    /// further than `within`.
+    /// Indices and distances of points by rising distance (equal ones by index): at most `most`,
+    /// and none but the first further than `within`.
     fn near(&self, place: &[f64], within: f64, most: usize) -> Vec<(usize, f64)>;
 }
 
@@ -27,7 +27,11 @@ impl<const N: usize> RTreeObject for Entry<N> {
 
 impl<const N: usize> PointDistance for Entry<N> {
     fn distance_2(&self, place: &[f64; N]) -> f64 {
-        self.at.iter().zip(place).map(|(x, y)| (x - y).powi(2)).sum()
+        self.at
+            .iter()
+            .zip(place)
+            .map(|(x, y)| (x - y).powi(2))
+            .sum()
     }
 }
 
@@ -42,7 +46,8 @@ impl<const N: usize> Nearest for Tree<N> {
         let mut found: Vec<(usize, f64)> = Vec::new();
         for (entry, square) in self.0.nearest_neighbor_iter_with_distance_2(padded(place)) {
             let distance = square.sqrt();
-            // Equal distances come in any order: one more than asked for settles who is among the last.
+            // Equal distances come in any order: one more than asked for settles who is among the
+            // last.
             let full = found.len() >= most && found.last().is_some_and(|(_, d)| distance > *d);
             let outside = distance > within && found.last().is_some_and(|(_, d)| distance > *d);
             if full || outside {
@@ -52,13 +57,17 @@ impl<const N: usize> Nearest for Tree<N> {
         }
         found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
         found.truncate(most);
-        let inside = found.iter().filter(|(_, distance)| *distance <= within).count();
+        let inside = found
+            .iter()
+            .filter(|(_, distance)| *distance <= within)
+            .count();
         found.truncate(inside.max(1));
         found
     }
 }
 
-/// Points that are all looked at: in more dimensions than the trees are made for, where they would save little.
+/// Points that are all looked at: in more dimensions than the trees are made for, where they would
+/// save little.
 struct All {
     /// `[point][dimensions]`.
     points: Vec<f64>,
@@ -67,8 +76,16 @@ struct All {
 
 impl Nearest for All {
     fn near(&self, place: &[f64], within: f64, most: usize) -> Vec<(usize, f64)> {
-        let square = |p: &[f64]| p.iter().zip(place).map(|(x, y)| (x - y).powi(2)).sum::<f64>();
-        let distances = self.points.chunks(self.dimensions).map(|p| square(p).sqrt());
+        let square = |p: &[f64]| {
+            p.iter()
+                .zip(place)
+                .map(|(x, y)| (x - y).powi(2))
+                .sum::<f64>()
+        };
+        let distances = self
+            .points
+            .chunks(self.dimensions)
+            .map(|p| square(p).sqrt());
         let mut found: Vec<(usize, f64)> = distances.enumerate().collect();
         found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
         let inside = found
@@ -85,7 +102,10 @@ impl Nearest for All {
 pub fn index(points: &[f64], dimensions: usize) -> Box<dyn Nearest> {
     fn tree<const N: usize>(points: &[f64], dimensions: usize) -> Box<dyn Nearest> {
         let all = points.chunks(dimensions).enumerate();
-        let entries = all.map(|(index, p)| Entry::<N> { at: padded(p), index });
+        let entries = all.map(|(index, p)| Entry::<N> {
+            at: padded(p),
+            index,
+        });
         Box::new(Tree(RTree::bulk_load(entries.collect())))
     }
     match dimensions {
@@ -113,13 +133,23 @@ mod tests {
     #[test]
     fn agrees_with_looking_at_all_points() {
         for n in [1, 2, 3, 5, 10, 11, 14] {
-            let points: Vec<f64> = (0..300 * n).map(|k| ((k * k) as f64 * 0.618).fract()).collect();
+            let points: Vec<f64> = (0..300 * n)
+                .map(|k| ((k * k) as f64 * 0.618).fract())
+                .collect();
             let tree = index(&points, n);
             for q in 0..20 {
-                let place: Vec<f64> = (0..n).map(|i| ((q * 7 + i) as f64 * 0.417).fract()).collect();
+                let place: Vec<f64> = (0..n)
+                    .map(|i| ((q * 7 + i) as f64 * 0.417).fract())
+                    .collect();
                 let mut all: Vec<(usize, f64)> = points
                     .chunks(n)
-                    .map(|p| p.iter().zip(&place).map(|(x, y)| (x - y).powi(2)).sum::<f64>().sqrt())
+                    .map(|p| {
+                        p.iter()
+                            .zip(&place)
+                            .map(|(x, y)| (x - y).powi(2))
+                            .sum::<f64>()
+                            .sqrt()
+                    })
                     .enumerate()
                     .collect();
                 all.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));

@@ -1,4 +1,5 @@
-//! A second opinion on V at solved states: V on a grid, which knows nothing of extremals, and what its greedy paths lead to.
+//! A second opinion on V at solved states: V on a grid, which knows nothing of extremals, and what
+//! its greedy paths lead to.
 
 use super::flight::tolerance;
 use super::survey::Survey;
@@ -9,11 +10,13 @@ use crate::numeric::quantile::nearest_rank;
 use crate::shooting::Solver;
 use crate::sweep::Plan;
 
-/// States of which all greedy paths are flown; of more only those where the grid is lower, and some spread evenly.
+/// States of which all greedy paths are flown; of more only those where the grid is lower, and some
+/// spread evenly.
 const ALL: usize = 600;
 const LOWER: usize = 400;
 const SPREAD: usize = 300;
-/// Differences of V below this share of the median V are relative to that share: next to the equilibrium the grid says nothing.
+/// Differences of V below this share of the median V are relative to that share: next to the
+/// equilibrium the grid says nothing.
 const SMALL: f64 = 0.01;
 /// The grid's error is not above what this share of the states' differences stay below.
 const USUAL: f64 = 0.9;
@@ -68,8 +71,9 @@ pub struct Opinion {
     pub flown: Vec<Flown>,
 }
 
-/// Compares claims with V on a grid, and solves from the grid's greedy paths: of all claims, or of many of those where the grid
-/// is lower than its error (at most `apart`, a share of V) explains, and of some spread evenly.
+/// Compares claims with V on a grid, and solves from the grid's greedy paths: of all claims, or of
+/// many of those where the grid is lower than its error (at most `apart`, a share of V) explains,
+/// and of some spread evenly.
 ///
 /// # Errors
 /// Device failures only.
@@ -108,7 +112,12 @@ pub fn referee(
     })
 }
 
-fn judged(plan: &Plan, (claim, claims): (usize, &Claims), cost: Option<f64>, found: Option<(f64, Vec<f64>)>) -> Flown {
+fn judged(
+    plan: &Plan,
+    (claim, claims): (usize, &Claims),
+    cost: Option<f64>,
+    found: Option<(f64, Vec<f64>)>,
+) -> Flown {
     let v = claims.v[claim];
     let enough = tolerance(plan, v) + claims.error[claim];
     let led = match &found {
@@ -150,7 +159,12 @@ fn chosen(differences: &[Option<f64>], apart: f64) -> Vec<usize> {
     let mut lower: Vec<(usize, f64)> = known.iter().copied().filter(|(_, d)| *d < -error).collect();
     lower.sort_by(|a, b| a.1.total_cmp(&b.1));
     let spread = (0..SPREAD).map(|j| known[j * known.len() / SPREAD].0);
-    let mut list: Vec<usize> = lower.into_iter().take(LOWER).map(|(k, _)| k).chain(spread).collect();
+    let mut list: Vec<usize> = lower
+        .into_iter()
+        .take(LOWER)
+        .map(|(k, _)| k)
+        .chain(spread)
+        .collect();
     list.sort_unstable();
     list.dedup();
     list
@@ -162,13 +176,17 @@ mod tests {
 
     #[test]
     fn of_many_states_the_lower_ones_and_a_sample_are_flown() {
-        let mut differences: Vec<Option<f64>> = (0..2000).map(|k| Some(1e-3 * f64::from(k % 10))).collect();
+        let mut differences: Vec<Option<f64>> =
+            (0..2000).map(|k| Some(1e-3 * f64::from(k % 10))).collect();
         for k in (0..2000).step_by(401) {
             differences[k] = Some(-0.2);
         }
         differences[7] = None;
         let list = chosen(&differences, 0.1);
-        assert!((0..2000).step_by(401).all(|k| list.contains(&k)), "every suspect");
+        assert!(
+            (0..2000).step_by(401).all(|k| list.contains(&k)),
+            "every suspect"
+        );
         assert!(!list.contains(&7) && list.len() <= SPREAD + 5);
         assert!(list.is_sorted() && list.windows(2).all(|w| w[0] < w[1]));
         // Few are all flown, but where the grid knows nothing.

@@ -10,8 +10,9 @@ use crate::trajectories::TrajectoryBlock;
 /// Status of a sampled solution, that of a trajectory which has reached its end.
 const REACHED: i32 = crate::backend::Status::Reached as i32;
 
-/// Solutions at `samples` times each, from the target to the end of the horizon, evenly spaced. On an infinite horizon
-/// t = 0 is where the trajectory comes so near the equilibrium that the local solution takes over.
+/// Solutions at `samples` times each, from the target to the end of the horizon, evenly spaced. On
+/// an infinite horizon t = 0 is where the trajectory comes so near the equilibrium that the local
+/// solution takes over.
 ///
 /// # Errors
 /// Device failures only.
@@ -22,7 +23,11 @@ pub fn sampled(
     samples: usize,
 ) -> Result<TrajectoryBlock, BackendError> {
     let observer = &plan.system.observer;
-    let (n, m, k) = (plan.system.states, observer.control.len(), observer.disturbance.len());
+    let (n, m, k) = (
+        plan.system.states,
+        observer.control.len(),
+        observer.disturbance.len(),
+    );
     let roots = [
         observer.control.as_slice(),
         &observer.disturbance,
@@ -75,9 +80,12 @@ pub fn sampled(
             let z = &points[q * 2 * n..][..2 * n];
             let row = &values[q * width..][..width];
             block.t.push(times[q]);
-            block
-                .x
-                .extend(z[..n].iter().zip(&plan.system.reference).map(|(s, x)| s + x));
+            block.x.extend(
+                z[..n]
+                    .iter()
+                    .zip(&plan.system.reference)
+                    .map(|(s, x)| s + x),
+            );
             block.p.extend_from_slice(&z[n..]);
             block.u.extend_from_slice(&row[..m]);
             block.w.extend_from_slice(&row[m..m + k]);

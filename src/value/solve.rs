@@ -20,8 +20,8 @@ use std::sync::Arc;
 pub(super) const MOST_RTOL: f64 = 1e-9;
 /// Segments are integrated to this share of it.
 const SEGMENT_SHARE: f64 = 0.1;
-/// Tolerance of segments on a finite horizon. V there has no other error: that of the last correction is of second order, and
-/// there is no local solution at the end.
+/// Tolerance of segments on a finite horizon. V there has no other error: that of the last
+/// correction is of second order, and there is no local solution at the end.
 const FINITE_RTOL: f64 = 1e-12;
 /// Smallest tolerance of segments.
 const LEAST_RTOL: f64 = 1e-13;
@@ -46,7 +46,8 @@ pub struct Request {
     pub limits: Vec<f64>,
     /// Single states `[point][n]`.
     pub points: Vec<f64>,
-    /// Single states are one another's neighbours, and searched for as points of a grid are: without flights of their own.
+    /// Single states are one another's neighbours, and searched for as points of a grid are:
+    /// without flights of their own.
     pub in_company: bool,
     /// One solution a target is enough: no search for other sheets.
     pub one_sheet: bool,
@@ -89,8 +90,8 @@ pub struct EqualCost {
 pub enum Evidence {
     /// There is no answer, or it is the answer of a game.
     None = 0,
-    /// Every cell of the swept manifold over the state was followed up to the answer's cost: at that resolution there is no
-    /// cheaper extremal.
+    /// Every cell of the swept manifold over the state was followed up to the answer's cost: at
+    /// that resolution there is no cheaper extremal.
     Covered = 1,
     /// Nothing that was tried costs less.
     NotUndercut = 2,
@@ -107,13 +108,17 @@ impl Evidence {
     ];
 
     pub fn name(self) -> &'static str {
-        Evidence::ALL.iter().find(|(e, _)| *e == self).map_or("?", |(_, n)| n)
+        Evidence::ALL
+            .iter()
+            .find(|(e, _)| *e == self)
+            .map_or("?", |(_, n)| n)
     }
 }
 
 /// What was found.
 pub struct Answers {
-    /// Whether H is `min max`, and the cheapest of several sheets is not the answer (see [`Self::answer`]).
+    /// Whether H is `min max`, and the cheapest of several sheets is not the answer (see
+    /// [`Self::answer`]).
     pub game: bool,
     /// Of a game with an equilibrium the entry at each target on the sheet of the equilibrium.
     pub principal: Option<Vec<Option<usize>>>,
@@ -139,9 +144,10 @@ pub struct Answers {
 }
 
 impl Answers {
-    /// The solution that is the answer at a target: that of least V. In a game the one on the sheet that the equilibrium's
-    /// becomes along the straight line to the target, if it does not fold on that line nor along the trajectory, and V is not
-    /// negative; without an equilibrium the only one.
+    /// The solution that is the answer at a target: that of least V. In a game the one on the sheet
+    /// that the equilibrium's becomes along the straight line to the target, if it does not fold on
+    /// that line nor along the trajectory, and V is not negative; without an equilibrium the only
+    /// one.
     pub fn answer(&self, target: usize) -> Option<&Entry> {
         let entry = match &self.principal {
             _ if !self.game => return self.of(target).first(),
@@ -158,7 +164,9 @@ impl Answers {
     fn unanswered(&self, target: usize) -> PointStatus {
         let negative = |e: usize| self.entries[e].value < 0.0;
         match (&self.principal, self.of(target).len()) {
-            (Some(principal), _) if principal[target].is_some_and(negative) => PointStatus::NegativeValue,
+            (Some(principal), _) if principal[target].is_some_and(negative) => {
+                PointStatus::NegativeValue
+            }
             (None, 2..) => PointStatus::SeveralSheets,
             (None, 1) => PointStatus::NegativeValue,
             _ => (self.misses[target].as_ref()).map_or(PointStatus::NoGuess, |m| m.status),
@@ -173,7 +181,9 @@ impl Answers {
     pub fn status(&self, target: usize) -> PointStatus {
         match (self.answer(target), &self.misses[target]) {
             (None, _) if self.game => self.unanswered(target),
-            (Some(answer), _) if answer.value > self.targets.limits[target] => PointStatus::AboveMax,
+            (Some(answer), _) if answer.value > self.targets.limits[target] => {
+                PointStatus::AboveMax
+            }
             (Some(_), _) if self.game => PointStatus::Converged,
             (Some(_), _) if self.support[target].bound.is_some() => PointStatus::Undercut,
             (_, Some(miss)) => miss.status,
@@ -184,7 +194,11 @@ impl Answers {
     /// Whether a target has no solution for want of a guess that leads to one.
     pub fn lacks_guesses(&self) -> bool {
         (0..self.targets.len()).any(|t| {
-            self.of(t).is_empty() && !matches!(self.status(t), PointStatus::OutsideGuard | PointStatus::AboveMax)
+            self.of(t).is_empty()
+                && !matches!(
+                    self.status(t),
+                    PointStatus::OutsideGuard | PointStatus::AboveMax
+                )
         })
     }
 
@@ -202,7 +216,9 @@ impl Answers {
 
     /// Targets with an answer.
     pub fn solved(&self) -> usize {
-        (0..self.targets.len()).filter(|t| self.answer(*t).is_some()).count()
+        (0..self.targets.len())
+            .filter(|t| self.answer(*t).is_some())
+            .count()
     }
 }
 
@@ -213,19 +229,25 @@ impl Grid {
             GridAxis::Fixed(x) => vec![x],
             GridAxis::Range { first, last, count } => spaced(first, last, count),
         });
-        Self { axes: axes.collect() }
+        Self {
+            axes: axes.collect(),
+        }
     }
 
     /// The scene's `[map]`: over the region; a single point of an axis is the reference.
     pub fn map(map: &MapGrid, model: &Model) -> Self {
-        let axes = (map.counts.iter().zip(&model.region).zip(model.reference())).map(|((count, [lo, hi]), x)| {
-            if *count == 1 {
-                vec![*x]
-            } else {
-                spaced(*lo, *hi, *count)
-            }
-        });
-        Self { axes: axes.collect() }
+        let axes = (map.counts.iter().zip(&model.region).zip(model.reference())).map(
+            |((count, [lo, hi]), x)| {
+                if *count == 1 {
+                    vec![*x]
+                } else {
+                    spaced(*lo, *hi, *count)
+                }
+            },
+        );
+        Self {
+            axes: axes.collect(),
+        }
     }
 }
 
@@ -242,8 +264,8 @@ pub fn spaced(first: f64, last: f64, count: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Seeds of a sweep that is made for first guesses alone. In many dimensions every further seed multiplies simplices, and
-/// continuation has to bridge the gaps anyway.
+/// Seeds of a sweep that is made for first guesses alone. In many dimensions every further seed
+/// multiplies simplices, and continuation has to bridge the gaps anyway.
 pub fn guess_seeds(states: usize, targets: usize) -> usize {
     const LEAST: usize = 1024;
     const A_TARGET: usize = 4;
@@ -271,8 +293,9 @@ pub fn may_need_sweep(plan: &Plan) -> bool {
     plan.can_be_swept() && !Cover::serves(plan)
 }
 
-/// Whether states are solved for without a sweep for first guesses, at first: where the search makes its own, or a sweep
-/// takes much longer than they do. In a game a sweep shows folds too, and is made wherever it can be.
+/// Whether states are solved for without a sweep for first guesses, at first: where the search
+/// makes its own, or a sweep takes much longer than they do. In a game a sweep shows folds too, and
+/// is made wherever it can be.
 pub fn goes_without_sweep(plan: &Plan) -> bool {
     !plan.can_be_swept() || Cover::serves(plan) || (plan.system.states >= MANY_STATES && !plan.game)
 }
@@ -297,7 +320,8 @@ fn scheme_of(plan: &Plan, variations: usize, tolerance: f64) -> Scheme {
     }
 }
 
-/// A solver for a plan: in f64 on the CPU lanes, after drafts on the backend where that is another one.
+/// A solver for a plan: in f64 on the CPU lanes, after drafts on the backend where that is another
+/// one.
 ///
 /// # Errors
 /// What the backend refuses to compile.
@@ -318,11 +342,17 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
         Precision::F32 => (DRAFT_TOLERANCE, DRAFT_RTOL),
         Precision::F64 => (asked, rtol),
     };
-    let draft = Solver::new(backend, precision, scheme_of(plan, GPU_VARIATIONS, tolerance), rtol)?;
+    let draft = Solver::new(
+        backend,
+        precision,
+        scheme_of(plan, GPU_VARIATIONS, tolerance),
+        rtol,
+    )?;
     Ok(host.after(draft))
 }
 
-/// A coarse V on a grid over the region, for guesses where the search cannot show the least; none where that takes long.
+/// A coarse V on a grid over the region, for guesses where the search cannot show the least; none
+/// where that takes long.
 fn coarse_grid(plan: &Plan, model: &Model) -> Option<GridValue> {
     /// States up to which it is made, and the share of the usual nodes along each axis.
     const MOST: usize = 3;
@@ -372,7 +402,8 @@ pub fn solve(
         .transpose()?
         .map(|cover| cover.until(solver.deadline));
     if !request.points.is_empty() && !cover.as_ref().is_some_and(Cover::has_cells) {
-        survey.direct = Direct::new(plan, model, plan.segment_duration()).map(|direct| direct.until(solver.deadline));
+        survey.direct = Direct::new(plan, model, plan.segment_duration())
+            .map(|direct| direct.until(solver.deadline));
     }
     let mut make = || coarse_grid(plan, model);
     let second = match &request.grid {
@@ -411,10 +442,13 @@ pub fn solve(
     let mut folds: Vec<&Fold> = Vec::new();
     for fold in &survey.folds {
         // The same point is met from both of its neighbours, and by each of the two sheets.
-        let near =
-            |a: &[f64], b: &[f64], scales: &[f64]| (0..a.len()).all(|i| (a[i] - b[i]).abs() <= SAME_FOLD * scales[i]);
+        let near = |a: &[f64], b: &[f64], scales: &[f64]| {
+            (0..a.len()).all(|i| (a[i] - b[i]).abs() <= SAME_FOLD * scales[i])
+        };
         let n = fold.s.len();
-        let known = |f: &&Fold| near(&f.s, &fold.s, &survey.scales[..n]) && near(&f.p, &fold.p, &survey.scales[n..]);
+        let known = |f: &&Fold| {
+            near(&f.s, &fold.s, &survey.scales[..n]) && near(&f.p, &fold.p, &survey.scales[n..])
+        };
         if !folds.iter().any(known) {
             folds.push(fold);
         }

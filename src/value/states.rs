@@ -1,6 +1,10 @@
-//! Single states solved for from a scene alone: a sweep for first guesses where they need one, then the solutions.
+//! Single states solved for from a scene alone: a sweep for first guesses where they need one, then
+//! the solutions.
 
-use super::{Answers, Archive, Progress, Request, for_guesses, goes_without_sweep, may_need_sweep, solve, solver};
+use super::{
+    Answers, Archive, Progress, Request, for_guesses, goes_without_sweep, may_need_sweep, solve,
+    solver,
+};
 use crate::backend::{Backend, BackendError};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
@@ -16,7 +20,8 @@ pub enum StatesError {
     Backend(#[from] BackendError),
 }
 
-/// All solutions at states (`[state][n]`), as `costate solve` finds them, with the plan and the solver they were found with.
+/// All solutions at states (`[state][n]`), as `costate solve` finds them, with the plan and the
+/// solver they were found with.
 ///
 /// # Errors
 /// Where the scene cannot be swept for first guesses; device failures.
@@ -28,7 +33,8 @@ pub fn solve_states(
     states: &[f64],
     progress: Progress<'_>,
 ) -> Result<(Plan, Solver, Answers), StatesError> {
-    let (plan, solver, found, _) = solve_states_folding(model, hamiltonian, backend, choices, states, progress)?;
+    let (plan, solver, found, _) =
+        solve_states_folding(model, hamiltonian, backend, choices, states, progress)?;
     Ok((plan, solver, found))
 }
 

@@ -2,8 +2,8 @@
 
 use super::nearest;
 
-/// States to be solved for. Duplicates are solved once, and everything is done in an order that depends on the states
-/// alone, so that results do not depend on the order in which they are given.
+/// States to be solved for. Duplicates are solved once, and everything is done in an order that
+/// depends on the states alone, so that results do not depend on the order in which they are given.
 #[derive(Clone, Debug, Default)]
 pub struct Targets {
     pub states: usize,
@@ -17,7 +17,8 @@ pub struct Targets {
     pub limits: Vec<f64>,
     /// Which of the targets belong to a grid.
     pub gridded: Vec<bool>,
-    /// Rectangles of four neighbours `[corner; 4]`, counterclockwise, where the states form a grid in two of them.
+    /// Rectangles of four neighbours `[corner; 4]`, counterclockwise, where the states form a grid
+    /// in two of them.
     pub cells: Vec<[usize; 4]>,
 }
 
@@ -81,7 +82,9 @@ impl Grid {
     /// Rectangles of a grid with exactly two axes of more than one value.
     fn cells(&self) -> Vec<[usize; 4]> {
         let strides = self.strides();
-        let long: Vec<usize> = (0..self.axes.len()).filter(|i| self.axes[*i].len() > 1).collect();
+        let long: Vec<usize> = (0..self.axes.len())
+            .filter(|i| self.axes[*i].len() > 1)
+            .collect();
         let [a, b] = long[..] else {
             return Vec::new();
         };
@@ -98,12 +101,18 @@ impl Grid {
 }
 
 impl Targets {
-    /// Targets at the points of grids and at single states `[point][n]`, given in this order. `widths` measure
-    /// distances.
+    /// Targets at the points of grids and at single states `[point][n]`, given in this order.
+    /// `widths` measure distances.
     ///
-    /// A target's limit is the highest of the states that it stands for: `limits` has one a grid; single states have
-    /// none.
-    pub fn new(states: usize, grids: &[Grid], limits: &[f64], singles: &[f64], widths: &[f64]) -> Self {
+    /// A target's limit is the highest of the states that it stands for: `limits` has one a grid;
+    /// single states have none.
+    pub fn new(
+        states: usize,
+        grids: &[Grid],
+        limits: &[f64],
+        singles: &[f64],
+        widths: &[f64],
+    ) -> Self {
         let mut given: Vec<f64> = grids.iter().flat_map(Grid::points).collect();
         let gridded = given.len() / states;
         given.extend_from_slice(singles);
@@ -131,8 +140,13 @@ impl Targets {
             this.of_given[g] = this.len() - 1;
         }
         this.limits = vec![f64::NEG_INFINITY; this.len()];
-        let of_grids = (grids.iter().zip(limits)).flat_map(|(g, limit)| std::iter::repeat_n(*limit, g.len()));
-        for (k, limit) in of_grids.chain(std::iter::repeat(f64::INFINITY)).take(count).enumerate() {
+        let of_grids =
+            (grids.iter().zip(limits)).flat_map(|(g, limit)| std::iter::repeat_n(*limit, g.len()));
+        for (k, limit) in of_grids
+            .chain(std::iter::repeat(f64::INFINITY))
+            .take(count)
+            .enumerate()
+        {
             let target = this.of_given[k];
             this.limits[target] = this.limits[target].max(limit);
         }
@@ -144,7 +158,11 @@ impl Targets {
         let mut before: Vec<usize> = Vec::new();
         for grid in grids {
             let at = |k: usize| this.of_given[first + k];
-            let edges: Vec<_> = grid.edges().into_iter().map(|(a, b)| (at(a), at(b))).collect();
+            let edges: Vec<_> = grid
+                .edges()
+                .into_iter()
+                .map(|(a, b)| (at(a), at(b)))
+                .collect();
             let cells: Vec<_> = grid.cells().into_iter().map(|c| c.map(at)).collect();
             let own: Vec<usize> = (0..grid.len()).map(at).collect();
             this.edges.extend(edges);
@@ -190,11 +208,21 @@ impl Targets {
         if few.is_empty() {
             return;
         }
-        let scaled = |t: usize| -> Vec<f64> { self.state(t).iter().zip(widths).map(|(x, w)| x / w).collect() };
+        let scaled = |t: usize| -> Vec<f64> {
+            self.state(t)
+                .iter()
+                .zip(widths)
+                .map(|(x, w)| x / w)
+                .collect()
+        };
         let places: Vec<f64> = many.iter().flat_map(|t| scaled(*t)).collect();
         let tree = nearest::index(&places, self.states);
         let edges: Vec<(usize, usize)> = (few.iter())
-            .flat_map(|t| tree.near(&scaled(*t), 0.0, 1).into_iter().map(|(k, _)| (*t, many[k])))
+            .flat_map(|t| {
+                tree.near(&scaled(*t), 0.0, 1)
+                    .into_iter()
+                    .map(|(k, _)| (*t, many[k]))
+            })
             .collect();
         self.edges.extend(edges);
     }
@@ -224,14 +252,18 @@ impl Targets {
         let mut extra = Vec::new();
         let distance = |a: usize, b: usize| -> f64 {
             let (a, b) = (self.state(a), self.state(b));
-            (0..self.states).map(|i| ((a[i] - b[i]) / widths[i]).powi(2)).sum()
+            (0..self.states)
+                .map(|i| ((a[i] - b[i]) / widths[i]).powi(2))
+                .sum()
         };
         for t in 0..self.len() {
             let root = parts.root(t);
             if !seen.contains(&root) {
                 // The nearest of the targets shortly before it in order.
                 let from = t.saturating_sub(64);
-                if let Some(b) = (from..t).min_by(|a, b| distance(*a, t).total_cmp(&distance(*b, t))) {
+                if let Some(b) =
+                    (from..t).min_by(|a, b| distance(*a, t).total_cmp(&distance(*b, t)))
+                {
                     extra.push((b, t));
                 }
                 seen.push(root);
@@ -297,12 +329,21 @@ mod tests {
         };
         assert_eq!(grid.points()[..6], [0.0, 5.0, 0.0, 0.0, 5.0, 1.0]);
         let targets = Targets::new(3, &[grid], &[f64::INFINITY], &[], &[1.0; 3]);
-        assert_eq!((targets.len(), targets.edges.len(), targets.cells.len()), (6, 7, 2));
+        assert_eq!(
+            (targets.len(), targets.edges.len(), targets.cells.len()),
+            (6, 7, 2)
+        );
     }
 
     #[test]
     fn order_and_duplicates_do_not_matter() {
-        let a = Targets::new(2, &[], &[], &[0.0, 1.0, 2.0, 3.0, 0.5, 0.5, 2.0, 3.0], &[1.0, 1.0]);
+        let a = Targets::new(
+            2,
+            &[],
+            &[],
+            &[0.0, 1.0, 2.0, 3.0, 0.5, 0.5, 2.0, 3.0],
+            &[1.0, 1.0],
+        );
         let b = Targets::new(2, &[], &[], &[2.0, 3.0, 0.5, 0.5, 0.0, 1.0], &[1.0, 1.0]);
         assert_eq!(a.x, b.x);
         assert_eq!(a.edges, b.edges);
@@ -319,7 +360,11 @@ mod tests {
         }
         let targets = Targets::new(2, &[], &[], &points, &[1.0, 1.0]);
         let mut groups = Groups::new(targets.len());
-        let joins = targets.edges.iter().filter(|(a, b)| groups.join(*a, *b)).count();
+        let joins = targets
+            .edges
+            .iter()
+            .filter(|(a, b)| groups.join(*a, *b))
+            .count();
         assert_eq!(joins, targets.len() - 1);
     }
 }

@@ -14,7 +14,8 @@ use crate::sweep::Plan;
 const MOST_BEYOND: usize = 400;
 /// How many times further apart points are where they are not wanted for themselves.
 const SPARSER: f64 = 2.0;
-/// An extremal is followed backward while H stays below this share of the terms that it is the sum of.
+/// An extremal is followed backward while H stays below this share of the terms that it is the sum
+/// of.
 const MOST_DRIFT: f64 = 1e-7;
 /// Shortest segment of a guess, as a share of the longest of the extremal it comes from.
 const SHORT: f64 = 0.3;
@@ -25,7 +26,8 @@ pub struct Track {
     pub path: Path,
     pub value: f64,
     pub sheet: i32,
-    /// Whether it is of use as a whole, or only the state it was solved for: of one that is not the least only that is.
+    /// Whether it is of use as a whole, or only the state it was solved for: of one that is not the
+    /// least only that is.
     pub whole: bool,
 }
 
@@ -102,21 +104,24 @@ impl TrackPoints {
 pub struct Wish {
     /// Bounds of the states, as deviations; points outside are left out.
     pub bounds: Vec<[f64; 2]>,
-    /// The part of these where points are as dense as is said here; elsewhere they are half as dense. Tracks are followed
-    /// backward in this part only.
+    /// The part of these where points are as dense as is said here; elsewhere they are half as
+    /// dense. Tracks are followed backward in this part only.
     pub around: Vec<[f64; 2]>,
     /// What distances are measured in, one a state.
     pub widths: Vec<f64>,
-    /// Largest distance between neighbouring points of a track, in widths, and largest change of log V.
+    /// Largest distance between neighbouring points of a track, in widths, and largest change of
+    /// log V.
     pub spacing: f64,
     pub change: f64,
     /// V below which changes are not looked at.
     pub floor: f64,
     /// Points of larger V are left out.
     pub value_max: f64,
-    /// Whether V does not depend on time: then all points of a track are of use, else its beginning alone.
+    /// Whether V does not depend on time: then all points of a track are of use, else its beginning
+    /// alone.
     pub onward: bool,
-    /// Of a finite horizon whose time is an axis its length, which distances in time are measured in.
+    /// Of a finite horizon whose time is an axis its length, which distances in time are measured
+    /// in.
     pub horizon: Option<f64>,
     /// Whether tracks are followed backward beyond where they begin.
     pub beyond: bool,
@@ -216,7 +221,9 @@ fn onward(
                 .chain([time * time])
                 .sum::<f64>()
                 .sqrt();
-            let fall = (v.abs().max(wish.floor) / after.abs().max(wish.floor)).ln().abs();
+            let fall = (v.abs().max(wish.floor) / after.abs().max(wish.floor))
+                .ln()
+                .abs();
             let far = !wish.is_around(&here[..n]) && !wish.is_around(&next[..n]);
             let sparser = if far { SPARSER } else { 1.0 };
             let pieces = (way / wish.spacing).max(fall / wish.change) / sparser;
@@ -288,7 +295,10 @@ fn backward(
         let values = rates.eval(&nodes, 2 * n);
         let steps: Vec<f64> = (going.iter().zip(values.chunks(2 * n + 2)))
             .map(|(g, rate)| {
-                let speed = (0..n).map(|i| (rate[i] / wish.width(i)).powi(2)).sum::<f64>().sqrt();
+                let speed = (0..n)
+                    .map(|i| (rate[i] / wish.width(i)).powi(2))
+                    .sum::<f64>()
+                    .sqrt();
                 let growth = (rate[2 * n] / g.v.abs().max(wish.floor)).abs();
                 (wish.spacing / speed).min(wish.change / growth)
             })
@@ -322,7 +332,8 @@ fn backward(
         let mut k = 0;
         next.retain(|g| {
             let rate = &values[k * (2 * n + 2)..][..2 * n + 2];
-            let terms: f64 = (0..n).map(|i| (rate[i] * g.node[n + i]).abs()).sum::<f64>() + rate[2 * n].abs();
+            let terms: f64 =
+                (0..n).map(|i| (rate[i] * g.node[n + i]).abs()).sum::<f64>() + rate[2 * n].abs();
             let outside = (allowed.as_ref()).is_some_and(|a| {
                 a[k * system.guards.len()..][..system.guards.len()]
                     .iter()
@@ -342,8 +353,8 @@ fn backward(
     Ok(())
 }
 
-/// The rest of a track from one of its points on, as a guess. `later` are points of the same track that follow it before the
-/// track's own beginning, by time.
+/// The rest of a track from one of its points on, as a guess. `later` are points of the same track
+/// that follow it before the track's own beginning, by time.
 pub fn path_from(track: &Track, node: &[f64], t: f64, later: &[(f64, &[f64])]) -> Path {
     let mut path = Path::new(node);
     let usual = track.path.durations.iter().copied().fold(0.0, f64::max);
@@ -366,7 +377,12 @@ pub fn path_from(track: &Track, node: &[f64], t: f64, later: &[(f64, &[f64])]) -
     for (k, duration) in track.path.durations.iter().enumerate() {
         ends += duration;
         if ends > t {
-            push(&mut at, ends, track.path.node(k + 1), k + 1 == track.path.segments());
+            push(
+                &mut at,
+                ends,
+                track.path.node(k + 1),
+                k + 1 == track.path.segments(),
+            );
         }
     }
     path
@@ -390,7 +406,10 @@ pub fn solve_near(
     // In the order given, without neighbours: each is a problem of its own.
     let targets = Targets {
         states: n,
-        x: guesses.iter().flat_map(|(x, _)| x.iter().copied()).collect(),
+        x: guesses
+            .iter()
+            .flat_map(|(x, _)| x.iter().copied())
+            .collect(),
         of_given: (0..count).collect(),
         limits: vec![f64::INFINITY; count],
         gridded: vec![true; count],

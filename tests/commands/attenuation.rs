@@ -1,5 +1,5 @@
-//! The smallest level of attenuation: gamma* against exact values and an independent method, the search on functions made
-//! up, the region of a scalar game in closed form, and the refusals.
+//! The smallest level of attenuation: gamma* against exact values and an independent method, the
+//! search on functions made up, the region of a scalar game in closed form, and the refusals.
 
 use costate::Scene;
 use costate::attenuation::{Covering, Outcome, Sought, linear, search, smallest};
@@ -16,7 +16,8 @@ use std::process::{Command, Output};
 /// What the project promises of gamma*.
 const STAR: f64 = 1e-8;
 
-/// A linear-quadratic game x' = A x + B u + E w, L = 1/2 (x'Qx + r u'u - gamma^2 w'w), with its region's half-widths.
+/// A linear-quadratic game x' = A x + B u + E w, L = 1/2 (x'Qx + r u'u - gamma^2 w'w), with its
+/// region's half-widths.
 struct Game {
     a: DMatrix<f64>,
     b: DMatrix<f64>,
@@ -42,11 +43,23 @@ impl Game {
 
     fn text(&self) -> String {
         let (n, m, k) = (self.a.nrows(), self.b.ncols(), self.e.ncols());
-        let names = |letter: &str, count: usize| (0..count).map(|i| format!("{letter}{i}")).collect::<Vec<_>>();
+        let names = |letter: &str, count: usize| {
+            (0..count)
+                .map(|i| format!("{letter}{i}"))
+                .collect::<Vec<_>>()
+        };
         let (x, u, w) = (names("x", n), names("u", m), names("w", k));
-        let declared = |all: &[String]| all.iter().map(|v| format!("{v} = {{}}\n")).collect::<String>();
+        let declared = |all: &[String]| {
+            all.iter()
+                .map(|v| format!("{v} = {{}}\n"))
+                .collect::<String>()
+        };
         let sum = |row: Vec<f64>, of: &[String]| {
-            let terms: Vec<String> = row.iter().zip(of).map(|(c, v)| format!("({c:?})*{v}")).collect();
+            let terms: Vec<String> = row
+                .iter()
+                .zip(of)
+                .map(|(c, v)| format!("({c:?})*{v}"))
+                .collect();
             terms.join(" + ")
         };
         let row = |m: &DMatrix<f64>, i: usize| m.row(i).iter().copied().collect::<Vec<f64>>();
@@ -60,7 +73,12 @@ impl Game {
                 format!("{} = \"{}\"\n", x[i], parts.join(" + "))
             })
             .collect();
-        let square = |all: &[String]| all.iter().map(|v| format!("{v}^2")).collect::<Vec<_>>().join(" + ");
+        let square = |all: &[String]| {
+            all.iter()
+                .map(|v| format!("{v}^2"))
+                .collect::<Vec<_>>()
+                .join(" + ")
+        };
         let states: Vec<String> = (0..n)
             .flat_map(|i| (0..n).map(move |j| (i, j)))
             .map(|(i, j)| format!("({:?})*x{i}*x{j}", self.q[(i, j)]))
@@ -98,13 +116,19 @@ impl Game {
     fn on_axis(&self) -> f64 {
         let n = self.a.nrows();
         let complex = |m: &DMatrix<f64>| m.map(|v| Complex::new(v, 0.0));
-        let (a, b, e, q) = (complex(&self.a), complex(&self.b), complex(&self.e), complex(&self.q));
+        let (a, b, e, q) = (
+            complex(&self.a),
+            complex(&self.b),
+            complex(&self.e),
+            complex(&self.q),
+        );
         let largest = |omega: f64| {
             let f = (DMatrix::identity(n, n) * Complex::new(0.0, omega) - &a)
                 .try_inverse()
                 .unwrap();
             let fq = f.adjoint() * &q;
-            let inner = DMatrix::identity(n, n) + &f * &b * b.adjoint() * &fq / Complex::new(self.r, 0.0);
+            let inner =
+                DMatrix::identity(n, n) + &f * &b * b.adjoint() * &fq / Complex::new(self.r, 0.0);
             let w = e.adjoint() * &fq * inner.try_inverse().unwrap() * &f * &e;
             ((&w + w.adjoint()) * Complex::new(0.5, 0.0))
                 .symmetric_eigenvalues()
@@ -118,7 +142,11 @@ impl Game {
         let (mut lo, mut hi) = ((best - step).max(0.0), best + step);
         for _ in 0..80 {
             let (c, d) = (hi - 0.618 * (hi - lo), lo + 0.618 * (hi - lo));
-            if largest(c) > largest(d) { hi = d } else { lo = c }
+            if largest(c) > largest(d) {
+                hi = d
+            } else {
+                lo = c
+            }
         }
         largest(0.5 * (lo + hi)).sqrt()
     }
@@ -149,9 +177,17 @@ fn agrees(found: &LinearAttenuation, exact: f64, cause: Cause) {
 
 #[test]
 fn stable_scalar_meets_the_axis() {
-    for (a, b, r, own) in [(-1.0, 0.5, 1.0, 2.0), (-3.0, 2.0, 0.1, 0.01), (-0.2, 0.0, 1.0, 100.0)] {
+    for (a, b, r, own) in [
+        (-1.0, 0.5, 1.0, 2.0),
+        (-3.0, 2.0, 0.1, 0.01),
+        (-0.2, 0.0, 1.0, 100.0),
+    ] {
         let exact = f64::hypot(a, b / f64::sqrt(r)).recip();
-        agrees(&Game::new(1, &[a], &[b], &[1.0], r, own).star(), exact, Cause::Axis);
+        agrees(
+            &Game::new(1, &[a], &[b], &[1.0], r, own).star(),
+            exact,
+            Cause::Axis,
+        );
     }
 }
 
@@ -168,13 +204,23 @@ fn unstable_scalar_becomes_unbounded() {
         assert!(riccati(&game.text(), exact * (1.0 + 1e-6)).is_ok());
         // Below it there is a stabilizing solution, which is negative.
         let below = riccati(&game.text(), exact * (1.0 - 1e-6));
-        assert!(matches!(below, Err(LocalError::BelowAttenuation { .. })), "{below:?}");
+        assert!(
+            matches!(below, Err(LocalError::BelowAttenuation { .. })),
+            "{below:?}"
+        );
     }
 }
 
 #[test]
 fn units_do_not_matter() {
-    let mut game = Game::new(2, &[0.0, 1.0, 2.0, 0.5], &[0.0, 1.0], &[0.0, 1.0], 4.0, 10.0);
+    let mut game = Game::new(
+        2,
+        &[0.0, 1.0, 2.0, 0.5],
+        &[0.0, 1.0],
+        &[0.0, 1.0],
+        4.0,
+        10.0,
+    );
     agrees(&game.star(), 2.0, Cause::Unbounded);
     // The same in other units: x = D z.
     let d = [1e6, 1e-4];
@@ -225,10 +271,17 @@ fn random_games_of_four_states() {
             continue;
         }
         causes[1] += 1;
-        assert!(found.difference() < STAR && found.star > axis, "{found:?}, {axis}");
+        assert!(
+            found.difference() < STAR && found.star > axis,
+            "{found:?}, {axis}"
+        );
         let text = game.text();
         let above = riccati(&text, found.star * (1.0 + 1e-4)).unwrap_or_else(|e| panic!("{e}"));
-        assert!(above.p.amax() > 100.0, "P is large just above gamma*: {}", above.p);
+        assert!(
+            above.p.amax() > 100.0,
+            "P is large just above gamma*: {}",
+            above.p
+        );
         let below = riccati(&text, found.star * (1.0 - 1e-4));
         // A little below, eigenvalues may meet on the axis, too.
         let refused = matches!(
@@ -238,7 +291,10 @@ fn random_games_of_four_states() {
         assert!(refused, "{below:?}");
     }
     println!("axis, unbounded: {causes:?}");
-    assert!(causes[0] > 0 && causes[1] > 0, "both causes are met: {causes:?}");
+    assert!(
+        causes[0] > 0 && causes[1] > 0,
+        "both causes are met: {causes:?}"
+    );
 }
 
 #[test]
@@ -258,7 +314,9 @@ fn what_has_no_gamma_star() {
         "{error}"
     );
     let gain = text.replace("gamma^2*", "(1/gamma)^2*");
-    let error = of(&format!("{gain}range = [0.1, 10]\n")).unwrap_err().to_string();
+    let error = of(&format!("{gain}range = [0.1, 10]\n"))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("no solution at any level"), "{error}");
     let error = of(&text.replace("gamma = 2.0", "gamma = -2.0"))
         .unwrap_err()
@@ -266,16 +324,27 @@ fn what_has_no_gamma_star() {
     assert!(error.contains("is not above 0"), "{error}");
     // Neither smaller nor larger is easier throughout.
     let bump = text.replace("gamma^2*", "(2.5 - (gamma - 2)^2)*");
-    let error = of(&format!("{bump}range = [0.6, 3.4]\n")).unwrap_err().to_string();
+    let error = of(&format!("{bump}range = [0.6, 3.4]\n"))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("no solution"), "{error}");
     let wave = text.replace("gamma^2*", "(1.3 + sin(gamma))*");
-    let error = of(&format!("{wave}range = [4, 16]\n")).unwrap_err().to_string();
+    let error = of(&format!("{wave}range = [4, 16]\n"))
+        .unwrap_err()
+        .to_string();
     assert!(
         error.contains("a larger value of the parameter must be easier"),
         "{error}"
     );
     // The disturbance does not reach the cost: nothing stops P.
-    let harmless = Game::new(2, &[-1.0, 0.0, 0.0, -1.0], &[1.0, 0.0], &[0.0, 1.0], 1.0, 2.0);
+    let harmless = Game::new(
+        2,
+        &[-1.0, 0.0, 0.0, -1.0],
+        &[1.0, 0.0],
+        &[0.0, 1.0],
+        1.0,
+        2.0,
+    );
     let mut harmless = harmless;
     harmless.q[(1, 1)] = 0.0;
     assert_eq!(harmless.star().cause, Cause::None);
@@ -306,7 +375,10 @@ const SOUGHT: Sought = Sought {
     tolerance: 1e-3,
 };
 
-fn searched(sought: Sought, valid: impl Fn(f64) -> usize) -> (costate::attenuation::Search, Vec<f64>) {
+fn searched(
+    sought: Sought,
+    valid: impl Fn(f64) -> usize,
+) -> (costate::attenuation::Search, Vec<f64>) {
     let mut evaluate = |value: f64| Ok::<_, Infallible>(ten(valid(value)));
     search(&sought, &[], &mut evaluate).unwrap()
 }
@@ -325,18 +397,31 @@ fn the_search_brackets_a_monotone_coverage() {
         found.rows.len() >= 12 && found.rows.last().unwrap().value > 1.4 * upper,
         "a real curve"
     );
-    assert_eq!(found.first_failing().unwrap().failing(), [(PointStatus::Fold, 1)]);
+    assert_eq!(
+        found.first_failing().unwrap().failing(),
+        [(PointStatus::Fold, 1)]
+    );
     assert!(
         levels.len() == 3 && levels[0] > 1.0 && levels[0] < 1.2 && levels[2] == 4.0,
         "{levels:?}"
     );
-    assert!(levels.iter().all(|l| found.rows.iter().any(|r| r.value == *l)));
+    assert!(
+        levels
+            .iter()
+            .all(|l| found.rows.iter().any(|r| r.value == *l))
+    );
 }
 
 #[test]
 fn the_search_tells_what_is_not_monotone() {
     // Covered above 2, and between 1.2 and 1.5.
-    let (found, _) = searched(SOUGHT, |v| if v > 2.0 || (1.2..1.5).contains(&v) { 10 } else { 7 });
+    let (found, _) = searched(SOUGHT, |v| {
+        if v > 2.0 || (1.2..1.5).contains(&v) {
+            10
+        } else {
+            7
+        }
+    });
     let Covering::Smallest { lower, upper } = found.covering else {
         panic!("{:?}", found.covering)
     };
@@ -384,8 +469,8 @@ fn the_search_ends_at_gamma_star() {
     assert_eq!(found.covering, Covering::All { upper: 1.0 });
 }
 
-/// x' = -x + b u + w, L = 1/2 (x^2 + e x^4 + r u^2 - g^2 w^2). With S = b^2/r - 1/g^2 < 0 the manifold
-/// p = x (-1 + sqrt(1 + S (1 + e x^2)))/S folds at x^2 = (-1/S - 1)/e.
+/// x' = -x + b u + w, L = 1/2 (x^2 + e x^4 + r u^2 - g^2 w^2). With S = b^2/r - 1/g^2 < 0 the
+/// manifold p = x (-1 + sqrt(1 + S (1 + e x^2)))/S folds at x^2 = (-1/S - 1)/e.
 const SCALAR: &str = r#"
 parameters = { gamma = 2.0, b = 0.5, r = 1.0, e = 1.0 }
 states = { x = {} }
@@ -418,7 +503,13 @@ fn the_region_of_a_scalar_game() {
         } else {
             f64::INFINITY
         };
-        for ((x, status), v) in found.grid.points().iter().zip(&row.outcome.status).zip(&row.outcome.v) {
+        for ((x, status), v) in found
+            .grid
+            .points()
+            .iter()
+            .zip(&row.outcome.status)
+            .zip(&row.outcome.v)
+        {
             // Within this distance of the fold either is right.
             if (x.abs() - fold).abs() > 1e-3 {
                 assert_eq!(
@@ -430,7 +521,8 @@ fn the_region_of_a_scalar_game() {
             }
             if v.is_finite() && s != 0.0 {
                 // V = int_0^x p.
-                let f = |x: f64| (-0.5 * x * x + (1.0 + s * (1.0 + x * x)).powf(1.5) / (3.0 * s)) / s;
+                let f =
+                    |x: f64| (-0.5 * x * x + (1.0 + s * (1.0 + x * x)).powf(1.5) / (3.0 * s)) / s;
                 let exact = f(*x) - f(0.0);
                 assert!(
                     (v - exact).abs() < 1e-8 * (1.0 + exact),
@@ -443,7 +535,8 @@ fn the_region_of_a_scalar_game() {
 }
 
 fn folder(name: &str) -> PathBuf {
-    let path = std::env::temp_dir().join(format!("costate-attenuation-{name}-{}", std::process::id()));
+    let path =
+        std::env::temp_dir().join(format!("costate-attenuation-{name}-{}", std::process::id()));
     std::fs::create_dir_all(&path).unwrap();
     path
 }
@@ -482,9 +575,15 @@ fn a_level_below_gamma_star_is_refused() {
         for (scene, words) in [
             (
                 &named,
-                ["gamma = 0.8 is not above gamma* = 0.8944271910", "named.toml:2:24"],
+                [
+                    "gamma = 0.8 is not above gamma* = 0.8944271910",
+                    "named.toml:2:24",
+                ],
             ),
-            (&anonymous, ["below what the linearization allows", "[attenuation]"]),
+            (
+                &anonymous,
+                ["below what the linearization allows", "[attenuation]"],
+            ),
         ] {
             if scene == &anonymous && *command == "attenuation" {
                 continue;
@@ -495,7 +594,10 @@ fn a_level_below_gamma_star_is_refused() {
             for part in words {
                 assert!(text.contains(part), "{command}: {part} is not in\n{text}");
             }
-            assert!(done.stdout.is_empty() && !out.exists(), "{command} wrote something");
+            assert!(
+                done.stdout.is_empty() && !out.exists(),
+                "{command} wrote something"
+            );
         }
     }
     // A value that is not the file's has no place in it.
@@ -504,7 +606,9 @@ fn a_level_below_gamma_star_is_refused() {
     let text = String::from_utf8_lossy(&done.stderr).replace("\n  ", " ");
     assert_eq!(done.status.code(), Some(2), "{text}");
     assert!(
-        text.contains("--set gamma=0.5") && text.contains("0.8944271910") && !text.contains("named.toml:"),
+        text.contains("--set gamma=0.5")
+            && text.contains("0.8944271910")
+            && !text.contains("named.toml:"),
         "{text}"
     );
     let done = costate("attenuation", &anonymous, &["--set", "gamma=2"]);
@@ -541,15 +645,26 @@ fn the_command_and_its_file() {
     let values = group.f64("value").unwrap().values;
     assert_eq!(values.len(), json["curve"].as_array().unwrap().len());
     assert!(values.is_sorted() && values.contains(&1.0) && values.contains(&1.5));
-    assert_eq!(group.f64("star").unwrap().values, [json["star"].as_f64().unwrap()]);
+    assert_eq!(
+        group.f64("star").unwrap().values,
+        [json["star"].as_f64().unwrap()]
+    );
     let (shape, counts) = group.i32("states").unwrap();
     assert_eq!(shape, [values.len(), PointStatus::ALL.len()]);
     assert!(counts.chunks(shape[1]).all(|c| c.iter().sum::<i32>() == 21));
     let regions = stored.group("attenuation_regions").unwrap();
     assert_eq!(regions.f64("level").unwrap().values, [1.0, 1.5]);
     let (v, (shape, status)) = (regions.f64("V").unwrap(), regions.i32("status").unwrap());
-    assert_eq!((v.shape.as_slice(), shape.as_slice()), (&[2, 21][..], &[2, 21][..]));
-    assert!(v.values.iter().zip(&status).all(|(v, s)| v.is_finite() == (*s == 0)));
+    assert_eq!(
+        (v.shape.as_slice(), shape.as_slice()),
+        (&[2, 21][..], &[2, 21][..])
+    );
+    assert!(
+        v.values
+            .iter()
+            .zip(&status)
+            .all(|(v, s)| v.is_finite() == (*s == 0))
+    );
     assert!(status[..21].iter().any(|s| *s != 0) && status[21..].iter().all(|s| *s == 0));
     for picture in [
         "out_coverage.svg",
@@ -566,7 +681,13 @@ fn the_command_and_its_file() {
     let done = costate(
         "run",
         &scene,
-        &["--out", &ran.display().to_string(), "--backend", "cpu", "--json"],
+        &[
+            "--out",
+            &ran.display().to_string(),
+            "--backend",
+            "cpu",
+            "--json",
+        ],
     );
     let text = String::from_utf8_lossy(&done.stderr).into_owned();
     assert!(done.status.success(), "{text}");
@@ -574,7 +695,11 @@ fn the_command_and_its_file() {
     assert!(json["attenuation"]["smallest_covering"].is_f64(), "{json}");
     assert!(Stored::open(&ran).unwrap().has("attenuation_regions"));
     let page = std::fs::read_to_string(folder.join("run_report.html")).unwrap();
-    for part in ["id=\"coverage\"", "id=\"validity\"", "0.89443 of the linearization"] {
+    for part in [
+        "id=\"coverage\"",
+        "id=\"validity\"",
+        "0.89443 of the linearization",
+    ] {
         assert!(page.contains(part), "{part}");
     }
     let done = costate("check", &scene, &[]);
@@ -583,7 +708,11 @@ fn the_command_and_its_file() {
     // A level that cannot be is told before anything is solved.
     std::fs::write(&scene, SCALAR.replace("tolerance = 1e-4", "levels = [0.5]")).unwrap();
     let none = folder.join("none.h5");
-    let done = costate("attenuation", &scene, &["--out", &none.display().to_string()]);
+    let done = costate(
+        "attenuation",
+        &scene,
+        &["--out", &none.display().to_string()],
+    );
     let text = String::from_utf8_lossy(&done.stderr).into_owned();
     assert_eq!(done.status.code(), Some(2), "{text}");
     assert!(

@@ -1,5 +1,5 @@
-//! `costate bench`: the errors it reports against an exact value function, the table as its readers see it, refusals.
-//! Times are only looked at for being there: a test says nothing about speed.
+//! `costate bench`: the errors it reports against an exact value function, the table as its readers
+//! see it, refusals. Times are only looked at for being there: a test says nothing about speed.
 
 use crate::common_commands::checked_by;
 use crate::common_oracles;
@@ -21,22 +21,33 @@ fn work(model: &Model, count: usize, store: bool) -> Work {
         precision: Some(Precision::F64),
         ..Choices::default()
     };
-    let plan = Plan::new(model, &derive(model), &Cpu::new(), choices).unwrap_or_else(|e| panic!("{e}"));
+    let plan =
+        Plan::new(model, &derive(model), &Cpu::new(), choices).unwrap_or_else(|e| panic!("{e}"));
     Work::new(plan, model, count, 0, store).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// P of a linear-quadratic scene, where `V = x'Px/2` everywhere.
 fn exact(work: &Work) -> DMatrix<f64> {
-    work.plan.local.as_ref().expect("an infinite horizon").riccati.p.clone()
+    work.plan
+        .local
+        .as_ref()
+        .expect("an infinite horizon")
+        .riccati
+        .p
+        .clone()
 }
 
 /// V and p at a state.
 fn on_manifold(p: &DMatrix<f64>, x: &[f64]) -> (f64, Vec<f64>) {
     let costate = p * DVector::from_column_slice(x);
-    (0.5 * dot(x, costate.as_slice()), costate.as_slice().to_vec())
+    (
+        0.5 * dot(x, costate.as_slice()),
+        costate.as_slice().to_vec(),
+    )
 }
 
-/// What the neighbours tell of dp/dx, where it is P. Their differences keep about six digits ([`reference`]).
+/// What the neighbours tell of dp/dx, where it is P. Their differences keep about six digits
+/// ([`reference`]).
 const SLOPE_DIGITS: f64 = 1e-5;
 
 #[test]
@@ -54,12 +65,17 @@ fn slopes_of_a_quadratic_value_function_are_its_matrix() {
     let mut known = 0;
     for i in 0..slopes.count {
         for level in 0..levels {
-            let Some(slope) = slopes.at(i, level) else { continue };
+            let Some(slope) = slopes.at(i, level) else {
+                continue;
+            };
             known += 1;
             for (k, s) in slope.iter().enumerate() {
                 let (a, b) = (k / n, k % n);
                 let error = (s - w[a] * p[(a, b)] * w[b]).abs() / largest;
-                assert!(error < SLOPE_DIGITS, "trajectory {i}, level {level}: off by {error:e}");
+                assert!(
+                    error < SLOPE_DIGITS,
+                    "trajectory {i}, level {level}: off by {error:e}"
+                );
             }
         }
     }
@@ -81,7 +97,8 @@ fn only_errors_off_the_manifold_are_counted() {
         (0.0, 0.0, 1.0)
     );
 
-    // A ten-thousandth further out along the manifold: of V <= 1 this leaves 1e-8 V, of p nothing but the slopes' digits.
+    // A ten-thousandth further out along the manifold: of V <= 1 this leaves 1e-8 V, of p nothing
+    // but the slopes' digits.
     const MOVED: f64 = 1e-4;
     let change = |shift: f64, v: f64, costate: f64| {
         let mut result = reference.result.clone();
@@ -101,10 +118,16 @@ fn only_errors_off_the_manifold_are_counted() {
         along.value.worst > 0.9 * MOVED * MOVED,
         "V reaches 1, and so does its curvature"
     );
-    assert!(along.costate.worst < MOVED * SLOPE_DIGITS * 10.0, "{:?}", along.costate);
+    assert!(
+        along.costate.worst < MOVED * SLOPE_DIGITS * 10.0,
+        "{:?}",
+        along.costate
+    );
     // All samples have V <= 1.
     let off = change(MOVED, 1e-3, 0.0);
-    assert!((off.value.median / 1e-3 - 1.0).abs() < 1e-4 && (off.value.worst / 1e-3 - 1.0).abs() < 1e-4);
+    assert!(
+        (off.value.median / 1e-3 - 1.0).abs() < 1e-4 && (off.value.worst / 1e-3 - 1.0).abs() < 1e-4
+    );
     // p is taken in units of cost: times the region's width, 2 here; relative to max(1, |p|).
     let off = change(0.0, 0.0, 1e-3);
     assert!(
@@ -139,8 +162,9 @@ fn only_errors_off_the_manifold_are_counted() {
     assert!(found.failed == 1 && !found.complete());
 }
 
-/// e_V of an integration against the true error of V at the states reached: they differ by the seeds' rounding, the
-/// reference's error and the second order of the distance along the manifold, all far below the error itself here.
+/// e_V of an integration against the true error of V at the states reached: they differ by the
+/// seeds' rounding, the reference's error and the second order of the distance along the manifold,
+/// all far below the error itself here.
 #[test]
 fn the_reported_error_is_the_true_one() {
     let model = scene("linear_quadratic", &[]);
@@ -149,20 +173,32 @@ fn the_reported_error_is_the_true_one() {
     let reference = Reference::new(&work, &meter, Method::Dop853, 100).unwrap();
     let p = exact(&work);
     let n = work.states();
-    let mut kernel = Cpu::new().compile(&work.spec(Method::Tsit5, Precision::F64)).unwrap();
+    let mut kernel = Cpu::new()
+        .compile(&work.spec(Method::Tsit5, Precision::F64))
+        .unwrap();
     let run = work.run(Steps::Tolerance(1e-4));
-    let pass = work.integrate(kernel.as_mut(), &run, &work.seeds, usize::MAX).unwrap();
+    let pass = work
+        .integrate(kernel.as_mut(), &run, &work.seeds, usize::MAX)
+        .unwrap();
     let result = points(pass.kept);
-    let reported = compare(&work, &meter, &reference, None, &result).value.worst;
-    let truth = (result.samples.chunks(1 + result.dim).filter(|s| !s[0].is_nan()))
-        .map(|s| (s[1 + 2 * n] - on_manifold(&p, &s[1..=n]).0).abs() / s[1 + 2 * n].max(1.0))
-        .fold(0.0, f64::max);
+    let reported = compare(&work, &meter, &reference, None, &result)
+        .value
+        .worst;
+    let truth = (result
+        .samples
+        .chunks(1 + result.dim)
+        .filter(|s| !s[0].is_nan()))
+    .map(|s| (s[1 + 2 * n] - on_manifold(&p, &s[1..=n]).0).abs() / s[1 + 2 * n].max(1.0))
+    .fold(0.0, f64::max);
     assert!(truth > 1e-7, "an error to speak of: {truth:e}");
     assert!(
         (reported / truth - 1.0).abs() < 0.05,
         "reported {reported:e}, true {truth:e}"
     );
-    assert!(pass.kernel_seconds.is_some_and(|s| s > 0.0 && s <= pass.seconds));
+    assert!(
+        pass.kernel_seconds
+            .is_some_and(|s| s > 0.0 && s <= pass.seconds)
+    );
 }
 
 #[test]
@@ -180,15 +216,21 @@ fn ends_and_finite_horizons_have_errors_too() {
             repeats: 2,
             budget: 1e3,
         };
-        let bench = measure(&work, &backends, &options, &mut |_| {}).unwrap_or_else(|e| panic!("{e}"));
+        let bench =
+            measure(&work, &backends, &options, &mut |_| {}).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!((bench.rows.len(), bench.rounds), (2, 2));
         for row in &bench.rows {
             assert!(row.errors.complete() && row.seconds.len() == 2);
             let e = &row.errors;
-            assert!(e.value.worst.is_finite() && e.costate.worst.is_finite() && e.hamiltonian.worst.is_finite());
+            assert!(
+                e.value.worst.is_finite()
+                    && e.costate.worst.is_finite()
+                    && e.hamiltonian.worst.is_finite()
+            );
             assert_eq!(row.statuses.iter().sum::<usize>(), 50);
         }
-        // The right-hand side is linear with a nilpotent matrix: a method of order 5 makes no error but rounding.
+        // The right-hand side is linear with a nilpotent matrix: a method of order 5 makes no error
+        // but rounding.
         assert!(bench.rows.iter().all(|r| r.errors.value.worst < 1e-12));
     }
 }
@@ -206,7 +248,11 @@ fn a_small_budget_measures_what_it_can() {
     };
     let bench = measure(&work, &backends, &options, &mut |_| {}).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(bench.rounds, 1);
-    assert_eq!(bench.rows.len(), 2 * Method::ALL.len(), "the roughest of each series");
+    assert_eq!(
+        bench.rows.len(),
+        2 * Method::ALL.len(),
+        "the roughest of each series"
+    );
     assert_eq!(
         bench.missing.len(),
         bench.rows.len(),
@@ -242,7 +288,12 @@ fn bench(scene: &Path, out: &Path, options: &[&str]) -> Output {
 }
 
 fn summary(done: &Output) -> serde_json::Value {
-    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_eq!(
+        done.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
     serde_json::from_slice(&done.stdout).unwrap()
 }
 
@@ -251,8 +302,7 @@ fn summary(done: &Output) -> serde_json::Value {
 fn the_table_opens_in_xarray_and_agrees_with_the_summary() {
     let folder = folder("table");
     let out = folder.join("sub/table.h5");
-    let options =
-        "--json --backend cpu,gpu --trajectories 200 --repeats 3 --rtol 1e-3,1e-5,1e-7 --error 2e-2 --host-share=60";
+    let options = "--json --backend cpu,gpu --trajectories 200 --repeats 3 --rtol 1e-3,1e-5,1e-7 --error 2e-2 --host-share=60";
     let done = bench(
         &scenario("pendulum.toml"),
         &out,
@@ -261,10 +311,20 @@ fn the_table_opens_in_xarray_and_agrees_with_the_summary() {
     let summary = summary(&done);
     std::fs::write(folder.join("summary.json"), &done.stdout).unwrap();
     let rows = summary["rows"].as_array().unwrap();
-    let backends: Vec<&str> = rows.iter().map(|r| r["backend"].as_str().unwrap()).collect();
-    assert!(backends.contains(&"cpu") && backends.contains(&"gpu"), "{backends:?}");
+    let backends: Vec<&str> = rows
+        .iter()
+        .map(|r| r["backend"].as_str().unwrap())
+        .collect();
+    assert!(
+        backends.contains(&"cpu") && backends.contains(&"gpu"),
+        "{backends:?}"
+    );
     for method in Method::ALL {
-        assert!(rows.iter().any(|r| r["method"] == method.0), "no {}", method.0);
+        assert!(
+            rows.iter().any(|r| r["method"] == method.0),
+            "no {}",
+            method.0
+        );
     }
     // A wanted error that every method reaches has a recommendation, and one that holds.
     let wanted = summary["recommended"].as_array().unwrap();
@@ -297,9 +357,12 @@ fn what_is_recommended_can_be_run() {
         &out,
         &options.split(' ').collect::<Vec<_>>(),
     ));
-    let lines: Vec<&str> = (summary["recommended"][0]["integrator"].as_array().unwrap().iter())
-        .map(|l| l.as_str().unwrap())
-        .collect();
+    let lines: Vec<&str> = (summary["recommended"][0]["integrator"]
+        .as_array()
+        .unwrap()
+        .iter())
+    .map(|l| l.as_str().unwrap())
+    .collect();
     let text = std::fs::read_to_string(scenario("linear_quadratic.toml")).unwrap();
     assert!(!text.contains("[integrator]"));
     let file = folder.join("scene.toml");
@@ -324,8 +387,9 @@ fn what_is_recommended_can_be_run() {
 fn a_bench_is_reproducible() {
     let folder = folder("again");
     let errors = |seed: &str| {
-        let options =
-            format!("--json --backend cpu --trajectories 80 --repeats 1 --rtol 1e-4 --method tsit5 --seed {seed}");
+        let options = format!(
+            "--json --backend cpu --trajectories 80 --repeats 1 --rtol 1e-4 --method tsit5 --seed {seed}"
+        );
         let out = folder.join("bench.h5");
         let done = bench(
             &scenario("pendulum.toml"),
@@ -371,7 +435,12 @@ fn what_cannot_be_measured_is_refused_and_nothing_is_written() {
         (&pendulum, "--set no_such=1", 2, "no_such"),
         (&pendulum, "--host-share=many", 2, "whole number"),
         (&game, "--backend cpu", 2, "attenuation"),
-        (&folder.join("absent.toml"), "--backend cpu", 2, "absent.toml"),
+        (
+            &folder.join("absent.toml"),
+            "--backend cpu",
+            2,
+            "absent.toml",
+        ),
         (
             &pendulum,
             "--backend gpu --adapter no-such-adapter",
@@ -418,7 +487,8 @@ fn a_scene_without_a_sweep_is_measured_over_its_region() {
     )
     .unwrap();
     let out = folder.join("out.h5");
-    let options = "--json --backend cpu --trajectories 10 --repeats 1 --rtol 1e-6 --method tsit5 --ends";
+    let options =
+        "--json --backend cpu --trajectories 10 --repeats 1 --rtol 1e-6 --method tsit5 --ends";
     let summary = summary(&bench(&file, &out, &options.split(' ').collect::<Vec<_>>()));
     // One state: p = (1 + sqrt 2) x exactly, and the flow alone tells the slope.
     let errors = &summary["rows"]
@@ -427,6 +497,9 @@ fn a_scene_without_a_sweep_is_measured_over_its_region() {
         .iter()
         .find(|r| r["precision"] == "f64")
         .unwrap()["errors"];
-    assert!(errors["e_V"]["worst"].as_f64().unwrap() < 1e-5 && errors["e_p"]["worst"].as_f64().unwrap() < 1e-5);
+    assert!(
+        errors["e_V"]["worst"].as_f64().unwrap() < 1e-5
+            && errors["e_p"]["worst"].as_f64().unwrap() < 1e-5
+    );
     assert_eq!(errors["compared"], 1.0);
 }

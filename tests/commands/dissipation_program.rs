@@ -1,4 +1,5 @@
-//! The dissipation inequality through the program: a nonlinear game from its sweep on, a linear one without, file and report.
+//! The dissipation inequality through the program: a nonlinear game from its sweep on, a linear one
+//! without, file and report.
 
 use costate::result::Stored;
 use serde_json::Value;
@@ -15,11 +16,18 @@ fn folder(name: &str) -> PathBuf {
 }
 
 fn costate(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_costate")).args(args).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_costate"))
+        .args(args)
+        .output()
+        .unwrap()
 }
 
 fn json(done: &Output) -> Value {
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
     serde_json::from_slice(&done.stdout).unwrap()
 }
 
@@ -27,17 +35,24 @@ fn json(done: &Output) -> Value {
 fn scene(folder: &Path, name: &str, disturbances: usize) -> PathBuf {
     let text = std::fs::read_to_string(format!("{}/scenarios/{name}.toml", crate::ROOT)).unwrap();
     let path = folder.join(format!("{name}.toml"));
-    let fewer = text.replace("disturbances = 10000", &format!("disturbances = {disturbances}"));
+    let fewer = text.replace(
+        "disturbances = 10000",
+        &format!("disturbances = {disturbances}"),
+    );
     assert_ne!(text, fewer);
     std::fs::write(&path, fewer).unwrap();
     path
 }
 
-/// The law of the value map, V at the initial states solved for: the ratio keeps below 1, and the map's errors of V are told apart.
+/// The law of the value map, V at the initial states solved for: the ratio keeps below 1, and the
+/// map's errors of V are told apart.
 #[test]
 fn a_nonlinear_game_from_its_sweep() {
     let folder = folder("nonlinear");
-    let (scene, out) = (scene(&folder, "manufactured_game", 1500), folder.join("out.h5"));
+    let (scene, out) = (
+        scene(&folder, "manufactured_game", 1500),
+        folder.join("out.h5"),
+    );
     let done = costate(&[
         "run",
         scene.to_str().unwrap(),
@@ -63,12 +78,18 @@ fn a_nonlinear_game_from_its_sweep() {
 
     let stored = Stored::open(&out).unwrap();
     let group = stored.group("dissipation").unwrap();
-    let (x, v) = (group.f64("x0").unwrap().values, group.f64("V0").unwrap().values);
+    let (x, v) = (
+        group.f64("x0").unwrap().values,
+        group.f64("V0").unwrap().values,
+    );
     assert_eq!(v.len(), 1500);
     for (x, v) in x.chunks_exact(2).zip(&v) {
         let exact = 0.5 * (x[0] * x[0] + x[1] * x[1]) + 0.25 * x[0].powi(4);
         // Solved for with rtol 1e-8.
-        assert!((v - exact).abs() <= 1e-7 * exact, "V0 at {x:?}: {v} {exact}");
+        assert!(
+            (v - exact).abs() <= 1e-7 * exact,
+            "V0 at {x:?}: {v} {exact}"
+        );
     }
     let ratio = group.f64("ratio").unwrap();
     assert_eq!(ratio.shape, [1, 1500]);
@@ -80,7 +101,13 @@ fn a_linear_game_without_a_sweep() {
     let folder = folder("linear");
     let (scene, out) = (scene(&folder, "linear_game", 600), folder.join("out.h5"));
     let evaluate = |file: &Path| {
-        let args = ["evaluate", file.to_str().unwrap(), "--backend", "cpu", "--json"];
+        let args = [
+            "evaluate",
+            file.to_str().unwrap(),
+            "--backend",
+            "cpu",
+            "--json",
+        ];
         json(&match file == out {
             true => costate(&args),
             false => costate(&[args.as_slice(), &["--out", out.to_str().unwrap()]].concat()),
@@ -90,16 +117,29 @@ fn a_linear_game_without_a_sweep() {
     let laws = first["dissipation"]["laws"].as_array().unwrap();
     let held: Vec<bool> = laws.iter().map(|l| l["held"].as_bool().unwrap()).collect();
     assert_eq!(held, [true, false], "{}", first["dissipation"]);
-    assert_eq!(first["dissipation"]["value_function"], "exact (linear scene)");
+    assert_eq!(
+        first["dissipation"]["value_function"],
+        "exact (linear scene)"
+    );
     // Again from the result: the groups are replaced by the same.
     let read = || {
         let stored = Stored::open(&out).unwrap();
-        let all = stored.group("dissipation").unwrap().f64("violation").unwrap().values;
+        let all = stored
+            .group("dissipation")
+            .unwrap()
+            .f64("violation")
+            .unwrap()
+            .values;
         let paths = stored.group("dissipation_trajectories").unwrap();
         let (w, t) = (paths.f64("w").unwrap(), paths.f64("t").unwrap());
         assert_eq!(w.shape, [t.shape[0], t.shape[1], 1]);
         assert_eq!(
-            stored.group("dissipation_kinds").unwrap().texts("kind").unwrap().len(),
+            stored
+                .group("dissipation_kinds")
+                .unwrap()
+                .texts("kind")
+                .unwrap()
+                .len(),
             6
         );
         all
@@ -112,9 +152,14 @@ fn a_linear_game_without_a_sweep() {
     );
     assert_eq!(before, read());
     let page = costate(&["report", out.to_str().unwrap(), "--quiet"]);
-    assert!(page.status.success(), "{}", String::from_utf8_lossy(&page.stderr));
+    assert!(
+        page.status.success(),
+        "{}",
+        String::from_utf8_lossy(&page.stderr)
+    );
     for picture in ["dissipation", "dissipation_histories"] {
-        let svg = std::fs::read_to_string(folder.join("out_report").join(format!("{picture}.svg"))).unwrap();
+        let svg = std::fs::read_to_string(folder.join("out_report").join(format!("{picture}.svg")))
+            .unwrap();
         assert!(svg.contains("worst case"), "{picture}");
     }
     let html = std::fs::read_to_string(folder.join("out_report.html")).unwrap();
@@ -125,8 +170,16 @@ fn a_linear_game_without_a_sweep() {
 #[test]
 fn a_nonlinear_scene_without_a_map_is_refused() {
     let folder = folder("refused");
-    let (scene, out) = (scene(&folder, "manufactured_game", 10), folder.join("out.h5"));
-    let done = costate(&["evaluate", scene.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    let (scene, out) = (
+        scene(&folder, "manufactured_game", 10),
+        folder.join("out.h5"),
+    );
+    let done = costate(&[
+        "evaluate",
+        scene.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
+    ]);
     assert_eq!(done.status.code(), Some(1));
     let said = String::from_utf8_lossy(&done.stderr).into_owned();
     assert!(said.contains("there is no value map"), "{said}");

@@ -16,7 +16,14 @@ fn estimate(sweep: &Sweep) -> Accuracy {
 /// Largest true errors of V, p and u over all stored samples, in the estimate's own measure.
 fn truth(sweep: &Sweep, right: impl Fn(&[f64]) -> (f64, Vec<f64>, f64)) -> [f64; 3] {
     let plan = &sweep.plan;
-    let scaled = |p: &[f64]| norm(&p.iter().zip(&plan.widths).map(|(p, w)| p * w).collect::<Vec<_>>());
+    let scaled = |p: &[f64]| {
+        norm(
+            &p.iter()
+                .zip(&plan.widths)
+                .map(|(p, w)| p * w)
+                .collect::<Vec<_>>(),
+        )
+    };
     let mut worst = [0.0f64; 3];
     let controls: Vec<f64> = sweep.samples().map(|s| right(s.x).2).collect();
     let range = controls.iter().copied().fold(f64::NEG_INFINITY, f64::max)
@@ -33,20 +40,24 @@ fn truth(sweep: &Sweep, right: impl Fn(&[f64]) -> (f64, Vec<f64>, f64)) -> [f64;
     worst
 }
 
-/// The sample may miss the worst trajectory, and the reference has errors of its own: a factor each way.
+/// The sample may miss the worst trajectory, and the reference has errors of its own: a factor each
+/// way.
 const FACTOR: f64 = 4.0;
-/// Below this the true error is the rounding of x as stored, which the estimate, from deviations, does not see.
+/// Below this the true error is the rounding of x as stored, which the estimate, from deviations,
+/// does not see.
 const ROUNDING: f64 = 1e-13;
 
-/// The estimate begins at the run's own seeds. Their error, which is told beside it, may be a tenth of rtol in V on the
-/// first front; in p it is larger by the degree of the first term left out there, some 4 to 6.
+/// The estimate begins at the run's own seeds. Their error, which is told beside it, may be a tenth
+/// of rtol in V on the first front; in p it is larger by the degree of the first term left out
+/// there, some 4 to 6.
 const SEEDS: f64 = 0.6;
 
 fn honest(name: &str, model: &Model, asked: Asked, right: impl Fn(&[f64]) -> (f64, Vec<f64>, f64)) {
     let sweep = Sweep::of(model, asked);
     let told = estimate(&sweep);
     let truth = truth(&sweep, right);
-    let worst = [told.value, told.costate, told.control].map(|s| s.expect("something is compared").worst);
+    let worst =
+        [told.value, told.costate, told.control].map(|s| s.expect("something is compared").worst);
     println!("{name} {asked:?}: told {worst:.2?}, true {truth:.2?}");
     for k in 0..3 {
         assert!(
@@ -84,19 +95,30 @@ fn the_estimate_is_near_the_true_error() {
         (Precision::F32, 1e-5),
         (Precision::F32, 1e-6),
     ] {
-        honest("manufactured", &model, Asked { precision, rtol }, manufactured);
+        honest(
+            "manufactured",
+            &model,
+            Asked { precision, rtol },
+            manufactured,
+        );
     }
     let model = scene("linear_quadratic", &[]);
     let p = Riccati::solve(&common_oracles::derive(&model), &model)
         .expect("a solution")
         .p;
-    for (precision, rtol) in [(Precision::F64, 1e-4), (Precision::F64, 1e-8), (Precision::F32, 1e-5)] {
+    for (precision, rtol) in [
+        (Precision::F64, 1e-4),
+        (Precision::F64, 1e-8),
+        (Precision::F32, 1e-5),
+    ] {
         // P is checked in tests/exact.rs; u of the first control only: -p_v1 / (m1 r1).
         let asked = Asked { precision, rtol };
         let sweep = Sweep::of(&model, asked);
         let told = estimate(&sweep);
         let truth = truth(&sweep, |x| {
-            let costate: Vec<f64> = (0..4).map(|i| (0..4).map(|j| p[(i, j)] * x[j]).sum()).collect();
+            let costate: Vec<f64> = (0..4)
+                .map(|i| (0..4).map(|j| p[(i, j)] * x[j]).sum())
+                .collect();
             (0.5 * dot(&costate, x), costate.clone(), -costate[1])
         });
         let worst = told.value.expect("something is compared").worst;
@@ -107,7 +129,10 @@ fn the_estimate_is_near_the_true_error() {
         );
         // p is exact in a linear problem whatever the steps, but for rounding.
         let slope = told.costate.expect("p is compared").worst;
-        assert!(slope <= FACTOR * truth[1] + 1e-3 * worst, "{slope} {truth:?}");
+        assert!(
+            slope <= FACTOR * truth[1] + 1e-3 * worst,
+            "{slope} {truth:?}"
+        );
     }
 }
 
@@ -118,11 +143,20 @@ fn equal_seeds_give_equal_estimates() {
     let with = |seed: u64| {
         let hamiltonian = common_oracles::derive(&model);
         let backend = costate::backend::cpu::Cpu::new();
-        let choices = costate::sweep::Choices { seed, ..F64.choices() };
-        let plan = costate::sweep::Plan::new(&model, &hamiltonian, &backend, choices).expect("a plan");
-        let report =
-            costate::sweep::sweep::<costate::backend::BackendError>(&plan, &backend, &mut |_, _| {}, &mut |_| Ok(()));
-        let mut told = accuracy::estimate(&plan, &report.expect("a sweep").sample).expect("an estimate");
+        let choices = costate::sweep::Choices {
+            seed,
+            ..F64.choices()
+        };
+        let plan =
+            costate::sweep::Plan::new(&model, &hamiltonian, &backend, choices).expect("a plan");
+        let report = costate::sweep::sweep::<costate::backend::BackendError>(
+            &plan,
+            &backend,
+            &mut |_, _| {},
+            &mut |_| Ok(()),
+        );
+        let mut told =
+            accuracy::estimate(&plan, &report.expect("a sweep").sample).expect("an estimate");
         told.seconds = 0.0;
         told
     };
@@ -141,12 +175,19 @@ fn tolerances_in_reach_are_met() {
     ] {
         let mut model = scene(name, &[]);
         model.shoot_out.as_mut().expect("a sweep").max_seeds = 2000;
-        for asked in [F64, F32, Asked { rtol: 1e-4, ..F32 }, Asked { rtol: 1e-3, ..F64 }] {
+        for asked in [
+            F64,
+            F32,
+            Asked { rtol: 1e-4, ..F32 },
+            Asked { rtol: 1e-3, ..F64 },
+        ] {
             let told = estimate(&Sweep::of(&model, asked));
             println!("{name} {asked:?}: {:?} of {:e}", told.value, told.bound);
             assert_eq!(told.met(), Some(true), "{name} {asked:?}: {told:?}");
             // The least the bound can be.
-            assert!(told.bound >= PROMISE * asked.rtol && told.bound <= 1.01 * PROMISE * asked.rtol);
+            assert!(
+                told.bound >= PROMISE * asked.rtol && told.bound <= 1.01 * PROMISE * asked.rtol
+            );
         }
     }
 }
@@ -168,13 +209,21 @@ fn a_bad_run_does_not_meet_its_tolerance() {
         assert_eq!(told.met(), Some(true), "{name}: {told:?}");
     }
     // More than f32 can give.
-    let told = estimate(&Sweep::of(&scene("pendulum", &[]), Asked { rtol: 1e-8, ..F32 }));
+    let told = estimate(&Sweep::of(
+        &scene("pendulum", &[]),
+        Asked { rtol: 1e-8, ..F32 },
+    ));
     assert_eq!(told.met(), Some(false), "{told:?}");
     // Seeds that are wrong from the start.
     let mut model = scene("pendulum", &[]);
     model.shoot_out.as_mut().expect("a sweep").seed_value = costate::model::SeedValue::Value(0.9);
     let sweep = Sweep::of(&model, Asked { rtol: 1e-9, ..F64 });
-    let seeds = sweep.plan.local.as_ref().expect("an infinite horizon").error;
+    let seeds = sweep
+        .plan
+        .local
+        .as_ref()
+        .expect("an infinite horizon")
+        .error;
     let told = estimate(&sweep);
     assert!(
         told.value.expect("something").worst >= 0.5 * seeds / sweep.plan.run.levels[0],
@@ -183,10 +232,14 @@ fn a_bad_run_does_not_meet_its_tolerance() {
     assert_eq!(told.met(), Some(false), "{told:?}");
 }
 
-/// Trajectories that fail are neither errors nor good: what they have is compared, and they are counted.
+/// Trajectories that fail are neither errors nor good: what they have is compared, and they are
+/// counted.
 #[test]
 fn failing_trajectories_do_not_fool_it() {
-    let told = estimate(&Sweep::of(&scene("hard/blow_up", &[]), Asked { rtol: 1e-6, ..F64 }));
+    let told = estimate(&Sweep::of(
+        &scene("hard/blow_up", &[]),
+        Asked { rtol: 1e-6, ..F64 },
+    ));
     assert!(told.failed > told.sampled / 2, "{told:?}");
     assert_eq!(told.met(), Some(true), "{told:?}");
     // All fail before the first level: nothing is known, and that is not success.
@@ -197,7 +250,10 @@ fn failing_trajectories_do_not_fool_it() {
 }
 
 fn run(name: &str, arguments: &[&str]) -> (Output, PathBuf) {
-    let out = std::env::temp_dir().join(format!("costate-estimates-{name}-{}.h5", std::process::id()));
+    let out = std::env::temp_dir().join(format!(
+        "costate-estimates-{name}-{}.h5",
+        std::process::id()
+    ));
     let done = Command::new(env!("CARGO_BIN_EXE_costate"))
         .current_dir(crate::ROOT)
         .args(["run", "--backend", "cpu", "--out"])
@@ -209,17 +265,26 @@ fn run(name: &str, arguments: &[&str]) -> (Output, PathBuf) {
 }
 
 fn json(done: &Output) -> serde_json::Value {
-    serde_json::from_slice(&done.stdout).unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&done.stderr)))
+    serde_json::from_slice(&done.stdout)
+        .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&done.stderr)))
 }
 
 /// The summary, the JSON, the file and --seed.
 #[test]
 fn a_run_says_it() {
-    let (done, out) = run("met", &["scenarios/manufactured.toml", "--json", "--seed", "3"]);
+    let (done, out) = run(
+        "met",
+        &["scenarios/manufactured.toml", "--json", "--seed", "3"],
+    );
     assert!(done.status.success());
     let told = json(&done);
     assert_eq!(told["error_met"], true, "{told}");
-    assert!(told["error_estimate"]["V"]["max"].as_f64().expect("a number") < 3e-5);
+    assert!(
+        told["error_estimate"]["V"]["max"]
+            .as_f64()
+            .expect("a number")
+            < 3e-5
+    );
     assert!(
         told["homotopy"]["error_estimate"]["V"]["max"]
             .as_f64()
@@ -245,7 +310,10 @@ fn a_run_says_it() {
         "error_met",
         "solved_error_estimate_V",
     ] {
-        assert!(names.iter().any(|n| n == name), "{name} is not in {names:?}");
+        assert!(
+            names.iter().any(|n| n == name),
+            "{name} is not in {names:?}"
+        );
     }
     drop(file);
     let estimate = |seed: &str| {
@@ -283,12 +351,21 @@ fn a_run_says_it() {
 fn hard_scenes_are_told_of() {
     let (done, _) = run("cheap", &["scenarios/hard/cheap_control.toml", "--json"]);
     let text = String::from_utf8_lossy(&done.stderr).into_owned();
-    for words in ["-999.999500", "ratio 1000", "stiff", "segments", "NOT fully covered"] {
+    for words in [
+        "-999.999500",
+        "ratio 1000",
+        "stiff",
+        "segments",
+        "NOT fully covered",
+    ] {
         assert!(text.contains(words), "{words}: {text}");
     }
     let told = json(&done);
     assert_eq!(
-        (&told["stiffness"]["stiff"], &told["stiffness"]["fronts_hidden"]),
+        (
+            &told["stiffness"]["stiff"],
+            &told["stiffness"]["fronts_hidden"]
+        ),
         (&true.into(), &true.into())
     );
     assert_eq!(told["error_met"], true);

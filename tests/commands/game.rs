@@ -1,4 +1,5 @@
-//! Games against what is known of them: V, folds, regions of validity, and minimal cost as their limit.
+//! Games against what is known of them: V, folds, regions of validity, and minimal cost as their
+//! limit.
 
 use crate::common;
 use crate::common_oracles;
@@ -36,7 +37,8 @@ impl Folding {
     fn value(&self, x: &[f64]) -> f64 {
         let (s, e, z) = (self.s, self.e, self.z(x));
         let power = |a: f64| a.powf(1.5);
-        let first = (-0.5 * z * z + (power(1.0 + s + s * e * z * z) - power(1.0 + s)) / (3.0 * s * e)) / s;
+        let first =
+            (-0.5 * z * z + (power(1.0 + s + s * e * z * z) - power(1.0 + s)) / (3.0 * s * e)) / s;
         first + 0.5 * (2f64.sqrt() - 1.0) * x[1] * x[1]
     }
 
@@ -62,26 +64,44 @@ fn folding(backend: Box<dyn Backend>, asked: Asked) {
         sweep.plan.spec.precision.name(),
         asked.rtol
     );
-    assert!(samples > 1000 && worst <= asked.promised(), "V is off by {worst:e}");
-    // All trajectories that end in a fold end on the exact one; those that do not leave the region along y.
+    assert!(
+        samples > 1000 && worst <= asked.promised(),
+        "V is off by {worst:e}"
+    );
+    // All trajectories that end in a fold end on the exact one; those that do not leave the region
+    // along y.
     let folds = &sweep.report.folds;
-    let off = largest(folds.iter().map(|f| exact.z(&f.x).abs() / exact.fold() - 1.0));
-    let value = largest(
+    let off = largest(
         folds
             .iter()
-            .map(|f| f.value / exact.value(&[exact.fold() - exact.k * f.x[1].powi(2), f.x[1]]) - 1.0),
+            .map(|f| exact.z(&f.x).abs() / exact.fold() - 1.0),
     );
-    println!("{} folds within {off:.2e}, their V within {value:.2e}", folds.len());
+    let value =
+        largest(folds.iter().map(|f| {
+            f.value / exact.value(&[exact.fold() - exact.k * f.x[1].powi(2), f.x[1]]) - 1.0
+        }));
+    println!(
+        "{} folds within {off:.2e}, their V within {value:.2e}",
+        folds.len()
+    );
     assert!(folds.len() > 20, "{} folds", folds.len());
     assert!(
         off <= asked.promised() && value <= asked.promised(),
         "{off:e}, {value:e}"
     );
-    let folded = sweep.stored.status.iter().filter(|s| **s == FOLD_STATUS).count();
+    let folded = sweep
+        .stored
+        .status
+        .iter()
+        .filter(|s| **s == FOLD_STATUS)
+        .count();
     assert_eq!(folded, folds.len());
-    // The caustic is covered: within the region no two neighbouring points of it are further apart than the spacing.
+    // The caustic is covered: within the region no two neighbouring points of it are further apart
+    // than the spacing.
     for side in [1.0, -1.0] {
-        let inside = |f: &&FoldPoint| side * exact.z(&f.x) > 0.0 && f.x[0].abs() <= 1.5 && f.x[1].abs() <= 1.0;
+        let inside = |f: &&FoldPoint| {
+            side * exact.z(&f.x) > 0.0 && f.x[0].abs() <= 1.5 && f.x[1].abs() <= 1.0
+        };
         let mut along: Vec<f64> = folds.iter().filter(inside).map(|f| f.x[1]).collect();
         along.sort_by(f64::total_cmp);
         assert!(along[0] < -0.8 && along[along.len() - 1] > 0.8, "{along:?}");
@@ -144,7 +164,10 @@ fn valid_states_are_those_before_the_fold() {
             outside += 1;
         }
     }
-    assert!(inside > 100 && outside > 30, "{inside} inside, {outside} outside");
+    assert!(
+        inside > 100 && outside > 30,
+        "{inside} inside, {outside} outside"
+    );
 }
 
 const SHEETS: &str = r#"
@@ -159,8 +182,9 @@ shoot_out = { spacing = 0.02, samples = 8 }
 integrator = { rtol = 1e-9 }
 "#;
 
-/// Straight characteristics x = y + T phi'(y), of which 1 - T phi'' < 0 have crossed others: with 1/r - 1/gamma^2 = 1 they
-/// are those of a free particle. Where three lie over a state the two without a fold are no value, though one is lower.
+/// Straight characteristics x = y + T phi'(y), of which 1 - T phi'' < 0 have crossed others: with
+/// 1/r - 1/gamma^2 = 1 they are those of a free particle. Where three lie over a state the two
+/// without a fold are no value, though one is lower.
 #[test]
 fn where_sheets_overlap_there_is_no_value() {
     let model = parse(SHEETS);
@@ -196,14 +220,17 @@ fn where_sheets_overlap_there_is_no_value() {
     assert!(one > 20 && several > 10, "{one} and {several}");
 }
 
-/// Sheets of ever higher V lie over the states (swings about the hanging position and back), and which of them are found
-/// depends on the sweep. The answer is that of the equilibrium's own sheet, whoever else is asked for.
+/// Sheets of ever higher V lie over the states (swings about the hanging position and back), and
+/// which of them are found depends on the sweep. The answer is that of the equilibrium's own sheet,
+/// whoever else is asked for.
 #[test]
 fn other_sheets_do_not_change_the_answer() {
     let model = scene("pendulum_game", &[("gamma", "1.867499")]);
     let swept = Swept::new(model, 4000);
     let grid = swept.grid(vec![spaced(-3.9, 1.5, 10), spaced(-8.0, 13.0, 8)]);
-    let several = (0..grid.targets.len()).filter(|t| grid.of(*t).len() > 1).count();
+    let several = (0..grid.targets.len())
+        .filter(|t| grid.of(*t).len() > 1)
+        .count();
     assert!(several > 0, "the scene has states with several sheets");
     let mut compared = 0;
     for target in (0..grid.targets.len()).step_by(7) {
@@ -225,8 +252,8 @@ fn other_sheets_do_not_change_the_answer() {
     assert!(compared > 8, "{compared} states");
 }
 
-/// Double integrator with w beside u: with S = 1/r - 1/gamma^2 the game Riccati equation is that of minimal cost with
-/// control weight 1/S.
+/// Double integrator with w beside u: with S = 1/r - 1/gamma^2 the game Riccati equation is that of
+/// minimal cost with control weight 1/S.
 const DOUBLE_INTEGRATOR: &str = r#"
 parameters = { q1 = 2.0, q2 = 0.5, r = 1.0, gamma = 1.25 }
 states = { x = {}, v = {} }
@@ -272,8 +299,8 @@ fn a_linear_game_has_its_exact_matrix() {
     assert!(sweep.report.folds.is_empty(), "a linear game has no folds");
 }
 
-/// A resonance with little damping, which w drives as well as the control damps it: along the worst case V rises in parts of
-/// every turn.
+/// A resonance with little damping, which w drives as well as the control damps it: along the worst
+/// case V rises in parts of every turn.
 const RISING: &str = r#"
 parameters = { gamma = 3.0 }
 states = { x = {}, v = {} }
@@ -287,8 +314,9 @@ shoot_out = { value_max = 10, spacing = 0.05, samples = 200 }
 integrator = { rtol = 1e-9 }
 "#;
 
-/// Where V falls along the flow toward the equilibrium in some places and rises in others, seeds on {V = c} would meet
-/// some trajectories twice. They lie on another ellipsoid; V on the trajectories is 1/2 s'Ps all the same.
+/// Where V falls along the flow toward the equilibrium in some places and rises in others, seeds on
+/// {V = c} would meet some trajectories twice. They lie on another ellipsoid; V on the trajectories
+/// is 1/2 s'Ps all the same.
 #[test]
 fn v_may_rise_along_trajectories() {
     let sweep = Sweep::of(&parse(RISING), F64);
@@ -329,7 +357,9 @@ fn without_bound_on_the_gain_it_is_minimal_cost() {
             "moore_greitzer",
             "moore_greitzer_game",
             ("level", "1e9"),
-            vec![1.2, 2.0, 0.05, 1.5, 1.25, 1.9, 0.02, 1.55, 1.15, 2.1, 0.01, 1.5244],
+            vec![
+                1.2, 2.0, 0.05, 1.5, 1.25, 1.9, 0.02, 1.55, 1.15, 2.1, 0.01, 1.5244,
+            ],
         ),
     ] {
         let h2 = Swept::new(scene(name, &[]), 2000);
@@ -339,7 +369,12 @@ fn without_bound_on_the_gain_it_is_minimal_cost() {
         for k in 0..points.len() / n {
             let at = |answers: &costate::value::Answers| {
                 let entry = common_values::given(answers, k).expect("an answer");
-                (entry.value, entry.p.clone(), entry.u.clone(), entry.w.clone())
+                (
+                    entry.value,
+                    entry.p.clone(),
+                    entry.u.clone(),
+                    entry.w.clone(),
+                )
             };
             let ((va, pa, ua, _), (vb, pb, ub, w)) = (at(&a), at(&b));
             println!("{name} {k}: V {va} and {vb}");
@@ -347,14 +382,18 @@ fn without_bound_on_the_gain_it_is_minimal_cost() {
             assert!((va - vb).abs() <= 1e-10 * va, "V of {name}: {va} and {vb}");
             let far = |a: &[f64], b: &[f64]| largest(a.iter().zip(b).map(|(a, b)| a - b));
             let size = largest(pa.iter().copied());
-            assert!(far(&pa, &pb) <= 1e-8 * size, "p of {name}: {pa:?} and {pb:?}");
+            assert!(
+                far(&pa, &pb) <= 1e-8 * size,
+                "p of {name}: {pa:?} and {pb:?}"
+            );
             assert!(far(&ua, &ub) <= 1e-8 * (1.0 + ua[0].abs()));
             assert!(w[0].abs() <= 1e-15 * size);
         }
     }
 }
 
-/// From the same seeds sampled by the same coordinate, a game without bound has the very digits of minimal cost.
+/// From the same seeds sampled by the same coordinate, a game without bound has the very digits of
+/// minimal cost.
 #[test]
 fn the_limit_is_digit_for_digit() {
     for (name, game, far) in [
@@ -384,13 +423,13 @@ fn the_limit_is_digit_for_digit() {
         };
         let (a, b) = (Sweep::of(&model, asked), Sweep::of(&game, asked));
         let n = a.n;
-        // Rounding may differ where terms of 1e-18 are added in another order; along trajectories such differences grow,
-        // but on the manifold V stays a function of x.
+        // Rounding may differ where terms of 1e-18 are added in another order; along trajectories
+        // such differences grow, but on the manifold V stays a function of x.
         let (mut seeds, mut compared, mut worst, mut same) = (0, 0, 0.0f64, 0);
         for i in 0..a.count().min(b.count()) {
             let (v, width) = (2 * n, 2 * n + 1);
-            // The first surface of seeds is the same, the seeds put between neighbours differ where the two give up at
-            // different V.
+            // The first surface of seeds is the same, the seeds put between neighbours differ where
+            // the two give up at different V.
             if a.seeds[i * a.raw.dim..][..width] != b.seeds[i * b.raw.dim..][..width] {
                 break;
             }
@@ -400,20 +439,26 @@ fn the_limit_is_digit_for_digit() {
                 if x[0].is_nan() || y[0].is_nan() {
                     break;
                 }
-                let along: f64 = (0..n).map(|j| 0.5 * (x[n + j] + y[n + j]) * (x[j] - y[j])).sum();
+                let along: f64 = (0..n)
+                    .map(|j| 0.5 * (x[n + j] + y[n + j]) * (x[j] - y[j]))
+                    .sum();
                 worst = worst.max((x[v] - y[v] - along).abs() / x[v]);
                 same += usize::from(x[v] == y[v]);
                 compared += 1;
             }
         }
         println!("{name}: {compared} samples, {same} with the same bits, V differs by {worst:.1e}");
-        assert!(seeds >= 64 && compared > 500, "{seeds} seeds, {compared} samples");
+        assert!(
+            seeds >= 64 && compared > 500,
+            "{seeds} seeds, {compared} samples"
+        );
         assert!(worst <= 1e-12, "{name}: V differs by {worst:e}");
     }
 }
 
-/// The pendulum's game by hand: right-hand sides and variations written out, integrated by Runge's classical method with a
-/// fixed small step. `det (dx/dt, dx/dseed)` changes sign where the sweep says that the manifold folds.
+/// The pendulum's game by hand: right-hand sides and variations written out, integrated by Runge's
+/// classical method with a fixed small step. `det (dx/dt, dx/dseed)` changes sign where the sweep
+/// says that the manifold folds.
 #[test]
 fn the_pendulum_folds_where_the_jacobian_vanishes() {
     let model = scene("pendulum_game", &[]);
@@ -455,7 +500,12 @@ fn the_pendulum_folds_where_the_jacobian_vanishes() {
         let norm = rates[0].hypot(rates[1]);
         let across = [-rates[1] / norm, rates[0] / norm];
         let h = 1e-5 * size;
-        let at = |sign: f64| local.at_state(&[start[0] + sign * h * across[0], start[1] + sign * h * across[1]]);
+        let at = |sign: f64| {
+            local.at_state(&[
+                start[0] + sign * h * across[0],
+                start[1] + sign * h * across[1],
+            ])
+        };
         let (up, down) = (at(1.0), at(-1.0));
         let tangent: Vec<f64> = (0..4).map(|i| (up[i] - down[i]) / (2.0 * h)).collect();
         let mut z: [f64; 8] = [
@@ -513,7 +563,10 @@ fn costate(folder: &std::path::Path, arguments: &str) -> (Option<i32>, String) {
         .output()
         .expect("the program starts");
     let text = [done.stdout, done.stderr].concat();
-    (done.status.code(), String::from_utf8_lossy(&text).into_owned())
+    (
+        done.status.code(),
+        String::from_utf8_lossy(&text).into_owned(),
+    )
 }
 
 /// Interpolation goes on smoothly behind a fold; H(x, p) = 0 has no solution there.
@@ -524,7 +577,10 @@ fn the_value_map_ends_at_the_fold() {
         .expect("the scene is there")
         .replace("[attenuation]\nparameter = \"gamma\"\n", "");
     let folder = folder("value", &[("scene.toml", &text)]);
-    let (status, text) = costate(&folder, "run scene.toml --backend cpu --no-report --out out.h5");
+    let (status, text) = costate(
+        &folder,
+        "run scene.toml --backend cpu --no-report --out out.h5",
+    );
     assert_eq!(status, Some(0), "{text}");
     // The fold is at |x + 0.3 y^2| = 1.2663.
     let (status, text) = costate(
@@ -548,22 +604,26 @@ region = { x = [-1e9, 1e9], v = [-1e9, 1e9] }
 attenuation = { parameter = "g" }
 "#;
 
-/// At g = 1 control and disturbance cancel and H_pp is 0: that must not be taken for an eigenvalue on the axis, whatever
-/// the units.
+/// At g = 1 control and disturbance cancel and H_pp is 0: that must not be taken for an eigenvalue
+/// on the axis, whatever the units.
 #[test]
 fn gamma_star_does_not_depend_on_where_the_search_begins() {
     let folder = folder("star", &[("scene.toml", OSCILLATOR)]);
-    // With S = 1 - 1/g^2: lambda^4 + lambda^2 (1 - S) + 1 + S has a double root -(1 - S)/2 < 0 in lambda^2 where
-    // (1 - S)^2 = 4 (1 + S), S = 3 - sqrt(12).
+    // With S = 1 - 1/g^2: lambda^4 + lambda^2 (1 - S) + 1 + S has a double root -(1 - S)/2 < 0 in
+    // lambda^2 where (1 - S)^2 = 4 (1 + S), S = 3 - sqrt(12).
     let star = (1.0 / (12f64.sqrt() - 2.0)).sqrt();
     for g in ["2", "1", "0.9", "3.7"] {
         let (status, text) = costate(&folder, &format!("check scene.toml --set g={g}"));
         assert_eq!(status, Some(0), "{text}");
-        assert!(text.contains(&format!("g* = {star:.9}")), "no {star:.9} in {text}");
+        assert!(
+            text.contains(&format!("g* = {star:.9}")),
+            "no {star:.9} in {text}"
+        );
     }
 }
 
-/// A term linear in w makes a disturbance of the equilibrium itself worth its cost: it is none of the game's.
+/// A term linear in w makes a disturbance of the equilibrium itself worth its cost: it is none of
+/// the game's.
 #[test]
 fn inputs_must_be_extremal_at_the_equilibrium() {
     for (what, name) in [("+ w", "disturbance is w"), ("+ 0.1*u", "control is u")] {

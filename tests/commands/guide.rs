@@ -74,7 +74,10 @@ fn ten_minutes_lead_to_a_law() {
     assert!(run.contains("met by its own measure"), "{run}");
     assert!(!run.contains("WARNING"), "{run}");
     let value = of("costate value");
-    assert!(value.contains("V = ") && !value.contains("may be missing"), "{value}");
+    assert!(
+        value.contains("V = ") && !value.contains("may be missing"),
+        "{value}"
+    );
     // What the C program commands is what the program says.
     let flown = of("./main");
     let (known, u) = flown.trim().split_once(' ').unwrap();

@@ -1,7 +1,8 @@
-//! Finite horizons against exact V: T to the last bit, long horizons by marching; states that need no sweep.
+//! Finite horizons against exact V: T to the last bit, long horizons by marching; states that need
+//! no sweep.
 //!
-//! Bound: V has the error of the segments alone, which are integrated to 1e-12 relative to their size; exact answers are met
-//! to 1e-12 relative.
+//! Bound: V has the error of the segments alone, which are integrated to 1e-12 relative to their
+//! size; exact answers are met to 1e-12 relative.
 
 use crate::common_oracles;
 use crate::common_values;
@@ -29,8 +30,15 @@ fn solved(model: &Model, points: &[f64]) -> (Plan, Answers) {
         ..Request::default()
     };
     let archive = Archive::new(&plan);
-    let answers =
-        value::solve(&plan, model, &mut solver, &archive, &request, &mut |_, _, _| {}).expect("the CPU works");
+    let answers = value::solve(
+        &plan,
+        model,
+        &mut solver,
+        &archive,
+        &request,
+        &mut |_, _, _| {},
+    )
+    .expect("the CPU works");
     (plan, answers)
 }
 
@@ -46,7 +54,8 @@ fn check(text: &str, points: &[f64], exact: impl Fn(f64, &[f64]) -> f64) {
         let swept = Swept::new(model.clone(), 300);
         for answers in [swept.points(points), solved(&model, points).1] {
             for (k, x) in points.chunks(n).enumerate() {
-                let entry = given(&answers, k).unwrap_or_else(|| panic!("{x:?} is not solved for T = {time}"));
+                let entry = given(&answers, k)
+                    .unwrap_or_else(|| panic!("{x:?} is not solved for T = {time}"));
                 assert_eq!(entry.path.horizon(), time, "the horizon at {x:?}");
                 let v = exact(time, x);
                 let error = (entry.value - v).abs() / v.abs();
@@ -88,8 +97,9 @@ fn cart_to_rest() {
         for (k, x) in points.chunks(2).enumerate() {
             let (y, v) = (x[0] + x[1] * time, x[1]);
             let d = (time.powi(3) / 3.0 + 1.0 / s) * (time + 1.0 / s) - time.powi(4) / 4.0;
-            let exact =
-                ((time + 1.0 / s) * y * y - time * time * y * v + (time.powi(3) / 3.0 + 1.0 / s) * v * v) / (2.0 * d);
+            let exact = ((time + 1.0 / s) * y * y - time * time * y * v
+                + (time.powi(3) / 3.0 + 1.0 / s) * v * v)
+                / (2.0 * d);
             let entry = given(&answers, k).expect("solved");
             assert_eq!(entry.path.horizon(), time);
             assert!(
@@ -101,8 +111,8 @@ fn cart_to_rest() {
     }
 }
 
-/// V = (1 + 0.3 sin c) w(x) with a clock c: a running cost that makes it the value for any T, with V at the end as the
-/// terminal cost.
+/// V = (1 + 0.3 sin c) w(x) with a clock c: a running cost that makes it the value for any T, with
+/// V at the end as the terminal cost.
 #[test]
 fn manufactured_with_a_clock() {
     let text = r#"
@@ -130,15 +140,26 @@ fn manufactured_in_two_states() {
         cost = { running = "-wx*y - wy*(sin(x) - x*y) + 0.25*wy^2 + u^2", terminal = "w", final_time = HORIZON }
         region = { x = [-2, 2], y = [-2, 2] }
     "#;
-    check(text, &[1.0, -0.5, -1.0, 1.0, 0.01, 0.0, 0.5, 1.2], |_, x| {
-        let (x, y) = (x[0], x[1]);
-        0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y
-    });
+    check(
+        text,
+        &[1.0, -0.5, -1.0, 1.0, 0.01, 0.0, 0.5, 1.2],
+        |_, x| {
+            let (x, y) = (x[0], x[1]);
+            0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y
+        },
+    );
 }
 
-/// P of a linear-quadratic problem, T before its end: the Riccati equation integrated by Runge and Kutta's method, which is
-/// stable in this direction. Its error, (rate step)^4, is below 1e-14 for rates of a few.
-fn riccati(a: &DMatrix<f64>, b: &DMatrix<f64>, q: &DMatrix<f64>, s: DMatrix<f64>, time: f64) -> DMatrix<f64> {
+/// P of a linear-quadratic problem, T before its end: the Riccati equation integrated by Runge and
+/// Kutta's method, which is stable in this direction. Its error, (rate step)^4, is below 1e-14 for
+/// rates of a few.
+fn riccati(
+    a: &DMatrix<f64>,
+    b: &DMatrix<f64>,
+    q: &DMatrix<f64>,
+    s: DMatrix<f64>,
+    time: f64,
+) -> DMatrix<f64> {
     let steps = (4000.0 * time).ceil() as usize;
     let h = time / steps as f64;
     let rate = |p: &DMatrix<f64>| q + a.transpose() * p + p * a - p * b * b.transpose() * p;
@@ -168,19 +189,30 @@ fn linear_quadratic_up_to_long_horizons() {
     for time in [0.1, 0.7, 1.3, 2.7, 8.0, 20.0] {
         let points = [1.0, -0.5, 0.3, -1.0, 1.0, 1.0, 0.01, 0.0, -2.0];
         let (_, answers) = solved(&with_horizon(text, time), &points);
-        let p = riccati(&a, &b, &diagonal([1.0, 0.5, 2.0]), diagonal([1.0, 0.0, 3.0]), time);
+        let p = riccati(
+            &a,
+            &b,
+            &diagonal([1.0, 0.5, 2.0]),
+            diagonal([1.0, 0.0, 3.0]),
+            time,
+        );
         for (k, x) in points.chunks(3).enumerate() {
             let x = DVector::from_row_slice(x);
             let exact = 0.5 * x.dot(&(&p * &x));
             let entry = given(&answers, k).expect("solved");
             assert_eq!(entry.path.horizon(), time);
             let error = (entry.value - exact).abs() / exact;
-            assert!(error <= EXACT, "T = {time}: {} not {exact}: {error:.1e}", entry.value);
+            assert!(
+                error <= EXACT,
+                "T = {time}: {} not {exact}: {error:.1e}",
+                entry.value
+            );
         }
     }
 }
 
-/// A path of the archive lasts as long as the horizon to the last bit, also where levels are no multiples of anything.
+/// A path of the archive lasts as long as the horizon to the last bit, also where levels are no
+/// multiples of anything.
 #[test]
 fn archived_paths_have_the_horizon() {
     // The longer the horizon, the fewer trajectories end near the region.
@@ -195,14 +227,17 @@ fn archived_paths_have_the_horizon() {
         let near = index.near(&[0.1, 0.2], f64::INFINITY, 40);
         paths += near.len();
         for (place, _) in near {
-            let path = swept.archive.path(place, &end, 1.0, plan.segment_duration());
+            let path = swept
+                .archive
+                .path(place, &end, 1.0, plan.segment_duration());
             assert_eq!(path.horizon(), time);
         }
     }
     assert!(paths > 40, "{paths} paths");
 }
 
-/// A sampled solution lasts as long as the horizon to the last bit, and nothing is left to pay at its end.
+/// A sampled solution lasts as long as the horizon to the last bit, and nothing is left to pay at
+/// its end.
 #[test]
 fn sampled_solutions_have_the_horizon() {
     let model = with_horizon(HAGER, 0.7);
@@ -212,7 +247,11 @@ fn sampled_solutions_have_the_horizon() {
     let block = value::sampled(&plan, &mut solver, &[entry], 11).expect("the CPU works");
     assert_eq!((block.t[0], block.t[10]), (-0.7, 0.0));
     // Segments are integrated in units of their own size: x comes back but for rounding.
-    assert!((block.x[0] - 1.0).abs() <= 2.0 * f64::EPSILON, "{}", block.x[0]);
+    assert!(
+        (block.x[0] - 1.0).abs() <= 2.0 * f64::EPSILON,
+        "{}",
+        block.x[0]
+    );
     assert!((block.v[0] - entry.value).abs() <= EXACT * entry.value);
     assert!(block.v[10].abs() <= EXACT, "left: {}", block.v[10]);
 }
@@ -245,8 +284,8 @@ const SATELLITE: &str = r#"
     w3 = [-0.7854, 0.7854]
 "#;
 
-/// The field's standard problem, T = 20 (Nakamura-Zimmerer, Gong, Kang 2021, HJB_NN): published V, known to 2e-7; alone and in
-/// company the same bits.
+/// The field's standard problem, T = 20 (Nakamura-Zimmerer, Gong, Kang 2021, HJB_NN): published V,
+/// known to 2e-7; alone and in company the same bits.
 #[test]
 fn satellite_marches_to_its_horizon() {
     const PUBLISHED: f64 = 2e-7;
@@ -279,8 +318,9 @@ fn satellite_marches_to_its_horizon() {
     assert_eq!(a.0.path, b.0.path);
 }
 
-/// Uncontrolled, the state is infinite after 0.055: without a good guess nothing holds it for T = 5. V is that of the infinite
-/// horizon but for exp(-2 T): V' = x^3 + x sqrt(x^4 + 1), integrated here by Simpson's rule.
+/// Uncontrolled, the state is infinite after 0.055: without a good guess nothing holds it for T =
+/// 5. V is that of the infinite horizon but for exp(-2 T): V' = x^3 + x sqrt(x^4 + 1), integrated
+/// here by Simpson's rule.
 #[test]
 fn a_state_that_escapes_is_held() {
     let text = r#"
@@ -304,14 +344,25 @@ fn a_state_that_escapes_is_held() {
             .sum();
         let entry = given(&answers, k).unwrap_or_else(|| panic!("{x} is not solved"));
         let error = (entry.value - exact).abs() / exact;
-        assert!(error <= EXACT, "V({x}) = {} not {exact}: {error:.1e}", entry.value);
+        assert!(
+            error <= EXACT,
+            "V({x}) = {} not {exact}: {error:.1e}",
+            entry.value
+        );
     }
 }
 
-/// A chain of tanks in `n` states, linear, with the quadratic cost of all of them; `ending` is its horizon.
+/// A chain of tanks in `n` states, linear, with the quadratic cost of all of them; `ending` is its
+/// horizon.
 fn chain(n: usize, ending: &str, more: &str) -> String {
     let each = |f: &dyn Fn(usize) -> String| (0..n).map(f).collect::<Vec<_>>().join(", ");
-    let neighbour = |i: usize| if i > 0 { format!(" + x{}", i - 1) } else { String::new() };
+    let neighbour = |i: usize| {
+        if i > 0 {
+            format!(" + x{}", i - 1)
+        } else {
+            String::new()
+        }
+    };
     format!(
         "states = {{ {} }}\ncontrols = {{ u = {{}} }}\ndynamics = {{ {} }}\ncost = {{ running = \"0.5*({} + u^2)\"{} }}\n\
          region = {{ {} }}\n{more}\n",
@@ -321,14 +372,20 @@ fn chain(n: usize, ending: &str, more: &str) -> String {
             neighbour(i),
             if i == 0 { "u" } else { "0" }
         )),
-        (0..n).map(|i| format!("x{i}^2")).collect::<Vec<_>>().join(" + "),
+        (0..n)
+            .map(|i| format!("x{i}^2"))
+            .collect::<Vec<_>>()
+            .join(" + "),
         ending,
         each(&|i| format!("x{i} = [-1, 1]")),
     )
 }
 
 fn at_rest(n: usize) -> String {
-    let rest = (0..n).map(|i| format!("x{i} = 0")).collect::<Vec<_>>().join(", ");
+    let rest = (0..n)
+        .map(|i| format!("x{i} = 0"))
+        .collect::<Vec<_>>()
+        .join(", ");
     format!("equilibrium = {{ {rest}, u = 0 }}")
 }
 
@@ -346,7 +403,9 @@ fn chain_matrices(n: usize) -> [DMatrix<f64>; 3] {
 #[test]
 fn fourteen_states_need_no_sweep() {
     let n = 14;
-    let points: Vec<f64> = (0..3 * n).map(|k| ((k * k + 3 * k) as f64 * 0.271).sin()).collect();
+    let points: Vec<f64> = (0..3 * n)
+        .map(|k| ((k * k + 3 * k) as f64 * 0.271).sin())
+        .collect();
     let [a, b, q] = chain_matrices(n);
     // The rates are about -2: after 20 nothing is left to f64.
     for (ending, more, time) in [
@@ -370,7 +429,8 @@ fn fourteen_states_need_no_sweep() {
 }
 
 fn costate(name: &str, command: &str, scene: &str, csv: Option<&str>) -> (Output, PathBuf) {
-    let folder = std::env::temp_dir().join(format!("costate-horizons-{name}-{}", std::process::id()));
+    let folder =
+        std::env::temp_dir().join(format!("costate-horizons-{name}-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let (file, points, out) = (
         folder.join("scene.toml"),
@@ -396,7 +456,13 @@ fn sweeps_have_a_limit_that_is_said_with_the_way_out() {
     let sweep = "shoot_out = { spacing = 0.5, samples = 8 }";
     let ending = ", terminal = \"0\", final_time = 2.5";
     for (name, n, ending, more, words) in [
-        ("finite", 8, ending, sweep.to_owned(), "at most 7 on this horizon"),
+        (
+            "finite",
+            8,
+            ending,
+            sweep.to_owned(),
+            "at most 7 on this horizon",
+        ),
         (
             "infinite",
             11,
@@ -415,7 +481,11 @@ fn sweeps_have_a_limit_that_is_said_with_the_way_out() {
         assert!(!out.exists());
         // The same scene's single states are solved; published values beside them are no error.
         let header: Vec<String> = (0..n).map(|i| format!("x{i}")).collect();
-        let csv = format!("{},V_published\n{}1.5\n", header.join(","), "0.5,".repeat(n));
+        let csv = format!(
+            "{},V_published\n{}1.5\n",
+            header.join(","),
+            "0.5,".repeat(n)
+        );
         let (done, out) = costate(name, "solve", &scene, Some(&csv));
         let text = String::from_utf8_lossy(&done.stderr).into_owned();
         assert_eq!(done.status.code(), Some(0), "{text}");

@@ -1,4 +1,5 @@
-//! The program as its user meets it: arguments, exit status, what is printed where, and what is left on disk.
+//! The program as its user meets it: arguments, exit status, what is printed where, and what is
+//! left on disk.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -6,7 +7,9 @@ use std::time::{Duration, Instant};
 
 /// A fresh directory to run in.
 fn directory(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("program").join(name);
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR"))
+        .join("program")
+        .join(name);
     if path.exists() {
         std::fs::remove_dir_all(&path).expect("an old directory can be removed");
     }
@@ -24,12 +27,17 @@ fn shipped(name: &str) -> String {
 
 fn command(directory: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_costate"));
-    command.current_dir(directory).args(arguments).stdin(Stdio::null());
+    command
+        .current_dir(directory)
+        .args(arguments)
+        .stdin(Stdio::null());
     command
 }
 
 fn costate(directory: &Path, arguments: &[&str]) -> Output {
-    command(directory, arguments).output().expect("the program starts")
+    command(directory, arguments)
+        .output()
+        .expect("the program starts")
 }
 
 /// Everything below a directory.
@@ -68,18 +76,42 @@ fn refused(name: &str, arguments: &[&str], status: i32, reason: &str) {
         "{arguments:?}: no `{reason}` in: {}",
         text(&output.stderr)
     );
-    assert_eq!(contents(&here), Vec::<PathBuf>::new(), "{arguments:?} leaves nothing");
+    assert_eq!(
+        contents(&here),
+        Vec::<PathBuf>::new(),
+        "{arguments:?} leaves nothing"
+    );
 }
 
 #[test]
 fn wrong_usage_is_refused() {
     let pendulum = shipped("pendulum");
-    refused("option", &["run", &pendulum, "--tolerance", "1e-3"], 2, "--tolerance");
+    refused(
+        "option",
+        &["run", &pendulum, "--tolerance", "1e-3"],
+        2,
+        "--tolerance",
+    );
     refused("command", &["fly", &pendulum], 2, "fly");
     refused("missing", &["run"], 2, "SCENARIO");
-    refused("rtol", &["run", &pendulum, "--rtol", "fast"], 2, "not a number");
-    refused("rtol-range", &["run", &pendulum, "--rtol=-1"], 2, "at most 0.1");
-    refused("precision", &["run", &pendulum, "--precision", "f16"], 2, "f16");
+    refused(
+        "rtol",
+        &["run", &pendulum, "--rtol", "fast"],
+        2,
+        "not a number",
+    );
+    refused(
+        "rtol-range",
+        &["run", &pendulum, "--rtol=-1"],
+        2,
+        "at most 0.1",
+    );
+    refused(
+        "precision",
+        &["run", &pendulum, "--precision", "f16"],
+        2,
+        "f16",
+    );
     refused("no-file", &["run", "nowhere.toml"], 2, "nowhere.toml");
 }
 
@@ -87,10 +119,20 @@ fn wrong_usage_is_refused() {
 fn wrong_settings_are_refused() {
     let pendulum = shipped("pendulum");
     refused("set-name", &["run", &pendulum, "--set", "qq=3"], 2, "qq");
-    refused("set-form", &["run", &pendulum, "--set", "q"], 2, "NAME=VALUE");
+    refused(
+        "set-form",
+        &["run", &pendulum, "--set", "q"],
+        2,
+        "NAME=VALUE",
+    );
     refused("set-value", &["run", &pendulum, "--set", "q=3+"], 2, "3+");
     // The cost is no longer positive definite: no local solution.
-    refused("set-sense", &["run", &pendulum, "--set", "r=-1"], 2, "convex");
+    refused(
+        "set-sense",
+        &["run", &pendulum, "--set", "r=-1"],
+        2,
+        "convex",
+    );
     refused(
         "set-peak",
         &["run", &shipped("moore_greitzer"), "--set", "Phi0=1.0"],
@@ -119,21 +161,29 @@ fn a_wrong_scene_is_refused_with_all_its_errors() {
             assert!(errors.contains(part), "{command}: no `{part}` in {errors}");
         }
     }
-    assert_eq!(contents(&here), [here.join("wrong.toml")], "nothing is written");
+    assert_eq!(
+        contents(&here),
+        [here.join("wrong.toml")],
+        "nothing is written"
+    );
 }
 
 #[test]
 fn the_result_goes_where_it_should() {
     let here = directory("output");
-    let output = costate(&here, &["run", &shipped("manufactured"), "--backend", "cpu"]);
+    let output = costate(
+        &here,
+        &["run", &shipped("manufactured"), "--backend", "cpu"],
+    );
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let file = here.join("out").join("manufactured.h5");
     let (page, pictures) = (
         here.join("out/manufactured_report.html"),
         here.join("out/manufactured_report"),
     );
-    let (drawn, rest): (Vec<PathBuf>, Vec<PathBuf>) =
-        contents(&here).into_iter().partition(|p| p.starts_with(&pictures));
+    let (drawn, rest): (Vec<PathBuf>, Vec<PathBuf>) = contents(&here)
+        .into_iter()
+        .partition(|p| p.starts_with(&pictures));
     assert_eq!(
         rest,
         [here.join("out"), file.clone(), page],
@@ -188,9 +238,12 @@ fn json_is_alone_on_standard_output() {
             .collect();
         let output = costate(&here, &arguments);
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-        let value: serde_json::Value = serde_json::from_slice(&output.stdout).expect("standard output is JSON");
+        let value: serde_json::Value =
+            serde_json::from_slice(&output.stdout).expect("standard output is JSON");
         assert!(
-            value["title"].as_str().is_some_and(|t| t.contains("Manufactured")),
+            value["title"]
+                .as_str()
+                .is_some_and(|t| t.contains("Manufactured")),
             "{value}"
         );
         if arguments[0] == "run" {
@@ -214,14 +267,22 @@ fn quiet_is_quiet() {
         ["shoot-out", "finite_horizon"],
         ["check", "moore_greitzer"],
     ] {
-        let mut all = vec![arguments[0].to_owned(), shipped(arguments[1]), "--quiet".to_owned()];
+        let mut all = vec![
+            arguments[0].to_owned(),
+            shipped(arguments[1]),
+            "--quiet".to_owned(),
+        ];
         if arguments[0] != "check" {
             all.extend(["--backend".to_owned(), "cpu".to_owned()]);
         }
         let all: Vec<&str> = all.iter().map(String::as_str).collect();
         let output = costate(&here, &all);
         assert_eq!(
-            (output.status.code(), text(&output.stdout), text(&output.stderr)),
+            (
+                output.status.code(),
+                text(&output.stdout),
+                text(&output.stderr)
+            ),
             (Some(0), String::new(), String::new())
         );
     }
@@ -234,17 +295,22 @@ fn set_changes_the_result() {
         let scene = shipped("pendulum");
         let arguments = [&["check", &scene, "--json"], set].concat();
         let output = costate(&here, &arguments);
-        let value: serde_json::Value = serde_json::from_slice(&output.stdout).expect("standard output is JSON");
+        let value: serde_json::Value =
+            serde_json::from_slice(&output.stdout).expect("standard output is JSON");
         value["riccati"][0][0].as_f64().expect("a number")
     };
     let plain = p(&[]);
     assert_eq!(p(&["--set", "q=5.55"]), plain);
     assert!(p(&["--set", "q=8"]) > plain, "dearer states cost more");
     // An expression of an earlier parameter; the last one counts.
-    assert_eq!(p(&["--set", "q=g-9", "--set", "q=8"]), p(&["--set", "q=4*2"]));
+    assert_eq!(
+        p(&["--set", "q=g-9", "--set", "q=8"]),
+        p(&["--set", "q=4*2"])
+    );
 }
 
-/// The double integrator with unit weights, held at x = 3 by nothing: K = (1, sqrt 3), eigenvalues (-sqrt 3 +- i)/2.
+/// The double integrator with unit weights, held at x = 3 by nothing: K = (1, sqrt 3), eigenvalues
+/// (-sqrt 3 +- i)/2.
 #[test]
 fn check_tells_the_local_gain_and_the_guards() {
     let here = directory("gain");
@@ -259,7 +325,8 @@ fn check_tells_the_local_gain_and_the_guards() {
     for (control, sign) in [("u", 1.0), ("-u", -1.0)] {
         std::fs::write(here.join("scene.toml"), text_of(control)).expect("a file can be written");
         let output = costate(&here, &["check", "scene.toml", "--json"]);
-        let value: serde_json::Value = serde_json::from_slice(&output.stdout).expect("standard output is JSON");
+        let value: serde_json::Value =
+            serde_json::from_slice(&output.stdout).expect("standard output is JSON");
         let close = |found: &serde_json::Value, wanted: f64| {
             let found = found.as_f64().expect("a number");
             // The Riccati equation is solved to about 1e-14.
@@ -296,7 +363,8 @@ fn check_tells_the_local_gain_and_the_guards() {
         .collect();
     std::fs::write(here.join("scene.toml"), finite).expect("a file can be written");
     let output = costate(&here, &["check", "scene.toml", "--json"]);
-    let value: serde_json::Value = serde_json::from_slice(&output.stdout).expect("standard output is JSON");
+    let value: serde_json::Value =
+        serde_json::from_slice(&output.stdout).expect("standard output is JSON");
     assert!(
         value["gain"].is_null() && value["guards"][0]["at_equilibrium"].is_null(),
         "{value}"
@@ -333,7 +401,14 @@ fn an_output_that_cannot_be_made_is_refused() {
     let target = here.join("file").join("result.h5").display().to_string();
     let output = costate(
         &here,
-        &["run", &shipped("manufactured"), "--backend", "cpu", "--out", &target],
+        &[
+            "run",
+            &shipped("manufactured"),
+            "--backend",
+            "cpu",
+            "--out",
+            &target,
+        ],
     );
     assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
     assert!(
@@ -352,7 +427,11 @@ fn an_output_that_cannot_be_made_is_refused() {
 #[test]
 fn a_killed_run_leaves_no_result() {
     for older in [None, Some("an older result")] {
-        let here = directory(if older.is_some() { "killed-older" } else { "killed" });
+        let here = directory(if older.is_some() {
+            "killed-older"
+        } else {
+            "killed"
+        });
         let target = here.join("result.h5");
         if let Some(older) = older {
             std::fs::write(&target, older).expect("a file can be written");
@@ -373,7 +452,9 @@ fn a_killed_run_leaves_no_result() {
             "--out",
             "result.h5",
         ];
-        let mut child = command(&here, &arguments).spawn().expect("the program starts");
+        let mut child = command(&here, &arguments)
+            .spawn()
+            .expect("the program starts");
         let start = Instant::now();
         // Its file under another name has something in it once trajectories are written.
         let writing = || {
@@ -399,13 +480,24 @@ fn a_killed_run_leaves_no_result() {
         assert!(!child.wait().expect("a child can be waited for").success());
         match older {
             None => assert!(!target.exists(), "{:?}", contents(&here)),
-            Some(older) => assert_eq!(std::fs::read_to_string(&target).expect("it is still there"), older),
+            Some(older) => assert_eq!(
+                std::fs::read_to_string(&target).expect("it is still there"),
+                older
+            ),
         }
         // And what is left does not stand in the way of another run.
         let quick = shipped("manufactured");
         let output = costate(
             &here,
-            &["run", &quick, "--quiet", "--backend", "cpu", "--out", "result.h5"],
+            &[
+                "run",
+                &quick,
+                "--quiet",
+                "--backend",
+                "cpu",
+                "--out",
+                "result.h5",
+            ],
         );
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
         assert!(
@@ -422,20 +514,35 @@ fn all_shipped_scenes_pass_check() {
     let folder = Path::new(crate::ROOT).join("scenarios");
     let scenes = contents(&folder).into_iter();
     let mut count = 0;
-    // One of the hard scenes is there to be refused (tests/estimates.rs); the other is a file of weights.
+    // One of the hard scenes is there to be refused (tests/estimates.rs); the other is a file of
+    // weights.
     const NO_SCENES: [&str; 2] = ["peak_infinite_horizon.toml", "hardt_network.toml"];
-    for path in
-        scenes.filter(|p| p.extension().is_some_and(|e| e == "toml") && !NO_SCENES.iter().any(|n| p.ends_with(n)))
-    {
+    for path in scenes.filter(|p| {
+        p.extension().is_some_and(|e| e == "toml") && !NO_SCENES.iter().any(|n| p.ends_with(n))
+    }) {
         let path = path.display().to_string();
         let output = costate(&here, &["check", &path]);
-        assert_eq!(output.status.code(), Some(0), "{path}: {}", text(&output.stderr));
+        assert_eq!(
+            output.status.code(),
+            Some(0),
+            "{path}: {}",
+            text(&output.stderr)
+        );
         let said = text(&output.stdout);
-        for part in ["Hamiltonian", "Optimal control", "State equations", "Adjoint equations"] {
+        for part in [
+            "Hamiltonian",
+            "Optimal control",
+            "State equations",
+            "Adjoint equations",
+        ] {
             assert!(said.contains(part), "{path}: no `{part}` in {said}");
         }
         count += 1;
     }
     assert!(count >= 20, "{count} scenes");
-    assert_eq!(contents(&here), Vec::<PathBuf>::new(), "checking writes nothing");
+    assert_eq!(
+        contents(&here),
+        Vec::<PathBuf>::new(),
+        "checking writes nothing"
+    );
 }

@@ -1,5 +1,6 @@
-//! Published optimal control problems (`scenarios/published`), solved by the program as a user runs it: V at every state of a
-//! scene's table is the value of `values.csv` (or of the table's own column `V_published`) within the tolerance there.
+//! Published optimal control problems (`scenarios/published`), solved by the program as a user runs
+//! it: V at every state of a scene's table is the value of `values.csv` (or of the table's own
+//! column `V_published`) within the tolerance there.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,7 +9,8 @@ use std::process::Command;
 struct Wanted {
     state: Vec<String>,
     value: f64,
-    /// Relative to V; of another's published values, which were computed to an absolute tolerance, to 1 where V is less.
+    /// Relative to V; of another's published values, which were computed to an absolute tolerance,
+    /// to 1 where V is less.
     tolerance: f64,
     published: bool,
 }
@@ -22,12 +24,15 @@ fn table(name: &str) -> (Vec<String>, Vec<Vec<String>>) {
     let mut reader = csv::Reader::from_path(folder().join(name)).expect("the table is there");
     let cells = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect::<Vec<_>>();
     let header = cells(reader.headers().expect("a header"));
-    let rows = reader.records().map(|r| cells(&r.expect("as many cells as names")));
+    let rows = reader
+        .records()
+        .map(|r| cells(&r.expect("as many cells as names")));
     (header, rows.collect())
 }
 
 fn number(text: &str) -> f64 {
-    text.parse().unwrap_or_else(|_| panic!("`{text}` is no number"))
+    text.parse()
+        .unwrap_or_else(|_| panic!("`{text}` is no number"))
 }
 
 /// The states of a scene with their values.
@@ -39,7 +44,10 @@ fn wanted(scene: &str) -> (Vec<String>, Vec<Wanted>) {
     let wanted = (rows.into_iter().enumerate())
         .map(|(k, mut state)| {
             let of_row = |row: &&&Vec<String>| row[1] == "*" || row[1] == k.to_string();
-            let row = values.iter().find(of_row).expect("a row of values.csv for each state");
+            let row = values
+                .iter()
+                .find(of_row)
+                .expect("a row of values.csv for each state");
             let value = match own {
                 Some(column) => number(&state.remove(column)),
                 None => number(&row[2]),
@@ -58,7 +66,8 @@ fn wanted(scene: &str) -> (Vec<String>, Vec<Wanted>) {
 
 /// `points` of `costate solve --json` at some states of a scene.
 fn solve(scene: &str, names: &[String], states: &[&[String]]) -> Vec<serde_json::Value> {
-    let out = std::env::temp_dir().join(format!("costate-published-{scene}-{}", std::process::id()));
+    let out =
+        std::env::temp_dir().join(format!("costate-published-{scene}-{}", std::process::id()));
     std::fs::create_dir_all(&out).unwrap();
     let lines = [names]
         .into_iter()
@@ -78,7 +87,10 @@ fn solve(scene: &str, names: &[String], states: &[&[String]]) -> Vec<serde_json:
     assert!(done.status.success(), "{scene}: {text}");
     let told: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
     std::fs::remove_dir_all(&out).unwrap();
-    told["points"].as_array().expect("an answer for each state").clone()
+    told["points"]
+        .as_array()
+        .expect("an answer for each state")
+        .clone()
 }
 
 /// Solves a scene at every `stride`-th of its states.
@@ -168,7 +180,8 @@ fn burgers_in_10_states() {
     check("burgers10", 1);
 }
 
-/// All extremals that are known over the state: the least, a local minimum, and one that is no minimum.
+/// All extremals that are known over the state: the least, a local minimum, and one that is no
+/// minimum.
 #[test]
 fn the_stirred_tank_has_three_extremals() {
     check("stirred_tank", 1);
@@ -180,7 +193,11 @@ fn the_stirred_tank_has_three_extremals() {
         .iter()
         .filter_map(serde_json::Value::as_f64)
         .collect();
-    for extremal in [0.133_095_730_543_08, 0.244_433_538_197_4, 0.249_579_589_320_88] {
+    for extremal in [
+        0.133_095_730_543_08,
+        0.244_433_538_197_4,
+        0.249_579_589_320_88,
+    ] {
         let near = values.iter().any(|v| (v / extremal - 1.0).abs() <= 1e-8);
         assert!(near, "no extremal of V = {extremal} among {values:?}");
     }

@@ -1,4 +1,5 @@
-//! What the program refuses instead of crashing, hanging or answering wrongly: found by trying to break it.
+//! What the program refuses instead of crashing, hanging or answering wrongly: found by trying to
+//! break it.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -61,8 +62,13 @@ fn a_guard_that_no_seed_is_inside_of() {
 #[test]
 fn more_states_than_can_be_triangulated() {
     let names: Vec<String> = (0..12).map(|i| format!("x{i}")).collect();
-    let each = |f: &dyn Fn(&str) -> String| names.iter().map(|n| f(n)).collect::<Vec<_>>().join(", ");
-    let squares = names.iter().map(|n| format!("{n}^2")).collect::<Vec<_>>().join(" + ");
+    let each =
+        |f: &dyn Fn(&str) -> String| names.iter().map(|n| f(n)).collect::<Vec<_>>().join(", ");
+    let squares = names
+        .iter()
+        .map(|n| format!("{n}^2"))
+        .collect::<Vec<_>>()
+        .join(" + ");
     let scene = format!(
         "states = {{ {} }}\ncontrols = {{ u = {{}} }}\ndynamics = {{ {} }}\ncost = {{ running = \"{squares} + u^2\" }}\n\
          equilibrium = {{ {}, u = 0 }}\nregion = {{ {} }}\nshoot_out = {{ value_max = 1.0 }}\n",
@@ -105,7 +111,13 @@ fn failed_trajectories_are_not_coverage() {
 fn a_pipe_is_not_replaced() {
     let pipe = folder("pipe").join("pipe.h5");
     let _ = std::fs::remove_file(&pipe);
-    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    assert!(
+        Command::new("mkfifo")
+            .arg(&pipe)
+            .status()
+            .unwrap()
+            .success()
+    );
     let (done, _) = run("pipe", SCENE, Some("pipe.h5"));
     assert_eq!(done.status.code(), Some(2));
     assert!(pipe.exists() && !pipe.is_file(), "the pipe was replaced");
@@ -123,14 +135,24 @@ fn arguments_need_not_be_unicode() {
         .arg(std::ffi::OsStr::from_bytes(b"b\xff.h5"))
         .output()
         .unwrap();
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
 }
 
 #[test]
 fn equations_too_long_for_a_shader() {
     let folder = folder("long");
     let sum: Vec<String> = (0..3000)
-        .map(|i| format!("{}*sin({}*x)", 1e-6 * f64::from(i), 1.0 + f64::from(i) / 64.0))
+        .map(|i| {
+            format!(
+                "{}*sin({}*x)",
+                1e-6 * f64::from(i),
+                1.0 + f64::from(i) / 64.0
+            )
+        })
         .collect();
     let scene = SCENE.replace("-x + u", &format!("-x + u + {}", sum.join(" + ")));
     std::fs::write(folder.join("scene.toml"), scene).unwrap();
@@ -155,7 +177,9 @@ fn words_of(name: &str, scene: &str) -> String {
 }
 
 fn with_cost(cost: &str) -> String {
-    SCENE.replace("-x + u", "u").replace("0.5*(x^2 + v^2 + u^2)", cost)
+    SCENE
+        .replace("-x + u", "u")
+        .replace("0.5*(x^2 + v^2 + u^2)", cost)
 }
 
 #[test]
@@ -172,7 +196,10 @@ fn a_cost_that_is_not_stationary_at_the_equilibrium() {
     // A cross term with a control that is at its equilibrium has no slope, and rounding is none.
     for (name, cost) in [
         ("cross", "x^2 + v^2 + u^2 + x*u"),
-        ("rounding", "(x + 1 - cos(0))^2 + (v + 0.1 + 0.2 - 0.3)^2 + u^2"),
+        (
+            "rounding",
+            "(x + 1 - cos(0))^2 + (v + 0.1 + 0.2 - 0.3)^2 + u^2",
+        ),
     ] {
         let (done, _) = run(name, &with_cost(cost), None);
         assert!(
@@ -248,7 +275,11 @@ fn value(file: &std::path::Path, at: &str) -> (String, serde_json::Value) {
             .args(more)
             .output()
             .unwrap();
-        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        assert!(
+            done.status.success(),
+            "{}",
+            String::from_utf8_lossy(&done.stderr)
+        );
         String::from_utf8_lossy(&done.stdout).into_owned()
     };
     let json: serde_json::Value = serde_json::from_str(&ask(&["--json"])).unwrap();
@@ -263,7 +294,10 @@ fn what_uncovered_fronts_cannot_show_is_said() {
     let (done, covered) = run("covered", &fine, None);
     assert!(String::from_utf8_lossy(&done.stdout).contains("fronts covered:"));
     let (text, json) = value(&covered, "x=0.5,v=0.5");
-    assert!(!text.contains(WORDS) && json["coverage"] == "covered", "{text}");
+    assert!(
+        !text.contains(WORDS) && json["coverage"] == "covered",
+        "{text}"
+    );
     let (done, capped) = run(
         "capped",
         &fine.replace("samples = 10", "samples = 10, max_seeds = 40"),
@@ -271,14 +305,23 @@ fn what_uncovered_fronts_cannot_show_is_said() {
     );
     assert!(String::from_utf8_lossy(&done.stdout).contains("NOT fully covered"));
     let (text, json) = value(&capped, "x=0.5,v=0.5");
-    assert!(text.contains(WORDS) && json["coverage"] == "uncovered", "{text}");
     assert!(
-        json["coverage_note"].as_str().unwrap().contains("gaps remain"),
+        text.contains(WORDS) && json["coverage"] == "uncovered",
+        "{text}"
+    );
+    assert!(
+        json["coverage_note"]
+            .as_str()
+            .unwrap()
+            .contains("gaps remain"),
         "{json}"
     );
     // Up to where its neighbours are near each other the same sweep has covered its fronts.
     let (text, json) = value(&capped, "x=0.15,v=0.1");
-    assert!(!text.contains(WORDS) && json["coverage"] == "covered", "{text}");
+    assert!(
+        !text.contains(WORDS) && json["coverage"] == "covered",
+        "{text}"
+    );
 }
 
 #[test]
@@ -288,12 +331,20 @@ fn a_solved_state_is_known_to_its_own_error() {
         SCENE.replace("max = 1.0", "max = 1.0, max_seeds = 20")
     );
     let (done, out) = run("node", &scene, None);
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
     let (text, json) = value(&out, "x=0.5,v=-1");
-    // V = s'Ps/2 of the linear-quadratic problem: P11 = sqrt(2) P22, P12 = sqrt(2) - 1, P22 = sqrt(2 sqrt(2) - 1).
+    // V = s'Ps/2 of the linear-quadratic problem: P11 = sqrt(2) P22, P12 = sqrt(2) - 1, P22 =
+    // sqrt(2 sqrt(2) - 1).
     let (p12, p22) = (2f64.sqrt() - 1.0, (2.0 * 2f64.sqrt() - 1.0).sqrt());
     let exact = 0.5 * (2f64.sqrt() * p22 * 0.25 - p12 + p22);
-    let (v, error) = (json["V"].as_f64().unwrap(), json["V_error"].as_f64().unwrap());
+    let (v, error) = (
+        json["V"].as_f64().unwrap(),
+        json["V_error"].as_f64().unwrap(),
+    );
     assert!((v - exact).abs() <= 1e-9 * exact, "{v}, not {exact}");
     assert!(error <= 1e-8, "{error}: {text}");
     assert_eq!(json["coverage"], "searched", "{text}");
@@ -310,7 +361,11 @@ fn in_folder(folder: &Path, arguments: &[&str]) -> Output {
 
 fn swept(name: &str) -> PathBuf {
     let (done, out) = run(name, SCENE, Some("swept.h5"));
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
     let folder = out.parent().unwrap().to_owned();
     std::fs::write(folder.join("points.csv"), "x,v\n0.1,0.2\n").unwrap();
     folder
@@ -333,7 +388,14 @@ fn what_cannot_be_written_is_said_before_the_work() {
         let _ = std::fs::create_dir(folder.join(format!("taken.{kind}")));
     }
     let before = entries(&folder);
-    let solve = ["solve", "scene.toml", "--points", "points.csv", "--backend", "cpu"];
+    let solve = [
+        "solve",
+        "scene.toml",
+        "--points",
+        "points.csv",
+        "--backend",
+        "cpu",
+    ];
     let at = ["value", "swept.h5", "--at", "x=0.1"];
     let with = |command: &[&'static str], more: &[&'static str]| [command, more].concat();
     let taken = "it is a directory; name a file in it";
@@ -342,7 +404,10 @@ fn what_cannot_be_written_is_said_before_the_work() {
         (with(&solve, &["--out", "taken.csv"]), taken),
         (with(&at, &["--out", "taken.h5"]), taken),
         (with(&at, &["--out", "taken.csv"]), taken),
-        (vec!["export", "scene.toml", "--local", "--out", "taken.h"], taken),
+        (
+            vec!["export", "scene.toml", "--local", "--out", "taken.h"],
+            taken,
+        ),
         (vec!["report", "swept.h5", "--out", "taken.html"], taken),
         (
             with(&solve, &["--out", "answers.pdf"]),
@@ -353,13 +418,22 @@ fn what_cannot_be_written_is_said_before_the_work() {
             vec!["run", "scene.toml", "--out", "answers.csv"],
             "a result file is HDF5; name it .h5",
         ),
-        (vec!["report", "swept.h5", "--out", "page.pdf"], "name it .html"),
-        (with(&at, &["--adapter", "any"]), "--adapter any: the CPU is asked for"),
+        (
+            vec!["report", "swept.h5", "--out", "page.pdf"],
+            "name it .html",
+        ),
+        (
+            with(&at, &["--adapter", "any"]),
+            "--adapter any: the CPU is asked for",
+        ),
         (
             with(&solve, &["--adapter", "any"]),
             "--adapter any: the CPU is asked for",
         ),
-        (vec!["value", "taken.h5", "--at", "x=0.1"], "taken.h5 is a directory"),
+        (
+            vec!["value", "taken.h5", "--at", "x=0.1"],
+            "taken.h5 is a directory",
+        ),
         (vec!["check-least", "taken.h5"], "taken.h5 is a directory"),
         (vec!["report", "taken.h5"], "taken.h5 is a directory"),
         (
@@ -371,8 +445,14 @@ fn what_cannot_be_written_is_said_before_the_work() {
         let done = in_folder(&folder, &arguments);
         let text = String::from_utf8_lossy(&done.stderr);
         assert_eq!(done.status.code(), Some(2), "{arguments:?}: {text}");
-        assert!(text.contains(words), "{arguments:?}: no `{words}` in {text}");
-        assert!(done.stdout.is_empty() && entries(&folder) == before, "{arguments:?}");
+        assert!(
+            text.contains(words),
+            "{arguments:?}: no `{words}` in {text}"
+        );
+        assert!(
+            done.stdout.is_empty() && entries(&folder) == before,
+            "{arguments:?}"
+        );
     }
     // A directory that is not there is made, whatever is written.
     for out in ["new/deep/a.h5", "new/table/a.csv"] {
@@ -381,7 +461,10 @@ fn what_cannot_be_written_is_said_before_the_work() {
     }
     let text = in_folder(&folder, &with(&at, &["--out", "points.csv/a.csv"]));
     let text = String::from_utf8_lossy(&text.stderr).into_owned();
-    assert!(text.contains("points.csv") && text.contains("os error"), "{text}");
+    assert!(
+        text.contains("points.csv") && text.contains("os error"),
+        "{text}"
+    );
 }
 
 /// A device that takes no more, for the result as for what is printed.
@@ -409,7 +492,10 @@ fn a_full_disk_leaves_nothing() {
         assert_eq!(entries(&folder), before);
     }
     if Path::new("/dev/full").exists() {
-        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let full = std::fs::OpenOptions::new()
+            .write(true)
+            .open("/dev/full")
+            .unwrap();
         let done = Command::new(env!("CARGO_BIN_EXE_costate"))
             .current_dir(&folder)
             .args(["value", "swept.h5", "--at", "x=0.1"])
@@ -433,7 +519,8 @@ fn a_signal_leaves_no_hidden_file() {
     use std::time::{Duration, Instant};
     let folder = folder("signal");
     // No budget ends this map.
-    let scene = format!("{SCENE}\n[map]\nerror = 1e-8\nerror_max = 1.0\nfloor = 1e-9\ncheck = 200\n");
+    let scene =
+        format!("{SCENE}\n[map]\nerror = 1e-8\nerror_max = 1.0\nfloor = 1e-9\ncheck = 200\n");
     let scene = scene.replace("-x + u", "-sin(9*x) + v^3 + u");
     std::fs::write(folder.join("scene.toml"), scene).unwrap();
     std::fs::write(folder.join("out.h5"), "older").unwrap();
@@ -452,13 +539,28 @@ fn a_signal_leaves_no_hidden_file() {
             .spawn()
             .unwrap();
         let began = Instant::now();
-        while !entries(&folder).iter().any(|name| name.starts_with(".out.h5.")) {
-            assert!(began.elapsed() < Duration::from_secs(60), "no hidden file was made");
-            assert!(child.try_wait().unwrap().is_none(), "{name}: it ended by itself");
+        while !entries(&folder)
+            .iter()
+            .any(|name| name.starts_with(".out.h5."))
+        {
+            assert!(
+                began.elapsed() < Duration::from_secs(60),
+                "no hidden file was made"
+            );
+            assert!(
+                child.try_wait().unwrap().is_none(),
+                "{name}: it ended by itself"
+            );
             std::thread::sleep(Duration::from_millis(5));
         }
         let id = child.id().to_string();
-        assert!(Command::new("kill").args(["-s", name, &id]).status().unwrap().success());
+        assert!(
+            Command::new("kill")
+                .args(["-s", name, &id])
+                .status()
+                .unwrap()
+                .success()
+        );
         let status = child.wait().unwrap();
         assert_eq!(status.signal(), Some(number), "{name}: {status}");
         assert_eq!(entries(&folder), ["out.h5", "scene.toml"], "{name}");
@@ -486,7 +588,10 @@ fn numbers_of_hundreds_of_digits_are_printed_with_exponents() {
         outside.contains("x = 1e300 lies outside the region of the map, from -1 to 1"),
         "{outside}"
     );
-    let table = said(&["value", "swept.h5", "--grid", &format!("x=0:{large}:2")], 0);
+    let table = said(
+        &["value", "swept.h5", "--grid", &format!("x=0:{large}:2")],
+        0,
+    );
     assert!(table.contains("\n1e300,0,,"), "{table}");
     let small = said(&["value", "swept.h5", "--at", "v=1e-300"], 0);
     assert!(small.contains("v = 1e-300"), "{small}");
@@ -494,7 +599,10 @@ fn numbers_of_hundreds_of_digits_are_printed_with_exponents() {
     assert!(infinite.contains("is not a finite number"), "{infinite}");
     std::fs::write(folder.join("large.csv"), format!("x,v\n{larger},0\n")).unwrap();
     let infinite_too = said(&["value", "swept.h5", "--points", "large.csv"], 2);
-    assert!(infinite_too.contains("line 2, column `x`"), "{infinite_too}");
+    assert!(
+        infinite_too.contains("line 2, column `x`"),
+        "{infinite_too}"
+    );
     for text in [outside, table, small, infinite, infinite_too] {
         assert!(text.lines().all(|line| line.len() < 250), "{text}");
     }

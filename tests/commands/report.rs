@@ -12,14 +12,19 @@ use std::sync::OnceLock;
 
 /// A folder of this test run.
 fn folder(name: &str) -> PathBuf {
-    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("report").join(name);
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR"))
+        .join("report")
+        .join(name);
     let _ = std::fs::remove_dir_all(&path);
     std::fs::create_dir_all(&path).unwrap();
     path
 }
 
 fn costate(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_costate")).args(args).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_costate"))
+        .args(args)
+        .output()
+        .unwrap()
 }
 
 /// The result of a scene of the repository, computed once.
@@ -42,7 +47,11 @@ fn make(command: &str, name: &str, path: &Path) {
     let scene = format!("{}/scenarios/{name}.toml", crate::ROOT);
     let out = path.to_str().unwrap();
     let run = costate(&[command, &scene, "--backend", "cpu", "--quiet", "--out", out]);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    assert!(
+        run.status.success(),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
 }
 
 /// The result of a sweep and more.
@@ -66,7 +75,11 @@ fn reported(file: &Path, page: &Path, more: &[&str]) -> (serde_json::Value, Stri
     ]
     .concat();
     let run = costate(&args);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    assert!(
+        run.status.success(),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
     let summary = serde_json::from_slice(&run.stdout).unwrap();
     (summary, std::fs::read_to_string(page).unwrap())
 }
@@ -95,7 +108,11 @@ fn assert_well_formed(text: &str, html: bool) {
         if tag.starts_with('!') {
             continue;
         }
-        let name = tag.trim_start_matches('/').split([' ', '/', '\n']).next().unwrap();
+        let name = tag
+            .trim_start_matches('/')
+            .split([' ', '/', '\n'])
+            .next()
+            .unwrap();
         if tag.starts_with('/') {
             assert_eq!(open.pop(), Some(name));
         } else if !(tag.ends_with('/') || html && VOID.contains(&name)) {
@@ -175,7 +192,14 @@ fn a_page_has_what_its_file_has_data_for() {
     let (summary, text) = reported(&file, &page, &[]);
     assert_eq!(
         pictures(&summary),
-        ["phase", "contours", "surface", "slice", "histories", "errors"]
+        [
+            "phase",
+            "contours",
+            "surface",
+            "slice",
+            "histories",
+            "errors"
+        ]
     );
     assert_eq!(summary["missing"].as_array().unwrap().len(), 0);
     assert_sound(&summary, &text, costate_report::DEFAULT_WIDTH);
@@ -194,7 +218,10 @@ fn solved_states_alone_give_fewer_pictures_and_any_width_is_had() {
     let file = result("hopf_lax");
     let page = folder("narrow").join("page.html");
     let (summary, text) = reported(&file, &page, &["--width", "500"]);
-    assert_eq!(pictures(&summary), ["contours", "surface", "slice", "errors"]);
+    assert_eq!(
+        pictures(&summary),
+        ["contours", "surface", "slice", "errors"]
+    );
     assert_sound(&summary, &text, 500);
     // What another report left is replaced, and nothing else.
     let pictures = page.with_extension("");
@@ -206,7 +233,8 @@ fn solved_states_alone_give_fewer_pictures_and_any_width_is_had() {
     assert_sound(&summary, &text, 1200);
 }
 
-/// V of the scene `hopf_lax` at t = 0 (Hopf and Lax): the least of phi(a) + |x - a|^2 / (2 T), T = 2, by search.
+/// V of the scene `hopf_lax` at t = 0 (Hopf and Lax): the least of phi(a) + |x - a|^2 / (2 T), T =
+/// 2, by search.
 fn hopf_lax(x: f64, y: f64) -> (f64, bool) {
     let f = |a: f64| a.powi(4) / 4.0 - a * a + 0.1 * a + (x - a) * (x - a) / 4.0;
     let least = |from: f64, to: f64| {
@@ -241,7 +269,10 @@ fn contours_of_an_exact_solution() {
         for line in contour::lines(&grid, level) {
             for pair in line.points.windows(2) {
                 // The cheapest well is the same at both ends, but for the cell in which it changes.
-                let sides = pair.iter().map(|p| hopf_lax(p[0], p[1]).1).collect::<Vec<_>>();
+                let sides = pair
+                    .iter()
+                    .map(|p| hopf_lax(p[0], p[1]).1)
+                    .collect::<Vec<_>>();
                 assert!(
                     sides[0] == sides[1] || pair.iter().all(|p| (p[0] - 0.2).abs() < 1.5 * fine),
                     "{pair:?}"
@@ -249,15 +280,19 @@ fn contours_of_an_exact_solution() {
                 assert!((pair[0][0] - pair[1][0]).abs() <= fine * (1.0 + 1e-9));
             }
             for [x, y] in &line.points {
-                // Solved states are 0.15 apart. Within a cell of one sheet V is off by a term of third order, at most
-                // V''' h^3 / 12 or so with |V'''| < 6 here; where both sheets are, by one of second, V'' h^2 / 2 with V'' < 1.
+                // Solved states are 0.15 apart. Within a cell of one sheet V is off by a term of
+                // third order, at most V''' h^3 / 12 or so with |V'''| < 6 here; where both sheets
+                // are, by one of second, V'' h^2 / 2 with V'' < 1.
                 let apart = (x - 0.2).abs() < 0.15;
                 let tolerance = if apart {
                     0.5 * 0.15f64.powi(2)
                 } else {
                     0.5 * 0.15f64.powi(3)
                 };
-                assert!((hopf_lax(*x, *y).0 - level).abs() < tolerance, "{x} {y} {level}");
+                assert!(
+                    (hopf_lax(*x, *y).0 - level).abs() < tolerance,
+                    "{x} {y} {level}"
+                );
                 points += 1;
             }
         }
@@ -291,9 +326,13 @@ fn a_plane_without_a_map_is_told_by_what_is_around_it() {
                     .map(|a| (0..4).map(|b| d[a] * p[(a, b)] * d[b]).sum::<f64>())
                     .sum::<f64>();
             if v.is_finite() {
-                // Both interpolations are exact for a quadratic V; the sweep promises 30 rtol, rtol = 1e-6 or less, and
-                // p's error, as large, counts times a distance of the region's size.
-                assert!((v - exact).abs() <= 1e-4 * plane.limit, "{x} {y}: {v} {exact}");
+                // Both interpolations are exact for a quadratic V; the sweep promises 30 rtol, rtol
+                // = 1e-6 or less, and p's error, as large, counts times a distance of the region's
+                // size.
+                assert!(
+                    (v - exact).abs() <= 1e-4 * plane.limit,
+                    "{x} {y}: {v} {exact}"
+                );
                 known += 1;
             }
         }
@@ -356,17 +395,30 @@ fn closed_loops(file: &mut ResultFile) {
         .attribute("axes", "x v")
         .attribute("counts", vec![9, 7]);
     let states: Vec<[f64; 3]> = (0..63)
-        .map(|k| [f64::from(k / 7) / 4.0 - 1.0, f64::from(k % 7) / 3.0 - 1.0, 0.5])
+        .map(|k| {
+            [
+                f64::from(k / 7) / 4.0 - 1.0,
+                f64::from(k % 7) / 3.0 - 1.0,
+                0.5,
+            ]
+        })
         .collect();
     let twice = |f: &dyn Fn(usize, &[f64; 3]) -> f64| -> Vec<f64> {
-        (0..2).flat_map(|l| states.iter().map(move |s| f(l, s))).collect()
+        (0..2)
+            .flat_map(|l| states.iter().map(move |s| f(l, s)))
+            .collect()
     };
     let mut writer = file.group(&group).unwrap();
     writer.write("x0", &states.concat()).unwrap();
     writer.write("V", &vec![1.0; 63]).unwrap();
-    writer.write("J", &twice(&|l, s| 1.0 + l as f64 * s[0].abs())).unwrap();
     writer
-        .write("suboptimality", &twice(&|l, s| 1e-9 + l as f64 * 0.1 * s[0].abs()))
+        .write("J", &twice(&|l, s| 1.0 + l as f64 * s[0].abs()))
+        .unwrap();
+    writer
+        .write(
+            "suboptimality",
+            &twice(&|l, s| 1e-9 + l as f64 * 0.1 * s[0].abs()),
+        )
         .unwrap();
     let converged: Vec<i32> = twice(&|l, s| f64::from(u8::from(l == 0 || s[0] <= 0.5)))
         .iter()
@@ -376,13 +428,20 @@ fn closed_loops(file: &mut ResultFile) {
     writer.write("status", &vec![0; 126]).unwrap();
     writer.write("t_end", &vec![5.0; 126]).unwrap();
     writer
-        .write("lowest_v", &twice(&|l, s| s[1].min(0.0) - s[0] * s[0] - 0.3 * l as f64))
+        .write(
+            "lowest_v",
+            &twice(&|l, s| s[1].min(0.0) - s[0] * s[0] - 0.3 * l as f64),
+        )
         .unwrap();
     writer.write("never", &vec![f64::NAN; 126]).unwrap();
     drop(writer);
     let laws = Group::new("closed_loop_laws")
         .dimension(Dimension::names("law", ["lqr", "other"]))
-        .variable(Variable::text("source", "law", ["local solution", "a file"]))
+        .variable(Variable::text(
+            "source",
+            "law",
+            ["local solution", "a file"],
+        ))
         .variable(Variable::f64("share_converged", ["law"]));
     file.group(&laws)
         .unwrap()
@@ -396,14 +455,19 @@ fn closed_loops(file: &mut ResultFile) {
         .variable(Variable::f64("x0", ["variant", "state"]).unit("see state_units"));
     let mut writer = file.group(&study).unwrap();
     writer.write("Phi0", &vec![1.1, 1.2, 1.3]).unwrap();
-    writer.write("x0", &(0..9).map(f64::from).collect::<Vec<_>>()).unwrap();
+    writer
+        .write("x0", &(0..9).map(f64::from).collect::<Vec<_>>())
+        .unwrap();
     drop(writer);
     let sets = Group::new("operating_sets")
         .dimension(Dimension::names("law", ["lqr", "other"]))
         .dimension(Dimension::names("set", ["safe"]))
         .variable(Variable::text("condition", "set", ["lowest_v >= -0.5"]))
         .variable(Variable::f64("share", ["law", "set"]));
-    file.group(&sets).unwrap().write("share", &vec![0.6, 0.3125]).unwrap();
+    file.group(&sets)
+        .unwrap()
+        .write("share", &vec![0.6, 0.3125])
+        .unwrap();
     let contours = Group::new("operating_contours")
         .dimension(Dimension::index("vertex", 3))
         .dimension(Dimension::names("axis", ["x", "v"]))
@@ -421,7 +485,9 @@ fn closed_loops(file: &mut ResultFile) {
     ] {
         writer.write(name, &column.to_vec()).unwrap();
     }
-    writer.write("x", &vec![-0.7, 0.0, 0.0, -0.5, 0.7, 0.0]).unwrap();
+    writer
+        .write("x", &vec![-0.7, 0.0, 0.0, -0.5, 0.7, 0.0])
+        .unwrap();
 }
 
 #[test]
@@ -458,11 +524,17 @@ fn what_is_not_as_expected_is_named_and_stops_nothing() {
         let group = Group::new("trajectories")
             .dimension(Dimension::index("trajectory", 2))
             .variable(Variable::f64("nothing", ["trajectory"]));
-        file.group(&group).unwrap().write("nothing", &vec![0.0; 2]).unwrap();
+        file.group(&group)
+            .unwrap()
+            .write("nothing", &vec![0.0; 2])
+            .unwrap();
     });
     let stored = Stored::open(&file).unwrap();
     let written = costate_report::write(&stored, &Options::default()).unwrap();
-    assert_eq!(written.pictures, ["closed_loop_lowest_v", "closed_loop_suboptimality"]);
+    assert_eq!(
+        written.pictures,
+        ["closed_loop_lowest_v", "closed_loop_suboptimality"]
+    );
     let missing: Vec<&str> = written.missing.iter().map(|(n, _)| n.as_str()).collect();
     assert!(
         missing.contains(&"phase") && missing.contains(&"histories"),
@@ -473,12 +545,11 @@ fn what_is_not_as_expected_is_named_and_stops_nothing() {
     assert_eq!(written.page.file_name().unwrap(), "result_report.html");
 }
 
-/// V, p and u over the only state: a line each on a smooth sheet, also where the series about the equilibrium says V, and two
-/// where the cheapest way changes its side.
+/// V, p and u over the only state: a line each on a smooth sheet, also where the series about the
+/// equilibrium says V, and two where the cheapest way changes its side.
 #[test]
 fn a_scene_of_one_state_has_curves() {
-    let smooth =
-        "dynamics = { x = \"sin(x) + u\" }\ncost = { running = \"x^2 + u^2\" }\nequilibrium = { x = 0, u = 0 }\n";
+    let smooth = "dynamics = { x = \"sin(x) + u\" }\ncost = { running = \"x^2 + u^2\" }\nequilibrium = { x = 0, u = 0 }\n";
     let wells = "dynamics = { x = \"u\" }\n\
                  cost = { running = \"0.5*u^2\", terminal = \"x^4/4 - x^2\", final_time = 2.0 }\n";
     for (name, problem, lines) in [("smooth", smooth, 1), ("wells", wells, 2)] {
@@ -506,7 +577,11 @@ fn a_scene_of_one_state_has_curves() {
         let (summary, _) = reported(&file, &folder.join("page.html"), &[]);
         assert_eq!(pictures(&summary), ["curve"]);
         let svg = std::fs::read_to_string(folder.join("page/curve.svg")).unwrap();
-        assert_eq!(svg.matches("stroke-width=\"1.9\"").count(), 3 * lines, "{name}");
+        assert_eq!(
+            svg.matches("stroke-width=\"1.9\"").count(),
+            3 * lines,
+            "{name}"
+        );
     }
 }
 
@@ -537,9 +612,15 @@ fn bad_options_and_files_are_the_users() {
         (&["report", file, "--slice", "w"], "NAME=VALUE"),
         (&["report", file, "--axes", "x,x"], "two different states"),
         (&["report", file, "--axes", "x"], "two states"),
-        (&["report", file, "--axes", "x,velocity"], "no state `velocity`"),
+        (
+            &["report", file, "--axes", "x,velocity"],
+            "no state `velocity`",
+        ),
         (&["report", file, "--levels", "1,exp(q)"], "q"),
-        (&["report", no_result.to_str().unwrap()], "not a result file"),
+        (
+            &["report", no_result.to_str().unwrap()],
+            "not a result file",
+        ),
         (&["report", "/nowhere/result.h5"], "cannot read"),
     ];
     for (args, said) in cases {
@@ -549,15 +630,24 @@ fn bad_options_and_files_are_the_users() {
         assert!(error.contains(said), "{args:?}: {error}");
     }
     assert!(
-        !Path::new(file).with_file_name("result_report.html").exists(),
+        !Path::new(file)
+            .with_file_name("result_report.html")
+            .exists(),
         "nothing is written"
     );
 }
 
 #[test]
 fn the_scenes_section_is_read_and_refused_with_places() {
-    let with = |section: &str| scenario::parse(&format!("{SCENE}\n[report]\n{section}\n"), "scene.toml", &[]);
-    let model = with("levels = [\"exp(-4)\", 2, 1]\nslice = { w = 0.12 }\naxes = [\"v\", \"x\"]").unwrap();
+    let with = |section: &str| {
+        scenario::parse(
+            &format!("{SCENE}\n[report]\n{section}\n"),
+            "scene.toml",
+            &[],
+        )
+    };
+    let model =
+        with("levels = [\"exp(-4)\", 2, 1]\nslice = { w = 0.12 }\naxes = [\"v\", \"x\"]").unwrap();
     let report = model.report.unwrap();
     assert_eq!(report.levels, [(-4.0f64).exp(), 2.0, 1.0]);
     assert_eq!(report.slice, [("w".to_owned(), 0.12)]);
@@ -567,7 +657,10 @@ fn the_scenes_section_is_read_and_refused_with_places() {
         ("slices = { w = 1 }", "unknown key `slices`"),
         ("slice = { q = 1 }", "unknown name `q`"),
         ("slice = { w = 7 }", "outside the region"),
-        ("slice = { x = 0 }\naxes = [\"x\", \"v\"]", "one of the picture's axes"),
+        (
+            "slice = { x = 0 }\naxes = [\"x\", \"v\"]",
+            "one of the picture's axes",
+        ),
         ("axes = [\"x\"]", "names of two states"),
         ("axes = [\"x\", \"u\"]", "which is no state"),
         ("axes = [\"x\", \"x\"]", "the same"),

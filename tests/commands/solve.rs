@@ -51,8 +51,16 @@ fn bad_points_are_refused_with_their_place() {
             vec!["line 1", "`omeg`", "did you mean `omega`"],
         ),
         ("twice", "theta,theta\n1,2\n", vec!["line 1", "twice"]),
-        ("number", "theta,omega\n1,2\n3,x\n", vec!["line 3", "`omega`", "`x`"]),
-        ("infinite", "theta\ninf\n", vec!["line 2", "not a finite number"]),
+        (
+            "number",
+            "theta,omega\n1,2\n3,x\n",
+            vec!["line 3", "`omega`", "`x`"],
+        ),
+        (
+            "infinite",
+            "theta\ninf\n",
+            vec!["line 2", "not a finite number"],
+        ),
         (
             "lines",
             "theta,omega\r\n1,2\r\n\r\n# no\r\n3,x\r\n",
@@ -72,7 +80,10 @@ fn bad_points_are_refused_with_their_place() {
         for word in words {
             assert!(text.contains(word), "{name}: no `{word}` in: {text}");
         }
-        assert!(!out.exists() && done.stdout.is_empty(), "{name}: nothing is written");
+        assert!(
+            !out.exists() && done.stdout.is_empty(),
+            "{name}: nothing is written"
+        );
     }
     let missing = costate(&[
         "solve".as_ref(),
@@ -133,16 +144,37 @@ fn answers_as_a_table() {
     std::fs::write(&points, "theta,omega\n0.5,0.25\n40,90\n0,0\n").unwrap();
     let pendulum = scenario("pendulum.toml");
     let arguments = |out: &Path, more: &[&str]| -> Vec<std::ffi::OsString> {
-        let fixed = ["solve", pendulum.to_str().unwrap(), "--backend", "cpu", "--json"];
-        let paths = ["--points", points.to_str().unwrap(), "--out", out.to_str().unwrap()];
-        fixed.iter().chain(&paths).chain(more).map(Into::into).collect()
+        let fixed = [
+            "solve",
+            pendulum.to_str().unwrap(),
+            "--backend",
+            "cpu",
+            "--json",
+        ];
+        let paths = [
+            "--points",
+            points.to_str().unwrap(),
+            "--out",
+            out.to_str().unwrap(),
+        ];
+        fixed
+            .iter()
+            .chain(&paths)
+            .chain(more)
+            .map(Into::into)
+            .collect()
     };
     let run = |out: &Path, more: &[&str]| {
         let arguments = arguments(out, more);
         costate(&arguments.iter().map(|a| a.as_os_str()).collect::<Vec<_>>())
     };
     let done = run(&out, &[]);
-    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_eq!(
+        done.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
     let summary: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
     let table = std::fs::read_to_string(&out).unwrap();
     let rows: Vec<Vec<&str>> = table.lines().map(|l| l.split(',').collect()).collect();
@@ -154,7 +186,10 @@ fn answers_as_a_table() {
         assert_eq!(row[column("status")], point["status"].as_str().unwrap());
         assert_eq!(row[column("evidence")], point["support"].as_str().unwrap());
         assert_eq!(row[column("V")].parse::<f64>().ok(), point["V"].as_f64());
-        assert_eq!(row[column("p_omega")].parse::<f64>().ok(), point["p"][1].as_f64());
+        assert_eq!(
+            row[column("p_omega")].parse::<f64>().ok(),
+            point["p"][1].as_f64()
+        );
         assert_eq!(row[column("u")].parse::<f64>().ok(), point["u"][0].as_f64());
     }
     assert_eq!(rows[1][column("status")], "converged");
@@ -171,7 +206,9 @@ fn answers_as_a_table() {
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("--trajectories"));
     let named = folder.join("named.toml");
-    let text = std::fs::read_to_string(&pendulum).unwrap().replace("omega", "sheet");
+    let text = std::fs::read_to_string(&pendulum)
+        .unwrap()
+        .replace("omega", "sheet");
     std::fs::write(&named, text).unwrap();
     std::fs::write(folder.join("named.csv"), "theta\n1\n").unwrap();
     let mut with = arguments(&folder.join("none.csv"), &[]);
@@ -201,12 +238,23 @@ fn result_groups_open_in_xarray() {
     assert_ne!(small, text);
     let file = folder.join("scene.toml");
     std::fs::write(&file, small).unwrap();
-    let done = costate(&["run".as_ref(), file.as_ref(), "--out".as_ref(), out.as_ref()]);
-    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let done = costate(&[
+        "run".as_ref(),
+        file.as_ref(),
+        "--out".as_ref(),
+        out.as_ref(),
+    ]);
+    assert_eq!(
+        done.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
     checked_by("check_answers.py", &[&out]);
 }
 
-/// `v' = f(v) + w` with the cost `(v^2 + w^2)/2`: H = 0 gives `p = f + sqrt(f^2 + v^2)`, and V is its integral.
+/// `v' = f(v) + w` with the cost `(v^2 + w^2)/2`: H = 0 gives `p = f + sqrt(f^2 + v^2)`, and V is
+/// its integral.
 #[test]
 fn what_saturates_or_vanishes_at_the_equilibrium_counts_elsewhere() {
     let folder = scratch("solve_saturated");
@@ -242,7 +290,10 @@ fn what_saturates_or_vanishes_at_the_equilibrium_counts_elsewhere() {
                 .sum();
             let right = sum * h / 6.0;
             let v: f64 = v.parse().unwrap();
-            assert!((v - right).abs() < 1e-8 * right, "{name}, {x}: {v} instead of {right}");
+            assert!(
+                (v - right).abs() < 1e-8 * right,
+                "{name}, {x}: {v} instead of {right}"
+            );
         }
     }
 }

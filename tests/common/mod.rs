@@ -13,16 +13,17 @@ pub struct Side<'a> {
     pub result: &'a Trajectories,
 }
 
-/// Allowed difference of a value, `absolute + relative * |value|`; both must be reasoned where they are chosen.
+/// Allowed difference of a value, `absolute + relative * |value|`; both must be reasoned where they
+/// are chosen.
 #[derive(Clone, Copy, Debug)]
 pub struct Tolerance {
     pub relative: f64,
     pub absolute: f64,
     /// Allowed difference in attempted steps, given their number.
     pub steps: fn(u32) -> u32,
-    /// Ways to end that are seen at the end of a step only (leaving the region, a ceiling). Where steps are chosen by
-    /// rounding errors among others, the two sides may see them a step apart: of such trajectories the samples that
-    /// both sides have are compared, but not the ends.
+    /// Ways to end that are seen at the end of a step only (leaving the region, a ceiling). Where
+    /// steps are chosen by rounding errors among others, the two sides may see them a step apart:
+    /// of such trajectories the samples that both sides have are compared, but not the ends.
     pub loose: &'static [Status],
 }
 
@@ -107,7 +108,9 @@ pub fn compare(a: Side<'_>, b: Side<'_>, tolerance: Tolerance) -> Result<Agreeme
     };
     let (mut samples, mut split) = (0, 0);
     for i in 0..a.count() {
-        let loose = [a.status[i], b.status[i]].iter().any(|s| tolerance.loose.contains(s));
+        let loose = [a.status[i], b.status[i]]
+            .iter()
+            .any(|s| tolerance.loose.contains(s));
         if a.status[i] != b.status[i] {
             if !loose {
                 return Err(Mismatch::Status {
@@ -162,11 +165,14 @@ pub fn compare(a: Side<'_>, b: Side<'_>, tolerance: Tolerance) -> Result<Agreeme
     Ok(agreement)
 }
 
-/// Any adapter, a software one included. A machine without one fails the test: GPU code that nothing runs is not tested.
+/// Any adapter, a software one included. A machine without one fails the test: GPU code that
+/// nothing runs is not tested.
 pub fn any_gpu() -> Gpu {
     match Gpu::open(&Selection::Any) {
         Ok(Some(gpu)) => gpu,
-        Ok(None) => panic!("no adapter was found; install a software one (Debian: mesa-vulkan-drivers)"),
+        Ok(None) => {
+            panic!("no adapter was found; install a software one (Debian: mesa-vulkan-drivers)")
+        }
         Err(e) => panic!("{e}; install a software adapter (Debian: mesa-vulkan-drivers)"),
     }
 }

@@ -15,7 +15,13 @@ pub struct Said {
 }
 
 /// Compiles `NAME.h` of a directory and asks it about states; n states, m controls.
-pub fn ask(directory: &Path, name: &str, [n, m]: [usize; 2], flags: &[&str], states: &[Vec<f64>]) -> Vec<Said> {
+pub fn ask(
+    directory: &Path,
+    name: &str,
+    [n, m]: [usize; 2],
+    flags: &[&str],
+    states: &[Vec<f64>],
+) -> Vec<Said> {
     let program = format!(
         "#include \"{name}.h\"\n#include <stdio.h>\n\
          int main(void) {{\n  double in; int i, k;\n  for (;;) {{\n    {name}_real x[{n}], V = 0, p[{n}] = {{0}}, u[{m}] = {{0}};\n    \
@@ -46,7 +52,10 @@ pub fn ask(directory: &Path, name: &str, [n, m]: [usize; 2], flags: &[&str], sta
     let rows = done(running.wait_with_output().unwrap());
     writer.join().unwrap();
     let rows = rows.lines().map(|line| {
-        let numbers: Vec<f64> = line.split_whitespace().map(|v| v.parse().unwrap()).collect();
+        let numbers: Vec<f64> = line
+            .split_whitespace()
+            .map(|v| v.parse().unwrap())
+            .collect();
         assert_eq!(numbers.len(), 2 + n + m);
         Said {
             known: numbers[0] == 1.0,

@@ -3,8 +3,8 @@
 use costate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
 use costate::numeric::random::random;
 
-/// Three states, cells turned against the axes, all functions of V, several sheets of several degrees, and pieces that say
-/// something on one side only: made up, so that all of it is met.
+/// Three states, cells turned against the axes, all functions of V, several sheets of several
+/// degrees, and pieces that say something on one side only: made up, so that all of it is met.
 pub fn made_up(region: Region) -> Pieces {
     let cell = |lo: [f64; 3], hi: [f64; 3], pieces| Cell {
         lo: lo.to_vec(),
@@ -52,7 +52,8 @@ pub fn made_up(region: Region) -> Pieces {
             bound,
             p_bound: bound,
             sheet: k as i32,
-            // The lower sheet of the third cell ends inside it, and a guard's shadow lies over the first.
+            // The lower sheet of the third cell ends inside it, and a guard's shadow lies over the
+            // first.
             support: match k {
                 0 => vec![[-4.0, 4.0]; directions(3).len()],
                 4 => vec![[-0.7, 0.2]; directions(3).len()],
@@ -65,7 +66,9 @@ pub fn made_up(region: Region) -> Pieces {
         }
     };
     let pieces = kinds.into_iter().enumerate().map(piece).collect();
-    let phi = (0..Bend::count(3)).map(|k| 0.2 * (1.3 * k as f64).sin()).collect();
+    let phi = (0..Bend::count(3))
+        .map(|k| 0.2 * (1.3 * k as f64).sin())
+        .collect();
     let frame = Frame {
         bend: Bend::new(3, 1, -0.7, 2.4, phi),
         ..Frame::steep(&region, &[0.5, -0.6, 0.3])

@@ -32,13 +32,17 @@ pub fn done(output: Output) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Runs a script of `tests/` that checks what was written; it must succeed. The Python with what it imports is
-/// `COSTATE_TEST_PYTHON`, which `tests/run.sh` sets.
+/// Runs a script of `tests/` that checks what was written; it must succeed. The Python with what it
+/// imports is `COSTATE_TEST_PYTHON`, which `tests/run.sh` sets.
 #[track_caller]
 pub fn checked_by(script: &str, files: &[&Path]) {
     let python = std::env::var_os("COSTATE_TEST_PYTHON").unwrap_or_else(|| "python3".into());
     let script = Path::new(crate::ROOT).join("tests").join(script);
-    let checked = Command::new(python).arg(script).args(files).output().unwrap();
+    let checked = Command::new(python)
+        .arg(script)
+        .args(files)
+        .output()
+        .unwrap();
     assert!(
         checked.status.success(),
         "{}{}",
@@ -48,7 +52,9 @@ pub fn checked_by(script: &str, files: &[&Path]) {
 }
 
 pub fn scenario(name: &str) -> PathBuf {
-    Path::new(crate::ROOT).join("scenarios").join(format!("{name}.toml"))
+    Path::new(crate::ROOT)
+        .join("scenarios")
+        .join(format!("{name}.toml"))
 }
 
 /// Some sections of a shipped scene.
@@ -56,7 +62,10 @@ pub fn sections_of(name: &str, wanted: impl Fn(&str) -> bool) -> String {
     let text = std::fs::read_to_string(scenario(name)).unwrap();
     let (mut kept, mut keep) = (String::new(), true);
     for line in text.lines() {
-        if let Some(section) = line.strip_prefix('[').and_then(|l| l.split([']', '.']).next()) {
+        if let Some(section) = line
+            .strip_prefix('[')
+            .and_then(|l| l.split([']', '.']).next())
+        {
             keep = wanted(section);
         }
         if keep {
@@ -80,12 +89,15 @@ pub fn map_of(directory: &Path, name: &str, scene: &str) -> (Stored, serde_json:
     std::fs::write(&path, scene).unwrap();
     let out = path.with_extension("h5");
     let fixed = ["homotopy", "--backend", "cpu", "--json", "--out"].map(OsStr::new);
-    let printed = done(costate(&[&fixed[..], &[out.as_ref(), path.as_ref()]].concat()));
+    let printed = done(costate(
+        &[&fixed[..], &[out.as_ref(), path.as_ref()]].concat(),
+    ));
     let summary: serde_json::Value = serde_json::from_str(&printed).unwrap();
     (Stored::open(&out).unwrap(), summary["map"].clone())
 }
 
-/// A column of what `costate solve` writes of states of a scene, whose variables are named as in a header.
+/// A column of what `costate solve` writes of states of a scene, whose variables are named as in a
+/// header.
 pub fn column_of<const N: usize>(
     directory: &Path,
     name: &str,
@@ -93,9 +105,13 @@ pub fn column_of<const N: usize>(
     (header, states): (&str, &[[f64; N]]),
     column: &str,
 ) -> Vec<String> {
-    let [path, points, out] = ["toml", "csv", "solved.csv"].map(|ending| directory.join(format!("{name}.{ending}")));
+    let [path, points, out] =
+        ["toml", "csv", "solved.csv"].map(|ending| directory.join(format!("{name}.{ending}")));
     std::fs::write(&path, scene).unwrap();
-    let lines: Vec<String> = states.iter().map(|x| x.map(|x| x.to_string()).join(",")).collect();
+    let lines: Vec<String> = states
+        .iter()
+        .map(|x| x.map(|x| x.to_string()).join(","))
+        .collect();
     std::fs::write(&points, format!("{header}\n{}\n", lines.join("\n"))).unwrap();
     let fixed = ["solve", "--backend", "cpu", "--quiet", "--points"].map(OsStr::new);
     let last = [
@@ -106,13 +122,25 @@ pub fn column_of<const N: usize>(
     ];
     done(costate(&[&fixed[..], &last].concat()));
     let mut table = csv::Reader::from_path(&out).unwrap();
-    let column = table.headers().unwrap().iter().position(|h| h == column).unwrap();
-    table.records().map(|row| row.unwrap()[column].to_owned()).collect()
+    let column = table
+        .headers()
+        .unwrap()
+        .iter()
+        .position(|h| h == column)
+        .unwrap();
+    table
+        .records()
+        .map(|row| row.unwrap()[column].to_owned())
+        .collect()
 }
 
 /// V, dV/dx and u of scenarios/manufactured.toml, by hand.
 pub fn manufactured(x: f64, y: f64) -> (f64, [f64; 2], f64) {
     let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
     let v_y = x / 2.0 + 2.0 * y + x * x * y / 2.0;
-    (v, [x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y, v_y], -v_y / 0.5)
+    (
+        v,
+        [x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y, v_y],
+        -v_y / 0.5,
+    )
 }

@@ -14,8 +14,16 @@ pub fn hard(name: &str) -> Model {
 /// Both backends, each in both precisions.
 pub fn everywhere(model: &Model, mut look: impl FnMut(&Sweep, Asked, &str)) {
     for asked in [F64, F32] {
-        for backend in [Box::new(Cpu::new()) as Box<dyn Backend>, Box::new(any_gpu())] {
-            let what = format!("{} {} {}", model.title, backend.name(), asked.precision.name());
+        for backend in [
+            Box::new(Cpu::new()) as Box<dyn Backend>,
+            Box::new(any_gpu()),
+        ] {
+            let what = format!(
+                "{} {} {}",
+                model.title,
+                backend.name(),
+                asked.precision.name()
+            );
             let sweep = Sweep::on(backend, model, asked);
             nothing_is_padded(&sweep, &what);
             look(&sweep, asked, &what);
@@ -23,7 +31,8 @@ pub fn everywhere(model: &Model, mut look: impl FnMut(&Sweep, Asked, &str)) {
     }
 }
 
-/// What is stored is finite up to a trajectory's end and NaN after it, and every trajectory is counted once.
+/// What is stored is finite up to a trajectory's end and NaN after it, and every trajectory is
+/// counted once.
 pub fn nothing_is_padded(sweep: &Sweep, what: &str) {
     let levels = sweep.plan.samples();
     let mut points = 0;

@@ -31,17 +31,25 @@ pub const TIGHT: Asked = Asked {
 
 impl Scene {
     pub fn new(text: &str) -> Self {
-        let model = costate::scenario::parse(text, "test.toml", &[]).unwrap_or_else(|e| panic!("{}", e.render(false)));
+        let model = costate::scenario::parse(text, "test.toml", &[])
+            .unwrap_or_else(|e| panic!("{}", e.render(false)));
         Self::of(model)
     }
 
     pub fn of(model: Model) -> Self {
-        let hamiltonian = Hamiltonian::derive(&model).unwrap_or_else(|problems| panic!("{problems:?}"));
+        let hamiltonian =
+            Hamiltonian::derive(&model).unwrap_or_else(|problems| panic!("{problems:?}"));
         Self { model, hamiltonian }
     }
 
     pub fn initial(&self) -> Initial {
-        Initial::new(&self.model, self.model.closed_loop.as_ref().unwrap(), None, 0).unwrap()
+        Initial::new(
+            &self.model,
+            self.model.closed_loop.as_ref().unwrap(),
+            None,
+            0,
+        )
+        .unwrap()
     }
 
     /// The laws named, from the scene's initial states or those given.
@@ -54,7 +62,11 @@ impl Scene {
         chart: Option<&dyn Chart>,
         values: Option<Vec<f64>>,
     ) -> Evaluation {
-        let closed_loop = self.model.closed_loop.as_ref().expect("the scene has a closed loop");
+        let closed_loop = self
+            .model
+            .closed_loop
+            .as_ref()
+            .expect("the scene has a closed loop");
         let laws = Laws::new(&self.model, &self.hamiltonian, closed_loop.track);
         let choices = Choices {
             precision: Some(asked.precision),
@@ -87,7 +99,8 @@ impl Scene {
     }
 }
 
-/// The classical Runge-Kutta method with small steps: a reference that shares nothing with the program.
+/// The classical Runge-Kutta method with small steps: a reference that shares nothing with the
+/// program.
 pub fn runge_kutta(
     f: &dyn Fn(&[f64]) -> Vec<f64>,
     start: &[f64],
@@ -97,7 +110,9 @@ pub fn runge_kutta(
 ) -> Vec<f64> {
     let h = time / steps as f64;
     let mut y = start.to_vec();
-    let along = |y: &[f64], k: &[f64], h: f64| -> Vec<f64> { y.iter().zip(k).map(|(y, k)| y + h * k).collect() };
+    let along = |y: &[f64], k: &[f64], h: f64| -> Vec<f64> {
+        y.iter().zip(k).map(|(y, k)| y + h * k).collect()
+    };
     see(&y);
     for _ in 0..steps {
         let k1 = f(&y);

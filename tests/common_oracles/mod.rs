@@ -1,4 +1,5 @@
-//! What the oracle tests share: scenes, sweeps on the CPU with everything they compute kept, deterministic points.
+//! What the oracle tests share: scenes, sweeps on the CPU with everything they compute kept,
+//! deterministic points.
 #![allow(dead_code)] // each test file uses its part
 
 pub mod numbers;
@@ -18,13 +19,17 @@ pub fn scene(name: &str, set: &[(&str, &str)]) -> Model {
         .join("scenarios")
         .join(name)
         .with_extension("toml");
-    let set: Vec<_> = set.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
+    let set: Vec<_> = set
+        .iter()
+        .map(|(n, v)| ((*n).to_owned(), (*v).to_owned()))
+        .collect();
     costate::scenario::load(&path, &set).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// A scene given as text.
 pub fn parse(text: &str) -> Model {
-    costate::scenario::parse(text, "test.toml", &[]).unwrap_or_else(|e| panic!("{}", e.render(false)))
+    costate::scenario::parse(text, "test.toml", &[])
+        .unwrap_or_else(|e| panic!("{}", e.render(false)))
 }
 
 /// A plan as single states are solved with where they need no sweep.
@@ -164,7 +169,8 @@ impl Sweep {
             inner: backend,
             calls: Calls::default(),
         };
-        let plan = Plan::new(model, &hamiltonian, &backend, asked.choices()).unwrap_or_else(|e| panic!("{e}"));
+        let plan = Plan::new(model, &hamiltonian, &backend, asked.choices())
+            .unwrap_or_else(|e| panic!("{e}"));
         let mut stored = TrajectoryBlock::default();
         let report = sweep(
             &plan,
@@ -248,7 +254,9 @@ impl Sweep {
         run.rtol = rtol;
         run.max_steps = 1_000_000;
         let mut kernel = Cpu::new().compile(&spec).unwrap_or_else(|e| panic!("{e}"));
-        kernel.integrate(&run, &self.seeds).unwrap_or_else(|e| panic!("{e}"))
+        kernel
+            .integrate(&run, &self.seeds)
+            .unwrap_or_else(|e| panic!("{e}"))
     }
 }
 
@@ -275,7 +283,10 @@ impl Random {
 
     /// Uniform in a box.
     pub fn point(&mut self, bounds: &[[f64; 2]]) -> Vec<f64> {
-        bounds.iter().map(|[lo, hi]| self.within(*lo, *hi)).collect()
+        bounds
+            .iter()
+            .map(|[lo, hi]| self.within(*lo, *hi))
+            .collect()
     }
 
     /// About normal (a sum of uniforms), for directions.
@@ -311,13 +322,17 @@ impl Worst {
     /// Fails unless at least one value above 0 was seen and none above the bound.
     pub fn at_most(self, bound: f64, what: &str) {
         println!("{what}: worst {:.2e}, bound {bound:.0e}", self.0);
-        assert!(self.0 <= bound, "{what}: worst {:.3e} is above {bound:.1e}", self.0);
+        assert!(
+            self.0 <= bound,
+            "{what}: worst {:.3e} is above {bound:.1e}",
+            self.0
+        );
     }
 }
 
 impl Sweep {
-    /// The trajectories of a scene of two states in order round the curve: that of their angle about the equilibrium on
-    /// the first front, which is near enough to it to be seen from there.
+    /// The trajectories of a scene of two states in order round the curve: that of their angle
+    /// about the equilibrium on the first front, which is near enough to it to be seen from there.
     pub fn round_the_curve(&self) -> Vec<usize> {
         let angle = |i: &usize| {
             let sample = self.raw.sample(*i, 0);

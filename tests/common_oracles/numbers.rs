@@ -5,7 +5,12 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// What the oracles compute with.
 pub trait Number:
-    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
+    Copy
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
 {
     fn of(x: f64) -> Self;
     /// Nearest f64.
@@ -65,7 +70,10 @@ impl<T: Number, const N: usize> Dual<T, N> {
     }
 
     pub fn constant(v: T) -> Self {
-        Self { v, d: [T::of(0.0); N] }
+        Self {
+            v,
+            d: [T::of(0.0); N],
+        }
     }
 
     fn chain(self, v: T, slope: T) -> Self {
@@ -136,8 +144,8 @@ impl<T: Number, const N: usize> Number for Dual<T, N> {
     }
 }
 
-/// A value with the size of the terms it comes from: any way of computing it in k operations of precision eps is
-/// within about `k * eps * size` of the value.
+/// A value with the size of the terms it comes from: any way of computing it in k operations of
+/// precision eps is within about `k * eps * size` of the value.
 #[derive(Clone, Copy, Debug)]
 pub struct Sized {
     pub v: f64,
@@ -191,7 +199,10 @@ impl Neg for Sized {
 }
 impl Number for Sized {
     fn of(x: f64) -> Self {
-        Self { v: x, size: x.abs() }
+        Self {
+            v: x,
+            size: x.abs(),
+        }
     }
     fn value(self) -> f64 {
         self.v
@@ -230,7 +241,10 @@ impl Double {
     /// `a + b` exactly, for `|a| >= |b|`.
     fn quick(a: f64, b: f64) -> Self {
         let hi = a + b;
-        Self { hi, lo: b - (hi - a) }
+        Self {
+            hi,
+            lo: b - (hi - a),
+        }
     }
 
     /// Sine (`first` = 1) or cosine (0) by their series, for arguments of a few units.

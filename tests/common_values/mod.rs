@@ -26,7 +26,8 @@ impl Swept {
             unasked: true,
             ..Choices::default()
         };
-        let plan = Plan::new(&model, &hamiltonian, backend, choices).expect("the scene can be swept");
+        let plan =
+            Plan::new(&model, &hamiltonian, backend, choices).expect("the scene can be swept");
         let mut archive = Archive::new(&plan);
         sweep_keeping::<BackendError>(
             &plan,
@@ -36,7 +37,11 @@ impl Swept {
             &mut |_| Ok(()),
         )
         .expect("the backend works");
-        Self { model, plan, archive }
+        Self {
+            model,
+            plan,
+            archive,
+        }
     }
 
     pub fn new(model: Model, most: usize) -> Self {

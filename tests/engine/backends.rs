@@ -14,7 +14,8 @@ struct Problem {
     name: &'static str,
     rate: Program,
     guards: Option<Guards>,
-    /// Where the rate has kinks; met by the method of high order only, the others pass over those of these problems.
+    /// Where the rate has kinks; met by the method of high order only, the others pass over those
+    /// of these problems.
     kinks: Option<Program>,
     by: By,
     run: Run,
@@ -95,11 +96,18 @@ fn oscillator() -> Problem {
         by: By::Component(2),
         run: run((1..=20).map(|k| 0.1 * f64::from(k)).collect()),
         loose: &[],
-        seed: |a| vec![(1.0 + 0.3 * a.sin()) * a.cos(), (1.0 + 0.3 * a.sin()) * a.sin(), 0.0],
+        seed: |a| {
+            vec![
+                (1.0 + 0.3 * a.sin()) * a.cos(),
+                (1.0 + 0.3 * a.sin()) * a.sin(),
+                0.0,
+            ]
+        },
     }
 }
 
-/// A damped pendulum run backward from around its rest by time, with a guard on the angle and bounds on both.
+/// A damped pendulum run backward from around its rest by time, with a guard on the angle and
+/// bounds on both.
 fn pendulum() -> Problem {
     let mut g = Graph::new();
     let (q, w) = (g.symbol("q", Kind::State), g.symbol("w", Kind::State));
@@ -134,7 +142,8 @@ fn pendulum() -> Problem {
     }
 }
 
-/// Every primitive, in a system that stays bounded; sampled by arc length with a ceiling on time's own component.
+/// Every primitive, in a system that stays bounded; sampled by arc length with a ceiling on time's
+/// own component.
 fn functions() -> Problem {
     let mut g = Graph::new();
     let (x, y) = (g.symbol("x", Kind::State), g.symbol("y", Kind::State));
@@ -170,10 +179,15 @@ fn functions() -> Problem {
     let third = constant(&mut g, 0.3);
     let terms = [g.mul(third, at), g.neg(tanh), g.mul(e, sine)];
     let dx = g.sum(&terms);
-    // The clamp's and the absolute value's kinks are kept weak: an error estimate takes a step across a kink for better
-    // than it is, and the two sides cross it at different places.
+    // The clamp's and the absolute value's kinks are kept weak: an error estimate takes a step
+    // across a kink for better than it is, and the two sides cross it at different places.
     let weak = constant(&mut g, 0.002);
-    let terms = [g.neg(y), g.mul(weak, clamped), g.mul(third, log), g.mul(third, grown)];
+    let terms = [
+        g.neg(y),
+        g.mul(weak, clamped),
+        g.mul(third, log),
+        g.mul(third, grown),
+    ];
     let dy = g.sum(&terms);
     let speed = {
         let a = g.add(root, small);
@@ -211,8 +225,9 @@ fn integrate(backend: &dyn Backend, spec: &Spec, run: &Run, seeds: &[f64]) -> Tr
 /// What the two sides may differ by.
 fn tolerance(problem: &Problem, method: Method, precision: Precision) -> Tolerance {
     match method {
-        // A fixed step: rounding, one unit a stage of up to 400 steps, grown by at most e^(0.4 * 6) = 11 in the pendulum
-        // and located with a root search of a few units; random signs leave about the root of the count.
+        // A fixed step: rounding, one unit a stage of up to 400 steps, grown by at most e^(0.4 * 6)
+        // = 11 in the pendulum and located with a root search of a few units; random signs leave
+        // about the root of the count.
         Method::Rk4 => {
             let unit = 2000.0 * precision.epsilon();
             Tolerance {
@@ -222,14 +237,15 @@ fn tolerance(problem: &Problem, method: Method, precision: Precision) -> Toleran
                 loose: &[],
             }
         }
-        // Steps that differ by rounding in the step control: each side is within its tolerance, times the growth.
-        // In f32 the error estimate itself is known to 1 %, so now and then one side rejects what the other accepts.
+        // Steps that differ by rounding in the step control: each side is within its tolerance,
+        // times the growth. In f32 the error estimate itself is known to 1 %, so now and then one
+        // side rejects what the other accepts.
         Method::Tsit5 | Method::Dop853 | Method::Taylor => Tolerance {
             relative: 10.0 * rtol(precision),
             absolute: 10.0 * rtol(precision),
             steps: match (method, &problem.kinks) {
-                // Weights of up to 43 in the stages bring their rounding near f32's tolerance: the estimate is known to a
-                // factor of two or so.
+                // Weights of up to 43 in the stages bring their rounding near f32's tolerance: the
+                // estimate is known to a factor of two or so.
                 (Method::Dop853, None) => |steps| 2 + steps / 4,
                 // A kink is met after some three refused steps, more or fewer; up to 6 are passed.
                 (Method::Dop853, Some(_)) => |steps| 2 + 6 * 3 + steps / 4,
@@ -253,7 +269,8 @@ fn gpu_agrees_with_cpu() {
                     let spec = problem.spec(method, precision, store);
                     let run = problem.run(precision);
                     let mut kernel = gpu.compile(&spec).unwrap();
-                    // Its estimate is half made of rounding, which decides on its steps and on where they leave the region.
+                    // Its estimate is half made of rounding, which decides on its steps and on
+                    // where they leave the region.
                     let rough = method == Method::Dop853 && precision == Precision::F32;
                     for count in [1, 63, 65, 345] {
                         let seeds = problem.seeds(count);
@@ -269,7 +286,10 @@ fn gpu_agrees_with_cpu() {
                                 result: &b,
                             },
                         );
-                        let case = format!("{} {method:?} {precision:?} store {store} count {count}", problem.name);
+                        let case = format!(
+                            "{} {method:?} {precision:?} store {store} count {count}",
+                            problem.name
+                        );
                         let mut allowed = tolerance(&problem, method, precision);
                         if rough {
                             allowed.steps = |_| u32::MAX;
@@ -278,8 +298,16 @@ fn gpu_agrees_with_cpu() {
                             Ok(agreement) => {
                                 // Those that only just leave the region.
                                 let most = if rough { count / 8 } else { count / 30 };
-                                assert!(agreement.split <= most, "{case}: {} split", agreement.split);
-                                assert_eq!(store, agreement.samples > 0, "{case}: nothing was sampled");
+                                assert!(
+                                    agreement.split <= most,
+                                    "{case}: {} split",
+                                    agreement.split
+                                );
+                                assert_eq!(
+                                    store,
+                                    agreement.samples > 0,
+                                    "{case}: nothing was sampled"
+                                );
                                 println!(
                                     "{case}: {:.3} of the tolerance, {} values",
                                     agreement.worst, agreement.values
@@ -303,7 +331,11 @@ fn compiled_steps_compute_the_bits_of_interpreted_ones() {
     let interpreting = Cpu::interpreting(widest).expect("the set was detected");
     for problem in problems() {
         for method in Method::ALL.map(|(_, m)| m) {
-            for (precision, store) in [(Precision::F32, true), (Precision::F64, true), (Precision::F64, false)] {
+            for (precision, store) in [
+                (Precision::F32, true),
+                (Precision::F64, true),
+                (Precision::F64, false),
+            ] {
                 let spec = Spec {
                     kinks: problem.kinks.clone(),
                     ..problem.spec(method, precision, store)
@@ -350,7 +382,8 @@ fn every_machine_computes_the_same_trajectories() {
                 },
             );
             let case = format!("{} {method:?}", problem.name);
-            compare(a, b, tolerance(&problem, method, Precision::F64)).unwrap_or_else(|e| panic!("{case}: {e}"));
+            compare(a, b, tolerance(&problem, method, Precision::F64))
+                .unwrap_or_else(|e| panic!("{case}: {e}"));
         }
     }
 }
@@ -362,7 +395,12 @@ fn taylor_agrees_with_runge_kutta() {
         for precision in PRECISIONS {
             let result = |method| {
                 let spec = problem.spec(method, precision, true);
-                integrate(&Cpu::new(), &spec, &problem.run(precision), &problem.seeds(345))
+                integrate(
+                    &Cpu::new(),
+                    &spec,
+                    &problem.run(precision),
+                    &problem.seeds(345),
+                )
             };
             let (a, b) = (result(Method::Taylor), result(Method::Dop853));
             let (a, b) = (
@@ -403,7 +441,12 @@ fn every_way_to_end_is_compared() {
             seen.extend(integrate(&gpu, &spec, &run, &problem.seeds(345)).status);
         }
     }
-    for status in [Status::Reached, Status::LeftRegion, Status::Guard, Status::StepLimit] {
+    for status in [
+        Status::Reached,
+        Status::LeftRegion,
+        Status::Guard,
+        Status::StepLimit,
+    ] {
         assert!(seen.contains(&status), "no trajectory ended as {status:?}");
     }
 }
@@ -412,7 +455,12 @@ fn every_way_to_end_is_compared() {
 fn comparator_catches_what_it_must() {
     let problem = oscillator();
     let spec = problem.spec(Method::Tsit5, Precision::F64, true);
-    let result = integrate(&Cpu::new(), &spec, &problem.run(Precision::F64), &problem.seeds(65));
+    let result = integrate(
+        &Cpu::new(),
+        &spec,
+        &problem.run(Precision::F64),
+        &problem.seeds(65),
+    );
     let allowed = tolerance(&problem, Method::Tsit5, Precision::F64);
     let against = |other: &Trajectories| {
         compare(
@@ -483,7 +531,11 @@ fn bits(t: &Trajectories, from: usize, to: usize) -> (Vec<u64>, Vec<Status>, Vec
         .chain(&t.samples[from * width..to * width])
         .map(|x| if x.is_nan() { u64::MAX } else { x.to_bits() })
         .collect();
-    let counters = t.steps[from..to].iter().chain(&t.rejected[from..to]).copied().collect();
+    let counters = t.steps[from..to]
+        .iter()
+        .chain(&t.rejected[from..to])
+        .copied()
+        .collect();
     (numbers, t.status[from..to].to_vec(), counters)
 }
 
@@ -500,7 +552,9 @@ fn results_do_not_depend_on_the_batch() {
             let mut kernel = gpu.compile(&spec).unwrap();
             // Alone, in pieces, and again after other batches went through the same buffers.
             for (from, to) in [(0, 1), (344, 345), (0, 63), (63, 128), (128, 345), (0, 345)] {
-                let part = kernel.integrate(&run, &seeds[from * dim..to * dim]).unwrap();
+                let part = kernel
+                    .integrate(&run, &seeds[from * dim..to * dim])
+                    .unwrap();
                 let case = format!("{} {precision:?} {from}..{to}", problem.name);
                 assert!(
                     bits(&part, 0, to - from) == bits(&whole, from, to),

@@ -1,4 +1,5 @@
-//! A trajectory's result is the same bits whatever batch it is in and however many threads work on it.
+//! A trajectory's result is the same bits whatever batch it is in and however many threads work on
+//! it.
 
 use crate::common_oracles;
 
@@ -18,7 +19,11 @@ fn row(t: &Trajectories, i: usize) -> Vec<u64> {
         .iter()
         .chain([&t.end_time[i]])
         .chain(&t.samples[i * width..(i + 1) * width]);
-    let counters = [t.status[i] as u64, u64::from(t.steps[i]), u64::from(t.rejected[i])];
+    let counters = [
+        t.status[i] as u64,
+        u64::from(t.steps[i]),
+        u64::from(t.rejected[i]),
+    ];
     numbers.map(|x| x.to_bits()).chain(counters).collect()
 }
 
@@ -50,8 +55,14 @@ impl Case {
             sweep.seeds.len() / dim
         );
         Self {
-            name: format!("{name}, {}, {}, samples {store}", method.name(), asked.precision.name()),
-            kernel: Cpu::new().compile(&spec).expect("the CPU compiles anything"),
+            name: format!(
+                "{name}, {}, {}, samples {store}",
+                method.name(),
+                asked.precision.name()
+            ),
+            kernel: Cpu::new()
+                .compile(&spec)
+                .expect("the CPU compiles anything"),
             run,
             seeds: sweep.seeds[..SEEDS * dim].to_vec(),
             dim,
@@ -60,7 +71,10 @@ impl Case {
 
     fn rows(&mut self, from: usize, count: usize) -> Vec<Vec<u64>> {
         let seeds = &self.seeds[from * self.dim..(from + count) * self.dim];
-        let result = self.kernel.integrate(&self.run, seeds).expect("the CPU does not fail");
+        let result = self
+            .kernel
+            .integrate(&self.run, seeds)
+            .expect("the CPU does not fail");
         assert_eq!(result.count(), count);
         (0..count).map(|i| row(&result, i)).collect()
     }
@@ -104,14 +118,18 @@ impl Case {
     }
 }
 
-/// Lanes take the next trajectory when theirs ends, so that trajectories of very different length keep them busy.
+/// Lanes take the next trajectory when theirs ends, so that trajectories of very different length
+/// keep them busy.
 #[test]
 fn lanes_stay_busy() {
     for name in ["pendulum", "moore_greitzer"] {
         for method in [Method::Tsit5, Method::Taylor] {
             let mut case = Case::new(name, method, F64, false);
             let seeds = case.seeds.repeat(4096 / SEEDS + 1);
-            let result = case.kernel.integrate(&case.run, &seeds).expect("the CPU does not fail");
+            let result = case
+                .kernel
+                .integrate(&case.run, &seeds)
+                .expect("the CPU does not fail");
             let (least, most) = result
                 .steps
                 .iter()
@@ -123,7 +141,11 @@ fn lanes_stay_busy() {
             );
             assert!(most > least, "{}: nothing to balance", case.name);
             // What is lost is the end of each chunk, where the last trajectories are alone.
-            assert!(occupancy <= 1.0 && occupancy > 0.85, "{}: {occupancy}", case.name);
+            assert!(
+                occupancy <= 1.0 && occupancy > 0.85,
+                "{}: {occupancy}",
+                case.name
+            );
         }
     }
 }
@@ -177,7 +199,12 @@ fn mixed_endings() {
         .kernel
         .integrate(&case.run, &case.seeds)
         .expect("the CPU does not fail");
-    let mut attempts: Vec<u32> = result.steps.iter().zip(&result.rejected).map(|(s, r)| s + r).collect();
+    let mut attempts: Vec<u32> = result
+        .steps
+        .iter()
+        .zip(&result.rejected)
+        .map(|(s, r)| s + r)
+        .collect();
     attempts.sort_unstable();
     case.run.max_steps = attempts[attempts.len() / 2];
     case.check();
@@ -207,7 +234,9 @@ fn many_and_none() {
     case.seeds = once.repeat(copies);
     let many = case.rows(0, copies * SEEDS);
     assert!(
-        many.iter().enumerate().all(|(i, row)| *row == all[i % SEEDS]),
+        many.iter()
+            .enumerate()
+            .all(|(i, row)| *row == all[i % SEEDS]),
         "repeated seeds give repeated rows"
     );
     assert!(case.rows(0, 0).is_empty());

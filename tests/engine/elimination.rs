@@ -24,8 +24,8 @@ impl Random {
     }
 }
 
-/// Systems like those of a regulated plant: each propagator is the identity with small random entries, the end's
-/// matrix definite.
+/// Systems like those of a regulated plant: each propagator is the identity with small random
+/// entries, the end's matrix definite.
 fn systems(n: usize, segments: &[u32]) -> Systems {
     let mut random = Random(n as u64);
     let m = 2 * n;
@@ -54,7 +54,8 @@ fn systems(n: usize, segments: &[u32]) -> Systems {
     systems
 }
 
-/// Paths of different lengths, some of them only an end; longer ones than a dispatch takes among them.
+/// Paths of different lengths, some of them only an end; longer ones than a dispatch takes among
+/// them.
 fn lengths(count: usize) -> Vec<u32> {
     (0..count).map(|i| [3, 0, 17, 1, 8, 40, 2][i % 7]).collect()
 }
@@ -90,7 +91,8 @@ fn device(systems: &Systems, precision: Precision) -> Eliminated {
         .unwrap()
 }
 
-/// Largest difference of any list relative to its largest entry; infinite where something is not a number.
+/// Largest difference of any list relative to its largest entry; infinite where something is not a
+/// number.
 fn difference(a: &Eliminated, b: &Eliminated) -> f64 {
     let lists = [(&a.w, &b.w), (&a.l, &b.l), (&a.steps, &b.steps)];
     lists
@@ -100,13 +102,19 @@ fn difference(a: &Eliminated, b: &Eliminated) -> f64 {
             let size = a.iter().fold(0.0f64, |most, x| most.max(x.abs()));
             (a.iter().zip(b))
                 .map(|(a, b)| (a - b).abs() / size)
-                .fold(0.0, |most, d| if d.is_nan() { f64::INFINITY } else { d.max(most) })
+                .fold(0.0, |most, d| {
+                    if d.is_nan() {
+                        f64::INFINITY
+                    } else {
+                        d.max(most)
+                    }
+                })
         })
         .fold(0.0, f64::max)
 }
 
-/// Rounding of some 40 segments, amplified by the first node's equations, whose condition random systems have in the
-/// hundreds.
+/// Rounding of some 40 segments, amplified by the first node's equations, whose condition random
+/// systems have in the hundreds.
 fn allowed(precision: Precision) -> f64 {
     const AMPLIFICATION: f64 = 1000.0;
     AMPLIFICATION * precision.epsilon()
@@ -122,8 +130,14 @@ fn device_agrees_with_host() {
         for precision in PRECISIONS {
             let found = device(&systems, precision);
             let worst = difference(&reference, &found);
-            println!("n = {n} {precision:?}: {worst:.2e}, allowed {:.2e}", allowed(precision));
-            assert!(worst <= allowed(precision), "n = {n} {precision:?}: {worst:e}");
+            println!(
+                "n = {n} {precision:?}: {worst:.2e}, allowed {:.2e}",
+                allowed(precision)
+            );
+            assert!(
+                worst <= allowed(precision),
+                "n = {n} {precision:?}: {worst:e}"
+            );
             assert_ne!(reference, found, "the host was compared with itself");
         }
     }
@@ -143,7 +157,10 @@ fn comparator_catches_a_perturbation() {
     let off = 1e-9;
     assert!(change(&|e| *e.w.last_mut().unwrap() += off) > limit);
     assert!(change(&|e| e.l[0] += off) > limit);
-    assert!(change(&|e| e.steps[5] -= 1e-9 * reference.steps.iter().fold(0.0f64, |a, x| a.max(x.abs()))) > limit);
+    assert!(
+        change(&|e| e.steps[5] -= 1e-9 * reference.steps.iter().fold(0.0f64, |a, x| a.max(x.abs())))
+            > limit
+    );
     assert!(change(&|e| e.steps[5] = f64::NAN) > limit);
 }
 
@@ -156,13 +173,23 @@ fn equations_are_solved() {
     let found = device(&systems, Precision::F64);
     let (mut segment, mut node) = (0, 0);
     for (i, count) in systems.segments.iter().enumerate() {
-        let nodes: Vec<&[f64]> = found.steps[node * m..].chunks(m).take(*count as usize + 1).collect();
+        let nodes: Vec<&[f64]> = found.steps[node * m..]
+            .chunks(m)
+            .take(*count as usize + 1)
+            .collect();
         let size = nodes.concat().iter().fold(0.0f64, |a, x| a.max(x.abs()));
-        let near = |a: f64, b: f64| assert!((a - b).abs() <= allowed(Precision::F64) * size, "path {i}: {a} {b}");
+        let near = |a: f64, b: f64| {
+            assert!(
+                (a - b).abs() <= allowed(Precision::F64) * size,
+                "path {i}: {a} {b}"
+            )
+        };
         for j in 0..n {
             near(nodes[0][j], systems.wanted[i * n + j]);
             let last = nodes[nodes.len() - 1];
-            let slope: f64 = (0..n).map(|q| systems.hessian[i * n * n + j * n + q] * last[q]).sum();
+            let slope: f64 = (0..n)
+                .map(|q| systems.hessian[i * n * n + j * n + q] * last[q])
+                .sum();
             near(last[n + j] - slope, systems.end[i * n + j]);
         }
         for pair in nodes.windows(2) {
@@ -183,7 +210,9 @@ fn part(systems: &Systems, from: usize, to: usize) -> (Systems, std::ops::Range<
     let m = 2 * n;
     let before: usize = systems.segments[..from].iter().map(|s| *s as usize).sum();
     let inside: usize = systems.segments[from..to].iter().map(|s| *s as usize).sum();
-    let of = |list: &[f64], first: usize, last: usize, each: usize| list[first * each..last * each].to_vec();
+    let of = |list: &[f64], first: usize, last: usize, each: usize| {
+        list[first * each..last * each].to_vec()
+    };
     let part = Systems {
         states: n,
         segments: systems.segments[from..to].to_vec(),
@@ -224,7 +253,8 @@ fn a_singular_path_leaves_the_others_alone() {
     let m = 2 * n;
     let regular = systems(n, &[2, 3, 0]);
     let mut systems = regular.clone();
-    // The second path's first propagator ignores p, so that no p of the first node meets the end's condition.
+    // The second path's first propagator ignores p, so that no p of the first node meets the end's
+    // condition.
     for r in 0..m {
         systems.phi[2 * m * m + r * m + n..][..n].fill(0.0);
     }

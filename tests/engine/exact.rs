@@ -1,12 +1,15 @@
 //! Whole sweeps of scenes whose value function is known everywhere, at every stored sample.
 //!
-//! Bounds: what the project promises for V, relative to V itself ([`Asked::promised`]). p is the gradient of a V
-//! with that relative error over a front of that V's extent, so the same bound holds for it relative to its length
-//! on that front; likewise u, relative to the largest on the front.
+//! Bounds: what the project promises for V, relative to V itself ([`Asked::promised`]). p is the
+//! gradient of a V with that relative error over a front of that V's extent, so the same bound
+//! holds for it relative to its length on that front; likewise u, relative to the largest on the
+//! front.
 
 use crate::common_oracles;
 
-use common_oracles::{Asked, F32, F64, Random, Sample, Sweep, Worst, dot, minus, norm, parameter, scene};
+use common_oracles::{
+    Asked, F32, F64, Random, Sample, Sweep, Worst, dot, minus, norm, parameter, scene,
+};
 use costate::model::Model;
 use nalgebra::{DMatrix, DVector};
 
@@ -17,7 +20,8 @@ struct Exact {
     u: Vec<f64>,
 }
 
-/// An error relative to a size; none is none, of nothing too (a trajectory that rests at the origin).
+/// An error relative to a size; none is none, of nothing too (a trajectory that rests at the
+/// origin).
 fn relative(error: f64, size: f64) -> f64 {
     if error == 0.0 { 0.0 } else { error / size }
 }
@@ -41,7 +45,10 @@ fn compare(name: &str, model: &Model, asked: Asked, exact: impl Fn(&Sample) -> E
         }
         v.see(error);
         p.see(relative(norm(&minus(s.p, &e.p)), norm(&e.p)));
-        u.see(relative(norm(&minus(s.u, &e.u)), norm(&e.u).max(norm(&e.p))));
+        u.see(relative(
+            norm(&minus(s.u, &e.u)),
+            norm(&e.u).max(norm(&e.p)),
+        ));
         count += 1;
     }
     assert!(
@@ -49,7 +56,13 @@ fn compare(name: &str, model: &Model, asked: Asked, exact: impl Fn(&Sample) -> E
         "{name}: only {count} samples of {} trajectories",
         sweep.count()
     );
-    let what = |q| format!("{name} {} rtol {:e}: {q}", asked.precision.name(), asked.rtol);
+    let what = |q| {
+        format!(
+            "{name} {} rtol {:e}: {q}",
+            asked.precision.name(),
+            asked.rtol
+        )
+    };
     println!(
         "{} trajectories, {count} samples; worst V at V = {:.3e}, t = {:.3}",
         sweep.count(),
@@ -73,12 +86,18 @@ fn masses(model: &Model) -> [DMatrix<f64>; 4] {
         kc / m2, 0.0, -(k + kc) / m2, -d / m2,
     ]);
     let b = DMatrix::from_row_slice(4, 2, &[0.0, 0.0, 1.0 / m1, 0.0, 0.0, 0.0, 0.0, 1.0 / m2]);
-    let weights = DMatrix::from_diagonal(&DVector::from_vec(vec![q("q_x"), q("q_v"), q("q_x"), q("q_v")]));
+    let weights = DMatrix::from_diagonal(&DVector::from_vec(vec![
+        q("q_x"),
+        q("q_v"),
+        q("q_x"),
+        q("q_v"),
+    ]));
     let effort = DMatrix::from_diagonal(&DVector::from_vec(vec![q("r1"), q("r2")]));
     [a, b, weights, effort]
 }
 
-/// Kleinman's iteration (IEEE Trans. Automatic Control 13, 1968) from zero gain, which a stable A allows.
+/// Kleinman's iteration (IEEE Trans. Automatic Control 13, 1968) from zero gain, which a stable A
+/// allows.
 fn kleinman([a, b, q, r]: &[DMatrix<f64>; 4]) -> (DMatrix<f64>, DMatrix<f64>) {
     let n = a.nrows();
     let identity = DMatrix::<f64>::identity(n, n);
@@ -87,7 +106,8 @@ fn kleinman([a, b, q, r]: &[DMatrix<f64>; 4]) -> (DMatrix<f64>, DMatrix<f64>) {
     for _ in 0..30 {
         let closed = a - b * &gain;
         // closed'P + P closed = -(Q + gain'R gain), as a linear system of n^2 unknowns.
-        let operator = identity.kronecker(&closed.transpose()) + closed.transpose().kronecker(&identity);
+        let operator =
+            identity.kronecker(&closed.transpose()) + closed.transpose().kronecker(&identity);
         let right = -(q + gain.transpose() * r * &gain);
         let x = operator
             .lu()
@@ -98,7 +118,10 @@ fn kleinman([a, b, q, r]: &[DMatrix<f64>; 4]) -> (DMatrix<f64>, DMatrix<f64>) {
     }
     let residual = a.transpose() * &p + &p * a - &p * b * &gain + q;
     // The operator's condition is about 10 here: 16 unknowns, some hundred roundings.
-    assert!(residual.norm() < 1e-13 * p.norm(), "Kleinman's iteration converges");
+    assert!(
+        residual.norm() < 1e-13 * p.norm(),
+        "Kleinman's iteration converges"
+    );
     (p, gain)
 }
 
@@ -127,7 +150,8 @@ fn manufactured() {
         compare("manufactured", &model, asked, |s| {
             let [x, y] = [s.x[0], s.x[1]];
             // (1 - cos x)/2 without cancellation.
-            let v = 0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
+            let v =
+                0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
             let p = vec![
                 x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
                 0.5 * x + 2.0 * y + 0.5 * x * x * y,

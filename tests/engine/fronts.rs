@@ -1,17 +1,20 @@
-//! What a sweep covers: gaps between neighbours on fronts, the pendulum's known map, caps, guards, other dimensions.
+//! What a sweep covers: gaps between neighbours on fronts, the pendulum's known map, caps, guards,
+//! other dimensions.
 
 use crate::common_oracles;
 
 use common_oracles::{Asked, F32, F64, Sweep, parse, scene};
 use costate::model::Precision;
 
-/// Gaps are judged in f32, in widths of the region: a few units of which the pendulum's fronts are long.
+/// Gaps are judged in f32, in widths of the region: a few units of which the pendulum's fronts are
+/// long.
 const JUDGED: f64 = 16.0 * f32::EPSILON as f64;
 
 /// Points of a planar front in the order of the curve.
 struct Front {
     value: f64,
-    /// `(x, p)` of each trajectory, in the order of all fronts; `None` where it has not come so far.
+    /// `(x, p)` of each trajectory, in the order of all fronts; `None` where it has not come so
+    /// far.
     points: Vec<Option<[f64; 4]>>,
 }
 
@@ -36,16 +39,23 @@ fn fronts(sweep: &Sweep) -> Vec<Front> {
 /// Pairs of neighbours round the curve where both have come to the front.
 fn neighbours(front: &Front) -> impl Iterator<Item = ([f64; 4], [f64; 4])> {
     let next = front.points.iter().cycle().skip(1);
-    front.points.iter().zip(next).filter_map(|(a, b)| Some(((*a)?, (*b)?)))
+    front
+        .points
+        .iter()
+        .zip(next)
+        .filter_map(|(a, b)| Some(((*a)?, (*b)?)))
 }
 
-/// The widest gap over all fronts, where the box around two neighbours meets the region (a periodic state always does).
+/// The widest gap over all fronts, where the box around two neighbours meets the region (a periodic
+/// state always does).
 fn widest(sweep: &Sweep, region: &[[f64; 2]]) -> f64 {
     let mut widest = 0.0f64;
     for front in fronts(sweep) {
         for (a, b) in neighbours(&front) {
-            let meets = (0..2)
-                .all(|i| sweep.plan.periodic[i] || (a[i].max(b[i]) >= region[i][0] && a[i].min(b[i]) <= region[i][1]));
+            let meets = (0..2).all(|i| {
+                sweep.plan.periodic[i]
+                    || (a[i].max(b[i]) >= region[i][0] && a[i].min(b[i]) <= region[i][1])
+            });
             let gap = (0..2)
                 .map(|i| (a[i] - b[i]).abs() / sweep.plan.widths[i])
                 .fold(0.0, f64::max);
@@ -100,15 +110,24 @@ fn the_pendulum_reaches_what_the_thesis_shows() {
         .map(|p| p.expect("all come to the last front"))
         .collect();
     let least = points.iter().map(|p| p[0]).fold(f64::INFINITY, f64::min);
-    let most = points.iter().map(|p| p[1]).fold(f64::NEG_INFINITY, f64::max);
+    let most = points
+        .iter()
+        .map(|p| p[1])
+        .fold(f64::NEG_INFINITY, f64::max);
     println!("theta from {least:.3}, omega to {most:.3}");
     // Printed digits: half a unit of the last.
-    assert!((least + 8.9).abs() <= 0.05, "theta comes to {least}, -8.9 is known");
-    assert!((most - 14.9).abs() <= 0.05, "omega comes to {most}, 14.9 is known");
+    assert!(
+        (least + 8.9).abs() <= 0.05,
+        "theta comes to {least}, -8.9 is known"
+    );
+    assert!(
+        (most - 14.9).abs() <= 0.05,
+        "omega comes to {most}, 14.9 is known"
+    );
 }
 
-/// Where a front crosses omega = 0, going along it: theta, by the cubic through two neighbours with the front's
-/// directions there (p is normal to it).
+/// Where a front crosses omega = 0, going along it: theta, by the cubic through two neighbours with
+/// the front's directions there (p is normal to it).
 fn crossings(front: &Front) -> Vec<f64> {
     neighbours(front)
         .filter(|(a, b)| a[1].signum() != b[1].signum())
@@ -118,7 +137,9 @@ fn crossings(front: &Front) -> Vec<f64> {
             let h = b[1] - a[1];
             let q = -a[1] / h;
             let (m, n) = (1.0 - q, q);
-            a[0] * m * m * (1.0 + 2.0 * n) + b[0] * n * n * (3.0 - 2.0 * n) + h * m * n * (m * slope_a - n * slope_b)
+            a[0] * m * m * (1.0 + 2.0 * n)
+                + b[0] * n * n * (3.0 - 2.0 * n)
+                + h * m * n * (m * slope_a - n * slope_b)
         })
         .collect()
 }
@@ -182,17 +203,24 @@ fn a_cap_leaves_gaps_and_says_so() {
     );
 }
 
-/// The guard R >= 0 of the compressor: nothing stored is outside, and the plane R = 0, which trajectories cannot leave,
-/// is kept.
+/// The guard R >= 0 of the compressor: nothing stored is outside, and the plane R = 0, which
+/// trajectories cannot leave, is kept.
 #[test]
 fn stall_is_never_negative() {
     for asked in [F64, F32] {
         let mut model = scene("moore_greitzer", &[]);
         model.shoot_out.as_mut().expect("a sweep").max_seeds = 3000;
         let sweep = Sweep::of(&model, asked);
-        let least = sweep.samples().map(|s| s.x[2]).fold(f64::INFINITY, f64::min);
+        let least = sweep
+            .samples()
+            .map(|s| s.x[2])
+            .fold(f64::INFINITY, f64::min);
         assert!(least >= 0.0, "{}: R = {least:e}", asked.precision.name());
-        let size = |i: usize| (0..4).map(|k| sweep.seeds[i * 9 + k].abs()).fold(0.0, f64::max);
+        let size = |i: usize| {
+            (0..4)
+                .map(|k| sweep.seeds[i * 9 + k].abs())
+                .fold(0.0, f64::max)
+        };
         let eps = asked.precision.epsilon();
         let on: Vec<usize> = (0..sweep.count())
             .filter(|i| sweep.seeds[i * 9 + 2] <= eps * size(*i))
@@ -200,8 +228,9 @@ fn stall_is_never_negative() {
         assert!(on.len() >= 20, "only {} seeds are on R = 0", on.len());
         let mut worst = 0.0f64;
         for i in &on {
-            // Backward in time R'/R = sigma (Phi^2 - 1 + R): what is rounding at the seed grows by the integral of
-            // that. Phi is monotone between samples but near its turns, for which a factor e is left.
+            // Backward in time R'/R = sigma (Phi^2 - 1 + R): what is rounding at the seed grows by
+            // the integral of that. Phi is monotone between samples but near its turns, for which a
+            // factor e is left.
             let (mut exponent, mut t, mut flow) = (1.0, 0.0, 1.2f64);
             for k in 0..sweep.levels() {
                 let sample = sweep.raw.sample(*i, k);
@@ -224,7 +253,10 @@ fn stall_is_never_negative() {
             asked.precision.name(),
             on.len()
         );
-        assert!(!sweep.stored.status.contains(&(16 + 1)), "no trajectory meets R >= 0");
+        assert!(
+            !sweep.stored.status.contains(&(16 + 1)),
+            "no trajectory meets R >= 0"
+        );
     }
 }
 
@@ -254,9 +286,15 @@ fn one_state() {
     for asked in [F64, F32] {
         let sweep = Sweep::of(&model, asked);
         assert_eq!((sweep.count(), sweep.report.coverage.uncovered), (2, 0));
-        assert!(sweep.stored.status.iter().all(|s| *s == 0), "both reach V = 0.5");
+        assert!(
+            sweep.stored.status.iter().all(|s| *s == 0),
+            "both reach V = 0.5"
+        );
         let signs: Vec<f64> = sweep.samples().map(|s| s.x[0].signum()).collect();
-        assert!(signs.contains(&1.0) && signs.contains(&-1.0), "one on each side");
+        assert!(
+            signs.contains(&1.0) && signs.contains(&-1.0),
+            "one on each side"
+        );
         for s in sweep.samples() {
             let x = s.x[0];
             // x (sqrt(x^4 + 1) - x^2) without cancellation.
@@ -297,10 +335,19 @@ fn three_states() {
         let gains: Vec<f64> = rates.iter().map(|a| a + f64::hypot(*a, 1.0)).collect();
         for s in sweep.samples() {
             let v: f64 = s.x.iter().zip(&gains).map(|(x, p)| 0.5 * p * x * x).sum();
-            assert!((s.v - v).abs() <= asked.promised() * v, "V = {} for {v}", s.v);
+            assert!(
+                (s.v - v).abs() <= asked.promised() * v,
+                "V = {} for {v}",
+                s.v
+            );
         }
-        // Every point of the last front is near a trajectory: its ellipsoid, in widths, looked at in many directions.
-        let last: Vec<&[f64]> = sweep.samples().filter(|s| s.v == 0.3).map(|s| s.x).collect();
+        // Every point of the last front is near a trajectory: its ellipsoid, in widths, looked at
+        // in many directions.
+        let last: Vec<&[f64]> = sweep
+            .samples()
+            .filter(|s| s.v == 0.3)
+            .map(|s| s.x)
+            .collect();
         assert_eq!(last.len(), sweep.count());
         let mut random = common_oracles::Random::new(21);
         for _ in 0..2000 {
@@ -314,9 +361,16 @@ fn three_states() {
                     .map(|(a, b)| (a - b).abs() / 2.0)
                     .fold(0.0, f64::max)
             };
-            let nearest = last.iter().map(|x| distance(x)).fold(f64::INFINITY, f64::min);
-            // Corners of triangles with edges within the spacing are nearer than an edge to every point of it.
-            assert!(nearest <= 0.2, "{target:?} is {nearest} from all trajectories");
+            let nearest = last
+                .iter()
+                .map(|x| distance(x))
+                .fold(f64::INFINITY, f64::min);
+            // Corners of triangles with edges within the spacing are nearer than an edge to every
+            // point of it.
+            assert!(
+                nearest <= 0.2,
+                "{target:?} is {nearest} from all trajectories"
+            );
         }
     }
 }
@@ -326,9 +380,21 @@ fn three_states() {
 fn both_precisions_find_the_same_map() {
     let model = scene("pendulum", &[]);
     let counts: Vec<usize> = [Precision::F64, Precision::F32]
-        .map(|precision| Sweep::of(&model, Asked { precision, rtol: 1e-6 }).count())
+        .map(|precision| {
+            Sweep::of(
+                &model,
+                Asked {
+                    precision,
+                    rtol: 1e-6,
+                },
+            )
+            .count()
+        })
         .into_iter()
         .collect();
     // Decisions near the spacing go either way: one of some ten.
-    assert!(counts[0].abs_diff(counts[1]) * 10 <= counts[0], "{counts:?}");
+    assert!(
+        counts[0].abs_diff(counts[1]) * 10 <= counts[0],
+        "{counts:?}"
+    );
 }

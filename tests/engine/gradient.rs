@@ -1,8 +1,9 @@
 //! p is the gradient of V: between samples of neighbouring trajectories, V changes by what p says.
 //!
-//! For two points a small distance d apart, `V(b) - V(a) - (p(a) + p(b))/2 . (b - a)` is of third order in d exactly if
-//! p is the gradient of V; relative to `|p| d`, of second order. Otherwise it does not fall with d. V is known on fronts
-//! to rounding, so nothing but p and x enters. Lengths are in widths of the region.
+//! For two points a small distance d apart, `V(b) - V(a) - (p(a) + p(b))/2 . (b - a)` is of third
+//! order in d exactly if p is the gradient of V; relative to `|p| d`, of second order. Otherwise it
+//! does not fall with d. V is known on fronts to rounding, so nothing but p and x enters. Lengths
+//! are in widths of the region.
 
 use crate::common_oracles;
 
@@ -14,7 +15,8 @@ const ORDER: f64 = 2.0;
 /// Half an order either way, for the terms after the first.
 const SLACK: f64 = 0.5;
 
-/// At order 2 defect / d^2 is the same at half the distance, but for which pairs there are; at order 1 it doubles.
+/// At order 2 defect / d^2 is the same at half the distance, but for which pairs there are; at
+/// order 1 it doubles.
 const GROWTH: f64 = 1.5;
 
 /// A sample: x, p (both in widths) and V.
@@ -29,15 +31,22 @@ fn point(sweep: &Sweep, i: usize, k: usize) -> Option<Point> {
     let (n, widths) = (sweep.n, &sweep.plan.widths);
     (!sample[0].is_nan()).then(|| Point {
         x: sample[..n].iter().zip(widths).map(|(s, w)| s / w).collect(),
-        p: sample[n..2 * n].iter().zip(widths).map(|(p, w)| p * w).collect(),
+        p: sample[n..2 * n]
+            .iter()
+            .zip(widths)
+            .map(|(p, w)| p * w)
+            .collect(),
         v: sample[2 * n],
     })
 }
 
-/// Distance of two points and their defect, relative to |p| times it. `scale` multiplies p: 1, or something wrong.
+/// Distance of two points and their defect, relative to |p| times it. `scale` multiplies p: 1, or
+/// something wrong.
 fn defect(a: &Point, b: &Point, scale: f64) -> (f64, f64) {
     let dx: Vec<f64> = b.x.iter().zip(&a.x).map(|(b, a)| b - a).collect();
-    let said: f64 = (0..dx.len()).map(|i| 0.5 * scale * (a.p[i] + b.p[i]) * dx[i]).sum();
+    let said: f64 = (0..dx.len())
+        .map(|i| 0.5 * scale * (a.p[i] + b.p[i]) * dx[i])
+        .sum();
     let d = norm(&dx);
     (d, (b.v - a.v - said).abs() / (norm(&a.p) * d))
 }
@@ -94,8 +103,14 @@ fn pairs(sweep: &Sweep, scale: f64) -> [Vec<(f64, f64)>; 2] {
 fn planar(name: &str) {
     let model = scene(name, &[]);
     let (coarse, fine) = (swept(&model, 1), swept(&model, 2));
-    for (k, what) in ["along fronts", "along trajectories"].into_iter().enumerate() {
-        let (a, b) = (medians(&pairs(&coarse, 1.0)[k]), medians(&pairs(&fine, 1.0)[k]));
+    for (k, what) in ["along fronts", "along trajectories"]
+        .into_iter()
+        .enumerate()
+    {
+        let (a, b) = (
+            medians(&pairs(&coarse, 1.0)[k]),
+            medians(&pairs(&fine, 1.0)[k]),
+        );
         println!(
             "{name} {what}: defect {:.1e} at {:.1e}, {:.1e} at {:.1e}: order {:.2}",
             a.1,
@@ -116,8 +131,12 @@ fn planar(name: &str) {
             "{name} {what}: defect / d^2 goes from {before:.1e} to {after:.1e}"
         );
     }
-    // Along trajectories a p of the wrong length shows. (Along fronts it is the direction that counts.)
-    let wrong = order(medians(&pairs(&coarse, 1.01)[1]), medians(&pairs(&fine, 1.01)[1]));
+    // Along trajectories a p of the wrong length shows. (Along fronts it is the direction that
+    // counts.)
+    let wrong = order(
+        medians(&pairs(&coarse, 1.01)[1]),
+        medians(&pairs(&fine, 1.01)[1]),
+    );
     assert!(wrong < ORDER - SLACK, "order {wrong} for a wrong p");
 }
 
@@ -131,7 +150,8 @@ fn manufactured() {
     planar("manufactured");
 }
 
-/// Four states, with a clamp: the nearest other trajectory on the same front, near ones against far ones.
+/// Four states, with a clamp: the nearest other trajectory on the same front, near ones against far
+/// ones.
 #[test]
 fn compressor() {
     let mut model = scene("moore_greitzer", &[]);
@@ -139,10 +159,16 @@ fn compressor() {
     let sweep = Sweep::of(&model, F64);
     let mut pairs = Vec::new();
     for k in (0..sweep.levels()).step_by(6) {
-        let points: Vec<Point> = (0..sweep.count()).filter_map(|i| point(&sweep, i, k)).collect();
+        let points: Vec<Point> = (0..sweep.count())
+            .filter_map(|i| point(&sweep, i, k))
+            .collect();
         for (i, a) in points.iter().enumerate() {
             let distance = |b: &Point| norm(&[0, 1, 2, 3].map(|c| b.x[c] - a.x[c]));
-            let others = points.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, b)| b);
+            let others = points
+                .iter()
+                .enumerate()
+                .filter(|(j, _)| *j != i)
+                .map(|(_, b)| b);
             if let Some(b) = others.min_by(|b, c| distance(b).total_cmp(&distance(c))) {
                 pairs.push(defect(a, b, 1.0));
             }
@@ -160,5 +186,9 @@ fn compressor() {
         far.0,
         order(far, near)
     );
-    assert!((order(far, near) - ORDER).abs() <= SLACK, "order {}", order(far, near));
+    assert!(
+        (order(far, near) - ORDER).abs() <= SLACK,
+        "order {}",
+        order(far, near)
+    );
 }

@@ -1,6 +1,7 @@
-//! Sweeps of the scenes in scenarios/hard, on both backends and in both precisions: what is expected of each stands at the
-//! top of its file. Oracles: exact V, p and u; the statuses that the mathematics demands. The compressor's scenes are in
-//! tests/hard_compressor.rs, values at states in tests/hard_states.rs.
+//! Sweeps of the scenes in scenarios/hard, on both backends and in both precisions: what is
+//! expected of each stands at the top of its file. Oracles: exact V, p and u; the statuses that the
+//! mathematics demands. The compressor's scenes are in tests/hard_compressor.rs, values at states
+//! in tests/hard_states.rs.
 //!
 //! Bounds: what the project promises for V ([`Asked::promised`]), relative to V or to max(1, V).
 
@@ -27,11 +28,21 @@ fn relative(error: f64, size: f64) -> f64 {
 
 /// p and u in units of the region's widths, so that states of different size count alike.
 fn exact(sweep: &Sweep, asked: Asked, what: &str, right: impl Fn(&Sample) -> Exact) {
-    let scaled = |p: &[f64]| norm(&p.iter().zip(&sweep.plan.widths).map(|(p, w)| p * w).collect::<Vec<_>>());
+    let scaled = |p: &[f64]| {
+        norm(
+            &p.iter()
+                .zip(&sweep.plan.widths)
+                .map(|(p, w)| p * w)
+                .collect::<Vec<_>>(),
+        )
+    };
     let (mut v, mut p, mut u) = (Worst::default(), Worst::default(), Worst::default());
-    let largest = sweep.samples().map(|s| norm(&right(&s).u)).fold(0.0, f64::max);
-    // On a finite horizon V may be as small as it likes, and tolerances are absolute there: what is a thousandth of the
-    // scene's is measured against that.
+    let largest = sweep
+        .samples()
+        .map(|s| norm(&right(&s).u))
+        .fold(0.0, f64::max);
+    // On a finite horizon V may be as small as it likes, and tolerances are absolute there: what is
+    // a thousandth of the scene's is measured against that.
     let small = if sweep.plan.sampling == Sampling::Time {
         1e-3 * sweep.plan.value_scale
     } else {
@@ -70,7 +81,8 @@ fn cheap_control() {
     let gain = p.rows(1, 1).into_owned() / (root * root);
     everywhere(&model, |sweep, asked, what| {
         exact(sweep, asked, what, quadratic(&p, &gain));
-        // The slow part of the fronts comes from seeds that no number tells apart: said before and after.
+        // The slow part of the fronts comes from seeds that no number tells apart: said before and
+        // after.
         let rates = stiffness::separation(&sweep.plan).expect("an infinite horizon");
         assert!(
             rates.hides_fronts() && (rates.ratio - 1000.0).abs() < 1.0,
@@ -96,7 +108,10 @@ fn dear_control() {
             "{what}"
         );
         let rates = stiffness::separation(&sweep.plan).expect("an infinite horizon");
-        assert!(!rates.hides_fronts() && rates.ratio < 1.1, "{what}: {rates:?}");
+        assert!(
+            !rates.hides_fronts() && rates.ratio < 1.1,
+            "{what}: {rates:?}"
+        );
     });
 }
 
@@ -104,11 +119,18 @@ fn dear_control() {
 fn long_horizon() {
     let model = hard("long_horizon");
     let (end, s) = (parameter(&model, "T"), parameter(&model, "s"));
-    // P' = A'P + PA - P B B'P + I by time left, from s I; entries p11, p12, p22. Steps of 1e-3: the error of order 4 is
-    // below 1e-10 even where P falls from 10.
+    // P' = A'P + PA - P B B'P + I by time left, from s I; entries p11, p12, p22. Steps of 1e-3: the
+    // error of order 4 is below 1e-10 even where P falls from 10.
     const STEP: f64 = 1e-3;
-    let rate = |p: [f64; 3]| [1.0 - p[1] * p[1], p[0] - p[1] * p[2], 2.0 * p[1] + 1.0 - p[2] * p[2]];
-    let moved = |p: [f64; 3], k: [f64; 3], h: f64| [p[0] + h * k[0], p[1] + h * k[1], p[2] + h * k[2]];
+    let rate = |p: [f64; 3]| {
+        [
+            1.0 - p[1] * p[1],
+            p[0] - p[1] * p[2],
+            2.0 * p[1] + 1.0 - p[2] * p[2],
+        ]
+    };
+    let moved =
+        |p: [f64; 3], k: [f64; 3], h: f64| [p[0] + h * k[0], p[1] + h * k[1], p[2] + h * k[2]];
     let mut table = vec![[s, 0.0, s]];
     for _ in 0..(end / STEP).round() as usize {
         let p = table[table.len() - 1];
@@ -125,7 +147,10 @@ fn long_horizon() {
         // Samples are at whole time units, which the table has.
         exact(sweep, asked, what, |sample| {
             let [a, b, c] = table[((end - sample.t) / STEP).round() as usize];
-            let p = vec![a * sample.x[0] + b * sample.x[1], b * sample.x[0] + c * sample.x[1]];
+            let p = vec![
+                a * sample.x[0] + b * sample.x[1],
+                b * sample.x[0] + c * sample.x[1],
+            ];
             Exact {
                 v: 0.5 * dot(sample.x, &p),
                 u: vec![-p[1]],
@@ -133,10 +158,19 @@ fn long_horizon() {
             }
         });
         let c = &sweep.report.coverage;
-        assert!(c.uncovered + c.indistinguishable > 0, "{what}: claims to cover");
+        assert!(
+            c.uncovered + c.indistinguishable > 0,
+            "{what}: claims to cover"
+        );
         // At the largest growth of the region's widths, exp(0.866 * 60), all others have left.
         assert!(
-            sweep.raw.status.iter().filter(|s| **s == Status::Reached).count() <= 2,
+            sweep
+                .raw
+                .status
+                .iter()
+                .filter(|s| **s == Status::Reached)
+                .count()
+                <= 2,
             "{what}"
         );
     });
@@ -146,7 +180,12 @@ fn long_horizon() {
 fn hidden_sheet() {
     let model = hard("hidden_sheet");
     let (k, turn) = (parameter(&model, "k"), parameter(&model, "turn"));
-    let turned = |a: f64, b: f64| [turn.cos() * a + turn.sin() * b, -turn.sin() * a + turn.cos() * b];
+    let turned = |a: f64, b: f64| {
+        [
+            turn.cos() * a + turn.sin() * b,
+            -turn.sin() * a + turn.cos() * b,
+        ]
+    };
     everywhere(&model, |sweep, asked, what| {
         exact(sweep, asked, what, |s| Exact {
             v: 0.5 * dot(s.x, s.x),
@@ -182,7 +221,8 @@ fn hidden_sheet() {
                 .copied()
                 .unwrap_or(end)
                 .max(-there.last().copied().unwrap_or(-end));
-            // Spacing is in widths of the region (4.4), along the turned axes; one gap may lie across an end.
+            // Spacing is in widths of the region (4.4), along the turned axes; one gap may lie
+            // across an end.
             let gap = 0.05 * 4.4 * 2f64.sqrt();
             let found = there.len() >= 5 && widest <= gap && reach <= -end + gap;
             if asked.precision == Precision::F64 {
@@ -196,7 +236,10 @@ fn hidden_sheet() {
         let c = &sweep.report.coverage;
         match asked.precision {
             Precision::F64 => assert_eq!((c.uncovered, c.indistinguishable), (0, 0), "{what}"),
-            Precision::F32 => assert!(c.indistinguishable > 0, "{what}: f32 cannot tell such seeds apart"),
+            Precision::F32 => assert!(
+                c.indistinguishable > 0,
+                "{what}: f32 cannot tell such seeds apart"
+            ),
         }
         // The linearization gives no hint.
         assert!(
@@ -224,7 +267,11 @@ fn state_sizes() {
             for k in 0..sweep.levels() {
                 let s = &sweep.raw.sample(i, k)[1..];
                 let [x, y] = [s[0] / a, s[1] / b];
-                let v = 0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
+                let v = 0.5 * x * x
+                    + (0.5 * x).sin().powi(2)
+                    + 0.5 * x * y
+                    + y * y
+                    + 0.25 * x * x * y * y;
                 values.see((s[4] - v).abs() / v);
             }
         }
@@ -233,7 +280,11 @@ fn state_sizes() {
             let [x, y] = [(s.x[0] - x0) / a, (s.x[1] - y0) / b];
             let v_y = 0.5 * x + 2.0 * y + 0.5 * x * x * y;
             Exact {
-                v: 0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y,
+                v: 0.5 * x * x
+                    + (0.5 * x).sin().powi(2)
+                    + 0.5 * x * y
+                    + y * y
+                    + 0.25 * x * x * y * y,
                 p: vec![(x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y) / a, v_y / b],
                 u: vec![-v_y / r],
             }
@@ -244,7 +295,9 @@ fn state_sizes() {
 #[test]
 fn stiff_chain() {
     let model = hard("stiff_chain");
-    let rates: Vec<f64> = (1..=6).map(|i| parameter(&model, &format!("k{i}"))).collect();
+    let rates: Vec<f64> = (1..=6)
+        .map(|i| parameter(&model, &format!("k{i}")))
+        .collect();
     let weight = parameter(&model, "q");
     let a = DMatrix::from_fn(6, 6, |i, j| match i.checked_sub(j) {
         Some(0) => -rates[i],
@@ -262,9 +315,12 @@ fn stiff_chain() {
     let (mut p, mut gain) = (DMatrix::zeros(6, 6), DMatrix::zeros(1, 6));
     for _ in 0..30 {
         let closed = &a - &b * &gain;
-        let operator = identity.kronecker(&closed.transpose()) + closed.transpose().kronecker(&identity);
+        let operator =
+            identity.kronecker(&closed.transpose()) + closed.transpose().kronecker(&identity);
         let right = -(&q + gain.transpose() * &gain);
-        let x = operator.lu().solve(&DVector::from_column_slice(right.as_slice()));
+        let x = operator
+            .lu()
+            .solve(&DVector::from_column_slice(right.as_slice()));
         p = DMatrix::from_column_slice(6, 6, x.expect("a stable closed loop").as_slice());
         gain = b.transpose() * &p;
     }
@@ -316,8 +372,12 @@ fn blow_up() {
             // Seeds next to the border may go either way within the tolerance.
             let c = seed[0].abs();
             if c > 1.01 * last {
-                let failed = matches!(status, Status::StepFloor | Status::NotFinite | Status::StepLimit);
-                // Near the singularity steps too small to be seen in t still move x, out of any margin.
+                let failed = matches!(
+                    status,
+                    Status::StepFloor | Status::NotFinite | Status::StepLimit
+                );
+                // Near the singularity steps too small to be seen in t still move x, out of any
+                // margin.
                 let far = *status == Status::LeftRegion && sweep.raw.end[i * 5].abs() > 1e29;
                 assert!(failed || far, "{what}: {c} {status:?}");
                 blown += 1;
@@ -345,8 +405,8 @@ fn blow_up() {
     });
 }
 
-/// A fast unstable mode that is in no trajectory: backward in time it decays, and holds the steps at the boundary of
-/// stability. Exact: z stays unseen, V is that of the cart.
+/// A fast unstable mode that is in no trajectory: backward in time it decays, and holds the steps
+/// at the boundary of stability. Exact: z stays unseen, V is that of the cart.
 const HELD: &str = r#"
 states = { x = {}, z = {} }
 controls = { u = {} }
@@ -367,7 +427,10 @@ fn steps_held_by_stability_are_noticed() {
             if let Some(h) = held {
                 assert!((h.rate - 1000.0).abs() < 1.0 && h.share > 0.9, "{h:?}");
                 // Steps swing about the boundary, never far beyond.
-                assert!(h.product > 0.5 * h.boundary && h.product < 1.5 * h.boundary, "{h:?}");
+                assert!(
+                    h.product > 0.5 * h.boundary && h.product < 1.5 * h.boundary,
+                    "{h:?}"
+                );
             }
         }
     }
@@ -405,7 +468,12 @@ fn a_step_limit_is_counted() {
     let mut model = hard("blow_up");
     model.integrator.max_steps = 20;
     everywhere(&model, |sweep, _, what| {
-        let limited = sweep.raw.status.iter().filter(|s| **s == Status::StepLimit).count();
+        let limited = sweep
+            .raw
+            .status
+            .iter()
+            .filter(|s| **s == Status::StepLimit)
+            .count();
         assert!(limited > 0, "{what}");
         let Run { max_steps, .. } = sweep.plan.run;
         assert!(sweep.raw.steps.iter().all(|s| *s <= max_steps), "{what}");

@@ -1,5 +1,6 @@
-//! The compressor's scenes in scenarios/hard, on both backends and in both precisions, against its characteristics written by
-//! hand and integrated by another method in small steps: what is expected of each scene stands at the top of its file.
+//! The compressor's scenes in scenarios/hard, on both backends and in both precisions, against its
+//! characteristics written by hand and integrated by another method in small steps: what is
+//! expected of each scene stands at the top of its file.
 
 use crate::common;
 use crate::common_hard;
@@ -58,23 +59,30 @@ impl Compressor {
         let root = x[1].sqrt();
         // dH/dx: L's gradient and f's Jacobian transposed times p.
         let slope = [
-            2.0 * (x[0] - self.x0[0]) + p[0] * (1.5 - 1.5 * x[0] * x[0] - 3.0 * x[2]) + p[1] - 8.0 * x[0] * x[2] * p[2],
+            2.0 * (x[0] - self.x0[0]) + p[0] * (1.5 - 1.5 * x[0] * x[0] - 3.0 * x[2]) + p[1]
+                - 8.0 * x[0] * x[2] * p[2],
             2.0 * (x[1] - self.x0[1]) - p[0] - 0.5 * p[1] * x[3] / root,
             2.0 * x[2] - 3.0 * x[0] * p[0] + 4.0 * p[2] * (1.0 - x[0] * x[0] - 2.0 * x[2]),
             2.0 * (x[3] - self.x0[3]) - p[1] * root,
         ];
-        f.iter().map(|f| -f).chain(slope).chain([self.cost(x, v)]).collect()
+        f.iter()
+            .map(|f| -f)
+            .chain(slope)
+            .chain([self.cost(x, v)])
+            .collect()
     }
 
-    /// Classical Runge-Kutta steps from a seed, to a backward time. In a step with a kink the error is of the second order
-    /// in the step.
+    /// Classical Runge-Kutta steps from a seed, to a backward time. In a step with a kink the error
+    /// is of the second order in the step.
     fn integrate(&self, seed: &[f64], reference: &[f64], time: f64, steps: usize) -> Vec<f64> {
         let mut y: Vec<f64> = (0..4)
             .map(|i| seed[i] + reference[i])
             .chain(seed[4..9].iter().copied())
             .collect();
         let h = time / steps as f64;
-        let moved = |y: &[f64], k: &[f64], h: f64| y.iter().zip(k).map(|(y, k)| y + h * k).collect::<Vec<_>>();
+        let moved = |y: &[f64], k: &[f64], h: f64| {
+            y.iter().zip(k).map(|(y, k)| y + h * k).collect::<Vec<_>>()
+        };
         for _ in 0..steps {
             let a = self.rate(&y);
             let b = self.rate(&moved(&y, &a, 0.5 * h));
@@ -91,19 +99,24 @@ impl Compressor {
     fn check(&self, sweep: &Sweep, asked: Asked, what: &str) {
         const TRAJECTORIES: usize = 12;
         const STEPS: usize = 40_000;
-        // What 40000 steps of at most 5e-4 leave at a kink, h^2 times a jump of order 1 of the second derivative, and
-        // accumulated rounding, are below this.
+        // What 40000 steps of at most 5e-4 leave at a kink, h^2 times a jump of order 1 of the
+        // second derivative, and accumulated rounding, are below this.
         const BY_HAND: f64 = 1e-6;
         let bound = asked.promised().max(BY_HAND);
         let mut e_v = Worst::default();
         let reference = &sweep.plan.system.reference;
         for i in (0..sweep.count()).step_by(sweep.count() / TRAJECTORIES) {
-            let Some(last) = (0..sweep.levels()).rev().find(|k| !sweep.raw.sample(i, *k)[0].is_nan()) else {
+            let Some(last) = (0..sweep.levels())
+                .rev()
+                .find(|k| !sweep.raw.sample(i, *k)[0].is_nan())
+            else {
                 continue;
             };
             let sample = sweep.raw.sample(i, last);
             let y = self.integrate(&sweep.seeds[i * 9..][..9], reference, sample[0], STEPS);
-            let x: Vec<f64> = (0..4).map(|j| sample[1 + j] + reference[j] - y[j]).collect();
+            let x: Vec<f64> = (0..4)
+                .map(|j| sample[1 + j] + reference[j] - y[j])
+                .collect();
             let mean: Vec<f64> = (0..4).map(|j| 0.5 * (sample[5 + j] + y[4 + j])).collect();
             e_v.see((sample[9] - y[8] - dot(&mean, &x)).abs() / y[8].max(1.0));
         }
@@ -117,11 +130,16 @@ impl Compressor {
             if end.0 != s.trajectory {
                 end = (
                     s.trajectory,
-                    if sweep.plan.sampling == Sampling::Time { h } else { 0.0 },
+                    if sweep.plan.sampling == Sampling::Time {
+                        h
+                    } else {
+                        0.0
+                    },
                 );
             }
             let terms = dot(s.p, &self.forward(s.x, s.u[0])).abs() + self.cost(s.x, s.u[0]);
-            // H - H(end) relative to the terms that cancel in it, and to the largest V's cost where these are small.
+            // H - H(end) relative to the terms that cancel in it, and to the largest V's cost where
+            // these are small.
             drift.see((h - end.1).abs() / (terms + 1e-2));
         }
         // H sees errors of p times x': tolerances of some hundred steps.
@@ -135,7 +153,8 @@ fn rate_saturation() {
     let by_hand = Compressor::of(&model);
     everywhere(&model, |sweep, asked, what| {
         by_hand.check(sweep, asked, what);
-        // Long arcs at the bound: time between samples at it, of the trajectory that is there longest.
+        // Long arcs at the bound: time between samples at it, of the trajectory that is there
+        // longest.
         let mut longest = 0.0f64;
         let (mut arc, mut before): (f64, Option<(usize, f64)>) = (0.0, None);
         for s in sweep.samples() {
@@ -163,8 +182,14 @@ fn near_peak() {
         by_hand.check(sweep, asked, what);
         let rates = stiffness::separation(&sweep.plan).expect("an infinite horizon");
         // The uncontrollable mode: sigma (1 - Phi0^2).
-        assert!((rates.slowest.re - 4.0 * (1.0 - 1.02 * 1.02)).abs() < 1e-9, "{rates:?}");
-        assert!(!rates.hides_fronts() || asked.precision == Precision::F32, "{rates:?}");
+        assert!(
+            (rates.slowest.re - 4.0 * (1.0 - 1.02 * 1.02)).abs() < 1e-9,
+            "{rates:?}"
+        );
+        assert!(
+            !rates.hides_fronts() || asked.precision == Precision::F32,
+            "{rates:?}"
+        );
         assert!(
             stiffness::held_steps(&sweep.plan, &sweep.report.sample).is_none(),
             "{what} is not stiff"
@@ -183,7 +208,11 @@ fn peak_over_a_finite_horizon() {
 }
 
 fn guarded(sweep: &Sweep, name: &str) -> usize {
-    let flag = sweep.plan.status_flags().into_iter().find(|(_, n)| n == name);
+    let flag = sweep
+        .plan
+        .status_flags()
+        .into_iter()
+        .find(|(_, n)| n == name);
     let (code, _) = flag.expect("the guard has a status");
     sweep.report.by_status.get(&code).copied().unwrap_or(0)
 }
@@ -207,7 +236,10 @@ fn pressure_to_zero() {
         );
         // All ends have a reason: none merely stops.
         let stopped = [Status::NotFinite, Status::StepFloor, Status::StepLimit].map(|s| s as i32);
-        assert!(sweep.report.by_status.keys().all(|k| !stopped.contains(k)), "{what}");
+        assert!(
+            sweep.report.by_status.keys().all(|k| !stopped.contains(k)),
+            "{what}"
+        );
     });
     // Without the guard the domain of the square root is all that stops them.
     let mut model = hard("pressure_to_zero");
@@ -229,7 +261,11 @@ fn stall_to_zero() {
     everywhere(&model, |sweep, asked, what| {
         by_hand.check(sweep, asked, what);
         assert!(sweep.samples().all(|s| s.x[2] >= 0.0), "{what}: R < 0");
-        let smallest = sweep.samples().map(|s| s.x[2]).filter(|r| *r > 0.0).fold(1.0, f64::min);
+        let smallest = sweep
+            .samples()
+            .map(|s| s.x[2])
+            .filter(|r| *r > 0.0)
+            .fold(1.0, f64::min);
         assert!(smallest < 1e-8, "{what}: R is never small");
     });
 }
@@ -239,9 +275,13 @@ fn stall_to_zero() {
 fn an_invariant_boundary_is_kept_exactly() {
     let model = hard("stall_to_zero");
     for asked in [F64, F32] {
-        for backend in [Box::new(Cpu::new()) as Box<dyn Backend>, Box::new(any_gpu())] {
+        for backend in [
+            Box::new(Cpu::new()) as Box<dyn Backend>,
+            Box::new(any_gpu()),
+        ] {
             let hamiltonian = common_oracles::derive(&model);
-            let plan = Plan::new(&model, &hamiltonian, backend.as_ref(), asked.choices()).expect("a plan");
+            let plan =
+                Plan::new(&model, &hamiltonian, backend.as_ref(), asked.choices()).expect("a plan");
             let local = plan.local.as_ref().expect("an infinite horizon");
             let size = (2.0 * local.seed_value).sqrt();
             let seeds: Vec<f64> = (0..64)
@@ -255,7 +295,9 @@ fn an_invariant_boundary_is_kept_exactly() {
                 })
                 .collect();
             let mut kernel = backend.compile(&plan.spec).expect("a kernel");
-            let result = kernel.integrate(&plan.run, &seeds).expect("the backend works");
+            let result = kernel
+                .integrate(&plan.run, &seeds)
+                .expect("the backend works");
             let mut points = 0;
             for i in 0..result.count() {
                 assert_eq!(result.end[i * 9 + 2], 0.0, "{} {:?}", backend.name(), asked);

@@ -1,4 +1,5 @@
-//! Right-hand sides with kinks against an exact solution: adaptive steps end at the kinks, on both backends.
+//! Right-hand sides with kinks against an exact solution: adaptive steps end at the kinks, on both
+//! backends.
 
 use crate::common;
 
@@ -14,7 +15,8 @@ use std::f64::consts::{FRAC_PI_3, PI, TAU};
 const TIME: f64 = 6.0;
 const COUNT: usize = 345;
 
-/// A point on the unit circle pushes a cart, the push limited: `c' = -s, s' = c, z' = min(max(2c, -1), 1)`.
+/// A point on the unit circle pushes a cart, the push limited: `c' = -s, s' = c, z' = min(max(2c,
+/// -1), 1)`.
 fn spec(method: Method, precision: Precision, kinks: bool) -> Spec {
     let mut g = Graph::new();
     let inputs = [g.symbol("c", Kind::State), g.symbol("s", Kind::State)];
@@ -64,7 +66,9 @@ fn angle(i: usize) -> f64 {
 }
 
 fn seeds() -> Vec<f64> {
-    (0..COUNT).flat_map(|i| [angle(i).cos(), angle(i).sin(), 0.0]).collect()
+    (0..COUNT)
+        .flat_map(|i| [angle(i).cos(), angle(i).sin(), 0.0])
+        .collect()
 }
 
 /// Integral of `min(max(2 cos, -1), 1)` from 0 to an angle; whole turns give nothing.
@@ -79,7 +83,13 @@ fn integral(angle: f64) -> f64 {
                 0.0
             }
     };
-    let half = |a: f64| if a <= 0.5 * PI { quarter(a) } else { quarter(PI - a) };
+    let half = |a: f64| {
+        if a <= 0.5 * PI {
+            quarter(a)
+        } else {
+            quarter(PI - a)
+        }
+    };
     if a <= PI { half(a) } else { -half(a - PI) }
 }
 
@@ -104,8 +114,8 @@ fn integrate(backend: &dyn Backend, spec: &Spec) -> Trajectories {
 
 const METHODS: [Method; 3] = [Method::Tsit5, Method::Dop853, Method::Taylor];
 
-/// Errors of all steps add up: at most the tolerance (relative and absolute) a step, and in f32 one unit of rounding
-/// a step and stage on top.
+/// Errors of all steps add up: at most the tolerance (relative and absolute) a step, and in f32 one
+/// unit of rounding a step and stage on top.
 fn allowed(precision: Precision, steps: u32) -> f64 {
     const STAGES: f64 = 12.0;
     f64::from(steps) * (2.0 * rtol(precision) + STAGES * precision.epsilon())
@@ -123,7 +133,8 @@ fn steps_end_at_kinks() {
                 let without = integrate(backend, &spec(method, precision, false));
                 let most = with.steps.iter().copied().max().unwrap_or(0);
                 let (a, b) = (worst(&with), worst(&without));
-                let attempts = |t: &Trajectories| -> u32 { t.steps.iter().chain(&t.rejected).sum() };
+                let attempts =
+                    |t: &Trajectories| -> u32 { t.steps.iter().chain(&t.rejected).sum() };
                 println!(
                     "{case}: error {a:.2e} in {} steps, {b:.2e} in {} without kinks; allowed {:.2e}",
                     attempts(&with),
@@ -156,16 +167,21 @@ fn backends_agree_at_kinks() {
                     result: &b,
                 },
             );
-            // Steps differ by rounding in their control: each side is within its tolerance. A kink is met after some
-            // three refused steps, more or fewer by where the step before ended; there are 6 on the way.
+            // Steps differ by rounding in their control: each side is within its tolerance. A kink
+            // is met after some three refused steps, more or fewer by where the step before ended;
+            // there are 6 on the way.
             let tolerance = Tolerance {
                 relative: 10.0 * rtol(precision),
                 absolute: 10.0 * rtol(precision),
                 steps: |steps| 2 + 6 * 3 + steps / 4,
                 loose: &[],
             };
-            let agreement = compare(a, b, tolerance).unwrap_or_else(|e| panic!("{method:?} {precision:?}: {e}"));
-            println!("{method:?} {precision:?}: {:.3} of the tolerance", agreement.worst);
+            let agreement = compare(a, b, tolerance)
+                .unwrap_or_else(|e| panic!("{method:?} {precision:?}: {e}"));
+            println!(
+                "{method:?} {precision:?}: {:.3} of the tolerance",
+                agreement.worst
+            );
         }
     }
 }
@@ -188,7 +204,12 @@ fn a_kink_just_before_the_end_is_met() {
             };
             let result = kernel.integrate(&run, &[1.0, 0.0, 0.0]).unwrap();
             let end = kink + gap * 0.01;
-            assert_eq!(result.status[0], Status::Reached, "{} gap {gap:e}", backend.name());
+            assert_eq!(
+                result.status[0],
+                Status::Reached,
+                "{} gap {gap:e}",
+                backend.name()
+            );
             let error = (result.end[2] - integral(end)).abs();
             assert!(
                 error <= allowed(Precision::F64, result.steps[0]),

@@ -1,4 +1,5 @@
-//! The solution near the equilibrium: the Riccati equation, the higher terms of V, and the refusals.
+//! The solution near the equilibrium: the Riccati equation, the higher terms of V, and the
+//! refusals.
 
 use crate::common_oracles;
 
@@ -100,7 +101,12 @@ impl Linear {
         (0..n).for_each(|i| line(format!("x{i} = 0")));
         (0..m).for_each(|j| line(format!("u{j} = 0")));
         line("[region]".into());
-        (0..n).for_each(|i| line(format!("x{i} = [{:e}, {:e}]", -self.region[i], self.region[i])));
+        (0..n).for_each(|i| {
+            line(format!(
+                "x{i} = [{:e}, {:e}]",
+                -self.region[i], self.region[i]
+            ))
+        });
         line("[shoot_out]\nvalue_max = 1.0".into());
         t
     }
@@ -115,14 +121,19 @@ impl Linear {
         let gain = DMatrix::from_diagonal(&self.r.map(|r| 1.0 / r)) * pb.transpose();
         let q = DMatrix::from_diagonal(&self.q);
         let pa = p * &self.a;
-        (pa.transpose() + &pa - &pb * &gain + &q).norm() / (2.0 * pa.norm() + (&pb * &gain).norm() + q.norm())
+        (pa.transpose() + &pa - &pb * &gain + &q).norm()
+            / (2.0 * pa.norm() + (&pb * &gain).norm() + q.norm())
     }
 
     /// Checks the solution against the matrices alone.
     fn check(&self, what: &str) -> Riccati {
         let solution = solved(&self.model());
         let p = &solution.p;
-        assert!(self.residual(p) <= RESIDUAL, "{what}: residual {:e}", self.residual(p));
+        assert!(
+            self.residual(p) <= RESIDUAL,
+            "{what}: residual {:e}",
+            self.residual(p)
+        );
         assert!(
             (p - p.transpose()).norm() <= RESIDUAL * p.norm(),
             "{what}: P is symmetric"
@@ -147,7 +158,11 @@ fn residuals_of_the_shipped_scenes() {
     for name in INFINITE {
         let solution = solved(&scene(name, &[]));
         println!("{name}: residual {:.1e}", solution.residual);
-        assert!(solution.residual <= RESIDUAL, "{name}: {:e}", solution.residual);
+        assert!(
+            solution.residual <= RESIDUAL,
+            "{name}: {:e}",
+            solution.residual
+        );
         assert!(solution.eigenvalues.iter().all(|e| e.re < 0.0), "{name}");
     }
 }
@@ -204,7 +219,9 @@ fn uncontrollable_modes_stay() {
     );
     let found = coupled.check("a coupled uncontrollable mode").eigenvalues;
     assert!(
-        found.iter().any(|e| (e.re + 0.3).abs() <= RESIDUAL && e.im == 0.0),
+        found
+            .iter()
+            .any(|e| (e.re + 0.3).abs() <= RESIDUAL && e.im == 0.0),
         "-0.3 is not among {found:?}"
     );
 }
@@ -217,10 +234,15 @@ fn one_state_has_the_root_of_the_quadratic() {
         (0.0, 1.0, 4.0, 1.0),
         (5.0, 0.1, 1e-3, 1.0),
     ] {
-        let p = Linear::new(1, &[a], 1, &[b], &[q], &[r]).check("one state").p[(0, 0)];
+        let p = Linear::new(1, &[a], 1, &[b], &[q], &[r])
+            .check("one state")
+            .p[(0, 0)];
         let g = b * b / r;
         let exact = (a + f64::hypot(a, (g * q).sqrt())) / g;
-        assert!((p - exact).abs() <= RESIDUAL * exact, "a = {a}: {p} for {exact}");
+        assert!(
+            (p - exact).abs() <= RESIDUAL * exact,
+            "a = {a}: {p} for {exact}"
+        );
     }
 }
 
@@ -246,13 +268,18 @@ fn units_do_not_matter() {
         let linear = Linear::random(&mut random, n, 2);
         let plain = linear.check("plain");
         for trial in 0..3 {
-            let d = DVector::from_fn(n, |_, _| 10f64.powi([-6, 0, 6][(random.bits() % 3) as usize]));
+            let d = DVector::from_fn(n, |_, _| {
+                10f64.powi([-6, 0, 6][(random.bits() % 3) as usize])
+            });
             let scaled = linear.in_units(&d);
             let found = solved(&scaled.model());
             // P in the new units is D P D; compared in the old ones.
             let back = DMatrix::from_fn(n, n, |i, j| found.p[(i, j)] / (d[i] * d[j]));
             let error = (&back - &plain.p).norm() / plain.p.norm();
-            assert!(error <= RESIDUAL, "{n} states, number {trial}: P differs by {error:e}");
+            assert!(
+                error <= RESIDUAL,
+                "{n} states, number {trial}: P differs by {error:e}"
+            );
             for (e, f) in plain.eigenvalues.iter().zip(&found.eigenvalues) {
                 assert!((e - f).norm() <= 1e-8 * e.norm(), "{e} and {f}");
             }
@@ -262,9 +289,18 @@ fn units_do_not_matter() {
 
 #[test]
 fn what_cannot_be_stabilized_is_refused_with_the_eigenvalue() {
-    let unstable = Linear::new(2, &[0.75, 0.0, 0.0, -1.0], 1, &[0.0, 1.0], &[1.0, 1.0], &[1.0]);
+    let unstable = Linear::new(
+        2,
+        &[0.75, 0.0, 0.0, -1.0],
+        1,
+        &[0.0, 1.0],
+        &[1.0, 1.0],
+        &[1.0],
+    );
     match solve(&unstable.model()) {
-        Err(e @ LocalError::NotStabilizable { .. }) => assert!(e.to_string().contains("0.75"), "{e}"),
+        Err(e @ LocalError::NotStabilizable { .. }) => {
+            assert!(e.to_string().contains("0.75"), "{e}")
+        }
         other => panic!("{other:?}"),
     }
     // A pair: the numbers come with their imaginary parts.
@@ -289,7 +325,10 @@ fn what_cannot_be_stabilized_is_refused_with_the_eigenvalue() {
 fn the_compressor_at_the_peak_is_refused() {
     for name in ["moore_greitzer", "moore_greitzer_unconstrained"] {
         match solve(&scene(name, &[("Phi0", "1.0")])) {
-            Err(LocalError::NotStabilizable { eigenvalue, .. } | LocalError::ImaginaryAxis { eigenvalue, .. }) => {
+            Err(
+                LocalError::NotStabilizable { eigenvalue, .. }
+                | LocalError::ImaginaryAxis { eigenvalue, .. },
+            ) => {
                 assert!(
                     eigenvalue.trim_start_matches('-').starts_with("0.000000"),
                     "{name}: {eigenvalue}"
@@ -300,7 +339,9 @@ fn the_compressor_at_the_peak_is_refused() {
     }
     // Beyond the peak the mode grows: 4 (1 - 0.9^2) = 0.76.
     match solve(&scene("moore_greitzer", &[("Phi0", "0.9")])) {
-        Err(LocalError::NotStabilizable { eigenvalue, .. }) => assert!(eigenvalue.starts_with("0.76"), "{eigenvalue}"),
+        Err(LocalError::NotStabilizable { eigenvalue, .. }) => {
+            assert!(eigenvalue.starts_with("0.76"), "{eigenvalue}")
+        }
         other => panic!("{other:?}"),
     }
 }
@@ -308,9 +349,18 @@ fn the_compressor_at_the_peak_is_refused() {
 #[test]
 fn imaginary_axis_is_refused() {
     // Controllable, but the cost does not see the oscillation.
-    let unseen = Linear::new(2, &[0.0, 1.5, -1.5, 0.0], 1, &[0.0, 1.0], &[0.0, 0.0], &[1.0]);
+    let unseen = Linear::new(
+        2,
+        &[0.0, 1.5, -1.5, 0.0],
+        1,
+        &[0.0, 1.0],
+        &[0.0, 0.0],
+        &[1.0],
+    );
     match solve(&unseen.model()) {
-        Err(LocalError::ImaginaryAxis { eigenvalue, .. }) => assert!(eigenvalue.contains("1.500000i"), "{eigenvalue}"),
+        Err(LocalError::ImaginaryAxis { eigenvalue, .. }) => {
+            assert!(eigenvalue.contains("1.500000i"), "{eigenvalue}")
+        }
         other => panic!("{other:?}"),
     }
 }
@@ -318,7 +368,14 @@ fn imaginary_axis_is_refused() {
 #[test]
 fn a_value_that_is_not_positive_is_refused() {
     // The second state decays by itself, costs nothing and moves nothing.
-    let free = Linear::new(2, &[0.5, 0.0, 0.0, -1.0], 1, &[1.0, 0.0], &[1.0, 0.0], &[1.0]);
+    let free = Linear::new(
+        2,
+        &[0.5, 0.0, 0.0, -1.0],
+        1,
+        &[1.0, 0.0],
+        &[1.0, 0.0],
+        &[1.0],
+    );
     match solve(&free.model()) {
         Err(e @ LocalError::NotPositive { .. }) => assert!(e.to_string().contains("x1: "), "{e}"),
         other => panic!("{other:?}"),
@@ -326,7 +383,12 @@ fn a_value_that_is_not_positive_is_refused() {
 }
 
 /// The local solution of a scene for an asked error of V.
-fn local(model: &Model, asked: SeedValue, tolerance: f64, ceiling: f64) -> Result<LocalSolution, LocalError> {
+fn local(
+    model: &Model,
+    asked: SeedValue,
+    tolerance: f64,
+    ceiling: f64,
+) -> Result<LocalSolution, LocalError> {
     let hamiltonian = derive(model);
     let system = System::new(&hamiltonian, model);
     let riccati = Riccati::solve(&hamiltonian, model)?;
@@ -354,7 +416,8 @@ fn a_seed_value_out_of_range_is_refused() {
             }
             other => panic!("{name}: {:?}", other.map(|l| l.seed_value)),
         }
-        let small = local(&model, SeedValue::Value(1e-5), 1e-9, 1.0).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let small = local(&model, SeedValue::Value(1e-5), 1e-9, 1.0)
+            .unwrap_or_else(|e| panic!("{name}: {e}"));
         assert_eq!(small.seed_value, 1e-5);
     }
 }
@@ -406,7 +469,10 @@ fn the_expansion_converges_with_its_order() {
     let radii = [1.6, 0.8, 0.4];
     let found: Vec<_> = radii.map(errors).into_iter().collect();
     for pair in found.windows(2) {
-        let (v, p) = ((pair[0].0 / pair[1].0).log2(), (pair[0].1 / pair[1].1).log2());
+        let (v, p) = (
+            (pair[0].0 / pair[1].0).log2(),
+            (pair[0].1 / pair[1].1).log2(),
+        );
         println!("observed orders: V {v:.2}, p {p:.2}");
         // The next term is r^2/90 of this one: at r = 1.6 it takes 0.04 off the order.
         assert!(
@@ -473,7 +539,8 @@ fn the_error_told_is_not_below_the_true_one() {
     const LATER_TERMS: f64 = 1.5;
     let model = scene("manufactured", &[]);
     for tolerance in [1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12, 1e-14] {
-        let local = local(&model, SeedValue::Auto, tolerance, 1.0).unwrap_or_else(|e| panic!("{e}"));
+        let local =
+            local(&model, SeedValue::Auto, tolerance, 1.0).unwrap_or_else(|e| panic!("{e}"));
         assert!(local.error <= tolerance, "{} for {tolerance}", local.error);
         let true_error = circle()
             .map(|d| {
@@ -494,7 +561,8 @@ fn the_error_told_is_not_below_the_true_one() {
     }
 }
 
-/// A chain of integrators: its matrix is defective, and the QR iteration on it as it is stands still.
+/// A chain of integrators: its matrix is defective, and the QR iteration on it as it is stands
+/// still.
 #[test]
 fn a_triple_integrator_is_solved() {
     let model = costate::scenario::parse(

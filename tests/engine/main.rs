@@ -1,4 +1,5 @@
-//! The engine without the program: expressions to sweeps and boundary value problems, on every backend.
+//! The engine without the program: expressions to sweeps and boundary value problems, on every
+//! backend.
 
 #[path = "../common/mod.rs"]
 mod common;

@@ -53,7 +53,11 @@ fn with_line(line: usize, new: &str) -> String {
 
 fn read_case<'c>(case: &'c str) -> Option<Case<'c>> {
     let (name, rest) = case.split_once('\n')?;
-    let (mut edits, mut set, mut expected) = (BTreeMap::<usize, Vec<String>>::new(), Vec::new(), Vec::new());
+    let (mut edits, mut set, mut expected) = (
+        BTreeMap::<usize, Vec<String>>::new(),
+        Vec::new(),
+        Vec::new(),
+    );
     for line in rest.lines().filter(|l| !l.is_empty()) {
         if let Some(problem) = line.strip_prefix("=> ") {
             let (place, text) = problem.split_once(' ')?;
@@ -101,20 +105,33 @@ fn found(errors: &ScenarioErrors) -> String {
 
 fn check(cases: &str) {
     let mut wrong = String::new();
-    let cases = cases.strip_prefix("== ").expect("a file of cases begins with one");
+    let cases = cases
+        .strip_prefix("== ")
+        .expect("a file of cases begins with one");
     for case in cases.split("\n== ") {
         let case = read_case(case).unwrap_or_else(|| panic!("not a case: {case}"));
-        assert!(!case.expected.is_empty(), "{}: no problem expected", case.name);
+        assert!(
+            !case.expected.is_empty(),
+            "{}: no problem expected",
+            case.name
+        );
         let Err(errors) = parse(&case.text, "scene.toml", &case.set) else {
             wrong += &format!("{}: accepted\n", case.name);
             continue;
         };
         let matches = errors.problems.len() == case.expected.len()
-            && errors.problems.iter().zip(&case.expected).all(|(p, expected)| {
-                errors.place(p) == expected.place
-                    && p.message.contains(expected.message)
-                    && p.help.as_deref().unwrap_or_default().contains(expected.help)
-            });
+            && errors
+                .problems
+                .iter()
+                .zip(&case.expected)
+                .all(|(p, expected)| {
+                    errors.place(p) == expected.place
+                        && p.message.contains(expected.message)
+                        && p.help
+                            .as_deref()
+                            .unwrap_or_default()
+                            .contains(expected.help)
+                });
         if !matches {
             wrong += &format!("{}: found{}\n", case.name, found(&errors));
         }
@@ -197,9 +214,14 @@ fn all_problems_of_a_file_at_once() {
 #[test]
 fn an_empty_file_lacks_the_required_sections() {
     let errors = parse("", "scene.toml", &[]).expect_err("nothing in it");
-    let missing = ["states", "controls", "dynamics", "cost", "region"].map(|s| format!("section [{s}] is missing"));
+    let missing = ["states", "controls", "dynamics", "cost", "region"]
+        .map(|s| format!("section [{s}] is missing"));
     assert_eq!(
-        errors.problems.iter().map(|p| p.message.clone()).collect::<Vec<_>>(),
+        errors
+            .problems
+            .iter()
+            .map(|p| p.message.clone())
+            .collect::<Vec<_>>(),
         missing
     );
 }
@@ -211,7 +233,11 @@ fn no_expression_overflows_the_stack() {
         format!("omega = \"u + {}e\"", "-".repeat(100_000)),
         format!("omega = \"u + e{}\"", "^e".repeat(100_000)),
     );
-    let calls = format!("omega = \"u + {}e{}\"", "sin(".repeat(100_000), ")".repeat(100_000));
+    let calls = format!(
+        "omega = \"u + {}e{}\"",
+        "sin(".repeat(100_000),
+        ")".repeat(100_000)
+    );
     let long = format!("omega = \"u{}\"", " + e".repeat(600_000));
     for (line, message) in [
         (deep(10_000), "nested more than 200 deep"),
@@ -238,8 +264,12 @@ fn no_expression_overflows_the_stack() {
 #[test]
 fn a_long_sum_is_read() {
     let sum: String = (0..100_000).map(|k| format!(" + sin({k}*e)")).collect();
-    let model =
-        parse(&with_line(14, &format!("omega = \"u{sum}\"")), "scene.toml", &[]).unwrap_or_else(|e| panic!("{e}"));
+    let model = parse(
+        &with_line(14, &format!("omega = \"u{sum}\"")),
+        "scene.toml",
+        &[],
+    )
+    .unwrap_or_else(|e| panic!("{e}"));
     let shown = model.graph.show(model.dynamics[1].expr);
     assert!(
         shown.ends_with("sin(99999*(theta - 1))"),
@@ -250,8 +280,10 @@ fn a_long_sum_is_read() {
 
 #[test]
 fn reports() {
-    let text = with_line(14, r#"omega = "-g*sin(thta) + u""#).replace("[integrator]", "[integratr]");
-    let errors = parse(&text, "dir/scene.toml", &[("x".to_owned(), "1".to_owned())]).expect_err("two mistakes");
+    let text =
+        with_line(14, r#"omega = "-g*sin(thta) + u""#).replace("[integrator]", "[integratr]");
+    let errors = parse(&text, "dir/scene.toml", &[("x".to_owned(), "1".to_owned())])
+        .expect_err("two mistakes");
     let plain = errors.to_string();
     assert_eq!(
         plain,
@@ -284,7 +316,11 @@ fn the_report_counts_characters_like_the_plain_form() {
     ] {
         // A byte order mark is not a character of the first line.
         let text = with_line(14, line);
-        for text in [text.clone(), format!("\u{feff}{text}"), text.replace('\n', "\r\n")] {
+        for text in [
+            text.clone(),
+            format!("\u{feff}{text}"),
+            text.replace('\n', "\r\n"),
+        ] {
             let errors = parse(&text, "scene.toml", &[]).expect_err("a mistake");
             let (line, column) = errors.place(&errors.problems[0]).expect("it has a place");
             let shown = errors.render(false);
@@ -299,7 +335,12 @@ fn the_report_counts_characters_like_the_plain_form() {
 
 #[test]
 fn files_that_cannot_be_read() {
-    let missing = load(std::path::Path::new("no/such/scene.toml"), &[]).expect_err("there is no such file");
+    let missing =
+        load(std::path::Path::new("no/such/scene.toml"), &[]).expect_err("there is no such file");
     assert!(matches!(missing, LoadError::Read { .. }));
-    assert!(missing.to_string().starts_with("cannot read no/such/scene.toml"));
+    assert!(
+        missing
+            .to_string()
+            .starts_with("cannot read no/such/scene.toml")
+    );
 }

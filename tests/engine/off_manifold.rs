@@ -1,10 +1,11 @@
-//! How far the stored samples are from the manifold of optimal solutions: against a reference in f64 at rtol 1e-12 from
-//! the same seeds, and by H, which is 0 on it.
+//! How far the stored samples are from the manifold of optimal solutions: against a reference in
+//! f64 at rtol 1e-12 from the same seeds, and by H, which is 0 on it.
 //!
-//! Errors along the manifold only slide a sample to another point of it. They grow with the parting of trajectories, so
-//! x - x_ref may be far larger than the error of V at the x stored, which is what matters. It is taken out to first
-//! order by p_ref (the metric e_V), and to second order by the mean of p and p_ref (the trapezoidal rule). What the two
-//! differ by is the curvature of V and no error; it has to be a small share, or e_V would say nothing.
+//! Errors along the manifold only slide a sample to another point of it. They grow with the parting
+//! of trajectories, so x - x_ref may be far larger than the error of V at the x stored, which is
+//! what matters. It is taken out to first order by p_ref (the metric e_V), and to second order by
+//! the mean of p and p_ref (the trapezoidal rule). What the two differ by is the curvature of V and
+//! no error; it has to be a small share, or e_V would say nothing.
 
 use crate::common_oracles;
 
@@ -17,8 +18,9 @@ use costate::program::Program;
 const REFERENCE: f64 = 1e-12;
 /// Largest share of e_V that may be curvature of V.
 const CURVATURE: f64 = 0.1;
-/// Leaving the region is noticed at the end of a step, and the reference's steps are shorter: of trajectories that
-/// leave, one of the two may have a few samples more. This share must exist in both.
+/// Leaving the region is noticed at the end of a step, and the reference's steps are shorter: of
+/// trajectories that leave, one of the two may have a few samples more. This share must exist in
+/// both.
 const IN_BOTH: f64 = 0.95;
 
 fn off_manifold(name: &str, model: &Model, asked: Asked) {
@@ -40,7 +42,11 @@ fn off_manifold(name: &str, model: &Model, asked: Asked) {
             compared += 1;
             let moved = minus(&a[..n], &b[..n]);
             let change = a[v] - b[v];
-            let mean: Vec<f64> = a[n..v].iter().zip(&b[n..v]).map(|(p, q)| 0.5 * (p + q)).collect();
+            let mean: Vec<f64> = a[n..v]
+                .iter()
+                .zip(&b[n..v])
+                .map(|(p, q)| 0.5 * (p + q))
+                .collect();
             let error = (change - dot(&b[n..v], &moved)).abs();
             first.see(error / b[v].max(1.0));
             second.see((change - dot(&mean, &moved)).abs() / b[v].max(1.0));
@@ -65,8 +71,17 @@ fn off_manifold(name: &str, model: &Model, asked: Asked) {
         second.0
     );
 
-    let what = |q| format!("{name} {} rtol {:e}: {q}", asked.precision.name(), asked.rtol);
-    println!("{} trajectories, {compared} samples; {swept:.2} s", sweep.count());
+    let what = |q| {
+        format!(
+            "{name} {} rtol {:e}: {q}",
+            asked.precision.name(),
+            asked.rtol
+        )
+    };
+    println!(
+        "{} trajectories, {compared} samples; {swept:.2} s",
+        sweep.count()
+    );
     println!(
         "{}: {:.2e}; moved along by {:.2e} of the region",
         what("e_V relative to V itself"),
@@ -81,10 +96,10 @@ fn off_manifold(name: &str, model: &Model, asked: Asked) {
 
 /// |H| at the samples: relative to the terms that cancel in it, and to what the steps' tolerances allow.
 ///
-/// The exact flow keeps H, so H at a sample is the sum of what the steps before it have added. A step's error in each
-/// component is within its tolerance (in the mean square over the components, so within sqrt(dim) of it), and changes H
-/// by dH/dp = x' times that of p and dH/dx = -p' times that of s. The bound takes the largest such change at the samples
-/// so far for all steps.
+/// The exact flow keeps H, so H at a sample is the sum of what the steps before it have added. A
+/// step's error in each component is within its tolerance (in the mean square over the components,
+/// so within sqrt(dim) of it), and changes H by dH/dp = x' times that of p and dH/dx = -p' times
+/// that of s. The bound takes the largest such change at the samples so far for all steps.
 fn hamiltonian(sweep: &Sweep) -> (Worst, Worst) {
     let (plan, n, v) = (&sweep.plan, sweep.n, 2 * sweep.n);
     let mut exprs = plan.system.rate.clone();
@@ -118,7 +133,11 @@ fn hamiltonian(sweep: &Sweep) -> (Worst, Worst) {
 fn compressor() -> Model {
     let mut model = scene("moore_greitzer", &[]);
     // The first rounds put seeds over all of every front; more seeds are no harder to integrate.
-    model.shoot_out.as_mut().expect("the scene has a sweep").max_seeds = 2000;
+    model
+        .shoot_out
+        .as_mut()
+        .expect("the scene has a sweep")
+        .max_seeds = 2000;
     model
 }
 

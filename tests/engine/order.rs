@@ -1,5 +1,5 @@
-//! The integrators have the order they claim: their coefficients satisfy the conditions of rooted trees, and errors of
-//! the compiled kernels fall accordingly.
+//! The integrators have the order they claim: their coefficients satisfy the conditions of rooted
+//! trees, and errors of the compiled kernels fall accordingly.
 
 use costate::backend::{Backend, By, Run, Spec, Status, Trajectories, cpu::Cpu};
 use costate::expr::{Graph, Kind};
@@ -17,8 +17,8 @@ struct Condition {
     phi: Vec<f64>,
 }
 
-/// The conditions of all rooted trees of up to five nodes (J. C. Butcher, Numerical Methods for Ordinary Differential
-/// Equations, 3rd ed., section 315).
+/// The conditions of all rooted trees of up to five nodes (J. C. Butcher, Numerical Methods for
+/// Ordinary Differential Equations, 3rd ed., section 315).
 fn conditions(t: &Tableau) -> Vec<Condition> {
     let s = t.stages();
     let times = |v: &[f64]| -> Vec<f64> {
@@ -32,7 +32,8 @@ fn conditions(t: &Tableau) -> Vec<Condition> {
             })
             .collect()
     };
-    let product = |v: &[f64], w: &[f64]| -> Vec<f64> { v.iter().zip(w).map(|(v, w)| v * w).collect() };
+    let product =
+        |v: &[f64], w: &[f64]| -> Vec<f64> { v.iter().zip(w).map(|(v, w)| v * w).collect() };
     let one = vec![1.0; s];
     let c = times(&one);
     let c2 = product(&c, &c);
@@ -59,11 +60,16 @@ fn conditions(t: &Tableau) -> Vec<Condition> {
         (5, 120.0, times(&aac)),
     ];
     list.into_iter()
-        .map(|(order, density, phi)| Condition { order, density, phi })
+        .map(|(order, density, phi)| Condition {
+            order,
+            density,
+            phi,
+        })
         .collect()
 }
 
-/// Order up to which weights satisfy the conditions of a solution at fraction `q` of the step; 5 at most.
+/// Order up to which weights satisfy the conditions of a solution at fraction `q` of the step; 5 at
+/// most.
 fn order_of(t: &Tableau, weights: &[f64], q: f64) -> i32 {
     let mut order = 5;
     for c in conditions(t) {
@@ -92,7 +98,9 @@ fn dense(t: &Tableau, q: f64) -> Vec<f64> {
 
 /// Basis polynomial of the dense output.
 fn basis(t: &Tableau, i: usize, q: f64) -> f64 {
-    (0..t.degree()).map(|m| t.power(i, m) * q.powi(m as i32 + 1)).sum()
+    (0..t.degree())
+        .map(|m| t.power(i, m) * q.powi(m as i32 + 1))
+        .sum()
 }
 
 const FRACTIONS: [f64; 7] = [0.05, 0.2, 0.37, 0.5, 0.71, 0.9, 0.99];
@@ -109,15 +117,27 @@ fn rk4_coefficients() {
 #[test]
 fn tsit5_coefficients() {
     assert_eq!(order_of(&TSIT5, &solution(&TSIT5), 1.0), 5);
-    let embedded: Vec<f64> = solution(&TSIT5).iter().zip(TSIT5.error).map(|(b, e)| b - e).collect();
+    let embedded: Vec<f64> = solution(&TSIT5)
+        .iter()
+        .zip(TSIT5.error)
+        .map(|(b, e)| b - e)
+        .collect();
     assert_eq!(order_of(&TSIT5, &embedded, 1.0), 4, "embedded solution");
     for q in FRACTIONS {
-        assert_eq!(order_of(&TSIT5, &dense(&TSIT5, q), q), 4, "dense output at {q}");
+        assert_eq!(
+            order_of(&TSIT5, &dense(&TSIT5, q), q),
+            4,
+            "dense output at {q}"
+        );
     }
-    assert_eq!((TSIT5.order, TSIT5.adaptive(), TSIT5.stages()), (5, true, 7));
+    assert_eq!(
+        (TSIT5.order, TSIT5.adaptive(), TSIT5.stages()),
+        (5, true, 7)
+    );
 }
 
-/// Dense output meets the step's ends: the solution at 1 and, of RK4 and of Tsit5, the derivatives at both.
+/// Dense output meets the step's ends: the solution at 1 and, of RK4 and of Tsit5, the derivatives
+/// at both.
 #[test]
 fn dense_output_joins_smoothly() {
     for t in [&RK4, &TSIT5] {
@@ -148,7 +168,8 @@ fn problem() -> Program {
     Program::lower(&g, &[y, s, c], &rates)
 }
 
-/// End of fixed-step runs; adaptive ones go on for longer, so that the first few steps, which start small, do not count.
+/// End of fixed-step runs; adaptive ones go on for longer, so that the first few steps, which start
+/// small, do not count.
 const END: f64 = 3.0;
 const LONG: f64 = 30.0;
 
@@ -195,7 +216,10 @@ fn integrate(s: &Setting) -> Trajectories {
 }
 
 fn distance(y: &[f64], t: f64) -> f64 {
-    y.iter().zip(exact(t)).map(|(y, e)| (y - e).abs()).fold(0.0, f64::max)
+    y.iter()
+        .zip(exact(t))
+        .map(|(y, e)| (y - e).abs())
+        .fold(0.0, f64::max)
 }
 
 /// Times between steps of any size used here, and the end.
@@ -287,7 +311,8 @@ fn tsit5_errors_fall_with_its_order() {
     assert!((slope(&between) - 5.0).abs() <= SLACK);
 }
 
-/// The eighth order, at the end and, one lower at most, between steps; or more, before the leading term rules.
+/// The eighth order, at the end and, one lower at most, between steps; or more, before the leading
+/// term rules.
 #[test]
 fn dop853_errors_fall_with_its_order() {
     let (mut ends, mut between) = (Vec::new(), Vec::new());
@@ -323,12 +348,16 @@ fn dop853_coefficients() {
     let whole: &'static [&'static [f64]] = Vec::leak(t);
     let extended = Tableau { a: whole, ..DOP853 };
     for q in FRACTIONS {
-        assert_eq!(order_of(&extended, &dense(&DOP853, q), q), 5, "dense output at {q}");
+        assert_eq!(
+            order_of(&extended, &dense(&DOP853, q), q),
+            5,
+            "dense output at {q}"
+        );
     }
 }
 
-/// Order and step of Taylor's method follow from the tolerance: errors stay in proportion to it, and steps do not
-/// shrink with it.
+/// Order and step of Taylor's method follow from the tolerance: errors stay in proportion to it,
+/// and steps do not shrink with it.
 #[test]
 fn taylor_errors_fall_with_the_tolerance() {
     for (precision, digits) in [(Precision::F64, 4..=13), (Precision::F32, 3..=5)] {
@@ -344,7 +373,9 @@ fn taylor_errors_fall_with_the_tolerance() {
             });
             let steps = f64::from(result.steps[0]);
             let worst = (0..97).map(|k| distance(&result.sample(0, k)[1..], times(LONG)[k]));
-            let worst = worst.chain([distance(&result.end, LONG)]).fold(0.0, f64::max);
+            let worst = worst
+                .chain([distance(&result.end, LONG)])
+                .fold(0.0, f64::max);
             println!("taylor, rtol {rtol:e}: {worst:.1e} after {steps} steps");
             assert!(worst <= steps * 4.0 * rtol, "{worst} at {rtol:e}");
             // The order grows with the tolerance's digits, so that the number of steps hardly does.
@@ -375,8 +406,15 @@ fn levels_are_located() {
             let t = level.ln().asin();
             // dy/dt is at least 0.5 here, so a tolerance in y is at most twice that in t, per step.
             let bound = f64::from(result.steps[0]) * 4.0 * rtol / 0.5;
-            assert!((sample[0] - t).abs() <= bound, "level {level} at {} for {t}", sample[0]);
-            assert!(distance(&sample[1..], sample[0]) <= bound, "the point at level {level}");
+            assert!(
+                (sample[0] - t).abs() <= bound,
+                "level {level} at {} for {t}",
+                sample[0]
+            );
+            assert!(
+                distance(&sample[1..], sample[0]) <= bound,
+                "the point at level {level}"
+            );
         }
         let last = if precision == Precision::F32 {
             f64::from(levels[39] as f32)

@@ -55,7 +55,11 @@ fn block(case: &Case, first: usize, count: usize) -> TrajectoryBlock {
             .collect()
     };
     let t = (0..count * samples).map(|n| (n % samples) as f64 - samples as f64);
-    let codes = |modulus: usize| (first..first + count).map(|n| (n % modulus) as i32).collect();
+    let codes = |modulus: usize| {
+        (first..first + count)
+            .map(|n| (n % modulus) as i32)
+            .collect()
+    };
     let mut block = TrajectoryBlock {
         count,
         t: t.collect(),
@@ -87,7 +91,10 @@ fn write(case: &Case, path: &Path) {
             controls: axes("control", case.controls),
             disturbances: axes("disturbance", case.disturbances),
             samples: case.samples,
-            status_flags: vec![(0, "reached the level".to_owned()), (1, "left the region".to_owned())],
+            status_flags: vec![
+                (0, "reached the level".to_owned()),
+                (1, "left the region".to_owned()),
+            ],
             expected_trajectories: Some(case.blocks.iter().sum()),
             compression: case.compression,
             ..TrajectorySchema::default()
@@ -148,7 +155,10 @@ fn many_uneven_blocks() {
 
 #[test]
 fn no_trajectory() {
-    assert_readable(&Case { name: "none", ..PLAIN });
+    assert_readable(&Case {
+        name: "none",
+        ..PLAIN
+    });
 }
 
 #[test]

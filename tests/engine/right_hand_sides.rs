@@ -1,6 +1,7 @@
-//! The derived right-hand sides against ones written by hand. By hand: the dynamics f, the cost L and the optimal
-//! control; H = p'f + L; and p' = -dH/dx at fixed control by dual numbers. What the program derives symbolically,
-//! rewrites in deviations from the equilibrium and lowers to registers must agree with that to rounding.
+//! The derived right-hand sides against ones written by hand. By hand: the dynamics f, the cost L
+//! and the optimal control; H = p'f + L; and p' = -dH/dx at fixed control by dual numbers. What the
+//! program derives symbolically, rewrites in deviations from the equilibrium and lowers to
+//! registers must agree with that to rounding.
 
 use crate::common_oracles;
 
@@ -188,7 +189,8 @@ impl<'a, const N: usize, H: ByHand<N>> Case<'a, N, H> {
     fn draw(&self, random: &mut Random) -> Vec<f64> {
         let x = random.point(&self.model.region);
         let s = x.iter().zip(&self.system.reference).map(|(x, at)| x - at);
-        s.chain(self.adjoints.map(|p| random.within(-p, p))).collect()
+        s.chain(self.adjoints.map(|p| random.within(-p, p)))
+            .collect()
     }
 
     /// Roundings on the way to one rate, by hand or derived: at most all operations, once each.
@@ -215,7 +217,10 @@ impl<'a, const N: usize, H: ByHand<N>> Case<'a, N, H> {
         for k in 0..POINTS {
             let z = &points[k * 2 * N..][..2 * N];
             let (x, p) = self.point::<Sized>(z);
-            saturated[(self.hand.saturated(&x.map(Number::value), &p.map(Number::value)) + 1) as usize] += 1;
+            saturated[(self
+                .hand
+                .saturated(&x.map(Number::value), &p.map(Number::value))
+                + 1) as usize] += 1;
             let by_hand = self.hand.rates(&x, &p);
             let derived = self.program.eval(z);
             let width = 2 * N + 1;
@@ -233,7 +238,8 @@ impl<'a, const N: usize, H: ByHand<N>> Case<'a, N, H> {
             }
             let (x, p) = self.point::<Sized>(&short[k * 2 * N..][..2 * N]);
             for (i, hand) in self.hand.rates(&x, &p).iter().enumerate() {
-                let units = (short_lanes[k * width + i] - hand.v).abs() / (f64::from(f32::EPSILON) * hand.size);
+                let units = (short_lanes[k * width + i] - hand.v).abs()
+                    / (f64::from(f32::EPSILON) * hand.size);
                 worst_f32 = worst_f32.max(units);
                 assert!(
                     units <= self.roundings(1.0),
@@ -249,9 +255,10 @@ impl<'a, const N: usize, H: ByHand<N>> Case<'a, N, H> {
         );
     }
 
-    /// Rates at points `(s, p)` by the f32 lanes: one tiny step, in which further components that start at 0 take up
-    /// h times the rates without losing digits to the values themselves. The step must be so short that rates change by
-    /// less than f32 resolves; near the equilibrium, where they are proportional to the values, a longer one is.
+    /// Rates at points `(s, p)` by the f32 lanes: one tiny step, in which further components that
+    /// start at 0 take up h times the rates without losing digits to the values themselves. The
+    /// step must be so short that rates change by less than f32 resolves; near the equilibrium,
+    /// where they are proportional to the values, a longer one is.
     fn lanes_f32(&self, points: &[f64], step: f64) -> Vec<f64> {
         let twice = [self.system.rate.as_slice(), &self.system.rate].concat();
         let spec = Spec {
@@ -276,25 +283,41 @@ impl<'a, const N: usize, H: ByHand<N>> Case<'a, N, H> {
         };
         let seeds: Vec<f64> = points
             .chunks(2 * N)
-            .flat_map(|z| z.iter().copied().chain(std::iter::repeat_n(0.0, dim - 2 * N)))
+            .flat_map(|z| {
+                z.iter()
+                    .copied()
+                    .chain(std::iter::repeat_n(0.0, dim - 2 * N))
+            })
             .collect();
-        let mut kernel = Cpu::new().compile(&spec).expect("the CPU compiles anything");
-        let result = kernel.integrate(&run, &seeds).expect("the CPU does not fail");
+        let mut kernel = Cpu::new()
+            .compile(&spec)
+            .expect("the CPU compiles anything");
+        let result = kernel
+            .integrate(&run, &seeds)
+            .expect("the CPU does not fail");
         result
             .end
             .chunks(dim)
-            .flat_map(|y| y[2 * N + 1..].iter().map(|dy| dy / step).collect::<Vec<_>>())
+            .flat_map(|y| {
+                y[2 * N + 1..]
+                    .iter()
+                    .map(|dy| dy / step)
+                    .collect::<Vec<_>>()
+            })
             .collect()
     }
 
-    /// dH/dx with the control moving along (the envelope theorem, clamps included) by central differences.
+    /// dH/dx with the control moving along (the envelope theorem, clamps included) by central
+    /// differences.
     fn differences(&self) {
         let mut random = Random::new(11);
         for _ in 0..POINTS / 4 {
             let z = self.draw(&mut random);
             let (x, p) = self.point::<f64>(&z);
             let rates = self.program.eval(&z);
-            let value = self.system.eval(&[self.system.observer.hamiltonian], &z[..N], &z[N..])[0];
+            let value = self
+                .system
+                .eval(&[self.system.observer.hamiltonian], &z[..N], &z[N..])[0];
             let sized = {
                 let (x, p) = self.point::<Sized>(&z);
                 self.hand.hamiltonian(&x, &p, self.hand.control(&x, &p))
@@ -357,14 +380,21 @@ impl<'a, const N: usize, H: ByHand<N>> Case<'a, N, H> {
                 let at = self.hand.equilibrium::<Double>();
                 let x = std::array::from_fn(|i| at[i] + Double::of(z[i]));
                 let p = std::array::from_fn(|i| Double::of(z[N + i]));
-                self.hand.rates(&x, &p).into_iter().map(Number::value).collect()
+                self.hand
+                    .rates(&x, &p)
+                    .into_iter()
+                    .map(Number::value)
+                    .collect()
             };
-            // What each input alone contributes: rates of such small inputs are linear, L quadratic.
+            // What each input alone contributes: rates of such small inputs are linear, L
+            // quadratic.
             let mut size = vec![0.0; width];
             for j in 0..2 * N {
                 let mut alone = vec![0.0; 2 * N];
                 alone[j] = z[j];
-                size.iter_mut().zip(exact(&alone)).for_each(|(s, r)| *s += r.abs());
+                size.iter_mut()
+                    .zip(exact(&alone))
+                    .for_each(|(s, r)| *s += r.abs());
             }
             let derived = self.program.eval(z);
             for (i, exact) in exact(z).into_iter().enumerate() {
@@ -410,7 +440,13 @@ fn compressor_with_limited_throttle() {
         Case::new("moore_greitzer", &[("c", set)], hand, [1.0, 1.0, 1.0, 1.0]).all();
     }
     let fast = Limited(Compressor { c: 0.0 }, 0.4);
-    Case::new("moore_greitzer", &[("v_max", "0.4")], fast, [1.0, 1.0, 1.0, 1.0]).all();
+    Case::new(
+        "moore_greitzer",
+        &[("v_max", "0.4")],
+        fast,
+        [1.0, 1.0, 1.0, 1.0],
+    )
+    .all();
 }
 
 #[test]
@@ -443,6 +479,16 @@ fn double_numbers_have_thirty_digits() {
     let third = Double::of(1.0) / Double::of(3.0);
     assert!((third + third + third - Double::of(1.0)).value().abs() < DIGITS);
     let x = Double::of(-1.5) + third * Double::of(1e-8);
-    assert!((x.sin().square() + x.cos().square() - Double::of(1.0)).value().abs() < DIGITS);
-    assert!((Double::of(2.0).sqrt().square() - Double::of(2.0)).value().abs() < DIGITS);
+    assert!(
+        (x.sin().square() + x.cos().square() - Double::of(1.0))
+            .value()
+            .abs()
+            < DIGITS
+    );
+    assert!(
+        (Double::of(2.0).sqrt().square() - Double::of(2.0))
+            .value()
+            .abs()
+            < DIGITS
+    );
 }

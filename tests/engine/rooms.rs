@@ -1,4 +1,5 @@
-//! The rooms of `src/` depend downward only: what a file imports belongs to its own room or to one further down.
+//! The rooms of `src/` depend downward only: what a file imports belongs to its own room or to one
+//! further down.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -45,7 +46,12 @@ fn files(directory: &Path, found: &mut Vec<PathBuf>) {
 
 fn room(file: &Path) -> String {
     let first = file.components().next().unwrap().as_os_str();
-    Path::new(first).file_stem().unwrap().to_str().unwrap().to_owned()
+    Path::new(first)
+        .file_stem()
+        .unwrap()
+        .to_str()
+        .unwrap()
+        .to_owned()
 }
 
 /// The text without comments, and without the tests at its end.
@@ -60,7 +66,11 @@ fn code(text: &str) -> String {
 
 /// Names that follow `crate::`, also in braces.
 fn imports(code: &str) -> BTreeSet<String> {
-    let name = |text: &str| -> String { text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect() };
+    let name = |text: &str| -> String {
+        text.chars()
+            .take_while(|c| c.is_alphanumeric() || *c == '_')
+            .collect()
+    };
     let mut found = BTreeSet::new();
     for (at, path) in code.match_indices("crate::") {
         // Not the end of a longer word.
@@ -113,16 +123,23 @@ fn rooms_depend_downward() {
             continue;
         }
         let Some(at) = floor(&own) else {
-            wrong.push(format!("{}: the room `{own}` has no floor", place.display()));
+            wrong.push(format!(
+                "{}: the room `{own}` has no floor",
+                place.display()
+            ));
             continue;
         };
         for other in imports(&code(&std::fs::read_to_string(file).unwrap())) {
             match floor(&other) {
-                Some(to) if to > at => {
-                    wrong.push(format!("{} imports {other}, which stands above it", place.display()))
-                }
+                Some(to) if to > at => wrong.push(format!(
+                    "{} imports {other}, which stands above it",
+                    place.display()
+                )),
                 Some(_) => arrows += usize::from(other != own),
-                None => wrong.push(format!("{} imports {other}, which has no floor", place.display())),
+                None => wrong.push(format!(
+                    "{} imports {other}, which has no floor",
+                    place.display()
+                )),
             }
         }
     }

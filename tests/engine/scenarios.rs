@@ -1,4 +1,5 @@
-//! The scenes that come with the program: they are read, and those with a known answer satisfy its equation.
+//! The scenes that come with the program: they are read, and those with a known answer satisfy its
+//! equation.
 
 use costate::Scene;
 use costate::expr::Id;
@@ -9,15 +10,30 @@ use std::path::Path;
 
 fn scene(name: &str, set: &[(&str, &str)]) -> Model {
     let path = Path::new(crate::ROOT).join("scenarios").join(name);
-    let set: Vec<_> = set.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
+    let set: Vec<_> = set
+        .iter()
+        .map(|(n, v)| ((*n).to_owned(), (*v).to_owned()))
+        .collect();
     load(&path, &set).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// (f, L) at a state and control.
 fn equations(model: &Model, x: &[f64], u: &[f64]) -> (Vec<f64>, f64) {
     let mut values: HashMap<Id, f64> = model.parameter_values();
-    values.extend(model.states.iter().map(|s| s.variable.symbol).zip(x.iter().copied()));
-    values.extend(model.controls.iter().map(|c| c.variable.symbol).zip(u.iter().copied()));
+    values.extend(
+        model
+            .states
+            .iter()
+            .map(|s| s.variable.symbol)
+            .zip(x.iter().copied()),
+    );
+    values.extend(
+        model
+            .controls
+            .iter()
+            .map(|c| c.variable.symbol)
+            .zip(u.iter().copied()),
+    );
     let f: Vec<Id> = model.dynamics.iter().map(|d| d.expr).collect();
     (
         model.graph.eval(&f, &values),
@@ -36,7 +52,8 @@ fn parameter(model: &Model, name: &str) -> f64 {
 
 /// A few points spread over the region.
 fn points(model: &Model) -> Vec<Vec<f64>> {
-    let fraction = |i: usize, k: usize| (0.37 * (i + 1) as f64 * (k + 1) as f64 + 0.11 * k as f64).fract();
+    let fraction =
+        |i: usize, k: usize| (0.37 * (i + 1) as f64 * (k + 1) as f64 + 0.11 * k as f64).fract();
     let at = |i| {
         model
             .region
@@ -64,7 +81,11 @@ fn all_scenes_are_read() {
         ("manufactured_game.toml", 2, 1),
     ] {
         let model = scene(name, &[]);
-        assert_eq!((model.states.len(), model.controls.len()), (states, controls), "{name}");
+        assert_eq!(
+            (model.states.len(), model.controls.len()),
+            (states, controls),
+            "{name}"
+        );
         assert!(model.shoot_out.is_some(), "{name}");
     }
 }
@@ -77,9 +98,21 @@ fn the_compressor_is_the_thesis_one() {
     };
     assert_eq!(u, &[0.0]);
     assert!((x[1] - 2.0829).abs() < 1e-12, "Psi_c(1.2) = {}", x[1]);
-    assert!((x[3] - 1.5244).abs() < 5e-5, "gamma0 = {}, 1.5244 in the thesis", x[3]);
-    assert_eq!((model.controls[0].min, model.controls[0].max), (Some(-0.1), Some(0.1)));
-    for set in [("Phi0", "1.4"), ("Phi0", "1.1"), ("v_max", "0.2"), ("c", "5")] {
+    assert!(
+        (x[3] - 1.5244).abs() < 5e-5,
+        "gamma0 = {}, 1.5244 in the thesis",
+        x[3]
+    );
+    assert_eq!(
+        (model.controls[0].min, model.controls[0].max),
+        (Some(-0.1), Some(0.1))
+    );
+    for set in [
+        ("Phi0", "1.4"),
+        ("Phi0", "1.1"),
+        ("v_max", "0.2"),
+        ("c", "5"),
+    ] {
         scene("moore_greitzer.toml", &[set]);
         assert_eq!(
             parameter(&scene("moore_greitzer.toml", &[set]), set.0),
@@ -99,19 +132,31 @@ fn overrides_reach_what_is_computed_from_them() {
     assert!((parameter(&model, "gamma0") - 2.25 / parameter(&model, "Psi0").sqrt()).abs() < 1e-15);
 }
 
-/// A number given as a number, negative ones too, makes the same scene as one typed, down to the order of its graph.
+/// A number given as a number, negative ones too, makes the same scene as one typed, down to the
+/// order of its graph.
 #[test]
 fn a_scene_at_other_values_is_that_of_typed_ones() {
     let path = format!("{}/scenarios/moore_greitzer.toml", crate::ROOT);
     let scene = Scene::load(&path).unwrap();
-    for (name, value) in [("Phi0", 1.25), ("c", -0.3), ("v_max", 0.2), ("beta", 1.0 / 3.0)] {
+    for (name, value) in [
+        ("Phi0", 1.25),
+        ("c", -0.3),
+        ("v_max", 0.2),
+        ("beta", 1.0 / 3.0),
+    ] {
         let typed = [(name.to_owned(), format!("{value:?}"))];
-        let (with, typed) = (scene.with(&[(name, value)]), Scene::load_with(&path, &typed));
+        let (with, typed) = (
+            scene.with(&[(name, value)]),
+            Scene::load_with(&path, &typed),
+        );
         let (with, typed) = match (with, typed) {
             (Ok(with), Ok(typed)) => (with, typed),
             // What is wrong with the scene then is the same too.
             (with, typed) => {
-                assert_eq!(with.unwrap_err().to_string(), typed.unwrap_err().to_string());
+                assert_eq!(
+                    with.unwrap_err().to_string(),
+                    typed.unwrap_err().to_string()
+                );
                 continue;
             }
         };
@@ -122,15 +167,25 @@ fn a_scene_at_other_values_is_that_of_typed_ones() {
             format!("{:?}", with.model.parameters),
             format!("{:?}", typed.model.parameters)
         );
-        assert_eq!(with.hamiltonian.adjoint_rate, typed.hamiltonian.adjoint_rate);
+        assert_eq!(
+            with.hamiltonian.adjoint_rate,
+            typed.hamiltonian.adjoint_rate
+        );
         let shown = |s: &Scene| s.hamiltonian.graph.show(s.hamiltonian.open);
         assert_eq!(shown(&with), shown(&typed));
     }
     // The last value counts, and an unknown name is refused as on the command line.
-    let twice = scene.with(&[("Phi0", 1.2)]).unwrap().with(&[("Phi0", 1.3)]).unwrap();
+    let twice = scene
+        .with(&[("Phi0", 1.2)])
+        .unwrap()
+        .with(&[("Phi0", 1.3)])
+        .unwrap();
     assert_eq!(parameter(&twice.model, "Phi0"), 1.3);
     let refused = scene.with(&[("Phi1", 1.0)]).unwrap_err().to_string();
-    assert!(refused.contains("there is no parameter `Phi1`"), "{refused}");
+    assert!(
+        refused.contains("there is no parameter `Phi1`"),
+        "{refused}"
+    );
 }
 
 #[test]
@@ -170,12 +225,16 @@ fn the_finite_horizon_value_function_satisfies_its_equation() {
     else {
         panic!("the horizon is finite")
     };
-    assert_eq!((*final_time, reference.as_slice()), (2.0, [0.0, 0.0].as_slice()));
+    assert_eq!(
+        (*final_time, reference.as_slice()),
+        (2.0, [0.0, 0.0].as_slice())
+    );
     let s = parameter(&model, "s");
     let value = |x: f64, v: f64, tau: f64| {
         let y = x + v * tau;
         let d = (tau.powi(3) / 3.0 + 1.0 / s) * (tau + 1.0 / s) - tau.powi(4) / 4.0;
-        ((tau + 1.0 / s) * y * y - tau * tau * y * v + (tau.powi(3) / 3.0 + 1.0 / s) * v * v) / (2.0 * d)
+        ((tau + 1.0 / s) * y * y - tau * tau * y * v + (tau.powi(3) / 3.0 + 1.0 / s) * v * v)
+            / (2.0 * d)
     };
     // Central differences of a smooth function: error h^2 times third derivatives, below 1e4 here.
     let h = 1e-5;
@@ -186,7 +245,10 @@ fn the_finite_horizon_value_function_satisfies_its_equation() {
         let v_tau = (value(x, v, tau + h) - value(x, v, tau - h)) / (2.0 * h);
         let (f, cost) = equations(&model, &point, &[-v_v]);
         let residual = -v_tau + v_x * f[0] + v_v * f[1] + cost;
-        assert!(residual.abs() < 1e-5, "{residual} at {point:?}, tau = {tau}");
+        assert!(
+            residual.abs() < 1e-5,
+            "{residual} at {point:?}, tau = {tau}"
+        );
         let mut at = model.parameter_values();
         at.extend(
             model
@@ -211,13 +273,17 @@ fn atol_follows_rtol() {
             "states = {{ x = {{}} }}\ncontrols = {{ u = {{}} }}\ndynamics = {{ x = \"u\" }}\n\
              cost = {{ running = \"x^2 + u^2\" }}\nequilibrium = {{ x = 0, u = 0 }}\nregion = {{ x = [-1, 1] }}\n{integrator}"
         );
-        let model = costate::scenario::parse(&text, "test.toml", &[]).unwrap_or_else(|e| panic!("{}", e.render(false)));
+        let model = costate::scenario::parse(&text, "test.toml", &[])
+            .unwrap_or_else(|e| panic!("{}", e.render(false)));
         (model.integrator.rtol, model.integrator.atol)
     };
     assert_eq!(scene(""), (1e-6, 1e-9));
     assert_eq!(scene("integrator = { rtol = 1e-3 }"), (1e-3, 1e-6));
     assert_eq!(scene("integrator = { atol = 1e-7 }"), (1e-6, 1e-7));
-    assert_eq!(scene("integrator = { rtol = 1e-8, atol = 1e-7 }"), (1e-8, 1e-7));
+    assert_eq!(
+        scene("integrator = { rtol = 1e-8, atol = 1e-7 }"),
+        (1e-8, 1e-7)
+    );
 }
 
 /// An equilibrium is checked relative to the sizes of its states, and rounding is no fault.
@@ -240,7 +306,11 @@ fn equilibria_of_small_and_large_states() {
         assert_eq!(problems(2.0 * size, "\"x0\"", size), "", "{size}");
         // Ten digits, as one types a number.
         assert_eq!(
-            problems(2.0 * size / 3.0, &format!("{:.10e}", 2.0 * size / 3.0), size),
+            problems(
+                2.0 * size / 3.0,
+                &format!("{:.10e}", 2.0 * size / 3.0),
+                size
+            ),
             "",
             "{size}"
         );

@@ -1,4 +1,5 @@
-//! Every shipped scene on both backends: precision x method x scene, all trajectories compared, odd batch sizes.
+//! Every shipped scene on both backends: precision x method x scene, all trajectories compared, odd
+//! batch sizes.
 
 use crate::common;
 
@@ -28,8 +29,8 @@ fn scene(name: &str, method: Method) -> (Model, Hamiltonian) {
     model.integrator.step = (method == Method::Rk4).then_some(0.02);
     let shoot_out = model.shoot_out.as_mut().expect("shipped scenes are swept");
     shoot_out.samples = SAMPLES;
-    // The far fronts of sensitive scenes amplify rounding a thousandfold and more: two backends are compared where a
-    // wrong instruction shows and rounding does not.
+    // The far fronts of sensitive scenes amplify rounding a thousandfold and more: two backends are
+    // compared where a wrong instruction shows and rounding does not.
     shoot_out.value_max = shoot_out.value_max.map(|v| 0.3 * v);
     let hamiltonian = Hamiltonian::derive(&model).expect("a shipped scene is in the class");
     (model, hamiltonian)
@@ -42,7 +43,9 @@ fn seeds(plan: &Plan, count: usize) -> Vec<f64> {
     while parameters.len() < 3 * count {
         let other = (7 * k + 3) % parameters.len();
         let fraction = 0.1 + 0.8 * ((k as f64 * 0.618_034).fract());
-        let next = plan.surface.toward(&parameters[k], &parameters[other], fraction);
+        let next = plan
+            .surface
+            .toward(&parameters[k], &parameters[other], fraction);
         if next.iter().all(|x| x.is_finite()) {
             parameters.push(next);
         }
@@ -54,14 +57,19 @@ fn seeds(plan: &Plan, count: usize) -> Vec<f64> {
         .map(|q| plan.surface.seed(&q))
         .filter(|s| plan.surface.inside(s));
     let list: Vec<Vec<f64>> = inside.take(count).collect();
-    assert_eq!(list.len(), count, "the surface has too few seeds inside the guards");
+    assert_eq!(
+        list.len(),
+        count,
+        "the surface has too few seeds inside the guards"
+    );
     list.concat()
 }
 
-/// What rounding may do. Both sides run the same program with the same step control, so that they differ by rounding
-/// (a few units a step, of random sign). Rounding is relative to the state, which grows as well, so that it is amplified
-/// by the ratio of the modes' growth, for which the root of the largest growth is taken. With adaptive steps a step may be
-/// accepted on one side only: each side is then within the sum of its steps' tolerances.
+/// What rounding may do. Both sides run the same program with the same step control, so that they
+/// differ by rounding (a few units a step, of random sign). Rounding is relative to the state,
+/// which grows as well, so that it is amplified by the ratio of the modes' growth, for which the
+/// root of the largest growth is taken. With adaptive steps a step may be accepted on one side
+/// only: each side is then within the sum of its steps' tolerances.
 fn tolerance(plan: &Plan, seeds: &[f64], result: &Trajectories) -> Tolerance {
     const UNITS_A_STEP: f64 = 4.0;
     let n = plan.system.states;
@@ -82,7 +90,8 @@ fn tolerance(plan: &Plan, seeds: &[f64], result: &Trajectories) -> Tolerance {
         Method::Rk4 => rounding,
         Method::Tsit5 | Method::Dop853 | Method::Taylor => rounding + plan.run.rtol * steps,
     };
-    // Components that pass through zero are measured against the scene's own sizes: those of V, the largest.
+    // Components that pass through zero are measured against the scene's own sizes: those of V, the
+    // largest.
     let scale = result
         .end
         .iter()
@@ -92,9 +101,11 @@ fn tolerance(plan: &Plan, seeds: &[f64], result: &Trajectories) -> Tolerance {
     Tolerance {
         relative,
         absolute: relative * scale.min(10.0),
-        // Where a control meets its bound, rounding decides how many steps are rejected on the way in.
+        // Where a control meets its bound, rounding decides how many steps are rejected on the way
+        // in.
         steps: match plan.spec.method {
-            // As in tests/backends.rs: kinks met after some three refused steps, an estimate known to a factor of two.
+            // As in tests/backends.rs: kinks met after some three refused steps, an estimate known
+            // to a factor of two.
             Method::Dop853 => |steps| 2 + 6 * 3 + steps / 4,
             _ => |steps| 2 + steps / 4,
         },
@@ -109,14 +120,16 @@ fn scenes_agree_on_both_backends() {
         for method in [Method::Rk4, Method::Tsit5, Method::Dop853] {
             let (model, hamiltonian) = scene(name, method);
             for precision in [Precision::F32, Precision::F64] {
-                // At the scenes' own rtol, f32's error estimates are partly rounding noise, and so would be its steps.
+                // At the scenes' own rtol, f32's error estimates are partly rounding noise, and so
+                // would be its steps.
                 let rtol = (precision == Precision::F32).then_some(1e-4);
                 let choices = Choices {
                     precision: Some(precision),
                     rtol,
                     ..Choices::default()
                 };
-                let plan = Plan::new(&model, &hamiltonian, &cpu, choices).expect("the scene can be swept");
+                let plan =
+                    Plan::new(&model, &hamiltonian, &cpu, choices).expect("the scene can be swept");
                 let dim = plan.spec.dim();
                 let all = seeds(&plan, SIZES[3]);
                 let mut on_cpu = cpu.compile(&plan.spec).expect("the CPU kernel compiles");
@@ -137,8 +150,9 @@ fn scenes_agree_on_both_backends() {
                     );
                     let tolerance = tolerance(&plan, seeds, &a);
                     let what = format!("{name} {} {} x {size}", precision.name(), method.name());
-                    let agreement = compare(sides.0, sides.1, tolerance)
-                        .unwrap_or_else(|e| panic!("{what}: {e}, relative tolerance {:.1e}", tolerance.relative));
+                    let agreement = compare(sides.0, sides.1, tolerance).unwrap_or_else(|e| {
+                        panic!("{what}: {e}, relative tolerance {:.1e}", tolerance.relative)
+                    });
                     println!(
                         "{what}: worst {:.2e} of tolerance {:.1e}",
                         agreement.worst, tolerance.relative
@@ -151,7 +165,8 @@ fn scenes_agree_on_both_backends() {
 
                     let mut spoiled = b.clone();
                     let sign = if b.end[0] < 0.0 { -1.0 } else { 1.0 };
-                    spoiled.end[0] += sign * 3.0 * (tolerance.absolute + tolerance.relative * b.end[0].abs());
+                    spoiled.end[0] +=
+                        sign * 3.0 * (tolerance.absolute + tolerance.relative * b.end[0].abs());
                     let spoiled = Side {
                         backend: gpu.name(),
                         result: &spoiled,

@@ -1,4 +1,5 @@
-//! docs/scene.md names every section and key of a scene: what the parser accepts is asked of the parser.
+//! docs/scene.md names every section and key of a scene: what the parser accepts is asked of the
+//! parser.
 
 use costate::scenario::{Problem, parse};
 use std::collections::{BTreeMap, BTreeSet};
@@ -7,8 +8,12 @@ use std::path::{Path, PathBuf};
 /// Like no key and no choice.
 const BOGUS: &str = "qqqqqqqqqq";
 
-/// What tables are probed beside the sections: where `BOGUS` is a key of each, and the heading of its table.
-const WITHIN: [(&str, &str); 1] = [("closed_loop.law", "one = { weights = \"one.toml\", qqqqqqqqqq = 1 }")];
+/// What tables are probed beside the sections: where `BOGUS` is a key of each, and the heading of
+/// its table.
+const WITHIN: [(&str, &str); 1] = [(
+    "closed_loop.law",
+    "one = { weights = \"one.toml\", qqqqqqqqqq = 1 }",
+)];
 
 fn root() -> PathBuf {
     Path::new(crate::ROOT).to_owned()
@@ -36,11 +41,17 @@ fn problems(section: &str, lines: &str) -> Vec<Problem> {
 /// The list in the first help of a kind.
 fn listed(problems: &[Problem], before: &str) -> Option<BTreeSet<String>> {
     let help = problems.iter().filter(|p| p.message.contains(BOGUS));
-    let mut lists = help.filter_map(|p| p.help.as_ref()?.split_once(before).map(|(_, list)| list.to_owned()));
+    let mut lists = help.filter_map(|p| {
+        p.help
+            .as_ref()?
+            .split_once(before)
+            .map(|(_, list)| list.to_owned())
+    });
     Some(lists.next()?.split(", ").map(str::to_owned).collect())
 }
 
-/// Keys that a section, or each of its entries, may have; `None` where its keys are names of the scene.
+/// Keys that a section, or each of its entries, may have; `None` where its keys are names of the
+/// scene.
 fn keys(section: &str) -> Option<BTreeSet<String>> {
     let within = WITHIN
         .iter()
@@ -56,7 +67,9 @@ fn keys(section: &str) -> Option<BTreeSet<String>> {
 }
 
 fn sections() -> BTreeSet<String> {
-    let unknown = parse(&format!("[{BOGUS}]"), "scene.toml", &[]).unwrap_err().problems;
+    let unknown = parse(&format!("[{BOGUS}]"), "scene.toml", &[])
+        .unwrap_err()
+        .problems;
     listed(&unknown, "sections: ").expect("the parser lists its sections")
 }
 
@@ -67,11 +80,16 @@ fn documented() -> BTreeMap<String, BTreeMap<String, String>> {
     let mut current = None;
     for line in text.lines() {
         if line.starts_with('#') {
-            let name = line.split("`[").nth(1).and_then(|rest| rest.split("]`").next());
+            let name = line
+                .split("`[")
+                .nth(1)
+                .and_then(|rest| rest.split("]`").next());
             current = name.map(str::to_owned);
             all.extend(name.map(|name| (name.to_owned(), BTreeMap::new())));
         }
-        let key = line.strip_prefix("| `").and_then(|rest| rest.split('`').next());
+        let key = line
+            .strip_prefix("| `")
+            .and_then(|rest| rest.split('`').next());
         if let (Some(section), Some(key)) = (&current, key) {
             let rows = all.get_mut(section).unwrap();
             assert!(
@@ -87,9 +105,19 @@ fn documented() -> BTreeMap<String, BTreeMap<String, String>> {
 fn the_reference_names_every_section_and_key() {
     let documented = documented();
     let sections = sections();
-    assert!(sections.len() > 15 && sections.contains("integrator"), "{sections:?}");
-    let named: BTreeSet<String> = documented.keys().filter(|name| !name.contains('.')).cloned().collect();
-    assert_eq!(named, sections, "sections of docs/scene.md, and those of the parser");
+    assert!(
+        sections.len() > 15 && sections.contains("integrator"),
+        "{sections:?}"
+    );
+    let named: BTreeSet<String> = documented
+        .keys()
+        .filter(|name| !name.contains('.'))
+        .cloned()
+        .collect();
+    assert_eq!(
+        named, sections,
+        "sections of docs/scene.md, and those of the parser"
+    );
     let mut with_keys = 0;
     for section in sections
         .iter()
@@ -125,10 +153,16 @@ fn the_reference_names_every_choice() {
     let mut found = 0;
     for (section, rows) in &documented {
         for (key, row) in rows {
-            let choices = listed(&problems(section, &format!("{key} = \"{BOGUS}\"")), "known: ");
+            let choices = listed(
+                &problems(section, &format!("{key} = \"{BOGUS}\"")),
+                "known: ",
+            );
             for choice in choices.into_iter().flatten() {
                 found += 1;
-                assert!(row.contains(&format!("`\"{choice}\"`")), "[{section}] {key}: {choice}");
+                assert!(
+                    row.contains(&format!("`\"{choice}\"`")),
+                    "[{section}] {key}: {choice}"
+                );
             }
         }
     }

@@ -48,7 +48,11 @@ fn problems(scene: &str, count: usize) -> Problems {
             let scaled: Vec<f64> = point.iter().zip(&plan.widths).map(|(s, w)| s / w).collect();
             let near = index.near(&scaled, 0.0, 1)[0].0;
             let path = archive.path(near, &end, value, duration);
-            let target = path.start().iter().zip(&plan.widths).map(|(s, w)| s + SHIFT * w);
+            let target = path
+                .start()
+                .iter()
+                .zip(&plan.widths)
+                .map(|(s, w)| s + SHIFT * w);
             let target = target.collect();
             (path, target)
         })
@@ -98,12 +102,18 @@ fn compare(scene: &str, count: usize) {
     let problems = problems(scene, count);
     let gpu = any_gpu();
     let reference = solve(&problems, &Cpu::new(), Precision::F64);
-    let solved = reference.iter().filter(|job| job.solved().is_some()).count();
-    assert!(solved * 10 >= count * 9, "{scene}: {solved} of {count} solved");
+    let solved = reference
+        .iter()
+        .filter(|job| job.solved().is_some())
+        .count();
+    assert!(
+        solved * 10 >= count * 9,
+        "{scene}: {solved} of {count} solved"
+    );
     for precision in [Precision::F64, Precision::F32] {
         let jobs = solve(&problems, &gpu, precision);
-        // V is of second order in the path's error, p of first; both sides have one, and the path's is that of its
-        // segments, amplified by what a segment may grow.
+        // V is of second order in the path's error, p of first; both sides have one, and the path's
+        // is that of its segments, amplified by what a segment may grow.
         const AMPLIFICATION: f64 = 100.0;
         let (rtol, tolerance) = tolerances(precision);
         let allowed = (AMPLIFICATION * rtol).max(tolerance);
@@ -112,16 +122,29 @@ fn compare(scene: &str, count: usize) {
             let (Some(a_solved), b_solved) = (a.solved(), b.solved()) else {
                 continue;
             };
-            let b_solved = b_solved.unwrap_or_else(|| panic!("{scene} {precision:?} job {i}: {:?}", b.failure()));
-            let size = a.path.adjoint().iter().fold(0.0f64, |most, p| most.max(p.abs()));
+            let b_solved = b_solved
+                .unwrap_or_else(|| panic!("{scene} {precision:?} job {i}: {:?}", b.failure()));
+            let size = a
+                .path
+                .adjoint()
+                .iter()
+                .fold(0.0f64, |most, p| most.max(p.abs()));
             worst_value = worst_value.max((a_solved.value - b_solved.value).abs() / a_solved.value);
             for (p, q) in a.path.adjoint().iter().zip(b.path.adjoint()) {
                 worst_adjoint = worst_adjoint.max((p - q).abs() / size);
             }
         }
-        println!("{scene} {precision:?}: V {worst_value:.1e}, p {worst_adjoint:.1e}, allowed {allowed:.1e}");
-        assert!(worst_value <= allowed, "{scene} {precision:?}: V {worst_value:e}");
-        assert!(worst_adjoint <= allowed, "{scene} {precision:?}: p {worst_adjoint:e}");
+        println!(
+            "{scene} {precision:?}: V {worst_value:.1e}, p {worst_adjoint:.1e}, allowed {allowed:.1e}"
+        );
+        assert!(
+            worst_value <= allowed,
+            "{scene} {precision:?}: V {worst_value:e}"
+        );
+        assert!(
+            worst_adjoint <= allowed,
+            "{scene} {precision:?}: p {worst_adjoint:e}"
+        );
     }
 }
 

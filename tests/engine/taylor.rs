@@ -1,5 +1,5 @@
-//! Taylor's method where series are treacherous: solutions that are polynomials, steps that begin exactly on a kink or touch
-//! one, kinks crossed at tight tolerances.
+//! Taylor's method where series are treacherous: solutions that are polynomials, steps that begin
+//! exactly on a kink or touch one, kinks crossed at tight tolerances.
 
 use crate::common_oracles;
 
@@ -27,7 +27,8 @@ fn integrate(scene: &str, rtol: f64, methods: &[Method]) -> (Plan, Vec<Trajector
     let first = plan(Method::Tsit5);
     let mut seeds = Vec::new();
     let mut keep = |s: &[f64], _: &Trajectories| seeds.extend_from_slice(s);
-    sweep_keeping::<BackendError>(&first, &cpu, &mut |_, _| {}, &mut keep, &mut |_| Ok(())).expect("the CPU works");
+    sweep_keeping::<BackendError>(&first, &cpu, &mut |_, _| {}, &mut keep, &mut |_| Ok(()))
+        .expect("the CPU works");
     let results = (methods.iter())
         .map(|m| {
             let plan = plan(*m);
@@ -38,7 +39,8 @@ fn integrate(scene: &str, rtol: f64, methods: &[Method]) -> (Plan, Vec<Trajector
     (first, results)
 }
 
-/// Largest difference of two results at points that both have, relative to 1 or more; and how many there are.
+/// Largest difference of two results at points that both have, relative to 1 or more; and how many
+/// there are.
 fn difference(a: &Trajectories, b: &Trajectories) -> (f64, usize) {
     let (mut worst, mut points) = (0.0f64, 0);
     for i in 0..a.count() {
@@ -56,8 +58,8 @@ fn difference(a: &Trajectories, b: &Trajectories) -> (f64, usize) {
     (worst, points)
 }
 
-/// A limited control drives an integrator: the solution is a polynomial in time. On |x| <= 0.2, p = x; beyond, H = 0 with
-/// u = -0.2 gives p = (x^2/2 + 0.02)/0.2.
+/// A limited control drives an integrator: the solution is a polynomial in time. On |x| <= 0.2, p =
+/// x; beyond, H = 0 with u = -0.2 gives p = (x^2/2 + 0.02)/0.2.
 #[test]
 fn a_polynomial_solution() {
     let scene = "states = { x = {} }\ncontrols = { u = { min = -0.2, max = 0.2 } }\ndynamics = { x = \"u\" }\n\
@@ -120,7 +122,8 @@ fn seeds_on_kinks() {
             "{worst:.1e} over {points} points: {}",
             scene.lines().nth(2).unwrap_or("")
         );
-        // A step of either may begin within a kink's margin; each is within its tolerance, grown by what these flows grow.
+        // A step of either may begin within a kink's margin; each is within its tolerance, grown by
+        // what these flows grow.
         assert!(
             points > 1000 && worst <= 1e-7,
             "{worst:e} over {points} points of\n{scene}"
@@ -146,8 +149,8 @@ fn a_limited_double_integrator() {
     }
 }
 
-/// A kink of the dynamics near the equilibrium: seeds stay on its near side, where their series holds. |H|, which sees
-/// seeds off the manifold, is then what the tolerance allows.
+/// A kink of the dynamics near the equilibrium: seeds stay on its near side, where their series
+/// holds. |H|, which sees seeds off the manifold, is then what the tolerance allows.
 #[test]
 fn seeds_stay_short_of_kinks() {
     let scene = "states = { x = {}, v = {} }\ncontrols = { u = {} }\n\

@@ -1,4 +1,5 @@
-//! `costate export`: compiled headers against the value map, the local series and exact value functions.
+//! `costate export`: compiled headers against the value map, the local series and exact value
+//! functions.
 
 use crate::common_commands;
 
@@ -24,7 +25,14 @@ fn exported(directory: &Path, name: &str, map: &str) -> Stored {
     let scene = scene(directory, name, map);
     let file = directory.join(format!("{name}.h5"));
     let (scene, file) = (scene.to_str().unwrap(), file.to_str().unwrap());
-    done(costate(&["homotopy", "--backend", "cpu", scene, "--out", file]));
+    done(costate(&[
+        "homotopy",
+        "--backend",
+        "cpu",
+        scene,
+        "--out",
+        file,
+    ]));
     let said = done(costate(&[
         "export",
         file,
@@ -46,8 +54,9 @@ fn places(model: &Model, more: f64, count: u64) -> Vec<Vec<f64>> {
     let n = model.states.len() as u64;
     let unit = |k: u64| random(11, k) as f64 / 2f64.powi(64);
     let place = |k: u64| {
-        let at =
-            |(i, [lo, hi]): (usize, &[f64; 2])| lo + (hi - lo) * ((1.0 + 2.0 * more) * unit(k * n + i as u64) - more);
+        let at = |(i, [lo, hi]): (usize, &[f64; 2])| {
+            lo + (hi - lo) * ((1.0 + 2.0 * more) * unit(k * n + i as u64) - more)
+        };
         model.region.iter().enumerate().map(at).collect()
     };
     (0..count).map(place).collect()
@@ -57,23 +66,32 @@ fn size(p: &[f64]) -> f64 {
     p.iter().fold(0.0, |a, x| a.max(x.abs()))
 }
 
-/// A header against what `costate value` says: numbers of states that both know, that neither does, and of those that only
-/// one knows; and the largest differences of V (relative to V and the floor), p and u (to their sizes).
+/// A header against what `costate value` says: numbers of states that both know, that neither does,
+/// and of those that only one knows; and the largest differences of V (relative to V and the
+/// floor), p and u (to their sizes).
 fn compare(stored: &Stored, states: &[Vec<f64>], said: &[Said]) -> ([usize; 3], [f64; 3]) {
     let map = stored.value_map().unwrap();
     let floor = stored.map_pieces().unwrap().unwrap().region.floor;
     let (mut counts, mut off) = ([0; 3], [0.0f64; 3]);
     // Where p or u passes 0, its size elsewhere counts.
     let known: Vec<&Said> = said.iter().filter(|said| said.known).collect();
-    let mean = |of: &dyn Fn(&Said) -> f64| known.iter().map(|s| of(s)).sum::<f64>() / known.len() as f64;
+    let mean =
+        |of: &dyn Fn(&Said) -> f64| known.iter().map(|s| of(s)).sum::<f64>() / known.len() as f64;
     let usual = [mean(&|s| size(&s.p)), mean(&|s| size(&s.u))];
     for (x, said) in states.iter().zip(said) {
         // The header keeps to the region.
         let here = map.without_errors(x).lowest.ok();
-        match (here.filter(|here| here.coverage != Coverage::Searched), said.known) {
+        match (
+            here.filter(|here| here.coverage != Coverage::Searched),
+            said.known,
+        ) {
             (Some(here), true) => {
                 counts[0] += 1;
-                let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
+                let differences = |a: &[f64], b: &[f64]| {
+                    a.iter()
+                        .zip(b)
+                        .fold(0.0f64, |m, (a, b)| m.max((a - b).abs()))
+                };
                 let now = [
                     (here.v - said.v).abs() / here.v.abs().max(floor),
                     differences(&here.p, &said.p) / size(&here.p).max(usual[0]),
@@ -88,8 +106,9 @@ fn compare(stored: &Stored, states: &[Vec<f64>], said: &[Said]) -> ([usize; 3], 
     (counts, off)
 }
 
-/// Of V, p and u. Double: the same to the rounding of sums of some 50 terms and of another libm. Single: rounding of 6e-8
-/// through the same sums; slopes also divide differences of V by the width of the strip over which cells are blended.
+/// Of V, p and u. Double: the same to the rounding of sums of some 50 terms and of another libm.
+/// Single: rounding of 6e-8 through the same sums; slopes also divide differences of V by the width
+/// of the strip over which cells are blended.
 const DOUBLE: [f64; 3] = [1e-12; 3];
 const SINGLE: [f64; 3] = [1e-5, 1e-4, 1e-4];
 
@@ -100,9 +119,16 @@ fn headers_agree(name: &str, map: &str, more: f64) -> [usize; 3] {
 
 fn headers_agree_in(directory: &Path, name: &str, map: &str, more: f64) -> [usize; 3] {
     let stored = exported(directory, name, map);
-    let sizes = [stored.scene.model.states.len(), stored.scene.model.controls.len()];
+    let sizes = [
+        stored.scene.model.states.len(),
+        stored.scene.model.controls.len(),
+    ];
     let states = places(&stored.scene.model, more, 1500);
-    let (double, off) = compare(&stored, &states, &ask(directory, "map", sizes, &["-O2"], &states));
+    let (double, off) = compare(
+        &stored,
+        &states,
+        &ask(directory, "map", sizes, &["-O2"], &states),
+    );
     println!("{name}: known, unknown, differing {double:?}; off {off:?}");
     assert_eq!(double[2], 0);
     assert!((0..3).all(|i| off[i] <= DOUBLE[i]), "{off:?}");
@@ -118,7 +144,11 @@ fn headers_agree_in(directory: &Path, name: &str, map: &str, more: f64) -> [usiz
 /// The header itself against V in closed form.
 #[test]
 fn a_smooth_map_is_its_header() {
-    let [known, unknown, _] = headers_agree("manufactured", "[map]\nerror = 1e-4\nfloor = 1e-3\ncheck = 1", 0.1);
+    let [known, unknown, _] = headers_agree(
+        "manufactured",
+        "[map]\nerror = 1e-4\nfloor = 1e-3\ncheck = 1",
+        0.1,
+    );
     assert!(known > 800 && unknown > 300, "{known} {unknown}");
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("export-manufactured");
     let states: Vec<Vec<f64>> = (0..500)
@@ -127,9 +157,15 @@ fn a_smooth_map_is_its_header() {
             vec![unit(2 * k), unit(2 * k + 1)]
         })
         .collect();
-    for (x, said) in states.iter().zip(ask(&directory, "map", [2, 1], &[], &states)) {
+    for (x, said) in states
+        .iter()
+        .zip(ask(&directory, "map", [2, 1], &[], &states))
+    {
         let (v, p, _) = manufactured(x[0], x[1]);
-        assert!(said.known && (said.v - v).abs() < 1e-4 * v.max(1e-3), "{x:?}: {said:?}");
+        assert!(
+            said.known && (said.v - v).abs() < 1e-4 * v.max(1e-3),
+            "{x:?}: {said:?}"
+        );
         // u* = -p_y / r with r = 1/2, where the map's p is right.
         assert!(
             (said.u[0] + 2.0 * said.p[1]).abs() < 1e-12 * (1.0 + size(&p)),
@@ -138,7 +174,8 @@ fn a_smooth_map_is_its_header() {
     }
 }
 
-/// An angle, moved by whole periods; a highest V, above which nothing is said; sheets that cost the same.
+/// An angle, moved by whole periods; a highest V, above which nothing is said; sheets that cost the
+/// same.
 #[test]
 fn a_periodic_map_is_its_header() {
     let map = "[shoot_out]\nvalue_max = 185.0\n[map]\nerror = 1e-2\nvalue_max = 150.0\ncheck = 1\nstates = 600";
@@ -164,8 +201,7 @@ fn a_guarded_map_is_its_header() {
 /// A finite horizon, on which two sheets lie over each other: the lower one counts.
 #[test]
 fn the_lowest_of_two_sheets_is_told() {
-    let map =
-        "[map]\nerror = 1e-2\nfloor = 1e-2\ncheck = 1\ntime = false\nregion = { x = [-0.6, 0.6], y = [-0.3, 0.3] }";
+    let map = "[map]\nerror = 1e-2\nfloor = 1e-2\ncheck = 1\ntime = false\nregion = { x = [-0.6, 0.6], y = [-0.3, 0.3] }";
     let [known, ..] = headers_agree("hopf_lax", map, 0.0);
     assert!(known > 20, "{known}");
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("export-hopf_lax");
@@ -207,8 +243,12 @@ fn all_that_pieces_can_be_is_in_their_header() {
     let header = value_header("made", Known::Map(&pieces, None), &system, &model);
     std::fs::write(directory.join("made.h"), &header).unwrap();
     let states = places(&model, 0.05, 3000);
-    let (mut alone, mut blended, mut unknown, mut sheets) = (0, 0, 0, std::collections::BTreeSet::new());
-    for (x, said) in states.iter().zip(ask(&directory, "made", [3, 1], &["-O2"], &states)) {
+    let (mut alone, mut blended, mut unknown, mut sheets) =
+        (0, 0, 0, std::collections::BTreeSet::new());
+    for (x, said) in states
+        .iter()
+        .zip(ask(&directory, "made", [3, 1], &["-O2"], &states))
+    {
         let here = pieces.at(x);
         assert_eq!(here.is_some(), said.known, "{x:?}");
         let Some(here) = here else {
@@ -226,11 +266,15 @@ fn all_that_pieces_can_be_is_in_their_header() {
         for (p, said) in here.p.iter().zip(&said.p) {
             assert!((p - said).abs() < 1e-13, "{x:?}: {said} {here:?}");
         }
-        assert!((said.u[0] - (-said.p[2]).min(0.05)).abs() < 1e-15, "{x:?}: {said:?}");
+        assert!(
+            (said.u[0] - (-said.p[2]).min(0.05)).abs() < 1e-15,
+            "{x:?}: {said:?}"
+        );
     }
     println!("{alone} from one piece, {blended} blended, {unknown} unknown; sheets {sheets:?}");
     assert!(alone > 300 && blended > 100 && unknown > 300 && sheets.len() > 3);
-    // Another strip of blending, other bounds that tell sheets apart, another limit of V: each would have been seen.
+    // Another strip of blending, other bounds that tell sheets apart, another limit of V: each
+    // would have been seen.
     for (right, wrong) in [
         ("made_overlap = 0.1;", "made_overlap = 0.12;"),
         ("made_same = 3.0;", "made_same = 0.0;"),
@@ -242,7 +286,9 @@ fn all_that_pieces_can_be_is_in_their_header() {
             Some(here) => !said.known || (here.v - said.v).abs() > 1e-6,
             None => said.known,
         };
-        let all = states.iter().zip(ask(&directory, "made", [3, 1], &["-O2"], &states));
+        let all = states
+            .iter()
+            .zip(ask(&directory, "made", [3, 1], &["-O2"], &states));
         assert!(all.map(off).filter(|off| *off).count() > 10, "{wrong}");
     }
 }
@@ -253,8 +299,8 @@ fn loaded(path: &Path) -> (Model, Hamiltonian) {
     (model, hamiltonian)
 }
 
-/// The series in C, of every degree, is that of [`LocalPolynomial`], which is that of the sweep's local solution, and errs by
-/// the next term.
+/// The series in C, of every degree, is that of [`LocalPolynomial`], which is that of the sweep's
+/// local solution, and errs by the next term.
 #[test]
 fn the_series_is_its_header() {
     let directory = scratch("series");
@@ -263,7 +309,10 @@ fn the_series_is_its_header() {
     let system = System::new(&hamiltonian, &model);
     let riccati = Riccati::solve(&hamiltonian, &model).unwrap();
     let states = places(&model, 0.0, 100);
-    let near: Vec<Vec<f64>> = states.iter().map(|x| x.iter().map(|x| 0.1 * x).collect()).collect();
+    let near: Vec<Vec<f64>> = states
+        .iter()
+        .map(|x| x.iter().map(|x| 0.1 * x).collect())
+        .collect();
     for degree in 1..=6 {
         let local = LocalPolynomial::new(&system, &model, &riccati, degree + 1).unwrap();
         let header = directory.join("local.h");
@@ -275,9 +324,14 @@ fn the_series_is_its_header() {
             "--out",
             header.to_str().unwrap(),
         ];
-        done(costate(&[&arguments[..], &["--degree", &degree.to_string()]].concat()));
+        done(costate(
+            &[&arguments[..], &["--degree", &degree.to_string()]].concat(),
+        ));
         for (flags, tolerance) in [(["-O2"], 1e-13), (["-DCOSTATE_FLOAT"], 1e-5)] {
-            for (x, said) in states.iter().zip(ask(&directory, "local", [2, 1], &flags, &states)) {
+            for (x, said) in states
+                .iter()
+                .zip(ask(&directory, "local", [2, 1], &flags, &states))
+            {
                 let (v, p) = local.at(x);
                 assert!(
                     (said.v - v).abs() <= tolerance * (1.0 + v.abs()),
@@ -292,9 +346,17 @@ fn the_series_is_its_header() {
                 assert_eq!(said.known, local.knows(x), "{x:?}");
             }
         }
-        // Of terms through degree d + 1; this V has even ones alone, whose coefficients are below 1.
-        let missing = if degree % 2 == 1 { degree + 3 } else { degree + 2 };
-        for (x, said) in near.iter().zip(ask(&directory, "local", [2, 1], &[], &near)) {
+        // Of terms through degree d + 1; this V has even ones alone, whose coefficients are below
+        // 1.
+        let missing = if degree % 2 == 1 {
+            degree + 3
+        } else {
+            degree + 2
+        };
+        for (x, said) in near
+            .iter()
+            .zip(ask(&directory, "local", [2, 1], &[], &near))
+        {
             let (v, radius) = (manufactured(x[0], x[1]).0, size(x));
             assert!(
                 (said.v - v).abs() <= radius.powi(missing as i32) + 1e-16,
@@ -317,7 +379,8 @@ fn the_series_is_its_header() {
     }
 }
 
-/// The double integrator with unit weights: K = (1, sqrt 3), P = ((sqrt 3, 1), (1, sqrt 3)), at every degree; u is bounded.
+/// The double integrator with unit weights: K = (1, sqrt 3), P = ((sqrt 3, 1), (1, sqrt 3)), at
+/// every degree; u is bounded.
 #[test]
 fn the_series_of_a_linear_quadratic_scene_is_riccati_s() {
     let directory = scratch("linear");
@@ -339,8 +402,13 @@ fn the_series_of_a_linear_quadratic_scene_is_riccati_s() {
             "--name",
             "gain",
         ];
-        done(costate(&[&arguments[..], &["--out", out.to_str().unwrap()]].concat()));
-        for (x, said) in states.iter().zip(ask(&directory, "gain", [2, 1], &[], &states)) {
+        done(costate(
+            &[&arguments[..], &["--out", out.to_str().unwrap()]].concat(),
+        ));
+        for (x, said) in states
+            .iter()
+            .zip(ask(&directory, "gain", [2, 1], &[], &states))
+        {
             let root = 3f64.sqrt();
             let gain = (-x[0] - root * x[1]).max(-1.5);
             let v = 0.5 * root * (x[0] * x[0] + x[1] * x[1]) + x[0] * x[1];
@@ -353,8 +421,12 @@ fn the_series_of_a_linear_quadratic_scene_is_riccati_s() {
 
 /// How many there are in a directory.
 fn headers(directory: &Path) -> usize {
-    let files = std::fs::read_dir(directory).unwrap().map(|f| f.unwrap().path());
-    files.filter(|f| f.extension().is_some_and(|e| e == "h")).count()
+    let files = std::fs::read_dir(directory)
+        .unwrap()
+        .map(|f| f.unwrap().path());
+    files
+        .filter(|f| f.extension().is_some_and(|e| e == "h"))
+        .count()
 }
 
 /// The header of a law in a result file is the one that the fit wrote.
@@ -372,7 +444,14 @@ fn a_fitted_law_is_exported_again() {
     );
     let file = directory.join("points.h5");
     let (path, file) = (path.to_str().unwrap(), file.to_str().unwrap());
-    done(costate(&["homotopy", "--backend", "cpu", path, "--out", file]));
+    done(costate(&[
+        "homotopy",
+        "--backend",
+        "cpu",
+        path,
+        "--out",
+        file,
+    ]));
     done(costate(&["fit", file]));
     let written = |name: &str| std::fs::read(directory.join(name)).unwrap();
     for name in ["push", "cost"] {
@@ -418,10 +497,21 @@ fn a_fitted_law_is_exported_again() {
 #[test]
 fn what_cannot_be_exported_is_refused() {
     let directory = scratch("refused");
-    let path = scene(&directory, "manufactured", "[homotopy]\nx = [0.1, 0.2, 2]\ny = 0.1\n");
+    let path = scene(
+        &directory,
+        "manufactured",
+        "[homotopy]\nx = [0.1, 0.2, 2]\ny = 0.1\n",
+    );
     let file = directory.join("points.h5");
     let (path, file) = (path.to_str().unwrap(), file.to_str().unwrap());
-    done(costate(&["homotopy", "--backend", "cpu", path, "--out", file]));
+    done(costate(&[
+        "homotopy",
+        "--backend",
+        "cpu",
+        path,
+        "--out",
+        file,
+    ]));
     let finite = scene(&directory, "hopf_lax", "");
     let finite = finite.to_str().unwrap();
     let cases: [(&[&str], &str); 12] = [
@@ -429,10 +519,22 @@ fn what_cannot_be_exported_is_refused() {
         (&["export", path], "is a scene"),
         (&["export", finite, "--local"], "finite horizon"),
         (&["export", path, "--local", "--degree", "7"], "from 1 to 6"),
-        (&["export", path, "--local", "--name", "a-b"], "letters, digits"),
-        (&["export", path, "--local", "--out", "law.toml"], "name it .h"),
-        (&["export", file, "--local", "--set", "r=2"], "--local SCENE.toml --set"),
-        (&["export", file, "--law", "--degree", "2"], "cannot be used with"),
+        (
+            &["export", path, "--local", "--name", "a-b"],
+            "letters, digits",
+        ),
+        (
+            &["export", path, "--local", "--out", "law.toml"],
+            "name it .h",
+        ),
+        (
+            &["export", file, "--local", "--set", "r=2"],
+            "--local SCENE.toml --set",
+        ),
+        (
+            &["export", file, "--law", "--degree", "2"],
+            "cannot be used with",
+        ),
         (&["export", file, "--degree", "2"], "--local"),
         (&["export", file, "--law"], "holds no fitted law"),
         (&["export", path, "--law"], "is a scene"),

@@ -1,4 +1,5 @@
-//! Maps that are made to an error: against exact value functions, solved states and their own check.
+//! Maps that are made to an error: against exact value functions, solved states and their own
+//! check.
 
 use crate::common_commands;
 
@@ -32,7 +33,10 @@ fn scene(name: &str, lines: &str) -> PathBuf {
     ];
     let kept = sections_of(name, |section| !LEFT_OUT.contains(&section));
     static SCENES: AtomicUsize = AtomicUsize::new(0);
-    let path = folder().join(format!("{name}-{}.toml", SCENES.fetch_add(1, Ordering::Relaxed)));
+    let path = folder().join(format!(
+        "{name}-{}.toml",
+        SCENES.fetch_add(1, Ordering::Relaxed)
+    ));
     std::fs::write(&path, format!("{kept}\n[map]\n{lines}\n")).unwrap();
     path
 }
@@ -45,7 +49,9 @@ fn run(scene: &Path, out: &Path) -> Output {
 /// What a run says in words, with its result in a file.
 fn words(scene: &Path, out: &Path) -> String {
     let fixed = ["homotopy", "--backend", "cpu", "--out"].map(OsStr::new);
-    done(costate(&[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat()))
+    done(costate(
+        &[&fixed[..], &[out.as_ref(), scene.as_ref()]].concat(),
+    ))
 }
 
 /// A map made: the file, and its summary's "map".
@@ -76,7 +82,10 @@ fn quantile(values: &[f64], share: f64) -> f64 {
 }
 
 fn pieces(stored: &Stored) -> Pieces {
-    stored.map_pieces().unwrap().expect("the file has a map in pieces")
+    stored
+        .map_pieces()
+        .unwrap()
+        .expect("the file has a map in pieces")
 }
 
 #[test]
@@ -91,9 +100,14 @@ fn a_smooth_value_is_met_everywhere_with_true_bounds() {
             x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
             x / 2.0 + 2.0 * y + x * x * y / 2.0,
         ];
-        let here = map.at(&[x, y]).lowest.unwrap_or_else(|e| panic!("{x}, {y}: {e}"));
+        let here = map
+            .at(&[x, y])
+            .lowest
+            .unwrap_or_else(|e| panic!("{x}, {y}: {e}"));
         errors.push((here.v - v).abs() / v.max(1e-3));
-        slopes.push((0..2).map(|i| (here.p[i] - p[i]).abs()).fold(0.0, f64::max) / v.max(1e-3).sqrt());
+        slopes.push(
+            (0..2).map(|i| (here.p[i] - p[i]).abs()).fold(0.0, f64::max) / v.max(1e-3).sqrt(),
+        );
         if here.in_pieces {
             over.push((here.v - v).abs() / here.v_error);
         }
@@ -114,17 +128,23 @@ fn a_smooth_value_is_met_everywhere_with_true_bounds() {
     assert_eq!(summary["check"]["known"], 50);
 }
 
-/// Solutions leave this region for the equilibrium outside it: V is known where they lead, within its bounds, and the law goes
-/// there without a search.
+/// Solutions leave this region for the equilibrium outside it: V is known where they lead, within
+/// its bounds, and the law goes there without a search.
 #[test]
 fn a_law_finds_its_way_where_solutions_leave_the_region() {
     let lines = "error = 1e-4\nfloor = 1e-3\ncheck = 50\nregion = { x = [0.5, 1.3], y = [-0.4, 0.9] }\n\
                  [closed_loop]\nfinal_time = 20.0\nsamples = 400\ninitial = { x = [0.5, 1.3], y = [-0.4, 0.9] }\nrandom = 300";
     let (stored, summary) = made("manufactured", lines);
-    let beyond = stored.map_beyond().unwrap().expect("solutions leave the region");
+    let beyond = stored
+        .map_beyond()
+        .unwrap()
+        .expect("solutions leave the region");
     assert!(summary["pieces_beyond"].as_u64().unwrap() >= 1);
     let [x, y] = [0, 1].map(|i| [beyond.region.lo[i], beyond.region.hi[i]]);
-    assert!(x[0] < 0.2 && x[1] < 2.0, "{x:?} reaches towards the equilibrium");
+    assert!(
+        x[0] < 0.2 && x[1] < 2.0,
+        "{x:?} reaches towards the equilibrium"
+    );
     let map = stored.value_map().unwrap();
     let (mut over, mut outside) = (vec![], 0);
     for [x, y] in spread([x, y], 2000) {
@@ -165,13 +185,18 @@ fn a_law_finds_its_way_where_solutions_leave_the_region() {
     assert_eq!(law["share_converged"], 1.0, "{law}");
     assert_eq!(law["fell_back"], 0, "{law}");
     assert_eq!(law["suboptimality"]["count"], 300, "{law}");
-    assert!(law["suboptimality"]["max"].as_f64().unwrap() < 1e-5, "{law}");
+    assert!(
+        law["suboptimality"]["max"].as_f64().unwrap() < 1e-5,
+        "{law}"
+    );
 }
 
-/// Round the region a piece that errs by much is for laws only: it is not told as V, and what is said beside it is as without it.
+/// Round the region a piece that errs by much is for laws only: it is not told as V, and what is
+/// said beside it is as without it.
 #[test]
 fn rough_pieces_round_the_region_are_for_laws_alone() {
-    let lines = "error = 1e-6\nfloor = 1e-3\ncheck = 5\nregion = { x = [0.5, 1.3], y = [-0.4, 0.9] }";
+    let lines =
+        "error = 1e-6\nfloor = 1e-3\ncheck = 5\nregion = { x = [0.5, 1.3], y = [-0.4, 0.9] }";
     let (stored, _) = made("manufactured", lines);
     let scene = &stored.scene;
     let mut known = stored.known().unwrap();
@@ -180,7 +205,8 @@ fn rough_pieces_round_the_region_are_for_laws_alone() {
     let places: Vec<[f64; 2]> = (spread([x, y], 4000).into_iter())
         .filter(|[x, y]| !((0.5..=1.3).contains(x) && (-0.4..=0.9).contains(y)))
         .collect();
-    // A piece with many of them in its cell, and many beside it with which others are blended, made a wrong one.
+    // A piece with many of them in its cell, and many beside it with which others are blended, made
+    // a wrong one.
     let is_of = |beyond: &Pieces, x: &[f64; 2]| beyond.at(x).is_some_and(|said| said.v_bound > 1.0);
     let whole = beyond.clone();
     let counts = |k: usize| {
@@ -204,8 +230,15 @@ fn rough_pieces_round_the_region_are_for_laws_alone() {
         let (here, several) = (map.at(&[*x, *y]).lowest, is_of(&after, &[*x, *y]));
         match here.ok().filter(|here| here.in_pieces) {
             Some(here) => {
-                let alone = without.at(&[*x, *y]).expect("it is told without the rough piece").v;
-                assert!((here.v - alone).abs() < 1e-12, "{x}, {y}: {} is not {alone}", here.v);
+                let alone = without
+                    .at(&[*x, *y])
+                    .expect("it is told without the rough piece")
+                    .v;
+                assert!(
+                    (here.v - alone).abs() < 1e-12,
+                    "{x}, {y}: {} is not {alone}",
+                    here.v
+                );
                 assert!(
                     (answers.v[k] - alone).abs() < 1e-12,
                     "{x}, {y}: the law goes by another V"
@@ -219,12 +252,15 @@ fn rough_pieces_round_the_region_are_for_laws_alone() {
             None => {}
         }
     }
-    println!("{untold} states untold, {beside} beside them, of {}", places.len());
+    println!(
+        "{untold} states untold, {beside} beside them, of {}",
+        places.len()
+    );
     assert!(untold > 20 && beside > 0);
 }
 
-/// Only where solutions that begin in the region leave it: points of its margin, to which they are continued backward, are no reason
-/// for a map round it. A game has none wherever they go.
+/// Only where solutions that begin in the region leave it: points of its margin, to which they are
+/// continued backward, are no reason for a map round it. A game has none wherever they go.
 #[test]
 fn there_is_no_map_round_a_region_that_solutions_stay_in() {
     // Each state goes straight to 0.
@@ -243,14 +279,19 @@ fn there_is_no_map_round_a_region_that_solutions_stay_in() {
     for (scene, has_one) in [(stays, false), (leaves, true), (game, false)] {
         let out = scene.with_extension("h5");
         let said = words(&scene, &out);
-        assert_eq!(said.contains("solutions leave the region"), has_one, "{said}");
+        assert_eq!(
+            said.contains("solutions leave the region"),
+            has_one,
+            "{said}"
+        );
         let stored = Stored::open(&out).unwrap();
         assert!(!pieces(&stored).pieces.is_empty());
         assert_eq!(stored.map_beyond().unwrap().is_some(), has_one, "{said}");
     }
 }
 
-/// p is the gradient of what the map says, also where cells are blended; V is continuous across their faces.
+/// p is the gradient of what the map says, also where cells are blended; V is continuous across
+/// their faces.
 #[test]
 fn p_is_the_gradient_and_v_is_continuous() {
     let (stored, _) = made("manufactured", "error = 1e-6\ncheck = 1");
@@ -273,7 +314,10 @@ fn p_is_the_gradient_and_v_is_continuous() {
     // Across every face, at its middle.
     for cell in &pieces.cells {
         for i in 0..2 {
-            let mut t = [0.5 * (cell.lo[0] + cell.hi[0]), 0.5 * (cell.lo[1] + cell.hi[1])];
+            let mut t = [
+                0.5 * (cell.lo[0] + cell.hi[0]),
+                0.5 * (cell.lo[1] + cell.hi[1]),
+            ];
             t[i] = cell.hi[i];
             let v = |sign: f64| {
                 let mut t = t;
@@ -310,7 +354,8 @@ fn nothing_is_said_behind_the_fold_of_a_game() {
         let Some(here) = here else { continue };
         known += 1;
         let power = |a: f64| a.powf(1.5);
-        let first = (-0.5 * z * z + (power(1.0 + s + s * e * z * z) - power(1.0 + s)) / (3.0 * s * e)) / s;
+        let first =
+            (-0.5 * z * z + (power(1.0 + s + s * e * z * z) - power(1.0 + s)) / (3.0 * s * e)) / s;
         let v = first + 0.5 * (2f64.sqrt() - 1.0) * y * y;
         errors.push((here.v - v).abs() / v.max(floor));
         over.push((here.v - v).abs() / here.v_error.max(1e-12));
@@ -329,7 +374,8 @@ fn nothing_is_said_behind_the_fold_of_a_game() {
     assert!(quantile(&over, 0.99) <= 2.0);
 }
 
-/// Two wells on a finite horizon: V(x, 0) by Hopf and Lax, with a line where two sheets cost the same.
+/// Two wells on a finite horizon: V(x, 0) by Hopf and Lax, with a line where two sheets cost the
+/// same.
 #[test]
 fn two_sheets_meet_where_they_cost_the_same() {
     let (stored, _) = made(
@@ -354,7 +400,9 @@ fn two_sheets_meet_where_they_cost_the_same() {
     let (mut worst, mut over) = (0.0f64, vec![]);
     for [x, y] in spread([[-1.0, 1.0], [-0.5, 0.5]], 1000) {
         let v = side(x, -1.0).min(side(x, 1.0)) + 0.5 * y * y / (1.0 + time);
-        let here = pieces.at(&[x, y]).unwrap_or_else(|| panic!("{x}, {y} is not known"));
+        let here = pieces
+            .at(&[x, y])
+            .unwrap_or_else(|| panic!("{x}, {y} is not known"));
         worst = worst.max((here.v - v).abs() / v.abs().max(1e-2));
         over.push((here.v - v).abs() / here.v_bound);
     }
@@ -369,16 +417,25 @@ fn two_sheets_meet_where_they_cost_the_same() {
     let (mut lo, mut hi) = (-0.5, 0.5);
     for _ in 0..60 {
         let x = 0.5 * (lo + hi);
-        if side(x, -1.0) < side(x, 1.0) { lo = x } else { hi = x }
+        if side(x, -1.0) < side(x, 1.0) {
+            lo = x
+        } else {
+            hi = x
+        }
     }
     let u = |x: f64| pieces.at(&[x, 0.1]).unwrap().p[0];
-    assert!(u(lo - 1e-5) * u(lo + 1e-5) < 0.0, "{} {}", u(lo - 1e-5), u(lo + 1e-5));
+    assert!(
+        u(lo - 1e-5) * u(lo + 1e-5) < 0.0,
+        "{} {}",
+        u(lo - 1e-5),
+        u(lo + 1e-5)
+    );
     let sheet = |x: f64| pieces.at(&[x, 0.1]).unwrap().sheet;
     assert_ne!(sheet(lo - 1e-5), sheet(lo + 1e-5));
 }
 
-/// Where V falls by a factor of six over a tenth of the compressor's box, and the corner of its contour picture: V = 4.681 at
-/// (1, 2.1, 0.12, 1.524) (solved; checked by collocation).
+/// Where V falls by a factor of six over a tenth of the compressor's box, and the corner of its
+/// contour picture: V = 4.681 at (1, 2.1, 0.12, 1.524) (solved; checked by collocation).
 #[test]
 fn a_steep_corner_of_the_compressor() {
     let region = "region = { Phi = [1.0, 1.01], Psi = [2.09, 2.105], R = [0.115, 0.125], gamma = [1.515, 1.535] }";
@@ -387,7 +444,10 @@ fn a_steep_corner_of_the_compressor() {
         &format!("error = 1e-2\nstates = 4000\ncheck = 10\n{region}"),
     );
     let map = stored.value_map().unwrap();
-    let here = map.at(&[1.0, 2.1, 0.12, 1.524]).lowest.expect("it is known");
+    let here = map
+        .at(&[1.0, 2.1, 0.12, 1.524])
+        .lowest
+        .expect("it is known");
     println!("V = {} +- {:.1e}; {summary}", here.v, here.v_error);
     assert!(
         (here.v - 4.681_02).abs() <= here.v_error.max(5e-6),
@@ -399,10 +459,14 @@ fn a_steep_corner_of_the_compressor() {
     assert_eq!(summary["check"]["known"], summary["check"]["solved"]);
     assert!(summary["check"]["V_error"]["median"].as_f64().unwrap() < 1e-2);
     // Outside the region of the map nothing else is in the file.
-    assert_eq!(map.at(&[1.3, 2.0, 0.1, 1.6]).lowest.unwrap_err(), Unknown::Far);
+    assert_eq!(
+        map.at(&[1.3, 2.0, 0.1, 1.6]).lowest.unwrap_err(),
+        Unknown::Far
+    );
 }
 
-/// With few states a map says where it is not good enough, and nothing where it is bad: there another error may be allowed.
+/// With few states a map says where it is not good enough, and nothing where it is bad: there
+/// another error may be allowed.
 #[test]
 fn a_budget_that_is_spent_is_said() {
     let made = |name: &str, more: &str| {
@@ -426,14 +490,20 @@ fn a_budget_that_is_spent_is_said() {
     let (_, lenient) = made("lenient.h5", "\nerror_max = 0.5");
     assert_eq!(strict.cells.len(), lenient.cells.len());
     assert!(lenient.pieces.len() > strict.pieces.len());
-    assert!(lenient.pieces.iter().all(|p| p.bound <= 0.5) && lenient.pieces.iter().any(|p| p.bound > 0.1));
+    assert!(
+        lenient.pieces.iter().all(|p| p.bound <= 0.5)
+            && lenient.pieces.iter().any(|p| p.bound > 0.1)
+    );
 }
 
 /// The first search too: states up to the budget, batches up to the seconds.
 #[test]
 fn the_first_search_keeps_within_the_budget() {
     for states in [1, 6] {
-        let (_, summary) = made("manufactured", &format!("error = 1e-4\nstates = {states}\ncheck = 1"));
+        let (_, summary) = made(
+            "manufactured",
+            &format!("error = 1e-4\nstates = {states}\ncheck = 1"),
+        );
         let solved = summary["states"].as_u64().unwrap() + summary["failed"].as_u64().unwrap();
         assert!(solved <= states, "{summary}");
         assert!(summary["first_search"]["states"].as_u64().unwrap() <= states);
@@ -488,15 +558,23 @@ fn seconds_end_a_search_that_goes_on_and_on() {
         said.contains("no fresh state could be solved for in `seconds`"),
         "{said}"
     );
-    assert!(said.contains("nothing is said in 100.00 % of the region"), "{said}");
+    assert!(
+        said.contains("nothing is said in 100.00 % of the region"),
+        "{said}"
+    );
     // Nothing is known to those who ask, and they are told so.
-    let asked = costate(&["value".as_ref(), out.as_os_str(), "--at".as_ref(), "a=0.1".as_ref()]);
+    let asked = costate(&[
+        "value".as_ref(),
+        out.as_os_str(),
+        "--at".as_ref(),
+        "a=0.1".as_ref(),
+    ]);
     assert_eq!(asked.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&asked.stderr).contains("knows V nowhere"));
 }
 
-/// Maps that say nothing say why, those whose first search was cut that a sheet may have been missed, and V that is 0 everywhere is
-/// known.
+/// Maps that say nothing say why, those whose first search was cut that a sheet may have been
+/// missed, and V that is 0 everywhere is known.
 #[test]
 fn what_is_empty_says_why() {
     const SPRING: &str = r#"
@@ -521,7 +599,14 @@ fn what_is_empty_says_why() {
         let out = path.with_extension("h5");
         (words(&path, &out), out)
     };
-    let at = |file: &Path, at: &str| costate(&["value".as_ref(), file.as_os_str(), "--at".as_ref(), at.as_ref()]);
+    let at = |file: &Path, at: &str| {
+        costate(&[
+            "value".as_ref(),
+            file.as_os_str(),
+            "--at".as_ref(),
+            at.as_ref(),
+        ])
+    };
     let low = "map = { error = 1e-3, check = 20, value_max = 1e-12 }";
     let guarded = "guards = { g = \"x < 0.3\" }\nmap = { error = 1e-3, check = 20, region = { x = [0.5, 1] } }";
     for (name, lines, why) in [
@@ -539,12 +624,18 @@ fn what_is_empty_says_why() {
         "cut",
         &format!("{SPRING}map = {{ error = 1e-2, check = 20, states = 100 }}"),
     );
-    assert!(words.contains("the budget ended the first search"), "{words}");
+    assert!(
+        words.contains("the budget ended the first search"),
+        "{words}"
+    );
     let shown = done(at(&file, "x=0.6,v=0.1"));
     assert!(shown.contains("a cheaper sheet may be missing"), "{shown}");
     let (_, file) = said("nothing", NOTHING);
     let value = Stored::open(&file).unwrap().value_map().unwrap();
-    let known = value.at_time(&[0.3], 0.5).lowest.expect("V is 0 everywhere");
+    let known = value
+        .at_time(&[0.3], 0.5)
+        .lowest
+        .expect("V is 0 everywhere");
     assert!(known.v.abs() <= 1e-12 && known.v_error < 1e-3, "{known:?}");
 }
 
@@ -554,7 +645,9 @@ fn the_seed_draws_other_states_for_the_check() {
     let checked = |seed: &str| {
         let out = scene.with_extension(format!("{seed}.h5"));
         let arguments = ["homotopy", "--backend", "cpu", "--seed", seed, "--out"].map(OsStr::new);
-        done(costate(&[&arguments[..], &[out.as_ref(), scene.as_ref()]].concat()));
+        done(costate(
+            &[&arguments[..], &[out.as_ref(), scene.as_ref()]].concat(),
+        ));
         let stored = Stored::open(&out).unwrap();
         let x = stored.group("map_check").unwrap().f64("x0").unwrap().values;
         (x, pieces(&stored).cells)
@@ -584,7 +677,8 @@ fn product(a: f64, b: f64, [c, less]: [f64; 2]) -> [f64; 5] {
     [x, y, z, w, high * less]
 }
 
-/// Not even rounding takes V and p further from what is exact than they say, down to 1e-9 from the equilibrium.
+/// Not even rounding takes V and p further from what is exact than they say, down to 1e-9 from the
+/// equilibrium.
 #[test]
 fn rounding_is_within_the_errors_said() {
     let path = folder().join("integrator.toml");
@@ -622,7 +716,11 @@ fn rounding_is_within_the_errors_said() {
                 here.v_error
             );
             // No more than is needed near the equilibrium, either.
-            tight = tight.max(if here.in_pieces { 0.0 } else { here.v_error / here.v });
+            tight = tight.max(if here.in_pieces {
+                0.0
+            } else {
+                here.v_error / here.v
+            });
             let minus = root.map(|r| -r);
             let of_p = |p: f64, along: f64, other: f64| {
                 let terms = [&[p, -other][..], &product(along, 1.0, minus)];
@@ -630,7 +728,10 @@ fn rounding_is_within_the_errors_said() {
             };
             let off = of_p(here.p[0], *x, *v).max(of_p(here.p[1], *v, *x));
             let said = here.p_error * here.p[0].abs().max(here.p[1].abs());
-            assert!(off <= said, "p at {x:e}, {v:e}: off by {off:e}, said {said:e}");
+            assert!(
+                off <= said,
+                "p at {x:e}, {v:e}: off by {off:e}, said {said:e}"
+            );
             assert!(off <= here.u_error || (here.u[0] + here.p[1]).abs() <= here.u_error);
         }
     }
@@ -639,7 +740,8 @@ fn rounding_is_within_the_errors_said() {
     assert!(tight < 1e-12);
 }
 
-/// Where the series about the equilibrium answers, its errors of V and p are those of the terms that it leaves out.
+/// Where the series about the equilibrium answers, its errors of V and p are those of the terms
+/// that it leaves out.
 #[test]
 fn the_series_errors_hold_for_p_too() {
     let (stored, _) = made("manufactured", "error = 1e-4\nfloor = 1e-3\ncheck = 3");
@@ -654,7 +756,8 @@ fn the_series_errors_hold_for_p_too() {
             }
             let (_, p, _) = manufactured(x, y);
             // Without the cancellation of 1 - cos(x).
-            let v = x * x / 2.0 + (x / 2.0).sin().powi(2) + x * y / 2.0 + y * y + x * x * y * y / 4.0;
+            let v =
+                x * x / 2.0 + (x / 2.0).sin().powi(2) + x * y / 2.0 + y * y + x * x * y * y / 4.0;
             let off = (here.p[0] - p[0]).abs().max((here.p[1] - p[1]).abs());
             let largest = here.p[0].abs().max(here.p[1].abs());
             worst[0] = worst[0].max((here.v - v).abs() / (here.v_error + 4.0 * f64::EPSILON * v));
@@ -662,8 +765,14 @@ fn the_series_errors_hold_for_p_too() {
             count += 1;
         }
     }
-    println!("over the errors said: V {:.2}, p {:.2}, of {count}", worst[0], worst[1]);
-    assert!(count > 500 && worst.iter().all(|w| *w <= 1.0), "{worst:?} of {count}");
+    println!(
+        "over the errors said: V {:.2}, p {:.2}, of {count}",
+        worst[0], worst[1]
+    );
+    assert!(
+        count > 500 && worst.iter().all(|w| *w <= 1.0),
+        "{worst:?} of {count}"
+    );
 }
 
 #[test]
@@ -682,8 +791,9 @@ fn what_lies_outside_the_region_is_named() {
     assert!(!inside.contains("outside"), "{inside}");
 }
 
-/// Where two sheets of the pendulum cost the same the map has them do so, too, to the distance asked for; and no sheet ends before.
-/// Places on the line with the jump of p there: `costate homotopy` of a grid, `/equal_cost`, located to 1e-9 of V (117 to 184).
+/// Where two sheets of the pendulum cost the same the map has them do so, too, to the distance
+/// asked for; and no sheet ends before. Places on the line with the jump of p there: `costate
+/// homotopy` of a grid, `/equal_cost`, located to 1e-9 of V (117 to 184).
 #[test]
 fn the_line_of_equal_cost_is_where_it_is() {
     const LINE: [[f64; 4]; 14] = [
@@ -711,7 +821,8 @@ fn the_line_of_equal_cost_is_where_it_is() {
     println!("{summary}");
     for [theta, omega, a, b] in LINE {
         let size = f64::hypot(a, b);
-        // p along its jump: that of the first sheet is larger by it, and is that on the side where that sheet is the lower.
+        // p along its jump: that of the first sheet is larger by it, and is that on the side where
+        // that sheet is the lower.
         let along = |t: f64| {
             let x = [
                 (theta + t * a / size).clamp(-3.9, 2.4),
@@ -721,7 +832,10 @@ fn the_line_of_equal_cost_is_where_it_is() {
             (said.p[0] * a + said.p[1] * b) / size
         };
         let jump = along(-1e-6) - along(1e-6);
-        assert!((jump / size - 1.0).abs() < 1e-3, "{theta}, {omega}: {jump} of {size}");
+        assert!(
+            (jump / size - 1.0).abs() < 1e-3,
+            "{theta}, {omega}: {jump} of {size}"
+        );
     }
     // Solved; next to the line, where the lower sheet's points are few.
     let here = map.at(&[-1.55, 9.0]).unwrap();

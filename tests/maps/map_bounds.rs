@@ -1,5 +1,5 @@
-//! Bounds of maps to an error where points alone do not tell: along switching curves, above the largest V of interest, where a
-//! guard excludes states, and where no answer exists.
+//! Bounds of maps to an error where points alone do not tell: along switching curves, above the
+//! largest V of interest, where a guard excludes states, and where no answer exists.
 
 use crate::common_commands;
 
@@ -19,7 +19,8 @@ fn made(name: &str, text: &str) -> (Stored, serde_json::Value) {
     common_commands::map_of(folder(), name, text)
 }
 
-/// A mass that a bounded force brings to rest: u* is at a bound but for a strip about a curve, at whose edges V is no polynomial.
+/// A mass that a bounded force brings to rest: u* is at a bound but for a strip about a curve, at
+/// whose edges V is no polynomial.
 fn bounded(map: &str) -> String {
     format!(
         "states = {{ x = {{}}, v = {{}} }}\ncontrols = {{ u = {{ min = -1, max = 1 }} }}\ndynamics = {{ x = \"v\", v = \"u\" }}\n\
@@ -33,9 +34,17 @@ fn solved() -> &'static (Vec<[f64; 2]>, Vec<f64>) {
     static SOLVED: OnceLock<(Vec<[f64; 2]>, Vec<f64>)> = OnceLock::new();
     SOLVED.get_or_init(|| {
         let states: Vec<[f64; 2]> = (1..=4000)
-            .map(|k| [0.754_877_666, 0.569_840_290].map(|step| 6.0 * (f64::from(k) * step).fract() - 3.0))
+            .map(|k| {
+                [0.754_877_666, 0.569_840_290].map(|step| 6.0 * (f64::from(k) * step).fract() - 3.0)
+            })
             .collect();
-        let values = column_of(folder(), "solved", &bounded("states = 10"), ("x,v", &states), "V");
+        let values = column_of(
+            folder(),
+            "solved",
+            &bounded("states = 10"),
+            ("x,v", &states),
+            "V",
+        );
         let values = values.iter().map(|v| v.parse().unwrap()).collect();
         (states, values)
     })
@@ -66,8 +75,8 @@ fn bounds_hold_along_a_switching_curve() {
     assert_eq!(summary["share_unmet"], 0.0);
 }
 
-/// A polynomial goes on beyond the largest V of interest, where it may come down again (it said V = 1.4 where it is 10.6, and
-/// -0.008 where it is 99.7).
+/// A polynomial goes on beyond the largest V of interest, where it may come down again (it said V =
+/// 1.4 where it is 10.6, and -0.008 where it is 99.7).
 #[test]
 fn nothing_low_is_said_above_the_largest_value() {
     // The first is 1 in 30 of the region, about which most states that are tried lie above it.
@@ -79,8 +88,15 @@ fn nothing_low_is_said_above_the_largest_value() {
         let over = over_bounds(&stored);
         let inside = solved().1.iter().filter(|v| **v < most).count();
         let largest = over.iter().copied().fold(0.0, f64::max);
-        println!("up to {most}: {} known of {inside}, largest {largest:.2}", over.len());
-        assert!(over.len() as f64 > share * inside as f64, "{} of {inside}", over.len());
+        println!(
+            "up to {most}: {} known of {inside}, largest {largest:.2}",
+            over.len()
+        );
+        assert!(
+            over.len() as f64 > share * inside as f64,
+            "{} of {inside}",
+            over.len()
+        );
         assert!(largest <= 3.0, "{largest}");
     }
 }
@@ -93,7 +109,9 @@ fn nothing_is_said_of_states_that_a_guard_excludes() {
                  map = { error = 1e-3, states = 500, check = 10 }\n";
     let (stored, _) = made("guarded", scene);
     let map = stored.value_map().unwrap();
-    let states: Vec<f64> = (0..200).flat_map(|k| [-1.0 + 0.01 * f64::from(k), 0.3]).collect();
+    let states: Vec<f64> = (0..200)
+        .flat_map(|k| [-1.0 + 0.01 * f64::from(k), 0.3])
+        .collect();
     let many = map.at_times(&states, &[0.0; 200], false);
     let off_the_wall = |x: &[f64]| (x[0] - 0.5).abs() > 1e-9;
     for (x, at) in (states.chunks(2).zip(many)).filter(|(x, _)| off_the_wall(x)) {
@@ -113,7 +131,8 @@ fn nothing_is_said_of_states_that_a_guard_excludes() {
     }
 }
 
-/// V = |x|^2/2 and a bump of a fortieth of the region's width, manufactured: few of a cell's points lie on it, but they are exact.
+/// V = |x|^2/2 and a bump of a fortieth of the region's width, manufactured: few of a cell's points
+/// lie on it, but they are exact.
 #[test]
 fn a_narrow_bump_is_not_passed_over() {
     let scene = "parameters = { h = 0.04, w = 0.1 }\nstates = { x = {}, y = {} }\ncontrols = { u = {}, v = {} }\n\
@@ -125,7 +144,10 @@ fn a_narrow_bump_is_not_passed_over() {
     let map = stored.value_map().unwrap();
     let mut worst = 0.0f64;
     for k in 0..1600 {
-        let x = [0.8 + 0.01 * f64::from(k % 40), 0.3 + 0.01 * f64::from(k / 40)];
+        let x = [
+            0.8 + 0.01 * f64::from(k % 40),
+            0.3 + 0.01 * f64::from(k / 40),
+        ];
         let (dx, dy) = (x[0] - 1.0, x[1] - 0.5);
         let exact = 0.5 * (x[0] * x[0] + x[1] * x[1]) + 0.04 * (-(dx * dx + dy * dy) / 0.01).exp();
         let here = map.at(&x).lowest.unwrap();
@@ -136,8 +158,8 @@ fn a_narrow_bump_is_not_passed_over() {
     assert!(worst < 3.0, "{worst}");
 }
 
-/// `x' = x + u` with |u| <= 1 is lost from |x| >= 1, V is infinite there: nothing negative is said, though a polynomial of 1/V
-/// passes through 0.
+/// `x' = x + u` with |u| <= 1 is lost from |x| >= 1, V is infinite there: nothing negative is said,
+/// though a polynomial of 1/V passes through 0.
 #[test]
 fn no_value_is_negative_where_no_answer_exists() {
     let scene = "states = { x = {}, y = {} }\ncontrols = { u = { min = -1, max = 1 }, w = { min = -1, max = 1 } }\n\
@@ -148,8 +170,11 @@ fn no_value_is_negative_where_no_answer_exists() {
     let map = stored.value_map().unwrap();
     let (mut known, mut where_none) = (0, 0);
     for k in 1..=4000 {
-        let x = [0.754_877_666, 0.569_840_290].map(|step| 2.6 * (f64::from(k) * step).fract() - 1.3);
-        let Ok(value) = map.at(&x).lowest else { continue };
+        let x =
+            [0.754_877_666, 0.569_840_290].map(|step| 2.6 * (f64::from(k) * step).fract() - 1.3);
+        let Ok(value) = map.at(&x).lowest else {
+            continue;
+        };
         known += 1;
         where_none += usize::from(x.iter().any(|x| x.abs() >= 1.0));
         assert!(value.v >= 0.0, "{x:?}: {}", value.v);
@@ -183,20 +208,43 @@ fn solve_leaves_the_results_of_a_run_alone() {
     };
     run(&["homotopy", "mass.toml", "--backend", "cpu"]);
     let before = std::fs::read(folder.join("out/mass.h5")).unwrap();
-    let said = run(&["solve", "mass.toml", "--points", "states.csv", "--backend", "cpu"]);
+    let said = run(&[
+        "solve",
+        "mass.toml",
+        "--points",
+        "states.csv",
+        "--backend",
+        "cpu",
+    ]);
     assert!(said.contains("mass.h5 holds other results"), "{said}");
     assert_eq!(std::fs::read(folder.join("out/mass.h5")).unwrap(), before);
-    assert!(Stored::open(&folder.join("out/mass_points.h5")).unwrap().has("points"));
+    assert!(
+        Stored::open(&folder.join("out/mass_points.h5"))
+            .unwrap()
+            .has("points")
+    );
     // Answers alone are written over.
     std::fs::remove_file(folder.join("out/mass.h5")).unwrap();
     for _ in 0..2 {
-        run(&["solve", "mass.toml", "--points", "states.csv", "--backend", "cpu"]);
+        run(&[
+            "solve",
+            "mass.toml",
+            "--points",
+            "states.csv",
+            "--backend",
+            "cpu",
+        ]);
     }
-    assert!(Stored::open(&folder.join("out/mass.h5")).unwrap().has("points"));
+    assert!(
+        Stored::open(&folder.join("out/mass.h5"))
+            .unwrap()
+            .has("points")
+    );
 }
 
-/// The cost theta^2 tells whole periods apart, and V is that of the nearest copy: of the dearer sheets, of which few points are
-/// known, nothing is said, and they do not spoil the lowest. A map of V(x, t) of it takes no more copies than lie in the region.
+/// The cost theta^2 tells whole periods apart, and V is that of the nearest copy: of the dearer
+/// sheets, of which few points are known, nothing is said, and they do not spoil the lowest. A map
+/// of V(x, t) of it takes no more copies than lie in the region.
 #[test]
 fn an_angle_whose_cost_tells_periods_apart_is_known() {
     let problem = |horizon: &str| {
@@ -216,8 +264,13 @@ fn an_angle_whose_cost_tells_periods_apart_is_known() {
     let mut known = 0;
     for k in 1..=1000 {
         let share = |step: f64| (f64::from(k) * step).fract();
-        let x = [6.2 * share(0.754_877_666) - 3.1, 2.0 * share(0.569_840_290) - 1.0];
-        let Ok(here) = map.at(&x).lowest else { continue };
+        let x = [
+            6.2 * share(0.754_877_666) - 3.1,
+            2.0 * share(0.569_840_290) - 1.0,
+        ];
+        let Ok(here) = map.at(&x).lowest else {
+            continue;
+        };
         known += 1;
         let exact = 0.5 * (x[0] * x[0] + x[1] * x[1]);
         assert!(
@@ -229,8 +282,8 @@ fn an_angle_whose_cost_tells_periods_apart_is_known() {
     }
     assert!(known > 990, "{known}; {summary}");
 
-    // Of a part of the circle no more copies count: followed backward all round, trajectories came in again with dearer sheets,
-    // and the map knew 1 % of it.
+    // Of a part of the circle no more copies count: followed backward all round, trajectories came
+    // in again with dearer sheets, and the map knew 1 % of it.
     let part = problem(
         "cost = { running = \"0.5*(u^2 + w^2 + x^2 + y^2)\" }\nequilibrium = { x = 0, y = 0, u = 0, w = 0 }\n\
          map = { error = 1e-3, states = 600, check = 10 }",
@@ -238,10 +291,17 @@ fn an_angle_whose_cost_tells_periods_apart_is_known() {
     let (stored, _) = made("part_of_a_circle", &part.replace("[-3.1, 3.1]", "[-2, 2]"));
     let map = stored.value_map().unwrap();
     for k in 0..400 {
-        let x = [f64::from(k % 20) / 5.0 - 1.9, f64::from(k / 20) / 10.0 - 0.95];
+        let x = [
+            f64::from(k % 20) / 5.0 - 1.9,
+            f64::from(k / 20) / 10.0 - 0.95,
+        ];
         let here = map.at(&x).lowest.unwrap();
         let exact = 0.5 * (x[0] * x[0] + x[1] * x[1]);
-        assert!((here.v - exact).abs() <= here.v_error.max(1e-9), "{x:?}: {}", here.v);
+        assert!(
+            (here.v - exact).abs() <= here.v_error.max(1e-9),
+            "{x:?}: {}",
+            here.v
+        );
     }
 
     let (stored, _) = made(
@@ -254,7 +314,8 @@ fn an_angle_whose_cost_tells_periods_apart_is_known() {
     assert!(stored.map_pieces().unwrap().is_some());
 }
 
-/// In the corners of cells no trajectory may pass: where the equation holds there, V is known all the same.
+/// In the corners of cells no trajectory may pass: where the equation holds there, V is known all
+/// the same.
 #[test]
 fn cells_are_filled_to_their_corners() {
     let scene = "states = { x = {}, v = {}, y = {}, z = {} }\ncontrols = { u = {}, w = {} }\n\
@@ -265,8 +326,14 @@ fn cells_are_filled_to_their_corners() {
                  map = { error = 1e-4, states = 1500, check = 100 }\n";
     let (_, summary) = made("corners", scene);
     // 1 % was not known when each piece kept to its points.
-    assert!(summary["share_unknown"].as_f64().unwrap() < 0.005, "{summary}");
+    assert!(
+        summary["share_unknown"].as_f64().unwrap() < 0.005,
+        "{summary}"
+    );
     let check = &summary["check"];
     assert!(check["known"].as_u64().unwrap() >= 98, "{summary}");
-    assert!(check["V_error_over_bound"]["max"].as_f64().unwrap() < 1.0, "{summary}");
+    assert!(
+        check["V_error_over_bound"]["max"].as_f64().unwrap() < 1.0,
+        "{summary}"
+    );
 }

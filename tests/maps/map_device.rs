@@ -1,4 +1,5 @@
-//! A map in pieces asked on a GPU: against the CPU's evaluator, and against an exact value function.
+//! A map in pieces asked on a GPU: against the CPU's evaluator, and against an exact value
+//! function.
 
 use crate::common_commands;
 
@@ -15,7 +16,8 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// Rounding of V: of sums of up to some hundred terms, at places in cells down to a hundredth of the region.
+/// Rounding of V: of sums of up to some hundred terms, at places in cells down to a hundredth of
+/// the region.
 const ROUNDINGS: f64 = 100.0;
 /// Of p, in units of V's: slopes of polynomials in a cell are divided by its width.
 const OF_P: f64 = 50.0;
@@ -26,10 +28,13 @@ fn folder() -> &'static Path {
 }
 
 fn gpu() -> Gpu {
-    Gpu::open(&Selection::Any).expect("an adapter").expect("an adapter")
+    Gpu::open(&Selection::Any)
+        .expect("an adapter")
+        .expect("an adapter")
 }
 
-/// The map of a shipped scene without the sections that are not about V, with a section [map] of these lines.
+/// The map of a shipped scene without the sections that are not about V, with a section [map] of
+/// these lines.
 fn made(name: &str, lines: &str) -> PathBuf {
     solved(&scene(folder(), name, &format!("[map]\n{lines}")))
 }
@@ -37,7 +42,8 @@ fn made(name: &str, lines: &str) -> PathBuf {
 /// The result file of a scene's states.
 fn solved(scene: &Path) -> PathBuf {
     let out = scene.with_extension("h5");
-    let arguments: [&dyn AsRef<OsStr>; 6] = [&"homotopy", &scene, &"--backend", &"cpu", &"--out", &out];
+    let arguments: [&dyn AsRef<OsStr>; 6] =
+        [&"homotopy", &scene, &"--backend", &"cpu", &"--out", &out];
     done(costate(&arguments));
     out
 }
@@ -55,7 +61,8 @@ fn spread(lo: &[f64], hi: &[f64], count: usize) -> Vec<f64> {
         .collect()
 }
 
-/// What two answers differ by: V and its bound, p and the same of it, in units of rounding; states known to one alone.
+/// What two answers differ by: V and its bound, p and the same of it, in units of rounding; states
+/// known to one alone.
 #[derive(Debug, Default)]
 struct Difference {
     v: f64,
@@ -71,7 +78,12 @@ struct Difference {
     widened: f64,
 }
 
-fn difference((region, widths): (&Region, &[f64]), x: &[f64], (a, b): (&[At], &[At]), epsilon: f64) -> Difference {
+fn difference(
+    (region, widths): (&Region, &[f64]),
+    x: &[f64],
+    (a, b): (&[At], &[At]),
+    epsilon: f64,
+) -> Difference {
     let n = widths.len();
     let mut all = Difference::default();
     let mut widened = Vec::new();
@@ -95,7 +107,11 @@ fn difference((region, widths): (&Region, &[f64]), x: &[f64], (a, b): (&[At], &[
             all.v = all.v.max((here.v_error - there.v_error).abs() / unit);
         }
         let wider = there.v_error - here.v_error;
-        let in_widths = |p: &[f64]| p.iter().zip(widths).fold(0.0f64, |m, (p, w)| m.max((p * w).abs()));
+        let in_widths = |p: &[f64]| {
+            p.iter()
+                .zip(widths)
+                .fold(0.0f64, |m, (p, w)| m.max((p * w).abs()))
+        };
         let off: Vec<f64> = here.p.iter().zip(&there.p).map(|(a, b)| a - b).collect();
         let wider_p = there.p_error * in_widths(&there.p) - here.p_error * in_widths(&here.p);
         // What lies outside the region the host says, as exactly.
@@ -120,10 +136,20 @@ fn difference((region, widths): (&Region, &[f64]), x: &[f64], (a, b): (&[At], &[
 fn compared(file: &Path, count: usize, least: f64) -> usize {
     let stored = Stored::open(file).unwrap();
     let map = stored.value_map().unwrap();
-    let region = stored.map_pieces().unwrap().expect("a map in pieces").region;
+    let region = stored
+        .map_pieces()
+        .unwrap()
+        .expect("a map in pieces")
+        .region;
     let x = spread(&region.lo, &region.hi, count);
     let cpu = map.at_many(&x, false);
-    let widths: Vec<f64> = stored.scene.model.region.iter().map(|[lo, hi]| hi - lo).collect();
+    let widths: Vec<f64> = stored
+        .scene
+        .model
+        .region
+        .iter()
+        .map(|[lo, hi]| hi - lo)
+        .collect();
     let gpu = gpu();
     assert_eq!(gpu.name(), "gpu");
     let mut several = 0;
@@ -132,20 +158,36 @@ fn compared(file: &Path, count: usize, least: f64) -> usize {
         let device = DeviceMap::new(&map, &gpu, precision).unwrap();
         let said = device.at_many(&x).unwrap();
         let off = difference((&region, &widths), &x, (&cpu, &said), epsilon);
-        println!("{}, {}: {off:?} of {count}", file.display(), precision.name());
+        println!(
+            "{}, {}: {off:?} of {count}",
+            file.display(),
+            precision.name()
+        );
         assert!(off.known as f64 > least * count as f64 && off.pieces * 2 > off.known);
-        // At the edges of what is known a rounding decides; in f32 some states lie within one of a face between cells.
-        let seldom = if precision == Precision::F64 { 0 } else { count / 200 };
+        // At the edges of what is known a rounding decides; in f32 some states lie within one of a
+        // face between cells.
+        let seldom = if precision == Precision::F64 {
+            0
+        } else {
+            count / 200
+        };
         assert!(off.unlike <= seldom, "{}", off.unlike);
         assert!(off.v <= ROUNDINGS && off.p <= OF_P * ROUNDINGS);
         if precision == Precision::F32 {
-            assert!(off.v_lost <= 1.0 && off.p_lost <= 1.0, "bounds hold what rounding does");
+            assert!(
+                off.v_lost <= 1.0 && off.p_lost <= 1.0,
+                "bounds hold what rounding does"
+            );
             assert!(off.widened < 1e-3, "and not much more");
         }
         several = off.several;
         // The comparison sees an error of a few more roundings.
         let mut wrong = said;
-        if let Some(Ok(value)) = wrong.iter_mut().map(|at| at.lowest.as_mut()).find(Result::is_ok) {
+        if let Some(Ok(value)) = wrong
+            .iter_mut()
+            .map(|at| at.lowest.as_mut())
+            .find(Result::is_ok)
+        {
             value.v *= 1.0 + 10.0 * ROUNDINGS * epsilon;
             value.v += 10.0 * ROUNDINGS * epsilon;
         }
@@ -154,7 +196,12 @@ fn compared(file: &Path, count: usize, least: f64) -> usize {
         let n = map.states();
         let alone = device.at_many(&x[7 * n..8 * n]).unwrap();
         let together = device.at_many(&x).unwrap();
-        let bits = |at: &At| at.lowest.as_ref().ok().map(|v| (v.v.to_bits(), v.p[0].to_bits()));
+        let bits = |at: &At| {
+            at.lowest
+                .as_ref()
+                .ok()
+                .map(|v| (v.v.to_bits(), v.p[0].to_bits()))
+        };
         assert_eq!(bits(&alone[0]), bits(&together[7]));
     }
     several
@@ -176,7 +223,11 @@ fn a_smooth_value_on_a_gpu_is_the_exact_one() {
         let (x, y) = (x[0], x[1]);
         let (v, p, _) = manufactured(x, y);
         let here = at.lowest.unwrap_or_else(|e| panic!("{x}, {y}: {e}"));
-        assert!((here.v - v).abs() <= 1e-4 * v.max(1e-3), "{x}, {y}: {} {v}", here.v);
+        assert!(
+            (here.v - v).abs() <= 1e-4 * v.max(1e-3),
+            "{x}, {y}: {} {v}",
+            here.v
+        );
         assert!((here.p[0] - p[0]).abs() <= 1e-2 * v.max(1e-3).sqrt());
     }
     the_program_says_the_same(&file);
@@ -232,12 +283,18 @@ fn the_program_says_the_same(file: &Path) {
 
 #[test]
 fn two_sheets_of_the_pendulum() {
-    let file = made("pendulum", "error = 1e-3\nfloor = 1e-2\nstates = 800\ncheck = 1");
-    assert!(compared(&file, 5000, 0.8) > 0, "several sheets lie over some states");
+    let file = made(
+        "pendulum",
+        "error = 1e-3\nfloor = 1e-2\nstates = 800\ncheck = 1",
+    );
+    assert!(
+        compared(&file, 5000, 0.8) > 0,
+        "several sheets lie over some states"
+    );
 }
 
-/// Three states in sheared coordinates, all functions of V, several sheets and pieces that say something on one side only, about
-/// the local solution of a chain of integrators.
+/// Three states in sheared coordinates, all functions of V, several sheets and pieces that say
+/// something on one side only, about the local solution of a chain of integrators.
 #[test]
 fn all_that_pieces_can_be() {
     let scene = folder().join("chain.toml");
@@ -314,7 +371,11 @@ fn what_a_gpu_does_not_do_is_said() {
     for (args, wanted, status) in [
         (vec!["--backend", "gpu"], "holds no map in pieces", 2),
         (vec!["--precision", "f32"], "--backend gpu has both", 2),
-        (vec!["--backend", "gpu", "--adapter", "no such thing"], "no adapter", 1),
+        (
+            vec!["--backend", "gpu", "--adapter", "no such thing"],
+            "no adapter",
+            1,
+        ),
     ] {
         let output = costate(&[&["value", file, "--at", &at, "--out", to][..], &args].concat());
         let said = String::from_utf8(output.stderr).unwrap();
@@ -341,7 +402,9 @@ fn whole_periods_are_taken_off_in_f64() {
     let device = DeviceMap::new(&map, &gpu, Precision::F32).unwrap();
     let turn = 2.0 * std::f64::consts::PI;
     let near = spread(&[-3.0, -4.0], &[1.5, 4.0], 200);
-    let far: Vec<f64> = (near.chunks(2)).flat_map(|x| [x[0] + 10_000.0 * turn, x[1]]).collect();
+    let far: Vec<f64> = (near.chunks(2))
+        .flat_map(|x| [x[0] + 10_000.0 * turn, x[1]])
+        .collect();
     let (cpu, said) = (map.at_many(&far, false), device.at_many(&far).unwrap());
     let mut known = 0;
     for (a, b) in cpu.iter().zip(&said) {
@@ -370,10 +433,14 @@ fn whole_periods_are_taken_off_in_f64() {
         "--precision",
         "f32",
     ]));
-    assert!(said.contains(&gpu.adapter()) && said.contains("f32"), "{said}");
+    assert!(
+        said.contains(&gpu.adapter()) && said.contains("f32"),
+        "{said}"
+    );
 }
 
-/// Pieces are smooth and say something of states that a guard excludes, too: the GPU does not tell it either.
+/// Pieces are smooth and say something of states that a guard excludes, too: the GPU does not tell
+/// it either.
 #[test]
 fn nothing_is_said_of_states_that_a_guard_excludes() {
     let path = folder().join("excluded.toml");
@@ -395,6 +462,9 @@ fn nothing_is_said_of_states_that_a_guard_excludes() {
                 known += usize::from(at.lowest.is_ok());
             }
         }
-        assert!(excluded > 300 && known > 1500, "{excluded} excluded, {known} known");
+        assert!(
+            excluded > 300 && known > 1500,
+            "{excluded} excluded, {known} known"
+        );
     }
 }

@@ -1,5 +1,5 @@
-//! Closed loops under the law of a map in pieces on a GPU, which asks the map itself: against the CPU, and against problems whose
-//! J is V by hand.
+//! Closed loops under the law of a map in pieces on a GPU, which asks the map itself: against the
+//! CPU, and against problems whose J is V by hand.
 
 use crate::common_commands;
 use crate::common_loop;
@@ -39,7 +39,8 @@ impl Mapped {
         let out = path.with_extension("h5");
         std::fs::write(&path, text).unwrap();
         if !out.exists() {
-            let arguments: [&dyn AsRef<OsStr>; 6] = [&"homotopy", &path, &"--backend", &"cpu", &"--out", &out];
+            let arguments: [&dyn AsRef<OsStr>; 6] =
+                [&"homotopy", &path, &"--backend", &"cpu", &"--out", &out];
             done(costate(&arguments));
         }
         Self {
@@ -54,9 +55,14 @@ impl Mapped {
     }
 
     fn fly(&self, backend: &dyn Backend, asked: Asked) -> LawResult {
-        let e = self
-            .scene
-            .evaluate(backend, asked, &["map"], self.scene.initial(), Some(&self.map), None);
+        let e = self.scene.evaluate(
+            backend,
+            asked,
+            &["map"],
+            self.scene.initial(),
+            Some(&self.map),
+            None,
+        );
         assert_eq!(e.backend, backend.name());
         e.laws.into_iter().next().unwrap()
     }
@@ -64,15 +70,20 @@ impl Mapped {
     fn legs(&self) -> usize {
         let scene = self.scene.model.closed_loop.as_ref().unwrap();
         let a_sample = scene.final_time / scene.samples as f64;
-        let updates = scene.period.map_or(1, |p| (a_sample / p - 1e-9).ceil() as usize);
+        let updates = scene
+            .period
+            .map_or(1, |p| (a_sample / p - 1e-9).ceil() as usize);
         scene.samples * updates
     }
 }
 
-/// The largest difference of J, records, paths and times, relative to their size, of trajectories that ended alike; and how many did
-/// not.
+/// The largest difference of J, records, paths and times, relative to their size, of trajectories
+/// that ended alike; and how many did not.
 fn difference(a: &LawResult, b: &LawResult) -> (f64, usize) {
-    assert_eq!((a.status.len(), a.records.len()), (b.status.len(), b.records.len()));
+    assert_eq!(
+        (a.status.len(), a.records.len()),
+        (b.status.len(), b.records.len())
+    );
     let records = a.records.len() / a.status.len().max(1);
     let (mut most, mut unlike) = (0.0f64, 0);
     let mut where_most = String::new();
@@ -98,7 +109,12 @@ fn difference(a: &LawResult, b: &LawResult) -> (f64, usize) {
         see(&a.records[own.clone()], &b.records[own], "records");
     }
     assert_eq!(a.paths.len(), b.paths.len());
-    for (p, q) in a.paths.iter().zip(&b.paths).filter(|(p, _)| same(p.initial)) {
+    for (p, q) in a
+        .paths
+        .iter()
+        .zip(&b.paths)
+        .filter(|(p, _)| same(p.initial))
+    {
         assert_eq!(p.initial, q.initial);
         for (p, q, what) in [(&p.t, &q.t, "t"), (&p.x, &q.x, "x"), (&p.u, &q.u, "u")] {
             see(p, q, what);
@@ -120,11 +136,14 @@ region = { x = [-2, 2], v = [-2, 2] }
 
 /// A map with these lines, and closed loops with those, of which a quantity is recorded.
 fn map_and_loop(map: &str, closed_loop: &str, record: &str) -> String {
-    format!("[map]\n{map}\ncheck = 1\n[closed_loop]\n{closed_loop}\n[closed_loop.record]\n{record}\n")
+    format!(
+        "[map]\n{map}\ncheck = 1\n[closed_loop]\n{closed_loop}\n[closed_loop.record]\n{record}\n"
+    )
 }
 
-/// J of the optimal law is `1/2 x'Px` with P = [[root 3, 1], [1, root 3]]. That p is linear in x is within the law's model, so a
-/// period costs nothing: what is left is the map's error of p, whose square costs, and the integrator's.
+/// J of the optimal law is `1/2 x'Px` with P = [[root 3, 1], [1, root 3]]. That p is linear in x is
+/// within the law's model, so a period costs nothing: what is left is the map's error of p, whose
+/// square costs, and the integrator's.
 #[test]
 fn a_linear_quadratic_loop_costs_v() {
     let text = MASS.to_owned()
@@ -148,7 +167,10 @@ fn a_linear_quadratic_loop_costs_v() {
         assert!(result.converged[i] && result.status[i] == 0 && result.fallback[i] == 0);
         worst = worst.max((result.cost[i] / v - 1.0).abs());
     }
-    println!("J/V - 1 at most {worst:e}, {} round trips", result.round_trips);
+    println!(
+        "J/V - 1 at most {worst:e}, {} round trips",
+        result.round_trips
+    );
     // The map's error of V relative to V.
     assert!(worst <= 1e-6, "{worst:e}");
     let trips = result.round_trips;
@@ -171,16 +193,28 @@ fn a_linear_quadratic_loop_costs_v() {
 /// A nonlinear problem with exact V, pieces and the local solution.
 #[test]
 fn a_nonlinear_loop_costs_v() {
-    let text = sections_of("manufactured", |section| !["shoot_out", "homotopy"].contains(&section))
-        + &map_and_loop(
-            "error = 1e-4\nfloor = 1e-3",
-            "final_time = 15.0\nsamples = 60\nperiod = 0.05\ninitial = { x = [-1, 1, 9], y = [-1, 1, 9] }",
-            "least_x = \"min(x)\"",
-        );
+    let text = sections_of("manufactured", |section| {
+        !["shoot_out", "homotopy"].contains(&section)
+    }) + &map_and_loop(
+        "error = 1e-4\nfloor = 1e-3",
+        "final_time = 15.0\nsamples = 60\nperiod = 0.05\ninitial = { x = [-1, 1, 9], y = [-1, 1, 9] }",
+        "least_x = \"min(x)\"",
+    );
     let mapped = Mapped::new("manufactured", &text);
     let initial = mapped.scene.initial();
-    let pieces = |x: &[f64]| mapped.map.without_errors(x).lowest.is_ok_and(|v| v.in_pieces);
-    assert!((0..initial.count()).filter(|i| pieces(initial.state(*i))).count() > initial.count() / 2);
+    let pieces = |x: &[f64]| {
+        mapped
+            .map
+            .without_errors(x)
+            .lowest
+            .is_ok_and(|v| v.in_pieces)
+    };
+    assert!(
+        (0..initial.count())
+            .filter(|i| pieces(initial.state(*i)))
+            .count()
+            > initial.count() / 2
+    );
     let (gpu, cpu) = (any_gpu(), mapped.fly(&Cpu::new(), F64));
     let f32 = Asked {
         precision: Precision::F32,
@@ -212,7 +246,8 @@ fn a_nonlinear_loop_costs_v() {
     }
 }
 
-/// Where the map has no answer each policy does what it does on the CPU, round trip by round trip, for those it has none for.
+/// Where the map has no answer each policy does what it does on the CPU, round trip by round trip,
+/// for those it has none for.
 #[test]
 fn what_is_outside_the_map_is_left_to_the_policies() {
     let text = |outside: &str| {
@@ -230,7 +265,8 @@ fn what_is_outside_the_map_is_left_to_the_policies() {
     let mut mapped = Mapped::new("pendulum", &text("stop"));
     for outside in ["stop", "hold", "nearest", "search", "lqr"] {
         mapped.under(&text(outside));
-        // Loops that a held p drives away multiply what steps err by: by how much, the CPU tells at another tolerance.
+        // Loops that a held p drives away multiply what steps err by: by how much, the CPU tells at
+        // another tolerance.
         let asked = F64;
         let finer = mapped.fly(
             &cpu,
@@ -250,7 +286,10 @@ fn what_is_outside_the_map_is_left_to_the_policies() {
         );
         assert!(helped > 0 && helped < a.status.len());
         let (own, _) = difference(&a, &finer);
-        assert!(unlike == 0 && most <= 3.0 * own.max(F64.rtol), "{most:e} {unlike}");
+        assert!(
+            unlike == 0 && most <= 3.0 * own.max(F64.rtol),
+            "{most:e} {unlike}"
+        );
     }
 }
 
@@ -275,17 +314,26 @@ fn a_map_with_time_is_asked_at_its_time() {
     );
     assert!(unlike == 0 && most <= 1e-10);
     assert!(b.round_trips * 8 <= mapped.legs());
-    // V = 1/2 z'(W + I/s)^-1 z where z = e^(FT) x, and 1/2 d'W^-1 d is the least effort that moves the end by d.
+    // V = 1/2 z'(W + I/s)^-1 z where z = e^(FT) x, and 1/2 d'W^-1 d is the least effort that moves
+    // the end by d.
     let (last, s) = (2.0f64, 10.0);
     let initial = mapped.scene.initial();
     for i in 0..initial.count() {
         let x = initial.state(i);
         let z = [x[0] + last * x[1], x[1]];
-        let m = [last.powi(3) / 3.0 + 1.0 / s, last * last / 2.0, last + 1.0 / s];
+        let m = [
+            last.powi(3) / 3.0 + 1.0 / s,
+            last * last / 2.0,
+            last + 1.0 / s,
+        ];
         let det = m[0] * m[2] - m[1] * m[1];
         let v = 0.5 * (m[2] * z[0] * z[0] - 2.0 * m[1] * z[0] * z[1] + m[0] * z[1] * z[1]) / det;
         if v > 1e-2 {
-            assert!((b.cost[i] / v - 1.0).abs() <= 1e-3, "{x:?}: {} {v}", b.cost[i]);
+            assert!(
+                (b.cost[i] / v - 1.0).abs() <= 1e-3,
+                "{x:?}: {} {v}",
+                b.cost[i]
+            );
         }
     }
 }

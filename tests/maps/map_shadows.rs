@@ -1,5 +1,6 @@
-//! Maps to an error where guards cut off states: behind a guard, in its shadow, solutions would leave it, and nothing is said there,
-//! although the same polynomial holds on both sides of the shadow's edge.
+//! Maps to an error where guards cut off states: behind a guard, in its shadow, solutions would
+//! leave it, and nothing is said there, although the same polynomial holds on both sides of the
+//! shadow's edge.
 
 use crate::common_commands;
 
@@ -21,8 +22,8 @@ struct Said {
 }
 
 impl Said {
-    /// What is said at states spread over a region that is so many wide, of which the margins of the guards are told: at the state,
-    /// and the least along its solution.
+    /// What is said at states spread over a region that is so many wide, of which the margins of
+    /// the guards are told: at the state, and the least along its solution.
     fn of<const N: usize>(
         (name, scene): (&str, &str),
         half_widths: [f64; N],
@@ -67,7 +68,12 @@ impl Said {
 
 /// V = |x|^2/2: solutions go straight to 0.
 fn straight(states: &str, controls: &str, more: &str) -> String {
-    let list = |names: &str| names.chars().map(|c| format!("{c} = {{}}, ")).collect::<String>();
+    let list = |names: &str| {
+        names
+            .chars()
+            .map(|c| format!("{c} = {{}}, "))
+            .collect::<String>()
+    };
     let squares: Vec<String> = (states.chars().chain(controls.chars()))
         .map(|c| format!("{c}^2"))
         .collect();
@@ -114,8 +120,7 @@ fn discs() {
 
 #[test]
 fn a_cylinder_in_three_states() {
-    let more =
-        "guards = { cylinder = \"(x - 0.5)^2 + y^2 > 0.04\" }\nmap = { error = 1e-3, states = 3000, check = 20 }";
+    let more = "guards = { cylinder = \"(x - 0.5)^2 + y^2 > 0.04\" }\nmap = { error = 1e-3, states = 3000, check = 20 }";
     let said = Said::of(
         ("cylinder", &straight("xyz", "uws", more)),
         [1.0; 3],
@@ -162,7 +167,8 @@ fn a_limit_of_speed() {
     said.check(0.99, 0.02, 0.01);
 }
 
-/// An ellipsoid and two planes in three states: solutions wind about 0, so that shadows are curved and far from what casts them.
+/// An ellipsoid and two planes in three states: solutions wind about 0, so that shadows are curved
+/// and far from what casts them.
 #[test]
 fn curved_shadows_in_three_states() {
     let scene = "states = { x = {}, v = {}, a = {} }\ncontrols = { u = {} }\n\
@@ -188,7 +194,10 @@ fn curved_shadows_in_three_states() {
     let q = Matrix3::new(2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.3);
     assert!((a.transpose() * p + p * a - p * bb * p + q).abs().max() < 1e-7);
     let guards = |x: &SVector<f64, 3>| {
-        let ball = ((x[0] - 0.45) / 0.25).powi(2) + ((x[1] + 0.35) / 0.2).powi(2) + ((x[2] - 0.1) / 0.5).powi(2) - 1.0;
+        let ball = ((x[0] - 0.45) / 0.25).powi(2)
+            + ((x[1] + 0.35) / 0.2).powi(2)
+            + ((x[2] - 0.1) / 0.5).powi(2)
+            - 1.0;
         ball.min(1.15 - x[0] - 0.3 * x[1]).min(x[2] + 1.2)
     };
     let said = Said::of(("curved", scene), [1.0, 1.0, 1.5], guards, |x| {
@@ -199,18 +208,28 @@ fn curved_shadows_in_three_states() {
     said.check(0.98, 0.03, 0.6);
 }
 
-/// A wall of a twentieth of the usual distance between samples of a trajectory: nothing passes through it.
+/// A wall of a twentieth of the usual distance between samples of a trajectory: nothing passes
+/// through it.
 #[test]
 fn a_thin_wall() {
-    let more =
-        "guards = { wall = \"((x - 1)/0.02)^2 + (y/0.5)^2 > 1\" }\nmap = { error = 1e-3, states = 1500, check = 20 }";
+    let more = "guards = { wall = \"((x - 1)/0.02)^2 + (y/0.5)^2 > 1\" }\nmap = { error = 1e-3, states = 1500, check = 20 }";
     let scene = straight("xy", "uw", more).replace("[-1, 1]", "[-2, 2]");
     // Behind the wall, in front of it, and past its end.
-    let states = [[1.5, 0.3], [1.9, -0.6], [1.1, 0.0], [0.9, 0.1], [1.5, 1.5], [1.2, 0.8]];
+    let states = [
+        [1.5, 0.3],
+        [1.9, -0.6],
+        [1.1, 0.0],
+        [0.9, 0.1],
+        [1.5, 1.5],
+        [1.2, 0.8],
+    ];
     let folder = scratch("map_shadows_solved");
     let statuses = column_of(&folder, "wall", &scene, ("x,y", &states), "status");
     let cut = "leaves_guard";
-    assert_eq!(statuses, [cut, cut, cut, "converged", "converged", "converged"]);
+    assert_eq!(
+        statuses,
+        [cut, cut, cut, "converged", "converged", "converged"]
+    );
 
     let margin = |x: f64, y: f64| ((x - 1.0) / 0.02).powi(2) + (y / 0.5).powi(2) - 1.0;
     let said = Said::of(
@@ -228,7 +247,8 @@ fn a_thin_wall() {
     said.check(0.98, 0.02, 0.1);
 }
 
-/// A body on a circle, with limits on how fast it goes, round a post: where one way leaves the guard, V is that of the other one.
+/// A body on a circle, with limits on how fast it goes, round a post: where one way leaves the
+/// guard, V is that of the other one.
 struct Circle;
 
 impl Circle {
@@ -242,15 +262,17 @@ impl Circle {
         map = { error = 1e-3, states = 3000, check = 20 }\nsheets = { value_max = 9 }\n";
     const FAST: [f64; 2] = [1.2, 0.6];
 
-    /// V of the way along one variable: `p^2 = 2 l` where no limit is met, and else `p = (l + c^2/2)/c` with the limit c.
+    /// V of the way along one variable: `p^2 = 2 l` where no limit is met, and else `p = (l +
+    /// c^2/2)/c` with the limit c.
     fn values(turn: f64, y: f64, z: f64) -> f64 {
         let [c, d] = Self::FAST;
         let free = 2.0 * (0.5 * c).asin();
         let [slow, rest] = [turn.min(free), (turn - free).max(0.0)];
-        let round =
-            4.0 * (1.0 - (0.5 * slow).cos()) + (rest * (1.0 + 0.5 * c * c) - ((free + rest).sin() - free.sin())) / c;
+        let round = 4.0 * (1.0 - (0.5 * slow).cos())
+            + (rest * (1.0 + 0.5 * c * c) - ((free + rest).sin() - free.sin())) / c;
         let [near, far] = [y.abs().min(d), y.abs().max(d)];
-        let across = 0.5 * near * near + ((far.powi(3) - d.powi(3)) / 6.0 + 0.5 * d * d * (far - d)) / d;
+        let across =
+            0.5 * near * near + ((far.powi(3) - d.powi(3)) / 6.0 + 0.5 * d * d * (far - d)) / d;
         round + across + 0.5 * z * z
     }
 
@@ -272,7 +294,11 @@ impl Circle {
                 true => y.abs() - d * t,
                 false => y.abs().min(d) * (crossing - t).exp(),
             };
-            least = least.min(Self::guard(sign * angle, beside.copysign(y), z * (-t).exp()));
+            least = least.min(Self::guard(
+                sign * angle,
+                beside.copysign(y),
+                z * (-t).exp(),
+            ));
         }
         least
     }
@@ -284,7 +310,8 @@ impl Circle {
     /// V by either way, with the least margin.
     fn ways([th, y, z]: [f64; 3]) -> [(f64, f64); 2] {
         let down = th.rem_euclid(TAU);
-        [(down, 1.0), (TAU - down, -1.0)].map(|(turn, sign)| (Self::values(turn, y, z), Self::along(turn, sign, y, z)))
+        [(down, 1.0), (TAU - down, -1.0)]
+            .map(|(turn, sign)| (Self::values(turn, y, z), Self::along(turn, sign, y, z)))
     }
 }
 
@@ -322,7 +349,11 @@ fn the_other_way_round() {
     let (mut known, mut asked, mut of_other, mut wrong) = (0, 0, 0, 0);
     for k in 1..=2000 {
         let place = |root: f64| 2.0 * (f64::from(k) * root).fract() - 1.0;
-        let x = [PI * place(0.819_172_5), place(0.671_043_6), place(0.549_700_5)];
+        let x = [
+            PI * place(0.819_172_5),
+            place(0.671_043_6),
+            place(0.549_700_5),
+        ];
         let ways = Circle::ways(x);
         let free = || ways.iter().filter(|(_, margin)| *margin > 0.0);
         // Within a thousandth of an edge sampling does not tell.
@@ -332,14 +363,20 @@ fn the_other_way_round() {
         {
             continue;
         }
-        let least = free().map(|(value, _)| *value).fold(f64::INFINITY, f64::min);
+        let least = free()
+            .map(|(value, _)| *value)
+            .fold(f64::INFINITY, f64::min);
         asked += 1;
-        let Ok(told) = map.at(&x).lowest else { continue };
+        let Ok(told) = map.at(&x).lowest else {
+            continue;
+        };
         known += 1;
         of_other += usize::from(ways.iter().any(|(value, _)| *value < least));
         wrong += usize::from((told.v - least).abs() > 3.0 * told.v_error + 1e-9);
     }
-    println!("the other way round: {known} of {asked} known, {wrong} of them wrong, {of_other} by the dearer way");
+    println!(
+        "the other way round: {known} of {asked} known, {wrong} of them wrong, {of_other} by the dearer way"
+    );
     assert!(asked > 1000 && of_other > 100);
     assert!(10 * known > 8 * asked);
     assert!(wrong <= known / 1000, "{wrong} of {known}");
@@ -362,7 +399,8 @@ fn a_game() {
     said.check(0.99, 0.01, 0.01);
 }
 
-/// Nothing that a guard excludes has a solution, and no flight undercuts one by a way that a guard cuts off.
+/// Nothing that a guard excludes has a solution, and no flight undercuts one by a way that a guard
+/// cuts off.
 #[test]
 fn guards_hold_for_all_that_solve_says() {
     let folder = scratch("map_shadows_solve");
@@ -374,11 +412,18 @@ fn guards_hold_for_all_that_solve_says() {
     let found = status(
         "half",
         &half,
-        ("x,y", &[[-0.1, 0.05], [-0.06, 0.0], [0.0, 0.1], [0.05, -0.1]]),
+        (
+            "x,y",
+            &[[-0.1, 0.05], [-0.06, 0.0], [0.0, 0.1], [0.05, -0.1]],
+        ),
     );
-    assert_eq!(found, ["outside_guard", "outside_guard", "converged", "converged"]);
+    assert_eq!(
+        found,
+        ["outside_guard", "outside_guard", "converged", "converged"]
+    );
 
-    // A wall between the state and 0, thinner than the steps of a flight; and a guard that is not the same one period later.
+    // A wall between the state and 0, thinner than the steps of a flight; and a guard that is not
+    // the same one period later.
     let circle = |guard: &str| {
         format!(
             "states = {{ th = {{ period = \"2*pi\" }}, y = {{}} }}\ncontrols = {{ u = {{}}, w = {{}} }}\n\
@@ -397,14 +442,18 @@ fn guards_hold_for_all_that_solve_says() {
         "{found:?} instead of {round}"
     );
     let states = ("th,y", [behind, [1.916, 0.3137]]);
-    for (name, guard) in [("thin", wall.clone()), ("turning", circle("(th - 1.4)^2 + y^2 > 0.1"))] {
+    for (name, guard) in [
+        ("thin", wall.clone()),
+        ("turning", circle("(th - 1.4)^2 + y^2 > 0.1")),
+    ] {
         let found = status(name, &guard, (states.0, &states.1[1..]));
         assert_eq!(found, ["converged"], "{name}");
     }
     assert_eq!(status("wall", &wall, ("th,y", &[behind])), ["converged"]);
 }
 
-/// A guard that leaves a hundred and twenty-eighth of the region: states are searched for and counted where it holds.
+/// A guard that leaves a hundred and twenty-eighth of the region: states are searched for and
+/// counted where it holds.
 #[test]
 fn a_small_part_of_the_region() {
     let more = "guards = { near = \"x^2 + y^2 < 0.01\" }\nmap = { error = 1e-3, states = 500, check = 20 }";
@@ -414,14 +463,21 @@ fn a_small_part_of_the_region() {
     let map = stored.value_map().unwrap();
     for k in 0..100 {
         let (radius, angle) = (0.099 * (f64::from(k) + 0.5) / 100.0, 2.4 * f64::from(k));
-        let value = map.at(&[radius * angle.cos(), radius * angle.sin()]).lowest.unwrap();
+        let value = map
+            .at(&[radius * angle.cos(), radius * angle.sin()])
+            .lowest
+            .unwrap();
         assert!((value.v - 0.5 * radius * radius).abs() < 1e-9, "{value:?}");
-        assert!(map.at(&[0.11 * angle.cos(), 0.11 * angle.sin()]).lowest.is_err());
+        assert!(
+            map.at(&[0.11 * angle.cos(), 0.11 * angle.sin()])
+                .lowest
+                .is_err()
+        );
     }
 }
 
-/// Just in front of a post: the trajectories of the manifold end at it between two of their levels, and the way round whole periods
-/// is the dearer one.
+/// Just in front of a post: the trajectories of the manifold end at it between two of their levels,
+/// and the way round whole periods is the dearer one.
 #[test]
 fn in_front_of_a_post() {
     let folder = scratch("map_shadows_front");
@@ -440,9 +496,15 @@ fn in_front_of_a_post() {
     };
     let states: Vec<[f64; 2]> = (0..300)
         .map(|k| {
-            let (turn, far) = ((f64::from(k) * 0.618_034).fract(), (f64::from(k) * 0.754_878).fract());
+            let (turn, far) = (
+                (f64::from(k) * 0.618_034).fract(),
+                (f64::from(k) * 0.754_878).fract(),
+            );
             let r = radius + 0.002 + 0.25 * far;
-            [center[0] + r * (TAU * turn).cos(), center[1] + r * (TAU * turn).sin()]
+            [
+                center[0] + r * (TAU * turn).cos(),
+                center[1] + r * (TAU * turn).sin(),
+            ]
         })
         .filter(|x| keeps(*x) > 1e-3)
         .collect();
@@ -451,11 +513,15 @@ fn in_front_of_a_post() {
     for ([th, y], v) in states.iter().zip(&found) {
         let right = 4.0 * (1.0 - (0.5 * th).cos()) + 0.5 * y * y;
         let v: f64 = v.parse().unwrap();
-        assert!((v - right).abs() < 1e-7, "{th}, {y}: {v} instead of {right}");
+        assert!(
+            (v - right).abs() < 1e-7,
+            "{th}, {y}: {v} instead of {right}"
+        );
     }
 }
 
-/// V(x, 0) behind a post, where the way to the other well is the answer: the nearer well's must not be told there.
+/// V(x, 0) behind a post, where the way to the other well is the answer: the nearer well's must not
+/// be told there.
 #[test]
 fn a_post_before_one_of_two_wells() {
     let folder = scratch("map_shadows_wells");
@@ -467,7 +533,8 @@ fn a_post_before_one_of_two_wells() {
                  map = { error = 3e-3, states = 650, check = 10, time = false }\n";
     let (stored, _) = map_of(&folder, "wells", scene);
     let map = stored.value_map().unwrap();
-    // Hopf and Lax: straight ways to ends z where the terminal cost and (x - z)^2 / (2 T) are stationary.
+    // Hopf and Lax: straight ways to ends z where the terminal cost and (x - z)^2 / (2 T) are
+    // stationary.
     let least = |x: [f64; 2]| -> f64 {
         let slope = |z: f64| z.powi(3) - 2.0 * z + 0.1 + (z - x[0]) / time;
         let grid: Vec<f64> = (-400..=400).map(|k| 0.01 * f64::from(k) + 0.0012).collect();
@@ -506,7 +573,9 @@ fn a_post_before_one_of_two_wells() {
             continue;
         }
         all += 1;
-        let Ok(here) = map.at(&x).lowest else { continue };
+        let Ok(here) = map.at(&x).lowest else {
+            continue;
+        };
         known += 1;
         if (here.v - right).abs() > 3.0 * here.v_error + 1e-6 {
             wrong.push((x, here.v, right));

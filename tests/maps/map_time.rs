@@ -1,4 +1,5 @@
-//! Maps of finite horizons, V(x, t): against exact value functions, in a closed loop, as a header, and asked wrongly.
+//! Maps of finite horizons, V(x, t): against exact value functions, in a closed loop, as a header,
+//! and asked wrongly.
 
 use costate::map::ValueMap;
 use costate::result::Stored;
@@ -46,7 +47,11 @@ fn made(directory: &Path, scene: &str) -> PathBuf {
 fn spread<const N: usize>(region: [[f64; 2]; N], count: usize) -> Vec<[f64; N]> {
     let steps = [0.754_877_666, 0.569_840_290, 0.430_159_709];
     (1..=count)
-        .map(|k| std::array::from_fn(|i| region[i][0] + (region[i][1] - region[i][0]) * (k as f64 * steps[i]).fract()))
+        .map(|k| {
+            std::array::from_fn(|i| {
+                region[i][0] + (region[i][1] - region[i][0]) * (k as f64 * steps[i]).fract()
+            })
+        })
         .collect()
 }
 
@@ -66,7 +71,8 @@ region = { x = [-3.0, 3.0], y = [-1.0, 1.0] }
 [map]
 "#;
 
-/// The least cost in x by way of an end on one side, after Hopf and Lax, and the slope dV/dx there; a time `left`.
+/// The least cost in x by way of an end on one side, after Hopf and Lax, and the slope dV/dx there;
+/// a time `left`.
 fn one_well(x: f64, left: f64, sign: f64) -> (f64, f64) {
     let cost = |y: f64| y.powi(4) / 4.0 - y * y + 0.1 * y + (x - y) * (x - y) / (2.0 * left);
     let mut y = (1..4000)
@@ -90,7 +96,11 @@ fn two_wells([x, y, t]: [f64; 3]) -> (f64, [f64; 2], f64) {
     let (v, slope) = if a.0 < b.0 { a } else { b };
     let p = [slope, y / (1.0 + left)];
     // V_t = -H, with H = -|p|^2/2.
-    (v + 0.5 * y * y / (1.0 + left), p, 0.5 * (p[0] * p[0] + p[1] * p[1]))
+    (
+        v + 0.5 * y * y / (1.0 + left),
+        p,
+        0.5 * (p[0] * p[0] + p[1] * p[1]),
+    )
 }
 
 /// Where both wells cost the same.
@@ -123,7 +133,8 @@ fn v_of_two_sheets_is_known_at_all_times() {
             continue;
         };
         over.push((here.v - v).abs() / here.v_error);
-        // Next to the surface of equal cost, and to its edge, the states that it may solve do not suffice, and it says so.
+        // Next to the surface of equal cost, and to its edge, the states that it may solve do not
+        // suffice, and it says so.
         if here.v_error <= 3e-3 * here.v.abs().max(3e-2) {
             met += 1;
             errors.push((here.v - v).abs() / v.abs().max(3e-2));
@@ -161,7 +172,9 @@ fn v_of_two_sheets_is_known_at_all_times() {
         looked += 1;
         let clear = (wells[0].0 - wells[1].0).abs() > 2.0 * here.v_error;
         let (_, p, _) = two_wells([x, y, t]);
-        let mixed = wells.iter().all(|(_, p)| (here.p[0] - p).abs() > 0.05 * p.abs());
+        let mixed = wells
+            .iter()
+            .all(|(_, p)| (here.p[0] - p).abs() > 0.05 * p.abs());
         wrong += usize::from(mixed || clear && here.p[0] * p[0] < 0.0);
     }
     println!("beside the surface of equal cost {wrong} of {looked} wrong (of 300 places)");
@@ -219,24 +232,32 @@ fn riccati(t: f64) -> [[[f64; 2]; 2]; 2] {
         let c = rate(plus(p, 0.5 * h, b));
         let d = rate(plus(p, h, c));
         p = std::array::from_fn(|i| {
-            std::array::from_fn(|j| p[i][j] + h / 6.0 * (a[i][j] + 2.0 * b[i][j] + 2.0 * c[i][j] + d[i][j]))
+            std::array::from_fn(|j| {
+                p[i][j] + h / 6.0 * (a[i][j] + 2.0 * b[i][j] + 2.0 * c[i][j] + d[i][j])
+            })
         });
     }
     [p, rate(p)]
 }
 
 fn form(p: [[f64; 2]; 2], x: [f64; 2]) -> f64 {
-    0.5 * (0..4).map(|k| x[k / 2] * p[k / 2][k % 2] * x[k % 2]).sum::<f64>()
+    0.5 * (0..4)
+        .map(|k| x[k / 2] * p[k / 2][k % 2] * x[k % 2])
+        .sum::<f64>()
 }
 
-/// V, p and dV/dt against the Riccati equation; the law of V(x, t) in a closed loop against V(x0, 0), and what V(x, 0) for all
-/// times would cost.
+/// V, p and dV/dt against the Riccati equation; the law of V(x, t) in a closed loop against V(x0,
+/// 0), and what V(x, 0) for all times would cost.
 #[test]
 fn a_linear_quadratic_map_and_its_law() {
     let directory = scratch("spring");
-    let loops = "[closed_loop]\nsamples = 40\ninitial = { x = [-0.6, 0.6, 4], v = [-0.6, 0.6, 4] }\n";
+    let loops =
+        "[closed_loop]\nsamples = 40\ninitial = { x = [-0.6, 0.6, 4], v = [-0.6, 0.6, 4] }\n";
     let scene = |map: &str| format!("{SPRING}{loops}[map]\n{map}");
-    let file = made(&directory, &scene("error = 1e-4\nfloor = 1e-2\ncheck = 40\n"));
+    let file = made(
+        &directory,
+        &scene("error = 1e-4\nfloor = 1e-2\ncheck = 40\n"),
+    );
     let stored = Stored::open(&file).unwrap();
     let map = stored.value_map().unwrap();
     let (mut errors, mut over, mut slopes) = (vec![], vec![], vec![]);
@@ -281,7 +302,11 @@ fn a_linear_quadratic_map_and_its_law() {
         let to = file.with_extension(format!("{samples}.h5"));
         let from = file.with_extension(format!("{samples}.toml"));
         let text = std::fs::read_to_string(directory.join("scene.toml")).unwrap();
-        std::fs::write(&from, text.replace("samples = 40", &format!("samples = {samples}"))).unwrap();
+        std::fs::write(
+            &from,
+            text.replace("samples = 40", &format!("samples = {samples}")),
+        )
+        .unwrap();
         let [file, from, out] = [file, &from, &to].map(|p| p.to_str().unwrap().to_owned());
         let said = done(costate(&[
             "evaluate",
@@ -301,7 +326,10 @@ fn a_linear_quadratic_map_and_its_law() {
         ]));
         let stored = Stored::open(&to).unwrap();
         let group = stored.group("closed_loop").unwrap();
-        let (x0, cost) = (group.f64("x0").unwrap().values, group.f64("J").unwrap().values);
+        let (x0, cost) = (
+            group.f64("x0").unwrap().values,
+            group.f64("J").unwrap().values,
+        );
         assert_eq!((x0.len(), cost.len()), (32, 16));
         let off = (x0.chunks(2).zip(&cost)).map(|(x, j)| j / form(p, [x[0], x[1]]) - 1.0);
         (off.collect(), said)
@@ -320,10 +348,19 @@ fn a_linear_quadratic_map_and_its_law() {
 
     // With V(x, 0) alone it is said, and costs much more.
     let other = scratch("spring-start");
-    let alone = made(&other, &scene("error = 1e-4\nfloor = 1e-2\ncheck = 1\ntime = false\n"));
+    let alone = made(
+        &other,
+        &scene("error = 1e-4\nfloor = 1e-2\ncheck = 1\ntime = false\n"),
+    );
     let (frozen, said) = excess(&alone, 40);
-    println!("J/V - 1 with V(x, 0) at all times at most {:.1e}", worst(&frozen));
-    assert!(said.contains("the file knows V at the initial time alone"), "{said}");
+    println!(
+        "J/V - 1 with V(x, 0) at all times at most {:.1e}",
+        worst(&frozen)
+    );
+    assert!(
+        said.contains("the file knows V at the initial time alone"),
+        "{said}"
+    );
     assert!(worst(&frozen) > 100.0 * worst(&coarse));
 
     the_header_takes_the_time(&directory, &file, &map);
@@ -377,7 +414,11 @@ fn the_header_takes_the_time(directory: &Path, file: &Path, map: &ValueMap) {
     let rows = done(Command::new(directory.join("main")).output().unwrap());
     let rows: Vec<Vec<f64>> = rows
         .lines()
-        .map(|line| line.split_whitespace().map(|v| v.parse().unwrap()).collect())
+        .map(|line| {
+            line.split_whitespace()
+                .map(|v| v.parse().unwrap())
+                .collect()
+        })
         .collect();
     assert_eq!(rows.len(), places.len());
     for (row, place) in rows.iter().zip(&places) {
@@ -385,7 +426,10 @@ fn the_header_takes_the_time(directory: &Path, file: &Path, map: &ValueMap) {
         assert_eq!(row[0], 1.0);
         let said = [here.v, here.p[0], here.p[1], here.rate, here.u[0]];
         for (a, b) in row[1..].iter().zip(said) {
-            assert!((a - b).abs() <= 1e-11 * (1.0 + b.abs()), "{place:?}: {a} {b}");
+            assert!(
+                (a - b).abs() <= 1e-11 * (1.0 + b.abs()),
+                "{place:?}: {a} {b}"
+            );
         }
     }
 }
@@ -395,7 +439,12 @@ fn what_is_asked_wrongly(file: &Path, alone: &Path) {
     let refused = |file: &Path, arguments: &[&str], words: &[&str]| {
         let out = file.with_extension("refused.csv");
         let all = [
-            &["value", file.to_str().unwrap(), "--out", out.to_str().unwrap()],
+            &[
+                "value",
+                file.to_str().unwrap(),
+                "--out",
+                out.to_str().unwrap(),
+            ],
             arguments,
         ]
         .concat();
@@ -444,19 +493,38 @@ fn what_is_asked_wrongly(file: &Path, alone: &Path) {
     let scene = "states = { x = {} }\ncontrols = { u = {} }\ndynamics = { x = \"u\" }\ncost = { running = \"x^2 + u^2\" }\n\
         equilibrium = { x = 0, u = 0 }\nregion = { x = [-1, 1] }\n[map]\nerror = 1e-2\ncheck = 1\n";
     let rest = made(&directory, scene);
-    refused(&rest, &["--at", "x=0.1,t=0.5"], &["infinite horizon", "leave it out"]);
+    refused(
+        &rest,
+        &["--at", "x=0.1,t=0.5"],
+        &["infinite horizon", "leave it out"],
+    );
 }
 
 /// `--points` with a column `t`, and `--grid` with an axis.
 fn tables_have_a_column_of_times(directory: &Path, file: &Path) {
     let points = directory.join("asked.csv");
     std::fs::write(&points, "t,v,x\n0.5,0.2,-0.3\n1.75,0.2,-0.3\n").unwrap();
-    let table = costate(&["value", file.to_str().unwrap(), "--points", points.to_str().unwrap()]);
+    let table = costate(&[
+        "value",
+        file.to_str().unwrap(),
+        "--points",
+        points.to_str().unwrap(),
+    ]);
     let table = done(table);
     let mut lines = table.lines();
-    assert!(lines.next().unwrap().starts_with("x,v,t,V,p_x,p_v,dV_dt,a,"), "{table}");
+    assert!(
+        lines
+            .next()
+            .unwrap()
+            .starts_with("x,v,t,V,p_x,p_v,dV_dt,a,"),
+        "{table}"
+    );
     for (line, t) in lines.zip([0.5, 1.75]) {
-        let row: Vec<f64> = line.split(',').take(7).map(|v| v.parse().unwrap()).collect();
+        let row: Vec<f64> = line
+            .split(',')
+            .take(7)
+            .map(|v| v.parse().unwrap())
+            .collect();
         let [p, rate] = riccati(t);
         assert_eq!(row[..3], [-0.3, 0.2, t]);
         assert!((row[3] - form(p, [-0.3, 0.2])).abs() < 1e-4);
@@ -483,7 +551,8 @@ fn tables_have_a_column_of_times(directory: &Path, file: &Path) {
     }
 }
 
-/// The end costs 0.2 cos 2y, and the way there half of its length squared over the time `left` (Hopf and Lax).
+/// The end costs 0.2 cos 2y, and the way there half of its length squared over the time `left`
+/// (Hopf and Lax).
 fn waves(x: f64, left: f64) -> f64 {
     let slope = |y: f64| -0.4 * (2.0 * y).sin() + (y - x) / left;
     // No characteristics meet: the slope by the end rises.
@@ -500,7 +569,8 @@ fn waves(x: f64, left: f64) -> f64 {
     0.2 * (2.0 * y).cos() + (x - y).powi(2) / (2.0 * left)
 }
 
-/// Where V is 0 in the midst of a region its error relative to V says nothing of places nearer to there.
+/// Where V is 0 in the midst of a region its error relative to V says nothing of places nearer to
+/// there.
 #[test]
 fn bounds_hold_where_v_changes_its_sign() {
     let directory = scratch("signs");
@@ -533,12 +603,18 @@ fn bounds_hold_where_v_changes_its_sign() {
     }
 }
 
-/// Files that `costate value` wrote of several times: V(x, 0) is taken from their rows at t = 0, or none is.
+/// Files that `costate value` wrote of several times: V(x, 0) is taken from their rows at t = 0, or
+/// none is.
 fn written_values_are_read_at_the_beginning(directory: &Path, file: &Path) {
     let write = |name: &str, arguments: &[&str]| {
         let out = directory.join(name);
         let all = [
-            &["value", file.to_str().unwrap(), "--out", out.to_str().unwrap()],
+            &[
+                "value",
+                file.to_str().unwrap(),
+                "--out",
+                out.to_str().unwrap(),
+            ],
             arguments,
         ]
         .concat();
@@ -548,7 +624,10 @@ fn written_values_are_read_at_the_beginning(directory: &Path, file: &Path) {
     let exact = |x: [f64; 2]| form(riccati(0.0)[0], x);
     let grid = write("read.h5", &["--grid", "x=-0.5:0.5:5,v=-0.4:0.4:3,t=0:2:5"]);
     let map = Stored::open(&grid).unwrap().map().unwrap().unwrap();
-    assert_eq!((map.axes[0].len(), map.axes[1].len(), map.axes.len()), (5, 3, 2));
+    assert_eq!(
+        (map.axes[0].len(), map.axes[1].len(), map.axes.len()),
+        (5, 3, 2)
+    );
     assert_eq!(
         (map.v.len(), map.p.len(), map.u.len(), map.status.len()),
         (15, 30, 15, 15)
@@ -558,33 +637,67 @@ fn written_values_are_read_at_the_beginning(directory: &Path, file: &Path) {
     }
     let points = write(
         "rows.h5",
-        &["--at", "x=0.3,t=1.5", "--at", "x=0.3,v=0.1", "--at", "x=-0.2,t=2"],
+        &[
+            "--at",
+            "x=0.3,t=1.5",
+            "--at",
+            "x=0.3,v=0.1",
+            "--at",
+            "x=-0.2,t=2",
+        ],
     );
     let rows = Stored::open(&points).unwrap().points().unwrap().unwrap();
-    assert_eq!((rows.x, rows.point, rows.count), (vec![0.3, 0.1], vec![1], 1));
+    assert_eq!(
+        (rows.x, rows.point, rows.count),
+        (vec![0.3, 0.1], vec![1], 1)
+    );
     assert!((rows.v[0] - exact([0.3, 0.1])).abs() < 1e-4 && rows.p.len() == 2 && rows.u.len() == 1);
     // Values of the files are values of V(x, 0) again.
     for path in [&grid, &points] {
         let map = Stored::open(path).unwrap().value_map().unwrap();
-        let at = if path == &grid { [0.25, 0.4] } else { [0.3, 0.1] };
+        let at = if path == &grid {
+            [0.25, 0.4]
+        } else {
+            [0.3, 0.1]
+        };
         let here = map.at(&at).lowest.unwrap();
         assert!((here.v - exact(at)).abs() < 1e-4, "{}", here.v);
         let path = path.to_str().unwrap();
         let report = done(costate(&["report", path, "--json"]));
-        assert!(!report.contains("shape") && !report.contains("not found"), "{report}");
-        let said = costate(&["check-least", path, "--backend", "cpu", "--json", "--nodes", "41"]);
+        assert!(
+            !report.contains("shape") && !report.contains("not found"),
+            "{report}"
+        );
+        let said = costate(&[
+            "check-least",
+            path,
+            "--backend",
+            "cpu",
+            "--json",
+            "--nodes",
+            "41",
+        ]);
         let said = String::from_utf8(said.stdout).unwrap();
-        let said: serde_json::Value = serde_json::from_str(&said[said.find('{').unwrap()..]).unwrap();
-        assert_eq!(said["states"], if path.ends_with("read.h5") { 15 } else { 1 });
+        let said: serde_json::Value =
+            serde_json::from_str(&said[said.find('{').unwrap()..]).unwrap();
+        assert_eq!(
+            said["states"],
+            if path.ends_with("read.h5") { 15 } else { 1 }
+        );
         // The grid errs by less than what a step of the time axis changes.
-        assert_eq!(said["apart"]["states"].as_array().unwrap().len(), 0, "{said}");
+        assert_eq!(
+            said["apart"]["states"].as_array().unwrap().len(),
+            0,
+            "{said}"
+        );
     }
     for late in [
         write("late.h5", &["--grid", "x=-0.5:0.5:5,v=-0.4:0.4:3,t=1:2:3"]),
         write("later.h5", &["--at", "x=0.3,t=1.5"]),
     ] {
         for command in [vec!["check-least"], vec!["value", "--at", "x=0.1"]] {
-            let output = costate(&[&command[..1], &[late.to_str().unwrap()], &command[1..]].concat());
+            let output =
+                costate(&[&command[..1], &[late.to_str().unwrap()], &command[1..]].concat());
             let errors = String::from_utf8_lossy(&output.stderr);
             assert_eq!(output.status.code(), Some(2), "{errors}");
             assert!(

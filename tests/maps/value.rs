@@ -1,5 +1,5 @@
-//! The value map and `costate value` against exact value functions and independently solved states; `[study]` against
-//! published figures and its own equations.
+//! The value map and `costate value` against exact value functions and independently solved states;
+//! `[study]` against published figures and its own equations.
 
 use crate::common_commands;
 
@@ -24,7 +24,15 @@ fn result(name: &str, command: &str) -> PathBuf {
 /// The result file of a command on a scene.
 fn made(name: &str, command: &str, scene: &Path) -> PathBuf {
     let path = folder().join(format!("{name}-{command}.h5"));
-    let arguments: [&dyn AsRef<OsStr>; 7] = [&command, &scene, &"--backend", &"cpu", &"--quiet", &"--out", &path];
+    let arguments: [&dyn AsRef<OsStr>; 7] = [
+        &command,
+        &scene,
+        &"--backend",
+        &"cpu",
+        &"--quiet",
+        &"--out",
+        &path,
+    ];
     done(costate(&arguments));
     path
 }
@@ -58,7 +66,12 @@ fn pendulum() -> &'static Path {
 
 /// Points of the unit square that lie evenly and at no simple fraction.
 fn spread(count: usize) -> impl Iterator<Item = [f64; 2]> {
-    (1..=count).map(|k| [(k as f64 * 0.754877666).fract(), (k as f64 * 0.569840291).fract()])
+    (1..=count).map(|k| {
+        [
+            (k as f64 * 0.754877666).fract(),
+            (k as f64 * 0.569840291).fract(),
+        ]
+    })
 }
 
 fn quantile(values: &[f64], share: f64) -> f64 {
@@ -84,7 +97,9 @@ fn values_are_those_of_an_exact_solution() {
         }
         let at = map.at(&[x, y]);
         assert!(at.others.is_empty(), "one sheet at {x}, {y}");
-        let here = at.lowest.unwrap_or_else(|e| panic!("{x}, {y} (V = {v}): {e}"));
+        let here = at
+            .lowest
+            .unwrap_or_else(|e| panic!("{x}, {y} (V = {v}): {e}"));
         let scale = v.max(0.01);
         errors.push((here.v - v).abs() / scale);
         slopes.push((0..2).map(|i| (here.p[i] - p[i]).abs()).fold(0.0, f64::max) / scale.sqrt());
@@ -96,7 +111,8 @@ fn values_are_those_of_an_exact_solution() {
         quick = quick.max((local.v - v).abs() / scale);
     }
     assert!(errors.len() > 200);
-    // Neighbours are 0.025 of the region apart, a cubic's error is of the fourth order: 1e-6 of the fourth derivatives.
+    // Neighbours are 0.025 of the region apart, a cubic's error is of the fourth order: 1e-6 of the
+    // fourth derivatives.
     println!(
         "V {:.1e} {:.1e}, p {:.1e}, u {:.1e}",
         quantile(&errors, 0.5),
@@ -104,12 +120,22 @@ fn values_are_those_of_an_exact_solution() {
         quantile(&slopes, 1.0),
         quantile(&controls, 1.0)
     );
-    assert!(quantile(&errors, 0.5) < 3e-6 && quantile(&errors, 1.0) < 1e-3, "V");
-    assert!(quantile(&slopes, 0.5) < 1e-4 && quantile(&slopes, 1.0) < 1e-2, "p");
-    assert!(quantile(&controls, 0.5) < 2e-4 && quantile(&controls, 1.0) < 2e-2, "u");
+    assert!(
+        quantile(&errors, 0.5) < 3e-6 && quantile(&errors, 1.0) < 1e-3,
+        "V"
+    );
+    assert!(
+        quantile(&slopes, 0.5) < 1e-4 && quantile(&slopes, 1.0) < 1e-2,
+        "p"
+    );
+    assert!(
+        quantile(&controls, 0.5) < 2e-4 && quantile(&controls, 1.0) < 2e-2,
+        "u"
+    );
     // Haste costs the blending, an order of magnitude.
     assert!(quick < 5e-3, "{quick}");
-    // The estimate is of the right size: rarely below the error (by more than half of it), seldom far above.
+    // The estimate is of the right size: rarely below the error (by more than half of it), seldom
+    // far above.
     assert!(
         quantile(&over, 0.95) < 1.5,
         "error above its estimate: {}",
@@ -124,8 +150,12 @@ fn values_are_those_of_an_exact_solution() {
 
 #[test]
 fn sheets_are_not_mixed_where_the_answer_is_known() {
-    let map = Stored::open(&result("hopf_lax", "run")).unwrap().value_map().unwrap();
-    // Hopf and Lax: V = min over the end point of the terminal cost + distance^2 / (2 T), the y direction by itself.
+    let map = Stored::open(&result("hopf_lax", "run"))
+        .unwrap()
+        .value_map()
+        .unwrap();
+    // Hopf and Lax: V = min over the end point of the terminal cost + distance^2 / (2 T), the y
+    // direction by itself.
     let exact = |x: f64, y: f64| {
         let phi = |e: f64| e.powi(4) / 4.0 - e * e + 0.1 * e + (x - e).powi(2) / 4.0;
         let coarse = (-4000..=4000).map(|k| f64::from(k) * 1e-3);
@@ -136,20 +166,25 @@ fn sheets_are_not_mixed_where_the_answer_is_known() {
     let mut known = 0;
     for [a, b] in spread(300) {
         let (x, y) = (4.0 * a - 2.0, 1.6 * b - 0.8);
-        let Ok(here) = map.at(&[x, y]).lowest else { continue };
+        let Ok(here) = map.at(&[x, y]).lowest else {
+            continue;
+        };
         known += 1;
         let v = exact(x, y);
-        // At the line of equal cost V has a kink, not a gap: an answer from the wrong sheet is too large by no more than
-        // the sheets part, which a hundredth of the region away is 0.04.
+        // At the line of equal cost V has a kink, not a gap: an answer from the wrong sheet is too
+        // large by no more than the sheets part, which a hundredth of the region away is 0.04.
         assert!((here.v - v).abs() < 2e-3, "{x}, {y}: {} for {v}", here.v);
     }
-    // What the file holds lies a quarter of the region apart in y: a third of the states has nothing on all sides.
+    // What the file holds lies a quarter of the region apart in y: a third of the states has
+    // nothing on all sides.
     assert!(known > 180, "{known} of 300");
 }
 
 #[test]
 fn the_pendulum_is_as_solved() {
-    let states: Vec<[f64; 2]> = spread(120).map(|[a, b]| [-3.8 + 6.1 * a, -6.0 + 14.0 * b]).collect();
+    let states: Vec<[f64; 2]> = spread(120)
+        .map(|[a, b]| [-3.8 + 6.1 * a, -6.0 + 14.0 * b])
+        .collect();
     let solved = solved("pendulum", &scenario("pendulum"), "theta,omega", &states);
     let map = Stored::open(pendulum()).unwrap().value_map().unwrap();
     let (mut errors, mut controls) = (Vec::new(), Vec::new());
@@ -188,7 +223,11 @@ fn both_sides_of_the_equal_cost_state_are_told() {
     ] {
         let at = map.at(&[theta, 0.0]);
         let here = at.lowest.unwrap();
-        assert!((least..most).contains(&here.u[0]), "theta = {theta}: u = {}", here.u[0]);
+        assert!(
+            (least..most).contains(&here.u[0]),
+            "theta = {theta}: u = {}",
+            here.u[0]
+        );
         let other = at.others.first().expect("the other sheet is near");
         assert!(!(least..most).contains(&other.u[0]) && other.v > here.v);
         assert!(
@@ -212,15 +251,23 @@ fn what_is_not_known_is_said() {
     assert!((at.u[0] + 9.81 * 1.5f64.sin()).abs() < 1e-12);
 }
 
-/// A file of interpolated values says these again with the errors that they were told with, and nothing between them: no error
-/// that they show would include their own.
+/// A file of interpolated values says these again with the errors that they were told with, and
+/// nothing between them: no error that they show would include their own.
 #[test]
 fn values_of_values_are_those_alone() {
     let text = std::fs::read_to_string(scenario("manufactured")).unwrap();
     let scene = folder().join("manufactured-coarse.toml");
     let end = ["[shoot_out]", "[homotopy]", "[map]"];
-    let cut = end.iter().filter_map(|section| text.find(section)).min().unwrap();
-    std::fs::write(&scene, format!("{}\n[map]\nerror = 2e-2\ncheck = 5\n", &text[..cut])).unwrap();
+    let cut = end
+        .iter()
+        .filter_map(|section| text.find(section))
+        .min()
+        .unwrap();
+    std::fs::write(
+        &scene,
+        format!("{}\n[map]\nerror = 2e-2\ncheck = 5\n", &text[..cut]),
+    )
+    .unwrap();
     let map = made("coarse", "homotopy", &scene);
     let exact = Stored::open(&map).unwrap().value_map().unwrap();
     let grid = folder().join("coarse-grid.h5");
@@ -240,11 +287,18 @@ fn values_of_values_are_those_alone() {
         let x = [told.axes[0][k / 41], told.axes[1][k % 41]];
         let (here, there) = (again.at(&x).lowest.unwrap(), exact.at(&x).lowest.unwrap());
         let own = told.errors[k];
-        assert_eq!((here.v, here.v_error, here.p_error), (told.v[k], own.v, own.p));
+        assert_eq!(
+            (here.v, here.v_error, here.p_error),
+            (told.v[k], own.v, own.p)
+        );
         assert_eq!((here.solved, here.p.as_slice()), (0, &told.p[2 * k..][..2]));
         // Many at once are rounded otherwise.
         let alike = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.abs();
-        assert!(alike(here.v, there.v) && alike(here.v_error, there.v_error) && alike(here.u[0], there.u[0]));
+        assert!(
+            alike(here.v, there.v)
+                && alike(here.v_error, there.v_error)
+                && alike(here.u[0], there.u[0])
+        );
         assert!(here.u_error >= there.u_error * (1.0 - 1e-9) && here.u_error.is_finite());
     }
     for [a, b] in spread(200) {
@@ -270,8 +324,8 @@ fn tables_grids_and_json_agree() {
     assert_eq!(
         rows[0],
         [
-            "theta", "omega", "V", "p_theta", "p_omega", "u", "sheet", "V_error", "p_error", "u_error", "coverage",
-            "status"
+            "theta", "omega", "V", "p_theta", "p_omega", "u", "sheet", "V_error", "p_error",
+            "u_error", "coverage", "status"
         ]
     );
     assert_eq!(rows.len(), 13);
@@ -302,8 +356,16 @@ fn tables_grids_and_json_agree() {
         &"--json",
     ]));
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
-    assert_eq!(json[0]["value"]["V"].as_f64().unwrap().to_bits(), map.v[1].to_bits());
-    let text = done(costate::<&dyn AsRef<OsStr>>(&[&"value", &file, &"--at", &"theta=-2"]));
+    assert_eq!(
+        json[0]["value"]["V"].as_f64().unwrap().to_bits(),
+        map.v[1].to_bits()
+    );
+    let text = done(costate::<&dyn AsRef<OsStr>>(&[
+        &"value",
+        &file,
+        &"--at",
+        &"theta=-2",
+    ]));
     assert!(
         text.contains("theta = -2, omega = 0") && text.contains("interpolated from"),
         "{text}"
@@ -334,9 +396,15 @@ fn bad_requests_are_refused() {
         (&[&file, &"--at", &"theta=1,theta=2"], "twice"),
         (&[&file, &"--grid", &"theta=1:0:5"], "above the first"),
         (&[&file, &"--grid", &"theta=0:1"], "FIRST:LAST:COUNT"),
-        (&[&file, &"--grid", &"theta=0:1:100000,omega=0:1:100000"], "at most"),
+        (
+            &[&file, &"--grid", &"theta=0:1:100000,omega=0:1:100000"],
+            "at most",
+        ),
         (&[&file, &"--at", &"theta=1", &"--out", &"x.txt"], ".csv"),
-        (&[&file, &"--at", &"theta=1", &"--out", &file], "this file is read"),
+        (
+            &[&file, &"--at", &"theta=1", &"--out", &file],
+            "this file is read",
+        ),
         (&[&text, &"--at", &"theta=1"], "not a result file"),
         (&[&missing, &"--at", &"theta=1"], "cannot read"),
     ];
@@ -394,8 +462,8 @@ fn the_compressor_study_has_the_published_figures() {
         column("highest_gamma"),
         column("highest_rate"),
     );
-    // Hardt (1999) at Phi0 = 1.2: V = 0.0533, Psi down to 1.975, gamma up to 1.536, its rate between 0.072 and 0.075 (by
-    // collocation 0.07506): as many digits as are printed.
+    // Hardt (1999) at Phi0 = 1.2: V = 0.0533, Psi down to 1.975, gamma up to 1.536, its rate
+    // between 0.072 and 0.075 (by collocation 0.07506): as many digits as are printed.
     assert!(
         (v[1] - 0.0533).abs() < 5e-5 && (psi[1] - 1.975).abs() < 5e-4,
         "{} {}",
@@ -421,8 +489,8 @@ fn the_compressor_study_has_the_published_figures() {
     let samples = t.shape[1];
     for (k, phi0) in [1.1, 1.2, 1.3, 1.4].into_iter().enumerate() {
         let at = |q: usize| (k * samples + q, &x.values[(k * samples + q) * 4..][..4]);
-        // From where it was asked, V of the table; then x' = f and V' = -L by central differences (error h^2/6 of third
-        // derivatives; clamps switch, hence the root mean square).
+        // From where it was asked, V of the table; then x' = f and V' = -L by central differences
+        // (error h^2/6 of third derivatives; clamps switch, hence the root mean square).
         assert!((at(0).1[0] - phi0).abs() < 1e-12 && (at(0).1[2] - 0.12).abs() < 1e-12);
         assert!((along.values[k * samples] - v[k]).abs() < 1e-8 * v[k]);
         let (mut off, mut size) = (0.0, 0.0);
@@ -453,7 +521,8 @@ fn a_scene_without_a_study_has_none() {
     let text = std::fs::read_to_string(scenario("moore_greitzer")).unwrap();
     std::fs::write(&bad, text.replace("[1.1, 1.2, 1.3, 1.4]", "[1.2, 0.9]")).unwrap();
     let out = folder().join("bad.h5");
-    let output = costate::<&dyn AsRef<OsStr>>(&[&"study", &bad, &"--backend", &"cpu", &"--out", &out]);
+    let output =
+        costate::<&dyn AsRef<OsStr>>(&[&"study", &bad, &"--backend", &"cpu", &"--out", &out]);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{errors}");
     assert!(errors.contains("Phi0 = 0.9") && !out.exists(), "{errors}");
@@ -461,7 +530,8 @@ fn a_scene_without_a_study_has_none() {
 
 #[test]
 fn clamps_and_states_beyond_rescue_do_not_mislead_the_map() {
-    // Unstable, with too weak a control where |x + v| > 0.5: V is infinite there, and bent where the clamp switches.
+    // Unstable, with too weak a control where |x + v| > 0.5: V is infinite there, and bent where
+    // the clamp switches.
     let scene = folder().join("weak.toml");
     let text = r#"
 states = { x = {}, v = {} }
@@ -474,12 +544,16 @@ shoot_out = { value_max = 2.0, spacing = 0.1, samples = 50 }
 "#;
     std::fs::write(&scene, text).unwrap();
     let swept = made("weak", "shoot-out", &scene);
-    let states: Vec<[f64; 2]> = spread(250).map(|[a, b]| [2.0 * a - 1.0, 2.0 * b - 1.0]).collect();
+    let states: Vec<[f64; 2]> = spread(250)
+        .map(|[a, b]| [2.0 * a - 1.0, 2.0 * b - 1.0])
+        .collect();
     let solved = solved("weak", &scene, "x,v", &states);
     let map = Stored::open(&swept).unwrap().value_map().unwrap();
     let (mut known, mut errors) = (0, Vec::new());
     for (state, v) in states.iter().zip(&solved.v) {
-        let Ok(here) = map.at(state).lowest else { continue };
+        let Ok(here) = map.at(state).lowest else {
+            continue;
+        };
         known += 1;
         assert!(
             (state[0] + state[1]).abs() < 0.5,
@@ -487,14 +561,16 @@ shoot_out = { value_max = 2.0, spacing = 0.1, samples = 50 }
             here.v
         );
         assert!(v.is_finite(), "{state:?} was not solved");
-        // Towards |x + v| = 0.5 the slope of V goes to infinity: there only the first digit is asked for.
+        // Towards |x + v| = 0.5 the slope of V goes to infinity: there only the first digit is
+        // asked for.
         let error = (here.v - v).abs() / v;
         assert!(error < 0.1, "{state:?}: {} for {v}", here.v);
         if (state[0] + state[1]).abs() < 0.45 {
             errors.push(error);
         }
         assert!(
-            map.local(state).is_none_or(|hasty| (hasty.v - v).abs() < 0.1 * v),
+            map.local(state)
+                .is_none_or(|hasty| (hasty.v - v).abs() < 0.1 * v),
             "{state:?}"
         );
     }
@@ -504,7 +580,8 @@ shoot_out = { value_max = 2.0, spacing = 0.1, samples = 50 }
         quantile(&errors, 0.5),
         quantile(&errors, 1.0)
     );
-    // Across a kink of p a cubic's error is of the second order in the distance of sites (0.025 to 0.05 of the region).
+    // Across a kink of p a cubic's error is of the second order in the distance of sites (0.025 to
+    // 0.05 of the region).
     assert!(quantile(&errors, 0.5) < 1e-4 && quantile(&errors, 1.0) < 2e-2);
 }
 

@@ -40,7 +40,10 @@ fn lyapunov(k: [f64; 2]) -> Matrix2<f64> {
     // (I kron A' + A' kron I) vec S = -vec Q
     let (eye, at) = (Matrix2::identity(), a.transpose());
     let system: Matrix4<f64> = eye.kronecker(&at) + at.kronecker(&eye);
-    let s = system.lu().solve(&(-Vector4::from_column_slice(q.as_slice()))).unwrap();
+    let s = system
+        .lu()
+        .solve(&(-Vector4::from_column_slice(q.as_slice())))
+        .unwrap();
     Matrix2::from_column_slice(s.as_slice())
 }
 
@@ -59,7 +62,8 @@ fn quadratic(s: &Matrix2<f64>, x: &[f64]) -> f64 {
     0.5 * (x.transpose() * s * x)[0]
 }
 
-/// Errors of the end are the tolerance's, some dozen steps; J's remainder is exact for the optimal law.
+/// Errors of the end are the tolerance's, some dozen steps; J's remainder is exact for the optimal
+/// law.
 const FEW_STEPS: f64 = 100.0;
 
 #[test]
@@ -92,9 +96,18 @@ fn a_detuned_gain_costs_what_the_lyapunov_equation_says() {
     let scene = Scene::new(&SPRING.replace("final_time = 8.0", "final_time = 60.0"));
     let (s, p) = (lyapunov([0.3, 0.4]), lyapunov(optimal_gain()));
     let initial = scene.initial();
-    let values: Vec<f64> = (0..initial.count()).map(|i| quadratic(&p, initial.state(i))).collect();
+    let values: Vec<f64> = (0..initial.count())
+        .map(|i| quadratic(&p, initial.state(i)))
+        .collect();
     let cpu = Cpu::new();
-    let e = scene.evaluate(&cpu, TIGHT, &["detuned"], initial, None, Some(values.clone()));
+    let e = scene.evaluate(
+        &cpu,
+        TIGHT,
+        &["detuned"],
+        initial,
+        None,
+        Some(values.clone()),
+    );
     let suboptimality = e.suboptimality(&e.laws[0]);
     for i in 0..e.initial.count() {
         let x = e.initial.state(i);
@@ -116,7 +129,8 @@ fn a_detuned_gain_costs_what_the_lyapunov_equation_says() {
 
 /// The scene `manufactured`, whose V is known everywhere.
 fn manufactured() -> String {
-    let text = std::fs::read_to_string(format!("{}/scenarios/manufactured.toml", crate::ROOT)).unwrap();
+    let text =
+        std::fs::read_to_string(format!("{}/scenarios/manufactured.toml", crate::ROOT)).unwrap();
     text + r#"
 [closed_loop]
 final_time = 15.0
@@ -147,7 +161,12 @@ impl Chart for Known {
                 x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
                 0.5 * x + 2.0 * y + 0.5 * x * x * y,
             ],
-            hessian: vec![1.0 + 0.5 * x.cos() + 0.5 * y * y, cross, cross, 2.0 + 0.5 * x * x],
+            hessian: vec![
+                1.0 + 0.5 * x.cos() + 0.5 * y * y,
+                cross,
+                cross,
+                2.0 + 0.5 * x * x,
+            ],
         })
     }
 }
@@ -163,7 +182,14 @@ fn largest_excess(result: &LawResult, initial: &Initial) -> f64 {
 fn the_optimal_law_costs_v_as_an_expression_and_as_a_chart() {
     let scene = Scene::new(&manufactured());
     let cpu = Cpu::new();
-    let e = scene.evaluate(&cpu, TIGHT, &["exact", "map"], scene.initial(), Some(&Known), None);
+    let e = scene.evaluate(
+        &cpu,
+        TIGHT,
+        &["exact", "map"],
+        scene.initial(),
+        Some(&Known),
+        None,
+    );
     let exact = largest_excess(&e.laws[0], &e.initial);
     assert!(exact <= FEW_STEPS * TIGHT.rtol * 10.0, "{exact:e}");
     // V of the chart at the initial states.
@@ -173,15 +199,19 @@ fn the_optimal_law_costs_v_as_an_expression_and_as_a_chart() {
     // Legs of their own lengths lose no more than they may.
     let own = largest_excess(&e.laws[1], &e.initial);
     assert!(own <= 30.0 * TIGHT.rtol, "{own:e}");
-    // Between updates u is off by the square of the way since the last, J by the square of that: the fourth power of
-    // the period. An eighth at least for half of it.
+    // Between updates u is off by the square of the way since the last, J by the square of that:
+    // the fourth power of the period. An eighth at least for half of it.
     let excess = |period: &str| {
-        let finer = Scene::new(&manufactured().replace("samples = 60", &format!("samples = 60\nperiod = {period}")));
+        let finer = Scene::new(
+            &manufactured().replace("samples = 60", &format!("samples = 60\nperiod = {period}")),
+        );
         let finer = finer.evaluate(&cpu, TIGHT, &["map"], scene.initial(), Some(&Known), None);
         largest_excess(&finer.laws[0], &e.initial)
     };
     let [coarse, fine, finest] = ["0.25", "0.125", "0.0625"].map(excess);
-    println!("excess {exact:.1e} as an expression, {own:.1e}; {coarse:.1e}, {fine:.1e}, {finest:.1e} as a chart");
+    println!(
+        "excess {exact:.1e} as an expression, {own:.1e}; {coarse:.1e}, {fine:.1e}, {finest:.1e} as a chart"
+    );
     assert!(
         fine <= coarse / 8.0 && finest <= fine / 8.0,
         "{coarse:e} {fine:e} {finest:e}"
@@ -189,12 +219,16 @@ fn the_optimal_law_costs_v_as_an_expression_and_as_a_chart() {
     assert!(finest <= 1e-4, "{finest:e}");
 }
 
-/// A bounded force, against an integrator written here. Its error at a kink is the second order of its step, 1e-4.
+/// A bounded force, against an integrator written here. Its error at a kink is the second order of
+/// its step, 1e-4.
 #[test]
 fn saturation_is_applied_inside_the_dynamics() {
     let text = SPRING
         .replace("u = {} }", "u = { min = -0.3, max = 0.2 } }")
-        .replace("detuned = { u = \"-0.3*x - 0.4*v\" }", "hard = { u = \"-2*x - 3*v\" }")
+        .replace(
+            "detuned = { u = \"-0.3*x - 0.4*v\" }",
+            "hard = { u = \"-2*x - 3*v\" }",
+        )
         .replace(
             "v_end = \"final(v)\"",
             "v_end = \"final(v)\"\nmost = \"max(u)\"\nleast = \"min(v + u)\"",
@@ -204,7 +238,11 @@ fn saturation_is_applied_inside_the_dynamics() {
     let law = |y: &[f64]| (-2.0 * y[0] - 3.0 * y[1]).clamp(-0.3, 0.2);
     let f = |y: &[f64]| {
         let u = law(y);
-        vec![y[1], -y[0] + u, 0.5 * (2.0 * y[0] * y[0] + y[1] * y[1] + u * u)]
+        vec![
+            y[1],
+            -y[0] + u,
+            0.5 * (2.0 * y[0] * y[0] + y[1] * y[1] + u * u),
+        ]
     };
     let initial = scene.initial();
     const ALLOWED: f64 = 1e-7;
@@ -227,7 +265,10 @@ fn saturation_is_applied_inside_the_dynamics() {
         }
         // What is left at the end is the local solution's.
         let rest = quadratic(&lyapunov(optimal_gain()), &end);
-        assert!((result.cost[i] - end[2] - rest).abs() <= ALLOWED, "cost from {x:?}");
+        assert!(
+            (result.cost[i] - end[2] - rest).abs() <= ALLOWED,
+            "cost from {x:?}"
+        );
     }
 }
 
@@ -265,7 +306,9 @@ fn a_commanded_state_is_followed_within_the_rate_limit() {
             let (command, slope) = (1.5 * x + 0.2 * x * x, 1.5 + 0.4 * x);
             (slope * dx(x, g) + 7.0 * (command - g) + 0.1 * g) / 2.0
         }),
-        ("itself", &|x, g| (7.0 * (1.2 * x + 0.1 * g - g) + 0.1 * g) / 2.0),
+        ("itself", &|x, g| {
+            (7.0 * (1.2 * x + 0.1 * g - g) + 0.1 * g) / 2.0
+        }),
     ];
     for (name, law) in laws {
         let result = scene.tightly(name);
@@ -275,7 +318,9 @@ fn a_commanded_state_is_followed_within_the_rate_limit() {
             let u = |y: &[f64]| law(y[0], y[1]).clamp(-0.4, 0.4);
             let f = |y: &[f64]| vec![dx(y[0], y[1]), -0.1 * y[1] + 2.0 * u(y)];
             let mut fastest = 0.0f64;
-            let end = runge_kutta(&f, x, 6.0, 60_000, &mut |y| fastest = fastest.max(u(y).abs()));
+            let end = runge_kutta(&f, x, 6.0, 60_000, &mut |y| {
+                fastest = fastest.max(u(y).abs())
+            });
             let expected = [end[0], end[1], fastest];
             for c in 0..3 {
                 let error = (result.records[3 * i + c] - expected[c]).abs();
@@ -288,7 +333,8 @@ fn a_commanded_state_is_followed_within_the_rate_limit() {
     }
 }
 
-/// A swing without a force, sampled coarsely: extrema of smooth quantities and of ones with kinks, all known.
+/// A swing without a force, sampled coarsely: extrema of smooth quantities and of ones with kinks,
+/// all known.
 #[test]
 fn extrema_are_found_between_samples() {
     let text = SPRING
@@ -329,7 +375,8 @@ const PRECISIONS: [Asked; 2] = [
     },
 ];
 
-/// Errors grow while the valve is at its limit, and J is a sum of many: as for single steps, times the steps.
+/// Errors grow while the valve is at its limit, and J is a sum of many: as for single steps, times
+/// the steps.
 #[test]
 fn backends_and_precisions_agree() {
     let (cpu, gpu) = (Cpu::new(), any_gpu());
@@ -341,7 +388,14 @@ fn backends_and_precisions_agree() {
         for asked in PRECISIONS {
             let case = format!("{} {:?}", backend.name(), asked.precision);
             let allowed = FEW_STEPS * asked.rtol.max(4.0 * asked.precision.epsilon());
-            let e = scene.evaluate(backend, asked, &["commanded", "lqr"], scene.initial(), None, None);
+            let e = scene.evaluate(
+                backend,
+                asked,
+                &["commanded", "lqr"],
+                scene.initial(),
+                None,
+                None,
+            );
             let law = &e.laws[0];
             assert_eq!(law.status, exact.status, "{case}");
             assert_eq!(law.converged, exact.converged, "{case}");
@@ -354,7 +408,14 @@ fn backends_and_precisions_agree() {
             println!("{case}: {worst:.1e} of {allowed:.0e}");
             assert!(worst <= allowed, "{case}: {worst:e}");
 
-            let e = known.evaluate(backend, asked, &["map"], known.initial(), Some(&Known), None);
+            let e = known.evaluate(
+                backend,
+                asked,
+                &["map"],
+                known.initial(),
+                Some(&Known),
+                None,
+            );
             let excess = largest_excess(&e.laws[0], &e.initial);
             assert!(excess <= allowed.max(1e-4), "{case}: chart {excess:e}");
         }
@@ -379,13 +440,25 @@ fn results_do_not_depend_on_the_batch() {
     let (cpu, gpu) = (Cpu::new(), any_gpu());
     let backends: [&dyn Backend; 2] = [&cpu, &gpu];
     for backend in backends {
-        let whole = scene.evaluate(backend, asked, &["exact", "map"], all.clone(), Some(&Known), None);
+        let whole = scene.evaluate(
+            backend,
+            asked,
+            &["exact", "map"],
+            all.clone(),
+            Some(&Known),
+            None,
+        );
         for range in [0..1, 17..80, 200..265] {
             let some = part(&all, range.clone());
             let e = scene.evaluate(backend, asked, &["exact", "map"], some, Some(&Known), None);
             for (part, whole) in e.laws.iter().zip(&whole.laws) {
                 assert_eq!(part.cost, whole.cost[range.clone()], "{}", backend.name());
-                assert_eq!(part.records, whole.records[range.clone()], "{}", backend.name());
+                assert_eq!(
+                    part.records,
+                    whole.records[range.clone()],
+                    "{}",
+                    backend.name()
+                );
                 assert_eq!(part.t_end, whole.t_end[range.clone()], "{}", backend.name());
             }
         }
@@ -438,8 +511,15 @@ sets = { low = "highest <= 1.2" }
             backend.name()
         );
         let counts = e.statuses(none);
-        assert_eq!(counts["left_region"] + counts["reached"] + counts["guard_upper"], 3);
-        assert!((none.t_end[2] - 1.5f64.ln()).abs() < 1e-6, "{}", none.t_end[2]);
+        assert_eq!(
+            counts["left_region"] + counts["reached"] + counts["guard_upper"],
+            3
+        );
+        assert!(
+            (none.t_end[2] - 1.5f64.ln()).abs() < 1e-6,
+            "{}",
+            none.t_end[2]
+        );
         // Seen at the end of a step: left at 3, not much later.
         assert!(none.t_end[0] >= 3f64.ln() && none.t_end[0] < 5.0);
         assert!(none.cost[0].is_nan() && none.cost[2].is_nan() && none.cost[1] == 0.0);
@@ -465,7 +545,14 @@ fn where_the_chart_ends_the_trajectory_ends() {
     }
     let scene = Scene::new(&manufactured());
     let cpu = Cpu::new();
-    let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], scene.initial(), Some(&Bounded), None);
+    let e = scene.evaluate(
+        &cpu,
+        PRECISIONS[1],
+        &["map"],
+        scene.initial(),
+        Some(&Bounded),
+        None,
+    );
     let law = &e.laws[0];
     let outside: Vec<usize> = (0..e.initial.count())
         .filter(|i| e.initial.state(*i)[0] >= 0.5)
@@ -490,11 +577,14 @@ impl Boxed {
 
 impl Chart for Boxed {
     fn local(&self, x: &[f64]) -> Option<Expansion> {
-        Known.local(x).filter(|_| x.iter().all(|x| x.abs() <= Self::EDGE))
+        Known
+            .local(x)
+            .filter(|_| x.iter().all(|x| x.abs() <= Self::EDGE))
     }
 
     fn clamp(&self, x: &mut [f64]) -> bool {
-        x.iter_mut().for_each(|x| *x = x.clamp(-Self::EDGE, Self::EDGE));
+        x.iter_mut()
+            .for_each(|x| *x = x.clamp(-Self::EDGE, Self::EDGE));
         true
     }
 }
@@ -509,7 +599,14 @@ fn outside_a_chart_the_law_goes_on_as_it_was_told() {
             &format!("samples = 60\nperiod = 0.05\noutside = \"{outside}\""),
         );
         let scene = Scene::new(&text);
-        let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], scene.initial(), Some(&Boxed), None);
+        let e = scene.evaluate(
+            &cpu,
+            PRECISIONS[1],
+            &["map"],
+            scene.initial(),
+            Some(&Boxed),
+            None,
+        );
         let inside: Vec<bool> = (0..e.initial.count())
             .map(|i| e.initial.state(i).iter().all(|x| x.abs() <= Boxed::EDGE))
             .collect();
@@ -520,7 +617,10 @@ fn outside_a_chart_the_law_goes_on_as_it_was_told() {
         for (i, inside) in inside.iter().enumerate() {
             // From inside V falls, and no trajectory from there leaves the box for good.
             if !inside {
-                assert_eq!((law.status[i], law.t_end[i], law.fallback[i]), (OUTSIDE_MAP, 0.0, 1));
+                assert_eq!(
+                    (law.status[i], law.t_end[i], law.fallback[i]),
+                    (OUTSIDE_MAP, 0.0, 1)
+                );
             }
         }
     }
@@ -551,11 +651,12 @@ fn law_start(i: usize, state: usize) -> f64 {
     -1.0 + place as f64 / 3.0
 }
 
-/// A pendulum that its law alone drops: beyond its range the nearest known p pushes the wrong way round. The search finds that
-/// holding the control at a bound leads back.
+/// A pendulum that its law alone drops: beyond its range the nearest known p pushes the wrong way
+/// round. The search finds that holding the control at a bound leads back.
 #[test]
 fn a_search_finds_the_way_back() {
-    // x' = v, v' = x + u with |u| <= 1: what is known is a box about 0, and the nearest p is that of its corner.
+    // x' = v, v' = x + u with |u| <= 1: what is known is a box about 0, and the nearest p is that
+    // of its corner.
     let text = r#"
 states = { x = {}, v = {} }
 controls = { u = { min = -1, max = 1 } }
@@ -570,7 +671,8 @@ margin = 4.0
 outside = "POLICY"
 initial = { x = [3, 5, 3], v = [-1, 1, 3] }
 "#;
-    /// p points away from the equilibrium at the edge of what is known: the nearest p pumps energy in.
+    /// p points away from the equilibrium at the edge of what is known: the nearest p pumps energy
+    /// in.
     struct Misleading;
     impl Chart for Misleading {
         fn local(&self, x: &[f64]) -> Option<Expansion> {
@@ -580,7 +682,10 @@ initial = { x = [3, 5, 3], v = [-1, 1, 3] }
             inside.then(|| Expansion {
                 v: x[0] * x[0] + x[1] * x[1],
                 p: vec![sign * (2.0 * x[0] + x[1]), sign * (2.0 * x[1] + x[0])],
-                hessian: vec![2.0, 1.0, 1.0, 2.0].into_iter().map(|h| sign * h).collect(),
+                hessian: vec![2.0, 1.0, 1.0, 2.0]
+                    .into_iter()
+                    .map(|h| sign * h)
+                    .collect(),
             })
         }
         fn clamp(&self, x: &mut [f64]) -> bool {
@@ -591,8 +696,22 @@ initial = { x = [3, 5, 3], v = [-1, 1, 3] }
     let cpu = Cpu::new();
     let home = |policy: &str| {
         let scene = Scene::new(&text.replace("POLICY", policy));
-        let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], scene.initial(), Some(&Misleading), None);
-        assert!(e.laws[0].fell_back() >= 9 - e.laws[0].status.iter().filter(|s| **s == OUTSIDE_MAP).count());
+        let e = scene.evaluate(
+            &cpu,
+            PRECISIONS[1],
+            &["map"],
+            scene.initial(),
+            Some(&Misleading),
+            None,
+        );
+        assert!(
+            e.laws[0].fell_back()
+                >= 9 - e.laws[0]
+                    .status
+                    .iter()
+                    .filter(|s| **s == OUTSIDE_MAP)
+                    .count()
+        );
         e.laws[0].converged.iter().filter(|c| **c).count()
     };
     let (nearest, search) = (home("nearest"), home("search"));
@@ -600,7 +719,8 @@ initial = { x = [3, 5, 3], v = [-1, 1, 3] }
     assert!(search > nearest);
 }
 
-/// Parts on threads of their own and a batch as a whole give the same bits, whatever the number of trajectories.
+/// Parts on threads of their own and a batch as a whole give the same bits, whatever the number of
+/// trajectories.
 #[test]
 fn a_flight_under_a_chart_does_not_depend_on_its_company() {
     let text = manufactured().replace(
@@ -610,7 +730,14 @@ fn a_flight_under_a_chart_does_not_depend_on_its_company() {
     let scene = Scene::new(&text);
     let cpu = Cpu::new();
     let all = scene.initial();
-    let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], all.clone(), Some(&Boxed), None);
+    let e = scene.evaluate(
+        &cpu,
+        PRECISIONS[1],
+        &["map"],
+        all.clone(),
+        Some(&Boxed),
+        None,
+    );
     for i in [0, 1, 63, 172, 344] {
         let one = Initial {
             x: all.state(i).to_vec(),
@@ -619,7 +746,10 @@ fn a_flight_under_a_chart_does_not_depend_on_its_company() {
         };
         let alone = scene.evaluate(&cpu, PRECISIONS[1], &["map"], one, Some(&Boxed), None);
         assert_eq!(alone.laws[0].cost[0].to_bits(), e.laws[0].cost[i].to_bits());
-        assert_eq!(alone.laws[0].records[0].to_bits(), e.laws[0].records[i].to_bits());
+        assert_eq!(
+            alone.laws[0].records[0].to_bits(),
+            e.laws[0].records[i].to_bits()
+        );
         assert_eq!(alone.laws[0].fallback[0], e.laws[0].fallback[i]);
     }
 }
@@ -645,10 +775,15 @@ fn an_operating_set_has_its_area() {
     assert!((near.area + far.area - 4.0).abs() < 1e-9);
     assert!((near.share - disk / 4.0).abs() < 0.05);
     assert_eq!(near.lines.len(), 1);
-    assert!(near.lines[0].iter().all(|p| (p[0].hypot(p[1]) - 0.8).abs() < 0.005));
+    assert!(
+        near.lines[0]
+            .iter()
+            .all(|p| (p[0].hypot(p[1]) - 0.8).abs() < 0.005)
+    );
 }
 
-/// A finite horizon: J is the running cost to its end and the terminal cost there; there is nothing to converge to.
+/// A finite horizon: J is the running cost to its end and the terminal cost there; there is nothing
+/// to converge to.
 #[test]
 fn a_finite_horizon_ends_with_its_terminal_cost() {
     let text = r#"
@@ -668,7 +803,10 @@ law = { held = { u = "-x" } }
         let x = initial.state(i)[0];
         let e = (-6.0f64).exp();
         let exact = x * x * (0.25 * (1.0 - e) + 2.0 * e);
-        assert!((result.cost[i] - exact).abs() <= FEW_STEPS * TIGHT.rtol, "{x}");
+        assert!(
+            (result.cost[i] - exact).abs() <= FEW_STEPS * TIGHT.rtol,
+            "{x}"
+        );
         assert!(result.converged[i]);
     }
 }
@@ -699,7 +837,9 @@ fn a_gap_in_the_chart_is_bridged() {
     struct Gapped;
     impl Chart for Gapped {
         fn local(&self, x: &[f64]) -> Option<Expansion> {
-            Known.local(x).filter(|_| !(0.2..0.3).contains(&x[0].hypot(x[1])))
+            Known
+                .local(x)
+                .filter(|_| !(0.2..0.3).contains(&x[0].hypot(x[1])))
         }
     }
     let scene = Scene::new(&manufactured().replace("samples = 60", "samples = 60\nperiod = 0.05"));
@@ -717,7 +857,14 @@ fn a_gap_in_the_chart_is_bridged() {
         ..all
     };
     let cpu = Cpu::new();
-    let e = scene.evaluate(&cpu, PRECISIONS[1], &["map"], initial.clone(), Some(&Gapped), None);
+    let e = scene.evaluate(
+        &cpu,
+        PRECISIONS[1],
+        &["map"],
+        initial.clone(),
+        Some(&Gapped),
+        None,
+    );
     assert!(e.laws[0].held > 0.0 && e.laws[0].held < 0.2);
     let excess = largest_excess(&e.laws[0], &e.initial);
     // V is of the third order beyond the last answer, at most 0.15 away: J to the square of 0.02.

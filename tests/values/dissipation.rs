@@ -1,5 +1,6 @@
-//! The certified gain checked by simulation: where V is known exactly nothing violates it, what certifies nothing is found out,
-//! and the numbers are those of an integrator that shares nothing with the program.
+//! The certified gain checked by simulation: where V is known exactly nothing violates it, what
+//! certifies nothing is found out, and the numbers are those of an integrator that shares nothing
+//! with the program.
 
 use crate::common_loop;
 
@@ -31,7 +32,8 @@ h2 = { u = "-k0*x - sqrt(1 + 2*k0)*v" }
 samples = 50
 "#;
 
-/// P of the spring's game Riccati equation `A'P + PA + Q - (1 - 1/gamma^2) P B B'P = 0`, solved by hand: p11, p12, p22.
+/// P of the spring's game Riccati equation `A'P + PA + Q - (1 - 1/gamma^2) P B B'P = 0`, solved by
+/// hand: p11, p12, p22.
 fn spring_p(gamma: f64) -> [f64; 3] {
     let s = 1.0 - gamma.powi(-2);
     let p12 = ((1.0 + 2.0 * s).sqrt() - 1.0) / s;
@@ -52,7 +54,11 @@ fn checked(
     chart: Option<&dyn Chart>,
     seed: u64,
 ) -> Dissipation {
-    let wanted = scene.model.dissipation.as_ref().expect("the scene has [dissipation]");
+    let wanted = scene
+        .model
+        .dissipation
+        .as_ref()
+        .expect("the scene has [dissipation]");
     let laws = Laws::new(&scene.model, &scene.hamiltonian, None);
     let certificate = Certificate::of(&laws, chart, None).unwrap();
     let flight = flight(&scene.model, wanted, laws.riccati()).unwrap();
@@ -114,7 +120,10 @@ fn nothing_violates_an_exact_value() {
     assert_eq!(d.value, "exact (linear scene)");
     for k in 0..d.cases.count() {
         let exact = spring_v(p, d.cases.state(k));
-        assert!((d.v0[k] - exact).abs() <= 1e-12 * (1.0 + exact), "V0 of {k}");
+        assert!(
+            (d.v0[k] - exact).abs() <= 1e-12 * (1.0 + exact),
+            "V0 of {k}"
+        );
     }
     for law in &d.laws {
         let (held, verdict) = law.verdict(&d.cases);
@@ -137,14 +146,18 @@ fn nothing_violates_an_exact_value() {
             worst += 1;
         }
         assert_eq!(worst, 99, "once from each state but the equilibrium");
-        assert!(verdict.contains("the worst case comes closest"), "{verdict}");
+        assert!(
+            verdict.contains("the worst case comes closest"),
+            "{verdict}"
+        );
     }
     let summaries = d.laws[0].summaries(&d.cases);
     assert_eq!(summaries.iter().map(|s| s.count).sum::<usize>(), 10_000);
     assert_eq!(summaries.iter().map(|s| s.judged).sum::<usize>(), 10_000);
 }
 
-/// The law that is optimal without a disturbance has a gain of at least sqrt(2) at the spring's own frequency, which is above 1.2.
+/// The law that is optimal without a disturbance has a gain of at least sqrt(2) at the spring's own
+/// frequency, which is above 1.2.
 #[test]
 fn a_law_that_is_not_good_enough_is_found_out() {
     let lines = "samples = 50\ndisturbances = 400\nfinal_time = 60\nfrequencies = [0.9, 1.1]\ninitial = { x = 0 }";
@@ -162,7 +175,10 @@ fn a_law_that_is_not_good_enough_is_found_out() {
     // Explained by an error of V it is not: V is exact.
     let summary = d.laws[0].summaries(&d.cases);
     assert!(summary.iter().all(|s| s.violated == s.unexplained));
-    assert!(summary.iter().map(|s| s.exceeded).sum::<usize>() > 100, "{verdict}");
+    assert!(
+        summary.iter().map(|s| s.exceeded).sum::<usize>() > 100,
+        "{verdict}"
+    );
 }
 
 /// V of another gamma certifies nothing of this one: the claim is too strong.
@@ -183,7 +199,10 @@ fn a_value_that_certifies_nothing_is_found_out() {
         }
     }
     // With a bound far away the scene is no longer linear, and the chart is asked.
-    let text = SPRING.replace("controls = { u = {} }", "controls = { u = { min = -1e3, max = 1e3 } }");
+    let text = SPRING.replace(
+        "controls = { u = {} }",
+        "controls = { u = { min = -1e3, max = 1e3 } }",
+    );
     let lines = "samples = 50\ndisturbances = 300\nfinal_time = 10";
     let scene = with(&text, lines);
     let good = tightly(&scene, &["map"], Some(&Other(spring_p(1.2))));
@@ -200,7 +219,10 @@ fn a_value_that_certifies_nothing_is_found_out() {
     let formula = tightly(&with(SPRING, lines), &["map"], None);
     for k in 0..300 {
         let (a, b) = (good.laws[0].done[k], formula.laws[0].done[k]);
-        assert!((a - b).abs() <= FEW_STEPS * TIGHT.rtol * (1.0 + b), "case {k}: {a} {b}");
+        assert!(
+            (a - b).abs() <= FEW_STEPS * TIGHT.rtol * (1.0 + b),
+            "case {k}: {a} {b}"
+        );
     }
 }
 
@@ -228,7 +250,13 @@ fn the_balance_is_that_of_another_integrator() {
                         .sum(),
                 };
                 let done = 0.5 * (2.0 * y[0] * y[0] + y[1] * y[1] + push * push);
-                vec![y[1], -y[0] - push + w, done, 0.5 * gamma * gamma * w * w, 1.0]
+                vec![
+                    y[1],
+                    -y[0] - push + w,
+                    done,
+                    0.5 * gamma * gamma * w * w,
+                    1.0,
+                ]
             };
             let x = d.cases.state(k);
             let end = runge_kutta(&f, &[x[0], x[1], 0.0, 0.0, 0.0], 6.0, 20_000, &mut |_| {});
@@ -248,7 +276,10 @@ fn the_balance_is_that_of_another_integrator() {
     // Kept whole, alone, they are what they were among all: results do not depend on the batch.
     for (path, values) in law.paths.iter().zip(&law.path_values) {
         let (k, last) = (path.initial, path.t.len() - 1);
-        assert_eq!((path.cost[last], path.supplied[last]), (law.done[k], law.supplied[k]));
+        assert_eq!(
+            (path.cost[last], path.supplied[last]),
+            (law.done[k], law.supplied[k])
+        );
         assert_eq!((path.t.len(), path.w.len(), values.len()), (21, 21, 21));
         assert!((values[last] - law.v_end[k]).abs() <= 1e-15);
     }
@@ -262,13 +293,20 @@ fn factors_follow_the_scene() {
         "0.5*(2*x^2 + v^2 + u^2) - 0.5*gamma^2*w^2",
         "2*x^2 + v^2 + u^2 + 0.3*x*w - gamma^2*w^2",
     );
-    let d = tightly(&with(&text, "samples = 50\ndisturbances = 600"), &["map"], None);
+    let d = tightly(
+        &with(&text, "samples = 50\ndisturbances = 600"),
+        &["map"],
+        None,
+    );
     let (held, verdict) = d.laws[0].verdict(&d.cases);
     assert!(held, "{verdict}");
     for k in of_kind(&d, DisturbanceKind::Worst) {
         let budget = d.laws[0].supplied[k] + d.v0[k];
         let rest = d.laws[0].done[k] + d.laws[0].v_end[k] - budget;
-        assert!(rest.abs() <= FEW_STEPS * TIGHT.rtol * budget, "case {k}: {rest:e}");
+        assert!(
+            rest.abs() <= FEW_STEPS * TIGHT.rtol * budget,
+            "case {k}: {rest:e}"
+        );
     }
 }
 
@@ -305,8 +343,8 @@ impl Chart for Known {
     }
 }
 
-/// Under the chart's law u is held to the second order between updates: an error of u and w costs its square, that is the fourth
-/// order of the way between updates.
+/// Under the chart's law u is held to the second order between updates: an error of u and w costs
+/// its square, that is the fourth order of the way between updates.
 #[test]
 fn a_nonlinear_game_keeps_its_gain() {
     let scene = with(
@@ -318,7 +356,10 @@ fn a_nonlinear_game_keeps_its_gain() {
     let (held, verdict) = law.verdict(&d.cases);
     println!("{verdict}");
     assert!(held, "{verdict}");
-    assert!(verdict.contains("the worst case comes closest"), "{verdict}");
+    assert!(
+        verdict.contains("the worst case comes closest"),
+        "{verdict}"
+    );
     for k in of_kind(&d, DisturbanceKind::Worst) {
         let budget = law.supplied[k] + d.v0[k];
         let rest = (law.done[k] + law.v_end[k] - budget) / budget;
@@ -330,7 +371,11 @@ fn a_nonlinear_game_keeps_its_gain() {
 #[test]
 fn where_v_is_not_known_nothing_is_claimed() {
     let lines = "samples = 100\ndisturbances = 500\nfinal_time = 10\namplitude = 3\ninitial = { x = [-1, 1, 5], y = [-1, 1, 5] }";
-    let d = tightly(&with(&manufactured(), lines), &["map"], Some(&Known { reach: 0.9 }));
+    let d = tightly(
+        &with(&manufactured(), lines),
+        &["map"],
+        Some(&Known { reach: 0.9 }),
+    );
     let law = &d.laws[0];
     let (mut unknown, mut left) = (0, 0);
     for k in 0..500 {
@@ -347,7 +392,10 @@ fn where_v_is_not_known_nothing_is_claimed() {
     }
     assert!(unknown > 50 && left > 20, "{unknown} {left}");
     let summaries = law.summaries(&d.cases);
-    assert_eq!(summaries.iter().map(|s| s.judged).sum::<usize>(), 500 - unknown);
+    assert_eq!(
+        summaries.iter().map(|s| s.judged).sum::<usize>(),
+        500 - unknown
+    );
     assert_eq!(summaries.iter().map(|s| s.left).sum::<usize>(), left);
     assert_eq!(d.statuses(law)["outside_map"], unknown + left);
 }
@@ -356,7 +404,10 @@ fn where_v_is_not_known_nothing_is_claimed() {
 fn backends_and_precisions_agree() {
     let scene = with(SPRING, "samples = 20\ndisturbances = 200\nfinal_time = 8");
     let exact = tightly(&scene, &["map"], None);
-    let nonlinear = with(&manufactured(), "samples = 50\ndisturbances = 100\nfinal_time = 5");
+    let nonlinear = with(
+        &manufactured(),
+        "samples = 50\ndisturbances = 100\nfinal_time = 5",
+    );
     let chart = Known { reach: 3.0 };
     let charted = tightly(&nonlinear, &["map"], Some(&chart));
     let (cpu, gpu) = (Cpu::new(), any_gpu());
@@ -378,10 +429,18 @@ fn backends_and_precisions_agree() {
                 assert_eq!(d.numerics.precision, precision);
                 let pairs = |of: fn(&LawCheck) -> &Vec<f64>| {
                     let both = of(&d.laws[0]).iter().zip(of(&reference.laws[0]));
-                    both.map(|(a, b)| (a - b).abs() / (1.0 + b.abs())).fold(0.0, f64::max)
+                    both.map(|(a, b)| (a - b).abs() / (1.0 + b.abs()))
+                        .fold(0.0, f64::max)
                 };
-                let worst = [pairs(|l| &l.done), pairs(|l| &l.supplied), pairs(|l| &l.ratio)];
-                println!("{} {precision:?}: {worst:?} of {allowed:.0e}", backend.name());
+                let worst = [
+                    pairs(|l| &l.done),
+                    pairs(|l| &l.supplied),
+                    pairs(|l| &l.ratio),
+                ];
+                println!(
+                    "{} {precision:?}: {worst:?} of {allowed:.0e}",
+                    backend.name()
+                );
                 assert!(
                     worst.iter().all(|w| *w <= allowed),
                     "{} {precision:?}: {worst:?}",
@@ -397,7 +456,10 @@ fn backends_and_precisions_agree() {
 fn a_seed_and_nothing_else_decides() {
     let scene = with(SPRING, "samples = 20\ndisturbances = 3000\nfinal_time = 5");
     let all = tightly(&scene, &["map"], None);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .unwrap();
     let alone = pool.install(|| tightly(&scene, &["map"], None));
     same_cases(&all, &alone);
     assert_eq!(all.laws[0].done, alone.laws[0].done);

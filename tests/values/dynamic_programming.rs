@@ -1,4 +1,5 @@
-//! V on a grid against exact answers, its symmetries, and greedy paths, on the CPU and on any adapter.
+//! V on a grid against exact answers, its symmetries, and greedy paths, on the CPU and on any
+//! adapter.
 
 use crate::common;
 use crate::common_oracles;
@@ -50,17 +51,23 @@ fn errors(plan: &Plan, value: &GridValue, exact: impl Fn(&[f64]) -> f64) -> Vec<
         let (found, exact) = (value.value(&s).unwrap_or(f64::INFINITY), exact(&s));
         (found - exact).abs() / exact.abs().max(1e-3)
     };
-    spread_over(&plan.region, 2000).into_iter().map(of).collect()
+    spread_over(&plan.region, 2000)
+        .into_iter()
+        .map(of)
+        .collect()
 }
 
-/// What the flights of greedy paths from states over the region cost, relative to the grid's V, less 1; sorted. A state without
-/// one counts as infinite.
+/// What the flights of greedy paths from states over the region cost, relative to the grid's V,
+/// less 1; sorted. A state without one counts as infinite.
 fn flights(plan: &Plan, value: &GridValue, count: usize) -> Vec<f64> {
     let of = |s: Vec<f64>| match (value.value(&s), value.greedy(&s)) {
         (Some(v), Some((cost, _))) => cost / v - 1.0,
         _ => f64::INFINITY,
     };
-    let mut list: Vec<f64> = spread_over(&plan.region, count).into_iter().map(of).collect();
+    let mut list: Vec<f64> = spread_over(&plan.region, count)
+        .into_iter()
+        .map(of)
+        .collect();
     list.sort_by(f64::total_cmp);
     list
 }
@@ -74,12 +81,16 @@ fn manufactured_value(s: &[f64]) -> f64 {
 fn cart_value(s: &[f64]) -> f64 {
     let (tau, weight): (f64, f64) = (2.0, 10.0);
     let (y1, y2) = (s[0] + s[1] * tau, s[1]);
-    let (a, b, c) = (tau.powi(3) / 3.0 + 1.0 / weight, tau * tau / 2.0, tau + 1.0 / weight);
+    let (a, b, c) = (
+        tau.powi(3) / 3.0 + 1.0 / weight,
+        tau * tau / 2.0,
+        tau + 1.0 / weight,
+    );
     (c * y1 * y1 - 2.0 * b * y1 * y2 + a * y2 * y2) / (2.0 * (a * c - b * b))
 }
 
-/// Exact V of the two wells: the least of all straight lines to an end (Hopf and Lax), on a fine grid of ends in x; of y the
-/// terminal cost is y^2/2, whose least is in closed form.
+/// Exact V of the two wells: the least of all straight lines to an end (Hopf and Lax), on a fine
+/// grid of ends in x; of y the terminal cost is y^2/2, whose least is in closed form.
 fn wells_value(s: &[f64]) -> f64 {
     let (time, k, slant) = (2.0, 2.0, 0.1);
     let phi = |y: f64| y.powi(4) / 4.0 - k * y * y / 2.0 + slant * y;
@@ -94,7 +105,10 @@ fn a_manufactured_value_is_met() {
     let (plan, value) = solved(&scene("manufactured", &[]), &nodes(101));
     let (median, most) = quantiles(errors(&plan, &value, manufactured_value));
     println!("manufactured: median {median:.1e}, 95 % {most:.1e}");
-    assert!(median < 0.005 && most < 0.02, "median {median}, 95 % {most}");
+    assert!(
+        median < 0.005 && most < 0.02,
+        "median {median}, 95 % {most}"
+    );
     let p = value.gradient(&[1.0, -0.5]).expect("inside");
     let exact = [1.0 + 0.5 * 1f64.sin() - 0.25 + 0.125, 0.5 - 1.0 - 0.25];
     for (p, exact) in p.iter().zip(exact) {
@@ -113,10 +127,14 @@ fn a_linear_quadratic_value_is_met() {
     let local = plan.local.as_ref().expect("an infinite horizon");
     let (median, most) = quantiles(errors(&plan, &value, |s| local.quadratic(s)));
     println!("linear-quadratic: median {median:.1e}, 95 % {most:.1e}");
-    assert!(median < 0.002 && most < 0.01, "median {median}, 95 % {most}");
+    assert!(
+        median < 0.002 && most < 0.01,
+        "median {median}, 95 % {most}"
+    );
 }
 
-/// One state, with the number of nodes that it gets by itself, and four: the quadratic V of the Riccati equation is exact.
+/// One state, with the number of nodes that it gets by itself, and four: the quadratic V of the
+/// Riccati equation is exact.
 #[test]
 fn one_and_four_states() {
     let scalar = parse(
@@ -156,15 +174,20 @@ fn a_symmetric_scene_stays_symmetric_and_many_sheets_do_no_harm() {
     let (plan, value) = solved(&parse(BALANCED), &nodes(121));
     for s in spread_over(&plan.region, 300) {
         let other: Vec<f64> = s.iter().map(|x| -x).collect();
-        let (v, w) = (value.value(&s).expect("reached"), value.value(&other).expect("reached"));
-        // Candidates are tried in an order that is not symmetric: equal up to where the iteration stops.
+        let (v, w) = (
+            value.value(&s).expect("reached"),
+            value.value(&other).expect("reached"),
+        );
+        // Candidates are tried in an order that is not symmetric: equal up to where the iteration
+        // stops.
         assert!((v - w).abs() <= 2e-3 * v, "{s:?}: {v} {w}");
     }
     for (s, exact) in [([1.5, 1.0], 20.86786), ([-2.5, -2.5], 21.37833)] {
         let found = value.value(&s).expect("reached");
         assert!((found / exact - 1.0).abs() < 0.01, "{s:?}: {found} {exact}");
         let (cost, path) = value.greedy(&s).expect("a path");
-        // A flown control is dearer than V, up to the integration's error and the local solution's at the end.
+        // A flown control is dearer than V, up to the integration's error and the local solution's
+        // at the end.
         assert!(
             cost > exact * (1.0 - 1e-3) && cost < exact * 1.02,
             "{s:?}: {cost} {exact}"
@@ -178,7 +201,8 @@ fn a_symmetric_scene_stays_symmetric_and_many_sheets_do_no_harm() {
     }
 }
 
-/// A pendulum whose cost is periodic, on a ring; and one whose cost counts turns, where a state is as cheap as its best copy.
+/// A pendulum whose cost is periodic, on a ring; and one whose cost counts turns, where a state is
+/// as cheap as its best copy.
 #[test]
 fn periodic_axes_are_rings_or_turns() {
     let text = |cost: &str| {
@@ -201,7 +225,10 @@ fn periodic_axes_are_rings_or_turns() {
             assert!((flown / v - 1.0).abs() < 0.02, "{cost}, {s:?}: {flown} {v}");
             let turns = (path.start()[0] - s[0]) / turn;
             assert!((turns - turns.round()).abs() < 1e-9);
-            assert!(path.last()[0].abs() < 0.1, "the path ends at the reference itself");
+            assert!(
+                path.last()[0].abs() < 0.1,
+                "the path ends at the reference itself"
+            );
         }
     }
 }
@@ -214,7 +241,10 @@ fn the_pendulum_of_two_ways_round() {
     assert!((at(2.409) / 183.9 - 1.0).abs() < 0.02, "{}", at(2.409));
     let flown = flights(&plan, &value, 60);
     let within = flown.iter().filter(|f| f.abs() < 0.02).count();
-    assert!(within >= 57, "{within} of 60 flights cost what the grid says");
+    assert!(
+        within >= 57,
+        "{within} of 60 flights cost what the grid says"
+    );
     assert!(flown[0] > -0.02, "no flight is much cheaper: {}", flown[0]);
 }
 
@@ -223,30 +253,46 @@ fn finite_horizons_are_met() {
     let (plan, value) = solved(&scene("finite_horizon", &[]), &nodes(81));
     let (median, most) = quantiles(errors(&plan, &value, cart_value));
     println!("finite horizon: median {median:.1e}, 95 % {most:.1e}");
-    assert!(median < 0.005 && most < 0.02, "median {median}, 95 % {most}");
+    assert!(
+        median < 0.005 && most < 0.02,
+        "median {median}, 95 % {most}"
+    );
     let (cost, path) = value.greedy(&[1.0, 0.5]).expect("a path");
     assert!((path.horizon() - 2.0).abs() < 1e-12);
     let exact = cart_value(&[1.0, 0.5]);
-    assert!(cost > exact * (1.0 - 1e-6) && cost < exact * 1.02, "{cost} {exact}");
+    assert!(
+        cost > exact * (1.0 - 1e-6) && cost < exact * 1.02,
+        "{cost} {exact}"
+    );
 
     let (plan, value) = solved(&scene("hopf_lax", &[]), &nodes(101));
     let (median, most) = quantiles(errors(&plan, &value, wells_value));
     println!("two wells: median {median:.1e}, 95 % {most:.1e}");
-    assert!(median < 0.005 && most < 0.02, "median {median}, 95 % {most}");
+    assert!(
+        median < 0.005 && most < 0.02,
+        "median {median}, 95 % {most}"
+    );
 }
 
-/// A reaction that runs away within a hundredth of the horizon: a step that a fixed number of slices would give overshoots it to
-/// where nothing reacts any more. The references are another program's.
+/// A reaction that runs away within a hundredth of the horizon: a step that a fixed number of
+/// slices would give overshoots it to where nothing reacts any more. The references are another
+/// program's.
 #[test]
 fn steps_are_short_where_rates_are_fast() {
     let data = std::path::Path::new(crate::ROOT).join("tests/data/least/tank");
-    let model = costate::scenario::load(&data.with_extension("toml"), &[]).unwrap_or_else(|e| panic!("{e}"));
+    let model = costate::scenario::load(&data.with_extension("toml"), &[])
+        .unwrap_or_else(|e| panic!("{e}"));
     let (plan, value) = solved(&model, &nodes(81));
-    let mut reader = csv::Reader::from_path(data.with_extension("csv")).expect("the table is there");
+    let mut reader =
+        csv::Reader::from_path(data.with_extension("csv")).expect("the table is there");
     let mut compared = 0;
     for row in reader.records() {
         let row: Vec<f64> = row.unwrap().iter().map(|c| c.parse().unwrap()).collect();
-        let s: Vec<f64> = row.iter().zip(&plan.system.reference).map(|(x, r)| x - r).collect();
+        let s: Vec<f64> = row
+            .iter()
+            .zip(&plan.system.reference)
+            .map(|(x, r)| x - r)
+            .collect();
         let v = value.value(&s).expect("inside");
         assert!((v / row[2] - 1.0).abs() < 0.02, "{row:?}: {v}");
         compared += 1;
@@ -258,7 +304,8 @@ fn steps_are_short_where_rates_are_fast() {
 fn greedy_paths_cost_what_v_says() {
     let (plan, value) = solved(&scene("manufactured", &[]), &nodes(101));
     let flown = flights(&plan, &value, 100);
-    // The grid's V is above the flown cost by no more than its own error, and a greedy control is nearly optimal.
+    // The grid's V is above the flown cost by no more than its own error, and a greedy control is
+    // nearly optimal.
     assert!(
         flown[0] > -0.01 && flown[99] < 0.02,
         "from {} to {}",
@@ -267,7 +314,8 @@ fn greedy_paths_cost_what_v_says() {
     );
     for s in spread_over(&plan.region, 100) {
         let (cost, _) = value.greedy(&s).expect("a path");
-        // A flown control never costs less than V but for the end, where the local solution's V is within 0.5 %.
+        // A flown control never costs less than V but for the end, where the local solution's V is
+        // within 0.5 %.
         let exact = manufactured_value(&s);
         assert!(cost > exact * (1.0 - 0.005), "{s:?}: {cost} {exact}");
     }
@@ -280,13 +328,22 @@ fn what_cannot_be_solved_is_refused() {
         let plan = planned(model);
         solve(model, &derive(model), &plan, options, Device::cpu()).err()
     };
-    assert!(matches!(refused(&game, &Options::default()), Some(DpError::Game)));
+    assert!(matches!(
+        refused(&game, &Options::default()),
+        Some(DpError::Game)
+    ));
     let wrong = Options {
         nodes: vec![11; 3],
         ..Options::default()
     };
     let error = refused(&scene("manufactured", &[]), &wrong);
-    assert!(matches!(error, Some(DpError::Counts { given: 3, states: 2 })));
+    assert!(matches!(
+        error,
+        Some(DpError::Counts {
+            given: 3,
+            states: 2
+        })
+    ));
 }
 
 /// Why two grids do not agree.
@@ -297,10 +354,12 @@ enum Difference {
     Value { node: usize, a: f64, b: f64 },
 }
 
-/// Both iterations stop where a round changes values by 1e-4, from different roundings: ten times that.
+/// Both iterations stop where a round changes values by 1e-4, from different roundings: ten times
+/// that.
 const AGREEMENT: f64 = 1e-3;
 
-/// At the nodes in the region: at the lattice's border few steps stay inside, and which of them is best hangs on rounding.
+/// At the nodes in the region: at the lattice's border few steps stay inside, and which of them is
+/// best hangs on rounding.
 fn compare(region: &[[f64; 2]], a: &GridValue, b: &GridValue) -> Result<usize, Difference> {
     if a.backend == b.backend {
         return Err(Difference::SameBackend);
@@ -309,11 +368,15 @@ fn compare(region: &[[f64; 2]], a: &GridValue, b: &GridValue) -> Result<usize, D
         return Err(Difference::Lattice);
     }
     let mut compared = 0;
-    let inside = |node: &usize| (a.grid.lattice.node(*node).iter().zip(region)).all(|(s, [lo, hi])| s >= lo && s <= hi);
+    let inside = |node: &usize| {
+        (a.grid.lattice.node(*node).iter().zip(region)).all(|(s, [lo, hi])| s >= lo && s <= hi)
+    };
     for node in (0..a.grid.values.len()).filter(inside) {
         let (x, y) = (&a.grid.values[node], &b.grid.values[node]);
         let (x_known, y_known) = (*x < a.reached_below, *y < b.reached_below);
-        if x_known != y_known || (x_known && ((x - y).is_nan() || (x - y).abs() > AGREEMENT * (x.abs() + 0.01))) {
+        if x_known != y_known
+            || (x_known && ((x - y).is_nan() || (x - y).abs() > AGREEMENT * (x.abs() + 0.01)))
+        {
             return Err(Difference::Value { node, a: *x, b: *y });
         }
         compared += usize::from(x_known);
@@ -321,7 +384,8 @@ fn compare(region: &[[f64; 2]], a: &GridValue, b: &GridValue) -> Result<usize, D
     Ok(compared)
 }
 
-/// The shader computes what the CPU does, in f32: an infinite horizon with a ring, one with bounds and a guard, and a finite one.
+/// The shader computes what the CPU does, in f32: an infinite horizon with a ring, one with bounds
+/// and a guard, and a finite one.
 #[test]
 fn both_devices_agree() {
     let gpu = any_gpu();
@@ -337,20 +401,25 @@ fn both_devices_agree() {
         let (plan, host) = solved(&model, &nodes(count));
         let (_, device) = solved_on(&model, &nodes(count), Device::of(&gpu));
         assert_eq!((host.backend, device.backend), ("cpu", "gpu"));
-        let compared = compare(&plan.region, &host, &device).unwrap_or_else(|e| panic!("{}: {e:?}", model.title));
+        let compared = compare(&plan.region, &host, &device)
+            .unwrap_or_else(|e| panic!("{}: {e:?}", model.title));
         assert!(compared > 100, "{compared} values compared");
         println!(
             "{}: {compared} values, cpu {:.2} s, gpu {:.2} s",
             model.title, host.seconds, device.seconds
         );
-        // The comparison is worth something: it notices one value that is off, and one side compared with itself.
+        // The comparison is worth something: it notices one value that is off, and one side
+        // compared with itself.
         let node = host.grid.lattice.nearest(&[0.5, -0.5]).expect("inside");
         let mut perturbed = device;
         perturbed.grid.values[node] *= 1.0 + 3.0 * AGREEMENT;
         assert!(
             matches!(compare(&plan.region, &host, &perturbed), Err(Difference::Value { node: n, .. }) if n == node)
         );
-        assert_eq!(compare(&plan.region, &host, &host), Err(Difference::SameBackend));
+        assert_eq!(
+            compare(&plan.region, &host, &host),
+            Err(Difference::SameBackend)
+        );
     }
 }
 
@@ -370,7 +439,13 @@ fn probe() {
     let (plan, value) = solved(&model, &options);
     println!(
         "nodes {:?} seconds {:.2} rounds {} changes {:?} ceiling {:.3e}",
-        value.grid.lattice.axes.iter().map(|a| a.count).collect::<Vec<_>>(),
+        value
+            .grid
+            .lattice
+            .axes
+            .iter()
+            .map(|a| a.count)
+            .collect::<Vec<_>>(),
         value.seconds,
         value.changes.len(),
         value
@@ -401,9 +476,15 @@ fn probe() {
     if let Some(points) = number("DP_AT") {
         for point in points.split(';') {
             let x: Vec<f64> = point.split(',').map(|x| x.parse().unwrap()).collect();
-            let s: Vec<f64> = x.iter().zip(&plan.system.reference).map(|(x, r)| x - r).collect();
+            let s: Vec<f64> = x
+                .iter()
+                .zip(&plan.system.reference)
+                .map(|(x, r)| x - r)
+                .collect();
             let begun = std::time::Instant::now();
-            let greedy = value.greedy(&s).map(|g| (g.0, g.1.segments(), g.1.horizon()));
+            let greedy = value
+                .greedy(&s)
+                .map(|g| (g.0, g.1.segments(), g.1.horizon()));
             println!(
                 "{x:?}: V {:?} greedy {greedy:?} in {:.3} s p {:?}",
                 value.value(&s),
@@ -418,7 +499,9 @@ fn probe() {
     for s in spread_over(&plan.region, 200) {
         let Some(v) = value.value(&s) else { continue };
         known += 1;
-        let Some((cost, _)) = value.greedy(&s) else { continue };
+        let Some((cost, _)) = value.greedy(&s) else {
+            continue;
+        };
         flown += 1;
         ratios.push(cost / v - 1.0);
     }

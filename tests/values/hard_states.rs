@@ -1,4 +1,5 @@
-//! V, p and u at states of the scenes in scenarios/hard: boundary value problems where shooting has its limits.
+//! V, p and u at states of the scenes in scenarios/hard: boundary value problems where shooting has
+//! its limits.
 
 use crate::common;
 use crate::common_values;
@@ -17,11 +18,19 @@ fn hard(name: &str) -> Model {
     scene(&format!("hard/{name}"), &[])
 }
 
-fn both(model: &Model, seeds: usize, mut look: impl FnMut(&Swept, &dyn Fn(&[f64]) -> Answers, &str)) {
-    for backend in [Box::new(Cpu::new()) as Box<dyn Backend>, Box::new(any_gpu())] {
+fn both(
+    model: &Model,
+    seeds: usize,
+    mut look: impl FnMut(&Swept, &dyn Fn(&[f64]) -> Answers, &str),
+) {
+    for backend in [
+        Box::new(Cpu::new()) as Box<dyn Backend>,
+        Box::new(any_gpu()),
+    ] {
         let swept = Swept::on(model.clone(), backend.as_ref(), seeds);
         let solve = |points: &[f64]| {
-            let mut solver = value::solver(&swept.plan, backend.as_ref()).expect("everything compiles");
+            let mut solver =
+                value::solver(&swept.plan, backend.as_ref()).expect("everything compiles");
             let request = Request {
                 points: points.to_vec(),
                 ..Request::default()
@@ -33,8 +42,12 @@ fn both(model: &Model, seeds: usize, mut look: impl FnMut(&Swept, &dyn Fn(&[f64]
 }
 
 fn solved<'a>(answers: &'a Answers, k: usize, what: &str) -> &'a Entry {
-    given(answers, k)
-        .unwrap_or_else(|| panic!("{what}: state {k} is {:?}", answers.status(answers.targets.of_given[k])))
+    given(answers, k).unwrap_or_else(|| {
+        panic!(
+            "{what}: state {k} is {:?}",
+            answers.status(answers.targets.of_given[k])
+        )
+    })
 }
 
 /// H at every solution, relative to the running cost at the state where that is not small.
@@ -51,9 +64,17 @@ fn hamiltonians(swept: &Swept, answers: &Answers, what: &str) {
     }
 }
 
-/// p = dV/dx by central differences: the states are `x` and, for each state, one on either side of it at `h` widths. Their
-/// error is of the second order; that with twice the distance has four times as much, which leaves the fourth.
-fn gradient(swept: &Swept, solve: &dyn Fn(&[f64]) -> Answers, x: &[f64], h: f64, bound: f64, what: &str) {
+/// p = dV/dx by central differences: the states are `x` and, for each state, one on either side of
+/// it at `h` widths. Their error is of the second order; that with twice the distance has four
+/// times as much, which leaves the fourth.
+fn gradient(
+    swept: &Swept,
+    solve: &dyn Fn(&[f64]) -> Answers,
+    x: &[f64],
+    h: f64,
+    bound: f64,
+    what: &str,
+) {
     let n = x.len();
     let mut points = x.to_vec();
     for i in 0..n {
@@ -83,7 +104,8 @@ fn gradient(swept: &Swept, solve: &dyn Fn(&[f64]) -> Answers, x: &[f64], h: f64,
     }
 }
 
-/// Bound of differences with h = 1e-3 widths: h^4 times fifth derivatives of order 1e3 in those units, and SOLVED/h.
+/// Bound of differences with h = 1e-3 widths: h^4 times fifth derivatives of order 1e3 in those
+/// units, and SOLVED/h.
 const GRADIENT: f64 = 2e-5;
 
 #[test]
@@ -110,7 +132,10 @@ fn rate_saturation() {
             "{what}: {} at the bound",
             at_bound as f64 * step
         );
-        assert!(block.x.iter().skip(2).step_by(4).all(|r| *r >= 0.0), "{what}: R < 0");
+        assert!(
+            block.x.iter().skip(2).step_by(4).all(|r| *r >= 0.0),
+            "{what}: R < 0"
+        );
     });
     let swept = Swept::new(model, 1500);
     gradient(
@@ -168,7 +193,8 @@ fn stall_at_zero() {
                 a.value,
                 b.value
             );
-            // Newton's corrections leave roundings of p and the other states there, far below any R of interest.
+            // Newton's corrections leave roundings of p and the other states there, far below any R
+            // of interest.
             let farthest = largest(a.path.nodes.chunks(8).map(|z| z[2]));
             assert!(farthest <= 1e-20, "{what}: R leaves 0 by {farthest:e}");
             assert!(b.path.nodes.chunks(8).all(|z| z[2] >= 0.0), "{what}: R < 0");
@@ -188,7 +214,10 @@ fn upright_saddle() {
     let answers = swept.points(&points);
     hamiltonians(&swept, &answers, "upright");
     for (k, d) in offsets.iter().enumerate() {
-        let (a, b) = (solved(&answers, 2 * k, "below"), solved(&answers, 2 * k + 1, "above"));
+        let (a, b) = (
+            solved(&answers, 2 * k, "below"),
+            solved(&answers, 2 * k + 1, "above"),
+        );
         assert!(
             (a.value - b.value).abs() <= SOLVED * a.value,
             "V({d}): {} {}",
@@ -233,7 +262,12 @@ fn upright_saddle() {
     let on_gpu = swept.solve_with(&mut solver, &request);
     let (a, b) = (solved(&answers, 2, "cpu"), solved(&on_gpu, 0, "gpu"));
     // One sheet: it may be the other one, which costs the same to the distance from pi.
-    assert!((a.value - b.value).abs() <= 1e-5 * a.value, "{} {}", a.value, b.value);
+    assert!(
+        (a.value - b.value).abs() <= 1e-5 * a.value,
+        "{} {}",
+        a.value,
+        b.value
+    );
 }
 
 #[test]
@@ -247,26 +281,45 @@ fn along_the_equal_cost_boundary() {
     hamiltonians(&swept, &grid, "equal cost");
     for target in 0..grid.targets.len() {
         let here = grid.of(target);
-        assert!(here.len() >= 2, "both ways round from {:?}", grid.targets.state(target));
+        assert!(
+            here.len() >= 2,
+            "both ways round from {:?}",
+            grid.targets.state(target)
+        );
         assert!(here[0].value <= here[1].value);
     }
-    assert!(grid.equal_cost.len() >= 5, "{} points", grid.equal_cost.len());
+    assert!(
+        grid.equal_cost.len() >= 5,
+        "{} points",
+        grid.equal_cost.len()
+    );
     // States exactly on the boundary: both sheets, equal V, and a jump of u.
-    let points: Vec<f64> = grid.equal_cost.iter().flat_map(|e| e.point.x.clone()).collect();
+    let points: Vec<f64> = grid
+        .equal_cost
+        .iter()
+        .flat_map(|e| e.point.x.clone())
+        .collect();
     let more: Vec<f64> = (0..grid.targets.len())
         .flat_map(|t| grid.targets.state(t).to_vec())
         .collect();
     let on = swept.points(&[points, more].concat());
     for k in 0..grid.equal_cost.len() {
         let here = on.of(on.targets.of_given[k]);
-        assert!(here.len() >= 2, "both sheets at {:?}", grid.equal_cost[k].point.x);
+        assert!(
+            here.len() >= 2,
+            "both sheets at {:?}",
+            grid.equal_cost[k].point.x
+        );
         assert!(
             (here[0].value - here[1].value).abs() <= SOLVED * here[0].value,
             "{} {}",
             here[0].value,
             here[1].value
         );
-        assert!((here[0].u[0] - here[1].u[0]).abs() > 10.0, "the torque jumps");
+        assert!(
+            (here[0].u[0] - here[1].u[0]).abs() > 10.0,
+            "the torque jumps"
+        );
     }
 }
 
@@ -275,7 +328,11 @@ fn control_cheap_and_dear_and_a_chain() {
     // cheap: rates -1 and -1000
     let model = hard("cheap_control");
     let root = common_values_parameter(&model, "r").sqrt();
-    let p = [(1.0 + 2.0 * root).sqrt(), root, root * (1.0 + 2.0 * root).sqrt()];
+    let p = [
+        (1.0 + 2.0 * root).sqrt(),
+        root,
+        root * (1.0 + 2.0 * root).sqrt(),
+    ];
     exact(&model, &[1.0, 0.0, -1.0, 20.0, 0.5, -40.0], 300, p, true);
     let model = hard("dear_control");
     let r = common_values_parameter(&model, "r");
@@ -308,7 +365,11 @@ fn exact(model: &Model, points: &[f64], seeds: usize, [a, b, c]: [f64; 3], stiff
             let e = solved(&answers, k, &what);
             let p = [a * x[0] + b * x[1], b * x[0] + c * x[1]];
             let v = 0.5 * (p[0] * x[0] + p[1] * x[1]);
-            assert!((e.value - v).abs() <= SOLVED * v, "{what}: V = {}, not {v}", e.value);
+            assert!(
+                (e.value - v).abs() <= SOLVED * v,
+                "{what}: V = {}, not {v}",
+                e.value
+            );
             let size = largest([0, 1].map(|i| p[i] * swept.plan.widths[i]));
             for i in 0..2 {
                 assert!(
@@ -318,7 +379,11 @@ fn exact(model: &Model, points: &[f64], seeds: usize, [a, b, c]: [f64; 3], stiff
                 );
             }
         }
-        let found = stiffness::segments(&swept.plan, answers.entries.iter().map(|e| e.path.segments()), 0);
+        let found = stiffness::segments(
+            &swept.plan,
+            answers.entries.iter().map(|e| e.path.segments()),
+            0,
+        );
         assert_eq!(found.is_some(), stiff, "{what}: {found:?}");
     });
 }
@@ -330,13 +395,27 @@ fn a_chain_is_solved_and_called_stiff() {
         let answers = solve(&[0.5, 0.0, 0.0, 0.0, 0.0, 1.0]);
         let e = solved(&answers, 0, what);
         let x = [0.5, 0.0, 0.0, 0.0, 0.0, 1.0];
-        let p = &swept.plan.local.as_ref().expect("an infinite horizon").riccati.p;
+        let p = &swept
+            .plan
+            .local
+            .as_ref()
+            .expect("an infinite horizon")
+            .riccati
+            .p;
         // P itself is checked against Kleinman's iteration in tests/hard.rs.
         let v: f64 = (0..6)
             .map(|i| (0..6).map(|j| 0.5 * x[i] * p[(i, j)] * x[j]).sum::<f64>())
             .sum();
-        assert!((e.value - v).abs() <= SOLVED * v, "{what}: {} not {v}", e.value);
-        let found = stiffness::segments(&swept.plan, answers.entries.iter().map(|e| e.path.segments()), 0);
+        assert!(
+            (e.value - v).abs() <= SOLVED * v,
+            "{what}: {} not {v}",
+            e.value
+        );
+        let found = stiffness::segments(
+            &swept.plan,
+            answers.entries.iter().map(|e| e.path.segments()),
+            0,
+        );
         assert!(found.is_some(), "{what}");
     });
 }
@@ -354,9 +433,14 @@ fn states_of_different_size() {
         let answers = solve(&points);
         hamiltonians(swept, &answers, what);
         for (k, [x, y]) in units.iter().enumerate() {
-            let v = 0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
+            let v =
+                0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
             let e = solved(&answers, k, what);
-            assert!((e.value - v).abs() <= SOLVED * v, "{what}: {} not {v}", e.value);
+            assert!(
+                (e.value - v).abs() <= SOLVED * v,
+                "{what}: {} not {v}",
+                e.value
+            );
             let p = [
                 x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
                 0.5 * x + 2.0 * y + 0.5 * x * x * y,

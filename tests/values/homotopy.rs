@@ -1,14 +1,16 @@
-//! V, p and u at chosen states against answers known otherwise: exact ones, an independent solver's, the invariants.
+//! V, p and u at chosen states against answers known otherwise: exact ones, an independent
+//! solver's, the invariants.
 //!
-//! Bounds: answers are asked to 1e-9 relative to the trajectory (segments to a tenth of it, Newton's last correction),
-//! so V and p to 1e-8.
+//! Bounds: answers are asked to 1e-9 relative to the trajectory (segments to a tenth of it,
+//! Newton's last correction), so V and p to 1e-8.
 
 use crate::common_values;
 
 use common_values::{Swept, given, largest, parse, scene, spaced};
 use costate::value::PointStatus;
 
-/// Ten times the tolerance of the answers: it is relative to a trajectory's largest component, not to each one.
+/// Ten times the tolerance of the answers: it is relative to a trajectory's largest component, not
+/// to each one.
 const PROMISED: f64 = 1e-8;
 
 fn manufactured(x: f64, y: f64) -> (f64, [f64; 2]) {
@@ -23,7 +25,8 @@ fn manufactured(x: f64, y: f64) -> (f64, [f64; 2]) {
 #[test]
 fn manufactured_value_at_every_target() {
     let swept = Swept::new(scene("manufactured", &[]), 2000);
-    // Targets as far as the border of the region, where V is beyond the sweep; some very near the equilibrium.
+    // Targets as far as the border of the region, where V is beyond the sweep; some very near the
+    // equilibrium.
     let mut axis = spaced(-1.0, 1.0, 9);
     axis.extend([-1e-3, -1e-6, 1e-9, 1e-4]);
     axis.sort_by(f64::total_cmp);
@@ -40,7 +43,11 @@ fn manufactured_value_at_every_target() {
             entry.value
         );
         let error = largest((0..2).map(|i| entry.p[i] - p[i]));
-        assert!(error <= PROMISED * largest(p), "p at {x:?}: {:?} not {p:?}", entry.p);
+        assert!(
+            error <= PROMISED * largest(p),
+            "p at {x:?}: {:?} not {p:?}",
+            entry.p
+        );
         assert!(
             (entry.u[0] + p[1] / 0.5).abs() <= 2.0 * PROMISED * largest(p),
             "u at {x:?}"
@@ -48,7 +55,8 @@ fn manufactured_value_at_every_target() {
     }
 }
 
-/// Eight states: a chain of four masses, with P from the Riccati equation, which tests/local.rs checks on its own.
+/// Eight states: a chain of four masses, with P from the Riccati equation, which tests/local.rs
+/// checks on its own.
 #[test]
 fn eight_states() {
     let mut text = String::from("title = \"chain\"\n[states]\n");
@@ -57,10 +65,23 @@ fn eight_states() {
     }
     text += "[controls]\nu0 = {}\nu3 = {}\n[dynamics]\n";
     for i in 0..4i32 {
-        let left = if i > 0 { format!("x{}", i - 1) } else { "0".into() };
-        let right = if i < 3 { format!("x{}", i + 1) } else { "0".into() };
-        let force = if i % 3 == 0 { format!(" + u{i}") } else { String::new() };
-        text += &format!("x{i} = \"v{i}\"\nv{i} = \"{left} - 2*x{i} + {right} - 0.1*v{i}{force}\"\n");
+        let left = if i > 0 {
+            format!("x{}", i - 1)
+        } else {
+            "0".into()
+        };
+        let right = if i < 3 {
+            format!("x{}", i + 1)
+        } else {
+            "0".into()
+        };
+        let force = if i % 3 == 0 {
+            format!(" + u{i}")
+        } else {
+            String::new()
+        };
+        text +=
+            &format!("x{i} = \"v{i}\"\nv{i} = \"{left} - 2*x{i} + {right} - 0.1*v{i}{force}\"\n");
     }
     let squares: Vec<String> = (0..4).map(|i| format!("x{i}^2 + v{i}^2")).collect();
     text += &format!(
@@ -75,17 +96,32 @@ fn eight_states() {
         text += &format!("x{i} = [-1, 1]\nv{i} = [-1, 1]\n");
     }
     let swept = Swept::new(parse(&text), 300);
-    let p = &swept.plan.local.as_ref().expect("infinite horizon").riccati.p;
-    let points: Vec<f64> = (0..12 * 8).map(|k| ((k * k + 3 * k) as f64 * 0.271).sin()).collect();
+    let p = &swept
+        .plan
+        .local
+        .as_ref()
+        .expect("infinite horizon")
+        .riccati
+        .p;
+    let points: Vec<f64> = (0..12 * 8)
+        .map(|k| ((k * k + 3 * k) as f64 * 0.271).sin())
+        .collect();
     let answers = swept.points(&points);
     for (k, x) in points.chunks(8).enumerate() {
         let x = nalgebra::DVector::from_column_slice(x);
         let exact = p * &x;
         let entry = given(&answers, k).expect("solved");
         let v = 0.5 * exact.dot(&x);
-        assert!((entry.value - v).abs() <= PROMISED * v, "V: {} not {v}", entry.value);
+        assert!(
+            (entry.value - v).abs() <= PROMISED * v,
+            "V: {} not {v}",
+            entry.value
+        );
         let error = largest((0..8).map(|i| entry.p[i] - exact[i]));
-        assert!(error <= PROMISED * exact.amax(), "p at point {k}: off by {error:e}");
+        assert!(
+            error <= PROMISED * exact.amax(),
+            "p at point {k}: off by {error:e}"
+        );
     }
 }
 
@@ -102,9 +138,16 @@ fn finite_horizon() {
             .expect("a parameter")
             .value
     };
-    assert_eq!((of("T"), of("s")), (tau, s), "the formula below is for these");
+    assert_eq!(
+        (of("T"), of("s")),
+        (tau, s),
+        "the formula below is for these"
+    );
     let region = swept.model.region.clone();
-    let axes = region.iter().map(|[lo, hi]| spaced(0.5 * lo, 0.5 * hi, 5)).collect();
+    let axes = region
+        .iter()
+        .map(|[lo, hi]| spaced(0.5 * lo, 0.5 * hi, 5))
+        .collect();
     let answers = swept.grid(axes);
     for target in 0..answers.targets.len() {
         let x = answers.targets.state(target);
@@ -128,12 +171,17 @@ fn finite_horizon() {
     }
 }
 
-/// V of 24 states of the compressor by collocation (scipy.solve_bvp); its own accuracy is 1e-4 or 1e-6.
+/// V of 24 states of the compressor by collocation (scipy.solve_bvp); its own accuracy is 1e-4 or
+/// 1e-6.
 #[test]
 fn compressor_agrees_with_an_independent_solver() {
     let text = include_str!("../data/mg_h2_points.csv");
     let rows: Vec<Vec<f64>> = (text.lines().skip(1))
-        .map(|line| line.split(',').map(|x| x.parse().expect("a number")).collect())
+        .map(|line| {
+            line.split(',')
+                .map(|x| x.parse().expect("a number"))
+                .collect()
+        })
         .collect();
     assert_eq!(rows.len(), 24);
     let swept = Swept::new(scene("moore_greitzer", &[]), 1024);
@@ -169,7 +217,8 @@ fn compressor_trajectory() {
     let answers = swept.solve_with(&mut solver, &request);
     let entry = given(&answers, 0).expect("solved");
     assert!((entry.value - 0.0533).abs() < 5e-5, "V = {}", entry.value);
-    let block = costate::value::sampled(&swept.plan, &mut solver, &[entry], 2000).expect("the CPU works");
+    let block =
+        costate::value::sampled(&swept.plan, &mut solver, &[entry], 2000).expect("the CPU works");
     let along = |k: usize| block.x.iter().skip(k).step_by(4).copied();
     let lowest = along(1).fold(f64::INFINITY, f64::min);
     let highest = along(3).fold(f64::NEG_INFINITY, f64::max);
@@ -179,9 +228,14 @@ fn compressor_trajectory() {
     // Known to three decimals.
     assert!((0.0715..0.0755).contains(&rate), "highest |gamma'| {rate}");
     // The trajectory is one: it ends at the equilibrium, V falls to nothing, H stays 0.
-    assert!(largest((0..4).map(|k| block.x[block.x.len() - 4 + k] - swept.model.reference()[k])) < 1e-2);
+    assert!(
+        largest((0..4).map(|k| block.x[block.x.len() - 4 + k] - swept.model.reference()[k])) < 1e-2
+    );
     assert!(block.v[0] == entry.value && block.v[1999] < 1e-3 * entry.value);
-    assert!(block.v.windows(2).all(|w| w[1] < w[0]), "V falls along the trajectory");
+    assert!(
+        block.v.windows(2).all(|w| w[1] < w[0]),
+        "V falls along the trajectory"
+    );
     assert!(largest(block.h.iter().copied()) < 1e-8);
 }
 
@@ -204,11 +258,14 @@ fn adjoints_are_differences_of_v() {
             }
         }
         let answers = swept.points(&points);
-        let at = |k: usize| given(&answers, k).unwrap_or_else(|| panic!("{name}: point {k} is not solved"));
+        let at = |k: usize| {
+            given(&answers, k).unwrap_or_else(|| panic!("{name}: point {k} is not solved"))
+        };
         for i in 0..n {
             let difference = (at(2 + 2 * i).value - at(1 + 2 * i).value) / (2.0 * step[i]);
             let scale = largest((0..n).map(|j| at(0).p[j] * step[j])) / step[i];
-            // Central differences over a thousandth of the region: a relative error of some 1e-6 V'''/V'.
+            // Central differences over a thousandth of the region: a relative error of some 1e-6
+            // V'''/V'.
             assert!(
                 (difference - at(0).p[i]).abs() <= 1e-4 * scale,
                 "{name}: dV/dx{i} {difference} not {}",
@@ -216,10 +273,11 @@ fn adjoints_are_differences_of_v() {
             );
         }
         let entry = at(0);
-        let cost = swept
-            .plan
-            .system
-            .eval(&[swept.plan.system.rate[2 * n]], entry.path.start(), &entry.p)[0];
+        let cost = swept.plan.system.eval(
+            &[swept.plan.system.rate[2 * n]],
+            entry.path.start(),
+            &entry.p,
+        )[0];
         assert!(
             entry.hamiltonian.abs() <= PROMISED * cost,
             "{name}: H = {:e}, L = {cost}",
@@ -245,7 +303,11 @@ fn order_and_duplicates_do_not_matter() {
         let original = if k < 40 { 39 - k } else { [36, 22][k - 40] };
         let (a, b) = (given(&first, original), given(&second, k));
         let (a, b) = (a.expect("solved"), b.expect("solved"));
-        assert_eq!((a.value.to_bits(), a.sheet), (b.value.to_bits(), b.sheet), "{x:?}");
+        assert_eq!(
+            (a.value.to_bits(), a.sheet),
+            (b.value.to_bits(), b.sheet),
+            "{x:?}"
+        );
         let bits = |p: &[f64]| p.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
         assert_eq!(bits(&a.p), bits(&b.p));
     }
@@ -275,7 +337,9 @@ fn unreachable_targets_say_how_far_it_went() {
     for k in [1, 2] {
         assert!(given(&answers, k).is_none(), "outside the reachable set");
         assert_ne!(status(k), PointStatus::Converged);
-        let miss = answers.misses[answers.targets.of_given[k]].as_ref().expect("a reason");
+        let miss = answers.misses[answers.targets.of_given[k]]
+            .as_ref()
+            .expect("a reason");
         let furthest = miss.furthest.as_ref().expect("it went some way");
         assert!(
             furthest[0].abs() < 1.0 && furthest[0].abs() > 0.9,
@@ -308,21 +372,33 @@ fn compressor_at_its_limits() {
     ];
     let answers = swept.points(&points);
     let at = |k: usize| {
-        given(&answers, k).unwrap_or_else(|| panic!("point {k}: {:?}", answers.status(answers.targets.of_given[k])))
+        given(&answers, k).unwrap_or_else(|| {
+            panic!(
+                "point {k}: {:?}",
+                answers.status(answers.targets.of_given[k])
+            )
+        })
     };
     // V is differentiable in R up to R = 0: p_R tells the difference.
     for (k, r) in [(1, 1e-12), (2, 1e-6)] {
         let expected = at(0).value + at(0).p[2] * r;
-        assert!((at(k).value - expected).abs() <= 1e-8 * at(0).value, "R = {r:e}");
+        assert!(
+            (at(k).value - expected).abs() <= 1e-8 * at(0).value,
+            "R = {r:e}"
+        );
     }
     assert!(at(3).u[0].abs() == 0.1, "saturated: {}", at(3).u[0]);
     assert!(at(4).value > at(0).value);
     for k in [5, 6] {
-        assert_eq!(answers.status(answers.targets.of_given[k]), PointStatus::OutsideGuard);
+        assert_eq!(
+            answers.status(answers.targets.of_given[k]),
+            PointStatus::OutsideGuard
+        );
     }
 }
 
-/// Forward integration from the right costate loses a digit each time the unstable modes grow tenfold; nodes hold them.
+/// Forward integration from the right costate loses a digit each time the unstable modes grow
+/// tenfold; nodes hold them.
 #[test]
 fn single_shooting_fails_where_multiple_shooting_holds() {
     use costate::shooting::{Goal, Job, Path};
@@ -331,11 +407,20 @@ fn single_shooting_fails_where_multiple_shooting_holds() {
     let target = [1.0 + 1.5, 0.0];
     let answers = swept.points(&[1.0, 0.0]);
     let entry = given(&answers, 0).expect("solved");
-    let closed_loop = &swept.plan.local.as_ref().expect("infinite horizon").riccati.eigenvalues;
+    let closed_loop = &swept
+        .plan
+        .local
+        .as_ref()
+        .expect("infinite horizon")
+        .riccati
+        .eigenvalues;
     let rate = closed_loop.iter().map(|e| e.norm()).fold(0.0, f64::max);
-    println!("horizon  forward error  bound 1e-10 exp(rate T)  multiple shooting's last correction, V's change");
+    println!(
+        "horizon  forward error  bound 1e-10 exp(rate T)  multiple shooting's last correction, V's change"
+    );
     for horizon in [5.0, 10.0, 20.0, 40.0, 80.0] {
-        // One segment: the state it ends in should be the equilibrium, but for what is left after this time.
+        // One segment: the state it ends in should be the equilibrium, but for what is left after
+        // this time.
         let mut single = Path::new(entry.path.node(0));
         single.push(horizon, entry.path.last());
         let (end, _) = solver.ends(&single).expect("the CPU works");
@@ -356,7 +441,10 @@ fn single_shooting_fails_where_multiple_shooting_holds() {
             1e-10 * (rate * horizon).exp(),
             solved.residual
         );
-        assert!(solved.residual <= 1e-9 && change <= PROMISED, "T = {horizon}");
+        assert!(
+            solved.residual <= 1e-9 && change <= PROMISED,
+            "T = {horizon}"
+        );
         if horizon <= 5.0 {
             assert!(error < 0.1, "still near at T = {horizon}: {error:e}");
         }
@@ -374,7 +462,9 @@ fn single_shooting_fails_where_multiple_shooting_holds() {
 fn gpu_drafts_end_as_f64_answers() {
     use costate::backend::gpu::{Gpu, Selection};
     use costate::model::Precision;
-    let gpu = Gpu::open(&Selection::Any).expect("an adapter").expect("an adapter");
+    let gpu = Gpu::open(&Selection::Any)
+        .expect("an adapter")
+        .expect("an adapter");
     for (name, axes) in [
         ("pendulum", vec![spaced(-3.0, 1.5, 4), spaced(-4.0, 5.0, 4)]),
         (
@@ -438,11 +528,13 @@ fn compressor_variants() {
         assert_eq!(answers.solved(), 8, "{set:?}");
         assert_eq!(answers.sheets, 1, "{set:?}");
         for entry in &answers.entries {
-            let cost = swept
-                .plan
-                .system
-                .eval(&[swept.plan.system.rate[8]], entry.path.start(), &entry.p)[0];
-            // Ten times the tolerance, as a share of the terms of H, which cancel: L is one of them.
+            let cost =
+                swept
+                    .plan
+                    .system
+                    .eval(&[swept.plan.system.rate[8]], entry.path.start(), &entry.p)[0];
+            // Ten times the tolerance, as a share of the terms of H, which cancel: L is one of
+            // them.
             assert!(
                 entry.hamiltonian.abs() <= 1e-7 * cost,
                 "{set:?}: H = {:e}, L = {cost:e}",
@@ -466,7 +558,9 @@ const OSCILLATOR: &str = r#"
 #[test]
 fn a_guard_is_kept_between_nodes() {
     let swept = Swept::new(
-        parse(&format!("{OSCILLATOR}\nguards = {{ wall = \"v > -0.3\" }}\n")),
+        parse(&format!(
+            "{OSCILLATOR}\nguards = {{ wall = \"v > -0.3\" }}\n"
+        )),
         400,
     );
     let answers = swept.points(&[1.0, 0.0, 0.2, 0.0]);
@@ -481,7 +575,13 @@ fn a_guard_is_kept_between_nodes() {
 #[test]
 fn a_single_target_far_away_is_reached() {
     let swept = Swept::new(parse(OSCILLATOR), 400);
-    let p = &swept.plan.local.as_ref().expect("infinite horizon").riccati.p;
+    let p = &swept
+        .plan
+        .local
+        .as_ref()
+        .expect("infinite horizon")
+        .riccati
+        .p;
     for scale in [3.0, 40.0] {
         let x = nalgebra::DVector::from_vec(vec![scale, -0.7 * scale]);
         let answers = swept.points(x.as_slice());

@@ -1,11 +1,14 @@
-//! Converged means the least: V against another program's answers, alone and in company, and what is said of its support.
+//! Converged means the least: V against another program's answers, alone and in company, and what
+//! is said of its support.
 //!
-//! The references (`tests/data/least/README.md`) agree with their own flown cost to 5e-11; where one sheet is taken for
-//! another V differs by 1e-3 or more. Company must not matter at all: two solutions of one problem differ by Newton's
-//! tolerance, 1e-9 of the trajectory, whose effect on V is of second order.
+//! The references (`tests/data/least/README.md`) agree with their own flown cost to 5e-11; where
+//! one sheet is taken for another V differs by 1e-3 or more. Company must not matter at all: two
+//! solutions of one problem differ by Newton's tolerance, 1e-9 of the trajectory, whose effect on V
+//! is of second order.
 //!
-//! So that all of this runs in a minute, slow scenes are asked at some of their states only: `COSTATE_LEAST=all` asks them
-//! all, and `COSTATE_LEAST_STATES=200` compares so many random states of each scene alone and in company instead of 12.
+//! So that all of this runs in a minute, slow scenes are asked at some of their states only:
+//! `COSTATE_LEAST=all` asks them all, and `COSTATE_LEAST_STATES=200` compares so many random states
+//! of each scene alone and in company instead of 12.
 
 use crate::common_oracles;
 use crate::common_values;
@@ -16,7 +19,9 @@ use costate::backend::cpu::Cpu;
 use costate::hamiltonian::Hamiltonian;
 use costate::model::Model;
 use costate::sweep::{Choices, Plan};
-use costate::value::{self, Answers, Archive, Entry, Evidence, Grid, PointStatus, Request, solve_states};
+use costate::value::{
+    self, Answers, Archive, Entry, Evidence, Grid, PointStatus, Request, solve_states,
+};
 use std::path::PathBuf;
 
 /// Of V, against another program's.
@@ -29,7 +34,9 @@ const COMPANY: f64 = 1e-9;
 const EXACT: f64 = 1e-9;
 
 fn data(name: &str) -> PathBuf {
-    PathBuf::from(crate::ROOT).join("tests/data/least").join(name)
+    PathBuf::from(crate::ROOT)
+        .join("tests/data/least")
+        .join(name)
 }
 
 fn text(name: &str) -> String {
@@ -37,22 +44,37 @@ fn text(name: &str) -> String {
 }
 
 fn tried(name: &str, set: &[(&str, &str)]) -> Model {
-    let set: Vec<_> = set.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
-    costate::scenario::load(&data(name).with_extension("toml"), &set).unwrap_or_else(|e| panic!("{e}"))
+    let set: Vec<_> = set
+        .iter()
+        .map(|(n, v)| ((*n).to_owned(), (*v).to_owned()))
+        .collect();
+    costate::scenario::load(&data(name).with_extension("toml"), &set)
+        .unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// The rows of a table without its header.
 fn table(name: &str) -> Vec<Vec<f64>> {
-    let mut reader = csv::Reader::from_path(data(name).with_extension("csv")).expect("the table is there");
-    let rows = reader.records().map(|row| row.expect("as many cells as names"));
+    let mut reader =
+        csv::Reader::from_path(data(name).with_extension("csv")).expect("the table is there");
+    let rows = reader
+        .records()
+        .map(|row| row.expect("as many cells as names"));
     rows.map(|row| row.iter().map(|c| c.parse().expect("a number")).collect())
         .collect()
 }
 
-/// All solutions at states, as `costate solve` finds them; those of one state are on different sheets or windings.
+/// All solutions at states, as `costate solve` finds them; those of one state are on different
+/// sheets or windings.
 fn solved(model: &Model, states: &[f64]) -> Answers {
     let choices = Choices::default();
-    let found = solve_states(model, &derive(model), &Cpu::new(), choices, states, &mut |_, _, _| {});
+    let found = solve_states(
+        model,
+        &derive(model),
+        &Cpu::new(),
+        choices,
+        states,
+        &mut |_, _, _| {},
+    );
     let (_, _, answers) = found.unwrap_or_else(|e| panic!("{}: {e}", model.title));
     assert_labels(&answers);
     answers
@@ -87,10 +109,15 @@ fn assert_value(answers: &Answers, k: usize, value: f64, tolerance: f64) {
     let x = answers.targets.state(target);
     let entry = given(answers, k).unwrap_or_else(|| panic!("{x:?}: {:?}", answers.status(target)));
     let error = (entry.value - value).abs() / value.abs();
-    assert!(error <= tolerance, "V{x:?} = {}, not {value}: {error:.1e}", entry.value);
+    assert!(
+        error <= tolerance,
+        "V{x:?} = {}, not {value}: {error:.1e}",
+        entry.value
+    );
     assert_eq!(answers.status(target), PointStatus::Converged, "{x:?}");
     assert_eq!(answers.support[target].bound, None, "{x:?} is undercut");
-    // A control simulated along the answer attains it: no optimum is below, and none is claimed that cannot be flown.
+    // A control simulated along the answer attains it: no optimum is below, and none is claimed
+    // that cannot be flown.
     assert_ne!(
         answers.support[target].flown.is_some(),
         answers.targets.gridded[target],
@@ -113,7 +140,10 @@ fn referenced(name: &str, some: &[usize]) -> Answers {
     let n = model.states.len();
     let kept = |k: &usize| all || some.is_empty() || some.contains(k);
     let rows: Vec<&Vec<f64>> = (0..rows.len()).filter(kept).map(|k| &rows[k]).collect();
-    let states: Vec<f64> = rows.iter().flat_map(|row| row[..n].iter().copied()).collect();
+    let states: Vec<f64> = rows
+        .iter()
+        .flat_map(|row| row[..n].iter().copied())
+        .collect();
     let answers = solved(&model, &states);
     for (k, row) in rows.iter().enumerate() {
         assert_value(&answers, k, row[n], REFERENCE);
@@ -127,7 +157,10 @@ fn assert_evidence(answers: &Answers, evidence: Evidence) {
         let x = answers.targets.state(target);
         let (support, found) = (&answers.support[target], answers.evidence(target));
         assert_eq!(found, evidence, "{x:?}: {support:?}");
-        assert!(support.flights > 0 && support.starts > 0, "{x:?}: {support:?}");
+        assert!(
+            support.flights > 0 && support.starts > 0,
+            "{x:?}: {support:?}"
+        );
     }
 }
 
@@ -147,15 +180,16 @@ fn swing_up_from_rest() {
     referenced("swing_heavy", &[0, 1, 5]);
 }
 
-/// From hanging rest every cell is cut where too many lie over it; what shows the least is a flight along the first answer, which
-/// parts from it.
+/// From hanging rest every cell is cut where too many lie over it; what shows the least is a flight
+/// along the first answer, which parts from it.
 #[test]
 fn swing_up_with_a_bounded_torque() {
     referenced("swing_bounded", &[0, 1, 4]);
 }
 
-/// States at which cells miss the least: where trajectories part fast backward in time, and where too many cells lie over the
-/// state. Alone, each is solved from a grid's greedy path, and nothing is said to be shown.
+/// States at which cells miss the least: where trajectories part fast backward in time, and where
+/// too many cells lie over the state. Alone, each is solved from a grid's greedy path, and nothing
+/// is said to be shown.
 #[test]
 fn least_only_by_a_second_opinion() {
     for name in ["fh_wide", "fh_long", "swing_outward"] {
@@ -163,8 +197,8 @@ fn least_only_by_a_second_opinion() {
     }
 }
 
-/// Long horizons stretch terminal states by 1 + T phi''. V by Hopf and Lax: the terminal cost at z with the straight way there,
-/// minimized over a dense row of z; along y in closed form.
+/// Long horizons stretch terminal states by 1 + T phi''. V by Hopf and Lax: the terminal cost at z
+/// with the straight way there, minimized over a dense row of z; along y in closed form.
 #[test]
 fn two_wells_after_a_long_time() {
     const T: f64 = 20.0;
@@ -178,7 +212,8 @@ fn two_wells_after_a_long_time() {
     assert_evidence(&found, Evidence::NotUndercut);
 }
 
-/// The terminal cost has wells below zero; V is the least of `terminal(z) + (x - z)^2 / (2 T)` (Hopf and Lax).
+/// The terminal cost has wells below zero; V is the least of `terminal(z) + (x - z)^2 / (2 T)`
+/// (Hopf and Lax).
 #[test]
 fn wells_below_zero() {
     const ROW: i32 = 400_000;
@@ -190,10 +225,13 @@ fn wells_below_zero() {
         )
     };
     for time in [0.7, 8.0, 20.0] {
-        let xs: Vec<f64> = (0..20).map(|k| -3.0 + 0.3 * f64::from(k) + 0.027890147948083).collect();
+        let xs: Vec<f64> = (0..20)
+            .map(|k| -3.0 + 0.3 * f64::from(k) + 0.027890147948083)
+            .collect();
         let found = solved(&parse(&text(time)), &xs);
         for (k, x) in xs.iter().enumerate() {
-            let cost = |z: f64| 5.0 * (5.0 * z).sin() + 0.1 * z * z + (x - z).powi(2) / (2.0 * time);
+            let cost =
+                |z: f64| 5.0 * (5.0 * z).sin() + 0.1 * z * z + (x - z).powi(2) / (2.0 * time);
             let mut z = (0..=ROW).map(|k| -12.0 + 24.0 * f64::from(k) / f64::from(ROW));
             let mut least = z.next().unwrap();
             for other in z {
@@ -201,14 +239,17 @@ fn wells_below_zero() {
                     least = other;
                 }
             }
-            // Wells as steep as these cost a simulated control up to some 1e-6 more; that it costs no less is what counts.
+            // Wells as steep as these cost a simulated control up to some 1e-6 more; that it costs
+            // no less is what counts.
             let entry = given(&found, k).unwrap_or_else(|| panic!("T = {time}, x = {x}"));
             assert!(
                 differ(entry.value, cost(least)) <= REFERENCE,
                 "V({x}) = {}, T = {time}",
                 entry.value
             );
-            let flown = found.support[found.targets.of_given[k]].flown.expect("flown");
+            let flown = found.support[found.targets.of_given[k]]
+                .flown
+                .expect("flown");
             assert!(
                 flown >= entry.value - FLOWN * entry.value.abs(),
                 "V({x}) = {}, flown for {flown}",
@@ -238,11 +279,14 @@ fn three_states() {
 /// In four states there are no cells: nothing is shown by coverage, and that is said.
 #[test]
 fn four_states() {
-    assert_evidence(&referenced("cartpole", &[0, 3, 5, 9, 12, 20]), Evidence::NotUndercut);
+    assert_evidence(
+        &referenced("cartpole", &[0, 3, 5, 9, 12, 20]),
+        Evidence::NotUndercut,
+    );
 }
 
-/// Marching alone leads to one way round an obstacle: V = 3.316, 2.643 and 1.962. The cheaper ways are found along flights. Each
-/// state by itself: company does not help.
+/// Marching alone leads to one way round an obstacle: V = 3.316, 2.643 and 1.962. The cheaper ways
+/// are found along flights. Each state by itself: company does not help.
 #[test]
 fn around_an_obstacle_alone() {
     let model = tried("obstacle", &[]);
@@ -251,8 +295,9 @@ fn around_an_obstacle_alone() {
     }
 }
 
-/// Bounded controls that hardly hold a falling plant. Of the arm the states were not solved alone, or given V = 36.55, 390 and
-/// 356; of the two links they were given V = 23.66 and 12.03, or not solved. All together, and the first ones alone.
+/// Bounded controls that hardly hold a falling plant. Of the arm the states were not solved alone,
+/// or given V = 36.55, 390 and 356; of the two links they were given V = 23.66 and 12.03, or not
+/// solved. All together, and the first ones alone.
 #[test]
 fn falling_plants_alone() {
     for name in ["flexible", "two_links"] {
@@ -260,7 +305,10 @@ fn falling_plants_alone() {
         let rows = table(name);
         let together = solved(
             &model,
-            &rows.iter().flat_map(|row| row[..4].to_vec()).collect::<Vec<_>>(),
+            &rows
+                .iter()
+                .flat_map(|row| row[..4].to_vec())
+                .collect::<Vec<_>>(),
         );
         for (k, row) in rows.iter().enumerate() {
             assert_value(&together, k, row[4], REFERENCE);
@@ -268,7 +316,10 @@ fn falling_plants_alone() {
                 continue;
             }
             let alone = solved(&model, &row[..4]);
-            let (here, there) = (answer(&alone, 0), answer(&together, together.targets.of_given[k]));
+            let (here, there) = (
+                answer(&alone, 0),
+                answer(&together, together.targets.of_given[k]),
+            );
             assert!(
                 differ(here.value, there.value) <= COMPANY,
                 "{row:?}: alone {}",
@@ -283,7 +334,12 @@ fn falling_plants_alone() {
 fn a_pole_near_upright_alone() {
     for (th, v) in [(0.3, 0.878709), (0.5, 2.8066)] {
         // As many digits as are written.
-        assert_value(&solved(&tried("cartpole", &[]), &[0.0, th, 0.0, 0.0]), 0, v, 1e-4);
+        assert_value(
+            &solved(&tried("cartpole", &[]), &[0.0, th, 0.0, 0.0]),
+            0,
+            v,
+            1e-4,
+        );
     }
 }
 
@@ -300,21 +356,38 @@ fn a_textbook_map() {
     };
     let mut solver = value::solver(&plan, &Cpu::new()).expect("the CPU compiles everything");
     let nothing = Archive::new(&plan);
-    let answers =
-        value::solve(&plan, &model, &mut solver, &nothing, &request, &mut |_, _, _| {}).expect("the CPU works");
+    let answers = value::solve(
+        &plan,
+        &model,
+        &mut solver,
+        &nothing,
+        &request,
+        &mut |_, _, _| {},
+    )
+    .expect("the CPU works");
     assert_labels(&answers);
     let count = answers.targets.len();
     assert_eq!((count, answers.solved()), (289, 289));
     for (x, v) in [([1.5, 1.0], 20.86786), ([-2.5, -2.5], 21.37833)] {
-        let k = (0..count).find(|t| answers.targets.state(*t) == x).expect("a node");
+        let k = (0..count)
+            .find(|t| answers.targets.state(*t) == x)
+            .expect("a node");
         assert_value(&answers, k, v, REFERENCE);
     }
     for target in 0..count {
         // Nodes are in lexicographic order, so that the one opposite is as far from the end.
-        let (here, there) = (answer(&answers, target), answer(&answers, count - 1 - target));
+        let (here, there) = (
+            answer(&answers, target),
+            answer(&answers, count - 1 - target),
+        );
         let x = answers.targets.state(target);
         let least = (here.value - there.value).abs() / here.value.max(f64::MIN_POSITIVE);
-        assert!(least <= 1e-8, "V{x:?} = {}, opposite {}", here.value, there.value);
+        assert!(
+            least <= 1e-8,
+            "V{x:?} = {}, opposite {}",
+            here.value,
+            there.value
+        );
         assert_eq!(answers.support[target].bound, None, "{x:?} is undercut");
     }
 }
@@ -344,7 +417,9 @@ fn a_spinning_pendulum_alone() {
 /// Long horizons, lone states, states of the scene's own table, no row of zeros to start from.
 #[test]
 fn long_horizons() {
-    const STATES: [f64; 12] = [0.5, 0.2, 0.1, -0.3, 0.4, 0.2, -1.0, 1.0, 0.5, 0.5, -0.5, 0.0];
+    const STATES: [f64; 12] = [
+        0.5, 0.2, 0.1, -0.3, 0.4, 0.2, -1.0, 1.0, 0.5, 0.5, -0.5, 0.0,
+    ];
     for (name, set) in ["fh1", "fh2", "fh3"]
         .into_iter()
         .flat_map(|n| ["3", "10", "20"].map(|t| (n, t)))
@@ -359,7 +434,8 @@ fn long_horizons() {
                 .unwrap_or_else(|| panic!("{name}, T = {set}: {x:?}"));
             assert_value(&solved(&model, x), 0, lone, COMPANY);
         }
-        // The horizon is long against the slowest rate, 0.87: V is that of the infinite horizon, the same for T = 20.
+        // The horizon is long against the slowest rate, 0.87: V is that of the infinite horizon,
+        // the same for T = 20.
         if name == "fh1" && set == "20" {
             let exact = |x: &[f64]| 0.5 * 3f64.sqrt() * (x[0] * x[0] + x[1] * x[1]) + x[0] * x[1];
             states
@@ -381,12 +457,14 @@ fn twelve_states() {
 #[test]
 fn no_smooth_least_cost_at_the_equilibrium() {
     for name in ["lingrad", "linabs"] {
-        let refused = costate::scenario::load(&data(name).with_extension("toml"), &[]).is_err() || {
-            let model = tried(name, &[]);
-            let choices = Choices::default();
-            let plan = Hamiltonian::derive(&model).map(|h| Plan::new(&model, &h, &Cpu::new(), choices).is_err());
-            plan.unwrap_or(true)
-        };
+        let refused = costate::scenario::load(&data(name).with_extension("toml"), &[]).is_err()
+            || {
+                let model = tried(name, &[]);
+                let choices = Choices::default();
+                let plan = Hamiltonian::derive(&model)
+                    .map(|h| Plan::new(&model, &h, &Cpu::new(), choices).is_err());
+                plan.unwrap_or(true)
+            };
         assert!(refused, "{name} is accepted");
     }
 }
@@ -424,29 +502,50 @@ fn part(x: &[f64], company: &str, a: &Found, b: &Found) -> Option<String> {
 }
 
 fn part_in_sheets(x: &[f64], company: &str, a: &Found, b: &Found) -> Option<String> {
-    let same =
-        a.sheets.len() == b.sheets.len() && a.sheets.iter().zip(&b.sheets).all(|(a, b)| differ(*a, *b) <= COMPANY);
-    (!same).then(|| format!("sheets over {x:?}: alone {:?}, {company} {:?}", a.sheets, b.sheets))
+    let same = a.sheets.len() == b.sheets.len()
+        && a.sheets
+            .iter()
+            .zip(&b.sheets)
+            .all(|(a, b)| differ(*a, *b) <= COMPANY);
+    (!same).then(|| {
+        format!(
+            "sheets over {x:?}: alone {:?}, {company} {:?}",
+            a.sheets, b.sheets
+        )
+    })
 }
 
 /// V where it is known exactly.
 type Exact<'a> = &'a dyn Fn(&[f64]) -> f64;
 
-/// Solves random states of a scene's region alone, together, backward with duplicates, and with other sweeps: V is the same.
+/// Solves random states of a scene's region alone, together, backward with duplicates, and with
+/// other sweeps: V is the same.
 fn assert_company(model: &Model, others: &[(&str, Model)], exact: Option<Exact<'_>>, sheets: bool) {
-    let count = std::env::var("COSTATE_LEAST_STATES").map_or(12, |n| n.parse().expect("a number of states"));
+    let count = std::env::var("COSTATE_LEAST_STATES")
+        .map_or(12, |n| n.parse().expect("a number of states"));
     let mut random = Random::new(13);
     let states: Vec<Vec<f64>> = (0..count).map(|_| random.point(&model.region)).collect();
     let alone: Vec<Found> = states
         .iter()
         .flat_map(|x| found(model, std::slice::from_ref(x)))
         .collect();
-    let twice: Vec<Vec<f64>> = states.iter().rev().flat_map(|x| [x.clone(), x.clone()]).collect();
+    let twice: Vec<Vec<f64>> = states
+        .iter()
+        .rev()
+        .flat_map(|x| [x.clone(), x.clone()])
+        .collect();
     let mut backward = found(model, &twice);
     backward.reverse();
     let backward = backward.into_iter().step_by(2).collect();
-    let mut companies = vec![("together", found(model, &states)), ("backward, twice each", backward)];
-    companies.extend(others.iter().map(|(name, other)| (*name, found(other, &states))));
+    let mut companies = vec![
+        ("together", found(model, &states)),
+        ("backward, twice each", backward),
+    ];
+    companies.extend(
+        others
+            .iter()
+            .map(|(name, other)| (*name, found(other, &states))),
+    );
     let mut wrong: Vec<String> = Vec::new();
     for (k, x) in states.iter().enumerate() {
         for (c, (name, answers)) in companies.iter().enumerate() {
@@ -462,7 +561,9 @@ fn assert_company(model: &Model, others: &[(&str, Model)], exact: Option<Exact<'
             }
         }
         if let Some(v) = exact.map(|exact| exact(x)) {
-            let same = alone[k].value.is_some_and(|found| differ(found, v) <= EXACT);
+            let same = alone[k]
+                .value
+                .is_some_and(|found| differ(found, v) <= EXACT);
             wrong.extend((!same).then(|| format!("V{x:?}: alone {:?}, exact {v}", alone[k].value)));
         }
     }
@@ -533,7 +634,8 @@ fn company_of_a_particle_between_wells() {
     assert_company(&model, &swept_otherwise(&model), Some(&exact), true);
 }
 
-/// Sheets far above the least are not looked for in four states: their number may depend on the company.
+/// Sheets far above the least are not looked for in four states: their number may depend on the
+/// company.
 #[test]
 fn company_of_a_cart_and_pole() {
     let swept = |value_max: &str, spacing: &str| {

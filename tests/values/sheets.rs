@@ -5,8 +5,9 @@ use crate::common_values;
 use common_values::{Swept, largest, scene, spaced};
 use costate::value::{Grid, Request};
 
-/// A free particle: x' = u, L = u^2/2, terminal cost phi. Costates are constant, so x = y + T phi'(y) for an end y, and
-/// V = phi(y) + T phi'(y)^2/2. With phi = x^4/4 - k x^2/2 + a x (+ y^2/2 in the other state) all is known.
+/// A free particle: x' = u, L = u^2/2, terminal cost phi. Costates are constant, so x = y + T
+/// phi'(y) for an end y, and V = phi(y) + T phi'(y)^2/2. With phi = x^4/4 - k x^2/2 + a x (+ y^2/2
+/// in the other state) all is known.
 struct HopfLax {
     t: f64,
     k: f64,
@@ -39,7 +40,11 @@ impl HopfLax {
 #[test]
 fn a_fold_and_an_equal_cost_line_with_known_answers() {
     let swept = Swept::new(scene("hopf_lax", &[]), 4000);
-    let exact = HopfLax { t: 2.0, k: 2.0, a: 0.1 };
+    let exact = HopfLax {
+        t: 2.0,
+        k: 2.0,
+        a: 0.1,
+    };
     let answers = swept.grid(vec![spaced(-3.0, 3.0, 41), spaced(-1.0, 1.0, 5)]);
     assert_eq!(answers.solved(), answers.targets.len());
     let mut threefold = 0;
@@ -61,7 +66,9 @@ fn a_fold_and_an_equal_cost_line_with_known_answers() {
                 entry.value,
                 v + other
             );
-            assert!((entry.p[0] - p).abs() < 1e-8 && (entry.p[1] - y / (1.0 + exact.t)).abs() < 1e-8);
+            assert!(
+                (entry.p[0] - p).abs() < 1e-8 && (entry.p[1] - y / (1.0 + exact.t)).abs() < 1e-8
+            );
         }
     }
     assert!(threefold > 30, "{threefold} states with three extremals");
@@ -69,9 +76,16 @@ fn a_fold_and_an_equal_cost_line_with_known_answers() {
     let jump = 2.0 * (exact.k - 1.0 / exact.t).sqrt() / exact.t;
     assert_eq!(answers.equal_cost.len(), 5);
     for e in &answers.equal_cost {
-        assert!((e.point.x[0] - exact.t * exact.a).abs() < 1e-8, "{:?}", e.point.x);
+        assert!(
+            (e.point.x[0] - exact.t * exact.a).abs() < 1e-8,
+            "{:?}",
+            e.point.x
+        );
         assert!(e.point.difference <= 1e-6);
-        assert!(((e.u[0][0] - e.u[1][0]).abs() - jump).abs() < 1e-7 && (e.u[0][1] - e.u[1][1]).abs() < 1e-8);
+        assert!(
+            ((e.u[0][0] - e.u[1][0]).abs() - jump).abs() < 1e-7
+                && (e.u[0][1] - e.u[1][1]).abs() < 1e-8
+        );
     }
     // One line through all of them, in order.
     let mut on_line: Vec<(i32, f64)> = answers
@@ -82,7 +96,10 @@ fn a_fold_and_an_equal_cost_line_with_known_answers() {
     on_line.sort_by_key(|p| p.0);
     assert!(answers.equal_cost.iter().all(|e| e.point.line == 0));
     let up = on_line[0].1 < on_line[1].1;
-    assert!(on_line.windows(2).all(|w| (w[0].1 < w[1].1) == up), "{on_line:?}");
+    assert!(
+        on_line.windows(2).all(|w| (w[0].1 < w[1].1) == up),
+        "{on_line:?}"
+    );
     // Folds: dx/dy = 0, y = +-sqrt((k - 1/T)/3).
     let end = ((exact.k - 1.0 / exact.t) / 3.0).sqrt();
     let fold = |y: f64| y + exact.t * (y.powi(3) - exact.k * y + exact.a);
@@ -92,7 +109,12 @@ fn a_fold_and_an_equal_cost_line_with_known_answers() {
         // t along the line is of the second order in the tangent's share, 1e-7.
         assert!(nearest[0].min(nearest[1]) < 1e-9, "fold at {:?}", f.s);
     }
-    let both = [end, -end].map(|y| answers.folds.iter().any(|f| (f.s[0] - fold(y)).abs() < 1e-9));
+    let both = [end, -end].map(|y| {
+        answers
+            .folds
+            .iter()
+            .any(|f| (f.s[0] - fold(y)).abs() < 1e-9)
+    });
     assert_eq!(both, [true, true]);
 }
 
@@ -102,7 +124,11 @@ fn a_symmetric_pendulum_is_torn_at_the_top() {
     let swept = Swept::new(scene("pendulum_rest", &[]), 4000);
     let answers = swept.grid(vec![spaced(-4.0, 4.0, 41), spaced(-0.5, 0.5, 3)]);
     let pi = std::f64::consts::PI;
-    let on_axis: Vec<_> = answers.equal_cost.iter().filter(|e| e.point.x[1] == 0.0).collect();
+    let on_axis: Vec<_> = answers
+        .equal_cost
+        .iter()
+        .filter(|e| e.point.x[1] == 0.0)
+        .collect();
     assert!(on_axis.len() >= 2, "both ends of the slice");
     for e in on_axis {
         assert!((e.point.x[0].abs() - pi).abs() < 1e-8, "{:?}", e.point.x);
@@ -131,12 +157,20 @@ fn pendulum_crossing() {
     let swept = Swept::new(scene("pendulum", &[]), 4000);
     let answers = swept.grid(vec![spaced(-5.0, 3.5, 86), vec![0.0]]);
     assert_eq!(answers.solved(), answers.targets.len());
-    let near = |x: f64| answers.equal_cost.iter().find(|e| (e.point.x[0] - x).abs() < 0.05);
+    let near = |x: f64| {
+        answers
+            .equal_cost
+            .iter()
+            .find(|e| (e.point.x[0] - x).abs() < 0.05)
+    };
     let crossing = near(2.409).expect("a crossing");
-    assert!((crossing.point.x[0] - 2.409).abs() < 0.002 && (crossing.point.value - 183.9).abs() < 0.2);
+    assert!(
+        (crossing.point.x[0] - 2.409).abs() < 0.002 && (crossing.point.value - 183.9).abs() < 0.2
+    );
     let other = near(2.409 - std::f64::consts::TAU).expect("the same point, a period back");
     assert!((other.point.x[0] - crossing.point.x[0] + std::f64::consts::TAU).abs() < 1e-8);
-    // Both sheets of each crossing go on for a radian beyond it, and are smooth: V's differences are p's means.
+    // Both sheets of each crossing go on for a radian beyond it, and are smooth: V's differences
+    // are p's means.
     for e in [crossing, other] {
         for sheet in e.point.sheets {
             let on: Vec<(f64, f64, f64)> = (0..answers.targets.len())
@@ -147,7 +181,9 @@ fn pendulum_crossing() {
                 .collect();
             let reach = on
                 .iter()
-                .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], s| [a.min(s.0), b.max(s.0)]);
+                .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], s| {
+                    [a.min(s.0), b.max(s.0)]
+                });
             assert!(
                 reach[0] <= e.point.x[0] - 1.0 && reach[1] >= e.point.x[0] + 1.0,
                 "sheet {sheet}: {reach:?}"
@@ -156,7 +192,8 @@ fn pendulum_crossing() {
                 let h = w[1].0 - w[0].0;
                 assert!((h - 0.1).abs() < 1e-9, "no gaps");
                 let mean = 0.5 * (w[0].2 + w[1].2) * h;
-                // The trapezium's error is h^3/12 of V'''; a jump to another sheet would be of the size of V.
+                // The trapezium's error is h^3/12 of V'''; a jump to another sheet would be of the
+                // size of V.
                 assert!(
                     (w[1].1 - w[0].1 - mean).abs() < 0.05 * mean.abs() + 0.05,
                     "sheet {sheet} at {}",
@@ -167,8 +204,8 @@ fn pendulum_crossing() {
     }
 }
 
-/// States a period apart are one: they have the same solutions, each with one winding less, and on the line these lie on one
-/// sheet, whatever the number of the way round.
+/// States a period apart are one: they have the same solutions, each with one winding less, and on
+/// the line these lie on one sheet, whatever the number of the way round.
 #[test]
 fn copies_by_whole_periods_lie_on_one_lifted_sheet() {
     const STEPS: usize = 32;
@@ -179,10 +216,23 @@ fn copies_by_whole_periods_lie_on_one_lifted_sheet() {
     let mut ways_round = std::collections::BTreeSet::new();
     for t in 0..=STEPS {
         for a in answers.of(t).iter().filter(|e| e.value <= highest) {
-            let b = (answers.of(t + STEPS).iter())
-                .find(|b| b.winding[0] == a.winding[0] - 1 && (b.value - a.value).abs() <= 1e-8 * a.value);
-            let b = b.unwrap_or_else(|| panic!("no copy of V = {} at {:?}", a.value, answers.targets.state(t)));
-            assert_eq!(a.lifted, b.lifted, "V = {} at {:?}", a.value, answers.targets.state(t));
+            let b = (answers.of(t + STEPS).iter()).find(|b| {
+                b.winding[0] == a.winding[0] - 1 && (b.value - a.value).abs() <= 1e-8 * a.value
+            });
+            let b = b.unwrap_or_else(|| {
+                panic!(
+                    "no copy of V = {} at {:?}",
+                    a.value,
+                    answers.targets.state(t)
+                )
+            });
+            assert_eq!(
+                a.lifted,
+                b.lifted,
+                "V = {} at {:?}",
+                a.value,
+                answers.targets.state(t)
+            );
             ways_round.insert((a.sheet, b.sheet));
         }
     }
@@ -195,7 +245,11 @@ fn copies_by_whole_periods_lie_on_one_lifted_sheet() {
     );
     // Two solutions of one state are two sheets, unless they go round differently.
     for t in 0..answers.targets.len() {
-        let mut places: Vec<_> = answers.of(t).iter().map(|e| (e.lifted, &e.winding)).collect();
+        let mut places: Vec<_> = answers
+            .of(t)
+            .iter()
+            .map(|e| (e.lifted, &e.winding))
+            .collect();
         places.sort();
         assert!(
             places.windows(2).all(|w| w[0] != w[1]),
@@ -236,7 +290,8 @@ fn copies_far_apart_lie_on_one_lifted_sheet() {
     assert_eq!(answers.lifted, near.len());
 }
 
-/// A grid for /map besides one for /points: the same sheets have the same labels, and a limit leaves far states out.
+/// A grid for /map besides one for /points: the same sheets have the same labels, and a limit
+/// leaves far states out.
 #[test]
 fn a_map_shares_its_sheets_with_the_points() {
     let swept = Swept::new(scene("pendulum", &[]), 4000);
@@ -266,8 +321,12 @@ fn a_map_shares_its_sheets_with_the_points() {
     let on_slice: std::collections::BTreeSet<i32> = (0..43)
         .filter_map(|k| Some(answers.answer(answers.targets.of_given[k])?.sheet))
         .collect();
-    assert!(on_slice.is_subset(&sheets_on_map), "{on_slice:?} {sheets_on_map:?}");
-    // Up to the cost asked for (twice the sweep's) there are four: straight home, one turn either way, two turns.
+    assert!(
+        on_slice.is_subset(&sheets_on_map),
+        "{on_slice:?} {sheets_on_map:?}"
+    );
+    // Up to the cost asked for (twice the sweep's) there are four: straight home, one turn either
+    // way, two turns.
     let asked = 370.0;
     let cheap: std::collections::BTreeSet<i32> = (answers.entries.iter())
         .filter(|e| e.value <= asked)
@@ -276,10 +335,17 @@ fn a_map_shares_its_sheets_with_the_points() {
     assert!(cheap.len() <= 4, "{} sheets", cheap.len());
     // The boundary on the map: joined to lines, each step of which is within two cells.
     let widths = [6.3 / 21.0, 25.0 / 20.0];
-    let mut lines: Vec<_> = answers.equal_cost.iter().filter(|e| e.point.line >= 0).collect();
+    let mut lines: Vec<_> = answers
+        .equal_cost
+        .iter()
+        .filter(|e| e.point.line >= 0)
+        .collect();
     lines.sort_by_key(|e| (e.point.line, e.point.place));
     assert!(lines.len() > 20);
-    for w in lines.windows(2).filter(|w| w[0].point.line == w[1].point.line) {
+    for w in lines
+        .windows(2)
+        .filter(|w| w[0].point.line == w[1].point.line)
+    {
         let far = largest((0..2).map(|i| (w[1].point.x[i] - w[0].point.x[i]) / widths[i]));
         assert!(far <= 1.0 + 1e-9 && w[1].point.place == w[0].point.place + 1);
     }

@@ -28,8 +28,12 @@ pub fn open(which: &[Which], adapter: Option<&str>) -> Result<Opened, BackendErr
     let asked = |w| which.contains(&w);
     let mut backends: Vec<Box<dyn Backend>> = Vec::new();
     let mut missing = Vec::new();
-    let hardware = asked(Which::Auto) && adapter.is_none() && gpu::adapters().iter().any(|a| a.hardware);
-    if asked(Which::Cpu) || asked(Which::All) || (asked(Which::Auto) && adapter.is_none() && !hardware) {
+    let hardware =
+        asked(Which::Auto) && adapter.is_none() && gpu::adapters().iter().any(|a| a.hardware);
+    if asked(Which::Cpu)
+        || asked(Which::All)
+        || (asked(Which::Auto) && adapter.is_none() && !hardware)
+    {
         backends.push(Box::new(Cpu::new()));
     }
     if let Some(name) = adapter {
@@ -66,9 +70,16 @@ pub fn open(which: &[Which], adapter: Option<&str>) -> Result<Opened, BackendErr
     Ok((backends, missing))
 }
 
-fn open_one(info: &AdapterInfo, before: Option<&AdapterInfo>, skip_software: bool) -> Result<Gpu, String> {
+fn open_one(
+    info: &AdapterInfo,
+    before: Option<&AdapterInfo>,
+    skip_software: bool,
+) -> Result<Gpu, String> {
     if let Some(before) = before {
-        return Err(format!("a device of this name is measured through {}", before.api));
+        return Err(format!(
+            "a device of this name is measured through {}",
+            before.api
+        ));
     }
     if skip_software && !info.hardware {
         return Err("a software adapter, where there is hardware: name it with --adapter".into());
@@ -82,10 +93,12 @@ fn open_one(info: &AdapterInfo, before: Option<&AdapterInfo>, skip_software: boo
 
 /// The machine in words: processor, threads, operating system.
 pub fn machine() -> String {
-    let processor = std::fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
-        let line = text.lines().find(|l| l.starts_with("model name"))?;
-        line.split_once(':').map(|(_, name)| name.trim().to_owned())
-    });
+    let processor = std::fs::read_to_string("/proc/cpuinfo")
+        .ok()
+        .and_then(|text| {
+            let line = text.lines().find(|l| l.starts_with("model name"))?;
+            line.split_once(':').map(|(_, name)| name.trim().to_owned())
+        });
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     format!(
         "{}, {threads} threads, {} {}",

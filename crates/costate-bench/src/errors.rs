@@ -1,16 +1,18 @@
 //! How wrong a result is.
 //!
-//! Integration errors along the manifold of optimal solutions only slide a point to another one of it. They grow with
-//! the parting of trajectories, and do no harm: V and p belong to the x reached. What matters is how far a point is off
-//! the manifold, and that is what is measured, at every stored sample, in three ways:
+//! Integration errors along the manifold of optimal solutions only slide a point to another one of
+//! it. They grow with the parting of trajectories, and do no harm: V and p belong to the x reached.
+//! What matters is how far a point is off the manifold, and that is what is measured, at every
+//! stored sample, in three ways:
 //!
 //! - V: `e_V = |V - V_ref - p_ref.(x - x_ref)| / max(1, V_ref)`;
-//! - p: `e_p = |p - p_ref - S (x - x_ref)| / max(1, |p_ref|)` with the reference's slope `S = dp/dx` (see
-//!   [`Slopes`]) and p in units of cost, each component times the region's width;
-//! - H: `e_H = |H - H_ref| / L`, L the largest running cost of the trajectory. H itself is not 0 but what the local
-//!   solution has left at the seed.
+//! - p: `e_p = |p - p_ref - S (x - x_ref)| / max(1, |p_ref|)` with the reference's slope `S =
+//!   dp/dx` (see [`Slopes`]) and p in units of cost, each component times the region's width;
+//! - H: `e_H = |H - H_ref| / L`, L the largest running cost of the trajectory. H itself is not 0
+//!   but what the local solution has left at the seed.
 //!
-//! A trajectory's error is its largest. What e_V and e_p leave is of the second order in `x - x_ref`.
+//! A trajectory's error is its largest. What e_V and e_p leave is of the second order in `x -
+//! x_ref`.
 
 use super::reference::{Reference, Slopes, follow};
 use super::work::Work;
@@ -48,15 +50,15 @@ pub struct Errors {
     pub hamiltonian: Quantiles,
     /// Share of the reference's samples that the result has too.
     pub compared: f64,
-    /// Trajectories lost: they failed (step floor, step limit, not finite) short of their reference, or went on past its
-    /// end.
+    /// Trajectories lost: they failed (step floor, step limit, not finite) short of their
+    /// reference, or went on past its end.
     pub failed: usize,
     /// Trajectories whose reference failed: they are not compared.
     pub reference_failed: usize,
 }
 
-/// Share of the reference's samples that a result must have: leaving the region is noticed at the end of a step, so
-/// that of trajectories that leave one may have a few samples more.
+/// Share of the reference's samples that a result must have: leaving the region is noticed at the
+/// end of a step, so that of trajectories that leave one may have a few samples more.
 pub const ENOUGH: f64 = 0.95;
 
 impl Errors {
@@ -68,7 +70,10 @@ impl Errors {
 
 /// Whether a trajectory ended for a reason of the integration, not of the problem.
 pub fn is_failure(status: Status) -> bool {
-    matches!(status, Status::StepFloor | Status::StepLimit | Status::NotFinite)
+    matches!(
+        status,
+        Status::StepFloor | Status::StepLimit | Status::NotFinite
+    )
 }
 
 /// Evaluates H and the running cost.
@@ -95,8 +100,8 @@ impl Meter {
     }
 }
 
-/// Where a trajectory leaves the region may differ by rounding; this many samples more than its reference has, it is on a
-/// way of its own.
+/// Where a trajectory leaves the region may differ by rounding; this many samples more than its
+/// reference has, it is on a way of its own.
 const PAST_THE_END: usize = 2;
 
 /// Compares the leading trajectories that both have.
@@ -111,10 +116,15 @@ pub fn compare(
     let (hamiltonian, _) = meter.values(result);
     let count = result.count().min(reference.result.count());
     let levels = reference.result.levels;
-    let (mut value, mut costate, mut drift) = (vec![f64::NAN; count], vec![f64::NAN; count], vec![f64::NAN; count]);
+    let (mut value, mut costate, mut drift) = (
+        vec![f64::NAN; count],
+        vec![f64::NAN; count],
+        vec![f64::NAN; count],
+    );
     let (mut both, mut there, mut failed, mut reference_failed) = (0usize, 0usize, 0, 0);
     for i in 0..count {
-        let passed = |r: &Trajectories| (0..levels).filter(|l| !r.sample(i, *l)[0].is_nan()).count();
+        let passed =
+            |r: &Trajectories| (0..levels).filter(|l| !r.sample(i, *l)[0].is_nan()).count();
         let (mine, theirs) = (passed(result), passed(&reference.result));
         let beyond = mine > theirs + PAST_THE_END;
         if is_failure(reference.result.status[i]) {
@@ -137,7 +147,10 @@ pub fn compare(
             let (a, b) = (&a[1..], &b[1..]);
             see(&mut value[i], value_error(n, a, b));
             if let Some(slope) = slopes.and_then(|s| s.at(i, level)) {
-                see(&mut costate[i], costate_error(n, a, b, slope, &work.plan.widths));
+                see(
+                    &mut costate[i],
+                    costate_error(n, a, b, slope, &work.plan.widths),
+                );
             }
             let at = i * levels + level;
             let change = (hamiltonian[at] - reference.hamiltonian[at]).abs();
@@ -162,7 +175,8 @@ pub fn compare(
     }
 }
 
-/// Keeps the larger one; a value that is not a number though both points are there is an infinite error.
+/// Keeps the larger one; a value that is not a number though both points are there is an infinite
+/// error.
 fn see(worst: &mut f64, error: f64) {
     let error = if error.is_nan() { f64::INFINITY } else { error };
     *worst = worst.max(error);
@@ -170,13 +184,24 @@ fn see(worst: &mut f64, error: f64) {
 
 /// `e_V` of a point `(x, p, V)` against a reference point.
 pub fn value_error(n: usize, point: &[f64], reference: &[f64]) -> f64 {
-    let along: f64 = (0..n).map(|i| reference[n + i] * (point[i] - reference[i])).sum();
+    let along: f64 = (0..n)
+        .map(|i| reference[n + i] * (point[i] - reference[i]))
+        .sum();
     (point[2 * n] - reference[2 * n] - along).abs() / reference[2 * n].max(1.0)
 }
 
-/// `e_p` of a point against a reference point with its slope (of p in units of cost by x in widths).
-pub fn costate_error(n: usize, point: &[f64], reference: &[f64], slope: &[f64], widths: &[f64]) -> f64 {
-    let moved: Vec<f64> = (0..n).map(|i| (point[i] - reference[i]) / widths[i]).collect();
+/// `e_p` of a point against a reference point with its slope (of p in units of cost by x in
+/// widths).
+pub fn costate_error(
+    n: usize,
+    point: &[f64],
+    reference: &[f64],
+    slope: &[f64],
+    widths: &[f64],
+) -> f64 {
+    let moved: Vec<f64> = (0..n)
+        .map(|i| (point[i] - reference[i]) / widths[i])
+        .collect();
     let expected = follow(slope, &moved);
     let (mut error, mut size) = (0.0, 0.0f64);
     for i in 0..n {
@@ -201,7 +226,8 @@ mod tests {
         assert!(Quantiles::of(&[f64::NAN]).worst.is_nan());
     }
 
-    /// V = 3 (x^2 + x y + y^2): what slides along it is no error, what leaves it is, by as much as it leaves it.
+    /// V = 3 (x^2 + x y + y^2): what slides along it is no error, what leaves it is, by as much as
+    /// it leaves it.
     #[test]
     fn only_what_leaves_the_manifold_counts() {
         let widths = [2.0, 4.0];
@@ -220,7 +246,10 @@ mod tests {
         let moved = on(0.7 + 1e-5, -0.2 - 2e-5);
         // Of the second order: 3 (1 - 2 + 4) 1e-10 in V; p is linear.
         let second = value_error(2, &moved, &reference);
-        assert!((second - 9e-10 / reference[4].max(1.0)).abs() < 1e-13, "{second}");
+        assert!(
+            (second - 9e-10 / reference[4].max(1.0)).abs() < 1e-13,
+            "{second}"
+        );
         assert!(costate_error(2, &moved, &reference, &slope, &widths) < 1e-14);
         let mut off = moved;
         off[4] += 1e-3;

@@ -76,13 +76,20 @@ impl Backend for Metered<'_> {
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
         let begin = Instant::now();
         let kernel = self.inner.compile(spec)?;
-        self.times.lock().unwrap_or_else(PoisonError::into_inner).compiling += begin.elapsed().as_secs_f64();
+        self.times
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .compiling += begin.elapsed().as_secs_f64();
         Ok(Box::new(MeteredKernel {
             kernel,
             times: Arc::clone(&self.times),
         }))
     }
-    fn eliminator(&self, states: usize, precision: Precision) -> Result<Option<Box<dyn Eliminator>>, BackendError> {
+    fn eliminator(
+        &self,
+        states: usize,
+        precision: Precision,
+    ) -> Result<Option<Box<dyn Eliminator>>, BackendError> {
         self.inner.eliminator(states, precision)
     }
     fn peak(&self, precision: Precision) -> Result<Option<f64>, BackendError> {

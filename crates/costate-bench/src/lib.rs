@@ -1,11 +1,15 @@
-//! Speed against error: the trajectories of a scene's own sweep, integrated by every backend, precision, method and
-//! tolerance there is, and compared with a reference made by another method.
+//! Speed against error: the trajectories of a scene's own sweep, integrated by every backend,
+//! precision, method and tolerance there is, and compared with a reference made by another method.
 //!
-//! - [`Work`] is what is integrated: seeds on the scene's own seed surface, the same for all variants;
-//! - [`devices`] opens what can integrate, [`variants`] lists what is to be measured and what cannot be;
-//! - [`mod@reference`] and [`errors`] say how wrong a result is, off the manifold of optimal solutions;
+//! - [`Work`] is what is integrated: seeds on the scene's own seed surface, the same for all
+//!   variants;
+//! - [`devices`] opens what can integrate, [`variants`] lists what is to be measured and what
+//!   cannot be;
+//! - [`mod@reference`] and [`errors`] say how wrong a result is, off the manifold of optimal
+//!   solutions;
 //! - [`measure()`] takes the times, variants in turn; [`pareto`] chooses among them;
-//! - [`flops`](costate::backend::flops) and [`Backend::peak`](costate::backend::Backend::peak) give the share of what a device can do;
+//! - [`flops`](costate::backend::flops) and [`Backend::peak`](costate::backend::Backend::peak) give
+//!   the share of what a device can do;
 //! - [`mod@write`] stores what was measured;
 //! - [`host_share`] tells the kernel's time from all other time of a whole run.
 

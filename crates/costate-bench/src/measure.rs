@@ -27,8 +27,8 @@ pub struct Options {
     pub wanted: Wanted,
     /// Timed passes of each variant.
     pub repeats: usize,
-    /// Seconds for all passes, references not included: a quarter of it for the first ones, so that three rounds of
-    /// timed passes have room. Rounds are whole, and one is always done.
+    /// Seconds for all passes, references not included: a quarter of it for the first ones, so that
+    /// three rounds of timed passes have room. Rounds are whole, and one is always done.
     pub budget: f64,
 }
 
@@ -42,7 +42,8 @@ pub struct Row {
     /// Compiling the series' kernel, and the first pass, which may compile more (s).
     pub compile_seconds: f64,
     pub first_seconds: f64,
-    /// Of all trajectories, seeds on the host to results on the host (s): each timed pass, in the order of the rounds.
+    /// Of all trajectories, seeds on the host to results on the host (s): each timed pass, in the
+    /// order of the rounds.
     pub seconds: Vec<f64>,
     /// The same in kernels alone; empty where the backend does not know.
     pub kernel_seconds: Vec<f64>,
@@ -52,13 +53,16 @@ pub struct Row {
     /// Trajectories by status, in the order of [`Status::ALL`].
     pub statuses: [usize; Status::ALL.len()],
     pub errors: Errors,
-    /// Floating-point operations a second, of those that the equations and the method need; NaN where not known.
+    /// Floating-point operations a second, of those that the equations and the method need; NaN
+    /// where not known.
     pub flops: f64,
     /// That as a share of what the device was measured to do.
     pub peak_share: f64,
-    /// Share of the lanes' steps that were steps of a trajectory; not a number where the backend does not tell.
+    /// Share of the lanes' steps that were steps of a trajectory; not a number where the backend
+    /// does not tell.
     pub occupancy: f64,
-    /// Whether no variant is faster with a smaller worst e_V. One that loses trajectories or is of no use is never chosen.
+    /// Whether no variant is faster with a smaller worst e_V. One that loses trajectories or is of
+    /// no use is never chosen.
     pub pareto: bool,
 }
 
@@ -81,7 +85,8 @@ impl Row {
         spread(&self.kernel_seconds)
     }
 
-    /// Seconds and worst e_V, for choosing; not numbers where trajectories were lost or an error is of no use.
+    /// Seconds and worst e_V, for choosing; not numbers where trajectories were lost or an error is
+    /// of no use.
     pub fn choice(&self) -> (f64, f64) {
         let worst = self.errors.value.worst;
         if self.errors.complete() && worst <= USEFUL {
@@ -163,7 +168,8 @@ struct Runner {
 /// Measures a work on some backends.
 ///
 /// # Errors
-/// Device failures, and references that cannot be made. A kernel that a backend refuses is missing, not an error.
+/// Device failures, and references that cannot be made. A kernel that a backend refuses is missing,
+/// not an error.
 pub fn measure(
     work: &Work,
     backends: &[Box<dyn Backend>],
@@ -177,7 +183,8 @@ pub fn measure(
     let mut references = Vec::new();
     for (k, method) in methods.into_iter().enumerate() {
         told(&format!("reference: {}", method.name()));
-        // The second one is for what is measured by the first one's method, else only to tell how far they are apart.
+        // The second one is for what is measured by the first one's method, else only to tell how
+        // far they are apart.
         let all = k == 0 || options.wanted.methods.contains(&methods[0]);
         let count = if all { checked } else { FLOOR_CHECKED };
         references.push(Reference::new(work, &meter, method, count)?);
@@ -214,7 +221,11 @@ pub fn measure(
     let mut rows = Vec::new();
     let mut owners = Vec::new();
     let (mut compiling, mut spent) = (0.0, 0.0);
-    let deepest = runners.iter().map(|r| r.ladder.steps.len()).max().unwrap_or(0);
+    let deepest = runners
+        .iter()
+        .map(|r| r.ladder.steps.len())
+        .max()
+        .unwrap_or(0);
     // All from rough to fine at once: what the budget cuts off are the slowest of each series.
     for depth in 0..deepest {
         for (owner, runner) in runners.iter_mut().enumerate() {
@@ -234,26 +245,47 @@ pub fn measure(
                 continue;
             }
             told(&format!("{} {}", name(backends, series), setting(steps)));
-            let mut pass = work.integrate(runner.kernel.as_mut(), &work.run(steps), &work.seeds, checked)?;
+            let mut pass = work.integrate(
+                runner.kernel.as_mut(),
+                &work.run(steps),
+                &work.seeds,
+                checked,
+            )?;
             // The time without what a driver compiles in a first pass.
             runner.last = pass.kernel_seconds.unwrap_or(pass.seconds);
             compiling += pass.seconds;
             pass.kept = reference::points(std::mem::take(&mut pass.kept));
-            let errors = compare(work, &meter, against(series.method), Some(&slopes), &pass.kept);
+            let errors = compare(
+                work,
+                &meter,
+                against(series.method),
+                Some(&slopes),
+                &pass.kept,
+            );
             rows.push(row(work, runner, steps, &pass, errors));
             owners.push(owner);
         }
     }
     if rows.is_empty() {
-        let mut why: Vec<String> = missing.iter().map(|m| format!("{}: {}", m.what, m.why)).collect();
+        let mut why: Vec<String> = missing
+            .iter()
+            .map(|m| format!("{}: {}", m.what, m.why))
+            .collect();
         if why.is_empty() {
             why.push("the tolerances asked for are below what the precision resolves".to_owned());
         }
-        return Err(BenchError::NothingLeft { why: why.join("; ") });
+        return Err(BenchError::NothingLeft {
+            why: why.join("; "),
+        });
     }
-    let round_seconds: f64 = runners.iter().map(|r| r.last * r.ladder.steps.len() as f64).sum();
+    let round_seconds: f64 = runners
+        .iter()
+        .map(|r| r.last * r.ladder.steps.len() as f64)
+        .sum();
     let mut rounds = 0;
-    while rounds < options.repeats.max(1) && (rounds == 0 || spent + round_seconds <= options.budget) {
+    while rounds < options.repeats.max(1)
+        && (rounds == 0 || spent + round_seconds <= options.budget)
+    {
         told(&format!(
             "round {} of {}: {} variants",
             rounds + 1,
@@ -299,8 +331,10 @@ impl Bench {
             row.pareto = pareto;
             let spec = work.spec(row.series.method, row.series.precision);
             let attempts = (row.steps_taken + row.steps_rejected) * count;
-            row.flops = flops::of_step(&spec, row.steps.rtol().unwrap_or(1.0)) * attempts / row.kernel_median();
-            row.peak_share = row.flops / self.devices[row.series.device].peak[row.series.precision as usize];
+            row.flops = flops::of_step(&spec, row.steps.rtol().unwrap_or(1.0)) * attempts
+                / row.kernel_median();
+            row.peak_share =
+                row.flops / self.devices[row.series.device].peak[row.series.precision as usize];
         }
     }
 }
@@ -371,7 +405,8 @@ fn written(x: f64) -> f64 {
     format!("{x:.12e}").parse().unwrap_or(x)
 }
 
-/// By what the next rung takes longer, about: twice the steps, or a tenth of the tolerance at the lowest order.
+/// By what the next rung takes longer, about: twice the steps, or a tenth of the tolerance at the
+/// lowest order.
 fn growth(method: Method) -> f64 {
     if method.adaptive() { 1.8 } else { 2.0 }
 }
@@ -379,7 +414,11 @@ fn growth(method: Method) -> f64 {
 /// A series in words.
 fn name(backends: &[Box<dyn Backend>], series: Series) -> String {
     let adapter = backends[series.device].adapter();
-    format!("{adapter} {} {}", series.precision.name(), series.method.name())
+    format!(
+        "{adapter} {} {}",
+        series.precision.name(),
+        series.method.name()
+    )
 }
 
 /// Steps in words.

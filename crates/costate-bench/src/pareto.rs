@@ -1,7 +1,7 @@
 //! Choosing among variants: which are worth having, and which to take for a wanted error.
 
-/// Which points are not beaten in both coordinates (less is better). Points that are not finite are never chosen; of
-/// equal ones all are.
+/// Which points are not beaten in both coordinates (less is better). Points that are not finite are
+/// never chosen; of equal ones all are.
 pub fn front(points: &[(f64, f64)]) -> Vec<bool> {
     let mut order: Vec<usize> = (0..points.len())
         .filter(|i| points[*i].0.is_finite() && points[*i].1.is_finite())
@@ -22,10 +22,12 @@ pub fn front(points: &[(f64, f64)]) -> Vec<bool> {
     chosen
 }
 
-/// Times closer together than this factor are as good as equal: the next run may order them otherwise.
+/// Times closer together than this factor are as good as equal: the next run may order them
+/// otherwise.
 const NOISE: f64 = 1.1;
 
-/// The fastest of `(seconds, error)` with an error of at most `wanted`; of those about as fast the most accurate.
+/// The fastest of `(seconds, error)` with an error of at most `wanted`; of those about as fast the
+/// most accurate.
 pub fn fastest(points: impl IntoIterator<Item = (f64, f64)>, wanted: f64) -> Option<usize> {
     let good: Vec<(usize, (f64, f64))> = (points.into_iter().enumerate())
         .filter(|(_, (seconds, error))| *error <= wanted && seconds.is_finite())
@@ -53,7 +55,10 @@ mod tests {
             (0.5, nan),
             (nan, 0.0),
         ];
-        assert_eq!(front(&points), [true, true, false, false, true, false, false]);
+        assert_eq!(
+            front(&points),
+            [true, true, false, false, true, false, false]
+        );
         // A twin is as good.
         assert_eq!(front(&[(1.0, 1.0), (1.0, 1.0)]), [true, true]);
         assert!(front(&[]).is_empty());

@@ -1,4 +1,5 @@
-//! What results are compared with: the same seeds in f64 at 1e-14, by another method than the one measured.
+//! What results are compared with: the same seeds in f64 at 1e-14, by another method than the one
+//! measured.
 
 use super::errors::Meter;
 use super::variants::Steps;
@@ -11,14 +12,14 @@ use nalgebra::{DMatrix, DVector};
 
 /// Tolerance of references: close to what f64 can meet.
 pub const REFERENCE_RTOL: f64 = 1e-14;
-/// Tolerance of the neighbours that the slope of p is taken from: it is multiplied with the small distance that an
-/// error moves a point along the manifold.
+/// Tolerance of the neighbours that the slope of p is taken from: it is multiplied with the small
+/// distance that an error moves a point along the manifold.
 const NEIGHBOUR_RTOL: f64 = 1e-12;
-/// Distance of neighbours on the seed surface. Their differences keep about six digits against rounding, and are that
-/// much smaller than what bends the manifold.
+/// Distance of neighbours on the seed surface. Their differences keep about six digits against
+/// rounding, and are that much smaller than what bends the manifold.
 const NEIGHBOUR: f64 = 1e-6;
-/// Below this share of the tangent plane in x (the sine of its angle to p, both scaled) the sheet turns back: p is no
-/// function of x there.
+/// Below this share of the tangent plane in x (the sine of its angle to p, both scaled) the sheet
+/// turns back: p is no function of x there.
 const FOLD: f64 = 1e-3;
 /// Step limit: references take as many as they need.
 const MOST_STEPS: u32 = 10_000_000;
@@ -43,7 +44,12 @@ impl Reference {
     ///
     /// # Errors
     /// When the kernel cannot be compiled.
-    pub fn new(work: &Work, meter: &Meter, method: Method, count: usize) -> Result<Self, BackendError> {
+    pub fn new(
+        work: &Work,
+        meter: &Meter,
+        method: Method,
+        count: usize,
+    ) -> Result<Self, BackendError> {
         let count = count.min(work.count());
         let seeds = &work.seeds[..count * work.plan.spec.dim()];
         let result = points(integrate(work, method, REFERENCE_RTOL, seeds)?);
@@ -74,47 +80,62 @@ impl Reference {
     }
 }
 
-fn integrate(work: &Work, method: Method, rtol: f64, seeds: &[f64]) -> Result<Trajectories, BackendError> {
+fn integrate(
+    work: &Work,
+    method: Method,
+    rtol: f64,
+    seeds: &[f64],
+) -> Result<Trajectories, BackendError> {
     let mut kernel = Cpu::new().compile(&work.spec(method, Precision::F64))?;
     let mut run = work.run(Steps::Tolerance(rtol));
     run.max_steps = MOST_STEPS;
-    Ok(work.integrate(kernel.as_mut(), &run, seeds, usize::MAX)?.kept)
+    Ok(work
+        .integrate(kernel.as_mut(), &run, seeds, usize::MAX)?
+        .kept)
 }
 
 /// Where only ends were kept, the ends that were reached as samples at one level.
 pub fn points(mut result: Trajectories) -> Trajectories {
     if result.levels == 0 {
         result.levels = 1;
-        result.samples = (result.end.chunks(result.dim).zip(&result.end_time).zip(&result.status))
-            .flat_map(|((end, time), status)| {
-                let reached = *status == Status::Reached;
-                let keep = move |x: f64| if reached { x } else { f64::NAN };
-                std::iter::once(*time)
-                    .chain(end.iter().copied())
-                    .map(keep)
-                    .collect::<Vec<_>>()
-            })
-            .collect();
+        result.samples = (result
+            .end
+            .chunks(result.dim)
+            .zip(&result.end_time)
+            .zip(&result.status))
+        .flat_map(|((end, time), status)| {
+            let reached = *status == Status::Reached;
+            let keep = move |x: f64| if reached { x } else { f64::NAN };
+            std::iter::once(*time)
+                .chain(end.iter().copied())
+                .map(keep)
+                .collect::<Vec<_>>()
+        })
+        .collect();
     }
     result
 }
 
 fn largest(values: &[f64], levels: usize) -> Vec<f64> {
     (values.chunks(levels))
-        .map(|row| row.iter().filter(|x| !x.is_nan()).fold(0.0f64, |a, x| a.max(x.abs())))
+        .map(|row| {
+            row.iter()
+                .filter(|x| !x.is_nan())
+                .fold(0.0f64, |a, x| a.max(x.abs()))
+        })
         .collect()
 }
 
-/// The slope of p along the manifold, at the samples of some reference trajectories: an error that moves a point along
-/// the manifold changes p by it, and is no error of p.
+/// The slope of p along the manifold, at the samples of some reference trajectories: an error that
+/// moves a point along the manifold changes p by it, and is no error of p.
 ///
-/// The tangent plane of the manifold is spanned by the differences of neighbouring trajectories and by the flow (on a
-/// finite horizon, where samples are at equal times, by the neighbours alone).
+/// The tangent plane of the manifold is spanned by the differences of neighbouring trajectories and
+/// by the flow (on a finite horizon, where samples are at equal times, by the neighbours alone).
 pub struct Slopes {
     /// Trajectories that have slopes: the leading ones.
     pub count: usize,
-    /// `[trajectory][level][n x n]`, row-major, of p in units of cost a width by x in widths of the region; NaN where
-    /// there is none.
+    /// `[trajectory][level][n x n]`, row-major, of p in units of cost a width by x in widths of the
+    /// region; NaN where there is none.
     values: Vec<f64>,
     square: usize,
     levels: usize,
@@ -133,7 +154,11 @@ impl Slopes {
             .min(MOST_SLOPES / (levels * n * n))
             .max(1);
         let mut sides = Vec::new();
-        let directions = if work.plan.system.terminal.is_some() { n } else { n - 1 };
+        let directions = if work.plan.system.terminal.is_some() {
+            n
+        } else {
+            n - 1
+        };
         for k in 0..directions {
             sides.push([
                 neighbours(work, reference, count, k, 1.0)?,
@@ -154,11 +179,17 @@ impl Slopes {
             let (i, level) = (at / levels, at % levels);
             let mut columns: Vec<Vec<f64>> = (sides.iter())
                 .map(|[a, b]| {
-                    let (a, b) = (&a.sample(i, level)[1..=2 * n], &b.sample(i, level)[1..=2 * n]);
+                    let (a, b) = (
+                        &a.sample(i, level)[1..=2 * n],
+                        &b.sample(i, level)[1..=2 * n],
+                    );
                     a.iter().zip(b).map(|(a, b)| a - b).collect()
                 })
                 .collect();
-            columns.extend(flow.iter().map(|f| f[at * 2 * n..(at + 1) * 2 * n].to_vec()));
+            columns.extend(
+                flow.iter()
+                    .map(|f| f[at * 2 * n..(at + 1) * 2 * n].to_vec()),
+            );
             let p = &reference.result.sample(i, level)[1 + n..=2 * n];
             if let Some(slope) = slope(&columns, p, &work.plan.widths) {
                 to.copy_from_slice(&slope);
@@ -180,8 +211,8 @@ impl Slopes {
     }
 }
 
-/// Trajectories from seeds beside the reference's, in the `k`-th direction along the seed surface. One outside a guard
-/// has no samples.
+/// Trajectories from seeds beside the reference's, in the `k`-th direction along the seed surface.
+/// One outside a guard has no samples.
 fn neighbours(
     work: &Work,
     reference: &Reference,
@@ -213,15 +244,16 @@ fn neighbours(
     Ok(result)
 }
 
-/// A parameter beside another: along an axis of the box, or on the sphere along the `k`-th axis other than the one it
-/// points along most, less its part outward.
+/// A parameter beside another: along an axis of the box, or on the sphere along the `k`-th axis
+/// other than the one it points along most, less its part outward.
 fn beside(parameter: &[f64], k: usize, by: f64, flat: bool) -> Vec<f64> {
     let mut moved = parameter.to_vec();
     if flat {
         moved[k] += by;
         return moved;
     }
-    let along = (0..parameter.len()).max_by(|a, b| parameter[*a].abs().total_cmp(&parameter[*b].abs()));
+    let along =
+        (0..parameter.len()).max_by(|a, b| parameter[*a].abs().total_cmp(&parameter[*b].abs()));
     let axis = k + usize::from(along.is_some_and(|a| k >= a));
     for (i, x) in moved.iter_mut().enumerate() {
         let unit = if i == axis { 1.0 } else { 0.0 };
@@ -232,11 +264,16 @@ fn beside(parameter: &[f64], k: usize, by: f64, flat: bool) -> Vec<f64> {
     moved
 }
 
-/// dp/dx of a plane spanned by columns `(dx, dp)`, p scaled to units of cost and x to widths; `None` where the plane
-/// stands upright, or a column is not known.
+/// dp/dx of a plane spanned by columns `(dx, dp)`, p scaled to units of cost and x to widths;
+/// `None` where the plane stands upright, or a column is not known.
 fn slope(columns: &[Vec<f64>], p: &[f64], widths: &[f64]) -> Option<Vec<f64>> {
     let n = widths.len();
-    let cost = p.iter().zip(widths).map(|(p, w)| (p * w).powi(2)).sum::<f64>().sqrt();
+    let cost = p
+        .iter()
+        .zip(widths)
+        .map(|(p, w)| (p * w).powi(2))
+        .sum::<f64>()
+        .sqrt();
     let mut plane = DMatrix::zeros(2 * n, n);
     for (mut to, column) in plane.column_iter_mut().zip(columns) {
         for i in 0..n {

@@ -72,12 +72,17 @@ impl Default for Wanted {
     }
 }
 
-/// Steps of a fixed-step method along a trajectory of median duration: from about as few as an adaptive method takes at
-/// a loose tolerance to as many as one of low order takes at a tight one.
+/// Steps of a fixed-step method along a trajectory of median duration: from about as few as an
+/// adaptive method takes at a loose tolerance to as many as one of low order takes at a tight one.
 const FIXED_STEPS: [f64; 8] = [16.0, 32.0, 64.0, 128.0, 256.0, 512.0, 1024.0, 2048.0];
 
-/// All ladders on some backends, and what they cannot do. `duration` is that of the median trajectory.
-pub fn ladders(backends: &[Box<dyn Backend>], wanted: &Wanted, duration: f64) -> (Vec<Ladder>, Vec<Missing>) {
+/// All ladders on some backends, and what they cannot do. `duration` is that of the median
+/// trajectory.
+pub fn ladders(
+    backends: &[Box<dyn Backend>],
+    wanted: &Wanted,
+    duration: f64,
+) -> (Vec<Ladder>, Vec<Missing>) {
     let (mut ladders, mut missing) = (Vec::new(), Vec::new());
     for (device, backend) in backends.iter().enumerate() {
         for &precision in &wanted.precisions {
@@ -91,7 +96,12 @@ pub fn ladders(backends: &[Box<dyn Backend>], wanted: &Wanted, duration: f64) ->
             for &method in &wanted.methods {
                 if !backend.offers(method) {
                     missing.push(Missing {
-                        what: format!("{} {} {}", backend.adapter(), precision.name(), method.name()),
+                        what: format!(
+                            "{} {} {}",
+                            backend.adapter(),
+                            precision.name(),
+                            method.name()
+                        ),
                         why: "the backend has no such method".into(),
                     });
                     continue;

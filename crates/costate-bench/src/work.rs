@@ -13,7 +13,11 @@ const TRIES: usize = 64;
 #[derive(Debug, thiserror::Error)]
 pub enum WorkError {
     #[error("only {found} of {tried} seeds tried lie inside the guards; {wanted} are wanted")]
-    OutsideGuards { found: usize, tried: usize, wanted: usize },
+    OutsideGuards {
+        found: usize,
+        tried: usize,
+        wanted: usize,
+    },
 }
 
 /// Seeds of a scene's sweep, and how far they are integrated.
@@ -50,7 +54,13 @@ impl Work {
     ///
     /// # Errors
     /// [`WorkError::OutsideGuards`] where hardly any part of the surface is inside the guards.
-    pub fn new(plan: Plan, model: &Model, count: usize, seed: u64, store: bool) -> Result<Self, WorkError> {
+    pub fn new(
+        plan: Plan,
+        model: &Model,
+        count: usize,
+        seed: u64,
+        store: bool,
+    ) -> Result<Self, WorkError> {
         let mut work = Self {
             parameters: Vec::with_capacity(count),
             seeds: Vec::with_capacity(count * plan.spec.dim()),
@@ -105,11 +115,13 @@ impl Work {
         }
     }
 
-    /// The plan's run with other steps. Absolute tolerances keep their proportion to the relative one.
+    /// The plan's run with other steps. Absolute tolerances keep their proportion to the relative
+    /// one.
     pub fn run(&self, steps: Steps) -> Run {
         let mut run = self.plan.run.clone();
         if !self.store {
-            // Between stored points bounds are looked at where steps end, which is not the same for all methods.
+            // Between stored points bounds are looked at where steps end, which is not the same for
+            // all methods.
             run.bounds.clear();
         }
         match steps {
@@ -123,7 +135,8 @@ impl Work {
         run
     }
 
-    /// Integrates `seeds` in batches as the sweep does; keeps the results of the first `keep` trajectories.
+    /// Integrates `seeds` in batches as the sweep does; keeps the results of the first `keep`
+    /// trajectories.
     ///
     /// # Errors
     /// Device failures.
@@ -146,7 +159,10 @@ impl Work {
             let begin = Instant::now();
             let batch = kernel.integrate(run, part)?;
             pass.seconds += begin.elapsed().as_secs_f64();
-            pass.kernel_seconds = pass.kernel_seconds.zip(kernel.kernel_seconds()).map(|(a, b)| a + b);
+            pass.kernel_seconds = pass
+                .kernel_seconds
+                .zip(kernel.kernel_seconds())
+                .map(|(a, b)| a + b);
             pass.count(&batch);
             pass.keep(&batch, keep);
         }
@@ -173,13 +189,14 @@ impl Pass {
         kept.steps.extend_from_slice(&batch.steps[..more]);
         kept.rejected.extend_from_slice(&batch.rejected[..more]);
         let width = batch.levels * (1 + batch.dim);
-        kept.samples.extend_from_slice(&batch.samples[..more * width]);
+        kept.samples
+            .extend_from_slice(&batch.samples[..more * width]);
     }
 }
 
-/// Points that cover a sphere or a box evenly, any number of them: the additive recurrence `x_k = x_0 + k a (mod 1)`,
-/// with `a` from the root of `x^(d+1) = x + 1` (M. Roberts, "The unreasonable effectiveness of quasirandom sequences",
-/// 2018), on a sphere as directions of normal deviates.
+/// Points that cover a sphere or a box evenly, any number of them: the additive recurrence `x_k =
+/// x_0 + k a (mod 1)`, with `a` from the root of `x^(d+1) = x + 1` (M. Roberts, "The unreasonable
+/// effectiveness of quasirandom sequences", 2018), on a sphere as directions of normal deviates.
 struct Even {
     states: usize,
     sphere: bool,
@@ -189,7 +206,8 @@ struct Even {
 
 impl Even {
     fn new(states: usize, sphere: bool, seed: u64) -> Self {
-        // Directions in a plane are one angle; in more dimensions a pair of numbers makes a pair of deviates.
+        // Directions in a plane are one angle; in more dimensions a pair of numbers makes a pair of
+        // deviates.
         let dimensions = match (sphere, states) {
             (false, n) => n,
             (true, 2) => 1,
@@ -219,7 +237,8 @@ impl Even {
             let (sine, cosine) = (turn * self.at[0]).sin_cos();
             return vec![cosine, sine];
         }
-        // Box and Muller, A note on the generation of random normal deviates, Ann. Math. Statist. 29 (1958).
+        // Box and Muller, A note on the generation of random normal deviates, Ann. Math. Statist.
+        // 29 (1958).
         let mut direction: Vec<f64> = (self.at.chunks_exact(2))
             .flat_map(|pair| {
                 let radius = (-2.0 * (1.0 - pair[0]).ln()).sqrt();
@@ -241,8 +260,8 @@ impl Even {
 
 /// A number in [0, 1) for each dimension (SplitMix64); seed 0 too starts off the corners.
 fn shift(seed: u64, dimension: u64) -> f64 {
-    let mut z =
-        (seed.wrapping_mul(0xbf58_476d_1ce4_e5b9)).wrapping_add((dimension + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let mut z = (seed.wrapping_mul(0xbf58_476d_1ce4_e5b9))
+        .wrapping_add((dimension + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
@@ -252,7 +271,8 @@ fn shift(seed: u64, dimension: u64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Every eighth of the circle, and every half-space of the sphere in five dimensions, gets its share.
+    /// Every eighth of the circle, and every half-space of the sphere in five dimensions, gets its
+    /// share.
     #[test]
     fn directions_are_even_and_of_length_one() {
         const COUNT: usize = 4096;
@@ -264,16 +284,25 @@ mod tests {
             octants[((angle / std::f64::consts::FRAC_PI_4) as usize).min(7)] += 1;
         }
         // An additive recurrence of one dimension is off by a few points however many there are.
-        assert!(octants.iter().all(|n| n.abs_diff(COUNT / 8) <= 4), "{octants:?}");
+        assert!(
+            octants.iter().all(|n| n.abs_diff(COUNT / 8) <= 4),
+            "{octants:?}"
+        );
         let mut even = Even::new(5, true, 3);
         let mut halves = [0usize; 5];
         for _ in 0..COUNT {
             let d = even.next_parameter();
             assert!((d.iter().map(|x| x * x).sum::<f64>() - 1.0).abs() < 1e-12);
-            halves.iter_mut().zip(&d).for_each(|(h, x)| *h += usize::from(*x > 0.0));
+            halves
+                .iter_mut()
+                .zip(&d)
+                .for_each(|(h, x)| *h += usize::from(*x > 0.0));
         }
         // Half the deviation that random points would have: sqrt(4096)/2 = 32.
-        assert!(halves.iter().all(|n| n.abs_diff(COUNT / 2) <= 32), "{halves:?}");
+        assert!(
+            halves.iter().all(|n| n.abs_diff(COUNT / 2) <= 32),
+            "{halves:?}"
+        );
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! What a run does with its result: fits laws, simulates them, makes the report.
 //!
-//! Until then the result has a hidden name of its own, so that a run which is killed leaves nothing under the final one.
+//! Until then the result has a hidden name of its own, so that a run which is killed leaves nothing
+//! under the final one.
 
 use super::evaluate::{self, Sources, Wanted};
 use super::fit::{Beside, fit_laws};
@@ -25,7 +26,9 @@ pub(super) fn wanted(model: &Model) -> bool {
 
 /// Finds mistakes in the scene's laws before a long run does.
 pub(super) fn check(scene: &Scene) -> Result<(), CliError> {
-    let Scene { model, hamiltonian, .. } = scene;
+    let Scene {
+        model, hamiltonian, ..
+    } = scene;
     if let Some(scene) = &model.closed_loop {
         let laws = Laws::new(model, hamiltonian, scene.track);
         let available = Available {
@@ -38,7 +41,8 @@ pub(super) fn check(scene: &Scene) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Fits and simulates the scene's laws, in the draft. What cannot be done is said and left out: the sweep is not lost for it.
+/// Fits and simulates the scene's laws, in the draft. What cannot be done is said and left out: the
+/// sweep is not lost for it.
 pub(super) fn laws(
     draft: &Draft,
     scene: &Scene,
@@ -47,8 +51,7 @@ pub(super) fn laws(
     terminal: &Terminal,
 ) -> Result<serde_json::Value, CliError> {
     let model = &scene.model;
-    let mut done =
-        serde_json::json!({ "feedback": null, "closed_loop": null, "dissipation": null, "attenuation": null });
+    let mut done = serde_json::json!({ "feedback": null, "closed_loop": null, "dissipation": null, "attenuation": null });
     if !model.feedback.is_empty() {
         let stored = Stored::open(draft.hidden())?;
         match fit_laws(
@@ -126,8 +129,9 @@ pub(super) fn page(path: &Path, terminal: &Terminal) -> Option<PathBuf> {
     let bar = terminal.progress();
     bar.say("report");
     let written = Stored::open(path).map_err(|e| e.to_string());
-    let written =
-        written.and_then(|stored| costate_report::write(&stored, &Options::default()).map_err(|e| e.to_string()));
+    let written = written.and_then(|stored| {
+        costate_report::write(&stored, &Options::default()).map_err(|e| e.to_string())
+    });
     bar.clear();
     match written {
         Ok(written) => Some(written.page),

@@ -23,14 +23,19 @@ pub(super) struct Alone {
 }
 
 impl Alone {
-    /// `ending` is that of the file's name unless the user gives one; `asks` refuses a scene without the part.
+    /// `ending` is that of the file's name unless the user gives one; `asks` refuses a scene
+    /// without the part.
     pub fn begin(
         args: &RunArgs,
         ending: &str,
         asks: impl FnOnce(&Model) -> Result<(), CliError>,
     ) -> Result<(Self, ResultFile), CliError> {
         let (started, clock) = (SystemTime::now(), Instant::now());
-        super::check_out(args.out.as_deref(), &[super::Kind::Result], &[&args.scene.scenario])?;
+        super::check_out(
+            args.out.as_deref(),
+            &[super::Kind::Result],
+            &[&args.scene.scenario],
+        )?;
         if args.grid_guesses {
             return Err(super::grid::GridRefusal::Nothing.into());
         }

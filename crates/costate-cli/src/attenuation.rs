@@ -17,7 +17,13 @@ use costate_report::ATTENUATION_PICTURES;
 use std::path::Path;
 
 pub(super) fn attenuation(args: &RunArgs) -> Result<(), CliError> {
-    let asks = |model: &Model| model.attenuation.as_ref().map(drop).ok_or(CliError::NoAttenuation);
+    let asks = |model: &Model| {
+        model
+            .attenuation
+            .as_ref()
+            .map(drop)
+            .ok_or(CliError::NoAttenuation)
+    };
     let (begun, mut file) = Alone::begin(args, "_attenuation", asks)?;
     let Alone {
         scene,
@@ -37,7 +43,10 @@ pub(super) fn attenuation(args: &RunArgs) -> Result<(), CliError> {
         format!("; pictures: {} (and .png)", pictures.join(", "))
     };
     let seconds = clock.elapsed().as_secs_f64();
-    terminal.say(&format!("{seconds:.2} s, written to {}{beside}", path.display()))?;
+    terminal.say(&format!(
+        "{seconds:.2} s, written to {}{beside}",
+        path.display()
+    ))?;
     if args.scene.json {
         super::print(&format!("{:#}\n", as_json(&found)))?;
     }
@@ -65,8 +74,9 @@ pub(super) fn write(
 /// The pictures beside a result file, by their names as SVG; what cannot be drawn is a note.
 fn pictures(path: &Path, terminal: &Terminal) -> Vec<String> {
     let stored = Stored::open(path).map_err(|e| e.to_string());
-    let written =
-        stored.and_then(|s| costate_report::write_beside(&s, &ATTENUATION_PICTURES).map_err(|e| e.to_string()));
+    let written = stored.and_then(|s| {
+        costate_report::write_beside(&s, &ATTENUATION_PICTURES).map_err(|e| e.to_string())
+    });
     match written {
         Ok(written) => {
             for (name, reason) in &written.missing {
@@ -84,7 +94,11 @@ fn pictures(path: &Path, terminal: &Terminal) -> Vec<String> {
 /// gamma* in a line.
 pub(super) fn star_text(parameter: &str, linear: &LinearAttenuation) -> String {
     if linear.cause == Cause::None {
-        return format!("{parameter}* at or below {}, {}", linear.star, linear.cause.explained());
+        return format!(
+            "{parameter}* at or below {}, {}",
+            linear.star,
+            linear.cause.explained()
+        );
     }
     format!(
         "{parameter}* = {:.12} (Riccati equation), {:.12} (Hamiltonian matrix), relative difference {:.1e}\n  {}: {}",
@@ -153,7 +167,9 @@ pub(super) fn text(found: &Attenuated) -> String {
         lines.push(format!("  {first}: {}", failing(row)));
     }
     if !search.monotone {
-        lines.push(format!("  coverage is not monotone in {name}: see the curve"));
+        lines.push(format!(
+            "  coverage is not monotone in {name}: see the curve"
+        ));
     }
     let below = search.covering_below();
     if !below.is_empty() {
@@ -163,8 +179,14 @@ pub(super) fn text(found: &Attenuated) -> String {
             below.join(", ")
         ));
     }
-    let mut rows = vec![vec![name.clone(), "covered".to_owned(), "not valid".to_owned()]];
-    rows.extend((search.rows.iter()).map(|r| vec![format!("{:.6}", r.value), percent(r), failing(r)]));
+    let mut rows = vec![vec![
+        name.clone(),
+        "covered".to_owned(),
+        "not valid".to_owned(),
+    ]];
+    rows.extend(
+        (search.rows.iter()).map(|r| vec![format!("{:.6}", r.value), percent(r), failing(r)]),
+    );
     lines.push(columns(&rows, &[2]));
     lines.join("\n")
 }

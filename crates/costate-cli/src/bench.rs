@@ -45,7 +45,8 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     let terminal = report::Terminal::new(&args.scene);
     let mut file = ResultFile::create(&path)?;
 
-    let work = Work::new(plan, model, args.trajectories, args.seed, !args.ends).map_err(BenchError::from)?;
+    let work = Work::new(plan, model, args.trajectories, args.seed, !args.ends)
+        .map_err(BenchError::from)?;
     let options = options(args);
     let bar = terminal.progress();
     let mut bench = measure(&work, &backends, &options, &mut |what| bar.say(what))?;
@@ -55,7 +56,14 @@ pub(super) fn bench(args: &BenchArgs) -> Result<(), CliError> {
     for &count in &args.host_share {
         for (device, backend) in backends.iter().enumerate() {
             let folder = file.path().with_extension("host_share.tmp.h5");
-            shares.push(host_share(args, &scene, device, backend.as_ref(), count, &folder)?);
+            shares.push(host_share(
+                args,
+                &scene,
+                device,
+                backend.as_ref(),
+                count,
+                &folder,
+            )?);
         }
     }
 
@@ -149,8 +157,9 @@ fn wanted_errors(args: &BenchArgs) -> Vec<f64> {
     wanted
 }
 
-/// Sweeps the scene with its own settings until `count` trajectories are done, and writes them to a file that is removed
-/// again: everything that `run` does for a sweep but reading and deriving the scene.
+/// Sweeps the scene with its own settings until `count` trajectories are done, and writes them to a
+/// file that is removed again: everything that `run` does for a sweep but reading and deriving the
+/// scene.
 fn host_share(
     args: &BenchArgs,
     scene: &Scene,

@@ -56,7 +56,12 @@ pub(super) fn as_text(done: &Done<'_>) -> String {
     lines.push("e_V, e_p: off the manifold, relative to max(1, V), max(1, |p|); e_H: change of H relative to the running cost.".into());
     if !bench.missing.is_empty() {
         lines.push("not measured:".into());
-        lines.extend(bench.missing.iter().map(|m| format!("  {}: {}", m.what, m.why)));
+        lines.extend(
+            bench
+                .missing
+                .iter()
+                .map(|m| format!("  {}: {}", m.what, m.why)),
+        );
     }
     lines.push(String::new());
     lines.extend(done.wanted.iter().flat_map(|e| recommended(done, *e)));
@@ -75,7 +80,10 @@ fn headed(device: &Device) -> String {
         let peak = device.peak[k];
         (peak.is_finite()).then(|| format!("{:.0} Gflop/s {name}", peak * 1e-9))
     };
-    let rates: Vec<String> = [rate(0, "f32"), rate(1, "f64")].into_iter().flatten().collect();
+    let rates: Vec<String> = [rate(0, "f32"), rate(1, "f64")]
+        .into_iter()
+        .flatten()
+        .collect();
     format!(
         "{}: {}; multiply-adds measured: {}",
         device.backend,
@@ -133,7 +141,11 @@ fn line(bench: &Bench, row: &Row) -> String {
 }
 
 fn brief(x: f64) -> String {
-    if x.is_nan() { "-".to_owned() } else { format!("{x:.1e}") }
+    if x.is_nan() {
+        "-".to_owned()
+    } else {
+        format!("{x:.1e}")
+    }
 }
 
 /// Three significant digits, thousands apart.
@@ -173,7 +185,9 @@ fn section(row: &Row) -> Vec<String> {
 fn recommended(done: &Done<'_>, wanted: f64) -> Vec<String> {
     let bench = done.bench;
     let Some(row) = bench.fastest(wanted) else {
-        return vec![format!("for V to {wanted:.0e}: no variant measured is that good")];
+        return vec![format!(
+            "for V to {wanted:.0e}: no variant measured is that good"
+        )];
     };
     let head = format!(
         "for V to {wanted:.0e}, {}: {} trajectories/s, worst e_V {:.1e}, 99 % {:.1e}, e_p {:.1e}",

@@ -19,7 +19,8 @@ pub(super) fn load(args: &super::SceneArgs) -> Result<Scene, CliError> {
     loaded(&args.scenario, &args.set)
 }
 
-/// The scene of a file; a game whose level of attenuation its linearization does not allow is refused.
+/// The scene of a file; a game whose level of attenuation its linearization does not allow is
+/// refused.
 pub(super) fn loaded(path: &Path, set: &[(String, String)]) -> Result<Scene, CliError> {
     let scene = Scene::load_with(path, set)?;
     // Before anything is computed or written, whatever the command.
@@ -30,8 +31,14 @@ pub(super) fn loaded(path: &Path, set: &[(String, String)]) -> Result<Scene, Cli
 }
 
 /// The plan of a scene's sweep; an error of the local solution has its place in the file.
-pub(super) fn planned(scene: &Scene, backend: &dyn Backend, choices: Choices) -> Result<Plan, CliError> {
-    let Scene { model, hamiltonian, .. } = scene;
+pub(super) fn planned(
+    scene: &Scene,
+    backend: &dyn Backend,
+    choices: Choices,
+) -> Result<Plan, CliError> {
+    let Scene {
+        model, hamiltonian, ..
+    } = scene;
     Plan::new(model, hamiltonian, backend, choices).map_err(|e| match e {
         PlanError::Local(e) => at_equilibrium(model, &e),
         other => other.into(),
@@ -44,7 +51,9 @@ fn at_equilibrium(model: &Model, error: &LocalError) -> CliError {
         (_, LocalError::SeedTooLarge { .. }, Some(s)) => {
             Problem::at(s.span.clone(), error.to_string(), "this seed_value")
         }
-        (Horizon::Infinite { span, .. }, ..) => Problem::at(span.clone(), error.to_string(), "linearized here"),
+        (Horizon::Infinite { span, .. }, ..) => {
+            Problem::at(span.clone(), error.to_string(), "linearized here")
+        }
         _ => Problem {
             message: error.to_string(),
             span: None,
@@ -57,9 +66,13 @@ fn at_equilibrium(model: &Model, error: &LocalError) -> CliError {
 
 pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
     let scene = load(&args.scene)?;
-    let Scene { model, hamiltonian, .. } = &scene;
+    let Scene {
+        model, hamiltonian, ..
+    } = &scene;
     let riccati = match model.horizon {
-        Horizon::Infinite { .. } => Some(Riccati::solve(hamiltonian, model).map_err(|e| at_equilibrium(model, &e))?),
+        Horizon::Infinite { .. } => {
+            Some(Riccati::solve(hamiltonian, model).map_err(|e| at_equilibrium(model, &e))?)
+        }
         Horizon::Finite { .. } => None,
     };
     super::afterwards::check(&scene)?;
@@ -101,7 +114,11 @@ pub(super) fn check(args: &CheckArgs) -> Result<(), CliError> {
 }
 
 fn names(model: &Model) -> Vec<&str> {
-    model.states.iter().map(|s| s.variable.name.as_str()).collect()
+    model
+        .states
+        .iter()
+        .map(|s| s.variable.name.as_str())
+        .collect()
 }
 
 /// What is so at the equilibrium.
@@ -165,7 +182,9 @@ fn as_text(model: &Model, h: &Hamiltonian, local: Option<(&Riccati, &At)>) -> St
             }
         }
         Horizon::Finite {
-            terminal, final_time, ..
+            terminal,
+            final_time,
+            ..
         } => {
             line(format!("\nTerminal cost at t = {final_time}"));
             line(format!("  phi = {}", g.show(terminal.expr)));
@@ -271,10 +290,17 @@ pub(super) fn adapters(json: bool) -> Result<(), CliError> {
         return Ok(());
     }
     if found.is_empty() {
-        writeln!(out, "no GPU adapter was found; `--backend auto` computes on the CPU")?;
+        writeln!(
+            out,
+            "no GPU adapter was found; `--backend auto` computes on the CPU"
+        )?;
     }
     for a in &found {
-        let f64_text = if a.f64_arithmetic { "f32 and f64" } else { "f32 only" };
+        let f64_text = if a.f64_arithmetic {
+            "f32 and f64"
+        } else {
+            "f32 only"
+        };
         writeln!(
             out,
             "{} ({}, {}): {f64_text}, buffers up to {} MiB",

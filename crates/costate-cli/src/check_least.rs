@@ -22,7 +22,8 @@ const SHOWN: usize = 10;
 pub(super) struct CheckLeastArgs {
     /// The result file (.h5), with solved states in /points or /map.
     file: PathBuf,
-    /// Nodes of the grid along each axis, about: one number, or one for each state [default: by the number of states]
+    /// Nodes of the grid along each axis, about: one number, or one for each state [default: by the
+    /// number of states]
     #[arg(long, value_name = "N", value_delimiter = ',', value_parser = nodes)]
     nodes: Vec<usize>,
     /// Widths of the region by which the grid goes beyond the region and the states.
@@ -68,7 +69,9 @@ fn share(text: &str) -> Result<f64, String> {
 pub(super) fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
     let clock = Instant::now();
     let stored = Stored::open(&args.file)?;
-    let Scene { model, hamiltonian, .. } = &stored.scene;
+    let Scene {
+        model, hamiltonian, ..
+    } = &stored.scene;
     grid::refuse(model, &stored.path.display().to_string())?;
     let claims = claims(&stored)?;
     let n = model.states.len();
@@ -86,7 +89,13 @@ pub(super) fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
         holds: extent(&plan, &claims.x),
         budget_seconds: args.seconds,
     };
-    let grid = solve(model, hamiltonian, &plan, &options, Device::of(backend.as_ref()))?;
+    let grid = solve(
+        model,
+        hamiltonian,
+        &plan,
+        &options,
+        Device::of(backend.as_ref()),
+    )?;
     bar.say("greedy paths");
     let mut solver = value::solver(&plan, backend.as_ref())?;
     let opinion = referee(&plan, &mut solver, &grid, &claims, args.apart)?;
@@ -125,7 +134,9 @@ fn claims(stored: &Stored) -> Result<Claims, CliError> {
         }
     };
     let complete = |group: &str, status: &[i32], count: usize| match stored.group(group) {
-        Some(group) if status.len() != count => Err(group.error("status", "not as many as there are states")),
+        Some(group) if status.len() != count => {
+            Err(group.error("status", "not as many as there are states"))
+        }
         _ => Ok(()),
     };
     let n = stored.scene.model.states.len();
@@ -161,7 +172,11 @@ struct Said<'a> {
 
 impl Said<'_> {
     fn names(&self) -> Vec<&str> {
-        self.model.states.iter().map(|s| s.variable.name.as_str()).collect()
+        self.model
+            .states
+            .iter()
+            .map(|s| s.variable.name.as_str())
+            .collect()
     }
 
     fn state(&self, claim: usize) -> &[f64] {
@@ -200,7 +215,13 @@ impl Said<'_> {
     }
 
     fn nodes(&self) -> Vec<usize> {
-        self.grid.grid.lattice.axes.iter().map(|a| a.count).collect()
+        self.grid
+            .grid
+            .lattice
+            .axes
+            .iter()
+            .map(|a| a.count)
+            .collect()
     }
 
     fn verdict(&self) -> String {
@@ -211,7 +232,9 @@ impl Said<'_> {
         );
         let below = self.apart().iter().filter(|(_, d)| *d < 0.0).count();
         match self.undercut().len() {
-            0 if known == 0 => format!("the grid does not reach any of the {all} states: it says nothing"),
+            0 if known == 0 => {
+                format!("the grid does not reach any of the {all} states: it says nothing")
+            }
             0 => {
                 let unexplained = match below {
                     0 => String::new(),
@@ -220,7 +243,9 @@ impl Said<'_> {
                         self.args.apart
                     ),
                 };
-                format!("nothing costs less than V from any of the {flown} states that were flown from{unexplained}")
+                format!(
+                    "nothing costs less than V from any of the {flown} states that were flown from{unexplained}"
+                )
             }
             n => format!("V is not the least at {n} of the {flown} states that were flown from"),
         }
@@ -276,7 +301,11 @@ impl Said<'_> {
 
     fn apart_text(&self) -> String {
         let list = self.apart();
-        let mut text = format!("apart by more than {} of V: {} states", self.args.apart, list.len());
+        let mut text = format!(
+            "apart by more than {} of V: {} states",
+            self.args.apart,
+            list.len()
+        );
         if list.is_empty() {
             return text;
         }
@@ -334,7 +363,10 @@ impl Said<'_> {
             }
             rows.push(row);
         }
-        Some(format!("cheaper than V in the file:{}", indented(&columns(&rows, &[]))))
+        Some(format!(
+            "cheaper than V in the file:{}",
+            indented(&columns(&rows, &[]))
+        ))
     }
 
     fn json(&self) -> serde_json::Value {
@@ -389,7 +421,10 @@ impl Said<'_> {
 fn rounds(grid: &GridValue) -> String {
     let last = grid.changes.last();
     last.map_or_else(String::new, |last| {
-        format!(", {} rounds, the last change {last:.0e}", grid.changes.len())
+        format!(
+            ", {} rounds, the last change {last:.0e}",
+            grid.changes.len()
+        )
     })
 }
 

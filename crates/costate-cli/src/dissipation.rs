@@ -5,7 +5,9 @@ use super::columns::columns;
 use super::evaluate::{Sources, Wanted, same_problem};
 use super::report::Terminal;
 use costate::backend::Backend;
-use costate::closed_loop::dissipation::{Certificate, Dissipation, Origin, TOLERANCE, check, flight, ratio_text};
+use costate::closed_loop::dissipation::{
+    Certificate, Dissipation, Origin, TOLERANCE, check, flight, ratio_text,
+};
 use costate::closed_loop::{Laws, solved_values};
 use costate::hdf5::ResultFile;
 use costate::scene::Scene;
@@ -23,19 +25,35 @@ pub(super) fn perform(
     terminal: &Terminal,
     file: &mut ResultFile,
 ) -> Result<Dissipation, CliError> {
-    let Scene { model, hamiltonian, .. } = scene;
+    let Scene {
+        model, hamiltonian, ..
+    } = scene;
     let asked = model.dissipation.as_ref().ok_or(CliError::NoClosedLoop)?;
     let track = model.closed_loop.as_ref().and_then(|s| s.track);
     let laws = Laws::new(model, hamiltonian, track);
-    let same = from.stored.is_some_and(|s| same_problem(&s.scene.model, model));
+    let same = from
+        .stored
+        .is_some_and(|s| same_problem(&s.scene.model, model));
     let bar = terminal.progress();
     let solve = |states: &[f64]| {
         // More exact than what is interpolated, of which the ratio should say nothing.
         let choices = Choices {
-            rtol: Some(wanted.choices.rtol.unwrap_or(model.integrator.rtol.min(SOLVED_RTOL))),
+            rtol: Some(
+                wanted
+                    .choices
+                    .rtol
+                    .unwrap_or(model.integrator.rtol.min(SOLVED_RTOL)),
+            ),
             ..wanted.choices
         };
-        solved_values(model, hamiltonian, backend, choices, states, &mut |_, _, _| {})
+        solved_values(
+            model,
+            hamiltonian,
+            backend,
+            choices,
+            states,
+            &mut |_, _, _| {},
+        )
     };
     let certificate = Certificate::of(&laws, from.chart(), same.then_some(&solve))?;
     if let (Certificate::Chart(..), false) = (&certificate, same) {

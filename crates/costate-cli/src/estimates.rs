@@ -22,7 +22,12 @@ pub(super) struct Estimates {
 
 impl Estimates {
     /// `stored`: the sweep is a result, not only a source of guesses.
-    pub fn of(plan: &Plan, swept: &SweepReport, stored: bool, answers: Option<&Answers>) -> Result<Self, CliError> {
+    pub fn of(
+        plan: &Plan,
+        swept: &SweepReport,
+        stored: bool,
+        answers: Option<&Answers>,
+    ) -> Result<Self, CliError> {
         let mut this = Self {
             separation: stiffness::separation(plan).filter(|_| stored),
             ..Self::default()
@@ -36,7 +41,11 @@ impl Estimates {
             let beyond = (0..answers.targets.len())
                 .filter(|t| answers.status(*t) == PointStatus::Horizon)
                 .count();
-            this.segments = stiffness::segments(plan, answers.entries.iter().map(|e| e.path.segments()), beyond);
+            this.segments = stiffness::segments(
+                plan,
+                answers.entries.iter().map(|e| e.path.segments()),
+                beyond,
+            );
         }
         Ok(this)
     }
@@ -219,8 +228,13 @@ fn separation_note(plan: &Plan, s: &Separation) -> String {
     } else {
         ""
     };
-    let enough = plan.spec.precision == Precision::F32 && s.digits < -Precision::F64.epsilon().log10();
-    let finer = if enough { ", or use --precision f64" } else { "" };
+    let enough =
+        plan.spec.precision == Precision::F32 && s.digits < -Precision::F64.epsilon().log10();
+    let finer = if enough {
+        ", or use --precision f64"
+    } else {
+        ""
+    };
     format!(
         "the closed loop's rates are far apart, {} and {} (ratio {:.0}): fronts along the slow modes come from seeds that differ in \
          digit {:.0} at the earliest, and {} has {:.0}. What is swept is right, but those parts are not covered: {solve}replace the \
@@ -278,7 +292,10 @@ fn swept_note(plan: &Plan, a: &Accuracy, terminal: &Terminal) {
 }
 
 fn quantiles(s: Spread) -> String {
-    format!("median {:.1e}, 99 % {:.1e}, worst {:.1e}", s.median, s.p99, s.worst)
+    format!(
+        "median {:.1e}, 99 % {:.1e}, worst {:.1e}",
+        s.median, s.p99, s.worst
+    )
 }
 
 fn worst(name: &str, spread: Option<Spread>) -> String {

@@ -7,7 +7,8 @@ use super::run::output_of;
 use super::{CliError, EvaluateArgs, dissipation};
 use costate::backend::Backend;
 use costate::closed_loop::{
-    self, Available, Chart, Evaluation, GROUPS, Initial, LQR, Law, Laws, MAP, Setting, Weights, solved_values,
+    self, Available, Chart, Evaluation, GROUPS, Initial, LQR, Law, Laws, MAP, Setting, Weights,
+    solved_values,
 };
 use costate::hdf5::ResultFile;
 use costate::map::ValueMap;
@@ -74,7 +75,10 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
             // Of what is simulated again nothing old is left.
             let parts = [
                 (model.closed_loop.is_some(), GROUPS.as_slice()),
-                (model.dissipation.is_some(), &closed_loop::dissipation::GROUPS),
+                (
+                    model.dissipation.is_some(),
+                    &closed_loop::dissipation::GROUPS,
+                ),
             ];
             let replaced: Vec<&str> = (parts.iter().filter(|(there, _)| *there))
                 .flat_map(|(_, groups)| groups.iter().copied())
@@ -82,17 +86,34 @@ pub(super) fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
             ResultFile::extend(&args.file, &replaced)?
         }
         (Some(_), Some(out)) => ResultFile::create(out)?,
-        (None, out) => ResultFile::create(out.clone().unwrap_or_else(|| output_of(&args.file, "_closed_loop")))?,
+        (None, out) => ResultFile::create(
+            out.clone()
+                .unwrap_or_else(|| output_of(&args.file, "_closed_loop")),
+        )?,
     };
     let from = Sources::new(stored.as_ref(), &wanted, &terminal)?;
     let mut summary = serde_json::json!({});
     let mut numerics = None;
     if model.closed_loop.is_some() {
-        let (evaluation, own) = perform(&from, scene, &wanted, backend.as_ref(), &terminal, &mut file)?;
+        let (evaluation, own) = perform(
+            &from,
+            scene,
+            &wanted,
+            backend.as_ref(),
+            &terminal,
+            &mut file,
+        )?;
         (summary, numerics) = (as_json(&evaluation, file.path()), Some(own));
     }
     if model.dissipation.is_some() {
-        let check = dissipation::perform(&from, scene, &wanted, backend.as_ref(), &terminal, &mut file)?;
+        let check = dissipation::perform(
+            &from,
+            scene,
+            &wanted,
+            backend.as_ref(),
+            &terminal,
+            &mut file,
+        )?;
         summary["file"] = serde_json::json!(file.path().display().to_string());
         summary["dissipation"] = dissipation::as_json(&check);
         numerics = numerics.or(Some(check.numerics));
@@ -134,7 +155,11 @@ pub(super) struct Sources<'s> {
 
 impl<'s> Sources<'s> {
     /// A result file's map and fitted laws, and those of the command line.
-    pub fn new(stored: Option<&'s Stored>, wanted: &Wanted, terminal: &Terminal) -> Result<Self, CliError> {
+    pub fn new(
+        stored: Option<&'s Stored>,
+        wanted: &Wanted,
+        terminal: &Terminal,
+    ) -> Result<Self, CliError> {
         // Without a law that asks for it the map still tells V.
         let map = stored.filter(|s| s.has_any(&["trajectories", "points", "map", "map_pieces"]));
         let map = map.and_then(|s| {
@@ -146,7 +171,11 @@ impl<'s> Sources<'s> {
             fitted: stored.map(fitted).transpose()?.unwrap_or_default(),
             added: wanted.weights.clone(),
         };
-        Ok(Self { stored, map, available })
+        Ok(Self {
+            stored,
+            map,
+            available,
+        })
     }
 
     pub fn chart(&self) -> Option<&dyn Chart> {
@@ -196,7 +225,9 @@ pub(super) fn perform(
     terminal: &Terminal,
     file: &mut ResultFile,
 ) -> Result<(Evaluation, costate::sweep::Numerics), CliError> {
-    let Scene { model, hamiltonian, .. } = given;
+    let Scene {
+        model, hamiltonian, ..
+    } = given;
     let scene = model.closed_loop.as_ref().ok_or(CliError::NoClosedLoop)?;
     let laws = Laws::new(model, hamiltonian, scene.track);
     let setting = Setting::new(&laws, scene, backend, wanted.choices)?;
@@ -204,7 +235,9 @@ pub(super) fn perform(
     let chosen = from.choose(&laws, scene, (wanted, chart.is_some()), terminal)?;
     if let (Some(map), Some(_)) = (&from.map, model.final_time())
         && map.time().is_none()
-        && chosen.iter().any(|law| law.name == costate::closed_loop::MAP)
+        && chosen
+            .iter()
+            .any(|law| law.name == costate::closed_loop::MAP)
     {
         terminal.note(
             "law `map`: the file knows V at the initial time alone, and the law takes it for V at all times ([map] with error = ..., without \
@@ -214,7 +247,9 @@ pub(super) fn perform(
     let initial = Initial::new(model, scene, wanted.random, wanted.choices.seed)?;
     let bar = terminal.progress();
     let values = if wanted.solve {
-        let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
+        let mut told = |what: &str, done: usize, of: usize| {
+            bar.say(&format!("{done} of {of} states solved, {what}"))
+        };
         Some(solved_values(
             model,
             hamiltonian,
@@ -251,7 +286,8 @@ pub(super) fn perform(
     Ok((evaluation, setting.numerics))
 }
 
-/// V of the states solved for in a result file and, elsewhere, of its map, as far as that is good; NaN where it is not known.
+/// V of the states solved for in a result file and, elsewhere, of its map, as far as that is good;
+/// NaN where it is not known.
 fn known_values(
     from: &Sources<'_>,
     model: &Model,
@@ -263,7 +299,9 @@ fn known_values(
     /// States at which it is estimated, which takes a hundred times longer than V.
     const ESTIMATED: usize = 5000;
     let unknown = vec![f64::NAN; initial.count()];
-    let Some(stored) = from.stored else { return Ok(unknown) };
+    let Some(stored) = from.stored else {
+        return Ok(unknown);
+    };
     if !same_problem(&stored.scene.model, model) {
         terminal.note("V in the file is of another problem (other parameters, equations or cost): J is not compared with it (--solve finds V)");
         return Ok(unknown);
@@ -275,13 +313,24 @@ fn known_values(
         }
         None => unknown,
     };
-    let Some(map) = &from.map else { return Ok(values) };
+    let Some(map) = &from.map else {
+        return Ok(values);
+    };
     let estimated = initial.count() <= ESTIMATED;
     let said: Vec<f64> = if estimated {
-        let known = |at: costate::map::At| at.lowest.map_or((f64::NAN, 0.0), |here| (here.v, here.v_error));
+        let known = |at: costate::map::At| {
+            at.lowest
+                .map_or((f64::NAN, 0.0), |here| (here.v, here.v_error))
+        };
         let told = map.at_many(&initial.x, true).into_iter().map(known);
-        told.map(|(v, error)| if error > GOOD * v.abs() { f64::INFINITY } else { v })
-            .collect()
+        told.map(|(v, error)| {
+            if error > GOOD * v.abs() {
+                f64::INFINITY
+            } else {
+                v
+            }
+        })
+        .collect()
     } else {
         map.many(&initial.x).v
     };
@@ -304,13 +353,20 @@ fn known_values(
     Ok(values)
 }
 
-/// Whether two scenes have the same equations, cost and parameters, so that V of one is V of the other.
+/// Whether two scenes have the same equations, cost and parameters, so that V of one is V of the
+/// other.
 pub(super) fn same_problem(a: &Model, b: &Model) -> bool {
     let shown = |m: &Model| -> Vec<String> {
         let cost = std::iter::once(m.running.expr);
         let exprs = m.dynamics.iter().map(|f| f.expr).chain(cost);
-        let parameters = m.parameters.iter().map(|p| format!("{} = {:?}", p.name, p.value));
-        let controls = m.controls.iter().map(|c| format!("{:?} {:?}", c.min, c.max));
+        let parameters = m
+            .parameters
+            .iter()
+            .map(|p| format!("{} = {:?}", p.name, p.value));
+        let controls = m
+            .controls
+            .iter()
+            .map(|c| format!("{:?} {:?}", c.min, c.max));
         exprs
             .map(|e| m.graph.show(e))
             .chain(parameters)
@@ -320,14 +376,31 @@ pub(super) fn same_problem(a: &Model, b: &Model) -> bool {
     shown(a) == shown(b) && a.reference() == b.reference()
 }
 
-/// Another scene with the states and controls of the stored one, and the parameters that the stored run was given.
-pub(super) fn other_scene(stored: &Stored, path: &Path, set: &[(String, String)]) -> Result<Scene, CliError> {
+/// Another scene with the states and controls of the stored one, and the parameters that the stored
+/// run was given.
+pub(super) fn other_scene(
+    stored: &Stored,
+    path: &Path,
+    set: &[(String, String)],
+) -> Result<Scene, CliError> {
     let overrides = [stored.scene.model.overrides.as_slice(), set].concat();
     let scene = loaded(path, &overrides)?;
     let model = &scene.model;
-    let states = |m: &Model| m.states.iter().map(|s| s.variable.name.clone()).collect::<Vec<_>>();
-    let controls = |m: &Model| m.controls.iter().map(|c| c.variable.name.clone()).collect::<Vec<_>>();
-    if states(model) != states(&stored.scene.model) || controls(model) != controls(&stored.scene.model) {
+    let states = |m: &Model| {
+        m.states
+            .iter()
+            .map(|s| s.variable.name.clone())
+            .collect::<Vec<_>>()
+    };
+    let controls = |m: &Model| {
+        m.controls
+            .iter()
+            .map(|c| c.variable.name.clone())
+            .collect::<Vec<_>>()
+    };
+    if states(model) != states(&stored.scene.model)
+        || controls(model) != controls(&stored.scene.model)
+    {
         return Err(CliError::OtherScene {
             scene: path.to_owned(),
             file: stored.path.clone(),
@@ -343,7 +416,11 @@ fn weights(path: &PathBuf) -> Result<Weights, CliError> {
             source,
         })
     })?;
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let stem = path
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
     Ok(Weights {
         name: stem,
         text,

@@ -65,7 +65,10 @@ struct Made {
 
 pub(super) fn export(args: &ExportArgs) -> Result<(), CliError> {
     super::check_out(args.out.as_deref(), &[super::Kind::Header], &[&args.file])?;
-    let scene = args.file.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
+    let scene = args
+        .file
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("toml"));
     if !scene && !args.set.is_empty() {
         let path = args.file.clone();
         return Err(ExportError::SetOfResult { path }.into());
@@ -94,7 +97,11 @@ pub(super) fn export(args: &ExportArgs) -> Result<(), CliError> {
         } else {
             args.file.clone()
         };
-        let stem = beside.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let stem = beside
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
         beside.with_file_name(format!("{stem}_{name}.h"))
     });
     write_text(&path, &made.text)?;
@@ -116,24 +123,34 @@ pub(super) fn export(args: &ExportArgs) -> Result<(), CliError> {
 
 fn map(name: &str, path: &Path) -> Result<Made, CliError> {
     let stored = Stored::open(path)?;
-    let missing = || ExportError::NoMap { path: path.to_owned() };
+    let missing = || ExportError::NoMap {
+        path: path.to_owned(),
+    };
     if !stored.has_map() {
         return Err(missing().into());
     }
     let map = stored.value_map()?;
-    let nothing = || StoredMapError::EmptyMap { path: path.to_owned() };
+    let nothing = || StoredMapError::EmptyMap {
+        path: path.to_owned(),
+    };
     let (pieces, local, system) = map.in_parts().ok_or_else(nothing)?;
     let numbers: usize = pieces.pieces.iter().map(|p| p.coefficients.len()).sum();
     let (p, c) = (pieces.pieces.len(), pieces.cells.len());
     Ok(Made {
         name: name.to_owned(),
-        text: value_header(name, Known::Map(pieces, local.as_ref()), system, &stored.scene.model),
+        text: value_header(
+            name,
+            Known::Map(pieces, local.as_ref()),
+            system,
+            &stored.scene.model,
+        ),
         said: format!("map: {p} pieces in {c} cells, {numbers} coefficients"),
         summary: json!({ "kind": "map", "pieces": p, "cells": c, "coefficients": numbers }),
     })
 }
 
-/// A law that was fitted into a result file, as `costate fit` writes its header; `wanted` may be left out where there is one.
+/// A law that was fitted into a result file, as `costate fit` writes its header; `wanted` may be
+/// left out where there is one.
 fn law(name: Option<&str>, wanted: Option<&str>, path: &Path) -> Result<Made, CliError> {
     let stored = Stored::open(path)?;
     let path = path.to_owned();
@@ -143,11 +160,13 @@ fn law(name: Option<&str>, wanted: Option<&str>, path: &Path) -> Result<Made, Cl
         _ if laws.is_empty() => Err(ExportError::NoLaw { path }),
         None if laws.len() == 1 => Ok(0),
         None => Err(ExportError::WhichLaw { path, laws: names }),
-        Some(wanted) => (names.iter().position(|n| n == wanted)).ok_or_else(|| ExportError::OtherLaws {
-            path,
-            name: wanted.to_owned(),
-            laws: names.clone(),
-        }),
+        Some(wanted) => {
+            (names.iter().position(|n| n == wanted)).ok_or_else(|| ExportError::OtherLaws {
+                path,
+                name: wanted.to_owned(),
+                laws: names.clone(),
+            })
+        }
     };
     let stored_law = laws.swap_remove(found?);
     let name = name.map_or(stored_law.name, str::to_owned);
@@ -155,7 +174,11 @@ fn law(name: Option<&str>, wanted: Option<&str>, path: &Path) -> Result<Made, Cl
     let form = law
         .closed_form(&stored.scene.model, &stored.scene.hamiltonian)
         .map_err(ExportError::from)?;
-    let sizes = law.network.layers.iter().map(|l| l.weights.len() + l.bias.len());
+    let sizes = law
+        .network
+        .layers
+        .iter()
+        .map(|l| l.weights.len() + l.bias.len());
     let weights: usize = sizes.sum();
     Ok(Made {
         text: header(&name, &law, &form, &stored.scene.model),
@@ -168,13 +191,16 @@ fn law(name: Option<&str>, wanted: Option<&str>, path: &Path) -> Result<Made, Cl
 }
 
 fn local(name: &str, scene: &Scene, degree: usize) -> Result<Made, CliError> {
-    let Scene { model, hamiltonian, .. } = scene;
+    let Scene {
+        model, hamiltonian, ..
+    } = scene;
     if matches!(model.horizon, Horizon::Finite { .. }) {
         return Err(ExportError::Finite.into());
     }
     let system = System::new(hamiltonian, model);
     let riccati = Riccati::solve(hamiltonian, model).map_err(ExportError::from)?;
-    let polynomial = LocalPolynomial::new(&system, model, &riccati, degree + 1).map_err(ExportError::from)?;
+    let polynomial =
+        LocalPolynomial::new(&system, model, &riccati, degree + 1).map_err(ExportError::from)?;
     let terms = polynomial.coefficients.len();
     Ok(Made {
         name: name.to_owned(),

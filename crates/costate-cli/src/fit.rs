@@ -34,7 +34,9 @@ pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
     let terminal = Terminal::with(args.quiet, args.json);
     let other = (args.scene.as_deref()).map(|scene| other_scene(&stored, scene, &[]));
     let other = other.transpose()?;
-    let scene = other.as_ref().map_or(&stored.scene.model, |scene| &scene.model);
+    let scene = other
+        .as_ref()
+        .map_or(&stored.scene.model, |scene| &scene.model);
     if scene.feedback.is_empty() {
         let path = args.scene.clone().unwrap_or_else(|| args.file.clone());
         return Err(FitCommandError::NoFeedback { path }.into());
@@ -59,20 +61,22 @@ pub(super) fn command(args: &FitArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// States of a map to an error that are looked at for each sample wanted: conditions leave some out.
+/// States of a map to an error that are looked at for each sample wanted: conditions leave some
+/// out.
 const LOOKED_AT: usize = 8;
 /// The most of them.
 const MOST_LOOKED_AT: usize = 1 << 20;
 
-/// Who knows which samples are optimal: the value map, where solutions of several sheets may be in the file, or samples are the
-/// map's own. Where it has no objection, neighbouring samples decide.
+/// Who knows which samples are optimal: the value map, where solutions of several sheets may be in
+/// the file, or samples are the map's own. Where it has no objection, neighbouring samples decide.
 fn judge(stored: &Stored, mapped: bool) -> Option<ValueMap> {
     let periodic = stored.scene.model.states.iter().any(|s| s.period.is_some());
     let asked = periodic || stored.has("points_sheets") || mapped;
     asked.then(|| stored.value_map().ok())?
 }
 
-/// Whether a file has a map to an error to draw samples from; on a finite horizon laws are fitted along trajectories.
+/// Whether a file has a map to an error to draw samples from; on a finite horizon laws are fitted
+/// along trajectories.
 fn is_mapped(stored: &Stored) -> bool {
     stored.has("map_pieces") && stored.scene.model.final_time().is_none()
 }
@@ -87,8 +91,15 @@ impl Beside {
     /// Beside a result file, unless a directory is given.
     pub fn of(path: &Path, directory: Option<&Path>) -> Self {
         Self {
-            directory: directory.or(path.parent()).unwrap_or(Path::new("")).to_owned(),
-            stem: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            directory: directory
+                .or(path.parent())
+                .unwrap_or(Path::new(""))
+                .to_owned(),
+            stem: path
+                .file_stem()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned(),
         }
     }
 
@@ -98,7 +109,10 @@ impl Beside {
         let place = (self.directory.ancestors().find(|d| d.exists())).unwrap_or(Path::new("."));
         let holds = match place.is_dir() {
             true => can_hold(place),
-            false => Err(std::io::Error::other(format!("{} is not a directory", place.display()))),
+            false => Err(std::io::Error::other(format!(
+                "{} is not a directory",
+                place.display()
+            ))),
         };
         holds.map_err(|source| CliError::OutDir {
             path: self.directory.clone(),
@@ -106,7 +120,9 @@ impl Beside {
         })?;
         let scene = std::fs::canonicalize(&scene.file_name).ok();
         for law in laws {
-            let weights = self.directory.join(format!("{}_{}.toml", self.stem, law.name));
+            let weights = self
+                .directory
+                .join(format!("{}_{}.toml", self.stem, law.name));
             if scene.is_some() && scene == std::fs::canonicalize(&weights).ok() {
                 return Err(CliError::OverScene {
                     name: law.name.clone(),
@@ -118,7 +134,8 @@ impl Beside {
     }
 }
 
-/// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws' files to where they go.
+/// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws'
+/// files to where they go.
 pub(super) fn fit_laws(
     stored: &Stored,
     scene: &Model,
@@ -127,8 +144,15 @@ pub(super) fn fit_laws(
     terminal: &Terminal,
 ) -> Result<Done, CliError> {
     beside.check(scene, laws)?;
-    let sizes = (stored.scene.model.states.len(), stored.scene.model.controls.len());
-    let samples = Samples::new(sizes, stored.trajectories()?.as_ref(), stored.points()?.as_ref());
+    let sizes = (
+        stored.scene.model.states.len(),
+        stored.scene.model.controls.len(),
+    );
+    let samples = Samples::new(
+        sizes,
+        stored.trajectories()?.as_ref(),
+        stored.points()?.as_ref(),
+    );
     let mapped = is_mapped(stored);
     if samples.is_empty() && !mapped {
         return Err(FitCommandError::NoData {
@@ -139,11 +163,20 @@ pub(super) fn fit_laws(
     let bar = terminal.progress();
     bar.say("reading the value map");
     let map = judge(stored, mapped);
-    let known = |x: &[f64], v: f64| map.as_ref().filter(|map| !map.is_lowest(x, v)).map(|_| false);
+    let known = |x: &[f64], v: f64| {
+        map.as_ref()
+            .filter(|map| !map.is_lowest(x, v))
+            .map(|_| false)
+    };
     let mut fitted = Fitted::default();
     for law in laws {
-        let of_map = (map.as_ref().filter(|_| mapped))
-            .map(|map| samples.with_map(map, &law.bounds, (LOOKED_AT * law.max_samples).min(MOST_LOOKED_AT)));
+        let of_map = (map.as_ref().filter(|_| mapped)).map(|map| {
+            samples.with_map(
+                map,
+                &law.bounds,
+                (LOOKED_AT * law.max_samples).min(MOST_LOOKED_AT),
+            )
+        });
         let data = Data {
             model: &stored.scene.model,
             hamiltonian: &stored.scene.hamiltonian,
@@ -189,7 +222,9 @@ impl<'b> Shown<'b> {
     fn report(self) -> impl Fn(Step) + Sync + 'b {
         move |step| {
             // A panic elsewhere is reported there.
-            let Ok(mut so_far) = self.so_far.lock() else { return };
+            let Ok(mut so_far) = self.so_far.lock() else {
+                return;
+            };
             so_far.0 += 1;
             so_far.1 = so_far.1.min(step.validation);
             let (steps, best) = *so_far;
@@ -213,10 +248,18 @@ impl Done {
 }
 
 fn law_text(l: &FittedLaw, exports: &Exports) -> String {
-    let sizes = l.law.network.layers.iter().map(|layer| layer.bias.len().to_string());
-    let sizes = [vec![l.law.network.inputs.len().to_string()], sizes.collect()]
-        .concat()
-        .join("-");
+    let sizes = l
+        .law
+        .network
+        .layers
+        .iter()
+        .map(|layer| layer.bias.len().to_string());
+    let sizes = [
+        vec![l.law.network.inputs.len().to_string()],
+        sizes.collect(),
+    ]
+    .concat()
+    .join("-");
     let what = match l.form.value {
         Some(_) => "V; u = u*(x, dV/dx)".to_owned(),
         None => l.form.outputs.join(", "),
@@ -314,8 +357,7 @@ pub(super) fn laws_json(done: &Done) -> Value {
 }
 
 fn as_json(l: &FittedLaw, exports: &Exports) -> Value {
-    let errors =
-        |e: &costate::feedback::Errors| json!({ "mean": e.mean, "max": e.max, "mean_of_range": e.mean_of_range });
+    let errors = |e: &costate::feedback::Errors| json!({ "mean": e.mean, "max": e.max, "mean_of_range": e.mean_of_range });
     let q = &l.quality;
     json!({
         "name": l.name,

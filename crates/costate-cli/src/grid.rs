@@ -26,11 +26,19 @@ pub(super) enum GridRefusal {
         path = path.display()
     )]
     NoStates { path: PathBuf },
-    #[error("--nodes: {given} numbers for {states} states: give one for all axes, or one for each of {names}")]
-    Counts { given: usize, states: usize, names: String },
+    #[error(
+        "--nodes: {given} numbers for {states} states: give one for all axes, or one for each of {names}"
+    )]
+    Counts {
+        given: usize,
+        states: usize,
+        names: String,
+    },
     #[error("--nodes: {nodes} nodes in all; at most {MOST_NODES}")]
     TooManyNodes { nodes: usize },
-    #[error("--grid-guesses: this solves for no states of [homotopy], [map] or a file: leave the option out")]
+    #[error(
+        "--grid-guesses: this solves for no states of [homotopy], [map] or a file: leave the option out"
+    )]
     Nothing,
     #[error("--seconds: {0}: give more of them, or fewer --nodes")]
     OutOfTime(DpError),
@@ -67,7 +75,11 @@ pub(super) fn counts(given: &[usize], model: &Model) -> Result<Vec<usize>, CliEr
         [one] => vec![*one; states],
         some if some.len() == states => some.to_vec(),
         some => {
-            let names: Vec<&str> = model.states.iter().map(|s| s.variable.name.as_str()).collect();
+            let names: Vec<&str> = model
+                .states
+                .iter()
+                .map(|s| s.variable.name.as_str())
+                .collect();
             return Err(GridRefusal::Counts {
                 given: some.len(),
                 states,
@@ -76,7 +88,9 @@ pub(super) fn counts(given: &[usize], model: &Model) -> Result<Vec<usize>, CliEr
             .into());
         }
     };
-    let nodes = counts.iter().fold(1usize, |all, count| all.saturating_mul(*count));
+    let nodes = counts
+        .iter()
+        .fold(1usize, |all, count| all.saturating_mul(*count));
     if nodes > MOST_NODES {
         return Err(GridRefusal::TooManyNodes { nodes }.into());
     }

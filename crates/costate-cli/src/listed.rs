@@ -16,12 +16,23 @@ pub(super) fn text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         _ => format!("{v:.6e}"),
     };
     let controls = done.model.controls.iter().map(|c| c.variable.name.clone());
-    let header = done.names.iter().cloned().chain(["V".to_owned()]).chain(controls);
+    let header = done
+        .names
+        .iter()
+        .cloned()
+        .chain(["V".to_owned()])
+        .chain(controls);
     let mut table: Vec<Vec<String>> = vec![header.chain(["status".to_owned()]).collect()];
     let last = table[0].len() - 1;
     table.extend(
         (answers.targets.of_given[..done.listed].iter().take(SHOWN)).map(|&target| {
-            let mut row: Vec<String> = answers.targets.state(target).iter().copied().map(plain).collect();
+            let mut row: Vec<String> = answers
+                .targets
+                .state(target)
+                .iter()
+                .copied()
+                .map(plain)
+                .collect();
             let Some(answer) = answers.answer(target) else {
                 row.resize(last, "-".to_owned());
                 row.push(answers.status(target).name().replace('_', " "));
@@ -49,7 +60,10 @@ pub(super) fn text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         .map(|line| format!("  {line}"))
         .collect();
     if done.listed > SHOWN {
-        lines.push(format!("  and {} more: see the file, or --json", done.listed - SHOWN));
+        lines.push(format!(
+            "  and {} more: see the file, or --json",
+            done.listed - SHOWN
+        ));
     }
     lines.extend(flown(done, answers));
     lines
@@ -66,7 +80,10 @@ fn flown(done: &Done<'_>, answers: &Answers) -> Option<String> {
     sizes.sort_by(f64::total_cmp);
     let least = (0.01 * nearest_rank(&sizes, 0.5)).max(f64::MIN_POSITIVE);
     let all = listed.iter().filter_map(|&target| {
-        let (value, flown) = (answers.answer(target)?.value, answers.support[target].flown?);
+        let (value, flown) = (
+            answers.answer(target)?.value,
+            answers.support[target].flown?,
+        );
         Some((flown - value) / value.abs().max(least))
     });
     let (home, lost): (Vec<f64>, Vec<f64>) = all.partition(|more| more.is_finite());
@@ -120,7 +137,14 @@ pub(super) fn is_table(args: &SolveArgs) -> bool {
 }
 
 /// Columns beside those of the states and controls.
-const COLUMNS: [&str; 6] = ["sheet", "sheets", "status", "evidence", "covered_to", "bound"];
+const COLUMNS: [&str; 6] = [
+    "sheet",
+    "sheets",
+    "status",
+    "evidence",
+    "covered_to",
+    "bound",
+];
 
 fn header(model: &Model) -> Vec<String> {
     let states = || model.states.iter().map(|s| s.variable.name.clone());
@@ -140,7 +164,7 @@ pub(super) fn check_table(args: &SolveArgs, model: &Model) -> Result<(), CliErro
     };
     if args.trajectories {
         return Err(bad(
-            "a table has no room for --trajectories; name a result file, .h5".to_owned()
+            "a table has no room for --trajectories; name a result file, .h5".to_owned(),
         ));
     }
     let mut names = header(model);
@@ -156,13 +180,32 @@ pub(super) fn check_table(args: &SolveArgs, model: &Model) -> Result<(), CliErro
 /// A CSV table of the states that the user listed; empty fields where V is not known.
 pub(super) fn table(done: &Done<'_>) -> Result<String, CliError> {
     let mut rows = vec![header(done.model)];
-    let number = |v: f64| if v.is_finite() { plain(v) } else { String::new() };
+    let number = |v: f64| {
+        if v.is_finite() {
+            plain(v)
+        } else {
+            String::new()
+        }
+    };
     if let Some(answers) = done.answers {
         for &target in &answers.targets.of_given[..done.listed] {
-            let mut row: Vec<String> = answers.targets.state(target).iter().copied().map(plain).collect();
+            let mut row: Vec<String> = answers
+                .targets
+                .state(target)
+                .iter()
+                .copied()
+                .map(plain)
+                .collect();
             match answers.answer(target) {
                 Some(a) => {
-                    row.extend([a.value].iter().chain(&a.p).chain(&a.u).copied().map(number));
+                    row.extend(
+                        [a.value]
+                            .iter()
+                            .chain(&a.p)
+                            .chain(&a.u)
+                            .copied()
+                            .map(number),
+                    );
                     row.push(a.sheet.to_string());
                 }
                 None => row.resize(rows[0].len() - COLUMNS.len() + 1, String::new()),
@@ -171,7 +214,11 @@ pub(super) fn table(done: &Done<'_>) -> Result<String, CliError> {
             row.push(answers.status(target).name().to_owned());
             row.push(answers.evidence(target).name().to_owned());
             row.push(number(answers.support[target].covered_to));
-            row.push(answers.support[target].bound.map_or_else(String::new, number));
+            row.push(
+                answers.support[target]
+                    .bound
+                    .map_or_else(String::new, number),
+            );
             rows.push(row);
         }
     }

@@ -62,21 +62,27 @@ enum Command {
     Solve(SolveArgs),
     /// V, p and u at any state, interpolated from a result file, with an error estimate.
     Value(ValueArgs),
-    /// Ask V on a grid, which knows nothing of sheets, whether V at the solved states of a result file is the least.
+    /// Ask V on a grid, which knows nothing of sheets, whether V at the solved states of a result
+    /// file is the least.
     CheckLeast(check_least::CheckLeastArgs),
     /// Only [study]: the optimal trajectory from one state for several values of parameters.
     Study(RunArgs),
-    /// Only [attenuation]: the smallest level of attenuation, of the linearization and of a region, with pictures.
+    /// Only [attenuation]: the smallest level of attenuation, of the linearization and of a region,
+    /// with pictures.
     Attenuation(RunArgs),
-    /// Simulate feedback laws from many initial states, as [closed_loop] asks, and put what came of it into the result file.
+    /// Simulate feedback laws from many initial states, as [closed_loop] asks, and put what came of
+    /// it into the result file.
     Evaluate(EvaluateArgs),
-    /// Speed against error of every backend, precision, method and tolerance on the scene's own trajectories.
+    /// Speed against error of every backend, precision, method and tolerance on the scene's own
+    /// trajectories.
     Bench(BenchArgs),
     /// Fit the laws of [feedback] to the trajectories of a result file.
     Fit(FitArgs),
-    /// V, p and u as a C header: of a map in pieces, or of the series about the equilibrium; or a fitted law.
+    /// V, p and u as a C header: of a map in pieces, or of the series about the equilibrium; or a
+    /// fitted law.
     Export(ExportArgs),
-    /// One page of HTML with pictures of what a result file holds, and the pictures beside it as SVG and PNG.
+    /// One page of HTML with pictures of what a result file holds, and the pictures beside it as
+    /// SVG and PNG.
     Report(ReportArgs),
     /// Validate a scenario and print the derived equations and the local solution.
     Check(CheckArgs),
@@ -113,7 +119,8 @@ struct CheckArgs {
 /// Where and how exactly to integrate.
 #[derive(Args, Debug, Clone)]
 struct NumericsArgs {
-    /// Where to compute: a hardware GPU if there is one and else the CPU (auto), any GPU adapter, or the CPU.
+    /// Where to compute: a hardware GPU if there is one and else the CPU (auto), any GPU adapter,
+    /// or the CPU.
     #[arg(long, value_enum, default_value_t = BackendChoice::Auto)]
     backend: BackendChoice,
     /// Use the adapter whose name contains this.
@@ -139,14 +146,16 @@ struct RunArgs {
     out: Option<PathBuf>,
     #[command(flatten)]
     numerics: NumericsArgs,
-    /// Seed of random choices: which trajectories and states the error is estimated from, and the fresh states by which a map
-    /// is checked. Results do not depend on it, but for what a check asks to be mended.
+    /// Seed of random choices: which trajectories and states the error is estimated from, and the
+    /// fresh states by which a map is checked. Results do not depend on it, but for what a check
+    /// asks to be mended.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Make no report (page and pictures) at the end of `run`.
     #[arg(long)]
     no_report: bool,
-    /// Also take first guesses for the states that are solved for from V on a grid (up to 4 states, no games): slower.
+    /// Also take first guesses for the states that are solved for from V on a grid (up to 4 states,
+    /// no games): slower.
     #[arg(long)]
     grid_guesses: bool,
 }
@@ -155,10 +164,12 @@ struct RunArgs {
 struct SolveArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// The states: a CSV file whose header names states. States it does not name are at the equilibrium.
+    /// The states: a CSV file whose header names states. States it does not name are at the
+    /// equilibrium.
     #[arg(long, value_name = "FILE.csv")]
     points: PathBuf,
-    /// Be content with one solution a state: faster, but where sheets overlap it may not be the optimal one.
+    /// Be content with one solution a state: faster, but where sheets overlap it may not be the
+    /// optimal one.
     #[arg(long)]
     one_sheet: bool,
     /// Also write the optimal trajectory from each state, to /trajectories.
@@ -188,8 +199,8 @@ struct ValueArgs {
     /// Leave out the error estimates, which take most of the time.
     #[arg(long)]
     no_errors: bool,
-    /// Where a map in pieces is asked: the CPU, any GPU adapter, or a hardware GPU if there is one (auto). The GPU tells the lowest
-    /// sheet of each state.
+    /// Where a map in pieces is asked: the CPU, any GPU adapter, or a hardware GPU if there is one
+    /// (auto). The GPU tells the lowest sheet of each state.
     #[arg(long, value_enum, default_value_t = BackendChoice::Cpu)]
     backend: BackendChoice,
     /// Use the adapter whose name contains this.
@@ -210,7 +221,8 @@ struct ValueArgs {
 struct EvaluateArgs {
     /// A result file, or a scenario (.toml) for laws that need none.
     file: PathBuf,
-    /// Take the scene, with its [closed_loop], from here; states and controls must be those of the result file.
+    /// Take the scene, with its [closed_loop], from here; states and controls must be those of the
+    /// result file.
     #[arg(long, value_name = "SCENE.toml")]
     scene: Option<PathBuf>,
     /// Replace a parameter. May be repeated. Not for a result file's own scene.
@@ -251,8 +263,9 @@ struct BenchArgs {
     /// The result file; a picture is written beside it [default: out/<scenario>_bench.h5]
     #[arg(long)]
     out: Option<PathBuf>,
-    /// What to measure: the CPU and every GPU adapter (all; software adapters only where there is no hardware), every
-    /// adapter (gpu), the CPU, or what `run` would take (auto). May be repeated.
+    /// What to measure: the CPU and every GPU adapter (all; software adapters only where there is
+    /// no hardware), every adapter (gpu), the CPU, or what `run` would take (auto). May be
+    /// repeated.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "all")]
     backend: Vec<BenchBackend>,
     /// Of the GPU adapters only the one whose name contains this.
@@ -276,8 +289,8 @@ struct BenchArgs {
     /// Timed passes of each variant.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeats: u32,
-    /// Seconds for all passes, references not included. What does not fit is named; every variant that is measured has
-    /// at least one timed pass.
+    /// Seconds for all passes, references not included. What does not fit is named; every variant
+    /// that is measured has at least one timed pass.
     #[arg(long, default_value_t = 60.0, value_parser = seconds, allow_negative_numbers = true)]
     budget: f64,
     /// Recommend a setting for this error too. May be repeated.
@@ -286,8 +299,8 @@ struct BenchArgs {
     /// Keep only the ends of trajectories, instead of the points at all levels as a sweep does.
     #[arg(long)]
     ends: bool,
-    /// Also time whole sweeps of about so many trajectories, file included: how much of it is not the kernel's
-    /// [default: 1000,100000].
+    /// Also time whole sweeps of about so many trajectories, file included: how much of it is not
+    /// the kernel's [default: 1000,100000].
     #[arg(long, value_name = "TRAJECTORIES", num_args = 0..=1, value_delimiter = ',', require_equals = true,
           default_missing_value = "1000,100000", value_parser = trajectories)]
     host_share: Vec<usize>,
@@ -300,7 +313,8 @@ struct FitArgs {
     /// Take [feedback] from this scenario, which has the same states and controls.
     #[arg(long, value_name = "SCENE.toml")]
     scene: Option<PathBuf>,
-    /// Where the laws' files are written (weights, C header, ONNX) [default: beside the result file]
+    /// Where the laws' files are written (weights, C header, ONNX) [default: beside the result
+    /// file]
     #[arg(long, value_name = "DIR")]
     out_dir: Option<PathBuf>,
     /// Seed of the sets and the first weights [default: the scenario's]
@@ -319,24 +333,26 @@ struct FitArgs {
 
 #[derive(Args, Debug, Clone)]
 struct ExportArgs {
-    /// A result file with a map in pieces ([map] with error); with --local also a scene (.toml); with --law one with fitted laws.
+    /// A result file with a map in pieces ([map] with error); with --local also a scene (.toml);
+    /// with --law one with fitted laws.
     file: PathBuf,
     /// The Taylor series about the equilibrium instead of the map.
     #[arg(long)]
     local: bool,
-    /// A law that `costate fit` put into the result file instead of the map: the header that it wrote, for the file's own scene.
-    /// NAME may be left out where there is one law.
+    /// A law that `costate fit` put into the result file instead of the map: the header that it
+    /// wrote, for the file's own scene. NAME may be left out where there is one law.
     #[arg(long, value_name = "NAME", num_args = 0..=1, require_equals = true, conflicts_with = "local")]
     law: Option<Option<String>>,
     /// Of --local: degree of u in the states; V is of one degree more.
     #[arg(long, value_name = "N", default_value_t = 3, requires = "local", conflicts_with = "law",
           value_parser = law_degree)]
     degree: usize,
-    /// What the names in the header begin with, an identifier of C [default: map; with --local: local; with --law: the
-    /// law's name]
+    /// What the names in the header begin with, an identifier of C [default: map; with --local:
+    /// local; with --law: the law's name]
     #[arg(long, value_parser = identifier)]
     name: Option<String>,
-    /// The header [default: beside the file, with the name: STEM_NAME.h; of a scene: out/STEM_NAME.h]
+    /// The header [default: beside the file, with the name: STEM_NAME.h; of a scene:
+    /// out/STEM_NAME.h]
     #[arg(long, value_name = "FILE.h")]
     out: Option<PathBuf>,
     /// Replace a parameter. May be repeated. Not for a result file's own scene.
@@ -354,17 +370,24 @@ struct ExportArgs {
 struct ReportArgs {
     /// The result file (HDF5).
     file: PathBuf,
-    /// The page; pictures go into a folder of its name without `.html` [default: <FILE>_report.html]
+    /// The page; pictures go into a folder of its name without `.html` [default:
+    /// <FILE>_report.html]
     #[arg(long, value_name = "PAGE.html")]
     out: Option<PathBuf>,
-    /// States that pictures of a plane hold fixed; others are at the equilibrium. A value may be an expression.
+    /// States that pictures of a plane hold fixed; others are at the equilibrium. A value may be an
+    /// expression.
     #[arg(long, value_name = "NAME=VALUE,...", value_delimiter = ',', value_parser = assignment)]
     slice: Vec<(String, String)>,
     /// The two states of the plane [default: the first two that --slice does not name]
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     axes: Vec<String>,
     /// Levels of the contours of V: numbers or expressions, such as `exp(-4),exp(-3)`.
-    #[arg(long, value_name = "V,...", value_delimiter = ',', allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "V,...",
+        value_delimiter = ',',
+        allow_hyphen_values = true
+    )]
     levels: Vec<String>,
     /// Width of the pictures in pixels; text keeps its size [default: 900]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(320..=4000))]
@@ -490,7 +513,9 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 fn tolerance(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
+    let value: f64 = text
+        .parse()
+        .map_err(|_| format!("`{text}` is not a number"))?;
     if value > 0.0 && value <= 0.1 {
         Ok(value)
     } else {
@@ -569,9 +594,13 @@ enum CliError {
     OverScene { name: String, path: PathBuf },
     #[error("--weights: a law named `{name}` is there already: rename the file", name = name)]
     SameLaw { name: String },
-    #[error("--set does not change a result file's own scene: give the scene too (--scene SCENE.toml --set ...)")]
+    #[error(
+        "--set does not change a result file's own scene: give the scene too (--scene SCENE.toml --set ...)"
+    )]
     SetOfResult,
-    #[error("--adapter {name}: the CPU is asked for, which has no adapters: leave this out, or give --backend gpu")]
+    #[error(
+        "--adapter {name}: the CPU is asked for, which has no adapters: leave this out, or give --backend gpu"
+    )]
     AdapterOfCpu { name: String },
     #[error(transparent)]
     Fit(#[from] fit::FitCommandError),
@@ -580,7 +609,10 @@ enum CliError {
     #[error(transparent)]
     Feedback(#[from] costate::feedback::FitError),
     #[error("cannot create the directory {path}: {source}", path = path.display())]
-    OutDir { path: PathBuf, source: std::io::Error },
+    OutDir {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error(transparent)]
     Refused(#[from] grid::GridRefusal),
     #[error(transparent)]
@@ -622,7 +654,8 @@ impl CliError {
     fn status(&self) -> u8 {
         match self {
             CliError::Load(_) | CliError::Scenario(_) | CliError::Plan(_) => 2,
-            CliError::Study(StudyError::Scene { .. } | StudyError::Plan { .. }) | CliError::NoStudy => 2,
+            CliError::Study(StudyError::Scene { .. } | StudyError::Plan { .. })
+            | CliError::NoStudy => 2,
             CliError::Attenuation(SmallestError::Backend(_)) => 1,
             CliError::Attenuation(_) | CliError::NoAttenuation => 2,
             CliError::Place(_) | CliError::Map(_) => 2,
@@ -634,15 +667,29 @@ impl CliError {
             | CliError::OtherScene { .. }
             | CliError::SetOfResult
             | CliError::AdapterOfCpu { .. } => 2,
-            CliError::File(error) | CliError::Output(OutputError::File(error)) if error.is_of_name() => 2,
+            CliError::File(error) | CliError::Output(OutputError::File(error))
+                if error.is_of_name() =>
+            {
+                2
+            }
             CliError::BadOut { .. } | CliError::OverScene { .. } | CliError::SameLaw { .. } => 2,
-            CliError::Loop(LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }) => 2,
-            CliError::Points(_) | CliError::NoTargets | CliError::MapName { .. } | CliError::PictureName { .. } => 2,
-            CliError::Stored(_) | CliError::Fit(_) | CliError::Feedback(_) | CliError::Export(_) => 2,
+            CliError::Loop(
+                LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. },
+            ) => 2,
+            CliError::Points(_)
+            | CliError::NoTargets
+            | CliError::MapName { .. }
+            | CliError::PictureName { .. } => 2,
+            CliError::Stored(_)
+            | CliError::Fit(_)
+            | CliError::Feedback(_)
+            | CliError::Export(_) => 2,
             CliError::ReportOption(_) => 2,
             CliError::Refused(grid::GridRefusal::OutOfTime(_)) => 1,
             CliError::Refused(_) | CliError::Grid(_) => 2,
-            CliError::Report(costate_report::ReportError::Options(_) | costate_report::ReportError::Stored(_)) => 2,
+            CliError::Report(
+                costate_report::ReportError::Options(_) | costate_report::ReportError::Stored(_),
+            ) => 2,
             _ => 1,
         }
     }
@@ -691,7 +738,8 @@ impl Kind {
     }
 }
 
-/// Refuses to write over what is read and what is no file, and one kind of file under the name of another.
+/// Refuses to write over what is read and what is no file, and one kind of file under the name of
+/// another.
 fn check_out(out: Option<&Path>, kinds: &[Kind], inputs: &[&Path]) -> Result<(), CliError> {
     let Some(out) = out else { return Ok(()) };
     let bad = |reason| CliError::BadOut {
@@ -699,7 +747,9 @@ fn check_out(out: Option<&Path>, kinds: &[Kind], inputs: &[&Path]) -> Result<(),
         reason,
     };
     target(out)?;
-    let same = |a: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(out).is_ok_and(|b| a == b));
+    let same = |a: &Path| {
+        std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(out).is_ok_and(|b| a == b))
+    };
     if inputs.iter().any(|i| same(i)) {
         return Err(bad("this file is read".to_owned()));
     }
@@ -708,7 +758,11 @@ fn check_out(out: Option<&Path>, kinds: &[Kind], inputs: &[&Path]) -> Result<(),
         .map(|e| e.to_string_lossy().to_lowercase())
         .unwrap_or_default();
     let unnamed = end.is_empty() && kinds == [Kind::Result];
-    if unnamed || kinds.iter().any(|kind| kind.endings().contains(&end.as_str())) {
+    if unnamed
+        || kinds
+            .iter()
+            .any(|kind| kind.endings().contains(&end.as_str()))
+    {
         return Ok(());
     }
     let all: Vec<String> = (kinds.iter())
@@ -746,8 +800,8 @@ fn begun(model: &Model, started: SystemTime) -> RunRecord {
 
 fn main() -> ExitCode {
     if cfg!(unix) && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // The Vulkan loader complains on standard error where this is unset, though nothing here needs it.
-        // SAFETY: no other thread has been started yet.
+        // The Vulkan loader complains on standard error where this is unset, though nothing here
+        // needs it. SAFETY: no other thread has been started yet.
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
     // Without it a signal leaves a hidden file beside the result's name, and no more is lost.

@@ -7,7 +7,8 @@ use costate::model::MOST_MAP_STATES;
 use costate::value::PointStatus;
 use std::collections::BTreeMap;
 
-/// What fresh states show: of those with an answer how many are known, errors relative to max(V, floor), and to the bound.
+/// What fresh states show: of those with an answer how many are known, errors relative to max(V,
+/// floor), and to the bound.
 struct Shown {
     solved: usize,
     /// Others, by why V is not compared there.
@@ -33,7 +34,10 @@ fn shown(check: &[Checked], floor: f64) -> Shown {
         .collect();
     let known: Vec<&&Checked> = solved.iter().filter(|c| c.said.is_finite()).collect();
     let off = |c: &Checked| (c.said - c.solved).abs();
-    let error: Vec<f64> = known.iter().map(|c| off(c) / c.solved.abs().max(floor)).collect();
+    let error: Vec<f64> = known
+        .iter()
+        .map(|c| off(c) / c.solved.abs().max(floor))
+        .collect();
     // Where both are 0 the bound holds.
     let over = |c: &Checked| if off(c) == 0.0 { 0.0 } else { off(c) / c.bound };
     let over_bound: Vec<f64> = known.iter().map(|c| over(c)).collect();
@@ -81,7 +85,13 @@ fn mostly(names: &[String], part: &Part, region: &Region) -> String {
     let each = names.iter().zip(&part.bounds).enumerate();
     let narrow: Vec<String> = each
         .filter(|(i, (_, [lo, hi]))| hi - lo < ALL_ALONG * region.width(*i))
-        .map(|(_, (name, [lo, hi]))| format!("{name} from {} to {}", place(*lo, hi - lo), place(*hi, hi - lo)))
+        .map(|(_, (name, [lo, hi]))| {
+            format!(
+                "{name} from {} to {}",
+                place(*lo, hi - lo),
+                place(*hi, hi - lo)
+            )
+        })
         .collect();
     match narrow.is_empty() {
         true => String::new(),
@@ -95,7 +105,9 @@ fn nothing(made: &Adaptive) -> Option<&'static str> {
         return None;
     }
     Some(match (made.failed, made.above_max) {
-        (0, _) => "guards exclude every state that was drawn in the map's region: move the region, or the guards",
+        (0, _) => {
+            "guards exclude every state that was drawn in the map's region: move the region, or the guards"
+        }
         (failed, above) if failed == above => {
             "V is above `value_max` at every state that was solved for: raise it, or leave it out"
         }
@@ -176,7 +188,12 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
             lines.push(format!(
                 "  nothing is said in {:.2} % of the region{} ({why}){}",
                 100.0 * made.unknown.share,
-                match done.model.map_aim.as_ref().is_some_and(|aim| aim.value_max.is_some()) {
+                match done
+                    .model
+                    .map_aim
+                    .as_ref()
+                    .is_some_and(|aim| aim.value_max.is_some())
+                {
                     true => ", beside what may be above `value_max`",
                     false => "",
                 },
@@ -258,13 +275,19 @@ pub(super) fn text(done: &Done<'_>, made: &Adaptive) -> Vec<String> {
 /// Fresh states for which no solution was found, and of which the map says V.
 fn of_none(statuses: &BTreeMap<PointStatus, usize>) -> Vec<String> {
     // A search may fail where there is a solution; where one meets a guard or a fold there is none.
-    let shows = |status: PointStatus| matches!(status, PointStatus::LeavesGuard | PointStatus::Fold);
+    let shows =
+        |status: PointStatus| matches!(status, PointStatus::LeavesGuard | PointStatus::Fold);
     let some = |shown: bool| {
-        let text = listed(statuses.iter().filter(|(status, _)| shows(**status) == shown));
+        let text = listed(
+            statuses
+                .iter()
+                .filter(|(status, _)| shows(**status) == shown),
+        );
         (!text.is_empty()).then_some(text)
     };
-    let without =
-        some(true).map(|these| format!("  WARNING: at fresh states without an answer the map says one ({these})"));
+    let without = some(true).map(|these| {
+        format!("  WARNING: at fresh states without an answer the map says one ({these})")
+    });
     let missed = some(false).map(|these| {
         format!("  at fresh states for which the search found no solution the map says V ({these}): one of the two is wrong there")
     });
@@ -276,7 +299,9 @@ fn of_beyond(done: &Done<'_>, beyond: &Beyond) -> String {
     let region = &beyond.pieces.region;
     let bounds = done.names.iter().zip(region.lo.iter().zip(&region.hi));
     let bounds: Vec<String> = bounds
-        .map(|(name, (lo, hi))| format!("{name} {} to {}", place(*lo, hi - lo), place(*hi, hi - lo)))
+        .map(|(name, (lo, hi))| {
+            format!("{name} {} to {}", place(*lo, hi - lo), place(*hi, hi - lo))
+        })
         .collect();
     let mut line = format!(
         "  solutions leave the region: for laws {} pieces where they lead ({})",

@@ -10,7 +10,11 @@ pub(super) enum PointsError {
     #[error("cannot read {}: {source}", path.display())]
     Read { path: PathBuf, source: csv::Error },
     #[error("{}: line {line}: {reason}", path.display())]
-    Malformed { path: PathBuf, line: u64, reason: String },
+    Malformed {
+        path: PathBuf,
+        line: u64,
+        reason: String,
+    },
     #[error("{}: line 1: `{name}` is not a state of the scenario (states: {states}){help}", path.display())]
     UnknownState {
         path: PathBuf,
@@ -48,7 +52,8 @@ pub(super) struct TimeColumn<'t> {
     pub check: &'t dyn Fn(f64) -> Result<(), String>,
 }
 
-/// A last column with this name holds V as published, beside the states; nothing is read from it here.
+/// A last column with this name holds V as published, beside the states; nothing is read from it
+/// here.
 pub(super) const PUBLISHED: &str = "V_published";
 
 /// Whether the last column of a file of points is [`PUBLISHED`], and no state.
@@ -62,7 +67,8 @@ pub(super) fn has_published(path: &Path, model: &Model) -> bool {
     header.is_ok_and(|h| h.iter().next_back().map(bare) == Some(PUBLISHED)) && !is_state
 }
 
-/// States `[point][n]` of a CSV file whose header names states; those it does not name stay at the reference point.
+/// States `[point][n]` of a CSV file whose header names states; those it does not name stay at the
+/// reference point.
 pub(super) fn read(path: &Path, model: &Model) -> Result<Vec<f64>, PointsError> {
     Ok(read_with_times(path, model, None)?.0)
 }
@@ -79,10 +85,19 @@ pub(super) fn read_with_times(
         .comment(Some(b'#'))
         .from_path(path)
         .map_err(|source| PointsError::Read { path: at(), source })?;
-    let names: Vec<&str> = model.states.iter().map(|s| s.variable.name.as_str()).collect();
+    let names: Vec<&str> = model
+        .states
+        .iter()
+        .map(|s| s.variable.name.as_str())
+        .collect();
     let arguments = || {
         let time = time.as_ref().filter(|t| t.known).map(|t| t.name);
-        names.iter().copied().chain(time).collect::<Vec<&str>>().join(", ")
+        names
+            .iter()
+            .copied()
+            .chain(time)
+            .collect::<Vec<&str>>()
+            .join(", ")
     };
     let whole = std::fs::read(path).unwrap_or_default();
     let malformed = |source: csv::Error, header: &csv::StringRecord| {
@@ -90,7 +105,9 @@ pub(super) fn read_with_times(
             return PointsError::Read { path: at(), source };
         };
         let reason = match source.kind() {
-            csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            csv::ErrorKind::UnequalLengths {
+                expected_len, len, ..
+            } => {
                 format!("{len} values, where the header names {expected_len}")
             }
             csv::ErrorKind::Utf8 { err, .. } => match header.get(err.field()) {
@@ -120,12 +137,15 @@ pub(super) fn read_with_times(
     for name in header.iter().take(header.len() - published) {
         let name = bare(name);
         let is_time = time.as_ref().is_some_and(|t| t.name == name);
-        let Some(state) = (names.iter().position(|n| *n == name)).or(is_time.then_some(names.len())) else {
+        let Some(state) =
+            (names.iter().position(|n| *n == name)).or(is_time.then_some(names.len()))
+        else {
             return Err(PointsError::UnknownState {
                 path: at(),
                 name: shorten(name),
                 states: arguments(),
-                help: did_you_mean(name, names.iter().copied()).map_or_else(String::new, |s| format!("; {s}")),
+                help: did_you_mean(name, names.iter().copied())
+                    .map_or_else(String::new, |s| format!("; {s}")),
             });
         };
         if columns.contains(&state) {
@@ -177,14 +197,18 @@ pub(super) fn read_with_times(
     Ok((points, times))
 }
 
-/// A field without a byte order mark and quotes: beside either of these a reader takes quotes for a part of the text.
+/// A field without a byte order mark and quotes: beside either of these a reader takes quotes for a
+/// part of the text.
 fn bare(text: &str) -> &str {
     let text = text.trim_start_matches('\u{feff}').trim();
-    let inner = text.strip_prefix('"').and_then(|text| text.strip_suffix('"'));
+    let inner = text
+        .strip_prefix('"')
+        .and_then(|text| text.strip_suffix('"'));
     inner.map_or(text, str::trim)
 }
 
-/// Line (from 1) of the record that a reader began to look for at a byte: blank lines and comments before it are not it.
+/// Line (from 1) of the record that a reader began to look for at a byte: blank lines and comments
+/// before it are not it.
 fn line_of(text: &[u8], byte: u64) -> u64 {
     let at = (byte as usize).min(text.len());
     let before = text[..at].iter().filter(|b| **b == b'\n').count();

@@ -71,7 +71,10 @@ impl Terminal {
                 plan.run.rtol
             ));
         }
-        let asked = model.shoot_out.as_ref().is_some_and(|s| s.sample_by.is_some());
+        let asked = model
+            .shoot_out
+            .as_ref()
+            .is_some_and(|s| s.sample_by.is_some());
         if plan.sampling == Sampling::ArcLength && plan.game {
             self.note("a game: V may fall and rise along trajectories, which are sampled by arc length and end where the manifold folds");
         } else if plan.sampling == Sampling::ArcLength && !asked {
@@ -79,7 +82,15 @@ impl Terminal {
         }
         if let Some(local) = &plan.local
             && local.error
-                > 0.1 * plan.run.rtol * plan.run.levels.get(plan.inner).copied().unwrap_or(f64::INFINITY) * 1.0001
+                > 0.1
+                    * plan.run.rtol
+                    * plan
+                        .run
+                        .levels
+                        .get(plan.inner)
+                        .copied()
+                        .unwrap_or(f64::INFINITY)
+                    * 1.0001
             && plan.sampling == Sampling::Value
         {
             self.note(&format!(
@@ -121,7 +132,8 @@ pub(super) struct Done<'a> {
     pub answers: Option<&'a Answers>,
     /// A map that was made to an error.
     pub mapped: Option<&'a Adaptive>,
-    /// How many of the states given, from the first on, the user listed: those are answered one by one.
+    /// How many of the states given, from the first on, the user listed: those are answered one by
+    /// one.
     pub listed: usize,
     pub estimates: &'a Estimates,
     pub model: &'a Model,
@@ -209,7 +221,11 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         "{} solutions on {} {}{copies}",
         answers.entries.len(),
         answers.sheets,
-        if answers.sheets == 1 { "sheet" } else { "sheets" }
+        if answers.sheets == 1 {
+            "sheet"
+        } else {
+            "sheets"
+        }
     ));
     if !answers.equal_cost.is_empty() {
         let jump = |e: &EqualCost| {
@@ -232,7 +248,11 @@ fn answers_text(done: &Done<'_>, answers: &Answers) -> Vec<String> {
         return lines;
     }
     lines.extend(support_text(answers));
-    let residual = answers.entries.iter().map(|e| e.residual).fold(0.0, f64::max);
+    let residual = answers
+        .entries
+        .iter()
+        .map(|e| e.residual)
+        .fold(0.0, f64::max);
     let what = if done.plan.system.terminal.is_some() {
         None
     } else {
@@ -270,7 +290,8 @@ fn support_text(answers: &Answers) -> Option<String> {
     for &target in answers.targets.of_given.iter().filter(of_interest) {
         *counts.entry(answers.evidence(target)).or_insert(0) += 1;
     }
-    let said = |evidence: Evidence, what: &str| counts.get(&evidence).map(|n| format!("at {n} {what}"));
+    let said =
+        |evidence: Evidence, what: &str| counts.get(&evidence).map(|n| format!("at {n} {what}"));
     let parts = [
         said(Evidence::Covered, "by the whole swept manifold up to it"),
         said(Evidence::NotUndercut, "by nothing tried being cheaper"),
@@ -294,7 +315,12 @@ fn missed(done: &Done<'_>, answers: &Answers) -> Vec<String> {
             .collect();
         parts.join(", ")
     };
-    let open = |t: &usize| !matches!(answers.status(*t), PointStatus::Converged | PointStatus::AboveMax);
+    let open = |t: &usize| {
+        !matches!(
+            answers.status(*t),
+            PointStatus::Converged | PointStatus::AboveMax
+        )
+    };
     let missed: Vec<usize> = (0..answers.targets.len()).filter(open).collect();
     let mut lines: Vec<String> = (missed.iter().take(SHOWN))
         .map(|&t| {
@@ -334,9 +360,16 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
         .map(|(s, n)| format!("{n} {}", plan.status_name(*s).replace('_', " ")))
         .collect::<Vec<_>>();
     let c = &swept.coverage;
-    let mut lines = vec![format!("{} trajectories: {}", swept.trajectories, statuses.join(", "))];
+    let mut lines = vec![format!(
+        "{} trajectories: {}",
+        swept.trajectories,
+        statuses.join(", ")
+    )];
     if c.outside_guards > 0 {
-        lines.push(format!("{} seeds outside the guards, not swept", c.outside_guards));
+        lines.push(format!(
+            "{} seeds outside the guards, not swept",
+            c.outside_guards
+        ));
     }
     lines.push(if c.uncovered + c.indistinguishable == 0 {
         let failed: usize = (swept.by_status.iter())

@@ -108,7 +108,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     if let Some(solve) = solve
         && points::has_published(&solve.points, model)
     {
-        terminal.note(&format!("column {} of the points is not read", points::PUBLISHED));
+        terminal.note(&format!(
+            "column {} of the points is not read",
+            points::PUBLISHED
+        ));
     }
 
     // The final name first: what is wrong with it is said before the work is done.
@@ -131,9 +134,17 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let mut swept = SweepReport::default();
     let direct = !stored && value::goes_without_sweep(&plan);
     if !direct {
-        swept = swept_for(&plan, backend.as_ref(), &mut terminal, archive.as_mut(), &mut |block| {
-            writer.as_mut().map_or(Ok(()), |writer| Ok(writer.append(&block)?))
-        })?;
+        swept = swept_for(
+            &plan,
+            backend.as_ref(),
+            &mut terminal,
+            archive.as_mut(),
+            &mut |block| {
+                writer
+                    .as_mut()
+                    .map_or(Ok(()), |writer| Ok(writer.append(&block)?))
+            },
+        )?;
     }
     drop(writer);
     if let Some(file) = file.as_mut().filter(|_| stored) {
@@ -148,7 +159,13 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         let mut found = wanted.solve(&plan, model, &mut solver, archive, &terminal)?;
         // What nothing has led to may have a swept trajectory near it.
         if direct && value::may_need_sweep(&plan) && found.lacks_guesses() {
-            swept = swept_for(&plan, backend.as_ref(), &mut terminal, Some(archive), &mut |_| Ok(()))?;
+            swept = swept_for(
+                &plan,
+                backend.as_ref(),
+                &mut terminal,
+                Some(archive),
+                &mut |_| Ok(()),
+            )?;
             found = wanted.solve(&plan, model, &mut solver, archive, &terminal)?;
         }
         if let Some(file) = &mut file {
@@ -173,7 +190,9 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     if let (Some(aim), Some(archive)) = (aim, &archive) {
         let mut solver = value::solver(&plan, backend.as_ref())?;
         let bar = terminal.progress();
-        let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
+        let mut told = |what: &str, done: usize, of: usize| {
+            bar.say(&format!("{done} of {of} states solved, {what}"))
+        };
         let made = map::adaptive(&plan, model, &mut solver, archive, aim, &mut told)?;
         bar.clear();
         if let Some(file) = &mut file {
@@ -182,7 +201,9 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         mapped = Some(made);
     }
     let variants = match &mut file {
-        Some(file) if all => super::study::write(file, &scene, backend.as_ref(), choices, &terminal)?,
+        Some(file) if all => {
+            super::study::write(file, &scene, backend.as_ref(), choices, &terminal)?
+        }
         _ => Vec::new(),
     };
     let estimates = Estimates::of(&plan, &swept, stored, answers.as_ref())?;
@@ -200,7 +221,11 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         record.write(file)?;
         estimates.write(file)?;
     }
-    let names: Vec<String> = model.states.iter().map(|s| s.variable.name.clone()).collect();
+    let names: Vec<String> = model
+        .states
+        .iter()
+        .map(|s| s.variable.name.clone())
+        .collect();
     let done = report::Done {
         plan: &plan,
         names: &names,
@@ -245,7 +270,10 @@ pub(super) fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     }
     let report = page.map_or_else(String::new, |p| format!("; report: {}", p.display()));
     let seconds = clock.elapsed().as_secs_f64();
-    terminal.say(&format!("{seconds:.2} s, written to {}{report}", path.display()))?;
+    terminal.say(&format!(
+        "{seconds:.2} s, written to {}{report}",
+        path.display()
+    ))?;
     Ok(())
 }
 
@@ -259,11 +287,12 @@ struct WantedStates {
 
 impl WantedStates {
     fn count(&self) -> usize {
-        self.request.grids.iter().map(Grid::len).sum::<usize>() + self.request.points.len() / self.states
+        self.request.grids.iter().map(Grid::len).sum::<usize>()
+            + self.request.points.len() / self.states
     }
 
-    /// How many of the states given, from the first on, belong to `/points`. Single states and a map never come
-    /// together.
+    /// How many of the states given, from the first on, belong to `/points`. Single states and a
+    /// map never come together.
     fn points(&self) -> usize {
         let map = self.request.grids.last().filter(|_| self.map);
         self.count() - map.map_or(0, Grid::len)
@@ -296,7 +325,9 @@ impl WantedStates {
         terminal: &report::Terminal,
     ) -> Result<Answers, CliError> {
         let bar = terminal.progress();
-        let mut told = |what: &str, done: usize, of: usize| bar.say(&format!("{done} of {of} states solved, {what}"));
+        let mut told = |what: &str, done: usize, of: usize| {
+            bar.say(&format!("{done} of {of} states solved, {what}"))
+        };
         let found = value::solve(plan, model, solver, archive, &self.request, &mut told)?;
         bar.clear();
         Ok(found)
@@ -353,7 +384,10 @@ fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliEr
                 "state",
                 "control",
             ];
-            let clash = model.states.iter().find(|s| TAKEN.contains(&s.variable.name.as_str()));
+            let clash = model
+                .states
+                .iter()
+                .find(|s| TAKEN.contains(&s.variable.name.as_str()));
             if let (Some(state), true) = (clash, map.is_some()) {
                 return Err(CliError::MapName {
                     name: state.variable.name.clone(),
@@ -370,7 +404,12 @@ fn wanted(model: &Model, parts: Parts<'_>) -> Result<Option<WantedStates>, CliEr
                 map: map.is_some(),
                 request: Request {
                     limits: (homotopy.iter().map(|_| f64::INFINITY))
-                        .chain(model.map.iter().map(|m| m.value_max.unwrap_or(f64::INFINITY)))
+                        .chain(
+                            model
+                                .map
+                                .iter()
+                                .map(|m| m.value_max.unwrap_or(f64::INFINITY)),
+                        )
                         .collect(),
                     grids: homotopy.into_iter().chain(map).collect(),
                     ..Request::default()
@@ -387,7 +426,11 @@ pub(super) fn open_backend(
     method: Option<Method>,
 ) -> Result<Box<dyn Backend>, CliError> {
     let selection = match (adapter, choice) {
-        (Some(name), BackendChoice::Cpu) => return Err(CliError::AdapterOfCpu { name: name.to_owned() }),
+        (Some(name), BackendChoice::Cpu) => {
+            return Err(CliError::AdapterOfCpu {
+                name: name.to_owned(),
+            });
+        }
         (None, BackendChoice::Cpu) => return Ok(Box::new(Cpu::new())),
         (Some(name), _) => Selection::Named(name.to_owned()),
         (None, BackendChoice::Gpu) => Selection::Any,
@@ -410,14 +453,17 @@ pub(super) fn default_output(scenario: &Path) -> PathBuf {
 
 /// The same of a command with a file of its own, whose name ends so.
 pub(super) fn output_of(scenario: &Path, ending: &str) -> PathBuf {
-    let mut name = scenario.file_stem().unwrap_or_else(|| "result".as_ref()).to_owned();
+    let mut name = scenario
+        .file_stem()
+        .unwrap_or_else(|| "result".as_ref())
+        .to_owned();
     name.push(ending);
     name.push(".h5");
     Path::new("out").join(name)
 }
 
-/// Where results go that nobody has named a file for. Answers at some states are not written over the results of a run; then
-/// these are the second path.
+/// Where results go that nobody has named a file for. Answers at some states are not written over
+/// the results of a run; then these are the second path.
 fn own_output(scenario: &Path, answers: bool) -> (PathBuf, Option<PathBuf>) {
     const OTHERS: [&str; 8] = [
         "map_pieces",
@@ -481,7 +527,8 @@ fn swept_for(
     Ok(swept)
 }
 
-/// Sweeps on a thread of its own while this one writes, so that writing costs no time of the sweep's.
+/// Sweeps on a thread of its own while this one writes, so that writing costs no time of the
+/// sweep's.
 pub(super) fn sweep_into(
     plan: &Plan,
     backend: &dyn Backend,

@@ -17,7 +17,9 @@ use std::time::{Instant, SystemTime};
 /// What is wrong with the places asked for.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PlaceError {
-    #[error("no states are asked for: give --at NAME=VALUE,..., --points FILE.csv or --grid NAME=FIRST:LAST:COUNT")]
+    #[error(
+        "no states are asked for: give --at NAME=VALUE,..., --points FILE.csv or --grid NAME=FIRST:LAST:COUNT"
+    )]
     Nothing,
     #[error("--{option} {text}: {reason}")]
     Malformed {
@@ -49,10 +51,15 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
     let stored = Stored::open(&args.file)?;
     let model = &stored.scene.model;
     // A missing map is told below; here what is asked of it.
-    let knows = stored.map_pieces()?.is_some_and(|p| p.states() > model.states.len());
+    let knows = stored
+        .map_pieces()?
+        .is_some_and(|p| p.states() > model.states.len());
     let check = |t: f64| known_time(model, knows, t);
     let n = model.states.len();
-    let time = Time { knows, check: &check };
+    let time = Time {
+        knows,
+        check: &check,
+    };
     let mut grid = grid(&args.grid, model, &time)?;
     let (mut states, mut times) = (Vec::new(), Vec::new());
     for at in &args.at {
@@ -85,7 +92,11 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
     let time = |k: usize| timed.then(|| times[k]);
     let many = grid.is_some() || args.points.is_some();
     match &args.out {
-        Some(out) if !out.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) => {
+        Some(out)
+            if !out
+                .extension()
+                .is_some_and(|e| e.eq_ignore_ascii_case("csv")) =>
+        {
             let mut file = ResultFile::create(out)?;
             let places = match &grid {
                 Some(axes) => Places::Grid(axes),
@@ -111,7 +122,10 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             }
             file.finish()?;
         }
-        Some(out) => write_text(out, &table(model, &states, timed.then_some(&times), &found, &map)?)?,
+        Some(out) => write_text(
+            out,
+            &table(model, &states, timed.then_some(&times), &found, &map)?,
+        )?,
         None if args.json => {
             let all: Vec<_> = (states.chunks(map.states()).zip(&found).enumerate())
                 .map(|(k, (x, at))| as_json(model, (x, time(k)), at, &map))
@@ -120,7 +134,13 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
             return Ok(());
         }
         None if many => {
-            super::print(&table(model, &states, timed.then_some(&times), &found, &map)?)?;
+            super::print(&table(
+                model,
+                &states,
+                timed.then_some(&times),
+                &found,
+                &map,
+            )?)?;
             // The table itself says it of each state.
             if let Some(note) = of_all(&found, map.fronts()) {
                 terminal.note(&note);
@@ -128,7 +148,11 @@ pub(super) fn value(args: &ValueArgs) -> Result<(), CliError> {
         }
         None => {
             if asked.backend == "gpu" {
-                terminal.say(&format!("gpu on {}, {}", asked.adapter, asked.precision.name()))?;
+                terminal.say(&format!(
+                    "gpu on {}, {}",
+                    asked.adapter,
+                    asked.precision.name()
+                ))?;
             }
             for (k, (x, at)) in states.chunks(map.states()).zip(&found).enumerate() {
                 terminal.say(&as_text(model, (x, time(k)), at, &map))?;
@@ -216,12 +240,12 @@ fn known_time(model: &Model, knows: bool, t: f64) -> Result<(), String> {
         None => Err(format!(
             "`{name}` = {at}, but on an infinite horizon V does not depend on time: leave it out"
         )),
-        Some(last) if !(0.0..=last).contains(&t) => {
-            Err(format!("`{name}` = {at} is not within the horizon, from 0 to {last}"))
-        }
-        Some(_) if !knows && model.is_game() => {
-            Err(format!("`{name}` = {at}, but of a game V is known at {name} = 0 alone"))
-        }
+        Some(last) if !(0.0..=last).contains(&t) => Err(format!(
+            "`{name}` = {at} is not within the horizon, from 0 to {last}"
+        )),
+        Some(_) if !knows && model.is_game() => Err(format!(
+            "`{name}` = {at}, but of a game V is known at {name} = 0 alone"
+        )),
         Some(_) if !knows && model.map_aim.as_ref().is_some_and(|aim| aim.time) => Err(format!(
             "`{name}` = {at}, but the file has no map of V(x, {name}): none was made, it knows nothing, or these are values of one at \
              {name} = 0"
@@ -264,9 +288,11 @@ fn single(text: &str, model: &Model, time: &Time<'_>) -> Result<(Vec<f64>, f64),
     x.push(0.0);
     let mut given = Vec::new();
     for part in text.split(',') {
-        let (name, value) = part
-            .split_once('=')
-            .ok_or_else(|| wrong(format!("`{part}` is not NAME=VALUE; several are separated by commas")))?;
+        let (name, value) = part.split_once('=').ok_or_else(|| {
+            wrong(format!(
+                "`{part}` is not NAME=VALUE; several are separated by commas"
+            ))
+        })?;
         let state = argument(name.trim(), model, time).map_err(&wrong)?;
         if given.contains(&state) {
             return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
@@ -281,12 +307,17 @@ fn single(text: &str, model: &Model, time: &Time<'_>) -> Result<(Vec<f64>, f64),
 
 fn number(text: &str) -> Result<f64, String> {
     let value: Option<f64> = text.trim().parse().ok();
-    (value.filter(|v| v.is_finite())).ok_or_else(|| format!("`{}` is not a finite number", shorten(text.trim())))
+    (value.filter(|v| v.is_finite()))
+        .ok_or_else(|| format!("`{}` is not a finite number", shorten(text.trim())))
 }
 
-/// The axes of `--grid name=first:last:count` or `name=value`, repeated or separated by commas, the time's last; `None` without
-/// any.
-fn grid(texts: &[String], model: &Model, time: &Time<'_>) -> Result<Option<Vec<Vec<f64>>>, CliError> {
+/// The axes of `--grid name=first:last:count` or `name=value`, repeated or separated by commas, the
+/// time's last; `None` without any.
+fn grid(
+    texts: &[String],
+    model: &Model,
+    time: &Time<'_>,
+) -> Result<Option<Vec<Vec<f64>>>, CliError> {
     if texts.is_empty() {
         return Ok(None);
     }
@@ -310,10 +341,15 @@ fn grid(texts: &[String], model: &Model, time: &Time<'_>) -> Result<Option<Vec<V
         axes[state] = match parts.as_slice() {
             [value] => vec![number(value).map_err(&wrong)?],
             [first, last, count] => {
-                let (first, last) = (number(first).map_err(&wrong)?, number(last).map_err(&wrong)?);
+                let (first, last) = (
+                    number(first).map_err(&wrong)?,
+                    number(last).map_err(&wrong)?,
+                );
                 let count: Option<usize> = count.trim().parse().ok();
                 let count = count.filter(|c| (2..=1_000_000).contains(c));
-                let count = count.ok_or_else(|| wrong("a count is a whole number from 2 to 1000000".to_owned()))?;
+                let count = count.ok_or_else(|| {
+                    wrong("a count is a whole number from 2 to 1000000".to_owned())
+                })?;
                 if last <= first {
                     return Err(wrong("the last value must be above the first".to_owned()).into());
                 }
@@ -322,10 +358,15 @@ fn grid(texts: &[String], model: &Model, time: &Time<'_>) -> Result<Option<Vec<V
             _ => return Err(shape().into()),
         };
         if state == model.states.len() {
-            axes[state].iter().try_for_each(|t| (time.check)(*t)).map_err(&wrong)?;
+            axes[state]
+                .iter()
+                .try_for_each(|t| (time.check)(*t))
+                .map_err(&wrong)?;
         }
     }
-    let points = axes.iter().fold(1usize, |a, axis| a.saturating_mul(axis.len()));
+    let points = axes
+        .iter()
+        .fold(1usize, |a, axis| a.saturating_mul(axis.len()));
     if points > MOST_POINTS {
         let reason = format!("{points} points; at most {MOST_POINTS}");
         let text = shorten(&texts.join(","));
@@ -341,8 +382,16 @@ fn grid(texts: &[String], model: &Model, time: &Time<'_>) -> Result<Option<Vec<V
 
 fn names(model: &Model) -> (Vec<&str>, Vec<&str>) {
     (
-        model.states.iter().map(|s| s.variable.name.as_str()).collect(),
-        model.controls.iter().map(|c| c.variable.name.as_str()).collect(),
+        model
+            .states
+            .iter()
+            .map(|s| s.variable.name.as_str())
+            .collect(),
+        model
+            .controls
+            .iter()
+            .map(|c| c.variable.name.as_str())
+            .collect(),
     )
 }
 
@@ -372,7 +421,8 @@ fn sheet(value: &Value) -> String {
     if value.sites == 0 {
         "at the equilibrium".to_owned()
     } else if value.sheet < 0 {
-        "sheet -1 (no labelled solution is near: run with [homotopy] or [map] for labels)".to_owned()
+        "sheet -1 (no labelled solution is near: run with [homotopy] or [map] for labels)"
+            .to_owned()
     } else {
         format!("sheet {}", value.sheet)
     }
@@ -406,7 +456,10 @@ fn gaps(fronts: &Fronts) -> String {
     let mut text = match fronts.gaps {
         u64::MAX => "the file does not tell its gaps".to_owned(),
         0 => format!("{} trajectories failed", fronts.failed),
-        n => format!("{n} gaps remain, the widest {:.2} of the region", fronts.widest),
+        n => format!(
+            "{n} gaps remain, the widest {:.2} of the region",
+            fronts.widest
+        ),
     };
     if fronts.below > 0.0 {
         let _ = write!(text, "; covered up to V = {:.4}", fronts.below);
@@ -426,7 +479,10 @@ fn undercut(at: &At) -> Option<String> {
 
 /// The same of all answers in one line; `None` where nothing is missing.
 fn of_all(found: &[At], fronts: &Fronts) -> Option<String> {
-    let known: Vec<&Value> = found.iter().filter_map(|at| at.lowest.as_ref().ok()).collect();
+    let known: Vec<&Value> = found
+        .iter()
+        .filter_map(|at| at.lowest.as_ref().ok())
+        .collect();
     let count = |c: Coverage| known.iter().filter(|v| v.coverage == c).count();
     let (uncovered, searched) = (count(Coverage::Uncovered), count(Coverage::Searched));
     let of_pieces = |v: &&&Value| v.in_pieces && v.coverage == Coverage::Uncovered;
@@ -493,10 +549,15 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap
             .collect();
         parts.join(", ")
     };
-    let time = t.map_or(String::new(), |t| format!(", {} = {}", model.time_name(), plain(t)));
+    let time = t.map_or(String::new(), |t| {
+        format!(", {} = {}", model.time_name(), plain(t))
+    });
     let mut lines = vec![list(&states, x) + &time];
     match &at.lowest {
-        Err(unknown) => lines.push(format!("  V is not known: {}", reason(model, x, *unknown, map))),
+        Err(unknown) => lines.push(format!(
+            "  V is not known: {}",
+            reason(model, x, *unknown, map)
+        )),
         Ok(here) => {
             let error = |e: f64| {
                 if e.is_finite() {
@@ -515,10 +576,18 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap
             };
             lines.push(format!("  {}{relative}", list(&costates, &here.p)));
             if t.is_some() {
-                lines.push(format!("  dV/d{} = {}", model.time_name(), plain(here.rate)));
+                lines.push(format!(
+                    "  dV/d{} = {}",
+                    model.time_name(),
+                    plain(here.rate)
+                ));
             }
             if !controls.is_empty() {
-                lines.push(format!("  {}{}", list(&controls, &here.u), error(here.u_error)));
+                lines.push(format!(
+                    "  {}{}",
+                    list(&controls, &here.u),
+                    error(here.u_error)
+                ));
             }
             lines.push(format!("  {}; {}", sheet(here), how(here)));
             if let Some(asked) = map.falls_short(here) {
@@ -545,7 +614,12 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap
     lines.join("\n")
 }
 
-fn as_json(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap) -> serde_json::Value {
+fn as_json(
+    model: &Model,
+    (x, t): (&[f64], Option<f64>),
+    at: &At,
+    map: &ValueMap,
+) -> serde_json::Value {
     let fronts = map.fronts();
     let (states, controls) = names(model);
     let object = |names: &[&str], values: &[f64]| -> serde_json::Value {
@@ -596,7 +670,12 @@ fn table(
     header.extend(names.iter().map(|n| format!("p_{n}")));
     header.extend(times.map(|_| "dV_dt".to_owned()));
     header.extend(controls.iter().map(|n| (*n).to_owned()));
-    header.extend(["sheet", "V_error", "p_error", "u_error", "coverage", "status"].map(str::to_owned));
+    header.extend(
+        [
+            "sheet", "V_error", "p_error", "u_error", "coverage", "status",
+        ]
+        .map(str::to_owned),
+    );
     let columns = header.len();
     let mut rows = vec![header];
     for (k, (x, at)) in states.chunks(names.len()).zip(found).enumerate() {
@@ -604,22 +683,30 @@ fn table(
         row.extend(times.map(|t| plain(&t[k])));
         if let Ok(here) = &at.lowest {
             let rate = times.map(|_| here.rate);
-            row.extend([here.v].iter().chain(&here.p).chain(&rate).chain(&here.u).map(plain));
+            row.extend(
+                [here.v]
+                    .iter()
+                    .chain(&here.p)
+                    .chain(&rate)
+                    .chain(&here.u)
+                    .map(plain),
+            );
             row.push(here.sheet.to_string());
             let errors = [here.v_error, here.p_error, here.u_error];
-            row.extend(
-                errors
-                    .iter()
-                    .map(|e| if e.is_finite() { plain(e) } else { String::new() }),
-            );
+            row.extend(errors.iter().map(|e| {
+                if e.is_finite() {
+                    plain(e)
+                } else {
+                    String::new()
+                }
+            }));
             row.push(here.coverage.name().to_owned());
         }
         row.resize(columns - 1, String::new());
-        row.push(
-            at.lowest
-                .as_ref()
-                .map_or_else(|unknown| reason(model, x, *unknown, map), |_| "known".to_owned()),
-        );
+        row.push(at.lowest.as_ref().map_or_else(
+            |unknown| reason(model, x, *unknown, map),
+            |_| "known".to_owned(),
+        ));
         rows.push(row);
     }
     super::csv_text(&rows)

@@ -1,4 +1,5 @@
-//! What a picture is drawn on: an SVG text or pixels. Coordinates are in pixels, y downward, and need not be whole.
+//! What a picture is drawn on: an SVG text or pixels. Coordinates are in pixels, y downward, and
+//! need not be whole.
 
 use super::colours::Rgb;
 
@@ -121,7 +122,10 @@ impl Style {
     }
 
     pub fn upward(self) -> Self {
-        Self { upward: true, ..self }
+        Self {
+            upward: true,
+            ..self
+        }
     }
 
     pub fn halo(self) -> Self {

@@ -3,7 +3,8 @@
 /// A colour, red, green and blue.
 pub type Rgb = [u8; 3];
 
-/// M. Okabe, K. Ito, Color Universal Design (2008), without the yellow, which is too light for lines.
+/// M. Okabe, K. Ito, Color Universal Design (2008), without the yellow, which is too light for
+/// lines.
 pub const CLASSES: [Rgb; 7] = [
     [0, 114, 178],
     [213, 94, 0],
@@ -43,7 +44,11 @@ const VALUES: [Rgb; 17] = [
 /// The colour at `share` (0 to 1, else the nearer end) of the range of values.
 pub fn value(share: f64) -> Rgb {
     let last = VALUES.len() - 1;
-    let place = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 } * last as f64;
+    let place = if share.is_finite() {
+        share.clamp(0.0, 1.0)
+    } else {
+        0.0
+    } * last as f64;
     let below = (place as usize).min(last - 1);
     mixed(VALUES[below], VALUES[below + 1], place - below as f64)
 }
@@ -75,7 +80,9 @@ mod tests {
 
     #[test]
     fn values_grow_lighter() {
-        let shades: Vec<f64> = (0..=100).map(|k| luminance(value(f64::from(k) / 100.0))).collect();
+        let shades: Vec<f64> = (0..=100)
+            .map(|k| luminance(value(f64::from(k) / 100.0)))
+            .collect();
         assert!(shades.windows(2).all(|w| w[1] > w[0]));
         assert_eq!(value(-1.0), value(0.0));
         assert_eq!(value(f64::NAN), value(0.0));

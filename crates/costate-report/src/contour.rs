@@ -1,15 +1,16 @@
 //! Lines and regions of equal value of a function given on a rectangular grid: marching squares.
 //!
-//! Along the edges of the grid the function is taken as linear; what happens at a saddle within a cell is decided by the
-//! mean of its corners. Cells with a corner that is not finite, and cells in `cut`, are left out: lines end and regions
-//! are bounded there.
+//! Along the edges of the grid the function is taken as linear; what happens at a saddle within a
+//! cell is decided by the mean of its corners. Cells with a corner that is not finite, and cells in
+//! `cut`, are left out: lines end and regions are bounded there.
 //!
-//! Each cell's part of the region {f >= level} is a polygon. Neighbours share their edges, in opposite directions: what
-//! is left when these are taken away are the region's boundaries.
+//! Each cell's part of the region {f >= level} is a polygon. Neighbours share their edges, in
+//! opposite directions: what is left when these are taken away are the region's boundaries.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A function on the grid `x` x `y`: `values[i * y.len() + j]` belongs to `(x[i], y[j])`. Both axes ascend.
+/// A function on the grid `x` x `y`: `values[i * y.len() + j]` belongs to `(x[i], y[j])`. Both axes
+/// ascend.
 #[derive(Clone, Copy, Debug)]
 pub struct Grid<'a> {
     pub x: &'a [f64],
@@ -27,7 +28,8 @@ pub struct Line {
     pub closed: bool,
 }
 
-/// A vertex: a node of the grid, or the crossing of the level on the edge from that node along x or y.
+/// A vertex: a node of the grid, or the crossing of the level on the edge from that node along x or
+/// y.
 type Vertex = (u32, u8);
 const NODE: u8 = 0;
 const ALONG_X: u8 = 1;
@@ -50,7 +52,9 @@ impl Grid<'_> {
     fn open(&self, i: usize, j: usize) -> bool {
         let ny = self.y.len();
         let corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)];
-        corners.iter().all(|(i, j)| self.values[i * ny + j].is_finite())
+        corners
+            .iter()
+            .all(|(i, j)| self.values[i * ny + j].is_finite())
             && !self.cut.get(i * (ny - 1) + j).copied().unwrap_or(false)
     }
 
@@ -83,7 +87,12 @@ impl Grid<'_> {
                 if self.open(i, j) {
                     for polygon in self.cell(i, j, level) {
                         for k in 0..polygon.len() {
-                            add(&mut edges, polygon[k], polygon[(k + 1) % polygon.len()], self.y.len());
+                            add(
+                                &mut edges,
+                                polygon[k],
+                                polygon[(k + 1) % polygon.len()],
+                                self.y.len(),
+                            );
                         }
                     }
                 }
@@ -96,7 +105,12 @@ impl Grid<'_> {
     fn cell(&self, i: usize, j: usize, level: f64) -> Vec<Vec<Vertex>> {
         let ny = self.y.len();
         let node = |i: usize, j: usize| (i * ny + j) as u32;
-        let corners = [node(i, j), node(i + 1, j), node(i + 1, j + 1), node(i, j + 1)];
+        let corners = [
+            node(i, j),
+            node(i + 1, j),
+            node(i + 1, j + 1),
+            node(i, j + 1),
+        ];
         let between = [
             (corners[0], ALONG_X),
             (corners[1], ALONG_Y),
@@ -120,7 +134,11 @@ impl Grid<'_> {
                 polygon.push(between[k]);
             }
         }
-        if polygon.is_empty() { vec![] } else { vec![polygon] }
+        if polygon.is_empty() {
+            vec![]
+        } else {
+            vec![polygon]
+        }
     }
 }
 
@@ -131,7 +149,8 @@ fn add(edges: &mut Edges, from: Vertex, to: Vertex, ny: usize) {
     }
 }
 
-/// Whether two vertices of a cell lie on one edge of the grid: not two crossings, of which an edge has but one.
+/// Whether two vertices of a cell lie on one edge of the grid: not two crossings, of which an edge
+/// has but one.
 fn on_grid(a: Vertex, b: Vertex, ny: usize) -> bool {
     let end = |(node, kind): Vertex| match kind {
         ALONG_X => node + ny as u32,
@@ -145,8 +164,8 @@ fn on_grid(a: Vertex, b: Vertex, ny: usize) -> bool {
     }
 }
 
-/// Directed edges joined end to end: vertices of each chain, and whether it is closed. A closed chain's first vertex is
-/// not repeated.
+/// Directed edges joined end to end: vertices of each chain, and whether it is closed. A closed
+/// chain's first vertex is not repeated.
 fn chains(edges: impl Iterator<Item = (Vertex, Vertex)>) -> Vec<(Vec<Vertex>, bool)> {
     let mut next: BTreeMap<Vertex, BTreeSet<Vertex>> = BTreeMap::new();
     let mut entered: BTreeMap<Vertex, usize> = BTreeMap::new();
@@ -212,8 +231,8 @@ pub fn lines(grid: &Grid<'_>, level: f64) -> Vec<Line> {
         .collect()
 }
 
-/// The region {f >= level} as rings (outer ones counterclockwise, holes clockwise), for a fill by the even-odd rule. The
-/// first point is not repeated.
+/// The region {f >= level} as rings (outer ones counterclockwise, holes clockwise), for a fill by
+/// the even-odd rule. The first point is not repeated.
 pub fn region(grid: &Grid<'_>, level: f64) -> Vec<Vec<[f64; 2]>> {
     chains(grid.boundary(level).into_keys())
         .into_iter()
@@ -273,8 +292,8 @@ mod tests {
 
     #[test]
     fn a_circle() {
-        // Linear interpolation of x^2 + y^2 along an edge is off by at most f''/8 h^2 in value, so by h^2 / (8 r) in
-        // place: 1e-3 of a step of 1/200 asks for r >= 0.625.
+        // Linear interpolation of x^2 + y^2 along an edge is off by at most f''/8 h^2 in value, so
+        // by h^2 / (8 r) in place: 1e-3 of a step of 1/200 asks for r >= 0.625.
         let x = axis(-1.0, 1.0, 401);
         let values = sampled(&x, &x, |x, y| x * x + y * y);
         let grid = Grid {
@@ -369,6 +388,15 @@ mod tests {
         assert!((area(&region(&grid, 1.0)) - 2.0).abs() < 1e-12);
         assert!(lines(&grid, 5.0).is_empty() && region(&grid, 5.0).is_empty());
         assert!(lines(&Grid { x: &x[..1], ..grid }, 1.0).is_empty());
-        assert!(lines(&Grid { cut: &[true], ..grid }, 1.0).is_empty());
+        assert!(
+            lines(
+                &Grid {
+                    cut: &[true],
+                    ..grid
+                },
+                1.0
+            )
+            .is_empty()
+        );
     }
 }

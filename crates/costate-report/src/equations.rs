@@ -11,7 +11,8 @@ pub struct Equations {
 
 /// Everything that defines the problem, as the scene has it.
 pub fn of(model: &Model) -> Vec<Equations> {
-    let written = |span: &costate::model::Span| tidy(model.text.get(span.clone()).unwrap_or_default());
+    let written =
+        |span: &costate::model::Span| tidy(model.text.get(span.clone()).unwrap_or_default());
     let mut all = Vec::new();
     let mut add = |heading: &str, lines: Vec<String>| {
         if !lines.is_empty() {
@@ -22,12 +23,19 @@ pub fn of(model: &Model) -> Vec<Equations> {
         }
     };
     let variable = |v: &costate::model::Variable, more: &str| {
-        let long = v.long_name.as_deref().map_or_else(String::new, |l| format!(": {l}"));
+        let long = v
+            .long_name
+            .as_deref()
+            .map_or_else(String::new, |l| format!(": {l}"));
         format!("{}{long}{}{more}", v.name, names::unit(v.unit.as_deref()))
     };
     add(
         "States",
-        model.states.iter().map(|s| variable(&s.variable, "")).collect(),
+        model
+            .states
+            .iter()
+            .map(|s| variable(&s.variable, ""))
+            .collect(),
     );
     let controls = model.controls.iter().map(|c| {
         let bounds = match (c.min, c.max) {
@@ -39,10 +47,13 @@ pub fn of(model: &Model) -> Vec<Equations> {
         variable(&c.variable, &bounds)
     });
     add("Controls", controls.collect());
-    let dynamics =
-        (model.states.iter().zip(&model.dynamics)).map(|(s, d)| format!("{}' = {}", s.variable.name, written(&d.span)));
+    let dynamics = (model.states.iter().zip(&model.dynamics))
+        .map(|(s, d)| format!("{}' = {}", s.variable.name, written(&d.span)));
     add("Dynamics", dynamics.collect());
-    add("Running cost", vec![format!("L = {}", written(&model.running.span))]);
+    add(
+        "Running cost",
+        vec![format!("L = {}", written(&model.running.span))],
+    );
     match &model.horizon {
         Horizon::Infinite { x, u, .. } => {
             let states = model.states.iter().map(|s| &s.variable.name).zip(x);
@@ -53,7 +64,9 @@ pub fn of(model: &Model) -> Vec<Equations> {
             add("Equilibrium", vec![values.collect::<Vec<_>>().join(", ")]);
         }
         Horizon::Finite {
-            terminal, final_time, ..
+            terminal,
+            final_time,
+            ..
         } => {
             let at = super::ticks::significant(*final_time, 6);
             add(
@@ -65,7 +78,10 @@ pub fn of(model: &Model) -> Vec<Equations> {
     let definitions = costate::scenario::definitions(&model.text);
     add(
         "Definitions",
-        definitions.iter().map(|(k, v)| format!("{k} = {}", tidy(v))).collect(),
+        definitions
+            .iter()
+            .map(|(k, v)| format!("{k} = {}", tidy(v)))
+            .collect(),
     );
     add(
         "Parameters",

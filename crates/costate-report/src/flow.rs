@@ -31,13 +31,15 @@ impl<'s> Flow<'s> {
     /// x' and, last, the running cost.
     pub fn at(&mut self, x: &[f64], p: &[f64]) -> Vec<f64> {
         let h = self.hamiltonian;
-        self.values.extend(h.x.iter().copied().zip(x.iter().copied()));
-        self.values.extend(h.p.iter().copied().zip(p.iter().copied()));
+        self.values
+            .extend(h.x.iter().copied().zip(x.iter().copied()));
+        self.values
+            .extend(h.p.iter().copied().zip(p.iter().copied()));
         h.graph.eval(&self.roots, &self.values)
     }
 
-    /// The state at each sample of a trajectory and at some times between samples (cubic Hermite interpolation), with the
-    /// number of the sample before and the time.
+    /// The state at each sample of a trajectory and at some times between samples (cubic Hermite
+    /// interpolation), with the number of the sample before and the time.
     pub fn path(&mut self, t: &SweptTrajectories, k: usize) -> Vec<(usize, f64, Vec<f64>)> {
         let n = self.hamiltonian.x.len();
         let mut path: Vec<(usize, f64, Vec<f64>)> = Vec::new();

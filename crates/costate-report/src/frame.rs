@@ -202,7 +202,12 @@ impl Frame {
     fn ticks_x(&self) -> Vec<Tick> {
         // Labels grow with their number of digits: what is widest decides.
         let width = self.area.width();
-        let widest = |ticks: &[Tick]| ticks.iter().map(|t| text::width(&t.label, TEXT)).fold(0.0, f64::max);
+        let widest = |ticks: &[Tick]| {
+            ticks
+                .iter()
+                .map(|t| text::width(&t.label, TEXT))
+                .fold(0.0, f64::max)
+        };
         let room = widest(&self.x.ticks(width, 70.0)) + 26.0;
         self.x.ticks(width, room.max(44.0))
     }
@@ -234,7 +239,11 @@ impl Frame {
         let style = Style::new(Anchor::Middle);
         for tick in self.ticks_x() {
             let x = self.at([tick.value, self.y.range[0]])[0];
-            let length = if tick.label.is_empty() { 0.5 * TICK } else { TICK };
+            let length = if tick.label.is_empty() {
+                0.5 * TICK
+            } else {
+                TICK
+            };
             lines.push(vec![[x, a.bottom], [x, a.bottom + length]]);
             if self.x_labels {
                 canvas.text([x, a.bottom + TICK + GAP + 0.5 * TEXT], &tick.label, style);
@@ -248,18 +257,29 @@ impl Frame {
         let mut widest = 0.0f64;
         for tick in &ticks {
             let y = self.at([self.x.range[0], tick.value])[1];
-            let length = if tick.label.is_empty() { 0.5 * TICK } else { TICK };
+            let length = if tick.label.is_empty() {
+                0.5 * TICK
+            } else {
+                TICK
+            };
             lines.push(vec![[a.left - length, y], [a.left, y]]);
             widest = widest.max(text::width(&tick.label, TEXT));
             if self.y_labels {
-                canvas.text([a.left - TICK - GAP, y], &tick.label, Style::new(Anchor::End));
+                canvas.text(
+                    [a.left - TICK - GAP, y],
+                    &tick.label,
+                    Style::new(Anchor::End),
+                );
             }
         }
         canvas.lines(&lines, Stroke::new(Ink::Muted, 1.0));
         if self.x_labels && !self.x.label.is_empty() {
             let label = text::shortened(&self.x.label, TEXT, a.width() + 60.0);
             canvas.text(
-                [0.5 * (a.left + a.right), a.bottom + TICK + GAP + LINE + 0.5 * LINE],
+                [
+                    0.5 * (a.left + a.right),
+                    a.bottom + TICK + GAP + LINE + 0.5 * LINE,
+                ],
                 &label,
                 style,
             );
@@ -393,12 +413,20 @@ impl Bar<'_> {
                 [right + if tick.label.is_empty() { 2.5 } else { TICK }, at],
             ]);
             widest = widest.max(text::width(&tick.label, TEXT));
-            canvas.text([right + TICK + GAP, at], &tick.label, Style::new(Anchor::Start));
+            canvas.text(
+                [right + TICK + GAP, at],
+                &tick.label,
+                Style::new(Anchor::Start),
+            );
         }
         canvas.lines(&lines, Stroke::new(Ink::Muted, 1.0));
         let x = right + TICK + 2.0 * GAP + widest + 0.5 * LINE;
         let label = text::shortened(self.label, TEXT, height + 30.0);
-        canvas.text([x, 0.5 * (top + bottom)], &label, Style::new(Anchor::Middle).upward());
+        canvas.text(
+            [x, 0.5 * (top + bottom)],
+            &label,
+            Style::new(Anchor::Middle).upward(),
+        );
     }
 }
 

@@ -1,4 +1,5 @@
-//! Hatching: where a map in pieces says itself that V may be off by more than the error it was asked for.
+//! Hatching: where a map in pieces says itself that V may be off by more than the error it was
+//! asked for.
 
 use super::canvas::{Ink, Stroke};
 use super::plane::Plane;
@@ -14,14 +15,21 @@ pub fn stroke() -> Stroke {
     Stroke::new(Ink::Colour([20, 20, 20]), 0.8).opacity(0.55)
 }
 
-/// Whether V is known on a cell of the plane and its bound is above the error asked for at a corner.
+/// Whether V is known on a cell of the plane and its bound is above the error asked for at a
+/// corner.
 pub fn is_unmet(plane: &Plane, i: usize, j: usize) -> bool {
     let ny = plane.y.len();
     if plane.excess.is_empty() || i + 1 >= plane.x.len() || j + 1 >= ny {
         return false;
     }
-    let corners = [i * ny + j, i * ny + j + 1, (i + 1) * ny + j, (i + 1) * ny + j + 1];
-    corners.iter().all(|k| plane.v[*k].is_finite()) && corners.iter().any(|k| plane.excess[*k] > 1.0)
+    let corners = [
+        i * ny + j,
+        i * ny + j + 1,
+        (i + 1) * ny + j,
+        (i + 1) * ny + j + 1,
+    ];
+    corners.iter().all(|k| plane.v[*k].is_finite())
+        && corners.iter().any(|k| plane.excess[*k] > 1.0)
 }
 
 /// Share of the cells with V that are hatched.
@@ -30,7 +38,12 @@ pub fn share(plane: &Plane) -> f64 {
     let ny = plane.y.len();
     for i in 0..plane.x.len().saturating_sub(1) {
         for j in 0..ny.saturating_sub(1) {
-            let corners = [i * ny + j, i * ny + j + 1, (i + 1) * ny + j, (i + 1) * ny + j + 1];
+            let corners = [
+                i * ny + j,
+                i * ny + j + 1,
+                (i + 1) * ny + j,
+                (i + 1) * ny + j + 1,
+            ];
             known += usize::from(corners.iter().all(|k| plane.v[*k].is_finite()));
             unmet += usize::from(is_unmet(plane, i, j));
         }
@@ -46,7 +59,8 @@ pub fn lines(plane: &Plane) -> Vec<Vec<[f64; 2]>> {
     }
     // Coordinates from 0 to 1 along both axes.
     let at = |axis: &[f64], s: f64| axis[0] + s * (axis[axis.len() - 1] - axis[0]);
-    let cell = |axis: &[f64], x: f64| axis.partition_point(|a| *a <= x).clamp(1, axis.len() - 1) - 1;
+    let cell =
+        |axis: &[f64], x: f64| axis.partition_point(|a| *a <= x).clamp(1, axis.len() - 1) - 1;
     for line in 1..2 * LINES {
         // Upward to the right, through (shift, 0).
         let shift = line as f64 / LINES as f64 - 1.0;
@@ -99,7 +113,9 @@ mod tests {
     use super::*;
 
     fn even(count: usize) -> Vec<f64> {
-        (0..count).map(|k| 2.0 * k as f64 / (count - 1) as f64).collect()
+        (0..count)
+            .map(|k| 2.0 * k as f64 / (count - 1) as f64)
+            .collect()
     }
 
     /// V is known but for a corner, and the bound is too large to the right of x = 1.
@@ -117,7 +133,9 @@ mod tests {
             cut: Vec::new(),
             base: vec![0.0; 2],
             limit: f64::INFINITY,
-            excess: points().map(|(x, _)| if x > 1.0 { 3.0 } else { 0.5 }).collect(),
+            excess: points()
+                .map(|(x, _)| if x > 1.0 { 3.0 } else { 0.5 })
+                .collect(),
             x,
             y,
         }
@@ -131,11 +149,17 @@ mod tests {
         // A cell's width: one is hatched where a corner of it is not good enough.
         let cell = 0.05 + 1e-12;
         for [x, y] in lines.iter().flatten() {
-            assert!(*x >= 1.0 - cell && (*x <= 1.5 + cell || *y <= 1.5 + 0.067), "{x} {y}");
+            assert!(
+                *x >= 1.0 - cell && (*x <= 1.5 + cell || *y <= 1.5 + 0.067),
+                "{x} {y}"
+            );
         }
         // Half of the plane but for its corner, of all but the corner.
         let share = share(&plane);
-        assert!((share - (1.0 - 0.125) / (2.0 - 0.125)).abs() < 0.03, "{share}");
+        assert!(
+            (share - (1.0 - 0.125) / (2.0 - 0.125)).abs() < 0.03,
+            "{share}"
+        );
         let good = Plane {
             excess: vec![0.9; plane.v.len()],
             ..plane.clone()

@@ -1,8 +1,10 @@
-//! The report of a result file: one page of HTML with its pictures in it, and the pictures beside it as SVG and PNG.
+//! The report of a result file: one page of HTML with its pictures in it, and the pictures beside
+//! it as SVG and PNG.
 //!
-//! Data flows one way: [`Source`] reads a [`Stored`] file once; each file of `pictures/` makes a [`Picture`] of it, where
-//! the file has the data; `canvas` is what drawing code knows, with `svg` and `raster` behind it; `page` puts all
-//! together. A picture that cannot be made is named in the page with the reason, and stops nothing.
+//! Data flows one way: [`Source`] reads a [`Stored`] file once; each file of `pictures/` makes a
+//! [`Picture`] of it, where the file has the data; `canvas` is what drawing code knows, with `svg`
+//! and `raster` behind it; `page` puts all together. A picture that cannot be made is named in the
+//! page with the reason, and stops nothing.
 
 mod canvas;
 mod colours;
@@ -143,23 +145,27 @@ pub fn default_page(file: &Path) -> PathBuf {
     file.with_file_name(format!("{stem}_report.html"))
 }
 
-/// Writes the report of a result file: the page, and a folder of its name (without `.html`) with the pictures. Pictures of
-/// an earlier report of that name are replaced.
+/// Writes the report of a result file: the page, and a folder of its name (without `.html`) with
+/// the pictures. Pictures of an earlier report of that name are replaced.
 ///
 /// # Errors
-/// [`ReportError::Options`] where the options do not fit the scene; else where nothing can be written. What cannot be
-/// drawn is no error: it is in [`Written::missing`] and on the page.
+/// [`ReportError::Options`] where the options do not fit the scene; else where nothing can be
+/// written. What cannot be drawn is no error: it is in [`Written::missing`] and on the page.
 pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError> {
     let source = Source::new(stored, &options.choice)?;
     let (pictures, mut missing) = pictures::all(&source);
-    let page = options.out.clone().unwrap_or_else(|| default_page(&stored.path));
+    let page = options
+        .out
+        .clone()
+        .unwrap_or_else(|| default_page(&stored.path));
     let folder = page.with_extension("");
     let folder = if folder == page {
         page.with_extension("pictures")
     } else {
         folder
     };
-    // Drawing takes long: a command that is killed meanwhile leaves the report that was there, and else nothing.
+    // Drawing takes long: a command that is killed meanwhile leaves the report that was there, and
+    // else nothing.
     let width = f64::from(options.width.unwrap_or(DEFAULT_WIDTH));
     let drawn: Vec<String> = pictures.iter().map(|picture| picture.svg(width)).collect();
     let mut files: Vec<(String, Vec<u8>)> = Vec::new();
@@ -215,14 +221,15 @@ pub struct Beside {
     pub missing: Vec<(String, String)>,
 }
 
-/// Writes single pictures of a result file beside it, as `out/x_NAME.svg` and `.png`; those that the file has no data for
-/// are left out.
+/// Writes single pictures of a result file beside it, as `out/x_NAME.svg` and `.png`; those that
+/// the file has no data for are left out.
 ///
 /// # Errors
 /// As [`write()`].
 pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportError> {
     let source = Source::new(stored, &Report::default())?;
-    let stem = (stored.path.file_stem()).map_or_else(String::new, |s| s.to_string_lossy().into_owned());
+    let stem =
+        (stored.path.file_stem()).map_or_else(String::new, |s| s.to_string_lossy().into_owned());
     let mut done = Beside::default();
     for name in names {
         let picture = match pictures::named(&source, name) {
@@ -242,10 +249,12 @@ pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportErr
     Ok(done)
 }
 
-/// Takes away pictures of an earlier report that the new one does not have, known by their names: the folder may hold other
-/// things.
+/// Takes away pictures of an earlier report that the new one does not have, known by their names:
+/// the folder may hold other things.
 fn clear(folder: &Path, new: &[(PathBuf, Vec<u8>)]) {
-    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return;
+    };
     for path in entries.filter_map(|e| Some(e.ok()?.path())) {
         let kind = path.extension().is_some_and(|e| e == "svg" || e == "png");
         let name = path

@@ -57,7 +57,10 @@ const GREEK: [(&str, char); 48] = [
 pub fn symbol(name: &str) -> String {
     let letters = name.trim_end_matches(|c: char| c.is_ascii_digit());
     let number = &name[letters.len()..];
-    let (letters, lone) = (letters.strip_suffix('_').unwrap_or(letters), letters.ends_with('_'));
+    let (letters, lone) = (
+        letters.strip_suffix('_').unwrap_or(letters),
+        letters.ends_with('_'),
+    );
     let Some((_, greek)) = GREEK.iter().find(|(spelled, _)| *spelled == letters) else {
         return name.to_owned();
     };

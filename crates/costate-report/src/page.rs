@@ -1,4 +1,5 @@
-//! The page: everything in one file, readable on light and dark ground, on paper and on a narrow screen.
+//! The page: everything in one file, readable on light and dark ground, on paper and on a narrow
+//! screen.
 
 use super::svg::escaped;
 use super::tables::{self, Table};
@@ -97,7 +98,12 @@ impl Page {
             );
         }
         for t in tables {
-            let _ = writeln!(self.0, "<a href=\"#{}\">{}</a>", anchor(&t.title), escaped(&t.title));
+            let _ = writeln!(
+                self.0,
+                "<a href=\"#{}\">{}</a>",
+                anchor(&t.title),
+                escaped(&t.title)
+            );
         }
         self.add("</nav>\n");
     }
@@ -118,7 +124,12 @@ impl Page {
     fn figures(&mut self, source: &Source<'_>) {
         self.add("<div class=\"card\">\n<dl>\n");
         for (name, value) in tables::key_figures(source) {
-            let _ = writeln!(self.0, "<dt>{}</dt><dd>{}</dd>", escaped(&name), escaped(&value));
+            let _ = writeln!(
+                self.0,
+                "<dt>{}</dt><dd>{}</dd>",
+                escaped(&name),
+                escaped(&value)
+            );
         }
         self.add("</dl>\n</div>\n");
     }

@@ -19,16 +19,18 @@ pub trait Field: Sync {
     fn at(&self, x: &[f64]) -> Option<Local>;
 }
 
-/// Nothing is told in a cell whose corners contradict each other by more than this share of their mean V. (Of the compressor V is then
-/// wrong by 6 % of it at most; where corners contradict each other less, by as much less.)
+/// Nothing is told in a cell whose corners contradict each other by more than this share of their
+/// mean V. (Of the compressor V is then wrong by 6 % of it at most; where corners contradict each
+/// other less, by as much less.)
 const CONTRADICTION: f64 = 1.0;
 
 /// A regular grid of solutions, one axis a state; an axis of one value holds only there.
 ///
-/// Between points, V is the polynomial of the cell's corners with their V and p that is exact for a cubic V (of two axes Adini's
-/// element). In a cell whose corners are on several sheets each sheet
-/// continues by its own corners' `V_i + p_i . (x - x_i)`, and the cheapest counts: nothing is mixed across sheets. Where V and p of
-/// corners contradict each other, nothing is known: V is too steep there for the grid.
+/// Between points, V is the polynomial of the cell's corners with their V and p that is exact for a
+/// cubic V (of two axes Adini's element). In a cell whose corners are on several sheets each sheet
+/// continues by its own corners' `V_i + p_i . (x - x_i)`, and the cheapest counts: nothing is mixed
+/// across sheets. Where V and p of corners contradict each other, nothing is known: V is too steep
+/// there for the grid.
 #[derive(Clone, Debug)]
 pub struct GridField {
     pub axes: Vec<Vec<f64>>,
@@ -40,8 +42,9 @@ pub struct GridField {
 }
 
 impl GridField {
-    /// From `/map`. Points that are in `above` (or nothing is) have no value because V is above `limit`: next to known
-    /// ones they are given one, at least the limit, so that regions up to the limit end where V passes it.
+    /// From `/map`. Points that are in `above` (or nothing is) have no value because V is above
+    /// `limit`: next to known ones they are given one, at least the limit, so that regions up to
+    /// the limit end where V passes it.
     pub fn of_map(map: &SolvedGrid, controls: usize, above: &[bool], limit: f64) -> Self {
         let mut field = Self {
             axes: map.axes.clone(),
@@ -58,8 +61,9 @@ impl GridField {
         field
     }
 
-    /// From what a value map says at `count` x `count` states of a plane of the region; V above `limit` is left out, as what
-    /// it foretells beyond its data. None of the states known: no field.
+    /// From what a value map says at `count` x `count` states of a plane of the region; V above
+    /// `limit` is left out, as what it foretells beyond its data. None of the states known: no
+    /// field.
     pub fn of_value_map(
         map: &ValueMap,
         axes: [usize; 2],
@@ -115,8 +119,9 @@ impl GridField {
         Some(field)
     }
 
-    /// Gives solutions without a label, as those next to the equilibrium, that of a neighbour, first those whose V and p agree best
-    /// with its; or that of all others, where these have but one.
+    /// Gives solutions without a label, as those next to the equilibrium, that of a neighbour,
+    /// first those whose V and p agree best with its; or that of all others, where these have but
+    /// one.
     fn label(&mut self) {
         let mut offers = BinaryHeap::new();
         // Contradictions are not negative: their bits are in their order.
@@ -176,13 +181,16 @@ impl GridField {
         }
     }
 
-    /// Gives points that are known to be, or foretold to be, above the limit and are next to known ones the values that their nearest neighbours' p and its change foretell.
+    /// Gives points that are known to be, or foretold to be, above the limit and are next to known
+    /// ones the values that their nearest neighbours' p and its change foretell.
     fn extend(&mut self, above: &[bool], limit: f64) {
         let mut new = Vec::new();
         for k in (0..self.v.len()).filter(|k| self.v[*k].is_nan()) {
             let known_above = above.get(k).copied().unwrap_or(false);
             match self.foretold(k) {
-                Some((v, p, from)) if known_above => new.push((k, v.max(limit * (1.0 + 1e-9)), p, from)),
+                Some((v, p, from)) if known_above => {
+                    new.push((k, v.max(limit * (1.0 + 1e-9)), p, from))
+                }
                 Some((v, p, from)) if v >= limit => new.push((k, v, p, from)),
                 _ => {}
             }
@@ -201,7 +209,8 @@ impl GridField {
         self.sheet[k] = self.sheet[from];
     }
 
-    /// V and p at a point from two known ones of one sheet in a row next to it, where V is least; and the nearer of these.
+    /// V and p at a point from two known ones of one sheet in a row next to it, where V is least;
+    /// and the nearer of these.
     fn foretold(&self, k: usize) -> Option<(f64, Vec<f64>, usize)> {
         let n = self.axes.len();
         let mut stride = 1;
@@ -217,7 +226,10 @@ impl GridField {
                 let step = |by: usize| if up { k + by * stride } else { k - by * stride };
                 let at = |by: usize| self.axes[d][if up { place + by } else { place - by }];
                 let (near, far) = (step(1), step(2));
-                if !self.v[near].is_finite() || !self.v[far].is_finite() || self.sheet[near] != self.sheet[far] {
+                if !self.v[near].is_finite()
+                    || !self.v[far].is_finite()
+                    || self.sheet[near] != self.sheet[far]
+                {
                     continue;
                 }
                 let (h, before) = (at(0) - at(1), at(1) - at(2));
@@ -279,7 +291,10 @@ impl GridField {
 
     /// The largest size of V at its points.
     pub fn largest(&self) -> f64 {
-        self.v.iter().filter(|v| v.is_finite()).fold(0.0, |a, v| a.max(v.abs()))
+        self.v
+            .iter()
+            .filter(|v| v.is_finite())
+            .fold(0.0, |a, v| a.max(v.abs()))
     }
 
     /// The value of an axis that has but one.
@@ -292,7 +307,9 @@ impl GridField {
 
     /// States along which it extends.
     pub fn extent(&self) -> Vec<usize> {
-        (0..self.axes.len()).filter(|k| self.axes[*k].len() > 1).collect()
+        (0..self.axes.len())
+            .filter(|k| self.axes[*k].len() > 1)
+            .collect()
     }
 
     /// The corners of the cell around `x` and their weights.
@@ -304,7 +321,9 @@ impl GridField {
             if x < first - slack || x > last + slack {
                 return None;
             }
-            let above = axis.partition_point(|a| *a <= x).clamp(1, axis.len().max(2) - 1);
+            let above = axis
+                .partition_point(|a| *a <= x)
+                .clamp(1, axis.len().max(2) - 1);
             let ends: Vec<(usize, f64)> = match axis.get(above) {
                 Some(next) => {
                     let s = ((x - axis[above - 1]) / (next - axis[above - 1])).clamp(0.0, 1.0);
@@ -313,7 +332,10 @@ impl GridField {
                 None => vec![(0, 1.0)],
             };
             corners = (corners.iter())
-                .flat_map(|(place, w)| ends.iter().map(move |(k, s)| (place * axis.len() + k, w * s)))
+                .flat_map(|(place, w)| {
+                    ends.iter()
+                        .map(move |(k, s)| (place * axis.len() + k, w * s))
+                })
                 .filter(|(_, w)| *w > 0.0)
                 .collect();
         }
@@ -330,11 +352,12 @@ impl GridField {
         x
     }
 
-    /// By how much V and p of a sheet's corners contradict each other: not at all for a quadratic V.
+    /// By how much V and p of a sheet's corners contradict each other: not at all for a quadratic
+    /// V.
     fn contradiction(&self, corners: &[(usize, f64)]) -> f64 {
         let n = self.axes.len();
-        let pairs =
-            (corners.iter().enumerate()).flat_map(|(k, (a, _))| corners[..k].iter().map(move |(b, _)| (*a, *b)));
+        let pairs = (corners.iter().enumerate())
+            .flat_map(|(k, (a, _))| corners[..k].iter().map(move |(b, _)| (*a, *b)));
         let by = |(a, b): (usize, usize)| {
             let (from, to) = (self.state(a), self.state(b));
             let foretold: f64 = (0..n)
@@ -345,7 +368,8 @@ impl GridField {
         pairs.map(by).fold(0.0, f64::max)
     }
 
-    /// V of one sheet where it is not all of a cell's corners': the mean of what they say, each by its own p.
+    /// V of one sheet where it is not all of a cell's corners': the mean of what they say, each by
+    /// its own p.
     fn tangents(&self, x: &[f64], corners: &[(usize, f64)]) -> f64 {
         let n = self.axes.len();
         let (mut total, mut weight) = (0.0, 0.0);
@@ -358,14 +382,17 @@ impl GridField {
         total / weight
     }
 
-    /// V from the corners around a place and their shares `w`, the products of `1 - s_i` with the distance `s_i` from the corner in
-    /// units of the cell: `sum w (V (1 + sum s_i (1 - 2 s_i)) + sum p_i h_i s_i (1 - s_i))`.
+    /// V from the corners around a place and their shares `w`, the products of `1 - s_i` with the
+    /// distance `s_i` from the corner in units of the cell: `sum w (V (1 + sum s_i (1 - 2 s_i)) +
+    /// sum p_i h_i s_i (1 - s_i))`.
     fn cubic(&self, x: &[f64], corners: &[(usize, f64)]) -> f64 {
         let n = self.axes.len();
         let states: Vec<Vec<f64>> = corners.iter().map(|(k, _)| self.state(*k)).collect();
         let size = |i: usize| {
             let ends = states.iter().map(|s| s[i]);
-            let (least, most) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
+            let (least, most) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| {
+                (a.min(x), b.max(x))
+            });
             most - least
         };
         let sizes: Vec<f64> = (0..n).map(size).collect();
@@ -436,14 +463,20 @@ pub struct Plane {
     pub base: Vec<f64>,
     /// V above this is not known.
     pub limit: f64,
-    /// The map's bound of V's error at each point, in units of the error that it was asked for; NaN where that is not
-    /// known. Empty where no error was asked for.
+    /// The map's bound of V's error at each point, in units of the error that it was asked for; NaN
+    /// where that is not known. Empty where no error was asked for.
     pub excess: Vec<f64>,
 }
 
 impl Plane {
     /// A field over `x` x `y`; `None` where it has no value at all.
-    pub fn new(field: &dyn Field, axes: [usize; 2], base: &[f64], x: Vec<f64>, y: Vec<f64>) -> Option<Self> {
+    pub fn new(
+        field: &dyn Field,
+        axes: [usize; 2],
+        base: &[f64],
+        x: Vec<f64>,
+        y: Vec<f64>,
+    ) -> Option<Self> {
         let row = |a: &f64| -> Vec<Option<Local>> {
             let mut state = base.to_vec();
             state[axes[0]] = *a;
@@ -454,9 +487,18 @@ impl Plane {
             y.iter().map(at).collect()
         };
         let found: Vec<Option<Local>> = x.par_iter().map(row).collect::<Vec<_>>().concat();
-        let v = found.iter().map(|l| l.as_ref().map_or(f64::NAN, |l| l.v)).collect();
-        let sheet = found.iter().map(|l| l.as_ref().map_or(-1, |l| l.sheet)).collect();
-        let u = found.into_iter().map(|l| l.map(|l| l.u).unwrap_or_default()).collect();
+        let v = found
+            .iter()
+            .map(|l| l.as_ref().map_or(f64::NAN, |l| l.v))
+            .collect();
+        let sheet = found
+            .iter()
+            .map(|l| l.as_ref().map_or(-1, |l| l.sheet))
+            .collect();
+        let u = found
+            .into_iter()
+            .map(|l| l.map(|l| l.u).unwrap_or_default())
+            .collect();
         let mut plane = Self {
             axes,
             x,
@@ -478,7 +520,12 @@ impl Plane {
         let mut cut = Vec::with_capacity(nx.saturating_sub(1) * ny.saturating_sub(1));
         for i in 0..nx.saturating_sub(1) {
             for j in 0..ny.saturating_sub(1) {
-                let corners = [i * ny + j, (i + 1) * ny + j, (i + 1) * ny + j + 1, i * ny + j + 1];
+                let corners = [
+                    i * ny + j,
+                    (i + 1) * ny + j,
+                    (i + 1) * ny + j + 1,
+                    i * ny + j + 1,
+                ];
                 // What has no label goes with any.
                 let mut labels = corners.iter().map(|k| self.sheet[*k]).filter(|s| *s >= 0);
                 let first = labels.next();
@@ -490,7 +537,10 @@ impl Plane {
 
     /// Control `k` at all points.
     pub fn control(&self, k: usize) -> Vec<f64> {
-        self.u.iter().map(|u| u.get(k).copied().unwrap_or(f64::NAN)).collect()
+        self.u
+            .iter()
+            .map(|u| u.get(k).copied().unwrap_or(f64::NAN))
+            .collect()
     }
 
     /// Sheets that are on it, ascending.
@@ -568,8 +618,13 @@ mod tests {
                         .iter()
                         .any(|(k, _)| field.sheet[*k] != field.sheet[corners[0].0])
                 };
-                // In a cell with both sheets each continues from its own corners: second order, curvature 2, cells of 0.5.
-                let tolerance = if mixed { 0.5 * 2.0 * 2.0 * 0.5f64.powi(2) } else { 1e-12 };
+                // In a cell with both sheets each continues from its own corners: second order,
+                // curvature 2, cells of 0.5.
+                let tolerance = if mixed {
+                    0.5 * 2.0 * 2.0 * 0.5f64.powi(2)
+                } else {
+                    1e-12
+                };
                 assert!((local.v - v).abs() <= tolerance, "{x} {y}");
                 if !mixed {
                     assert_eq!(local.sheet, sheet);
@@ -607,8 +662,13 @@ mod tests {
         let mut map = map(9);
         map.v[4 * 9 + 4] = f64::NAN;
         let x = [map.axes[0][4] + 0.1, map.axes[1][4] - 0.1];
-        assert!(GridField::of_map(&map, 1, &[], f64::INFINITY).at(&x).is_none());
-        // One well, known up to a limit: it is continued by its own quadratic, on the grid's side of the limit.
+        assert!(
+            GridField::of_map(&map, 1, &[], f64::INFINITY)
+                .at(&x)
+                .is_none()
+        );
+        // One well, known up to a limit: it is continued by its own quadratic, on the grid's side
+        // of the limit.
         let limit = 6.0;
         let axis = even([-3.0, 3.0], 13);
         let mut well = SolvedGrid {
@@ -640,7 +700,8 @@ mod tests {
         }
     }
 
-    /// The compressor near deep stall, where V rises a hundredfold within a cell: blank there, and right where it is not.
+    /// The compressor near deep stall, where V rises a hundredfold within a cell: blank there, and
+    /// right where it is not.
     #[test]
     fn what_is_too_steep_for_the_grid_is_blank() {
         let text = include_str!("../../../tests/data/picture/compressor_plane.csv");
@@ -690,7 +751,10 @@ mod tests {
             points.sheet.push(whole.sheet[k]);
         }
         let same = GridField::of_points(&points, 2, 1).unwrap();
-        assert_eq!((same.v, same.p, same.sheet), (field.v, field.p, field.sheet));
+        assert_eq!(
+            (same.v, same.p, same.sheet),
+            (field.v, field.p, field.sheet)
+        );
         points.x[0] += 0.1;
         assert!(GridField::of_points(&points, 2, 1).is_none());
     }

@@ -2,7 +2,9 @@
 
 use super::canvas::{Anchor, Canvas, Ink, Point, Stroke, Style};
 use super::text::{self, Outline};
-use tiny_skia::{FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, StrokeDash, Transform};
+use tiny_skia::{
+    FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, StrokeDash, Transform,
+};
 
 /// Pixels with smooth edges.
 pub struct Raster {
@@ -40,7 +42,8 @@ impl Raster {
         let mut encoder = png::Encoder::new(&mut bytes, self.pixmap.width(), self.pixmap.height());
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
-        // Every pixel is opaque: the ground is, and what is drawn over an opaque pixel leaves it so.
+        // Every pixel is opaque: the ground is, and what is drawn over an opaque pixel leaves it
+        // so.
         let rgb: Vec<u8> = self
             .pixmap
             .data()
@@ -54,13 +57,23 @@ impl Raster {
     }
 
     fn fill(&mut self, path: &Path, rule: FillRule, ink: Ink, opacity: f64) {
-        self.pixmap
-            .fill_path(path, &paint(ink, opacity), rule, Transform::identity(), None);
+        self.pixmap.fill_path(
+            path,
+            &paint(ink, opacity),
+            rule,
+            Transform::identity(),
+            None,
+        );
     }
 
     fn stroke(&mut self, path: &Path, stroke: &tiny_skia::Stroke, ink: Ink, opacity: f64) {
-        self.pixmap
-            .stroke_path(path, &paint(ink, opacity), stroke, Transform::identity(), None);
+        self.pixmap.stroke_path(
+            path,
+            &paint(ink, opacity),
+            stroke,
+            Transform::identity(),
+            None,
+        );
     }
 }
 
@@ -116,11 +129,14 @@ impl Canvas for Raster {
     }
 
     fn lines(&mut self, lines: &[Vec<Point>], stroke: Stroke) {
-        let Some(path) = path(lines, false) else { return };
+        let Some(path) = path(lines, false) else {
+            return;
+        };
         let style = tiny_skia::Stroke {
             width: stroke.width as f32,
             line_join: LineJoin::Round,
-            dash: (stroke.dash.pattern()).and_then(|[on, off]| StrokeDash::new(vec![on as f32, off as f32], 0.0)),
+            dash: (stroke.dash.pattern())
+                .and_then(|[on, off]| StrokeDash::new(vec![on as f32, off as f32], 0.0)),
             ..tiny_skia::Stroke::default()
         };
         self.stroke(&path, &style, stroke.ink, stroke.opacity);

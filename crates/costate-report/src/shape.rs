@@ -5,7 +5,8 @@ use super::canvas::{Point, Rect};
 /// How far a line may be from its points, in pixels, when points are left out.
 const TOLERANCE: f64 = 0.2;
 
-/// The parts of a line within a rectangle (Liang & Barsky), few points each. Points that are not finite part the line.
+/// The parts of a line within a rectangle (Liang & Barsky), few points each. Points that are not
+/// finite part the line.
 pub fn clipped(line: &[Point], area: Rect) -> Vec<Vec<Point>> {
     let mut parts: Vec<Vec<Point>> = Vec::new();
     let mut open = false;
@@ -14,7 +15,10 @@ pub fn clipped(line: &[Point], area: Rect) -> Vec<Vec<Point>> {
             open = false;
             continue;
         };
-        match parts.last_mut().filter(|part| open && part.last() == Some(&from)) {
+        match parts
+            .last_mut()
+            .filter(|part| open && part.last() == Some(&from))
+        {
             Some(part) => part.push(to),
             None => parts.push(vec![from, to]),
         }
@@ -76,7 +80,8 @@ pub fn clipped_ring(ring: &[Point], area: Rect) -> Vec<Point> {
     ring
 }
 
-/// A line with fewer points (Douglas & Peucker), nowhere further than a fraction of a pixel from the one given.
+/// A line with fewer points (Douglas & Peucker), nowhere further than a fraction of a pixel from
+/// the one given.
 pub fn thinned(line: &[Point]) -> Vec<Point> {
     if line.len() < 3 {
         return line.to_vec();
@@ -128,12 +133,33 @@ mod tests {
 
     #[test]
     fn lines_are_cut() {
-        let parts = clipped(&[[-5.0, 5.0], [5.0, 5.0], [5.0, 15.0], [8.0, 15.0], [8.0, -5.0]], AREA);
+        let parts = clipped(
+            &[
+                [-5.0, 5.0],
+                [5.0, 5.0],
+                [5.0, 15.0],
+                [8.0, 15.0],
+                [8.0, -5.0],
+            ],
+            AREA,
+        );
         assert_eq!(
             parts,
-            [vec![[0.0, 5.0], [5.0, 5.0], [5.0, 10.0]], vec![[8.0, 10.0], [8.0, 0.0]]]
+            [
+                vec![[0.0, 5.0], [5.0, 5.0], [5.0, 10.0]],
+                vec![[8.0, 10.0], [8.0, 0.0]]
+            ]
         );
-        let parts = clipped(&[[1.0, 1.0], [2.0, 3.0], [f64::NAN, 2.0], [4.0, 4.0], [5.0, 4.0]], AREA);
+        let parts = clipped(
+            &[
+                [1.0, 1.0],
+                [2.0, 3.0],
+                [f64::NAN, 2.0],
+                [4.0, 4.0],
+                [5.0, 4.0],
+            ],
+            AREA,
+        );
         assert_eq!(parts.len(), 2);
         assert!(clipped(&[[-1.0, 0.0], [-1.0, 9.0]], AREA).is_empty());
     }

@@ -124,12 +124,15 @@ impl<'s> Source<'s> {
         let field = self.field()?;
         let made = self.plane.get_or_init(|| {
             // Solved states on a grid, or what can be told from all solutions of the file.
-            field.and_then(|f| self.make_plane(f)).or_else(|| self.scattered())
+            field
+                .and_then(|f| self.make_plane(f))
+                .or_else(|| self.scattered())
         });
         Ok(made.as_ref())
     }
 
-    /// From solutions that form no map. With a finite horizon only solved states are of the initial time.
+    /// From solutions that form no map. With a finite horizon only solved states are of the initial
+    /// time.
     fn scattered(&self) -> Option<Plane> {
         if !self.knows_values() || self.axes[0] == self.axes[1] {
             return None;
@@ -146,7 +149,14 @@ impl<'s> Source<'s> {
             .chain(said)
             .filter(|v| v.is_finite());
         let limit = known.fold(f64::NEG_INFINITY, f64::max);
-        let field = GridField::of_value_map(&map, self.axes, &self.base, &self.model.region, COARSE, limit)?;
+        let field = GridField::of_value_map(
+            &map,
+            self.axes,
+            &self.base,
+            &self.model.region,
+            COARSE,
+            limit,
+        )?;
         let plane = self.make_plane(&field)?;
         let states: Vec<f64> = (plane.x.iter())
             .flat_map(|a| plane.y.iter().map(move |b| [*a, *b]))
@@ -208,7 +218,8 @@ impl<'s> Source<'s> {
 
     /// Whether V can be asked for at any state.
     pub fn knows_values(&self) -> bool {
-        self.stored.has("map_pieces") || self.infinite() && self.stored.has_any(&["trajectories", "points"])
+        self.stored.has("map_pieces")
+            || self.infinite() && self.stored.has_any(&["trajectories", "points"])
     }
 
     /// Whether the horizon is infinite: V grows from 0 at the equilibrium.
@@ -218,14 +229,22 @@ impl<'s> Source<'s> {
 
     /// What the two axes say.
     pub fn labels(&self) -> [String; 2] {
-        self.axes.map(|k| names::label(&self.model.states[k].variable))
+        self.axes
+            .map(|k| names::label(&self.model.states[k].variable))
     }
 
-    /// ` at R = 0.12, γ = 1.5`: the states that a picture of the plane holds fixed; on a finite horizon the time too.
+    /// ` at R = 0.12, γ = 1.5`: the states that a picture of the plane holds fixed; on a finite
+    /// horizon the time too.
     pub fn fixed(&self) -> String {
         let mut fixed: Vec<String> = (self.model.states.iter().enumerate())
             .filter(|(k, _)| !self.axes.contains(k))
-            .map(|(k, s)| format!("{} = {}", names::symbol(&s.variable.name), significant(self.base[k], 4)))
+            .map(|(k, s)| {
+                format!(
+                    "{} = {}",
+                    names::symbol(&s.variable.name),
+                    significant(self.base[k], 4)
+                )
+            })
             .collect();
         if !self.infinite() {
             fixed.push(format!("{} = 0", self.model.time_name()));
@@ -243,7 +262,9 @@ fn one_two_five(most: f64) -> Vec<f64> {
     let top = most.log10().ceil() as i32;
     let all = (top - 4..=top).flat_map(|e| [1.0, 2.0, 5.0].map(|f| f * 10f64.powi(e)));
     // A last round level close to the end would make a band that is not seen.
-    let mut levels: Vec<f64> = all.filter(|v| *v > most * 1e-3 && *v < most * 0.93).collect();
+    let mut levels: Vec<f64> = all
+        .filter(|v| *v > most * 1e-3 && *v < most * 0.93)
+        .collect();
     levels.push(most);
     levels
 }
@@ -285,10 +306,19 @@ fn state(model: &Model, name: &str, what: &'static str) -> Result<usize, Options
         })
 }
 
-fn axes(model: &Model, choice: &Report, grid: Option<&GridField>) -> Result<[usize; 2], OptionsError> {
+fn axes(
+    model: &Model,
+    choice: &Report,
+    grid: Option<&GridField>,
+) -> Result<[usize; 2], OptionsError> {
     let Some([a, b]) = &choice.axes else {
         // The first two that are not asked to be fixed, those of a grid before others.
-        let fixed = |k: &usize| choice.slice.iter().any(|(n, _)| *n == model.states[*k].variable.name);
+        let fixed = |k: &usize| {
+            choice
+                .slice
+                .iter()
+                .any(|(n, _)| *n == model.states[*k].variable.name)
+        };
         let along = |k: &usize| grid.is_none_or(|g| g.fixed(*k).is_none());
         let mut free: Vec<usize> = (0..model.states.len()).filter(|k| !fixed(k)).collect();
         free.sort_by_key(|k| !along(k));
@@ -306,7 +336,12 @@ fn axes(model: &Model, choice: &Report, grid: Option<&GridField>) -> Result<[usi
 }
 
 /// The reference, or where a grid is if that has but one place along a state.
-fn base(model: &Model, choice: &Report, axes: [usize; 2], grid: Option<&GridField>) -> Result<Vec<f64>, OptionsError> {
+fn base(
+    model: &Model,
+    choice: &Report,
+    axes: [usize; 2],
+    grid: Option<&GridField>,
+) -> Result<Vec<f64>, OptionsError> {
     let mut base = model.reference().to_vec();
     for (k, x) in base.iter_mut().enumerate() {
         *x = grid.and_then(|g| g.fixed(k)).unwrap_or(*x);
@@ -331,10 +366,20 @@ fn base(model: &Model, choice: &Report, axes: [usize; 2], grid: Option<&GridFiel
 }
 
 /// The solved states as a grid: the map, else points that form one in two states or more.
-fn field(stored: &Stored, points: &Result<Option<SolvedStates>, String>) -> Result<Option<GridField>, String> {
-    let (n, m) = (stored.scene.model.states.len(), stored.scene.model.controls.len());
+fn field(
+    stored: &Stored,
+    points: &Result<Option<SolvedStates>, String>,
+) -> Result<Option<GridField>, String> {
+    let (n, m) = (
+        stored.scene.model.states.len(),
+        stored.scene.model.controls.len(),
+    );
     if let Some(map) = stored.map().map_err(|e| e.to_string())? {
-        let above: Vec<bool> = map.status.iter().map(|s| *s == PointStatus::AboveMax as i32).collect();
+        let above: Vec<bool> = map
+            .status
+            .iter()
+            .map(|s| *s == PointStatus::AboveMax as i32)
+            .collect();
         let limit = stored
             .scene
             .model

@@ -1,7 +1,7 @@
 //! A picture as SVG text.
 //!
-//! Colours stand in attributes, for programs that know no style sheets; classes name their purpose, so that a page's
-//! style sheet may replace them on a dark ground.
+//! Colours stand in attributes, for programs that know no style sheets; classes name their purpose,
+//! so that a page's style sheet may replace them on a dark ground.
 
 use super::canvas::{Anchor, Canvas, Ink, Point, Stroke, Style};
 use super::colours::Rgb;
@@ -125,7 +125,8 @@ fn path(line: &[Point], closed: bool, out: &mut String) {
         let at = point.map(|v| (10.0 * v).round() as i64);
         let numbers = |v: [i64; 2]| {
             let [x, y] = v.map(|v| short(v as f64 / 10.0, 1));
-            // A sign or a point parts numbers as well as a blank does; a point does so only after another point.
+            // A sign or a point parts numbers as well as a blank does; a point does so only after
+            // another point.
             let blank = if y.starts_with('-') || (y.starts_with('.') && x.contains('.')) {
                 ""
             } else {
@@ -182,7 +183,11 @@ impl Canvas for Svg {
         if d.is_empty() {
             return;
         }
-        let rule = if rings.len() > 1 { " fill-rule=\"evenodd\"" } else { "" };
+        let rule = if rings.len() > 1 {
+            " fill-rule=\"evenodd\""
+        } else {
+            ""
+        };
         self.push(format_args!(
             "<path{rule}{}{} d=\"{d}\"/>\n",
             inked("fill", ink),
@@ -277,7 +282,11 @@ mod tests {
     #[test]
     fn paths_are_relative() {
         let mut d = String::new();
-        path(&[[1.0, 2.0], [1.5, 1.0], [1.5, 1.0], [1.0, 1.25]], true, &mut d);
+        path(
+            &[[1.0, 2.0], [1.5, 1.0], [1.5, 1.0], [1.0, 1.25]],
+            true,
+            &mut d,
+        );
         assert_eq!(d, "M1 2l.5-1l-.5.3z");
     }
 

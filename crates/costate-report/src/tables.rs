@@ -50,7 +50,10 @@ pub fn all(source: &Source<'_>) -> (Vec<Table>, Vec<(String, String)>) {
         };
         match of_group(&group, title, caption) {
             Some(table) => tables.push(table),
-            None => missing.push((title.to_owned(), format!("/{name} has no column of a row's length"))),
+            None => missing.push((
+                title.to_owned(),
+                format!("/{name} has no column of a row's length"),
+            )),
         }
     }
     (tables, missing)
@@ -60,8 +63,8 @@ pub fn all(source: &Source<'_>) -> (Vec<Table>, Vec<(String, String)>) {
 fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table> {
     let all = group.names();
     // The dimension along which most variables extend: the first one with names.
-    let (index, labels) =
-        (["law", "variant", "row"].iter()).find_map(|d| Some((*d, texts(group, d).or_else(|| numbered(group, d))?)))?;
+    let (index, labels) = (["law", "variant", "row"].iter())
+        .find_map(|d| Some((*d, texts(group, d).or_else(|| numbered(group, d))?)))?;
     let mut columns = vec![index.to_owned()];
     let mut rows: Vec<Vec<String>> = labels.iter().map(|l| vec![l.clone()]).collect();
     let others: Vec<(String, Vec<String>)> = (all.iter())
@@ -73,15 +76,23 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
             if !is_coordinate(name)
                 && *texts != labels
                 && texts.len() == rows.len()
-                && texts.iter().all(|t| t.len() <= LONGEST && !t.contains('\n'))
+                && texts
+                    .iter()
+                    .all(|t| t.len() <= LONGEST && !t.contains('\n'))
             {
                 columns.push(heading(name));
-                rows.iter_mut().zip(texts).for_each(|(row, t)| row.push(t.clone()));
+                rows.iter_mut()
+                    .zip(texts)
+                    .for_each(|(row, t)| row.push(t.clone()));
             }
             continue;
         }
-        let Some(array) = numbers(group, name) else { continue };
-        let unit = group.attribute(Some(name), "units").filter(|u| !u.starts_with("see "));
+        let Some(array) = numbers(group, name) else {
+            continue;
+        };
+        let unit = group
+            .attribute(Some(name), "units")
+            .filter(|u| !u.starts_with("see "));
         let unit = names::unit(unit.as_deref());
         match array.shape.as_slice() {
             [count] if *count == rows.len() => {
@@ -93,7 +104,9 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
             [count, width] if *count == rows.len() => {
                 // The second dimension's names.
                 let own = if name == "u" { "control" } else { "state" };
-                let fits = |(n, t): &&(String, Vec<String>)| is_coordinate(n) && !n.contains('_') && t.len() == *width;
+                let fits = |(n, t): &&(String, Vec<String>)| {
+                    is_coordinate(n) && !n.contains('_') && t.len() == *width
+                };
                 let mut all = others.iter().filter(fits).collect::<Vec<_>>();
                 all.sort_by_key(|(n, _)| n != own);
                 let Some((_, parts)) = all.first() else {
@@ -188,8 +201,8 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
     if s["trajectories_stored"].as_bool().unwrap_or(false) {
         add("Trajectories", counts(&s["status"]));
         let gaps = &s["coverage"];
-        let open =
-            gaps["gaps_for_want_of_seeds"].as_u64().unwrap_or(0) + gaps["gaps_indistinguishable"].as_u64().unwrap_or(0);
+        let open = gaps["gaps_for_want_of_seeds"].as_u64().unwrap_or(0)
+            + gaps["gaps_indistinguishable"].as_u64().unwrap_or(0);
         let widest = gaps["widest_gap"].as_f64().map_or_else(String::new, |w| {
             format!(", the widest {} of the region", significant(w, 3))
         });
@@ -220,7 +233,10 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
         super::pictures::attenuation_figure(source).unwrap_or_default(),
     );
     if let Some(met) = s["error_met"].as_bool() {
-        add("Promised accuracy", if met { "met" } else { "NOT met" }.to_owned());
+        add(
+            "Promised accuracy",
+            if met { "met" } else { "NOT met" }.to_owned(),
+        );
     }
     let text = |name: &str| source.stored.attribute(name).unwrap_or_default();
     add(

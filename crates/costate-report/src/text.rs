@@ -19,7 +19,9 @@ fn glyphs(text: &str, size: f64) -> impl Iterator<Item = (GlyphId, f64)> {
     text.chars().filter_map(move |c| {
         let face = face?;
         // What the subset lacks is shown as the replacement character.
-        let glyph = face.glyph_index(c).or_else(|| face.glyph_index('\u{fffd}'))?;
+        let glyph = face
+            .glyph_index(c)
+            .or_else(|| face.glyph_index('\u{fffd}'))?;
         let advance = f64::from(face.glyph_hor_advance(glyph).unwrap_or(0));
         Some((glyph, advance * size / f64::from(face.units_per_em())))
     })
@@ -52,7 +54,10 @@ struct Placed<'a> {
 
 impl Placed<'_> {
     fn at(&self, x: f32, y: f32) -> Point {
-        [self.left + self.scale * f64::from(x), -self.scale * f64::from(y)]
+        [
+            self.left + self.scale * f64::from(x),
+            -self.scale * f64::from(y),
+        ]
     }
 }
 
@@ -119,8 +124,8 @@ pub fn shortened(text: &str, size: f64, most: f64) -> String {
 /// Digits (and signs) raised, as in powers of ten.
 pub fn raised(n: i64) -> String {
     const DIGITS: [char; 10] = [
-        '\u{2070}', '\u{b9}', '\u{b2}', '\u{b3}', '\u{2074}', '\u{2075}', '\u{2076}', '\u{2077}', '\u{2078}',
-        '\u{2079}',
+        '\u{2070}', '\u{b9}', '\u{b2}', '\u{b3}', '\u{2074}', '\u{2075}', '\u{2076}', '\u{2077}',
+        '\u{2078}', '\u{2079}',
     ];
     let sign = if n < 0 { "\u{207b}" } else { "" };
     let digits = n.unsigned_abs().to_string();
@@ -160,7 +165,10 @@ mod tests {
     fn long_texts_end_in_dots() {
         assert_eq!(shortened("abc", 10.0, 100.0), "abc");
         let short = shortened("a rather long text", 10.0, 60.0);
-        assert!(short.ends_with('\u{2026}') && width(&short, 10.0) <= 60.0, "{short}");
+        assert!(
+            short.ends_with('\u{2026}') && width(&short, 10.0) <= 60.0,
+            "{short}"
+        );
         assert_eq!(raised(-12), "\u{207b}\u{b9}\u{b2}");
     }
 }

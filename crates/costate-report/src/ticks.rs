@@ -43,7 +43,8 @@ pub fn step(width: f64, most: usize) -> f64 {
     factor.unwrap_or(10.0) * power
 }
 
-/// Powers of ten; where there are few, what lies between them too, and its labels where there are fewer than two.
+/// Powers of ten; where there are few, what lies between them too, and its labels where there are
+/// fewer than two.
 pub fn logarithmic(from: f64, to: f64, most: usize) -> Vec<Tick> {
     let (low, high) = (from.log10(), to.log10());
     let (first, last) = ((low - 1e-9).ceil() as i64, (high + 1e-9).floor() as i64);
@@ -58,7 +59,11 @@ pub fn logarithmic(from: f64, to: f64, most: usize) -> Vec<Tick> {
         if exponent >= first {
             ticks.push(Tick {
                 value: 10f64.powi(exponent as i32),
-                label: if labelled { power(exponent) } else { String::new() },
+                label: if labelled {
+                    power(exponent)
+                } else {
+                    String::new()
+                },
             });
         }
         if decades <= 6 {
@@ -122,7 +127,10 @@ pub fn number(value: f64, step: f64) -> String {
             _ => minus(&format!("{mantissa}\u{b7}10{}", raised(exponent as i64))),
         };
     }
-    minus(&trimmed(&format!("{value:.0$}", decimals(unit)), step == 0.0))
+    minus(&trimmed(
+        &format!("{value:.0$}", decimals(unit)),
+        step == 0.0,
+    ))
 }
 
 /// A number to about `digits` significant digits, for a text.

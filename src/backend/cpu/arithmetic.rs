@@ -1,7 +1,9 @@
-//! Elementary functions and register programs, written once over a small set of operations that every SIMD instruction
-//! set has: the lanes run them on numbers, the just-in-time compiler records them as instructions.
+//! Elementary functions and register programs, written once over a small set of operations that
+//! every SIMD instruction set has: the lanes run them on numbers, the just-in-time compiler records
+//! them as instructions.
 //!
-//! `shaders/real.wgsl` mirrors the functions; the polynomials of both are in [`constants`](crate::backend::constants).
+//! `shaders/real.wgsl` mirrors the functions; the polynomials of both are in
+//! [`constants`](crate::backend::constants).
 
 use crate::backend::constants::{double, single};
 use crate::program::{Instr, Primitive, Program};
@@ -233,7 +235,11 @@ pub trait Arithmetic {
     fn exp(&mut self, x: Self::V) -> Self::V {
         let f = self.format();
         let (e, i, j) = self.split(x);
-        let (one, zero, inf) = (self.constant(1.0), self.constant(0.0), self.constant(f64::INFINITY));
+        let (one, zero, inf) = (
+            self.constant(1.0),
+            self.constant(0.0),
+            self.constant(f64::INFINITY),
+        );
         let v = self.add(e, one);
         let v = self.mul(v, i);
         let v = self.mul(v, j);
@@ -242,7 +248,14 @@ pub trait Arithmetic {
 
     /// `v`, or the limits where x is beyond the exponent's range.
     #[inline(always)]
-    fn bounded_exp(&mut self, x: Self::V, v: Self::V, high: Self::V, low: Self::V, f: &'static Format) -> Self::V {
+    fn bounded_exp(
+        &mut self,
+        x: Self::V,
+        v: Self::V,
+        high: Self::V,
+        low: Self::V,
+        f: &'static Format,
+    ) -> Self::V {
         let (over, under) = (self.constant(f.overflow), self.constant(f.underflow));
         let above = self.compare(Comparison::Less, over, x);
         let v = self.select(above, high, v);
@@ -255,7 +268,11 @@ pub trait Arithmetic {
         // 2^k (e^r - 1) + (2^k - 1)
         let f = self.format();
         let (e, i, j) = self.split(x);
-        let (one, minus, inf) = (self.constant(1.0), self.constant(-1.0), self.constant(f64::INFINITY));
+        let (one, minus, inf) = (
+            self.constant(1.0),
+            self.constant(-1.0),
+            self.constant(f64::INFINITY),
+        );
         let scale = self.mul(i, j);
         let rest = self.sub(scale, one);
         let v = self.mul_add(scale, e, rest);
@@ -266,7 +283,10 @@ pub trait Arithmetic {
     fn log(&mut self, a: Self::V) -> Self::V {
         // x = 2^k (1 + f) with 1 + f in [sqrt(1/2), sqrt(2)); subnormals are scaled up first.
         let f = self.format();
-        let (least, up) = (self.constant(f.least), self.constant((1u64 << f.mantissa) as f64));
+        let (least, up) = (
+            self.constant(f.least),
+            self.constant((1u64 << f.mantissa) as f64),
+        );
         let (zero, one, two, half) = (
             self.constant(0.0),
             self.constant(1.0),
@@ -339,11 +359,15 @@ pub trait Arithmetic {
 
     #[inline(always)]
     fn atan(&mut self, a: Self::V) -> Self::V {
-        // Reduced to |y| <= tan(pi/8) by atan(x) = pi/4 + atan((x-1)/(x+1)), atan(x) = pi/2 - atan(1/x).
+        // Reduced to |y| <= tan(pi/8) by atan(x) = pi/4 + atan((x-1)/(x+1)), atan(x) = pi/2 -
+        // atan(1/x).
         let f = self.format();
         let x = self.abs(a);
         let (zero, one, minus) = (self.constant(0.0), self.constant(1.0), self.constant(-1.0));
-        let (upper, lower) = (self.constant(2.414213562373095), self.constant(0.41421356237309503));
+        let (upper, lower) = (
+            self.constant(2.414213562373095),
+            self.constant(0.41421356237309503),
+        );
         let (quarter, right) = (
             self.constant(std::f64::consts::FRAC_PI_4),
             self.constant(std::f64::consts::FRAC_PI_2),

@@ -1,7 +1,8 @@
-//! Straight-line vector code in single-assignment form, and the recorder that makes it from [`Arithmetic`].
+//! Straight-line vector code in single-assignment form, and the recorder that makes it from
+//! [`Arithmetic`].
 //!
-//! Code works on a frame: slots of lanes, one for each quantity of a trajectory. It is compiled (`jit`) or interpreted
-//! (`lanes`); both give the same bits where both fuse products.
+//! Code works on a frame: slots of lanes, one for each quantity of a trajectory. It is compiled
+//! (`jit`) or interpreted (`lanes`); both give the same bits where both fuse products.
 
 use super::arithmetic::{Arithmetic, Comparison, DOUBLE, Format, SINGLE};
 use crate::model::Precision;
@@ -67,9 +68,11 @@ impl Op {
     pub fn reads(&self) -> impl Iterator<Item = Value> + use<> {
         let list = match *self {
             Op::Load(_) | Op::Parameter(_) | Op::Pattern(_) => [None; 3],
-            Op::Sqrt(a) | Op::ShiftLeft(a, _) | Op::ShiftRight(a, _) | Op::Call(_, a) | Op::Store(a, _) => {
-                [Some(a), None, None]
-            }
+            Op::Sqrt(a)
+            | Op::ShiftLeft(a, _)
+            | Op::ShiftRight(a, _)
+            | Op::Call(_, a)
+            | Op::Store(a, _) => [Some(a), None, None],
             Op::Binary(_, a, b) => [Some(a), Some(b), None],
             Op::Fused(_, a, b, c) | Op::Blend(a, b, c) => [Some(a), Some(b), Some(c)],
         };
@@ -102,7 +105,8 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// `expand`: elementary functions become arithmetic; else they are calls, which only an interpreter can follow.
+    /// `expand`: elementary functions become arithmetic; else they are calls, which only an
+    /// interpreter can follow.
     pub fn new(precision: Precision, expand: bool) -> Self {
         Self {
             expand,
@@ -179,11 +183,18 @@ impl Recorder {
 
     /// Parameters to be given with each call.
     pub fn parameters(&self) -> usize {
-        let parameter = |op: &Op| if let Op::Parameter(p) = op { *p as usize + 1 } else { 0 };
+        let parameter = |op: &Op| {
+            if let Op::Parameter(p) = op {
+                *p as usize + 1
+            } else {
+                0
+            }
+        };
         self.ops.iter().map(parameter).max().unwrap_or(0)
     }
 
-    /// `sum of weight * value` over weights that are not 0, begun with the product that comes first.
+    /// `sum of weight * value` over weights that are not 0, begun with the product that comes
+    /// first.
     pub fn weighted(&mut self, terms: impl IntoIterator<Item = (f64, Value)>) -> Value {
         let mut sum = None;
         for (weight, value) in terms {
@@ -199,13 +210,17 @@ impl Recorder {
         sum.unwrap_or_else(|| self.constant(0.0))
     }
 
-    /// What is left when operations nobody reads are removed, for `copies` neighbouring vectors side by side: one
-    /// vector alone would wait for its own results.
+    /// What is left when operations nobody reads are removed, for `copies` neighbouring vectors
+    /// side by side: one vector alone would wait for its own results.
     ///
     /// # Panics
     /// When a slot is both loaded and stored: a load may happen late.
     pub fn finish(self, copies: u32) -> Vec<Op> {
-        let mut needed: Vec<bool> = self.ops.iter().map(|op| matches!(op, Op::Store(..))).collect();
+        let mut needed: Vec<bool> = self
+            .ops
+            .iter()
+            .map(|op| matches!(op, Op::Store(..)))
+            .collect();
         for (i, op) in self.ops.iter().enumerate().rev() {
             if needed[i] {
                 op.reads().for_each(|v| needed[v as usize] = true);
@@ -220,7 +235,11 @@ impl Recorder {
         for (i, op) in self.ops.iter().enumerate().filter(|(i, _)| needed[*i]) {
             for copy in 0..copies {
                 let shared = matches!(op, Op::Parameter(_) | Op::Pattern(_)) && copy > 0;
-                new[i][copy as usize] = if shared { new[i][0] } else { ops.len() as Value };
+                new[i][copy as usize] = if shared {
+                    new[i][0]
+                } else {
+                    ops.len() as Value
+                };
                 if shared {
                     continue;
                 }

@@ -1,4 +1,5 @@
-//! Step control as vector code: what follows from an attempted step, and which lanes must be looked at singly.
+//! Step control as vector code: what follows from an attempted step, and which lanes must be looked
+//! at singly.
 
 use super::arithmetic::{Arithmetic, Comparison};
 use super::code::{Recorder, Value};
@@ -44,7 +45,9 @@ impl Decision {
         let unit = r.constant(control::FLOOR_ULPS * r.epsilon());
         let floor = r.mul(unit, reached);
         match scheme {
-            Scheme::RungeKutta(tableau) if tableau.adaptive() => this.resize(r, taken, tableau.exponent()),
+            Scheme::RungeKutta(tableau) if tableau.adaptive() => {
+                this.resize(r, taken, tableau.exponent())
+            }
             Scheme::RungeKutta(_) => {}
             Scheme::Taylor(_) => {
                 // The next expansion says how far it reaches.
@@ -58,7 +61,8 @@ impl Decision {
             this.meet_kinks(r, layout, taken, floor);
         }
         if spec.by == By::Time {
-            // A refused step has not passed the end, and one that ends at a kink just before it must not be stretched.
+            // A refused step has not passed the end, and one that ends at a kink just before it
+            // must not be stretched.
             let left = r.sub(given.end, this.t_new);
             let stretched = stretched(r, this.next_h, left);
             this.next_h = r.select(this.accepted, stretched, this.next_h);
@@ -84,7 +88,11 @@ impl Decision {
         let power = exp2(r, exponent);
         let safety = r.constant(control::SAFETY);
         let factor = r.mul(safety, power);
-        let (grow, one, shrink) = (r.constant(control::GROW), r.constant(1.0), r.constant(control::SHRINK));
+        let (grow, one, shrink) = (
+            r.constant(control::GROW),
+            r.constant(1.0),
+            r.constant(control::SHRINK),
+        );
         let most = r.select(self.accepted, grow, one);
         let factor = r.smaller(factor, most);
         let factor = r.larger(factor, shrink);
@@ -119,8 +127,8 @@ impl Decision {
             first = r.smaller(q, first);
         }
         let (h, q) = (taken.h, first);
-        // A share of the step that kinks have not shortened, and no less than the floor: what is left of shorter ones is
-        // lost in rounding.
+        // A share of the step that kinks have not shortened, and no less than the floor: what is
+        // left of shorter ones is lost in rounding.
         let share = r.constant(control::at_kink(r.epsilon()));
         let whole = r.larger(h, self.resume);
         let near = r.mul(share, whole);
@@ -174,7 +182,8 @@ impl Decision {
         };
         fine = r.and(fine, above);
         if matches!(scheme, Scheme::Taylor(_)) {
-            // Its steps are never refused for being too long; towards a singularity they only shrink.
+            // Its steps are never refused for being too long; towards a singularity they only
+            // shrink.
             let stuck = r.compare(Comparison::Less, taken.h, floor);
             let moves = r.not(stuck);
             fine = r.and(fine, moves);
@@ -226,7 +235,10 @@ impl Decision {
         }
         pair(r, self.t_new, self.t, next.t);
         let one = r.constant(1.0);
-        for (from, to, counts) in [(now.steps, next.steps, true), (now.rejected, next.rejected, false)] {
+        for (from, to, counts) in [
+            (now.steps, next.steps, true),
+            (now.rejected, next.rejected, false),
+        ] {
             let old = r.load(from);
             let new = r.add(old, one);
             let v = if counts {
@@ -248,7 +260,8 @@ impl Decision {
     }
 }
 
-/// A step of `h`, or the `left` way where that is no more than a little further: no crumb is left at the end.
+/// A step of `h`, or the `left` way where that is no more than a little further: no crumb is left
+/// at the end.
 pub fn stretched(r: &mut Recorder, h: Value, left: Value) -> Value {
     let slack = r.constant(1.0 + 1e-3);
     let reach = r.mul(h, slack);
@@ -291,7 +304,13 @@ pub fn exp2(r: &mut Recorder, x: Value) -> Value {
     let part = r.sub(x, n);
     let p = r.horner(
         part,
-        &[0.009_618_1, 0.055_504_1, 0.240_226_5, std::f64::consts::LN_2, 1.0],
+        &[
+            0.009_618_1,
+            0.055_504_1,
+            0.240_226_5,
+            std::f64::consts::LN_2,
+            1.0,
+        ],
     );
     let power = r.shift_left(shifted, f.mantissa);
     r.add_bits(p, power)
@@ -304,7 +323,11 @@ mod tests {
     use crate::backend::cpu::real::Real;
     use crate::model::Precision;
 
-    fn evaluate<T: Real>(precision: Precision, f: impl Fn(&mut Recorder, Value) -> Value, x: f64) -> f64 {
+    fn evaluate<T: Real>(
+        precision: Precision,
+        f: impl Fn(&mut Recorder, Value) -> Value,
+        x: f64,
+    ) -> f64 {
         let mut r = Recorder::new(precision, true);
         let (argument, mut frame) = (r.load(0), vec![Lanes::<T, 4>::splat(T::of(x)); 2]);
         let value = f(&mut r, argument);

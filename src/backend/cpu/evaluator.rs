@@ -38,13 +38,16 @@ impl Evaluator {
         }
     }
 
-    /// Values `[point][output]` at points which begin `stride` apart in `points`; of each the leading `inputs` entries
-    /// are read, and of the last one no more need be there.
+    /// Values `[point][output]` at points which begin `stride` apart in `points`; of each the
+    /// leading `inputs` entries are read, and of the last one no more need be there.
     ///
     /// # Panics
     /// When `stride` is below the program's number of inputs.
     pub fn eval(&self, points: &[f64], stride: usize) -> Vec<f64> {
-        assert!(stride >= self.inputs, "points are narrower than the program's inputs");
+        assert!(
+            stride >= self.inputs,
+            "points are narrower than the program's inputs"
+        );
         let outputs = self.outputs;
         let count = self.count(points, stride);
         let mut values = vec![0.0; count * outputs];

@@ -1,7 +1,8 @@
 //! Lanes, and the interpreter of vector code on blocks of them.
 //!
-//! A register holds one value for each of `W` trajectories; an operation is a loop over the lanes which the compiler
-//! turns into SIMD. `W` is several SIMD vectors, so decoding an operation is paid for by many.
+//! A register holds one value for each of `W` trajectories; an operation is a loop over the lanes
+//! which the compiler turns into SIMD. `W` is several SIMD vectors, so decoding an operation is
+//! paid for by many.
 
 use super::arithmetic::Arithmetic;
 use super::code::{Binary, Fused, Op, Recorder};
@@ -64,7 +65,13 @@ impl Interpreted {
             op.reads().for_each(|v| last[v as usize] = i);
         }
         let constants: Vec<u64> = (ops.iter())
-            .filter_map(|op| if let Op::Pattern(bits) = op { Some(*bits) } else { None })
+            .filter_map(|op| {
+                if let Op::Pattern(bits) = op {
+                    Some(*bits)
+                } else {
+                    None
+                }
+            })
             .collect();
         let fixed = parameters + constants.len();
         let mut registers = fixed;
@@ -122,10 +129,16 @@ impl Interpreted {
             // The argument of a sine must outlive a cosine that joins it.
             let joined = matches!(op, Op::Call(Primitive::Sin, _));
             let ended = |v: &u32| {
-                last[*v as usize] == i && place[*v as usize] & FRAME == 0 && place[*v as usize] >= fixed as u32
+                last[*v as usize] == i
+                    && place[*v as usize] & FRAME == 0
+                    && place[*v as usize] >= fixed as u32
             };
             if !joined {
-                let mut dead: Vec<u32> = op.reads().filter(ended).map(|v| place[v as usize]).collect();
+                let mut dead: Vec<u32> = op
+                    .reads()
+                    .filter(ended)
+                    .map(|v| place[v as usize])
+                    .collect();
                 dead.sort_unstable();
                 dead.dedup();
                 free.extend(dead);
@@ -145,14 +158,19 @@ impl Interpreted {
     /// # Panics
     /// When parameters are missing.
     pub fn registers<T: Real, const W: usize>(&self, parameters: &[T]) -> Vec<Lanes<T, W>> {
-        assert!(parameters.len() >= self.parameters, "parameters are missing");
+        assert!(
+            parameters.len() >= self.parameters,
+            "parameters are missing"
+        );
         let mut arithmetic = T::With::<false>::default();
         let mut file = vec![Lanes::splat(T::of(0.0)); self.registers];
         let constants = self.constants.iter().map(|bits| arithmetic.pattern(*bits));
-        for (r, c) in file
-            .iter_mut()
-            .zip(parameters[..self.parameters].iter().copied().chain(constants))
-        {
+        for (r, c) in file.iter_mut().zip(
+            parameters[..self.parameters]
+                .iter()
+                .copied()
+                .chain(constants),
+        ) {
             *r = Lanes::splat(c);
         }
         file
@@ -163,12 +181,16 @@ impl Interpreted {
     /// # Panics
     /// When the frame or the registers are too few.
     #[inline(always)]
-    pub fn run<T: Real, const W: usize, const FMA: bool>(&self, file: &mut [Lanes<T, W>], frame: &mut [Lanes<T, W>]) {
+    pub fn run<T: Real, const W: usize, const FMA: bool>(
+        &self,
+        file: &mut [Lanes<T, W>],
+        frame: &mut [Lanes<T, W>],
+    ) {
         assert!(file.len() >= self.registers, "registers of another code");
         assert!(frame.len() >= self.slots, "the frame is too short");
         let (file, frame) = (file.as_mut_ptr(), frame.as_mut_ptr());
-        // SAFETY (of all places): registers are below `registers` and slots below `slots` by construction, both
-        // asserted to be there.
+        // SAFETY (of all places): registers are below `registers` and slots below `slots` by
+        // construction, both asserted to be there.
         let place = |p: u32| unsafe {
             if p & FRAME == 0 {
                 file.add(p as usize)
@@ -177,8 +199,9 @@ impl Interpreted {
             }
         };
         for step in &self.steps {
-            // SAFETY: as above; a result's register is none of the operands' (it is taken before they are given up), and
-            // no slot is both loaded and stored, so the references do not alias.
+            // SAFETY: as above; a result's register is none of the operands' (it is taken before
+            // they are given up), and no slot is both loaded and stored, so the references do not
+            // alias.
             let (to, a, b, c) = unsafe {
                 (
                     &mut (*place(step.to)).0,
@@ -202,9 +225,15 @@ impl Interpreted {
                     m.select(holds, all, none)
                 }),
                 // SAFETY: as above; `c` is only read.
-                Kind::Fused(Fused::MulAdd) => map3(to, a, b, unsafe { &(*c).0 }, |x, y, z| m.mul_add(x, y, z)),
-                Kind::Fused(Fused::MulSub) => map3(to, a, b, unsafe { &(*c).0 }, |x, y, z| m.mul_sub(x, y, z)),
-                Kind::Fused(Fused::NegMulAdd) => map3(to, a, b, unsafe { &(*c).0 }, |x, y, z| m.neg_mul_add(x, y, z)),
+                Kind::Fused(Fused::MulAdd) => {
+                    map3(to, a, b, unsafe { &(*c).0 }, |x, y, z| m.mul_add(x, y, z))
+                }
+                Kind::Fused(Fused::MulSub) => {
+                    map3(to, a, b, unsafe { &(*c).0 }, |x, y, z| m.mul_sub(x, y, z))
+                }
+                Kind::Fused(Fused::NegMulAdd) => map3(to, a, b, unsafe { &(*c).0 }, |x, y, z| {
+                    m.neg_mul_add(x, y, z)
+                }),
                 Kind::Blend => map3(to, a, b, unsafe { &(*c).0 }, |x, y, z| {
                     let mask = m.top_bit(x);
                     m.select(mask, y, z)
@@ -244,14 +273,25 @@ fn map1<T: Copy, const W: usize>(to: &mut [T; W], a: &[T; W], mut f: impl FnMut(
 }
 
 #[inline(always)]
-fn map2<T: Copy, const W: usize>(to: &mut [T; W], a: &[T; W], b: &[T; W], mut f: impl FnMut(T, T) -> T) {
+fn map2<T: Copy, const W: usize>(
+    to: &mut [T; W],
+    a: &[T; W],
+    b: &[T; W],
+    mut f: impl FnMut(T, T) -> T,
+) {
     for i in 0..W {
         to[i] = f(a[i], b[i]);
     }
 }
 
 #[inline(always)]
-fn map3<T: Copy, const W: usize>(to: &mut [T; W], a: &[T; W], b: &[T; W], c: &[T; W], mut f: impl FnMut(T, T, T) -> T) {
+fn map3<T: Copy, const W: usize>(
+    to: &mut [T; W],
+    a: &[T; W],
+    b: &[T; W],
+    c: &[T; W],
+    mut f: impl FnMut(T, T, T) -> T,
+) {
     for i in 0..W {
         to[i] = f(a[i], b[i], c[i]);
     }

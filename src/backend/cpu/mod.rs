@@ -1,4 +1,5 @@
-//! The CPU backend: rayon over chunks of trajectories, SIMD lanes within a chunk, the instruction set chosen at run time.
+//! The CPU backend: rayon over chunks of trajectories, SIMD lanes within a chunk, the instruction
+//! set chosen at run time.
 
 pub(crate) mod arithmetic;
 mod block;
@@ -64,8 +65,8 @@ impl Simd {
     }
 }
 
-/// Lanes a block: compiled code needs a few vectors' worth, with the working set in the first-level cache; an interpreter
-/// needs more of them, to pay for decoding.
+/// Lanes a block: compiled code needs a few vectors' worth, with the working set in the first-level
+/// cache; an interpreter needs more of them, to pay for decoding.
 const LANES_F64: usize = 16;
 const LANES_F32: usize = 32;
 const LANES_INTERPRETED: usize = 64;
@@ -87,8 +88,8 @@ impl Cpu {
         }
     }
 
-    /// A backend restricted to an instruction set the machine has, which interprets the equations; `None` where the
-    /// machine has not.
+    /// A backend restricted to an instruction set the machine has, which interprets the equations;
+    /// `None` where the machine has not.
     pub fn interpreting(simd: Simd) -> Option<Self> {
         let available = match simd {
             Simd::Baseline => true,
@@ -97,7 +98,10 @@ impl Cpu {
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => Simd::detect() == Simd::Avx512,
         };
-        available.then_some(Self { simd, compile: false })
+        available.then_some(Self {
+            simd,
+            compile: false,
+        })
     }
 
     /// Lanes a block.
@@ -122,7 +126,11 @@ impl Backend for Cpu {
     }
 
     fn adapter(&self) -> String {
-        let how = if self.compile { "compiled" } else { "interpreted" };
+        let how = if self.compile {
+            "compiled"
+        } else {
+            "interpreted"
+        };
         format!(
             "CPU, {} threads, {}, {how}",
             rayon::current_num_threads(),
@@ -182,7 +190,11 @@ impl Kernel for CpuKernel {
         }
         let backend = self.backend;
         let compiled = self.compiled(backend.lanes(self.spec.precision), run);
-        Some(Box::new(CpuLegs { compiled, run, backend }))
+        Some(Box::new(CpuLegs {
+            compiled,
+            run,
+            backend,
+        }))
     }
 
     fn kernel_seconds(&self) -> Option<f64> {
@@ -211,7 +223,8 @@ impl Kernel for CpuKernel {
         let lanes = self.backend.lanes(precision);
         let backend = self.backend;
         let compiled = self.compiled(lanes, run);
-        // Chunks small enough to balance the load, large enough that draining lanes at their ends costs little.
+        // Chunks small enough to balance the load, large enough that draining lanes at their ends
+        // costs little.
         let chunk = (count / (rayon::current_num_threads() * 4)).clamp(lanes, 8192);
         let width = levels * (1 + dim);
         // Without stored samples there is nothing to split; one chunk of an empty slice a task.
@@ -230,23 +243,25 @@ impl Kernel for CpuKernel {
             .zip(result.steps.par_chunks_mut(chunk))
             .zip(result.rejected.par_chunks_mut(chunk))
             .zip(sample_chunks.par_iter_mut())
-            .for_each(|((((((seeds, end), end_time), status), steps), rejected), samples)| {
-                let mut out = Output {
-                    end,
-                    end_time,
-                    status,
-                    steps,
-                    rejected,
-                    samples,
-                };
-                let job = Job {
-                    kernel: compiled,
-                    run,
-                    seeds,
-                };
-                let rounds = job.fly(precision, backend, &mut out);
-                lane_steps.fetch_add(rounds * lanes as u64, Ordering::Relaxed);
-            });
+            .for_each(
+                |((((((seeds, end), end_time), status), steps), rejected), samples)| {
+                    let mut out = Output {
+                        end,
+                        end_time,
+                        status,
+                        steps,
+                        rejected,
+                        samples,
+                    };
+                    let job = Job {
+                        kernel: compiled,
+                        run,
+                        seeds,
+                    };
+                    let rounds = job.fly(precision, backend, &mut out);
+                    lane_steps.fetch_add(rounds * lanes as u64, Ordering::Relaxed);
+                },
+            );
         result.lane_steps = lane_steps.into_inner();
         self.seconds = Some(begin.elapsed().as_secs_f64());
         Ok(result)
@@ -328,7 +343,10 @@ impl Job<'_> {
     }
 
     #[inline(always)]
-    fn integrate<T: real::Real, const W: usize, const FMA: bool>(&self, out: &mut Output<'_>) -> u64 {
+    fn integrate<T: real::Real, const W: usize, const FMA: bool>(
+        &self,
+        out: &mut Output<'_>,
+    ) -> u64 {
         block::integrate::<T, W, FMA>(self.kernel, self.run, self.seeds, out)
     }
 }

@@ -1,4 +1,5 @@
-//! The arithmetic rate of the processor: multiply-adds on as many independent SIMD registers as hide their latency.
+//! The arithmetic rate of the processor: multiply-adds on as many independent SIMD registers as
+//! hide their latency.
 
 use super::Simd;
 use super::real::Real;
@@ -49,8 +50,8 @@ fn run(simd: Simd, precision: Precision) -> f64 {
     }
 }
 
-/// For instruction sets of which nothing more is known: a lower bound. More lanes than registers hold, or the compiler
-/// would unroll the loop instead of vectorizing it.
+/// For instruction sets of which nothing more is known: a lower bound. More lanes than registers
+/// hold, or the compiler would unroll the loop instead of vectorizing it.
 fn plain<T: Real, const W: usize>() -> f64 {
     let (a, b) = (T::of(black_box(FACTOR)), T::of(black_box(SUMMAND)));
     let mut x = [b; W];
@@ -69,7 +70,8 @@ mod x86 {
     use std::arch::x86_64::*;
     use std::hint::black_box;
 
-    /// Written with intrinsics: what the compiler makes of loops differs from one length to another.
+    /// Written with intrinsics: what the compiler makes of loops differs from one length to
+    /// another.
     macro_rules! chains {
         ($name:ident, $features:literal, $real:ty, $lanes:expr, $splat:ident, $multiply_add:ident) => {
             #[target_feature(enable = $features)]
@@ -89,8 +91,36 @@ mod x86 {
             }
         };
     }
-    chains!(avx2_f64, "avx2,fma", f64, 4, _mm256_set1_pd, _mm256_fmadd_pd);
-    chains!(avx2_f32, "avx2,fma", f32, 8, _mm256_set1_ps, _mm256_fmadd_ps);
-    chains!(avx512_f64, "avx512f", f64, 8, _mm512_set1_pd, _mm512_fmadd_pd);
-    chains!(avx512_f32, "avx512f", f32, 16, _mm512_set1_ps, _mm512_fmadd_ps);
+    chains!(
+        avx2_f64,
+        "avx2,fma",
+        f64,
+        4,
+        _mm256_set1_pd,
+        _mm256_fmadd_pd
+    );
+    chains!(
+        avx2_f32,
+        "avx2,fma",
+        f32,
+        8,
+        _mm256_set1_ps,
+        _mm256_fmadd_ps
+    );
+    chains!(
+        avx512_f64,
+        "avx512f",
+        f64,
+        8,
+        _mm512_set1_pd,
+        _mm512_fmadd_pd
+    );
+    chains!(
+        avx512_f32,
+        "avx512f",
+        f32,
+        16,
+        _mm512_set1_ps,
+        _mm512_fmadd_ps
+    );
 }

@@ -191,8 +191,14 @@ mod tests {
         T::With::default()
     }
 
-    /// Largest error of `f` against `exact` over `points`, in units of rounding of the exact value (or of `floor`).
-    fn worst<T: Real>(points: &[f64], floor: f64, f: impl Fn(T) -> T, exact: impl Fn(f64) -> f64) -> f64 {
+    /// Largest error of `f` against `exact` over `points`, in units of rounding of the exact value
+    /// (or of `floor`).
+    fn worst<T: Real>(
+        points: &[f64],
+        floor: f64,
+        f: impl Fn(T) -> T,
+        exact: impl Fn(f64) -> f64,
+    ) -> f64 {
         points
             .iter()
             .map(|&x| T::of(x))
@@ -200,17 +206,27 @@ mod tests {
                 let (got, want) = (f(x).f64(), exact(x.f64()));
                 (got - want).abs() / (T::EPSILON * want.abs().max(floor))
             })
-            .fold(0.0, |a: f64, b| if b.f64().is_nan() { f64::INFINITY } else { a.max(b) })
+            .fold(0.0, |a: f64, b| {
+                if b.f64().is_nan() {
+                    f64::INFINITY
+                } else {
+                    a.max(b)
+                }
+            })
     }
 
     fn grid(lo: f64, hi: f64) -> Vec<f64> {
-        (0..=20_000).map(|i| lo + (hi - lo) * f64::from(i) / 20_000.0).collect()
+        (0..=20_000)
+            .map(|i| lo + (hi - lo) * f64::from(i) / 20_000.0)
+            .collect()
     }
 
     fn accuracy<T: Real, const FMA: bool>() {
         let tiny: Vec<f64> = grid(-0.99, 0.99).iter().map(|x| x.powi(7)).collect();
         let positive: Vec<f64> = grid(-60.0, 60.0).iter().map(|x| x.exp()).collect();
-        let check = |what: &str, error: f64, bound: f64| assert!(error < bound, "{what}: {error} units of rounding");
+        let check = |what: &str, error: f64, bound: f64| {
+            assert!(error < bound, "{what}: {error} units of rounding")
+        };
         // Two units of rounding: one for the reduction, one for the polynomial.
         let near = grid(-40.0, 40.0);
         check(
@@ -230,13 +246,23 @@ mod tests {
         );
         check(
             "exp",
-            worst::<T>(&grid(-80.0, 80.0), 1e-35, |x| with::<T, FMA>().exp(x), f64::exp),
+            worst::<T>(
+                &grid(-80.0, 80.0),
+                1e-35,
+                |x| with::<T, FMA>().exp(x),
+                f64::exp,
+            ),
             2.0,
         );
         // 2^k (e^r - 1) + (2^k - 1) cancels partly for k = -1: three units.
         check(
             "expm1",
-            worst::<T>(&grid(-5.0, 5.0), 1e-30, |x| with::<T, FMA>().expm1(x), f64::exp_m1),
+            worst::<T>(
+                &grid(-5.0, 5.0),
+                1e-30,
+                |x| with::<T, FMA>().expm1(x),
+                f64::exp_m1,
+            ),
             3.0,
         );
         check(
@@ -256,7 +282,12 @@ mod tests {
         );
         check(
             "atan",
-            worst::<T>(&grid(-30.0, 30.0), 1e-30, |x| with::<T, FMA>().atan(x), f64::atan),
+            worst::<T>(
+                &grid(-30.0, 30.0),
+                1e-30,
+                |x| with::<T, FMA>().atan(x),
+                f64::atan,
+            ),
             3.0,
         );
     }
@@ -284,12 +315,23 @@ mod tests {
         assert_eq!(with::<T, true>().log(inf).f64(), f64::INFINITY);
         assert_eq!(with::<T, true>().log1p(inf).f64(), f64::INFINITY);
         assert!(with::<T, true>().log(T::of(-1.0)).f64().is_nan());
-        assert!((with::<T, true>().atan(inf).f64() - std::f64::consts::FRAC_PI_2).abs() < T::EPSILON);
+        assert!(
+            (with::<T, true>().atan(inf).f64() - std::f64::consts::FRAC_PI_2).abs() < T::EPSILON
+        );
         let mut a = with::<T, true>();
-        for v in [a.exp(nan), a.expm1(nan), a.log(nan), a.atan(nan), a.sign(nan)] {
+        for v in [
+            a.exp(nan),
+            a.expm1(nan),
+            a.log(nan),
+            a.atan(nan),
+            a.sign(nan),
+        ] {
             assert!(v.f64().is_nan());
         }
-        assert!(with::<T, true>().sin_cos(nan).0.f64().is_nan() && with::<T, true>().sin_cos(inf).1.f64().is_nan());
+        assert!(
+            with::<T, true>().sin_cos(nan).0.f64().is_nan()
+                && with::<T, true>().sin_cos(inf).1.f64().is_nan()
+        );
         assert!(
             with::<T, true>().least(nan, T::of(1.0)).f64().is_nan()
                 && with::<T, true>().greatest(T::of(1.0), nan).f64().is_nan()

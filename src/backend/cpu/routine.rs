@@ -15,8 +15,14 @@ pub enum Routine {
 }
 
 impl Routine {
-    /// `compile`: whether to try it. `record` may be called twice: once for the compiler, once for the interpreter.
-    pub fn new(compile: bool, precision: Precision, width: usize, record: impl Fn(&mut Recorder)) -> Self {
+    /// `compile`: whether to try it. `record` may be called twice: once for the compiler, once for
+    /// the interpreter.
+    pub fn new(
+        compile: bool,
+        precision: Precision,
+        width: usize,
+        record: impl Fn(&mut Recorder),
+    ) -> Self {
         #[cfg(target_arch = "x86_64")]
         if compile {
             let mut recorder = Recorder::new(precision, true);

@@ -8,7 +8,8 @@ use crate::backend::{Run, Spec, Variant};
 use crate::integrator::{Scheme, Tableau, control};
 use crate::program::Program;
 
-/// What a trajectory is between steps, as places in a frame. One such region is read by a step and another one written.
+/// What a trajectory is between steps, as places in a frame. One such region is read by a step and
+/// another one written.
 #[derive(Clone, Copy, Debug)]
 pub struct State {
     pub y: usize,
@@ -17,7 +18,8 @@ pub struct State {
     pub t: usize,
     /// The step to attempt; for a Taylor step the longest one allowed.
     pub wanted: usize,
-    /// Base-2 logarithm of the squared error of the step before; of Taylor steps the size of that step.
+    /// Base-2 logarithm of the squared error of the step before; of Taylor steps the size of that
+    /// step.
     pub before: usize,
     /// Step size to go on with behind a kink; 0 where none is ahead.
     pub resume: usize,
@@ -65,7 +67,8 @@ pub struct Layout {
     pub dim: usize,
     /// Leading components that derivatives depend on.
     pub inputs: usize,
-    /// Where the step begins, and what follows: the new point where the step is accepted, else the same again.
+    /// Where the step begins, and what follows: the new point where the step is accepted, else the
+    /// same again.
     pub now: State,
     pub next: State,
     /// The level a trajectory comes to next; infinite for an idle lane.
@@ -199,7 +202,11 @@ pub fn start(r: &mut Recorder, spec: &Spec, layout: &Layout, variant: Variant) {
     if let Some(program) = &spec.kinks
         && layout.next.kinks < layout.next.end
     {
-        for (k, v) in r.program(program, &y[..program.inputs]).into_iter().enumerate() {
+        for (k, v) in r
+            .program(program, &y[..program.inputs])
+            .into_iter()
+            .enumerate()
+        {
             r.store(v, layout.next.kinks + k);
         }
     }
@@ -244,7 +251,10 @@ impl Taken {
         let mut at_end = |program: &Program| r.program(program, &y_new[..program.inputs]);
         Self {
             kinks: (spec.kinks.as_ref().filter(|_| k.is_some())).map_or_else(Vec::new, &mut at_end),
-            guards: spec.guards.as_ref().map_or_else(Vec::new, |g| at_end(&g.program)),
+            guards: spec
+                .guards
+                .as_ref()
+                .map_or_else(Vec::new, |g| at_end(&g.program)),
             h,
             y: y.to_vec(),
             y_new,
@@ -353,7 +363,9 @@ fn estimate(
 pub fn dense(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) {
     let h = r.load(layout.h);
     let y = r.loads(layout.now.y..layout.now.y + layout.inputs);
-    let mut k: Vec<Vec<Value>> = (0..tableau.stages()).map(|s| r.loads(layout.stage(s))).collect();
+    let mut k: Vec<Vec<Value>> = (0..tableau.stages())
+        .map(|s| r.loads(layout.stage(s)))
+        .collect();
     for a in tableau.extra {
         let point: Vec<Value> = (0..layout.inputs)
             .map(|c| {
@@ -374,9 +386,16 @@ pub fn dense(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) 
     }
 }
 
-/// A Taylor step: the solution's coefficients, the step at which the last ones are as large as the tolerance, and the
-/// polynomials' values there.
-fn taylor_step(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize, given: &Parameters, y: &[Value]) -> Taken {
+/// A Taylor step: the solution's coefficients, the step at which the last ones are as large as the
+/// tolerance, and the polynomials' values there.
+fn taylor_step(
+    r: &mut Recorder,
+    spec: &Spec,
+    layout: &Layout,
+    order: usize,
+    given: &Parameters,
+    y: &[Value],
+) -> Taken {
     let series = taylor::solution(r, &spec.rate, y, order);
     let zero = r.constant(0.0);
     let mut most = [zero; 2];
@@ -407,8 +426,8 @@ fn taylor_step(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize, giv
     let nothing = r.add(below, top);
     let finite = r.compare(Comparison::Equal, nothing, zero);
     let reach = r.select(finite, reach, zero);
-    // Where a solution is a polynomial its last terms say nothing about how far it is followed at once: steps grow by a
-    // bounded factor. The first one is of the size |y|/|y'|.
+    // Where a solution is a polynomial its last terms say nothing about how far it is followed at
+    // once: steps grow by a bounded factor. The first one is of the size |y|/|y'|.
     let (before, first_step) = (r.load(layout.now.before), r.load(layout.first_step));
     let (grow, begin) = (r.constant(control::GROW), r.constant(1.0 / control::SHARE));
     let (most, first) = (r.mul(before, grow), r.mul(first_step, begin));
@@ -446,9 +465,9 @@ fn taylor_step(r: &mut Recorder, spec: &Spec, layout: &Layout, order: usize, giv
     }
 }
 
-/// A step of `h`, or the way to just behind the first zero of a series in it: the branch taken where the step begins is
-/// kept to its end. A quarter of the step is taken to have one extremum at most, since steps stay well within the radius
-/// of convergence.
+/// A step of `h`, or the way to just behind the first zero of a series in it: the branch taken
+/// where the step begins is kept to its end. A quarter of the step is taken to have one extremum at
+/// most, since steps stay well within the radius of convergence.
 fn up_to_kink(r: &mut Recorder, series: &[Option<Value>], h: Value) -> Value {
     const POINTS: u32 = 4;
     const ITERATIONS: u32 = 6;

@@ -1,7 +1,7 @@
-//! Taylor coefficients of a differential equation's solution by automatic differentiation of its program: each
-//! instruction's normalized coefficients follow from those of its arguments by recurrences (Jorba & Zou, "A software
-//! package for the numerical integration of ODEs by means of high-order Taylor methods", Experimental Mathematics 14
-//! (2005), section 2).
+//! Taylor coefficients of a differential equation's solution by automatic differentiation of its
+//! program: each instruction's normalized coefficients follow from those of its arguments by
+//! recurrences (Jorba & Zou, "A software package for the numerical integration of ODEs by means of
+//! high-order Taylor methods", Experimental Mathematics 14 (2005), section 2).
 
 use super::arithmetic::{Arithmetic, Comparison};
 use super::code::{Recorder, Value};
@@ -17,8 +17,8 @@ pub type Series = Vec<Option<Value>>;
 /// Coefficients of order 0 to `order` of the solution that begins at `y`.
 pub fn solution(r: &mut Recorder, rate: &Program, y: &[Value], order: usize) -> Vec<Series> {
     let sides = if has_kinks(rate) && order > HINT {
-        // Where the step begins on a kink, the coefficients that follow tell on which side it goes on: those of a
-        // solution for which it is on neither.
+        // Where the step begins on a kink, the coefficients that follow tell on which side it goes
+        // on: those of a solution for which it is on neither.
         let first = follow(Nodes::new(r, rate, HINT, HashMap::new()), rate, y, HINT);
         sides(r, rate, |k, n| first[k][n])
     } else {
@@ -56,9 +56,13 @@ fn kink(instr: Instr) -> Option<(u32, Option<u32>)> {
     }
 }
 
-/// For each instruction with a kink a number of the sign that its argument has where the step has just begun: its first
-/// coefficient that is not zero.
-fn sides(r: &mut Recorder, program: &Program, input: impl Fn(usize, usize) -> Option<Value>) -> HashMap<usize, Value> {
+/// For each instruction with a kink a number of the sign that its argument has where the step has
+/// just begun: its first coefficient that is not zero.
+fn sides(
+    r: &mut Recorder,
+    program: &Program,
+    input: impl Fn(usize, usize) -> Option<Value>,
+) -> HashMap<usize, Value> {
     let mut nodes = Nodes::new(r, program, HINT, HashMap::new());
     for n in 0..=HINT {
         nodes.order(program, n, |k| input(k, n));
@@ -80,7 +84,12 @@ fn sides(r: &mut Recorder, program: &Program, input: impl Fn(usize, usize) -> Op
 }
 
 /// Coefficients of a program's outputs along a solution.
-pub fn along(r: &mut Recorder, program: &Program, solution: &[Series], order: usize) -> Vec<Series> {
+pub fn along(
+    r: &mut Recorder,
+    program: &Program,
+    solution: &[Series],
+    order: usize,
+) -> Vec<Series> {
     let sides = if has_kinks(program) && order > HINT {
         sides(r, program, |k, n| solution[k][n])
     } else {
@@ -99,7 +108,8 @@ struct Nodes<'a> {
     series: Vec<Series>,
     /// `j * c_j`, by the instruction that needs them.
     scaled: Vec<Series>,
-    /// A second series an instruction keeps: the cosine beside a sine, `1 + a^2` beside an arctangent.
+    /// A second series an instruction keeps: the cosine beside a sine, `1 + a^2` beside an
+    /// arctangent.
     partner: Vec<Series>,
     /// What is the same at all orders: a reciprocal, a branch.
     fixed: Vec<Option<Value>>,
@@ -108,7 +118,12 @@ struct Nodes<'a> {
 }
 
 impl<'a> Nodes<'a> {
-    fn new(r: &'a mut Recorder, program: &Program, order: usize, sides: HashMap<usize, Value>) -> Self {
+    fn new(
+        r: &'a mut Recorder,
+        program: &Program,
+        order: usize,
+        sides: HashMap<usize, Value>,
+    ) -> Self {
         let count = program.code.len();
         Self {
             r,
@@ -169,7 +184,13 @@ impl<'a> Nodes<'a> {
     }
 
     /// `sum of a_j b_(n-j)` over `first <= j <= last`, twice over where that is the same (a = b).
-    fn convolution(&mut self, a: &Series, b: &Series, n: usize, js: std::ops::RangeInclusive<usize>) -> Option<Value> {
+    fn convolution(
+        &mut self,
+        a: &Series,
+        b: &Series,
+        n: usize,
+        js: std::ops::RangeInclusive<usize>,
+    ) -> Option<Value> {
         let mut sum = None;
         for j in js {
             sum = self.mul_add(a[j], b[n - j], sum);
@@ -178,7 +199,10 @@ impl<'a> Nodes<'a> {
     }
 
     fn product(&mut self, a: u32, b: u32, n: usize) -> Option<Value> {
-        let (x, y) = (self.series[a as usize].clone(), self.series[b as usize].clone());
+        let (x, y) = (
+            self.series[a as usize].clone(),
+            self.series[b as usize].clone(),
+        );
         if a != b || n == 0 {
             return self.convolution(&x, &y, n, 0..=n);
         }
@@ -199,7 +223,8 @@ impl<'a> Nodes<'a> {
         }
     }
 
-    /// Coefficient `n` of instruction `i`; those of lower order, and those of its arguments, are there.
+    /// Coefficient `n` of instruction `i`; those of lower order, and those of its arguments, are
+    /// there.
     fn next(&mut self, i: usize, instr: Instr, n: usize) -> Option<Value> {
         match instr {
             Instr::Input(_) => None,
@@ -248,8 +273,8 @@ impl<'a> Nodes<'a> {
         })
     }
 
-    /// The smaller or larger one. Where both begin alike, what they do next decides: a step begins at a kink only when
-    /// the one before has ended there.
+    /// The smaller or larger one. Where both begin alike, what they do next decides: a step begins
+    /// at a kink only when the one before has ended there.
     fn branch(&mut self, i: usize, a: u32, b: u32, n: usize, smaller: bool) -> Option<Value> {
         let zero = self.r.constant(0.0);
         let (x, y) = (self.at(a, n), self.at(b, n));
@@ -268,7 +293,8 @@ impl<'a> Nodes<'a> {
             self.fixed[i] = Some(self.r.compare(Comparison::Less, *side, zero));
         }
         if self.fixed[i].is_none() {
-            let pair = |this: &Self, n| (this.at(a, n).unwrap_or(zero), this.at(b, n).unwrap_or(zero));
+            let pair =
+                |this: &Self, n| (this.at(a, n).unwrap_or(zero), this.at(b, n).unwrap_or(zero));
             let ((a0, b0), (a1, b1)) = (pair(self, 0), pair(self, 1));
             let before = self.r.compare(Comparison::Less, a0, b0);
             let tie = self.r.compare(Comparison::Equal, a0, b0);
@@ -289,7 +315,11 @@ impl<'a> Nodes<'a> {
         while self.scaled[i].len() <= n {
             let j = self.scaled[i].len();
             let value = self.at(a, j);
-            let next = if j == 1 { value } else { self.scale(value, j as f64) };
+            let next = if j == 1 {
+                value
+            } else {
+                self.scale(value, j as f64)
+            };
             self.scaled[i].push(if j == 0 { None } else { next });
         }
         self.scaled[i].clone()
@@ -350,7 +380,8 @@ impl<'a> Nodes<'a> {
                 self.scale(scaled, 1.0 / n as f64)
             }
             Primitive::Atan => {
-                // g = 1 + a^2; n t_n = (n a_n - sum of j t_j g_(n-j)) / g_0; j t_j are kept as `scaled`.
+                // g = 1 + a^2; n t_n = (n a_n - sum of j t_j g_(n-j)) / g_0; j t_j are kept as
+                // `scaled`.
                 let series = self.series[a as usize].clone();
                 let one = self.r.constant(1.0);
                 let square = if n == 0 {
@@ -419,7 +450,8 @@ impl<'a> Nodes<'a> {
         self.series[i][n].unwrap_or(zero)
     }
 
-    /// A sine keeps its cosine as partner, and the other way round; equal operations are recorded once.
+    /// A sine keeps its cosine as partner, and the other way round; equal operations are recorded
+    /// once.
     fn sine(&mut self, i: usize, sine: bool, a: u32, n: usize) -> Option<Value> {
         let zero = self.r.constant(0.0);
         if n == 0 {
@@ -436,7 +468,10 @@ impl<'a> Nodes<'a> {
         // n s_n = sum of j a_j c_(n-j); n c_n = -sum of j a_j s_(n-j).
         let up = self.convolution(&slopes, c, n, 1..=n);
         let down = self.convolution(&slopes, s, n, 1..=n);
-        let (s, c) = (self.scale(up, 1.0 / n as f64), self.scale(down, -1.0 / n as f64));
+        let (s, c) = (
+            self.scale(up, 1.0 / n as f64),
+            self.scale(down, -1.0 / n as f64),
+        );
         let (own, other) = if sine { (s, c) } else { (c, s) };
         self.partner[i].push(other);
         own

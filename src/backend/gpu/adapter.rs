@@ -56,7 +56,9 @@ fn describe(adapter: &wgpu::Adapter) -> AdapterInfo {
     AdapterInfo {
         name: info.name,
         api: format!("{:?}", info.backend),
-        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+        driver: format!("{} {}", info.driver, info.driver_info)
+            .trim()
+            .to_owned(),
         hardware: info.device_type != DeviceType::Cpu,
         kind: match info.device_type {
             DeviceType::DiscreteGpu => "discrete",
@@ -125,12 +127,17 @@ impl Device {
         let info = describe(adapter);
         // Time stamps are for figures only: a device without them does.
         let clock = adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
-        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
-            label: Some("costate"),
-            required_features: if info.f64_arithmetic { F64 | clock } else { clock },
-            required_limits: adapter.limits(),
-            ..Default::default()
-        }))?;
+        let (device, queue) =
+            pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+                label: Some("costate"),
+                required_features: if info.f64_arithmetic {
+                    F64 | clock
+                } else {
+                    clock
+                },
+                required_limits: adapter.limits(),
+                ..Default::default()
+            }))?;
         let faults = Arc::new(Mutex::new(None));
         let keep = Arc::clone(&faults);
         let note = move |message: String| {
@@ -156,7 +163,12 @@ impl Device {
 
     /// The first error since the last check.
     pub fn check(&self) -> Result<(), BackendError> {
-        match self.faults.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        match self
+            .faults
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take()
+        {
             Some(message) => Err(BackendError::Fault { message }),
             None => Ok(()),
         }

@@ -1,4 +1,5 @@
-//! Time stamps of compute passes: what the device computed, without submission, waiting and transfers.
+//! Time stamps of compute passes: what the device computed, without submission, waiting and
+//! transfers.
 
 use super::adapter::Device;
 use wgpu::BufferUsages;
@@ -17,7 +18,11 @@ impl Clock {
     pub const BYTES: usize = 16;
 
     pub fn new(device: &Device) -> Option<Self> {
-        if !device.device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
+        if !device
+            .device
+            .features()
+            .contains(wgpu::Features::TIMESTAMP_QUERY)
+        {
             return None;
         }
         Some(Self {
@@ -53,7 +58,11 @@ impl Clock {
 
     /// Seconds between the stamps read back.
     pub fn seconds(&self, stamps: &[u8]) -> f64 {
-        let at = |k: usize| stamps[8 * k..].first_chunk().map_or(0, |b| u64::from_ne_bytes(*b));
+        let at = |k: usize| {
+            stamps[8 * k..]
+                .first_chunk()
+                .map_or(0, |b| u64::from_ne_bytes(*b))
+        };
         at(1).saturating_sub(at(0)) as f64 * self.period
     }
 }

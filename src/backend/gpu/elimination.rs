@@ -2,7 +2,9 @@
 
 use super::adapter::Device;
 use super::emit::WORKGROUP;
-use super::memory::{bind, binding_limit, layout, pipelines, read_back, reals, staging, storage, uses};
+use super::memory::{
+    bind, binding_limit, layout, pipelines, read_back, reals, staging, storage, uses,
+};
 use super::shader::{Fragment, Source, conditional};
 use super::text;
 use crate::backend::{BackendError, Eliminated, Eliminator, Systems};
@@ -11,7 +13,8 @@ use std::fmt::Write;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Loop iterations an invocation may spend in a dispatch: half of what Mesa's llvmpipe allows a shader.
+/// Loop iterations an invocation may spend in a dispatch: half of what Mesa's llvmpipe allows a
+/// shader.
 const WORK: usize = 32768;
 
 /// Sizes and places of things in the buffers, in reals.
@@ -50,8 +53,8 @@ impl Layout {
         self.right() + self.n
     }
 
-    /// Loop iterations of one node: the larger of those backward (product, Gram-Schmidt) and forward (the first node's
-    /// equations, or a step).
+    /// Loop iterations of one node: the larger of those backward (product, Gram-Schmidt) and
+    /// forward (the first node's equations, or a step).
     fn iterations(self) -> usize {
         let n = self.n;
         let backward = 8 * n * n * n + 12 * n * n + 8 * n;
@@ -141,7 +144,11 @@ const WRITTEN: [usize; 2] = [1, NODES];
 
 impl GpuEliminator {
     /// `None` where one node takes more loop iterations than a dispatch may.
-    pub fn new(device: Arc<Device>, n: usize, precision: Precision) -> Result<Option<Self>, BackendError> {
+    pub fn new(
+        device: Arc<Device>,
+        n: usize,
+        precision: Precision,
+    ) -> Result<Option<Self>, BackendError> {
         let sizes = Layout {
             n,
             real: precision.bytes(),
@@ -156,11 +163,14 @@ impl GpuEliminator {
             label: Some("elimination"),
             source: wgpu::ShaderSource::Wgsl(source.text.into()),
         };
-        // SAFETY: the shader's loops have fixed bounds or those of the path's nodes, and its indices stay within the
-        // buffers, which are bound with the sizes of the batch.
-        let module =
-            unsafe { (device.device).create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) };
-        let [backward, forward] = pipelines(&device, &[&bindings], &module, ["backward", "forward"]);
+        // SAFETY: the shader's loops have fixed bounds or those of the path's nodes, and its
+        // indices stay within the buffers, which are bound with the sizes of the batch.
+        let module = unsafe {
+            (device.device)
+                .create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked())
+        };
+        let [backward, forward] =
+            pipelines(&device, &[&bindings], &module, ["backward", "forward"]);
         device.check()?;
         Ok(Some(Self {
             device,
@@ -193,7 +203,9 @@ impl GpuEliminator {
         let nodes = segments + lengths.len();
         let data = (first..first + segments).flat_map(|k| {
             let phi = &systems.phi[k * layout.defect()..][..layout.defect()];
-            phi.iter().chain(&systems.defects[k * 2 * n..][..2 * n]).copied()
+            phi.iter()
+                .chain(&systems.defects[k * 2 * n..][..2 * n])
+                .copied()
         });
         let conditions = paths.clone().flat_map(|i| {
             let hessian = &systems.hessian[i * n * n..][..n * n];
@@ -224,7 +236,9 @@ impl GpuEliminator {
             device.queue.write_buffer(buffer, 0, content);
         }
         // As large as the batch: the shader takes the number of paths from it.
-        let sized = contents.iter().map(|content| Some(content.len().max(layout.real)));
+        let sized = contents
+            .iter()
+            .map(|content| Some(content.len().max(layout.real)));
         let bindings = bind(&device, &self.bindings, memory.buffers.iter().zip(sized));
         let longest = lengths.iter().copied().max().unwrap_or(0) as usize;
         let rounds = (longest + 1).div_ceil(layout.nodes());
@@ -241,10 +255,16 @@ impl GpuEliminator {
         }
         let wanted = [(&memory.buffers[NODES], contents[NODES].len())];
         let first_node = first + paths.start;
-        read_back(&device, &memory.staging, encoder, wanted, |[written]| match precision {
-            Precision::F32 => unpack::<f32>(layout, written, first_node, result),
-            Precision::F64 => unpack::<f64>(layout, written, first_node, result),
-        })?
+        read_back(
+            &device,
+            &memory.staging,
+            encoder,
+            wanted,
+            |[written]| match precision {
+                Precision::F32 => unpack::<f32>(layout, written, first_node, result),
+                Precision::F64 => unpack::<f64>(layout, written, first_node, result),
+            },
+        )?
     }
 }
 
@@ -291,14 +311,22 @@ impl Eliminator for GpuEliminator {
     fn eliminate(&mut self, systems: &Systems) -> Result<Eliminated, BackendError> {
         let n = self.layout.n;
         let count = systems.segments.len();
-        let nodes = systems.segments.iter().map(|s| *s as usize + 1).sum::<usize>();
+        let nodes = systems
+            .segments
+            .iter()
+            .map(|s| *s as usize + 1)
+            .sum::<usize>();
         let mut result = Eliminated {
             w: vec![0.0; nodes * 2 * n * n],
             l: vec![0.0; nodes * n * n],
             steps: vec![0.0; nodes * 2 * n],
         };
         let limit = binding_limit(&self.device) as usize;
-        let groups = self.device.device.limits().max_compute_workgroups_per_dimension;
+        let groups = self
+            .device
+            .device
+            .limits()
+            .max_compute_workgroups_per_dimension;
         let most_paths = groups as usize * WORKGROUP as usize;
         let (mut start, mut first) = (0, 0);
         while start < count {

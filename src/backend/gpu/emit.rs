@@ -1,5 +1,6 @@
-//! WGSL text that depends on the scene or the method: constants, the model's right-hand side and guards, and in rooms of
-//! their own the stages of a step and loads and stores, all straight-line code over named components (arrays would be indexed in memory).
+//! WGSL text that depends on the scene or the method: constants, the model's right-hand side and
+//! guards, and in rooms of their own the stages of a step and loads and stores, all straight-line
+//! code over named components (arrays would be indexed in memory).
 
 mod buffers;
 mod step;
@@ -13,7 +14,8 @@ use std::fmt::Write;
 /// Fields t, h, before and first_step of the state.
 const SCALARS: usize = 4;
 
-/// Where in a chart's law its parts are: the vector is `(s, q, H, ...)`, H's upper triangle row by row.
+/// Where in a chart's law its parts are: the vector is `(s, q, H, ...)`, H's upper triangle row by
+/// row.
 #[derive(Clone, Copy, Debug)]
 pub struct Law {
     /// Components of s.
@@ -22,7 +24,8 @@ pub struct Law {
     pub last: Option<f64>,
 }
 
-/// Reals of a trajectory's state: y and k, the scalars, and with kinks the step size to resume and their values.
+/// Reals of a trajectory's state: y and k, the scalars, and with kinks the step size to resume and
+/// their values.
 pub fn state(spec: &Spec) -> usize {
     let kinks = kinks(spec);
     2 * spec.dim() + SCALARS + if kinks > 0 { 1 + kinks } else { 0 }
@@ -111,7 +114,11 @@ impl<'a> Emitter<'a> {
     /// The conditions of `//if` lines that hold.
     pub fn conditions(&self) -> Vec<&'static str> {
         let mut list = vec![condition(self.spec.precision)];
-        list.push(if self.tableau.adaptive() { "ADAPTIVE" } else { "FIXED" });
+        list.push(if self.tableau.adaptive() {
+            "ADAPTIVE"
+        } else {
+            "FIXED"
+        });
         list.push(match self.spec.by {
             By::Time => "BY_TIME",
             By::Component(_) => "BY_COMPONENT",
@@ -213,23 +220,40 @@ impl<'a> Emitter<'a> {
         let _ = writeln!(text, "const WORKGROUP: u32 = {WORKGROUP}u;");
         let _ = writeln!(text, "const DIM: u32 = {}u;", self.dim);
         let _ = writeln!(text, "const LEVELS: u32 = {}u;", settings.levels);
-        let _ = writeln!(text, "const SAMPLE: u32 = {}u;", 1 + stored(self.spec).count());
+        let _ = writeln!(
+            text,
+            "const SAMPLE: u32 = {}u;",
+            1 + stored(self.spec).count()
+        );
         let _ = writeln!(text, "const RUNNING: u32 = {}u;", super::RUNNING);
         let _ = writeln!(text, "const EVENT: u32 = {}u;", super::EVENT);
         for (name, status) in super::ON_LEGS {
             let _ = writeln!(text, "const {name}: u32 = {status}u;");
         }
         for (status, name) in crate::backend::Status::ALL {
-            let _ = writeln!(text, "const {}: u32 = {}u;", name.to_uppercase(), status as i32);
+            let _ = writeln!(
+                text,
+                "const {}: u32 = {}u;",
+                name.to_uppercase(),
+                status as i32
+            );
         }
         let mut real = |name: &str, value: f64| {
-            let _ = writeln!(text, "const {name}: real = {};", literal(value, self.spec.precision));
+            let _ = writeln!(
+                text,
+                "const {name}: real = {};",
+                literal(value, self.spec.precision)
+            );
         };
         real("FIRST", self.tableau.first());
         real("AT_KINK", control::at_kink(self.spec.precision.epsilon()));
         real("FLOOR", control::FLOOR_ULPS * self.spec.precision.epsilon());
         let mut single = |name: &str, value: f64| {
-            let _ = writeln!(text, "const {name}: f32 = {};", literal(value, Precision::F32));
+            let _ = writeln!(
+                text,
+                "const {name}: f32 = {};",
+                literal(value, Precision::F32)
+            );
         };
         single("SAFETY", control::SAFETY);
         single("HALF_ALPHA", 0.5 * control::ALPHA * self.tableau.exponent());
@@ -237,7 +261,10 @@ impl<'a> Emitter<'a> {
         single("HALF_REFUSED", 0.5 * self.tableau.exponent());
         single("SHRINK", control::SHRINK);
         single("GROW", control::GROW);
-        single("LEAST_SQUARED_ERROR", control::LEAST_ERROR * control::LEAST_ERROR);
+        single(
+            "LEAST_SQUARED_ERROR",
+            control::LEAST_ERROR * control::LEAST_ERROR,
+        );
         text
     }
 }

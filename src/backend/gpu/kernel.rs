@@ -13,10 +13,11 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Seconds a dispatch should last at most: far below any driver's watchdog, long against the cost of a dispatch.
+/// Seconds a dispatch should last at most: far below any driver's watchdog, long against the cost
+/// of a dispatch.
 pub(super) const DISPATCH_SECONDS: f64 = 0.1;
-/// Loop iterations an invocation may spend in a dispatch. The most that Mesa's llvmpipe allows a shader is 65535; a
-/// single step may add those of one event on top.
+/// Loop iterations an invocation may spend in a dispatch. The most that Mesa's llvmpipe allows a
+/// shader is 65535; a single step may add those of one event on top.
 pub(super) const WORK: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
 /// Work of the first dispatch, before anything was measured.
 pub(super) const FIRST_WORK: u32 = 64;
@@ -139,9 +140,12 @@ impl GpuKernel {
             label: Some("kernel"),
             source: wgpu::ShaderSource::Wgsl(source.text.into()),
         };
-        // SAFETY: the shader's loops are bounded by counters of their own, and its indices stay within the buffers:
-        // trajectories below the stride that the buffers were sized for, levels below their number.
-        let module = unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) };
+        // SAFETY: the shader's loops are bounded by counters of their own, and its indices stay
+        // within the buffers: trajectories below the stride that the buffers were sized for, levels
+        // below their number.
+        let module = unsafe {
+            device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked())
+        };
         let [start, sweep] = pipelines(&self.device, &[&self.layout], &module, ["start", "sweep"]);
         self.device.check()?;
         self.pipelines.insert(variant, Pipelines { start, sweep });
@@ -221,18 +225,21 @@ impl GpuKernel {
                 Some(clock) => {
                     let stamps = clock.resolve(&mut encoder);
                     let wanted = [(&memory.remaining, 4), (stamps, Clock::BYTES)];
-                    let (left, seconds) =
-                        memory.read(&device, encoder, wanted, |[b, s]| (count(b), clock.seconds(s)))?;
+                    let (left, seconds) = memory.read(&device, encoder, wanted, |[b, s]| {
+                        (count(b), clock.seconds(s))
+                    })?;
                     self.seconds += seconds;
                     left
                 }
                 None => memory.read(&device, encoder, [(&memory.remaining, 4)], |[b]| count(b))?,
             };
             started = true;
-            // At most this much was done, so the measured speed is at most too high by what ended early.
+            // At most this much was done, so the measured speed is at most too high by what ended
+            // early.
             let seconds = before.elapsed().as_secs_f64();
             work = bounded(
-                f64::from(work) * (DISPATCH_SECONDS / seconds).min(4.0) * f64::from(active) / f64::from(left.max(1)),
+                f64::from(work) * (DISPATCH_SECONDS / seconds).min(4.0) * f64::from(active)
+                    / f64::from(left.max(1)),
             );
             active = left;
             list = 1 - list;
@@ -262,14 +269,17 @@ impl GpuKernel {
 
     /// Work of a first dispatch of `active` trajectories.
     fn work(&self, active: u32) -> u32 {
-        self.speed
-            .map_or(FIRST_WORK, |s| bounded(s * DISPATCH_SECONDS / f64::from(active)))
+        self.speed.map_or(FIRST_WORK, |s| {
+            bounded(s * DISPATCH_SECONDS / f64::from(active))
+        })
     }
 }
 
 /// How a kernel uses its bindings: settings are read, the others written.
 pub(super) fn bindings(samples: bool) -> impl Iterator<Item = Use> {
-    let others = [Use::Written; 6].into_iter().take(if samples { 6 } else { 5 });
+    let others = [Use::Written; 6]
+        .into_iter()
+        .take(if samples { 6 } else { 5 });
     [Use::Uniform, Use::Read].into_iter().chain(others)
 }
 
@@ -284,7 +294,13 @@ impl Kernel for GpuKernel {
     }
 
     fn relay(&self, run: &Run, surface: &Surface) -> Result<Option<Box<dyn Relay>>, BackendError> {
-        let made = GpuRelay::new(Arc::clone(&self.device), &self.spec, self.tableau, run, surface)?;
+        let made = GpuRelay::new(
+            Arc::clone(&self.device),
+            &self.spec,
+            self.tableau,
+            run,
+            surface,
+        )?;
         Ok(made.map(|relay| -> Box<dyn Relay> { Box::new(relay) }))
     }
 
@@ -311,10 +327,18 @@ impl Kernel for GpuKernel {
         };
         let limit = binding_limit(&self.device);
         let share = shape.largest_share() as u64;
-        let groups = u64::from(self.device.device.limits().max_compute_workgroups_per_dimension);
+        let groups = u64::from(
+            self.device
+                .device
+                .limits()
+                .max_compute_workgroups_per_dimension,
+        );
         let most = (limit / share).min(groups * u64::from(WORKGROUP));
         if most == 0 {
-            return Err(BackendError::TooLarge { bytes: share, limit });
+            return Err(BackendError::TooLarge {
+                bytes: share,
+                limit,
+            });
         }
         let most = most as usize;
         for (k, part) in seeds.chunks(most * dim).enumerate() {

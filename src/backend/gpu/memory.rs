@@ -1,4 +1,5 @@
-//! Device buffers and what binds them to pipelines; those of a kernel, kept from batch to batch; reading back.
+//! Device buffers and what binds them to pipelines; those of a kernel, kept from batch to batch;
+//! reading back.
 
 use super::adapter::Device;
 use crate::backend::BackendError;
@@ -24,7 +25,12 @@ pub fn filled(device: &Device, label: &'static str, bytes: &[u8]) -> Buffer {
 
 /// Room for what is read back.
 pub fn staging(device: &Device, label: &'static str, bytes: usize) -> Buffer {
-    buffer(device, label, bytes, BufferUsages::MAP_READ | BufferUsages::COPY_DST)
+    buffer(
+        device,
+        label,
+        bytes,
+        BufferUsages::MAP_READ | BufferUsages::COPY_DST,
+    )
 }
 
 pub fn buffer(device: &Device, label: &'static str, bytes: usize, usage: BufferUsages) -> Buffer {
@@ -45,7 +51,11 @@ pub enum Use {
 }
 
 /// The layout of a group of buffers, in the order of their bindings.
-pub fn layout(device: &Device, label: &'static str, uses: impl IntoIterator<Item = Use>) -> wgpu::BindGroupLayout {
+pub fn layout(
+    device: &Device,
+    label: &'static str,
+    uses: impl IntoIterator<Item = Use>,
+) -> wgpu::BindGroupLayout {
     let entries: Vec<wgpu::BindGroupLayoutEntry> = (uses.into_iter().enumerate())
         .map(|(k, how)| wgpu::BindGroupLayoutEntry {
             binding: k as u32,
@@ -71,7 +81,13 @@ pub fn layout(device: &Device, label: &'static str, uses: impl IntoIterator<Item
 
 /// Uses of so many storage buffers, of which these are written.
 pub fn uses(count: usize, written: &[usize]) -> impl Iterator<Item = Use> + '_ {
-    (0..count).map(|k| if written.contains(&k) { Use::Written } else { Use::Read })
+    (0..count).map(|k| {
+        if written.contains(&k) {
+            Use::Written
+        } else {
+            Use::Read
+        }
+    })
 }
 
 /// Buffers bound in the order of their bindings, whole or only so many of their leading bytes.
@@ -209,8 +225,14 @@ impl Memory {
         let samples = (shape.levels > 0).then(|| storage("samples", shape.samples()));
         let all = padded(shape.counters()) + padded(shape.ends()) + padded(shape.samples());
         let staging = staging(device, "staging", all);
-        let bound = [&control, &settings, &state, &counters, &lists, &remaining, &ends];
-        let bindings = bind(device, layout, bound.into_iter().chain(&samples).map(|b| (b, None)));
+        let bound = [
+            &control, &settings, &state, &counters, &lists, &remaining, &ends,
+        ];
+        let bindings = bind(
+            device,
+            layout,
+            bound.into_iter().chain(&samples).map(|b| (b, None)),
+        );
         Self {
             shape,
             control,
@@ -242,8 +264,8 @@ impl Memory {
     }
 }
 
-/// Ends what `encoder` holds with copies of the leading bytes of buffers, waits for all of it and hands the bytes to
-/// `read`. The staging buffer has room for all of them, each padded to 16 bytes.
+/// Ends what `encoder` holds with copies of the leading bytes of buffers, waits for all of it and
+/// hands the bytes to `read`. The staging buffer has room for all of them, each padded to 16 bytes.
 pub fn read_back<const N: usize, R>(
     device: &Device,
     staging: &Buffer,
@@ -283,7 +305,9 @@ const LARGEST_BINDING: u64 = 256 << 20;
 /// Bytes that one binding of this device is given at most.
 pub fn binding_limit(device: &Device) -> u64 {
     let info = &device.info;
-    info.max_binding.min(info.max_buffer / 2).min(LARGEST_BINDING)
+    info.max_binding
+        .min(info.max_buffer / 2)
+        .min(LARGEST_BINDING)
 }
 
 /// Storage buffers that an invocation of this device may read and write at most.
@@ -299,7 +323,10 @@ pub fn padded(bytes: usize) -> usize {
 /// Numbers as a buffer of the precision holds them.
 pub fn reals(values: impl IntoIterator<Item = f64>, precision: Precision) -> Vec<u8> {
     match precision {
-        Precision::F32 => values.into_iter().flat_map(|x| (x as f32).to_ne_bytes()).collect(),
+        Precision::F32 => values
+            .into_iter()
+            .flat_map(|x| (x as f32).to_ne_bytes())
+            .collect(),
         Precision::F64 => values.into_iter().flat_map(f64::to_ne_bytes).collect(),
     }
 }

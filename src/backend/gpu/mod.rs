@@ -1,9 +1,10 @@
 //! The GPU backend: WGSL compute shaders through wgpu, one invocation a trajectory.
 //!
-//! A kernel's module is joined from `shaders/real.wgsl` (elementary functions), `shaders/block.wgsl` (the integrator),
-//! `shaders/sweep.wgsl` (whole trajectories) or `shaders/legs.wgsl` (legs whose law a map in pieces gives) and generated
-//! text (constants, the model, the method's stages). `shaders/elimination.wgsl` eliminates the linear equations of multiple
-//! shooting, one invocation a path.
+//! A kernel's module is joined from `shaders/real.wgsl` (elementary functions),
+//! `shaders/block.wgsl` (the integrator), `shaders/sweep.wgsl` (whole trajectories) or
+//! `shaders/legs.wgsl` (legs whose law a map in pieces gives) and generated text (constants, the
+//! model, the method's stages). `shaders/elimination.wgsl` eliminates the linear equations of
+//! multiple shooting, one invocation a path.
 
 pub(crate) mod adapter;
 mod clock;
@@ -26,17 +27,23 @@ use crate::model::Precision;
 use adapter::Device;
 use std::sync::Arc;
 
-/// Counters' status of a trajectory on its way, of one whose step has an event, and of one that no invocation has touched.
+/// Counters' status of a trajectory on its way, of one whose step has an event, and of one that no
+/// invocation has touched.
 const RUNNING: u32 = u32::MAX - 1;
 const EVENT: u32 = u32::MAX - 2;
 const UNWRITTEN: u32 = u32::MAX;
-/// Of legs whose law a chart gives: about to ask for it, about to begin with one that is given, without an answer, and at the end
-/// of what the flight has room for.
+/// Of legs whose law a chart gives: about to ask for it, about to begin with one that is given,
+/// without an answer, and at the end of what the flight has room for.
 const ASK: u32 = u32::MAX - 3;
 const GIVEN: u32 = u32::MAX - 4;
 const LOST: u32 = u32::MAX - 5;
 const PAUSED: u32 = u32::MAX - 6;
-const ON_LEGS: [(&str, u32); 4] = [("ASK", ASK), ("GIVEN", GIVEN), ("LOST", LOST), ("PAUSED", PAUSED)];
+const ON_LEGS: [(&str, u32); 4] = [
+    ("ASK", ASK),
+    ("GIVEN", GIVEN),
+    ("LOST", LOST),
+    ("PAUSED", PAUSED),
+];
 
 /// The GPU backend: an open device.
 #[derive(Clone, Debug)]
@@ -120,7 +127,11 @@ impl Backend for Gpu {
         )?))
     }
 
-    fn eliminator(&self, states: usize, precision: Precision) -> Result<Option<Box<dyn Eliminator>>, BackendError> {
+    fn eliminator(
+        &self,
+        states: usize,
+        precision: Precision,
+    ) -> Result<Option<Box<dyn Eliminator>>, BackendError> {
         self.require(precision)?;
         let made = elimination::GpuEliminator::new(Arc::clone(&self.device), states, precision)?;
         Ok(made.map(|e| -> Box<dyn Eliminator> { Box::new(e) }))

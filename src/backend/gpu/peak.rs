@@ -14,7 +14,8 @@ use wgpu::BufferUsages;
 const ROUNDS: u32 = 1024;
 /// Operations of a loop iteration: 8 chains of 4 multiply-adds, each of two.
 const OPERATIONS: f64 = 64.0;
-/// Invocations of the first dispatch. It is doubled until a dispatch lasts long enough to be measured.
+/// Invocations of the first dispatch. It is doubled until a dispatch lasts long enough to be
+/// measured.
 const FIRST: u32 = 64 * WORKGROUP;
 /// A card of 50,000 lanes has work for many rounds of them.
 const MOST: u32 = 1 << 22;
@@ -39,18 +40,22 @@ pub(super) fn peak(device: &Device, precision: Precision) -> Result<f64, Backend
         },
     ]);
     source.validate(device.info.f64_arithmetic)?;
-    let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some("peak"),
-        source: wgpu::ShaderSource::Wgsl(source.text.into()),
-    });
-    let pipeline = device.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some("peak"),
-        layout: None,
-        module: &module,
-        entry_point: Some("main"),
-        compilation_options: Default::default(),
-        cache: None,
-    });
+    let module = device
+        .device
+        .create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("peak"),
+            source: wgpu::ShaderSource::Wgsl(source.text.into()),
+        });
+    let pipeline = device
+        .device
+        .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some("peak"),
+            layout: None,
+            module: &module,
+            entry_point: Some("main"),
+            compilation_options: Default::default(),
+            cache: None,
+        });
     device.check()?;
     let groups = device.device.limits().max_compute_workgroups_per_dimension;
     let most = MOST.min(groups.saturating_mul(WORKGROUP));
@@ -135,9 +140,13 @@ impl Probe<'_> {
         let stamped = match &self.clock {
             Some(clock) => {
                 let stamps = clock.resolve(&mut encoder);
-                read_back(self.device, &staging, encoder, [(stamps, Clock::BYTES)], |[b]| {
-                    clock.seconds(b)
-                })?
+                read_back(
+                    self.device,
+                    &staging,
+                    encoder,
+                    [(stamps, Clock::BYTES)],
+                    |[b]| clock.seconds(b),
+                )?
             }
             None => {
                 read_back(self.device, &staging, encoder, [(&buffer, 16)], |_| ())?;

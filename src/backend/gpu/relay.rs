@@ -4,8 +4,8 @@ use super::adapter::Device;
 use super::emit::{self, Emitter, Law, Settings, WORKGROUP};
 use super::kernel::{DISPATCH_SECONDS, FIRST_WORK, WORK, bindings, integrator, settings};
 use super::memory::{
-    Use, bind, binding_limit, buffer, filled, layout, most_buffers, padded, pipelines, read_back, reals, staging,
-    storage,
+    Use, bind, binding_limit, buffer, filled, layout, most_buffers, padded, pipelines, read_back,
+    reals, staging, storage,
 };
 use super::shader::{Fragment, Source};
 use super::{ASK, GIVEN, LOST, PAUSED};
@@ -22,10 +22,12 @@ const COUNTERS: usize = 6;
 const CONTROL: usize = 48;
 /// Storage buffers of the kernel: those of an integrator, and the map's.
 const BUFFERS: usize = 9;
-/// Dispatches that the host does not look between: also the shortest legs take two, to be flown and to be found the last known.
+/// Dispatches that the host does not look between: also the shortest legs take two, to be flown and
+/// to be found the last known.
 const LEAST_REPEATS: f64 = 4.0;
 const MOST_REPEATS: f64 = 64.0;
-/// Results up to so many bytes are read whenever the host looks, so that short flights take one look.
+/// Results up to so many bytes are read whenever the host looks, so that short flights take one
+/// look.
 const READ_EARLY: usize = 1 << 20;
 /// Bytes of what is told of the legs of a flight.
 const TOLD: usize = 64 << 20;
@@ -87,7 +89,8 @@ impl GpuRelay {
             states: surface.states,
             last: surface.last,
         };
-        let mut fragments = integrator(&Emitter::new(spec, tableau, run.variant()).with_legs(law)).to_vec();
+        let mut fragments =
+            integrator(&Emitter::new(spec, tableau, run.variant()).with_legs(law)).to_vec();
         fragments.extend(surface.fragments.iter().cloned());
         fragments.push(Fragment {
             name: "shaders/legs.wgsl",
@@ -99,11 +102,14 @@ impl GpuRelay {
             label: Some("relay"),
             source: wgpu::ShaderSource::Wgsl(source.text.into()),
         };
-        // SAFETY: the shader's loops are bounded by counters of their own or by the tables of the map, whose tree has an end
-        // everywhere; its indices stay within the buffers: trajectories below the stride and rows below the room that the
-        // buffers were sized for, places in the map's arrays where these were packed.
-        let module =
-            unsafe { (device.device).create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) };
+        // SAFETY: the shader's loops are bounded by counters of their own or by the tables of the
+        // map, whose tree has an end everywhere; its indices stay within the buffers: trajectories
+        // below the stride and rows below the room that the buffers were sized for, places in the
+        // map's arrays where these were packed.
+        let module = unsafe {
+            (device.device)
+                .create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked())
+        };
         let own = layout(&device, "relay", bindings(true));
         let map = layout(&device, "map", [Use::Read; 2]);
         let [sweep, gather] = pipelines(&device, &[&own, &map], &module, ["sweep", "gather"]);
@@ -145,8 +151,15 @@ impl GpuRelay {
         let remaining = storage("remaining", 4);
         let ends = storage("ends", self.ends(count));
         let traces = storage("traces", shape.traces);
-        let told = padded(4) + padded(4 * COUNTERS * count) + padded(self.ends(count)) + padded(shape.traces);
-        let staging = staging(device, "staging", told.max(padded(self.state() * count * real)));
+        let told = padded(4)
+            + padded(4 * COUNTERS * count)
+            + padded(self.ends(count))
+            + padded(shape.traces);
+        let staging = staging(
+            device,
+            "staging",
+            told.max(padded(self.state() * count * real)),
+        );
         let bound = [
             &control, &settings, &state, &counters, &lists, &remaining, &ends, &traces,
         ];
@@ -173,8 +186,9 @@ impl GpuRelay {
     /// Loop iterations of a submission in which so many trajectories are on their way.
     fn work(&self, active: u32) -> f64 {
         let first = f64::from(FIRST_WORK);
-        self.speed
-            .map_or(first, |speed| bounded(speed * DISPATCH_SECONDS / f64::from(active)))
+        self.speed.map_or(first, |speed| {
+            bounded(speed * DISPATCH_SECONDS / f64::from(active))
+        })
     }
 
     /// Legs of which there is room to tell.
@@ -197,14 +211,20 @@ impl Relay for GpuRelay {
         if count == 0 {
             return Ok(Flown::default());
         }
-        let (device, real, room) = (Arc::clone(&self.device), precision.bytes(), self.room(course));
+        let (device, real, room) = (
+            Arc::clone(&self.device),
+            precision.bytes(),
+            self.room(course),
+        );
         let shape = Shape {
             trajectories: count,
             traces: course.traced * room * (dim + 1) * real,
         };
         let (bytes, limit) = ((self.state() * count * real) as u64, binding_limit(&device));
         let groups = device.device.limits().max_compute_workgroups_per_dimension;
-        if bytes.max(shape.traces as u64) > limit || count.div_ceil(WORKGROUP as usize) > groups as usize {
+        if bytes.max(shape.traces as u64) > limit
+            || count.div_ceil(WORKGROUP as usize) > groups as usize
+        {
             return Err(BackendError::TooLarge { bytes, limit });
         }
         let holds = |m: &Memory| m.shape.trajectories >= count && m.shape.traces >= shape.traces;
@@ -243,14 +263,17 @@ impl Relay for GpuRelay {
             (&memory.traces, shape.traces),
         ];
         let early = results.iter().map(|(_, bytes)| bytes).sum::<usize>() <= READ_EARLY;
-        let take =
-            |[counters, ends, rows]: [&[u8]; 3]| told(bytemuck::cast_slice(counters), ends, rows, precision, dim);
+        let take = |[counters, ends, rows]: [&[u8]; 3]| {
+            told(bytemuck::cast_slice(counters), ends, rows, precision, dim)
+        };
         let mut flown = None;
         let mut work = self.work(active);
         let mut speed = self.speed;
         while active > 0 {
             let before = Instant::now();
-            let repeats = (work / WORK.end()).ceil().clamp(LEAST_REPEATS, MOST_REPEATS);
+            let repeats = (work / WORK.end())
+                .ceil()
+                .clamp(LEAST_REPEATS, MOST_REPEATS);
             let control = [
                 active,
                 list,
@@ -294,14 +317,19 @@ impl Relay for GpuRelay {
                     },
                 )?
             } else {
-                read_back(&device, &memory.staging, encoder, [(&memory.remaining, 4)], |[b]| {
-                    number(b)
-                })?
+                read_back(
+                    &device,
+                    &memory.staging,
+                    encoder,
+                    [(&memory.remaining, 4)],
+                    |[b]| number(b),
+                )?
             };
             waits += 1;
             let seconds = before.elapsed().as_secs_f64();
             if 2 * left >= active {
-                // Where most went on this much was done; else the speed would be said to be higher than it is.
+                // Where most went on this much was done; else the speed would be said to be higher
+                // than it is.
                 speed = Some(work * f64::from(active) / seconds);
             }
             let share = f64::from(active) / f64::from(left.max(1));
@@ -340,12 +368,20 @@ impl Relay for GpuRelay {
 }
 
 /// Takes apart what the device wrote; see `shaders/legs.wgsl`.
-fn told(counters: &[u32], ends: &[u8], rows: &[u8], precision: Precision, dim: usize) -> Result<Flown, BackendError> {
+fn told(
+    counters: &[u32],
+    ends: &[u8],
+    rows: &[u8],
+    precision: Precision,
+    dim: usize,
+) -> Result<Flown, BackendError> {
     let count = counters.len() / COUNTERS;
     let field = |k: usize| &counters[k * count..][..count];
     let unwritten = |slot: &[u8]| slot.iter().all(|byte| *byte == 0xff);
     if let Some(slot) = ends.chunks_exact(precision.bytes()).position(unwritten) {
-        return Err(BackendError::Unwritten { index: slot % count });
+        return Err(BackendError::Unwritten {
+            index: slot % count,
+        });
     }
     let halt = (field(0).iter().enumerate())
         .map(|(index, code)| match *code {
@@ -358,7 +394,9 @@ fn told(counters: &[u32], ends: &[u8], rows: &[u8], precision: Precision, dim: u
         .collect::<Result<_, _>>()?;
     let ends = numbers(ends, precision);
     Ok(Flown {
-        end: (0..count * dim).map(|k| ends[(k % dim) * count + k / dim]).collect(),
+        end: (0..count * dim)
+            .map(|k| ends[(k % dim) * count + k / dim])
+            .collect(),
         time: ends[dim * count..].to_vec(),
         halt,
         leg: field(4).to_vec(),
@@ -374,6 +412,9 @@ fn numbers(bytes: &[u8], precision: Precision) -> Vec<f64> {
             .chunks_exact(4)
             .map(|b| f64::from(bytemuck::pod_read_unaligned::<f32>(b)))
             .collect(),
-        Precision::F64 => bytes.chunks_exact(8).map(bytemuck::pod_read_unaligned).collect(),
+        Precision::F64 => bytes
+            .chunks_exact(8)
+            .map(bytemuck::pod_read_unaligned)
+            .collect(),
     }
 }

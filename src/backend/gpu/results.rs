@@ -49,11 +49,15 @@ pub fn fill(
             RUNNING | UNWRITTEN | EVENT => None,
             code => Status::from_code(code as i32),
         }
-        .ok_or(BackendError::Unwritten { index: first + index })?;
+        .ok_or(BackendError::Unwritten {
+            index: first + index,
+        })?;
     }
     result.steps[first..first + count].copy_from_slice(field(2));
     result.rejected[first..first + count].copy_from_slice(field(3));
-    if let Some(slot) = (written.ends.chunks_exact(shape.real)).position(|slot| slot.iter().all(|byte| *byte == 0xff)) {
+    if let Some(slot) = (written.ends.chunks_exact(shape.real))
+        .position(|slot| slot.iter().all(|byte| *byte == 0xff))
+    {
         return Err(BackendError::Unwritten {
             index: first + slot % count,
         });

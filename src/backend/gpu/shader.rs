@@ -39,8 +39,12 @@ impl Source {
     /// # Errors
     /// The first error, with the fragment and its line.
     pub fn validate(&self, f64_arithmetic: bool) -> Result<(), BackendError> {
-        let module = naga::front::wgsl::parse_str(&self.text)
-            .map_err(|e| self.error(e.location(&self.text).map(|l| l.line_number), describe(&e, e.message())))?;
+        let module = naga::front::wgsl::parse_str(&self.text).map_err(|e| {
+            self.error(
+                e.location(&self.text).map(|l| l.line_number),
+                describe(&e, e.message()),
+            )
+        })?;
         let capabilities = if f64_arithmetic {
             naga::valid::Capabilities::FLOAT64 | naga::valid::Capabilities::SHADER_INT64
         } else {
@@ -85,14 +89,16 @@ fn describe(error: &dyn std::error::Error, message: &str) -> String {
     text
 }
 
-/// Keeps what lies between `//if NAMES` and `//end` where all NAMES are among the conditions; dropped lines stay as empty
-/// ones, so that line numbers are the file's.
+/// Keeps what lies between `//if NAMES` and `//end` where all NAMES are among the conditions;
+/// dropped lines stay as empty ones, so that line numbers are the file's.
 pub fn conditional(text: &str, conditions: &[&str]) -> String {
     let mut keep = true;
     let mut out = String::with_capacity(text.len());
     for line in text.lines() {
         if let Some(names) = line.strip_prefix("//if ") {
-            keep = names.split_whitespace().all(|name| conditions.contains(&name));
+            keep = names
+                .split_whitespace()
+                .all(|name| conditions.contains(&name));
         } else if line == "//end" {
             keep = true;
         } else if keep {

@@ -17,7 +17,12 @@ fn device() -> Device {
 const REAL: &str = include_str!("../../../shaders/real.wgsl");
 
 /// Values of a WGSL expression in `a` and `b` at points.
-fn evaluate(device: &Device, precision: Precision, expression: &str, points: &[(f64, f64)]) -> Vec<f64> {
+fn evaluate(
+    device: &Device,
+    precision: Precision,
+    expression: &str,
+    points: &[(f64, f64)],
+) -> Vec<f64> {
     let entry = format!(
         "@group(0) @binding(0) var<storage, read_write> data: array<real>;\n\
          @compute @workgroup_size(64)\nfn main(@builtin(global_invocation_id) id: vec3<u32>) {{\n\
@@ -44,18 +49,22 @@ fn evaluate(device: &Device, precision: Precision, expression: &str, points: &[(
         },
     ]);
     source.validate(device.info.f64_arithmetic).unwrap();
-    let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: None,
-        source: wgpu::ShaderSource::Wgsl(source.text.into()),
-    });
-    let pipeline = device.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: None,
-        layout: None,
-        module: &module,
-        entry_point: Some("main"),
-        compilation_options: Default::default(),
-        cache: None,
-    });
+    let module = device
+        .device
+        .create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: None,
+            source: wgpu::ShaderSource::Wgsl(source.text.into()),
+        });
+    let pipeline = device
+        .device
+        .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: None,
+            layout: None,
+            module: &module,
+            entry_point: Some("main"),
+            compilation_options: Default::default(),
+            cache: None,
+        });
     let bytes = reals(points.iter().flat_map(|(a, b)| [*a, *b]), precision);
     let buffer = |usage| {
         let size = bytes.len() as u64;
@@ -88,7 +97,10 @@ fn evaluate(device: &Device, precision: Precision, expression: &str, points: &[(
     encoder.copy_buffer_to_buffer(&data, 0, &staging, 0, bytes.len() as u64);
     device.queue.submit([encoder.finish()]);
     staging.map_async(wgpu::MapMode::Read, .., |outcome| outcome.unwrap());
-    device.device.poll(wgpu::PollType::wait_indefinitely()).unwrap();
+    device
+        .device
+        .poll(wgpu::PollType::wait_indefinitely())
+        .unwrap();
     device.check().unwrap();
     let view = staging.get_mapped_range(..).unwrap();
     let bytes: &[u8] = &view;
@@ -109,9 +121,19 @@ fn rounded(x: f64, precision: Precision) -> f64 {
     }
 }
 
-/// Largest error of a primitive over `points` in units of rounding of the exact value (or of `floor`), and where.
-fn worst(device: &Device, precision: Precision, f: Primitive, points: &[f64], floor: f64) -> (f64, f64) {
-    let points: Vec<(f64, f64)> = points.iter().map(|x| (rounded(*x, precision), 0.0)).collect();
+/// Largest error of a primitive over `points` in units of rounding of the exact value (or of
+/// `floor`), and where.
+fn worst(
+    device: &Device,
+    precision: Precision,
+    f: Primitive,
+    points: &[f64],
+    floor: f64,
+) -> (f64, f64) {
+    let points: Vec<(f64, f64)> = points
+        .iter()
+        .map(|x| (rounded(*x, precision), 0.0))
+        .collect();
     let got = evaluate(device, precision, &format!("{}(a)", primitive(f)), &points);
     let mut most = (0.0, 0.0);
     for ((x, _), got) in points.iter().zip(got) {
@@ -126,7 +148,9 @@ fn worst(device: &Device, precision: Precision, f: Primitive, points: &[f64], fl
 }
 
 fn grid(lo: f64, hi: f64) -> Vec<f64> {
-    (0..=20_000).map(|i| lo + (hi - lo) * f64::from(i) / 20_000.0).collect()
+    (0..=20_000)
+        .map(|i| lo + (hi - lo) * f64::from(i) / 20_000.0)
+        .collect()
 }
 
 fn accuracy(precision: Precision) {
@@ -155,7 +179,9 @@ fn accuracy(precision: Precision) {
     let failed: Vec<String> = (cases.iter())
         .map(|(f, points, floor, bound)| (f, worst(&device, precision, *f, points, *floor), bound))
         .filter(|(_, (error, _), bound)| *error >= **bound)
-        .map(|(f, (error, x), bound)| format!("{f:?}: {error:.3e} units of rounding at {x:e}, allowed {bound}"))
+        .map(|(f, (error, x), bound)| {
+            format!("{f:?}: {error:.3e} units of rounding at {x:e}, allowed {bound}")
+        })
         .collect();
     assert!(failed.is_empty(), "{}", failed.join("\n"));
 }
@@ -177,7 +203,10 @@ fn special_values_are_kept() {
     for precision in [Precision::F32, Precision::F64] {
         let check = |expression: &str, cases: &[(f64, f64, f64)]| {
             let points: Vec<(f64, f64)> = cases.iter().map(|(a, b, _)| (*a, *b)).collect();
-            for (got, (a, b, want)) in evaluate(&device, precision, expression, &points).iter().zip(cases) {
+            for (got, (a, b, want)) in evaluate(&device, precision, expression, &points)
+                .iter()
+                .zip(cases)
+            {
                 let same = got == want || (got.is_nan() && want.is_nan());
                 assert!(
                     same,
@@ -197,7 +226,12 @@ fn special_values_are_kept() {
         );
         check(
             "expm1_(a)",
-            &[(inf, 0.0, inf), (-inf, 0.0, -1.0), (nan, 0.0, nan), (0.0, 0.0, 0.0)],
+            &[
+                (inf, 0.0, inf),
+                (-inf, 0.0, -1.0),
+                (nan, 0.0, nan),
+                (0.0, 0.0, 0.0),
+            ],
         );
         check(
             "logarithm(a)",
@@ -211,18 +245,40 @@ fn special_values_are_kept() {
         );
         check(
             "log1p_(a)",
-            &[(inf, 0.0, inf), (-1.0, 0.0, -inf), (-2.0, 0.0, nan), (nan, 0.0, nan)],
+            &[
+                (inf, 0.0, inf),
+                (-1.0, 0.0, -inf),
+                (-2.0, 0.0, nan),
+                (nan, 0.0, nan),
+            ],
         );
         check("arctangent(a)", &[(nan, 0.0, nan), (0.0, 0.0, 0.0)]);
         let half_pi = rounded(std::f64::consts::FRAC_PI_2, precision);
-        check("arctangent(a)", &[(inf, 0.0, half_pi), (-inf, 0.0, -half_pi)]);
-        check("sine(a)", &[(nan, 0.0, nan), (inf, 0.0, nan), (-inf, 0.0, nan)]);
-        check("cosine(a)", &[(nan, 0.0, nan), (inf, 0.0, nan), (0.0, 0.0, 1.0)]);
+        check(
+            "arctangent(a)",
+            &[(inf, 0.0, half_pi), (-inf, 0.0, -half_pi)],
+        );
+        check(
+            "sine(a)",
+            &[(nan, 0.0, nan), (inf, 0.0, nan), (-inf, 0.0, nan)],
+        );
+        check(
+            "cosine(a)",
+            &[(nan, 0.0, nan), (inf, 0.0, nan), (0.0, 0.0, 1.0)],
+        );
         check(
             "sign_(a)",
-            &[(nan, 0.0, nan), (0.0, 0.0, 0.0), (inf, 0.0, 1.0), (-inf, 0.0, -1.0)],
+            &[
+                (nan, 0.0, nan),
+                (0.0, 0.0, 0.0),
+                (inf, 0.0, 1.0),
+                (-inf, 0.0, -1.0),
+            ],
         );
-        check("step_(a)", &[(0.0, 0.0, 0.0), (inf, 0.0, 1.0), (-1.0, 0.0, 0.0)]);
+        check(
+            "step_(a)",
+            &[(0.0, 0.0, 0.0), (inf, 0.0, 1.0), (-1.0, 0.0, 0.0)],
+        );
         let pairs = [
             (nan, 1.0, nan),
             (1.0, nan, nan),
@@ -265,7 +321,7 @@ fn shader_errors_name_fragment_and_line() {
     };
     let good = "fn twice(x: f32) -> f32 {\n    return x + x;\n}\n";
     for (bad, wanted) in [
-        ("fn f() -> f32 {\n    return twice(1.0)\n}\n", 3),   // does not parse
+        ("fn f() -> f32 {\n    return twice(1.0)\n}\n", 3), // does not parse
         ("fn f() -> f32 {\n    return thrice(1.0);\n}\n", 2), // unknown name
         ("\n\nfn f() -> f32 {\n    return twice(1u);\n}\n", 3), // wrong type: told of the function
     ] {
@@ -286,11 +342,21 @@ fn shader_errors_name_fragment_and_line() {
             other => panic!("{bad:?} gave {other:?}"),
         }
     }
-    assert!(Source::new(&[fragment("first", good)]).validate(false).is_ok());
+    assert!(
+        Source::new(&[fragment("first", good)])
+            .validate(false)
+            .is_ok()
+    );
     // A capability that was not asked for; the type has no place of its own in the text.
-    let double = Source::new(&[fragment("model", "fn f(x: f64) -> f64 {\n    return x;\n}\n")]);
+    let double = Source::new(&[fragment(
+        "model",
+        "fn f(x: f64) -> f64 {\n    return x;\n}\n",
+    )]);
     assert!(double.validate(true).is_ok());
-    assert!(matches!(double.validate(false), Err(BackendError::Shader { .. })));
+    assert!(matches!(
+        double.validate(false),
+        Err(BackendError::Shader { .. })
+    ));
 }
 
 #[test]
@@ -315,6 +381,9 @@ fn literals_give_the_same_number() {
             x
         );
         let number = text::literal(x, Precision::F32);
-        assert_eq!(number.trim_matches(['(', ')']).parse::<f32>().unwrap(), x as f32);
+        assert_eq!(
+            number.trim_matches(['(', ')']).parse::<f32>().unwrap(),
+            x as f32
+        );
     }
 }

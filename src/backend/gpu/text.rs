@@ -1,4 +1,5 @@
-//! WGSL text that every module is made of: numbers, the constants of the elementary functions, programs.
+//! WGSL text that every module is made of: numbers, the constants of the elementary functions,
+//! programs.
 
 use crate::backend::constants::Constants;
 use crate::model::Precision;
@@ -137,7 +138,9 @@ pub fn function(name: &str, program: &Program, output: &str, precision: Precisio
                 value.push(format!("pair{i}.sine"));
                 continue;
             }
-            Instr::Call(Primitive::Cos, a) if i > 0 && program.code[i - 1] == Instr::Call(Primitive::Sin, a) => {
+            Instr::Call(Primitive::Cos, a)
+                if i > 0 && program.code[i - 1] == Instr::Call(Primitive::Sin, a) =>
+            {
                 value.push(format!("pair{}.cosine", i - 1));
                 continue;
             }
@@ -146,7 +149,11 @@ pub fn function(name: &str, program: &Program, output: &str, precision: Precisio
         let _ = writeln!(text, "    let v{i}: real = {expression};");
         value.push(format!("v{i}"));
     }
-    let outputs: Vec<&str> = program.outputs.iter().map(|o| value[*o as usize].as_str()).collect();
+    let outputs: Vec<&str> = program
+        .outputs
+        .iter()
+        .map(|o| value[*o as usize].as_str())
+        .collect();
     let _ = writeln!(text, "    return {output}({});\n}}", outputs.join(", "));
     text
 }

@@ -25,8 +25,8 @@ const STRIDE: u64 = 1 << 20;
 /// What moves the disturbance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DisturbanceKind {
-    /// Band-limited noise: eight sinusoids of equal size, one in each part of the band (even on a logarithmic scale), with random
-    /// frequencies and phases.
+    /// Band-limited noise: eight sinusoids of equal size, one in each part of the band (even on a
+    /// logarithmic scale), with random frequencies and phases.
     Random,
     /// One sinusoid, its frequency anywhere in the band.
     Sinusoidal,
@@ -42,7 +42,10 @@ impl DisturbanceKind {
     ];
 
     pub fn name(self) -> &'static str {
-        Self::ALL.iter().find(|(_, k)| *k == self).map_or("?", |(n, _)| n)
+        Self::ALL
+            .iter()
+            .find(|(_, k)| *k == self)
+            .map_or("?", |(n, _)| n)
     }
 }
 
@@ -53,7 +56,8 @@ pub struct Cases {
     /// `[case][state]`.
     pub x0: Vec<f64>,
     pub states: usize,
-    /// `[case][disturbance]`: that of the sinusoid, or sqrt(2) times the root mean square of the noise; NaN for the worst case.
+    /// `[case][disturbance]`: that of the sinusoid, or sqrt(2) times the root mean square of the
+    /// noise; NaN for the worst case.
     pub amplitude: Vec<f64>,
     /// `[case][disturbance]`: none for the worst case.
     pub waves: Vec<Vec<Wave>>,
@@ -77,11 +81,13 @@ impl Cases {
 
     /// The disturbances that a scene asks for, and the band of their frequencies.
     ///
-    /// The worst case once from each initial state but the equilibrium (where w* = 0), for at most a third of all; the rest are
-    /// random and sinusoidal by turns, every other one of both from the equilibrium, where the inequality is the L2 gain itself.
+    /// The worst case once from each initial state but the equilibrium (where w* = 0), for at most
+    /// a third of all; the rest are random and sinusoidal by turns, every other one of both from
+    /// the equilibrium, where the inequality is the L2 gain itself.
     ///
     /// # Errors
-    /// [`LoopError::NoRates`], [`LoopError::NoAmplitude`], [`LoopError::NoStates`], [`LoopError::NoCount`].
+    /// [`LoopError::NoRates`], [`LoopError::NoAmplitude`], [`LoopError::NoStates`],
+    /// [`LoopError::NoCount`].
     pub(super) fn draw(
         laws: &Laws<'_>,
         asked: &model::Dissipation,
@@ -95,8 +101,12 @@ impl Cases {
                 .into_iter()
                 .flat_map(|r| r.eigenvalues.iter().map(|e| e.norm()))
         };
-        let [slow, fast] = [sizes().fold(f64::INFINITY, f64::min), sizes().fold(0.0, f64::max)];
-        let auto = (slow > 0.0 && fast > 0.0 && slow.is_finite()).then(|| [BAND[0] * slow, BAND[1] * fast]);
+        let [slow, fast] = [
+            sizes().fold(f64::INFINITY, f64::min),
+            sizes().fold(0.0, f64::max),
+        ];
+        let auto = (slow > 0.0 && fast > 0.0 && slow.is_finite())
+            .then(|| [BAND[0] * slow, BAND[1] * fast]);
         let band = (asked.frequencies.or(auto)).ok_or(LoopError::NoRates { key: "frequencies" })?;
         // As many states as disturbances from each.
         let spread = || spread(model, certificate, asked.disturbances.isqrt().max(2), seed);
@@ -146,7 +156,14 @@ impl Cases {
         Ok((this, band))
     }
 
-    fn push(&mut self, kind: DisturbanceKind, x0: &[f64], largest: &[f64], [low, high]: [f64; 2], seed: u64) {
+    fn push(
+        &mut self,
+        kind: DisturbanceKind,
+        x0: &[f64],
+        largest: &[f64],
+        [low, high]: [f64; 2],
+        seed: u64,
+    ) {
         let case = self.count();
         let frequency = |share: f64| low * (high / low).powf(share);
         let waves: Vec<Vec<Wave>> = (largest.iter().enumerate())
@@ -208,7 +225,9 @@ fn largest(laws: &Laws<'_>, certificate: &Certificate<'_>, states: &[f64]) -> Ve
     let n = h.states();
     let stride = (states.len() / n).div_ceil(LOOKED_AT).max(1);
     for x in states.chunks_exact(n).step_by(stride) {
-        let Some((_, p)) = certificate.local(x) else { continue };
+        let Some((_, p)) = certificate.local(x) else {
+            continue;
+        };
         values.extend(h.x.iter().copied().zip(x.iter().copied()));
         values.extend(h.p.iter().copied().zip(p));
         for (most, w) in most.iter_mut().zip(h.graph.eval(&h.disturbance, &values)) {

@@ -14,7 +14,10 @@ const ROUNDING: f64 = 1e-10;
 /// A value function that is to certify a gain.
 pub enum Certificate<'c> {
     /// `1/2 s'P s` in deviations s: of a linear scene with a quadratic cost, where it is exact.
-    Quadratic { p: DMatrix<f64>, reference: Vec<f64> },
+    Quadratic {
+        p: DMatrix<f64>,
+        reference: Vec<f64>,
+    },
     /// Interpolated; at initial states also solved for, where there is a [`Solver`].
     Chart(&'c dyn Chart, Option<Solver<'c>>),
 }
@@ -48,8 +51,14 @@ impl<'c> Certificate<'c> {
     ///
     /// # Errors
     /// [`LoopError::NoValue`].
-    pub fn of(laws: &Laws<'_>, chart: Option<&'c dyn Chart>, solver: Option<Solver<'c>>) -> Result<Self, LoopError> {
-        let exact = laws.riccati().filter(|_| is_linear(laws.model, laws.hamiltonian));
+    pub fn of(
+        laws: &Laws<'_>,
+        chart: Option<&'c dyn Chart>,
+        solver: Option<Solver<'c>>,
+    ) -> Result<Self, LoopError> {
+        let exact = laws
+            .riccati()
+            .filter(|_| is_linear(laws.model, laws.hamiltonian));
         let exact = exact.map(|r| &r.p).filter(|p| is_nonnegative(p));
         match (exact, chart) {
             (Some(p), _) => Ok(Self::Quadratic {
@@ -112,11 +121,16 @@ impl<'c> Certificate<'c> {
             .collect()
     }
 
-    /// V at initial states (`[case][n]`, many of them the same) and where it is from. At the equilibrium V = 0 by definition.
+    /// V at initial states (`[case][n]`, many of them the same) and where it is from. At the
+    /// equilibrium V = 0 by definition.
     ///
     /// # Errors
     /// What solving gives.
-    pub(super) fn initial(&self, x: &[f64], reference: &[f64]) -> Result<(Vec<f64>, Vec<Origin>), LoopError> {
+    pub(super) fn initial(
+        &self,
+        x: &[f64],
+        reference: &[f64],
+    ) -> Result<(Vec<f64>, Vec<Origin>), LoopError> {
         let n = reference.len();
         let mut number: HashMap<Vec<u64>, usize> = HashMap::new();
         let mut states = Vec::new();
@@ -140,7 +154,9 @@ impl<'c> Certificate<'c> {
         let mut origin: Vec<Origin> = (v.iter())
             .map(|v| if v.is_nan() { Origin::Unknown } else { plain })
             .collect();
-        let wanted: Vec<usize> = (0..v.len()).filter(|k| origin[*k] == Origin::Interpolated).collect();
+        let wanted: Vec<usize> = (0..v.len())
+            .filter(|k| origin[*k] == Origin::Interpolated)
+            .collect();
         let (rest, wanted): (Vec<usize>, Vec<usize>) =
             (wanted.into_iter()).partition(|k| states[k * n..][..n] == *reference);
         for k in rest {
@@ -149,7 +165,11 @@ impl<'c> Certificate<'c> {
         if let Self::Chart(_, Some(solve)) = self
             && (1..=MOST_SOLVED).contains(&wanted.len())
         {
-            let asked: Vec<f64> = wanted.iter().flat_map(|k| &states[k * n..][..n]).copied().collect();
+            let asked: Vec<f64> = wanted
+                .iter()
+                .flat_map(|k| &states[k * n..][..n])
+                .copied()
+                .collect();
             for (k, solved) in wanted.into_iter().zip(solve(&asked)?) {
                 if !solved.is_nan() {
                     (v[k], origin[k]) = (solved, Origin::Solved);
@@ -173,11 +193,20 @@ impl<'c> Certificate<'c> {
 
 /// Whether the bicharacteristics are linear everywhere, so that the local solution is V.
 fn is_linear(model: &Model, hamiltonian: &Hamiltonian) -> bool {
-    if model.controls.iter().any(|c| c.min.is_some() || c.max.is_some()) {
+    if model
+        .controls
+        .iter()
+        .any(|c| c.min.is_some() || c.max.is_some())
+    {
         return false;
     }
     let mut graph = hamiltonian.graph.clone();
-    let variables: Vec<Id> = hamiltonian.x.iter().chain(&hamiltonian.p).copied().collect();
+    let variables: Vec<Id> = hamiltonian
+        .x
+        .iter()
+        .chain(&hamiltonian.p)
+        .copied()
+        .collect();
     let rates: Vec<Id> = (hamiltonian.state_rate.iter())
         .chain(&hamiltonian.adjoint_rate)
         .copied()

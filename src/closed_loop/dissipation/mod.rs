@@ -1,20 +1,22 @@
 //! The L2 gain that a value function certifies, checked by simulation.
 //!
-//! The running cost of a game splits into what the disturbance does and what it pays for: with `l(x, u) = L(x, u, 0)` and the supply
-//! `s(x, u, w) = L(x, u, 0) - L(x, u, w)` (for `L = 1/2 |z|^2 - 1/2 gamma^2 |w|^2` it is `1/2 gamma^2 |w|^2`). V that solves the
-//! Isaacs equation is a storage function (van der Schaft, IEEE Trans. Automatic Control 37, 1992): under u* and *every* w that keeps
-//! the state where V is known, at all times T
+//! The running cost of a game splits into what the disturbance does and what it pays for: with
+//! `l(x, u) = L(x, u, 0)` and the supply `s(x, u, w) = L(x, u, 0) - L(x, u, w)` (for `L = 1/2 |z|^2
+//! - 1/2 gamma^2 |w|^2` it is `1/2 gamma^2 |w|^2`). V that solves the Isaacs equation is a storage
+//! function (van der Schaft, IEEE Trans. Automatic Control 37, 1992): under u* and *every* w that
+//! keeps the state where V is known, at all times T
 //!
 //! ```text
 //! E(T) + V(x(T)) <= W(T) + V(x(0)),    E = int_0^T l dt,    W = int_0^T s dt,
 //! ```
 //!
-//! with equality for `w = w*(x, p)`; so `E/(W + V(x(0))) <= 1`, the gain, in whatever factors the scene writes its cost. Nothing of this
-//! is used here: laws are flown under random, sinusoidal and worst-case disturbances, E and W are integrated beside the state, and the
-//! inequality is looked at whenever V is known. A law that is not good enough, or a V that is none, is found out.
+//! with equality for `w = w*(x, p)`; so `E/(W + V(x(0))) <= 1`, the gain, in whatever factors the
+//! scene writes its cost. Nothing of this is used here: laws are flown under random, sinusoidal and
+//! worst-case disturbances, E and W are integrated beside the state, and the inequality is looked
+//! at whenever V is known. A law that is not good enough, or a V that is none, is found out.
 //!
-//! The gain needs V at initial states only, which are solved for; the sharper inequality needs V along trajectories, where the map's
-//! errors count. Both are told apart.
+//! The gain needs V at initial states only, which are solved for; the sharper inequality needs V
+//! along trajectories, where the map's errors count. Both are told apart.
 
 mod cases;
 mod certificate;
@@ -41,9 +43,11 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 use verdict::Track;
 
-/// Relative violation below which the inequality is taken to hold: what is left of integration errors.
+/// Relative violation below which the inequality is taken to hold: what is left of integration
+/// errors.
 pub const TOLERANCE: f64 = 1e-6;
-/// Relative tolerance of the integration unless the scene's is tighter, so that its errors are far below [`TOLERANCE`].
+/// Relative tolerance of the integration unless the scene's is tighter, so that its errors are far
+/// below [`TOLERANCE`].
 const RTOL: f64 = 1e-9;
 /// Trajectories of each kind that are kept whole.
 const KEPT: usize = 2;
@@ -74,7 +78,11 @@ pub struct Dissipation {
 ///
 /// # Errors
 /// [`LoopError::NoRates`].
-pub fn flight(model: &Model, asked: &model::Dissipation, riccati: Option<&Riccati>) -> Result<ClosedLoop, LoopError> {
+pub fn flight(
+    model: &Model,
+    asked: &model::Dissipation,
+    riccati: Option<&Riccati>,
+) -> Result<ClosedLoop, LoopError> {
     let slowest = riccati.map(closed_loop_margin).filter(|rate| *rate > 0.0);
     let auto = slowest.map(|rate| TIME_CONSTANTS / rate);
     let scene = model.closed_loop.as_ref();
@@ -102,7 +110,8 @@ pub fn flight(model: &Model, asked: &model::Dissipation, riccati: Option<&Riccat
     })
 }
 
-/// Flies `chosen` laws under the disturbances that a scene asks for. `flight` is of [`flight`]; `choices` has the seed.
+/// Flies `chosen` laws under the disturbances that a scene asks for. `flight` is of [`flight`];
+/// `choices` has the seed.
 ///
 /// # Errors
 /// Where disturbances cannot be drawn; what [`Setting::new`] and [`Setting::simulate`] give.
@@ -159,7 +168,8 @@ impl Dissipation {
         let forcing = Forcing {
             quadratic: certificate.matrix().cloned(),
         };
-        let mut simulator = Simulator::new(setting, law, Some(&forcing), certificate.chart(), backend)?;
+        let mut simulator =
+            Simulator::new(setting, law, Some(&forcing), certificate.chart(), backend)?;
         let clock = Instant::now();
         let cases = &self.cases;
         let mut tracks: Vec<Track> = self.v0.iter().map(|v| Track::new(*v)).collect();
@@ -176,11 +186,16 @@ impl Dissipation {
         let flights = simulator.fly(starts, certificate.chart(), Some(&mut watch))?;
         let mut result = LawCheck::new(law, setting, self, certificate, &tracks, flights.status);
         result.seconds = clock.elapsed().as_secs_f64();
-        // Flown again rather than all of them kept: what a trajectory is does not depend on its batch.
+        // Flown again rather than all of them kept: what a trajectory is does not depend on its
+        // batch.
         let (n, width) = (cases.states, cases.forcing.len() / cases.count());
         let kept = result.closest(cases, KEPT);
         let of = |values: &[f64], width: usize| -> Vec<f64> {
-            (kept.iter().flat_map(|i| &values[i * width..(i + 1) * width]).copied()).collect()
+            (kept
+                .iter()
+                .flat_map(|i| &values[i * width..(i + 1) * width])
+                .copied())
+            .collect()
         };
         let (x, forcing) = (of(&cases.x0, n), of(&cases.forcing, width));
         let all: Vec<usize> = (0..kept.len()).collect();
@@ -204,7 +219,9 @@ impl Dissipation {
         let mut counts = BTreeMap::new();
         for status in &law.status {
             let name = self.status_flags.iter().find(|(code, _)| code == status);
-            *counts.entry(name.map_or("unknown", |(_, n)| n.as_str())).or_default() += 1;
+            *counts
+                .entry(name.map_or("unknown", |(_, n)| n.as_str()))
+                .or_default() += 1;
         }
         counts
     }

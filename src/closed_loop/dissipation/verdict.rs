@@ -58,7 +58,8 @@ impl Track {
     }
 }
 
-/// One law under all disturbances; every list is `[case]`, NaN where V is not known at the initial state.
+/// One law under all disturbances; every list is `[case]`, NaN where V is not known at the initial
+/// state.
 #[derive(Clone, Debug, Default)]
 pub struct LawCheck {
     pub name: String,
@@ -72,7 +73,8 @@ pub struct LawCheck {
     pub ratio: Vec<f64>,
     /// Largest (E + V(x(t)) - W - V(x(0)))/(W + V(x(0))) over the stored times.
     pub violation: Vec<f64>,
-    /// Of a violation beyond [`TOLERANCE`], what the estimated errors of V at its place and the initial state explain; else NaN.
+    /// Of a violation beyond [`TOLERANCE`], what the estimated errors of V at its place and the
+    /// initial state explain; else NaN.
     pub explained: Vec<f64>,
     /// The last time at which V was known.
     pub t_end: Vec<f64>,
@@ -96,7 +98,8 @@ pub struct Summary {
     pub left: usize,
     pub median_ratio: f64,
     pub worst_ratio: f64,
-    /// Ratios above 1 by more than [`TOLERANCE`]: the gain is not kept, whatever V is along the trajectory.
+    /// Ratios above 1 by more than [`TOLERANCE`]: the gain is not kept, whatever V is along the
+    /// trajectory.
     pub exceeded: usize,
     pub worst_violation: f64,
     /// Violations beyond [`TOLERANCE`], and those beyond what errors of V explain besides.
@@ -158,7 +161,9 @@ impl LawCheck {
     fn judged(&self, cases: &Cases, kind: DisturbanceKind) -> Vec<usize> {
         (0..cases.count())
             // Of one that ends at once nothing was seen.
-            .filter(|k| cases.kind[*k] == kind && !self.ratio[*k].is_nan() && !self.violation[*k].is_nan())
+            .filter(|k| {
+                cases.kind[*k] == kind && !self.ratio[*k].is_nan() && !self.violation[*k].is_nan()
+            })
             .collect()
     }
 
@@ -168,7 +173,11 @@ impl LawCheck {
             let own = self.judged(cases, kind);
             let mut ratios: Vec<f64> = own.iter().map(|k| self.ratio[*k]).collect();
             ratios.sort_by(f64::total_cmp);
-            let violated: Vec<usize> = (own.iter().copied().filter(|k| self.violation[*k] > TOLERANCE)).collect();
+            let violated: Vec<usize> = (own
+                .iter()
+                .copied()
+                .filter(|k| self.violation[*k] > TOLERANCE))
+            .collect();
             let explains = |k: &usize| self.violation[*k] <= TOLERANCE + self.explained[*k];
             let quantile = |share: f64| match ratios.is_empty() {
                 true => f64::NAN,
@@ -184,7 +193,10 @@ impl LawCheck {
                     .count(),
                 median_ratio: quantile(0.5),
                 worst_ratio: quantile(1.0),
-                worst_violation: own.iter().map(|k| self.violation[*k]).fold(f64::NAN, f64::max),
+                worst_violation: own
+                    .iter()
+                    .map(|k| self.violation[*k])
+                    .fold(f64::NAN, f64::max),
                 exceeded: ratios.iter().filter(|r| **r > 1.0 + TOLERANCE).count(),
                 unexplained: violated.iter().filter(|k| !explains(k)).count(),
                 violated: violated.len(),
@@ -194,14 +206,16 @@ impl LawCheck {
         all.filter(|s| s.count > 0).collect()
     }
 
-    /// Whether the gain was kept by all, E <= W + V(x(0)) up to [`TOLERANCE`]; and what came of it in words.
+    /// Whether the gain was kept by all, E <= W + V(x(0)) up to [`TOLERANCE`]; and what came of it
+    /// in words.
     pub fn verdict(&self, cases: &Cases) -> (bool, String) {
         let all = self.summaries(cases);
         let sum = |of: fn(&Summary) -> usize| all.iter().map(of).sum::<usize>();
         let (judged, exceeded) = (sum(|s| s.judged), sum(|s| s.exceeded));
         let closest = all.iter().filter(|s| s.judged > 0);
         let Some(closest) = closest.max_by(|a, b| a.worst_ratio.total_cmp(&b.worst_ratio)) else {
-            let text = "nothing could be judged: V is known at no initial state, or no further than there";
+            let text =
+                "nothing could be judged: V is known at no initial state, or no further than there";
             return (false, text.to_owned());
         };
         let ratio = ratio_text(closest.worst_ratio);
@@ -211,7 +225,10 @@ impl LawCheck {
         };
         let close = match closest.kind {
             DisturbanceKind::Worst => format!("the worst case comes closest (ratio {ratio})"),
-            kind if all.iter().any(|s| s.kind == DisturbanceKind::Worst && s.judged > 0) => {
+            kind if all
+                .iter()
+                .any(|s| s.kind == DisturbanceKind::Worst && s.judged > 0) =>
+            {
                 format!(
                     "NOT the worst case but a {} disturbance comes closest (ratio {ratio})",
                     kind.name()
@@ -219,7 +236,10 @@ impl LawCheck {
             }
             _ => format!("largest ratio {ratio}"),
         };
-        let worst = all.iter().map(|s| s.worst_violation).fold(f64::NAN, f64::max);
+        let worst = all
+            .iter()
+            .map(|s| s.worst_violation)
+            .fold(f64::NAN, f64::max);
         let sharper = match (sum(|s| s.violated), sum(|s| s.unexplained)) {
             (0, _) => format!("nor with V(x(t)) beside E (largest {worst:.1e})"),
             (violated, 0) => format!(

@@ -6,7 +6,11 @@ use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
 use crate::model::Model;
 
 /// The groups that a check writes, and replaces where a file has them.
-pub const GROUPS: [&str; 3] = ["dissipation", "dissipation_kinds", "dissipation_trajectories"];
+pub const GROUPS: [&str; 3] = [
+    "dissipation",
+    "dissipation_kinds",
+    "dissipation_trajectories",
+];
 
 impl Dissipation {
     /// Writes all groups.
@@ -29,15 +33,23 @@ impl Dissipation {
 
     fn write_cases(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
         let both = ["law", "case"];
-        let kinds = (0..).zip(DisturbanceKind::ALL).map(|(k, (name, _))| (k, name));
+        let kinds = (0..)
+            .zip(DisturbanceKind::ALL)
+            .map(|(k, (name, _))| (k, name));
         let states = model.states.iter().map(|s| s.variable.name.as_str());
         let disturbances = model.disturbances.iter().map(|w| w.name.as_str());
         type Column = (&'static str, &'static str, fn(&LawCheck) -> &Vec<f64>);
         let columns: [Column; 7] = [
             ("E_z", "integral of L(x, u, 0) up to t_end", |l| &l.done),
-            ("W", "integral of L(x, u, 0) - L(x, u, w) up to t_end", |l| &l.supplied),
+            (
+                "W",
+                "integral of L(x, u, 0) - L(x, u, w) up to t_end",
+                |l| &l.supplied,
+            ),
             ("V_end", "value function at t_end", |l| &l.v_end),
-            ("ratio", "largest E_z/(W + V0) over the stored times", |l| &l.ratio),
+            ("ratio", "largest E_z/(W + V0) over the stored times", |l| {
+                &l.ratio
+            }),
             (
                 "violation",
                 "largest (E_z + V - W - V0)/(W + V0) over the stored times",
@@ -57,9 +69,17 @@ impl Dissipation {
             .dimension(Dimension::names("disturbance", disturbances))
             .variable(Variable::i32("kind", ["case"]).flags(kinds))
             .variable(Variable::f64("x0", ["case", "state"]).long_name("initial state"))
-            .variable(Variable::f64("V0", ["case"]).long_name("value function at the initial state"))
-            .variable(Variable::i32("V0_from", ["case"]).flags((0..).zip(Origin::ALL).map(|(k, (name, _))| (k, name))))
-            .variable(Variable::f64("amplitude", ["case", "disturbance"]).long_name("amplitude of the disturbance"))
+            .variable(
+                Variable::f64("V0", ["case"]).long_name("value function at the initial state"),
+            )
+            .variable(
+                Variable::i32("V0_from", ["case"])
+                    .flags((0..).zip(Origin::ALL).map(|(k, (name, _))| (k, name))),
+            )
+            .variable(
+                Variable::f64("amplitude", ["case", "disturbance"])
+                    .long_name("amplitude of the disturbance"),
+            )
             .variable(Variable::i32("status", both).flags(self.status_flags.clone()))
             .attribute("value_function", self.value)
             .attribute("final_time", self.final_time)
@@ -75,13 +95,24 @@ impl Dissipation {
             group = group.variable(Variable::f64(name, both).long_name(long_name));
         }
         let mut writer = file.group(&group)?;
-        let place =
-            |kind: &DisturbanceKind| DisturbanceKind::ALL.iter().position(|(_, k)| k == kind).unwrap_or(0) as i32;
-        writer.write("kind", &self.cases.kind.iter().map(place).collect::<Vec<i32>>())?;
+        let place = |kind: &DisturbanceKind| {
+            DisturbanceKind::ALL
+                .iter()
+                .position(|(_, k)| k == kind)
+                .unwrap_or(0) as i32
+        };
+        writer.write(
+            "kind",
+            &self.cases.kind.iter().map(place).collect::<Vec<i32>>(),
+        )?;
         writer.write("x0", &self.cases.x0)?;
         writer.write("V0", &self.v0)?;
-        let origin = |from: &Origin| Origin::ALL.iter().position(|(_, o)| o == from).unwrap_or(0) as i32;
-        writer.write("V0_from", &self.origin.iter().map(origin).collect::<Vec<i32>>())?;
+        let origin =
+            |from: &Origin| Origin::ALL.iter().position(|(_, o)| o == from).unwrap_or(0) as i32;
+        writer.write(
+            "V0_from",
+            &self.origin.iter().map(origin).collect::<Vec<i32>>(),
+        )?;
         writer.write("amplitude", &self.cases.amplitude)?;
         let status: Vec<i32> = self.laws.iter().flat_map(|l| &l.status).copied().collect();
         writer.write("status", &status)?;
@@ -103,7 +134,10 @@ impl Dissipation {
             ("median_ratio", "median of E_z/(W + V0)"),
             ("worst_ratio", "largest E_z/(W + V0)"),
             ("exceeded", "ratios above 1 beyond the tolerance"),
-            ("worst_violation", "largest relative violation of the inequality"),
+            (
+                "worst_violation",
+                "largest relative violation of the inequality",
+            ),
             ("violated", "violations beyond the tolerance"),
             (
                 "unexplained",
@@ -111,19 +145,38 @@ impl Dissipation {
             ),
         ];
         let rows: Vec<_> = (self.laws.iter())
-            .flat_map(|l| l.summaries(&self.cases).into_iter().map(|s| (l.name.as_str(), s)))
+            .flat_map(|l| {
+                l.summaries(&self.cases)
+                    .into_iter()
+                    .map(|s| (l.name.as_str(), s))
+            })
             .collect();
         let mut group = Group::new("dissipation_kinds")
             .dimension(Dimension::index("row", rows.len()))
-            .variable(Variable::text("law", "row", rows.iter().map(|(law, _)| *law)))
-            .variable(Variable::text("kind", "row", rows.iter().map(|(_, s)| s.kind.name())));
+            .variable(Variable::text(
+                "law",
+                "row",
+                rows.iter().map(|(law, _)| *law),
+            ))
+            .variable(Variable::text(
+                "kind",
+                "row",
+                rows.iter().map(|(_, s)| s.kind.name()),
+            ));
         for (name, long_name) in COLUMNS {
             group = group.variable(Variable::f64(name, ["row"]).unit("1").long_name(long_name));
         }
         let mut writer = file.group(&group)?;
         let row = |s: &Summary| {
-            let [count, judged, left, exceeded, violated, unexplained] =
-                [s.count, s.judged, s.left, s.exceeded, s.violated, s.unexplained].map(|c| c as f64);
+            let [count, judged, left, exceeded, violated, unexplained] = [
+                s.count,
+                s.judged,
+                s.left,
+                s.exceeded,
+                s.violated,
+                s.unexplained,
+            ]
+            .map(|c| c as f64);
             let [median, worst, violation] = [s.median_ratio, s.worst_ratio, s.worst_violation];
             [
                 count,
@@ -146,11 +199,17 @@ impl Dissipation {
 
     fn write_paths(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
         let paths: Vec<(usize, &Path, &Vec<f64>)> = (self.laws.iter().enumerate())
-            .flat_map(|(k, l)| l.paths.iter().zip(&l.path_values).map(move |(p, v)| (k, p, v)))
+            .flat_map(|(k, l)| {
+                l.paths
+                    .iter()
+                    .zip(&l.path_values)
+                    .map(move |(p, v)| (k, p, v))
+            })
             .collect();
         let all = ["trajectory", "sample"];
         let with = |last| all.into_iter().chain([last]);
-        let names = |v: &[&crate::model::Variable]| v.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
+        let names =
+            |v: &[&crate::model::Variable]| v.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
         let states: Vec<_> = model.states.iter().map(|s| &s.variable).collect();
         let controls: Vec<_> = model.controls.iter().map(|c| &c.variable).collect();
         let disturbances: Vec<_> = model.disturbances.iter().collect();
@@ -162,7 +221,10 @@ impl Dissipation {
             .dimension(Dimension::names("control", names(&controls)))
             .dimension(Dimension::names("disturbance", names(&disturbances)))
             .variable(Variable::i32("law", ["trajectory"]).flags(laws))
-            .variable(Variable::i32("case", ["trajectory"]).long_name("index of the disturbance in /dissipation"))
+            .variable(
+                Variable::i32("case", ["trajectory"])
+                    .long_name("index of the disturbance in /dissipation"),
+            )
             .variable(Variable::f64("t", all).long_name("time"))
             .variable(Variable::f64("x", with("state")).long_name("state"))
             .variable(Variable::f64("u", with("control")).long_name("control"))
@@ -171,13 +233,20 @@ impl Dissipation {
             .variable(Variable::f64("E_z", all).long_name("integral of L(x, u, 0)"))
             .variable(Variable::f64("W", all).long_name("integral of L(x, u, 0) - L(x, u, w)"));
         let mut writer = file.group(&group)?;
-        writer.write("law", &paths.iter().map(|(k, ..)| *k as i32).collect::<Vec<i32>>())?;
+        writer.write(
+            "law",
+            &paths.iter().map(|(k, ..)| *k as i32).collect::<Vec<i32>>(),
+        )?;
         writer.write(
             "case",
-            &paths.iter().map(|(_, p, _)| p.initial as i32).collect::<Vec<i32>>(),
+            &paths
+                .iter()
+                .map(|(_, p, _)| p.initial as i32)
+                .collect::<Vec<i32>>(),
         )?;
-        let gather =
-            |of: fn(&Path) -> &Vec<f64>| -> Vec<f64> { paths.iter().flat_map(|(_, p, _)| of(p)).copied().collect() };
+        let gather = |of: fn(&Path) -> &Vec<f64>| -> Vec<f64> {
+            paths.iter().flat_map(|(_, p, _)| of(p)).copied().collect()
+        };
         writer.write("t", &gather(|p| &p.t))?;
         writer.write("x", &gather(|p| &p.x))?;
         writer.write("u", &gather(|p| &p.u))?;

@@ -1,5 +1,6 @@
-//! A law as a C header that needs nothing but `math.h`: weights in arrays, loops over them, and straight-line code of
-//! `u*(x, p)` where the law is a value function. In double precision, or in single.
+//! A law as a C header that needs nothing but `math.h`: weights in arrays, loops over them, and
+//! straight-line code of `u*(x, p)` where the law is a value function. In double precision, or in
+//! single.
 
 mod syntax;
 mod value;
@@ -11,13 +12,17 @@ use super::network::{Activation, Layer};
 use crate::model::Model;
 use syntax::{Syntax, comment, fingerprint, number};
 
-/// The header's text. It defines `NAME_u(x, u)`, and of a value function also `NAME_V(x, V, p)`; bounds on controls are
-/// applied. Numbers are of the type `NAME_real`: `double`, or `float` where `COSTATE_FLOAT` is defined. `name` is an
-/// identifier.
+/// The header's text. It defines `NAME_u(x, u)`, and of a value function also `NAME_V(x, V, p)`;
+/// bounds on controls are applied. Numbers are of the type `NAME_real`: `double`, or `float` where
+/// `COSTATE_FLOAT` is defined. `name` is an identifier.
 pub fn header(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> String {
     // Another law of the same name is an error of the compiler, not left out.
     let guard = format!("COSTATE_{name}_{:016x}", fingerprint(&law.to_toml()));
-    let states: Vec<&str> = model.states.iter().map(|s| s.variable.name.as_str()).collect();
+    let states: Vec<&str> = model
+        .states
+        .iter()
+        .map(|s| s.variable.name.as_str())
+        .collect();
     let (n, m) = (states.len(), form.outputs.len());
     let value = law.meaning == Meaning::Value;
     let mut text = format!(
@@ -43,7 +48,9 @@ pub fn header(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> String
     text += &c.network(law);
     let Syntax { real, .. } = c;
     if value {
-        text += &format!("\nstatic inline void {name}_V(const {real} x[{n}], {real} *V, {real} p[{n}])\n{{\n");
+        text += &format!(
+            "\nstatic inline void {name}_V(const {real} x[{n}], {real} *V, {real} p[{n}])\n{{\n"
+        );
         text += &format!("    {name}_outputs(x, V, p);\n}}\n");
     }
     text += &format!("\nstatic inline void {name}_u(const {real} x[{n}], {real} u[{m}])\n{{\n");
@@ -61,7 +68,9 @@ pub fn header(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> String
                 for (bound, sign) in bounds.into_iter().zip(["<", ">"]) {
                     let Some(bound) = bound else { continue };
                     let bound = number(bound);
-                    text += &format!("    if (u[{i}] {sign} ({real}){bound}) u[{i}] = ({real}){bound};\n");
+                    text += &format!(
+                        "    if (u[{i}] {sign} ({real}){bound}) u[{i}] = ({real}){bound};\n"
+                    );
                 }
             }
         }
@@ -73,8 +82,18 @@ impl Syntax<'_> {
     /// Weights, and what is added to the network, as arrays.
     fn data(&self, law: &Law, states: &[&str]) -> String {
         let mut text = String::new();
-        let place = |input: &String| states.iter().position(|s| s == input).expect("an input is a state");
-        let places: Vec<String> = law.network.inputs.iter().map(|i| place(i).to_string()).collect();
+        let place = |input: &String| {
+            states
+                .iter()
+                .position(|s| s == input)
+                .expect("an input is a state")
+        };
+        let places: Vec<String> = law
+            .network
+            .inputs
+            .iter()
+            .map(|i| place(i).to_string())
+            .collect();
         text += &format!(
             "/* Which states the inputs are. */\nstatic const int {}_inputs[{}] = {{{}}};\n",
             self.name,
@@ -97,22 +116,37 @@ impl Syntax<'_> {
         text
     }
 
-    /// `NAME_outputs(x, y)`: what the network and the polynomial give; of a value function with its gradient, backward through
-    /// the layers.
+    /// `NAME_outputs(x, y)`: what the network and the polynomial give; of a value function with its
+    /// gradient, backward through the layers.
     fn network(&self, law: &Law) -> String {
         let Self { name, real, .. } = self;
         let layers = &law.network.layers;
         let (inputs, last) = (law.network.inputs.len(), layers.len());
-        let size = |k: usize| if k == 0 { inputs } else { layers[k - 1].bias.len() };
+        let size = |k: usize| {
+            if k == 0 {
+                inputs
+            } else {
+                layers[k - 1].bias.len()
+            }
+        };
         let value = law.meaning == Meaning::Value;
-        let slopes = if value { format!(", {real} *p") } else { String::new() };
-        let mut text =
-            format!("\nstatic inline void {name}_outputs(const {real} *x, {real} *y{slopes})\n{{\n    int i, j;\n");
+        let slopes = if value {
+            format!(", {real} *p")
+        } else {
+            String::new()
+        };
+        let mut text = format!(
+            "\nstatic inline void {name}_outputs(const {real} *x, {real} *y{slopes})\n{{\n    int i, j;\n"
+        );
         let hidden: Vec<String> = (0..last).map(|k| format!("h{k}[{}]", size(k))).collect();
         text += &format!("    {real} {};\n", hidden.join(", "));
         text += &format!("    for (i = 0; i < {inputs}; i++) h0[i] = x[{name}_inputs[i]];\n");
         for k in 1..=last {
-            let target = if k == last { "y".to_owned() } else { format!("h{k}") };
+            let target = if k == last {
+                "y".to_owned()
+            } else {
+                format!("h{k}")
+            };
             let (rows, columns) = (size(k), size(k - 1));
             let unit = if k == last {
                 "z".to_owned()
@@ -138,7 +172,9 @@ impl Syntax<'_> {
         let Self { real, function, .. } = self;
         match activation {
             Activation::Tanh => format!("{function}(tanh)(z)"),
-            Activation::Logistic => format!("({real})0.5 + ({real})0.5 * {function}(tanh)(({real})0.5 * z)"),
+            Activation::Logistic => {
+                format!("({real})0.5 + ({real})0.5 * {function}(tanh)(({real})0.5 * z)")
+            }
         }
     }
 
@@ -155,7 +191,9 @@ impl Syntax<'_> {
         for k in (0..last).rev() {
             let columns = size(k);
             if k + 1 == last {
-                text += &format!("    for (j = 0; j < {columns}; j++) g{k}[j] = {name}_W{last}[0][j];\n");
+                text += &format!(
+                    "    for (j = 0; j < {columns}; j++) g{k}[j] = {name}_W{last}[0][j];\n"
+                );
             } else {
                 let (above, rows) = (k + 1, size(k + 1));
                 text += &format!(
@@ -181,7 +219,9 @@ impl Syntax<'_> {
              for (j = 0; j < {inputs}; j++) y[i] += {name}_linear[i][j] * h0[j];\n    }}\n"
         );
         if value {
-            text += &format!("    for (j = 0; j < {inputs}; j++) p[{name}_inputs[j]] += {name}_linear[0][j];\n");
+            text += &format!(
+                "    for (j = 0; j < {inputs}; j++) p[{name}_inputs[j]] += {name}_linear[0][j];\n"
+            );
         }
         if base.quadratic.is_some() {
             text += &format!(

@@ -13,7 +13,8 @@ pub struct Syntax<'a> {
     pub function: &'a str,
 }
 
-/// What stands before the code: the type of numbers, and the macro that gives functions of `math.h` for it.
+/// What stands before the code: the type of numbers, and the macro that gives functions of `math.h`
+/// for it.
 pub fn begin(name: &str, guard: &str) -> String {
     format!(
         "#ifndef {guard}\n#define {guard}\n\n#include <math.h>\n\n\
@@ -32,7 +33,10 @@ impl Syntax<'_> {
         let count = values.len();
         let values: Vec<String> = values.map(digits).collect();
         let Self { name, real, .. } = self;
-        format!("static const {real} {name}_{of}[{count}] = {{{}}};\n", values.join(","))
+        format!(
+            "static const {real} {name}_{of}[{count}] = {{{}}};\n",
+            values.join(",")
+        )
     }
 
     pub fn matrix(&self, of: &str, matrix: &DMatrix<f64>) -> String {
@@ -99,10 +103,21 @@ impl Syntax<'_> {
     }
 
     /// Expressions of symbols that are elements of arrays, into `target`.
-    pub fn straight(&self, graph: &Graph, symbols: &[(&[Id], &str)], roots: &[Id], target: &str) -> String {
+    pub fn straight(
+        &self,
+        graph: &Graph,
+        symbols: &[(&[Id], &str)],
+        roots: &[Id],
+        target: &str,
+    ) -> String {
         let mut names: HashMap<Id, String> = HashMap::new();
         for (symbols, array) in symbols {
-            names.extend(symbols.iter().enumerate().map(|(i, s)| (*s, format!("{array}[{i}]"))));
+            names.extend(
+                symbols
+                    .iter()
+                    .enumerate()
+                    .map(|(i, s)| (*s, format!("{array}[{i}]"))),
+            );
         }
         let mut text = String::new();
         let mut count = 0;
@@ -116,7 +131,8 @@ impl Syntax<'_> {
             }
             let name = format!("v{count}");
             count += 1;
-            writeln!(text, "    const {} {name} = {value};", self.real).expect("a String takes any text");
+            writeln!(text, "    const {} {name} = {value};", self.real)
+                .expect("a String takes any text");
             names.insert(id, name);
         }
         for (i, id) in roots.iter().enumerate() {
@@ -179,7 +195,10 @@ pub fn fingerprint(text: &str) -> u64 {
 /// Text inside a comment, which it must not end or begin again.
 pub fn comment(text: &str) -> String {
     let printable = |c: char| if c.is_control() { ' ' } else { c };
-    let text = text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ? ");
+    let text = text
+        .replace("*/", "* /")
+        .replace("/*", "/ *")
+        .replace("??", "? ? ");
     text.chars().map(printable).collect()
 }
 

@@ -1,5 +1,6 @@
-//! V in pieces, or as a series about the equilibrium, as a C header: tables of numbers, and the same steps as
-//! [`Pieces::sheets`] and [`LocalPolynomial::at`] in C (`pieces.c`, `local.c`, `sum.c` beside this file).
+//! V in pieces, or as a series about the equilibrium, as a C header: tables of numbers, and the
+//! same steps as [`Pieces::sheets`] and [`LocalPolynomial::at`] in C (`pieces.c`, `local.c`,
+//! `sum.c` beside this file).
 
 use super::syntax::{self, Syntax, comment, fingerprint, real_text};
 use crate::expr::Id;
@@ -22,9 +23,10 @@ pub enum Known<'k> {
     Local(&'k LocalPolynomial),
 }
 
-/// The header's text. It defines `NAME_value(x, V, p)` and `NAME_control(x, u)`, which return 1 where V is known and else 0.
-/// u is the minimiser of the Hamiltonian at p, within its bounds. Where the pieces have time as an axis it follows x, and p has
-/// dV/dt as its last component. The type of numbers is as in [`super::header`].
+/// The header's text. It defines `NAME_value(x, V, p)` and `NAME_control(x, u)`, which return 1
+/// where V is known and else 0. u is the minimiser of the Hamiltonian at p, within its bounds.
+/// Where the pieces have time as an axis it follows x, and p has dV/dt as its last component. The
+/// type of numbers is as in [`super::header`].
 pub fn value_header(name: &str, known: Known<'_>, system: &System, model: &Model) -> String {
     let text = |guard: &str| {
         let writer = Writer {
@@ -37,7 +39,11 @@ pub fn value_header(name: &str, known: Known<'_>, system: &System, model: &Model
             system,
             model,
         };
-        writer.title() + &syntax::begin(name, guard) + &writer.tables() + &writer.functions() + &syntax::end(guard)
+        writer.title()
+            + &syntax::begin(name, guard)
+            + &writer.tables()
+            + &writer.functions()
+            + &syntax::end(guard)
     };
     // Another V of the same name is an error of the compiler, not left out.
     text(&format!("COSTATE_{name}_{:016x}", fingerprint(&text(""))))
@@ -62,9 +68,12 @@ impl<'k> Known<'k> {
     fn terms(self) -> usize {
         let pieces = self.pieces().into_iter().flat_map(|p| &p.pieces);
         let local = self.local().map_or(1, |l| l.coefficients.len());
-        let shear = self
-            .pieces()
-            .map(|p| p.frame.bend.as_ref().map_or(1, |bend| bend.whole(&p.terms).len()));
+        let shear = self.pieces().map(|p| {
+            p.frame
+                .bend
+                .as_ref()
+                .map_or(1, |bend| bend.whole(&p.terms).len())
+        });
         pieces
             .map(|p| p.coefficients.len())
             .fold(local.max(shear.unwrap_or(1)), usize::max)
@@ -80,7 +89,8 @@ struct Writer<'a> {
 
 impl Writer<'_> {
     fn title(&self) -> String {
-        let names = |all: &mut dyn Iterator<Item = &String>| all.cloned().collect::<Vec<_>>().join(", ");
+        let names =
+            |all: &mut dyn Iterator<Item = &String>| all.cloned().collect::<Vec<_>>().join(", ");
         let what = match self.known {
             Known::Map(pieces, _) => {
                 let named = self.model.states.iter().map(|s| s.variable.name.as_str());
@@ -127,7 +137,9 @@ impl Writer<'_> {
 
     /// Variables of V: the states, and the time where it is an axis.
     fn variables(&self) -> usize {
-        self.known.pieces().map_or(self.model.states.len(), Pieces::states)
+        self.known
+            .pieces()
+            .map_or(self.model.states.len(), Pieces::states)
     }
 
     fn is_timed(&self) -> bool {
@@ -142,14 +154,27 @@ impl Writer<'_> {
         let mut text = format!("enum {{ {name}_states = {n}, {name}_terms = {count} }};\n");
         text += "/* Monomials after the first: which earlier one times which variable. */\n";
         let factors = &terms.factors[..count];
-        text += &self.c.integers("parent", factors.iter().map(|f| f.0.into()));
+        text += &self
+            .c
+            .integers("parent", factors.iter().map(|f| f.0.into()));
         text += &self.c.integers("times", factors.iter().map(|f| f.1.into()));
         let time = self.is_timed().then_some(0.0);
         text += &self.c.list(
             "reference",
-            &self.system.reference.iter().copied().chain(time).collect::<Vec<f64>>(),
+            &self
+                .system
+                .reference
+                .iter()
+                .copied()
+                .chain(time)
+                .collect::<Vec<f64>>(),
         );
-        let periods = self.model.states.iter().map(|s| s.period.unwrap_or(0.0)).chain(time);
+        let periods = self
+            .model
+            .states
+            .iter()
+            .map(|s| s.period.unwrap_or(0.0))
+            .chain(time);
         text += "/* Of angles; of other states 0. */\n";
         text += &self.c.list("period", &periods.collect::<Vec<f64>>());
         if let Some(local) = self.known.local() {
@@ -170,7 +195,12 @@ impl Writer<'_> {
     fn piece_tables(&self, pieces: &Pieces) -> String {
         let (c, n, name) = (&self.c, self.variables(), self.c.name);
         let region = &pieces.region;
-        let sheets = pieces.cells.iter().map(|cell| cell.pieces.len()).max().unwrap_or(1);
+        let sheets = pieces
+            .cells
+            .iter()
+            .map(|cell| cell.pieces.len())
+            .max()
+            .unwrap_or(1);
         let mut text = format!(
             "\n/* Region; limits of V; the share of a cell's half width by which it reaches over its faces. */\n\
              enum {{ {name}_sheets = {}, {name}_depth = {} }};\n",
@@ -195,7 +225,14 @@ impl Writer<'_> {
             "/* Tree: axis along which a node is split ({n}: it is a cell, whose number is in `below`), and where; how far the\n   \
              cells above and below reach. */\n"
         );
-        let node = |of: &dyn Fn(&Node) -> usize| pieces.nodes.iter().map(of).collect::<Vec<usize>>().into_iter();
+        let node = |of: &dyn Fn(&Node) -> usize| {
+            pieces
+                .nodes
+                .iter()
+                .map(of)
+                .collect::<Vec<usize>>()
+                .into_iter()
+        };
         text += &c.integers(
             "axis",
             node(&|node| match node {
@@ -225,15 +262,23 @@ impl Writer<'_> {
         text += &c.list("split", &split.iter().map(|s| s[0]).collect::<Vec<f64>>());
         text += &c.table(
             "reach",
-            &split.iter().flat_map(|s| [s[1], s[2]]).collect::<Vec<f64>>(),
+            &split
+                .iter()
+                .flat_map(|s| [s[1], s[2]])
+                .collect::<Vec<f64>>(),
             2,
         );
         text += "/* Cells, and the first piece of each. */\n";
-        let cells = |side: &dyn Fn(usize) -> Vec<f64>| (0..pieces.cells.len()).flat_map(side).collect::<Vec<f64>>();
+        let cells = |side: &dyn Fn(usize) -> Vec<f64>| {
+            (0..pieces.cells.len()).flat_map(side).collect::<Vec<f64>>()
+        };
         text += &c.table("cell_lower", &cells(&|k| pieces.cells[k].lo.clone()), n);
         text += &c.table("cell_upper", &cells(&|k| pieces.cells[k].hi.clone()), n);
         let ends = pieces.cells.iter().map(|cell| cell.pieces.end);
-        text += &c.integers("pieces", [0].into_iter().chain(ends).collect::<Vec<_>>().into_iter());
+        text += &c.integers(
+            "pieces",
+            [0].into_iter().chain(ends).collect::<Vec<_>>().into_iter(),
+        );
         text + &self.polynomials(pieces)
     }
 
@@ -247,8 +292,9 @@ impl Writer<'_> {
             );
         };
         let (axis, whole) = (bend.axis, bend.whole(&pieces.terms));
-        let mut text =
-            format!("/* But t[{axis}] plus this polynomial of the others, from `lowest` on, in `width`s. */\n");
+        let mut text = format!(
+            "/* But t[{axis}] plus this polynomial of the others, from `lowest` on, in `width`s. */\n"
+        );
         text += &c.number("lowest", bend.lowest);
         text += &c.number("width", bend.width);
         text += &c.list("phi", &whole);
@@ -265,7 +311,9 @@ impl Writer<'_> {
 
     fn polynomials(&self, pieces: &Pieces) -> String {
         let (c, n) = (&self.c, self.variables());
-        let all = |of: &dyn Fn(usize) -> Vec<f64>| (0..pieces.pieces.len()).flat_map(of).collect::<Vec<f64>>();
+        let all = |of: &dyn Fn(usize) -> Vec<f64>| {
+            (0..pieces.pieces.len()).flat_map(of).collect::<Vec<f64>>()
+        };
         let mut text =
             "/* Pieces: polynomials of (t - center) / half; what of V they are of; bounds of their errors. */\n"
                 .to_owned();
@@ -277,8 +325,14 @@ impl Writer<'_> {
             *next += p.coefficients.len();
             Some(*next)
         });
-        text += &c.integers("first", [0].into_iter().chain(first).collect::<Vec<_>>().into_iter());
-        text += &c.list("coefficients", &all(&|k| pieces.pieces[k].coefficients.clone()));
+        text += &c.integers(
+            "first",
+            [0].into_iter().chain(first).collect::<Vec<_>>().into_iter(),
+        );
+        text += &c.list(
+            "coefficients",
+            &all(&|k| pieces.pieces[k].coefficients.clone()),
+        );
         text + &self.supports(pieces)
     }
 
@@ -340,7 +394,11 @@ impl Writer<'_> {
 
     fn functions(&self) -> String {
         let (n, m) = (self.model.states.len(), self.model.controls.len());
-        let Syntax { name, real, function } = self.c;
+        let Syntax {
+            name,
+            real,
+            function,
+        } = self.c;
         let filled = |template: &str| -> String {
             let parts = template.split("NAME").map(|part| {
                 let part = part.replace("REAL", real);
@@ -444,7 +502,11 @@ impl Writer<'_> {
 
     /// Of a game whether p solves H = 0, as the value map asks; else always.
     fn solves(&self) -> String {
-        let Syntax { name, real, function } = self.c;
+        let Syntax {
+            name,
+            real,
+            function,
+        } = self.c;
         let mut text = format!(
             "\nstatic inline int {name}_solves(const {real} *s, const {real} *p)\n{{\n    (void)s;\n    (void)p;\n"
         );

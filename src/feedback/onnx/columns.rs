@@ -7,8 +7,14 @@ use crate::expr::{Fun, Graph, Id, Node, Op};
 use std::collections::HashMap;
 use std::f64::consts::FRAC_PI_2;
 
-/// The roots side by side, `[batch, roots]`. `symbols` are groups of symbols that are the columns of a tensor.
-pub(super) fn write(w: &mut Writer, graph: &Graph, symbols: &[(&[Id], &str)], roots: &[Id]) -> Result<Name, OnnxError> {
+/// The roots side by side, `[batch, roots]`. `symbols` are groups of symbols that are the columns
+/// of a tensor.
+pub(super) fn write(
+    w: &mut Writer,
+    graph: &Graph,
+    symbols: &[(&[Id], &str)],
+    roots: &[Id],
+) -> Result<Name, OnnxError> {
     let mut names: HashMap<Id, Name> = HashMap::new();
     let place = |id: Id| {
         let groups = symbols.iter();

@@ -1,5 +1,6 @@
-//! A law as an ONNX model in double precision: input `x` [batch, states]; outputs `u` [batch, outputs], of a value
-//! function also `V` [batch, 1] and `p` [batch, states]. Bounds on controls are applied.
+//! A law as an ONNX model in double precision: input `x` [batch, states]; outputs `u` [batch,
+//! outputs], of a value function also `V` [batch, 1] and `p` [batch, states]. Bounds on controls
+//! are applied.
 //!
 //! Layers are matrix products; u*(x, p) is written operation by operation on columns.
 
@@ -22,7 +23,8 @@ pub enum OnnxError {
 /// The model's bytes. `form` is `law`'s in the scene `model`.
 ///
 /// # Errors
-/// [`OnnxError`] where the optimal control uses a function that ONNX runtimes do not have in double precision.
+/// [`OnnxError`] where the optimal control uses a function that ONNX runtimes do not have in double
+/// precision.
 pub fn onnx(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> Result<Vec<u8>, OnnxError> {
     let mut w = Writer::default();
     let n = model.states.len();
@@ -36,7 +38,9 @@ pub fn onnx(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> Result<V
         (Some(optimal), Meaning::Value) => {
             let slopes = slopes(&mut w, law, &inputs, &pass);
             // From the order of the inputs to that of the states.
-            let order: Vec<usize> = (0..n).filter_map(|i| places.iter().position(|p| *p == i)).collect();
+            let order: Vec<usize> = (0..n)
+                .filter_map(|i| places.iter().position(|p| *p == i))
+                .collect();
             let p = w.columns(&slopes, &order, n);
             let symbols = [(form.x.as_slice(), "x"), (optimal.p.as_slice(), p.as_str())];
             let u = columns::write(&mut w, &form.graph, &symbols, &optimal.commands)?;
@@ -50,7 +54,11 @@ pub fn onnx(name: &str, law: &Law, form: &ClosedForm, model: &Model) -> Result<V
             w.named(&u, "u");
         }
     }
-    let states: Vec<&str> = model.states.iter().map(|s| s.variable.name.as_str()).collect();
+    let states: Vec<&str> = model
+        .states
+        .iter()
+        .map(|s| s.variable.name.as_str())
+        .collect();
     let doc = format!(
         "law `{name}` of: {}; x: {}; u: {}",
         model.title,

@@ -68,7 +68,11 @@ impl Writer {
 
     pub fn matrix(&mut self, matrix: &DMatrix<f64>) -> Name {
         // nalgebra keeps columns together, ONNX rows.
-        self.doubles(matrix.nrows(), matrix.ncols(), matrix.transpose().as_slice().to_vec())
+        self.doubles(
+            matrix.nrows(),
+            matrix.ncols(),
+            matrix.transpose().as_slice().to_vec(),
+        )
     }
 
     fn doubles(&mut self, rows: usize, columns: usize, values: Vec<f64>) -> Name {
@@ -100,7 +104,13 @@ impl Writer {
     }
 
     /// The file's bytes; inputs and outputs with their numbers of columns.
-    pub fn model(mut self, name: &str, doc: &str, input: (&str, usize), outputs: &[(&str, usize)]) -> Vec<u8> {
+    pub fn model(
+        mut self,
+        name: &str,
+        doc: &str,
+        input: (&str, usize),
+        outputs: &[(&str, usize)],
+    ) -> Vec<u8> {
         let batch = Extent::Name("batch".to_owned());
         let columns = |width: usize| [batch.clone(), Extent::Value(width as i64)].map(Some);
         let info = |(name, width): (&str, usize)| messages::ValueInfo {
@@ -109,7 +119,9 @@ impl Writer {
                 tensor: Some(messages::TensorType {
                     elem_type: DOUBLE,
                     shape: Some(messages::Shape {
-                        dim: columns(width).map(|extent| messages::Dimension { extent }).to_vec(),
+                        dim: columns(width)
+                            .map(|extent| messages::Dimension { extent })
+                            .to_vec(),
                     }),
                 }),
             }),

@@ -20,7 +20,11 @@ fn table() -> Group {
 }
 
 /// The file made by `fill`, opened for reading.
-fn round_trip(test: &str, group: &Group, fill: impl FnOnce(&mut GroupWriter)) -> (TemporaryDirectory, H5File) {
+fn round_trip(
+    test: &str,
+    group: &Group,
+    fill: impl FnOnce(&mut GroupWriter),
+) -> (TemporaryDirectory, H5File) {
     let directory = TemporaryDirectory::new(test);
     let mut file = ResultFile::create(directory.path().join("result.h5")).unwrap();
     fill(&mut file.group(group).unwrap());
@@ -86,7 +90,11 @@ fn fixed_variables_coordinates_and_attributes() {
     let text = |name: &str| status.attr(name).unwrap().read_string().unwrap();
     assert_eq!(text("flag_meanings"), "all_well failed");
     assert_eq!(text("units"), "1");
-    let flags: Vec<i32> = status.attr("flag_values").unwrap().read_numeric_as().unwrap();
+    let flags: Vec<i32> = status
+        .attr("flag_values")
+        .unwrap()
+        .read_numeric_as()
+        .unwrap();
     assert_eq!(flags, [0, 7]);
     let comment = file.root_group().group("table").unwrap();
     assert_eq!(comment.attr_string("comment").unwrap(), "a test");
@@ -95,7 +103,11 @@ fn fixed_variables_coordinates_and_attributes() {
 #[test]
 fn an_unwritten_variable_is_no_value() {
     let (_directory, file) = round_trip("unwritten", &table(), |_| {});
-    assert!(numbers::<f64>(&file, "table/map").iter().all(|v| v.is_nan()));
+    assert!(
+        numbers::<f64>(&file, "table/map")
+            .iter()
+            .all(|v| v.is_nan())
+    );
     assert!(numbers::<f64>(&file, "table/gain")[0].is_nan());
 }
 
@@ -137,17 +149,32 @@ fn declarations_that_no_file_can_hold() {
     let twice = base().variable(Variable::f64("row", ["row"]));
     assert!(matches!(declare(twice), Err(OutputError::Duplicate { .. })));
     let unknown = base().variable(Variable::f64("x", ["state"]));
-    assert!(matches!(declare(unknown), Err(OutputError::UnknownDimension { .. })));
+    assert!(matches!(
+        declare(unknown),
+        Err(OutputError::UnknownDimension { .. })
+    ));
     let empty = base().dimension(Dimension::index("sample", 0));
-    assert!(matches!(declare(empty), Err(OutputError::EmptyDimension { .. })));
+    assert!(matches!(
+        declare(empty),
+        Err(OutputError::EmptyDimension { .. })
+    ));
     let second = base().dimension(Dimension::unlimited("other"));
-    assert!(matches!(declare(second), Err(OutputError::GrowingDimension { .. })));
+    assert!(matches!(
+        declare(second),
+        Err(OutputError::GrowingDimension { .. })
+    ));
     let late = base()
         .dimension(Dimension::index("sample", 2))
         .variable(Variable::f64("x", ["sample", "row"]));
-    assert!(matches!(declare(late), Err(OutputError::GrowingDimension { .. })));
+    assert!(matches!(
+        declare(late),
+        Err(OutputError::GrowingDimension { .. })
+    ));
     let slash = base().variable(Variable::f64("a/b", ["row"]));
-    assert!(matches!(declare(slash), Err(OutputError::InvalidName { .. })));
+    assert!(matches!(
+        declare(slash),
+        Err(OutputError::InvalidName { .. })
+    ));
     let short = Group::new("g")
         .dimension(Dimension::index("sample", 2))
         .variable(Variable::text("label", "sample", ["one"]));
@@ -173,7 +200,10 @@ fn a_writer_outlives_its_file_without_harm() {
 fn chunks_hold_whole_rows_within_their_size() {
     let rows = None;
     assert_eq!(chunk_shape(&[rows], 8, None), [CHUNK_ROWS]);
-    assert_eq!(chunk_shape(&[rows, Some(201), Some(4)], 8, None), [81, 201, 4]);
+    assert_eq!(
+        chunk_shape(&[rows, Some(201), Some(4)], 8, None),
+        [81, 201, 4]
+    );
     // A row larger than a chunk is cut, its leading dimension first.
     let long = chunk_shape(&[rows, Some(1_000_000), Some(4)], 8, None);
     assert_eq!(long, [1, CHUNK_BYTES / 32, 4]);

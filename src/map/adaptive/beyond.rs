@@ -1,5 +1,5 @@
-//! Where solutions from the region lead: a second map round it, of what they met there. A law needs it, since a closed loop
-//! goes the same ways; no states are solved for its sake.
+//! Where solutions from the region lead: a second map round it, of what they met there. A law needs
+//! it, since a closed loop goes the same ways; no states are solved for its sake.
 
 use super::{AROUND, BETTER, Checked, Met, Work};
 use crate::backend::BackendError;
@@ -8,7 +8,8 @@ use crate::value::{Answers, PointStatus, Track, Wish, track_points};
 
 /// Errors there may be so many times larger: what a law costs rises with the square of them.
 const LARGER: f64 = 3.0;
-/// How far beyond their outermost points pieces there say something, in half widths: nothing surrounds them.
+/// How far beyond their outermost points pieces there say something, in half widths: nothing
+/// surrounds them.
 const BEYOND_POINTS: f64 = 0.1;
 /// What is outside the region by less than this share of its width may be so by rounding.
 const ROUNDING: f64 = 1e-9;
@@ -16,20 +17,21 @@ const ROUNDING: f64 = 1e-9;
 /// The map round the region, and what the trajectories of fresh states show of it.
 pub struct Beyond {
     pub pieces: Pieces,
-    /// Points on these trajectories outside the region: V known as if solved for, and said with its bound as it was before they
-    /// were looked at.
+    /// Points on these trajectories outside the region: V known as if solved for, and said with its
+    /// bound as it was before they were looked at.
     pub check: Vec<Checked>,
 }
 
 impl Work<'_, '_> {
-    /// Whether there is a map round the region at all: behind a fold of a game there is no value, and where V depends on time
-    /// that is no axis solutions tell of their beginnings alone.
+    /// Whether there is a map round the region at all: behind a fold of a game there is no value,
+    /// and where V depends on time that is no axis solutions tell of their beginnings alone.
     fn maps_beyond(&self) -> bool {
         !self.plan.game && (self.plan.local.is_some() || self.axis.is_some())
     }
 
-    /// The region, widened to where solutions from states in it lead; `None` where they stay in it. Points of the margin, to which
-    /// solutions are continued backward or which are searched from, do not count: no closed loop from the region comes there.
+    /// The region, widened to where solutions from states in it lead; `None` where they stay in it.
+    /// Points of the margin, to which solutions are continued backward or which are searched from,
+    /// do not count: no closed loop from the region comes there.
     fn reach(&self, region: &Region) -> Option<Region> {
         let bounds = self.farthest();
         let reference = &self.plan.system.reference;
@@ -41,8 +43,12 @@ impl Work<'_, '_> {
         // Wherever whole periods take a state to.
         let moved = |s: &[f64]| -> Vec<Vec<f64>> {
             let each = self.shifts(s, &bounds).into_iter();
-            each.map(|shift| (0..s.len()).map(|i| s[i] + shift[i] + reference[i]).collect())
-                .collect()
+            each.map(|shift| {
+                (0..s.len())
+                    .map(|i| s[i] + shift[i] + reference[i])
+                    .collect()
+            })
+            .collect()
         };
         let begin_inside: Vec<bool> = (self.tracks.iter())
             .map(|track| {
@@ -52,8 +58,8 @@ impl Work<'_, '_> {
             })
             .collect();
         let mut outer = region.clone();
-        let onward =
-            (0..self.points.len()).filter(|k| self.points.t[*k] >= 0.0 && begin_inside[self.points.track[*k] as usize]);
+        let onward = (0..self.points.len())
+            .filter(|k| self.points.t[*k] >= 0.0 && begin_inside[self.points.track[*k] as usize]);
         for x in onward.flat_map(|k| moved(&self.points.node(k)[..reference.len()])) {
             if (0..x.len()).any(|i| stays(i) && past(&x, i)) {
                 continue;
@@ -119,8 +125,8 @@ impl Work<'_, '_> {
             .collect();
         // Where they disagree nothing can be solved for: the error seen is the bound.
         met.iter().for_each(|(x, v)| pieces.admit(x, *v));
-        // Whatever its bound, for a law it is better than nothing; but of several sheets one far from its points may call itself
-        // the lowest.
+        // Whatever its bound, for a law it is better than nothing; but of several sheets one far
+        // from its points may call itself the lowest.
         if self.cloud.several {
             pieces = pieces.within(self.aim.error_max);
         }
@@ -149,7 +155,13 @@ impl Work<'_, '_> {
             beyond: false,
             ..self.wish(region.floor)
         };
-        let points = track_points(self.plan, self.solver, &tracks, 0, &self.in_any_period(&wish, &tracks))?;
+        let points = track_points(
+            self.plan,
+            self.solver,
+            &tracks,
+            0,
+            &self.in_any_period(&wish, &tracks),
+        )?;
         let n = self.plan.system.states;
         let mut met = Vec::new();
         for k in 0..points.len() {

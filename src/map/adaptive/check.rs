@@ -14,7 +14,8 @@ pub(super) const CHECKS: usize = 4;
 const TIMES: usize = 8;
 /// Share of fresh states whose error may be above the bound.
 pub const ABOVE_BOUND: f64 = 0.01;
-/// With a limit of seconds: fresh states of the first batch, and the share of the limit that all of them may take about.
+/// With a limit of seconds: fresh states of the first batch, and the share of the limit that all of
+/// them may take about.
 const FIRST_CHECKED: usize = 16;
 const CHECK_SHARE: f64 = 0.25;
 /// V above that of all points by more than this share is not known.
@@ -102,14 +103,19 @@ pub(super) fn mixed(mut z: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Whether a state has no solution, as far as a search tells; one that a guard itself excludes is not asked about.
+/// Whether a state has no solution, as far as a search tells; one that a guard itself excludes is
+/// not asked about.
 fn is_without_solution(status: PointStatus) -> bool {
     use PointStatus::{Fold, Horizon, LeavesGuard, NoGuess, NotFinite, NotReached};
-    matches!(status, Fold | Horizon | LeavesGuard | NoGuess | NotFinite | NotReached)
+    matches!(
+        status,
+        Fold | Horizon | LeavesGuard | NoGuess | NotFinite | NotReached
+    )
 }
 
 impl Work<'_, '_> {
-    /// Pieces without those that are too uncertain; judged by many states, since cells reach over the region's faces.
+    /// Pieces without those that are too uncertain; judged by many states, since cells reach over
+    /// the region's faces.
     pub(super) fn judged(&self, mut pieces: Pieces) -> Judged {
         // A polynomial of 1/V or log V goes on to any V where no solution exists.
         pieces.region.value_max = pieces.region.value_max.min(self.highest());
@@ -148,7 +154,12 @@ impl Work<'_, '_> {
 
     /// The highest V that may lie between points.
     fn highest(&self) -> f64 {
-        let most = self.cloud.v.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let most = self
+            .cloud
+            .v
+            .iter()
+            .copied()
+            .fold(f64::NEG_INFINITY, f64::max);
         most + ABOVE_POINTS * most.abs()
     }
 
@@ -166,7 +177,8 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Fresh states without a solution of which the map says a value; none where they are few enough.
+    /// Fresh states without a solution of which the map says a value; none where they are few
+    /// enough.
     pub(super) fn unfounded(check: &[Checked]) -> Vec<&Checked> {
         let unfounded: Vec<&Checked> = (check.iter())
             .filter(|c| is_without_solution(c.status) && c.said.is_finite())
@@ -189,7 +201,8 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Searches for states in the cells that said too little of their errors; what more is wanted in these.
+    /// Searches for states in the cells that said too little of their errors; what more is wanted
+    /// in these.
     pub(super) fn searched_around(
         &mut self,
         wrong: &[&Checked],
@@ -222,8 +235,12 @@ impl Work<'_, '_> {
         Ok(more)
     }
 
-    /// Fresh states, solved from scratch and looked up; and what their solutions meet outside the region, with V.
-    pub(super) fn checked(&mut self, pieces: &Pieces) -> Result<(Vec<Checked>, Vec<Met>), BackendError> {
+    /// Fresh states, solved from scratch and looked up; and what their solutions meet outside the
+    /// region, with V.
+    pub(super) fn checked(
+        &mut self,
+        pieces: &Pieces,
+    ) -> Result<(Vec<Checked>, Vec<Met>), BackendError> {
         let n = self.cloud.variables;
         let mut states = self.fresh(self.aim.check);
         if self.axis.is_some() {
@@ -302,8 +319,8 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Fresh states of the region (absolute) that no guard excludes, if some are found, in an order without end. The seed asked for
-    /// turns them, and nothing else of a map.
+    /// Fresh states of the region (absolute) that no guard excludes, if some are found, in an order
+    /// without end. The seed asked for turns them, and nothing else of a map.
     fn fresh(&mut self, count: usize) -> Vec<f64> {
         let bounds = self.bounds.clone();
         let turn = |i: usize| match self.plan.seed {

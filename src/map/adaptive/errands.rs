@@ -7,7 +7,8 @@ use crate::map::pieces::{Region, Want};
 use crate::shooting::Path;
 use crate::value::{FoundNear, Miss, PointStatus, Track, path_from, solve_near};
 
-/// States asked for in a cell at once: this many times a power of its error over the one asked for, and the most.
+/// States asked for in a cell at once: this many times a power of its error over the one asked for,
+/// and the most.
 const A_CELL: f64 = 3.0;
 const MORE: f64 = 0.4;
 const MOST_A_CELL: f64 = 48.0;
@@ -38,8 +39,14 @@ pub(super) struct Errand {
 }
 
 impl Work<'_, '_> {
-    /// Solves for states in cells that want some, with a share of the budget; false where there is nothing to start from, or it takes too long.
-    pub(super) fn answer(&mut self, wants: Vec<Want>, region: &Region, share: f64) -> Result<bool, BackendError> {
+    /// Solves for states in cells that want some, with a share of the budget; false where there is
+    /// nothing to start from, or it takes too long.
+    pub(super) fn answer(
+        &mut self,
+        wants: Vec<Want>,
+        region: &Region,
+        share: f64,
+    ) -> Result<bool, BackendError> {
         let mut errands = self.errands(wants, region, share);
         if errands.is_empty() {
             return Ok(false);
@@ -59,13 +66,19 @@ impl Work<'_, '_> {
         guesses: Vec<(Vec<f64>, Path)>,
         least_step: f64,
     ) -> Result<Option<Vec<FoundNear>>, BackendError> {
-        self.in_time(GIVEN_UP, |this| solve_near(this.plan, this.solver, guesses, least_step))
+        self.in_time(GIVEN_UP, |this| {
+            solve_near(this.plan, this.solver, guesses, least_step)
+        })
     }
 
     /// States for cells that want some.
     fn errands(&mut self, mut wants: Vec<Want>, region: &Region, share: f64) -> Vec<Errand> {
         let in_time = (self.seconds_left(share) / self.pace).max(0.0);
-        let in_time = if in_time.is_nan() { usize::MAX } else { in_time as usize };
+        let in_time = if in_time.is_nan() {
+            usize::MAX
+        } else {
+            in_time as usize
+        };
         let growth = if self.cloud.leaves_quarters() {
             GROWTH_BY_QUARTERS
         } else {
@@ -78,7 +91,8 @@ impl Work<'_, '_> {
             .max(1);
         wants.sort_by(|a, b| b.excess.total_cmp(&a.excess));
         let mut errands = Vec::new();
-        // One for each in turn, the worst first: many in few cells at once would halve these where their points lie alone.
+        // One for each in turn, the worst first: many in few cells at once would halve these where
+        // their points lie alone.
         let quota = |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE)).min(MOST_A_CELL) as usize;
         for turn in 0..MOST_A_CELL as usize {
             for want in wants.iter().filter(|w| turn < quota(w)) {
@@ -102,10 +116,14 @@ impl Work<'_, '_> {
             self.to_few_times(errand, &mut states[at..]);
             widest = errand.half.iter().fold(widest, |a, h| a.max(*h));
         }
-        let Some((tracks, values)) = self.in_time(GIVEN_UP, |this| this.searched(states, widest.min(NEAR)))? else {
+        let Some((tracks, values)) =
+            self.in_time(GIVEN_UP, |this| this.searched(states, widest.min(NEAR)))?
+        else {
             return Ok(false);
         };
-        for (errand, _) in (errands.into_iter().zip(values)).filter(|(e, v)| e.only_bare || v.is_nan()) {
+        for (errand, _) in
+            (errands.into_iter().zip(values)).filter(|(e, v)| e.only_bare || v.is_nan())
+        {
             *self.failures.entry(errand.cell).or_default() += 1;
         }
         self.add(tracks, region.floor)?;
@@ -158,7 +176,8 @@ impl Work<'_, '_> {
     /// Counts a state (absolute) that the way from a point near does not lead to.
     pub(super) fn missed(&mut self, x: &[f64], miss: Option<Miss>) {
         self.failed += 1;
-        // Near a guard's shadow there is nothing to be found; elsewhere the way may only have been a bad one.
+        // Near a guard's shadow there is nothing to be found; elsewhere the way may only have been
+        // a bad one.
         if !self.plan.system.guards.is_empty() {
             let why = miss.map_or((PointStatus::NotReached, None), |m| (m.status, m.cut));
             self.note(x, why);
@@ -209,10 +228,21 @@ impl Work<'_, '_> {
         // As many periods away as the point that it is reached from.
         let shift = &self.origins[from as usize].1;
         errands.push(Errand {
-            x: self.frame.state(&z).iter().zip(shift).map(|(x, s)| x - s).collect(),
+            x: self
+                .frame
+                .state(&z)
+                .iter()
+                .zip(shift)
+                .map(|(x, s)| x - s)
+                .collect(),
             from,
             cell: key(want),
-            half: want.lo.iter().zip(&want.hi).map(|(lo, hi)| 0.5 * (hi - lo)).collect(),
+            half: want
+                .lo
+                .iter()
+                .zip(&want.hi)
+                .map(|(lo, hi)| 0.5 * (hi - lo))
+                .collect(),
             only_bare: want.excess <= 1.0,
             shaded: want.shaded.is_some(),
         });
@@ -225,7 +255,9 @@ impl Work<'_, '_> {
 
     /// A place next to the edge of a shadow.
     fn next_to_edge(&mut self, want: &Want, region: &Region) -> Option<Vec<f64>> {
-        let drawn: Vec<_> = (0..DRAWS_AT_EDGE).filter_map(|_| self.drawn(want, region)).collect();
+        let drawn: Vec<_> = (0..DRAWS_AT_EDGE)
+            .filter_map(|_| self.drawn(want, region))
+            .collect();
         (drawn.into_iter()).min_by(|a, b| want.margin(a).abs().total_cmp(&want.margin(b).abs()))
     }
 
@@ -239,14 +271,22 @@ impl Work<'_, '_> {
 
     /// The point nearest to a place, of all.
     pub(super) fn nearest(&self, z: &[f64]) -> Option<u32> {
-        let distance = |k: usize| -> f64 { self.cloud.z(k).iter().zip(z).map(|(a, b)| (a - b).powi(2)).sum() };
+        let distance = |k: usize| -> f64 {
+            self.cloud
+                .z(k)
+                .iter()
+                .zip(z)
+                .map(|(a, b)| (a - b).powi(2))
+                .sum()
+        };
         (0..self.cloud.len())
             .filter(|k| self.goes_on(*k as u32))
             .min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
             .map(|k| k as u32)
     }
 
-    /// Whether a point's track goes on from there: one at the end of a horizon is no guess of another.
+    /// Whether a point's track goes on from there: one at the end of a horizon is no guess of
+    /// another.
     pub(super) fn goes_on(&self, k: u32) -> bool {
         let track = self.points.track[self.origins[k as usize].0 as usize];
         self.tracks[track as usize].path.segments() > 0

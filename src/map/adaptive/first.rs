@@ -7,17 +7,21 @@ use std::time::Instant;
 
 /// States of the first round that are searched for all sheets, by number of states.
 const FIRST: [usize; 7] = [0, 64, 256, 256, 256, 384, 512];
-/// Shortest step of the way from a point of an extremal to a state near it, where there are few points yet.
+/// Shortest step of the way from a point of an extremal to a state near it, where there are few
+/// points yet.
 const PATIENT_STEP: f64 = 1.0 / 64.0;
 /// Floor of V for relative errors unless the scene says, relative to the median over the region.
 const FLOOR: f64 = 1e-3;
 /// Where V is 0 in most of the region its size is this share of the largest one.
 const OF_LARGEST: f64 = 0.01;
-/// As [`FLOOR`], where V is negative somewhere: it is 0 on surfaces then, where nothing is special and nobody wants small relative errors.
+/// As [`FLOOR`], where V is negative somewhere: it is 0 on surfaces then, where nothing is special
+/// and nobody wants small relative errors.
 const FLOOR_OF_BOTH_SIGNS: f64 = 0.1;
-/// With a limit of seconds, states of the first batch: a batch is finished, and how long one takes is not known before.
+/// With a limit of seconds, states of the first batch: a batch is finished, and how long one takes
+/// is not known before.
 const FIRST_BATCH: usize = 8;
-/// Share of the seconds that the first states within the region may take, and those on its faces after them.
+/// Share of the seconds that the first states within the region may take, and those on its faces
+/// after them.
 const WITHIN: f64 = 0.5;
 const FACES: f64 = 0.75;
 
@@ -29,8 +33,10 @@ impl Work<'_, '_> {
             .map(|[lo, hi]| [lo - 0.5 * AROUND * (hi - lo), hi + 0.5 * AROUND * (hi - lo)])
             .collect();
         wide.extend(self.axis.as_ref().map(|axis| [0.0, axis.last]));
-        let (mut tracks, mut values) = self.searched_in_budget(self.spread(&wide, FIRST[n]), WITHIN)?;
-        // Where trajectories are not followed backward only states on the region's faces tell of these.
+        let (mut tracks, mut values) =
+            self.searched_in_budget(self.spread(&wide, FIRST[n]), WITHIN)?;
+        // Where trajectories are not followed backward only states on the region's faces tell of
+        // these.
         if !self.goes_beyond() {
             let (more, others) = self.searched_in_budget(self.on_faces(&wide), FACES)?;
             tracks.extend(more);
@@ -44,17 +50,21 @@ impl Work<'_, '_> {
         let size = median.max(OF_LARGEST * values.last().copied().unwrap_or(0.0));
         // V that is 0 everywhere has no size of its own.
         let size = if size > 0.0 { size } else { 1.0 };
-        let floor = self
-            .aim
-            .floor
-            .unwrap_or(size * if is_signed { FLOOR_OF_BOTH_SIGNS } else { FLOOR });
+        let floor = self.aim.floor.unwrap_or(
+            size * if is_signed {
+                FLOOR_OF_BOTH_SIGNS
+            } else {
+                FLOOR
+            },
+        );
         self.add(tracks, floor)?;
         if self.goes_beyond() {
             self.edges(floor)?;
         }
         if self.axis.is_some() {
             let mut states = self.spread(&wide, FIRST[n]);
-            let corners = (0..1usize << (n - 1)).map(|corner| (0..n - 1).map(|i| wide[i][corner >> i & 1]).collect());
+            let corners = (0..1usize << (n - 1))
+                .map(|corner| (0..n - 1).map(|i| wide[i][corner >> i & 1]).collect());
             states.extend(corners);
             self.add_ends(&states);
         }
@@ -158,7 +168,8 @@ impl Work<'_, '_> {
                 break;
             }
             let count = states.len() / n;
-            let Some((found, own)) = self.in_time(GIVEN_UP, |this| this.searched(states, NEAR))? else {
+            let Some((found, own)) = self.in_time(GIVEN_UP, |this| this.searched(states, NEAR))?
+            else {
                 break;
             };
             self.first[0] += count;

@@ -1,7 +1,8 @@
 //! Time as a further coordinate of a map, on a finite horizon.
 //!
-//! At every point of an extremal V(x, t) is the cost from there on; its slopes are p and dV/dt = -H. Dynamics and cost do not
-//! depend on time, so the problem from (x, t) is that of a horizon of T - t, and V(x, T) is the terminal cost.
+//! At every point of an extremal V(x, t) is the cost from there on; its slopes are p and dV/dt =
+//! -H. Dynamics and cost do not depend on time, so the problem from (x, t) is that of a horizon of
+//! T - t, and V(x, T) is the terminal cost.
 
 use super::Work;
 use super::errands::Errand;
@@ -19,7 +20,8 @@ use std::collections::BTreeMap;
 const FIRST_TIMES: usize = 4;
 /// Coarsest step of times at which states are searched later, of the horizon.
 const LEVELS: usize = 16;
-/// Finest step of times at which states are searched, as a share of the horizon: of more times more problems are set up.
+/// Finest step of times at which states are searched, as a share of the horizon: of more times more
+/// problems are set up.
 const FINEST: f64 = 1.0 / 4096.0;
 /// States whose remaining time is a smaller share of the horizon than this are at its end.
 const AT_END: f64 = 1.0 / 4096.0;
@@ -56,7 +58,11 @@ impl TimeAxis {
         let (Some(terminal), Ok(hamiltonian)) = (terminal, Hamiltonian::derive(model)) else {
             return Ok(None);
         };
-        let energy = Program::lower(&system.graph, &system.inputs, &[system.observer.hamiltonian]);
+        let energy = Program::lower(
+            &system.graph,
+            &system.inputs,
+            &[system.observer.hamiltonian],
+        );
         Ok(Some(Self {
             last: terminal.time,
             energy: Evaluator::new(&energy),
@@ -72,14 +78,20 @@ impl TimeAxis {
         (self.last - path.horizon()).max(0.0)
     }
 
-    /// Tracks without those, of other sheets, that have a conjugate point: such a one is not even locally the least, and no
-    /// sheet that may become it.
-    pub fn unfolded(&mut self, tracks: Vec<Track>, others: &[bool]) -> Result<Vec<Track>, BackendError> {
+    /// Tracks without those, of other sheets, that have a conjugate point: such a one is not even
+    /// locally the least, and no sheet that may become it.
+    pub fn unfolded(
+        &mut self,
+        tracks: Vec<Track>,
+        others: &[bool],
+    ) -> Result<Vec<Track>, BackendError> {
         let paths: Vec<&Path> = (tracks.iter().zip(others))
             .filter_map(|(t, other)| other.then_some(&t.path))
             .collect();
         let mut absent = self.conjugate.absent(&paths)?.into_iter();
-        let stays = |(track, other): (Track, &bool)| (!other || absent.next() == Some(true)).then_some(track);
+        let stays = |(track, other): (Track, &bool)| {
+            (!other || absent.next() == Some(true)).then_some(track)
+        };
         Ok(tracks.into_iter().zip(others).filter_map(stays).collect())
     }
 
@@ -110,7 +122,12 @@ impl TimeAxis {
     }
 
     /// The problem from a time on.
-    pub fn from(&mut self, t: f64, plan: &Plan, model: &Model) -> Result<&mut Shorter, BackendError> {
+    pub fn from(
+        &mut self,
+        t: f64,
+        plan: &Plan,
+        model: &Model,
+    ) -> Result<&mut Shorter, BackendError> {
         if !self.shorter.contains_key(&t.to_bits()) {
             let mut model = model.clone();
             if let Horizon::Finite { final_time, .. } = &mut model.horizon {
@@ -167,7 +184,8 @@ impl Work<'_, '_> {
         n.iter().zip(&errand.half).map(|(r, h)| (r * h).abs()).sum()
     }
 
-    /// A state, without its time and as many periods away as a point of the cloud, and the path from that point to begin with.
+    /// A state, without its time and as many periods away as a point of the cloud, and the path
+    /// from that point to begin with.
     pub(super) fn way(&self, x: &[f64], from: u32) -> (Vec<f64>, Path) {
         let mut path = self.guess(from);
         let Some(axis) = &self.axis else {
@@ -180,12 +198,15 @@ impl Work<'_, '_> {
 
     /// Takes out errands to the end of the horizon: there nothing is solved.
     pub(super) fn take_ends(&mut self, errands: &mut Vec<Errand>) {
-        let is_at_end = |e: &mut Errand| (self.axis.as_ref()).is_some_and(|axis| axis.is_at_end(e.x[e.x.len() - 1]));
+        let is_at_end = |e: &mut Errand| {
+            (self.axis.as_ref()).is_some_and(|axis| axis.is_at_end(e.x[e.x.len() - 1]))
+        };
         let ends: Vec<Vec<f64>> = errands.extract_if(.., is_at_end).map(|e| e.x).collect();
         self.add_ends(&ends);
     }
 
-    /// Points at the end of the horizon, where V is the terminal cost, at states (with a time or without).
+    /// Points at the end of the horizon, where V is the terminal cost, at states (with a time or
+    /// without).
     pub(super) fn add_ends(&mut self, states: &[Vec<f64>]) {
         let Some(axis) = &self.axis else { return };
         let n = self.plan.system.states;

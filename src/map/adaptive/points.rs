@@ -13,8 +13,8 @@ const CHANGE: f64 = 0.15;
 const MOST_REACH: f64 = 5.0;
 
 impl Work<'_, '_> {
-    /// Whether extremals are followed backward beyond the states they were solved for: where sheets lie over each other what
-    /// comes before an answer need not be one.
+    /// Whether extremals are followed backward beyond the states they were solved for: where sheets
+    /// lie over each other what comes before an answer need not be one.
     pub(super) fn goes_beyond(&self) -> bool {
         !self.plan.game && self.plan.local.is_some() && !self.cloud.several
     }
@@ -29,8 +29,8 @@ impl Work<'_, '_> {
         .collect()
     }
 
-    /// Bounds, as deviations, within which points of tracks are kept. A state that has a period comes back by itself; of a game
-    /// what lies behind a fold is no value.
+    /// Bounds, as deviations, within which points of tracks are kept. A state that has a period
+    /// comes back by itself; of a game what lies behind a fold is no value.
     pub(super) fn farthest(&self) -> Vec<[f64; 2]> {
         let each = self.around().into_iter().zip(&self.plan.periods);
         each.map(|([lo, hi], period)| {
@@ -41,7 +41,8 @@ impl Work<'_, '_> {
         .collect()
     }
 
-    /// Where points of tracks are wanted, as deviations, those of states with a period in one of these; and how dense.
+    /// Where points of tracks are wanted, as deviations, those of states with a period in one of
+    /// these; and how dense.
     pub(super) fn wish(&self, floor: f64) -> Wish {
         Wish {
             bounds: self.farthest(),
@@ -73,28 +74,38 @@ impl Work<'_, '_> {
         Ok(())
     }
 
-    /// Of a state with a period any number of periods away will do; where the cost tells whole periods apart, as far away as
-    /// tracks begin: further out is no least V.
+    /// Of a state with a period any number of periods away will do; where the cost tells whole
+    /// periods apart, as far away as tracks begin: further out is no least V.
     pub(super) fn in_any_period(&self, wish: &Wish, tracks: &[Track]) -> Wish {
         let turns = |i: usize, [lo, hi]: [f64; 2], period: f64| {
-            let begin = self.tracks.iter().chain(tracks).map(|track| track.path.node(0)[i]);
+            let begin = self
+                .tracks
+                .iter()
+                .chain(tracks)
+                .map(|track| track.path.node(0)[i]);
             begin.fold([0.0f64; 2], |[least, most], s| {
                 let (first, last) = (((lo - s) / period).ceil(), ((hi - s) / period).floor());
                 // Of several the one that moves it least.
-                let turns = if first > last { 0.0 } else { 0.0f64.clamp(first, last) };
+                let turns = if first > last {
+                    0.0
+                } else {
+                    0.0f64.clamp(first, last)
+                };
                 [least.min(turns), most.max(turns)]
             })
         };
         let wide = |bounds: &[[f64; 2]]| -> Vec<[f64; 2]> {
             let each = bounds.iter().enumerate();
-            each.map(|(i, b)| match (self.plan.periods[i], self.plan.recurrent[i]) {
-                (None, _) => *b,
-                (Some(_), Some(_)) => [f64::NEG_INFINITY, f64::INFINITY],
-                (Some(period), None) => {
-                    let [least, most] = turns(i, *b, period);
-                    [b[0] - most * period, b[1] - least * period]
-                }
-            })
+            each.map(
+                |(i, b)| match (self.plan.periods[i], self.plan.recurrent[i]) {
+                    (None, _) => *b,
+                    (Some(_), Some(_)) => [f64::NEG_INFINITY, f64::INFINITY],
+                    (Some(period), None) => {
+                        let [least, most] = turns(i, *b, period);
+                        [b[0] - most * period, b[1] - least * period]
+                    }
+                },
+            )
             .collect()
         };
         Wish {
@@ -104,7 +115,8 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Keeps tracks with their points: within bounds, and of those around the region as points of the cloud.
+    /// Keeps tracks with their points: within bounds, and of those around the region as points of
+    /// the cloud.
     pub(super) fn keep(
         &mut self,
         tracks: Vec<Track>,
@@ -152,7 +164,13 @@ impl Work<'_, '_> {
     /// Learns how far all points keep from the guards that cast shadows, and places them anew.
     pub(super) fn shade(&mut self, floor: f64) -> Result<(), BackendError> {
         let tracks = (self.tracks.as_slice(), 0);
-        let outside = tell_clearances(self.plan, self.solver, tracks, &self.shadows, &mut self.points)?;
+        let outside = tell_clearances(
+            self.plan,
+            self.solver,
+            tracks,
+            &self.shadows,
+            &mut self.points,
+        )?;
         self.points.retain(|k| !outside[k]);
         if self.axis.is_some() {
             let mut k = 0;
@@ -169,15 +187,31 @@ impl Work<'_, '_> {
         Ok(())
     }
 
-    /// State (absolute, moved by whole periods) of a point on a path, with its time where that is an axis.
-    pub(super) fn state_of(&self, points: &TrackPoints, k: usize, path: &Path, shift: &[f64]) -> Vec<f64> {
-        let node = points.node(k).iter().zip(shift).zip(&self.plan.system.reference);
+    /// State (absolute, moved by whole periods) of a point on a path, with its time where that is
+    /// an axis.
+    pub(super) fn state_of(
+        &self,
+        points: &TrackPoints,
+        k: usize,
+        path: &Path,
+        shift: &[f64],
+    ) -> Vec<f64> {
+        let node = points
+            .node(k)
+            .iter()
+            .zip(shift)
+            .zip(&self.plan.system.reference);
         node.map(|((s, shift), r)| s + shift + r)
-            .chain(self.axis.as_ref().map(|axis| axis.begins(path) + points.t[k]))
+            .chain(
+                self.axis
+                    .as_ref()
+                    .map(|axis| axis.begins(path) + points.t[k]),
+            )
             .collect()
     }
 
-    /// State (as solved, absolute) and gradient of a point, with its time and dV/dt where time is an axis.
+    /// State (as solved, absolute) and gradient of a point, with its time and dV/dt where time is
+    /// an axis.
     pub(super) fn coordinates(&self, point: usize) -> (Vec<f64>, Vec<f64>) {
         let path = &self.tracks[self.points.track[point] as usize].path;
         let x = self.state_of(&self.points, point, path, &[0.0; MOST_VARIABLES]);

@@ -1,5 +1,5 @@
-//! Guards that cut a cheaper way off where another solution is the answer: no state without an answer tells of these, but what the
-//! map says there is that of the cheaper way.
+//! Guards that cut a cheaper way off where another solution is the answer: no state without an
+//! answer tells of these, but what the map says there is that of the cheaper way.
 
 use super::Work;
 use crate::backend::BackendError;
@@ -20,8 +20,9 @@ impl Work<'_, '_> {
         self.plan.local.is_none() && self.axis.is_none()
     }
 
-    /// Asks of states with their V whether points near them promise less: the way on from there leaves a guard, which then casts a
-    /// shadow; or it leads to a cheaper solution, which is added.
+    /// Asks of states with their V whether points near them promise less: the way on from there
+    /// leaves a guard, which then casts a shadow; or it leads to a cheaper solution, which is
+    /// added.
     pub(super) fn probe(&mut self, floor: f64) -> Result<(), BackendError> {
         let all = std::mem::take(&mut self.asked);
         // Of a game nothing is followed behind a fold.
@@ -63,7 +64,8 @@ impl Work<'_, '_> {
         self.add(tracks, floor)
     }
 
-    /// Of the points near a state that which promises the lowest V there, if that is below the one known.
+    /// Of the points near a state that which promises the lowest V there, if that is below the one
+    /// known.
     fn promising(&self, x: &[f64], v: f64, floor: f64) -> Option<u32> {
         let n = self.cloud.variables;
         let mut z = vec![0.0; n];

@@ -16,14 +16,19 @@ pub(super) const ALL_BUT: f64 = 0.97;
 const WORTHLESS: f64 = 0.1;
 /// Failures in a cell after which no more states are tried there.
 const MOST_FAILURES: u32 = 6;
-/// Points that a frame is fitted to, about; from the fullest parts of the region they are drawn by lot.
+/// Points that a frame is fitted to, about; from the fullest parts of the region they are drawn by
+/// lot.
 const MOST_PLACES: usize = 200_000;
 /// States solved after which the frame stays.
 const SETTLED: usize = 3000;
 
 impl Work<'_, '_> {
     /// Builds pieces, and solves for states where they are not good enough, until they are.
-    pub(super) fn refined(&mut self, region: &Region, more: Vec<Want>) -> Result<Pieces, BackendError> {
+    pub(super) fn refined(
+        &mut self,
+        region: &Region,
+        more: Vec<Want>,
+    ) -> Result<Pieces, BackendError> {
         let mut more = Some(more).filter(|m| !m.is_empty());
         let mut before: Option<(Pieces, usize, usize)> = None;
         let mut last: Option<(Instant, usize)> = None;
@@ -44,14 +49,22 @@ impl Work<'_, '_> {
             });
             self.cloud.unanswered = self.unanswered_places();
             let (pieces, wants) = build(&self.cloud, region, &self.frame, self.flow.as_ref(), old);
-            let asked: Vec<Want> = (more.take().into_iter().flatten().chain(wants.iter().cloned()))
-                .filter(|w| self.failures.get(&key(w)).is_none_or(|f| *f < MOST_FAILURES))
-                .collect();
+            let asked: Vec<Want> = (more
+                .take()
+                .into_iter()
+                .flatten()
+                .chain(wants.iter().cloned()))
+            .filter(|w| {
+                self.failures
+                    .get(&key(w))
+                    .is_none_or(|f| *f < MOST_FAILURES)
+            })
+            .collect();
             if asked.is_empty() || self.is_spent(1.0) || (closing && self.is_spent(ALL_BUT)) {
                 return Ok(pieces);
             }
-            // The last states are first for the holes that the rounds before have left between their new cells, and for cells
-            // of which nothing would be said.
+            // The last states are first for the holes that the rounds before have left between
+            // their new cells, and for cells of which nothing would be said.
             closing = self.is_spent(BEFORE_CLOSING);
             let most = self.aim.error_max.max(WORTHLESS) / self.aim.error;
             let asked = match closing.then(|| holes(&asked, most)) {
@@ -75,12 +88,16 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Learns how far solutions that leave a guard do so; whether guards are among these that were not known to cast a shadow.
+    /// Learns how far solutions that leave a guard do so; whether guards are among these that were
+    /// not known to cast a shadow.
     fn learn_shadows(&mut self) -> Result<bool, BackendError> {
         let cut: Vec<usize> = (0..self.unanswered.len())
             .filter(|k| self.unanswered[*k].cut.is_some())
             .collect();
-        let mut paths: Vec<Path> = cut.iter().filter_map(|k| self.unanswered[*k].cut.take()).collect();
+        let mut paths: Vec<Path> = cut
+            .iter()
+            .filter_map(|k| self.unanswered[*k].cut.take())
+            .collect();
         paths.append(&mut self.cut);
         let margins = clearances(self.plan, self.solver, &paths.iter().collect::<Vec<_>>())?;
         let mut is_new = false;
@@ -113,7 +130,8 @@ impl Work<'_, '_> {
         places
     }
 
-    /// Turns the frame to where V is steep, relative to itself, if that is in one direction; whether it was turned.
+    /// Turns the frame to where V is steep, relative to itself, if that is in one direction;
+    /// whether it was turned.
     fn turn(&mut self, region: &Region) -> bool {
         let places = self.steep_places(region, None);
         let Some(frame) = Frame::fitted(region, &places) else {
@@ -130,19 +148,24 @@ impl Work<'_, '_> {
             x.iter_mut().zip(shift).for_each(|(x, s)| *x += s);
             let z = &mut self.cloud.z[k * n..][..n];
             self.frame.of(&x, z);
-            self.frame.gradient_of(z, &p, &mut self.cloud.q[k * n..][..n]);
+            self.frame
+                .gradient_of(z, &p, &mut self.cloud.q[k * n..][..n]);
         }
         true
     }
 
-    /// Points in the region, but not in a part of it, with V's slopes relative to itself; all parts weigh the same.
+    /// Points in the region, but not in a part of it, with V's slopes relative to itself; all parts
+    /// weigh the same.
     pub(super) fn steep_places(&self, region: &Region, without: Option<&Region>) -> Vec<Steep> {
         let n = self.cloud.variables;
         let a_side = if n <= 4 { 8.0 } else { 4.0 };
         let place = |k: usize| {
             let (x, p) = self.coordinates(k);
-            let t: Vec<f64> = (0..n).map(|i| (x[i] - region.lo[i]) / region.width(i)).collect();
-            let inside = t.iter().all(|t| (0.0..=1.0).contains(t)) && !without.is_some_and(|part| part.covers(&x));
+            let t: Vec<f64> = (0..n)
+                .map(|i| (x[i] - region.lo[i]) / region.width(i))
+                .collect();
+            let inside = t.iter().all(|t| (0.0..=1.0).contains(t))
+                && !without.is_some_and(|part| part.covers(&x));
             let part: Vec<u8> = t.iter().map(|t| (t * a_side) as u8).collect();
             inside.then_some((t, p, part))
         };
@@ -151,14 +174,17 @@ impl Work<'_, '_> {
         for (_, _, part) in (0..self.points.len()).filter_map(place) {
             *points.entry(part).or_default() += 1;
         }
-        // A lot for all points alike would leave the parts with few of them to chance, and they weigh as much as the others.
+        // A lot for all points alike would leave the parts with few of them to chance, and they
+        // weigh as much as the others.
         let most = MOST_PLACES / points.len().max(1);
 
         let mut drawn: HashMap<Vec<u8>, f64> = HashMap::new();
         let mut places = Vec::new();
         let mut boxes = Vec::new();
         for k in 0..self.points.len() {
-            let Some((t, p, part)) = place(k) else { continue };
+            let Some((t, p, part)) = place(k) else {
+                continue;
+            };
             if mixed(k as u64) * points[&part] as f64 > most as f64 {
                 continue;
             }
@@ -191,5 +217,9 @@ fn holes(wants: &[Want], most: f64) -> Vec<Want> {
 
 /// A cell as a key.
 pub(super) fn key(want: &Want) -> Vec<u64> {
-    want.lo.iter().chain(&want.hi).map(|x| x.to_bits()).collect()
+    want.lo
+        .iter()
+        .chain(&want.hi)
+        .map(|x| x.to_bits())
+        .collect()
 }

@@ -8,9 +8,14 @@ use crate::value::{self, Answers, Request, Track};
 use std::collections::BTreeMap;
 
 impl Work<'_, '_> {
-    /// Solves for states (absolute) with a search for all sheets; the tracks of the answers, and V. Of other sheets that may
-    /// be the lowest within `half` of a state (in the frame's coordinates) the state itself. V is NaN where there is none.
-    pub(super) fn searched(&mut self, states: Vec<f64>, half: f64) -> Result<(Vec<Track>, Vec<f64>), BackendError> {
+    /// Solves for states (absolute) with a search for all sheets; the tracks of the answers, and V.
+    /// Of other sheets that may be the lowest within `half` of a state (in the frame's coordinates)
+    /// the state itself. V is NaN where there is none.
+    pub(super) fn searched(
+        &mut self,
+        states: Vec<f64>,
+        half: f64,
+    ) -> Result<(Vec<Track>, Vec<f64>), BackendError> {
         let half = vec![half; self.cloud.variables];
         let mut given = vec![f64::NAN; states.len() / self.cloud.variables];
         let mut tracks = Vec::new();
@@ -23,7 +28,8 @@ impl Work<'_, '_> {
             tracks.extend(found);
             for (number, target) in numbers.into_iter().zip(&answers.targets.of_given) {
                 given[number] = values[*target];
-                // Of V(x, 0) only states that are solved tell; where V depends on no time their trajectories do, too.
+                // Of V(x, 0) only states that are solved tell; where V depends on no time their
+                // trajectories do, too.
                 if self.tells_of_beginnings() && values[*target].is_finite() {
                     let x = states[number * v..][..v].to_vec();
                     self.asked.push((x, values[*target]));
@@ -37,7 +43,8 @@ impl Work<'_, '_> {
         Ok((tracks, given))
     }
 
-    /// Solves for states; where time is an axis, those of one time after the other. Of each answers the numbers of its states.
+    /// Solves for states; where time is an axis, those of one time after the other. Of each answers
+    /// the numbers of its states.
     pub(super) fn solve(
         &mut self,
         states: Vec<f64>,
@@ -56,11 +63,21 @@ impl Work<'_, '_> {
             points.extend_from_slice(&x[..v - 1]);
         }
         (by_time.into_iter())
-            .map(|(t, (numbers, points))| Ok((numbers, self.solve_from(f64::from_bits(t), points, in_company)?)))
+            .map(|(t, (numbers, points))| {
+                Ok((
+                    numbers,
+                    self.solve_from(f64::from_bits(t), points, in_company)?,
+                ))
+            })
             .collect()
     }
 
-    fn solve_from(&mut self, t: f64, points: Vec<f64>, in_company: bool) -> Result<Answers, BackendError> {
+    fn solve_from(
+        &mut self,
+        t: f64,
+        points: Vec<f64>,
+        in_company: bool,
+    ) -> Result<Answers, BackendError> {
         let request = Request {
             points,
             in_company,
@@ -71,7 +88,14 @@ impl Work<'_, '_> {
             let from = axis.from(t, self.plan, self.model)?;
             let (plan, model, archive) = (&from.plan, &from.model, &from.archive);
             from.solver.deadline = self.solver.deadline;
-            return value::solve(plan, model, &mut from.solver, archive, &request, &mut *self.progress);
+            return value::solve(
+                plan,
+                model,
+                &mut from.solver,
+                archive,
+                &request,
+                &mut *self.progress,
+            );
         }
         value::solve(
             self.plan,
@@ -101,7 +125,8 @@ impl Work<'_, '_> {
                 .of(target)
                 .iter()
                 .filter(|e| !self.plan.game && e.value > answer.value);
-            let near = others.filter(|e| self.may_cross((&answer.path, answer.value), (&e.path, e.value), half));
+            let near = others
+                .filter(|e| self.may_cross((&answer.path, answer.value), (&e.path, e.value), half));
             let near: Vec<Track> = near.map(|e| Track::of(e, false)).collect();
             tracks.push(Track::of(answer, true));
             tracks.extend(near);
@@ -116,13 +141,23 @@ impl Work<'_, '_> {
         let n = half.len();
         let mut q = [[0.0; MOST_VARIABLES]; 2];
         let reference = &self.plan.system.reference;
-        let mut x: Vec<f64> = lowest.0.start().iter().zip(reference).map(|(s, r)| s + r).collect();
+        let mut x: Vec<f64> = lowest
+            .0
+            .start()
+            .iter()
+            .zip(reference)
+            .map(|(s, r)| s + r)
+            .collect();
         x.extend(self.axis.as_ref().map(|axis| axis.begins(lowest.0)));
         let mut z = [0.0; MOST_VARIABLES];
         self.frame.of(&x, &mut z[..n]);
         for (q, path) in q.iter_mut().zip([lowest.0, other.0]) {
             let mut p = path.adjoint().to_vec();
-            p.extend(self.axis.iter().flat_map(|axis| axis.rates(path.node(0), path.width)));
+            p.extend(
+                self.axis
+                    .iter()
+                    .flat_map(|axis| axis.rates(path.node(0), path.width)),
+            );
             self.frame.gradient_of(&z[..n], &p, &mut q[..n]);
         }
         let change: f64 = (0..n).map(|i| (q[1][i] - q[0][i]).abs() * half[i]).sum();

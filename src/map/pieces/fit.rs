@@ -11,7 +11,8 @@ pub fn most_of_group(variables: usize) -> usize {
     MOST_OF_GROUP / (variables + 1)
 }
 
-/// What is a polynomial: V itself, or a function of it that is smoother where V falls or rises steeply.
+/// What is a polynomial: V itself, or a function of it that is smoother where V falls or rises
+/// steeply.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(i32)]
 pub enum Shape {
@@ -40,8 +41,8 @@ impl Shape {
         }
     }
 
-    /// V and its derivative by the function. V is not a number where no V has this value of the function: a polynomial that
-    /// crosses 0 comes to another branch.
+    /// V and its derivative by the function. V is not a number where no V has this value of the
+    /// function: a polynomial that crosses 0 comes to another branch.
     pub fn back(self, w: f64) -> (f64, f64) {
         match self {
             Shape::Root if w < 0.0 => (f64::NAN, f64::NAN),
@@ -64,8 +65,9 @@ impl Shape {
 pub enum Scale {
     /// V at each point, and at least a floor.
     OfEach(f64),
-    /// The same for all points of a cell. A polynomial errs by about as much all over its cell, so where V may be of either sign an
-    /// error relative to V at some points would tell too little of places nearer to V = 0.
+    /// The same for all points of a cell. A polynomial errs by about as much all over its cell, so
+    /// where V may be of either sign an error relative to V at some points would tell too little of
+    /// places nearer to V = 0.
     OfAll(f64),
 }
 
@@ -81,7 +83,8 @@ impl Scale {
 /// Points with V and its gradient in the coordinates of a cell.
 pub struct Data<'d> {
     pub terms: &'d Terms,
-    /// `[term][equation]`: for all points their monomials, then the slopes of these along each variable in turn.
+    /// `[term][equation]`: for all points their monomials, then the slopes of these along each
+    /// variable in turn.
     rows: Vec<f64>,
     stride: usize,
     v: Vec<f64>,
@@ -110,15 +113,16 @@ pub struct Along {
     pub v: f64,
 }
 
-/// A polynomial, with the largest errors that points have of V and of its gradient, each group of points left out of the fit in
-/// turn.
+/// A polynomial, with the largest errors that points have of V and of its gradient, each group of
+/// points left out of the fit in turn.
 pub struct Tested {
     pub coefficients: Vec<f64>,
     pub errors: [f64; 2],
 }
 
 impl<'d> Data<'d> {
-    /// For polynomials up to a degree: so many points, which `of` fills in (V, group; y and q in the slices given).
+    /// For polynomials up to a degree: so many points, which `of` fills in (V, group; y and q in
+    /// the slices given).
     pub fn new(
         terms: &'d Terms,
         degree: usize,
@@ -156,9 +160,15 @@ impl<'d> Data<'d> {
             let (parent, axis) = terms.factors[term];
             let (parent, axis) = (usize::from(parent), usize::from(axis));
             let (before, own) = this.rows.split_at_mut(term * stride);
-            let (from, y) = (&before[parent * stride..][..stride], &at[axis * points..][..points]);
+            let (from, y) = (
+                &before[parent * stride..][..stride],
+                &at[axis * points..][..points],
+            );
             for block in (0..=n).filter(|_| points > 0) {
-                let (own, from) = (&mut own[block * points..][..points], &from[block * points..][..points]);
+                let (own, from) = (
+                    &mut own[block * points..][..points],
+                    &from[block * points..][..points],
+                );
                 for k in 0..points {
                     own[k] = from[k] * y[k];
                 }
@@ -184,7 +194,9 @@ impl<'d> Data<'d> {
         for (k, one) in along.iter().enumerate() {
             self.terms.at(&one.y[..n], &mut values, &mut slopes);
             for term in 0..count {
-                rows[term * wider + equations + k] = (0..n).map(|i| one.direction[i] * slopes[i * count + term]).sum();
+                rows[term * wider + equations + k] = (0..n)
+                    .map(|i| one.direction[i] * slopes[i * count + term])
+                    .sum();
             }
         }
         Self {
@@ -203,7 +215,8 @@ impl<'d> Data<'d> {
         self.v.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// The equations of a shape, weighted by what an error of each means for V; and the weights, one a point.
+    /// The equations of a shape, weighted by what an error of each means for V; and the weights,
+    /// one a point.
     fn equations(&self, shape: Shape, count: usize) -> (Equations, Vec<f64>) {
         let (n, points) = (self.terms.variables, self.len());
         let equations = (n + 1) * points + self.along.len();
@@ -257,7 +270,8 @@ impl<'d> Data<'d> {
         (equations, weights)
     }
 
-    /// Polynomials of all degrees up to one for a shape, from the lowest on; fewer where the points do not determine more.
+    /// Polynomials of all degrees up to one for a shape, from the lowest on; fewer where the points
+    /// do not determine more.
     pub fn fits(&self, shape: Shape, degree: usize) -> Vec<Vec<f64>> {
         let sizes = &self.terms.upto[..=degree];
         let factors = self.equations(shape, sizes[degree]).0.factors();
@@ -272,8 +286,9 @@ impl<'d> Data<'d> {
         (self.fits(shape, degree).pop()).filter(|c| c.len() == self.terms.upto[degree])
     }
 
-    /// Polynomials of several degrees for a shape, from the highest that is determined on, until the error of one is no more
-    /// than `enough`. Errors are those of the points that `counts` tells.
+    /// Polynomials of several degrees for a shape, from the highest that is determined on, until
+    /// the error of one is no more than `enough`. Errors are those of the points that `counts`
+    /// tells.
     pub fn tested(
         &self,
         shape: Shape,
@@ -294,13 +309,18 @@ impl<'d> Data<'d> {
             .filter(|group| group.iter().any(|k| counts(*k as usize)))
             .map(|group| &group[..group.len().min(most_of_group(n))])
             .collect();
-        // The equations of each group one after the other: V of its points, then their slopes along each variable.
+        // The equations of each group one after the other: V of its points, then their slopes along
+        // each variable.
         let of_groups: Vec<u32> = (groups.iter())
-            .flat_map(|group| (0..=n).flat_map(|block| group.iter().map(move |k| (block * points) as u32 + k)))
+            .flat_map(|group| {
+                (0..=n).flat_map(|block| group.iter().map(move |k| (block * points) as u32 + k))
+            })
             .collect();
         let mut basis = factors.basis(&of_groups);
         let mut found: Vec<Tested> = Vec::new();
-        for count in (self.terms.upto[..=degree].iter().copied().rev()).filter(|count| *count <= factors.determined) {
+        for count in (self.terms.upto[..=degree].iter().copied().rev())
+            .filter(|count| *count <= factors.determined)
+        {
             // Lower ones too where a group alone determines something of the higher.
             if found.len() >= degrees && found.iter().any(|f| f.errors[0].is_finite()) {
                 break;
@@ -336,7 +356,10 @@ impl<'d> Data<'d> {
                     errors = [errors[0].max(error[0]), errors[1].max(error[1])];
                 }
             }
-            found.push(Tested { coefficients, errors });
+            found.push(Tested {
+                coefficients,
+                errors,
+            });
             if errors[0] <= enough {
                 break;
             }
@@ -383,7 +406,13 @@ mod tests {
     fn a_polynomial_is_found_again_in_every_shape() {
         let terms = Terms::new(2, 4);
         let coefficients: Vec<f64> = (0..terms.upto[4])
-            .map(|k| if k == 0 { 2.0 } else { 0.05 * (k as f64 * 1.7).cos() })
+            .map(|k| {
+                if k == 0 {
+                    2.0
+                } else {
+                    0.05 * (k as f64 * 1.7).cos()
+                }
+            })
             .collect();
         for (shape, _) in Shape::ALL {
             let data = Data::new(&terms, 4, Scale::OfEach(1e-3), 24, |k, y, q| {
@@ -400,11 +429,16 @@ mod tests {
             for (a, b) in found.iter().zip(&coefficients) {
                 assert!((a - b).abs() < 1e-8, "{shape:?}: {a} {b}");
             }
-            assert!(data.errors(shape, &found).iter().all(|e| e[0] < 1e-9 && e[1] < 1e-8));
+            assert!(
+                data.errors(shape, &found)
+                    .iter()
+                    .all(|e| e[0] < 1e-9 && e[1] < 1e-8)
+            );
         }
     }
 
-    /// Two points leave most coefficients open; slopes along one direction at other places tell them.
+    /// Two points leave most coefficients open; slopes along one direction at other places tell
+    /// them.
     #[test]
     fn slopes_along_directions_count_as_points_do() {
         let terms = Terms::new(2, 3);
@@ -436,7 +470,8 @@ mod tests {
                 .map(|k| {
                     let y = place(k);
                     let mut direction = [0.0; MOST_VARIABLES];
-                    (direction[0], direction[1]) = if k % 2 == 0 { (1.0, -0.3) } else { (0.4, 1.0) };
+                    (direction[0], direction[1]) =
+                        if k % 2 == 0 { (1.0, -0.3) } else { (0.4, 1.0) };
                     let mut q = [0.0; 2];
                     let v = at(&y[..2], &mut q);
                     let slope = direction[0] * q[0] + direction[1] * q[1];
@@ -456,7 +491,8 @@ mod tests {
         }
     }
 
-    /// Points that a polynomial of this degree cannot meet, by fits that are made without each group in turn.
+    /// Points that a polynomial of this degree cannot meet, by fits that are made without each
+    /// group in turn.
     #[test]
     fn errors_are_those_of_fits_without_the_group() {
         let terms = Terms::new(2, 3);
@@ -482,10 +518,15 @@ mod tests {
             let tested = data(&all).tested(shape, 3, (3, 0.0), |k| k != 4);
             assert_eq!(tested.len(), 3);
             for found in tested {
-                let degree = terms.upto.iter().position(|c| *c == found.coefficients.len()).unwrap();
+                let degree = terms
+                    .upto
+                    .iter()
+                    .position(|c| *c == found.coefficients.len())
+                    .unwrap();
                 let mut worst = [0.0f64; 2];
                 for left in 0..7 {
-                    let (out, kept): (Vec<usize>, Vec<usize>) = all.iter().partition(|k| group(**k) == left);
+                    let (out, kept): (Vec<usize>, Vec<usize>) =
+                        all.iter().partition(|k| group(**k) == left);
                     let fitted = data(&kept).fitted(shape, degree).unwrap();
                     let out: Vec<usize> = out.into_iter().filter(|k| *k != 4).collect();
                     for error in data(&out).errors(shape, &fitted) {

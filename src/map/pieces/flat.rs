@@ -1,7 +1,9 @@
-//! A map in pieces as flat arrays, for many states: what [`Pieces::at`] says, in f64 or f32, without allocation.
+//! A map in pieces as flat arrays, for many states: what [`Pieces::at`] says, in f64 or f32,
+//! without allocation.
 //!
-//! A batch of states is looked up first, which gives a list of pieces with a place in each; their polynomials are summed in
-//! lanes, several pieces at once; then what they say is blended. What is said of a state does not depend on the others.
+//! A batch of states is looked up first, which gives a list of pieces with a place in each; their
+//! polynomials are summed in lanes, several pieces at once; then what they say is blended. What is
+//! said of a state does not depend on the others.
 
 mod bend;
 mod blend;
@@ -70,7 +72,8 @@ pub struct Flat<T> {
     places: Vec<T>,
     /// Of divided powers, one piece after the other.
     coefficients: Vec<T>,
-    /// Of a piece lowest and highest extent along each direction, and the polynomial of the guards' margins if any has one.
+    /// Of a piece lowest and highest extent along each direction, and the polynomial of the guards'
+    /// margins if any has one.
     supports: Vec<T>,
     /// Coefficients of these polynomials.
     margins: usize,
@@ -211,7 +214,12 @@ impl<T: Real> Flat<T> {
                 },
             });
         }
-        for Cell { lo, hi, pieces: own } in &pieces.cells {
+        for Cell {
+            lo,
+            hi,
+            pieces: own,
+        } in &pieces.cells
+        {
             this.cells
                 .extend(lo.iter().zip(hi).map(|(lo, hi)| T::of(0.5 * (lo + hi))));
             this.cells
@@ -224,7 +232,12 @@ impl<T: Real> Flat<T> {
                     p_bound: T::of(piece.p_bound),
                     coefficients: this.coefficients.len() as u32,
                     terms: terms as u16,
-                    degree: this.tables.upto.iter().position(|k| *k == terms).unwrap_or(0) as u8,
+                    degree: this
+                        .tables
+                        .upto
+                        .iter()
+                        .position(|k| *k == terms)
+                        .unwrap_or(0) as u8,
                     shape: piece.shape,
                     sheet: piece.sheet,
                     support: match piece.support.is_empty() {
@@ -236,9 +249,11 @@ impl<T: Real> Flat<T> {
                 this.places.extend(all(&piece.half));
                 let scaled = piece.coefficients.iter().zip(&this.tables.scale);
                 this.coefficients.extend(scaled.map(|(c, s)| T::of(c * s)));
-                this.supports.extend(piece.support.iter().flatten().map(|s| T::of(*s)));
+                this.supports
+                    .extend(piece.support.iter().flatten().map(|s| T::of(*s)));
                 if !piece.support.is_empty() {
-                    this.supports.extend(piece.margins(this.margins).into_iter().map(T::of));
+                    this.supports
+                        .extend(piece.margins(this.margins).into_iter().map(T::of));
                 }
             }
         }
@@ -257,8 +272,9 @@ impl<T: Real> Flat<T> {
             .all(|(x, (lo, hi))| x >= lo && x <= hi)
     }
 
-    /// V and the rest on the lowest sheet at states `[state][component]`, told one after the other with their numbers; `None`
-    /// outside the region and where nothing is known. Second derivatives only where asked for.
+    /// V and the rest on the lowest sheet at states `[state][component]`, told one after the other
+    /// with their numbers; `None` outside the region and where nothing is known. Second derivatives
+    /// only where asked for.
     #[inline(always)]
     pub fn each<const FMA: bool>(
         &self,
@@ -272,7 +288,8 @@ impl<T: Real> Flat<T> {
         let most = *self.tables.upto.last().unwrap_or(&1);
         let of_shear = self.shear.as_ref().map_or(0, Shear::terms);
         desk.coefficients.resize(most, Lanes::splat(T::of(0.0)));
-        desk.monomials.resize(most.max(of_shear), Lanes::splat(T::of(0.0)));
+        desk.monomials
+            .resize(most.max(of_shear), Lanes::splat(T::of(0.0)));
         for (batch, x) in x.chunks(BATCH * n).enumerate() {
             desk.tasks.clear();
             desk.shares.clear();
@@ -341,7 +358,9 @@ impl<T: Real> Flat<T> {
     #[inline(always)]
     fn share(&self, cell: usize, own: bool, z: &[T], desk: &mut Desk<T>) {
         let n = z.len();
-        let Some(weight) = self.weight(cell, z) else { return };
+        let Some(weight) = self.weight(cell, z) else {
+            return;
+        };
         let (first, end) = (self.owned[cell], self.owned[cell + 1]);
         let from = desk.tasks.len() as u32;
         for piece in first..end {
@@ -411,7 +430,8 @@ impl<T: Real> Flat<T> {
             }
             let count = self.tables.upto[degree];
             if heads.iter().all(|h| usize::from(h.terms) == count) {
-                let own: [&[T]; LANES] = heads.map(|h| &self.coefficients[h.coefficients as usize..][..count]);
+                let own: [&[T]; LANES] =
+                    heads.map(|h| &self.coefficients[h.coefficients as usize..][..count]);
                 for t in 0..count {
                     for l in 0..LANES {
                         desk.coefficients[t].0[l] = own[l][t];
@@ -421,7 +441,8 @@ impl<T: Real> Flat<T> {
                 // A polynomial of lower degree has zeros for the rest.
                 desk.coefficients[..count].fill(zero);
                 for (l, head) in heads.iter().enumerate() {
-                    let own = &self.coefficients[head.coefficients as usize..][..usize::from(head.terms)];
+                    let own =
+                        &self.coefficients[head.coefficients as usize..][..usize::from(head.terms)];
                     for (to, c) in desk.coefficients.iter_mut().zip(own) {
                         to.0[l] = *c;
                     }
@@ -442,7 +463,14 @@ impl<T: Real> Flat<T> {
 
     /// What a piece says of V, from its polynomial.
     #[inline(always)]
-    fn told(&self, task: &Task<T>, head: &Head<T>, jet: &Jet<T, LANES>, l: usize, second: bool) -> Told<T> {
+    fn told(
+        &self,
+        task: &Task<T>,
+        head: &Head<T>,
+        jet: &Jet<T, LANES>,
+        l: usize,
+        second: bool,
+    ) -> Told<T> {
         let n = self.states;
         let half = &self.places[task.piece as usize * 2 * n + n..][..n];
         let (v, slope, bend) = back(head.shape, jet.v.0[l]);
@@ -474,8 +502,8 @@ impl<T: Real> Flat<T> {
     }
 }
 
-/// V and its first and second derivative by the function of it that is a polynomial; V is not a number where no V has this value
-/// of the function.
+/// V and its first and second derivative by the function of it that is a polynomial; V is not a
+/// number where no V has this value of the function.
 #[inline(always)]
 fn back<T: Real>(shape: Shape, w: T) -> (T, T, T) {
     let (zero, one, two) = (T::of(0.0), T::of(1.0), T::of(2.0));

@@ -1,7 +1,9 @@
 //! Flat arrays against [`Pieces::at`].
 
 use super::terms::Terms;
-use super::{Bend, Cell, Desk, Flat, Frame, Here, Node, Piece, Pieces, Region, Shape, highest_degree};
+use super::{
+    Bend, Cell, Desk, Flat, Frame, Here, Node, Piece, Pieces, Region, Shape, highest_degree,
+};
 
 /// A number in [0, 1) from a counter (splitmix64).
 struct Random(u64);
@@ -16,8 +18,8 @@ impl Random {
     }
 }
 
-/// Cells of all sizes with polynomials of all shapes and degrees, all of V near 2, or near 3 on a second sheet; some hold only near
-/// their points, and some of V is above the largest value wanted.
+/// Cells of all sizes with polynomials of all shapes and degrees, all of V near 2, or near 3 on a
+/// second sheet; some hold only near their points, and some of V is above the largest value wanted.
 fn some_pieces(n: usize, turned: bool, random: &mut Random) -> Pieces {
     let region = Region {
         lo: (0..n).map(|i| -1.0 - i as f64).collect(),
@@ -74,7 +76,13 @@ fn some_pieces(n: usize, turned: bool, random: &mut Random) -> Pieces {
             let degree = (random.next() * (highest_degree(n) + 1) as f64) as usize;
             let (w, slope) = shape.of(2.0 + f64::from(sheet));
             let coefficients: Vec<f64> = (0..terms.upto[degree])
-                .map(|t| if t == 0 { w } else { 0.1 * slope * (random.next() - 0.5) })
+                .map(|t| {
+                    if t == 0 {
+                        w
+                    } else {
+                        0.1 * slope * (random.next() - 0.5)
+                    }
+                })
                 .collect();
             let enclosed = random.next() < 0.3;
             pieces.push(Piece {
@@ -94,7 +102,13 @@ fn some_pieces(n: usize, turned: bool, random: &mut Random) -> Pieces {
                 // Without a draw of its own: others would be drawn.
                 clearance: match enclosed && sheet == 0 && depth % 2 == 0 {
                     true => (0..super::margin_terms(n))
-                        .map(|t| if t == 0 { 0.9 } else { (1.7 * (t * n) as f64).sin() })
+                        .map(|t| {
+                            if t == 0 {
+                                0.9
+                            } else {
+                                (1.7 * (t * n) as f64).sin()
+                            }
+                        })
                         .collect(),
                     false => Vec::new(),
                 },
@@ -106,7 +120,8 @@ fn some_pieces(n: usize, turned: bool, random: &mut Random) -> Pieces {
             pieces: first..pieces.len(),
         });
     }
-    Pieces::new(region, frame, nodes, cells, pieces).expect("the numbers of coefficients are those of degrees")
+    Pieces::new(region, frame, nodes, cells, pieces)
+        .expect("the numbers of coefficients are those of degrees")
 }
 
 fn states(pieces: &Pieces, count: usize, random: &mut Random) -> Vec<f64> {
@@ -136,7 +151,11 @@ fn differences(pieces: &Pieces, x: &[f64]) -> Vec<f64> {
     hessian
 }
 
-fn all<T: crate::backend::cpu::real::Real>(flat: &Flat<T>, x: &[T], second: bool) -> Vec<Option<Here<T>>> {
+fn all<T: crate::backend::cpu::real::Real>(
+    flat: &Flat<T>,
+    x: &[T],
+    second: bool,
+) -> Vec<Option<Here<T>>> {
     let mut said = Vec::new();
     flat.each::<false>(x, second, &mut Desk::new(), |k, here| {
         assert_eq!(k, said.len());
@@ -145,8 +164,8 @@ fn all<T: crate::backend::cpu::real::Real>(flat: &Flat<T>, x: &[T], second: bool
     said
 }
 
-/// The same sums in another order: a few ulp of the largest term, which is about V (or p times what the frame turns and scales
-/// it by).
+/// The same sums in another order: a few ulp of the largest term, which is about V (or p times what
+/// the frame turns and scales it by).
 const ROUNDING: f64 = 1e-12;
 
 #[test]
@@ -169,14 +188,22 @@ fn flat_arrays_say_the_same() {
                 blended += usize::from(wanted.pieces > 1);
                 several += usize::from(here.sheets > 1);
                 assert_eq!(here.sheets as usize, pieces.sheets(x).len());
-                assert_eq!((here.sheet, here.pieces as usize), (wanted.sheet, wanted.pieces));
+                assert_eq!(
+                    (here.sheet, here.pieces as usize),
+                    (wanted.sheet, wanted.pieces)
+                );
                 let largest = |p: &[f64]| p.iter().fold(1.0f64, |a, p| a.max(p.abs()));
                 assert!((here.v - wanted.v).abs() <= ROUNDING * wanted.v.abs());
                 assert!((here.v_bound - wanted.v_bound).abs() <= ROUNDING * wanted.v_bound);
                 let size = largest(&wanted.p);
                 for i in 0..n {
-                    assert!((here.p[i] - wanted.p[i]).abs() <= 10.0 * ROUNDING * size, "{n} {x:?}");
-                    assert!((here.p_bound[i] - wanted.p_bound[i]).abs() <= ROUNDING * wanted.p_bound[i]);
+                    assert!(
+                        (here.p[i] - wanted.p[i]).abs() <= 10.0 * ROUNDING * size,
+                        "{n} {x:?}"
+                    );
+                    assert!(
+                        (here.p_bound[i] - wanted.p_bound[i]).abs() <= ROUNDING * wanted.p_bound[i]
+                    );
                 }
                 // Not where another cell begins or ends in between.
                 let hessian = differences(&pieces, x);
@@ -207,9 +234,12 @@ fn states_do_not_depend_on_their_company() {
             let alone = all(&flat, x, true);
             let bits = |here: &Here<f64>| {
                 let hessian = &here.hessian[..n * n];
-                (here.p[..n].iter().chain(hessian).chain([&here.v, &here.v_bound]))
-                    .map(|v| v.to_bits())
-                    .collect::<Vec<_>>()
+                (here.p[..n]
+                    .iter()
+                    .chain(hessian)
+                    .chain([&here.v, &here.v_bound]))
+                .map(|v| v.to_bits())
+                .collect::<Vec<_>>()
             };
             assert_eq!(alone[0].as_ref().map(bits), together[k].as_ref().map(bits));
         }
@@ -231,8 +261,8 @@ fn single_precision_is_as_good_as_it_can_be() {
             continue;
         };
         known += 1;
-        // Rounded by 6e-8, a state moves by up to a hundred times that in the narrowest cells, over each of which V changes by
-        // about 1.
+        // Rounded by 6e-8, a state moves by up to a hundred times that in the narrowest cells, over
+        // each of which V changes by about 1.
         let off = (f64::from(here.v) - wanted.v).abs();
         unlike += usize::from(off > 1e-4 * wanted.v);
     }

@@ -1,5 +1,5 @@
-//! Coordinates in which cells are boxes: those of the region, or turned so that one axis points where V is steep, and sheared
-//! so that it points there everywhere.
+//! Coordinates in which cells are boxes: those of the region, or turned so that one axis points
+//! where V is steep, and sheared so that it points there everywhere.
 
 use super::Region;
 use super::terms::{MOST_VARIABLES, Terms};
@@ -10,12 +10,13 @@ const BEND_DEGREE: usize = 3;
 /// Of the largest diagonal entry, added to all when a shear is fitted.
 const RIDGE: f64 = 1e-6;
 
-/// V is steep where its root mean square slope over the region is above this many times itself; another frame is worth while
-/// if slopes across are this much less, in the mean square.
+/// V is steep where its root mean square slope over the region is above this many times itself;
+/// another frame is worth while if slopes across are this much less, in the mean square.
 const STEEP: f64 = 5.0;
 const WORTH: f64 = 0.8;
 
-/// `t = matrix (x - origin)`, and with a shear another coordinate along one axis: the region lies within 0 to 1 along each.
+/// `t = matrix (x - origin)`, and with a shear another coordinate along one axis: the region lies
+/// within 0 to 1 along each.
 #[derive(Clone, Debug)]
 pub struct Frame {
     pub origin: Vec<f64>,
@@ -28,8 +29,8 @@ pub struct Frame {
 
 /// A shear: along one axis `(t + phi(the other coordinates) - lowest) / width` instead of `t`.
 ///
-/// Where V rises steeply across a curved layer, phi is such that the layer is flat: cells can then be thin across it and wide
-/// along it.
+/// Where V rises steeply across a curved layer, phi is such that the layer is flat: cells can then
+/// be thin across it and wide along it.
 #[derive(Clone, Debug)]
 pub struct Bend {
     pub axis: usize,
@@ -55,7 +56,13 @@ impl Bend {
     }
 
     /// From its parts; `None` where they do not fit together.
-    pub fn new(variables: usize, axis: usize, lowest: f64, width: f64, phi: Vec<f64>) -> Option<Self> {
+    pub fn new(
+        variables: usize,
+        axis: usize,
+        lowest: f64,
+        width: f64,
+        phi: Vec<f64>,
+    ) -> Option<Self> {
         let fits = (2..=MOST_VARIABLES).contains(&variables) && axis < variables;
         (fits && phi.len() == Self::count(variables) && width > 0.0).then(|| Self {
             axis,
@@ -66,7 +73,8 @@ impl Bend {
         })
     }
 
-    /// The shear that leaves the least of V's slopes along the other axes, in the mean square over places.
+    /// The shear that leaves the least of V's slopes along the other axes, in the mean square over
+    /// places.
     pub fn fitted(axis: usize, places: &[Steep]) -> Option<Self> {
         let n = places.first()?.t.len();
         let terms = Terms::new(n - 1, BEND_DEGREE);
@@ -100,7 +108,11 @@ impl Bend {
     /// phi as a polynomial of all coordinates, by the monomials of `all`.
     pub fn whole(&self, all: &Terms) -> Vec<f64> {
         let mut whole = vec![0.0; all.upto[BEND_DEGREE]];
-        for (c, powers) in self.phi.iter().zip(self.terms.powers.chunks(all.variables - 1)) {
+        for (c, powers) in self
+            .phi
+            .iter()
+            .zip(self.terms.powers.chunks(all.variables - 1))
+        {
             let mut wanted = powers.to_vec();
             wanted.insert(self.axis, 0);
             let term = (0..whole.len()).find(|t| all.powers_of(*t) == wanted);
@@ -142,12 +154,19 @@ impl Bend {
         };
         let direct = bounds(&low, &high);
         // From the middle, by the largest slopes.
-        let middle: Vec<f64> = below.iter().zip(&above).map(|(a, b)| 0.5 * (a + b)).collect();
+        let middle: Vec<f64> = below
+            .iter()
+            .zip(&above)
+            .map(|(a, b)| 0.5 * (a + b))
+            .collect();
         let mut gradient = [0.0; MOST_VARIABLES];
         let value = self.terms.sum(&self.phi, &middle, &mut gradient[..n - 1]);
         let away: f64 = (0..n - 1)
             .map(|i| {
-                let [a, b] = bounds(&low_slopes[i * count..][..count], &high_slopes[i * count..][..count]);
+                let [a, b] = bounds(
+                    &low_slopes[i * count..][..count],
+                    &high_slopes[i * count..][..count],
+                );
                 0.5 * (above[i] - below[i]) * a.abs().max(b.abs())
             })
             .sum();
@@ -170,7 +189,8 @@ impl Frame {
         Self::turned(region, &DMatrix::identity(region.lo.len(), region.lo.len()))
     }
 
-    /// With the first axis along a direction, in widths of the region, and the others as near to the region's as can be.
+    /// With the first axis along a direction, in widths of the region, and the others as near to
+    /// the region's as can be.
     pub fn steep(region: &Region, direction: &[f64]) -> Self {
         let n = direction.len();
         let d = DVector::from_column_slice(direction).normalize();
@@ -182,8 +202,9 @@ impl Frame {
         Self::turned(region, &turn)
     }
 
-    /// The frame in which V is steep along one axis and as little as can be along the others; `None` where it is steep nowhere
-    /// or no other frame is much better than the region's own axes. Places are in widths of the region.
+    /// The frame in which V is steep along one axis and as little as can be along the others;
+    /// `None` where it is steep nowhere or no other frame is much better than the region's own
+    /// axes. Places are in widths of the region.
     pub fn fitted(region: &Region, places: &[Steep]) -> Option<Self> {
         let n = region.lo.len();
         // Of two coordinates pieces of high degree follow a layer by themselves.
@@ -252,7 +273,9 @@ impl Frame {
     /// A place of the region in this frame's coordinates.
     fn place(&self, region: &Region, place: &Steep) -> Steep {
         let n = place.t.len();
-        let x: Vec<f64> = (0..n).map(|i| region.lo[i] + place.t[i] * region.width(i)).collect();
+        let x: Vec<f64> = (0..n)
+            .map(|i| region.lo[i] + place.t[i] * region.width(i))
+            .collect();
         let p: Vec<f64> = (0..n).map(|i| place.slope[i] / region.width(i)).collect();
         let (mut t, mut slope) = (vec![0.0; n], vec![0.0; n]);
         self.of(&x, &mut t);
@@ -401,16 +424,19 @@ impl Frame {
         }
     }
 
-    /// Whether a box of coordinates may meet the region: of one that does not it is not always told.
+    /// Whether a box of coordinates may meet the region: of one that does not it is not always
+    /// told.
     pub fn may_meet(&self, region: &Region, lo: &[f64], hi: &[f64]) -> bool {
         let around = self.states_of(lo, hi);
-        (around.iter().zip(region.lo.iter().zip(&region.hi))).all(|([from, to], (lo, hi))| to >= lo && from <= hi)
+        (around.iter().zip(region.lo.iter().zip(&region.hi)))
+            .all(|([from, to], (lo, hi))| to >= lo && from <= hi)
     }
 
     /// Whether a box of coordinates certainly lies in the region.
     pub fn lies_in(&self, region: &Region, lo: &[f64], hi: &[f64]) -> bool {
         let around = self.states_of(lo, hi);
-        (around.iter().zip(region.lo.iter().zip(&region.hi))).all(|([from, to], (lo, hi))| from >= lo && to <= hi)
+        (around.iter().zip(region.lo.iter().zip(&region.hi)))
+            .all(|([from, to], (lo, hi))| from >= lo && to <= hi)
     }
 
     /// Bounds of the states of a box of coordinates, not always tight.
@@ -426,7 +452,13 @@ impl Frame {
             .map(|i| {
                 let row = &self.inverse[i * n..][..n];
                 [false, true].map(|upper| {
-                    let side = |j: usize| if (row[j] > 0.0) == upper { hi[j] } else { lo[j] };
+                    let side = |j: usize| {
+                        if (row[j] > 0.0) == upper {
+                            hi[j]
+                        } else {
+                            lo[j]
+                        }
+                    };
                     self.origin[i] + (0..n).map(|j| row[j] * side(j)).sum::<f64>()
                 })
             })
@@ -485,11 +517,16 @@ mod tests {
         assert!(again.iter().zip(&p).all(|(a, b)| (a - b).abs() < 1e-12));
         assert!(
             !frame.may_meet(&region, &[0.0; 3], &[0.0; 3])
-                || frame.state(&[0.0; 3]).iter().zip(&region.lo).all(|(a, b)| a >= b)
+                || frame
+                    .state(&[0.0; 3])
+                    .iter()
+                    .zip(&region.lo)
+                    .all(|(a, b)| a >= b)
         );
     }
 
-    /// Across a curved layer V changes along one axis of the fitted frame, in which the region fits.
+    /// Across a curved layer V changes along one axis of the fitted frame, in which the region
+    /// fits.
     #[test]
     fn a_curved_layer_is_flat() {
         let region = Region {
@@ -505,11 +542,18 @@ mod tests {
         let states: Vec<[f64; 3]> = (0..2000)
             .map(|k| [0.618, 0.755, 0.57].map(|r| (f64::from(k) * r).fract()))
             .collect();
-        // log V = 6 tanh((c - 0.8) / 0.1) of c = y0 + 0.8 y1 + 0.3 y1^2 - 0.2 y1 y2, in widths of the region.
-        let value = |y: &[f64]| 6.0 * ((y[0] + 0.8 * y[1] + 0.3 * y[1] * y[1] - 0.2 * y[1] * y[2] - 0.8) / 0.1).tanh();
+        // log V = 6 tanh((c - 0.8) / 0.1) of c = y0 + 0.8 y1 + 0.3 y1^2 - 0.2 y1 y2, in widths of
+        // the region.
+        let value = |y: &[f64]| {
+            6.0 * ((y[0] + 0.8 * y[1] + 0.3 * y[1] * y[1] - 0.2 * y[1] * y[2] - 0.8) / 0.1).tanh()
+        };
         let slope = |y: &[f64]| {
             let steep = 60.0 * (1.0 - (value(y) / 6.0).powi(2));
-            [steep, steep * (0.8 + 0.6 * y[1] - 0.2 * y[2]), -0.2 * steep * y[1]]
+            [
+                steep,
+                steep * (0.8 + 0.6 * y[1] - 0.2 * y[2]),
+                -0.2 * steep * y[1],
+            ]
         };
         let places: Vec<Steep> = (states.iter())
             .map(|t| Steep {
@@ -524,11 +568,16 @@ mod tests {
             bend: None,
             ..frame.clone()
         };
-        let (bent, straight) = (frame.across(&region, &places), straight.across(&region, &places));
+        let (bent, straight) = (
+            frame.across(&region, &places),
+            straight.across(&region, &places),
+        );
         assert!(bent < 0.1 * straight, "{bent} {straight}");
         let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
         for place in &places {
-            let x: Vec<f64> = (0..3).map(|i| region.lo[i] + place.t[i] * region.width(i)).collect();
+            let x: Vec<f64> = (0..3)
+                .map(|i| region.lo[i] + place.t[i] * region.width(i))
+                .collect();
             let mut t = [0.0; 3];
             frame.of(&x, &mut t);
             assert!(t.iter().all(|t| (0.0..=1.0).contains(t)), "{t:?}");
@@ -544,7 +593,9 @@ mod tests {
             // By differences.
             let at = |t: &[f64]| {
                 let x = frame.state(t);
-                let y: Vec<f64> = (0..3).map(|i| (x[i] - region.lo[i]) / region.width(i)).collect();
+                let y: Vec<f64> = (0..3)
+                    .map(|i| (x[i] - region.lo[i]) / region.width(i))
+                    .collect();
                 value(&y)
             };
             for i in 0..3 {

@@ -1,7 +1,7 @@
 //! Polynomials of many places at once, with their first and second derivatives.
 //!
-//! Monomials are divided powers `y^k / k!`, whose derivatives are again divided powers without a factor: all derivatives are
-//! sums of coefficients times the same monomials.
+//! Monomials are divided powers `y^k / k!`, whose derivatives are again divided powers without a
+//! factor: all derivatives are sums of coefficients times the same monomials.
 
 use super::terms::{MOST_DEGREE, MOST_VARIABLES, Terms};
 use crate::backend::cpu::lanes::Lanes;
@@ -37,7 +37,9 @@ impl Tables {
             axes.iter().for_each(|i| product[*i] += 1);
             index[product.as_slice()]
         };
-        let below = |less: usize| (terms.upto.len() > less).then(|| terms.upto[terms.upto.len() - 1 - less]);
+        let below = |less: usize| {
+            (terms.upto.len() > less).then(|| terms.upto[terms.upto.len() - 1 - less])
+        };
         let factorial = |k: u8| (1..=k).map(f64::from).product::<f64>();
         Self {
             upto: terms.upto.clone(),
@@ -82,8 +84,9 @@ impl<T: Real, const W: usize> Jet<T, W> {
     }
 }
 
-/// Makes q of `M'q`, and h of `M'hM` where there is one (a triangle `i <= j`, row by row): derivatives by x of a function of
-/// `z = M x` whose derivatives by z they are. V is a number or lanes of them; `add` adds a multiple of the third to the first.
+/// Makes q of `M'q`, and h of `M'hM` where there is one (a triangle `i <= j`, row by row):
+/// derivatives by x of a function of `z = M x` whose derivatives by z they are. V is a number or
+/// lanes of them; `add` adds a multiple of the third to the first.
 #[inline(always)]
 pub fn by_states<T: Real, V: Copy>(
     n: usize,
@@ -140,7 +143,13 @@ pub struct Sum<'a, T, const W: usize> {
 impl<T: Real, const W: usize> Sum<'_, T, W> {
     /// At `y`, one place a lane; second derivatives only where asked for.
     #[inline(always)]
-    pub fn at<const FMA: bool>(self, n: usize, y: &[Lanes<T, W>; MOST_VARIABLES], second: bool, to: &mut Jet<T, W>) {
+    pub fn at<const FMA: bool>(
+        self,
+        n: usize,
+        y: &[Lanes<T, W>; MOST_VARIABLES],
+        second: bool,
+        to: &mut Jet<T, W>,
+    ) {
         // The number of variables is a constant of the loops: their sums stay in registers.
         match n {
             1 => self.of::<1, 1, FMA>(y, second, to),
@@ -177,7 +186,8 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
             }
         }
         let count = tables.upto[degree];
-        // The highest derivatives are summed, from which the others follow: the highest monomials are not needed.
+        // The highest derivatives are summed, from which the others follow: the highest monomials
+        // are not needed.
         let needed = tables.upto[degree.saturating_sub(if second { 2 } else { 1 })];
         let (c, m) = (&c[..count], &mut m[..count]);
         m[0] = Lanes::splat(T::of(1.0));
@@ -198,8 +208,8 @@ impl<T: Real, const W: usize> Sum<'_, T, W> {
     }
 }
 
-/// Sums of all first derivatives, one degree after the other, from which V follows: the part of degree k of a function is `1/k`
-/// times its gradient times y (Euler).
+/// Sums of all first derivatives, one degree after the other, from which V follows: the part of
+/// degree k of a function is `1/k` times its gradient times y (Euler).
 #[inline(always)]
 fn by_slopes<T: Real, const W: usize, const N: usize, const FMA: bool>(
     tables: &Tables,

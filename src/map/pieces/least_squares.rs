@@ -19,8 +19,8 @@ pub struct Equations {
     pub coefficients: usize,
 }
 
-/// Their factors: with `rows = basis L'` the basis is orthonormal, and the solution of the leading coefficients alone has
-/// the leading entries of `along` as its components.
+/// Their factors: with `rows = basis L'` the basis is orthonormal, and the solution of the leading
+/// coefficients alone has the leading entries of `along` as its components.
 pub struct Factors {
     /// How many coefficients the equations determine.
     pub determined: usize,
@@ -115,7 +115,12 @@ fn products<const FMA: bool>(row: &[f64], others: [&[f64]; 4]) -> [f64; 4] {
 fn product<const FMA: bool>(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; LANES];
     let (whole, rest) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let tail: f64 = whole.remainder().iter().zip(rest.remainder()).map(|(a, b)| a * b).sum();
+    let tail: f64 = whole
+        .remainder()
+        .iter()
+        .zip(rest.remainder())
+        .map(|(a, b)| a * b)
+        .sum();
     for (a, b) in whole.zip(rest) {
         for i in 0..LANES {
             sums[i] = add::<FMA>(a[i], b[i], sums[i]);
@@ -124,8 +129,8 @@ fn product<const FMA: bool>(a: &[f64], b: &[f64]) -> f64 {
     total(sums) + tail
 }
 
-/// The factor of a symmetric matrix of `m` rows (row-major; on and below the diagonal) in its place, as far as pivots are above
-/// `least`; how far.
+/// The factor of a symmetric matrix of `m` rows (row-major; on and below the diagonal) in its
+/// place, as far as pivots are above `least`; how far.
 #[inline(always)]
 fn factorized<const FMA: bool>(matrix: &mut [f64], m: usize, least: f64) -> usize {
     for i in 0..m {
@@ -146,7 +151,11 @@ fn factorized<const FMA: bool>(matrix: &mut [f64], m: usize, least: f64) -> usiz
 
 /// `sums[r][k] += a[r] b[k]`.
 #[inline(always)]
-fn accumulate<const FMA: bool, const WIDE: usize>(sums: &mut [[f64; WIDE]; TILE], a: [f64; TILE], b: &[f64]) {
+fn accumulate<const FMA: bool, const WIDE: usize>(
+    sums: &mut [[f64; WIDE]; TILE],
+    a: [f64; TILE],
+    b: &[f64],
+) {
     let b = &b[..WIDE];
     for r in 0..TILE {
         for k in 0..WIDE {
@@ -155,7 +164,8 @@ fn accumulate<const FMA: bool, const WIDE: usize>(sums: &mut [[f64; WIDE]; TILE]
     }
 }
 
-/// Adds inner products of columns of some rows, those from `first` on with those from `at` on, on and below the diagonal.
+/// Adds inner products of columns of some rows, those from `first` on with those from `at` on, on
+/// and below the diagonal.
 #[inline(always)]
 fn gram<const FMA: bool, const WIDE: usize>(
     rows: &[f64],
@@ -187,7 +197,11 @@ fn times<const FMA: bool, const WIDE: usize>(
 ) {
     let mut sums = [[0.0; WIDE]; TILE];
     for (j, row) in matrix.chunks_exact(width).take(at + WIDE).enumerate() {
-        accumulate::<FMA, WIDE>(&mut sums, [own[0][j], own[1][j], own[2][j], own[3][j]], &row[at..]);
+        accumulate::<FMA, WIDE>(
+            &mut sums,
+            [own[0][j], own[1][j], own[2][j], own[3][j]],
+            &row[at..],
+        );
     }
     for (row, sums) in rows.chunks_exact_mut(width).zip(&sums) {
         row[at..at + WIDE].copy_from_slice(sums);
@@ -215,7 +229,12 @@ impl Factors {
                 }
             }
         }
-        for (row, right) in self.equations.rows.chunks_exact(width).zip(&self.equations.right) {
+        for (row, right) in self
+            .equations
+            .rows
+            .chunks_exact(width)
+            .zip(&self.equations.right)
+        {
             for k in 0..width {
                 self.along[k] = add::<FMA>(row[k], *right, self.along[k]);
             }
@@ -237,7 +256,8 @@ impl Factors {
         self.determined = factorized::<FMA>(&mut self.lower, m, 0.0);
         for i in 0..self.determined {
             let lower = &self.lower[i * m..][..=i];
-            self.along[i] = (self.along[i] - product::<FMA>(&lower[..i], &self.along[..i])) / lower[i];
+            self.along[i] =
+                (self.along[i] - product::<FMA>(&lower[..i], &self.along[..i])) / lower[i];
         }
     }
 
@@ -271,7 +291,8 @@ impl Factors {
         let (m, count) = (self.equations.coefficients, self.determined);
         let width = width(m);
 
-        // Rows of the inverse of L, then its transpose in units of the rows: a row of the basis is a row times that.
+        // Rows of the inverse of L, then its transpose in units of the rows: a row of the basis is
+        // a row times that.
         let mut inverse = vec![0.0; count * width];
         for i in 0..count {
             let (before, own) = inverse.split_at_mut(i * width);
@@ -312,13 +333,17 @@ impl Factors {
         Basis {
             rows,
             width,
-            right: equations.iter().map(|k| self.equations.right[*k as usize]).collect(),
+            right: equations
+                .iter()
+                .map(|k| self.equations.right[*k as usize])
+                .collect(),
             count,
         }
     }
 
-    /// What the residuals of some equations, which follow each other in a basis, would be had these been left out of the fit:
-    /// `(I - Q Q') e = r` with the rows of the basis `Q` that are theirs. `None` where they determine a coefficient alone.
+    /// What the residuals of some equations, which follow each other in a basis, would be had these
+    /// been left out of the fit: `(I - Q Q') e = r` with the rows of the basis `Q` that are theirs.
+    /// `None` where they determine a coefficient alone.
     pub fn left_out(&self, basis: &Basis, equations: std::ops::Range<usize>) -> Option<Vec<f64>> {
         match Simd::detect() {
             Simd::Baseline => self.without::<false>(basis, equations),
@@ -332,13 +357,18 @@ impl Factors {
     }
 
     #[inline(always)]
-    fn without<const FMA: bool>(&self, basis: &Basis, equations: std::ops::Range<usize>) -> Option<Vec<f64>> {
+    fn without<const FMA: bool>(
+        &self,
+        basis: &Basis,
+        equations: std::ops::Range<usize>,
+    ) -> Option<Vec<f64>> {
         /// Below this pivot the others say too little of a coefficient.
         const LEAST: f64 = 1e-8;
         let n = equations.len();
         let used = width(basis.count);
         let row = |k: usize| &basis.rows[(equations.start + k) * basis.width..][..used];
-        // Not in closures, which would not have the vector unit's instructions. Behind `count` rows are zero.
+        // Not in closures, which would not have the vector unit's instructions. Behind `count` rows
+        // are zero.
         let mut residual = basis.right[equations.clone()].to_vec();
         for k in 0..n {
             residual[k] -= product::<FMA>(row(k), &self.along[..used]);
@@ -395,12 +425,20 @@ fn avx512_basis(of: &Factors, equations: &[u32]) -> Basis {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn avx2_without(of: &Factors, basis: &Basis, equations: std::ops::Range<usize>) -> Option<Vec<f64>> {
+fn avx2_without(
+    of: &Factors,
+    basis: &Basis,
+    equations: std::ops::Range<usize>,
+) -> Option<Vec<f64>> {
     of.without::<true>(basis, equations)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-fn avx512_without(of: &Factors, basis: &Basis, equations: std::ops::Range<usize>) -> Option<Vec<f64>> {
+fn avx512_without(
+    of: &Factors,
+    basis: &Basis,
+    equations: std::ops::Range<usize>,
+) -> Option<Vec<f64>> {
     of.without::<true>(basis, equations)
 }

@@ -1,9 +1,11 @@
-//! A value function in pieces: cells of a region with a polynomial of V each, blended where they overlap.
+//! A value function in pieces: cells of a region with a polynomial of V each, blended where they
+//! overlap.
 //!
-//! The region is halved, along one axis at a time, into cells. Each cell has one polynomial a sheet, fitted to V and p at
-//! scattered points in it and a little around it, of V or of a function of V ([`Shape`]). Around the faces of cells their
-//! polynomials are blended by weights that sum to one and have continuous derivatives (a partition of unity: Melenk &
-//! Babuska 1996), and p is the gradient of the blend.
+//! The region is halved, along one axis at a time, into cells. Each cell has one polynomial a
+//! sheet, fitted to V and p at scattered points in it and a little around it, of V or of a function
+//! of V ([`Shape`]). Around the faces of cells their polynomials are blended by weights that sum to
+//! one and have continuous derivatives (a partition of unity: Melenk & Babuska 1996), and p is the
+//! gradient of the blend.
 
 mod build;
 mod fit;
@@ -28,8 +30,8 @@ use std::collections::BTreeMap;
 
 /// Cells reach this share of their half width over their faces.
 pub const BLEND: f64 = 0.1;
-/// Where polynomials of several sheets lie over a state, they are blended with those that say the same but for this many
-/// times their bounds.
+/// Where polynomials of several sheets lie over a state, they are blended with those that say the
+/// same but for this many times their bounds.
 pub const SAME: f64 = 3.0;
 
 /// Highest degree of the polynomials of so many variables.
@@ -49,8 +51,8 @@ pub struct Region {
     pub hi: Vec<f64>,
     /// Largest error wanted, relative to the larger one of V and the floor.
     pub error: f64,
-    /// Largest distance wanted of the surface where two sheets cost the same from where it is said to be, in widths of the region;
-    /// infinite: any.
+    /// Largest distance wanted of the surface where two sheets cost the same from where it is said
+    /// to be, in widths of the region; infinite: any.
     pub equal_cost: f64,
     pub floor: f64,
     /// Nothing is said of larger V.
@@ -80,16 +82,17 @@ pub struct Piece {
     pub half: Vec<f64>,
     pub shape: Shape,
     pub coefficients: Vec<f64>,
-    /// Bounds of the errors of V and of its derivatives by the monomials' variables, relative to the larger one of V and the
-    /// floor.
+    /// Bounds of the errors of V and of its derivatives by the monomials' variables, relative to
+    /// the larger one of V and the floor.
     pub bound: f64,
     pub p_bound: f64,
     pub sheet: i32,
-    /// Extents of the points that it was fitted to along [`directions`], in its own variables, where points are missing on one
-    /// side of the cell; else empty.
+    /// Extents of the points that it was fitted to along [`directions`], in its own variables,
+    /// where points are missing on one side of the cell; else empty.
     pub support: Vec<[f64; 2]>,
-    /// Coefficients of the least margin of the guards along trajectories, a polynomial of up to the second degree in its own
-    /// variables (in the order of [`Terms`]): nothing is said where it is negative. Empty where all of them stay inside.
+    /// Coefficients of the least margin of the guards along trajectories, a polynomial of up to the
+    /// second degree in its own variables (in the order of [`Terms`]): nothing is said where it is
+    /// negative. Empty where all of them stay inside.
     pub clearance: Vec<f64>,
 }
 
@@ -110,9 +113,11 @@ impl Piece {
             .collect()
     }
 
-    /// Whether a place in its own variables lies within the extent of its points, and outside the shadow of a guard.
+    /// Whether a place in its own variables lies within the extent of its points, and outside the
+    /// shadow of a guard.
     fn supports(&self, directions: &[Vec<f64>], y: &[f64]) -> bool {
-        (self.clearance.is_empty() || quadratic(&self.clearance, y) >= 0.0) && self.encloses(directions, y)
+        (self.clearance.is_empty() || quadratic(&self.clearance, y) >= 0.0)
+            && self.encloses(directions, y)
     }
 
     /// All coefficients of the polynomial of the guards' margins: 1 where it has none.
@@ -143,24 +148,31 @@ impl Piece {
     }
 }
 
-/// Coefficients of a polynomial of the second degree in so many variables, that of the guards' margins.
+/// Coefficients of a polynomial of the second degree in so many variables, that of the guards'
+/// margins.
 pub fn margin_terms(variables: usize) -> usize {
     (variables + 1) * (variables + 2) / 2
 }
 
-/// A polynomial of up to the second degree, of whose coefficients those of no higher degree may be left out.
+/// A polynomial of up to the second degree, of whose coefficients those of no higher degree may be
+/// left out.
 fn quadratic(c: &[f64], y: &[f64]) -> f64 {
     let n = y.len();
     let (linear, mut squares) = (&c[1..=n], c[n + 1..].iter());
     let mut sum = c[0];
     for i in 0..n {
-        let bent: f64 = y[i..].iter().zip(squares.by_ref()).map(|(y, c)| c * y).sum();
+        let bent: f64 = y[i..]
+            .iter()
+            .zip(squares.by_ref())
+            .map(|(y, c)| c * y)
+            .sum();
         sum += y[i] * (linear[i] + bent);
     }
     sum
 }
 
-/// Directions along which points are enclosed: the axes and those between two of them; of two variables more.
+/// Directions along which points are enclosed: the axes and those between two of them; of two
+/// variables more.
 pub fn directions(n: usize) -> Vec<Vec<f64>> {
     if n == 2 {
         return (0..8)
@@ -245,13 +257,22 @@ struct Told {
 
 impl Pieces {
     /// From their parts; `None` where a piece's number of coefficients is that of no degree.
-    pub fn new(region: Region, frame: Frame, nodes: Vec<Node>, cells: Vec<Cell>, pieces: Vec<Piece>) -> Option<Self> {
+    pub fn new(
+        region: Region,
+        frame: Frame,
+        nodes: Vec<Node>,
+        cells: Vec<Cell>,
+        pieces: Vec<Piece>,
+    ) -> Option<Self> {
         let n = region.lo.len();
         if n == 0 || n > MOST_VARIABLES {
             return None;
         }
         let all = Terms::new(n, highest_degree(n));
-        if !pieces.iter().all(|p| all.upto.contains(&p.coefficients.len())) {
+        if !pieces
+            .iter()
+            .all(|p| all.upto.contains(&p.coefficients.len()))
+        {
             return None;
         }
         let mut this = Self {
@@ -288,7 +309,11 @@ impl Pieces {
                     .collect()
             }
             Node::Split {
-                axis, at, below, above, ..
+                axis,
+                at,
+                below,
+                above,
+                ..
             } => {
                 let (a, b) = (self.extent(below), self.extent(above));
                 self.nodes[node] = Node::Split {
@@ -305,17 +330,24 @@ impl Pieces {
         }
     }
 
-    /// Numbers the sheets. Pieces belong to one where they agree across the face between their cells, the best agreement first,
-    /// unless the sheet would then lie over a cell twice. The one with the least V is 0.
+    /// Numbers the sheets. Pieces belong to one where they agree across the face between their
+    /// cells, the best agreement first, unless the sheet would then lie over a cell twice. The one
+    /// with the least V is 0.
     fn label(&mut self) {
-        /// Off a face, in widths of the cell; p of one sheet differs by less than this share across it.
+        /// Off a face, in widths of the cell; p of one sheet differs by less than this share across
+        /// it.
         const OFF: f64 = 1e-9;
         const OF_P: f64 = 0.05;
         let n = self.states();
         let mut contacts: Vec<(f64, usize, usize)> = Vec::new();
         for (own, cell) in self.cells.iter().enumerate() {
             for axis in 0..n {
-                let mut z: Vec<f64> = cell.lo.iter().zip(&cell.hi).map(|(lo, hi)| 0.5 * (lo + hi)).collect();
+                let mut z: Vec<f64> = cell
+                    .lo
+                    .iter()
+                    .zip(&cell.hi)
+                    .map(|(lo, hi)| 0.5 * (lo + hi))
+                    .collect();
                 z[axis] = cell.hi[axis] + OFF * (cell.hi[axis] - cell.lo[axis]);
                 if z[axis] >= 1.0 {
                     continue;
@@ -333,7 +365,12 @@ impl Pieces {
         let mut sheets = Groups::new(self.pieces.len());
         // Cells with several pieces, of each sheet.
         let mut shared: Vec<Vec<usize>> = vec![Vec::new(); self.pieces.len()];
-        for (k, cell) in self.cells.iter().enumerate().filter(|(_, c)| c.pieces.len() > 1) {
+        for (k, cell) in self
+            .cells
+            .iter()
+            .enumerate()
+            .filter(|(_, c)| c.pieces.len() > 1)
+        {
             for piece in cell.pieces.clone() {
                 shared[piece].push(k);
             }
@@ -344,7 +381,11 @@ impl Pieces {
                 continue;
             }
             sheets.join(a, b);
-            let joined = [std::mem::take(&mut shared[a]), std::mem::take(&mut shared[b])].concat();
+            let joined = [
+                std::mem::take(&mut shared[a]),
+                std::mem::take(&mut shared[b]),
+            ]
+            .concat();
             shared[sheets.root(a)] = joined;
         }
         let mut least: BTreeMap<usize, f64> = BTreeMap::new();
@@ -357,13 +398,16 @@ impl Pieces {
         }
         let mut order: Vec<(f64, usize)> = least.into_iter().map(|(root, v)| (v, root)).collect();
         order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let numbers: BTreeMap<usize, i32> = (order.into_iter().zip(0..)).map(|((_, root), k)| (root, k)).collect();
+        let numbers: BTreeMap<usize, i32> = (order.into_iter().zip(0..))
+            .map(|((_, root), k)| (root, k))
+            .collect();
         for k in 0..self.pieces.len() {
             self.pieces[k].sheet = numbers[&sheets.root(k)];
         }
     }
 
-    /// How far two pieces are from saying the same of p at a place, relative to p, beyond their bounds.
+    /// How far two pieces are from saying the same of p at a place, relative to p, beyond their
+    /// bounds.
     fn misfit(&self, a: usize, b: usize, z: &[f64]) -> Option<f64> {
         let n = z.len();
         let (a, b) = (self.told(a, z)?, self.told(b, z)?);
@@ -375,8 +419,8 @@ impl Pieces {
         misfit.is_finite().then_some(misfit)
     }
 
-    /// Without the pieces whose bounds are above `most`, relative to the larger one of V and the floor. A cell of several
-    /// sheets says nothing if one of them is: it might be the lowest.
+    /// Without the pieces whose bounds are above `most`, relative to the larger one of V and the
+    /// floor. A cell of several sheets says nothing if one of them is: it might be the lowest.
     pub fn within(mut self, most: f64) -> Self {
         let mut all: Vec<Option<Piece>> = self.pieces.drain(..).map(Some).collect();
         for cell in &mut self.cells {
@@ -396,7 +440,10 @@ impl Pieces {
         if let Some(said) = off {
             let mut z = vec![0.0; x.len()];
             self.frame.of(x, &mut z);
-            self.raise(self.cell(&z), (said.v - v).abs() / said.v.abs().max(self.region.floor));
+            self.raise(
+                self.cell(&z),
+                (said.v - v).abs() / said.v.abs().max(self.region.floor),
+            );
         }
     }
 
@@ -417,7 +464,8 @@ impl Pieces {
         self.region.covers(x)
     }
 
-    /// V on the lowest sheet at a state (absolute); `None` outside the region and where nothing is known.
+    /// V on the lowest sheet at a state (absolute); `None` outside the region and where nothing is
+    /// known.
     pub fn at(&self, x: &[f64]) -> Option<Said> {
         self.sheets(x).into_iter().next()
     }
@@ -437,7 +485,9 @@ impl Pieces {
         own.sort_by(|a, b| a.v.total_cmp(&b.v));
         own.retain(|told| told.v <= self.region.value_max);
         let sole = self.cells[self.cell(z)].pieces.len() == 1;
-        (0..own.len()).map(|k| self.blended(z, &own[k], sole)).collect()
+        (0..own.len())
+            .map(|k| self.blended(z, &own[k], sole))
+            .collect()
     }
 
     /// The cell in which a place lies.
@@ -447,7 +497,11 @@ impl Pieces {
             match self.nodes[node] {
                 Node::Cell(cell) => return cell,
                 Node::Split {
-                    axis, at, below, above, ..
+                    axis,
+                    at,
+                    below,
+                    above,
+                    ..
                 } => node = if z[axis] < at { below } else { above },
             }
         }
@@ -509,7 +563,9 @@ impl Pieces {
             // The piece of the same sheet, if the neighbour has one.
             let mut best: Option<Told> = None;
             for k in self.cells[cell].pieces.clone() {
-                let Some(told) = self.told(k, z) else { continue };
+                let Some(told) = self.told(k, z) else {
+                    continue;
+                };
                 if best
                     .as_ref()
                     .is_none_or(|b| (told.v - first.v).abs() < (b.v - first.v).abs())
@@ -587,27 +643,34 @@ impl Pieces {
     }
 }
 
-/// Weight of a cell at a place, before they are made to sum to one, and its gradient; `None` where it is 0.
+/// Weight of a cell at a place, before they are made to sum to one, and its gradient; `None` where
+/// it is 0.
 fn weight(cell: &Cell, z: &[f64]) -> Option<(f64, [f64; MOST_VARIABLES])> {
     let n = z.len();
     let (mut factors, mut slopes) = ([1.0; MOST_VARIABLES], [0.0; MOST_VARIABLES]);
     for i in 0..n {
         let half = 0.5 * (cell.hi[i] - cell.lo[i]);
         let offset = (z[i] - 0.5 * (cell.lo[i] + cell.hi[i])) / half;
-        // From 1 at the inner edge of the overlap to 0 at the outer one, with two continuous derivatives.
+        // From 1 at the inner edge of the overlap to 0 at the outer one, with two continuous
+        // derivatives.
         let t = (offset.abs() - (1.0 - BLEND)) / (2.0 * BLEND);
         if t >= 1.0 {
             return None;
         }
         if t > 0.0 {
             factors[i] = 1.0 - t * t * t * (10.0 - 15.0 * t + 6.0 * t * t);
-            slopes[i] = -30.0 * t * t * (1.0 - t) * (1.0 - t) * offset.signum() / (2.0 * BLEND * half);
+            slopes[i] =
+                -30.0 * t * t * (1.0 - t) * (1.0 - t) * offset.signum() / (2.0 * BLEND * half);
         }
     }
     let w: f64 = factors[..n].iter().product();
     let mut dw = [0.0; MOST_VARIABLES];
     for i in (0..n).filter(|i| slopes[*i] != 0.0) {
-        dw[i] = slopes[i] * (0..n).filter(|k| *k != i).map(|k| factors[k]).product::<f64>();
+        dw[i] = slopes[i]
+            * (0..n)
+                .filter(|k| *k != i)
+                .map(|k| factors[k])
+                .product::<f64>();
     }
     Some((w, dw))
 }

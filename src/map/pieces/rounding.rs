@@ -35,7 +35,8 @@ impl Pieces {
             })
             .collect();
         if let Some(bend) = &frame.bend {
-            // The polynomial of the others, each from 0 to 1, and its slopes by what these are off by.
+            // The polynomial of the others, each from 0 to 1, and its slopes by what these are off
+            // by.
             let size: f64 = bend.phi.iter().map(|c| c.abs()).sum();
             let others: f64 = off.iter().sum();
             let own = (bend.phi.len() as f64 + 4.0) * unit * (1.0 + size + bend.lowest.abs());
@@ -45,11 +46,12 @@ impl Pieces {
     }
 }
 
-/// Bounds of V's rounding and of that of its derivatives by the monomials' variables, relative to the larger one of V and the
-/// floor.
+/// Bounds of V's rounding and of that of its derivatives by the monomials' variables, relative to
+/// the larger one of V and the floor.
 fn rounding(piece: &Piece, cell: &Cell, terms: &Terms, floor: f64, places: &[f64]) -> [f64; 2] {
     let (n, unit) = (cell.lo.len(), 0.5 * f64::EPSILON);
-    // The largest of a monomial's variables where the cell says something, and what they are off by.
+    // The largest of a monomial's variables where the cell says something, and what they are off
+    // by.
     let (mut most, mut off) = (1.0f64, 0.0f64);
     for i in 0..n {
         let more = 0.5 * BLEND * (cell.hi[i] - cell.lo[i]);
@@ -82,7 +84,8 @@ fn rounding(piece: &Piece, cell: &Cell, terms: &Terms, floor: f64, places: &[f64
         }
         Shape::Logarithm => [1.0, 1.0],
         Shape::Reciprocal => {
-            // Where the coefficients alone do not bound V, it is taken as at most ten times that at the center.
+            // Where the coefficients alone do not bound V, it is taken as at most ten times that at
+            // the center.
             let v = 1.0 / least.max(0.1 * first).max(f64::MIN_POSITIVE);
             [v, 2.0 * v * v]
         }

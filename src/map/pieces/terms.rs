@@ -4,8 +4,8 @@
 pub const MOST_VARIABLES: usize = 6;
 pub const MOST_DEGREE: usize = 8;
 
-/// The monomials of `variables` variables up to a total degree, in an order in which each is an earlier one times a variable.
-/// Those up to a lower degree are a beginning of the list.
+/// The monomials of `variables` variables up to a total degree, in an order in which each is an
+/// earlier one times a variable. Those up to a lower degree are a beginning of the list.
 #[derive(Clone, Debug)]
 pub struct Terms {
     pub variables: usize,
@@ -143,7 +143,12 @@ mod tests {
         let coefficients: Vec<f64> = (0..35).map(|k| (f64::from(k) * 0.37).sin()).collect();
         let mut gradient = [0.0; 3];
         let sum = terms.sum(&coefficients, &y, &mut gradient);
-        let dot = |row: &[f64]| row.iter().zip(&coefficients).map(|(a, b)| a * b).sum::<f64>();
+        let dot = |row: &[f64]| {
+            row.iter()
+                .zip(&coefficients)
+                .map(|(a, b)| a * b)
+                .sum::<f64>()
+        };
         assert!((sum - dot(&values)).abs() < 1e-13);
         for i in 0..3 {
             assert!((gradient[i] - dot(&slopes[i * 35..][..35])).abs() < 1e-13);

@@ -1,4 +1,5 @@
-//! A map in pieces with the local solution as two arrays, for kernels on a device (`shaders/pieces.wgsl`).
+//! A map in pieces with the local solution as two arrays, for kernels on a device
+//! (`shaders/pieces.wgsl`).
 
 use super::Around;
 use crate::backend::gpu::text;
@@ -7,8 +8,8 @@ use crate::model::Precision;
 use crate::sweep::Plan;
 use std::fmt::Write;
 
-/// Loop iterations after which an invocation gives a state up: a quarter of the most that Mesa's llvmpipe allows a shader, whose
-/// invocations side by side also wait for each other.
+/// Loop iterations after which an invocation gives a state up: a quarter of the most that Mesa's
+/// llvmpipe allows a shader, whose invocations side by side also wait for each other.
 const MOST_SPENT: usize = 16384;
 
 /// The arrays, and what the shader's text must know of them.
@@ -54,7 +55,11 @@ impl Packed {
             this.conditions.push("PERIODS");
             this.reals(
                 "PERIOD",
-                plan.periods.iter().map(|p| p.unwrap_or(0.0)).chain([0.0]).take(n),
+                plan.periods
+                    .iter()
+                    .map(|p| p.unwrap_or(0.0))
+                    .chain([0.0])
+                    .take(n),
             );
         }
         if let Some(around) = &around {
@@ -66,7 +71,10 @@ impl Packed {
             let neglected = around.errors.neglected();
             this.count("NEGLECTED", neglected.len());
             this.reals("NEGLECTED_SIZES", neglected.iter().map(|(_, size)| *size));
-            this.words("NEGLECTED_DEGREES", neglected.iter().map(|(k, _)| *k as u32));
+            this.words(
+                "NEGLECTED_DEGREES",
+                neglected.iter().map(|(k, _)| *k as u32),
+            );
         }
         Some(this)
     }
@@ -96,7 +104,9 @@ impl Packed {
 
     pub fn tables(&mut self, [upto, factors, first, second]: [&'static str; 4], tables: &Tables) {
         self.words(upto, tables.upto.iter().map(|k| *k as u32));
-        let factor = |(parent, axis, power): &(u16, u8, u8)| [(*parent).into(), (*axis).into(), (*power).into()];
+        let factor = |(parent, axis, power): &(u16, u8, u8)| {
+            [(*parent).into(), (*axis).into(), (*power).into()]
+        };
         self.words(factors, tables.factors.iter().flat_map(factor));
         self.words(first, tables.first.iter().map(|t| (*t).into()));
         self.words(second, tables.second.iter().map(|t| (*t).into()));
@@ -114,7 +124,11 @@ impl Packed {
             let _ = writeln!(all, "const {name}: u32 = {count}u;");
         }
         for (name, number) in &self.numbers {
-            let _ = writeln!(all, "const {name}: real = {};", text::literal(*number, precision));
+            let _ = writeln!(
+                all,
+                "const {name}: real = {};",
+                text::literal(*number, precision)
+            );
         }
         all
     }

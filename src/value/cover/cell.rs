@@ -1,4 +1,5 @@
-//! Cells of the swept manifold: a simplex of seeds between two levels, and where in it a state lies.
+//! Cells of the swept manifold: a simplex of seeds between two levels, and where in it a state
+//! lies.
 
 use super::fan::Fan;
 use nalgebra::{Const, DimMin, SMatrix, SVector, ToTypenum};
@@ -8,18 +9,21 @@ use smallvec::{SmallVec, smallvec};
 pub type OfSeeds<T> = SmallVec<[T; 4]>;
 pub type OfCorners<T> = SmallVec<[T; 6]>;
 
-/// A cell: the trajectories of a simplex of seeds between `level` and the next one (finite horizon: at the last level).
+/// A cell: the trajectories of a simplex of seeds between `level` and the next one (finite horizon:
+/// at the last level).
 #[derive(Clone, Debug)]
 pub struct Cell {
     pub seeds: OfSeeds<u32>,
     pub level: usize,
-    /// How far the middles of its edges are off the straight line, relative to the edges, as far as that is known.
+    /// How far the middles of its edges are off the straight line, relative to the edges, as far as
+    /// that is known.
     pub bend: f64,
     /// Divisions that led to it.
     pub depth: u32,
 }
 
-/// The corners of a cell in widths of the region: first those at the lower level, then those at the upper one.
+/// The corners of a cell in widths of the region: first those at the lower level, then those at the
+/// upper one.
 pub struct Corners {
     /// `[corner][n]`.
     pub x: SmallVec<[f64; 18]>,
@@ -29,12 +33,13 @@ pub struct Corners {
     pub highest: f64,
 }
 
-/// How much larger than the hull of its corners a cell may be, relative to its size: at least, a unit of its bend, and at
-/// most. Curved cells reach beyond it.
+/// How much larger than the hull of its corners a cell may be, relative to its size: at least, a
+/// unit of its bend, and at most. Curved cells reach beyond it.
 const INFLATION: f64 = 0.1;
 const INFLATION_BENT: f64 = 2.0;
 const MOST_INFLATION: f64 = 1.0;
-/// How far outside a straight cell, relative to it, and from it, relative to its longest edge, a state is kept.
+/// How far outside a straight cell, relative to it, and from it, relative to its longest edge, a
+/// state is kept.
 const MARGIN: f64 = 0.2;
 const NEAR: f64 = 0.04;
 /// The same a unit of the cell's bend.
@@ -42,7 +47,8 @@ const MARGIN_BENT: f64 = 3.0;
 const NEAR_BENT: f64 = 1.5;
 /// Bend above which a cell's corners do not tell where its inside is.
 pub const UNKNOWN: f64 = 0.35;
-/// Share of the bend that a half keeps where the division does not show it: it is proportional to an edge's length.
+/// Share of the bend that a half keeps where the division does not show it: it is proportional to
+/// an edge's length.
 pub const KEPT: f64 = 0.7;
 
 impl Cell {
@@ -66,10 +72,15 @@ impl Cell {
                 corners.known.push(known);
                 let value = f64::from(point[1 + 2 * n]);
                 corners.value = corners.value.min(value);
-                corners.highest = corners.highest.max(if known { value } else { f64::INFINITY });
-                corners
-                    .x
-                    .extend(point[1..=n].iter().zip(widths).map(|(s, w)| f64::from(*s) / w));
+                corners.highest = corners
+                    .highest
+                    .max(if known { value } else { f64::INFINITY });
+                corners.x.extend(
+                    point[1..=n]
+                        .iter()
+                        .zip(widths)
+                        .map(|(s, w)| f64::from(*s) / w),
+                );
             }
         }
         corners
@@ -123,22 +134,38 @@ impl Corners {
             };
             (0..seeds).map(|q| weights[q] * corner(q)).sum()
         };
-        (0..n).map(|i| (at(i) - state[i]).powi(2)).sum::<f64>().sqrt()
+        (0..n)
+            .map(|i| (at(i) - state[i]).powi(2))
+            .sum::<f64>()
+            .sqrt()
     }
 
-    /// How far a cell's layers are from having the shape of each other, relative to its longest edge: none for a cell of
-    /// one layer.
+    /// How far a cell's layers are from having the shape of each other, relative to its longest
+    /// edge: none for a cell of one layer.
     pub fn skew(&self, seeds: usize, n: usize, longest: f64) -> f64 {
         if self.known.len() < 2 * seeds || longest == 0.0 {
             return 0.0;
         }
         let along = |q: usize, i: usize| self.x[(seeds + q) * n + i] - self.x[q * n + i];
-        let differ = |q: usize| (0..n).map(|i| (along(q, i) - along(0, i)).powi(2)).sum::<f64>().sqrt();
+        let differ = |q: usize| {
+            (0..n)
+                .map(|i| (along(q, i) - along(0, i)).powi(2))
+                .sum::<f64>()
+                .sqrt()
+        };
         0.25 * (1..seeds).map(differ).fold(0.0, f64::max) / longest
     }
 
-    /// How far the middle of the edge between two seeds is off the line between them, at the layers of which all is known.
-    pub fn bend(&self, a: usize, b: usize, middle: &[Option<SmallVec<[f64; 3]>>], seeds: usize, n: usize) -> f64 {
+    /// How far the middle of the edge between two seeds is off the line between them, at the layers
+    /// of which all is known.
+    pub fn bend(
+        &self,
+        a: usize,
+        b: usize,
+        middle: &[Option<SmallVec<[f64; 3]>>],
+        seeds: usize,
+        n: usize,
+    ) -> f64 {
         let mut bend = 0.0f64;
         for (layer, middle) in middle.iter().enumerate() {
             let (a, b) = (layer * seeds + a, layer * seeds + b);
@@ -165,7 +192,8 @@ impl Corners {
             .sqrt()
     }
 
-    /// The longest edge between two of the seeds at either level, as positions among the seeds, and its length.
+    /// The longest edge between two of the seeds at either level, as positions among the seeds, and
+    /// its length.
     pub fn longest(&self, seeds: usize, n: usize) -> (usize, usize, f64) {
         let layers = self.known.len() / seeds;
         let mut longest = (0, 0, 0.0);
@@ -186,8 +214,9 @@ impl Corners {
         self.known.iter().all(|k| *k)
     }
 
-    /// Where a state (in widths) lies in the cell: the weights of the seeds and the share of the way between the levels,
-    /// with how far it is outside (0: inside; relative to the cell). None where the cell is flat.
+    /// Where a state (in widths) lies in the cell: the weights of the seeds and the share of the
+    /// way between the levels, with how far it is outside (0: inside; relative to the cell). None
+    /// where the cell is flat.
     pub fn locate(&self, state: &[f64], seeds: usize) -> Option<Place> {
         let layers = self.known.len() / seeds;
         let unknowns = seeds - 1 + usize::from(layers == 2);
@@ -226,7 +255,9 @@ impl Corners {
                     matrix[(i, seed - 1)] = mixed(seed) - mixed(0);
                 }
                 if two {
-                    matrix[(i, N - 1)] = (0..seeds).map(|q| weights[q] * (at(seeds + q) - at(q))).sum();
+                    matrix[(i, N - 1)] = (0..seeds)
+                        .map(|q| weights[q] * (at(seeds + q) - at(q)))
+                        .sum();
                 }
             }
             let step = matrix.lu().solve(&residual)?;

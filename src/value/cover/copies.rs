@@ -7,7 +7,8 @@ use super::{Copy, Cover, Sought};
 const MOST_TURNS: [i32; 7] = [16, 16, 16, 5, 3, 2, 2];
 
 impl Cover<'_> {
-    /// Least V of cells that reach so far along a periodic state that a state's copies there are left out.
+    /// Least V of cells that reach so far along a periodic state that a state's copies there are
+    /// left out.
     pub(super) fn out_of_turns(&self, cells: &[(Cell, Corners)]) -> Option<f64> {
         let plan = self.fan.plan;
         if plan.periods.iter().all(Option::is_none) {
@@ -24,7 +25,9 @@ impl Cover<'_> {
                 .zip(&reach)
                 .any(|([lo, hi], reach)| *lo < -reach || hi > reach)
         });
-        beyond.map(|(_, corners)| corners.value).min_by(f64::total_cmp)
+        beyond
+            .map(|(_, corners)| corners.value)
+            .min_by(f64::total_cmp)
     }
 
     fn most_turns(&self) -> i32 {
@@ -69,9 +72,16 @@ impl Cover<'_> {
             }
             for turns in turns {
                 let x = (0..n)
-                    .map(|i| (one.s[i] + f64::from(turns[i]) * plan.periods[i].unwrap_or(0.0)) / plan.widths[i])
+                    .map(|i| {
+                        (one.s[i] + f64::from(turns[i]) * plan.periods[i].unwrap_or(0.0))
+                            / plan.widths[i]
+                    })
                     .collect();
-                copies.push(Copy { sought: k, turns, x });
+                copies.push(Copy {
+                    sought: k,
+                    turns,
+                    x,
+                });
             }
         }
         copies

@@ -1,8 +1,11 @@
-//! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked for.
+//! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked
+//! for.
 
 use super::{MOST_IN_CELLS, goes_behind_guards};
 use crate::backend::cpu::Evaluator;
-use crate::backend::{Backend, BackendError, By, Deadline, Guards, Kernel, Run, Spec, Status, batch_limit};
+use crate::backend::{
+    Backend, BackendError, By, Deadline, Guards, Kernel, Run, Spec, Status, batch_limit,
+};
 use crate::local::{LocalSolution, SeedChoice};
 use crate::model::{Method, Model, Precision, SeedValue};
 use crate::program::Program;
@@ -40,8 +43,8 @@ pub struct Trajectory {
     ceiling: f64,
 }
 
-/// The trajectories through a surface of seeds. A seed's trajectory depends on its parameter alone, so that what is found
-/// with it does not depend on which others were asked for.
+/// The trajectories through a surface of seeds. A seed's trajectory depends on its parameter alone,
+/// so that what is found with it does not depend on which others were asked for.
 pub struct Fan<'a> {
     pub plan: &'a Plan,
     pub surface: Surface,
@@ -49,7 +52,8 @@ pub struct Fan<'a> {
     /// (Locked only so that the trajectories may be read by several threads.)
     kernel: Mutex<Box<dyn Kernel>>,
     run: Run,
-    /// Parameters of the seeds, whether they are inside the guards, and whether on a boundary of them.
+    /// Parameters of the seeds, whether they are inside the guards, and whether on a boundary of
+    /// them.
     parameters: Vec<Vec<f64>>,
     inside: Vec<bool>,
     boundary: Vec<bool>,
@@ -65,11 +69,17 @@ pub struct Fan<'a> {
 }
 
 impl<'a> Fan<'a> {
-    /// The trajectories of a plan's manifold; of its [`Plan`] only what does not depend on the scene's own sweep counts.
+    /// The trajectories of a plan's manifold; of its [`Plan`] only what does not depend on the
+    /// scene's own sweep counts.
     ///
     /// # Errors
     /// When the kernel cannot be compiled.
-    pub fn new(plan: &'a Plan, model: &Model, unit: f64, backend: &dyn Backend) -> Result<Self, BackendError> {
+    pub fn new(
+        plan: &'a Plan,
+        model: &Model,
+        unit: f64,
+        backend: &dyn Backend,
+    ) -> Result<Self, BackendError> {
         let n = plan.system.states;
         let (surface, local) = surface(plan, model, unit);
         let mut graph = plan.system.graph.clone();
@@ -110,7 +120,9 @@ impl<'a> Fan<'a> {
             first: None,
             max_steps: MOST_STEPS,
             levels: match finite {
-                Some(time) => (1..=TIMES).map(|k| time * k as f64 / TIMES as f64).collect(),
+                Some(time) => (1..=TIMES)
+                    .map(|k| time * k as f64 / TIMES as f64)
+                    .collect(),
                 None => arc_lengths(&surface, plan),
             },
             ceiling: None,
@@ -149,7 +161,8 @@ impl<'a> Fan<'a> {
         self.run.levels.len()
     }
 
-    /// V and `(s, p)` of the local solution at a state whose V is at most `margin` times that of the seeds.
+    /// V and `(s, p)` of the local solution at a state whose V is at most `margin` times that of
+    /// the seeds.
     pub fn local(&self, s: &[f64], margin: f64) -> Option<(f64, Vec<f64>)> {
         let local = self.local.as_ref()?;
         let inside = local.quadratic(s) <= margin * local.seed_value;
@@ -167,7 +180,8 @@ impl<'a> Fan<'a> {
         let parameter = self.surface.nudged(parameter);
         let seed = self.surface.seed(&parameter);
         let inside = self.surface.inside(&seed);
-        self.boundary.push(inside && self.surface.on_boundary(&seed));
+        self.boundary
+            .push(inside && self.surface.on_boundary(&seed));
         self.inside.push(inside);
         self.parameters.push(parameter);
         self.trajectories.push(None);
@@ -186,13 +200,17 @@ impl<'a> Fan<'a> {
         self.surface.on_boundary(&node)
     }
 
-    /// The seed half-way between two; on the boundary of the guards where only one of them is inside.
+    /// The seed half-way between two; on the boundary of the guards where only one of them is
+    /// inside.
     pub fn middle(&mut self, a: u32, b: u32) -> Option<u32> {
         let key = (a.min(b), a.max(b));
         if let Some(known) = self.middles.get(&key) {
             return *known;
         }
-        let (p, q) = (&self.parameters[key.0 as usize], &self.parameters[key.1 as usize]);
+        let (p, q) = (
+            &self.parameters[key.0 as usize],
+            &self.parameters[key.1 as usize],
+        );
         let between = match (self.inside[key.0 as usize], self.inside[key.1 as usize]) {
             (true, false) => self.surface.boundary(p, q),
             (false, true) => self.surface.boundary(q, p),
@@ -217,7 +235,9 @@ impl<'a> Fan<'a> {
         let mut wanted: Vec<u32> = (seeds.iter().copied())
             .filter(|v| {
                 let known = &self.trajectories[*v as usize];
-                known.as_ref().is_none_or(|t| t.ceiling < ceiling && t.end.is_some())
+                known
+                    .as_ref()
+                    .is_none_or(|t| t.ceiling < ceiling && t.end.is_some())
             })
             .collect();
         wanted.sort_unstable();
@@ -236,7 +256,10 @@ impl<'a> Fan<'a> {
                 starts.extend(self.surface.seed(&self.parameters[*v as usize]));
                 starts.push(0.0);
             }
-            let kernel = self.kernel.get_mut().unwrap_or_else(PoisonError::into_inner);
+            let kernel = self
+                .kernel
+                .get_mut()
+                .unwrap_or_else(PoisonError::into_inner);
             let batch = kernel.integrate(&self.run, &starts)?;
             self.integrated += part.len();
             for (i, v) in part.iter().enumerate() {
@@ -280,11 +303,15 @@ impl<'a> Fan<'a> {
         }
     }
 
-    /// The point of a seed's trajectory at a level (0 is the seed), and whether the trajectory came that far: else it is the
-    /// one where it ended. A guard that ended it on the way to the level stands for this.
+    /// The point of a seed's trajectory at a level (0 is the seed), and whether the trajectory came
+    /// that far: else it is the one where it ended. A guard that ended it on the way to the level
+    /// stands for this.
     pub fn point(&self, seed: u32, level: usize) -> Option<(&[f32], bool)> {
         let trajectory = self.trajectories[seed as usize].as_ref()?;
-        match trajectory.points.get(level * self.stride..(level + 1) * self.stride) {
+        match trajectory
+            .points
+            .get(level * self.stride..(level + 1) * self.stride)
+        {
             Some(point) => Some((point, true)),
             None => (trajectory.end.as_deref()).map(|end| (end, self.is_cut(seed, level))),
         }
@@ -296,18 +323,23 @@ impl<'a> Fan<'a> {
         known.is_some_and(|t| t.at_guard && level * self.stride == t.points.len())
     }
 
-    /// The widest gap between two trajectories at the levels that both reach below a cost, where what is between them may
-    /// lie within `around` widths of the region.
+    /// The widest gap between two trajectories at the levels that both reach below a cost, where
+    /// what is between them may lie within `around` widths of the region.
     pub fn gap(&self, a: u32, b: u32, ceiling: f64, around: f64) -> f64 {
         let (plan, n) = (self.plan, self.plan.system.states);
         let at = |v: u32| (self.inside[v as usize], self.boundary[v as usize]);
         match (at(a), at(b)) {
-            ((false, _), (false, _)) | ((true, true), (false, _)) | ((false, _), (true, true)) => return 0.0,
+            ((false, _), (false, _)) | ((true, true), (false, _)) | ((false, _), (true, true)) => {
+                return 0.0;
+            }
             // A boundary of the guards lies between.
             ((true, _), (false, _)) | ((false, _), (true, _)) => return f64::INFINITY,
             _ => {}
         }
-        let (Some(a), Some(b)) = (&self.trajectories[a as usize], &self.trajectories[b as usize]) else {
+        let (Some(a), Some(b)) = (
+            &self.trajectories[a as usize],
+            &self.trajectories[b as usize],
+        ) else {
             return 0.0;
         };
         let mut widest = 0.0f64;
@@ -335,8 +367,8 @@ impl<'a> Fan<'a> {
         widest
     }
 
-    /// Of a simplex of terminal states that all cost more than `ceiling` already: the two furthest apart, if by the tangents
-    /// of the terminal cost some state between them may cost less.
+    /// Of a simplex of terminal states that all cost more than `ceiling` already: the two furthest
+    /// apart, if by the tangents of the terminal cost some state between them may cost less.
     pub fn hidden(&self, simplex: &[u32], ceiling: f64) -> Option<(u32, u32)> {
         /// Shortest edges looked at, as a share of all terminal states.
         const SHORTEST: f64 = 1.0 / 1024.0;
@@ -348,8 +380,14 @@ impl<'a> Fan<'a> {
         if !ceiling.is_finite() || seeds.iter().any(|s| s[2 * n] <= ceiling) {
             return None;
         }
-        let tangent = |a: &[f64], b: &[f64]| a[2 * n] + (0..n).map(|i| a[n + i] * (b[i] - a[i])).sum::<f64>();
-        let below = |a: &Vec<f64>| seeds.iter().map(|b| tangent(a, b)).fold(f64::INFINITY, f64::min);
+        let tangent =
+            |a: &[f64], b: &[f64]| a[2 * n] + (0..n).map(|i| a[n + i] * (b[i] - a[i])).sum::<f64>();
+        let below = |a: &Vec<f64>| {
+            seeds
+                .iter()
+                .map(|b| tangent(a, b))
+                .fold(f64::INFINITY, f64::min)
+        };
         if seeds.iter().map(below).fold(f64::NEG_INFINITY, f64::max) > ceiling {
             return None;
         }
@@ -366,7 +404,8 @@ impl<'a> Fan<'a> {
         longest.1
     }
 
-    /// Changes of `(t, s, p, V)` a unit of arc length at points `(t, s, p, V)`, one after the other.
+    /// Changes of `(t, s, p, V)` a unit of arc length at points `(t, s, p, V)`, one after the
+    /// other.
     pub fn along(&self, points: &[f64]) -> Vec<f64> {
         let n = self.plan.system.states;
         let rates = self.rates.eval(points.get(1..).unwrap_or(&[]), self.stride);
@@ -381,20 +420,27 @@ impl<'a> Fan<'a> {
 
     /// Arc length from a level to the next one (0 is the seed).
     pub fn step(&self, level: usize) -> f64 {
-        let below = if level == 0 { 0.0 } else { self.run.levels[level - 1] };
+        let below = if level == 0 {
+            0.0
+        } else {
+            self.run.levels[level - 1]
+        };
         self.run.levels[level] - below
     }
 
     /// Levels that a seed's trajectory reaches; a guard that ends it counts as one.
     pub fn reached(&self, seed: u32) -> usize {
-        (self.trajectories[seed as usize].as_ref())
-            .map_or(0, |t| t.points.len() / self.stride - usize::from(!t.at_guard))
+        (self.trajectories[seed as usize].as_ref()).map_or(0, |t| {
+            t.points.len() / self.stride - usize::from(!t.at_guard)
+        })
     }
 }
 
 /// A seed `(s, p, V)` as a stored point.
 fn first_point(seed: &[f64]) -> Vec<f32> {
-    std::iter::once(0.0).chain(seed.iter().map(|x| *x as f32)).collect()
+    std::iter::once(0.0)
+        .chain(seed.iter().map(|x| *x as f32))
+        .collect()
 }
 
 /// The surface of seeds: chosen by the region and the cost there alone.
@@ -402,9 +448,15 @@ fn surface(plan: &Plan, model: &Model, unit: f64) -> (Surface, Option<LocalSolut
     if let Some(terminal) = &plan.system.terminal {
         let reach = (plan.region.iter().zip(&plan.widths))
             .map(|([lo, hi], w)| [lo - TERMINAL_MARGIN * w, hi + TERMINAL_MARGIN * w]);
-        return (Surface::terminal(&plan.system, terminal, reach.collect()), None);
+        return (
+            Surface::terminal(&plan.system, terminal, reach.collect()),
+            None,
+        );
     }
-    let local = plan.local.as_ref().expect("an infinite horizon has a local solution");
+    let local = plan
+        .local
+        .as_ref()
+        .expect("an infinite horizon has a local solution");
     let choice = SeedChoice {
         asked: SeedValue::Auto,
         tolerance: SEED_ERROR * unit * SPACING,
@@ -425,7 +477,10 @@ fn arc_lengths(surface: &Surface, plan: &Plan) -> Vec<f64> {
         direction.fill(0.0);
         direction[i] = 1.0;
         let seed = surface.seed(&direction);
-        let length: f64 = (0..n).map(|k| (seed[k] / plan.widths[k]).powi(2)).sum::<f64>().sqrt();
+        let length: f64 = (0..n)
+            .map(|k| (seed[k] / plan.widths[k]).powi(2))
+            .sum::<f64>()
+            .sqrt();
         size = size.min(length);
     }
     let mut lengths = Vec::new();

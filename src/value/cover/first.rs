@@ -5,15 +5,17 @@ use super::{BEYOND, Cover, MOST_STATES};
 use crate::backend::BackendError;
 use rayon::prelude::*;
 
-/// Widest gap, in widths of the region, between neighbouring first trajectories; and how many there are at most.
+/// Widest gap, in widths of the region, between neighbouring first trajectories; and how many there
+/// are at most.
 const SPACING: [f64; MOST_STATES + 1] = [0.05, 0.05, 0.08, 0.15, 0.2, 0.3, 0.4];
 const MOST_FIRST: [usize; MOST_STATES + 1] = [2, 4000, 4000, 4000, 1200, 800, 400];
 /// Widths beyond the region up to which gaps are looked at.
 const AROUND: f64 = 0.25;
 
 impl Cover<'_> {
-    /// Divides the first simplices, from the start, where neighbouring trajectories part before their cost is `ceiling`: the
-    /// cells of a narrow bundle that goes elsewhere are not seen from outside it.
+    /// Divides the first simplices, from the start, where neighbouring trajectories part before
+    /// their cost is `ceiling`: the cells of a narrow bundle that goes elsewhere are not seen from
+    /// outside it.
     pub(super) fn divide_first(&mut self, ceiling: f64) -> Result<(), BackendError> {
         let n = self.fan.plan.system.states;
         let mut done: Vec<Vec<u32>> = Vec::new();
@@ -22,7 +24,8 @@ impl Cover<'_> {
         self.fan.integrate(&first, BEYOND * ceiling)?;
         let mut made = 0;
         while !open.is_empty() {
-            let gaps: Vec<(f64, u32, u32)> = open.par_iter().map(|s| self.widest(s, ceiling)).collect();
+            let gaps: Vec<(f64, u32, u32)> =
+                open.par_iter().map(|s| self.widest(s, ceiling)).collect();
             let mut next = Vec::new();
             let mut middles = Vec::new();
             for (simplex, (gap, a, b)) in open.into_iter().zip(gaps) {
@@ -33,7 +36,12 @@ impl Cover<'_> {
                 };
                 middles.push(middle);
                 for end in [a, b] {
-                    next.push(simplex.iter().map(|v| if *v == end { middle } else { *v }).collect());
+                    next.push(
+                        simplex
+                            .iter()
+                            .map(|v| if *v == end { middle } else { *v })
+                            .collect(),
+                    );
                 }
             }
             self.fan.integrate(&middles, BEYOND * ceiling)?;
@@ -46,10 +54,13 @@ impl Cover<'_> {
         Ok(())
     }
 
-    /// The widest gap between two trajectories of a simplex, and which. Endless, between the two furthest apart, where all of
-    /// them cost too much but what lies between may not.
+    /// The widest gap between two trajectories of a simplex, and which. Endless, between the two
+    /// furthest apart, where all of them cost too much but what lies between may not.
     fn widest(&self, simplex: &[u32], ceiling: f64) -> (f64, u32, u32) {
-        if let Some((a, b)) = (!self.stationary).then(|| self.fan.hidden(simplex, ceiling)).flatten() {
+        if let Some((a, b)) = (!self.stationary)
+            .then(|| self.fan.hidden(simplex, ceiling))
+            .flatten()
+        {
             return (f64::INFINITY, a, b);
         }
         let mut widest = (0.0, 0, 0);

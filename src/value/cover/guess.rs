@@ -12,7 +12,12 @@ const MOST_SEGMENTS: f64 = 400.0;
 
 impl Cover<'_> {
     /// The guess that a leaf gives for a state, if the state lies in it.
-    pub(super) fn candidate(&self, leaf: &Open, copy: &Copy, sought: &[Sought]) -> Option<Candidate> {
+    pub(super) fn candidate(
+        &self,
+        leaf: &Open,
+        copy: &Copy,
+        sought: &[Sought],
+    ) -> Option<Candidate> {
         let plan = self.fan.plan;
         let n = plan.system.states;
         let seeds = &leaf.cell.seeds;
@@ -33,7 +38,12 @@ impl Cover<'_> {
         Some(Candidate {
             target: one.target,
             turns: copy.turns.clone(),
-            goal: copy.x.iter().zip(&plan.widths).map(|(x, w)| x * w).collect(),
+            goal: copy
+                .x
+                .iter()
+                .zip(&plan.widths)
+                .map(|(x, w)| x * w)
+                .collect(),
             node: first[1..=2 * n].to_vec(),
             value: first[1 + 2 * n],
             expected: first[1 + 2 * n],
@@ -90,8 +100,13 @@ impl Cover<'_> {
             return lower;
         }
         let upper = self.mixed(cell, place, cell.level + 1);
-        // A cubic along the trajectory: it is known how fast all changes at both levels, and how far they are apart.
-        if cell.seeds.iter().any(|seed| self.fan.is_cut(*seed, cell.level + 1)) {
+        // A cubic along the trajectory: it is known how fast all changes at both levels, and how
+        // far they are apart.
+        if cell
+            .seeds
+            .iter()
+            .any(|seed| self.fan.is_cut(*seed, cell.level + 1))
+        {
             return (lower.iter().zip(&upper))
                 .map(|(a, b)| a + place.share * (b - a))
                 .collect();
@@ -108,7 +123,10 @@ impl Cover<'_> {
         (0..lower.len())
             .map(|i| {
                 let straight = lower[i] + q * (upper[i] - lower[i]);
-                let cubic = blend[0] * lower[i] + blend[1] * upper[i] + blend[2] * below[i] + blend[3] * above[i];
+                let cubic = blend[0] * lower[i]
+                    + blend[1] * upper[i]
+                    + blend[2] * below[i]
+                    + blend[3] * above[i];
                 // Where the trajectories of a cell differ too much their mean is none.
                 let usual = (upper[i] - lower[i]).abs();
                 if (cubic - straight).abs() <= usual {
@@ -126,10 +144,12 @@ impl Cover<'_> {
         self.path(&candidate.cell, &candidate.place, &first, end)
     }
 
-    /// The cell's trajectory that passes nearest, from the level nearer to the place: a solution from its own state.
+    /// The cell's trajectory that passes nearest, from the level nearer to the place: a solution
+    /// from its own state.
     pub fn path_beside(&self, candidate: &Candidate, end: &End) -> Path {
         let (cell, place) = (&candidate.cell, &candidate.place);
-        let most = (0..place.weights.len()).max_by(|a, b| place.weights[*a].total_cmp(&place.weights[*b]));
+        let most =
+            (0..place.weights.len()).max_by(|a, b| place.weights[*a].total_cmp(&place.weights[*b]));
         let upper = self.stationary && place.share > 0.5;
         let corner = Place {
             weights: (0..place.weights.len())
@@ -180,7 +200,8 @@ impl Cover<'_> {
         spread
     }
 
-    /// The path from a place to the end: the mean of the cell's trajectories, and on into the range of the end's condition.
+    /// The path from a place to the end: the mean of the cell's trajectories, and on into the range
+    /// of the end's condition.
     fn path(&self, cell: &Cell, place: &Place, first: &[f64], end: &End) -> Path {
         let n = self.fan.plan.system.states;
         let mut path = Path::new(&first[1..=2 * n]);

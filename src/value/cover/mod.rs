@@ -1,10 +1,12 @@
 //! Which parts of the swept manifold lie over a state: a search that depends on the state alone.
 //!
-//! The manifold of optimal trajectories is parametrized by seed and level. It is divided into cells: a simplex of seeds
-//! between two levels. The extremals from a state x are the places of the manifold whose state is x, so every cell whose
-//! image may hold x is divided further, until it is small; what is left gives the first guesses for x. Cells over which no
-//! state asked for lies are never divided, so the cost follows the states, not the region. Which cells there are, and
-//! how they are divided, depends on the manifold alone: other states asked for at the same time change nothing.
+//! The manifold of optimal trajectories is parametrized by seed and level. It is divided into
+//! cells: a simplex of seeds between two levels. The extremals from a state x are the places of the
+//! manifold whose state is x, so every cell whose image may hold x is divided further, until it is
+//! small; what is left gives the first guesses for x. Cells over which no state asked for lies are
+//! never divided, so the cost follows the states, not the region. Which cells there are, and how
+//! they are divided, depends on the manifold alone: other states asked for at the same time change
+//! nothing.
 
 mod cell;
 mod copies;
@@ -23,7 +25,8 @@ use rayon::prelude::*;
 use smallvec::SmallVec;
 use std::collections::{BTreeMap, HashMap};
 
-/// States up to which the manifold is divided into cells, and up to which points of trajectories are looked up.
+/// States up to which the manifold is divided into cells, and up to which points of trajectories
+/// are looked up.
 const MOST_IN_CELLS: usize = 3;
 const MOST_STATES: usize = 6;
 /// First seeds by the number of states.
@@ -38,7 +41,8 @@ const FIRST_BEND: f64 = 0.5;
 const LEAST: f64 = 0.005;
 /// Divisions of a cell whose trajectories end within it.
 const DEEPEST: u32 = 40;
-/// Trajectories go on to this many times the cost searched, so that cells on its level have their corners.
+/// Trajectories go on to this many times the cost searched, so that cells on its level have their
+/// corners.
 const BEYOND: f64 = 2.0;
 /// Cells that are divided for one state at a time, at most.
 const MOST_CELLS: usize = 2048;
@@ -47,9 +51,10 @@ const MOST_ROUNDS: usize = 160;
 /// Trajectories of one search.
 const MOST_TRAJECTORIES: usize = 400_000;
 
-/// Whether trajectories go on behind guards, and it is told of each solution whether it leaves one. Cells with corners behind a
-/// guard, of which nothing is known, are divided along all of it: a line in a plane, but too much in space. In more states,
-/// where points near a state are looked up, those behind guards would crowd out others.
+/// Whether trajectories go on behind guards, and it is told of each solution whether it leaves one.
+/// Cells with corners behind a guard, of which nothing is known, are divided along all of it: a
+/// line in a plane, but too much in space. In more states, where points near a state are looked up,
+/// those behind guards would crowd out others.
 pub(in crate::value) fn goes_behind_guards(states: usize) -> bool {
     states == MOST_IN_CELLS
 }
@@ -94,7 +99,8 @@ impl Candidate {
         self.cell.seeds[0]
     }
 
-    /// How far the target is from the place: relative to the cell, or in widths of the region from a trajectory's point.
+    /// How far the target is from the place: relative to the cell, or in widths of the region from
+    /// a trajectory's point.
     fn outside(&self) -> f64 {
         self.place.outside.max(0.0)
     }
@@ -147,7 +153,8 @@ pub struct Cover<'a> {
     /// Infinite horizon: cells lie between levels.
     stationary: bool,
     duration: f64,
-    /// Cost that the levels of the search are powers of: what the linearization gives at the region's corners.
+    /// Cost that the levels of the search are powers of: what the linearization gives at the
+    /// region's corners.
     pub unit: f64,
 }
 
@@ -162,7 +169,8 @@ impl<'a> Cover<'a> {
         !plan.game && plan.system.states <= most
     }
 
-    /// Whether it can be divided into cells, so that nothing is left out that is larger than the cells looked at.
+    /// Whether it can be divided into cells, so that nothing is left out that is larger than the
+    /// cells looked at.
     pub fn has_cells(&self) -> bool {
         self.fan.plan.system.states <= MOST_IN_CELLS
     }
@@ -180,7 +188,12 @@ impl<'a> Cover<'a> {
 
     /// # Errors
     /// When the kernel cannot be compiled.
-    pub fn new(plan: &'a Plan, model: &Model, duration: f64, backend: &dyn Backend) -> Result<Self, BackendError> {
+    pub fn new(
+        plan: &'a Plan,
+        model: &Model,
+        duration: f64,
+        backend: &dyn Backend,
+    ) -> Result<Self, BackendError> {
         let unit = plan.corner_value();
         let mut fan = Fan::new(plan, model, unit, backend)?;
         let most = FIRST_SEEDS[plan.system.states];
@@ -264,7 +277,8 @@ impl<'a> Cover<'a> {
         Ok(cells)
     }
 
-    /// Where too many cells are open over a state the costliest are left out, and the state is not covered from there on.
+    /// Where too many cells are open over a state the costliest are left out, and the state is not
+    /// covered from there on.
     fn drop_excess(
         &self,
         open: &mut Vec<Open>,
@@ -371,7 +385,10 @@ impl<'a> Cover<'a> {
         let bend = (0.5 * here).max(KEPT * bend.min(FIRST_BEND));
         let half = |end: u32| {
             let cell = Cell {
-                seeds: seeds.iter().map(|v| if *v == end { middle } else { *v }).collect(),
+                seeds: seeds
+                    .iter()
+                    .map(|v| if *v == end { middle } else { *v })
+                    .collect(),
                 level: *level,
                 bend,
                 depth: depth + 1,
@@ -389,7 +406,11 @@ impl<'a> Cover<'a> {
                     holds(&bounds, x) && corners.may_hold(x, seeds.len(), longest, bend)
                 })
                 .collect();
-            (!copies.is_empty()).then_some(Open { cell, corners, copies })
+            (!copies.is_empty()).then_some(Open {
+                cell,
+                corners,
+                copies,
+            })
         };
         [seeds[a], seeds[b]].into_iter().filter_map(half).collect()
     }

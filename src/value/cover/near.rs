@@ -12,7 +12,8 @@ struct Effort {
     /// Points looked at, and those of them that are offered.
     near: usize,
     offered: usize,
-    /// Share by which the adjoints of two points on different trajectories differ at least for both to be offered.
+    /// Share by which the adjoints of two points on different trajectories differ at least for both
+    /// to be offered.
     different: f64,
 }
 /// For a state of a grid, whose neighbours help; and for one that may be alone.
@@ -31,12 +32,16 @@ const FARTHER: f64 = 3.0;
 const FAR: f64 = 0.5;
 
 impl Cover<'_> {
-    /// Guesses for states from the trajectories that pass near them and cost at most `ceiling` there: the nearest, and those
-    /// whose adjoints differ from all that are nearer.
+    /// Guesses for states from the trajectories that pass near them and cost at most `ceiling`
+    /// there: the nearest, and those whose adjoints differ from all that are nearer.
     ///
     /// # Errors
     /// Device failures only.
-    pub fn near(&mut self, sought: &[Sought], ceiling: f64) -> Result<Vec<Candidate>, BackendError> {
+    pub fn near(
+        &mut self,
+        sought: &[Sought],
+        ceiling: f64,
+    ) -> Result<Vec<Candidate>, BackendError> {
         if self.divided_to != ceiling {
             self.divide_first(ceiling)?;
         }
@@ -72,10 +77,15 @@ impl Cover<'_> {
         let mut found: Vec<Candidate> = copies
             .par_iter()
             .flat_map_iter(|copy| {
-                let effort = if sought[copy.sought].gridded { OF_GRID } else { ALONE };
+                let effort = if sought[copy.sought].gridded {
+                    OF_GRID
+                } else {
+                    ALONE
+                };
                 let mut near = tree.near(&copy.x, f64::INFINITY, effort.near);
                 let within = near.first().map_or(0.0, |(_, d)| (FARTHER * d).max(FAR));
-                // A trajectory that stays on an invariant boundary leads to one that does, without rounding.
+                // A trajectory that stays on an invariant boundary leads to one that does, without
+                // rounding.
                 if fan.is_on_boundary(&copy.x) {
                     near.sort_by_key(|(k, _)| !fan.is_boundary(places[*k].0));
                 }
@@ -89,7 +99,9 @@ impl Cover<'_> {
                     }
                     let (seed, level) = places[k];
                     let candidate = this.point_guess(seed, level, copy, sought, distance);
-                    let like = |other: &Candidate| differ(other, &candidate, &this.fan.plan.widths) < effort.different;
+                    let like = |other: &Candidate| {
+                        differ(other, &candidate, &this.fan.plan.widths) < effort.different
+                    };
                     if !offered.iter().any(like) {
                         offered.push(candidate);
                     }
@@ -109,7 +121,11 @@ impl Cover<'_> {
 /// Difference of two adjoints relative to the larger one, in units of the region's widths.
 fn differ(a: &Candidate, b: &Candidate, widths: &[f64]) -> f64 {
     let (p, q) = (a.adjoint(), b.adjoint());
-    let largest = |of: &dyn Fn(usize) -> f64| (0..p.len()).map(|i| (of(i) * widths[i]).abs()).fold(0.0, f64::max);
+    let largest = |of: &dyn Fn(usize) -> f64| {
+        (0..p.len())
+            .map(|i| (of(i) * widths[i]).abs())
+            .fold(0.0, f64::max)
+    };
     let size = largest(&|i| p[i]).max(largest(&|i| q[i]));
     if a.turns != b.turns || size == 0.0 {
         f64::INFINITY

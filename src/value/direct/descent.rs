@@ -1,11 +1,12 @@
-//! Newton steps on a transcribed problem, by a Riccati recursion. Where its Hessian is not convex, less of the dynamics' curvature is
-//! taken, down to Gauss-Newton steps.
+//! Newton steps on a transcribed problem, by a Riccati recursion. Where its Hessian is not convex,
+//! less of the dynamics' curvature is taken, down to Gauss-Newton steps.
 
 use super::stage::{Rates, Slopes, Steps, times};
 use crate::backend::Deadline;
 use nalgebra::DMatrix;
 
-/// Weights of the barrier, in units of the control's own cost at its bound. Without bounds the last one stands for all.
+/// Weights of the barrier, in units of the control's own cost at its bound. Without bounds the last
+/// one stands for all.
 const BARRIERS: [f64; 5] = [1.0, 0.1, 1e-2, 1e-3, 1e-4];
 /// Steps under each of them, and under the last one.
 const STEPS: usize = 60;
@@ -13,7 +14,8 @@ const LAST_STEPS: usize = 200;
 /// Step, in widths of the region, below which the next barrier is taken; and the last one is done.
 const SMALL: f64 = 0.03;
 const DONE: f64 = 1e-3;
-/// A cost that changes by less than this share in so many steps is not followed further, once gaps are closed.
+/// A cost that changes by less than this share in so many steps is not followed further, once gaps
+/// are closed.
 const SETTLED: f64 = 1e-3;
 const SETTLING: usize = 10;
 /// Gaps, in widths, that count as closed.
@@ -29,7 +31,8 @@ const KEPT: f64 = 1e4;
 const WITHIN: f64 = 0.98;
 /// Times that a step is halved.
 const HALVINGS: usize = 10;
-/// The merit of closing a gap is this many times what closing it costs, or this share of what it was before.
+/// The merit of closing a gap is this many times what closing it costs, or this share of what it
+/// was before.
 const MERIT: f64 = 1.5;
 const FADING: f64 = 0.7;
 
@@ -89,7 +92,11 @@ impl<'a> Descent<'a> {
         let u = problem.middle.repeat(problem.count);
         let steps = rates.steps(&x, &u, problem.step)?;
         let (n, m) = (rates.states, rates.controls);
-        let first = rates.slopes(&rates.steps(&x[..2 * n], &u[..m], problem.step)?, problem.step, None);
+        let first = rates.slopes(
+            &rates.steps(&x[..2 * n], &u[..m], problem.step)?,
+            problem.step,
+            None,
+        );
         let curvature = |i: usize| {
             let [lo, hi] = problem.bounds[i];
             let range = (hi - problem.middle[i]).min(problem.middle[i] - lo);
@@ -121,7 +128,11 @@ impl<'a> Descent<'a> {
         let mut p = Vec::new();
         for (k, &barrier) in barriers.iter().enumerate() {
             let is_last = k + 1 == barriers.len();
-            let (most, small) = if is_last { (LAST_STEPS, DONE) } else { (STEPS, SMALL) };
+            let (most, small) = if is_last {
+                (LAST_STEPS, DONE)
+            } else {
+                (STEPS, SMALL)
+            };
             let mut costs = Vec::new();
             for step in 0..most {
                 self.problem.deadline.check().ok()?;
@@ -132,8 +143,9 @@ impl<'a> Descent<'a> {
                     break;
                 }
                 costs.push(self.cost(&self.x, &self.steps));
-                let settled = (step.checked_sub(SETTLING))
-                    .is_some_and(|before| (costs[step] - costs[before]).abs() < SETTLED * costs[step].abs());
+                let settled = (step.checked_sub(SETTLING)).is_some_and(|before| {
+                    (costs[step] - costs[before]).abs() < SETTLED * costs[step].abs()
+                });
                 if settled && self.largest_gap() < CLOSED {
                     break;
                 }
@@ -204,8 +216,13 @@ impl<'a> Descent<'a> {
         }
     }
 
-    /// Controls' distances from bounds that the barrier keeps them from, with its weight: index, distance, sign of its slope.
-    fn rooms<'b>(&'b self, u: &'b [f64], barrier: f64) -> impl Iterator<Item = (usize, f64, f64, f64)> + 'b {
+    /// Controls' distances from bounds that the barrier keeps them from, with its weight: index,
+    /// distance, sign of its slope.
+    fn rooms<'b>(
+        &'b self,
+        u: &'b [f64],
+        barrier: f64,
+    ) -> impl Iterator<Item = (usize, f64, f64, f64)> + 'b {
         u.iter().enumerate().flat_map(move |(i, u)| {
             let [lo, hi] = self.problem.bounds[i];
             let weight = barrier * self.curvature[i];
@@ -225,13 +242,19 @@ impl<'a> Descent<'a> {
                 .sum::<f64>();
         }
         let gaps = steps.next.iter().zip(&x[n..]).zip(&self.penalty);
-        merit + gaps.map(|((next, x), penalty)| penalty * (next - x).abs()).sum::<f64>()
+        merit
+            + gaps
+                .map(|((next, x), penalty)| penalty * (next - x).abs())
+                .sum::<f64>()
     }
 
-    /// The step that solves the linear-quadratic problem along the guess, which adjoints `p` belong to, if there are any.
+    /// The step that solves the linear-quadratic problem along the guess, which adjoints `p` belong
+    /// to, if there are any.
     fn change(&mut self, barrier: f64, p: &[f64]) -> Option<Change> {
         let n = self.rates.states;
-        let slopes = self.rates.slopes(&self.steps, self.problem.step, p.get(n..));
+        let slopes = self
+            .rates
+            .slopes(&self.steps, self.problem.step, p.get(n..));
         let shares = if p.is_empty() { &[0.0] } else { &SHARES[..] };
         let change = shares
             .iter()
@@ -246,7 +269,8 @@ impl<'a> Descent<'a> {
     fn change_by(&self, barrier: f64, slopes: &[Slopes], share: f64) -> Option<Change> {
         let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count);
         let width = n + m;
-        // Hessian and gradient of the cost to go at each node, from the end on; the laws of the steps.
+        // Hessian and gradient of the cost to go at each node, from the end on; the laws of the
+        // steps.
         let mut hessians = vec![0.0; (count + 1) * n * n];
         let mut gradients = vec![0.0; (count + 1) * n];
         let mut constants = vec![0.0; count * m];
@@ -271,8 +295,10 @@ impl<'a> Descent<'a> {
             }
             times(hessian, &at.jacobian, n, n, width, &mut product);
             for i in 0..n {
-                let ahead =
-                    gradients[(k + 1) * n + i] + (0..n).map(|j| hessian[i * n + j] * self.gap(k * n + j)).sum::<f64>();
+                let ahead = gradients[(k + 1) * n + i]
+                    + (0..n)
+                        .map(|j| hessian[i * n + j] * self.gap(k * n + j))
+                        .sum::<f64>();
                 let row = &at.jacobian[i * width..][..width];
                 for a in 0..width {
                     first[a] += row[a] * ahead;
@@ -301,7 +327,8 @@ impl<'a> Descent<'a> {
             }
             for a in 0..n {
                 let mixed = |i: usize| second[a * width + n + i];
-                gradients[k * n + a] = first[a] - (0..m).map(|i| mixed(i) * law[(i, n)]).sum::<f64>();
+                gradients[k * n + a] =
+                    first[a] - (0..m).map(|i| mixed(i) * law[(i, n)]).sum::<f64>();
                 for b in 0..n {
                     let less: f64 = (0..m).map(|i| mixed(i) * law[(i, b)]).sum();
                     hessians[(k * n + a) * n + b] = second[a * width + b] - less;
@@ -310,7 +337,8 @@ impl<'a> Descent<'a> {
             // Rounding must not make it unsymmetric.
             for a in 0..n {
                 for b in 0..a {
-                    let mean = 0.5 * (hessians[(k * n + a) * n + b] + hessians[(k * n + b) * n + a]);
+                    let mean =
+                        0.5 * (hessians[(k * n + a) * n + b] + hessians[(k * n + b) * n + a]);
                     hessians[(k * n + a) * n + b] = mean;
                     hessians[(k * n + b) * n + a] = mean;
                 }
@@ -343,7 +371,8 @@ impl<'a> Descent<'a> {
         finite.then_some(change)
     }
 
-    /// Takes as much of a step as makes the merit less; the whole step's size, none where there is no such part.
+    /// Takes as much of a step as makes the merit less; the whole step's size, none where there is
+    /// no such part.
     fn advance(&mut self, change: &Change, barrier: f64) -> Option<f64> {
         let (n, m) = (self.rates.states, self.rates.controls);
         let mut share: f64 = 1.0;
@@ -356,7 +385,9 @@ impl<'a> Descent<'a> {
         }
         let now = self.merit(&self.x, &self.u, &self.steps, barrier);
         for _ in 0..HALVINGS {
-            let moved = |a: &[f64], d: &[f64]| -> Vec<f64> { a.iter().zip(d).map(|(a, d)| a + share * d).collect() };
+            let moved = |a: &[f64], d: &[f64]| -> Vec<f64> {
+                a.iter().zip(d).map(|(a, d)| a + share * d).collect()
+            };
             let (x, u) = (moved(&self.x, &change.x), moved(&self.u, &change.u));
             if let Some(steps) = self.rates.steps(&x, &u, self.problem.step)
                 && self.merit(&x, &u, &steps, barrier) < now

@@ -1,9 +1,10 @@
 //! Trajectories by direct optimization: guesses for states that nothing shows the extremals of.
 //!
-//! State and control are unknowns at all steps of a fixed time at once, so that a guess need not obey the dynamics, and
-//! instability does not matter: Newton steps on the linear-quadratic problem along the guess, whose gaps they close (multiple
-//! shooting: Bock and Plitt 1984; by a Riccati recursion: Giftthaler, Neunert, Staeuble, Buchli and Diehl, IROS 2018). Bounds of
-//! controls are a primal-dual logarithmic barrier that is lowered (Waechter and Biegler 2006).
+//! State and control are unknowns at all steps of a fixed time at once, so that a guess need not
+//! obey the dynamics, and instability does not matter: Newton steps on the linear-quadratic problem
+//! along the guess, whose gaps they close (multiple shooting: Bock and Plitt 1984; by a Riccati
+//! recursion: Giftthaler, Neunert, Staeuble, Buchli and Diehl, IROS 2018). Bounds of controls are a
+//! primal-dual logarithmic barrier that is lowered (Waechter and Biegler 2006).
 
 mod descent;
 mod stage;
@@ -49,14 +50,19 @@ pub struct Optimized {
 }
 
 impl<'a> Direct<'a> {
-    /// `None` where there is no equilibrium or no control, in a game, and where modes are too far apart.
+    /// `None` where there is no equilibrium or no control, in a game, and where modes are too far
+    /// apart.
     pub fn new(plan: &'a Plan, model: &Model, duration: f64) -> Option<Self> {
         let local = plan.local.as_ref().filter(|_| !plan.game)?;
         let Horizon::Infinite { u: middle, .. } = &model.horizon else {
             return None;
         };
         let modes = &local.riccati.eigenvalues;
-        let slow = 1.0 / modes.iter().map(|e| e.re.abs()).fold(f64::INFINITY, f64::min);
+        let slow = 1.0
+            / modes
+                .iter()
+                .map(|e| e.re.abs())
+                .fold(f64::INFINITY, f64::min);
         let fast = 1.0 / modes.iter().map(|e| e.norm()).fold(0.0, f64::max);
         let time = HORIZON * slow;
         let is_stiff = time / fast > STIFF * MOST_STEPS as f64;
@@ -70,7 +76,12 @@ impl<'a> Direct<'a> {
             widths: plan.widths.clone(),
             middle: middle.clone(),
             bounds: (model.controls.iter())
-                .map(|c| [c.min.unwrap_or(f64::NEG_INFINITY), c.max.unwrap_or(f64::INFINITY)])
+                .map(|c| {
+                    [
+                        c.min.unwrap_or(f64::NEG_INFINITY),
+                        c.max.unwrap_or(f64::INFINITY),
+                    ]
+                })
                 .collect(),
             // Symmetric: by columns is by rows.
             end: local.riccati.p.as_slice().to_vec(),
@@ -98,7 +109,10 @@ impl<'a> Direct<'a> {
             .flat_map_iter(|k| copies.iter().map(move |from| (k, from)))
             .filter_map(|(k, from)| {
                 let guess = self.guess(from, k);
-                self.path(Descent::new(&self.rates, &self.problem, &guess)?.run()?, end)
+                self.path(
+                    Descent::new(&self.rates, &self.problem, &guess)?.run()?,
+                    end,
+                )
             })
             .collect()
     }
@@ -183,14 +197,21 @@ impl<'a> Direct<'a> {
         }
         let (nodes, durations) = end.tail(&found.states[at], found.cost, self.duration);
         path.append(&nodes, &durations);
-        Some(Optimized { cost: found.cost, path })
+        Some(Optimized {
+            cost: found.cost,
+            path,
+        })
     }
 }
 
 /// The state at a time on straight ways between timed states; the last one after them.
 fn between(corners: &[(f64, Vec<f64>)], t: f64) -> Vec<f64> {
     let last = corners.len() - 1;
-    let next = corners.iter().position(|(time, _)| *time > t).unwrap_or(last).max(1);
+    let next = corners
+        .iter()
+        .position(|(time, _)| *time > t)
+        .unwrap_or(last)
+        .max(1);
     let ((from, a), (to, b)) = (&corners[next - 1], &corners[next]);
     let share = ((t - from) / (to - from)).min(1.0);
     a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect()

@@ -1,4 +1,5 @@
-//! A step of the transcribed problem: state and cost after it, with derivatives by state and control.
+//! A step of the transcribed problem: state and cost after it, with derivatives by state and
+//! control.
 
 use crate::backend::cpu::Evaluator;
 use crate::expr::Kind;
@@ -38,7 +39,8 @@ pub(super) struct Slopes {
     pub gradient: Vec<f64>,
     /// Of Gauss-Newton: without the dynamics' curvature, and not negative. `[n + m][n + m]`.
     pub hessian: Vec<f64>,
-    /// What the dynamics' curvature adds to that; empty where it is 0 and where no adjoints were given.
+    /// What the dynamics' curvature adds to that; empty where it is 0 and where no adjoints were
+    /// given.
     pub curvature: Vec<f64>,
 }
 
@@ -84,7 +86,8 @@ impl Rates {
             let slope = graph.diff(weighted, *a);
             curvatures.extend(inputs[i..].iter().map(|b| graph.diff(slope, *b)));
         }
-        let lower = |inputs: &[_], roots: &[_]| Evaluator::new(&Program::lower(&graph, inputs, roots));
+        let lower =
+            |inputs: &[_], roots: &[_]| Evaluator::new(&Program::lower(&graph, inputs, roots));
         Self {
             rates: lower(&inputs, &rates),
             derivatives: lower(&inputs, &derivatives),
@@ -95,7 +98,8 @@ impl Rates {
         }
     }
 
-    /// Steps of the classical fourth-order method from `x`, `[step][n]`, under `u`, `[step][m]`; `None` where one is not finite.
+    /// Steps of the classical fourth-order method from `x`, `[step][n]`, under `u`, `[step][m]`;
+    /// `None` where one is not finite.
     pub fn steps(&self, x: &[f64], u: &[f64], h: f64) -> Option<Steps> {
         let (n, m) = (self.states, self.controls);
         let (width, count) = (n + m, u.len() / m);
@@ -123,17 +127,24 @@ impl Rates {
         finite.then_some(steps)
     }
 
-    /// Derivatives of steps, through all stages; with the dynamics' curvature for adjoints after the steps, `[step][n]`.
+    /// Derivatives of steps, through all stages; with the dynamics' curvature for adjoints after
+    /// the steps, `[step][n]`.
     pub fn slopes(&self, steps: &Steps, h: f64, adjoints: Option<&[f64]>) -> Vec<Slopes> {
         let (n, width) = (self.states, self.states + self.controls);
         let outputs = (n + 1) * width + width * width;
-        let all: Vec<Vec<f64>> = steps.stages.iter().map(|at| self.derivatives.eval(at, width)).collect();
+        let all: Vec<Vec<f64>> = steps
+            .stages
+            .iter()
+            .map(|at| self.derivatives.eval(at, width))
+            .collect();
         let mut by_stage = vec![0.0; width * width];
         let mut slope = vec![0.0; n * width];
         let mut product = vec![0.0; width * width];
         let mut square = vec![0.0; width * width];
         let curvatures = (self.curvatures.as_ref().zip(adjoints))
-            .map_or_else(Vec::new, |(second, p)| self.curvatures(second, steps, h, p, &all));
+            .map_or_else(Vec::new, |(second, p)| {
+                self.curvatures(second, steps, h, p, &all)
+            });
         let triangle = width * (width + 1) / 2;
         (0..steps.cost.len())
             .map(|k| {
@@ -141,7 +152,14 @@ impl Rates {
                     jacobian: vec![0.0; n * width],
                     gradient: vec![0.0; width],
                     hessian: vec![0.0; width * width],
-                    curvature: vec![0.0; if curvatures.is_empty() { 0 } else { width * width }],
+                    curvature: vec![
+                        0.0;
+                        if curvatures.is_empty() {
+                            0
+                        } else {
+                            width * width
+                        }
+                    ],
                 };
                 slope.fill(0.0);
                 for i in 0..n {
@@ -166,7 +184,8 @@ impl Rates {
                     times(second, &by_stage, width, width, width, &mut product);
                     for a in 0..width {
                         for i in 0..width {
-                            slopes.gradient[a] += weight * h * by_stage[i * width + a] * gradient[i];
+                            slopes.gradient[a] +=
+                                weight * h * by_stage[i * width + a] * gradient[i];
                         }
                     }
                     add_product(&by_stage, &product, width, weight * h, &mut slopes.hessian);
@@ -199,11 +218,14 @@ impl Rates {
         let mut weights: Vec<f64> = Vec::new();
         for stage in (0..NODES.len()).rev() {
             let mut here: Vec<f64> = adjoints.iter().map(|p| h * WEIGHTS[stage] * p).collect();
-            if let (Some(node), Some(of_next)) = (NODES.get(stage + 1), derivatives.get(stage + 1)) {
+            if let (Some(node), Some(of_next)) = (NODES.get(stage + 1), derivatives.get(stage + 1))
+            {
                 for k in 0..count {
                     let next = &of_next[k * outputs..][..outputs];
                     for i in 0..n {
-                        let dynamics: f64 = (0..n).map(|j| next[j * width + i] * weights[k * n + j]).sum();
+                        let dynamics: f64 = (0..n)
+                            .map(|j| next[j * width + i] * weights[k * n + j])
+                            .sum();
                         let cost = h * WEIGHTS[stage + 1] * next[n * width + i];
                         here[k * n + i] += node * h * (dynamics + cost);
                     }
@@ -211,7 +233,9 @@ impl Rates {
             }
             weights = here;
             let points = steps.stages[stage].chunks(width).zip(weights.chunks(n));
-            let at: Vec<f64> = points.flat_map(|(z, weights)| [z, weights].concat()).collect();
+            let at: Vec<f64> = points
+                .flat_map(|(z, weights)| [z, weights].concat())
+                .collect();
             curvatures[stage] = second.eval(&at, width + n);
         }
         curvatures
@@ -231,13 +255,22 @@ fn symmetric(upper: &[f64], width: usize, square: &mut [f64]) {
 fn add_product(a: &[f64], b: &[f64], width: usize, factor: f64, c: &mut [f64]) {
     for (row_a, row_b) in a.chunks(width).zip(b.chunks(width)) {
         for (a, c) in row_a.iter().zip(c.chunks_mut(width)) {
-            c.iter_mut().zip(row_b).for_each(|(c, b)| *c += factor * a * b);
+            c.iter_mut()
+                .zip(row_b)
+                .for_each(|(c, b)| *c += factor * a * b);
         }
     }
 }
 
 /// `c = a b` for matrices of `rows x inner` and `inner x columns`, row by row.
-pub(super) fn times(a: &[f64], b: &[f64], rows: usize, inner: usize, columns: usize, c: &mut [f64]) {
+pub(super) fn times(
+    a: &[f64],
+    b: &[f64],
+    rows: usize,
+    inner: usize,
+    columns: usize,
+    c: &mut [f64],
+) {
     for i in 0..rows {
         let row = &mut c[i * columns..(i + 1) * columns];
         row.fill(0.0);
@@ -294,14 +327,19 @@ mod tests {
             lagrangian(&z)
         };
         for i in 0..3 {
-            let slope = slopes.gradient[i] + p[0] * slopes.jacobian[i] + p[1] * slopes.jacobian[3 + i];
+            let slope =
+                slopes.gradient[i] + p[0] * slopes.jacobian[i] + p[1] * slopes.jacobian[3 + i];
             let difference = (moved(&[(i, eps)]) - moved(&[(i, -eps)])) / (2.0 * eps);
-            assert!((slope - difference).abs() < 1e-7, "slope {i}: {slope} and {difference}");
+            assert!(
+                (slope - difference).abs() < 1e-7,
+                "slope {i}: {slope} and {difference}"
+            );
             for j in 0..3 {
                 let second = slopes.hessian[i * 3 + j] + slopes.curvature[i * 3 + j];
                 let corner = |a: f64, b: f64| moved(&[(i, a * eps), (j, b * eps)]);
-                let difference =
-                    (corner(1.0, 1.0) - corner(1.0, -1.0) - corner(-1.0, 1.0) + corner(-1.0, -1.0)) / (4.0 * eps * eps);
+                let difference = (corner(1.0, 1.0) - corner(1.0, -1.0) - corner(-1.0, 1.0)
+                    + corner(-1.0, -1.0))
+                    / (4.0 * eps * eps);
                 assert!(
                     (second - difference).abs() < 1e-6,
                     "{i}, {j}: {second} and {difference}"

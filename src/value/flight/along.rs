@@ -9,7 +9,8 @@ use crate::shooting::{Path, Solver};
 use crate::sweep::Plan;
 use rayon::prelude::*;
 
-/// Parts in which a solution's segments are divided: then they are about as long as the fastest mode takes to grow by e.
+/// Parts in which a solution's segments are divided: then they are about as long as the fastest
+/// mode takes to grow by e.
 pub const PIECES: usize = 3;
 /// Singular value of a node's equations for p below which its slope is of no use: a fold is near.
 const NEAR_FOLD: f64 = 1e-4;
@@ -37,7 +38,10 @@ pub struct Guide {
 ///
 /// # Errors
 /// Device failures only.
-pub fn slopes(solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Vec<Option<Vec<f64>>>>, BackendError> {
+pub fn slopes(
+    solver: &mut Solver,
+    paths: &[&Path],
+) -> Result<Vec<Vec<Option<Vec<f64>>>>, BackendError> {
     let mut all = Vec::with_capacity(paths.len());
     for part in paths.chunks(AT_ONCE) {
         let factors = solver.factors(part)?;
@@ -52,11 +56,17 @@ pub fn slopes(solver: &mut Solver, paths: &[&Path]) -> Result<Vec<Vec<Option<Vec
     Ok(all)
 }
 
-/// Solutions with their slopes, ready to be followed: at their nodes and at the ends of as many pieces of each segment.
+/// Solutions with their slopes, ready to be followed: at their nodes and at the ends of as many
+/// pieces of each segment.
 ///
 /// # Errors
 /// Device failures only.
-pub fn guides(plan: &Plan, solver: &mut Solver, paths: &[&Path], pieces: usize) -> Result<Vec<Guide>, BackendError> {
+pub fn guides(
+    plan: &Plan,
+    solver: &mut Solver,
+    paths: &[&Path],
+    pieces: usize,
+) -> Result<Vec<Guide>, BackendError> {
     let between = solver.between_nodes(paths, pieces)?;
     let fine: Vec<Path> = (paths.iter().zip(&between))
         .map(|(path, between)| divided(path, between, pieces))
@@ -73,7 +83,8 @@ pub fn guides(plan: &Plan, solver: &mut Solver, paths: &[&Path], pieces: usize) 
         .collect())
 }
 
-/// A path with the nodes between its own: those at the ends of `1 .. pieces - 1` parts of each segment.
+/// A path with the nodes between its own: those at the ends of `1 .. pieces - 1` parts of each
+/// segment.
 fn divided(path: &Path, between: &[f64], pieces: usize) -> Path {
     let mut fine = Path::new(path.node(0));
     let mut inner = between.chunks(path.width);
@@ -99,7 +110,12 @@ impl Guide {
         Self::with_rates(path, slopes, &plan.widths, &rates)
     }
 
-    fn with_rates(path: &Path, slopes: &[Option<Vec<f64>>], widths: &[f64], rates: &Evaluator) -> Self {
+    fn with_rates(
+        path: &Path,
+        slopes: &[Option<Vec<f64>>],
+        widths: &[f64],
+        rates: &Evaluator,
+    ) -> Self {
         let n = widths.len();
         let mut times = vec![0.0];
         for duration in &path.durations {
@@ -116,7 +132,11 @@ impl Guide {
         Self {
             states: n,
             times,
-            rates: rates.eval(&path.nodes, 2 * n).into_iter().map(|r| -r).collect(),
+            rates: rates
+                .eval(&path.nodes, 2 * n)
+                .into_iter()
+                .map(|r| -r)
+                .collect(),
             nodes: path.nodes.clone(),
             slopes: kept,
             widths: widths.to_vec(),
@@ -146,7 +166,10 @@ impl Guide {
             .map(|i| hermite(x, duration, end(a + i), end(b + i)))
             .collect();
         let slope = (0..n * n)
-            .map(|q| (1.0 - x) * self.slopes[segment * n * n + q] + x * self.slopes[(segment + 1) * n * n + q])
+            .map(|q| {
+                (1.0 - x) * self.slopes[segment * n * n + q]
+                    + x * self.slopes[(segment + 1) * n * n + q]
+            })
             .collect();
         tangent(&node[n..], slope, &node[..n])
     }
@@ -157,10 +180,16 @@ impl Guide {
         if t > last * (1.0 + 1e-12) || self.segments() == 0 {
             return None;
         }
-        let segment = self.times.partition_point(|begin| *begin <= t).saturating_sub(1);
+        let segment = self
+            .times
+            .partition_point(|begin| *begin <= t)
+            .saturating_sub(1);
         let segment = segment.min(self.segments() - 1);
         let duration = self.times[segment + 1] - self.times[segment];
-        Some((segment, ((t - self.times[segment]) / duration).clamp(0.0, 1.0)))
+        Some((
+            segment,
+            ((t - self.times[segment]) / duration).clamp(0.0, 1.0),
+        ))
     }
 
     /// The place of the polygon through the nodes that is nearest to a state, in widths.
@@ -189,10 +218,13 @@ impl Guide {
         (best.0, best.1)
     }
 
-    /// The periods, as a deviation, from this solution's start to the copy of a state that is nearest to it.
+    /// The periods, as a deviation, from this solution's start to the copy of a state that is
+    /// nearest to it.
     pub fn turns(&self, s: &[f64], periods: &[Option<f64>]) -> Vec<f64> {
         (s.iter().zip(self.state(0)).zip(periods))
-            .map(|((s, start), period)| period.map_or(0.0, |period| ((s - start) / period).round() * period))
+            .map(|((s, start), period)| {
+                period.map_or(0.0, |period| ((s - start) / period).round() * period)
+            })
             .collect()
     }
 }
@@ -221,8 +253,13 @@ impl<'a> Follower<'a> {
         s: &[f64],
         place: impl Fn(&[f64]) -> Option<(usize, f64)>,
     ) -> Option<(Vec<f64>, Vec<f64>)> {
-        let there: Vec<f64> = s.iter().zip(&self.turns).map(|(s, turn)| s - turn).collect();
-        // To the equilibrium that the guide leads to: the nearest winding of it may lie behind a guard.
+        let there: Vec<f64> = s
+            .iter()
+            .zip(&self.turns)
+            .map(|(s, turn)| s - turn)
+            .collect();
+        // To the equilibrium that the guide leads to: the nearest winding of it may lie behind a
+        // guard.
         let near = |local: &Expansion<'_>| local.within_about(s, there.clone(), ARRIVED);
         if let Some(near) = self.local.as_ref().and_then(near) {
             return Some(near);
@@ -240,7 +277,8 @@ impl<'a> Follower<'a> {
     }
 }
 
-/// Follows a solution by time: what it did after as long, corrected by the slope there. After its end the local expansion.
+/// Follows a solution by time: what it did after as long, corrected by the slope there. After its
+/// end the local expansion.
 pub struct AlongTime<'a>(Follower<'a>);
 
 impl<'a> AlongTime<'a> {
@@ -255,7 +293,8 @@ impl Law for AlongTime<'_> {
     }
 }
 
-/// Follows a solution by state: what it did where it was nearest, in widths. Of an infinite horizon.
+/// Follows a solution by state: what it did where it was nearest, in widths. Of an infinite
+/// horizon.
 pub struct AlongState<'a>(Follower<'a>);
 
 impl<'a> AlongState<'a> {
@@ -266,6 +305,7 @@ impl<'a> AlongState<'a> {
 
 impl Law for AlongState<'_> {
     fn costate(&self, t: f64, s: &[f64]) -> Option<(Vec<f64>, Vec<f64>)> {
-        self.0.follow(t, s, |there| Some(self.0.guide.nearest(there)))
+        self.0
+            .follow(t, s, |there| Some(self.0.guide.nearest(there)))
     }
 }

@@ -1,4 +1,5 @@
-//! What is decided between the periods of a flight: whether it is home, how long the next period is, its guess.
+//! What is decided between the periods of a flight: whether it is home, how long the next period
+//! is, its guess.
 
 use super::{Flight, FlightEnd, Flown, costate, homeward};
 use crate::local::{LocalSolution, closed_loop_margin};
@@ -14,14 +15,17 @@ const LONGEST: f64 = 1.0;
 const SETTLED_PERIOD: f64 = 0.5;
 /// Periods of a finite horizon at least.
 const FINITE_PERIODS: f64 = 32.0;
-/// Relative difference of the law's new answer from the old one above which a period is flown again in shorter ones.
+/// Relative difference of the law's new answer from the old one above which a period is flown again
+/// in shorter ones.
 const TOO_DIFFERENT: f64 = 0.03;
-/// Relative change of the costate at which a law's new answer is to differ from the old one: periods are made as long as
-/// that. What a flight costs too much is of second order in it.
+/// Relative change of the costate at which a law's new answer is to differ from the old one:
+/// periods are made as long as that. What a flight costs too much is of second order in it.
 const ANSWERS_DIFFER: f64 = 0.01;
-/// A flight is home where the estimated error of the local V, which is added to the cost, is this share of the cost.
+/// A flight is home where the estimated error of the local V, which is added to the cost, is this
+/// share of the cost.
 const HOME_SHARE: f64 = 1e-9;
-/// A guess follows the flight until the expansion's error is this share of V; from there on the local solution.
+/// A guess follows the flight until the expansion's error is this share of V; from there on the
+/// local solution.
 const SETTLED: f64 = 1e-2;
 /// Times of the slowest mode after which a flight is given up.
 const LONGEST_FLIGHT: f64 = 100.0;
@@ -90,25 +94,34 @@ pub(super) struct Course {
     longest: f64,
     settled_longest: f64,
     given_up: f64,
-    /// Whether the cost of a flight only rises, so that one above the ceiling is not worth flying on.
+    /// Whether the cost of a flight only rises, so that one above the ceiling is not worth flying
+    /// on.
     rises: bool,
     /// Share of the usual periods.
     fine: f64,
 }
 
 impl Course {
-    /// Periods are `fine` times as long as usual: what a flight costs too much goes with the fourth power.
+    /// Periods are `fine` times as long as usual: what a flight costs too much goes with the fourth
+    /// power.
     pub fn new(plan: &Plan, fine: f64) -> Self {
         let system = &plan.system;
         let guards = (!system.guards.is_empty()).then(|| {
             let exprs: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
             let strict = system.guards.iter().map(|g| g.strict).collect();
-            (Program::lower(&system.graph, &system.inputs, &exprs), strict)
+            (
+                Program::lower(&system.graph, &system.inputs, &exprs),
+                strict,
+            )
         });
         let segment = plan.segment_duration();
-        let slowest = plan.local.as_ref().map(|l| closed_loop_margin(&l.riccati).recip());
+        let slowest = plan
+            .local
+            .as_ref()
+            .map(|l| closed_loop_margin(&l.riccati).recip());
         let time = system.terminal.as_ref().map(|t| t.time);
-        let longest = fine * (LONGEST * segment).min(time.map_or(f64::INFINITY, |t| t / FINITE_PERIODS));
+        let longest =
+            fine * (LONGEST * segment).min(time.map_or(f64::INFINITY, |t| t / FINITE_PERIODS));
         Self {
             end: End::new(system, plan.local.as_ref()),
             local: plan.local.clone(),
@@ -120,7 +133,9 @@ impl Course {
             time,
             first: (fine * FIRST * segment).min(longest),
             longest,
-            settled_longest: slowest.map_or(longest, |slowest| longest.max(fine * SETTLED_PERIOD * slowest)),
+            settled_longest: slowest.map_or(longest, |slowest| {
+                longest.max(fine * SETTLED_PERIOD * slowest)
+            }),
             rises: plan.costs_are_positive(),
             fine,
             given_up: slowest.map_or(f64::INFINITY, |slowest| LONGEST_FLIGHT * slowest),
@@ -180,12 +195,15 @@ impl Course {
     fn difference(&self, old: &[f64], new: &[f64]) -> f64 {
         let pairs = || old.iter().zip(new).zip(&self.widths);
         let size = pairs().fold(0.0f64, |most, ((_, new), w)| most.max((new * w).abs()));
-        let change = pairs().fold(0.0f64, |most, ((old, new), w)| most.max(((new - old) * w).abs()));
+        let change = pairs().fold(0.0f64, |most, ((old, new), w)| {
+            most.max(((new - old) * w).abs())
+        });
         if change > 0.0 { change / size } else { 0.0 }
     }
 
-    /// The periods that are left out of a state while it is integrated: near another winding of the equilibrium it is as
-    /// accurate as near the one at 0. Guards are not asked to be periodic; with them nothing is left out.
+    /// The periods that are left out of a state while it is integrated: near another winding of the
+    /// equilibrium it is as accurate as near the one at 0. Guards are not asked to be periodic;
+    /// with them nothing is left out.
     pub fn turns(&self, s: &[f64]) -> Vec<f64> {
         if self.time.is_some() || self.guards.is_some() {
             return vec![0.0; s.len()];
@@ -211,7 +229,10 @@ impl Course {
     fn is_inside(&self, s: &[f64], p: &[f64]) -> bool {
         self.guards.as_ref().is_none_or(|(program, strict)| {
             let values = program.eval(&[s, p].concat());
-            values.iter().zip(strict).all(|(v, strict)| guard_holds(*v, *strict))
+            values
+                .iter()
+                .zip(strict)
+                .all(|(v, strict)| guard_holds(*v, *strict))
         })
     }
 
@@ -244,7 +265,8 @@ impl Course {
         })
     }
 
-    /// The guess of a flight that is home: its points as far apart as a first guess' segments, with the local tail.
+    /// The guess of a flight that is home: its points as far apart as a first guess' segments, with
+    /// the local tail.
     fn path(&self, air: &Air, home: &[f64], cost: f64) -> Path {
         let n = home.len();
         let infinite = self.time.is_none();
@@ -295,7 +317,8 @@ impl Course {
             return (air.period, air.t + air.period);
         };
         let left = time - air.t;
-        // Equal parts of what is left, none of them a scrap; the last one ends at the final time itself.
+        // Equal parts of what is left, none of them a scrap; the last one ends at the final time
+        // itself.
         let parts = (left / air.period * (1.0 - 1e-9)).ceil();
         if parts <= 1.0 {
             (left, time)

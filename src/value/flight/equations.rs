@@ -16,10 +16,11 @@ const UNCONTROLLED: f64 = 1e30;
 /// Attempted steps a period: what needs more is running away.
 const MOST_STEPS: u32 = 2000;
 
-/// A period of a flight as a trajectory of a kernel, in units of the flight's size r where the period begins:
-/// `(y, J, q, H, T, r, c)` with `s = r y`, the cost `c J`, the costate `r (q + H y)` (H as its upper triangle) and the
-/// duration T, over which time runs from 0 to 1. Only y and J change. So tolerances mean the same far out and near the
-/// equilibrium, and c, about the cost of the whole flight, makes errors of the cost relative to that.
+/// A period of a flight as a trajectory of a kernel, in units of the flight's size r where the
+/// period begins: `(y, J, q, H, T, r, c)` with `s = r y`, the cost `c J`, the costate `r (q + H y)`
+/// (H as its upper triangle) and the duration T, over which time runs from 0 to 1. Only y and J
+/// change. So tolerances mean the same far out and near the equilibrium, and c, about the cost of
+/// the whole flight, makes errors of the cost relative to that.
 pub(super) struct Equations {
     pub states: usize,
     pub widths: Vec<f64>,
@@ -41,7 +42,8 @@ impl Equations {
         let cost = symbols(&mut graph, "cost", 1);
         let q = symbols(&mut graph, "costate", n);
         let h = symbols(&mut graph, "slope", Slope::len(n));
-        let [duration, size, unit] = ["duration", "size", "cost unit"].map(|name| symbols(&mut graph, name, 1)[0]);
+        let [duration, size, unit] =
+            ["duration", "size", "cost unit"].map(|name| symbols(&mut graph, name, 1)[0]);
         let replaced = law(&mut graph, &system.inputs, &y, &q, &h, size);
         let guards: Vec<Id> = system.guards.iter().map(|g| g.expr).collect();
         let rates = [&system.rate[..n], &system.rate[2 * n..=2 * n], &guards].concat();
@@ -102,7 +104,13 @@ impl Equations {
     }
 
     /// The vector at the beginning of a period under a law `(q, H)`; `unit` is the cost's.
-    pub fn seed(&self, s: &[f64], (q, h): &(Vec<f64>, Vec<f64>), duration: f64, unit: f64) -> Vec<f64> {
+    pub fn seed(
+        &self,
+        s: &[f64],
+        (q, h): &(Vec<f64>, Vec<f64>),
+        duration: f64,
+        unit: f64,
+    ) -> Vec<f64> {
         let size = self.size(s);
         let mut seed: Vec<f64> = s.iter().map(|s| s / size).collect();
         seed.push(0.0);
@@ -121,7 +129,14 @@ impl Equations {
 }
 
 /// What takes the place of `(s, p)`: `r y` and `r (q + H y)`.
-fn law(graph: &mut Graph, inputs: &[Id], y: &[Id], q: &[Id], h: &[Id], size: Id) -> HashMap<Id, Id> {
+fn law(
+    graph: &mut Graph,
+    inputs: &[Id],
+    y: &[Id],
+    q: &[Id],
+    h: &[Id],
+    size: Id,
+) -> HashMap<Id, Id> {
     let n = y.len();
     // The upper triangle, row by row.
     let entry = |i: usize, j: usize| {

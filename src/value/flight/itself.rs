@@ -1,4 +1,5 @@
-//! What answers cost that are flown: an upper bound of V that rests on nothing but the simulated control.
+//! What answers cost that are flown: an upper bound of V that rests on nothing but the simulated
+//! control.
 
 use super::undercut::Claim;
 use super::{AlongTime, Flight, Flown, PIECES, Pilot, guides};
@@ -6,7 +7,8 @@ use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::sweep::Plan;
 
-/// A flight is given up where it costs more than the claim by this share of it, or of the scale of V.
+/// A flight is given up where it costs more than the claim by this share of it, or of the scale of
+/// V.
 const MORE: f64 = 0.1;
 /// Periods of these flights, in those of others.
 const FINE: f64 = 1.0 / 16.0;
@@ -23,7 +25,8 @@ pub fn precise(plan: &Plan) -> Result<Pilot, BackendError> {
     Pilot::with_periods(plan, FINE)
 }
 
-/// A flight from each claim's state along its own solution, with feedback by its slopes. Not for games.
+/// A flight from each claim's state along its own solution, with feedback by its slopes. Not for
+/// games.
 ///
 /// # Errors
 /// Device failures only.

@@ -1,11 +1,13 @@
-//! Laws that a scene has of itself: of its linearization, of the local expansion, of the terminal cost.
+//! Laws that a scene has of itself: of its linearization, of the local expansion, of the terminal
+//! cost.
 
 use super::{Law, homeward, tangent};
 use crate::local::LocalSolution;
 use crate::shooting::End;
 use crate::sweep::Plan;
 
-/// The expansion is used where its error is at most this share of V: further out the linear law does better.
+/// The expansion is used where its error is at most this share of V: further out the linear law
+/// does better.
 const RANGE: f64 = 0.05;
 
 /// `p = P (s - s*)` about the nearest winding of the equilibrium (the Riccati solution).
@@ -37,8 +39,8 @@ impl Law for Linear<'_> {
     }
 }
 
-/// Gradient and Hessian of the local expansion of V about the nearest winding of the equilibrium; [`Linear`] outside its
-/// range.
+/// Gradient and Hessian of the local expansion of V about the nearest winding of the equilibrium;
+/// [`Linear`] outside its range.
 pub struct Expansion<'a> {
     linear: Linear<'a>,
 }
@@ -55,7 +57,12 @@ impl<'a> Expansion<'a> {
     }
 
     /// The same about the winding of the equilibrium from which the state is `home` away.
-    pub(super) fn within_about(&self, s: &[f64], home: Vec<f64>, share: f64) -> Option<(Vec<f64>, Vec<f64>)> {
+    pub(super) fn within_about(
+        &self,
+        s: &[f64],
+        home: Vec<f64>,
+        share: f64,
+    ) -> Option<(Vec<f64>, Vec<f64>)> {
         let local = self.linear.local;
         let quadratic = local.quadratic(&home);
         if local.error_where(quadratic) > share * quadratic {
@@ -73,8 +80,8 @@ impl Law for Expansion<'_> {
     }
 }
 
-/// A costate that goes evenly from one to another in a time, whatever the state: a control that changes sign at most once, or
-/// about a constant one.
+/// A costate that goes evenly from one to another in a time, whatever the state: a control that
+/// changes sign at most once, or about a constant one.
 pub struct Drifting {
     pub from: Vec<f64>,
     pub to: Vec<f64>,

@@ -1,14 +1,17 @@
 //! Flights: an independent upper bound of V.
 //!
-//! Any control that brings a state home costs at least V. Cheap feedback laws are flown from given states, all in one
-//! batch, and the cost of each flight is an upper bound of V at its start: a flight that costs less than a claimed V
-//! proves the claim wrong, and its path is a first guess for multiple shooting.
+//! Any control that brings a state home costs at least V. Cheap feedback laws are flown from given
+//! states, all in one batch, and the cost of each flight is an upper bound of V at its start: a
+//! flight that costs less than a claimed V proves the claim wrong, and its path is a first guess
+//! for multiple shooting.
 //!
-//! A law is asked for a costate `p = q + H s` once a period; between, `u = u*(s, q + H s)` feeds back continuously.
-//! A law that is a little wrong costs only a little more: the excess is of second order in what is wrong of p. Nothing of a
-//! law is trusted: it may be fitted, guessed, or follow another state's solution; the cost is that of the control it gave.
+//! A law is asked for a costate `p = q + H s` once a period; between, `u = u*(s, q + H s)` feeds
+//! back continuously. A law that is a little wrong costs only a little more: the excess is of
+//! second order in what is wrong of p. Nothing of a law is trusted: it may be fitted, guessed, or
+//! follow another state's solution; the cost is that of the control it gave.
 //!
-//! Of a game (`min max`) a flight bounds nothing: the disturbance of the equations answers to the law's costate.
+//! Of a game (`min max`) a flight bounds nothing: the disturbance of the equations answers to the
+//! law's costate.
 
 mod along;
 mod course;
@@ -28,11 +31,11 @@ pub use undercut::{Claim, Flew, Undercut, tolerance, undercut};
 
 use crate::shooting::Path;
 
-/// A feedback law `u = u*(s, p)` by a costate `p = q + H s`, which is asked for again and again along a flight (once a
-/// period).
+/// A feedback law `u = u*(s, p)` by a costate `p = q + H s`, which is asked for again and again
+/// along a flight (once a period).
 pub trait Law: Sync {
-    /// `(q, H)` (H row-major; its symmetric part is used) at time t and deviation s; `None` where the law has no answer
-    /// (the flight ends).
+    /// `(q, H)` (H row-major; its symmetric part is used) at time t and deviation s; `None` where
+    /// the law has no answer (the flight ends).
     fn costate(&self, t: f64, s: &[f64]) -> Option<(Vec<f64>, Vec<f64>)>;
 }
 
@@ -55,7 +58,8 @@ pub enum FlightEnd {
     NoAnswer,
     /// The equations could not be integrated.
     Failed,
-    /// It did not come near the equilibrium within many times the slowest mode's time, or very many periods.
+    /// It did not come near the equilibrium within many times the slowest mode's time, or very many
+    /// periods.
     TimeUp,
     /// It met a guard.
     LeftGuard,
@@ -64,12 +68,13 @@ pub enum FlightEnd {
 /// What came of a flight.
 #[derive(Clone, Debug)]
 pub struct Flown {
-    /// Cost of the whole flight: the running cost, plus V of what is left with its estimated error (the local solution near
-    /// the equilibrium), or the terminal cost on a finite horizon. Infinite if it did not come home.
+    /// Cost of the whole flight: the running cost, plus V of what is left with its estimated error
+    /// (the local solution near the equilibrium), or the terminal cost on a finite horizon.
+    /// Infinite if it did not come home.
     pub cost: f64,
-    /// States on the way with the law's costates, forward in time, with the local solution's tail: a guess for multiple
-    /// shooting. Its first node is the start, moved by the periods that bring the path's end to the equilibrium at s = 0.
-    /// Only of a flight that came home.
+    /// States on the way with the law's costates, forward in time, with the local solution's tail:
+    /// a guess for multiple shooting. Its first node is the start, moved by the periods that bring
+    /// the path's end to the equilibrium at s = 0. Only of a flight that came home.
     pub path: Option<Path>,
     pub end: FlightEnd,
 }
@@ -90,11 +95,18 @@ fn times(m: &[f64], s: &[f64]) -> Vec<f64> {
 
 /// The costate `p + H (s - at)` as `(q, H)`.
 fn tangent(p: &[f64], h: Vec<f64>, at: &[f64]) -> (Vec<f64>, Vec<f64>) {
-    let q = p.iter().zip(times(&h, at)).map(|(p, turned)| p - turned).collect();
+    let q = p
+        .iter()
+        .zip(times(&h, at))
+        .map(|(p, turned)| p - turned)
+        .collect();
     (q, h)
 }
 
 /// `q + H s`.
 fn costate(q: &[f64], h: &[f64], s: &[f64]) -> Vec<f64> {
-    q.iter().zip(times(h, s)).map(|(q, turned)| q + turned).collect()
+    q.iter()
+        .zip(times(h, s))
+        .map(|(q, turned)| q + turned)
+        .collect()
 }

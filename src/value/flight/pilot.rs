@@ -111,6 +111,7 @@ impl Pilot {
         let s: Vec<f64> = air.s.iter().zip(turns).map(|(s, turn)| s - turn).collect();
         let moved = (costate(q, h, turns), h.clone());
         let (duration, _) = self.course.next(air);
-        self.equations.seed(&s, &moved, duration, self.course.unit(air))
+        self.equations
+            .seed(&s, &moved, duration, self.course.unit(air))
     }
 }

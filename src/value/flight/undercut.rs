@@ -1,6 +1,9 @@
 //! Whether claimed values of V are undercut by flights.
 
-use super::{AlongState, AlongTime, Expansion, Flight, Flown, Guide, Law, Linear, PIECES, Pilot, Terminal, guides};
+use super::{
+    AlongState, AlongTime, Expansion, Flight, Flown, Guide, Law, Linear, PIECES, Pilot, Terminal,
+    guides,
+};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
 use crate::sweep::Plan;
@@ -35,7 +38,8 @@ pub enum Flew {
 /// What flights say of a claim.
 #[derive(Clone, Debug)]
 pub struct Undercut {
-    /// The least cost of a flight that came home before it had cost as much as is claimed; infinite if none did.
+    /// The least cost of a flight that came home before it had cost as much as is claimed; infinite
+    /// if none did.
     pub cost: f64,
     /// The law of that flight.
     pub law: Option<Flew>,
@@ -45,8 +49,8 @@ pub struct Undercut {
     pub path: Option<Path>,
 }
 
-/// Flies from each claim's state under the laws of the scene and along up to `most` of its neighbours. Of a game nothing is
-/// flown.
+/// Flies from each claim's state under the laws of the scene and along up to `most` of its
+/// neighbours. Of a game nothing is flown.
 ///
 /// # Errors
 /// Device failures only.
@@ -107,7 +111,10 @@ fn followed(
     most: usize,
 ) -> Result<Vec<Option<Guide>>, BackendError> {
     let mut wanted = vec![false; claims.len()];
-    for k in claims.iter().flat_map(|claim| claim.neighbours.iter().take(most)) {
+    for k in claims
+        .iter()
+        .flat_map(|claim| claim.neighbours.iter().take(most))
+    {
         wanted[*k] = true;
     }
     let paths: Vec<&Path> = (claims.iter().zip(&wanted))
@@ -141,9 +148,15 @@ fn laws_for<'a>(
     for &k in claim.neighbours.iter().take(most) {
         let Some(guide) = &guides[k] else { continue };
         if plan.local.is_some() {
-            laws.push((Flew::AlongState(k), Box::new(AlongState::new(plan, guide, start))));
+            laws.push((
+                Flew::AlongState(k),
+                Box::new(AlongState::new(plan, guide, start)),
+            ));
         } else {
-            laws.push((Flew::AlongTime(k), Box::new(AlongTime::new(plan, guide, start))));
+            laws.push((
+                Flew::AlongTime(k),
+                Box::new(AlongTime::new(plan, guide, start)),
+            ));
         }
     }
     laws

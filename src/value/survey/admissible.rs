@@ -45,14 +45,17 @@ impl Survey<'_> {
             })
     }
 
-    /// What is wrong with trajectories, if anything: that they leave a guard, or in a game that they have a fold.
+    /// What is wrong with trajectories, if anything: that they leave a guard, or in a game that
+    /// they have a fold.
     pub(in crate::value) fn wrong(
         &mut self,
         solver: &mut Solver,
         paths: &[&Path],
     ) -> Result<Vec<Option<PointStatus>>, BackendError> {
         let guarded = self.valid(solver, paths)?.into_iter();
-        let mut wrong: Vec<_> = guarded.map(|v| (!v).then_some(PointStatus::LeavesGuard)).collect();
+        let mut wrong: Vec<_> = guarded
+            .map(|v| (!v).then_some(PointStatus::LeavesGuard))
+            .collect();
         if let Some(conjugate) = &mut self.conjugate {
             let conjugate = conjugate.get_mut().unwrap_or_else(PoisonError::into_inner);
             for (wrong, regular) in wrong.iter_mut().zip(conjugate.absent(paths)?) {
@@ -63,13 +66,18 @@ impl Survey<'_> {
     }
 
     /// Whether trajectories stay inside the guards, at their nodes and between them.
-    pub(in crate::value) fn valid(&self, solver: &mut Solver, paths: &[&Path]) -> Result<Vec<bool>, BackendError> {
+    pub(in crate::value) fn valid(
+        &self,
+        solver: &mut Solver,
+        paths: &[&Path],
+    ) -> Result<Vec<bool>, BackendError> {
         let Some((guards, _)) = &self.guards else {
             return Ok(vec![true; paths.len()]);
         };
         let between = solver.between_nodes(paths, PARTS)?;
         let mut valid = Vec::with_capacity(paths.len());
-        // What is thin lies between the samples: flights to where a guard's margin seems to be least, if that is below 0.
+        // What is thin lies between the samples: flights to where a guard's margin seems to be
+        // least, if that is below 0.
         let mut doubts = Vec::new();
         for (k, (path, between)) in paths.iter().zip(between).enumerate() {
             let (times, nodes) = samples(path, &between);
@@ -90,8 +98,8 @@ impl Survey<'_> {
         Ok(valid)
     }
 
-    /// From samples of a trajectory before them, the ways to where a guard's margin is least between samples, if it is below 0
-    /// there: by cubics through the samples.
+    /// From samples of a trajectory before them, the ways to where a guard's margin is least
+    /// between samples, if it is below 0 there: by cubics through the samples.
     fn doubts(&self, times: &[f64], nodes: &[f64], margins: &[f64]) -> Vec<Path> {
         let Some((guards, strict)) = &self.guards else {
             return Vec::new();
@@ -104,8 +112,9 @@ impl Survey<'_> {
         let length = |j: usize| times[j + 1] - times[j];
         let each = strict.len();
         let at = |g: usize, j: usize| margins[j * each + g];
-        // Between three places a smooth margin falls by less than it rises to the highest of them; from the first of a trajectory it
-        // falls, by a parabola through the next two, if it bends by more than it rises.
+        // Between three places a smooth margin falls by less than it rises to the highest of them;
+        // from the first of a trajectory it falls, by a parabola through the next two, if it bends
+        // by more than it rises.
         let may_fall = |g: usize, j: usize| {
             let inward = match j {
                 0 => Some([1, 2]),
@@ -125,8 +134,8 @@ impl Survey<'_> {
                 }
             }
         };
-        // Where it falls at the beginning of a part and rises at its end it is least within; of a convex margin not below where the
-        // tangents meet.
+        // Where it falls at the beginning of a part and rises at its end it is least within; of a
+        // convex margin not below where the tangents meet.
         let slopes = guards.slopes(nodes, margins);
         let dips = |g: usize, j: usize| {
             let (falls, rises) = (slopes[j * each + g], slopes[(j + 1) * each + g]);
@@ -141,7 +150,9 @@ impl Survey<'_> {
         }
         let mut found = Vec::new();
         for (g, around) in least {
-            let places: Vec<(f64, &[f64])> = around.map(|k| (times[k], &nodes[k * width..][..width])).collect();
+            let places: Vec<(f64, &[f64])> = around
+                .map(|k| (times[k], &nodes[k * width..][..width]))
+                .collect();
             let [t, margin] = guards.least_between(g, &places);
             if !holds(margin, strict[g]) {
                 let k = times[1..parts].partition_point(|at| *at <= t);

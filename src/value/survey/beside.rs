@@ -1,5 +1,6 @@
-//! Extremals of a finite horizon beside those that cells and marching give: along flights; and each known one is followed away
-//! from its target in several directions, around the folds that its sheet may have there, and back.
+//! Extremals of a finite horizon beside those that cells and marching give: along flights; and each
+//! known one is followed away from its target in several directions, around the folds that its
+//! sheet may have there, and back.
 
 use super::{MOST_SHEETS, Survey, times};
 use crate::backend::BackendError;
@@ -21,12 +22,15 @@ const MOST_STATES: usize = 2;
 const SIZES: [f64; 4] = [0.1, 0.4, 1.6, 6.4];
 /// States of a system up to which flights are made under a costate along each axis.
 const MOST_AXES: usize = 4;
-/// Rounds of flights to a single state at most, and flights of a round under costates chosen at random.
+/// Rounds of flights to a single state at most, and flights of a round under costates chosen at
+/// random.
 const FLIGHT_ROUNDS: u64 = 8;
 const DRIFTING: [u64; 6] = [0, 32, 64, 128, 128, 32];
-/// Flights of a round that are followed from their ends: the cheapest. Both by the number of states.
+/// Flights of a round that are followed from their ends: the cheapest. Both by the number of
+/// states.
 const GROWN: [usize; 6] = [0, 16, 32, 64, 64, 8];
-/// Extremals that cost at most this many times the least are counted; and the share by which a new least is lower.
+/// Extremals that cost at most this many times the least are counted; and the share by which a new
+/// least is lower.
 const ABOUT: f64 = 1.25;
 const NEW: f64 = 1e-9;
 /// Targets that are flown to together.
@@ -35,14 +39,16 @@ const TOGETHER: usize = 128;
 const FROM_FLIGHT: f64 = 1.0 / 16.0;
 
 impl Survey<'_> {
-    /// Guesses from flights on a finite horizon: under the terminal cost's gradient, which is the least effort; and to single
-    /// states, in rounds, under costates that are constant or go from one to another. A round that finds something new among the
-    /// cheapest is followed by another.
+    /// Guesses from flights on a finite horizon: under the terminal cost's gradient, which is the
+    /// least effort; and to single states, in rounds, under costates that are constant or go from
+    /// one to another. A round that finds something new among the cheapest is followed by another.
     pub(super) fn try_flights(&mut self, solver: &mut Solver) -> Result<(), BackendError> {
         let Some(law) = Terminal::new(self.plan).filter(|_| !self.plan.game) else {
             return Ok(());
         };
-        let open: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+        let open: Vec<usize> = (0..self.targets.len())
+            .filter(|t| !self.is_refused(*t))
+            .collect();
         let mut pilot = Pilot::new(self.plan)?;
         let rate = adjoint_rate(self.plan);
         let mut errands = Vec::new();
@@ -51,7 +57,10 @@ impl Survey<'_> {
             errands.extend(self.errand_along(target, with_adjoints(path, end, &rate), FROM_FLIGHT));
         }
         self.send(solver, errands)?;
-        let listed: Vec<usize> = open.into_iter().filter(|t| !self.targets.gridded[*t]).collect();
+        let listed: Vec<usize> = open
+            .into_iter()
+            .filter(|t| !self.targets.gridded[*t])
+            .collect();
         for part in listed.chunks(TOGETHER) {
             let mut left = part.to_vec();
             for round in 0..FLIGHT_ROUNDS {
@@ -67,9 +76,9 @@ impl Survey<'_> {
                 let mut before = before.into_iter();
                 left.retain(|t| {
                     let after = self.cheapest(*t);
-                    before
-                        .next()
-                        .is_some_and(|before| after.0 > before.0 || after.1 < times(1.0 - NEW, before.1))
+                    before.next().is_some_and(|before| {
+                        after.0 > before.0 || after.1 < times(1.0 - NEW, before.1)
+                    })
                 });
             }
         }
@@ -90,7 +99,9 @@ impl Survey<'_> {
         targets: &[usize],
         laws: &[&dyn Law],
     ) -> Result<Vec<(usize, f64, Path)>, BackendError> {
-        let pairs = targets.iter().flat_map(|t| laws.iter().map(move |law| (*t, *law)));
+        let pairs = targets
+            .iter()
+            .flat_map(|t| laws.iter().map(move |law| (*t, *law)));
         let flights: Vec<Flight<'_>> = (pairs.clone())
             .map(|(t, law)| Flight {
                 start: self.state(t, 0),
@@ -104,21 +115,32 @@ impl Survey<'_> {
             .collect())
     }
 
-    /// Solves along the cheapest flights of each target, from their ends to their starts: as a whole they are rough guesses.
-    fn grow(&mut self, solver: &mut Solver, mut paths: Vec<(usize, f64, Path)>) -> Result<(), BackendError> {
+    /// Solves along the cheapest flights of each target, from their ends to their starts: as a
+    /// whole they are rough guesses.
+    fn grow(
+        &mut self,
+        solver: &mut Solver,
+        mut paths: Vec<(usize, f64, Path)>,
+    ) -> Result<(), BackendError> {
         let most = by_states(&GROWN, self.targets.states);
         paths.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        let cheapest = paths.chunk_by(|a, b| a.0 == b.0).flat_map(|of| of.iter().take(most));
-        let (targets, flown): (Vec<usize>, Vec<Path>) = cheapest.map(|(t, _, path)| (*t, path.clone())).unzip();
+        let cheapest = paths
+            .chunk_by(|a, b| a.0 == b.0)
+            .flat_map(|of| of.iter().take(most));
+        let (targets, flown): (Vec<usize>, Vec<Path>) =
+            cheapest.map(|(t, _, path)| (*t, path.clone())).unzip();
         let mut solved: BTreeMap<usize, Vec<(f64, Path)>> = BTreeMap::new();
-        for (target, (path, evaluations)) in targets.into_iter().zip(grown(self.plan, solver, flown)?) {
+        for (target, (path, evaluations)) in
+            targets.into_iter().zip(grown(self.plan, solver, flown)?)
+        {
             self.evaluations += u64::from(evaluations);
             self.starts[target] += 1;
             if let Some((path, value)) = path {
                 solved.entry(target).or_default().push((value, path));
             }
         }
-        // Of many extremals the cheapest are of interest: they are added in rising cost, those of all targets side by side.
+        // Of many extremals the cheapest are of interest: they are added in rising cost, those of
+        // all targets side by side.
         for of in solved.values_mut() {
             of.sort_by(|a, b| a.0.total_cmp(&b.0));
             of.reverse();
@@ -126,7 +148,9 @@ impl Survey<'_> {
         while !solved.is_empty() {
             let mut errands = Vec::new();
             for (target, of) in &mut solved {
-                let Some((value, path)) = of.pop() else { continue };
+                let Some((value, path)) = of.pop() else {
+                    continue;
+                };
                 let few = self.at[*target].len() < MOST_SHEETS;
                 if few || value <= times(ABOUT, self.least_value(*target)) {
                     errands.extend(self.errand_along(*target, path, FROM_FLIGHT));
@@ -138,8 +162,8 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// Costates of a round: in the first one along each axis, of several sizes and either sign; in all pairs of them at random,
-    /// the same for every state.
+    /// Costates of a round: in the first one along each axis, of several sizes and either sign; in
+    /// all pairs of them at random, the same for every state.
     fn various(&self, round: u64) -> Vec<Drifting> {
         let (n, plan) = (self.targets.states, self.plan);
         let time = plan.system.terminal.as_ref().map_or(1.0, |t| t.time);
@@ -155,7 +179,10 @@ impl Survey<'_> {
         };
         let mut laws = Vec::new();
         let axes = if round == 0 && n <= MOST_AXES { n } else { 0 };
-        for (i, size) in (0..axes).flat_map(|i| SIZES.map(|z| [(i, -z), (i, z)])).flatten() {
+        for (i, size) in (0..axes)
+            .flat_map(|i| SIZES.map(|z| [(i, -z), (i, z)]))
+            .flatten()
+        {
             let mut p = vec![0.0; n];
             p[i] = size;
             laws.push(law(p.clone(), p));
@@ -172,7 +199,8 @@ impl Survey<'_> {
         laws
     }
 
-    /// Cells do not show extremals whose trajectories part too fast backward in time; their sheets join in folds.
+    /// Cells do not show extremals whose trajectories part too fast backward in time; their sheets
+    /// join in folds.
     pub(super) fn try_folds_beside(&mut self, solver: &mut Solver) -> Result<(), BackendError> {
         let n = self.targets.states;
         if self.plan.system.terminal.is_none() || n > MOST_STATES {
@@ -184,7 +212,9 @@ impl Survey<'_> {
             let (mut owners, mut edges) = (Vec::new(), Vec::new());
             for e in first..last {
                 let extremal = &self.extremals[e];
-                if self.at[extremal.target].len() >= MOST_SHEETS || self.targets.gridded[extremal.target] {
+                if self.at[extremal.target].len() >= MOST_SHEETS
+                    || self.targets.gridded[extremal.target]
+                {
                     continue;
                 }
                 for (i, sign) in (0..n).flat_map(|i| [(i, -1.0), (i, 1.0)]) {
@@ -200,7 +230,9 @@ impl Survey<'_> {
             let found = fold::around(solver, edges)?;
             for (e, found) in owners.into_iter().zip(found) {
                 self.evaluations += u64::from(found.evaluations);
-                let Some((job, solved)) = found.at_start else { continue };
+                let Some((job, solved)) = found.at_start else {
+                    continue;
+                };
                 if self.valid(solver, &[&job.path])?[0] {
                     let (target, winding) = (self.extremals[e].target, self.extremals[e].winding);
                     self.add(Extremal {

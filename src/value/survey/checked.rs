@@ -1,4 +1,5 @@
-//! Whether any control that is known costs less than the least V found: laws are flown from every solved target.
+//! Whether any control that is known costs less than the least V found: laws are flown from every
+//! solved target.
 
 use super::{Progress, SHORT, Survey, times};
 use crate::backend::BackendError;
@@ -11,7 +12,8 @@ use crate::value::grow::{adjoint_rate, with_adjoints};
 const ROUNDS: usize = 4;
 /// Neighbours along whose paths is flown to a target.
 const NEIGHBOURS: usize = 3;
-/// A neighbour leads one to expect less where its sheet, continued, is this share of its change below.
+/// A neighbour leads one to expect less where its sheet, continued, is this share of its change
+/// below.
 const CLEARLY: f64 = 0.05;
 /// A solution found from a flight's path is its own where it costs at most this much more.
 const ABOVE: f64 = 1e-6;
@@ -34,7 +36,8 @@ pub struct Support {
     pub covered_to: f64,
     /// Least cost of a flight that undercuts V, if one does.
     pub bound: Option<f64>,
-    /// Cost of a flight along the answer itself, of states that were listed; infinite where it did not come home.
+    /// Cost of a flight along the answer itself, of states that were listed; infinite where it did
+    /// not come home.
     pub flown: Option<f64>,
 }
 
@@ -53,7 +56,9 @@ impl Survey<'_> {
         }
         let mut pilot = Pilot::new(self.plan)?;
         let neighbours = self.targets.neighbours();
-        let mut open: Vec<usize> = (0..self.targets.len()).filter(|t| !self.at[*t].is_empty()).collect();
+        let mut open: Vec<usize> = (0..self.targets.len())
+            .filter(|t| !self.at[*t].is_empty())
+            .collect();
         for _ in 0..ROUNDS {
             let undercut = self.flown(solver, &mut pilot, &open, &neighbours)?;
             if undercut.is_empty() {
@@ -62,7 +67,9 @@ impl Survey<'_> {
             progress("undercut by flights", self.solved(), self.targets.len());
             open = self.solve_for(solver, undercut)?;
         }
-        let mut listed: Vec<usize> = (0..self.targets.len()).filter(|t| !self.targets.gridded[*t]).collect();
+        let mut listed: Vec<usize> = (0..self.targets.len())
+            .filter(|t| !self.targets.gridded[*t])
+            .collect();
         if listed.is_empty() {
             return Ok(());
         }
@@ -78,14 +85,17 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// Flies along the answers at targets; those undercut, as they part from their answer for something cheaper.
+    /// Flies along the answers at targets; those undercut, as they part from their answer for
+    /// something cheaper.
     fn fly_itself(
         &mut self,
         solver: &mut Solver,
         pilot: &mut Pilot,
         targets: &[usize],
     ) -> Result<Vec<Undercutting>, BackendError> {
-        let solved: Vec<(usize, usize)> = (targets.iter()).filter_map(|t| Some((*t, self.lowest(*t)?))).collect();
+        let solved: Vec<(usize, usize)> = (targets.iter())
+            .filter_map(|t| Some((*t, self.lowest(*t)?)))
+            .collect();
         let claims: Vec<Claim<'_>> = (solved.iter())
             .map(|(_, e)| Claim {
                 value: self.extremals[*e].value(),
@@ -110,8 +120,13 @@ impl Survey<'_> {
         self.admissible(solver, undercut)
     }
 
-    /// Those whose flights stay inside the guards: a flight looks at them at the ends of its steps, and may leap over what is thin.
-    fn admissible(&self, solver: &mut Solver, undercut: Vec<Undercutting>) -> Result<Vec<Undercutting>, BackendError> {
+    /// Those whose flights stay inside the guards: a flight looks at them at the ends of its steps,
+    /// and may leap over what is thin.
+    fn admissible(
+        &self,
+        solver: &mut Solver,
+        undercut: Vec<Undercutting>,
+    ) -> Result<Vec<Undercutting>, BackendError> {
         let paths: Vec<&Path> = undercut.iter().map(|u| &u.path).collect();
         let valid = self.valid(solver, &paths)?;
         Ok((undercut.into_iter().zip(valid))
@@ -119,8 +134,9 @@ impl Survey<'_> {
             .collect())
     }
 
-    /// Cost below which nothing over a target was left out of the search. Nothing is shown on a finite horizon: the image of a cell of
-    /// terminal states may be folded where none of its corners tells.
+    /// Cost below which nothing over a target was left out of the search. Nothing is shown on a
+    /// finite horizon: the image of a cell of terminal states may be folded where none of its
+    /// corners tells.
     pub(in crate::value) fn covered_to(&self, target: usize) -> f64 {
         if self.plan.system.terminal.is_some() {
             return f64::NEG_INFINITY;
@@ -134,8 +150,8 @@ impl Survey<'_> {
             .is_some_and(|e| self.extremals[e].value() <= self.covered_to(target))
     }
 
-    /// Whether the way along a neighbour's solution may cost less than what was found: where the search was not complete, or
-    /// the neighbour's sheet leads one to expect it.
+    /// Whether the way along a neighbour's solution may cost less than what was found: where the
+    /// search was not complete, or the neighbour's sheet leads one to expect it.
     fn may_undercut(&self, neighbour: usize, target: usize) -> bool {
         let (Some(from), Some(e)) = (self.lowest(neighbour), self.lowest(target)) else {
             return false;
@@ -201,9 +217,17 @@ impl Survey<'_> {
         self.admissible(solver, found)
     }
 
-    /// Solves from the paths of flights. Targets that have a lower V now; the others keep the bound.
-    fn solve_for(&mut self, solver: &mut Solver, undercut: Vec<Undercutting>) -> Result<Vec<usize>, BackendError> {
-        let before: Vec<f64> = undercut.iter().map(|u| self.least_value(u.target)).collect();
+    /// Solves from the paths of flights. Targets that have a lower V now; the others keep the
+    /// bound.
+    fn solve_for(
+        &mut self,
+        solver: &mut Solver,
+        undercut: Vec<Undercutting>,
+    ) -> Result<Vec<usize>, BackendError> {
+        let before: Vec<f64> = undercut
+            .iter()
+            .map(|u| self.least_value(u.target))
+            .collect();
         // With the costates that the laws gave, and with those that belong to the states.
         let rate = adjoint_rate(self.plan);
         let mut errands = Vec::new();
@@ -235,7 +259,8 @@ impl Survey<'_> {
     }
 
     pub(super) fn least_value(&self, target: usize) -> f64 {
-        self.lowest(target).map_or(f64::INFINITY, |e| self.extremals[e].value())
+        self.lowest(target)
+            .map_or(f64::INFINITY, |e| self.extremals[e].value())
     }
 
     /// What supports the least V at a target.

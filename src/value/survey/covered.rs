@@ -1,4 +1,5 @@
-//! Extremals from the cells of the swept manifold: what lies over a target is found whatever else is asked for.
+//! Extremals from the cells of the swept manifold: what lies over a target is found whatever else
+//! is asked for.
 
 use super::{COHORT, Errand, MOST_SHEETS, Progress, SHORT, Survey, Wanted, times};
 use crate::backend::BackendError;
@@ -9,7 +10,8 @@ use crate::value::extremal::{Extremal, is_elsewhere};
 use crate::value::flight::homeward;
 use std::collections::BTreeMap;
 
-/// Ratio of the costs up to which the manifold is searched, one after the other: in cells, and by points near the target.
+/// Ratio of the costs up to which the manifold is searched, one after the other: in cells, and by
+/// points near the target.
 const STEP: [f64; 2] = [2.0, 4.0];
 /// First and last of these costs, in the cover's unit.
 const LOWEST: f64 = 1e-6;
@@ -25,12 +27,14 @@ const MOST_AT_ONCE: usize = 12;
 const FROM_CELL: f64 = 1.0 / 16.0;
 /// The same from a trajectory near the target.
 const FROM_POINT: f64 = 1.0 / 16.0;
-/// Where solutions leave guards, and trajectories go on behind these, others are looked for up to this many times the V of the
-/// cheapest of them.
+/// Where solutions leave guards, and trajectories go on behind these, others are looked for up to
+/// this many times the V of the cheapest of them.
 const PAST_CUT: f64 = 16.0;
-/// Guesses near a target are tried up to this many times its least V where all sheets are looked for.
+/// Guesses near a target are tried up to this many times its least V where all sheets are looked
+/// for.
 const SHEETS: f64 = 1.5;
-/// A solution explains a guess whose adjoint differs by less than this share of the spread within the cell, and of its size.
+/// A solution explains a guess whose adjoint differs by less than this share of the spread within
+/// the cell, and of its size.
 const WITHIN: f64 = 0.6;
 const ALIKE: f64 = 0.02;
 /// Guesses that promise more than this times the cost searched for are left out.
@@ -46,7 +50,8 @@ enum Start {
 }
 
 impl Survey<'_> {
-    /// Searches the manifold for every target, in rising cost, until what was found is cheaper than what is left.
+    /// Searches the manifold for every target, in rising cost, until what was found is cheaper than
+    /// what is left.
     pub(super) fn search_cells(
         &mut self,
         solver: &mut Solver,
@@ -55,7 +60,9 @@ impl Survey<'_> {
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         if self.plan.local.is_none() && !self.plan.costs_are_positive() {
-            let all: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+            let all: Vec<usize> = (0..self.targets.len())
+                .filter(|t| !self.is_refused(*t))
+                .collect();
             return self.search(solver, cover, &all, f64::INFINITY, wanted, progress);
         }
         self.try_within_seeds(solver, cover)?;
@@ -66,7 +73,9 @@ impl Survey<'_> {
         let first: Vec<i32> = (0..self.targets.len())
             .map(|t| stage_of(self.expected(t, cover.unit)).clamp(lowest, highest))
             .collect();
-        let mut open: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+        let mut open: Vec<usize> = (0..self.targets.len())
+            .filter(|t| !self.is_refused(*t))
+            .collect();
         // At last, on a finite horizon, whatever it costs.
         let last = highest + i32::from(self.plan.local.is_none());
         for stage in lowest..=last {
@@ -75,7 +84,9 @@ impl Survey<'_> {
             } else {
                 cover.unit * step.powi(stage)
             };
-            let now: Vec<usize> = (open.iter().copied()).filter(|t| first[*t] <= stage).collect();
+            let now: Vec<usize> = (open.iter().copied())
+                .filter(|t| first[*t] <= stage)
+                .collect();
             self.search(solver, cover, &now, ceiling, wanted, progress)?;
             open.retain(|t| first[*t] > stage || !self.is_settled(*t, ceiling, wanted));
             if open.is_empty() {
@@ -85,7 +96,8 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// The cost at which a target's search begins, in units, by the quadratic V at the copy nearest to the equilibrium.
+    /// The cost at which a target's search begins, in units, by the quadratic V at the copy nearest
+    /// to the equilibrium.
     fn expected(&self, target: usize, unit: f64) -> f64 {
         let Some(local) = &self.plan.local else {
             return FIRST_FINITE;
@@ -101,9 +113,13 @@ impl Survey<'_> {
             return true;
         }
         let Some(least) = self.lowest(target).map(|e| self.extremals[e].value()) else {
-            let cut = self.cut[target].iter().map(Extremal::value).min_by(f64::total_cmp);
+            let cut = self.cut[target]
+                .iter()
+                .map(Extremal::value)
+                .min_by(f64::total_cmp);
             let is_past = cut.is_some_and(|cut| ceiling >= times(PAST_CUT, cut));
-            return ceiling >= self.targets.limits[target] || (is_past && goes_behind_guards(self.targets.states));
+            return ceiling >= self.targets.limits[target]
+                || (is_past && goes_behind_guards(self.targets.states));
         };
         let sheets = wanted.sheets && self.at[target].len() < MOST_SHEETS;
         // Once cells over the target were left out, what costs more can only be found by chance.
@@ -140,7 +156,11 @@ impl Survey<'_> {
             let lost = self.try_candidates(solver, cover, cells.candidates, ceiling, wanted)?;
             for &target in part {
                 let left = [cells.uncovered.get(&target), lost.get(&target)];
-                let left = left.into_iter().flatten().copied().fold(f64::INFINITY, f64::min);
+                let left = left
+                    .into_iter()
+                    .flatten()
+                    .copied()
+                    .fold(f64::INFINITY, f64::min);
                 self.uncovered[target] = self.uncovered[target].min(left);
                 self.searched[target] = ceiling;
             }
@@ -150,7 +170,11 @@ impl Survey<'_> {
     }
 
     /// Targets that lie within the seeds, by the local solution.
-    fn try_within_seeds(&mut self, solver: &mut Solver, cover: &Cover<'_>) -> Result<(), BackendError> {
+    fn try_within_seeds(
+        &mut self,
+        solver: &mut Solver,
+        cover: &Cover<'_>,
+    ) -> Result<(), BackendError> {
         let mut errands = Vec::new();
         for target in (0..self.targets.len()).filter(|t| self.is_open(*t)) {
             for winding in 0..self.windings.len() {
@@ -169,7 +193,8 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// Tries guesses from trajectories near the targets: those that promise less than what is known, the nearest first.
+    /// Tries guesses from trajectories near the targets: those that promise less than what is
+    /// known, the nearest first.
     fn try_near(
         &mut self,
         solver: &mut Solver,
@@ -178,7 +203,9 @@ impl Survey<'_> {
         ceiling: f64,
         wanted: Wanted,
     ) -> Result<(), BackendError> {
-        left.retain(|c| c.expected <= ABOVE * ceiling && !self.tried.contains(&(c.target, c.seed())));
+        left.retain(|c| {
+            c.expected <= ABOVE * ceiling && !self.tried.contains(&(c.target, c.seed()))
+        });
         while !left.is_empty() {
             let mut now: Vec<Candidate> = Vec::new();
             let mut later = Vec::new();
@@ -203,7 +230,9 @@ impl Survey<'_> {
     fn promises(&self, candidate: &Candidate, wanted: Wanted) -> bool {
         let known = self.known_at(candidate);
         let mut near = known.filter(|e| !is_elsewhere(e, &candidate.node, &self.scales));
-        let least = self.lowest(candidate.target).map(|e| self.extremals[e].value());
+        let least = self
+            .lowest(candidate.target)
+            .map(|e| self.extremals[e].value());
         let range = if wanted.sheets && self.at[candidate.target].len() < MOST_SHEETS {
             SHEETS
         } else {
@@ -212,7 +241,8 @@ impl Survey<'_> {
         near.next().is_none() && least.is_none_or(|v| candidate.value <= times(range, v))
     }
 
-    /// Tries the guesses that no known solution explains; the targets of which one led nowhere, with the least V it promised.
+    /// Tries the guesses that no known solution explains; the targets of which one led nowhere,
+    /// with the least V it promised.
     fn try_candidates(
         &mut self,
         solver: &mut Solver,
@@ -221,7 +251,8 @@ impl Survey<'_> {
         ceiling: f64,
         wanted: Wanted,
     ) -> Result<BTreeMap<usize, f64>, BackendError> {
-        // Where something cheaper is known or offered, sheets above what is of interest are not followed.
+        // Where something cheaper is known or offered, sheets above what is of interest are not
+        // followed.
         let mut least: BTreeMap<usize, f64> = BTreeMap::new();
         for c in &left {
             let known = || {
@@ -233,11 +264,13 @@ impl Survey<'_> {
         }
         left.retain(|c| {
             let highest = wanted.at(self.targets.limits[c.target]).value_max;
-            c.value <= ABOVE * ceiling && (c.value <= ABOVE * highest || c.value <= least[&c.target])
+            c.value <= ABOVE * ceiling
+                && (c.value <= ABOVE * highest || c.value <= least[&c.target])
         });
         let mut tried: Vec<Candidate> = Vec::new();
         for round in 0..ROUNDS {
-            // The first round shows what there is; after that only what may be the least is tried again.
+            // The first round shows what there is; after that only what may be the least is tried
+            // again.
             left.retain(|c| !self.is_explained(c) && (round < 1 || self.may_be_least(c)));
             let (now, later) = choose(left, &self.scales);
             left = later;
@@ -254,10 +287,20 @@ impl Survey<'_> {
         }
         // A guess within its cell belongs to a sheet there: what it did not lead to may be missing.
         let mut hard: Vec<Candidate> = tried;
-        hard.retain(|c| c.is_inside() && self.may_be_least(c) && !self.is_explained(c) && !self.explains_loosely(c));
+        hard.retain(|c| {
+            c.is_inside()
+                && self.may_be_least(c)
+                && !self.is_explained(c)
+                && !self.explains_loosely(c)
+        });
         self.send_all(solver, cover, hard.iter(), Start::Beside(SHORT))?;
         hard.extend(left);
-        hard.retain(|c| c.is_inside() && self.may_be_least(c) && !self.is_explained(c) && !self.explains_loosely(c));
+        hard.retain(|c| {
+            c.is_inside()
+                && self.may_be_least(c)
+                && !self.is_explained(c)
+                && !self.explains_loosely(c)
+        });
         let mut lost = BTreeMap::new();
         for candidate in hard {
             let least = lost.entry(candidate.target).or_insert(f64::INFINITY);
@@ -281,7 +324,9 @@ impl Survey<'_> {
                 winding: self.winding(&c.turns),
                 way: match start {
                     Start::Mean => Approach::new(cover.mean_path(c, end), c.goal.clone(), 1.0),
-                    Start::Beside(least) => Approach::new(cover.path_beside(c, end), c.goal.clone(), least),
+                    Start::Beside(least) => {
+                        Approach::new(cover.path_beside(c, end), c.goal.clone(), least)
+                    }
                 },
             })
             .collect();
@@ -299,11 +344,18 @@ impl Survey<'_> {
     fn is_explained(&self, candidate: &Candidate) -> bool {
         self.known_at(candidate).any(|e| {
             let adjoint = candidate.adjoint();
-            alike(e.adjoint(), adjoint, &candidate.spread, &self.scales, WITHIN)
+            alike(
+                e.adjoint(),
+                adjoint,
+                &candidate.spread,
+                &self.scales,
+                WITHIN,
+            )
         })
     }
 
-    /// Whether a solution of about the guess's cost and adjoint is known: near a fold cells are no measure of either.
+    /// Whether a solution of about the guess's cost and adjoint is known: near a fold cells are no
+    /// measure of either.
     fn explains_loosely(&self, candidate: &Candidate) -> bool {
         self.known_at(candidate).any(|e| {
             let near = (e.value() - candidate.value).abs() <= 0.1 * candidate.value.abs();
@@ -329,7 +381,11 @@ impl Survey<'_> {
 /// Whether two adjoints agree as far as the spread within a cell lets them be told apart.
 fn alike(a: &[f64], b: &[f64], spread: &[f64], scales: &[f64], within: f64) -> bool {
     let n = a.len();
-    let largest = |v: &dyn Fn(usize) -> f64| (0..n).map(|i| (v(i) / scales[n + i]).abs()).fold(0.0, f64::max);
+    let largest = |v: &dyn Fn(usize) -> f64| {
+        (0..n)
+            .map(|i| (v(i) / scales[n + i]).abs())
+            .fold(0.0, f64::max)
+    };
     let size = largest(&|i| a[i].abs().max(b[i].abs()));
     largest(&|i| a[i] - b[i]) <= within * largest(&|i| spread[i]) + ALIKE * size
 }
@@ -344,7 +400,13 @@ fn choose(candidates: Vec<Candidate>, scales: &[f64]) -> (Vec<Candidate>, Vec<Ca
         }
         let like = |other: &Candidate| {
             other.turns == candidate.turns
-                && alike(other.adjoint(), candidate.adjoint(), &candidate.spread, scales, WITHIN)
+                && alike(
+                    other.adjoint(),
+                    candidate.adjoint(),
+                    &candidate.spread,
+                    scales,
+                    WITHIN,
+                )
         };
         if now.len() - first >= MOST_AT_ONCE || now[first..].iter().any(like) {
             later.push(candidate);

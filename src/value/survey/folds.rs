@@ -12,7 +12,8 @@ use std::collections::HashSet;
 const FOLD_ROUNDS: usize = 3;
 
 impl Survey<'_> {
-    /// Follows sheets around the folds in which they end between neighbours, and what is found there on from there.
+    /// Follows sheets around the folds in which they end between neighbours, and what is found
+    /// there on from there.
     pub(super) fn around_folds(
         &mut self,
         solver: &mut Solver,
@@ -56,7 +57,10 @@ impl Survey<'_> {
             for ((e, to), found) in ways.into_iter().zip(fold::around(solver, starts)?) {
                 self.evaluations += u64::from(found.evaluations);
                 let winding = self.extremals[e].winding;
-                for (target, end) in [(self.extremals[e].target, found.at_start), (to, found.at_end)] {
+                for (target, end) in [
+                    (self.extremals[e].target, found.at_start),
+                    (to, found.at_end),
+                ] {
                     let Some((job, solved)) = end else { continue };
                     let highest = self.sheets_to(target, wanted);
                     if !self.valid(solver, &[&job.path])?[0] || solved.value > highest {

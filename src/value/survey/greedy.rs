@@ -29,7 +29,9 @@ impl Survey<'_> {
         grid: &GridValue,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
-        let targets: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+        let targets: Vec<usize> = (0..self.targets.len())
+            .filter(|t| !self.is_refused(*t))
+            .collect();
         self.try_greedy(solver, grid, &targets)?;
         progress("from V on a grid", self.solved(), self.targets.len());
         Ok(())
@@ -50,7 +52,9 @@ impl Survey<'_> {
         }
         let Some(grid) = make() else { return Ok(()) };
         // Where V is above what is of interest there need be no solution.
-        let (limits, least) = (&self.targets.limits, |t: usize| grid.value(&self.state(t, 0)));
+        let (limits, least) = (&self.targets.limits, |t: usize| {
+            grid.value(&self.state(t, 0))
+        });
         let doubtful: Vec<usize> = (doubtful.into_iter())
             .filter(|t| !self.at[*t].is_empty() || least(*t).is_some_and(|v| v <= limits[*t]))
             .collect();
@@ -67,12 +71,18 @@ impl Survey<'_> {
         targets: &[usize],
     ) -> Result<Vec<Greedy>, BackendError> {
         let flown = self.greedy_paths(grid, targets, 1);
-        let costs: Vec<Option<f64>> = flown.iter().map(|f| f.as_ref().map(|(cost, _)| *cost)).collect();
-        let guesses = (targets.iter().zip(flown)).filter_map(|(t, flown)| Some((*t, flown?.1, FROM_GRID)));
+        let costs: Vec<Option<f64>> = flown
+            .iter()
+            .map(|f| f.as_ref().map(|(cost, _)| *cost))
+            .collect();
+        let guesses =
+            (targets.iter().zip(flown)).filter_map(|(t, flown)| Some((*t, flown?.1, FROM_GRID)));
         let mut found = self.try_paths(solver, guesses.collect())?;
         // What is too rough a guess as a whole is followed from its end.
         let rough: Vec<usize> = (targets.iter().zip(&costs))
-            .filter(|(t, cost)| !found.contains_key(t) && cost.is_some_and(|cost| self.would_be_least(**t, cost)))
+            .filter(|(t, cost)| {
+                !found.contains_key(t) && cost.is_some_and(|cost| self.would_be_least(**t, cost))
+            })
             .map(|(t, _)| *t)
             .collect();
         let fine = self.greedy_paths(grid, &rough, PARTS);
@@ -88,11 +98,17 @@ impl Survey<'_> {
     }
 
     fn would_be_least(&self, target: usize, cost: f64) -> bool {
-        self.lowest(target).is_none_or(|e| cost < self.extremals[e].value())
+        self.lowest(target)
+            .is_none_or(|e| cost < self.extremals[e].value())
     }
 
     /// Greedy paths with their costs, their nodes so many times closer together than usual.
-    fn greedy_paths(&self, grid: &GridValue, targets: &[usize], parts: usize) -> Vec<Option<(f64, Path)>> {
+    fn greedy_paths(
+        &self,
+        grid: &GridValue,
+        targets: &[usize],
+        parts: usize,
+    ) -> Vec<Option<(f64, Path)>> {
         let starts: Vec<Vec<f64>> = targets.iter().map(|t| self.state(*t, 0)).collect();
         let terminal = self.plan.system.terminal.as_ref();
         let flown = |s: &Vec<f64>| {
@@ -105,15 +121,20 @@ impl Survey<'_> {
         starts.par_iter().map(flown).collect()
     }
 
-    /// Solves from a path from each of some targets, with the shortest step to try; the extremals found.
+    /// Solves from a path from each of some targets, with the shortest step to try; the extremals
+    /// found.
     fn try_paths(
         &mut self,
         solver: &mut Solver,
         guesses: Vec<(usize, Path, f64)>,
     ) -> Result<HashMap<usize, usize>, BackendError> {
-        let errands = (guesses.into_iter()).filter_map(|(target, path, least)| self.errand_along(target, path, least));
+        let errands = (guesses.into_iter())
+            .filter_map(|(target, path, least)| self.errand_along(target, path, least));
         let errands = errands.collect();
         let reached = self.send(solver, errands)?;
-        Ok(reached.into_iter().filter_map(|(t, e)| Some((t, e?))).collect())
+        Ok(reached
+            .into_iter()
+            .filter_map(|(t, e)| Some((t, e?)))
+            .collect())
     }
 }

@@ -1,4 +1,5 @@
-//! Numbers of sheets: which extremals lie on one, and which sheets are copies of one by whole periods.
+//! Numbers of sheets: which extremals lie on one, and which sheets are copies of one by whole
+//! periods.
 
 use super::Survey;
 use crate::value::extremal::{Extremal, misfit};
@@ -31,8 +32,8 @@ impl Sheets {
         self.groups.root(e)
     }
 
-    /// Joins two extremals' sheets, unless another extremal of the one lies over a state of the other: then the way between
-    /// them has left its sheet. Whether they were joined now.
+    /// Joins two extremals' sheets, unless another extremal of the one lies over a state of the
+    /// other: then the way between them has left its sheet. Whether they were joined now.
     pub fn join(&mut self, a: usize, b: usize) -> bool {
         let (a, b) = (self.groups.root(a), self.groups.root(b));
         if a == b {
@@ -44,7 +45,8 @@ impl Sheets {
         } else {
             (of_b, of_a)
         };
-        let other = |(place, e): (&(usize, usize), &usize)| many.get(place).is_some_and(|other| other != e);
+        let other =
+            |(place, e): (&(usize, usize), &usize)| many.get(place).is_some_and(|other| other != e);
         if few.iter().any(other) {
             return false;
         }
@@ -78,12 +80,15 @@ impl Sheets {
         let number: HashMap<usize, i32> = (order.iter().enumerate())
             .map(|(k, (root, _))| (*root, k as i32))
             .collect();
-        (0..extremals.len()).map(|e| number[&self.groups.root(e)]).collect()
+        (0..extremals.len())
+            .map(|e| number[&self.groups.root(e)])
+            .collect()
     }
 }
 
 impl Survey<'_> {
-    /// Numbers the sheets, one for each way round a periodic state; and, where copies by whole periods count as one, again.
+    /// Numbers the sheets, one for each way round a periodic state; and, where copies by whole
+    /// periods count as one, again.
     pub(in crate::value) fn label(&mut self) {
         self.sheet = self.joined.numbers(&self.extremals);
         self.lifted = if self.plan.periods.iter().any(Option::is_some) {
@@ -93,16 +98,22 @@ impl Survey<'_> {
         };
     }
 
-    /// The sheets with copies joined. A solution from a target with a winding is one from the state that many periods away: on
-    /// the line, instead of the circle, what lies next to each other there may be one sheet.
+    /// The sheets with copies joined. A solution from a target with a winding is one from the state
+    /// that many periods away: on the line, instead of the circle, what lies next to each other
+    /// there may be one sheet.
     fn with_copies(&self) -> Sheets {
         let mut sheets = self.joined.clone();
         let mut at: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
         for (e, extremal) in self.extremals.iter().enumerate() {
-            at.entry((extremal.target, extremal.winding)).or_default().push(e);
+            at.entry((extremal.target, extremal.winding))
+                .or_default()
+                .push(e);
         }
         let places: Vec<(usize, usize)> = at.keys().copied().collect();
-        let states: Vec<Vec<f64>> = places.iter().map(|(t, w)| self.scaled(&self.state(*t, *w))).collect();
+        let states: Vec<Vec<f64>> = places
+            .iter()
+            .map(|(t, w)| self.scaled(&self.state(*t, *w)))
+            .collect();
         let tree = nearest::index(&states.concat(), self.targets.states);
         let reach = self.reach();
         let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
@@ -119,7 +130,8 @@ impl Survey<'_> {
         pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
         for (_, a, b) in pairs {
             for &e in &at[&places[a]] {
-                let fits = |other: usize| misfit(&self.extremals[e], &self.extremals[other], &self.scales);
+                let fits =
+                    |other: usize| misfit(&self.extremals[e], &self.extremals[other], &self.scales);
                 let best = (at[&places[b]].iter())
                     .map(|other| (fits(*other), *other))
                     .min_by(|a, b| a.0.total_cmp(&b.0));

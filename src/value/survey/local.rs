@@ -35,7 +35,8 @@ impl Survey<'_> {
         }
     }
 
-    /// Guesses that follow the linear closed loop, from a state on the way to the target near which it holds.
+    /// Guesses that follow the linear closed loop, from a state on the way to the target near which
+    /// it holds.
     pub(super) fn linear_guesses(&self, end: &End, targets: &[usize], least: f64) -> Vec<Errand> {
         let open = targets
             .iter()
@@ -79,7 +80,8 @@ impl Survey<'_> {
         targets.iter().filter_map(ray).collect()
     }
 
-    /// A path of the linear closed loop from a state on the way to a target near which it holds; with the target's state.
+    /// A path of the linear closed loop from a state on the way to a target near which it holds;
+    /// with the target's state.
     pub(super) fn linear_path(&self, end: &End, target: usize) -> Option<(Path, Vec<f64>)> {
         let goal = self.state(target, 0);
         let (value, _) = end.linear(&goal)?;

@@ -1,9 +1,11 @@
 //! Every extremal from each of many targets, and which of them lie on one sheet.
 //!
-//! First guesses come from the cells of the swept manifold that lie over a target (`covered`), or where there are too many
-//! states for cells from swept trajectories near it (`swept`). What they miss is reached from the local solution (`local`)
-//! and from solved neighbours (`spread`), where it is asked for also from V on a grid (`greedy`). Where a sheet ends in a fold it is followed around it (`folds`). Solutions that a
-//! continuation joins have the same label (`label`). In a game only the sheet of the equilibrium counts (`principal`).
+//! First guesses come from the cells of the swept manifold that lie over a target (`covered`), or
+//! where there are too many states for cells from swept trajectories near it (`swept`). What they
+//! miss is reached from the local solution (`local`) and from solved neighbours (`spread`), where
+//! it is asked for also from V on a grid (`greedy`). Where a sheet ends in a fold it is followed
+//! around it (`folds`). Solutions that a continuation joins have the same label (`label`). In a
+//! game only the sheet of the equilibrium counts (`principal`).
 
 mod admissible;
 mod beside;
@@ -73,7 +75,8 @@ impl Wanted {
         self.value_max.min(times(range, least))
     }
 
-    /// The same at a target above whose `limit` V is of no interest: nor need the sheets be far over it.
+    /// The same at a target above whose `limit` V is of no interest: nor need the sheets be far
+    /// over it.
     pub(in crate::value) fn at(self, limit: f64) -> Self {
         Self {
             value_max: self.value_max.min(BEYOND * limit),
@@ -89,7 +92,8 @@ pub(in crate::value) fn times(factor: f64, cost: f64) -> f64 {
 
 /// Sheets are looked for up to this many times the V of interest, unless the scene says how far.
 pub(in crate::value) const BEYOND: f64 = 2.0;
-/// A fold's singular value, relative to that where the way began, below which a failure counts as a fold.
+/// A fold's singular value, relative to that where the way began, below which a failure counts as a
+/// fold.
 const NEAR_FOLD: f64 = 0.2;
 
 /// The extremals of many targets.
@@ -102,9 +106,11 @@ pub struct Survey<'a> {
     /// Numbers of periods along each state.
     pub windings: Vec<Vec<i32>>,
     pub misses: Vec<Option<Miss>>,
-    /// Solutions that are no extremals for the scene: they leave a guard. Their paths are their beginnings alone.
+    /// Solutions that are no extremals for the scene: they leave a guard. Their paths are their
+    /// beginnings alone.
     cut: Vec<Vec<Extremal>>,
-    /// Of a game with an equilibrium the extremal at each target on the sheet of the equilibrium; else empty.
+    /// Of a game with an equilibrium the extremal at each target on the sheet of the equilibrium;
+    /// else empty.
     pub principal: Vec<Option<usize>>,
     pub folds: Vec<Fold>,
     /// Label of each extremal's sheet: 0 is that of the least V.
@@ -159,7 +165,11 @@ pub(in crate::value) struct Errand {
 impl<'a> Survey<'a> {
     /// # Errors
     /// When a kernel cannot be compiled.
-    pub fn new(plan: &'a Plan, targets: &'a Targets, solver: &Solver) -> Result<Self, BackendError> {
+    pub fn new(
+        plan: &'a Plan,
+        targets: &'a Targets,
+        solver: &Solver,
+    ) -> Result<Self, BackendError> {
         let guards = Guards::of(plan).map(|guards| {
             let strict = plan.system.guards.iter().map(|g| g.strict).collect();
             (guards, strict)
@@ -210,7 +220,14 @@ impl<'a> Survey<'a> {
         if self.plan.game && self.plan.local.is_some() {
             return self.principal_sheet(solver, archive, &index, wanted, progress);
         }
-        self.first_search(solver, archive, &index, cover.as_deref_mut(), wanted, progress)?;
+        self.first_search(
+            solver,
+            archive,
+            &index,
+            cover.as_deref_mut(),
+            wanted,
+            progress,
+        )?;
         self.search_singly(solver, archive, cover, wanted, progress)?;
         match second {
             SecondOpinion::Given(grid) => self.try_grid(solver, grid, progress)?,
@@ -279,7 +296,9 @@ impl<'a> Survey<'a> {
         let wanted = wanted.at(self.targets.limits[target]);
         match self.lowest(target) {
             // A game has one answer; nothing is known of how far its sheets matter.
-            Some(least) if !self.plan.game => wanted.sheets_to(self.extremals[least].value(), self.targets.states),
+            Some(least) if !self.plan.game => {
+                wanted.sheets_to(self.extremals[least].value(), self.targets.states)
+            }
             _ => wanted.value_max,
         }
     }
@@ -323,7 +342,9 @@ impl<'a> Survey<'a> {
     }
 
     pub(in crate::value) fn missed_by(&self, target: usize, status: PointStatus) -> bool {
-        self.misses[target].as_ref().is_some_and(|m| m.status == status)
+        self.misses[target]
+            .as_ref()
+            .is_some_and(|m| m.status == status)
     }
 
     /// Targets that still need a solution, and may have one: behind a fold there is none in a game.
@@ -354,14 +375,14 @@ impl<'a> Survey<'a> {
         a.winding == b.winding && same(a.adjoint(), b.adjoint(), &self.scales)
     }
 
-    /// Joins two extremals' sheets, unless another extremal of the one lies over a state of the other: then the way between
-    /// them has left its sheet.
+    /// Joins two extremals' sheets, unless another extremal of the one lies over a state of the
+    /// other: then the way between them has left its sheet.
     pub(in crate::value) fn join(&mut self, a: usize, b: usize) -> bool {
         self.joined.join(a, b)
     }
 
-    /// Follows errands, and joins what they find to what they came from. Of each its target, and the extremal there if it was
-    /// reached.
+    /// Follows errands, and joins what they find to what they came from. Of each its target, and
+    /// the extremal there if it was reached.
     pub(in crate::value) fn send(
         &mut self,
         solver: &mut Solver,
@@ -412,7 +433,10 @@ impl<'a> Survey<'a> {
                             solved,
                             iterations: evaluations,
                         };
-                        if !self.cut[target].iter().any(|known| self.is_same(known, &cut)) {
+                        if !self.cut[target]
+                            .iter()
+                            .any(|known| self.is_same(known, &cut))
+                        {
                             self.cut[target].push(cut);
                         }
                         let miss = self.misses[target].as_mut();
@@ -471,7 +495,9 @@ impl<'a> Survey<'a> {
     ) -> Result<Vec<(usize, Option<usize>)>, BackendError> {
         let (targets, paths): (Vec<usize>, Vec<Path>) = rough.into_iter().unzip();
         let mut errands = Vec::new();
-        for (target, (path, evaluations)) in targets.into_iter().zip(grown(self.plan, solver, paths)?) {
+        for (target, (path, evaluations)) in
+            targets.into_iter().zip(grown(self.plan, solver, paths)?)
+        {
             self.evaluations += u64::from(evaluations);
             errands.extend(path.and_then(|(path, _)| self.errand_along(target, path, least)));
         }
@@ -497,9 +523,14 @@ impl<'a> Survey<'a> {
             .map(|(a, b)| (a - b).powi(2))
             .sum::<f64>()
             .sqrt();
-        // Compared with where the way began; a guess from the sweep is no solution, and what is usual stands for it.
+        // Compared with where the way began; a guess from the sweep is no solution, and what is
+        // usual stands for it.
         let began = from.map_or_else(|| self.usual_fold(), |e| self.extremals[e].solved.fold);
-        let ended = unreached.job.as_ref().and_then(|j| j.solved()).map(|s| s.fold);
+        let ended = unreached
+            .job
+            .as_ref()
+            .and_then(|j| j.solved())
+            .map(|s| s.fold);
         let status = match unreached.failure {
             Failure::NotFinite => PointStatus::NotFinite,
             Failure::Horizon => PointStatus::Horizon,
@@ -526,7 +557,13 @@ impl<'a> Survey<'a> {
         *all.select_nth_unstable_by(middle, f64::total_cmp).1
     }
 
-    pub(in crate::value) fn miss(&mut self, target: usize, status: PointStatus, furthest: Option<Vec<f64>>, left: f64) {
+    pub(in crate::value) fn miss(
+        &mut self,
+        target: usize,
+        status: PointStatus,
+        furthest: Option<Vec<f64>>,
+        left: f64,
+    ) {
         let better = self.misses[target]
             .as_ref()
             .is_none_or(|m| m.furthest.is_none() || left < m.left);

@@ -15,8 +15,8 @@ const SAME: f64 = 0.01;
 /// Times that the cheapest trajectory is to be found; or, of all that was found, one in so many.
 const TIMES: usize = 3;
 const ONE_OF: usize = 8;
-/// Guesses and times where all guesses from these many states over the region, most of which lead somewhere, lead to costs that
-/// are alike.
+/// Guesses and times where all guesses from these many states over the region, most of which lead
+/// somewhere, lead to costs that are alike.
 const PROBES: usize = 16;
 const ALIKE: f64 = 0.03;
 const PLAIN: (u64, usize) = (3, 1);
@@ -34,8 +34,9 @@ fn same(a: f64, b: f64) -> bool {
 }
 
 impl Survey<'_> {
-    /// Solves single states from trajectories that are optimized directly, in rounds until the cheapest one was found several
-    /// times: from guesses that depend on the state alone. The states that are left in doubt.
+    /// Solves single states from trajectories that are optimized directly, in rounds until the
+    /// cheapest one was found several times: from guesses that depend on the state alone. The
+    /// states that are left in doubt.
     pub(super) fn try_optimized(
         &mut self,
         solver: &mut Solver,
@@ -55,7 +56,8 @@ impl Survey<'_> {
             let mut found: Vec<(usize, Optimized)> = Vec::new();
             for &target in &left {
                 let guesses = round * count..(round + 1) * count;
-                let mut optimized = direct.optimized(&self.state(target, 0), guesses, &solver.scheme.end);
+                let mut optimized =
+                    direct.optimized(&self.state(target, 0), guesses, &solver.scheme.end);
                 solver.deadline.check()?;
                 optimized.sort_by(|a, b| a.cost.total_cmp(&b.cost));
                 self.starts[target] += count as u32;
@@ -63,7 +65,11 @@ impl Survey<'_> {
                 found.extend(self.worth_trying(target, optimized));
             }
             self.solve_from(solver, found)?;
-            progress("from optimized trajectories", self.solved(), self.targets.len());
+            progress(
+                "from optimized trajectories",
+                self.solved(),
+                self.targets.len(),
+            );
             left.retain(|t| {
                 let leads_on = costs[*t].len() as u64 > round || round < LEAST_ROUNDS;
                 leads_on && !self.is_confirmed(*t, &costs[*t], times)
@@ -88,10 +94,17 @@ impl Survey<'_> {
             .step_by(stones.len() / self.targets.states / PROBES);
         let mut led = 0;
         for x in probes {
-            let s: Vec<f64> = x.iter().zip(&self.plan.system.reference).map(|(x, r)| x - r).collect();
+            let s: Vec<f64> = x
+                .iter()
+                .zip(&self.plan.system.reference)
+                .map(|(x, r)| x - r)
+                .collect();
             let found = direct.optimized(&s, 0..GUESSES, &solver.scheme.end);
             let least = found.iter().map(|o| o.cost).fold(f64::INFINITY, f64::min);
-            if found.iter().any(|other| other.cost > super::times(1.0 + ALIKE, least)) {
+            if found
+                .iter()
+                .any(|other| other.cost > super::times(1.0 + ALIKE, least))
+            {
                 return false;
             }
             led += usize::from(!found.is_empty());
@@ -109,7 +122,8 @@ impl Survey<'_> {
 
     /// The cheapest of what was found for a target, by rising cost, those that differ.
     fn worth_trying(&self, target: usize, optimized: Vec<Optimized>) -> Vec<(usize, Optimized)> {
-        let known = (optimized.first()).map_or(f64::INFINITY, |o| o.cost.min(self.least_value(target)));
+        let known =
+            (optimized.first()).map_or(f64::INFINITY, |o| o.cost.min(self.least_value(target)));
         let mut worth: Vec<(usize, Optimized)> = Vec::new();
         for one in optimized {
             let is_new = worth.iter().all(|(_, other)| !same(one.cost, other.cost));
@@ -120,7 +134,11 @@ impl Survey<'_> {
         worth
     }
 
-    fn solve_from(&mut self, solver: &mut Solver, found: Vec<(usize, Optimized)>) -> Result<(), BackendError> {
+    fn solve_from(
+        &mut self,
+        solver: &mut Solver,
+        found: Vec<(usize, Optimized)>,
+    ) -> Result<(), BackendError> {
         let mut errands = Vec::new();
         for (target, one) in &found {
             errands.extend(self.errand_along(*target, one.path.clone(), FROM_OPTIMIZED));

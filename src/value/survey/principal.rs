@@ -6,8 +6,9 @@ use crate::shooting::Solver;
 use crate::value::archive::{Archive, Index};
 
 impl Survey<'_> {
-    /// Of a game with an equilibrium: the sheet of the equilibrium, continued along the straight line to each target as long
-    /// as it does not fold, and what other sheets the sweep shows there.
+    /// Of a game with an equilibrium: the sheet of the equilibrium, continued along the straight
+    /// line to each target as long as it does not fold, and what other sheets the sweep shows
+    /// there.
     pub(super) fn principal_sheet(
         &mut self,
         solver: &mut Solver,
@@ -17,12 +18,16 @@ impl Survey<'_> {
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         self.principal = self.at.iter().map(|list| list.first().copied()).collect();
-        let open: Vec<usize> = (0..self.targets.len()).filter(|t| self.is_open(*t)).collect();
+        let open: Vec<usize> = (0..self.targets.len())
+            .filter(|t| self.is_open(*t))
+            .collect();
         for part in open.chunks(COHORT) {
             // Where Newton's method fails for another reason than a fold, shorter steps may do.
             for longest in [1.0 / 8.0, 1.0 / 64.0] {
                 let left: Vec<usize> = (part.iter().copied())
-                    .filter(|t| self.principal[*t].is_none() && !self.missed_by(*t, PointStatus::Fold))
+                    .filter(|t| {
+                        self.principal[*t].is_none() && !self.missed_by(*t, PointStatus::Fold)
+                    })
                     .collect();
                 let errands = self.rays(&solver.scheme.end, &left, longest);
                 for (target, reached) in self.send(solver, errands)? {
@@ -37,7 +42,9 @@ impl Survey<'_> {
         }
         if wanted.sheets {
             let misses = self.misses.clone();
-            let all: Vec<usize> = (0..self.targets.len()).filter(|t| !self.is_refused(*t)).collect();
+            let all: Vec<usize> = (0..self.targets.len())
+                .filter(|t| !self.is_refused(*t))
+                .collect();
             for part in all.chunks(COHORT) {
                 self.swept(solver, archive, index, part, wanted)?;
             }

@@ -1,4 +1,5 @@
-//! From solved targets to their neighbours: solutions that are missing, and which ones lie on one sheet.
+//! From solved targets to their neighbours: solutions that are missing, and which ones lie on one
+//! sheet.
 
 use super::{Errand, MOST_SHEETS, PointStatus, Progress, Survey, Wanted};
 use crate::backend::BackendError;
@@ -18,7 +19,8 @@ const MOST_WAYS: usize = 4;
 pub(in crate::value) enum Effort {
     /// Each sheet to each neighbour, in steps that are usual.
     Neighbours,
-    /// To targets without a solution whose V is of interest however high, a few ways in the shortest steps.
+    /// To targets without a solution whose V is of interest however high, a few ways in the
+    /// shortest steps.
     Patient,
 }
 
@@ -50,7 +52,8 @@ impl Survey<'_> {
             for e in 0..self.extremals.len() {
                 let (target, winding) = (self.extremals[e].target, self.extremals[e].winding);
                 for &to in &neighbours[target] {
-                    if self.is_refused(to) || gone.contains(&(e, to)) || !self.same_base(target, to) {
+                    if self.is_refused(to) || gone.contains(&(e, to)) || !self.same_base(target, to)
+                    {
                         continue;
                     }
                     let tried = ways_to.get(&to).copied().unwrap_or(0);
@@ -71,7 +74,10 @@ impl Survey<'_> {
                     let far = (goal.iter().zip(path.start()).zip(&self.plan.widths))
                         .map(|((g, s), w)| ((g - s) / w).powi(2))
                         .sum::<f64>();
-                    if errands.get(&(to, root)).is_none_or(|(shortest, _)| far < *shortest) {
+                    if errands
+                        .get(&(to, root))
+                        .is_none_or(|(shortest, _)| far < *shortest)
+                    {
                         let errand = Errand {
                             from: Some(e),
                             target: to,
@@ -106,7 +112,8 @@ impl Survey<'_> {
                 .sum();
             return extremal.value() + change.min(0.0) <= self.targets.limits[to];
         }
-        // A single state has the same sheets in any company: ways to it only show which of them belong together.
+        // A single state has the same sheets in any company: ways to it only show which of them
+        // belong together.
         let single = !self.targets.gridded[to] || !self.targets.gridded[extremal.target];
         if self.at[to].len() >= MOST_SHEETS || single && !self.plan.game {
             return false;
@@ -139,8 +146,8 @@ impl Survey<'_> {
         }
     }
 
-    /// Targets still without a solution, in the shortest steps: from neighbours, from the swept points nearest to them,
-    /// and from what that has given.
+    /// Targets still without a solution, in the shortest steps: from neighbours, from the swept
+    /// points nearest to them, and from what that has given.
     pub(in crate::value) fn last_resort(
         &mut self,
         solver: &mut Solver,
@@ -160,7 +167,8 @@ impl Survey<'_> {
             }
             self.spread(solver, only, Effort::Patient, progress)?;
             if attempt == 0 {
-                let errands = self.linear_guesses(&solver.scheme.end, &open, Effort::Patient.least());
+                let errands =
+                    self.linear_guesses(&solver.scheme.end, &open, Effort::Patient.least());
                 self.send(solver, errands)?;
             }
             if attempt < ATTEMPTS {

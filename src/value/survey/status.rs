@@ -13,7 +13,8 @@ pub enum PointStatus {
     LeavesGuard = 2,
     /// Newton's method did not converge on the way to the target.
     NotReached = 3,
-    /// The sheet ends in a fold on the way to the target. Of a game: no solution without a fold along it was found.
+    /// The sheet ends in a fold on the way to the target. Of a game: no solution without a fold
+    /// along it was found.
     Fold = 4,
     /// The equations are not defined on the way to the target.
     NotFinite = 5,
@@ -27,7 +28,8 @@ pub enum PointStatus {
     SeveralSheets = 9,
     /// Of a game: the cost is negative there, which certifies nothing.
     NegativeValue = 10,
-    /// A control that was flown costs less than the least V found, and nothing that costs as little was found from it.
+    /// A control that was flown costs less than the least V found, and nothing that costs as little
+    /// was found from it.
     Undercut = 11,
 }
 

@@ -1,5 +1,6 @@
-//! Stepping stones: states over the whole region, the same ones for every request, from whose solutions single states are solved
-//! for too. What is found at a single state so does not hang on which others were asked for with it.
+//! Stepping stones: states over the whole region, the same ones for every request, from whose
+//! solutions single states are solved for too. What is found at a single state so does not hang on
+//! which others were asked for with it.
 
 use super::spread::Effort;
 use super::{Errand, Progress, SHORT, Survey, Wanted};
@@ -15,13 +16,14 @@ use crate::value::targets::Targets;
 /// Stepping stones, and the shares of the region in which they lie, by turns.
 const STONES: u64 = 64;
 const SHARES: [f64; 2] = [1.0, 0.5];
-/// Of the stones' extremals those nearest to a state that are tried; and on how many further sheets the nearest one.
+/// Of the stones' extremals those nearest to a state that are tried; and on how many further sheets
+/// the nearest one.
 const NEAREST: usize = 6;
 const SHEETS: usize = 6;
 
 impl Survey<'_> {
-    /// Solves for single states where nothing shows which extremals there are: from trajectories that are optimized directly,
-    /// and where that leaves a doubt from stepping stones.
+    /// Solves for single states where nothing shows which extremals there are: from trajectories
+    /// that are optimized directly, and where that leaves a doubt from stepping stones.
     pub(super) fn search_singly(
         &mut self,
         solver: &mut Solver,
@@ -56,7 +58,13 @@ impl Survey<'_> {
         wanted: Wanted,
         doubtful: &[usize],
     ) -> Result<(), BackendError> {
-        let mut targets = Targets::new(self.targets.states, &[], &[], &self.stones(), &self.plan.widths);
+        let mut targets = Targets::new(
+            self.targets.states,
+            &[],
+            &[],
+            &self.stones(),
+            &self.plan.widths,
+        );
         // They stand side by side, as the points of a grid do.
         targets.gridded.fill(true);
         let mut stones = Survey::new(self.plan, &targets, solver)?;
@@ -89,7 +97,8 @@ impl Survey<'_> {
         let (plan, n) = (self.plan, self.targets.states);
         let number = |k: u64, i: usize| {
             let [lo, hi] = plan.region[i];
-            SHARES[k as usize % SHARES.len()] * (lo + uniform(0, k * n as u64 + i as u64) * (hi - lo))
+            SHARES[k as usize % SHARES.len()]
+                * (lo + uniform(0, k * n as u64 + i as u64) * (hi - lo))
         };
         (0..STONES)
             .flat_map(|k| (0..n).map(move |i| plan.system.reference[i] + number(k, i)))
@@ -101,9 +110,11 @@ impl Survey<'_> {
         let far = |e: usize| -> f64 {
             let start = self.extremals[e].path.start();
             let apart: Vec<f64> = s.iter().zip(start).map(|(a, b)| a - b).collect();
-            (homeward(&apart, &self.plan.periods).iter().zip(&self.plan.widths))
-                .map(|(apart, width)| (apart / width).powi(2))
-                .sum()
+            (homeward(&apart, &self.plan.periods)
+                .iter()
+                .zip(&self.plan.widths))
+            .map(|(apart, width)| (apart / width).powi(2))
+            .sum()
         };
         let mut order: Vec<(f64, usize)> = (0..self.extremals.len()).map(|e| (far(e), e)).collect();
         order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

@@ -31,7 +31,8 @@ impl Survey<'_> {
                 let [lo, hi] = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], x| {
                     [lo.min(*x), hi.max(*x)]
                 });
-                // Nothing may lie near targets outside the sweep's reach: then the region's points are all there is.
+                // Nothing may lie near targets outside the sweep's reach: then the region's points
+                // are all there is.
                 let [region_lo, region_hi] = plan.region[i];
                 let lo = (lo - plan.system.reference[i] - margin).min(region_hi);
                 let hi = (hi - plan.system.reference[i] + margin).max(region_lo);
@@ -106,8 +107,13 @@ impl Survey<'_> {
                     (tried && anyhow) || ((*k == 0 || all) && *distance <= reach)
                 })
                 .map(|(_, (winding, place, distance))| {
-                    // Nothing near tells which sheets there are: each winding's is followed all the way.
-                    let least = if distance > reach && anyhow { SHORT } else { FROM_SWEEP };
+                    // Nothing near tells which sheets there are: each winding's is followed all the
+                    // way.
+                    let least = if distance > reach && anyhow {
+                        SHORT
+                    } else {
+                        FROM_SWEEP
+                    };
                     self.errand(end, archive, target, winding, place, least)
                 })
                 .collect::<Vec<_>>()
@@ -157,7 +163,8 @@ impl Survey<'_> {
                     let near = index.near(&place, reach, MOST_NEAR);
                     let (place, _) = (near.into_iter()).find(|(place, distance)| {
                         let node = archive.node(*place);
-                        *distance <= reach && known.iter().all(|e| is_elsewhere(e, &node, &self.scales))
+                        *distance <= reach
+                            && known.iter().all(|e| is_elsewhere(e, &node, &self.scales))
                     })?;
                     Some(self.errand(end, archive, target, winding, place, FROM_SWEEP))
                 })

@@ -23,12 +23,15 @@ impl Survey<'_> {
         let here = self.state(target, 0);
         let turns: Vec<i32> = (s.iter().zip(&here).zip(&self.plan.periods))
             .zip(&self.windings[0])
-            .map(|(((s, here), period), turns)| turns + period.map_or(0, |p| ((s - here) / p).round() as i32))
+            .map(|(((s, here), period), turns)| {
+                turns + period.map_or(0, |p| ((s - here) / p).round() as i32)
+            })
             .collect();
         self.winding(&turns)
     }
 
-    /// The way from a path that is no solution to a target: it begins at a copy of it. None where the path is not finite.
+    /// The way from a path that is no solution to a target: it begins at a copy of it. None where
+    /// the path is not finite.
     pub(super) fn errand_along(&mut self, target: usize, path: Path, least: f64) -> Option<Errand> {
         let finite = path.nodes.iter().all(|x| x.is_finite());
         let winding = finite.then(|| self.winding_near(target, path.start()))?;
@@ -66,8 +69,8 @@ impl Survey<'_> {
         let (x, reference) = (self.targets.state(target), &self.plan.system.reference);
         (0..x.len())
             .map(|i| {
-                let turns =
-                    f64::from(self.windings[winding][i] + self.base(target, i)) * self.plan.periods[i].unwrap_or(0.0);
+                let turns = f64::from(self.windings[winding][i] + self.base(target, i))
+                    * self.plan.periods[i].unwrap_or(0.0);
                 x[i] - reference[i] + turns
             })
             .collect()
@@ -75,7 +78,9 @@ impl Survey<'_> {
 
     /// Periods that bring a target far outside the region back near it: windings count from there.
     pub fn base(&self, target: usize, i: usize) -> i32 {
-        let Some(period) = self.plan.periods[i] else { return 0 };
+        let Some(period) = self.plan.periods[i] else {
+            return 0;
+        };
         let s = self.targets.state(target)[i] - self.plan.system.reference[i];
         let [lo, hi] = self.plan.region[i];
         if s >= lo - period && s <= hi + period {
@@ -90,7 +95,10 @@ impl Survey<'_> {
     }
 
     pub(super) fn scaled(&self, s: &[f64]) -> Vec<f64> {
-        s.iter().zip(&self.plan.widths).map(|(s, w)| s / w).collect()
+        s.iter()
+            .zip(&self.plan.widths)
+            .map(|(s, w)| s / w)
+            .collect()
     }
 
     /// All windings by which a target may come near a swept point: none first, then by distance.
@@ -104,8 +112,12 @@ impl Survey<'_> {
                     let turns = f64::from(self.base(t, i)) * period;
                     self.targets.state(t)[i] - self.plan.system.reference[i] + turns
                 };
-                let lo = (0..self.targets.len()).map(along).fold(f64::INFINITY, f64::min);
-                let hi = (0..self.targets.len()).map(along).fold(f64::NEG_INFINITY, f64::max);
+                let lo = (0..self.targets.len())
+                    .map(along)
+                    .fold(f64::INFINITY, f64::min);
+                let hi = (0..self.targets.len())
+                    .map(along)
+                    .fold(f64::NEG_INFINITY, f64::max);
                 let [least, most] = index.extent.get(i).copied().unwrap_or([0.0, 0.0]);
                 let width = self.plan.widths[i];
                 for k in (1..=MOST_WINDINGS).flat_map(|k| [-k, k]) {

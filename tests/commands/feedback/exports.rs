@@ -24,7 +24,12 @@ fn laws() -> Vec<(FittedLaw, Model)> {
     ];
     let of = |text: &String| {
         let (model, hamiltonian) = scene(text, DOUBLE_INTEGRATOR);
-        let law = fitted(&model, &hamiltonian, &linear_quadratic(300), &model.feedback[0]);
+        let law = fitted(
+            &model,
+            &hamiltonian,
+            &linear_quadratic(300),
+            &model.feedback[0],
+        );
         (law, model)
     };
     cases.iter().map(of).collect()
@@ -38,8 +43,10 @@ fn expected(law: &FittedLaw, x: &[f64]) -> Vec<f64> {
         roots.push(*value);
         roots.extend(slopes);
     }
-    form.graph
-        .eval(&roots, &form.x.iter().copied().zip(x.iter().copied()).collect())
+    form.graph.eval(
+        &roots,
+        &form.x.iter().copied().zip(x.iter().copied()).collect(),
+    )
 }
 
 /// Far outside the data too, where units saturate and the bound acts.
@@ -59,7 +66,13 @@ fn closed_forms_are_the_laws() {
         for x in places() {
             let names = law.law.network.inputs.iter();
             let inputs: Vec<f64> = names
-                .map(|n| x[model.states.iter().position(|s| s.variable.name == *n).unwrap()])
+                .map(|n| {
+                    x[model
+                        .states
+                        .iter()
+                        .position(|s| s.variable.name == *n)
+                        .unwrap()]
+                })
                 .collect();
             let value = law.law.eval(&inputs)[0];
             let expected = expected(&law, &x);
@@ -86,8 +99,14 @@ fn closed_forms_are_the_laws() {
         for x in places() {
             let mut at = model.parameter_values();
             at.extend(hamiltonian.x.iter().copied().zip(x));
-            let (u, wanted) = (read.graph.eval(&read.control, &at)[0], expected(&law, &x)[0]);
-            assert!((u - wanted).abs() <= 1e-12 * (1.0 + wanted.abs()), "{u} {wanted}");
+            let (u, wanted) = (
+                read.graph.eval(&read.control, &at)[0],
+                expected(&law, &x)[0],
+            );
+            assert!(
+                (u - wanted).abs() <= 1e-12 * (1.0 + wanted.abs()),
+                "{u} {wanted}"
+            );
         }
         let again = Law::from_toml(&law.law.to_toml(), "law.toml").unwrap();
         assert_eq!(again, law.law);
@@ -98,7 +117,11 @@ fn closed_forms_are_the_laws() {
 fn compare(law: &FittedLaw, rows: &str, what: &str) {
     let places = places();
     let rows: Vec<Vec<f64>> = (rows.lines())
-        .map(|line| line.split_whitespace().map(|v| v.parse().unwrap()).collect())
+        .map(|line| {
+            line.split_whitespace()
+                .map(|v| v.parse().unwrap())
+                .collect()
+        })
         .collect();
     assert_eq!(rows.len(), places.len(), "{what}");
     for (x, row) in places.iter().zip(&rows) {
@@ -124,14 +147,21 @@ fn compiler(directory: &Path) -> Command {
 
 /// What the header of a law says at the places, compiled with some flags.
 fn by_header(directory: &Path, law: &FittedLaw, model: &Model, flags: &[&str]) -> String {
-    std::fs::write(directory.join("law.h"), header("law", &law.law, &law.form, model)).unwrap();
-    let mut program = String::from("#include \"law.h\"\n#include <stdio.h>\nint main(void) {\nlaw_real u[1];\n");
+    std::fs::write(
+        directory.join("law.h"),
+        header("law", &law.law, &law.form, model),
+    )
+    .unwrap();
+    let mut program =
+        String::from("#include \"law.h\"\n#include <stdio.h>\nint main(void) {\nlaw_real u[1];\n");
     let value = law.form.value.is_some();
     if value {
         program += "law_real V, p[2];\n";
     }
     for [x, v] in places() {
-        program += &format!("{{ const law_real x[2] = {{ {x:?}, {v:?} }}; law_u(x, u); printf(\"%.17g\", u[0]);\n");
+        program += &format!(
+            "{{ const law_real x[2] = {{ {x:?}, {v:?} }}; law_u(x, u); printf(\"%.17g\", u[0]);\n"
+        );
         if value {
             program += "law_V(x, &V, p); printf(\" %.17g %.17g %.17g\", V, p[0], p[1]);\n";
         }
@@ -148,7 +178,11 @@ fn by_header(directory: &Path, law: &FittedLaw, model: &Model, flags: &[&str]) -
 fn the_c_header_is_the_law() {
     for (k, (law, model)) in laws().into_iter().enumerate() {
         let directory = scratch(&format!("header{k}"));
-        compare(&law, &by_header(&directory, &law, &model, &[]), &format!("header {k}"));
+        compare(
+            &law,
+            &by_header(&directory, &law, &model, &[]),
+            &format!("header {k}"),
+        );
         // In single precision: nothing is computed in double on the way, so rounding adds up.
         let single = by_header(&directory, &law, &model, &["-DCOSTATE_FLOAT"]);
         for (x, row) in places().iter().zip(single.lines()) {
@@ -174,11 +208,18 @@ fn headers_do_not_hide_each_other() {
                 title: "a /* b */ c ???/ \\".to_owned(),
                 ..model.clone()
             };
-            std::fs::write(directory.join(file), header("law", &law.law, &law.form, &model)).unwrap();
+            std::fs::write(
+                directory.join(file),
+                header("law", &law.law, &law.form, &model),
+            )
+            .unwrap();
         }
         let text = "#include \"a.h\"\n#include \"b.h\"\nvoid f(const double *x, double *u);\nvoid f(const double *x, double *u) { law_u(x, u); }\n";
         std::fs::write(directory.join("both.c"), text).unwrap();
-        let done = compiler(&directory).args(["-c", "both.c"]).output().unwrap();
+        let done = compiler(&directory)
+            .args(["-c", "both.c"])
+            .output()
+            .unwrap();
         (
             done.status.success(),
             String::from_utf8_lossy(&done.stderr).into_owned(),
@@ -196,7 +237,12 @@ fn headers_do_not_hide_each_other() {
 fn a_header_is_hardly_longer_than_its_numbers() {
     let text = "feedback = { fit = \"V\", base = \"none\", hidden = [20, 12], starts = 1, iterations = 2 }";
     let (model, hamiltonian) = scene(text, DOUBLE_INTEGRATOR);
-    let law = fitted(&model, &hamiltonian, &linear_quadratic(300), &model.feedback[0]);
+    let law = fitted(
+        &model,
+        &hamiltonian,
+        &linear_quadratic(300),
+        &model.feedback[0],
+    );
     let weights = law.law.network.parameters();
     assert_eq!(weights, 3 * 20 + 21 * 12 + 13);
     let length = header("law", &law.law, &law.form, &model).len();
@@ -212,8 +258,18 @@ fn the_onnx_model_is_the_law() {
         let directory = scratch(&format!("onnx{k}"));
         let file = directory.join("law.onnx");
         std::fs::write(&file, onnx("law", &law.law, &law.form, &model).unwrap()).unwrap();
-        let states: Vec<String> = places().iter().flatten().map(|x| format!("{x:?}")).collect();
-        let rows = output(Command::new(&python).arg(&script).arg(&file).arg("2").args(states));
+        let states: Vec<String> = places()
+            .iter()
+            .flatten()
+            .map(|x| format!("{x:?}"))
+            .collect();
+        let rows = output(
+            Command::new(&python)
+                .arg(&script)
+                .arg(&file)
+                .arg("2")
+                .args(states),
+        );
         compare(&law, &rows, &format!("onnx {k}"));
         std::fs::remove_dir_all(directory).unwrap();
     }

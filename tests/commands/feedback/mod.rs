@@ -1,4 +1,5 @@
-//! Fitted laws: against problems whose answer is known, and their exports against the laws themselves.
+//! Fitted laws: against problems whose answer is known, and their exports against the laws
+//! themselves.
 
 mod exports;
 mod refusals;
@@ -12,7 +13,8 @@ use std::path::Path;
 use std::process::Command;
 use support::{Points, output, scratch};
 
-/// x'' = u with L = (x^2 + v^2 + u^2)/2: P = [[sqrt 3, 1], [1, sqrt 3]], K = [1, sqrt 3] (by hand from the Riccati equation).
+/// x'' = u with L = (x^2 + v^2 + u^2)/2: P = [[sqrt 3, 1], [1, sqrt 3]], K = [1, sqrt 3] (by hand
+/// from the Riccati equation).
 const DOUBLE_INTEGRATOR: &str = r#"
 states = { x = {}, v = {} }
 controls = { u = { min = -1.5 } }
@@ -24,12 +26,14 @@ region = { x = [-1, 1], v = [-1, 1] }
 
 fn scene(text: &str, feedback: &str) -> (Model, Hamiltonian) {
     let text = format!("{text}\n{feedback}");
-    let model = costate::scenario::parse(&text, "scene.toml", &[]).unwrap_or_else(|e| panic!("{e}"));
+    let model =
+        costate::scenario::parse(&text, "scene.toml", &[]).unwrap_or_else(|e| panic!("{e}"));
     let hamiltonian = Hamiltonian::derive(&model).unwrap();
     (model, hamiltonian)
 }
 
-/// Samples in the box (-1, 1)^2, ten on each "trajectory", of a value function and its gradient and control.
+/// Samples in the box (-1, 1)^2, ten on each "trajectory", of a value function and its gradient and
+/// control.
 fn samples(count: usize, scale: f64, of: impl Fn([f64; 2]) -> (f64, [f64; 2], f64)) -> Samples {
     let mut samples = Samples {
         states: 2,
@@ -51,7 +55,8 @@ fn samples(count: usize, scale: f64, of: impl Fn([f64; 2]) -> (f64, [f64; 2], f6
 
 fn linear_quadratic(count: usize) -> Samples {
     let r = 3f64.sqrt();
-    // Within |u| <= 1 + sqrt 3 of the box the bound at -1.5 would act; data are taken where it does not.
+    // Within |u| <= 1 + sqrt 3 of the box the bound at -1.5 would act; data are taken where it does
+    // not.
     samples(count, 0.5, |[x, v]| {
         let p = [r * x + v, x + r * v];
         (0.5 * (x * p[0] + v * p[1]), p, -p[1])
@@ -62,7 +67,12 @@ fn unknown(_: &[f64], _: f64) -> Option<bool> {
     None
 }
 
-fn fitted(model: &Model, hamiltonian: &Hamiltonian, samples: &Samples, law: &Feedback) -> FittedLaw {
+fn fitted(
+    model: &Model,
+    hamiltonian: &Hamiltonian,
+    samples: &Samples,
+    law: &Feedback,
+) -> FittedLaw {
     let data = Data {
         model,
         hamiltonian,
@@ -94,10 +104,21 @@ fn the_linear_law_is_found() {
     let laws: Vec<FittedLaw> = (model.feedback.iter())
         .map(|law| fitted(&model, &hamiltonian, &data, law))
         .collect();
-    // An affine map is the law itself. Six units of tanh in [-0.5, 0.5]^2 come within their approximation error.
+    // An affine map is the law itself. Six units of tanh in [-0.5, 0.5]^2 come within their
+    // approximation error.
     for (law, bound) in laws.iter().zip([1e-12, 2e-4, 1e-8]) {
-        assert!(law.quality.u.mean < bound, "{}: {:?}", law.name, law.quality.u);
-        assert!(law.quality.u.max < 20.0 * bound, "{}: {:?}", law.name, law.quality.u);
+        assert!(
+            law.quality.u.mean < bound,
+            "{}: {:?}",
+            law.name,
+            law.quality.u
+        );
+        assert!(
+            law.quality.u.max < 20.0 * bound,
+            "{}: {:?}",
+            law.name,
+            law.quality.u
+        );
     }
     let affine = &laws[0].law.network.layers[0];
     for (weight, expected) in affine.weights.iter().zip([-1.0, -3f64.sqrt()]) {
@@ -115,15 +136,29 @@ fn the_linear_law_is_found() {
 fn the_quadratic_value_function_is_found() {
     let text = "feedback = { fit = \"V\", base = \"none\", hidden = [8], activation = \"tanh\", starts = 2 }";
     let (model, hamiltonian) = scene(text, DOUBLE_INTEGRATOR);
-    let law = fitted(&model, &hamiltonian, &linear_quadratic(600), &model.feedback[0]);
+    let law = fitted(
+        &model,
+        &hamiltonian,
+        &linear_quadratic(600),
+        &model.feedback[0],
+    );
     let (v, p) = (law.quality.v.unwrap(), law.quality.p.unwrap());
-    // V itself is quadratic, which eight units only approximate; with the local solution nothing is left to fit.
+    // V itself is quadratic, which eight units only approximate; with the local solution nothing is
+    // left to fit.
     assert!(v.mean < 1e-3 && p.mean < 1e-3, "{v:?} {p:?}");
     let text = "feedback = { fit = \"V\", hidden = [3], starts = 1 }";
     let (model, hamiltonian) = scene(text, DOUBLE_INTEGRATOR);
-    let law = fitted(&model, &hamiltonian, &linear_quadratic(600), &model.feedback[0]);
+    let law = fitted(
+        &model,
+        &hamiltonian,
+        &linear_quadratic(600),
+        &model.feedback[0],
+    );
     let quality = law.quality;
-    assert!(quality.u.max < 1e-7 && quality.v.unwrap().max < 1e-7, "{quality:?}");
+    assert!(
+        quality.u.max < 1e-7 && quality.v.unwrap().max < 1e-7,
+        "{quality:?}"
+    );
     assert!(quality.hjb.unwrap().max < 1e-7, "{quality:?}");
 }
 
@@ -142,7 +177,10 @@ fn the_loss_is_that_of_the_hamiltonian() {
     let loss = law.quality.loss.unwrap();
     let places = || (0..test.len()).map(|k| (test.x_of(k), test.u_of(k)[0]));
     let running = |([x, v], u): ([f64; 2], f64)| 0.5 * (x * x + v * v + u * u);
-    let scale = places().map(|(x, u)| running(([x[0], x[1]], u))).sum::<f64>() / test.len() as f64;
+    let scale = places()
+        .map(|(x, u)| running(([x[0], x[1]], u)))
+        .sum::<f64>()
+        / test.len() as f64;
     let mut lost: Vec<(f64, &[f64])> = places()
         .map(|(x, u)| (0.5 * (law.law.eval(x)[0].max(-1.5) - u).powi(2) / scale, x))
         .collect();
@@ -156,7 +194,10 @@ fn the_loss_is_that_of_the_hamiltonian() {
         "{loss:?} {largest} {scale}"
     );
     assert!(
-        close(loss.q99, lost[(0.99 * lost.len() as f64).ceil() as usize - 1].0),
+        close(
+            loss.q99,
+            lost[(0.99 * lost.len() as f64).ceil() as usize - 1].0
+        ),
         "{loss:?}"
     );
     assert!(close(
@@ -199,7 +240,11 @@ fn a_known_value_function_is_fitted_with_its_gradient() {
         &samples(2000, 1.0, manufactured),
         &model.feedback[0],
     );
-    let (v, p, hjb) = (law.quality.v.unwrap(), law.quality.p.unwrap(), law.quality.hjb.unwrap());
+    let (v, p, hjb) = (
+        law.quality.v.unwrap(),
+        law.quality.p.unwrap(),
+        law.quality.hjb.unwrap(),
+    );
     // The issue's aim for the residual; V and p are of that order.
     assert!(hjb.median < 1e-4, "{hjb:?}");
     assert!(
@@ -207,7 +252,8 @@ fn a_known_value_function_is_fitted_with_its_gradient() {
         "{v:?} {p:?} {:?}",
         law.quality.u
     );
-    // The reports against the truth on a grid, p by differences of the law (h^2 and rounding: 1e-9) and H by hand.
+    // The reports against the truth on a grid, p by differences of the law (h^2 and rounding: 1e-9)
+    // and H by hand.
     let (h, mut worst, mut residuals) = (1e-4, 0.0f64, Vec::new());
     let (mut running, mut count) = (0.0, 0.0);
     for i in 0..21 {
@@ -231,7 +277,10 @@ fn a_known_value_function_is_fitted_with_its_gradient() {
     let median = residuals[residuals.len() / 2] / (running / count);
     assert!(median < 1e-4, "{median}");
     // The same law, other points: their medians are within a factor of three.
-    assert!((median / hjb.median).ln().abs() < 3f64.ln(), "{median} {hjb:?}");
+    assert!(
+        (median / hjb.median).ln().abs() < 3f64.ln(),
+        "{median} {hjb:?}"
+    );
     assert!(worst < 1e-3, "{worst}");
     // Pinned to second order at the equilibrium.
     assert!(law.law.eval(&[0.0, 0.0])[0].abs() < 1e-13);
@@ -269,11 +318,15 @@ fn sets_share_no_trajectory_and_lose_no_sample() {
 
 #[test]
 fn the_same_seed_gives_the_same_law_on_any_number_of_threads() {
-    let feedback = "feedback = { fit = \"u\", hidden = [4], starts = 3, iterations = 40, max_samples = 300 }";
+    let feedback =
+        "feedback = { fit = \"u\", hidden = [4], starts = 3, iterations = 40, max_samples = 300 }";
     let (model, hamiltonian) = scene(DOUBLE_INTEGRATOR, feedback);
     let data = linear_quadratic(900);
     let on = |threads: usize, seed: u64| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         let law = Feedback {
             seed,
             ..model.feedback[0].clone()
@@ -337,7 +390,8 @@ fn samples_are_those_of_the_box_moved_by_periods() {
     }
 }
 
-/// V = min(|x - a|^2, |x + a|^2)/2 with a = (1, 0): the dearer of two sheets that both cover the box is no data.
+/// V = min(|x - a|^2, |x + a|^2)/2 with a = (1, 0): the dearer of two sheets that both cover the
+/// box is no data.
 #[test]
 fn the_dearer_of_two_sheets_is_left_out() {
     let (model, _) = scene(DOUBLE_INTEGRATOR, "feedback = { fit = \"u\" }");
@@ -368,7 +422,8 @@ fn the_dearer_of_two_sheets_is_left_out() {
     }
     let (kept, counts) = data.select(&model, &model.feedback[0], &unknown);
     assert_eq!(counts.selected, 6000);
-    // Half of the samples are dearer. One within a neighbour's distance (0.03) of x = 0 cannot be told from the others.
+    // Half of the samples are dearer. One within a neighbour's distance (0.03) of x = 0 cannot be
+    // told from the others.
     let dearer = |k: usize| {
         let [x, y] = [kept.x[2 * k], kept.x[2 * k + 1]];
         let best = 0.5 * ((x.abs() - 1.0).powi(2) + y * y);
@@ -377,16 +432,23 @@ fn the_dearer_of_two_sheets_is_left_out() {
     let left: Vec<usize> = (0..kept.len()).filter(|k| dearer(*k)).collect();
     assert!(left.iter().all(|k| kept.x[2 * k].abs() < 0.1), "{left:?}");
     assert!(left.len() < 100, "{}", left.len());
-    assert!(counts.not_optimal > 2850 && counts.not_optimal <= 3000, "{counts:?}");
+    assert!(
+        counts.not_optimal > 2850 && counts.not_optimal <= 3000,
+        "{counts:?}"
+    );
     // A word from elsewhere settles it.
-    let exact = |x: &[f64], v: f64| Some(v <= 0.5 * ((x[0].abs() - 1.0).powi(2) + x[1] * x[1]) + 1e-12);
+    let exact =
+        |x: &[f64], v: f64| Some(v <= 0.5 * ((x[0].abs() - 1.0).powi(2) + x[1] * x[1]) + 1e-12);
     let (_, counts) = data.select(&model, &model.feedback[0], &exact);
     assert_eq!(counts.not_optimal + counts.kept, 6000);
 }
 
 #[test]
 fn thinning_spreads_the_data_over_the_box() {
-    let (model, _) = scene(DOUBLE_INTEGRATOR, "feedback = { fit = \"u\", max_samples = 400 }");
+    let (model, _) = scene(
+        DOUBLE_INTEGRATOR,
+        "feedback = { fit = \"u\", max_samples = 400 }",
+    );
     // Nine tenths of the samples lie in a hundredth of the box.
     let near = samples(9000, 0.1, |x| (0.0, x, 0.0));
     let mut data = samples(1000, 1.0, |x| (0.0, x, 0.0));
@@ -394,17 +456,26 @@ fn thinning_spreads_the_data_over_the_box() {
     data.p.extend(&near.p);
     data.u.extend(&near.u);
     data.v.extend(&near.v);
-    data.trajectory.extend(near.trajectory.iter().map(|t| t + 1000));
+    data.trajectory
+        .extend(near.trajectory.iter().map(|t| t + 1000));
     let (kept, counts) = data.select(&model, &model.feedback[0], &|_, _| Some(true));
     assert_eq!((kept.len(), counts.kept), (400, 400));
-    let crowded = kept.x.chunks(2).filter(|x| x.iter().all(|x| x.abs() <= 0.1)).count();
-    // Of 20 x 20 cells four lie in the crowded part wholly; some 8 % of the others are empty, which gives it turns more.
+    let crowded = kept
+        .x
+        .chunks(2)
+        .filter(|x| x.iter().all(|x| x.abs() <= 0.1))
+        .count();
+    // Of 20 x 20 cells four lie in the crowded part wholly; some 8 % of the others are empty, which
+    // gives it turns more.
     assert!(crowded < 60, "{crowded}");
 }
 
 #[test]
 fn too_few_data_are_refused() {
-    let (model, hamiltonian) = scene(DOUBLE_INTEGRATOR, "feedback = { fit = \"u\", where = \"x > 0.49\" }");
+    let (model, hamiltonian) = scene(
+        DOUBLE_INTEGRATOR,
+        "feedback = { fit = \"u\", where = \"x > 0.49\" }",
+    );
     let samples = linear_quadratic(20);
     let data = Data {
         model: &model,
@@ -412,8 +483,13 @@ fn too_few_data_are_refused() {
         samples: &samples,
         known: &unknown,
     };
-    let message = fit(data, &model, &model.feedback[0], &|_| {}).unwrap_err().to_string();
-    assert!(message.contains("law `network`: of 20 samples"), "{message}");
+    let message = fit(data, &model, &model.feedback[0], &|_| {})
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("law `network`: of 20 samples"),
+        "{message}"
+    );
 }
 
 /// The summary of `costate fit` on what a command makes of a scene.
@@ -437,7 +513,8 @@ fn a_result_file_gets_its_laws() {
     let costate = || Command::new(env!("CARGO_BIN_EXE_costate"));
     let summary = fitted_by("run", &toml, &out);
     let law = &summary["laws"][0];
-    // The bound acts nowhere up to V = 0.3, so the law is linear, which four logistic units approximate.
+    // The bound acts nowhere up to V = 0.3, so the law is linear, which four logistic units
+    // approximate.
     assert!(law["u_error"]["mean"].as_f64().unwrap() < 2e-3, "{law}");
     let points = Points::read(&out);
     assert_eq!(points.law, ["network"]);
@@ -446,7 +523,11 @@ fn a_result_file_gets_its_laws() {
     let written = Law::load(&directory.join("result_network.toml")).unwrap();
     assert_eq!(Law::from_toml(&points.toml, "group").unwrap(), written);
     for extension in ["h", "onnx"] {
-        assert!(directory.join(format!("result_network.{extension}")).is_file());
+        assert!(
+            directory
+                .join(format!("result_network.{extension}"))
+                .is_file()
+        );
     }
     // A second fit takes the place of the first; the trajectories are still there.
     let other = directory.join("other.toml");
@@ -465,7 +546,10 @@ fn a_result_file_gets_its_laws() {
             .arg(&other)
             .args(["--seed", "3", "--starts", "1"]),
     );
-    assert!(text.contains("law line: u: a 2-1 logistic network"), "{text}");
+    assert!(
+        text.contains("law line: u: a 2-1 logistic network"),
+        "{text}"
+    );
     assert_eq!(Points::read(&out).law, ["line"]);
     assert!(
         costate::result::Stored::open(&out)
@@ -490,7 +574,11 @@ fn a_result_file_gets_its_laws() {
     let refused = fit();
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("asks for no law"));
-    std::fs::write(&other, scene.replace("{ x =", "{ y =").replace("x^2", "y^2")).unwrap();
+    std::fs::write(
+        &other,
+        scene.replace("{ x =", "{ y =").replace("x^2", "y^2"),
+    )
+    .unwrap();
     let refused = fit();
     assert_eq!(refused.status.code(), Some(2));
     assert!(
@@ -500,7 +588,8 @@ fn a_result_file_gets_its_laws() {
     std::fs::remove_dir_all(directory).unwrap();
 }
 
-/// A file with a map to an error and no sweep: samples are the map's, all over the box, under the law's conditions.
+/// A file with a map to an error and no sweep: samples are the map's, all over the box, under the
+/// law's conditions.
 #[test]
 fn a_map_gives_the_samples_of_its_laws() {
     let directory = scratch("map");
@@ -515,11 +604,18 @@ fn a_map_gives_the_samples_of_its_laws() {
     std::fs::write(&toml, &scene).unwrap();
     let summary = fitted_by("homotopy", &toml, &out);
     let sets = summary["laws"][0]["samples"].as_array().unwrap();
-    assert_eq!(sets.iter().map(|s| s.as_u64().unwrap()).sum::<u64>(), 2000, "{summary}");
+    assert_eq!(
+        sets.iter().map(|s| s.as_u64().unwrap()).sum::<u64>(),
+        2000,
+        "{summary}"
+    );
     let law = Law::load(&directory.join("result_network.toml")).unwrap();
     let (mut worst, mut count) = (0.0f64, 0);
     for k in 0..400 {
-        let x = [f64::from(k % 20) / 10.0 - 0.95, f64::from(k / 20) / 10.0 - 0.95];
+        let x = [
+            f64::from(k % 20) / 10.0 - 0.95,
+            f64::from(k / 20) / 10.0 - 0.95,
+        ];
         if x[0] + x[1] < 1.0 {
             worst = worst.max((law.eval(&x)[0] - manufactured(x).0).abs());
             count += 1;

@@ -21,7 +21,11 @@ fn wrong_weights_files_are_refused_with_places() {
             "activation = \"relu\"",
             "w.toml:1:14: the activation must be",
         ),
-        ("activation = \"logistic\"", "", "w.toml: `activation` is missing"),
+        (
+            "activation = \"logistic\"",
+            "",
+            "w.toml: `activation` is missing",
+        ),
         (
             "inputs = [\"Phi\", \"Psi\", \"R\"]",
             "inputs = [\"Phi\", \"Psi\"]",
@@ -38,7 +42,11 @@ fn wrong_weights_files_are_refused_with_places() {
             "1 rows of w2, but 2 outputs",
         ),
         ("b2 = -1.1896", "", "`b2` is missing"),
-        ("b2 = -1.1896", "b2 = nan", "w.toml:18:6: b2 must hold finite numbers"),
+        (
+            "b2 = -1.1896",
+            "b2 = nan",
+            "w.toml:18:6: b2 must hold finite numbers",
+        ),
         ("b2 = -1.1896", "b2 = [1, 2]", "w2 has 1 rows, b2 2 values"),
         (
             "b2 = -1.1896",
@@ -64,12 +72,17 @@ fn wrong_weights_files_are_refused_with_places() {
     for (old, new, expected) in cases {
         assert!(text.contains(old), "{old} is not in\n{text}");
         let wrong = text.replace(old, new);
-        let message = Network::from_toml(&wrong, "w.toml").unwrap_err().to_string();
+        let message = Network::from_toml(&wrong, "w.toml")
+            .unwrap_err()
+            .to_string();
         assert!(message.contains(expected), "{new}: {message}");
     }
     let base = text + "[base]\ncenter = [1, 2, 3]\nconstant = [0]\nlinear = [[1, 2]]\n";
     let message = Law::from_toml(&base, "w.toml").unwrap_err().to_string();
-    assert!(message.contains("linear must be 1 x 3, not 1 x 2"), "{message}");
+    assert!(
+        message.contains("linear must be 1 x 3, not 1 x 2"),
+        "{message}"
+    );
 }
 
 /// Every mistake in `[feedback]` is told with its place.
@@ -79,8 +92,16 @@ fn wrong_sections_are_refused_with_places() {
     let cases: [(&str, usize, &str); 19] = [
         ("[feedback]", 1, "[feedback] has no fit"),
         ("[feedback]\nfit = \"x\"", 2, "unknown fit `x`"),
-        ("[feedback]\nfit = \"u\"\nhiden = [3]", 3, "unknown key `hiden`"),
-        ("[feedback]\nfit = \"u\"\nhidden = 3", 3, "hidden must be a list"),
+        (
+            "[feedback]\nfit = \"u\"\nhiden = [3]",
+            3,
+            "unknown key `hiden`",
+        ),
+        (
+            "[feedback]\nfit = \"u\"\nhidden = 3",
+            3,
+            "hidden must be a list",
+        ),
         (
             "[feedback]\nfit = \"u\"\nhidden = [3, 0]",
             3,
@@ -96,7 +117,11 @@ fn wrong_sections_are_refused_with_places() {
             3,
             "output `u` a second time",
         ),
-        ("[feedback]\nfit = \"V\"\noutput = \"u\"", 3, "output has no meaning"),
+        (
+            "[feedback]\nfit = \"V\"\noutput = \"u\"",
+            3,
+            "output has no meaning",
+        ),
         (
             "[feedback]\nfit = \"V\"\ninputs = \"x\"",
             3,
@@ -122,26 +147,41 @@ fn wrong_sections_are_refused_with_places() {
             3,
             "the box of `x` is empty",
         ),
-        ("[feedback]\nfit = \"u\"\nbox = { u = [0, 1] }", 3, "`u` is a control"),
+        (
+            "[feedback]\nfit = \"u\"\nbox = { u = [0, 1] }",
+            3,
+            "`u` is a control",
+        ),
         ("[feedback]\nfit = \"u\"\nwhere = [\"x >\"]", 3, ""),
         (
             "[feedback]\nfit = \"u\"\nwhere = [\"u > 1\"]",
             3,
             "a condition of `where` may not use `u`",
         ),
-        ("[feedback]\nfit = \"u\"\ngradient = true", 3, "gradient has no meaning"),
+        (
+            "[feedback]\nfit = \"u\"\ngradient = true",
+            3,
+            "gradient has no meaning",
+        ),
         (
             "[feedback]\nfit = \"u\"\ntest = 0.5\nvalidation = 0.5",
             3,
             "leave less than a tenth",
         ),
-        ("[feedback.lqr]\nfit = \"u\"", 1, "a law cannot be called `lqr`"),
+        (
+            "[feedback.lqr]\nfit = \"u\"",
+            1,
+            "a law cannot be called `lqr`",
+        ),
     ];
     for (section, line, expected) in cases {
         let text = format!("{DOUBLE_INTEGRATOR}{section}\n");
         let error = costate::scenario::parse(&text, "scene.toml", &[]).unwrap_err();
         assert_eq!(error.problems.len(), 1, "{section}: {error}");
-        assert!(error.problems[0].message.contains(expected), "{section}: {error}");
+        assert!(
+            error.problems[0].message.contains(expected),
+            "{section}: {error}"
+        );
         assert_eq!(
             error.place(&error.problems[0]).unwrap().0,
             lines + line,

@@ -36,7 +36,9 @@ impl Points {
 
 /// What a command prints, which must succeed.
 pub fn output(command: &mut Command) -> String {
-    let done = command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"));
+    let done = command
+        .output()
+        .unwrap_or_else(|e| panic!("{command:?}: {e}"));
     let errors = String::from_utf8_lossy(&done.stderr).into_owned();
     assert!(done.status.success(), "{command:?}: {errors}");
     String::from_utf8(done.stdout).unwrap()

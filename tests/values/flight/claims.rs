@@ -10,9 +10,15 @@ use costate::value::flight::{Claim, Expansion, Flew, Law, Linear, Pilot, undercu
 fn a_wrong_claim_is_undercut_and_a_right_one_is_not() {
     let swept = Swept::new(scene("pendulum_rest", &[]), 1000);
     let mut random = Random::new(11);
-    // Far enough out for the scene's own laws to be too dear, and not so far that neighbours lie on different sheets.
-    let states: Vec<Vec<f64>> = (0..40).map(|_| random.point(&[[1.0, 2.0], [0.5, 2.0]])).collect();
-    let near: Vec<Vec<f64>> = states.iter().map(|s| vec![s[0] - 0.1, s[1] + 0.1]).collect();
+    // Far enough out for the scene's own laws to be too dear, and not so far that neighbours lie on
+    // different sheets.
+    let states: Vec<Vec<f64>> = (0..40)
+        .map(|_| random.point(&[[1.0, 2.0], [0.5, 2.0]]))
+        .collect();
+    let near: Vec<Vec<f64>> = states
+        .iter()
+        .map(|s| vec![s[0] - 0.1, s[1] + 0.1])
+        .collect();
     let solved = solutions(&swept, &[states.clone(), near].concat());
     let count = states.len();
     let claims = |factor: f64| -> Vec<Claim<'_>> {
@@ -25,11 +31,17 @@ fn a_wrong_claim_is_undercut_and_a_right_one_is_not() {
             .collect()
     };
     let (mut pilot, mut solver) = (Pilot::new(&swept.plan).expect("compiles"), swept.solver());
-    let mut say =
-        |factor| undercut(&swept.plan, &mut pilot, &mut solver, &claims(factor), 3).expect("the backend works");
+    let mut say = |factor| {
+        undercut(&swept.plan, &mut pilot, &mut solver, &claims(factor), 3)
+            .expect("the backend works")
+    };
     for said in say(1.0) {
         assert_eq!(said.flown, 3);
-        assert!(said.path.is_none(), "the right V is undercut by {:?}", said.law);
+        assert!(
+            said.path.is_none(),
+            "the right V is undercut by {:?}",
+            said.law
+        );
     }
     let said = say(1.1);
     let (mut followed, mut above) = (0, Worst::default());
@@ -41,11 +53,15 @@ fn a_wrong_claim_is_undercut_and_a_right_one_is_not() {
         let path = said.path.as_ref().expect("undercut");
         assert!((path.start()[0] - states[k][0]).abs() < 1e-14);
         let found = shot(&swept, path).expect("the path is a good guess");
-        assert!((found - value).abs() <= 1e-8 * value, "{found} instead of {value}");
+        assert!(
+            (found - value).abs() <= 1e-8 * value,
+            "{found} instead of {value}"
+        );
     }
     println!("the cheapest flight of {followed} of {count} follows the neighbour");
     assert!(followed > count / 2, "{followed} follow the neighbour");
-    // A neighbour's p is off by the third derivatives of V over a fiftieth of the region; the cost by the square of that.
+    // A neighbour's p is off by the third derivatives of V over a fiftieth of the region; the cost
+    // by the square of that.
     above.at_most(1e-3, "cost over V - 1");
 }
 
@@ -90,7 +106,8 @@ fn a_pole_near_upright_is_balanced_for_less_than_by_a_full_turn() {
     let swept = Swept::new(parse(CART_POLE), 64);
     let linear = Linear::new(&swept.plan).expect("an infinite horizon");
     let expansion = Expansion::new(&swept.plan).expect("an infinite horizon");
-    // V by direct collocation, to its digits; a solution that turns the pole round costs 10.4002 and 10.53.
+    // V by direct collocation, to its digits; a solution that turns the pole round costs 10.4002
+    // and 10.53.
     for (th, v, turned, digits) in [(0.3, 0.878709, 10.4002, 1e-6), (0.5, 2.8066, 10.53, 1e-4)] {
         for law in [&linear as &dyn Law, &expansion] {
             let flown = &fly_all(&swept, law, &[vec![0.0, th, 0.0, 0.0]])[0];
@@ -128,7 +145,9 @@ shoot_out = {{ value_max = {value_max}, spacing = 0.05, samples = 60 }}
     let answers = swept.grid(vec![axis.clone(), axis.clone()]);
     let (mut states, mut paths, mut values) = (Vec::new(), Vec::new(), Vec::new());
     for target in 0..answers.targets.len() {
-        let Some(entry) = answers.answer(target) else { continue };
+        let Some(entry) = answers.answer(target) else {
+            continue;
+        };
         let s = answers.targets.state(target);
         states.push([s[0], s[1]]);
         paths.push(entry.path.clone());
@@ -151,19 +170,24 @@ shoot_out = {{ value_max = {value_max}, spacing = 0.05, samples = 60 }}
     }
 }
 
-/// Flies, shoots from what undercuts, and again, until nothing undercuts; how many were undercut in each round.
+/// Flies, shoots from what undercuts, and again, until nothing undercuts; how many were undercut in
+/// each round.
 fn until_nothing_undercuts(balanced: &mut Balanced) -> Vec<usize> {
     let plan = &balanced.swept.plan;
     let (mut pilot, mut solver) = (Pilot::new(plan).expect("compiles"), balanced.swept.solver());
     let mut rounds = Vec::new();
     for _ in 0..20 {
-        let claims: Vec<Claim<'_>> = (balanced.paths.iter().zip(&balanced.values).zip(&balanced.neighbours))
-            .map(|((path, value), neighbours)| Claim {
-                value: *value,
-                path,
-                neighbours: neighbours.clone(),
-            })
-            .collect();
+        let claims: Vec<Claim<'_>> = (balanced
+            .paths
+            .iter()
+            .zip(&balanced.values)
+            .zip(&balanced.neighbours))
+        .map(|((path, value), neighbours)| Claim {
+            value: *value,
+            path,
+            neighbours: neighbours.clone(),
+        })
+        .collect();
         let said = undercut(plan, &mut pilot, &mut solver, &claims, 4).expect("the backend works");
         let mut places = Vec::new();
         let mut jobs = Vec::new();
@@ -204,11 +228,17 @@ fn the_least_is_found(value_max: f64) {
     let (states, values) = (&balanced.states, &balanced.values);
     let mut asymmetry = Worst::default();
     for (a, v) in states.iter().zip(values) {
-        if let Some(k) = (states.iter()).position(|b| (a[0] + b[0]).abs() + (a[1] + b[1]).abs() < 1e-9) {
+        if let Some(k) =
+            (states.iter()).position(|b| (a[0] + b[0]).abs() + (a[1] + b[1]).abs() < 1e-9)
+        {
             asymmetry.see((v - values[k]).abs() / v.max(1.0));
         }
     }
-    let worst = before.iter().zip(values).map(|(b, v)| b / v).fold(0.0, f64::max);
+    let worst = before
+        .iter()
+        .zip(values)
+        .map(|(b, v)| b / v)
+        .fold(0.0, f64::max);
     println!(
         "sweep to {value_max}: {} states; undercut {rounds:?}; worst {worst:.2} times V",
         values.len()

@@ -1,4 +1,5 @@
-//! Flights: their costs are upper bounds of V, exact where the law is, and undercut claims that are too high.
+//! Flights: their costs are upper bounds of V, exact where the law is, and undercut claims that are
+//! too high.
 
 mod claims;
 use crate::common_oracles;
@@ -9,8 +10,8 @@ use common_oracles::{Random, Worst, parameter};
 use common_values::{Swept, given, parse, scene};
 use costate::shooting::{Goal, Job, Path};
 use costate::value::flight::{
-    AlongState, AlongTime, At, Expansion, Flight, FlightEnd, Flown, Guide, Law, Linear, PIECES, Pilot, Site, Terminal,
-    guides, slopes,
+    AlongState, AlongTime, At, Expansion, Flight, FlightEnd, Flown, Guide, Law, Linear, PIECES,
+    Pilot, Site, Terminal, guides, slopes,
 };
 
 /// Error of a flown cost, relative to it: ten times the tolerance of a step.
@@ -42,7 +43,8 @@ fn manufactured_states(count: usize) -> Vec<Vec<f64>> {
 fn cart(s: &[f64], end: f64, weight: f64) -> f64 {
     let (y, v) = (s[0] + s[1] * end, s[1]);
     let d = (end.powi(3) / 3.0 + 1.0 / weight) * (end + 1.0 / weight) - end.powi(4) / 4.0;
-    ((end + 1.0 / weight) * y * y - end * end * y * v + (end.powi(3) / 3.0 + 1.0 / weight) * v * v) / (2.0 * d)
+    ((end + 1.0 / weight) * y * y - end * end * y * v + (end.powi(3) / 3.0 + 1.0 / weight) * v * v)
+        / (2.0 * d)
 }
 
 pub fn fly(swept: &Swept, flights: &[Flight<'_>]) -> Vec<Flown> {
@@ -106,7 +108,10 @@ fn costs_are_upper_bounds_and_following_a_neighbour_is_nearly_optimal() {
     let linear = Linear::new(&swept.plan).expect("an infinite horizon");
     let expansion = Expansion::new(&swept.plan).expect("an infinite horizon");
     // A neighbour a twentieth of the region's width away.
-    let near: Vec<Vec<f64>> = states.iter().map(|s| vec![0.95 * s[0] + 0.1, s[1] - 0.1]).collect();
+    let near: Vec<Vec<f64>> = states
+        .iter()
+        .map(|s| vec![0.95 * s[0] + 0.1, s[1] - 0.1])
+        .collect();
     let solved = solutions(&swept, &near);
     let guides = guides_of(&swept, &solved);
     let by_time: Vec<AlongTime> = (guides.iter().zip(&states))
@@ -179,7 +184,8 @@ fn slopes_at_nodes_are_the_second_derivatives_of_v() {
             }
         }
     }
-    // Segments integrated to 1e-6, entries of order 1, some of their errors amplified within a segment.
+    // Segments integrated to 1e-6, entries of order 1, some of their errors amplified within a
+    // segment.
     worst.at_most(1e-4, "entries of dp/ds");
 }
 
@@ -189,8 +195,13 @@ fn finite_horizon_costs_are_upper_bounds() {
     let (end, weight) = (parameter(&model, "T"), parameter(&model, "s"));
     let swept = Swept::new(model, 200);
     let mut random = Random::new(5);
-    let states: Vec<Vec<f64>> = (0..60).map(|_| random.point(&[[-1.5, 1.5], [-1.5, 1.5]])).collect();
-    let near: Vec<Vec<f64>> = states.iter().map(|s| vec![s[0] + 0.2, s[1] - 0.2]).collect();
+    let states: Vec<Vec<f64>> = (0..60)
+        .map(|_| random.point(&[[-1.5, 1.5], [-1.5, 1.5]]))
+        .collect();
+    let near: Vec<Vec<f64>> = states
+        .iter()
+        .map(|s| vec![s[0] + 0.2, s[1] - 0.2])
+        .collect();
     let guides = guides_of(&swept, &solutions(&swept, &near));
     assert!(Linear::new(&swept.plan).is_none());
     let terminal = Terminal::new(&swept.plan).expect("a finite horizon");
@@ -225,7 +236,8 @@ fn finite_horizon_costs_are_upper_bounds() {
     }
     assert!(below <= COST_ERROR, "{below:.2e} below V");
     println!("along, by time: cost at most V (1 + {:.1e})", above.0 - 1.0);
-    // The sheet is a plane at each time: what is followed is the optimal law, but for its interpolation between nodes.
+    // The sheet is a plane at each time: what is followed is the optimal law, but for its
+    // interpolation between nodes.
     above.at_most(1.0 + 1e-3, "along, by time: cost over V");
 }
 
@@ -259,8 +271,16 @@ samples = 60
 #[test]
 fn clamped_controls_are_flown_through_their_kinks() {
     let swept = Swept::new(parse(CLAMPED), 1000);
-    let states: Vec<Vec<f64>> = vec![vec![2.0, 0.0], vec![1.0, 3.0], vec![-1.5, -2.0], vec![0.2, 4.0]];
-    let near: Vec<Vec<f64>> = states.iter().map(|s| vec![s[0] + 0.05, s[1] - 0.05]).collect();
+    let states: Vec<Vec<f64>> = vec![
+        vec![2.0, 0.0],
+        vec![1.0, 3.0],
+        vec![-1.5, -2.0],
+        vec![0.2, 4.0],
+    ];
+    let near: Vec<Vec<f64>> = states
+        .iter()
+        .map(|s| vec![s[0] + 0.05, s[1] - 0.05])
+        .collect();
     let (solved, followed) = (solutions(&swept, &states), solutions(&swept, &near));
     let guides = guides_of(&swept, &followed);
     let linear = Linear::new(&swept.plan).expect("an infinite horizon");
@@ -277,9 +297,17 @@ fn clamped_controls_are_flown_through_their_kinks() {
         let value = solved[k].1;
         for flown in &flown {
             assert_eq!(flown.end, FlightEnd::Home);
-            assert!(flown.cost >= value * (1.0 - COST_ERROR), "{} below {value}", flown.cost);
+            assert!(
+                flown.cost >= value * (1.0 - COST_ERROR),
+                "{} below {value}",
+                flown.cost
+            );
         }
-        assert!(flown[1].cost <= 1.01 * value, "{} against {value}", flown[1].cost);
+        assert!(
+            flown[1].cost <= 1.01 * value,
+            "{} against {value}",
+            flown[1].cost
+        );
         let p = solved[k].0.adjoint();
         saturated += usize::from(system.eval(&system.observer.control, s, p)[0].abs() == 3.0);
     }
@@ -317,7 +345,11 @@ fn another_winding_of_the_equilibrium_is_home() {
     let swept = Swept::new(parse(SWINGING), 200);
     let linear = Linear::new(&swept.plan).expect("an infinite horizon");
     let turn = 2.0 * std::f64::consts::PI;
-    let states = vec![vec![0.3, 0.5], vec![0.3 + turn, 0.5], vec![0.3 - 2.0 * turn, 0.5]];
+    let states = vec![
+        vec![0.3, 0.5],
+        vec![0.3 + turn, 0.5],
+        vec![0.3 - 2.0 * turn, 0.5],
+    ];
     let flown = fly_all(&swept, &linear, &states);
     for other in &flown[1..] {
         assert!((other.cost - flown[0].cost).abs() <= COST_ERROR * flown[0].cost);
@@ -363,7 +395,10 @@ fn a_flight_ends_at_its_ceiling_at_guards_and_where_the_law_ends() {
     let ends: Vec<FlightEnd> = flown.iter().map(|f| f.end).collect();
     use FlightEnd::*;
     // Undamped, an idle pendulum swings for ever.
-    assert_eq!(ends, [AboveCeiling, NoAnswer, LeftGuard, TimeUp, Home, LeftGuard]);
+    assert_eq!(
+        ends,
+        [AboveCeiling, NoAnswer, LeftGuard, TimeUp, Home, LeftGuard]
+    );
     for flown in flown.iter().filter(|f| f.end != Home) {
         assert!(flown.cost.is_infinite() && flown.path.is_none());
     }

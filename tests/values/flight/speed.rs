@@ -5,7 +5,9 @@ use crate::common_oracles::Random;
 use crate::common_values::{Swept, given, scene};
 use costate::shooting::{Path, Solver};
 use costate::value::Entry;
-use costate::value::flight::{AlongState, AlongTime, Claim, Flight, Guide, Law, PIECES, Pilot, guides, undercut};
+use costate::value::flight::{
+    AlongState, AlongTime, Claim, Flight, Guide, Law, PIECES, Pilot, guides, undercut,
+};
 use std::time::Instant;
 
 /// States a scene, and how far their neighbours are, in widths of the region.
@@ -26,7 +28,9 @@ fn solved(swept: &Swept) -> Vec<Entry> {
     for _ in 0..STATES {
         let s = random.point(&inner);
         for shift in [0.0, SPREAD] {
-            x.extend((0..s.len()).map(|i| s[i] + plan.system.reference[i] + shift * plan.widths[i]));
+            x.extend(
+                (0..s.len()).map(|i| s[i] + plan.system.reference[i] + shift * plan.widths[i]),
+            );
         }
     }
     let answers = swept.solve(&costate::value::Request {
@@ -34,7 +38,12 @@ fn solved(swept: &Swept) -> Vec<Entry> {
         one_sheet: true,
         ..Default::default()
     });
-    let both = |k: usize| Some((given(&answers, 2 * k)?.clone(), given(&answers, 2 * k + 1)?.clone()));
+    let both = |k: usize| {
+        Some((
+            given(&answers, 2 * k)?.clone(),
+            given(&answers, 2 * k + 1)?.clone(),
+        ))
+    };
     let (states, near): (Vec<Entry>, Vec<Entry>) = (0..STATES).filter_map(both).unzip();
     [states, near].concat()
 }
@@ -53,7 +62,8 @@ fn fly_from_all(name: &str, swept: &Swept, solver: &mut Solver, entries: &[Entry
         .collect();
     let mut pilot = Pilot::new(&swept.plan).expect("compiles");
     let clock = Instant::now();
-    let said = undercut(&swept.plan, &mut pilot, solver, &claims, NEIGHBOURS).expect("the backend works");
+    let said =
+        undercut(&swept.plan, &mut pilot, solver, &claims, NEIGHBOURS).expect("the backend works");
     let seconds = clock.elapsed().as_secs_f64();
     let flown: usize = said.iter().map(|s| s.flown).sum();
     assert!(flown > CLAIMS * NEIGHBOURS, "all laws are flown");
@@ -87,7 +97,11 @@ fn closeness(name: &str, swept: &Swept, entries: &[Entry], guides: &[Guide], by_
         })
         .collect();
     let flown = super::fly(swept, &flights);
-    let mut above: Vec<f64> = flown.iter().zip(entries).map(|(f, e)| f.cost / e.value - 1.0).collect();
+    let mut above: Vec<f64> = flown
+        .iter()
+        .zip(entries)
+        .map(|(f, e)| f.cost / e.value - 1.0)
+        .collect();
     above.sort_by(f64::total_cmp);
     let at = |share: f64| above[((above.len() - 1) as f64 * share) as usize];
     println!(

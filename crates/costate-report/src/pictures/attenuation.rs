@@ -21,9 +21,15 @@ fn scalar(group: &StoredGroup<'_>, name: &str) -> Result<f64, StoredError> {
 pub fn key_figure(source: &Source<'_>) -> Option<String> {
     let group = source.stored.group("attenuation")?;
     let name = names::symbol(&group.attribute(None, "parameter")?);
-    let (star, smallest) = (scalar(&group, "star").ok()?, scalar(&group, "smallest_covering").ok()?);
+    let (star, smallest) = (
+        scalar(&group, "star").ok()?,
+        scalar(&group, "smallest_covering").ok()?,
+    );
     let covers = if smallest.is_finite() {
-        format!("the states are covered from {name} = {} on", significant(smallest, 6))
+        format!(
+            "the states are covered from {name} = {} on",
+            significant(smallest, 6)
+        )
     } else {
         "the states are not covered at any level looked at".to_owned()
     };
@@ -65,7 +71,11 @@ fn read_coverage(group: &StoredGroup<'_>) -> Result<Coverage, StoredError> {
     let mut marks = Vec::new();
     let thick = |k: usize, dash: Dash| Stroke::new(Ink::Colour(colours::class(k)), 2.0).dash(dash);
     let said = [
-        ("star", format!("{name}* of the linearization"), thick(1, Dash::Dashed)),
+        (
+            "star",
+            format!("{name}* of the linearization"),
+            thick(1, Dash::Dashed),
+        ),
         (
             "smallest_covering",
             "smallest that covers".to_owned(),
@@ -81,7 +91,11 @@ fn read_coverage(group: &StoredGroup<'_>) -> Result<Coverage, StoredError> {
     }
     Ok(Coverage {
         name,
-        curve: values.iter().zip(&coverage).map(|(v, c)| [*v, 100.0 * c]).collect(),
+        curve: values
+            .iter()
+            .zip(&coverage)
+            .map(|(v, c)| [*v, 100.0 * c])
+            .collect(),
         marks,
     })
 }
@@ -93,7 +107,9 @@ impl Coverage {
             .marks
             .iter()
             .map(|(_, stroke, words)| (Mark::Line(*stroke), words.clone()));
-        std::iter::once((curve, "solved".to_owned())).chain(marks).collect()
+        std::iter::once((curve, "solved".to_owned()))
+            .chain(marks)
+            .collect()
     }
 }
 
@@ -124,7 +140,11 @@ impl Drawing for Coverage {
             0.0
         };
         let y = Axis::linear("states covered (%)", [least.min(90.0), 100.0]).padded(0.04);
-        let frame = Frame::within(Rect::new(area.left, top, area.right, area.bottom), x.padded(0.03), y);
+        let frame = Frame::within(
+            Rect::new(area.left, top, area.right, area.bottom),
+            x.padded(0.03),
+            y,
+        );
         frame.under(canvas);
         let [bottom, head] = frame.y.range;
         for (value, stroke, _) in &self.marks {
@@ -156,13 +176,16 @@ struct Validity {
     folds: bool,
 }
 
-/// Regions of validity of some levels over a plane of two states; V along one state where that is all there is.
+/// Regions of validity of some levels over a plane of two states; V along one state where that is
+/// all there is.
 pub fn validity(source: &Source<'_>) -> Made {
     let Some(group) = source.stored.group("attenuation_regions") else {
         return Ok(None);
     };
     let read = read_validity(source, &group).map_err(|e| e.to_string())?;
-    let Some((validity, fixed)) = read else { return Ok(None) };
+    let Some((validity, fixed)) = read else {
+        return Ok(None);
+    };
     let name = names::symbol(&group.attribute(None, "parameter").unwrap_or_default());
     let plane = validity.axes.len() == 2;
     let mut caption = if plane {
@@ -184,7 +207,10 @@ pub fn validity(source: &Source<'_>) -> Made {
 }
 
 /// The drawing, and what the title says of states that are held fixed.
-fn read_validity(source: &Source<'_>, group: &StoredGroup<'_>) -> Result<Option<(Validity, String)>, StoredError> {
+fn read_validity(
+    source: &Source<'_>,
+    group: &StoredGroup<'_>,
+) -> Result<Option<(Validity, String)>, StoredError> {
     let states = &source.model.states;
     let n = states.len();
     let grid: Vec<Vec<f64>> = (states.iter())
@@ -233,7 +259,10 @@ fn read_validity(source: &Source<'_>, group: &StoredGroup<'_>) -> Result<Option<
                 if let Some(b) = shown.get(1) {
                     at[*b] = j;
                 }
-                let place = at.iter().zip(&grid).fold(0, |place, (i, axis)| place * axis.len() + i);
+                let place = at
+                    .iter()
+                    .zip(&grid)
+                    .fold(0, |place, (i, axis)| place * axis.len() + i);
                 let valid = status[place] == PointStatus::Converged as i32;
                 values.push(match shown.len() {
                     2 => f64::from(u8::from(valid)),
@@ -241,7 +270,10 @@ fn read_validity(source: &Source<'_>, group: &StoredGroup<'_>) -> Result<Option<
                 });
             }
         }
-        let valid = status.iter().filter(|s| **s == PointStatus::Converged as i32).count();
+        let valid = status
+            .iter()
+            .filter(|s| **s == PointStatus::Converged as i32)
+            .count();
         let wanted = status
             .iter()
             .filter(|s| **s != PointStatus::OutsideGuard as i32)
@@ -250,7 +282,10 @@ fn read_validity(source: &Source<'_>, group: &StoredGroup<'_>) -> Result<Option<
         regions.push(Region {
             // Dark is hard to reach: the smallest level.
             colour: colours::value(0.12 + 0.8 * (k + 1) as f64 / (levels.len() + 1) as f64),
-            label: format!("{parameter} = {}: {share} % of the states", significant(*level, 4)),
+            label: format!(
+                "{parameter} = {}: {share} % of the states",
+                significant(*level, 4)
+            ),
             values,
             // Others' folds are not on the plane.
             folds: (folds.iter().filter(|(l, _)| *l == k && n == 2))
@@ -259,7 +294,11 @@ fn read_validity(source: &Source<'_>, group: &StoredGroup<'_>) -> Result<Option<
         });
     }
     let reference = source.model.reference();
-    let on = |k: usize| states.get(k).map_or_else(String::new, |s| names::label(&s.variable));
+    let on = |k: usize| {
+        states
+            .get(k)
+            .map_or_else(String::new, |s| names::label(&s.variable))
+    };
     let validity = Validity {
         axes: shown.iter().map(|k| grid[*k].clone()).collect(),
         labels: shown.iter().map(|k| on(*k)).collect(),
@@ -288,7 +327,12 @@ fn folds(source: &Source<'_>, n: usize) -> Result<Vec<(usize, Vec<f64>)>, Stored
 
 impl Validity {
     fn legend(&self) -> Vec<(Mark, String)> {
-        let line = |r: &Region| (Mark::Line(Stroke::new(Ink::Colour(r.colour), 9.0)), r.label.clone());
+        let line = |r: &Region| {
+            (
+                Mark::Line(Stroke::new(Ink::Colour(r.colour), 9.0)),
+                r.label.clone(),
+            )
+        };
         let mut all: Vec<(Mark, String)> = self.regions.iter().rev().map(line).collect();
         if self.folds && self.axes.len() == 2 {
             all.push((Mark::Dot(FOLD), "folds met".to_owned()));
@@ -304,9 +348,15 @@ impl Validity {
                 values: &region.values,
                 cut: &[],
             };
-            let rings: Vec<_> = contour::region(&grid, 0.5).iter().map(|r| frame.ring(r)).collect();
+            let rings: Vec<_> = contour::region(&grid, 0.5)
+                .iter()
+                .map(|r| frame.ring(r))
+                .collect();
             canvas.area(&rings, Ink::Colour(region.colour), 0.85);
-            let edges: Vec<_> = contour::lines(&grid, 0.5).into_iter().map(|l| l.points).collect();
+            let edges: Vec<_> = contour::lines(&grid, 0.5)
+                .into_iter()
+                .map(|l| l.points)
+                .collect();
             canvas.lines(&frame.lines(&edges), Stroke::new(Ink::Paper, 1.4));
         }
         for region in &self.regions {
@@ -324,12 +374,17 @@ impl Validity {
     fn line(&self, canvas: &mut dyn Canvas, frame: &Frame) {
         let x = &self.axes[0];
         for region in &self.regions {
-            let line: Vec<[f64; 2]> = x.iter().zip(&region.values).map(|(x, v)| [*x, *v]).collect();
+            let line: Vec<[f64; 2]> = x
+                .iter()
+                .zip(&region.values)
+                .map(|(x, v)| [*x, *v])
+                .collect();
             let ink = Ink::Colour(region.colour);
             canvas.lines(&frame.line(&line), Stroke::new(ink, 2.2));
             // Where it ends short of the axis's end.
             let finite = |k: usize| region.values.get(k).is_some_and(|v| v.is_finite());
-            let ends = (0..x.len()).filter(|k| finite(*k) && (!finite(k.wrapping_sub(1)) || !finite(k + 1)));
+            let ends = (0..x.len())
+                .filter(|k| finite(*k) && (!finite(k.wrapping_sub(1)) || !finite(k + 1)));
             let ends = ends.filter(|k| *k > 0 && k + 1 < x.len()).map(|k| line[k]);
             canvas.dots(&frame.dots(ends), 7.0, ink, 1.0);
         }

@@ -5,8 +5,8 @@ use crate::colours::Rgb;
 use crate::contour::{self, Grid};
 use crate::frame::Frame;
 
-/// Fills the bands between levels (ascending, at least one): band 0 is below the first; what is above the last is band
-/// `levels.len()` if `open`, else left out.
+/// Fills the bands between levels (ascending, at least one): band 0 is below the first; what is
+/// above the last is band `levels.len()` if `open`, else left out.
 pub fn fill(
     canvas: &mut dyn Canvas,
     frame: &Frame,
@@ -22,9 +22,14 @@ pub fn fill(
         ..*grid
     };
     let whole = open.then_some((levels.len(), f64::INFINITY));
-    let bands = whole.into_iter().chain(levels.iter().copied().enumerate().rev());
+    let bands = whole
+        .into_iter()
+        .chain(levels.iter().copied().enumerate().rev());
     for (k, level) in bands {
-        let rings: Vec<Vec<Point>> = contour::region(&below, -level).iter().map(|r| frame.ring(r)).collect();
+        let rings: Vec<Vec<Point>> = contour::region(&below, -level)
+            .iter()
+            .map(|r| frame.ring(r))
+            .collect();
         canvas.area(&rings, Ink::Colour(shade(k)), 1.0);
     }
 }

@@ -1,7 +1,8 @@
 //! The equal-cost boundary on a plane.
 use crate::Source;
 
-/// Polylines of `/equal_cost` on the plane of the two axes, where it is two-dimensional; single points else.
+/// Polylines of `/equal_cost` on the plane of the two axes, where it is two-dimensional; single
+/// points else.
 #[derive(Clone, Debug, Default)]
 pub struct Boundary {
     pub lines: Vec<Vec<[f64; 2]>>,
@@ -44,7 +45,8 @@ impl Boundary {
             last = Some(line).filter(|l| *l >= 0);
         }
         // A line of one vertex is a point.
-        let (lines, single): (Vec<_>, Vec<_>) = boundary.lines.into_iter().partition(|l| l.len() > 1);
+        let (lines, single): (Vec<_>, Vec<_>) =
+            boundary.lines.into_iter().partition(|l| l.len() > 1);
         boundary.points.extend(single.into_iter().flatten());
         boundary.lines = lines;
         Ok(boundary)

@@ -1,4 +1,5 @@
-//! Maps of what closed loops do over the grid of initial states: a picture a recorded quantity, a panel a law.
+//! Maps of what closed loops do over the grid of initial states: a picture a recorded quantity, a
+//! panel a law.
 
 use super::bands::fill;
 use super::panels::{Curve, Panel, Panels};
@@ -129,7 +130,12 @@ impl Loops {
         })
     }
 
-    fn picture(&self, source: &Source<'_>, group: &StoredGroup<'_>, name: &str) -> Result<Option<Picture>, String> {
+    fn picture(
+        &self,
+        source: &Source<'_>,
+        group: &StoredGroup<'_>,
+        name: &str,
+    ) -> Result<Option<Picture>, String> {
         let values = group.f64(name).map_err(wrong)?;
         if values.shape != [self.laws.len(), self.count] {
             // Something else than a quantity of each law and initial state.
@@ -149,7 +155,9 @@ impl Loops {
         if values.iter().all(|v| !v.is_finite()) {
             return Err("it has no values".to_owned());
         }
-        let what = group.attribute(Some(name), "long_name").filter(|l| l != name);
+        let what = group
+            .attribute(Some(name), "long_name")
+            .filter(|l| l != name);
         let title = match (&what, loss) {
             (_, true) => "Loss against the optimum, J/V \u{2212} 1".to_owned(),
             (Some(what), _) => format!("{}: {what}", name.replace('_', " ")),
@@ -169,7 +177,13 @@ impl Loops {
     /// The grid of two states, where there is one.
     fn place(&self, source: &Source<'_>, group: &StoredGroup<'_>) -> Option<Place> {
         let n = source.model.states.len();
-        let index = |name: &str| source.model.states.iter().position(|s| s.variable.name == name);
+        let index = |name: &str| {
+            source
+                .model
+                .states
+                .iter()
+                .position(|s| s.variable.name == name)
+        };
         let axes: Vec<usize> = group
             .attribute(None, "axes")?
             .split_whitespace()
@@ -190,10 +204,11 @@ impl Loops {
         let base: Vec<f64> = (0..n)
             .map(|k| {
                 let all = values(k);
-                let near = all
-                    .iter()
-                    .copied()
-                    .min_by(|a, b| (a - source.base[k]).abs().total_cmp(&(b - source.base[k]).abs()));
+                let near = all.iter().copied().min_by(|a, b| {
+                    (a - source.base[k])
+                        .abs()
+                        .total_cmp(&(b - source.base[k]).abs())
+                });
                 near.unwrap_or(source.base[k])
             })
             .collect();
@@ -228,7 +243,11 @@ impl Loops {
         let (sets, lines) = operating(source, &place)?;
         let law = |k: usize| OneLaw {
             name: self.laws[k].clone(),
-            values: place.nodes.iter().map(|i| values[k * self.count + i]).collect(),
+            values: place
+                .nodes
+                .iter()
+                .map(|i| values[k * self.count + i])
+                .collect(),
             converged: place
                 .nodes
                 .iter()
@@ -276,7 +295,9 @@ impl Loops {
             title: format!("{title}{at}"),
             caption,
             drawing: Box::new(Map {
-                labels: place.axes.map(|k| names::label(&source.model.states[k].variable)),
+                labels: place
+                    .axes
+                    .map(|k| names::label(&source.model.states[k].variable)),
                 x: place.x,
                 y: place.y,
                 laws,
@@ -301,18 +322,31 @@ impl Loops {
         let n = source.model.states.len();
         let axis = group.attribute(None, "axes").and_then(|a| {
             let name = a.split_whitespace().next()?.to_owned();
-            source.model.states.iter().position(|s| s.variable.name == name)
+            source
+                .model
+                .states
+                .iter()
+                .position(|s| s.variable.name == name)
         });
         let mut panel = Panel::default();
         for k in 0..self.laws.len() {
             let own = &values[k * self.count..(k + 1) * self.count];
             let mut points: Vec<[f64; 2]> = match axis {
-                Some(a) => own.iter().enumerate().map(|(i, v)| [self.x0[i * n + a], *v]).collect(),
+                Some(a) => own
+                    .iter()
+                    .enumerate()
+                    .map(|(i, v)| [self.x0[i * n + a], *v])
+                    .collect(),
                 None => {
-                    let mut sorted: Vec<f64> = own.iter().copied().filter(|v| v.is_finite()).collect();
+                    let mut sorted: Vec<f64> =
+                        own.iter().copied().filter(|v| v.is_finite()).collect();
                     sorted.sort_by(f64::total_cmp);
                     let last = sorted.len().max(2) as f64 - 1.0;
-                    sorted.iter().enumerate().map(|(i, v)| [*v, i as f64 / last]).collect()
+                    sorted
+                        .iter()
+                        .enumerate()
+                        .map(|(i, v)| [*v, i as f64 / last])
+                        .collect()
                 }
             };
             if axis.is_some() {
@@ -359,7 +393,8 @@ impl Loops {
     }
 }
 
-/// Operating sets by name with their conditions, and their boundaries: law, set, polylines on the grid's plane.
+/// Operating sets by name with their conditions, and their boundaries: law, set, polylines on the
+/// grid's plane.
 type Boundaries = Vec<(usize, usize, Vec<Vec<[f64; 2]>>)>;
 
 fn operating(source: &Source<'_>, place: &Place) -> Result<(Vec<String>, Boundaries), String> {
@@ -371,10 +406,13 @@ fn operating(source: &Source<'_>, place: &Place) -> Result<(Vec<String>, Boundar
     };
     let names = sets.texts("set").map_err(wrong)?;
     let conditions = sets.texts("condition").unwrap_or_default();
-    let named = names.iter().enumerate().map(|(k, name)| match conditions.get(k) {
-        Some(c) => format!("{name}: {c}"),
-        None => name.clone(),
-    });
+    let named = names
+        .iter()
+        .enumerate()
+        .map(|(k, name)| match conditions.get(k) {
+            Some(c) => format!("{name}: {c}"),
+            None => name.clone(),
+        });
     let x = lines.f64("x").map_err(wrong)?;
     if x.shape.len() != 2 || x.shape[1] != 2 {
         return Err("/operating_contours/x is not vertex x 2".to_owned());
@@ -390,7 +428,11 @@ fn operating(source: &Source<'_>, place: &Place) -> Result<(Vec<String>, Boundar
     for (k, at) in x.values.chunks(2).enumerate() {
         let key = (law[k], set[k], line[k]);
         let (l, s) = (law[k].max(0) as usize, set[k].max(0) as usize);
-        let at = if turned { [at[1], at[0]] } else { [at[0], at[1]] };
+        let at = if turned {
+            [at[1], at[0]]
+        } else {
+            [at[0], at[1]]
+        };
         if !found.iter().any(|(a, b, _)| (*a, *b) == (l, s)) {
             found.push((l, s, Vec::new()));
         }
@@ -420,7 +462,10 @@ fn even(values: &[f64]) -> Vec<f64> {
         (from, to) = (low, high);
     }
     if to <= from {
-        return vec![from - 0.5 * from.abs().max(1e-3), from + 0.5 * from.abs().max(1e-3)];
+        return vec![
+            from - 0.5 * from.abs().max(1e-3),
+            from + 0.5 * from.abs().max(1e-3),
+        ];
     }
     let step = ticks::step(to - from, BANDS);
     let (first, last) = ((from / step).floor() as i64, (to / step).ceil() as i64);
@@ -494,8 +539,14 @@ impl Map {
                 .map(|r| frame.ring(r))
                 .collect();
             canvas.area(&rings, Ink::Paper, 0.6);
-            let edges: Vec<Vec<[f64; 2]>> = contour::lines(&grid(&bad), 0.5).into_iter().map(|l| l.points).collect();
-            canvas.lines(&frame.lines(&edges), Stroke::new(Ink::Text, 1.2).dash(Dash::Dashed));
+            let edges: Vec<Vec<[f64; 2]>> = contour::lines(&grid(&bad), 0.5)
+                .into_iter()
+                .map(|l| l.points)
+                .collect();
+            canvas.lines(
+                &frame.lines(&edges),
+                Stroke::new(Ink::Text, 1.2).dash(Dash::Dashed),
+            );
         }
         for (set, lines) in &law.sets {
             let lines = frame.lines(lines);
@@ -514,7 +565,11 @@ impl Map {
 }
 
 fn set_stroke(set: usize) -> Stroke {
-    const INKS: [Ink; 3] = [Ink::Text, Ink::Colour([213, 94, 0]), Ink::Colour([204, 121, 167])];
+    const INKS: [Ink; 3] = [
+        Ink::Text,
+        Ink::Colour([213, 94, 0]),
+        Ink::Colour([204, 121, 167]),
+    ];
     Stroke::new(INKS[set % INKS.len()], 2.2)
 }
 
@@ -525,7 +580,9 @@ impl Drawing for Map {
         let inside = (width - 150.0 - BETWEEN * (columns as f64 - 1.0)) / columns as f64;
         let high = (0.85 * inside).clamp(190.0, 420.0);
         let legend = self.legend();
-        Legend { entries: &legend }.height(width) + rows * (high + LINE + BETWEEN) + Frame::below(true)
+        Legend { entries: &legend }.height(width)
+            + rows * (high + LINE + BETWEEN)
+            + Frame::below(true)
     }
 
     fn draw(&self, canvas: &mut dyn Canvas, area: Rect) {

@@ -28,12 +28,20 @@ struct Contours {
 }
 
 pub fn picture(source: &Source<'_>) -> Made {
-    let Some(plane) = source.plane()? else { return Ok(None) };
+    let Some(plane) = source.plane()? else {
+        return Ok(None);
+    };
     let levels = source.levels(plane);
     let values = range(plane.v.iter().copied());
-    let Some([least, most]) = values else { return Ok(None) };
+    let Some([least, most]) = values else {
+        return Ok(None);
+    };
     if levels.iter().all(|l| *l < least || *l > most) {
-        let asked = levels.iter().map(|l| significant(*l, 3)).collect::<Vec<_>>().join(", ");
+        let asked = levels
+            .iter()
+            .map(|l| significant(*l, 3))
+            .collect::<Vec<_>>()
+            .join(", ");
         return Err(format!(
             "none of the levels {asked} is among the values of V there, {} to {}",
             significant(least, 3),
@@ -44,7 +52,13 @@ pub fn picture(source: &Source<'_>) -> Made {
     let end = most.min(plane.limit);
     let asked = levels.clone();
     let mut levels: Vec<f64> = levels.into_iter().filter(|l| *l < end).collect();
-    levels.extend(asked.iter().copied().find(|l| *l >= end).map(|l| l.min(plane.limit)));
+    levels.extend(
+        asked
+            .iter()
+            .copied()
+            .find(|l| *l >= end)
+            .map(|l| l.min(plane.limit)),
+    );
     let boundary = Boundary::read(source)?;
     let sheets = plane.sheets().len();
     let mut caption = format!(
@@ -123,7 +137,8 @@ struct Labels {
 }
 
 impl Labels {
-    /// Writes `label` on the longest of some lines, in the middle of its straightest part that is free.
+    /// Writes `label` on the longest of some lines, in the middle of its straightest part that is
+    /// free.
     fn write(&mut self, canvas: &mut dyn Canvas, lines: &[Vec<Point>], label: &str, area: Rect) {
         let length = |l: &Vec<Point>| {
             l.windows(2)
@@ -154,12 +169,13 @@ impl Labels {
                 && r.bottom < area.bottom - 2.0
         };
         let free = |r: &Rect| {
-            self.taken
-                .iter()
-                .all(|t| r.right < t.left || r.left > t.right || r.bottom < t.top || r.top > t.bottom)
+            self.taken.iter().all(|t| {
+                r.right < t.left || r.left > t.right || r.bottom < t.top || r.top > t.bottom
+            })
         };
         let distance = |p: &Point| {
-            let to = |t: &Rect| (0.5 * (t.left + t.right) - p[0]).hypot(0.5 * (t.top + t.bottom) - p[1]);
+            let to =
+                |t: &Rect| (0.5 * (t.left + t.right) - p[0]).hypot(0.5 * (t.top + t.bottom) - p[1]);
             self.taken.iter().map(to).fold(1e3, f64::min)
         };
         let best = (dense.iter())
@@ -170,7 +186,11 @@ impl Labels {
                 cost(a).total_cmp(&cost(b))
             });
         if let Some(at) = best {
-            canvas.text(*at, label, Style::new(Anchor::Middle).size(TEXT - 1.0).halo());
+            canvas.text(
+                *at,
+                label,
+                Style::new(Anchor::Middle).size(TEXT - 1.0).halo(),
+            );
             self.taken.push(room(at));
         }
     }
@@ -180,10 +200,15 @@ impl Labels {
 fn resampled(line: &[Point], step: f64) -> Vec<Point> {
     let mut dense = Vec::new();
     for w in line.windows(2) {
-        let parts = ((w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]) / step).ceil().max(1.0);
+        let parts = ((w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]) / step)
+            .ceil()
+            .max(1.0);
         for k in 0..parts as usize {
             let s = k as f64 / parts;
-            dense.push([w[0][0] + s * (w[1][0] - w[0][0]), w[0][1] + s * (w[1][1] - w[0][1])]);
+            dense.push([
+                w[0][0] + s * (w[1][0] - w[0][0]),
+                w[0][1] + s * (w[1][1] - w[0][1]),
+            ]);
         }
     }
     dense
@@ -201,7 +226,10 @@ impl Drawing for Contours {
         let mut entries = Vec::new();
         let thick = Stroke::new(Ink::Text, 2.6);
         if !self.boundary.is_empty() {
-            entries.push((Mark::Line(thick), "equal cost: the optimal control jumps".to_owned()));
+            entries.push((
+                Mark::Line(thick),
+                "equal cost: the optimal control jumps".to_owned(),
+            ));
         }
         let legend = Legend { entries: &entries };
         let top = area.top + legend.height(area.width());
@@ -216,7 +244,11 @@ impl Drawing for Contours {
             colour: &colour,
         };
         let room = bar.width(area.height());
-        let frame = Frame::within(Rect::new(area.left, top, area.right - room, area.bottom), x, y);
+        let frame = Frame::within(
+            Rect::new(area.left, top, area.right - room, area.bottom),
+            x,
+            y,
+        );
         legend.draw(canvas, [area.left, area.top], area.width());
         frame.under(canvas);
         // Bands meet at the boundary; only lines end there.
@@ -224,11 +256,20 @@ impl Drawing for Contours {
             cut: &[],
             ..self.grid()
         };
-        fill(canvas, &frame, &whole, &self.levels, &|k| self.shade(k), false);
+        fill(
+            canvas,
+            &frame,
+            &whole,
+            &self.levels,
+            &|k| self.shade(k),
+            false,
+        );
         canvas.lines(&frame.lines(&hatch::lines(&self.plane)), hatch::stroke());
         let mut labels = Labels { taken: Vec::new() };
         if let Some([x, y]) = self.rest.and_then(|r| frame.dots([r]).first().copied()) {
-            labels.taken.push(Rect::new(x - 6.0, y - 6.0, x + 6.0, y + 6.0));
+            labels
+                .taken
+                .push(Rect::new(x - 6.0, y - 6.0, x + 6.0, y + 6.0));
         }
         let mut placed = Vec::new();
         for level in &self.lines {
@@ -237,13 +278,21 @@ impl Drawing for Contours {
                 .map(|l| l.points)
                 .collect();
             let lines = frame.lines(&lines);
-            canvas.lines(&lines, Stroke::new(Ink::Colour([255, 255, 255]), 1.0).opacity(0.85));
+            canvas.lines(
+                &lines,
+                Stroke::new(Ink::Colour([255, 255, 255]), 1.0).opacity(0.85),
+            );
             placed.push(lines);
         }
         let boundary = frame.lines(&self.boundary.lines);
         canvas.lines(&boundary, Stroke::new(Ink::Paper, 4.6).opacity(0.7));
         canvas.lines(&boundary, thick);
-        canvas.dots(&frame.dots(self.boundary.points.iter().copied()), 5.0, thick.ink, 1.0);
+        canvas.dots(
+            &frame.dots(self.boundary.points.iter().copied()),
+            5.0,
+            thick.ink,
+            1.0,
+        );
         if let Some(rest) = self.rest {
             let dots = frame.dots([rest]);
             canvas.dots(&dots, 9.0, Ink::Colour([255, 255, 255]), 1.0);
@@ -253,6 +302,11 @@ impl Drawing for Contours {
             labels.write(canvas, lines, &significant(*level, 3), frame.area);
         }
         frame.over(canvas);
-        bar.draw(canvas, frame.area.right + 14.0, frame.area.top, frame.area.bottom);
+        bar.draw(
+            canvas,
+            frame.area.right + 14.0,
+            frame.area.top,
+            frame.area.bottom,
+        );
     }
 }

@@ -17,7 +17,11 @@ pub fn picture(source: &Source<'_>) -> Made {
     };
     let map = source.stored.value_map().map_err(|e| e.to_string())?;
     let x = even(model.region[0], STATES);
-    let found: Vec<Option<Value>> = map.at_many(&x, false).into_iter().map(|at| at.lowest.ok()).collect();
+    let found: Vec<Option<Value>> = map
+        .at_many(&x, false)
+        .into_iter()
+        .map(|at| at.lowest.ok())
+        .collect();
     let known = found.iter().flatten().count();
     if known == 0 {
         return Err("V is known at no state of the region".to_owned());
@@ -31,7 +35,9 @@ pub fn picture(source: &Source<'_>) -> Made {
     for (k, control) in model.controls.iter().enumerate() {
         panels.push(Panel {
             bounds: [control.min, control.max].into_iter().flatten().collect(),
-            ..panel(names::label(&control.variable), &x, &found, |value| value.u[k])
+            ..panel(names::label(&control.variable), &x, &found, |value| {
+                value.u[k]
+            })
         });
     }
     Ok(Some(Picture {
@@ -60,11 +66,15 @@ pub fn picture(source: &Source<'_>) -> Made {
     }))
 }
 
-/// What is known along the state, a line for each run of states on one sheet. That of the series about the equilibrium, which has
-/// no number, goes on on both sides.
+/// What is known along the state, a line for each run of states on one sheet. That of the series
+/// about the equilibrium, which has no number, goes on on both sides.
 fn panel(label: String, x: &[f64], found: &[Option<Value>], of: impl Fn(&Value) -> f64) -> Panel {
     let stroke = Stroke::new(Ink::Colour(colours::class(0)), 1.9);
-    let places: Vec<(f64, Option<&Value>)> = x.iter().copied().zip(found.iter().map(Option::as_ref)).collect();
+    let places: Vec<(f64, Option<&Value>)> = x
+        .iter()
+        .copied()
+        .zip(found.iter().map(Option::as_ref))
+        .collect();
     let goes_on = |(_, a): &(f64, Option<&Value>), (_, b): &(f64, Option<&Value>)| match (a, b) {
         (Some(a), Some(b)) => a.sheet == b.sheet || a.sheet.min(b.sheet) < 0,
         _ => false,

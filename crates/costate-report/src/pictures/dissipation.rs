@@ -28,10 +28,15 @@ fn read(group: &StoredGroup<'_>) -> Result<Cases, StoredError> {
     let laws = group.texts("law")?;
     let kind = group.i32("kind")?.1;
     let ratio = group.shaped("ratio", &[laws.len(), kind.len()])?;
-    let kinds = group.attribute(Some("kind"), "flag_meanings").unwrap_or_default();
+    let kinds = group
+        .attribute(Some("kind"), "flag_meanings")
+        .unwrap_or_default();
     Ok(Cases {
         v0: group.f64("V0")?.values,
-        kinds: kinds.split_whitespace().map(|k| k.replace('_', " ")).collect(),
+        kinds: kinds
+            .split_whitespace()
+            .map(|k| k.replace('_', " "))
+            .collect(),
         laws,
         kind,
         ratio,
@@ -51,7 +56,8 @@ impl Cases {
     }
 
     fn legend(&self, laws: usize) -> Vec<(Mark, String)> {
-        let kinds = (self.kinds.iter().enumerate()).filter(|(k, _)| self.kind.contains(&(*k as i32)));
+        let kinds =
+            (self.kinds.iter().enumerate()).filter(|(k, _)| self.kind.contains(&(*k as i32)));
         let kinds = kinds.map(|(k, name)| {
             let mark = Mark::Line(Stroke::new(Ink::Colour(colours::class(k)), 2.2));
             (mark, name.clone())
@@ -97,7 +103,10 @@ pub fn picture(source: &Source<'_>) -> Made {
         return Err("V is known at no initial state".to_owned());
     }
     let mut legend = cases.legend(cases.laws.len());
-    legend.push((Mark::Line(dashed(Ink::Muted)), "what V certifies".to_owned()));
+    legend.push((
+        Mark::Line(dashed(Ink::Muted)),
+        "what V certifies".to_owned(),
+    ));
     let highest = cases
         .ratio
         .iter()
@@ -142,16 +151,28 @@ pub fn histories(source: &Source<'_>) -> Made {
     };
     let text = |e: StoredError| e.to_string();
     let cases = read(&all).map_err(text)?;
-    let (law, case) = (group.i32("law").map_err(text)?.1, group.i32("case").map_err(text)?.1);
+    let (law, case) = (
+        group.i32("law").map_err(text)?.1,
+        group.i32("case").map_err(text)?.1,
+    );
     let t = group.f64("t").map_err(text)?;
     let &[count, samples] = t.shape.as_slice() else {
         return Err("/dissipation_trajectories: t is not trajectory x sample".to_owned());
     };
     let model = source.model;
-    let [n, m, k] = [model.states.len(), model.controls.len(), model.disturbances.len()];
-    let column = |name: &str, width: usize| group.shaped(name, &[count, samples, width]).map_err(text);
+    let [n, m, k] = [
+        model.states.len(),
+        model.controls.len(),
+        model.disturbances.len(),
+    ];
+    let column =
+        |name: &str, width: usize| group.shaped(name, &[count, samples, width]).map_err(text);
     let scalar = |name: &str| group.shaped(name, &[count, samples]).map_err(text);
-    let quantities = [(column("x", n)?, n), (column("u", m)?, m), (column("w", k)?, k)];
+    let quantities = [
+        (column("x", n)?, n),
+        (column("u", m)?, m),
+        (column("w", k)?, k),
+    ];
     let (v, done, supplied) = (scalar("V")?, scalar("E_z")?, scalar("W")?);
     let mut panels = histories::panels(model);
     panels.extend(model.disturbances.iter().map(|w| Panel {
@@ -180,7 +201,10 @@ pub fn histories(source: &Source<'_>) -> Made {
         let mut place = 0;
         for (values, width) in &quantities {
             for i in 0..*width {
-                let points = own.clone().map(|s| [t.values[s], values[s * width + i]]).collect();
+                let points = own
+                    .clone()
+                    .map(|s| [t.values[s], values[s * width + i]])
+                    .collect();
                 panels[place].curves.push(Curve { points, stroke });
                 place += 1;
             }

@@ -34,10 +34,14 @@ pub fn picture(source: &Source<'_>) -> Made {
         };
         for (i, panel) in panels.iter_mut().enumerate() {
             let points: Vec<[f64; 2]> = if i < n {
-                path.iter().map(|(_, time, x)| [time - start, x[i]]).collect()
+                path.iter()
+                    .map(|(_, time, x)| [time - start, x[i]])
+                    .collect()
             } else {
                 let samples = (k * t.samples..(k + 1) * t.samples).filter(|s| t.v[*s].is_finite());
-                samples.map(|s| [t.t[s] - start, t.u[s * m + i - n]]).collect()
+                samples
+                    .map(|s| [t.t[s] - start, t.u[s * m + i - n]])
+                    .collect()
             };
             panel.curves.push(Curve { points, stroke });
         }
@@ -88,7 +92,9 @@ pub fn closed_loop(source: &Source<'_>) -> Made {
         group.f64("u").map_err(text)?,
     );
     let (n, m) = (source.model.states.len(), source.model.controls.len());
-    let (&[count, starts, samples], true) = (t.shape.as_slice(), x.values.len() == t.values.len() * n) else {
+    let (&[count, starts, samples], true) =
+        (t.shape.as_slice(), x.values.len() == t.values.len() * n)
+    else {
         return Err("/closed_loop_trajectories: t is not law x trajectory x sample".to_owned());
     };
     if u.values.len() != t.values.len() * m || laws.len() != count {
@@ -143,7 +149,10 @@ pub fn closed_loop(source: &Source<'_>) -> Made {
 }
 
 fn has_bounds(model: &Model) -> bool {
-    model.controls.iter().any(|c| c.min.is_some() || c.max.is_some())
+    model
+        .controls
+        .iter()
+        .any(|c| c.min.is_some() || c.max.is_some())
 }
 
 /// A panel for each state and control, still empty.
@@ -153,8 +162,12 @@ pub fn panels(model: &Model) -> Vec<Panel> {
         Horizon::Finite { .. } => None,
     };
     let states = model.states.iter().map(|s| (&s.variable, Vec::new()));
-    let controls =
-        (model.controls.iter()).map(|c| (&c.variable, [c.min, c.max].into_iter().flatten().collect::<Vec<_>>()));
+    let controls = (model.controls.iter()).map(|c| {
+        (
+            &c.variable,
+            [c.min, c.max].into_iter().flatten().collect::<Vec<_>>(),
+        )
+    });
     (states.chain(controls).enumerate())
         .map(|(k, (variable, bounds))| Panel {
             label: names::label(variable),
@@ -165,13 +178,16 @@ pub fn panels(model: &Model) -> Vec<Panel> {
         .collect()
 }
 
-/// Trajectories whose first points are far from each other, in units of the region, and within it if any is.
+/// Trajectories whose first points are far from each other, in units of the region, and within it
+/// if any is.
 fn far_apart(model: &Model, t: &SweptTrajectories, most: usize) -> Vec<usize> {
     let n = model.states.len();
     let first = |k: usize| (k * t.samples..(k + 1) * t.samples).find(|s| t.v[*s].is_finite());
     let place = |k: usize| -> Option<Vec<f64>> {
         let s = first(k)?;
-        let scaled = |i: usize| (t.x[s * n + i] - model.region[i][0]) / (model.region[i][1] - model.region[i][0]);
+        let scaled = |i: usize| {
+            (t.x[s * n + i] - model.region[i][0]) / (model.region[i][1] - model.region[i][0])
+        };
         Some((0..n).map(scaled).collect())
     };
     // Some thousands are as good as all.
@@ -193,7 +209,12 @@ fn far_apart(model: &Model, t: &SweptTrajectories, most: usize) -> Vec<usize> {
     while let Some(k) = next.filter(|_| chosen.len() < most) {
         chosen.push(all[k].0);
         for (d, other) in nearest.iter_mut().zip(&all) {
-            let apart: f64 = other.1.iter().zip(&all[k].1).map(|(a, b)| (a - b) * (a - b)).sum();
+            let apart: f64 = other
+                .1
+                .iter()
+                .zip(&all[k].1)
+                .map(|(a, b)| (a - b) * (a - b))
+                .sum();
             *d = d.min(apart);
         }
         next = (0..all.len())

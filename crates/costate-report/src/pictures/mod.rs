@@ -19,7 +19,8 @@ pub use attenuation::key_figure as attenuation_figure;
 
 use super::{Picture, Source};
 
-/// What a picture's maker gives: a picture, none where the file has no data for it, or why it cannot be made.
+/// What a picture's maker gives: a picture, none where the file has no data for it, or why it
+/// cannot be made.
 type Made = Result<Option<Picture>, String>;
 type Maker = fn(&Source<'_>) -> Made;
 
@@ -57,7 +58,9 @@ pub fn named(source: &Source<'_>, name: &str) -> Made {
 /// All pictures that the file has data for, in the page's order; and those that could not be made.
 pub fn all(source: &Source<'_>) -> (Vec<Picture>, Vec<(String, String)>) {
     let (mut pictures, mut missing) = (Vec::new(), Vec::new());
-    let make = |makers: &[(&str, Maker)], pictures: &mut Vec<Picture>, missing: &mut Vec<(String, String)>| {
+    let make = |makers: &[(&str, Maker)],
+                pictures: &mut Vec<Picture>,
+                missing: &mut Vec<(String, String)>| {
         for (name, make) in makers {
             match make(source) {
                 Ok(picture) => pictures.extend(picture),

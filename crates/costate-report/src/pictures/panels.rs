@@ -76,7 +76,10 @@ impl Panels {
 
 impl Panel {
     fn y(&self) -> Axis {
-        let values = self.curves.iter().flat_map(|c| c.points.iter().map(|p| p[1]));
+        let values = self
+            .curves
+            .iter()
+            .flat_map(|c| c.points.iter().map(|p| p[1]));
         let found = range(values.clone());
         let mut shown = self.range.or(found).unwrap_or([0.0, 1.0]);
         if shown.iter().all(|v| v.abs() < NOTHING) {
@@ -90,7 +93,11 @@ impl Panel {
             }
         }
         let axis = Axis::linear(self.label.clone(), shown);
-        if self.range.is_some() { axis } else { axis.padded(0.05) }
+        if self.range.is_some() {
+            axis
+        } else {
+            axis.padded(0.05)
+        }
     }
 
     fn draw(&self, canvas: &mut dyn Canvas, frame: &Frame, marks: &[f64]) {
@@ -98,14 +105,20 @@ impl Panel {
         let [left, right] = frame.x.range;
         let [low, high] = frame.y.range;
         for bound in &self.bounds {
-            canvas.lines(&frame.line(&[[left, *bound], [right, *bound]]), dashed(Ink::Muted));
+            canvas.lines(
+                &frame.line(&[[left, *bound], [right, *bound]]),
+                dashed(Ink::Muted),
+            );
         }
         if let Some(rest) = self.rest {
             let dotted = Stroke::new(Ink::Muted, 1.2).dash(Dash::Dotted);
             canvas.lines(&frame.line(&[[left, rest], [right, rest]]), dotted);
         }
         for mark in marks {
-            canvas.lines(&frame.line(&[[*mark, low], [*mark, high]]), dashed(Ink::Text));
+            canvas.lines(
+                &frame.line(&[[*mark, low], [*mark, high]]),
+                dashed(Ink::Text),
+            );
         }
         for curve in &self.curves {
             canvas.lines(&frame.line(&curve.points), curve.stroke);
@@ -120,7 +133,10 @@ impl Panel {
 impl Drawing for Panels {
     fn height(&self, width: f64) -> f64 {
         let rows = self.rows(width) as f64;
-        Legend { entries: &self.legend }.height(width)
+        Legend {
+            entries: &self.legend,
+        }
+        .height(width)
             + rows * self.tall * HEIGHT
             + (rows - 1.0) * GAP
             + Frame::below(true)
@@ -128,7 +144,9 @@ impl Drawing for Panels {
     }
 
     fn draw(&self, canvas: &mut dyn Canvas, area: Rect) {
-        let legend = Legend { entries: &self.legend };
+        let legend = Legend {
+            entries: &self.legend,
+        };
         legend.draw(canvas, [area.left, area.top], area.width());
         let top = area.top + legend.height(area.width()) + 7.0;
         let (columns, rows) = (self.columns(area.width()), self.rows(area.width()));
@@ -141,7 +159,9 @@ impl Drawing for Panels {
         for column in 0..columns {
             // A column's axes stand above each other.
             let own = || column * rows..((column + 1) * rows).min(self.panels.len());
-            let room = own().map(|k| Frame::beside(&axes[k], height)).fold(0.0, f64::max);
+            let room = own()
+                .map(|k| Frame::beside(&axes[k], height))
+                .fold(0.0, f64::max);
             for (row, k) in own().enumerate() {
                 let at = top + row as f64 * (height + GAP);
                 let inside = Rect::new(left + room, at, left + wide - 14.0, at + height);

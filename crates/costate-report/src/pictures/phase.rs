@@ -21,8 +21,8 @@ const OTHERS: usize = 12;
 const FRONTS: usize = 6;
 /// Bands of V that trajectories are coloured by.
 const BANDS: usize = 10;
-/// A trajectory whose V is above the map's by this share, and by this of the largest V, is not optimal there: what
-/// interpolation on the map may be off by is less.
+/// A trajectory whose V is above the map's by this share, and by this of the largest V, is not
+/// optimal there: what interpolation on the map may be off by is less.
 const ABOVE: f64 = 0.01;
 const ABOVE_ALL: f64 = 0.002;
 /// Colour of folds.
@@ -145,9 +145,14 @@ pub fn picture(source: &Source<'_>) -> Made {
     if two && source.infinite() && !source.model.is_game() {
         let levels = drawing.draw_fronts(source, t, &all);
         if !levels.is_empty() {
-            caption += &format!("Across them: fronts of equal cost, V = {}. ", levels.join(", "));
+            caption += &format!(
+                "Across them: fronts of equal cost, V = {}. ",
+                levels.join(", ")
+            );
             let line = Mark::Line(Stroke::new(Ink::Text, 1.3));
-            drawing.legend.push((line, "front of equal cost".to_owned()));
+            drawing
+                .legend
+                .push((line, "front of equal cost".to_owned()));
         }
     }
     if !drawing.boundary.is_empty() {
@@ -167,7 +172,10 @@ pub fn picture(source: &Source<'_>) -> Made {
     };
     Ok(Some(Picture {
         name: "phase".to_owned(),
-        title: format!("Optimal trajectories in the plane of {}", super::contours::over(source)),
+        title: format!(
+            "Optimal trajectories in the plane of {}",
+            super::contours::over(source)
+        ),
         caption,
         drawing: Box::new(drawing),
     }))
@@ -177,9 +185,10 @@ pub fn picture(source: &Source<'_>) -> Made {
 fn shifts(source: &Source<'_>) -> Vec<Vec<f64>> {
     let mut all = vec![Vec::new()];
     for state in &source.model.states {
-        let steps: Vec<f64> = state
-            .period
-            .map_or_else(|| vec![0.0], |p| (-2..=2).map(|k| f64::from(k) * p).collect());
+        let steps: Vec<f64> = state.period.map_or_else(
+            || vec![0.0],
+            |p| (-2..=2).map(|k| f64::from(k) * p).collect(),
+        );
         all = all
             .iter()
             .flat_map(|s| steps.iter().map(move |d| [s.as_slice(), &[*d]].concat()))
@@ -189,14 +198,25 @@ fn shifts(source: &Source<'_>) -> Vec<Vec<f64>> {
 }
 
 /// Every trajectory with every shift that brings it into the picture.
-fn seen(source: &Source<'_>, t: &SweptTrajectories, field: Option<&GridField>, shifts: &[Vec<f64>]) -> Vec<Seen> {
+fn seen(
+    source: &Source<'_>,
+    t: &SweptTrajectories,
+    field: Option<&GridField>,
+    shifts: &[Vec<f64>],
+) -> Vec<Seen> {
     let n = source.model.states.len();
     let mut all = Vec::new();
     for k in 0..t.count {
         for shift in shifts {
-            let at = |s: usize| -> Vec<f64> { t.x[s * n..(s + 1) * n].iter().zip(shift).map(|(x, d)| x + d).collect() };
-            // Time runs forward: the first sample is the outermost. With a finite horizon it is the only one that V is
-            // known for.
+            let at = |s: usize| -> Vec<f64> {
+                t.x[s * n..(s + 1) * n]
+                    .iter()
+                    .zip(shift)
+                    .map(|(x, d)| x + d)
+                    .collect()
+            };
+            // Time runs forward: the first sample is the outermost. With a finite horizon it is the
+            // only one that V is known for.
             let looked_at = if source.infinite() { t.samples } else { 1 };
             let samples = (k * t.samples..(k + 1) * t.samples).filter(|s| t.v[*s].is_finite());
             let inside = samples.take(looked_at).map(at).find(|x| {
@@ -217,13 +237,24 @@ fn seen(source: &Source<'_>, t: &SweptTrajectories, field: Option<&GridField>, s
     all
 }
 
-/// The sheet of each sample of a trajectory. With a finite horizon V is known at the initial time only.
-fn sheets_along(source: &Source<'_>, t: &SweptTrajectories, field: &GridField, k: usize, shift: &[f64]) -> Vec<i32> {
+/// The sheet of each sample of a trajectory. With a finite horizon V is known at the initial time
+/// only.
+fn sheets_along(
+    source: &Source<'_>,
+    t: &SweptTrajectories,
+    field: &GridField,
+    k: usize,
+    shift: &[f64],
+) -> Vec<i32> {
     let n = shift.len();
     let largest = field.largest();
     let range = k * t.samples..(k + 1) * t.samples;
     let told = |s: usize| -> Option<i32> {
-        let x: Vec<f64> = t.x[s * n..(s + 1) * n].iter().zip(shift).map(|(x, d)| x + d).collect();
+        let x: Vec<f64> = t.x[s * n..(s + 1) * n]
+            .iter()
+            .zip(shift)
+            .map(|(x, d)| x + d)
+            .collect();
         let local = field.at(&x)?;
         let most = local.v + ABOVE * local.v.abs() + ABOVE_ALL * largest;
         Some(if t.v[s] > most { DEARER } else { local.sheet })
@@ -299,10 +330,18 @@ fn pieces(
 }
 
 impl Phase {
-    fn by_sheet(&mut self, source: &Source<'_>, t: &SweptTrajectories, flow: &mut Flow<'_>, shown: &[Seen]) {
+    fn by_sheet(
+        &mut self,
+        source: &Source<'_>,
+        t: &SweptTrajectories,
+        flow: &mut Flow<'_>,
+        shown: &[Seen],
+    ) {
         let mut by_class: BTreeMap<i32, Vec<Path>> = BTreeMap::new();
         for seen in shown {
-            for (sheet, path) in pieces(source, t, flow, seen, |s| seen.sheets[s - seen.number * t.samples]) {
+            for (sheet, path) in pieces(source, t, flow, seen, |s| {
+                seen.sheets[s - seen.number * t.samples]
+            }) {
                 if sheet < 0 {
                     self.faint.push(path);
                 } else {
@@ -322,16 +361,29 @@ impl Phase {
         }
     }
 
-    fn by_value(&mut self, source: &Source<'_>, t: &SweptTrajectories, flow: &mut Flow<'_>, shown: &[Seen]) {
+    fn by_value(
+        &mut self,
+        source: &Source<'_>,
+        t: &SweptTrajectories,
+        flow: &mut Flow<'_>,
+        shown: &[Seen],
+    ) {
         // What lies outside the picture would take the colours of what is in it.
         let shown_here = |k: usize| {
             let x = &t.x[k * source.model.states.len()..][..source.model.states.len()];
             (x.iter().zip(&source.model.region)).all(|(x, [lo, hi])| (lo..=hi).contains(&x))
         };
-        let values = (0..t.v.len()).filter(|k| t.v[*k].is_finite() && (!source.model.is_game() || shown_here(*k)));
+        let values = (0..t.v.len())
+            .filter(|k| t.v[*k].is_finite() && (!source.model.is_game() || shown_here(*k)));
         let values = values.map(|k| t.v[k]);
-        let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
-        let zero = if source.infinite() { least.min(0.0) } else { least };
+        let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
+            (a.min(v), b.max(v))
+        });
+        let zero = if source.infinite() {
+            least.min(0.0)
+        } else {
+            least
+        };
         self.bands = (0..=BANDS)
             .map(|k| zero + (most - zero) * k as f64 / BANDS as f64)
             .collect();
@@ -348,9 +400,16 @@ impl Phase {
     }
 
     /// Some fronts, cut where they are not optimal and where neighbours are far apart; their V.
-    fn draw_fronts(&mut self, source: &Source<'_>, t: &SweptTrajectories, all: &[Seen]) -> Vec<String> {
+    fn draw_fronts(
+        &mut self,
+        source: &Source<'_>,
+        t: &SweptTrajectories,
+        all: &[Seen],
+    ) -> Vec<String> {
         let value = |j: usize| {
-            let values = (0..t.count).map(|k| t.v[k * t.samples + j]).filter(|v| v.is_finite());
+            let values = (0..t.count)
+                .map(|k| t.v[k * t.samples + j])
+                .filter(|v| v.is_finite());
             values.fold(f64::NAN, f64::max)
         };
         let most = value(0);
@@ -359,7 +418,10 @@ impl Phase {
         }
         let mut by_shift: BTreeMap<String, Vec<&Seen>> = BTreeMap::new();
         for seen in all {
-            by_shift.entry(format!("{:?}", seen.shift)).or_default().push(seen);
+            by_shift
+                .entry(format!("{:?}", seen.shift))
+                .or_default()
+                .push(seen);
         }
         let mut rings: Vec<Vec<&Seen>> = by_shift.into_values().collect();
         rings.iter_mut().for_each(|ring| in_order(source, t, ring));
@@ -370,7 +432,11 @@ impl Phase {
             let wanted = most * (f as f64 / (FRONTS + 1) as f64).powi(2);
             let nearest = (0..t.samples)
                 .filter(|j| value(*j).is_finite())
-                .min_by(|a, b| (value(*a) - wanted).abs().total_cmp(&(value(*b) - wanted).abs()));
+                .min_by(|a, b| {
+                    (value(*a) - wanted)
+                        .abs()
+                        .total_cmp(&(value(*b) - wanted).abs())
+                });
             let Some(j) = nearest.filter(|j| *j != before) else {
                 continue;
             };
@@ -407,10 +473,16 @@ impl Phase {
     }
 }
 
-/// Puts trajectories of two states in the order in which they lie around the equilibrium, by their innermost points.
+/// Puts trajectories of two states in the order in which they lie around the equilibrium, by their
+/// innermost points.
 fn in_order(source: &Source<'_>, t: &SweptTrajectories, ring: &mut [&Seen]) {
     let at = source.model.reference();
-    let width = source.model.region.iter().map(|[a, b]| b - a).collect::<Vec<_>>();
+    let width = source
+        .model
+        .region
+        .iter()
+        .map(|[a, b]| b - a)
+        .collect::<Vec<_>>();
     let angle = |seen: &Seen| {
         let last = (seen.number * t.samples..(seen.number + 1) * t.samples)
             .rev()
@@ -430,12 +502,18 @@ fn band_colour(band: usize) -> colours::Rgb {
 
 impl Drawing for Phase {
     fn height(&self, width: f64) -> f64 {
-        (0.64 * width).clamp(330.0, 700.0) + Legend { entries: &self.legend }.height(width)
+        (0.64 * width).clamp(330.0, 700.0)
+            + Legend {
+                entries: &self.legend,
+            }
+            .height(width)
     }
 
     fn draw(&self, canvas: &mut dyn Canvas, area: Rect) {
         let [x, y] = [0, 1].map(|k| Axis::linear(self.labels[k].clone(), self.ranges[k]));
-        let legend = Legend { entries: &self.legend };
+        let legend = Legend {
+            entries: &self.legend,
+        };
         legend.draw(canvas, [area.left, area.top], area.width());
         let top = area.top + legend.height(area.width());
         let axis = Axis::linear(
@@ -446,7 +524,9 @@ impl Drawing for Phase {
             ],
         );
         let width = axis.range[1] - axis.range[0];
-        let colour = |v: f64| band_colour((((v - axis.range[0]) / width * BANDS as f64) as usize).min(BANDS - 1));
+        let colour = |v: f64| {
+            band_colour((((v - axis.range[0]) / width * BANDS as f64) as usize).min(BANDS - 1))
+        };
         let bar = Bar {
             label: "V, cost from there on",
             axis: &axis,
@@ -458,9 +538,16 @@ impl Drawing for Phase {
         } else {
             bar.width(area.bottom - top)
         };
-        let frame = Frame::within(Rect::new(area.left, top, area.right - room, area.bottom), x, y);
+        let frame = Frame::within(
+            Rect::new(area.left, top, area.right - room, area.bottom),
+            x,
+            y,
+        );
         frame.under(canvas);
-        canvas.lines(&frame.lines(&self.faint), Stroke::new(Ink::Muted, 0.8).opacity(0.4));
+        canvas.lines(
+            &frame.lines(&self.faint),
+            Stroke::new(Ink::Muted, 0.8).opacity(0.4),
+        );
         let width = if self.bands.is_empty() { 1.1 } else { 1.3 };
         for (colour, paths) in &self.coloured {
             canvas.lines(
@@ -473,8 +560,16 @@ impl Drawing for Phase {
             &frame.lines(&self.boundary.lines),
             Stroke::new(Ink::Paper, 5.0).opacity(0.7),
         );
-        canvas.lines(&frame.lines(&self.boundary.lines), Stroke::new(Ink::Text, 3.0));
-        canvas.dots(&frame.dots(self.boundary.points.iter().copied()), 6.0, Ink::Text, 1.0);
+        canvas.lines(
+            &frame.lines(&self.boundary.lines),
+            Stroke::new(Ink::Text, 3.0),
+        );
+        canvas.dots(
+            &frame.dots(self.boundary.points.iter().copied()),
+            6.0,
+            Ink::Text,
+            1.0,
+        );
         let folds = frame.dots(self.caustic.iter().copied());
         canvas.dots(&folds, 6.0, Ink::Paper, 1.0);
         canvas.dots(&folds, 4.5, FOLD, 1.0);
@@ -483,7 +578,12 @@ impl Drawing for Phase {
         canvas.dots(&dots, 7.0, Ink::Text, 1.0);
         frame.over(canvas);
         if !self.bands.is_empty() {
-            bar.draw(canvas, frame.area.right + 14.0, frame.area.top, frame.area.bottom);
+            bar.draw(
+                canvas,
+                frame.area.right + 14.0,
+                frame.area.top,
+                frame.area.bottom,
+            );
         }
     }
 }

@@ -35,7 +35,11 @@ struct Quality {
 
 pub fn picture(source: &Source<'_>) -> Made {
     let mut rows = Vec::new();
-    let change = if source.infinite() { "|H|" } else { "change of H" };
+    let change = if source.infinite() {
+        "|H|"
+    } else {
+        "change of H"
+    };
     let swept = along_trajectories(source)?;
     if !swept.is_empty() {
         rows.push(Row {
@@ -75,7 +79,11 @@ pub fn picture(source: &Source<'_>) -> Made {
         name: "errors".to_owned(),
         title: "How wrong is it".to_owned(),
         caption: caption.trim_end().to_owned(),
-        drawing: Box::new(Quality { rows, estimates, asked }),
+        drawing: Box::new(Quality {
+            rows,
+            estimates,
+            asked,
+        }),
     }))
 }
 
@@ -85,7 +93,8 @@ fn wrong(e: costate::result::StoredError) -> String {
 
 /// The drift of H relative to the largest running cost of some trajectories.
 fn along_trajectories(source: &Source<'_>) -> Result<Vec<f64>, String> {
-    let (Some(t), Some(group)) = (source.trajectories()?, source.stored.group("trajectories")) else {
+    let (Some(t), Some(group)) = (source.trajectories()?, source.stored.group("trajectories"))
+    else {
         return Ok(Vec::new());
     };
     let drift = group.f64("hamiltonian_drift").map_err(wrong)?.values;
@@ -114,7 +123,9 @@ fn at_points(source: &Source<'_>) -> Result<Vec<Row>, String> {
     };
     let n = source.model.states.len();
     let mut rows = Vec::new();
-    let solved: Vec<usize> = (0..points.count).filter(|k| points.v[*k].is_finite()).collect();
+    let solved: Vec<usize> = (0..points.count)
+        .filter(|k| points.v[*k].is_finite())
+        .collect();
     // Rows of the file, of which those of other times are not among the points.
     let row = |k: usize| points.point[k] as usize;
     // What was interpolated has neither.
@@ -122,7 +133,10 @@ fn at_points(source: &Source<'_>) -> Result<Vec<Row>, String> {
         let h = group.f64("H").map_err(wrong)?.values;
         let mut flow = Flow::new(source.model, &source.stored.scene.hamiltonian);
         let values: Vec<f64> = (solved.iter().step_by(solved.len().div_ceil(8000).max(1)))
-            .map(|k| h[row(*k)].abs() / flow.at(&points.x[k * n..(k + 1) * n], &points.p[k * n..(k + 1) * n])[n].abs())
+            .map(|k| {
+                h[row(*k)].abs()
+                    / flow.at(&points.x[k * n..(k + 1) * n], &points.p[k * n..(k + 1) * n])[n].abs()
+            })
             .filter(|v| v.is_finite())
             .collect();
         rows.push(Row {
@@ -146,7 +160,11 @@ fn estimates_of(what: &str, at: &serde_json::Value) -> Vec<Estimate> {
     (["V", "p", "u"].iter())
         .filter_map(|name| {
             let of = |key: &str| at[*name][key].as_f64();
-            let quantiles = [of("median")?, of("p99")?, of("max").or_else(|| of("worst"))?];
+            let quantiles = [
+                of("median")?,
+                of("p99")?,
+                of("max").or_else(|| of("worst"))?,
+            ];
             let label = format!("{name} {what}");
             Some(Estimate { label, quantiles })
         })
@@ -160,7 +178,10 @@ impl Quality {
             .chain(self.estimates.iter().flat_map(|e| e.quantiles))
             .chain(self.asked);
         let [from, to] = range(all.filter(|v| *v > LEAST)).unwrap_or([1e-12, 1e-6]);
-        [10f64.powf(from.log10().floor()), 10f64.powf(to.log10().ceil())]
+        [
+            10f64.powf(from.log10().floor()),
+            10f64.powf(to.log10().ceil()),
+        ]
     }
 
     /// Counts by bin, from the range's beginning on.
@@ -204,14 +225,17 @@ impl Drawing for Quality {
             let counts = Self::histogram(&row.values, shown);
             let most = counts.iter().copied().max().unwrap_or(1) as f64;
             let inside = Rect::new(left, top + LINE, right, top + LINE + HIGH);
-            let mut frame = Frame::around(inside, x.clone(), Axis::linear("count", [0.0, 1.08 * most]));
+            let mut frame =
+                Frame::around(inside, x.clone(), Axis::linear("count", [0.0, 1.08 * most]));
             frame.x_labels = k + 1 == panels;
             frame.under(canvas);
             let bars: Vec<_> = (counts.iter().enumerate().filter(|(_, c)| **c > 0))
                 .map(|(b, count)| {
                     let at = |b: usize| shown[0] * 10f64.powf(b as f64 / BINS);
                     let [a, z] = [frame.at([at(b), 0.0]), frame.at([at(b + 1), *count as f64])];
-                    Rect::new(a[0] + 0.5, z[1], z[0] - 0.5, a[1]).corners().to_vec()
+                    Rect::new(a[0] + 0.5, z[1], z[0] - 0.5, a[1])
+                        .corners()
+                        .to_vec()
                 })
                 .collect();
             canvas.area(&bars, Ink::Colour(colours::class(k)), 0.85);
@@ -246,7 +270,8 @@ impl Quality {
             let y = a.top + 6.0 + LINE * (k as f64 + 0.5);
             canvas.line([a.left, y], [a.right, y], grid);
             canvas.text([a.left - 8.0, y], &estimate.label, Style::new(Anchor::End));
-            let [median, most, largest] = estimate.quantiles.map(|q| frame.at([q.max(LEAST), 0.0])[0]);
+            let [median, most, largest] =
+                estimate.quantiles.map(|q| frame.at([q.max(LEAST), 0.0])[0]);
             let ink = Ink::Colour(colours::class(k % 3));
             canvas.line([median, y], [largest, y], Stroke::new(ink, 1.4));
             canvas.dots(&[[median, y]], 8.0, ink, 1.0);

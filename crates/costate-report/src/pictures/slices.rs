@@ -46,7 +46,9 @@ impl Slice {
     }
 
     fn has(&self, x: &[f64], slack: f64) -> bool {
-        (0..x.len()).all(|k| k == self.axis || (x[k] - self.at[k]).abs() <= slack * self.at[k].abs().max(1.0))
+        (0..x.len()).all(|k| {
+            k == self.axis || (x[k] - self.at[k]).abs() <= slack * self.at[k].abs().max(1.0)
+        })
     }
 }
 
@@ -112,7 +114,10 @@ pub fn picture(source: &Source<'_>) -> Made {
             .collect();
         curves.extend(branches.iter().map(|k| Curve {
             points: line(k),
-            stroke: Stroke::new(Ink::Colour(colours::class(entries[k[0]].sheet.max(0) as usize)), 1.8),
+            stroke: Stroke::new(
+                Ink::Colour(colours::class(entries[k[0]].sheet.max(0) as usize)),
+                1.8,
+            ),
         }));
         Panel {
             label,
@@ -125,14 +130,21 @@ pub fn picture(source: &Source<'_>) -> Made {
     })];
     panels[0].dots = crossings.clone();
     for (c, control) in model.controls.iter().enumerate() {
-        let line = |k: &Vec<usize>| k.iter().map(|k| [entries[*k].x, entries[*k].u[c]]).collect();
+        let line = |k: &Vec<usize>| {
+            k.iter()
+                .map(|k| [entries[*k].x, entries[*k].u[c]])
+                .collect()
+        };
         let mut one = panel(names::label(&control.variable), &line);
         one.bounds = [control.min, control.max].into_iter().flatten().collect();
         panels.push(one);
     }
     let mut legend: Vec<_> = (sheets.iter())
         .map(|s| {
-            let mark = Mark::Line(Stroke::new(Ink::Colour(colours::class((*s).max(0) as usize)), 2.5));
+            let mark = Mark::Line(Stroke::new(
+                Ink::Colour(colours::class((*s).max(0) as usize)),
+                2.5,
+            ));
             (mark, format!("sheet {s}"))
         })
         .collect();
@@ -190,8 +202,9 @@ pub fn picture(source: &Source<'_>) -> Made {
     }))
 }
 
-/// V along a branch: between two states the cubic with their V and slopes. Where both slopes have the sign of V's change, it
-/// stays between the two V: slopes that are too steep for that are less steep in the picture (Fritsch and Carlson 1980).
+/// V along a branch: between two states the cubic with their V and slopes. Where both slopes have
+/// the sign of V's change, it stays between the two V: slopes that are too steep for that are less
+/// steep in the picture (Fritsch and Carlson 1980).
 fn curve(entries: Vec<&Entry>) -> Vec<[f64; 2]> {
     const BETWEEN: usize = 8;
     /// In units of the mean slope: a cubic with less is monotone.
@@ -210,15 +223,18 @@ fn curve(entries: Vec<&Entry>) -> Vec<[f64; 2]> {
         let slopes = [a.slope, b.slope].map(|s| s.clamp(-most, most));
         points.extend((0..BETWEEN).map(|k| {
             let q = k as f64 / BETWEEN as f64;
-            [a.x + q * h, hermite(q, h, [a.v, slopes[0]], [b.v, slopes[1]])]
+            [
+                a.x + q * h,
+                hermite(q, h, [a.v, slopes[0]], [b.v, slopes[1]]),
+            ]
         }));
     }
     points.extend(entries.last().map(|e| [e.x, e.v]));
     points
 }
 
-/// Entries by sheet in the line's order, parted where a state has none. Where a sheet has several solutions at a state
-/// they are told apart by rank.
+/// Entries by sheet in the line's order, parted where a state has none. Where a sheet has several
+/// solutions at a state they are told apart by rank.
 fn branches(entries: &[Entry], steps: &[f64]) -> Vec<Vec<usize>> {
     let mut by: BTreeMap<(i32, usize), Vec<(usize, usize)>> = BTreeMap::new();
     let mut rank: BTreeMap<(usize, i32), usize> = BTreeMap::new();
@@ -236,7 +252,10 @@ fn parted(line: &[(usize, usize)]) -> Vec<Vec<usize>> {
     let mut parts: Vec<Vec<usize>> = Vec::new();
     let mut last = None;
     for (step, k) in line {
-        match parts.last_mut().filter(|_| last.is_some_and(|l| l + 1 == *step)) {
+        match parts
+            .last_mut()
+            .filter(|_| last.is_some_and(|l| l + 1 == *step))
+        {
             Some(part) => part.push(*k),
             None => parts.push(vec![*k]),
         }
@@ -280,7 +299,8 @@ fn crossings(source: &Source<'_>, slice: &Slice) -> Result<Vec<[f64; 2]>, String
     found.sort_by(|a, b| a[0].total_cmp(&b[0]));
     // A map's edge and the line's own may both have found it.
     found.dedup_by(|a, b| {
-        (a[0] - b[0]).abs() <= 1e-6 * a[0].abs().max(1.0) && (a[1] - b[1]).abs() <= 1e-6 * a[1].abs().max(1.0)
+        (a[0] - b[0]).abs() <= 1e-6 * a[0].abs().max(1.0)
+            && (a[1] - b[1]).abs() <= 1e-6 * a[1].abs().max(1.0)
     });
     Ok(found)
 }
@@ -298,7 +318,8 @@ mod tests {
             u: Vec::new(),
             sheet: 0,
         };
-        // The compressor near deep stall: a cubic with these slopes falls to -1 between V = 4.68 and 0.58.
+        // The compressor near deep stall: a cubic with these slopes falls to -1 between V = 4.68
+        // and 0.58.
         let steep = [
             entry(1.0, 4.681, -604.07),
             entry(1.05, 0.5785, -22.716),

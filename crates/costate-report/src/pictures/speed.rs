@@ -77,10 +77,13 @@ fn read(group: &StoredGroup<'_>) -> Result<Speed, StoredError> {
                     })
                 };
                 let dash = place(&mut devices, &device);
-                let colour = methods.iter().position(|m| *m == method[k]).unwrap_or_else(|| {
-                    methods.push(&method[k]);
-                    methods.len() - 1
-                });
+                let colour = methods
+                    .iter()
+                    .position(|m| *m == method[k])
+                    .unwrap_or_else(|| {
+                        methods.push(&method[k]);
+                        methods.len() - 1
+                    });
                 series.push(Series {
                     label,
                     colour: colours::class(colour),
@@ -106,7 +109,10 @@ impl Speed {
     fn legend(&self) -> Vec<(Mark, String)> {
         let line = |s: &Series| Mark::Line(Stroke::new(Ink::Colour(s.colour), 2.0).dash(s.dash));
         let series = self.series.iter().map(|s| (line(s), s.label.clone()));
-        let best = (Mark::Line(best()), "Pareto front: what nothing beats".to_owned());
+        let best = (
+            Mark::Line(best()),
+            "Pareto front: what nothing beats".to_owned(),
+        );
         series.chain([best]).collect()
     }
 }

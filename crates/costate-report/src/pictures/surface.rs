@@ -24,7 +24,9 @@ struct Surface {
 }
 
 pub fn picture(source: &Source<'_>) -> Made {
-    let Some(plane) = source.plane()? else { return Ok(None) };
+    let Some(plane) = source.plane()? else {
+        return Ok(None);
+    };
     let Some([least, most]) = range(plane.v.iter().copied()) else {
         return Ok(None);
     };
@@ -37,7 +39,11 @@ pub fn picture(source: &Source<'_>) -> Made {
         .min(plane.limit);
     let thin = thinned(plane);
     let drawing = Surface {
-        least: if source.infinite() { least.min(0.0) } else { least },
+        least: if source.infinite() {
+            least.min(0.0)
+        } else {
+            least
+        },
         most: if top > least { top } else { most },
         plane: thin,
         labels: source.labels(),
@@ -92,7 +98,12 @@ fn thinned(plane: &Plane) -> Plane {
 }
 
 /// The box's base.
-const BASE: [[f64; 3]; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
+const BASE: [[f64; 3]; 4] = [
+    [0.0, 0.0, 0.0],
+    [1.0, 0.0, 0.0],
+    [1.0, 1.0, 0.0],
+    [0.0, 1.0, 0.0],
+];
 
 /// The corner of the base that is furthest left: the upright axis stands there.
 fn corner() -> [f64; 3] {
@@ -146,7 +157,10 @@ impl View {
         let [w, h] = bounds.map(|[a, b]| b - a);
         Self {
             scale: (area.width() / w).min(area.height() / h),
-            middle: [0.5 * (area.left + area.right), 0.5 * (area.top + area.bottom)],
+            middle: [
+                0.5 * (area.left + area.right),
+                0.5 * (area.top + area.bottom),
+            ],
             centre: bounds.map(|[a, b]| 0.5 * (a + b)),
         }
     }
@@ -181,7 +195,8 @@ impl Surface {
                 let places = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)];
                 let at = |(i, j): (usize, usize)| self.plane.v[i * ny + j];
                 let values = places.map(at);
-                let fits = values.iter().all(|v| v.is_finite()) && values.iter().any(|v| *v <= self.most);
+                let fits =
+                    values.iter().all(|v| v.is_finite()) && values.iter().any(|v| *v <= self.most);
                 if !fits {
                     continue;
                 }
@@ -192,12 +207,15 @@ impl Surface {
                 }
             }
         }
-        let depth = |c: &[[f64; 3]]| c.iter().map(|p| seen([p[0], p[1], 0.0])[2]).sum::<f64>() / c.len() as f64;
+        let depth = |c: &[[f64; 3]]| {
+            c.iter().map(|p| seen([p[0], p[1], 0.0])[2]).sum::<f64>() / c.len() as f64
+        };
         cells.sort_by(|a, b| depth(&a.0).total_cmp(&depth(&b.0)));
         cells
     }
 
-    /// Lines across the cells of which the map says itself that V may be off by more than was asked for.
+    /// Lines across the cells of which the map says itself that V may be off by more than was asked
+    /// for.
     fn hatching(&self) -> Vec<Vec<[f64; 3]>> {
         let mut lines = Vec::new();
         for i in 0..self.plane.x.len() - 1 {
@@ -213,7 +231,8 @@ impl Surface {
 
     fn axes(&self, canvas: &mut dyn Canvas, view: &View, area: Rect) {
         let muted = Stroke::new(Ink::Muted, 1.0);
-        let mut lines: Vec<Vec<Point>> = vec![BASE.iter().chain([&BASE[0]]).map(|p| view.at(*p)).collect()];
+        let mut lines: Vec<Vec<Point>> =
+            vec![BASE.iter().chain([&BASE[0]]).map(|p| view.at(*p)).collect()];
         let ends = |v: &[f64]| [v[0], v[v.len() - 1]];
         let ranges = [ends(&self.plane.x), ends(&self.plane.y)];
         let corner = corner();
@@ -257,7 +276,13 @@ impl Surface {
             };
             canvas.text([x, y + LINE], &label, Style::new(anchor));
         }
-        let upright = |v: f64| view.at([corner[0], corner[1], HIGH * (v - self.least) / (self.most - self.least)]);
+        let upright = |v: f64| {
+            view.at([
+                corner[0],
+                corner[1],
+                HIGH * (v - self.least) / (self.most - self.least),
+            ])
+        };
         lines.push(vec![upright(self.least), upright(self.most)]);
         for tick in ticks::linear(self.least, self.most, 6) {
             let [x, y] = upright(tick.value);
@@ -285,11 +310,17 @@ impl Drawing for Surface {
         let cells = self.cells();
         let corner = corner();
         let base = BASE.into_iter().chain([[corner[0], corner[1], HIGH]]);
-        let view = View::new(inner, base.chain(cells.iter().flat_map(|(c, _)| c.iter().copied())));
+        let view = View::new(
+            inner,
+            base.chain(cells.iter().flat_map(|(c, _)| c.iter().copied())),
+        );
         self.axes(canvas, &view, area);
         let face = |(corners, mean): (Vec<[f64; 3]>, f64)| {
             let ring: Vec<Point> = corners.iter().map(|p| view.at(*p)).collect();
-            (ring, colours::value((mean - self.least) / (self.most - self.least)))
+            (
+                ring,
+                colours::value((mean - self.least) / (self.most - self.least)),
+            )
         };
         let faces: Vec<(Vec<Point>, colours::Rgb)> = cells.into_iter().map(face).collect();
         let hatched: Vec<Vec<Point>> = self
@@ -297,7 +328,10 @@ impl Drawing for Surface {
             .iter()
             .map(|l| l.iter().map(|p| view.at(*p)).collect())
             .collect();
-        canvas.faces(&faces, Stroke::new(Ink::Colour([255, 255, 255]), 0.5).opacity(0.4));
+        canvas.faces(
+            &faces,
+            Stroke::new(Ink::Colour([255, 255, 255]), 0.5).opacity(0.4),
+        );
         canvas.lines(&hatched, hatch::stroke());
     }
 }

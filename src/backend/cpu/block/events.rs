@@ -26,10 +26,14 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         self.put(self.layout.next_at, lane, T::of(at));
     }
 
-    /// Guards and levels within an accepted step; the status when the trajectory ends in it, with its last point in
-    /// `y` and `t`.
+    /// Guards and levels within an accepted step; the status when the trajectory ends in it, with
+    /// its last point in `y` and `t`.
     #[inline(always)]
-    pub(super) fn events<const FMA: bool>(&mut self, lane: usize, out: &mut Output<'_>) -> Option<Status> {
+    pub(super) fn events<const FMA: bool>(
+        &mut self,
+        lane: usize,
+        out: &mut Output<'_>,
+    ) -> Option<Status> {
         let (now, next) = (self.layout.now, self.layout.next);
         let mut most = T::of(1.0);
         let mut ended = None;
@@ -64,9 +68,14 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             self.next_level[lane] += stored;
             if stored > 0 && (!within || self.next_level[lane] == levels.len()) {
                 most = located[stored - 1];
-                // Steps may be long: a stored point outside the region ends the trajectory like a step's end there.
+                // Steps may be long: a stored point outside the region ends the trajectory like a
+                // step's end there.
                 let last = self.next_level[lane] == levels.len();
-                ended = Some(if last { Status::Reached } else { Status::LeftRegion });
+                ended = Some(if last {
+                    Status::Reached
+                } else {
+                    Status::LeftRegion
+                });
                 break;
             }
             if stored < count {
@@ -83,7 +92,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             self.put(next.t, lane, t);
             // A level that ends the trajectory is met by definition.
             if let (Some(Status::Reached), By::Component(c)) = (ended, by) {
-                self.put(next.y + c, lane, T::of(self.run.levels[self.run.levels.len() - 1]));
+                self.put(
+                    next.y + c,
+                    lane,
+                    T::of(self.run.levels[self.run.levels.len() - 1]),
+                );
             }
         }
         ended
@@ -107,8 +120,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         }
     }
 
-    /// The argument of the dense output at a fraction of the lane's step, and the factor before it: in a Taylor
-    /// polynomial both are the time.
+    /// The argument of the dense output at a fraction of the lane's step, and the factor before it:
+    /// in a Taylor polynomial both are the time.
     #[inline(always)]
     fn argument(&self, lane: usize, q: T) -> (T, T) {
         let time = q * self.h(lane);
@@ -125,14 +138,19 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         let (dim, degree) = (self.layout.dim, self.kernel.scheme.degree());
         for c in 0..dim {
             for m in 0..degree {
-                self.polynomials[c * degree + m] = self.frame[self.layout.dense + m * dim + c].0[lane];
+                self.polynomials[c * degree + m] =
+                    self.frame[self.layout.dense + m * dim + c].0[lane];
             }
         }
     }
 
     /// `p0 + z (p1 + z (p2 + ...))` of a component in hand, and its derivative.
     #[inline(always)]
-    fn polynomial<const FMA: bool, const N: usize>(&self, c: usize, z: &[T; N]) -> ([T; N], [T; N]) {
+    fn polynomial<const FMA: bool, const N: usize>(
+        &self,
+        c: usize,
+        z: &[T; N],
+    ) -> ([T; N], [T; N]) {
         let degree = self.kernel.scheme.degree();
         let p = &self.polynomials[c * degree..(c + 1) * degree];
         let (mut value, mut slope) = ([p[degree - 1]; N], [T::of(0.0); N]);
@@ -153,7 +171,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         }
         self.densify::<FMA>();
         let (z, factor) = self.argument(lane, q);
-        let (first, dim, degree) = (self.layout.dense + c, self.layout.dim, self.kernel.scheme.degree());
+        let (first, dim, degree) = (
+            self.layout.dense + c,
+            self.layout.dim,
+            self.kernel.scheme.degree(),
+        );
         let mut value = self.at(first + (degree - 1) * dim, lane);
         for m in (0..degree - 1).rev() {
             value = value.mul_add::<FMA>(z, self.at(first + m * dim, lane));
@@ -161,10 +183,16 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         value.mul_add::<FMA>(factor, self.at(self.layout.now.y + c, lane))
     }
 
-    /// Fractions of the step at which the coordinate takes some values, by Newton's method kept within brackets. Leaves
-    /// the lane's dense output in hand.
+    /// Fractions of the step at which the coordinate takes some values, by Newton's method kept
+    /// within brackets. Leaves the lane's dense output in hand.
     #[inline(always)]
-    fn locate<const FMA: bool>(&mut self, lane: usize, levels: [T; AT_ONCE], start: T, end: T) -> [T; AT_ONCE] {
+    fn locate<const FMA: bool>(
+        &mut self,
+        lane: usize,
+        levels: [T; AT_ONCE],
+        start: T,
+        end: T,
+    ) -> [T; AT_ONCE] {
         let (zero, one) = (T::of(0.0), T::of(1.0));
         let mut q: [T; AT_ONCE] = std::array::from_fn(|j| {
             let guess = (levels[j] - start) / (end - start);
@@ -179,7 +207,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         };
         let h = self.h(lane);
         let (mut lo, mut hi) = ([zero; AT_ONCE], [one; AT_ONCE]);
-        // A root at a bracket's end may be missed by rounding; halving the bracket then would lead away from it.
+        // A root at a bracket's end may be missed by rounding; halving the bracket then would lead
+        // away from it.
         let slack = T::of(4.0 * T::EPSILON);
         for _ in 0..30 {
             let mut z = q;
@@ -198,7 +227,11 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
                 lo[j] = if above { lo[j] } else { q[j] };
                 let newton = q[j] - residual / slope;
                 let inside = (newton >= lo[j] - slack) & (newton <= hi[j] + slack);
-                let next = if inside { newton } else { T::of(0.5) * (lo[j] + hi[j]) };
+                let next = if inside {
+                    newton
+                } else {
+                    T::of(0.5) * (lo[j] + hi[j])
+                };
                 // The end of the step is found without a search.
                 let next = if levels[j] >= end { one } else { next };
                 let change = (next - q[j]).absolute();
@@ -212,8 +245,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         q
     }
 
-    /// Stores the points at fractions of the step whose dense output is in hand, up to the first one outside the region;
-    /// how many, and whether all are within it.
+    /// Stores the points at fractions of the step whose dense output is in hand, up to the first
+    /// one outside the region; how many, and whether all are within it.
     #[inline(always)]
     fn store_samples<const FMA: bool>(
         &self,

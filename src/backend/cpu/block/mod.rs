@@ -1,5 +1,6 @@
-//! The integrator on a block of lanes. A lane whose trajectory ends takes the next one from the queue, so lanes do not
-//! wait for each other; what a lane computes depends on its own trajectory alone.
+//! The integrator on a block of lanes. A lane whose trajectory ends takes the next one from the
+//! queue, so lanes do not wait for each other; what a lane computes depends on its own trajectory
+//! alone.
 //!
 //! `shaders/block.wgsl` mirrors this room.
 
@@ -30,13 +31,16 @@ impl Compiled {
     /// `compile`: to machine code, where the machine allows it.
     pub fn new(spec: &Spec, scheme: Scheme, variant: Variant, compile: bool, width: usize) -> Self {
         let layout = Layout::new(spec, scheme);
-        let routine =
-            |record: &dyn Fn(&mut super::code::Recorder)| Routine::new(compile, spec.precision, width, record);
+        let routine = |record: &dyn Fn(&mut super::code::Recorder)| {
+            Routine::new(compile, spec.precision, width, record)
+        };
         Self {
             start: routine(&|r| steps::start(r, spec, &layout, variant)),
             step: routine(&|r| steps::step(r, spec, &layout, scheme, variant)),
             dense: match scheme {
-                Scheme::RungeKutta(tableau) => Some(routine(&|r| steps::dense(r, spec, &layout, tableau))),
+                Scheme::RungeKutta(tableau) => {
+                    Some(routine(&|r| steps::dense(r, spec, &layout, tableau)))
+                }
                 Scheme::Taylor(_) => None,
             },
             moving: (0..spec.dim()).filter(|c| !spec.is_constant(*c)).collect(),
@@ -61,14 +65,19 @@ pub struct Output<'a> {
 struct Queue<'a, T> {
     seeds: &'a [f64],
     dim: usize,
-    /// `[trajectory][derivative of what moves, kinks, squares of size and speed in units of the tolerance]`.
+    /// `[trajectory][derivative of what moves, kinks, squares of size and speed in units of the
+    /// tolerance]`.
     starts: Vec<T>,
     width: usize,
     next: usize,
 }
 
 impl<'a, T: Real> Queue<'a, T> {
-    fn new<const W: usize, const FMA: bool>(kernel: &Compiled, parameters: &[T], seeds: &'a [f64]) -> Self {
+    fn new<const W: usize, const FMA: bool>(
+        kernel: &Compiled,
+        parameters: &[T],
+        seeds: &'a [f64],
+    ) -> Self {
         let layout = &kernel.layout;
         let dim = layout.dim;
         let count = seeds.len() / dim;
@@ -116,8 +125,8 @@ impl<'a, T: Real> Queue<'a, T> {
     }
 }
 
-/// Everything a block works on. Steps of all lanes, and what follows from them, are one piece of vector code; only lanes
-/// to which something happens (a level, an end) are looked at singly.
+/// Everything a block works on. Steps of all lanes, and what follows from them, are one piece of
+/// vector code; only lanes to which something happens (a level, an end) are looked at singly.
 struct Block<'a, T, const W: usize> {
     kernel: &'a Compiled,
     run: &'a Run,
@@ -163,7 +172,9 @@ pub fn integrate<T: Real, const W: usize, const FMA: bool>(
     let mut rounds = 0;
     while active > 0 {
         rounds += 1;
-        block.frame.copy_within(layout.next.y..layout.next.end, layout.now.y);
+        block
+            .frame
+            .copy_within(layout.next.y..layout.next.end, layout.now.y);
         step.run::<FMA>(&mut block.frame);
         block.densified = false;
         for lane in 0..W {
@@ -198,8 +209,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         self.at(self.layout.h, lane)
     }
 
-    /// Puts the next trajectory of the queue that has a way to go into a lane; false where there is none, and the lane
-    /// idles.
+    /// Puts the next trajectory of the queue that has a way to go into a lane; false where there is
+    /// none, and the lane idles.
     fn refill(&mut self, lane: usize, queue: &mut Queue<'_, T>, out: &mut Output<'_>) -> bool {
         while let Some(i) = queue.take() {
             match self.place(lane, i, queue) {
@@ -238,7 +249,12 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             By::Time => T::of(0.0),
             By::Component(c) => self.at(next.y + c, lane),
         };
-        self.next_level[lane] = self.run.levels.iter().take_while(|l| T::of(**l) <= coordinate).count();
+        self.next_level[lane] = self
+            .run
+            .levels
+            .iter()
+            .take_while(|l| T::of(**l) <= coordinate)
+            .count();
         self.expect_level(lane);
         let (size, speed) = (start[queue.width - 2].f64(), start[queue.width - 1].f64());
         if !speed.is_finite() {
@@ -271,11 +287,17 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             Scheme::Taylor(_) => control::SHARE,
         };
         let first = share * (size / speed).sqrt();
-        // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the step limit.
-        if first.is_finite() && first > 0.0 { first } else { share }
+        // At rest there is nothing to follow, but a finite step keeps the arithmetic going to the
+        // step limit.
+        if first.is_finite() && first > 0.0 {
+            first
+        } else {
+            share
+        }
     }
 
-    /// What happens in the step of one lane: events, samples, end of the trajectory. True when the lane is free.
+    /// What happens in the step of one lane: events, samples, end of the trajectory. True when the
+    /// lane is free.
     #[inline(always)]
     fn settle<const FMA: bool>(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
         let (now, next) = (self.layout.now, self.layout.next);
@@ -317,7 +339,8 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     fn out_of_steps(&mut self, lane: usize, out: &mut Output<'_>) -> bool {
         let next = self.layout.next;
         let count = self.at(next.steps, lane).f64() + self.at(next.rejected, lane).f64();
-        count >= f64::from(self.run.max_steps).min(0.5 / T::EPSILON) && self.finish(lane, Status::StepLimit, out)
+        count >= f64::from(self.run.max_steps).min(0.5 / T::EPSILON)
+            && self.finish(lane, Status::StepLimit, out)
     }
 
     /// Writes a lane's result; the lane is then free.

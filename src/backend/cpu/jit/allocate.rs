@@ -1,4 +1,5 @@
-//! Registers for straight-line code: what is needed furthest in the future goes to memory (Belady 1966).
+//! Registers for straight-line code: what is needed furthest in the future goes to memory (Belady
+//! 1966).
 
 use super::assembler::{Assembler, Base, Form, Operand, Register, VECTOR};
 use crate::backend::cpu::code::{Fused, Op, Value};
@@ -153,10 +154,16 @@ impl Allocator<'_> {
         let all = [a, b, c];
         let inside = |this: &Self, v: Value| this.register[v as usize].is_some();
         let dies = |this: &Self, v: Value| this.uses[v as usize].iter().all(|u| *u == i as u32);
-        // Prefer to replace a value that ends here and is in a register; else one to be loaded for this alone.
+        // Prefer to replace a value that ends here and is in a register; else one to be loaded for
+        // this alone.
         let replaced = (all.iter().position(|v| inside(self, *v) && dies(self, *v)))
             .or_else(|| all.iter().position(|v| !inside(self, *v)));
-        let rest = |k: usize| all.iter().enumerate().filter(move |(j, _)| *j != k).map(|(_, v)| *v);
+        let rest = |k: usize| {
+            all.iter()
+                .enumerate()
+                .filter(move |(j, _)| *j != k)
+                .map(|(_, v)| *v)
+        };
         let k = replaced.unwrap_or(2);
         let others: Vec<Value> = rest(k).collect();
         // The other operand that stays in memory.
@@ -177,7 +184,10 @@ impl Allocator<'_> {
                 r
             } else {
                 // The copy must not replace an operand that ends here.
-                let busy: Vec<Register> = [Some(r), Some(rv), register_of(om)].into_iter().flatten().collect();
+                let busy: Vec<Register> = [Some(r), Some(rv), register_of(om)]
+                    .into_iter()
+                    .flatten()
+                    .collect();
                 let to = self.fresh(&busy, i);
                 self.asm.copy(to, Operand::Register(r));
                 to
@@ -206,7 +216,10 @@ impl Allocator<'_> {
         if let Some(r) = self.register[v as usize] {
             return r;
         }
-        let busy: Vec<Register> = keep.iter().filter_map(|k| self.register[*k as usize]).collect();
+        let busy: Vec<Register> = keep
+            .iter()
+            .filter_map(|k| self.register[*k as usize])
+            .collect();
         let r = self.room(&busy);
         let from = self.home(v);
         self.asm.copy(r, from);
@@ -220,9 +233,17 @@ impl Allocator<'_> {
         if let Some(r) = self.register[v as usize] {
             return Operand::Register(r);
         }
-        let again = self.uses[v as usize].iter().rev().nth(1).copied().unwrap_or(NEVER);
+        let again = self.uses[v as usize]
+            .iter()
+            .rev()
+            .nth(1)
+            .copied()
+            .unwrap_or(NEVER);
         let worth = again != NEVER && {
-            let busy: Vec<Register> = keep.iter().filter_map(|k| self.register[*k as usize]).collect();
+            let busy: Vec<Register> = keep
+                .iter()
+                .filter_map(|k| self.register[*k as usize])
+                .collect();
             let (_, next) = self.victim(&busy);
             // A longer wait than the one evicted would have is not worth a load.
             next > again

@@ -67,7 +67,16 @@ impl Assembler {
 
     /// A 256-bit VEX instruction: `opcode reg, vvvv, operand`.
     #[allow(clippy::too_many_arguments)] // the fields of an encoding
-    fn vex(&mut self, map: Map, pp: u8, wide: bool, opcode: u8, reg: u8, vvvv: u8, operand: Operand) {
+    fn vex(
+        &mut self,
+        map: Map,
+        pp: u8,
+        wide: bool,
+        opcode: u8,
+        reg: u8,
+        vvvv: u8,
+        operand: Operand,
+    ) {
         let rm = match operand {
             Operand::Register(r) => r,
             Operand::Memory(..) => 0,
@@ -78,7 +87,8 @@ impl Assembler {
             self.bytes.extend([0xC5, u8::from(r) << 7 | second]);
         } else {
             let first = u8::from(r) << 7 | 1 << 6 | u8::from(b) << 5 | map as u8;
-            self.bytes.extend([0xC4, first, u8::from(wide) << 7 | second]);
+            self.bytes
+                .extend([0xC4, first, u8::from(wide) << 7 | second]);
         }
         self.bytes.push(opcode);
         let reg = (reg & 7) << 3;
@@ -146,7 +156,15 @@ impl Assembler {
     pub fn shift(&mut self, left: bool, to: Register, a: Register, by: u32) {
         let opcode = if self.double { 0x73 } else { 0x72 };
         let extension = if left { 6 } else { 2 };
-        self.vex(Map::M0F, 1, false, opcode, extension, to, Operand::Register(a));
+        self.vex(
+            Map::M0F,
+            1,
+            false,
+            opcode,
+            extension,
+            to,
+            Operand::Register(a),
+        );
         self.bytes.push(by as u8);
     }
 
@@ -167,7 +185,15 @@ impl Assembler {
     }
 
     pub fn store(&mut self, from: Register, base: Base, offset: i32) {
-        self.vex(Map::M0F, 0, false, 0x11, from, 0, Operand::Memory(base, offset));
+        self.vex(
+            Map::M0F,
+            0,
+            false,
+            0x11,
+            from,
+            0,
+            Operand::Memory(base, offset),
+        );
     }
 
     /// Ends a loop that began with the first byte: the frame moves by `bytes`, rdx counts down.

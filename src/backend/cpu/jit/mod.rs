@@ -1,5 +1,6 @@
-//! Just-in-time compilation of straight-line vector code for AVX2 and FMA: a whole step of a scene's equations becomes
-//! machine code that keeps its values in registers, where an interpreter would move each of them through memory.
+//! Just-in-time compilation of straight-line vector code for AVX2 and FMA: a whole step of a
+//! scene's equations becomes machine code that keeps its values in registers, where an interpreter
+//! would move each of them through memory.
 
 mod allocate;
 mod assembler;
@@ -12,7 +13,8 @@ use allocate::Layout;
 use assembler::VECTOR;
 use memmap2::{Mmap, MmapMut};
 
-/// Operations above which code is not compiled: it would no longer fit the caches that instructions come from.
+/// Operations above which code is not compiled: it would no longer fit the caches that instructions
+/// come from.
 pub const MOST_OPERATIONS: usize = 200_000;
 
 /// A vector's bytes.
@@ -43,8 +45,8 @@ pub struct Machine<'a> {
 }
 
 impl Executable {
-    /// Compiles what was recorded for frames of `width` lanes; `None` where the machine lacks AVX2 or FMA or forbids
-    /// executable memory, or where the code would be too long.
+    /// Compiles what was recorded for frames of `width` lanes; `None` where the machine lacks AVX2
+    /// or FMA or forbids executable memory, or where the code would be too long.
     pub fn new(recorder: Recorder, precision: Precision, width: usize) -> Option<Self> {
         if !is_x86_feature_detected!("avx2") || !is_x86_feature_detected!("fma") {
             return None;
@@ -92,7 +94,10 @@ impl Executable {
     /// # Panics
     /// When there are not as many as were recorded.
     pub fn machine<T: Real>(&self, parameters: &[T]) -> Machine<'_> {
-        assert!(parameters.len() >= self.parameters, "parameters are missing");
+        assert!(
+            parameters.len() >= self.parameters,
+            "parameters are missing"
+        );
         let mut pool = self.pool.clone();
         for (to, p) in pool.iter_mut().zip(&parameters[..self.parameters]) {
             let bits = match self.precision {
@@ -121,12 +126,15 @@ impl Machine<'_> {
         let e = self.executable;
         assert!(frame.len() >= e.slots, "the frame is too short");
         assert!(
-            W == e.width && size_of::<T>() == e.precision.bytes() && size_of::<Lanes<T, W>>() == W * size_of::<T>(),
+            W == e.width
+                && size_of::<T>() == e.precision.bytes()
+                && size_of::<Lanes<T, W>>() == W * size_of::<T>(),
             "a frame of another kind"
         );
-        // SAFETY: the code is ours (its address is that of a live executable mapping), it reads and writes the frame's
-        // slots below `slots` (asserted), the pool and the spills, each as long as it was compiled for; the processor
-        // has the instructions (checked when it was compiled).
+        // SAFETY: the code is ours (its address is that of a live executable mapping), it reads and
+        // writes the frame's slots below `slots` (asserted), the pool and the spills, each as long
+        // as it was compiled for; the processor has the instructions (checked when it was
+        // compiled).
         unsafe {
             let code: extern "sysv64" fn(*mut Lanes<T, W>, *const Vector, usize, *mut Vector) =
                 std::mem::transmute(e.code.as_ptr());

@@ -23,7 +23,9 @@ fn instruction(kind: u8, at: impl Fn(u32) -> u32, a: u32, b: u32, c: u32) -> Ins
         19 => Instr::Max(a, b),
         20 => Instr::Const(f64::from(a) * 0.37 - f64::from(b) * 0.11),
         k => {
-            let functions = [Sin, Cos, Exp, Expm1, Log, Log1p, Atan, Sqrt, Abs, Sign, Step];
+            let functions = [
+                Sin, Cos, Exp, Expm1, Log, Log1p, Atan, Sqrt, Abs, Sign, Step,
+            ];
             Instr::Call(functions[usize::from(k - 21) % functions.len()], a)
         }
     }
@@ -32,19 +34,34 @@ fn instruction(kind: u8, at: impl Fn(u32) -> u32, a: u32, b: u32, c: u32) -> Ins
 /// Any straight-line program, long enough that values find no register.
 fn program() -> impl Strategy<Value = Program> {
     let instr = (0u8..32, any::<u32>(), any::<u32>(), any::<u32>());
-    (1usize..8, proptest::collection::vec(instr, 1..300), 1usize..40).prop_map(|(inputs, list, outputs)| {
-        let mut code: Vec<Instr> = (0..inputs as u32).map(Instr::Input).collect();
-        for (kind, a, b, c) in list {
-            let next = code.len() as u32;
-            code.push(instruction(kind, |k| k % next, a, b, c));
-        }
-        let end = code.len();
-        let outputs = (end.saturating_sub(outputs)..end).map(|v| v as u32).collect();
-        Program { inputs, code, outputs }
-    })
+    (
+        1usize..8,
+        proptest::collection::vec(instr, 1..300),
+        1usize..40,
+    )
+        .prop_map(|(inputs, list, outputs)| {
+            let mut code: Vec<Instr> = (0..inputs as u32).map(Instr::Input).collect();
+            for (kind, a, b, c) in list {
+                let next = code.len() as u32;
+                code.push(instruction(kind, |k| k % next, a, b, c));
+            }
+            let end = code.len();
+            let outputs = (end.saturating_sub(outputs)..end)
+                .map(|v| v as u32)
+                .collect();
+            Program {
+                inputs,
+                code,
+                outputs,
+            }
+        })
 }
 
-fn agree<T: Real>(program: &Program, precision: Precision, points: &[f64]) -> Result<(), TestCaseError> {
+fn agree<T: Real>(
+    program: &Program,
+    precision: Precision,
+    points: &[f64],
+) -> Result<(), TestCaseError> {
     let (inputs, outputs) = (program.inputs, program.outputs.len());
     let mut recorder = Recorder::new(precision, true);
     let loaded = recorder.loads(0..inputs);
@@ -67,8 +84,14 @@ fn agree<T: Real>(program: &Program, precision: Precision, points: &[f64]) -> Re
         let want = T::With::<true>::default().program(program, &point);
         for (k, want) in want.iter().enumerate() {
             let got = frame[inputs + k].0[i];
-            let same = got.f64().to_bits() == want.f64().to_bits() || (got.f64().is_nan() && want.f64().is_nan());
-            prop_assert!(same, "output {k}, lane {i}: {} for {}", got.f64(), want.f64());
+            let same = got.f64().to_bits() == want.f64().to_bits()
+                || (got.f64().is_nan() && want.f64().is_nan());
+            prop_assert!(
+                same,
+                "output {k}, lane {i}: {} for {}",
+                got.f64(),
+                want.f64()
+            );
         }
     }
     Ok(())

@@ -37,7 +37,11 @@ impl Emitter<'_> {
                 .collect();
             format!("Vector({})", components.join(", "))
         };
-        let _ = writeln!(text, "fn load_seed(i: u32) -> Vector {{\n    return {};\n}}", vector(0));
+        let _ = writeln!(
+            text,
+            "fn load_seed(i: u32) -> Vector {{\n    return {};\n}}",
+            vector(0)
+        );
         let (y, k) = (vector(0), vector(self.dim));
         let kinks = kinks(self.spec);
         let scalar = |k: usize| format!("state[i + {}u * control.stride]", 2 * self.dim + k);
@@ -46,7 +50,12 @@ impl Emitter<'_> {
         let mut remembered = String::new();
         if kinks > 0 {
             let sides: Vec<String> = (0..kinks).map(|g| scalar(SCALARS + 1 + g)).collect();
-            let _ = write!(remembered, ", {}, Sides({})", scalar(SCALARS), sides.join(", "));
+            let _ = write!(
+                remembered,
+                ", {}, Sides({})",
+                scalar(SCALARS),
+                sides.join(", ")
+            );
         }
         if self.legs.is_some() {
             let _ = write!(remembered, ", {}, {}", counter(4), counter(5));
@@ -75,7 +84,10 @@ impl Emitter<'_> {
         }
         let _ = writeln!(text, "    if (!({going})) {{");
         for c in 0..self.dim {
-            let _ = writeln!(text, "        ends[i + {c}u * control.stride] = lane.y.c{c};");
+            let _ = writeln!(
+                text,
+                "        ends[i + {c}u * control.stride] = lane.y.c{c};"
+            );
         }
         let _ = writeln!(
             text,
@@ -84,7 +96,11 @@ impl Emitter<'_> {
         );
         for c in 0..self.dim {
             let _ = writeln!(text, "    state[i + {c}u * control.stride] = lane.y.c{c};");
-            let _ = writeln!(text, "    state[i + {}u * control.stride] = lane.k.c{c};", self.dim + c);
+            let _ = writeln!(
+                text,
+                "    state[i + {}u * control.stride] = lane.k.c{c};",
+                self.dim + c
+            );
         }
         for (k, field) in ["lane.t", "lane.h", "real(lane.before)", "lane.first_step"]
             .iter()
@@ -112,7 +128,8 @@ impl Emitter<'_> {
     pub(super) fn law(&self, Law { states: n, last }: Law, text: &mut String) {
         let mut place: Vec<String> = (0..n).map(|i| format!("y.c{i}")).collect();
         if let Some(last) = last {
-            // Over a period p of V(x, t) changes with time too: that of its middle errs only to the second order of the period.
+            // Over a period p of V(x, t) changes with time too: that of its middle errs only to the
+            // second order of the period.
             let middle = format!("(real(leg) + {}) * run.last", self.number(0.5));
             place.push(format!("min({middle}, {})", self.number(last)));
         }
@@ -133,7 +150,9 @@ impl Emitter<'_> {
         );
         let mut entry = 2 * n;
         for i in 0..n {
-            let terms: Vec<String> = (0..n).map(|j| format!("said.h[{}] * s.c{j}", pair(i, j))).collect();
+            let terms: Vec<String> = (0..n)
+                .map(|j| format!("said.h[{}] * s.c{j}", pair(i, j)))
+                .collect();
             let _ = writeln!(
                 text,
                 "    (*lane).y.c{} = said.p[{i}] - ({});",
@@ -148,7 +167,11 @@ impl Emitter<'_> {
         let first = state(self.spec);
         let _ = writeln!(text, "}}\nfn save_begin(i: u32, y: Vector) {{");
         for c in 0..self.dim {
-            let _ = writeln!(text, "    state[i + {}u * control.stride] = y.c{c};", first + c);
+            let _ = writeln!(
+                text,
+                "    state[i + {}u * control.stride] = y.c{c};",
+                first + c
+            );
         }
         let _ = writeln!(text, "}}\nfn trace(at: u32, y: Vector, v: real) {{");
         for c in 0..self.dim {

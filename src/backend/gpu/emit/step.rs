@@ -7,8 +7,13 @@ use std::fmt::Write;
 
 impl Emitter<'_> {
     pub(super) fn step_structure(&self, text: &mut String) {
-        let stages: String = (1..self.tableau.stages()).map(|s| format!(" k{s}: Vector,")).collect();
-        let _ = writeln!(text, "// New point, derivatives at the stages, squared error.");
+        let stages: String = (1..self.tableau.stages())
+            .map(|s| format!(" k{s}: Vector,"))
+            .collect();
+        let _ = writeln!(
+            text,
+            "// New point, derivatives at the stages, squared error."
+        );
         let _ = writeln!(text, "struct Step {{ y: Vector,{stages} error: real, }}");
     }
 
@@ -32,7 +37,10 @@ impl Emitter<'_> {
 
     pub(super) fn attempt(&self, text: &mut String) {
         let stages = self.tableau.stages();
-        let _ = writeln!(text, "fn attempt(y: Vector, k0: Vector, h: real, run: Run) -> Step {{");
+        let _ = writeln!(
+            text,
+            "fn attempt(y: Vector, k0: Vector, h: real, run: Run) -> Step {{"
+        );
         for s in 1..stages {
             let last = s + 1 == stages;
             // Components that no derivative depends on are needed only at the end of the step.
@@ -42,7 +50,11 @@ impl Emitter<'_> {
                 let _ = writeln!(text, "    let y{s}_{c} = y.c{c} + h * ({sum});");
             }
             let arguments: Vec<String> = (0..self.inputs).map(|c| format!("y{s}_{c}")).collect();
-            let _ = writeln!(text, "    let k{s} = rate(Inputs({}));", arguments.join(", "));
+            let _ = writeln!(
+                text,
+                "    let k{s} = rate(Inputs({}));",
+                arguments.join(", ")
+            );
         }
         let last = stages - 1;
         let new: Vec<String> = (0..self.dim).map(|c| format!("y{last}_{c}")).collect();
@@ -57,11 +69,17 @@ impl Emitter<'_> {
             }
             let squares: Vec<String> = (0..self.dim).map(|c| format!("e{c} * e{c}")).collect();
             let share = self.number(1.0 / self.dim as f64);
-            let _ = writeln!(text, "    let square = ({}) * {share};", squares.join(" + "));
+            let _ = writeln!(
+                text,
+                "    let square = ({}) * {share};",
+                squares.join(" + ")
+            );
             self.companion(text, last, &share);
         } else {
             // Only whether it is finite matters.
-            let terms: Vec<String> = (0..self.dim).map(|c| format!("y{last}_{c} + k{last}.c{c}")).collect();
+            let terms: Vec<String> = (0..self.dim)
+                .map(|c| format!("y{last}_{c} + k{last}.c{c}"))
+                .collect();
             let _ = writeln!(text, "    let error = {};", terms.join(" + "));
         }
         let _ = writeln!(
@@ -72,7 +90,8 @@ impl Emitter<'_> {
         );
     }
 
-    /// The squared error, from the estimate's mean square and that of the companion where there is one.
+    /// The squared error, from the estimate's mean square and that of the companion where there is
+    /// one.
     fn companion(&self, text: &mut String, last: usize, share: &str) {
         if self.tableau.companion.is_empty() {
             let _ = writeln!(text, "    let error = square;");
@@ -95,7 +114,8 @@ impl Emitter<'_> {
         );
     }
 
-    /// The dense output: polynomials in the fraction of the step, made once for all points wanted in it.
+    /// The dense output: polynomials in the fraction of the step, made once for all points wanted
+    /// in it.
     pub(super) fn dense(&self, text: &mut String) {
         let (tableau, degree) = (self.tableau, self.tableau.degree());
         let names = |f: &dyn Fn(usize) -> String| (0..degree).map(f).collect::<Vec<_>>();
@@ -116,14 +136,22 @@ impl Emitter<'_> {
                 let _ = writeln!(text, "    let y{s}_{c} = y.c{c} + h * ({sum});");
             }
             let arguments: Vec<String> = (0..self.inputs).map(|c| format!("y{s}_{c}")).collect();
-            let _ = writeln!(text, "    let k{s} = rate(Inputs({}));", arguments.join(", "));
+            let _ = writeln!(
+                text,
+                "    let k{s} = rate(Inputs({}));",
+                arguments.join(", ")
+            );
         }
         let (zero, mut of) = (self.number(0.0), Vec::new());
         for c in 0..self.dim {
             let parts: Vec<String> = (0..degree)
                 .map(|i| {
                     let weights: Vec<f64> = tableau.dense.iter().map(|d| d[i]).collect();
-                    let _ = writeln!(text, "    let f{i}_{c}: real = {};", self.combination(&weights, c));
+                    let _ = writeln!(
+                        text,
+                        "    let f{i}_{c}: real = {};",
+                        self.combination(&weights, c)
+                    );
                     format!("f{i}_{c}")
                 })
                 .collect();
@@ -153,21 +181,30 @@ impl Emitter<'_> {
         });
         let _ = writeln!(text, "    return Dense({});\n}}", vectors.join(", "));
         let horner = |c: usize| {
-            (0..degree - 1).rev().fold(format!("d.d{}.c{c}", degree - 1), |acc, m| {
-                format!("d.d{m}.c{c} + q * ({acc})")
-            })
+            (0..degree - 1)
+                .rev()
+                .fold(format!("d.d{}.c{c}", degree - 1), |acc, m| {
+                    format!("d.d{m}.c{c} + q * ({acc})")
+                })
         };
         let _ = writeln!(
             text,
             "fn interpolate(y: Vector, d: Dense, step: Step, h: real, q: real) -> Vector {{\n    if (q == 1.0) {{\n        \
              return step.y;\n    }}\n    let s = q * h;"
         );
-        let components: Vec<String> = (0..self.dim).map(|c| format!("y.c{c} + s * ({})", horner(c))).collect();
+        let components: Vec<String> = (0..self.dim)
+            .map(|c| format!("y.c{c} + s * ({})", horner(c)))
+            .collect();
         let _ = writeln!(text, "    return Vector({});\n}}", components.join(", "));
         if let By::Component(c) = self.spec.by {
             let slope = (0..degree - 1).rev().fold(
                 format!("{} * d.d{}.c{c}", self.number(degree as f64), degree - 1),
-                |acc, m| format!("{} * d.d{m}.c{c} + q * ({acc})", self.number((m + 1) as f64)),
+                |acc, m| {
+                    format!(
+                        "{} * d.d{m}.c{c} + q * ({acc})",
+                        self.number((m + 1) as f64)
+                    )
+                },
             );
             let _ = writeln!(
                 text,
@@ -204,7 +241,10 @@ impl Emitter<'_> {
             "fn coordinate(y: Vector, t: real) -> real {{\n    return {coordinate};\n}}"
         );
         let sum = list(self.dim, &|c| format!("y.c{c}"), " + ");
-        let _ = writeln!(text, "fn total(y: Vector) -> real {{\n    return {sum};\n}}");
+        let _ = writeln!(
+            text,
+            "fn total(y: Vector) -> real {{\n    return {sum};\n}}"
+        );
         if self.tableau.adaptive() {
             let _ = writeln!(
                 text,
@@ -222,7 +262,11 @@ impl Emitter<'_> {
                 text,
                 "    let most = {most};\n    let unit = select(most, 1.0, most == 0.0);"
             );
-            let squares = list(self.dim, &|c| format!("(n{c} / unit) * (n{c} / unit)"), " + ");
+            let squares = list(
+                self.dim,
+                &|c| format!("(n{c} / unit) * (n{c} / unit)"),
+                " + ",
+            );
             let _ = writeln!(text, "    return unit * sqrt({squares});\n}}");
         }
         if self.variant.bounds > 0 {

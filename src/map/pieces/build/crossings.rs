@@ -1,12 +1,13 @@
-//! Several sheets in a cell: where one of them ends although it is lower than the others, and how well it is known where two
-//! of them cost the same.
+//! Several sheets in a cell: where one of them ends although it is lower than the others, and how
+//! well it is known where two of them cost the same.
 
 use super::super::{BLEND, MOST_VARIABLES};
 use super::{BEYOND_OF_SEVERAL, Block, Builder, Piece};
 
 /// Places a side of a grid over a cell, by number of variables.
 const A_SIDE: [usize; MOST_VARIABLES + 1] = [1, 65, 33, 9, 5, 3, 3];
-/// How far beyond the extent of its points a sheet's polynomial tells whether it goes on there, in half widths.
+/// How far beyond the extent of its points a sheet's polynomial tells whether it goes on there, in
+/// half widths.
 const GOES_ON: f64 = 0.3;
 /// States that are asked for where a sheet ends.
 const MOST_ENDS: usize = 8;
@@ -22,8 +23,9 @@ struct Told {
 }
 
 impl Builder<'_> {
-    /// Places where a sheet has ended, by its points, while it was lower than all others: V is continuous, so it goes on there, or
-    /// one that is not known begins. With the most that V would jump, relative to itself.
+    /// Places where a sheet has ended, by its points, while it was lower than all others: V is
+    /// continuous, so it goes on there, or one that is not known begins. With the most that V would
+    /// jump, relative to itself.
     pub(super) fn ends(&self, block: &Block, pieces: &[Piece]) -> (Vec<f64>, f64) {
         let (mut places, mut jump) = (Vec::new(), 0.0f64);
         if pieces.len() < 2 || self.region.game || self.without.is_some() {
@@ -61,15 +63,17 @@ impl Builder<'_> {
         (some, jump)
     }
 
-    /// How far the surface on which the two lowest sheets of a block cost the same may be from where it is said to be, over the
-    /// distance asked for.
+    /// How far the surface on which the two lowest sheets of a block cost the same may be from
+    /// where it is said to be, over the distance asked for.
     pub(super) fn excess_of_surface(&self, block: &Block, pieces: &[Piece]) -> f64 {
         let asked = self.region.equal_cost;
-        if pieces.len() < 2 || asked == f64::INFINITY || self.region.game || self.without.is_some() {
+        if pieces.len() < 2 || asked == f64::INFINITY || self.region.game || self.without.is_some()
+        {
             return 0.0;
         }
         let n = self.cloud.variables;
-        let spacing = |i: usize| (1.0 + BLEND) * (block.hi[i] - block.lo[i]) / (A_SIDE[n] - 1) as f64;
+        let spacing =
+            |i: usize| (1.0 + BLEND) * (block.hi[i] - block.lo[i]) / (A_SIDE[n] - 1) as f64;
         let mut excess = 0.0f64;
         // Cells beside this one are blended with it a little beyond its faces.
         for z in self.grid(block, BLEND) {
@@ -78,7 +82,9 @@ impl Builder<'_> {
                 .filter(|told| told.outside <= 0.0)
                 .collect();
             known.sort_by(|a, b| a.v.total_cmp(&b.v));
-            let [a, b, ..] = known.as_slice() else { continue };
+            let [a, b, ..] = known.as_slice() else {
+                continue;
+            };
             let jump: Vec<f64> = (0..n).map(|i| b.q[i] - a.q[i]).collect();
             let within: f64 = (0..n).map(|i| jump[i].abs() * spacing(i)).sum();
             if b.v - a.v > within || a.v > self.region.value_max {
@@ -91,7 +97,12 @@ impl Builder<'_> {
     }
 
     /// The same of pieces that are not finished.
-    pub(super) fn excess_of_unfinished(&self, block: &Block, each: &[(Piece, f64)], groups: &[Vec<u32>]) -> f64 {
+    pub(super) fn excess_of_unfinished(
+        &self,
+        block: &Block,
+        each: &[(Piece, f64)],
+        groups: &[Vec<u32>],
+    ) -> f64 {
         if self.region.equal_cost == f64::INFINITY {
             return 0.0;
         }

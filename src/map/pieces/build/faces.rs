@@ -4,9 +4,11 @@ use super::super::{MOST_VARIABLES, Pieces};
 use super::{Builder, Built};
 use rayon::prelude::*;
 
-/// Places on a face, in shares of the cell's width along its other axes: its middle, and towards two opposite corners.
+/// Places on a face, in shares of the cell's width along its other axes: its middle, and towards
+/// two opposite corners.
 const PLACES: [f64; 3] = [0.5, 0.15, 0.85];
-/// One of two is right, and the other wrong, where it is so many times nearer to what the nearest point says.
+/// One of two is right, and the other wrong, where it is so many times nearer to what the nearest
+/// point says.
 const CLEARLY: f64 = 5.0;
 
 /// Two cells whose only pieces differ by more than their bounds where they meet.
@@ -40,12 +42,16 @@ impl Pieces {
                         if face % 2 == 0 && self.are_level(cell, beside, face / 2) {
                             continue;
                         }
-                        let Some(other) = self.alone(beside) else { continue };
-                        met.extend(self.difference(piece, other, &z[..n]).map(|(v, off)| Disagreement {
-                            cells: [cell, beside],
-                            z,
-                            v,
-                            off,
+                        let Some(other) = self.alone(beside) else {
+                            continue;
+                        };
+                        met.extend(self.difference(piece, other, &z[..n]).map(|(v, off)| {
+                            Disagreement {
+                                cells: [cell, beside],
+                                z,
+                                v,
+                                off,
+                            }
                         }));
                     }
                 }
@@ -78,12 +84,17 @@ impl Pieces {
         }
         let (axis, upper) = (face / 2, face % 2 == 1);
         let beyond = BEYOND * (hi[axis] - lo[axis]);
-        z[axis] = if upper { hi[axis] + beyond } else { lo[axis] - beyond };
+        z[axis] = if upper {
+            hi[axis] + beyond
+        } else {
+            lo[axis] - beyond
+        };
         let inside = (0.0..1.0).contains(&z[axis]) && self.covers(&self.frame.state(&z[..n]));
         inside.then_some(z)
     }
 
-    /// What two pieces say at a place, and by how much they differ, relative to V, if it is more than their bounds.
+    /// What two pieces say at a place, and by how much they differ, relative to V, if it is more
+    /// than their bounds.
     fn difference(&self, a: usize, b: usize, z: &[f64]) -> Option<([f64; 2], f64)> {
         let (a, b) = (self.told(a, z)?, self.told(b, z)?);
         let off = (a.v - b.v).abs();
@@ -114,12 +125,14 @@ impl Builder<'_> {
             .collect()
     }
 
-    /// Which of two cells that disagree errs: one that is in error anyway; else one that contradicts the nearest point; else both.
+    /// Which of two cells that disagree errs: one that is in error anyway; else one that
+    /// contradicts the nearest point; else both.
     fn guilty(&self, made: &Built, disagreement: &Disagreement) -> [bool; 2] {
         let Disagreement { cells, z, v, .. } = disagreement;
         let pieces = &made.pieces;
-        let in_error =
-            cells.map(|cell| (pieces.alone(cell)).is_some_and(|k| pieces.pieces[k].bound > self.region.error));
+        let in_error = cells.map(|cell| {
+            (pieces.alone(cell)).is_some_and(|k| pieces.pieces[k].bound > self.region.error)
+        });
         if in_error[0] != in_error[1] {
             return in_error;
         }
@@ -127,7 +140,9 @@ impl Builder<'_> {
         let (lo, hi) = (&pieces.cells[cells[0]].lo, &pieces.cells[cells[0]].hi);
         let away = |k: &u32| -> f64 {
             let at = self.cloud.z(*k as usize);
-            (0..n).map(|i| ((at[i] - z[i]) / (hi[i] - lo[i])).powi(2)).sum()
+            (0..n)
+                .map(|i| ((at[i] - z[i]) / (hi[i] - lo[i])).powi(2))
+                .sum()
         };
         let points = cells.iter().flat_map(|cell| &made.wants[*cell].points);
         let Some(nearest) = points.min_by(|a, b| away(a).total_cmp(&away(b))) else {

@@ -1,9 +1,10 @@
-//! The Hamilton-Jacobi-Bellman equation inside cells: along the flow V falls by the running cost, at any place, whether a
-//! trajectory is known there or not.
+//! The Hamilton-Jacobi-Bellman equation inside cells: along the flow V falls by the running cost,
+//! at any place, whether a trajectory is known there or not.
 //!
-//! Where `p` is nearly `dV/dx`, `f(x, u*(x, p))' dV/dx = -L(x, u*(x, p))` holds to the square of what `p` is off by, because
-//! `dH/dp = f` at the minimizing control (the step of policy iteration). Places without points take part in a fit by this
-//! equation, and every piece is judged by its residual at places spread over it.
+//! Where `p` is nearly `dV/dx`, `f(x, u*(x, p))' dV/dx = -L(x, u*(x, p))` holds to the square of
+//! what `p` is off by, because `dH/dp = f` at the minimizing control (the step of policy
+//! iteration). Places without points take part in a fit by this equation, and every piece is judged
+//! by its residual at places spread over it.
 
 use super::super::fit::Along;
 use super::super::{MOST_VARIABLES, Piece};
@@ -16,11 +17,13 @@ use crate::sweep::Plan;
 const PLACES: usize = 32;
 /// So many times as many are drawn at most: a piece may say something in a small part of its cell.
 const MOST_DRAWN: usize = 64;
-/// Share of the largest residual that a bound is at least. A polynomial of degree k has slopes up to k^2 times its size (Markov):
-/// in a plane, where degrees are high, less of a residual is an error of V.
+/// Share of the largest residual that a bound is at least. A polynomial of degree k has slopes up
+/// to k^2 times its size (Markov): in a plane, where degrees are high, less of a residual is an
+/// error of V.
 const SHARE: f64 = 1.0;
 const SHARE_IN_PLANE: f64 = 0.25;
-/// Errors so many times larger than asked for are those of a polynomial that goes on without points.
+/// Errors so many times larger than asked for are those of a polynomial that goes on without
+/// points.
 const FAR_OFF: f64 = 30.0;
 /// Whole periods looked at where the cost tells them apart.
 const PERIODS: i32 = 2;
@@ -34,13 +37,14 @@ pub struct Flow {
     reference: Vec<f64>,
     /// Whether the last variable is time.
     timed: bool,
-    /// By what a state may be moved: V at it is that of a copy, whole periods away, whose cost is another. The first is nothing.
+    /// By what a state may be moved: V at it is that of a copy, whole periods away, whose cost is
+    /// another. The first is nothing.
     moves: Vec<Vec<f64>>,
 }
 
 impl Flow {
-    /// That of a plan; `timed`: the last variable is time. `None` where V does not solve the equation: behind a fold of a game
-    /// nothing does, and V(x, 0) alone does not tell dV/dt.
+    /// That of a plan; `timed`: the last variable is time. `None` where V does not solve the
+    /// equation: behind a fold of a game nothing does, and V(x, 0) alone does not tell dV/dt.
     pub fn of(plan: &Plan, timed: bool) -> Option<Self> {
         if plan.game || (plan.local.is_none() && !timed) {
             return None;
@@ -88,7 +92,10 @@ impl Flow {
         for (x, p) in x.chunks(variables).zip(p.chunks(variables)) {
             inputs.extend(x.iter().zip(&self.reference).map(|(x, r)| x - r));
             let s = inputs.len() - n;
-            inputs[s..].iter_mut().zip(moved).for_each(|(s, moved)| *s += moved);
+            inputs[s..]
+                .iter_mut()
+                .zip(moved)
+                .for_each(|(s, moved)| *s += moved);
             inputs.extend(&p[..n]);
         }
         (self.rates.eval(&inputs, 2 * n).chunks(n + 1))
@@ -113,8 +120,8 @@ pub(super) struct Residual {
 }
 
 impl Builder<'_> {
-    /// Places spread over a piece, in its variables, where it says the least of the cell's pieces, or comes to another branch of its
-    /// function of V; `turn` makes others.
+    /// Places spread over a piece, in its variables, where it says the least of the cell's pieces,
+    /// or comes to another branch of its function of V; `turn` makes others.
     pub(super) fn places(
         &self,
         piece: &Piece,
@@ -141,7 +148,9 @@ impl Builder<'_> {
                     let said = piece.value(&self.terms, &y[..n]).0;
                     said > self.region.value_max || said > self.least_of(others, &z)
                 };
-                piece.supports(&self.directions, &y[..n]) && self.region.covers(&self.frame.state(&z)) && !above()
+                piece.supports(&self.directions, &y[..n])
+                    && self.region.covers(&self.frame.state(&z))
+                    && !above()
             })
             .take(count)
             .collect()
@@ -159,7 +168,8 @@ impl Builder<'_> {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// The equation along the flow at places of a piece, by the control that its slopes ask for; `None` where it says nothing.
+    /// The equation along the flow at places of a piece, by the control that its slopes ask for;
+    /// `None` where it says nothing.
     pub(super) fn along(
         &self,
         piece: &Piece,
@@ -199,8 +209,8 @@ impl Builder<'_> {
             .collect()
     }
 
-    /// The largest residual of the equation at places of a piece: by how much V errs, relative to itself, on the way of one half
-    /// width along the flow. 0 where nothing is known of it.
+    /// The largest residual of the equation at places of a piece: by how much V errs, relative to
+    /// itself, on the way of one half width along the flow. 0 where nothing is known of it.
     pub(super) fn residual(&self, piece: &Piece, others: &[Piece], turn: f64) -> Residual {
         let Some(flow) = self.flow else {
             return Residual::default();
@@ -209,19 +219,26 @@ impl Builder<'_> {
         let places = self.places(piece, others, (PLACES, turn));
         let mut least = vec![f64::INFINITY; places.len()];
         for moved in &flow.moves {
-            for (least, along) in least.iter_mut().zip(self.along(piece, &places, flow, moved)) {
+            for (least, along) in least
+                .iter_mut()
+                .zip(self.along(piece, &places, flow, moved))
+            {
                 let Some(along) = along else { continue };
                 let off = (along.said - along.slope).abs() / along.v.abs().max(self.region.floor);
                 *least = off.min(*least);
             }
         }
         Residual {
-            largest: least.into_iter().filter(|r| r.is_finite()).fold(0.0, f64::max),
+            largest: least
+                .into_iter()
+                .filter(|r| r.is_finite())
+                .fold(0.0, f64::max),
             off_branch: (places.iter()).any(|y| piece.value(&self.terms, &y[..n]).0.is_nan()),
         }
     }
 
-    /// What the bounds of a cell's pieces are at least, by the equation where each says the least of them.
+    /// What the bounds of a cell's pieces are at least, by the equation where each says the least
+    /// of them.
     pub(super) fn bounds_by_equation(&self, pieces: &[Piece]) -> Vec<Residual> {
         (0..pieces.len())
             .map(|k| self.bound_by_equation(&pieces[k], &[&pieces[..k], &pieces[k + 1..]].concat()))
@@ -241,16 +258,20 @@ impl Builder<'_> {
         }
     }
 
-    /// Whether the equation says that a cell's pieces err by more than is good enough, and than their bounds.
+    /// Whether the equation says that a cell's pieces err by more than is good enough, and than
+    /// their bounds.
     pub(super) fn is_contradicted(&self, pieces: &[Piece], bounds: &[Residual]) -> bool {
         let enough = self.habits.enough * self.region.error;
-        (pieces.iter().zip(bounds)).any(|(piece, by)| by.off_branch || by.largest > piece.bound.max(enough))
+        (pieces.iter().zip(bounds))
+            .any(|(piece, by)| by.off_branch || by.largest > piece.bound.max(enough))
     }
 
-    /// Lets a good piece that keeps to its points say what V is all over its cell, if the equation holds all over it: where it is
-    /// alone, no sheets lie over each other, no place is known to have no solution, and no guard casts a shadow.
+    /// Lets a good piece that keeps to its points say what V is all over its cell, if the equation
+    /// holds all over it: where it is alone, no sheets lie over each other, no place is known to
+    /// have no solution, and no guard casts a shadow.
     pub(super) fn extend(&self, piece: &mut Piece, block: &Block) {
-        let is_good = piece.bound <= self.region.error && self.flow.is_some() && self.without.is_none();
+        let is_good =
+            piece.bound <= self.region.error && self.flow.is_some() && self.without.is_none();
         let is_sole = !self.cloud.several && !self.is_shaded && block.unanswered.is_empty();
         if piece.support.is_empty() || !is_good || !is_sole {
             return;
@@ -265,9 +286,15 @@ impl Builder<'_> {
         }
     }
 
-    /// Raises the bound of a piece to what the equation shows. One that goes on without points may say too much there: it first keeps
-    /// closer to them.
-    pub(super) fn judge(&self, piece: &mut Piece, mut by: Residual, others: &[Piece], (points, beyond): (&[u32], f64)) {
+    /// Raises the bound of a piece to what the equation shows. One that goes on without points may
+    /// say too much there: it first keeps closer to them.
+    pub(super) fn judge(
+        &self,
+        piece: &mut Piece,
+        mut by: Residual,
+        others: &[Piece],
+        (points, beyond): (&[u32], f64),
+    ) {
         if by.off_branch || by.largest > piece.bound.max(FAR_OFF * self.region.error) {
             piece.support = self.enclosed(piece, points, beyond.min(BEYOND_OF_SEVERAL));
             by = self.bound_by_equation(piece, others);

@@ -6,28 +6,33 @@ use crate::map::pieces::MOST_VARIABLES;
 
 /// Points a group of a sheet needs.
 const LEAST_GROUP: usize = 6;
-/// Points of two sheets that are nearer to each other than this, in widths of the cell, show whether gradients jump; how many
-/// pairs are looked at, and among how many points of each.
+/// Points of two sheets that are nearer to each other than this, in widths of the cell, show
+/// whether gradients jump; how many pairs are looked at, and among how many points of each.
 const NEAR_PAIR: f64 = 0.3;
 const PAIRS: usize = 9;
 const MOST_LOOKED_AT: usize = 300;
 /// Sheets in a cell.
 const MOST_GROUPS: usize = 4;
-/// Blocks with so many times the points that a polynomial needs are halved before sheets are looked for.
+/// Blocks with so many times the points that a polynomial needs are halved before sheets are looked
+/// for.
 const LARGE: f64 = 16.0;
 /// Where a cell cannot be halved several sheets are taken for one whose error is this much larger.
 const SEPARATE: f64 = 0.1;
 
 impl Builder<'_> {
     /// The pieces of a block, one a sheet; with their largest error over the one asked for.
-    pub(super) fn fitted(&self, block: &Block, can_be_halved: bool) -> (Vec<(Piece, Vec<u32>)>, f64) {
+    pub(super) fn fitted(
+        &self,
+        block: &Block,
+        can_be_halved: bool,
+    ) -> (Vec<(Piece, Vec<u32>)>, f64) {
         let all = self.of_group(block, &block.points, can_be_halved);
         if let Some((piece, excess)) = all {
             if excess <= self.habits.enough {
                 return (vec![(piece, block.points.clone())], excess);
             }
-            // Of many variables sorting is dear: where a half may yet tell, points of one sheet that were parted are not sorted,
-            // and those of a large block not even parted.
+            // Of many variables sorting is dear: where a half may yet tell, points of one sheet
+            // that were parted are not sorted, and those of a large block not even parted.
             let dear = !self.leaves_quarters() && can_be_halved;
             if dear && block.near as f64 > LARGE * self.least() {
                 return (vec![(piece, block.points.clone())], excess);
@@ -40,7 +45,10 @@ impl Builder<'_> {
                 if groups.len() < 2 || !self.jumps(block, &groups) {
                     continue;
                 }
-                let each: Option<Vec<_>> = groups.iter().map(|g| self.of_group(block, g, can_be_halved)).collect();
+                let each: Option<Vec<_>> = groups
+                    .iter()
+                    .map(|g| self.of_group(block, g, can_be_halved))
+                    .collect();
                 let Some(mut each) = each else { continue };
                 let worst = each.iter().map(|(_, e)| *e).fold(0.0, f64::max);
                 let Some(lower) = self.lower_without_points(block, &each, &groups) else {
@@ -51,7 +59,8 @@ impl Builder<'_> {
                 }
                 // Where two cost the same they may have to be known better than elsewhere.
                 let surface = self.excess_of_unfinished(block, &each, &groups);
-                let good = worst <= self.habits.enough && (surface <= self.habits.enough || !can_be_halved);
+                let good = worst <= self.habits.enough
+                    && (surface <= self.habits.enough || !can_be_halved);
                 if good || (worst < SEPARATE * excess && !can_be_halved) {
                     let pieces = each.into_iter().map(|(p, _)| p).zip(groups).collect();
                     return (pieces, worst.max(surface));
@@ -64,7 +73,11 @@ impl Builder<'_> {
 
     /// Ways to part a block's points by sheets: by their labels, and by their gradients.
     fn groups(&self, block: &Block) -> Vec<Vec<Vec<u32>>> {
-        let mut labels: Vec<i32> = block.points.iter().map(|k| self.cloud.sheet[*k as usize]).collect();
+        let mut labels: Vec<i32> = block
+            .points
+            .iter()
+            .map(|k| self.cloud.sheet[*k as usize])
+            .collect();
         labels.sort_unstable();
         labels.dedup();
         let labelled: Vec<Vec<u32>> = (labels.iter())
@@ -107,7 +120,8 @@ impl Builder<'_> {
         let (mut one, mut other) = (q(a).to_vec(), q(b).to_vec());
         let mut groups = [Vec::new(), Vec::new()];
         for _ in 0..8 {
-            let (first, second) = (block.points.iter().copied()).partition(|k| far(*k, &one) <= far(*k, &other));
+            let (first, second) =
+                (block.points.iter().copied()).partition(|k| far(*k, &one) <= far(*k, &other));
             groups = [first, second];
             if groups.iter().any(|g: &Vec<u32>| g.len() < LEAST_GROUP) {
                 return None;
@@ -118,9 +132,14 @@ impl Builder<'_> {
         Some(groups.into())
     }
 
-    /// By how much each sheet says, at most, that it is lower than another where it has no points of its own, relative to V;
-    /// `None` if that is more than the error asked for.
-    fn lower_without_points(&self, block: &Block, each: &[(Piece, f64)], groups: &[Vec<u32>]) -> Option<Vec<f64>> {
+    /// By how much each sheet says, at most, that it is lower than another where it has no points
+    /// of its own, relative to V; `None` if that is more than the error asked for.
+    fn lower_without_points(
+        &self,
+        block: &Block,
+        each: &[(Piece, f64)],
+        groups: &[Vec<u32>],
+    ) -> Option<Vec<f64>> {
         let mut lower = vec![0.0f64; each.len()];
         let n = self.cloud.variables;
         let far = |k: u32, l: u32| -> f64 {
@@ -136,10 +155,17 @@ impl Builder<'_> {
         for (own, group) in groups.iter().enumerate() {
             for k in group.iter().copied().filter(inside) {
                 let (z, v) = (self.cloud.z(k as usize), self.cloud.v[k as usize]);
-                for (other, (piece, _)) in each.iter().enumerate().filter(|(other, _)| *other != own) {
-                    let y: Vec<f64> = (0..n).map(|i| (z[i] - piece.center[i]) / piece.half[i]).collect();
+                for (other, (piece, _)) in
+                    each.iter().enumerate().filter(|(other, _)| *other != own)
+                {
+                    let y: Vec<f64> = (0..n)
+                        .map(|i| (z[i] - piece.center[i]) / piece.half[i])
+                        .collect();
                     let mut gradient = [0.0; MOST_VARIABLES];
-                    let (said, _) = piece.shape.back(self.terms.sum(&piece.coefficients, &y, &mut gradient));
+                    let (said, _) =
+                        piece
+                            .shape
+                            .back(self.terms.sum(&piece.coefficients, &y, &mut gradient));
                     let by = (v - said) / v.abs().max(self.region.floor);
                     let near = |l: &u32| far(k, *l) < 0.25 * NEAR_PAIR * NEAR_PAIR;
                     if by <= lower[other] || groups[other].iter().any(near) {
@@ -155,13 +181,17 @@ impl Builder<'_> {
         Some(lower)
     }
 
-    /// Whether gradients jump between groups where they are near each other: those of a smooth function that was cut in two
-    /// do not.
+    /// Whether gradients jump between groups where they are near each other: those of a smooth
+    /// function that was cut in two do not.
     fn jumps(&self, block: &Block, groups: &[Vec<u32>]) -> bool {
         let n = self.cloud.variables;
         let width: Vec<f64> = (0..n).map(|i| block.hi[i] - block.lo[i]).collect();
         let mean = |points: &[u32], i: usize| {
-            points.iter().map(|k| self.cloud.q(*k as usize)[i]).sum::<f64>() / points.len() as f64
+            points
+                .iter()
+                .map(|k| self.cloud.q(*k as usize)[i])
+                .sum::<f64>()
+                / points.len() as f64
         };
         let mut met = vec![false; groups.len()];
         for a in 0..groups.len() {
@@ -177,7 +207,8 @@ impl Builder<'_> {
                         let (zl, ql) = (self.cloud.z(l as usize), self.cloud.q(l as usize));
                         let far: f64 = (0..n).map(|i| ((zk[i] - zl[i]) / width[i]).powi(2)).sum();
                         if far < NEAR_PAIR * NEAR_PAIR {
-                            let jump: f64 = (0..n).map(|i| ((qk[i] - ql[i]) * width[i]).powi(2)).sum();
+                            let jump: f64 =
+                                (0..n).map(|i| ((qk[i] - ql[i]) * width[i]).powi(2)).sum();
                             pairs.push((far, jump.sqrt()));
                         }
                     }
@@ -197,8 +228,8 @@ impl Builder<'_> {
         met.into_iter().all(|m| m)
     }
 
-    /// Groups after each point has gone to the one whose polynomial says what it says: labels are those of where a way began,
-    /// which Newton's method may have left.
+    /// Groups after each point has gone to the one whose polynomial says what it says: labels are
+    /// those of where a way began, which Newton's method may have left.
     fn sorted_out(&self, block: &Block, mut groups: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
         const ROUNDS: usize = 8;
         let (center, half) = self.extent(block);
@@ -206,12 +237,18 @@ impl Builder<'_> {
         let scale = self.scale(&all);
         let data = |list: &[u32], degree: usize| self.data((&center, &half), list, degree, scale);
         for round in 0..ROUNDS {
-            let degree = if round < ROUNDS / 2 { 2 } else { self.highest.min(3) };
+            let degree = if round < ROUNDS / 2 {
+                2
+            } else {
+                self.highest.min(3)
+            };
             let whole = data(&all, degree);
             let mut errors: Vec<Vec<f64>> = Vec::new();
             for group in &groups {
-                let most = (2.0 * self.habits.most_equations * self.terms.upto[degree] as f64) as usize;
-                let Some(fitted) = data(&thinned(group, most), degree).fitted(Shape::Value, degree) else {
+                let most =
+                    (2.0 * self.habits.most_equations * self.terms.upto[degree] as f64) as usize;
+                let Some(fitted) = data(&thinned(group, most), degree).fitted(Shape::Value, degree)
+                else {
                     return Vec::new();
                 };
                 let each = whole.errors(Shape::Value, &fitted);

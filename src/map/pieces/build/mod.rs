@@ -1,4 +1,5 @@
-//! Pieces from scattered points: cells are halved until a polynomial says in each what points that it was not fitted to say.
+//! Pieces from scattered points: cells are halved until a polynomial says in each what points that
+//! it was not fitted to say.
 
 mod crossings;
 mod faces;
@@ -11,7 +12,9 @@ mod tracks;
 
 use super::fit::{Data, Scale, Shape};
 use super::terms::Terms;
-use super::{BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree, quadratic};
+use super::{
+    BLEND, Cell, Frame, Node, Piece, Pieces, Region, directions, highest_degree, quadratic,
+};
 use crate::value::Clearance;
 pub use flow::Flow;
 use rayon::join;
@@ -27,11 +30,13 @@ const WIDER: [f64; 3] = [0.6, 1.0, 2.0];
 const LEAST_EQUATIONS: f64 = 2.0;
 /// Points in a piece that tell its error.
 const LEAST_TESTS: usize = 10;
-/// Where a low degree errs by so many times what is asked, no high degree is tried before the block is halved.
+/// Where a low degree errs by so many times what is asked, no high degree is tried before the block
+/// is halved.
 const HOPELESS: f64 = 1000.0;
 /// Degree that tells what to try.
 const LOW: usize = 2;
-/// Of several functions of V those are tried whose errors at a low degree are within this factor of the least.
+/// Of several functions of V those are tried whose errors at a low degree are within this factor of
+/// the least.
 const NEARLY: f64 = 1.5;
 /// A corner of a cell is supported where a point lies within this many half widths.
 const REACH: f64 = 1.25;
@@ -39,11 +44,13 @@ const REACH: f64 = 1.25;
 const BESIDE: f64 = 0.8;
 /// How far beyond their points pieces of several sheets in one cell say something, in half widths.
 const BEYOND_OF_SEVERAL: f64 = 0.05;
-/// Points of neighbours are fitted where they are nearer to a cell that disagrees with them than this share of its half width.
+/// Points of neighbours are fitted where they are nearer to a cell that disagrees with them than
+/// this share of its half width.
 const ANCHORED: f64 = 2.0;
 /// Times that cells which disagree with their neighbours are halved at once.
 const HALVINGS_APART: usize = 3;
-/// Some of a block's points test its pieces; one of all that is off by so many bounds contradicts them.
+/// Some of a block's points test its pieces; one of all that is off by so many bounds contradicts
+/// them.
 const GROSS: f64 = 3.0;
 /// Share of new points at which a cell in error is fitted again.
 const WORTH_WHILE: f64 = 0.2;
@@ -81,7 +88,8 @@ impl Habits {
     }
 }
 
-/// What is known: V and its gradient at scattered points, in coordinates of a frame (0 to 1 over the region).
+/// What is known: V and its gradient at scattered points, in coordinates of a frame (0 to 1 over
+/// the region).
 #[derive(Clone, Debug, Default)]
 pub struct Cloud {
     pub variables: usize,
@@ -105,8 +113,8 @@ pub struct Cloud {
 pub struct Unanswered {
     /// `[place][variable]`, in coordinates of the frame.
     pub z: Vec<f64>,
-    /// The least margin of the guards along the solution there, if it leaves one; 0 if it is only known that it does, and not a number
-    /// where none was found: it may only have been missed.
+    /// The least margin of the guards along the solution there, if it leaves one; 0 if it is only
+    /// known that it does, and not a number where none was found: it may only have been missed.
     pub clearance: Vec<f64>,
 }
 
@@ -115,7 +123,8 @@ impl Cloud {
         self.v.len()
     }
 
-    /// Adds a point: V, how far its trajectory keeps from the guards, and V's gradient at a state (absolute), put into coordinates of the frame.
+    /// Adds a point: V, how far its trajectory keeps from the guards, and V's gradient at a state
+    /// (absolute), put into coordinates of the frame.
     pub fn add(
         &mut self,
         frame: &Frame,
@@ -134,8 +143,9 @@ impl Cloud {
         self.sheet.push(sheet);
     }
 
-    /// Whether a quarter of the tracks is left out at once to tell an error, not each in turn: in a plane, where tracks run side
-    /// by side and one alone is not missed, and where several sheets lie over each other, of which one track tells little.
+    /// Whether a quarter of the tracks is left out at once to tell an error, not each in turn: in a
+    /// plane, where tracks run side by side and one alone is not missed, and where several sheets
+    /// lie over each other, of which one track tells little.
     pub fn leaves_quarters(&self) -> bool {
         self.variables <= 2 || self.several
     }
@@ -239,8 +249,8 @@ pub struct Before<'b> {
     pub unanswered: usize,
 }
 
-/// Makes pieces of points; and cells where more points are needed for the error asked for. Cells made before whose pieces
-/// are good enough stay, if they say what the new points say.
+/// Makes pieces of points; and cells where more points are needed for the error asked for. Cells
+/// made before whose pieces are good enough stay, if they say what the new points say.
 pub fn build(
     cloud: &Cloud,
     region: &Region,
@@ -254,7 +264,13 @@ pub fn build(
 }
 
 /// Makes pieces of a region round another, in which nothing is wanted of them.
-pub fn build_around(cloud: &Cloud, region: &Region, frame: &Frame, flow: Option<&Flow>, inner: &Region) -> Pieces {
+pub fn build_around(
+    cloud: &Cloud,
+    region: &Region,
+    frame: &Frame,
+    flow: Option<&Flow>,
+    inner: &Region,
+) -> Pieces {
     // There a law needs no more than the bounds to be true.
     Builder::new(cloud, region, (frame, Some(inner)), flow, None)
         .built(0)
@@ -279,7 +295,8 @@ impl Built {
         }
     }
 
-    /// Moves what lies below a node of another here; what has grown in a cell of it instead of that cell.
+    /// Moves what lies below a node of another here; what has grown in a cell of it instead of that
+    /// cell.
     fn replant(&mut self, other: &mut Self, node: usize, regrown: &mut [Option<Grown>]) -> usize {
         match other.pieces.nodes[node] {
             Node::Cell(cell) => {
@@ -287,11 +304,18 @@ impl Built {
                     return self.plant(grown);
                 }
                 let range = other.pieces.cells[cell].pieces.clone();
-                let own = other.pieces.pieces[range].iter_mut().map(std::mem::take).collect();
+                let own = other.pieces.pieces[range]
+                    .iter_mut()
+                    .map(std::mem::take)
+                    .collect();
                 self.put(own, std::mem::take(&mut other.wants[cell]))
             }
             Node::Split {
-                axis, at, below, above, ..
+                axis,
+                at,
+                below,
+                above,
+                ..
             } => self.fork(axis, at, |this| {
                 [below, above].map(|half| this.replant(other, half, regrown))
             }),
@@ -312,7 +336,12 @@ impl Built {
         self.pieces.nodes.len() - 1
     }
 
-    fn fork(&mut self, axis: usize, at: f64, halves: impl FnOnce(&mut Self) -> [usize; 2]) -> usize {
+    fn fork(
+        &mut self,
+        axis: usize,
+        at: f64,
+        halves: impl FnOnce(&mut Self) -> [usize; 2],
+    ) -> usize {
         let here = self.pieces.nodes.len();
         self.pieces.nodes.push(Node::Cell(0));
         let [below, above] = halves(self);
@@ -338,7 +367,9 @@ impl<'c> Builder<'c> {
         let n = cloud.variables;
         let highest = highest_degree(n);
         let holes = &cloud.unanswered.clearance;
-        let cut: Vec<u32> = (0..holes.len() as u32).filter(|k| holes[*k as usize] < 0.0).collect();
+        let cut: Vec<u32> = (0..holes.len() as u32)
+            .filter(|k| holes[*k as usize] < 0.0)
+            .collect();
         Self {
             is_shaded: !cut.is_empty() || cloud.clearance.iter().any(|c| c.margin.is_finite()),
             cut,
@@ -356,8 +387,8 @@ impl<'c> Builder<'c> {
         }
     }
 
-    /// Pieces that agree with their neighbours: of those that do not cells with points enough are halved, so many times, and the
-    /// others' bounds are raised.
+    /// Pieces that agree with their neighbours: of those that do not cells with points enough are
+    /// halved, so many times, and the others' bounds are raised.
     fn built(&self, halvings: usize) -> Built {
         let n = self.cloud.variables;
         let whole = Block {
@@ -396,8 +427,8 @@ impl<'c> Builder<'c> {
         made
     }
 
-    /// Fits the pieces of cells that disagree with their neighbours again, to the points of these too: where all points of a cell
-    /// lie in a corner, its polynomial is anything in the others.
+    /// Fits the pieces of cells that disagree with their neighbours again, to the points of these
+    /// too: where all points of a cell lie in a corner, its polynomial is anything in the others.
     fn reconcile(&self, made: &mut Built) {
         let mut beside: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         for (cell, disagreement) in self.blamed(made) {
@@ -497,7 +528,9 @@ impl<'c> Builder<'c> {
             unanswered: self.unanswered_in(&want.lo, &want.hi),
         };
         let own = made.pieces.pieces[made.pieces.cells[cell].pieces.clone()].iter();
-        let own: Vec<_> = own.map(|piece| (piece.clone(), block.points.clone())).collect();
+        let own: Vec<_> = own
+            .map(|piece| (piece.clone(), block.points.clone()))
+            .collect();
         let axis = self.axis(&block, &own);
         (!self.is_finest(&block, axis)).then(|| self.split(block, axis, [None; 2]))
     }
@@ -505,7 +538,9 @@ impl<'c> Builder<'c> {
     /// `old` is the node of the pieces made before that is this block's.
     fn grow(&self, block: Block, old: Option<usize>) -> Grown {
         let unwanted = |inner: &Region| self.frame.lies_in(inner, &block.lo, &block.hi);
-        if !self.frame.may_meet(self.region, &block.lo, &block.hi) || self.without.is_some_and(unwanted) {
+        if !self.frame.may_meet(self.region, &block.lo, &block.hi)
+            || self.without.is_some_and(unwanted)
+        {
             let nothing = Want {
                 lo: block.lo,
                 hi: block.hi,
@@ -515,7 +550,9 @@ impl<'c> Builder<'c> {
         }
         if let (Some(before), Some(old)) = (&self.before, old) {
             match before.pieces.nodes[old] {
-                Node::Split { axis, below, above, .. } => return self.split(block, axis, [Some(below), Some(above)]),
+                Node::Split {
+                    axis, below, above, ..
+                } => return self.split(block, axis, [Some(below), Some(above)]),
                 Node::Cell(cell) => {
                     if let Some((own, excess, edges)) = self.kept(&block, before, cell) {
                         return self.cell(block, own, excess, &edges);
@@ -541,10 +578,12 @@ impl<'c> Builder<'c> {
             .map(|(piece, points)| self.finished(piece.clone(), points, &block, beyond))
             .unzip();
         let of_edges = edges.iter().map(|edge| edge.excess).fold(0.0, f64::max);
-        // Halves ask for states of their own where the equation is not met; what cannot be halved keeps to its points there.
+        // Halves ask for states of their own where the equation is not met; what cannot be halved
+        // keeps to its points there.
         let by = self.bounds_by_equation(&pieces);
         let off = self.off_points(&block, &pieces);
-        let far_off = |(piece, off): (&Piece, &f64)| *off > GROSS * piece.bound.max(self.region.error);
+        let far_off =
+            |(piece, off): (&Piece, &f64)| *off > GROSS * piece.bound.max(self.region.error);
         let is_wrong = || {
             of_edges > 1.0
                 || self.is_contradicted(&pieces, &by)
@@ -600,7 +639,8 @@ impl<'c> Builder<'c> {
             } else {
                 hi[axis] = at;
             }
-            // Along the other axes the parent's points are as near as they can be; where they are few, from further away.
+            // Along the other axes the parent's points are as near as they can be; where they are
+            // few, from further away.
             let within = |reach: f64| -> Vec<u32> {
                 let margin = 0.5 * reach * (hi[axis] - lo[axis]);
                 let (from, to) = (lo[axis] - margin, hi[axis] + margin);
@@ -650,20 +690,31 @@ impl<'c> Builder<'c> {
         Grown::Split(axis, at, Box::new(both))
     }
 
-    /// Pieces of a cell made before, if they were good enough and new points do not say otherwise; with their error over the one
-    /// asked for, and the edge of shadows in one that is alone.
-    fn kept(&self, block: &Block, before: &Before<'_>, cell: usize) -> Option<(Vec<Piece>, f64, Vec<Edge>)> {
+    /// Pieces of a cell made before, if they were good enough and new points do not say otherwise;
+    /// with their error over the one asked for, and the edge of shadows in one that is alone.
+    fn kept(
+        &self,
+        block: &Block,
+        before: &Before<'_>,
+        cell: usize,
+    ) -> Option<(Vec<Piece>, f64, Vec<Edge>)> {
         let mut own = before.pieces.pieces[before.pieces.cells[cell].pieces.clone()].to_vec();
         // A few points more make no better polynomial of one that is not good enough.
-        let more = block.points.iter().filter(|k| **k as usize >= before.points).count();
+        let more = block
+            .points
+            .iter()
+            .filter(|k| **k as usize >= before.points)
+            .count();
         let dark = block
             .unanswered
             .iter()
             .filter(|k| **k as usize >= before.unanswered)
             .count();
         let dense = self.is_dense(block.near);
-        let untouched =
-            more == 0 || (!self.leaves_quarters() && !dense && (more as f64) < WORTH_WHILE * block.points.len() as f64);
+        let untouched = more == 0
+            || (!self.leaves_quarters()
+                && !dense
+                && (more as f64) < WORTH_WHILE * block.points.len() as f64);
         let good = |p: &Piece| p.bound <= self.habits.enough * self.region.error;
         let surface = self.excess_of_surface(block, &own);
         let edges = match own.as_mut_slice() {
@@ -697,16 +748,28 @@ impl<'c> Builder<'c> {
                 y.iter().any(|y| y.abs() > 1.0) || (v - self.cloud.v[k]).abs() <= piece.bound * size
             })
         };
-        let fresh = block.points.iter().map(|k| *k as usize).filter(|k| *k >= before.points);
+        let fresh = block
+            .points
+            .iter()
+            .map(|k| *k as usize)
+            .filter(|k| *k >= before.points);
         if !{ fresh }.all(agrees) || self.is_unfounded(block, &own) {
             return None;
         }
-        let excess = own.iter().map(|p| p.bound / self.region.error).fold(0.0, f64::max);
-        let excess = if own.is_empty() { f64::INFINITY } else { excess };
+        let excess = own
+            .iter()
+            .map(|p| p.bound / self.region.error)
+            .fold(0.0, f64::max);
+        let excess = if own.is_empty() {
+            f64::INFINITY
+        } else {
+            excess
+        };
         Some((own, excess.max(surface).max(excess_of_edge), edges))
     }
 
-    /// A cell, with what may be missing in it. Where a sheet ends too early its pieces may err by as much as V would jump.
+    /// A cell, with what may be missing in it. Where a sheet ends too early its pieces may err by
+    /// as much as V would jump.
     fn cell(&self, block: Block, mut pieces: Vec<Piece>, excess: f64, edges: &[Edge]) -> Grown {
         let (mut bare, jump) = self.ends(&block, &pieces);
         for piece in &mut pieces {
@@ -734,10 +797,13 @@ impl<'c> Builder<'c> {
 
     /// Points that determine a polynomial of the highest degree.
     fn least(&self) -> f64 {
-        LEAST_EQUATIONS * self.terms.upto[self.highest] as f64 / (self.cloud.variables + 1) as f64 / self.habits.learned
+        LEAST_EQUATIONS * self.terms.upto[self.highest] as f64
+            / (self.cloud.variables + 1) as f64
+            / self.habits.learned
     }
 
-    /// Whether the halves of a block with so many points near have enough for polynomials of their own, of the highest degree.
+    /// Whether the halves of a block with so many points near have enough for polynomials of their
+    /// own, of the highest degree.
     fn is_dense(&self, near: usize) -> bool {
         near as f64 > 2.0 * self.least()
     }
@@ -760,11 +826,14 @@ impl<'c> Builder<'c> {
         let both = || block.lo.iter().zip(&block.hi);
         (
             both().map(|(lo, hi)| 0.5 * (lo + hi)).collect(),
-            both().map(|(lo, hi)| 0.5 * (hi - lo) * (1.0 + BLEND)).collect(),
+            both()
+                .map(|(lo, hi)| 0.5 * (hi - lo) * (1.0 + BLEND))
+                .collect(),
         )
     }
 
-    /// A piece with the error over the one asked for; without bounds where its points are too few to tell.
+    /// A piece with the error over the one asked for; without bounds where its points are too few
+    /// to tell.
     fn piece(
         &self,
         (center, half): (Vec<f64>, Vec<f64>),
@@ -794,7 +863,13 @@ impl<'c> Builder<'c> {
     }
 
     /// Points in the variables of a box.
-    fn data(&self, (center, half): (&[f64], &[f64]), list: &[u32], degree: usize, scale: Scale) -> Data<'_> {
+    fn data(
+        &self,
+        (center, half): (&[f64], &[f64]),
+        list: &[u32],
+        degree: usize,
+        scale: Scale,
+    ) -> Data<'_> {
         let n = self.cloud.variables;
         Data::new(&self.terms, degree, scale, list.len(), |at, y, q| {
             let k = list[at] as usize;
@@ -810,14 +885,17 @@ impl<'c> Builder<'c> {
     fn scale(&self, points: &[u32]) -> Scale {
         /// V may be as much nearer to 0 than at all points, of the range that it has at them.
         const NEARER: f64 = 0.25;
-        /// Where |V| is nowhere less than this share of what it is elsewhere in the cell, its own size will do.
+        /// Where |V| is nowhere less than this share of what it is elsewhere in the cell, its own
+        /// size will do.
         const ALIKE: f64 = 0.5;
         let floor = self.region.floor;
         if !self.is_signed {
             return Scale::OfEach(floor);
         }
         let values = || points.iter().map(|k| self.cloud.v[*k as usize]);
-        let (lowest, highest) = values().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+        let (lowest, highest) = values().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
+            (a.min(v), b.max(v))
+        });
         let least = lowest.max(-highest) - NEARER * (highest - lowest);
         match least >= ALIKE * highest.max(-lowest) {
             true => Scale::OfEach(floor),
@@ -835,22 +913,35 @@ impl<'c> Builder<'c> {
                 None => counts.push((label, 1)),
             }
         }
-        counts.iter().max_by_key(|(l, c)| (*c, -*l)).map_or(-1, |(l, _)| *l)
+        counts
+            .iter()
+            .max_by_key(|(l, c)| (*c, -*l))
+            .map_or(-1, |(l, _)| *l)
     }
 }
 
-/// The functions of V worth fitting with a high degree, of those with their errors at a low one; and the least of these errors.
+/// The functions of V worth fitting with a high degree, of those with their errors at a low one;
+/// and the least of these errors.
 fn shortlist(tried: impl Iterator<Item = (f64, Shape)>) -> Option<(f64, Vec<Shape>)> {
     let mut tried: Vec<(f64, Shape)> = tried.collect();
     tried.sort_by(|a, b| a.0.total_cmp(&b.0));
     let &(least, _) = tried.first()?;
     // V itself where nothing is better.
-    let nearly = |shape: Shape| if shape == Shape::Value { 2.0 * NEARLY } else { NEARLY };
-    let good = tried.into_iter().filter(|(e, shape)| *e <= nearly(*shape) * least);
+    let nearly = |shape: Shape| {
+        if shape == Shape::Value {
+            2.0 * NEARLY
+        } else {
+            NEARLY
+        }
+    };
+    let good = tried
+        .into_iter()
+        .filter(|(e, shape)| *e <= nearly(*shape) * least);
     Some((least, good.map(|(_, shape)| shape).take(2).collect()))
 }
 
-/// Some of a list, drawn by a hash: in order, neighbours on a track would be left out and kept in turn.
+/// Some of a list, drawn by a hash: in order, neighbours on a track would be left out and kept in
+/// turn.
 fn thinned(list: &[u32], most: usize) -> Vec<u32> {
     let mut drawn = list.to_vec();
     if drawn.len() > most {

@@ -6,7 +6,8 @@ use std::collections::HashSet;
 
 /// Points of a block of which a fit and its tests see only a part.
 const MANY_POINTS: usize = 500;
-/// Without a solution a place counts if no point is nearer than this share of the usual distance between tracks.
+/// Without a solution a place counts if no point is nearer than this share of the usual distance
+/// between tracks.
 const NO_POINT_WITHIN: f64 = 1.5;
 /// The same where the solution is known to leave a guard.
 const NO_POINT_WITHIN_OF_CUT: f64 = 0.25;
@@ -15,7 +16,8 @@ impl Unanswered {
     /// Whether a place lies in a box.
     pub(super) fn lies_in(&self, k: u32, lo: &[f64], hi: &[f64]) -> bool {
         let n = lo.len();
-        (self.z[k as usize * n..][..n].iter().zip(lo.iter().zip(hi))).all(|(z, (lo, hi))| z >= lo && z <= hi)
+        (self.z[k as usize * n..][..n].iter().zip(lo.iter().zip(hi)))
+            .all(|(z, (lo, hi))| z >= lo && z <= hi)
     }
 }
 
@@ -34,12 +36,20 @@ impl Builder<'_> {
         let width = |i: usize| block.hi[i] - block.lo[i];
         let n = self.cloud.variables;
         let widest = (0..n).map(width).fold(0.0, f64::max);
-        (0..n).filter(|i| width(*i) * self.habits.sliver > widest).collect()
+        (0..n)
+            .filter(|i| width(*i) * self.habits.sliver > widest)
+            .collect()
     }
 
-    /// A piece as it is said: with the extent of its points where these do not lie all around, and outside shadows of guards; and the
-    /// edge of these.
-    pub(super) fn finished(&self, mut piece: Piece, points: &[u32], block: &Block, beyond: f64) -> (Piece, Edge) {
+    /// A piece as it is said: with the extent of its points where these do not lie all around, and
+    /// outside shadows of guards; and the edge of these.
+    pub(super) fn finished(
+        &self,
+        mut piece: Piece,
+        points: &[u32],
+        block: &Block,
+        beyond: f64,
+    ) -> (Piece, Edge) {
         // Alone in the region's inside, a sheet has points all around unless they are few.
         let reach = if beyond < self.region.beyond || self.region.game {
             BESIDE
@@ -73,7 +83,8 @@ impl Builder<'_> {
         (all.iter().map(|c| (c - mean).powi(2)).sum::<f64>() / all.len().max(1) as f64).sqrt()
     }
 
-    /// Extents of points along directions, in the piece's variables, and a little more: between tracks there may be others.
+    /// Extents of points along directions, in the piece's variables, and a little more: between
+    /// tracks there may be others.
     pub(super) fn enclosed(&self, piece: &Piece, points: &[u32], beyond: f64) -> Vec<[f64; 2]> {
         let n = self.cloud.variables;
         (self.directions.iter())
@@ -84,7 +95,9 @@ impl Builder<'_> {
                         .map(|i| d[i] * (z[i] - piece.center[i]) / piece.half[i])
                         .sum::<f64>()
                 });
-                let [lo, hi] = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], t| [lo.min(t), hi.max(t)]);
+                let [lo, hi] = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], t| {
+                    [lo.min(t), hi.max(t)]
+                });
                 [lo - beyond, hi + beyond]
             })
             .collect()
@@ -92,11 +105,12 @@ impl Builder<'_> {
 
     pub(super) fn unanswered_in(&self, lo: &[f64], hi: &[f64]) -> Vec<u32> {
         let all = 0..self.cloud.unanswered.clearance.len() as u32;
-        all.filter(|k| self.cloud.unanswered.lies_in(*k, lo, hi)).collect()
+        all.filter(|k| self.cloud.unanswered.lies_in(*k, lo, hi))
+            .collect()
     }
 
-    /// Whether pieces say something at a place of a block at which a search found no solution, and no point is near: one that was
-    /// only missed lies among the tracks of others.
+    /// Whether pieces say something at a place of a block at which a search found no solution, and
+    /// no point is near: one that was only missed lies among the tracks of others.
     pub(super) fn is_unfounded(&self, block: &Block, pieces: &[Piece]) -> bool {
         let n = self.cloud.variables;
         let places = &self.cloud.unanswered;
@@ -108,11 +122,20 @@ impl Builder<'_> {
                     && piece.value(&self.terms, &y[..n]).0 <= self.region.value_max
             })
         };
-        let said: Vec<u32> = block.unanswered.iter().copied().filter(|k| is_said(*k)).collect();
+        let said: Vec<u32> = block
+            .unanswered
+            .iter()
+            .copied()
+            .filter(|k| is_said(*k))
+            .collect();
         if said.is_empty() {
             return false;
         }
-        let tracks: HashSet<u32> = block.points.iter().map(|k| self.cloud.track[*k as usize]).collect();
+        let tracks: HashSet<u32> = block
+            .points
+            .iter()
+            .map(|k| self.cloud.track[*k as usize])
+            .collect();
         // Of so many tracks spread over the block, in its widths.
         let usual = (tracks.len() as f64).powf(-1.0 / n as f64);
         said.into_iter().any(|k| {
@@ -122,14 +145,16 @@ impl Builder<'_> {
             };
             let near = |point: &u32| {
                 let at = self.cloud.z(*point as usize);
-                (0..n).all(|i| (at[i] - z(k)[i]).abs() <= share * usual * (block.hi[i] - block.lo[i]))
+                (0..n)
+                    .all(|i| (at[i] - z(k)[i]).abs() <= share * usual * (block.hi[i] - block.lo[i]))
             };
             !block.points.iter().any(near)
         })
     }
 
-    /// By how much V of points in a block is off what its pieces say there, at most, relative to V: of each piece where it is the
-    /// nearest. Where sheets lie over each other a point above them may be of another sheet.
+    /// By how much V of points in a block is off what its pieces say there, at most, relative to V:
+    /// of each piece where it is the nearest. Where sheets lie over each other a point above them
+    /// may be of another sheet.
     pub(super) fn off_points(&self, block: &Block, pieces: &[Piece]) -> Vec<f64> {
         let n = self.cloud.variables;
         let mut off = vec![0.0f64; pieces.len()];
@@ -148,7 +173,10 @@ impl Builder<'_> {
                 (said.is_finite() && piece.supports(&self.directions, &y[..n]))
                     .then(|| (v - said) / v.abs().max(self.region.floor))
             };
-            let said = pieces.iter().enumerate().filter_map(|(j, piece)| Some((j, by(piece)?)));
+            let said = pieces
+                .iter()
+                .enumerate()
+                .filter_map(|(j, piece)| Some((j, by(piece)?)));
             let nearest = said.min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
             if let Some((j, by)) = nearest.filter(|(_, by)| *by < 0.0 || !self.cloud.several) {
                 off[j] = off[j].max(by.abs());
@@ -157,7 +185,8 @@ impl Builder<'_> {
         off
     }
 
-    /// Places of a block that no point is near to: where few variables allow high degrees, between its corners too.
+    /// Places of a block that no point is near to: where few variables allow high degrees, between
+    /// its corners too.
     pub(super) fn bare_places(&self, block: &Block) -> Vec<f64> {
         let (a_side, reach) = match self.cloud.variables {
             1 | 2 => (5, 0.35),
@@ -167,15 +196,18 @@ impl Builder<'_> {
         self.places_without(block, &block.points, a_side, reach)
     }
 
-    /// Places of a grid over a block, in the region, that none of some points is within so many half widths of.
+    /// Places of a grid over a block, in the region, that none of some points is within so many
+    /// half widths of.
     fn places_without(&self, block: &Block, points: &[u32], a_side: usize, reach: f64) -> Vec<f64> {
         let n = self.cloud.variables;
         let half = |i: usize| 0.5 * (block.hi[i] - block.lo[i]);
         let places = a_side.pow(n as u32);
         assert!(places <= 64);
-        let level =
-            |i: usize, step: usize| block.lo[i] + step as f64 / (a_side - 1) as f64 * (block.hi[i] - block.lo[i]);
-        // A bit a place: those of each step along each axis, and those that no point has been found near to.
+        let level = |i: usize, step: usize| {
+            block.lo[i] + step as f64 / (a_side - 1) as f64 * (block.hi[i] - block.lo[i])
+        };
+        // A bit a place: those of each step along each axis, and those that no point has been found
+        // near to.
         let mut of_step = vec![0u64; n * a_side];
         let mut left = 0u64;
         for place in 0..places {
@@ -199,7 +231,8 @@ impl Builder<'_> {
             let z = self.cloud.z(*k as usize);
             let mut near = left;
             for i in 0..n {
-                let steps = (0..a_side).filter(|step| (z[i] - level(i, *step)).abs() <= reach * half(i));
+                let steps =
+                    (0..a_side).filter(|step| (z[i] - level(i, *step)).abs() <= reach * half(i));
                 near &= steps.fold(0, |all, step| all | of_step[i * a_side + step]);
                 if near == 0 {
                     break;

@@ -1,8 +1,11 @@
-//! Fits in a plane, and of several sheets: a quarter of the tracks is left out. Of tracks that run side by side one alone is not
-//! missed.
+//! Fits in a plane, and of several sheets: a quarter of the tracks is left out. Of tracks that run
+//! side by side one alone is not missed.
 
 use super::super::fit::Shape;
-use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist, thinned};
+use super::{
+    Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist,
+    thinned,
+};
 
 /// One of this many tracks is left out of a first fit, to measure its error.
 const LEFT_OUT: u32 = 4;
@@ -21,15 +24,24 @@ struct Fit {
 
 impl Builder<'_> {
     /// The best piece for some of a block's points, with its error over the one asked for.
-    pub(super) fn by_quarters(&self, block: &Block, points: &[u32], can_be_halved: bool) -> Option<(Piece, f64)> {
+    pub(super) fn by_quarters(
+        &self,
+        block: &Block,
+        points: &[u32],
+        can_be_halved: bool,
+    ) -> Option<(Piece, f64)> {
         let n = self.cloud.variables;
         let (center, half) = self.extent(block);
         let fold = |k: u32| mix(self.cloud.track[k as usize]) % LEFT_OUT;
-        let (tests, learned): (Vec<u32>, Vec<u32>) = (points.iter().copied()).partition(|k| fold(*k) == 0);
+        let (tests, learned): (Vec<u32>, Vec<u32>) =
+            (points.iter().copied()).partition(|k| fold(*k) == 0);
         let equations = |count: usize| ((n + 1) * count) as f64;
-        let determined =
-            |degree: usize, points: usize| equations(points) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64;
-        let highest = (1..=self.highest).rev().find(|d| determined(*d, learned.len()))?;
+        let determined = |degree: usize, points: usize| {
+            equations(points) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64
+        };
+        let highest = (1..=self.highest)
+            .rev()
+            .find(|d| determined(*d, learned.len()))?;
         let inside = |k: &u32| {
             let z = self.cloud.z(*k as usize);
             (0..n).all(|i| (z[i] - center[i]).abs() <= half[i])
@@ -57,7 +69,8 @@ impl Builder<'_> {
         let (first, shapes) = shortlist(shapes)?;
         let hopeless = can_be_halved && first > HOPELESS * self.region.error;
         let degree = if hopeless { low } else { highest };
-        let most = (self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64).ceil() as usize;
+        let most = (self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64)
+            .ceil() as usize;
         let learned = data(&thinned(&learned, most), degree);
         let tested = data(&thinned(&tests, MOST_TESTS), degree);
         let mut best: Option<Fit> = None;
@@ -71,7 +84,8 @@ impl Builder<'_> {
                         errors,
                     });
                 }
-                let met = |e: f64| e * self.habits.allowance <= self.habits.enough * self.region.error;
+                let met =
+                    |e: f64| e * self.habits.allowance <= self.habits.enough * self.region.error;
                 if enough && best.as_ref().is_some_and(|b| met(b.errors[0])) {
                     break 'tried;
                 }
@@ -82,14 +96,19 @@ impl Builder<'_> {
         if tests.len() < MANY_TESTS && !hopeless {
             let degree = self.degree_of(&fit.coefficients);
             for turn in 1..LEFT_OUT {
-                let (out, rest): (Vec<u32>, Vec<u32>) = (points.iter().copied()).partition(|k| fold(*k) == turn);
+                let (out, rest): (Vec<u32>, Vec<u32>) =
+                    (points.iter().copied()).partition(|k| fold(*k) == turn);
                 let out: Vec<u32> = out.into_iter().filter(inside).collect();
                 if out.is_empty() {
                     continue;
                 }
-                let fitted = data(&thinned(&rest, most), degree).fits(fit.shape, degree).pop();
+                let fitted = data(&thinned(&rest, most), degree)
+                    .fits(fit.shape, degree)
+                    .pop();
                 let errors = match fitted {
-                    Some(c) if c.len() == fit.coefficients.len() => largest(&data(&out, degree).errors(fit.shape, &c)),
+                    Some(c) if c.len() == fit.coefficients.len() => {
+                        largest(&data(&out, degree).errors(fit.shape, &c))
+                    }
                     _ => [f64::INFINITY; 2],
                 };
                 fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
@@ -104,7 +123,9 @@ impl Builder<'_> {
     pub(super) fn with_all(&self, mut piece: Piece, points: &[u32]) -> Piece {
         let n = self.cloud.variables;
         let degree = self.degree_of(&piece.coefficients);
-        let most = (1.5 * self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64).ceil() as usize;
+        let most = (1.5 * self.habits.most_equations * self.terms.upto[degree] as f64
+            / (n + 1) as f64)
+            .ceil() as usize;
         let scale = self.scale(points);
         let data = |list: &[u32]| self.data((&piece.center, &piece.half), list, degree, scale);
         // It must not be worse than the one that was tested.
@@ -129,7 +150,8 @@ impl Builder<'_> {
         piece
     }
 
-    /// The axis along which a block is halved: along which its polynomial of V changes most in its highest terms.
+    /// The axis along which a block is halved: along which its polynomial of V changes most in its
+    /// highest terms.
     pub(super) fn axis_by_terms(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> usize {
         let n = self.cloud.variables;
         let mut share = vec![0.0f64; n];

@@ -1,7 +1,8 @@
 //! Where trajectories would leave a guard: the edge of its shadow.
 //!
-//! The least margin of the guards from a point to the end of its trajectory is a function of the point with continuous slopes, but
-//! where two places of a trajectory are as near to the guards. Beyond the points, where it comes to 0, the shadow begins.
+//! The least margin of the guards from a point to the end of its trajectory is a function of the
+//! point with continuous slopes, but where two places of a trajectory are as near to the guards.
+//! Beyond the points, where it comes to 0, the shadow begins.
 
 use super::super::least_squares::{Equations, width};
 use super::super::{BLEND, MOST_VARIABLES, Terms, margin_terms, quadratic};
@@ -59,7 +60,8 @@ struct Margin {
 struct Near<'t> {
     terms: &'t Terms,
     all: Vec<Margin>,
-    /// Those so deep in a shadow that they tell nothing of where its edge is, with margins that are not above theirs.
+    /// Those so deep in a shadow that they tell nothing of where its edge is, with margins that are
+    /// not above theirs.
     deep: Vec<Margin>,
     /// What is a small margin.
     small: f64,
@@ -82,7 +84,8 @@ impl Near<'_> {
         1.0 / (margin.abs() + NEAR * self.small)
     }
 
-    /// A polynomial of the margins, of the second degree or the first; `None` where there are too few points.
+    /// A polynomial of the margins, of the second degree or the first; `None` where there are too
+    /// few points.
     fn fitted(&self) -> Option<Vec<f64>> {
         let mut margins = self.fitted_to(&[])?;
         for _ in 0..REFITS {
@@ -111,11 +114,14 @@ impl Near<'_> {
         for (Margin { y, margin, .. }, row) in self.all.iter().chain(more).zip(rows) {
             let weight = self.weight(*margin);
             self.terms.at(&y[..n], &mut values, &mut slopes);
-            row.iter_mut().zip(&values).for_each(|(to, value)| *to = weight * value);
+            row.iter_mut()
+                .zip(&values)
+                .for_each(|(to, value)| *to = weight * value);
             equations.right.push(weight * margin);
         }
         let factors = equations.factors();
-        let determined = (sizes.into_iter()).find(|some| *some <= count && *some <= factors.determined)?;
+        let determined =
+            (sizes.into_iter()).find(|some| *some <= count && *some <= factors.determined)?;
         let mut margins = factors.solution(determined);
         margins.resize(margin_terms(n), 0.0);
         margins.iter().all(|c| c.is_finite()).then_some(margins)
@@ -131,7 +137,8 @@ impl Near<'_> {
         for (m, may_tell) in all {
             let mut slope = [0.0; MOST_VARIABLES];
             let margin = self.terms.sum(polynomial, &m.y[..n], &mut slope);
-            // In half widths of the piece; where a point is further away from the edge, it tells nothing of where that is.
+            // In half widths of the piece; where a point is further away from the edge, it tells
+            // nothing of where that is.
             let size = slope[..n].iter().map(|s| s * s).sum::<f64>().sqrt();
             let tells = may_tell && m.margin.min(margin) <= size;
             let above = match tells {
@@ -143,7 +150,10 @@ impl Near<'_> {
             off.above = off.above.max(above);
             off.is_there |= tells;
             if tells || above > 0.0 {
-                let by_widths = (0..n).map(|i| (slope[i] / piece.half[i]).powi(2)).sum::<f64>().sqrt();
+                let by_widths = (0..n)
+                    .map(|i| (slope[i] / piece.half[i]).powi(2))
+                    .sum::<f64>()
+                    .sqrt();
                 off.by = off.by.max(above.abs() / by_widths.max(f64::MIN_POSITIVE));
             }
         }
@@ -165,9 +175,12 @@ impl Near<'_> {
         quadratic(polynomial, &m.y[..self.terms.variables])
     }
 
-    /// Sum of the squares by which a polynomial of its own is off; 0 where there are too few points for one.
+    /// Sum of the squares by which a polynomial of its own is off; 0 where there are too few points
+    /// for one.
     fn misfit(&self) -> f64 {
-        let Some(fitted) = self.fitted() else { return 0.0 };
+        let Some(fitted) = self.fitted() else {
+            return 0.0;
+        };
         (self.all.iter())
             .map(|m| (self.weight(m.margin) * (self.at(&fitted, m) - m.margin)).powi(2))
             .sum()
@@ -202,8 +215,12 @@ impl Builder<'_> {
         all.sort_by(|a, b| a.margin.total_cmp(&b.margin));
         let inside = all.partition_point(|m| m.margin < 0.0);
         let rank = inside + (SMALL * (all.len() - inside) as f64) as usize;
-        let small = all.get(rank).map_or(0.0, |m| m.margin).max(f64::MIN_POSITIVE);
-        let (mut deep, mut all): (Vec<_>, Vec<_>) = all.into_iter().partition(|m| m.margin <= -DEEP * small);
+        let small = all
+            .get(rank)
+            .map_or(0.0, |m| m.margin)
+            .max(f64::MIN_POSITIVE);
+        let (mut deep, mut all): (Vec<_>, Vec<_>) =
+            all.into_iter().partition(|m| m.margin <= -DEEP * small);
         deep.iter_mut().for_each(|m| m.margin = -DEEP * small);
         for m in all.iter_mut().chain(&mut deep) {
             m.margin /= 1.0 + m.margin / small;
@@ -217,22 +234,30 @@ impl Builder<'_> {
     }
 
     /// The axis along which a block is halved because the edge of shadows is off in it.
-    pub(super) fn axis_by_edges(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> Option<usize> {
+    pub(super) fn axis_by_edges(
+        &self,
+        block: &Block,
+        pieces: &[(Piece, Vec<u32>)],
+    ) -> Option<usize> {
         let n = self.cloud.variables;
         let near: Vec<Near> = (pieces.iter())
             .map(|(piece, points)| self.near(piece, &thinned(points, MOST_POINTS)))
             .collect();
         let misfit = |axis: usize| -> f64 {
-            let halves = near
-                .iter()
-                .flat_map(|near| [false, true].map(|upper| near.only(|m| (m.y[axis] >= 0.0) == upper)));
+            let halves = near.iter().flat_map(|near| {
+                [false, true].map(|upper| near.only(|m| (m.y[axis] >= 0.0) == upper))
+            });
             halves.map(|half| half.misfit()).sum()
         };
         let width = |i: usize| block.hi[i] - block.lo[i];
         let widest = (0..n).map(width).fold(0.0, f64::max);
-        let wide = self.wide(block).into_iter().filter(|i| width(*i) * SLIVER > widest);
+        let wide = self
+            .wide(block)
+            .into_iter()
+            .filter(|i| width(*i) * SLIVER > widest);
         let each = wide.map(|axis| (axis, misfit(axis)));
-        each.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(axis, _)| axis)
+        each.min_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(axis, _)| axis)
     }
 
     /// A piece with the edge by which states are asked for, if it is known.
@@ -248,7 +273,8 @@ impl Builder<'_> {
         })
     }
 
-    /// The edge of shadows by points of a piece; none where margins are positive all over it, or not known.
+    /// The edge of shadows by points of a piece; none where margins are positive all over it, or
+    /// not known.
     pub(super) fn edge(&self, piece: &Piece, points: &[u32]) -> Edge {
         if !self.is_shaded {
             return Edge::default();
@@ -270,13 +296,16 @@ impl Builder<'_> {
         };
 
         let mut off = near.off((&clearance, piece), None);
-        // A guard that is nearest at the states themselves has no shadow: it is asked for each state.
+        // A guard that is nearest at the states themselves has no shadow: it is asked for each
+        // state.
         let is_there = off.is_there || !near.deep.is_empty();
         if off.by > good {
             // Not resolved, it may be anywhere between its points.
             for part in 0..PARTS {
                 let others = near.only(|m| m.part != part);
-                let Some(fitted) = others.fitted() else { continue };
+                let Some(fitted) = others.fitted() else {
+                    continue;
+                };
                 off.above = off.above.max(near.off((&fitted, piece), Some(part)).above);
             }
         }

@@ -1,18 +1,25 @@
-//! Fits of one sheet in three variables and more: each track is left out in turn, which one factorization tells.
+//! Fits of one sheet in three variables and more: each track is left out in turn, which one
+//! factorization tells.
 
 use super::super::fit::{Shape, Tested, most_of_group};
 use super::flow::Residual;
-use super::{Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist, thinned};
+use super::{
+    Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist,
+    thinned,
+};
 
 /// Points beside those fitted to that test a fit, at most.
 const MOST_TESTS: usize = 150;
 /// Points of a block that are looked at, about.
 const MOST_POINTS: usize = 4096;
-/// A residual of the equation along the flow counts as this share of an error: it may change its sign within the block.
+/// A residual of the equation along the flow counts as this share of an error: it may change its
+/// sign within the block.
 const RESIDUAL: f64 = 0.5;
-/// Blocks that can be halved are fitted along the flow where they err by at most so many times what is good.
+/// Blocks that can be halved are fitted along the flow where they err by at most so many times what
+/// is good.
 const NEARLY_GOOD: f64 = 30.0;
-/// Places that are fitted to, those that choose between fits, and those that bounds are of (at 0) are not the same.
+/// Places that are fitted to, those that choose between fits, and those that bounds are of (at 0)
+/// are not the same.
 const FITTED_TO: f64 = 0.61;
 const CHOSEN_BY: f64 = 0.37;
 /// Errors of V, relative to itself, above which a polynomial of a low degree is looked for.
@@ -28,31 +35,47 @@ const AT_EDGES: f64 = 2.0;
 
 impl Builder<'_> {
     /// The best piece for some of a block's points, with its error over the one asked for.
-    pub(super) fn by_tracks(&self, block: &Block, points: &[u32], can_be_halved: bool) -> Option<(Piece, f64)> {
+    pub(super) fn by_tracks(
+        &self,
+        block: &Block,
+        points: &[u32],
+        can_be_halved: bool,
+    ) -> Option<(Piece, f64)> {
         let n = self.cloud.variables;
         let (center, half) = self.extent(block);
         // All the same, many points tell no more than some thousands.
         let some: Vec<u32>;
         let points = if points.len() > MOST_POINTS {
             let share = MOST_POINTS as f64 / points.len() as f64 * f64::from(u32::MAX);
-            some = points.iter().copied().filter(|k| f64::from(mix(*k)) <= share).collect();
+            some = points
+                .iter()
+                .copied()
+                .filter(|k| f64::from(mix(*k)) <= share)
+                .collect();
             &some
         } else {
             points
         };
         let equations = |count: usize| ((n + 1) * count) as f64;
-        let determined = |degree: usize| equations(points.len()) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64;
+        let determined = |degree: usize| {
+            equations(points.len()) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64
+        };
         let highest = (1..=self.highest).rev().find(|d| determined(*d))?;
         // Points in the piece tell its error, and where they are few others near it.
         let mut far: Vec<f64> = (points.iter())
             .map(|k| {
                 let z = self.cloud.z(*k as usize);
-                (0..n).map(|i| (z[i] - center[i]).abs() / half[i]).fold(0.0, f64::max)
+                (0..n)
+                    .map(|i| (z[i] - center[i]).abs() / half[i])
+                    .fold(0.0, f64::max)
             })
             .collect();
         let enough = far.len() >= LEAST_TESTS;
         let near = match enough {
-            true => (*far.select_nth_unstable_by(LEAST_TESTS - 1, f64::total_cmp).1).max(1.0),
+            true => (*far
+                .select_nth_unstable_by(LEAST_TESTS - 1, f64::total_cmp)
+                .1)
+                .max(1.0),
             false => 1.0,
         };
         let inside = |k: &u32| {
@@ -72,7 +95,9 @@ impl Builder<'_> {
         let shapes = (Shape::ALL.iter())
             .filter(|(shape, _)| shape.serves(least))
             .filter_map(|(shape, _)| {
-                let tested = rough.tested(*shape, low, (1, 0.0), |k| inside(&few[k])).pop()?;
+                let tested = rough
+                    .tested(*shape, low, (1, 0.0), |k| inside(&few[k]))
+                    .pop()?;
                 Some((tested.errors[0], *shape))
             });
         let (first, shapes) = shortlist(shapes)?;
@@ -85,7 +110,10 @@ impl Builder<'_> {
         let good = self.habits.enough * self.region.error / self.habits.allowance;
         for shape in shapes {
             for tested in learned.tested(shape, degree, (DEGREES, good), |k| inside(&mine[k])) {
-                if best.as_ref().is_none_or(|(_, b)| tested.errors[0] < b.errors[0]) {
+                if best
+                    .as_ref()
+                    .is_none_or(|(_, b)| tested.errors[0] < b.errors[0])
+                {
                     best = Some((shape, tested));
                 }
             }
@@ -96,9 +124,17 @@ impl Builder<'_> {
         let (shape, mut fit) = best?;
         if !hopeless {
             let extent = (center.clone(), half.clone());
-            self.fit_along(extent, (&mine, &inside), (can_be_halved, good), (shape, &mut fit));
+            self.fit_along(
+                extent,
+                (&mine, &inside),
+                (can_be_halved, good),
+                (shape, &mut fit),
+            );
             // Points that it was not fitted to.
-            let beside: Vec<u32> = thinned(points, MOST_TESTS).into_iter().filter(inside).collect();
+            let beside: Vec<u32> = thinned(points, MOST_TESTS)
+                .into_iter()
+                .filter(inside)
+                .collect();
             let degree = self.degree_of(&fit.coefficients);
             let errors = self
                 .data((&center, &half), &beside, degree, scale)
@@ -117,8 +153,9 @@ impl Builder<'_> {
         Some(self.piece((center, half), fitted, enough.then_some(bounds), points))
     }
 
-    /// Fits again with the equation along the flow at places of the block, where a fit to points alone is not good enough but not
-    /// far from it; takes the new fit if it errs less and solves the equation better.
+    /// Fits again with the equation along the flow at places of the block, where a fit to points
+    /// alone is not good enough but not far from it; takes the new fit if it errs less and solves
+    /// the equation better.
     fn fit_along(
         &self,
         (center, half): (Vec<f64>, Vec<f64>),
@@ -137,7 +174,11 @@ impl Builder<'_> {
             return;
         }
         let places = self.places(&piece, &[], (self.terms.upto[degree], FITTED_TO));
-        let along = self.along(&piece, &places, flow, &[]).into_iter().flatten().collect();
+        let along = self
+            .along(&piece, &places, flow, &[])
+            .into_iter()
+            .flatten()
+            .collect();
         let data = (self.data((&center, &half), points, degree, self.scale(points))).with(along);
         for tested in data.tested(shape, degree, (DEGREES, good), |k| inside(&points[k])) {
             piece.coefficients.clone_from(&tested.coefficients);
@@ -149,8 +190,9 @@ impl Builder<'_> {
         }
     }
 
-    /// Takes a polynomial of a low degree instead of one that errs by much, if that errs less: what a high one says between few
-    /// tracks may have any slope, which a law would take for V's. Of tracks so few each tells how far to trust the others.
+    /// Takes a polynomial of a low degree instead of one that errs by much, if that errs less: what
+    /// a high one says between few tracks may have any slope, which a law would take for V's. Of
+    /// tracks so few each tells how far to trust the others.
     fn tame(
         &self,
         extent: (Vec<f64>, Vec<f64>),
@@ -162,7 +204,12 @@ impl Builder<'_> {
         if least <= ROUGH {
             return;
         }
-        let data = self.data((&piece.center, &piece.half), points, LOW, self.scale(points));
+        let data = self.data(
+            (&piece.center, &piece.half),
+            points,
+            LOW,
+            self.scale(points),
+        );
         for tested in data.tested(shape, LOW, (LOW, 0.0), |k| inside(&points[k])) {
             piece.coefficients.clone_from(&tested.coefficients);
             let of_points = largest(&data.errors(shape, &tested.coefficients));
@@ -174,15 +221,19 @@ impl Builder<'_> {
         }
     }
 
-    /// What the residual of a piece counts beside errors of its points where fits are chosen; infinite off V's branch.
+    /// What the residual of a piece counts beside errors of its points where fits are chosen;
+    /// infinite off V's branch.
     fn share_of_residual(&self, piece: &Piece) -> f64 {
         match self.residual(piece, &[], CHOSEN_BY) {
-            Residual { off_branch: true, .. } => f64::INFINITY,
+            Residual {
+                off_branch: true, ..
+            } => f64::INFINITY,
             residual => RESIDUAL * residual.largest,
         }
     }
 
-    /// A piece at whose edge points are missing errs more: beyond the outermost of them nothing tells.
+    /// A piece at whose edge points are missing errs more: beyond the outermost of them nothing
+    /// tells.
     pub(super) fn bounded(&self, mut piece: Piece, at_edge: bool) -> Piece {
         if at_edge {
             piece.bound *= AT_EDGES;
@@ -191,7 +242,8 @@ impl Builder<'_> {
         piece
     }
 
-    /// Some of a list, as many inside as their share and as tell an error, and not more of a track than can be left out at once.
+    /// Some of a list, as many inside as their share and as tell an error, and not more of a track
+    /// than can be left out at once.
     fn drawn(&self, list: &[u32], most: usize, inside: &impl Fn(&u32) -> bool) -> Vec<u32> {
         let allowed = most_of_group(self.cloud.variables);
         let (within, beside): (Vec<u32>, Vec<u32>) = list.iter().partition(|k| inside(k));
@@ -213,16 +265,23 @@ impl Builder<'_> {
         // Those beside it keep its edges from being extrapolated to.
         let share = most * within.len() / list.len().max(1);
         let mut drawn = thinned(&few_a_track(within), share.max(LEAST_TESTS));
-        drawn.extend(thinned(&few_a_track(beside), most.saturating_sub(drawn.len())));
+        drawn.extend(thinned(
+            &few_a_track(beside),
+            most.saturating_sub(drawn.len()),
+        ));
         drawn
     }
 
-    /// The axis along which a block is halved: that of the halves in which low polynomials err least.
+    /// The axis along which a block is halved: that of the halves in which low polynomials err
+    /// least.
     pub(super) fn axis_by_halves(&self, block: &Block, pieces: &[(Piece, Vec<u32>)]) -> usize {
         let wide = self.wide(block);
         let errors: Vec<Option<f64>> = match pieces {
             [(piece, points)] => {
-                let most = (2.0 * self.habits.most_equations * self.terms.upto[LOW.min(self.highest)] as f64) as usize;
+                let most = (2.0
+                    * self.habits.most_equations
+                    * self.terms.upto[LOW.min(self.highest)] as f64)
+                    as usize;
                 let drawn = thinned(points, most);
                 (wide.iter())
                     .map(|i| self.error_of_halves(block, piece, &drawn, *i))
@@ -241,18 +300,32 @@ impl Builder<'_> {
         }
     }
 
-    /// Sum of squares of the errors of low polynomials in the halves of a block; `None` where a half has too few points.
-    fn error_of_halves(&self, block: &Block, piece: &Piece, points: &[u32], axis: usize) -> Option<f64> {
+    /// Sum of squares of the errors of low polynomials in the halves of a block; `None` where a
+    /// half has too few points.
+    fn error_of_halves(
+        &self,
+        block: &Block,
+        piece: &Piece,
+        points: &[u32],
+        axis: usize,
+    ) -> Option<f64> {
         let degree = LOW.min(self.highest);
         let at = 0.5 * (block.lo[axis] + block.hi[axis]);
         let (below, above): (Vec<u32>, Vec<u32>) =
             (points.iter().copied()).partition(|k| self.cloud.z(*k as usize)[axis] < at);
         let mut sum = 0.0;
         for half in [below, above] {
-            if ((self.cloud.variables + 1) * half.len()) as f64 <= LEAST_EQUATIONS * self.terms.upto[degree] as f64 {
+            if ((self.cloud.variables + 1) * half.len()) as f64
+                <= LEAST_EQUATIONS * self.terms.upto[degree] as f64
+            {
                 return None;
             }
-            let data = self.data((&piece.center, &piece.half), &half, degree, self.scale(points));
+            let data = self.data(
+                (&piece.center, &piece.half),
+                &half,
+                degree,
+                self.scale(points),
+            );
             let fitted = data.fitted(piece.shape, degree)?;
             sum += (data.errors(piece.shape, &fitted).iter())
                 .map(|[v, p]| (v * v + p * p).min(WORST))
@@ -282,7 +355,8 @@ mod tests {
         region = { a = [-2, 2], b = [-2, 2], c = [-2, 2] }
     "#;
 
-    /// All points lie in a plane, and the polynomial rises beside it, where the points do not show it: the equation does.
+    /// All points lie in a plane, and the polynomial rises beside it, where the points do not show
+    /// it: the equation does.
     #[test]
     fn what_the_equation_contradicts_gets_a_low_degree() {
         let model = crate::scenario::parse(STRAIGHT, "test.toml", &[]).expect("a scene");
@@ -309,7 +383,11 @@ mod tests {
             ..Cloud::default()
         };
         for k in 0..60u32 {
-            let x = [1.5, 1.0 + f64::from(k % 8) / 7.0, 1.0 + f64::from(k / 8) / 7.0];
+            let x = [
+                1.5,
+                1.0 + f64::from(k % 8) / 7.0,
+                1.0 + f64::from(k / 8) / 7.0,
+            ];
             let v = 0.5 * x.iter().map(|x| x * x).sum::<f64>();
             cloud.add(&frame, (&x, &x), (v, Clearance::default()), (k, 0));
         }
@@ -325,7 +403,18 @@ mod tests {
         // In variables y = 2 (x - 1.5): V, and what does not show at the points.
         let wild = |excess: f64| {
             let mut coefficients = vec![0.0; builder.terms.upto[4]];
-            let data = [3.375, 0.75, 0.75, 0.75, 0.125 + excess, 0.0, 0.0, 0.125, 0.0, 0.125];
+            let data = [
+                3.375,
+                0.75,
+                0.75,
+                0.75,
+                0.125 + excess,
+                0.0,
+                0.0,
+                0.125,
+                0.0,
+                0.125,
+            ];
             coefficients[..10].copy_from_slice(&data);
             coefficients
         };
@@ -337,11 +426,21 @@ mod tests {
         for (excess, is_kept) in [(0.0, true), (40.0, false)] {
             let coefficients = wild(excess);
             let errors = [1e-6; 2];
-            let mut fit = Tested { coefficients, errors };
-            builder.tame(extent.clone(), (&points, &|_| true), (Shape::Value, &mut fit));
+            let mut fit = Tested {
+                coefficients,
+                errors,
+            };
+            builder.tame(
+                extent.clone(),
+                (&points, &|_| true),
+                (Shape::Value, &mut fit),
+            );
             assert_eq!(fit.coefficients.len() == builder.terms.upto[4], is_kept);
             let slopes = slopes(fit.coefficients);
-            let off = slopes.iter().zip([1.95, 1.65, 1.35]).map(|(q, p)| (q - p).abs());
+            let off = slopes
+                .iter()
+                .zip([1.95, 1.65, 1.35])
+                .map(|(q, p)| (q - p).abs());
             let off = off.fold(0.0, f64::max);
             println!("{excess}: p errs by {off:.2}");
             assert!(off < 0.5 && (off < 1e-9) == is_kept);

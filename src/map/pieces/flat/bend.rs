@@ -19,7 +19,8 @@ pub(super) struct Shear<T> {
     phi: Vec<Lanes<T, LANES>>,
 }
 
-/// A place in coordinates of the frame, with first and second derivatives of phi by all of them where there is a shear.
+/// A place in coordinates of the frame, with first and second derivatives of phi by all of them
+/// where there is a shear.
 #[derive(Clone, Copy)]
 pub(super) struct Place<T> {
     pub z: [T; MOST_VARIABLES],
@@ -69,7 +70,12 @@ impl<T: Real> Shear<T> {
         to.count("BEND_BELOW", self.tables.upto[self.degree - 1]);
         to.count("BEND_TWICE_BELOW", self.tables.upto[self.degree.max(2) - 2]);
         to.tables(
-            ["BEND_UPTO", "BEND_FACTORS", "BEND_RAISED", "BEND_RAISED_TWICE"],
+            [
+                "BEND_UPTO",
+                "BEND_FACTORS",
+                "BEND_RAISED",
+                "BEND_RAISED_TWICE",
+            ],
             &self.tables,
         );
     }
@@ -128,7 +134,9 @@ impl<T: Real> Shear<T> {
     pub fn straighten(
         &self,
         n: usize,
-        Place { slope, curvature, .. }: &Place<T>,
+        Place {
+            slope, curvature, ..
+        }: &Place<T>,
         q: &mut [T; MOST_VARIABLES],
         h: &mut [T; MOST_SECOND],
         bound: &mut [T; MOST_VARIABLES],
@@ -147,7 +155,8 @@ impl<T: Real> Shear<T> {
         if !second {
             return;
         }
-        // J'hJ and what the curvature of phi adds, where J is the identity but for its row of the axis.
+        // J'hJ and what the curvature of phi adds, where J is the identity but for its row of the
+        // axis.
         let mut row = [zero; MOST_VARIABLES];
         for i in 0..n {
             row[i] = if i == a { T::of(1.0) } else { slope[i] } / self.width;

@@ -1,4 +1,5 @@
-//! What the pieces around a state say together: one sheet's blend, with first and second derivatives.
+//! What the pieces around a state say together: one sheet's blend, with first and second
+//! derivatives.
 
 use super::bend::Place;
 use super::{Flat, Here};
@@ -122,12 +123,18 @@ impl<T: Real> Flat<T> {
                 // The piece of the same sheet, if the neighbour has one.
                 best.filter(|told| {
                     let alone = own.sole && share.sole;
-                    alone || (told.v - first.v).absolute() <= T::of(SAME) * (told.v_bound + first.v_bound)
+                    alone
+                        || (told.v - first.v).absolute()
+                            <= T::of(SAME) * (told.v_bound + first.v_bound)
                 })
             };
             let Some(told) = best else { continue };
             sums.add(n, &share.weight, told, first, second);
-            v_bound = if told.v_bound > v_bound { told.v_bound } else { v_bound };
+            v_bound = if told.v_bound > v_bound {
+                told.v_bound
+            } else {
+                v_bound
+            };
             for i in 0..n {
                 p_bound[i] = if told.p_bound[i] > p_bound[i] {
                     told.p_bound[i]
@@ -152,7 +159,8 @@ impl<T: Real> Flat<T> {
                 for i in 0..n {
                     for j in i..n {
                         let cross = slope[i] * sums.dw[j] + slope[j] * sums.dw[i];
-                        h[pair] = first.h[pair] + (sums.ddb[pair] - cross - blend * sums.ddw[pair]) / sums.w;
+                        h[pair] = first.h[pair]
+                            + (sums.ddb[pair] - cross - blend * sums.ddw[pair]) / sums.w;
                         pair += 1;
                     }
                 }
@@ -187,12 +195,15 @@ impl<T: Real> Flat<T> {
             here.bent(n, |pair| h[pair]);
         }
         for j in 0..n {
-            here.p_bound[j] = (0..n).fold(zero, |sum, i| sum + (self.matrix[i * n + j] * p_bound[i]).absolute());
+            here.p_bound[j] = (0..n).fold(zero, |sum, i| {
+                sum + (self.matrix[i * n + j] * p_bound[i]).absolute()
+            });
         }
     }
 }
 
-/// Sums over the pieces that are blended: of weights w, and of weights times what a piece says more than the first.
+/// Sums over the pieces that are blended: of weights w, and of weights times what a piece says more
+/// than the first.
 struct Sums<T> {
     w: T,
     dw: [T; MOST_VARIABLES],
@@ -251,7 +262,8 @@ impl<T: Real> Sums<T> {
                 };
                 let cross = dw[i] * (told.q[j] - first.q[j]) + dw[j] * (told.q[i] - first.q[i]);
                 self.ddw[pair] = self.ddw[pair] + ddw;
-                self.ddb[pair] = self.ddb[pair] + (w * (told.h[pair] - first.h[pair]) + cross + ddw * more);
+                self.ddb[pair] =
+                    self.ddb[pair] + (w * (told.h[pair] - first.h[pair]) + cross + ddw * more);
                 pair += 1;
             }
         }
