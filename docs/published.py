@@ -81,9 +81,9 @@ def supports(point, known):
     if flown > ours + 1e-3 * abs(ours):
         return "ours only as far as it comes"
     if theirs and float(theirs) < ours - tolerance:
-        return "ours: the published value is below what was flown"
+        return "ours: the published value is below the cost of the simulated control"
     if theirs and float(theirs) > flown + tolerance:
-        return "ours: the published value can be undercut"
+        return "ours: a simulated control costs less than the published value"
     return "ours" + (" and the published" if theirs else "")
 
 
@@ -137,9 +137,11 @@ def main():
         body += ["", "## %s" % title, "", "`scenarios/published/%s.toml`" % scene, ""] + lines
     head = [
         "# Published problems, solved again", "",
-        "Made by `docs/published.sh` with %s. *Reference* is the value that the tests require: the published one, or one" % version,
-        "computed by another program to more digits. *Flown* is the cost that a simulated control attains from the state: an upper",
-        "bound of the least cost, whatever found it. Differences are relative.", "",
+        "Made by `docs/published.sh` with %s. *Reference* is the value that the tests require: the" % version,
+        "published one, or one computed by another program to more digits. *Flown* is the cost that a simulated",
+        "control attains from the state: an upper bound of the least cost, however the control was found. The column",
+        "*supports* names the values, ours and the published one, that agree with that cost. Differences are",
+        "relative.", "",
         "| problem | states | converged | largest difference from the reference | seconds | error estimate of V |",
         "|" + " --- |" * 6]
     with open(os.path.join(HERE, "published.md"), "w") as file:

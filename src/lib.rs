@@ -84,6 +84,8 @@ pub mod numeric;
 pub mod program;
 #[cfg(feature = "hdf5")]
 pub mod result;
+#[cfg(feature = "hdf5")]
+pub mod run;
 pub mod scenario;
 pub mod scene;
 pub mod session;

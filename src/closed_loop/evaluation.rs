@@ -4,8 +4,9 @@ use super::Path;
 use super::sets::{Line, area, contour};
 use super::{Initial, Setting};
 use crate::backend::{Backend, Status};
-use crate::model::{Extremum, OperatingSet};
+use crate::model::{ClosedLoop, Extremum, Method, OperatingSet};
 use crate::numeric::quantile::nearest_rank;
+use crate::sweep::Numerics;
 use std::collections::BTreeMap;
 
 /// One law, from all initial states.
@@ -67,6 +68,15 @@ pub struct Evaluation {
     /// Names of records and what is kept of them.
     pub records: Vec<(String, Extremum)>,
     pub asked: Vec<OperatingSet>,
+    /// The section that was simulated.
+    pub closed_loop: ClosedLoop,
+    pub numerics: Numerics,
+    /// Method of the map's law, whose legs are a period long.
+    pub leg_method: Method,
+    /// A trajectory has converged where the quadratic form of its last deviation is below this.
+    pub converged_below: f64,
+    /// Status codes and their meanings.
+    pub status_flags: Vec<(i32, String)>,
     /// What the codes mean that occur.
     pub status_names: BTreeMap<i32, String>,
     /// Below this cost V is too small for J/V - 1 to say anything.
@@ -92,6 +102,11 @@ impl Evaluation {
                 .map(|r| (r.name.clone(), r.extremum))
                 .collect(),
             asked: scene.sets.clone(),
+            closed_loop: scene.clone(),
+            numerics: setting.numerics,
+            leg_method: setting.leg_method,
+            converged_below: scene.converged * setting.scale,
+            status_flags: setting.status_flags(),
             status_names: (laws.iter().flat_map(|l| &l.status))
                 .map(|s| (*s, setting.status_name(*s)))
                 .collect(),
@@ -188,6 +203,16 @@ impl Evaluation {
         .unwrap_or(f64::NAN)
     }
 
+    /// `41 reached, 3 guard_x`.
+    pub fn status_text(&self, law: &LawResult) -> String {
+        let counts = self.statuses(law);
+        let parts: Vec<String> = counts
+            .iter()
+            .map(|(name, count)| format!("{count} {name}"))
+            .collect();
+        parts.join(", ")
+    }
+
     /// How many trajectories ended how, by name.
     pub fn statuses(&self, law: &LawResult) -> BTreeMap<&str, usize> {
         let mut counts = BTreeMap::new();
@@ -207,8 +232,7 @@ impl LawResult {
     }
 
     /// Of every trajectory the updates without an answer of the chart; 0 of a law without one.
-    #[cfg(feature = "hdf5")]
-    pub(super) fn fallbacks(&self) -> Vec<i32> {
+    pub fn fallbacks(&self) -> Vec<i32> {
         let own = self.fallback.iter().map(|k| *k as i32);
         own.chain(std::iter::repeat(0))
             .take(self.status.len())

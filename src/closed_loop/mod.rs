@@ -22,8 +22,6 @@ mod relayed;
 mod sets;
 mod simulate;
 mod values;
-#[cfg(feature = "hdf5")]
-mod write;
 
 pub use choose::{Available, Chosen, LQR, MAP, Weights};
 pub use evaluation::{Evaluation, LawResult, SetResult, Spread};
@@ -33,8 +31,6 @@ pub use law::{Law, LawError, Laws};
 pub use sets::{Line, area, contour};
 pub use simulate::OUTSIDE_MAP;
 pub use values::solved_values;
-#[cfg(feature = "hdf5")]
-pub use write::GROUPS;
 
 use crate::backend::{Backend, BackendError, Status, Surface};
 use crate::hamiltonian::Hamiltonian;

@@ -49,6 +49,33 @@ pub enum DpError {
     Backend(#[from] BackendError),
 }
 
+/// Why a scene has no V on a grid; `place` is what asked for it.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    #[error(
+        "{place}: the scene has disturbances, and V on a grid is for problems without (of a game no order of V says which sheet counts)"
+    )]
+    Game { place: String },
+    #[error("{place}: the scene has {states} states, and V on a grid is for at most {MOST_STATES}")]
+    TooManyStates { place: String, states: usize },
+}
+
+/// Refuses scenes that have no V on a grid.
+///
+/// # Errors
+/// [`Refusal`].
+pub fn refuse(model: &Model, place: &str) -> Result<(), Refusal> {
+    let place = place.to_owned();
+    let states = model.states.len();
+    if model.is_game() {
+        return Err(Refusal::Game { place });
+    }
+    if states > MOST_STATES {
+        return Err(Refusal::TooManyStates { place, states });
+    }
+    Ok(())
+}
+
 /// How fine and how far the grid is.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {

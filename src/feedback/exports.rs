@@ -7,9 +7,6 @@ use crate::files::{FileError, write_bytes, write_text};
 use crate::model::Model;
 use std::path::{Path, PathBuf};
 
-/// The group of the result file that fitted laws are written to.
-pub const GROUP: &str = "feedback";
-
 /// All laws that have been fitted.
 #[derive(Clone, Debug, Default)]
 pub struct Fitted {

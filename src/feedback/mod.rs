@@ -12,8 +12,6 @@ mod law;
 mod network;
 mod onnx;
 mod quality;
-#[cfg(feature = "hdf5")]
-mod record;
 mod regression;
 mod samples;
 mod shape;
@@ -21,7 +19,7 @@ mod training;
 mod units;
 mod weights;
 
-pub use exports::{Exports, Fitted, GROUP};
+pub use exports::{Exports, Fitted};
 pub use fit::{Data, FitError, FittedLaw, fit};
 pub use header::{Known, header, value_header};
 pub use law::{ClosedForm, Law, LawError, Meaning, Optimal, Polynomial};

@@ -19,6 +19,7 @@
 //! ```
 
 mod adaptive;
+mod agreement;
 mod coverage;
 #[cfg(feature = "gpu")]
 mod device;
@@ -34,6 +35,7 @@ mod sites;
 mod swift;
 
 pub use adaptive::{ABOVE_BOUND, Adaptive, Beyond, Checked, GROSS, Part, adaptive};
+pub use agreement::Agreement;
 pub use coverage::{Coverage, Fronts};
 #[cfg(feature = "gpu")]
 pub use device::{DeviceError, DeviceMap};

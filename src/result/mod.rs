@@ -4,6 +4,9 @@
 mod answers;
 mod attenuation;
 mod caustic;
+mod closed_loop;
+mod dissipation;
+mod feedback;
 mod interpolated;
 mod known;
 mod map_pieces;
@@ -13,6 +16,9 @@ mod study;
 mod trajectories;
 
 pub use attenuation::ATTENUATION_GROUPS;
+pub use closed_loop::CLOSED_LOOP_GROUPS;
+pub use dissipation::DISSIPATION_GROUPS;
+pub use feedback::FEEDBACK_GROUP;
 pub use interpolated::{Places, Times};
 pub use known::StoredMapError;
 pub use record::{RunRecord, utc_timestamp};

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// From the ground up; a room may import what stands before it. ARCHITECTURE.md draws them.
-const FLOORS: [&str; 25] = [
+const FLOORS: [&str; 26] = [
     "diagnostics",
     "numeric",
     "trajectories",
@@ -31,6 +31,7 @@ const FLOORS: [&str; 25] = [
     "study",
     "session",
     "result",
+    "run",
 ];
 
 fn files(directory: &Path, found: &mut Vec<PathBuf>) {

@@ -21,15 +21,11 @@
 mod cases;
 mod certificate;
 mod verdict;
-#[cfg(feature = "hdf5")]
-mod write;
 
 pub use super::forcing::Wave;
 pub use cases::{Cases, DisturbanceKind};
 pub use certificate::{Certificate, Origin, Solver};
 pub use verdict::{LawCheck, Summary, ratio_text};
-#[cfg(feature = "hdf5")]
-pub use write::GROUPS;
 
 use super::flights::{Seen, Starts};
 use super::forcing::Forcing;

@@ -1,0 +1,74 @@
+//! `costate evaluate`: laws simulated side by side.
+
+use crate::args::EvaluateArgs;
+use crate::common::load::loaded;
+use crate::common::terminal::Terminal;
+use crate::common::{Kind, check_out, print_json, provenance};
+use crate::error::CliError;
+use costate::closed_loop::Weights;
+use costate::result::Stored;
+use costate::run::{evaluate as simulate, other_scene, weights};
+use costate::session::summary::{DissipationSummary, EvaluationSummary};
+use costate::session::{LoopOptions, Session, SessionError};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
+    let provenance = provenance();
+    let inputs = [&args.file]
+        .into_iter()
+        .chain(&args.scene)
+        .chain(&args.weights);
+    let inputs: Vec<&Path> = inputs.map(PathBuf::as_path).collect();
+    check_out(args.out.as_deref(), &[Kind::Result], &inputs)?;
+
+    let is_scene = args
+        .file
+        .extension()
+        .is_some_and(|end| end.eq_ignore_ascii_case("toml"));
+    let stored = (!is_scene).then(|| Stored::open(&args.file)).transpose()?;
+    if stored.is_some() && args.scene.is_none() && !args.set.is_empty() {
+        return Err(CliError::SetOfResult);
+    }
+    let other = match (&stored, &args.scene) {
+        (Some(_), None) => None,
+        (Some(stored), Some(scene)) => Some(other_scene(stored, scene, &args.set)?),
+        (None, _) => Some(loaded(&args.file, &args.set)?),
+    };
+    let own = stored.as_ref().map(|stored| &stored.scene);
+    let scene = other.as_ref().or(own).ok_or(SessionError::NoClosedLoop)?;
+    if scene.model.closed_loop.is_none() && scene.model.dissipation.is_none() {
+        return Err(SessionError::NoClosedLoop.into());
+    }
+
+    let added: Vec<Weights> = (args.weights.iter())
+        .map(|path| weights(path).map_err(SessionError::from))
+        .collect::<Result<_, _>>()?;
+    let options = LoopOptions {
+        laws: (!args.laws.is_empty()).then(|| args.laws.clone()),
+        random: args.random,
+        solve: args.solve,
+    };
+    let terminal = Terminal::with(args.quiet, args.json);
+    let session = Session::on(scene, args.numerics.open(&scene.model)?)
+        .choosing(args.numerics.choices(args.seed))
+        .heard_by(&terminal);
+    let out = args.out.as_deref();
+    let done = simulate(&session, stored.as_ref(), added, &options, out, &provenance)?;
+    terminal.ended()?;
+
+    if args.json {
+        let file = done.path.display().to_string();
+        let mut summary = match &done.closed_loop {
+            Some(evaluation) => json!(EvaluationSummary::new(evaluation, &done.path)),
+            None => json!({ "file": file }),
+        };
+        if let Some(check) = &done.dissipation {
+            summary["dissipation"] = json!(DissipationSummary::new(check));
+        }
+        print_json(&summary)?;
+    }
+    let (seconds, path) = (provenance.seconds(), done.path.display());
+    terminal.say(&format!("{seconds:.2} s, written to {path}"))?;
+    Ok(())
+}

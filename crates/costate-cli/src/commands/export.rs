@@ -1,0 +1,220 @@
+//! `costate export`: a value function, or a fitted law, as a C header.
+
+use crate::args::ExportArgs;
+use crate::common::load::loaded;
+use crate::common::terminal::Terminal;
+use crate::common::{Kind, check_out};
+use crate::error::CliError;
+use costate::feedback::{Known, Law, LawError, NetworkError, header, value_header};
+use costate::files::write_text;
+use costate::hamiltonian::System;
+use costate::local::{LocalError, LocalPolynomial, Riccati};
+use costate::model::Horizon;
+use costate::result::{Stored, StoredMapError};
+use costate::run::{fitted_laws, output_of};
+use costate::scene::Scene;
+use serde_json::{Value, json};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Why nothing was exported.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    #[error(
+        "{path} has no map in pieces: give the scene [map] with error = ... and run it again (--local exports the series about the equilibrium)", path = path.display()
+    )]
+    NoMap { path: PathBuf },
+    #[error("{path} is a scene, and a map is in a result file: run it first (--local exports the series about the equilibrium)", path = path.display())]
+    Scene { path: PathBuf },
+    #[error("{path} is a scene, and a fitted law is in a result file: run it and fit the law first (costate fit)", path = path.display())]
+    SceneOfLaw { path: PathBuf },
+    #[error("{path} holds no fitted law: fit one first (costate fit)", path = path.display())]
+    NoLaw { path: PathBuf },
+    #[error("{path} holds {}: say which with --law=NAME", listed(laws), path = path.display())]
+    WhichLaw { path: PathBuf, laws: Vec<String> },
+    #[error("{path} holds no law `{name}`, but {}", listed(laws), path = path.display())]
+    OtherLaws {
+        path: PathBuf,
+        name: String,
+        laws: Vec<String>,
+    },
+    #[error(
+        "--set changes a scene, and {path} is a result file: run its scene with --set and export that, or export the series of the scene (--local SCENE.toml --set ...)", path = path.display()
+    )]
+    SetOfResult { path: PathBuf },
+    #[error("a finite horizon has no equilibrium, and so no series about it")]
+    Finite,
+    #[error(transparent)]
+    Local(#[from] LocalError),
+    #[error(transparent)]
+    Weights(#[from] NetworkError),
+    #[error(transparent)]
+    Law(#[from] LawError),
+}
+
+fn listed(laws: &[String]) -> String {
+    format!("the laws {}", laws.join(", "))
+}
+
+/// A header, and what is said of it.
+struct Made {
+    /// What its names begin with.
+    name: String,
+    text: String,
+    said: String,
+    summary: Value,
+}
+
+pub fn export(args: &ExportArgs) -> Result<(), CliError> {
+    check_out(args.out.as_deref(), &[Kind::Header], &[&args.file])?;
+    let scene = args
+        .file
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("toml"));
+    if !scene && !args.set.is_empty() {
+        let path = args.file.clone();
+        return Err(ExportError::SetOfResult { path }.into());
+    }
+    let name = args.name.as_deref();
+    let path = args.file.clone();
+    let made = match (&args.law, args.local) {
+        (Some(_), _) if scene => return Err(ExportError::SceneOfLaw { path }.into()),
+        (Some(wanted), _) => law(name, wanted.as_deref(), &path)?,
+        (None, false) if scene => return Err(ExportError::Scene { path }.into()),
+        (None, false) => map(name.unwrap_or("map"), &path)?,
+        (None, true) => {
+            let name = name.unwrap_or("local");
+            if scene {
+                local(name, &loaded(&path, &args.set)?, args.degree)?
+            } else {
+                let stored = Stored::open(&path)?;
+                local(name, &stored.scene, args.degree)?
+            }
+        }
+    };
+    let name = &made.name;
+    let path = args.out.clone().unwrap_or_else(|| {
+        let beside = if scene {
+            output_of(&args.file, "")
+        } else {
+            args.file.clone()
+        };
+        let stem = beside
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        beside.with_file_name(format!("{stem}_{name}.h"))
+    });
+    write_text(&path, &made.text)?;
+    if args.json {
+        let mut summary = made.summary;
+        summary["file"] = json!(path.display().to_string());
+        summary["name"] = json!(name);
+        summary["bytes"] = json!(made.text.len());
+        writeln!(std::io::stdout(), "{summary:#}")?;
+    }
+    Terminal::with(args.quiet, args.json).say(&format!(
+        "{}\n  {:.1} kB of C, written to {}",
+        made.said,
+        made.text.len() as f64 / 1e3,
+        path.display()
+    ))?;
+    Ok(())
+}
+
+fn map(name: &str, path: &Path) -> Result<Made, CliError> {
+    let stored = Stored::open(path)?;
+    let missing = || ExportError::NoMap {
+        path: path.to_owned(),
+    };
+    if !stored.has_map() {
+        return Err(missing().into());
+    }
+    let map = stored.value_map()?;
+    let nothing = || StoredMapError::EmptyMap {
+        path: path.to_owned(),
+    };
+    let (pieces, local, system) = map.in_parts().ok_or_else(nothing)?;
+    let numbers: usize = pieces.pieces.iter().map(|p| p.coefficients.len()).sum();
+    let (p, c) = (pieces.pieces.len(), pieces.cells.len());
+    Ok(Made {
+        name: name.to_owned(),
+        text: value_header(
+            name,
+            Known::Map(pieces, local.as_ref()),
+            system,
+            &stored.scene.model,
+        ),
+        said: format!("map: {p} pieces in {c} cells, {numbers} coefficients"),
+        summary: json!({ "kind": "map", "pieces": p, "cells": c, "coefficients": numbers }),
+    })
+}
+
+/// A law that was fitted into a result file, as `costate fit` writes its header; `wanted` may be
+/// left out where there is one.
+fn law(name: Option<&str>, wanted: Option<&str>, path: &Path) -> Result<Made, CliError> {
+    let stored = Stored::open(path)?;
+    let path = path.to_owned();
+    let mut laws = fitted_laws(&stored)?;
+    let names: Vec<String> = laws.iter().map(|law| law.name.clone()).collect();
+    let found = match wanted {
+        _ if laws.is_empty() => Err(ExportError::NoLaw { path }),
+        None if laws.len() == 1 => Ok(0),
+        None => Err(ExportError::WhichLaw { path, laws: names }),
+        Some(wanted) => {
+            (names.iter().position(|n| n == wanted)).ok_or_else(|| ExportError::OtherLaws {
+                path,
+                name: wanted.to_owned(),
+                laws: names.clone(),
+            })
+        }
+    };
+    let stored_law = laws.swap_remove(found?);
+    let name = name.map_or(stored_law.name, str::to_owned);
+    let law = Law::from_toml(&stored_law.text, &stored_law.file).map_err(ExportError::from)?;
+    let form = law
+        .closed_form(&stored.scene.model, &stored.scene.hamiltonian)
+        .map_err(ExportError::from)?;
+    let sizes = law
+        .network
+        .layers
+        .iter()
+        .map(|l| l.weights.len() + l.bias.len());
+    let weights: usize = sizes.sum();
+    Ok(Made {
+        text: header(&name, &law, &form, &stored.scene.model),
+        said: format!("law {name}: {}, {weights} weights", form.outputs.join(", ")),
+        summary: json!({
+            "kind": "law", "fitted": law.meaning.name(), "outputs": form.outputs, "parameters": weights,
+        }),
+        name,
+    })
+}
+
+fn local(name: &str, scene: &Scene, degree: usize) -> Result<Made, CliError> {
+    let Scene {
+        model, hamiltonian, ..
+    } = scene;
+    if matches!(model.horizon, Horizon::Finite { .. }) {
+        return Err(ExportError::Finite.into());
+    }
+    let system = System::new(hamiltonian, model);
+    let riccati = Riccati::solve(hamiltonian, model).map_err(ExportError::from)?;
+    let polynomial =
+        LocalPolynomial::new(&system, model, &riccati, degree + 1).map_err(ExportError::from)?;
+    let terms = polynomial.coefficients.len();
+    Ok(Made {
+        name: name.to_owned(),
+        text: value_header(name, Known::Local(&polynomial), &system, model),
+        said: format!(
+            "series about the equilibrium: V of degree {}, u of degree {degree}, {terms} coefficients; counts as known up to V = {:.3e} \
+             of the quadratic part",
+            polynomial.degree, polynomial.reach
+        ),
+        summary: json!({
+            "kind": "local", "degree": degree, "V_degree": polynomial.degree, "coefficients": terms,
+            "V_reach": polynomial.reach,
+        }),
+    })
+}

@@ -1,0 +1,39 @@
+//! `costate fit`: laws from what a result file holds.
+
+use crate::args::FitArgs;
+use crate::common::print_json;
+use crate::common::terminal::Terminal;
+use crate::error::CliError;
+use crate::text;
+use costate::result::Stored;
+use costate::run::{LawFiles, RunError, fit_stored, other_scene};
+use costate::session::summary::FittedSummary;
+use serde_json::json;
+
+pub fn fit(args: &FitArgs) -> Result<(), CliError> {
+    let stored = Stored::open(&args.file)?;
+    let terminal = Terminal::with(args.quiet, args.json);
+    let other = args.scene.as_deref();
+    let other = other
+        .map(|scene| other_scene(&stored, scene, &[]))
+        .transpose()?;
+    let scene = &other.as_ref().unwrap_or(&stored.scene).model;
+    if scene.feedback.is_empty() {
+        let path = args.scene.clone().unwrap_or_else(|| args.file.clone());
+        return Err(RunError::NoFeedback { path }.into());
+    }
+    let mut laws = scene.feedback.clone();
+    for law in &mut laws {
+        law.seed = args.seed.unwrap_or(law.seed);
+        law.starts = args.starts.unwrap_or(law.starts);
+    }
+
+    let files = LawFiles::new(&args.file, args.out_dir.as_deref());
+    let done = fit_stored(&stored, scene, &laws, &files, &terminal)?;
+    if args.json {
+        let laws = FittedSummary::all(&done.fitted, &done.exports);
+        print_json(&json!({ "file": args.file.display().to_string(), "laws": laws }))?;
+    }
+    terminal.say(&text::laws::text(&done.fitted, &done.exports))?;
+    Ok(())
+}

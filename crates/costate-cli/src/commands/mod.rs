@@ -1,0 +1,13 @@
+//! One file a command: arguments to a call of the library, and its result to text.
+
+pub mod attenuation;
+pub mod bench;
+pub mod check;
+pub mod check_least;
+pub mod evaluate;
+pub mod export;
+pub mod fit;
+pub mod report;
+pub mod run;
+pub mod study;
+pub mod value;

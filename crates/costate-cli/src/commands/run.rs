@@ -1,0 +1,201 @@
+//! `costate run` and its parts.
+
+use crate::args::{RunArgs, SolveArgs};
+use crate::common::grid::GridRefusal;
+use crate::common::load::load;
+use crate::common::terminal::Terminal;
+use crate::common::{Kind, check_out, points, print_json, provenance};
+use crate::error::CliError;
+use crate::text::listed;
+use costate::dynamic_programming;
+use costate::files::{target, write_text};
+use costate::result::Stored;
+use costate::run::{self, Provenance, output_of, output_of_points};
+use costate::session::summary::{
+    AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
+};
+use costate::session::{Finished, Listed, Progress, Session, SessionError, States, Wanted};
+use costate_report::Options;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Which parts of a scene to run.
+#[derive(Clone, Copy)]
+pub enum Parts<'a> {
+    All,
+    ShootOut,
+    Homotopy,
+    Solve(&'a SolveArgs),
+}
+
+pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
+    let provenance = provenance();
+    let solve = match parts {
+        Parts::Solve(solve) => Some(solve),
+        _ => None,
+    };
+    let table = solve.is_some_and(listed::is_table);
+    let inputs = [Some(&args.scene.scenario), solve.map(|s| &s.points)];
+    let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
+    let kinds: &[Kind] = match parts {
+        Parts::Solve(_) => &[Kind::Result, Kind::Table],
+        _ => &[Kind::Result],
+    };
+    check_out(args.out.as_deref(), kinds, &inputs)?;
+
+    let scene = load(&args.scene)?;
+    let model = &scene.model;
+    if let Some(solve) = solve.filter(|_| table) {
+        listed::check_table(solve, model)?;
+    }
+    let mut wanted = match parts {
+        Parts::All => Wanted::all(),
+        Parts::ShootOut => Wanted::sweep(),
+        Parts::Homotopy => Wanted::homotopy(),
+        Parts::Solve(solve) => Wanted {
+            states: States::Listed(Listed {
+                x: points::read(&solve.points, model)?,
+                one_sheet: solve.one_sheet,
+                samples: solve.trajectories.then_some(solve.samples),
+            }),
+            ..Wanted::default()
+        },
+    };
+    wanted.grid_guesses = args.grid_guesses;
+    if args.grid_guesses {
+        dynamic_programming::refuse(model, "--grid-guesses").map_err(SessionError::from)?;
+    }
+
+    let (path, other) = match &args.out {
+        Some(path) => (path.clone(), None),
+        None if solve.is_some() => output_of_points(&args.scene.scenario),
+        None => (output_of(&args.scene.scenario, ""), None),
+    };
+    let terminal = Terminal::new(&args.scene);
+    if let Some(other) = other {
+        terminal.note(&format!(
+            "{} holds other results and stays as it is; the answers go to {}",
+            other.display(),
+            path.display()
+        ));
+    }
+    if let Some(solve) = solve
+        && points::has_published(&solve.points, model)
+    {
+        let column = points::PUBLISHED;
+        terminal.note(&format!("column {column} of the points is not read"));
+    }
+
+    let session = Session::on(&scene, args.numerics.open(model)?)
+        .choosing(args.numerics.choices(args.seed))
+        .heard_by(&terminal);
+    let refused = |e: CliError| match e {
+        CliError::Session(SessionError::NoGridGuesses) => GridRefusal::Nothing.into(),
+        other => other,
+    };
+    let (mut summary, path) = if table {
+        to_table(&session, &wanted, &path, &provenance).map_err(refused)?
+    } else {
+        to_file(&session, &wanted, &path, &provenance).map_err(refused)?
+    };
+    terminal.ended()?;
+    let page = (matches!(parts, Parts::All) && !args.no_report).then(|| page(&path, &terminal));
+    let page = page.flatten();
+    summary["report"] = json!(page.as_ref().map(|p| p.display().to_string()));
+    if args.scene.json {
+        print_json(&summary)?;
+    }
+    let report = page.map_or_else(String::new, |p| format!("; report: {}", p.display()));
+    let seconds = provenance.seconds();
+    terminal.say(&format!(
+        "{seconds:.2} s, written to {}{report}",
+        path.display()
+    ))?;
+    Ok(())
+}
+
+/// The run with its result file: the summary for `--json`, and the file.
+fn to_file(
+    session: &Session<'_>,
+    wanted: &Wanted,
+    path: &Path,
+    provenance: &Provenance,
+) -> Result<(Value, PathBuf), CliError> {
+    let done = session.run(wanted, path, provenance)?;
+    let mut summary = json!(done.summary);
+    if done.outcome.listed > 0 {
+        summary["points"] = json!(listed::points(&done.outcome));
+    }
+    let laws = &done.laws;
+    let feedback = laws.feedback.as_ref();
+    let parts = [
+        (
+            "feedback",
+            json!(feedback.map(|f| FittedSummary::all(&f.fitted, &f.exports))),
+        ),
+        (
+            "closed_loop",
+            json!((laws.closed_loop.as_ref()).map(|e| EvaluationSummary::new(e, &done.path))),
+        ),
+        (
+            "dissipation",
+            json!(laws.dissipation.as_ref().map(DissipationSummary::new)),
+        ),
+        (
+            "attenuation",
+            json!(laws.attenuation.as_ref().map(AttenuationSummary::new)),
+        ),
+    ];
+    for (name, part) in parts.into_iter().filter(|_| wanted.laws) {
+        summary[name] = part;
+    }
+    Ok((summary, done.path))
+}
+
+/// The answers as a table; there is no result file.
+fn to_table(
+    session: &Session<'_>,
+    wanted: &Wanted,
+    path: &Path,
+    provenance: &Provenance,
+) -> Result<(Value, PathBuf), CliError> {
+    let model = &session.scene().model;
+    let pass = session.prepare(wanted)?;
+    session
+        .progress()
+        .begun(model, pass.plan(), session.backend());
+    // What is wrong with the name is told before the work is done.
+    let path = target(path)?;
+    let outcome = pass.perform::<SessionError>(&mut |_| Ok(()))?;
+    let record = session.record(&outcome, provenance);
+    let mut summary = json!(run::summary(
+        &outcome,
+        model,
+        &record,
+        &path,
+        provenance.seconds()
+    ));
+    summary["points"] = json!(listed::points(&outcome));
+    write_text(&path, &listed::table(&outcome, model)?)?;
+    session
+        .progress()
+        .finished(Finished::Solved(&outcome, model));
+    Ok((summary, path))
+}
+
+/// The report of a finished file; a failure is a note.
+fn page(path: &Path, terminal: &Terminal) -> Option<PathBuf> {
+    terminal.step("report");
+    let written = Stored::open(path).map_err(|e| e.to_string());
+    let written = written.and_then(|stored| {
+        costate_report::write(&stored, &Options::default()).map_err(|e| e.to_string())
+    });
+    terminal.step_ended();
+    match written {
+        Ok(written) => Some(written.page),
+        Err(reason) => {
+            terminal.note(&format!("no report was made: {reason}"));
+            None
+        }
+    }
+}

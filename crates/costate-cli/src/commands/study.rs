@@ -1,0 +1,29 @@
+//! `costate study`: the study alone.
+
+use crate::args::RunArgs;
+use crate::common::alone::Alone;
+use crate::common::print_json;
+use crate::error::CliError;
+use crate::text;
+use costate::run::write_study;
+use costate::session::SessionError;
+use costate::session::summary::study_rows;
+
+pub fn study(args: &RunArgs) -> Result<(), CliError> {
+    let (begun, backend, mut file) = Alone::begin(args, "_study", |model| {
+        model.study.as_ref().map(drop).ok_or(SessionError::NoStudy)
+    })?;
+    let (model, terminal) = (&begun.scene.model, &begun.terminal);
+    let session = begun.session(backend);
+    let variants = session.study()?;
+    write_study(&mut file, model, &variants)?;
+    let path = begun.finish(&session, file)?;
+
+    terminal.say(&text::study::table(model, &variants))?;
+    let seconds = begun.provenance.seconds();
+    terminal.say(&format!("{seconds:.2} s, written to {}", path.display()))?;
+    if args.scene.json {
+        print_json(&study_rows(model, &variants))?;
+    }
+    Ok(())
+}

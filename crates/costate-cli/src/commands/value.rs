@@ -1,0 +1,716 @@
+//! `costate value`: V, p and u interpolated from a result file.
+
+use crate::args::{PrecisionChoice, ValueArgs};
+use crate::common::terminal::Terminal;
+use crate::common::{Kind, check_out, csv_text, open, points, print, print_json, provenance};
+use crate::error::CliError;
+use costate::diagnostics::shorten;
+use costate::files::write_text;
+use costate::hdf5::ResultFile;
+use costate::map::{At, Coverage, DeviceMap, Fronts, Unknown, Value, ValueMap};
+use costate::model::{Model, Precision};
+use costate::numeric::digits::plain;
+use costate::numeric::quantile::median_p99_max;
+use costate::result::{Places, RunRecord, Stored, Times};
+use costate::run::axes;
+use costate::session::Progress;
+use costate::value::Grid;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// What is wrong with the places asked for.
+#[derive(Debug, thiserror::Error)]
+pub enum PlaceError {
+    #[error(
+        "no states are asked for: give --at NAME=VALUE,..., --points FILE.csv or --grid NAME=FIRST:LAST:COUNT"
+    )]
+    Nothing,
+    #[error("--{option} {text}: {reason}")]
+    Malformed {
+        option: &'static str,
+        text: String,
+        reason: String,
+    },
+    #[error("--precision f32: on the CPU values are those of f64 (--backend gpu has both)")]
+    Precision,
+}
+
+/// Most points of a grid.
+const MOST_POINTS: usize = 20_000_000;
+
+pub fn value(args: &ValueArgs) -> Result<(), CliError> {
+    let provenance = provenance();
+    let terminal = Terminal::with(args.quiet, args.json);
+    if args.at.is_empty() && args.points.is_none() && args.grid.is_empty() {
+        return Err(PlaceError::Nothing.into());
+    }
+    if let Some(out) = &args.out {
+        let inputs: Vec<&Path> = [&args.file]
+            .into_iter()
+            .chain(&args.points)
+            .map(PathBuf::as_path)
+            .collect();
+        check_out(Some(out), &[Kind::Result, Kind::Table], &inputs)?;
+    }
+    let stored = Stored::open(&args.file)?;
+    let model = &stored.scene.model;
+    // A missing map is told below; here what is asked of it.
+    let knows = stored
+        .map_pieces()?
+        .is_some_and(|p| p.states() > model.states.len());
+    let check = |t: f64| known_time(model, knows, t);
+    let n = model.states.len();
+    let time = Time {
+        knows,
+        check: &check,
+    };
+    let mut grid = grid(&args.grid, model, &time)?;
+    let (mut states, mut times) = (Vec::new(), Vec::new());
+    for at in &args.at {
+        let (x, t) = single(at, model, &time)?;
+        states.extend(x);
+        times.push(t);
+    }
+    if let Some(path) = &args.points {
+        let column = points::TimeColumn {
+            name: model.time_name(),
+            known: knows,
+            check: &check,
+        };
+        let (x, t) = points::read_with_times(path, model, Some(column))?;
+        states.extend(x);
+        times.extend(t);
+    }
+    if let Some(axes) = &mut grid {
+        let all = Grid { axes: axes.clone() }.points();
+        states = all.chunks(n + 1).flat_map(|x| &x[..n]).copied().collect();
+        times = all.chunks(n + 1).map(|x| x[n]).collect();
+        if !knows {
+            axes.pop();
+        }
+    }
+    let map = stored.value_map()?;
+    let asked = ask(&map, &states, &times, args)?;
+    let found = asked.found;
+    let timed = map.time().is_some();
+    let time = |k: usize| timed.then(|| times[k]);
+    let many = grid.is_some() || args.points.is_some();
+    match &args.out {
+        Some(out)
+            if !out
+                .extension()
+                .is_some_and(|e| e.eq_ignore_ascii_case("csv")) =>
+        {
+            let mut file = ResultFile::create(out)?;
+            let places = match &grid {
+                Some(axes) => Places::Grid(axes),
+                None => Places::Points(&states),
+            };
+            let named = timed.then(|| Times {
+                name: model.time_name(),
+                t: &times,
+            });
+            file.interpolated(&axes(model), &places, named, &found)?;
+            let record = RunRecord {
+                backend: asked.backend.to_owned(),
+                adapter: asked.adapter.clone(),
+                precision: asked.precision.name().to_owned(),
+                method: "interpolation".to_owned(),
+                ..provenance.record(model)
+            };
+            record.write(&file)?;
+            file.attribute("source", args.file.display().to_string())?;
+            if let Some(note) = of_all(&found, map.fronts()) {
+                file.attribute("coverage", note)?;
+            }
+            file.finish()?;
+        }
+        Some(out) => write_text(
+            out,
+            &table(model, &states, timed.then_some(&times), &found, &map)?,
+        )?,
+        None if args.json => {
+            let all: Vec<_> = (states.chunks(map.states()).zip(&found).enumerate())
+                .map(|(k, (x, at))| as_json(model, (x, time(k)), at, &map))
+                .collect();
+            print_json(&all)?;
+            return Ok(());
+        }
+        None if many => {
+            print(&table(
+                model,
+                &states,
+                timed.then_some(&times),
+                &found,
+                &map,
+            )?)?;
+            // The table itself says it of each state.
+            if let Some(note) = of_all(&found, map.fronts()) {
+                terminal.note(&note);
+            }
+        }
+        None => {
+            if asked.backend == "gpu" {
+                terminal.say(&format!(
+                    "gpu on {}, {}",
+                    asked.adapter,
+                    asked.precision.name()
+                ))?;
+            }
+            for (k, (x, at)) in states.chunks(map.states()).zip(&found).enumerate() {
+                terminal.say(&as_text(model, (x, time(k)), at, &map))?;
+            }
+        }
+    }
+    if let Some(out) = &args.out {
+        let known = found.iter().filter(|at| at.lowest.is_ok()).count();
+        let errors: Vec<f64> = found
+            .iter()
+            .filter_map(|at| at.lowest.as_ref().ok())
+            .map(|v| v.v_error)
+            .collect();
+        let [median, most, worst] = median_p99_max(&errors);
+        let source = match map.pieces() {
+            0 => format!("{} sites", map.sites()),
+            n => format!("{n} pieces"),
+        };
+        let mut text = format!("{known} of {} states known, from {source}", found.len());
+        if worst.is_finite() {
+            let _ = write!(
+                text,
+                "; error of V: median {median:.1e}, 99 % {most:.1e}, largest {worst:.1e}"
+            );
+        }
+        let _ = write!(
+            text,
+            "\n{}, {}: {:.2} s, written to {}",
+            asked.adapter,
+            asked.precision.name(),
+            provenance.seconds(),
+            out.display()
+        );
+        terminal.say(&text)?;
+        let note = of_all(&found, map.fronts());
+        if let Some(note) = &note {
+            terminal.note(note);
+        }
+        if args.json {
+            let summary = serde_json::json!({
+                "file": out.display().to_string(), "states": found.len(), "known": known, "sites": map.sites(), "pieces": map.pieces(),
+                "V_error": { "median": median, "p99": most, "max": worst }, "coverage": note,
+            });
+            print_json(&summary)?;
+        }
+    }
+    Ok(())
+}
+
+/// What is known, and who was asked.
+struct Asked {
+    found: Vec<At>,
+    backend: &'static str,
+    adapter: String,
+    precision: Precision,
+}
+
+fn ask(map: &ValueMap, states: &[f64], times: &[f64], args: &ValueArgs) -> Result<Asked, CliError> {
+    let backend = open::backend(args.backend, args.adapter.as_deref(), None)?;
+    let wanted = args.precision.and_then(PrecisionChoice::precision);
+    let precision = match wanted {
+        Some(precision) => precision,
+        None if backend.supports(Precision::F64) => Precision::F64,
+        None => Precision::F32,
+    };
+    let found = match backend.gpu() {
+        Some(gpu) => DeviceMap::new(map, gpu, precision)?.at_times(states, times)?,
+        None if precision == Precision::F64 => map.at_times(states, times, !args.no_errors),
+        None => return Err(PlaceError::Precision.into()),
+    };
+    Ok(Asked {
+        found,
+        backend: backend.name(),
+        adapter: backend.adapter(),
+        precision,
+    })
+}
+
+/// What is wrong with asking for V at a time; `knows`: the file's map has time as an axis.
+fn known_time(model: &Model, knows: bool, t: f64) -> Result<(), String> {
+    let name = model.time_name();
+    let at = plain(t);
+    match model.final_time() {
+        _ if t == 0.0 => Ok(()),
+        None => Err(format!(
+            "`{name}` = {at}, but on an infinite horizon V does not depend on time: leave it out"
+        )),
+        Some(last) if !(0.0..=last).contains(&t) => Err(format!(
+            "`{name}` = {at} is not within the horizon, from 0 to {last}"
+        )),
+        Some(_) if !knows && model.is_game() => Err(format!(
+            "`{name}` = {at}, but of a game V is known at {name} = 0 alone"
+        )),
+        Some(_) if !knows && model.map_aim.as_ref().is_some_and(|aim| aim.time) => Err(format!(
+            "`{name}` = {at}, but the file has no map of V(x, {name}): none was made, it knows nothing, or these are values of one at \
+             {name} = 0"
+        )),
+        Some(_) if !knows => Err(format!(
+            "`{name}` = {at}, but the file knows V at {name} = 0 alone: give the scene [map] with error = ... (and not time = false), and \
+             run it again"
+        )),
+        Some(_) => Ok(()),
+    }
+}
+
+/// The time as an argument of V.
+struct Time<'t> {
+    /// Whether the file's map has it as an axis.
+    knows: bool,
+    check: &'t dyn Fn(f64) -> Result<(), String>,
+}
+
+/// Number of a state, or of what follows the states: the time.
+fn argument(name: &str, model: &Model, time: &Time<'_>) -> Result<usize, String> {
+    let last = model.time_name();
+    if name == last {
+        return Ok(model.states.len());
+    }
+    model.state(name).map_err(|reason| match time.knows {
+        true => format!("{reason}; the map's other axis is the time, `{last}`"),
+        false => reason,
+    })
+}
+
+/// `name=value,...`; states not named are at the reference point, a time that is not given is 0.
+fn single(text: &str, model: &Model, time: &Time<'_>) -> Result<(Vec<f64>, f64), CliError> {
+    let wrong = |reason: String| PlaceError::Malformed {
+        option: "at",
+        text: shorten(text),
+        reason,
+    };
+    let mut x = model.reference().to_vec();
+    x.push(0.0);
+    let mut given = Vec::new();
+    for part in text.split(',') {
+        let (name, value) = part.split_once('=').ok_or_else(|| {
+            wrong(format!(
+                "`{part}` is not NAME=VALUE; several are separated by commas"
+            ))
+        })?;
+        let state = argument(name.trim(), model, time).map_err(&wrong)?;
+        if given.contains(&state) {
+            return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
+        }
+        given.push(state);
+        x[state] = number(value).map_err(&wrong)?;
+    }
+    let t = x.pop().unwrap_or(0.0);
+    (time.check)(t).map_err(&wrong)?;
+    Ok((x, t))
+}
+
+fn number(text: &str) -> Result<f64, String> {
+    let value: Option<f64> = text.trim().parse().ok();
+    (value.filter(|v| v.is_finite()))
+        .ok_or_else(|| format!("`{}` is not a finite number", shorten(text.trim())))
+}
+
+/// The axes of `--grid name=first:last:count` or `name=value`, repeated or separated by commas, the
+/// time's last; `None` without any.
+fn grid(
+    texts: &[String],
+    model: &Model,
+    time: &Time<'_>,
+) -> Result<Option<Vec<Vec<f64>>>, CliError> {
+    if texts.is_empty() {
+        return Ok(None);
+    }
+    let mut axes: Vec<Vec<f64>> = model.reference().iter().map(|x| vec![*x]).collect();
+    axes.push(vec![0.0]);
+    let mut given = Vec::new();
+    for text in texts.iter().flat_map(|t| t.split(',')) {
+        let wrong = |reason: String| PlaceError::Malformed {
+            option: "grid",
+            text: shorten(text),
+            reason,
+        };
+        let shape = || wrong("expected NAME=FIRST:LAST:COUNT or NAME=VALUE".to_owned());
+        let (name, range) = text.split_once('=').ok_or_else(shape)?;
+        let state = argument(name.trim(), model, time).map_err(&wrong)?;
+        if given.contains(&state) {
+            return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
+        }
+        given.push(state);
+        let parts: Vec<&str> = range.split(':').collect();
+        axes[state] = match parts.as_slice() {
+            [value] => vec![number(value).map_err(&wrong)?],
+            [first, last, count] => {
+                let (first, last) = (
+                    number(first).map_err(&wrong)?,
+                    number(last).map_err(&wrong)?,
+                );
+                let count: Option<usize> = count.trim().parse().ok();
+                let count = count.filter(|c| (2..=1_000_000).contains(c));
+                let count = count.ok_or_else(|| {
+                    wrong("a count is a whole number from 2 to 1000000".to_owned())
+                })?;
+                if last <= first {
+                    return Err(wrong("the last value must be above the first".to_owned()).into());
+                }
+                costate::value::spaced(first, last, count)
+            }
+            _ => return Err(shape().into()),
+        };
+        if state == model.states.len() {
+            axes[state]
+                .iter()
+                .try_for_each(|t| (time.check)(*t))
+                .map_err(&wrong)?;
+        }
+    }
+    let points = axes
+        .iter()
+        .fold(1usize, |a, axis| a.saturating_mul(axis.len()));
+    if points > MOST_POINTS {
+        let reason = format!("{points} points; at most {MOST_POINTS}");
+        let text = shorten(&texts.join(","));
+        return Err(PlaceError::Malformed {
+            option: "grid",
+            text,
+            reason,
+        }
+        .into());
+    }
+    Ok(Some(axes))
+}
+
+fn names(model: &Model) -> (Vec<&str>, Vec<&str>) {
+    (
+        model
+            .states
+            .iter()
+            .map(|s| s.variable.name.as_str())
+            .collect(),
+        model
+            .controls
+            .iter()
+            .map(|c| c.variable.name.as_str())
+            .collect(),
+    )
+}
+
+/// How a value is known, in words.
+fn how(value: &Value) -> String {
+    if value.sites == 0 {
+        return "from the local solution about the equilibrium".to_owned();
+    }
+    if value.in_pieces {
+        return match value.sites {
+            1 => "from one piece of the map".to_owned(),
+            n => format!("from {n} pieces of the map, blended"),
+        };
+    }
+    let solved = if value.solved > 0 {
+        format!(" ({} of them solved states)", value.solved)
+    } else {
+        String::new()
+    };
+    format!(
+        "interpolated from {} sites{solved}, the nearest {:.1e} of the region away",
+        value.sites, value.nearest
+    )
+}
+
+fn sheet(value: &Value) -> String {
+    if value.sites == 0 {
+        "at the equilibrium".to_owned()
+    } else if value.sheet < 0 {
+        "sheet -1 (no labelled solution is near: run with [homotopy] or [map] for labels)"
+            .to_owned()
+    } else {
+        format!("sheet {}", value.sheet)
+    }
+}
+
+/// Of a map whose first states were not all searched.
+const CUT: &str = "the budget ended the search of the map's first states";
+
+/// What a value's being the least rests on, where something may be missing.
+fn coverage(value: &Value, fronts: &Fronts) -> Option<String> {
+    match value.coverage {
+        Coverage::Local | Coverage::Covered | Coverage::Checked => None,
+        Coverage::Searched if !fronts.swept => Some(
+            "from states that were searched for sheets one by one: no sweep shows that no cheaper sheet lies over this state"
+                .to_owned(),
+        ),
+        Coverage::Searched => Some(format!(
+            "the fronts of the sweep were not covered here ({}): what is known of cheaper sheets is the search at the solved states",
+            gaps(fronts)
+        )),
+        Coverage::Uncovered if value.in_pieces => Some(format!("{CUT}: a cheaper sheet may be missing, which the error does not include")),
+        Coverage::Uncovered => Some(format!(
+            "the fronts of the sweep were not covered here ({}): a cheaper sheet may be missing, which the error does not include",
+            gaps(fronts)
+        )),
+    }
+}
+
+/// The gaps that a sweep left, in words.
+fn gaps(fronts: &Fronts) -> String {
+    let mut text = match fronts.gaps {
+        u64::MAX => "the file does not tell its gaps".to_owned(),
+        0 => format!("{} trajectories failed", fronts.failed),
+        n => format!(
+            "{n} gaps remain, the widest {:.2} of the region",
+            fronts.widest
+        ),
+    };
+    if fronts.below > 0.0 {
+        let _ = write!(text, "; covered up to V = {:.4}", fronts.below);
+    }
+    text
+}
+
+/// A solved state that an interpolated sheet undercuts.
+fn undercut(at: &At) -> Option<String> {
+    let here = at.lowest.as_ref().ok()?;
+    let lower = at.others.first().filter(|other| other.v < here.v)?;
+    Some(format!(
+        "a sheet interpolated from swept trajectories is lower here, V = {:.6}: the solution may not be the least",
+        lower.v
+    ))
+}
+
+/// The same of all answers in one line; `None` where nothing is missing.
+fn of_all(found: &[At], fronts: &Fronts) -> Option<String> {
+    let known: Vec<&Value> = found
+        .iter()
+        .filter_map(|at| at.lowest.as_ref().ok())
+        .collect();
+    let count = |c: Coverage| known.iter().filter(|v| v.coverage == c).count();
+    let (uncovered, searched) = (count(Coverage::Uncovered), count(Coverage::Searched));
+    let of_pieces = |v: &&&Value| v.in_pieces && v.coverage == Coverage::Uncovered;
+    let cut = known.iter().filter(of_pieces).count();
+    if cut > 0 {
+        return Some(format!(
+            "{cut} of {} answers are of a map to an error. {CUT}: a cheaper sheet may be missing, which the errors do not include",
+            known.len()
+        ));
+    }
+    if uncovered > 0 {
+        return Some(format!(
+            "{uncovered} of {} answers lie where the fronts of the sweep were not covered ({}): a cheaper sheet may be missing \
+             there, which the errors do not include",
+            known.len(),
+            gaps(fronts)
+        ));
+    }
+    (searched > 0).then(|| {
+        format!(
+            "{searched} of {} answers rest on states that were searched for sheets one by one, not on fronts without gaps",
+            known.len()
+        )
+    })
+}
+
+/// Why V is not known at a state.
+fn reason(model: &Model, x: &[f64], unknown: Unknown, map: &ValueMap) -> String {
+    match map.outside(x).filter(|_| unknown == Unknown::Far) {
+        Some((state, [lo, hi])) => {
+            let beyond = if map.maps_beyond() {
+                " (of the map round it, which solutions that leave the region have made, too little is known there)"
+            } else {
+                ""
+            };
+            format!(
+                "{unknown}: {} = {} lies outside the region of the map, from {} to {}{beyond}",
+                model.states[state].variable.name,
+                plain(x[state]),
+                plain(lo),
+                plain(hi)
+            )
+        }
+        None => unknown.to_string(),
+    }
+}
+
+/// V with ten decimals, or as many digits where it is very small or large.
+fn ten(v: f64) -> String {
+    if v == 0.0 || (1e-3..1e15).contains(&v.abs()) {
+        format!("{v:.10}")
+    } else {
+        format!("{v:.10e}")
+    }
+}
+
+/// `x` with its time where the map has that axis.
+fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap) -> String {
+    let fronts = map.fronts();
+    let (states, controls) = names(model);
+    let list = |names: &[&str], values: &[f64]| {
+        let parts: Vec<String> = (names.iter().zip(values))
+            .map(|(n, v)| format!("{n} = {}", plain(*v)))
+            .collect();
+        parts.join(", ")
+    };
+    let time = t.map_or(String::new(), |t| {
+        format!(", {} = {}", model.time_name(), plain(t))
+    });
+    let mut lines = vec![list(&states, x) + &time];
+    match &at.lowest {
+        Err(unknown) => lines.push(format!(
+            "  V is not known: {}",
+            reason(model, x, *unknown, map)
+        )),
+        Ok(here) => {
+            let error = |e: f64| {
+                if e.is_finite() {
+                    format!(" (error about {e:.1e})")
+                } else {
+                    String::new()
+                }
+            };
+            lines.push(format!("  V = {}{}", ten(here.v), error(here.v_error)));
+            let costates: Vec<String> = states.iter().map(|s| format!("p_{s}")).collect();
+            let costates: Vec<&str> = costates.iter().map(String::as_str).collect();
+            let relative = if here.p_error.is_finite() {
+                format!(" (relative error about {:.1e})", here.p_error)
+            } else {
+                String::new()
+            };
+            lines.push(format!("  {}{relative}", list(&costates, &here.p)));
+            if t.is_some() {
+                lines.push(format!(
+                    "  dV/d{} = {}",
+                    model.time_name(),
+                    plain(here.rate)
+                ));
+            }
+            if !controls.is_empty() {
+                lines.push(format!(
+                    "  {}{}",
+                    list(&controls, &here.u),
+                    error(here.u_error)
+                ));
+            }
+            lines.push(format!("  {}; {}", sheet(here), how(here)));
+            if let Some(asked) = map.falls_short(here) {
+                lines.push(format!(
+                    "  the map was asked for an error of {asked:.1e}, which is not met here"
+                ));
+            }
+            lines.extend(
+                coverage(here, fronts)
+                    .into_iter()
+                    .chain(undercut(at))
+                    .map(|note| format!("  {note}")),
+            );
+        }
+    }
+    for other in &at.others {
+        lines.push(format!(
+            "  also: V = {}, {} ({})",
+            ten(other.v),
+            list(&controls, &other.u),
+            sheet(other)
+        ));
+    }
+    lines.join("\n")
+}
+
+fn as_json(
+    model: &Model,
+    (x, t): (&[f64], Option<f64>),
+    at: &At,
+    map: &ValueMap,
+) -> serde_json::Value {
+    let fronts = map.fronts();
+    let (states, controls) = names(model);
+    let object = |names: &[&str], values: &[f64]| -> serde_json::Value {
+        let pairs = names
+            .iter()
+            .zip(values)
+            .map(|(n, v)| ((*n).to_owned(), serde_json::json!(v)));
+        serde_json::Value::Object(pairs.collect())
+    };
+    let value = |v: &Value| {
+        let mut all = serde_json::json!({
+            "V": v.v, "p": object(&states, &v.p), "u": object(&controls, &v.u), "sheet": v.sheet,
+            "V_error": v.v_error, "p_error": v.p_error, "u_error": v.u_error, "sites": v.sites,
+            "solved_sites": v.solved, "nearest": v.nearest, "how": how(v),
+            "coverage": v.coverage.name(), "coverage_note": coverage(v, fronts),
+        });
+        if t.is_some() {
+            all["dV_dt"] = serde_json::json!(v.rate);
+        }
+        all
+    };
+    let mut all = serde_json::json!({
+        "x": object(&states, x),
+        "value": at.lowest.as_ref().ok().map(value),
+        "undercut": undercut(at),
+        "unknown": at.lowest.as_ref().err().map(|unknown| reason(model, x, *unknown, map)),
+        "other_sheets": at.others.iter().map(value).collect::<Vec<_>>(),
+    });
+    if let Some(t) = t {
+        all["t"] = serde_json::json!(t);
+    }
+    all
+}
+
+/// A CSV table; empty fields where V is not known.
+fn table(
+    model: &Model,
+    states: &[f64],
+    times: Option<&Vec<f64>>,
+    found: &[At],
+    map: &ValueMap,
+) -> Result<String, CliError> {
+    let plain = |v: &f64| plain(*v);
+    let (names, controls) = names(model);
+    let mut header: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
+    header.extend(times.map(|_| model.time_name().to_owned()));
+    header.push("V".to_owned());
+    header.extend(names.iter().map(|n| format!("p_{n}")));
+    header.extend(times.map(|_| "dV_dt".to_owned()));
+    header.extend(controls.iter().map(|n| (*n).to_owned()));
+    header.extend(
+        [
+            "sheet", "V_error", "p_error", "u_error", "coverage", "status",
+        ]
+        .map(str::to_owned),
+    );
+    let columns = header.len();
+    let mut rows = vec![header];
+    for (k, (x, at)) in states.chunks(names.len()).zip(found).enumerate() {
+        let mut row: Vec<String> = x.iter().map(plain).collect();
+        row.extend(times.map(|t| plain(&t[k])));
+        if let Ok(here) = &at.lowest {
+            let rate = times.map(|_| here.rate);
+            row.extend(
+                [here.v]
+                    .iter()
+                    .chain(&here.p)
+                    .chain(&rate)
+                    .chain(&here.u)
+                    .map(plain),
+            );
+            row.push(here.sheet.to_string());
+            let errors = [here.v_error, here.p_error, here.u_error];
+            row.extend(errors.iter().map(|e| {
+                if e.is_finite() {
+                    plain(e)
+                } else {
+                    String::new()
+                }
+            }));
+            row.push(here.coverage.name().to_owned());
+        }
+        row.resize(columns - 1, String::new());
+        row.push(at.lowest.as_ref().map_or_else(
+            |unknown| reason(model, x, *unknown, map),
+            |_| "known".to_owned(),
+        ));
+        rows.push(row);
+    }
+    csv_text(&rows)
+}

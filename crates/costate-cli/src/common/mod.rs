@@ -1,0 +1,111 @@
+//! What commands have in common: reading scenes, opening backends, names of files, printing.
+
+pub mod alone;
+pub mod columns;
+pub mod grid;
+pub mod load;
+pub mod open;
+pub mod points;
+pub mod terminal;
+
+use crate::error::CliError;
+use costate::files::target;
+use costate::run::Provenance;
+use std::io::Write;
+use std::path::Path;
+
+/// What a command writes to `--out`.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    Result,
+    Table,
+    Header,
+    Page,
+}
+
+impl Kind {
+    /// Its endings, the usual one first.
+    fn endings(self) -> &'static [&'static str] {
+        match self {
+            Kind::Result => &["h5", "hdf5", "he5", "nc", "nc4"],
+            Kind::Table => &["csv"],
+            Kind::Header => &["h"],
+            Kind::Page => &["html", "htm"],
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Kind::Result => "a result file is HDF5",
+            Kind::Table => "a table is CSV",
+            Kind::Header => "it is a C header",
+            Kind::Page => "it is a page of HTML",
+        }
+    }
+}
+
+/// Refuses to write over what is read and what is no file, and one kind of file under the name of
+/// another.
+pub fn check_out(out: Option<&Path>, kinds: &[Kind], inputs: &[&Path]) -> Result<(), CliError> {
+    let Some(out) = out else { return Ok(()) };
+    let bad = |reason| CliError::BadOut {
+        path: out.to_owned(),
+        reason,
+    };
+    target(out)?;
+    let same = |a: &Path| {
+        std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(out).is_ok_and(|b| a == b))
+    };
+    if inputs.iter().any(|i| same(i)) {
+        return Err(bad("this file is read".to_owned()));
+    }
+    let end = out
+        .extension()
+        .map(|e| e.to_string_lossy().to_lowercase())
+        .unwrap_or_default();
+    let unnamed = end.is_empty() && kinds == [Kind::Result];
+    if unnamed
+        || kinds
+            .iter()
+            .any(|kind| kind.endings().contains(&end.as_str()))
+    {
+        return Ok(());
+    }
+    let all: Vec<String> = (kinds.iter())
+        .map(|kind| format!("{}; name it .{}", kind.name(), kind.endings()[0]))
+        .collect();
+    Err(bad(all.join("; or ")))
+}
+
+/// Rows of a table as CSV.
+pub fn csv_text(rows: &[Vec<String>]) -> Result<String, CliError> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let csv = |e: csv::Error| CliError::Stdout(std::io::Error::other(e));
+    for row in rows {
+        writer.write_record(row).map_err(csv)?;
+    }
+    let bytes = writer
+        .into_inner()
+        .map_err(|e| CliError::Stdout(std::io::Error::other(e.to_string())))?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+/// Writes to standard output as it is.
+pub fn print(text: &str) -> Result<(), CliError> {
+    std::io::stdout().lock().write_all(text.as_bytes())?;
+    Ok(())
+}
+
+/// A run of this program that begins now.
+pub fn provenance() -> Provenance {
+    Provenance {
+        git_revision: env!("COSTATE_GIT_REVISION").to_owned(),
+        ..Provenance::now()
+    }
+}
+
+/// Writes a summary to standard output, as JSON.
+pub fn print_json(summary: &impl serde::Serialize) -> Result<(), CliError> {
+    let text = serde_json::to_string_pretty(summary).map_err(std::io::Error::other)?;
+    print(&format!("{text}\n"))
+}

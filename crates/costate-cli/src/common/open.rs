@@ -1,0 +1,36 @@
+//! The backend that a command computes on.
+
+use crate::args::BackendChoice;
+use crate::error::CliError;
+use costate::backend::Backend;
+use costate::backend::cpu::Cpu;
+use costate::backend::gpu::{Gpu, Selection};
+use costate::model::Method;
+
+/// The backend asked for, fit for the method asked for where the choice is ours.
+pub fn backend(
+    choice: BackendChoice,
+    adapter: Option<&str>,
+    method: Option<Method>,
+) -> Result<Box<dyn Backend>, CliError> {
+    let selection = match (adapter, choice) {
+        (Some(name), BackendChoice::Cpu) => {
+            return Err(CliError::AdapterOfCpu {
+                name: name.to_owned(),
+            });
+        }
+        (None, BackendChoice::Cpu) => return Ok(Box::new(Cpu::new())),
+        (Some(name), _) => Selection::Named(name.to_owned()),
+        (None, BackendChoice::Gpu) => Selection::Any,
+        (None, BackendChoice::Auto) => Selection::Hardware,
+    };
+    match Gpu::open(&selection)? {
+        // Where the choice is ours, a method asked for counts.
+        Some(gpu) if selection == Selection::Hardware && method.is_some_and(|m| !gpu.offers(m)) => {
+            Ok(Box::new(Cpu::new()))
+        }
+        Some(gpu) => Ok(Box::new(gpu)),
+        // Only a search for hardware comes back empty.
+        None => Ok(Box::new(Cpu::new())),
+    }
+}

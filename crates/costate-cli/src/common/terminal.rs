@@ -1,0 +1,118 @@
+//! Where the words of a command go: text to standard output, or to standard error beside `--json`.
+
+use crate::args::SceneArgs;
+use crate::text;
+use costate::backend::Backend;
+use costate::model::Model;
+use costate::session::{Finished, Progress};
+use costate::sweep::Plan;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::Write;
+use std::sync::Mutex;
+use std::time::Duration;
+
+/// The terminal, as what listens to a computation.
+pub struct Terminal {
+    quiet: bool,
+    json: bool,
+    /// The line that shows the present step.
+    bar: Mutex<Option<ProgressBar>>,
+    /// Why standard output could not be written to.
+    broken: Mutex<Option<std::io::Error>>,
+}
+
+impl Terminal {
+    pub fn new(args: &SceneArgs) -> Self {
+        Self::with(args.quiet, args.json)
+    }
+
+    /// Of a command that reads no scenario.
+    pub fn with(quiet: bool, json: bool) -> Self {
+        Self {
+            quiet,
+            json,
+            bar: Mutex::default(),
+            broken: Mutex::default(),
+        }
+    }
+
+    /// Text that a command was asked for.
+    pub fn say(&self, text: &str) -> std::io::Result<()> {
+        if self.quiet {
+            return Ok(());
+        }
+        if self.json {
+            writeln!(std::io::stderr(), "{text}")
+        } else {
+            writeln!(std::io::stdout(), "{text}")
+        }
+    }
+
+    /// What standard output refused while a computation went on.
+    pub fn ended(&self) -> std::io::Result<()> {
+        let broken = self.broken.lock().ok().and_then(|mut broken| broken.take());
+        broken.map_or(Ok(()), Err)
+    }
+
+    fn said(&self, text: &str) {
+        if let (Err(error), Ok(mut broken)) = (self.say(text), self.broken.lock()) {
+            broken.get_or_insert(error);
+        }
+    }
+}
+
+impl Progress for Terminal {
+    fn step(&self, what: &str) {
+        let Ok(mut bar) = self.bar.lock() else { return };
+        let bar = bar.get_or_insert_with(|| {
+            let target = match self.quiet {
+                true => ProgressDrawTarget::hidden(),
+                false => ProgressDrawTarget::stderr(),
+            };
+            let bar = ProgressBar::with_draw_target(None, target);
+            if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
+                bar.set_style(style);
+            }
+            bar.enable_steady_tick(Duration::from_millis(200));
+            bar
+        });
+        bar.set_message(what.to_owned());
+    }
+
+    fn step_ended(&self) {
+        if let Some(bar) = self.bar.lock().ok().and_then(|mut bar| bar.take()) {
+            bar.finish_and_clear();
+        }
+    }
+
+    fn note(&self, text: &str) {
+        if !self.quiet {
+            let _ = writeln!(std::io::stderr(), "note: {text}");
+        }
+    }
+
+    fn begun(&self, model: &Model, plan: &Plan, backend: &dyn Backend) {
+        self.said(&text::solved::heading(model, plan, backend));
+        for note in text::solved::heading_notes(model, plan) {
+            self.note(&note);
+        }
+    }
+
+    fn finished(&self, part: Finished<'_>) {
+        match part {
+            Finished::Solved(outcome, model) => {
+                self.said(&text::solved::text(&text::solved::Solved::new(
+                    outcome, model,
+                )));
+                for note in text::estimates::notes(&outcome.estimates, &outcome.plan) {
+                    self.note(&note);
+                }
+            }
+            Finished::Fitted(fitted, exports) => self.said(&text::laws::text(fitted, exports)),
+            Finished::ClosedLoop(evaluation) => self.said(&text::evaluation::text(evaluation)),
+            Finished::Dissipation(check) => self.said(&text::dissipation::text(check)),
+            Finished::Attenuation(found) => self.said(&text::attenuation::text(found)),
+            _ => {}
+        }
+    }
+}

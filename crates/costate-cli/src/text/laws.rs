@@ -1,0 +1,113 @@
+//! Fitted laws as text.
+
+use costate::feedback::{Exports, Fitted, FittedLaw};
+
+/// One paragraph a law.
+pub fn text(fitted: &Fitted, exports: &[Exports]) -> String {
+    let laws = fitted.laws.iter().zip(exports);
+    let each: Vec<String> = laws.map(|(law, files)| law_text(law, files)).collect();
+    each.join("\n")
+}
+
+fn law_text(l: &FittedLaw, exports: &Exports) -> String {
+    let sizes = l
+        .law
+        .network
+        .layers
+        .iter()
+        .map(|layer| layer.bias.len().to_string());
+    let sizes = [
+        vec![l.law.network.inputs.len().to_string()],
+        sizes.collect(),
+    ]
+    .concat()
+    .join("-");
+    let what = match l.form.value {
+        Some(_) => "V; u = u*(x, dV/dx)".to_owned(),
+        None => l.form.outputs.join(", "),
+    };
+    let base = if l.law.base.is_some() {
+        " beside the local solution"
+    } else {
+        ""
+    };
+    let q = &l.quality;
+    let mut lines = vec![
+        format!(
+            "law {}: {what}: a {sizes} {} network{base}, {} weights, {:.0} flops a call",
+            l.name,
+            l.law.network.activation.name(),
+            l.parameters,
+            l.flops
+        ),
+        format!(
+            "  data: {} of {} samples in the box, {} of them not optimal; {} + {} + {} samples of {} + {} + {} trajectories \
+             (training, validation, test)",
+            l.selection.selected,
+            l.selection.offered,
+            l.selection.not_optimal,
+            l.sets[0],
+            l.sets[1],
+            l.sets[2],
+            l.trajectories[0],
+            l.trajectories[1],
+            l.trajectories[2]
+        ),
+        format!(
+            "  u on test trajectories: mean error {:.2e}, largest {:.2e} (of mean |u|); mean error {:.2e} of the range",
+            q.u.mean, q.u.max, q.u.mean_of_range
+        ),
+    ];
+    if let (Some(v), Some(p), Some(h)) = (&q.v, &q.p, &q.hjb) {
+        lines.push(format!(
+            "  V: mean error {:.2e}, largest {:.2e} (of mean V); p: mean error {:.2e}, largest {:.2e} (of mean |p|)",
+            v.mean, v.max, p.mean, p.max
+        ));
+        lines.push(format!(
+            "  |H(x, dV/dx)| over the mean running cost {:.3e}: median {:.1e}, 90 % {:.1e}, 99 % {:.1e}, largest {:.1e}",
+            h.scale, h.median, h.q90, h.q99, h.max
+        ));
+    }
+    if let Some(loss) = &q.loss {
+        let named = |values: &mut dyn Iterator<Item = String>| -> String {
+            let pairs = l.form.x.iter().zip(values);
+            let pairs = pairs.map(|(x, value)| format!("{} {value}", l.form.graph.show(*x)));
+            pairs.collect::<Vec<_>>().join(", ")
+        };
+        lines.push(format!(
+            "  loss on test trajectories, H(x, p, u) - H(x, p, u*) over the mean running cost {:.3e}: mean {:.1e}, 99 % {:.1e}, largest {:.1e}",
+            loss.scale, loss.mean, loss.q99, loss.max
+        ));
+        lines.push(format!(
+            "    largest at {}; the largest hundredth within {}",
+            named(&mut loss.at.iter().map(|x| format!("= {x:.4}"))),
+            named(
+                &mut loss
+                    .worst
+                    .iter()
+                    .map(|[lower, upper]| format!("[{lower:.4}, {upper:.4}]"))
+            )
+        ));
+    }
+    if l.narrow_units > 0 {
+        lines.push(format!(
+            "  warning: {} hidden unit{} rise over less than the distance between samples: between these nothing holds the law \
+             (more samples, fewer units, or another seed)",
+            l.narrow_units,
+            if l.narrow_units == 1 { "" } else { "s" }
+        ));
+    }
+    let files = exports.files.iter().map(|f| f.display().to_string());
+    lines.push(format!(
+        "  {:.1} s, {} starts, best after {} steps (seed {}); {}",
+        l.seconds,
+        l.starts,
+        l.iterations,
+        l.seed,
+        files.collect::<Vec<_>>().join(", ")
+    ));
+    if let Some(reason) = &exports.without_onnx {
+        lines.push(format!("  no ONNX model: {reason}"));
+    }
+    lines.join("\n")
+}

@@ -1,0 +1,88 @@
+//! Closed loops and the dissipation inequality, simulated again into a result file.
+
+use super::{Provenance, RunError, sources};
+use crate::closed_loop::dissipation::Dissipation;
+use crate::closed_loop::{Evaluation, Weights};
+use crate::hdf5::ResultFile;
+use crate::result::{CLOSED_LOOP_GROUPS, DISSIPATION_GROUPS, RunRecord, Stored};
+use crate::session::{LoopOptions, Session, SessionError};
+use std::path::{Path, PathBuf};
+
+/// What came of it.
+pub struct Evaluated {
+    pub closed_loop: Option<Evaluation>,
+    pub dissipation: Option<Dissipation>,
+    /// The result file.
+    pub path: PathBuf,
+}
+
+/// Simulates what the session's scene asks for in `[closed_loop]` and `[dissipation]`. Laws and V
+/// are those of a result file, if one is given, and `added` laws. The results replace those in that
+/// file, or go into `out`.
+///
+/// # Errors
+/// Where the scene asks for nothing of this; what is wrong with its laws; those of files.
+pub fn evaluate(
+    session: &Session<'_>,
+    stored: Option<&Stored>,
+    added: Vec<Weights>,
+    options: &LoopOptions,
+    out: Option<&Path>,
+    provenance: &Provenance,
+) -> Result<Evaluated, RunError> {
+    let model = &session.scene().model;
+    let parts = [
+        (model.closed_loop.is_some(), CLOSED_LOOP_GROUPS.as_slice()),
+        (model.dissipation.is_some(), &DISSIPATION_GROUPS),
+    ];
+    if parts.iter().all(|(there, _)| !there) {
+        return Err(SessionError::NoClosedLoop.into());
+    }
+    let mut file = match (stored, out) {
+        (_, Some(out)) => ResultFile::create(out)?,
+        (Some(stored), None) => {
+            // Of what is simulated again nothing old is left.
+            let replaced: Vec<&str> = (parts.iter().filter(|(there, _)| *there))
+                .flat_map(|(_, groups)| groups.iter().copied())
+                .collect();
+            ResultFile::extend(&stored.path, &replaced)?
+        }
+        (None, None) => {
+            let scenario = Path::new(&model.file_name);
+            ResultFile::create(super::output_of(scenario, "_closed_loop"))?
+        }
+    };
+
+    let from = sources(stored, model, added, session.progress())?;
+    let (mut closed_loop, mut dissipation, mut numerics) = (None, None, None);
+    if model.closed_loop.is_some() {
+        let evaluation = session.closed_loop(&from, options)?;
+        evaluation.write(model, &mut file)?;
+        numerics = Some(evaluation.numerics);
+        closed_loop = Some(evaluation);
+    }
+    if model.dissipation.is_some() {
+        let check = session.dissipation(&from, options)?;
+        check.write(model, &mut file)?;
+        numerics = numerics.or(Some(check.numerics));
+        dissipation = Some(check);
+    }
+    if let (Some(numerics), true) = (numerics, stored.is_none() || out.is_some()) {
+        let record = RunRecord {
+            backend: session.backend().name().to_owned(),
+            adapter: session.backend().adapter(),
+            precision: numerics.precision.name().to_owned(),
+            method: numerics.method.name().to_owned(),
+            rtol: numerics.rtol,
+            atol: numerics.atol,
+            ..provenance.record(model)
+        };
+        record.write(&file)?;
+    }
+    let path = file.finish()?;
+    Ok(Evaluated {
+        closed_loop,
+        dissipation,
+        path,
+    })
+}

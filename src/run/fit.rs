@@ -1,0 +1,135 @@
+//! Laws fitted to what a result file holds, written into it and beside it.
+
+use super::RunError;
+use crate::feedback::{Exports, Fitted, Samples};
+use crate::files::can_hold;
+use crate::hdf5::ResultFile;
+use crate::map::ValueMap;
+use crate::model::{Feedback, Model};
+use crate::result::{FEEDBACK_GROUP, Stored, StoredMapError};
+use crate::session::{FitData, Progress, fit_laws};
+use std::path::{Path, PathBuf};
+
+/// Laws of a scene as fitted, with the files written of each.
+pub struct FittedFiles {
+    pub fitted: Fitted,
+    pub exports: Vec<Exports>,
+}
+
+/// Where the laws' files go, and what their names begin with.
+#[derive(Clone, Debug)]
+pub struct LawFiles {
+    directory: PathBuf,
+    stem: String,
+}
+
+impl LawFiles {
+    /// Beside a result file, unless a directory is given.
+    #[must_use]
+    pub fn new(path: &Path, directory: Option<&Path>) -> Self {
+        let directory = directory.or(path.parent()).unwrap_or(Path::new(""));
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        Self {
+            directory: directory.to_owned(),
+            stem: stem.into_owned(),
+        }
+    }
+
+    /// Whether the files can be written there, as far as that can be told before: fitting takes
+    /// long.
+    fn check(&self, scene: &Model, laws: &[Feedback]) -> Result<(), RunError> {
+        // What is not there yet is made in what is.
+        let place = self.directory.ancestors().find(|d| d.exists());
+        let place = place.unwrap_or(Path::new("."));
+        let holds = match place.is_dir() {
+            true => can_hold(place),
+            false => Err(std::io::Error::other(format!(
+                "{} is not a directory",
+                place.display()
+            ))),
+        };
+        holds.map_err(|source| RunError::OutDirectory {
+            path: self.directory.clone(),
+            source,
+        })?;
+
+        let scene = std::fs::canonicalize(&scene.file_name).ok();
+        for law in laws {
+            let weights = (self.directory).join(format!("{}_{}.toml", self.stem, law.name));
+            if scene.is_some() && scene == std::fs::canonicalize(&weights).ok() {
+                return Err(RunError::OverScene {
+                    name: law.name.clone(),
+                    path: weights,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Whether a file has a map to an error to draw samples from; on a finite horizon laws are fitted
+/// along trajectories.
+fn is_mapped(stored: &Stored) -> bool {
+    stored.has("map_pieces") && stored.scene.model.final_time().is_none()
+}
+
+/// The map that knows which samples are optimal, where solutions of several sheets may be in the
+/// file, or samples are the map's own; `None` where it is not needed, or the file holds no values.
+fn judge(stored: &Stored, mapped: bool) -> Result<Option<ValueMap>, RunError> {
+    let periodic = stored.scene.model.states.iter().any(|s| s.period.is_some());
+    if !(periodic || stored.has("points_sheets") || mapped) {
+        return Ok(None);
+    }
+    match stored.value_map() {
+        Ok(map) => Ok(Some(map)),
+        Err(StoredMapError::Empty { .. }) => Ok(None),
+        Err(e) => Err(e.into()),
+    }
+}
+
+/// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws'
+/// files to where they go.
+///
+/// # Errors
+/// Where there is nothing to fit to, a law cannot be fitted, or files cannot be written.
+pub fn fit_stored(
+    stored: &Stored,
+    scene: &Model,
+    laws: &[Feedback],
+    files: &LawFiles,
+    progress: &dyn Progress,
+) -> Result<FittedFiles, RunError> {
+    files.check(scene, laws)?;
+    let own = &stored.scene.model;
+    let sizes = (own.states.len(), own.controls.len());
+    let (swept, solved) = (stored.trajectories()?, stored.points()?);
+    let samples = Samples::new(sizes, swept.as_ref(), solved.as_ref());
+    let mapped = is_mapped(stored);
+    if samples.is_empty() && !mapped {
+        let path = stored.path.clone();
+        return Err(RunError::NoData { path });
+    }
+
+    progress.step("reading the value map");
+    let map = judge(stored, mapped).inspect_err(|_| progress.step_ended())?;
+    let data = FitData {
+        scene: &stored.scene,
+        samples: &samples,
+        map: map.as_ref(),
+        draws: mapped,
+    };
+    let fitted = fit_laws(&data, scene, laws, progress)?;
+
+    let mut file = ResultFile::extend(&stored.path, &[FEEDBACK_GROUP])?;
+    fitted.write(&mut file)?;
+    file.finish()?;
+    let directory = &files.directory;
+    if !directory.as_os_str().is_empty() {
+        std::fs::create_dir_all(directory).map_err(|source| RunError::OutDirectory {
+            path: directory.clone(),
+            source,
+        })?;
+    }
+    let exports = fitted.export(directory, &files.stem, own)?;
+    Ok(FittedFiles { fitted, exports })
+}

@@ -1,0 +1,323 @@
+//! A run with a result file: all that a scene asks for, in the order that one thing needs another.
+//!
+//! ```no_run
+//! use costate::run::Provenance;
+//! use costate::session::Wanted;
+//! use costate::{Scene, Session};
+//!
+//! let scene = Scene::load("pendulum.toml")?;
+//! let provenance = Provenance::now();
+//! let done = Session::new(&scene).run(&Wanted::all(), "out/pendulum.h5", &provenance)?;
+//! println!("{} trajectories", done.summary.trajectories);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod claims;
+mod error;
+mod evaluate;
+mod fit;
+mod laws;
+mod parts;
+mod sources;
+
+pub use claims::claims;
+pub use error::RunError;
+pub use evaluate::{Evaluated, evaluate};
+pub use fit::{FittedFiles, LawFiles, fit_stored};
+pub use laws::{LawsDone, check as check_laws};
+pub use parts::{write_attenuation, write_study};
+pub use sources::{fitted_laws, other_scene, sources, weights};
+
+use crate::files::{Draft, target};
+use crate::hdf5::ResultFile;
+use crate::model::Model;
+use crate::result::{Axis, RunRecord, Stored, TrajectorySchema};
+use crate::session::summary::{Computed, RunSummary};
+use crate::session::{Estimates, Finished, Outcome, Session, Wanted};
+use crate::sweep::Plan;
+use crate::sweep::accuracy::Spread;
+use std::path::{Path, PathBuf};
+use std::time::{Instant, SystemTime};
+
+/// When a run began, and what made it: for the record in its file.
+#[derive(Clone, Debug)]
+pub struct Provenance {
+    pub started: SystemTime,
+    pub clock: Instant,
+    /// The commit that the program was built from.
+    pub git_revision: String,
+}
+
+impl Provenance {
+    /// Of a run that begins now, by a program whose commit is not known.
+    #[must_use]
+    pub fn now() -> Self {
+        Self {
+            started: SystemTime::now(),
+            clock: Instant::now(),
+            git_revision: "unknown".to_owned(),
+        }
+    }
+
+    /// Seconds since the run began.
+    #[must_use]
+    pub fn seconds(&self) -> f64 {
+        self.clock.elapsed().as_secs_f64()
+    }
+
+    /// A record of the run so far, without what integrated.
+    #[must_use]
+    pub fn record(&self, model: &Model) -> RunRecord {
+        RunRecord {
+            git_revision: self.git_revision.clone(),
+            wall_seconds: self.seconds(),
+            ..RunRecord::begun(model, self.started)
+        }
+    }
+}
+
+/// What a run has done.
+pub struct Done {
+    pub outcome: Outcome,
+    /// Laws, closed loops and levels of attenuation.
+    pub laws: LawsDone,
+    pub record: RunRecord,
+    pub summary: RunSummary,
+    /// The result file.
+    pub path: PathBuf,
+}
+
+impl Session<'_> {
+    /// Computes what is wanted and writes it to a result file.
+    ///
+    /// The file has a hidden name until it is complete. What cannot be done after the pass (a law
+    /// that cannot be fitted, say) is a note and is left out: the pass is not lost for it.
+    ///
+    /// # Errors
+    /// Those of the pass, and of writing.
+    pub fn run(
+        &self,
+        wanted: &Wanted,
+        path: impl AsRef<Path>,
+        provenance: &Provenance,
+    ) -> Result<Done, RunError> {
+        let model = &self.scene().model;
+        let pass = self.prepare(wanted)?;
+        if wanted.laws {
+            laws::check(self.scene())?;
+        }
+        self.progress().begun(model, pass.plan(), self.backend());
+
+        // The final name first: what is wrong with it is told before the work is done.
+        let path = target(path.as_ref())?;
+        let draft = (wanted.laws && laws::wanted(model))
+            .then(|| Draft::begin(&path))
+            .transpose()?;
+        let mut file = match &draft {
+            Some(draft) => ResultFile::create(draft.hidden())?,
+            None => ResultFile::create(&path)?,
+        };
+
+        let schema = schema(model, pass.plan());
+        let stored = pass.stores_sweep();
+        let mut writer = stored.then(|| file.trajectories(&schema)).transpose()?;
+        let outcome = pass.perform::<RunError>(&mut |block| match &mut writer {
+            Some(writer) => Ok(writer.append(&block)?),
+            None => Ok(()),
+        })?;
+        drop(writer);
+        write_outcome(&mut file, &outcome, model, &schema)?;
+
+        let record = self.record(&outcome, provenance);
+        record.write(&file)?;
+        write_estimates(&file, &outcome.estimates)?;
+        let summary = summary(&outcome, model, &record, &path, provenance.seconds());
+        file.attribute(
+            "summary",
+            serde_json::to_string(&summary).unwrap_or_default(),
+        )?;
+        file.finish()?;
+        self.progress().finished(Finished::Solved(&outcome, model));
+
+        let mut laws = LawsDone::default();
+        if let Some(draft) = draft {
+            laws = laws::perform(self, &draft)?;
+            draft.publish()?;
+        }
+        Ok(Done {
+            outcome,
+            laws,
+            record,
+            summary,
+            path,
+        })
+    }
+}
+
+impl Session<'_> {
+    /// The record of a run that has computed a pass.
+    #[must_use]
+    pub fn record(&self, outcome: &Outcome, provenance: &Provenance) -> RunRecord {
+        RunRecord {
+            backend: self.backend().name().to_owned(),
+            adapter: self.backend().adapter(),
+            precision: outcome.plan.spec.precision.name().to_owned(),
+            method: outcome.plan.method().name().to_owned(),
+            rtol: outcome.plan.run.rtol,
+            atol: outcome.plan.atol,
+            ..provenance.record(&self.scene().model)
+        }
+    }
+}
+
+/// The summary of a pass.
+#[must_use]
+pub fn summary(
+    outcome: &Outcome,
+    model: &Model,
+    record: &RunRecord,
+    path: &Path,
+    seconds: f64,
+) -> RunSummary {
+    let computed = Computed {
+        title: record.title.clone(),
+        backend: record.backend.clone(),
+        adapter: record.adapter.clone(),
+        rtol: record.rtol,
+        atol: record.atol,
+    };
+    RunSummary::new(
+        outcome,
+        model,
+        &computed,
+        &path.display().to_string(),
+        seconds,
+    )
+}
+
+/// What came of a pass, all but the swept trajectories.
+fn write_outcome(
+    file: &mut ResultFile,
+    outcome: &Outcome,
+    model: &Model,
+    schema: &TrajectorySchema,
+) -> Result<(), RunError> {
+    if outcome.stored {
+        file.caustic(schema, &outcome.swept.folds)?;
+    }
+    if let (Some(answers), Some(targets)) = (&outcome.answers, &outcome.targets) {
+        let points = targets.points();
+        file.points(schema, answers, 0, points)?;
+        if let Some(grid) = targets.map_grid() {
+            let value_max = model.map.as_ref().and_then(|m| m.value_max);
+            file.map(schema, answers, grid, points, value_max)?;
+        }
+        file.sheet_edges(schema, answers)?;
+    }
+    if let Some((samples, block)) = &outcome.sampled {
+        let schema = TrajectorySchema {
+            samples: *samples,
+            ..schema.clone()
+        };
+        file.trajectories(&schema)?.append(block)?;
+    }
+    if let Some(made) = &outcome.mapped {
+        file.map_pieces(schema, model.time_name(), made)?;
+    }
+    if let Some(asked) = model
+        .study
+        .as_ref()
+        .filter(|_| !outcome.variants.is_empty())
+    {
+        file.study(&axes(model), asked, &outcome.variants)?;
+    }
+    Ok(())
+}
+
+/// Root attributes with the estimated errors; those that are not known are left out.
+fn write_estimates(file: &ResultFile, estimates: &Estimates) -> Result<(), RunError> {
+    let spread = |name: &str, spread: Option<Spread>| -> Result<(), RunError> {
+        let Some(s) = spread else { return Ok(()) };
+        file.attribute(name, s.worst)?;
+        file.attribute(&format!("{name}_p99"), s.p99)?;
+        file.attribute(&format!("{name}_median"), s.median)?;
+        Ok(())
+    };
+    if let Some(a) = &estimates.swept {
+        spread("error_estimate_V", a.value)?;
+        spread("error_estimate_p", a.costate)?;
+        spread("error_estimate_u", a.control)?;
+        file.attribute("error_estimate_trajectories", a.sampled as i64)?;
+        file.attribute("error_asked", a.bound)?;
+    }
+    if let Some(a) = &estimates.solved {
+        spread("solved_error_estimate_V", a.value)?;
+        spread("solved_error_estimate_p", a.costate)?;
+        spread("solved_error_estimate_u", a.control)?;
+        file.attribute("solved_error_estimate_states", a.sampled as i64)?;
+        file.attribute("solved_error_asked", a.bound)?;
+    }
+    if let Some(met) = estimates.met() {
+        file.attribute("error_met", i64::from(met))?;
+    }
+    Ok(())
+}
+
+/// The axes of a scene and the statuses of its sweep.
+#[must_use]
+pub fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
+    TrajectorySchema {
+        samples: plan.samples(),
+        status_flags: plan.status_flags(),
+        ..axes(model)
+    }
+}
+
+/// The axes of a scene alone.
+#[must_use]
+pub fn axes(model: &Model) -> TrajectorySchema {
+    let axis = |v: &crate::model::Variable| Axis {
+        name: v.name.clone(),
+        unit: v.unit.clone(),
+        long_name: v.long_name.clone(),
+    };
+    TrajectorySchema {
+        states: model.states.iter().map(|s| axis(&s.variable)).collect(),
+        controls: model.controls.iter().map(|c| axis(&c.variable)).collect(),
+        disturbances: model.disturbances.iter().map(axis).collect(),
+        ..TrajectorySchema::default()
+    }
+}
+
+/// Where results go that nobody has named a file for: `out/SCENE` and an ending of the name.
+#[must_use]
+pub fn output_of(scenario: &Path, ending: &str) -> PathBuf {
+    let stem = scenario.file_stem();
+    let mut name = stem.unwrap_or_else(|| "result".as_ref()).to_owned();
+    name.push(ending);
+    name.push(".h5");
+    Path::new("out").join(name)
+}
+
+/// The same for answers at single states, which are not written over the results of a run: then
+/// these are the second path.
+#[must_use]
+pub fn output_of_points(scenario: &Path) -> (PathBuf, Option<PathBuf>) {
+    const OTHERS: [&str; 8] = [
+        "map_pieces",
+        "map",
+        "study",
+        "feedback",
+        "closed_loop",
+        "dissipation",
+        "attenuation",
+        "caustic",
+    ];
+    let path = output_of(scenario, "");
+    // What cannot be read may be a result all the same.
+    let free = !path.exists() || Stored::open(&path).is_ok_and(|stored| !stored.has_any(&OTHERS));
+    match free {
+        true => (path, None),
+        false => (output_of(scenario, "_points"), Some(path)),
+    }
+}

@@ -1,0 +1,105 @@
+//! What laws and V are taken from: result files, other scenes, weights files.
+
+use super::RunError;
+use crate::closed_loop::{LawError, Weights};
+use crate::model::Model;
+use crate::result::{Stored, StoredError};
+use crate::scene::Scene;
+use crate::session::{Progress, Sources, same_problem};
+use std::path::Path;
+
+/// The map, solved states and fitted laws of a result file, for closed loops of `model`; `added`
+/// are further laws.
+///
+/// # Errors
+/// [`StoredError`] where the file is not as this program writes it.
+pub fn sources(
+    stored: Option<&Stored>,
+    model: &Model,
+    added: Vec<Weights>,
+    progress: &dyn Progress,
+) -> Result<Sources, RunError> {
+    let Some(stored) = stored else {
+        return Ok(Sources {
+            added,
+            ..Sources::default()
+        });
+    };
+    // Without a law that asks for it the map still gives V.
+    let has_values = stored.has_any(&["trajectories", "points", "map", "map_pieces"]);
+    let unknown = |e| progress.note(&format!("no value map: {e}"));
+    let map = has_values.then(|| stored.value_map().map_err(unknown).ok());
+    let same = same_problem(&stored.scene.model, model);
+    Ok(Sources {
+        map: map.flatten(),
+        solved: if same { stored.points()? } else { None },
+        fitted: fitted_laws(stored)?,
+        added,
+        other_problem: !same,
+    })
+}
+
+/// The laws fitted into a result file.
+///
+/// # Errors
+/// [`StoredError`] where the group is not as this program writes it.
+pub fn fitted_laws(stored: &Stored) -> Result<Vec<Weights>, StoredError> {
+    let Some(group) = stored.group("feedback") else {
+        return Ok(Vec::new());
+    };
+    let (names, texts) = (group.texts("law")?, group.texts("toml")?);
+    let laws = names.into_iter().zip(texts);
+    Ok(laws
+        .map(|(name, text)| Weights {
+            file: format!("/feedback, law {name}"),
+            name,
+            text,
+        })
+        .collect())
+}
+
+/// The law of a weights file, by the file's name.
+///
+/// # Errors
+/// [`LawError::Read`].
+pub fn weights(path: &Path) -> Result<Weights, LawError> {
+    let text = std::fs::read_to_string(path).map_err(|source| LawError::Read {
+        path: path.to_owned(),
+        source,
+    })?;
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    Ok(Weights {
+        name: stem.into_owned(),
+        text,
+        file: path.display().to_string(),
+    })
+}
+
+/// Another scene with the states and controls of the stored one, and the parameters that the stored
+/// run was given.
+///
+/// # Errors
+/// What is wrong with the scene; [`RunError::OtherScene`].
+pub fn other_scene(
+    stored: &Stored,
+    path: &Path,
+    set: &[(String, String)],
+) -> Result<Scene, RunError> {
+    let overrides = [stored.scene.model.overrides.as_slice(), set].concat();
+    let scene = Scene::load_with(path, &overrides)?;
+    if let Some(refused) = crate::attenuation::refusal(&scene) {
+        return Err(refused.into());
+    }
+    let names = |m: &Model| -> (Vec<String>, Vec<String>) {
+        let states = m.states.iter().map(|s| s.variable.name.clone());
+        let controls = m.controls.iter().map(|c| c.variable.name.clone());
+        (states.collect(), controls.collect())
+    };
+    if names(&scene.model) != names(&stored.scene.model) {
+        return Err(RunError::OtherScene {
+            scene: path.to_owned(),
+            file: stored.path.clone(),
+        });
+    }
+    Ok(scene)
+}

@@ -1,0 +1,136 @@
+//! Why a session has no answer.
+
+use crate::attenuation::SmallestError;
+use crate::backend::BackendError;
+use crate::closed_loop::{LawError, LoopError};
+use crate::diagnostics::ScenarioErrors;
+use crate::dynamic_programming::{DpError, Refusal};
+use crate::feedback::FitError;
+use crate::map::MapError;
+use crate::study::StudyError;
+use crate::sweep::PlanError;
+use crate::value::StatesError;
+
+/// Why a session has no answer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SessionError {
+    #[error("{given} numbers are no list of states with {states} components each")]
+    Components { given: usize, states: usize },
+    #[error("the scene asks for no map: give it [map] with error = ...")]
+    NoMap,
+    #[error(
+        "the scenario has neither [homotopy] nor [map]: no states to solve for (or use `costate solve --points FILE.csv`)"
+    )]
+    NoTargets,
+    #[error(
+        "a state named `{name}` cannot be an axis of [map], which has a variable of that name: rename the state, or remove [map]"
+    )]
+    MapName { name: String },
+    #[error(
+        "nothing was swept: all {outside} seeds lie outside the guards (is the equilibrium too near their boundary for this seed_value?)"
+    )]
+    NothingSwept { outside: usize },
+    #[error("the scenario has no [study]")]
+    NoStudy,
+    #[error("the scenario has no [attenuation]")]
+    NoAttenuation,
+    #[error("the scenario has no [feedback]: no law to fit")]
+    NoFeedback,
+    #[error(
+        "the scenario has neither [closed_loop] nor [dissipation]: nothing to simulate (--scene takes it from another scenario)"
+    )]
+    NoClosedLoop,
+    #[error("no law to simulate: none of those that the scenario asks for is there")]
+    NoLaws,
+    #[error("a law named `{name}` is there already: give the other one another name")]
+    SameLaw { name: String },
+    #[error(
+        "grid_guesses: this solves for no states of [homotopy], [map] or a list: leave the option out"
+    )]
+    NoGridGuesses,
+    #[error("the sweep's thread stopped unexpectedly")]
+    Thread,
+    /// What is wrong with the scene, with its place.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioErrors),
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    #[error(transparent)]
+    Grid(DpError),
+    #[error(transparent)]
+    Study(#[from] StudyError),
+    #[error(transparent)]
+    Attenuation(#[from] SmallestError),
+    #[error(transparent)]
+    Fit(#[from] FitError),
+    #[error(transparent)]
+    Law(LawError),
+    #[error(transparent)]
+    Loop(LoopError),
+    #[error(transparent)]
+    Map(#[from] MapError),
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+}
+
+impl SessionError {
+    /// Whether the scene, or what is asked of it, is at fault: the computation cannot succeed as it
+    /// is asked for. Else it could not be carried out.
+    #[must_use]
+    pub fn is_of_input(&self) -> bool {
+        match self {
+            Self::NothingSwept { .. } | Self::Thread | Self::Backend(_) => false,
+            Self::Study(error) => {
+                matches!(error, StudyError::Scene { .. } | StudyError::Plan { .. })
+            }
+            Self::Attenuation(error) => !matches!(error, SmallestError::Backend(_)),
+            Self::Loop(error) => matches!(
+                error,
+                LoopError::NoRange | LoopError::NoCount { .. } | LoopError::NoChart { .. }
+            ),
+            Self::Grid(DpError::OutOfTime) => false,
+            _ => true,
+        }
+    }
+}
+
+impl From<StatesError> for SessionError {
+    fn from(error: StatesError) -> Self {
+        match error {
+            StatesError::Plan(error) => error.into(),
+            StatesError::Backend(error) => error.into(),
+        }
+    }
+}
+
+impl From<LawError> for SessionError {
+    fn from(error: LawError) -> Self {
+        match error {
+            LawError::Scenario(errors) => Self::Scenario(errors),
+            other => Self::Law(other),
+        }
+    }
+}
+
+impl From<LoopError> for SessionError {
+    fn from(error: LoopError) -> Self {
+        match error {
+            LoopError::Law(error) => error.into(),
+            LoopError::Plan(error) => error.into(),
+            LoopError::Backend(error) => error.into(),
+            other => Self::Loop(other),
+        }
+    }
+}
+
+impl From<DpError> for SessionError {
+    fn from(error: DpError) -> Self {
+        match error {
+            DpError::Backend(error) => error.into(),
+            other => Self::Grid(other),
+        }
+    }
+}

@@ -1,0 +1,292 @@
+//! Laws in the closed loop: `[closed_loop]` and `[dissipation]` of a scene.
+
+use super::progress::Finished;
+use super::{Session, SessionError};
+use crate::closed_loop::dissipation::{self, Certificate, Dissipation};
+use crate::closed_loop::{
+    Available, Chart, Evaluation, Initial, LQR, Law, Laws, MAP, Setting, Weights, solved_values,
+};
+use crate::map::{At, ValueMap};
+use crate::model::{ClosedLoop, Model, Outside};
+use crate::scene::Scene;
+use crate::sweep::Choices;
+use crate::trajectories::SolvedStates;
+
+/// V at the initial states of `[dissipation]` is solved for with this tolerance, unless the scene's
+/// is tighter.
+const SOLVED_RTOL: f64 = 1e-8;
+
+/// What laws and V are taken from, besides the scene.
+#[derive(Default)]
+pub struct Sources {
+    /// A map of V: it gives the law `map`, and V at initial states.
+    pub map: Option<ValueMap>,
+    /// States that V was solved for at.
+    pub solved: Option<SolvedStates>,
+    /// Laws that were fitted before.
+    pub fitted: Vec<Weights>,
+    /// Further laws, which are always simulated.
+    pub added: Vec<Weights>,
+    /// Whether V is that of another problem (other equations, cost or parameters).
+    pub other_problem: bool,
+}
+
+/// What is asked of closed loops beside the scene.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LoopOptions {
+    /// Only these laws.
+    pub laws: Option<Vec<String>>,
+    /// So many initial states at random.
+    pub random: Option<usize>,
+    /// V at the initial states is solved for.
+    pub solve: bool,
+}
+
+impl Sources {
+    fn chart(&self) -> Option<&dyn Chart> {
+        self.map.as_ref().map(|m| m as &dyn Chart)
+    }
+}
+
+impl Session<'_> {
+    /// Simulates the laws of the scene's `[closed_loop]`.
+    ///
+    /// # Errors
+    /// What is wrong with the scene's laws; device failures.
+    pub fn closed_loop(
+        &self,
+        from: &Sources,
+        options: &LoopOptions,
+    ) -> Result<Evaluation, SessionError> {
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
+        let backend = self.backend.as_ref();
+        let asked = model
+            .closed_loop
+            .as_ref()
+            .ok_or(SessionError::NoClosedLoop)?;
+        let laws = Laws::new(model, hamiltonian, asked.track);
+        let setting = Setting::new(&laws, asked, backend, self.choices)?;
+        let chart = from.chart();
+        let chosen = self.choose(from, &laws, asked, options, chart.is_some())?;
+        if let (Some(map), Some(_)) = (&from.map, model.final_time())
+            && map.time().is_none()
+            && chosen.iter().any(|law| law.name == MAP)
+        {
+            self.progress.note(
+                "law `map`: the file knows V at the initial time alone, and the law takes it for V at all times ([map] with error = ..., without \
+                 time = false, makes V(x, t))",
+            );
+        }
+
+        let initial = Initial::new(model, asked, options.random, self.choices.seed)?;
+        let step = self.step();
+        let values = if options.solve {
+            let mut shown = step.states();
+            let (model, h) = (&self.scene.model, &self.scene.hamiltonian);
+            solved_values(model, h, backend, self.choices, &initial.x, &mut shown)?
+        } else {
+            self.known_values(from, &initial)
+        };
+        let evaluation =
+            setting.evaluate(&chosen, initial, chart, Some(values), backend, &mut |law| {
+                step.say(&format!("closed loop of {law}"));
+            })?;
+        drop(step);
+
+        for law in evaluation.laws.iter().filter(|l| l.held > 0.0) {
+            self.progress.note(&format!(
+                "law `{}`: along {} of {} closed loops ({:.2} % of all updates) the map had no answer somewhere: {}",
+                law.name,
+                law.fell_back(),
+                law.status.len(),
+                100.0 * law.held,
+                match asked.outside {
+                    Outside::Stop => "they end there",
+                    Outside::Hold => "the law held its last p = q + H s",
+                    Outside::Nearest => "the law took p of the nearest state known",
+                    Outside::Search => "the law took p of the nearest state known, or held a control at its bound, as a search for a way back said",
+                    Outside::Local => "the law was that of the Riccati solution",
+                }
+            ));
+        }
+        self.progress.finished(Finished::ClosedLoop(&evaluation));
+        Ok(evaluation)
+    }
+
+    /// Checks the inequality of the scene's `[dissipation]` along the flights of its laws.
+    ///
+    /// # Errors
+    /// What is wrong with the scene's laws; where V is not known; device failures.
+    pub fn dissipation(
+        &self,
+        from: &Sources,
+        options: &LoopOptions,
+    ) -> Result<Dissipation, SessionError> {
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
+        let backend = self.backend.as_ref();
+        let asked = model
+            .dissipation
+            .as_ref()
+            .ok_or(SessionError::NoClosedLoop)?;
+        let track = model.closed_loop.as_ref().and_then(|s| s.track);
+        let laws = Laws::new(model, hamiltonian, track);
+        let same = from.map.is_some() && !from.other_problem;
+        let solve = |states: &[f64]| {
+            // More exact than what is interpolated, of which the ratio should say nothing.
+            let rtol = model.integrator.rtol.min(SOLVED_RTOL);
+            let choices = Choices {
+                rtol: Some(self.choices.rtol.unwrap_or(rtol)),
+                ..self.choices
+            };
+            solved_values(
+                model,
+                hamiltonian,
+                backend,
+                choices,
+                states,
+                &mut |_, _, _| {},
+            )
+        };
+        let certificate = Certificate::of(&laws, from.chart(), same.then_some(&solve))?;
+        if let (Certificate::Chart(..), false) = (&certificate, same) {
+            self.progress.note(
+                "V in the file is of another problem (other parameters, equations or cost): whether it certifies a gain of this one is what the simulation says",
+            );
+        }
+
+        let step = self.step();
+        let flight = dissipation::flight(model, asked, laws.riccati())?;
+        let chosen = self.choose(from, &laws, &flight, options, true)?;
+        step.say("dissipation inequality: V at the initial states");
+        let checked = dissipation::check(
+            &laws,
+            (asked, &flight),
+            &chosen,
+            &certificate,
+            backend,
+            self.choices,
+            &mut |law| step.say(&format!("dissipation inequality of {law}")),
+        )?;
+        drop(step);
+        self.progress.finished(Finished::Dissipation(&checked));
+        Ok(checked)
+    }
+
+    /// The laws that a section asks for; `map`: whether the law of V is one of those there are.
+    fn choose(
+        &self,
+        from: &Sources,
+        laws: &Laws<'_>,
+        asked: &ClosedLoop,
+        options: &LoopOptions,
+        map: bool,
+    ) -> Result<Vec<Law>, SessionError> {
+        let twice = from.added.iter().find(|w| {
+            [LQR, MAP].contains(&w.name.as_str())
+                || from.fitted.iter().any(|f| f.name == w.name)
+                || asked.given.iter().any(|g| g.name == w.name)
+        });
+        if let Some(twice) = twice {
+            let name = twice.name.clone();
+            return Err(SessionError::SameLaw { name });
+        }
+        let available = Available {
+            map,
+            fitted: from.fitted.clone(),
+            added: from.added.clone(),
+        };
+        let chosen = available.choose(laws, asked, options.laws.as_deref())?;
+        for name in &chosen.missing {
+            self.progress.note(&format!(
+                "law `{name}` is left out: there is none in the result file (yet)"
+            ));
+        }
+        if chosen.laws.is_empty() {
+            return Err(SessionError::NoLaws);
+        }
+        Ok(chosen.laws)
+    }
+
+    /// V of the solved states and, elsewhere, of the map, as far as that is good; NaN where it is
+    /// not known.
+    fn known_values(&self, from: &Sources, initial: &Initial) -> Vec<f64> {
+        /// Largest estimated error of V, of V.
+        const GOOD: f64 = 0.01;
+        /// States at which it is estimated, which takes a hundred times longer than V.
+        const ESTIMATED: usize = 5000;
+        let unknown = vec![f64::NAN; initial.count()];
+        if from.other_problem {
+            self.progress.note(
+                "V in the file is of another problem (other parameters, equations or cost): J is not compared with it (--solve finds V)",
+            );
+            return unknown;
+        }
+        let mut values = match &from.solved {
+            Some(points) => {
+                let region = &self.scene.model.region;
+                let widths: Vec<f64> = region.iter().map(|[lo, hi]| hi - lo).collect();
+                initial.looked_up(&points.x, &points.v, &widths)
+            }
+            None => unknown,
+        };
+        let Some(map) = &from.map else { return values };
+
+        let estimated = initial.count() <= ESTIMATED;
+        let said: Vec<f64> = if estimated {
+            let known = |at: At| {
+                at.lowest
+                    .map_or((f64::NAN, 0.0), |here| (here.v, here.v_error))
+            };
+            let found = map.at_many(&initial.x, true).into_iter().map(known);
+            found
+                .map(|(v, error)| {
+                    if error > GOOD * v.abs() {
+                        f64::INFINITY
+                    } else {
+                        v
+                    }
+                })
+                .collect()
+        } else {
+            map.many(&initial.x).v
+        };
+        let charted: Vec<Option<f64>> = (said.iter().zip(&values))
+            .map(|(said, known)| match known.is_nan() {
+                false => Some(*known),
+                // None: known, but not well enough.
+                true => Some(*said).filter(|v| v.is_nan() || v.is_finite()),
+            })
+            .collect();
+        let doubtful = charted.iter().filter(|v| v.is_none()).count();
+        if doubtful > 0 {
+            self.progress.note(&format!(
+                "at {doubtful} initial states V's estimated error is above 1 %: J is not compared with it there (--solve finds V)"
+            ));
+        }
+        for (value, charted) in values.iter_mut().zip(charted) {
+            *value = charted.unwrap_or(f64::NAN);
+        }
+        values
+    }
+}
+
+/// Whether two scenes have the same equations, cost and parameters, so that V of one is V of the
+/// other.
+#[must_use]
+pub fn same_problem(a: &Model, b: &Model) -> bool {
+    let shown = |m: &Model| -> Vec<String> {
+        let cost = std::iter::once(m.running.expr);
+        let exprs = m.dynamics.iter().map(|f| f.expr).chain(cost);
+        let parameters = m.parameters.iter();
+        let controls = m.controls.iter();
+        (exprs.map(|e| m.graph.show(e)))
+            .chain(parameters.map(|p| format!("{} = {:?}", p.name, p.value)))
+            .chain(controls.map(|c| format!("{:?} {:?}", c.min, c.max)))
+            .collect()
+    };
+    shown(a) == shown(b) && a.reference() == b.reference()
+}

@@ -1,0 +1,389 @@
+//! The front door: a scene, where to compute, and what to ask of it.
+
+mod error;
+mod estimates;
+mod laws;
+mod least;
+mod loops;
+mod pass;
+mod progress;
+pub mod summary;
+mod wanted;
+
+pub use error::SessionError;
+pub use estimates::Estimates;
+pub use laws::{FitData, fit_laws};
+pub use least::LeastOptions;
+pub use loops::{LoopOptions, Sources, same_problem};
+pub use pass::{Outcome, Pass, sweep_and_write};
+pub use progress::{Finished, Progress, Silent};
+pub use wanted::{Listed, States, Wanted};
+
+use crate::attenuation::{self, Attenuated};
+use crate::backend::Backend;
+use crate::backend::cpu::Cpu;
+use crate::diagnostics::{Problem, ScenarioErrors};
+use crate::local::LocalError;
+use crate::map::{Adaptive, Known, ValueMap};
+use crate::model::{Horizon, Model};
+use crate::scene::Scene;
+use crate::study::{self, Variant};
+use crate::sweep::{Choices, Plan, PlanError, SweepReport};
+use crate::trajectories::{SweptTrajectories, TrajectoryBlock};
+use crate::value::{self, Answers, Archive, Entry, PointStatus};
+use progress::Step;
+
+/// A scene and a backend. Everything asked of it is computed when it is asked.
+///
+/// ```
+/// use costate::{Scene, Session};
+/// let scene = Scene::parse(
+///     r#"
+///     states = { x = {}, v = {} }
+///     controls = { u = {} }
+///     dynamics = { x = "v", v = "u" }
+///     cost = { running = "0.5*(x^2 + u^2)" }
+///     equilibrium = { x = 0, v = 0, u = 0 }
+///     region = { x = [-1, 1], v = [-1, 1] }
+///     "#,
+///     "scene.toml",
+/// )?;
+/// let solved = Session::new(&scene).solve(&[0.5, 0.2])?;
+/// let answer = solved.answer(0).expect("a linear problem has an answer everywhere");
+/// // V = x'Px/2 with P = [[sqrt(2), 1], [1, sqrt(2)]].
+/// let exact = 0.5 * (2f64.sqrt() * (0.25 + 0.04) + 2.0 * 0.5 * 0.2);
+/// assert!((answer.value - exact).abs() < 1e-8);
+/// assert!((answer.u[0] + 0.5 + 0.2 * 2f64.sqrt()).abs() < 1e-8);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Session<'s> {
+    scene: &'s Scene,
+    backend: Box<dyn Backend>,
+    /// What is chosen in place of the scene's settings.
+    pub choices: Choices,
+    progress: &'s dyn Progress,
+}
+
+/// Trajectories that were swept outward from the equilibrium (or from the terminal cost).
+pub struct Swept {
+    pub plan: Plan,
+    pub report: SweepReport,
+    pub trajectories: SweptTrajectories,
+}
+
+/// States that were solved for.
+pub struct Solved {
+    pub plan: Plan,
+    /// All solutions, and what is known of them.
+    pub answers: Answers,
+}
+
+impl Solved {
+    /// The solution of least V from a state (by its number in the list); `None` where there is
+    /// none: see [`Solved::status`].
+    pub fn answer(&self, state: usize) -> Option<&Entry> {
+        self.answers.answer(self.answers.targets.of_given[state])
+    }
+
+    /// What came of a state.
+    pub fn status(&self, state: usize) -> PointStatus {
+        self.answers.status(self.answers.targets.of_given[state])
+    }
+}
+
+/// A map of V that was made, and how that went.
+pub struct Mapped {
+    pub made: Adaptive,
+    /// V, p and u at any state.
+    pub map: ValueMap,
+}
+
+impl<'s> Session<'s> {
+    /// On all cores of the CPU.
+    pub fn new(scene: &'s Scene) -> Self {
+        Self::on(scene, Box::new(Cpu::new()))
+    }
+
+    /// On a backend: [`Cpu`], a GPU, or your own.
+    pub fn on(scene: &'s Scene, backend: Box<dyn Backend>) -> Self {
+        Self {
+            scene,
+            backend,
+            choices: Choices::default(),
+            progress: &Silent,
+        }
+    }
+
+    /// With choices in place of the scene's settings.
+    #[must_use]
+    pub fn choosing(mut self, choices: Choices) -> Self {
+        self.choices = choices;
+        self
+    }
+
+    /// With a listener to what goes on.
+    #[must_use]
+    pub fn heard_by(mut self, progress: &'s dyn Progress) -> Self {
+        self.progress = progress;
+        self
+    }
+
+    pub fn scene(&self) -> &'s Scene {
+        self.scene
+    }
+
+    pub fn backend(&self) -> &dyn Backend {
+        self.backend.as_ref()
+    }
+
+    pub fn progress(&self) -> &'s dyn Progress {
+        self.progress
+    }
+
+    /// Sweeps outward from the equilibrium (or from the terminal cost), as `costate shoot-out` does,
+    /// and keeps the trajectories.
+    ///
+    /// ```
+    /// # use costate::{Scene, Session};
+    /// # let scene = Scene::parse(r#"
+    /// #     states = { x = {} }
+    /// #     controls = { u = {} }
+    /// #     dynamics = { x = "u" }
+    /// #     cost = { running = "0.5*(x^2 + u^2)" }
+    /// #     equilibrium = { x = 0, u = 0 }
+    /// #     region = { x = [-1, 1] }
+    /// #     shoot_out = { value_max = 0.5, spacing = 0.1 }
+    /// # "#, "scene.toml")?;
+    /// let swept = Session::new(&scene).sweep()?;
+    /// let all = &swept.trajectories;
+    /// // V = x^2/2 at every point that a trajectory has.
+    /// let known = all.v.iter().zip(&all.x).filter(|(v, _)| !v.is_nan());
+    /// assert!(known.clone().count() > 10);
+    /// assert!(known.into_iter().all(|(v, x)| (v - 0.5 * x * x).abs() < 1e-6));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Where the scene cannot be swept; device failures.
+    pub fn sweep(&self) -> Result<Swept, SessionError> {
+        let pass = self.prepare(&Wanted::sweep())?;
+        let mut all = SweptTrajectories {
+            samples: pass.plan().samples(),
+            ..SweptTrajectories::default()
+        };
+        let outcome = pass.perform::<SessionError>(&mut |block| {
+            keep(&mut all, block);
+            Ok(())
+        })?;
+        Ok(Swept {
+            plan: outcome.plan,
+            report: outcome.swept,
+            trajectories: all,
+        })
+    }
+
+    /// V, p and u at states (`[state][component]`, absolute, in the scene's units), as `costate
+    /// solve` finds them.
+    ///
+    /// # Errors
+    /// [`SessionError::Components`]; where the scene cannot be swept for first guesses; device
+    /// failures. A state without an answer is no error.
+    pub fn solve(&self, states: &[f64]) -> Result<Solved, SessionError> {
+        let n = self.scene.model.states.len();
+        if !states.len().is_multiple_of(n) {
+            let given = states.len();
+            return Err(SessionError::Components { given, states: n });
+        }
+        self.refused()?;
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
+        let backend = self.backend.as_ref();
+        let step = self.step();
+        let mut shown = step.states();
+        let (plan, _, answers) = value::solve_states(
+            model,
+            hamiltonian,
+            backend,
+            self.choices,
+            states,
+            &mut shown,
+        )?;
+        Ok(Solved { plan, answers })
+    }
+
+    /// The map that the scene's `[map] error` asks for, as `costate homotopy` makes it.
+    ///
+    /// ```
+    /// # use costate::{Scene, Session};
+    /// # let scene = Scene::parse(r#"
+    /// #     states = { x = {} }
+    /// #     controls = { u = {} }
+    /// #     dynamics = { x = "u" }
+    /// #     cost = { running = "0.5*(x^2 + u^2)" }
+    /// #     equilibrium = { x = 0, u = 0 }
+    /// #     region = { x = [-1, 1] }
+    /// #     map = { error = 1e-3 }
+    /// # "#, "scene.toml")?;
+    /// let mapped = Session::new(&scene).map()?;
+    /// let here = mapped.map.at(&[0.5]).lowest?;
+    /// assert!((here.v - 0.125).abs() <= here.v_error && here.v_error < 1e-3);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`SessionError::NoMap`]; where the scene cannot be swept for first guesses, or nothing is
+    /// known anywhere; device failures.
+    pub fn map(&self) -> Result<Mapped, SessionError> {
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
+        let aim = model.map_aim.as_ref().ok_or(SessionError::NoMap)?;
+        let backend = self.backend.as_ref();
+        let choices = value::for_guesses(self.choices, model.states.len(), 0);
+        let plan = self.plan(choices)?;
+        let mut archive = Archive::new(&plan);
+        if !value::goes_without_sweep(&plan) {
+            archive.sweep(&plan, backend)?;
+        }
+        let made = self.map_to_error(&plan, &archive, aim)?;
+        let known = Known {
+            pieces: Some(made.pieces.clone()),
+            beyond: made.beyond.as_ref().map(|beyond| beyond.pieces.clone()),
+            coverage: Some(made.coverage()),
+            searched: true,
+            ..Known::default()
+        };
+        let map = ValueMap::new(model, hamiltonian, known)?;
+        Ok(Mapped { made, map })
+    }
+
+    /// The scene's `[study]`: the optimal trajectory from one state for several values of
+    /// parameters, as `costate study` makes it.
+    ///
+    /// # Errors
+    /// [`SessionError::NoStudy`]; what is wrong with a variant; device failures.
+    pub fn study(&self) -> Result<Vec<Variant>, SessionError> {
+        if self.scene.model.study.is_none() {
+            return Err(SessionError::NoStudy);
+        }
+        let step = self.step();
+        let mut shown =
+            |done: usize, of: usize| step.say(&format!("study: {done} of {of} variants"));
+        let backend = self.backend.as_ref();
+        Ok(study::study(self.scene, backend, self.choices, &mut shown)?)
+    }
+
+    /// The smallest levels of attenuation that the scene's `[attenuation]` asks for.
+    ///
+    /// # Errors
+    /// [`SessionError::NoAttenuation`]; what is wrong with the scene; device failures.
+    pub fn attenuation(&self) -> Result<Attenuated, SessionError> {
+        if self.scene.model.attenuation.is_none() {
+            return Err(SessionError::NoAttenuation);
+        }
+        let step = self.step();
+        let mut shown = |what: &str| step.say(&format!("attenuation: {what}"));
+        let backend = self.backend.as_ref();
+        let found = attenuation::smallest(self.scene, backend, self.choices, &mut shown)?;
+        drop(step);
+        self.progress.finished(Finished::Attenuation(&found));
+        Ok(found)
+    }
+
+    /// The plan of a sweep. An error of the local solution has its place in the scene.
+    ///
+    /// # Errors
+    /// What is wrong with the scene.
+    pub fn plan(&self, choices: Choices) -> Result<Plan, SessionError> {
+        plan(self.scene, self.backend.as_ref(), choices)
+    }
+
+    /// Refuses a game whose level of attenuation its linearization does not allow.
+    fn refused(&self) -> Result<(), ScenarioErrors> {
+        attenuation::refusal(self.scene).map_or(Ok(()), Err)
+    }
+
+    fn step(&self) -> Step<'_> {
+        Step(self.progress)
+    }
+}
+
+/// The plan of a scene's sweep. An error of the local solution has its place in the scene.
+///
+/// # Errors
+/// What is wrong with the scene.
+pub fn plan(scene: &Scene, backend: &dyn Backend, choices: Choices) -> Result<Plan, SessionError> {
+    if let Some(refused) = attenuation::refusal(scene) {
+        return Err(refused.into());
+    }
+    let Scene {
+        model, hamiltonian, ..
+    } = scene;
+    Plan::new(model, hamiltonian, backend, choices).map_err(|e| match e {
+        PlanError::Local(e) => at_equilibrium(model, &e).into(),
+        other => other.into(),
+    })
+}
+
+/// Errors of the local solution are the scene's: they are shown at its equilibrium.
+#[must_use]
+pub fn at_equilibrium(model: &Model, error: &LocalError) -> ScenarioErrors {
+    let problem = match (&model.horizon, error, &model.shoot_out) {
+        (_, LocalError::SeedTooLarge { .. }, Some(s)) => {
+            Problem::at(s.span.clone(), error.to_string(), "this seed_value")
+        }
+        (Horizon::Infinite { span, .. }, ..) => {
+            Problem::at(span.clone(), error.to_string(), "linearized here")
+        }
+        _ => Problem {
+            message: error.to_string(),
+            span: None,
+            label: String::new(),
+            help: None,
+        },
+    };
+    model.errors(vec![problem])
+}
+
+/// Adds a block to the trajectories.
+fn keep(all: &mut SweptTrajectories, block: TrajectoryBlock) {
+    all.count += block.count;
+    all.t.extend(block.t);
+    all.x.extend(block.x);
+    all.p.extend(block.p);
+    all.u.extend(block.u);
+    all.v.extend(block.v);
+    all.h.extend(block.h);
+    all.status.extend(block.status);
+    all.sheet.extend(block.sheet);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_asked_is_an_error() {
+        let text = r#"
+            states = { x = {}, v = {} }
+            controls = { u = {} }
+            dynamics = { x = "v", v = "u" }
+            cost = { running = "0.5*(x^2 + u^2)" }
+            equilibrium = { x = 0, v = 0, u = 0 }
+            region = { x = [-1, 1], v = [-1, 1] }
+        "#;
+        let scene = Scene::parse(text, "scene.toml").unwrap();
+        let session = Session::new(&scene);
+        assert!(matches!(
+            session.solve(&[0.1, 0.2, 0.3]),
+            Err(SessionError::Components {
+                given: 3,
+                states: 2
+            })
+        ));
+        assert!(matches!(session.map(), Err(SessionError::NoMap)));
+        // No states are no error.
+        assert!(session.solve(&[]).is_ok());
+    }
+}

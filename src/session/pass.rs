@@ -1,0 +1,339 @@
+//! One pass over a scene: the sweep, then the states that are solved for, then the map and the
+//! study.
+
+use super::estimates::Estimates;
+use super::progress::{Progress, Step};
+use super::wanted::{Targets, Wanted};
+use super::{Session, SessionError};
+use crate::backend::{Backend, BackendError, Trajectories};
+use crate::dynamic_programming::{self, Device, Options, extent};
+use crate::map::{self, Adaptive};
+use crate::model::MapAim;
+use crate::scene::Scene;
+use crate::study::{Variant, study};
+use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
+use crate::trajectories::TrajectoryBlock;
+use crate::value::{self, Answers, Archive, Entry};
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+use std::time::Instant;
+
+/// A pass that is planned, and has not begun.
+pub struct Pass<'s> {
+    session: &'s Session<'s>,
+    plan: Plan,
+    choices: Choices,
+    targets: Option<Targets>,
+    aim: Option<&'s MapAim>,
+    stored: bool,
+    study: bool,
+    grid_guesses: bool,
+    begun: Instant,
+}
+
+/// What came of a pass.
+pub struct Outcome {
+    pub plan: Plan,
+    /// Of the sweep, also of one that only gave first guesses.
+    pub swept: SweepReport,
+    /// Whether the sweep is a result. Else it gave first guesses.
+    pub stored: bool,
+    /// The states that were solved for.
+    pub answers: Option<Answers>,
+    /// How many of the answers, from the first on, are those of a list of the user's own.
+    pub listed: usize,
+    /// The trajectories from the states of the list, and how many points each has.
+    pub sampled: Option<(usize, TrajectoryBlock)>,
+    /// The map to an error.
+    pub mapped: Option<Adaptive>,
+    /// The variants of the study.
+    pub variants: Vec<Variant>,
+    /// The errors of the sweep and of the answers.
+    pub estimates: Estimates,
+    /// How long the pass took (s).
+    pub seconds: f64,
+    pub(crate) targets: Option<Targets>,
+}
+
+impl Session<'_> {
+    /// Plans what is asked for; nothing is computed beyond the local solution.
+    ///
+    /// # Errors
+    /// What is wrong with the scene, or with what is asked for.
+    pub fn prepare(&self, wanted: &Wanted) -> Result<Pass<'_>, SessionError> {
+        let begun = Instant::now();
+        let model = &self.scene.model;
+        let targets = Targets::new(model, wanted)?;
+        if wanted.grid_guesses {
+            dynamic_programming::refuse(model, "grid_guesses")?;
+            if targets.is_none() {
+                return Err(SessionError::NoGridGuesses);
+            }
+        }
+
+        let aim = model.map_aim.as_ref().filter(|_| wanted.map);
+        let solves = targets.is_some() || aim.is_some();
+        let stored = wanted.sweep && model.shoot_out.is_some();
+        let count = targets.as_ref().map_or(0, Targets::count);
+        let choices = Choices {
+            inner_levels: solves,
+            dispensable: solves && !stored,
+            max_seeds: (solves && !wanted.sweep)
+                .then(|| value::guess_seeds(model.states.len(), count)),
+            unasked: solves,
+            ..self.choices
+        };
+        Ok(Pass {
+            plan: self.plan(choices)?,
+            session: self,
+            choices,
+            targets,
+            aim,
+            stored,
+            study: wanted.study && model.study.is_some(),
+            grid_guesses: wanted.grid_guesses,
+            begun,
+        })
+    }
+}
+
+impl Pass<'_> {
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Whether the sweep is a result.
+    pub fn stores_sweep(&self) -> bool {
+        self.stored
+    }
+
+    /// Computes everything. Blocks of swept trajectories go to `write` as they finish, if the sweep
+    /// is a result.
+    ///
+    /// # Errors
+    /// Those of the computation, and of `write`.
+    pub fn perform<E: From<SessionError>>(
+        self,
+        write: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+    ) -> Result<Outcome, E> {
+        let Pass {
+            session,
+            plan,
+            choices,
+            targets,
+            aim,
+            stored,
+            ..
+        } = self;
+        let backend = session.backend.as_ref();
+        let mut outcome = Outcome {
+            swept: SweepReport::default(),
+            stored,
+            answers: None,
+            listed: 0,
+            sampled: None,
+            mapped: None,
+            variants: Vec::new(),
+            estimates: Estimates::default(),
+            seconds: 0.0,
+            targets,
+            plan,
+        };
+        let plan = &outcome.plan;
+
+        // The sweep.
+        let solves = outcome.targets.is_some() || aim.is_some();
+        let mut archive = solves.then(|| Archive::new(plan));
+        let direct = !stored && value::goes_without_sweep(plan);
+        if !direct {
+            outcome.swept =
+                session.sweep_into(plan, archive.as_mut(), &mut |block| match stored {
+                    true => write(block),
+                    false => Ok(()),
+                })?;
+        }
+
+        // The states.
+        if let (Some(targets), Some(archive)) = (&mut outcome.targets, &mut archive) {
+            if self.grid_guesses {
+                targets.request.grid = Some(session.grid(plan, &targets.all())?);
+            }
+            let mut solver = value::solver(plan, backend).map_err(SessionError::from)?;
+            let mut found = session.answers(plan, &mut solver, archive, targets)?;
+            // What nothing has led to may have a swept trajectory near it.
+            if direct && value::may_need_sweep(plan) && found.lacks_guesses() {
+                outcome.swept = session.sweep_into::<E>(plan, Some(archive), &mut |_| Ok(()))?;
+                found = session.answers(plan, &mut solver, archive, targets)?;
+            }
+            outcome.listed = if targets.listed { targets.points() } else { 0 };
+            if let Some(samples) = targets.samples {
+                let of_given = &found.targets.of_given[..outcome.listed];
+                let entries: Vec<&Entry> =
+                    of_given.iter().filter_map(|t| found.answer(*t)).collect();
+                let block = value::sampled(plan, &mut solver, &entries, samples)
+                    .map_err(SessionError::from)?;
+                outcome.sampled = Some((samples, block));
+            }
+            outcome.answers = Some(found);
+        }
+
+        // The map and the study.
+        if let (Some(aim), Some(archive)) = (aim, &archive) {
+            outcome.mapped = Some(session.map_to_error(plan, archive, aim)?);
+        }
+        if self.study {
+            let step = session.step();
+            let mut shown =
+                |done: usize, of: usize| step.say(&format!("study: {done} of {of} variants"));
+            outcome.variants =
+                study(session.scene, backend, choices, &mut shown).map_err(SessionError::from)?;
+        }
+
+        outcome.estimates = Estimates::new(plan, &outcome.swept, stored, outcome.answers.as_ref())
+            .map_err(SessionError::from)?;
+        outcome.seconds = self.begun.elapsed().as_secs_f64();
+        Ok(outcome)
+    }
+}
+
+impl Session<'_> {
+    /// V on a grid over the states, for first guesses.
+    fn grid(
+        &self,
+        plan: &Plan,
+        states: &[f64],
+    ) -> Result<Arc<dynamic_programming::GridValue>, SessionError> {
+        let step = self.step();
+        step.say("V on a grid");
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
+        let options = Options {
+            holds: extent(plan, states),
+            ..Options::default()
+        };
+        let device = Device::of(self.backend.as_ref());
+        Ok(Arc::new(dynamic_programming::solve(
+            model,
+            hamiltonian,
+            plan,
+            &options,
+            device,
+        )?))
+    }
+
+    /// Solves for the states, with first guesses from an archive.
+    fn answers(
+        &self,
+        plan: &Plan,
+        solver: &mut crate::shooting::Solver,
+        archive: &Archive,
+        targets: &Targets,
+    ) -> Result<Answers, SessionError> {
+        let step = self.step();
+        let model = &self.scene.model;
+        let mut shown = step.states();
+        Ok(value::solve(
+            plan,
+            model,
+            solver,
+            archive,
+            &targets.request,
+            &mut shown,
+        )?)
+    }
+
+    /// The map that a scene's `[map] error` asks for.
+    pub(super) fn map_to_error(
+        &self,
+        plan: &Plan,
+        archive: &Archive,
+        aim: &MapAim,
+    ) -> Result<Adaptive, SessionError> {
+        let mut solver = value::solver(plan, self.backend.as_ref())?;
+        let step = self.step();
+        let mut shown = step.states();
+        let model = &self.scene.model;
+        Ok(map::adaptive(
+            plan,
+            model,
+            &mut solver,
+            archive,
+            aim,
+            &mut shown,
+        )?)
+    }
+
+    /// Sweeps for a pass. Trajectories also go into the archive, where there is one.
+    fn sweep_into<E: From<SessionError>>(
+        &self,
+        plan: &Plan,
+        mut archive: Option<&mut Archive>,
+        write: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+    ) -> Result<SweepReport, E> {
+        let mut keep = |seeds: &[f64], batch: &Trajectories| {
+            if let Some(archive) = &mut archive {
+                archive.keep(seeds, batch);
+            }
+        };
+        let backend = self.backend.as_ref();
+        let swept = sweep_and_write(plan, backend, self.progress, &mut keep, write)?;
+        if swept.trajectories == 0 {
+            let outside = swept.coverage.outside_guards;
+            return Err(SessionError::NothingSwept { outside }.into());
+        }
+        Ok(swept)
+    }
+}
+
+/// Sweeps on a thread of its own while this one writes, so that writing takes none of the sweep's
+/// time.
+///
+/// # Errors
+/// Device failures, and those of `write`.
+pub fn sweep_and_write<E: From<SessionError>>(
+    plan: &Plan,
+    backend: &dyn Backend,
+    progress: &dyn Progress,
+    keep: &mut (dyn FnMut(&[f64], &Trajectories) + Send),
+    write: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+) -> Result<SweepReport, E> {
+    /// The writing side has stopped; its own error says why.
+    enum Stop {
+        Backend(BackendError),
+        Gone,
+    }
+    impl From<BackendError> for Stop {
+        fn from(e: BackendError) -> Self {
+            Stop::Backend(e)
+        }
+    }
+
+    let step = Step(progress);
+    let mut shown = |done: usize, waiting: usize| {
+        step.say(&format!("{done} trajectories, {waiting} gaps to fill"));
+    };
+    std::thread::scope(|scope| {
+        // One block waits while one is written: memory stays bounded when writing is slower.
+        let (send, receive) = sync_channel::<TrajectoryBlock>(1);
+        let worker = scope.spawn(|| {
+            // Owned here, so that the receiver sees the end.
+            let send = send;
+            let sink = &mut |block| send.send(block).map_err(|_| Stop::Gone);
+            sweep_keeping(plan, backend, &mut shown, keep, sink)
+        });
+        let mut written = Ok(());
+        for block in receive {
+            written = write(block);
+            if written.is_err() {
+                break;
+            }
+        }
+        let swept = worker.join().map_err(|_| SessionError::Thread)?;
+        written?;
+        swept.map_err(|e| match e {
+            Stop::Backend(e) => E::from(e.into()),
+            Stop::Gone => E::from(SessionError::Thread),
+        })
+    })
+}
