@@ -5,10 +5,10 @@
 //! needed, as a run compiles nothing but its kernels, whose time is included.
 
 use costate::backend::{BackendError, cpu::Cpu};
-use costate::hamiltonian::Hamiltonian;
-use costate::model::Model;
-use costate::sweep::{Choices, Plan, sweep_keeping};
-use costate::value::{self, Archive, Grid, Request};
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::Model;
+use costate::low_level::sweep::{Choices, Plan, sweep_keeping};
+use costate::low_level::value::{self, Archive, Grid, Request};
 use std::path::Path;
 use std::time::Instant;
 
@@ -32,7 +32,7 @@ fn scene(name: &str) -> Model {
         .join("scenarios")
         .join(name)
         .with_extension("toml");
-    costate::scenario::load(&path, &[]).expect("a shipped scene")
+    costate::low_level::scenario::load(&path, &[]).expect("a shipped scene")
 }
 
 /// A chain of masses with cubic springs, pushed at its ends.
@@ -88,7 +88,7 @@ fn chain(masses: usize) -> Model {
         .map(|i| format!("u{i} = 0\n"))
         .collect::<String>();
     text += &section("region", &|i| format!("x{i} = [-1, 1]\nv{i} = [-1, 1]"));
-    costate::scenario::parse(&text, "chain.toml", &[]).expect("a scene")
+    costate::low_level::scenario::parse(&text, "chain.toml", &[]).expect("a scene")
 }
 
 fn run(name: &str, model: &Model, request: &Request) {

@@ -7,10 +7,10 @@
 use costate::backend::cpu::{Cpu, Evaluator};
 use costate::backend::gpu::{Gpu, Selection};
 use costate::backend::{Backend, BackendError, By, Run, Spec};
-use costate::hamiltonian::{Hamiltonian, System};
-use costate::model::{Method, Model, Precision};
-use costate::program::Program;
-use costate::sweep::{Choices, Plan, sweep};
+use costate::low_level::hamiltonian::{Hamiltonian, System};
+use costate::low_level::model::{Method, Model, Precision};
+use costate::low_level::program::Program;
+use costate::low_level::sweep::{Choices, Plan, sweep};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 
@@ -19,7 +19,8 @@ const STEPS: usize = 64;
 
 fn scene() -> (Model, Hamiltonian) {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/pendulum.toml");
-    let mut model = costate::scenario::load(path.as_ref(), &[]).expect("the scene is valid");
+    let mut model =
+        costate::low_level::scenario::load(path.as_ref(), &[]).expect("the scene is valid");
     model.integrator.step = Some(0.01);
     let hamiltonian = Hamiltonian::derive(&model).expect("the scene is in the class");
     (model, hamiltonian)

@@ -5,13 +5,13 @@
 //! `[closed_loop]`. Random states of the map's region, all threads.
 
 use costate::backend::cpu::Cpu;
-use costate::closed_loop::{Chart, Initial, Laws, Setting};
-use costate::hamiltonian::Hamiltonian;
-use costate::map::ValueMap;
-use costate::map::pieces::Region;
-use costate::model::{Model, Outside};
-use costate::result::Stored;
-use costate::sweep::Choices;
+use costate::low_level::closed_loop::{Chart, Initial, Laws, Setting};
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::map::ValueMap;
+use costate::low_level::map::pieces::Region;
+use costate::low_level::model::{Model, Outside};
+use costate::low_level::result::Stored;
+use costate::low_level::sweep::Choices;
 use rayon::prelude::*;
 use std::path::PathBuf;
 use std::process::Command;
@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("one by one, with d2V/dx2:  {full:>12.0}");
     match args.next() {
         Some(scene) => loops(
-            &costate::scenario::load(scene.as_ref(), &[])?,
+            &costate::low_level::scenario::load(scene.as_ref(), &[])?,
             &map,
             &pieces.region,
             count / 25,
@@ -88,7 +88,7 @@ fn loops(
         ..Initial::new(model, scene, None, 0)?
     };
     for (name, outside) in [("nearest", Outside::Nearest), ("search", Outside::Search)] {
-        let scene = costate::model::ClosedLoop {
+        let scene = costate::low_level::model::ClosedLoop {
             outside,
             ..scene.clone()
         };

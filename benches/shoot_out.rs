@@ -7,10 +7,10 @@
 
 use costate::backend::gpu::{Gpu, Selection};
 use costate::backend::{Backend, By, Kernel, Run, Spec, Status, cpu::Cpu};
-use costate::hamiltonian::{Hamiltonian, System};
-use costate::local::Riccati;
-use costate::model::{Method, Precision};
-use costate::program::Program;
+use costate::low_level::hamiltonian::{Hamiltonian, System};
+use costate::low_level::local::Riccati;
+use costate::low_level::model::{Method, Precision};
+use costate::low_level::program::Program;
 use std::time::Instant;
 
 const TIME: f64 = 4.0;
@@ -23,7 +23,7 @@ fn main() {
         .collect();
     let count: usize = args.iter().find_map(|a| a.parse().ok()).unwrap_or(4096);
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/pendulum.toml");
-    let model = costate::scenario::load(path.as_ref(), &[]).expect("the scene is valid");
+    let model = costate::low_level::scenario::load(path.as_ref(), &[]).expect("the scene is valid");
     let hamiltonian = Hamiltonian::derive(&model).expect("the scene is in the class");
     let riccati = Riccati::solve(&hamiltonian, &model).expect("the scene has a local solution");
     let system = System::new(&hamiltonian, &model);

@@ -118,7 +118,7 @@ fn decide(lane: Lane, step: Step) -> Decision {
     decided.before = lane.before;
 //end
 //if ADAPTIVE
-    let accepted = select(false, step.error <= 1.0, finite);
+    let accepted = select(false, step.error < 1.0, finite);
     // Squared errors: the exponents are halved.
     let log_e = log2(max(select(1.0, f32(step.error), finite), LEAST_SQUARED_ERROR));
     let pi = HALF_BETA * lane.before - HALF_ALPHA * log_e;

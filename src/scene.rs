@@ -24,7 +24,7 @@ use std::path::Path;
 /// let scene = Scene::parse(text, "double_integrator.toml")?;
 /// let dearer = scene.with(&[("r", 2.0)])?;
 /// assert_eq!(dearer.model.parameter("r"), Some(2.0));
-/// # Ok::<(), costate::diagnostics::ScenarioErrors>(())
+/// # Ok::<(), costate::low_level::diagnostics::ScenarioErrors>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct Scene {

@@ -75,6 +75,8 @@ pub struct Evaluation {
     pub leg_method: Method,
     /// A trajectory has converged where the quadratic form of its last deviation is below this.
     pub converged_below: f64,
+    /// What that form is of: of the local solution, or of widths of the region.
+    pub metric: &'static str,
     /// Status codes and their meanings.
     pub status_flags: Vec<(i32, String)>,
     /// What the codes mean that occur.
@@ -106,6 +108,11 @@ impl Evaluation {
             numerics: setting.numerics,
             leg_method: setting.leg_method,
             converged_below: scene.converged * setting.scale,
+            metric: if setting.local {
+                "local solution"
+            } else {
+                "widths of the region"
+            },
             status_flags: setting.status_flags(),
             status_names: (laws.iter().flat_map(|l| &l.status))
                 .map(|s| (*s, setting.status_name(*s)))

@@ -61,27 +61,38 @@ pub struct Laws<'s> {
     /// The rate at which commanded states are followed, where the scene says.
     pub track: Option<f64>,
     riccati: Option<Riccati>,
+    /// Why there is none, on an infinite horizon.
+    unsolved: Option<LocalError>,
 }
 
 impl<'s> Laws<'s> {
     /// For a scene; the local solution is looked for where its horizon is infinite, and need not
     /// exist.
     pub fn new(model: &'s Model, hamiltonian: &'s Hamiltonian, track: Option<f64>) -> Self {
-        let riccati = match model.horizon {
-            Horizon::Infinite { .. } => Riccati::solve(hamiltonian, model).ok(),
-            Horizon::Finite { .. } => None,
+        let (riccati, unsolved) = match model.horizon {
+            Horizon::Infinite { .. } => match Riccati::solve(hamiltonian, model) {
+                Ok(riccati) => (Some(riccati), None),
+                Err(error) => (None, Some(error)),
+            },
+            Horizon::Finite { .. } => (None, None),
         };
         Self {
             model,
             hamiltonian,
             track,
             riccati,
+            unsolved,
         }
     }
 
     /// The linear-quadratic solution at the equilibrium, where there is one.
     pub fn riccati(&self) -> Option<&Riccati> {
         self.riccati.as_ref()
+    }
+
+    /// Why there is no linear-quadratic solution, on an infinite horizon.
+    pub fn unsolved(&self) -> Option<&LocalError> {
+        self.unsolved.as_ref()
     }
 
     /// `u = u_e + (du*/dx + du*/dp P)(x - x_e)`, saturated.

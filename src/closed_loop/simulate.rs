@@ -9,13 +9,10 @@ use super::record::Records;
 use super::{Chart, LoopError, Setting};
 use crate::backend::cpu::Evaluator;
 use crate::backend::{Backend, Kernel, Relay, Run, Status, Trajectories, batch_limit};
-use crate::sweep::GUARD_STATUS;
+use crate::sweep::{AT_GUARD, GUARD_STATUS};
 
 /// Status of a trajectory whose chart has no answer where it has come to.
 pub const OUTSIDE_MAP: i32 = 8;
-/// A trajectory that cannot go on has met a guard whose value is below this share of that at its
-/// start.
-const AT_GUARD: f64 = 1e-4;
 /// Trajectories of a batch under a chart's law.
 const CHARTED_BATCH: usize = 16384;
 

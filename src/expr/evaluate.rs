@@ -1,6 +1,7 @@
 //! Evaluation in f64 and over any number-like type.
 
 use super::{Fun, Graph, Id, Node, Op};
+use crate::numeric::{greatest, least};
 use std::collections::HashMap;
 
 impl Graph {
@@ -25,8 +26,8 @@ impl Graph {
                 Op::Mul => x * y,
                 Op::Div => x / y,
                 Op::Pow => x.powf(*y),
-                Op::Min => x.min(*y),
-                Op::Max => x.max(*y),
+                Op::Min => least(*x, *y),
+                Op::Max => greatest(*x, *y),
             },
         )
     }

@@ -1,5 +1,6 @@
 //! The hash-consed expression graph and its simplifying constructors.
 
+use crate::numeric::{greatest, least};
 use std::collections::HashMap;
 
 /// Index of a node in its [`Graph`].
@@ -535,7 +536,8 @@ impl Graph {
             return a;
         }
         if let (Some(x), Some(y)) = (self.as_constant(a), self.as_constant(b)) {
-            return self.constant(if op == Op::Min { x.min(y) } else { x.max(y) });
+            let extremum = if op == Op::Min { least } else { greatest };
+            return self.constant(extremum(x, y));
         }
         self.intern(Node::Binary(op, a, b))
     }

@@ -5,10 +5,10 @@
 //! once.
 //!
 //! ```
-//! use costate::expr::{Graph, Kind};
+//! use costate::low_level::expr::{Graph, Kind};
 //! let mut g = Graph::new();
 //! let x = g.symbol("x", Kind::State);
-//! let s = g.unary(costate::expr::Fun::Sin, x);
+//! let s = g.unary(costate::low_level::expr::Fun::Sin, x);
 //! let y = g.mul(x, s);
 //! let dy = g.diff(y, x);
 //! assert_eq!(g.show(dy), "sin(x) + x*cos(x)");

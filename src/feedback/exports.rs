@@ -5,6 +5,7 @@ use super::header::header;
 use super::onnx::onnx;
 use crate::files::{FileError, write_bytes, write_text};
 use crate::model::Model;
+use crate::scene::Scene;
 use std::path::{Path, PathBuf};
 
 /// All laws that have been fitted.
@@ -41,6 +42,12 @@ impl Fitted {
 }
 
 impl FittedLaw {
+    /// The law as a C header; `scene` is the one it was fitted for.
+    #[must_use]
+    pub fn c_header(&self, scene: &Scene) -> String {
+        header(&self.name, &self.law, &self.form, &scene.model)
+    }
+
     fn export(&self, directory: &Path, stem: &str, model: &Model) -> Result<Exports, FileError> {
         let path = |extension: &str| directory.join(format!("{stem}_{}.{extension}", self.name));
         let title = model.title.replace(['\n', '\r'], " ");

@@ -12,7 +12,7 @@
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! # use costate::hdf5::*;
+//! # use costate::low_level::hdf5::*;
 //! let mut file = ResultFile::create("out/points.h5")?;
 //! let mut points = file.group(
 //!     &Group::new("points")

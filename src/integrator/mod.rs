@@ -214,7 +214,7 @@ impl crate::model::Method {
 
 /// Step control, shared by all backends.
 ///
-/// With `e` the RMS over components of error / (atol + rtol |y|), a step is accepted when `e <= 1`
+/// With `e` the RMS over components of error / (atol + rtol |y|), a step is accepted when `e < 1`
 /// and the next one is `h * clamp(SAFETY * e^-ALPHA * e_before^BETA, SHRINK, GROW)` (PI control,
 /// Hairer & Wanner, Solving ODEs II, IV.2).
 pub mod control {

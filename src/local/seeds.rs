@@ -280,7 +280,7 @@ pub(super) fn coordinates(
     riccati: &Riccati,
 ) -> Result<(DMatrix<f64>, DMatrix<f64>), LocalError> {
     let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
-    let shape = shape(riccati, &widths).unwrap_or_else(|| riccati.p.clone());
+    let shape = shape(riccati, &widths)?.unwrap_or_else(|| riccati.p.clone());
     let factor = shape.cholesky().ok_or(LocalError::NoSolution {
         reason: "P has no Cholesky factor".into(),
     })?;

@@ -1,6 +1,6 @@
 //! The ellipsoid that seeds lie on, where V itself is of no use for it.
 
-use super::Riccati;
+use super::{LocalError, Riccati};
 use nalgebra::{DMatrix, DVector};
 
 /// Rates of change below this share of the largest count as none.
@@ -14,7 +14,10 @@ const ROUNDING: f64 = 1e-9;
 /// closed loop, trajectories cross `{V = c}` twice and some of them leave it without having been
 /// seeds. S solves `Ac'S + S Ac = -|M|`, |M| with the absolute values of M's eigenvalues (in units
 /// of `widths`): it is at least P, and P itself where M has no negative eigenvalue.
-pub(super) fn shape(riccati: &Riccati, widths: &[f64]) -> Option<DMatrix<f64>> {
+///
+/// # Errors
+/// [`LocalError::NoSolution`] where that equation has none.
+pub(super) fn shape(riccati: &Riccati, widths: &[f64]) -> Result<Option<DMatrix<f64>>, LocalError> {
     let n = widths.len();
     let p = DMatrix::from_fn(n, n, |i, j| riccati.p[(i, j)] * widths[i] * widths[j]);
     let a = DMatrix::from_fn(n, n, |i, j| {
@@ -23,15 +26,17 @@ pub(super) fn shape(riccati: &Riccati, widths: &[f64]) -> Option<DMatrix<f64>> {
     let m = -(a.transpose() * &p + &p * &a);
     let eigen = ((&m + m.transpose()) * 0.5).symmetric_eigen();
     if eigen.eigenvalues.min() >= -ROUNDING * eigen.eigenvalues.amax() {
-        return None;
+        return Ok(None);
     }
     let size = eigen.eigenvalues.map(f64::abs);
     let positive =
         &eigen.eigenvectors * DMatrix::from_diagonal(&size) * eigen.eigenvectors.transpose();
-    let s = lyapunov(&a, &positive)?;
-    Some(DMatrix::from_fn(n, n, |i, j| {
+    let s = lyapunov(&a, &positive).ok_or(LocalError::NoSolution {
+        reason: "the Lyapunov equation of the surface of seeds is singular".into(),
+    })?;
+    Ok(Some(DMatrix::from_fn(n, n, |i, j| {
         s[(i, j)] / (widths[i] * widths[j])
-    }))
+    })))
 }
 
 /// Solves `a'X + X a = -q` as a linear system of n^2 unknowns.
@@ -63,7 +68,7 @@ mod tests {
     #[test]
     fn where_the_cost_falls_everywhere_it_is_the_cost() {
         let r = riccati([2.0, 0.0, 0.0, 1.0], [-1.0, 0.0, 0.0, -3.0]);
-        assert_eq!(shape(&r, &[1.0, 1.0]), None);
+        assert_eq!(shape(&r, &[1.0, 1.0]).unwrap(), None);
     }
 
     /// P = I is no Lyapunov function of this closed loop, whose shear is larger than its decay.
@@ -71,7 +76,7 @@ mod tests {
     fn trajectories_enter_it_everywhere() {
         let r = riccati([1.0, 0.0, 0.0, 1.0], [-1.0, 6.0, 0.0, -1.0]);
         for widths in [[1.0, 1.0], [0.1, 20.0]] {
-            let s = shape(&r, &widths).unwrap();
+            let s = shape(&r, &widths).unwrap().unwrap();
             let falls = -(r.closed_loop.transpose() * &s + &s * &r.closed_loop);
             assert!(falls.clone().symmetric_eigenvalues().min() > 0.0, "{falls}");
             let above = &s - &r.p;

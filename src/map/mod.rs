@@ -9,7 +9,7 @@
 //! site is.
 //!
 //! ```no_run
-//! use costate::result::Stored;
+//! use costate::low_level::result::Stored;
 //! let map = Stored::open("out/scene.h5".as_ref())?.value_map()?;
 //! match map.at(&[2.0, 0.0]).lowest {
 //!     Ok(here) => println!("V = {} within about {}, u = {:?}", here.v, here.v_error, here.u),

@@ -2,6 +2,7 @@
 //! knows TOML.
 
 mod feedback;
+pub mod reserved;
 
 pub use feedback::{Activation, Base, Feedback, LawOutput, Target};
 
@@ -510,6 +511,12 @@ pub struct Model {
     pub study: Option<Study>,
     pub attenuation: Option<Attenuation>,
     pub integrator: Integrator,
+    /// The unit of time, where the scene says.
+    pub time_unit: Option<String>,
+    /// The unit of cost, hence of V, where the scene says.
+    pub cost_unit: Option<String>,
+    /// Remarks on the scene: what it says and is not used.
+    pub notes: Vec<String>,
 }
 
 impl Model {

@@ -10,6 +10,7 @@ mod registers;
 pub use registers::{Allocation, Slot};
 
 use crate::expr::{Graph, Id};
+use crate::numeric::{greatest, least};
 
 /// A value: the index of the instruction that computes it.
 pub type Value = u32;
@@ -122,8 +123,8 @@ impl Program {
                 Instr::MulAdd(a, b, c) => at(a) * at(b) + at(c),
                 Instr::MulSub(a, b, c) => at(a) * at(b) - at(c),
                 Instr::NegMulAdd(a, b, c) => at(c) - at(a) * at(b),
-                Instr::Min(a, b) => at(a).min(at(b)),
-                Instr::Max(a, b) => at(a).max(at(b)),
+                Instr::Min(a, b) => least(at(a), at(b)),
+                Instr::Max(a, b) => greatest(at(a), at(b)),
                 Instr::Call(f, a) => f.apply(at(a)),
             });
         }

@@ -19,8 +19,8 @@ pub(super) struct Names<'a> {
 
 impl<'a> Names<'a> {
     pub fn new(schema: &'a TrajectorySchema) -> Self {
-        let cost = schema.cost_unit.clone().unwrap_or_else(|| "1".to_owned());
-        let time = schema.time_unit.as_deref().unwrap_or("s");
+        let cost = schema.cost().to_owned();
+        let time = schema.time();
         let costates: Vec<String> = schema
             .states
             .iter()

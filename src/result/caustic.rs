@@ -37,7 +37,7 @@ impl ResultFile {
             )
             .variable(
                 Variable::f64("t", ["vertex"])
-                    .unit(schema.time_unit.as_deref().unwrap_or("s"))
+                    .unit(schema.time())
                     .long_name("time"),
             )
             .variable(

@@ -37,6 +37,7 @@ impl Evaluation {
 
     fn write_states(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
         let both = ["law", "initial"];
+        let (cost, time) = units(model);
         let states = model.states.iter().map(|s| s.variable.name.as_str());
         let mut group = Group::new("closed_loop")
             .dimension(self.laws_dimension())
@@ -44,19 +45,30 @@ impl Evaluation {
             .dimension(Dimension::names("state", states))
             .variable(Variable::f64("x0", ["initial", "state"]).long_name("initial state"))
             .variable(
-                Variable::f64("V", ["initial"]).long_name("value function at the initial state"),
+                Variable::f64("V", ["initial"])
+                    .unit(cost)
+                    .long_name("value function at the initial state"),
             )
-            .variable(Variable::f64("J", both).long_name("cost of the closed loop"))
+            .variable(
+                Variable::f64("J", both)
+                    .unit(cost)
+                    .long_name("cost of the closed loop"),
+            )
             .variable(Variable::f64("suboptimality", both).long_name("J/V - 1"))
             .variable(Variable::i32("converged", both).flags([(0, "no"), (1, "yes")]))
             .variable(Variable::i32("status", both).flags(self.status_flags.clone()))
-            .variable(Variable::f64("t_end", both).long_name("time at the end of the trajectory"))
+            .variable(
+                Variable::f64("t_end", both)
+                    .unit(time)
+                    .long_name("time at the end of the trajectory"),
+            )
             .variable(
                 Variable::i32("fallback", both)
                     .long_name("updates of the map's law without an answer of the map"),
             )
             .attribute("outside", self.closed_loop.outside.name())
             .attribute("final_time", self.closed_loop.final_time)
+            .attribute("converged_metric", self.metric)
             .attribute("converged_below", self.converged_below)
             .attribute("backend", self.backend.as_str())
             .attribute("adapter", self.adapter.as_str())
@@ -247,6 +259,7 @@ impl Evaluation {
 
     fn write_paths(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
         let kept = self.initial.kept();
+        let (_, time) = units(model);
         let points = self.closed_loop.samples + 1;
         let names = |v: Vec<&Named>| v.into_iter().map(|v| v.name.clone()).collect::<Vec<_>>();
         let states = names(model.states.iter().map(|s| &s.variable).collect());
@@ -263,7 +276,7 @@ impl Evaluation {
                 Variable::i32("initial", ["trajectory"])
                     .long_name("index of the initial state in /closed_loop"),
             )
-            .variable(Variable::f64("t", all).long_name("time"))
+            .variable(Variable::f64("t", all).unit(time).long_name("time"))
             .variable(Variable::f64("x", with("state")).long_name("state"))
             .variable(Variable::f64("u", with("control")).long_name("control"));
         let mut writer = file.group(&group)?;
@@ -276,4 +289,12 @@ impl Evaluation {
         writer.write("x", &gather(|p| &p.x))?;
         writer.write("u", &gather(|p| &p.u))
     }
+}
+
+/// The units of cost and of time.
+pub(super) fn units(model: &Model) -> (&str, &str) {
+    (
+        model.cost_unit.as_deref().unwrap_or("1"),
+        model.time_unit.as_deref().unwrap_or("1"),
+    )
 }

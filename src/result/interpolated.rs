@@ -74,7 +74,7 @@ impl ResultFile {
                 }
                 let mut dims: Vec<&str> = schema.states.iter().map(|s| s.name.as_str()).collect();
                 if let (Some(times), Some(axis)) = (&times, axes.get(dims.len())) {
-                    let unit = schema.time_unit.as_deref().unwrap_or("s");
+                    let unit = schema.time();
                     group = group.dimension(
                         Dimension::values(times.name, axis.clone(), unit).long_name("time"),
                     );
@@ -93,7 +93,7 @@ impl ResultFile {
         if let Places::Points(_) = places {
             group = group.variable(names.state("x0", &["point", "state"], "chosen state"));
             if let Some(times) = &times {
-                let unit = schema.time_unit.as_deref().unwrap_or("s");
+                let unit = schema.time();
                 group = group.variable(
                     Variable::f64(times.name, ["point"])
                         .unit(unit)

@@ -3,7 +3,7 @@
 use super::{Stored, StoredError};
 use crate::backend::Status;
 use crate::map::{Known, MapError, SweepRecord, ValueMap};
-use serde_json::Value as Json;
+use crate::session::summary::RunSummary;
 
 /// Why a file gives no value map.
 #[derive(Debug, thiserror::Error)]
@@ -54,7 +54,7 @@ impl Stored {
             None => self.points()?,
             entries => entries,
         };
-        let summary = self.summary();
+        let summary = self.run_summary()?;
         Ok(Known {
             swept: self.trajectories()?,
             solved,
@@ -62,33 +62,35 @@ impl Stored {
             pieces: self.map_pieces()?,
             beyond: self.map_beyond()?,
             coverage: Some(self.map_coverage()),
-            sweep: sweep_record(&summary),
+            sweep: sweep_record(summary.as_ref()),
             searched: self.attribute("source").is_none(),
-            errors: own_errors(&summary),
+            errors: summary.as_ref().and_then(own_errors),
         })
     }
 }
 
 /// From the summary of the run that made the file.
-fn sweep_record(summary: &Json) -> SweepRecord {
-    let coverage = &summary["coverage"];
-    let count = |name: &str| coverage[name].as_u64();
-    let gaps = count("gaps_for_want_of_seeds").zip(count("gaps_indistinguishable"));
+fn sweep_record(summary: Option<&RunSummary>) -> SweepRecord {
+    let Some(summary) = summary else {
+        return SweepRecord {
+            gaps: None,
+            widest: f64::NAN,
+            failed: 0,
+        };
+    };
+    let coverage = &summary.coverage;
     let failed = (Status::ALL.iter())
         .filter(|(status, _)| Status::FAILURES.contains(status))
-        .filter_map(|(_, name)| summary["status"][*name].as_u64());
+        .filter_map(|(_, name)| summary.status.get(*name));
     SweepRecord {
-        gaps: gaps.map(|(a, b)| a + b),
-        widest: coverage["widest_gap"].as_f64().unwrap_or(f64::NAN),
-        failed: failed.sum(),
+        gaps: Some((coverage.gaps_for_want_of_seeds + coverage.gaps_indistinguishable) as u64),
+        widest: coverage.widest_gap.unwrap_or(f64::NAN),
+        failed: failed.map(|n| *n as u64).sum(),
     }
 }
 
 /// Worst relative errors of V and p of the solved states.
-fn own_errors(summary: &Json) -> Option<[f64; 2]> {
-    let worst = |name: &str| -> Option<f64> {
-        let spread = &summary["homotopy"]["error_estimate"][name];
-        spread["max"].as_f64().filter(|e| e.is_finite())
-    };
-    Some([worst("V")?, worst("p")?])
+fn own_errors(summary: &RunSummary) -> Option<[f64; 2]> {
+    let errors = summary.homotopy.as_ref()?.error_estimate.as_ref()?;
+    Some([errors.value?.max?, errors.costate?.max?])
 }

@@ -75,7 +75,7 @@ impl ResultFile {
             .variable(value("V_said", "V that the map says"))
             .variable(value("V_bound", "bound of its error that the map says"));
         let group = if timed {
-            let unit = schema.time_unit.as_deref().unwrap_or("s");
+            let unit = schema.time();
             group.variable(Variable::f64(time, ["point"]).unit(unit).long_name("time"))
         } else {
             group

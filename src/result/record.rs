@@ -24,7 +24,7 @@ pub struct RunRecord {
     pub command: String,
     /// When the run began, ISO 8601 in UTC: see [`utc_timestamp`].
     pub created: String,
-    /// What integrated: `cpu`, `vulkan`, `metal`, ...
+    /// What integrated: `cpu` or `gpu`.
     pub backend: String,
     /// The adapter's name, or the processor's.
     pub adapter: String,
@@ -34,7 +34,7 @@ pub struct RunRecord {
     pub method: String,
     /// The relative tolerance (dimensionless).
     pub rtol: f64,
-    /// The absolute tolerance (in each state's own unit).
+    /// The absolute tolerance, in units of each component's scale (of states the region's width).
     pub atol: f64,
     /// How long the run took (s).
     pub wall_seconds: f64,

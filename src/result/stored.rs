@@ -3,6 +3,7 @@
 use super::record::RunRecord;
 use crate::diagnostics::ScenarioErrors;
 use crate::scene::Scene;
+use crate::session::summary::RunSummary;
 use crate::trajectories::{SolvedGrid, SolvedStates, SweptTrajectories, ToldErrors};
 use rust_hdf5::{H5Dataset, H5File, Hdf5Error};
 use std::path::{Path, PathBuf};
@@ -106,7 +107,20 @@ impl Stored {
                 path: path.to_owned(),
             });
         };
-        let overrides = RunRecord::overrides(&file.attr_string("set").unwrap_or_default());
+        // Without the parameters that a run was given its scene is another one.
+        let names = file.attr_names().unwrap_or_default();
+        let set = match file.attr_string("set") {
+            Ok(set) => set,
+            Err(e) if names.iter().any(|name| name == "set") => {
+                return Err(StoredError::Object {
+                    path: path.to_owned(),
+                    object: "set".to_owned(),
+                    reason: e.to_string(),
+                });
+            }
+            Err(_) => String::new(),
+        };
+        let overrides = RunRecord::overrides(&set);
         let name = file
             .attr_string("scenario_file")
             .unwrap_or_else(|_| "scenario".to_owned());
@@ -131,6 +145,22 @@ impl Stored {
     pub fn summary(&self) -> serde_json::Value {
         let text = self.attribute("summary").unwrap_or_default();
         serde_json::from_str(&text).unwrap_or_default()
+    }
+
+    /// The same with its types; `None` where the file has none.
+    ///
+    /// # Errors
+    /// [`StoredError::Object`] where it is not as this program writes it.
+    pub fn run_summary(&self) -> Result<Option<RunSummary>, StoredError> {
+        let Some(text) = self.attribute("summary") else {
+            return Ok(None);
+        };
+        let summary = serde_json::from_str(&text);
+        summary.map(Some).map_err(|e| StoredError::Object {
+            path: self.path.clone(),
+            object: "summary".to_owned(),
+            reason: format!("not as this version writes it: {e}"),
+        })
     }
 
     /// Whether a group is in the file.

@@ -40,7 +40,7 @@ impl ResultFile {
             .variable(Variable::i32("sheets", ["variant"]).long_name("number of solutions found"))
             .variable(
                 Variable::f64("duration", ["variant"])
-                    .unit("s")
+                    .unit(schema.time())
                     .long_name("time to near the equilibrium"),
             );
         if !schema.controls.is_empty() {
@@ -90,7 +90,7 @@ impl ResultFile {
         group = group
             .variable(
                 Variable::f64("t", dims)
-                    .unit("s")
+                    .unit(schema.time())
                     .long_name("time, 0 at the state started from"),
             )
             .variable(names.state("x", &["variant", "sample", "state"], "state"))

@@ -42,7 +42,7 @@ pub struct TrajectorySchema {
     pub status_flags: Vec<(i32, String)>,
     /// The unit of cost, hence of V; `"1"` when `None`.
     pub cost_unit: Option<String>,
-    /// The unit of time; `"s"` when `None`.
+    /// The unit of time; `"1"` when `None`.
     pub time_unit: Option<String>,
     /// About how many trajectories will come, if known: see [`Group::expected_rows`].
     pub expected_trajectories: Option<usize>,
@@ -113,11 +113,22 @@ impl TrajectoryWriter {
 }
 
 impl TrajectorySchema {
+    /// The unit of cost.
+    #[must_use]
+    pub fn cost(&self) -> &str {
+        self.cost_unit.as_deref().unwrap_or(DIMENSIONLESS)
+    }
+
+    /// The unit of time.
+    #[must_use]
+    pub fn time(&self) -> &str {
+        self.time_unit.as_deref().unwrap_or(DIMENSIONLESS)
+    }
+
     /// The declaration of the group `/trajectories`.
     #[must_use]
     pub fn group(&self) -> Group {
-        let cost = self.cost_unit.as_deref().unwrap_or(DIMENSIONLESS);
-        let time = self.time_unit.as_deref().unwrap_or("s");
+        let (cost, time) = (self.cost(), self.time());
         let rate = quotient(cost, time);
         let costates: Vec<String> = self
             .states

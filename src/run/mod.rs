@@ -285,6 +285,8 @@ pub fn axes(model: &Model) -> TrajectorySchema {
         states: model.states.iter().map(|s| axis(&s.variable)).collect(),
         controls: model.controls.iter().map(|c| axis(&c.variable)).collect(),
         disturbances: model.disturbances.iter().map(axis).collect(),
+        cost_unit: model.cost_unit.clone(),
+        time_unit: model.time_unit.clone(),
         ..TrajectorySchema::default()
     }
 }

@@ -7,6 +7,7 @@ use super::settings::grid_points;
 use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
+use crate::model::reserved::{self, is_reserved};
 use crate::model::{Attenuation, GridAxis};
 use toml::de::DeValue;
 
@@ -15,8 +16,6 @@ const KEYS: [&str; 5] = ["parameter", "range", "tolerance", "states", "levels"];
 const DEFAULT_TOLERANCE: f64 = 1e-3;
 /// Values whose regions are stored.
 const MOST_LEVELS: usize = 12;
-/// Names of what the table of regions holds beside an axis for each state.
-const TAKEN: [&str; 3] = ["V", "status", "level"];
 
 impl<'a> Reader<'a> {
     /// `[attenuation]`; `None` where something in it is wrong.
@@ -42,7 +41,11 @@ impl<'a> Reader<'a> {
             let message = "[attenuation] is of the infinite horizon; this scene has a final time";
             self.report(Problem::at(section.span.clone(), message, "remove this"));
         }
-        if let Some(state) = declared.states.iter().find(|s| TAKEN.contains(&s.name)) {
+        if let Some(state) = declared
+            .states
+            .iter()
+            .find(|s| is_reserved(s.name, reserved::ATTENUATION))
+        {
             let message = format!(
                 "a state named `{}` cannot be an axis of the regions of [attenuation], which have a variable of that name",
                 state.name

@@ -10,6 +10,7 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::expr::{Id, Kind};
+use crate::model::reserved::{self, is_reserved};
 use crate::model::{
     ClosedLoop, DEFAULT_CONVERGED, DEFAULT_LOOP_MARGIN, Extremum, Formula, GivenLaw, Located,
     OperatingSet, Outside, Record, Span, Start,
@@ -22,23 +23,6 @@ const DEFAULT_SAMPLES: usize = 200;
 const MOST_STATES: f64 = 1e7;
 /// Laws that need no table of their own.
 const BUILT_IN: [&str; 2] = ["map", "lqr"];
-/// Variables of the result's group, which a recorded quantity cannot be named like.
-const TAKEN: [&str; 14] = [
-    "law",
-    "initial",
-    "state",
-    "x0",
-    "V",
-    "J",
-    "suboptimality",
-    "converged",
-    "status",
-    "t_end",
-    "control",
-    "variant",
-    "sheets",
-    "duration",
-];
 /// Updates of a law in one closed loop.
 const MOST_UPDATES: f64 = 1e7;
 const KEYS: [&str; 13] = [
@@ -393,7 +377,11 @@ impl<'a> Reader<'a> {
         let mut all = Vec::new();
         for (name, span, value) in table.entries() {
             let states = scope.states.iter().chain(scope.controls);
-            let taken = TAKEN.contains(&name) || states.into_iter().any(|d| d.name == name);
+            let own = match of {
+                "study" => reserved::STUDY,
+                _ => reserved::CLOSED_LOOP,
+            };
+            let taken = is_reserved(name, own) || states.into_iter().any(|d| d.name == name);
             if taken
                 || self.scope.get(name).is_some()
                 || name.contains(['/', '\0'])

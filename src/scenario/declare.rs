@@ -306,6 +306,13 @@ impl<'a> Reader<'a> {
         self.variable(declared, &section)
     }
 
+    /// The unit that a section names.
+    pub fn unit(&mut self, section: &Section<'a>) -> Option<String> {
+        let value = section.get("unit")?;
+        let what = format!("the unit of {}", section.name);
+        self.string(value, &what).map(str::to_owned)
+    }
+
     fn variable(&mut self, declared: &Declared<'a>, section: &Section<'a>) -> Option<Variable> {
         let mut text = |key: &str| {
             let what = format!("the {key} of {}", section.name);

@@ -18,7 +18,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 20] = [
+const SECTIONS: [&str; 21] = [
     "parameters",
     "states",
     "controls",
@@ -28,6 +28,7 @@ const SECTIONS: [&str; 20] = [
     "cost",
     "equilibrium",
     "region",
+    "time",
     "guards",
     "shoot_out",
     "homotopy",
@@ -41,7 +42,7 @@ const SECTIONS: [&str; 20] = [
     "attenuation",
 ];
 /// Those that state the problem; the others say what is wanted of it.
-pub const PROBLEM_SECTIONS: &[&str] = SECTIONS.split_at(10).0;
+pub const PROBLEM_SECTIONS: &[&str] = SECTIONS.split_at(11).0;
 const INTEGRATOR: &str = "integrator";
 /// Sections whose strings are expressions.
 const EXPRESSIONS: [&str; 6] = [
@@ -215,11 +216,18 @@ impl<'a> Reader<'a> {
         let parameters = self.parameters(&declared.parameters, overrides);
         self.definitions(&declared.definitions);
         let game = !declared.disturbances.is_empty();
+        let mut notes = Vec::new();
         let mut states = self.states(&declared.states);
         // In a game the lower of V(x) and V(x + period) is no value: an angle counts as it is
         // written.
         if let (true, Some(states)) = (game, &mut states) {
-            states.iter_mut().for_each(|s| s.period = None);
+            for state in states.iter_mut().filter(|s| s.period.is_some()) {
+                state.period = None;
+                notes.push(format!(
+                    "a game: the period of `{}` is not used, and the angle counts as it is written",
+                    state.variable.name
+                ));
+            }
         }
         let controls = self.controls(&declared.controls);
         let disturbances = self.disturbances(&declared.disturbances);
@@ -295,6 +303,11 @@ impl<'a> Reader<'a> {
             .get("report")
             .and_then(|s| self.report_section(s, &declared.states, region.as_deref()));
         let integrator = self.integrator(sections.get(INTEGRATOR));
+        let time_unit = sections.get("time").and_then(|s| {
+            self.check_keys(s, &["unit"]);
+            self.unit(s)
+        });
+        let cost_unit = sections.get("cost").and_then(|s| self.unit(s));
         // [closed_loop] comes last, for it brings names of its own.
         let scope = LoopScope {
             states: &declared.states,
@@ -344,6 +357,9 @@ impl<'a> Reader<'a> {
             study,
             attenuation,
             integrator,
+            time_unit,
+            cost_unit,
+            notes,
         })
     }
 

@@ -7,6 +7,7 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::model::Study;
+use crate::model::reserved::{self, is_reserved};
 use toml::de::DeValue;
 
 const KEYS: [&str; 4] = ["vary", "from", "record", "samples"];
@@ -14,10 +15,6 @@ const KEYS: [&str; 4] = ["vary", "from", "record", "samples"];
 const MOST_VARIANTS: usize = 10_000;
 /// Stored points of one trajectory.
 const MOST_SAMPLES: usize = 100_000;
-/// Columns of the table that a parameter cannot be named like.
-const TAKEN: [&str; 9] = [
-    "V", "x0", "u", "status", "sheets", "duration", "variant", "state", "control",
-];
 /// Stored points a trajectory unless `samples` says otherwise.
 const DEFAULT_SAMPLES: usize = 200;
 
@@ -67,7 +64,7 @@ impl<'a> Reader<'a> {
         };
         let mut all = Vec::new();
         for (name, span, value) in table.entries() {
-            if TAKEN.contains(&name) {
+            if is_reserved(name, reserved::STUDY) {
                 let message = format!(
                     "a parameter named `{name}` cannot be varied: the table has a column of that name"
                 );

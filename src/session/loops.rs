@@ -68,6 +68,11 @@ impl Session<'_> {
             .ok_or(SessionError::NoClosedLoop)?;
         let laws = Laws::new(model, hamiltonian, asked.track);
         let setting = Setting::new(&laws, asked, backend, self.choices)?;
+        if let Some(error) = laws.unsolved() {
+            self.progress.note(&format!(
+                "no local solution ({error}): whether a closed loop has converged is measured in widths of the region"
+            ));
+        }
         let chart = from.chart();
         let chosen = self.choose(from, &laws, asked, options, chart.is_some())?;
         if let (Some(map), Some(_)) = (&from.map, model.final_time())

@@ -1,7 +1,7 @@
 //! What is asked of a scene.
 
 use super::SessionError;
-use crate::model::Model;
+use crate::model::{Model, reserved};
 use crate::value::{Grid, Request};
 
 /// What is asked of a scene.
@@ -98,24 +98,6 @@ impl Wanted {
     }
 }
 
-/// Variables of `/map`, beside which each state is an axis under its own name.
-const MAP_VARIABLES: [&str; 14] = [
-    "V",
-    "p",
-    "u",
-    "sheet",
-    "lifted_sheet",
-    "winding",
-    "status",
-    "evidence",
-    "covered_to",
-    "bound",
-    "starts",
-    "flights",
-    "state",
-    "control",
-];
-
 /// The states that are solved for, as a request, and where their answers belong.
 #[derive(Clone, Debug)]
 pub(crate) struct Targets {
@@ -160,10 +142,9 @@ impl Targets {
             States::OfScene { needed } => {
                 let homotopy = model.homotopy.as_ref().map(Grid::homotopy);
                 let map = model.map.as_ref().map(|m| Grid::map(m, model));
-                let clash = (model.states.iter())
-                    .find(|s| MAP_VARIABLES.contains(&s.variable.name.as_str()));
-                if let (Some(state), true) = (clash, map.is_some()) {
-                    let name = state.variable.name.clone();
+                if let (Some(state), true) = (model.reserved_state(&[reserved::MAP]), map.is_some())
+                {
+                    let name = state.to_owned();
                     return Err(SessionError::MapName { name });
                 }
                 if homotopy.is_none() && map.is_none() {

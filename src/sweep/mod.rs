@@ -17,7 +17,7 @@ pub use fronts::{Coverage, Progress, SweepReport, sweep, sweep_keeping};
 pub use observe::Observed;
 pub(crate) use plan::MOST_OPERATIONS;
 pub use plan::{
-    Choices, FOLD_STATUS, GUARD_STATUS, Numerics, Plan, PlanError, Sampling, spread_over,
+    AT_GUARD, Choices, FOLD_STATUS, GUARD_STATUS, Numerics, Plan, PlanError, Sampling, spread_over,
 };
 pub use sample::{Kept, Sample};
 pub use surface::{Surface, holds as guard_holds};

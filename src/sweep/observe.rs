@@ -1,7 +1,7 @@
 //! From a backend's samples to what is stored: x, t as they happen, u, w, H.
 
 use super::caustic::{FoldPoint, Folds};
-use super::plan::{FOLD_STATUS, GUARD_STATUS, Plan, Sampling};
+use super::plan::{AT_GUARD, FOLD_STATUS, GUARD_STATUS, Plan, Sampling};
 use crate::backend::cpu::Evaluator;
 use crate::backend::{Status, Trajectories};
 use crate::program::Program;
@@ -9,10 +9,6 @@ use crate::trajectories::TrajectoryBlock;
 
 /// Sheets are labelled when sheets are computed; a sweep leaves them open.
 pub const NO_SHEET: i32 = -1;
-
-/// A trajectory that cannot go on has met a guard whose value is below this share of its largest
-/// along the trajectory.
-const AT_BOUNDARY: f64 = 1e-4;
 
 /// Computes the reported quantities of a batch, in f64 from the stored states and adjoints.
 pub struct Observed {
@@ -146,7 +142,7 @@ impl Observed {
         let code = |i: usize, s: Status| match &self.guards {
             Some(guards) if s == Status::Guard || stopped(s) => {
                 let (guard, share) = nearest_guard(guards, batch, i);
-                if s == Status::Guard || share <= AT_BOUNDARY {
+                if s == Status::Guard || share <= AT_GUARD {
                     GUARD_STATUS + guard as i32
                 } else {
                     s as i32

@@ -22,6 +22,10 @@ const BEYOND_VALUE: f64 = 10.0;
 
 /// Status code of the first guard; the others follow.
 pub const GUARD_STATUS: i32 = 16;
+/// A trajectory that cannot go on (for want of a finite or large enough step) has met the guard
+/// whose value has fallen below this share: of its largest along a swept trajectory, of that at the
+/// start of a closed loop's.
+pub const AT_GUARD: f64 = 1e-4;
 /// Status code of a trajectory that ends where the manifold folds.
 pub const FOLD_STATUS: i32 = 15;
 

@@ -2,12 +2,12 @@
 //! search on functions made up, the region of a scalar game in closed form, and the refusals.
 
 use costate::Scene;
-use costate::attenuation::{Covering, Outcome, Sought, linear, search, smallest};
 use costate::backend::cpu::Cpu;
-use costate::local::{Cause, LinearAttenuation, LocalError, Riccati};
-use costate::result::Stored;
-use costate::sweep::Choices;
-use costate::value::PointStatus;
+use costate::low_level::attenuation::{Covering, Outcome, Sought, linear, search, smallest};
+use costate::low_level::local::{Cause, LinearAttenuation, LocalError, Riccati};
+use costate::low_level::result::Stored;
+use costate::low_level::sweep::Choices;
+use costate::low_level::value::PointStatus;
 use nalgebra::{Complex, DMatrix};
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
@@ -378,7 +378,7 @@ const SOUGHT: Sought = Sought {
 fn searched(
     sought: Sought,
     valid: impl Fn(f64) -> usize,
-) -> (costate::attenuation::Search, Vec<f64>) {
+) -> (costate::low_level::attenuation::Search, Vec<f64>) {
     let mut evaluate = |value: f64| Ok::<_, Infallible>(ten(valid(value)));
     search(&sought, &[], &mut evaluate).unwrap()
 }

@@ -1,7 +1,7 @@
 //! The dissipation inequality through the program: a nonlinear game from its sweep on, a linear one
 //! without, file and report.
 
-use costate::result::Stored;
+use costate::low_level::result::Stored;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -3,9 +3,9 @@
 use crate::common_oracles;
 
 use common_oracles::{Asked, F32, F64, Sweep, dot, minus, norm, scene};
-use costate::local::Riccati;
-use costate::model::{Method, Model, Precision};
-use costate::sweep::accuracy::{self, Accuracy, PROMISE, SMALL};
+use costate::low_level::local::Riccati;
+use costate::low_level::model::{Method, Model, Precision};
+use costate::low_level::sweep::accuracy::{self, Accuracy, PROMISE, SMALL};
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
@@ -143,13 +143,13 @@ fn equal_seeds_give_equal_estimates() {
     let with = |seed: u64| {
         let hamiltonian = common_oracles::derive(&model);
         let backend = costate::backend::cpu::Cpu::new();
-        let choices = costate::sweep::Choices {
+        let choices = costate::low_level::sweep::Choices {
             seed,
             ..F64.choices()
         };
-        let plan =
-            costate::sweep::Plan::new(&model, &hamiltonian, &backend, choices).expect("a plan");
-        let report = costate::sweep::sweep::<costate::backend::BackendError>(
+        let plan = costate::low_level::sweep::Plan::new(&model, &hamiltonian, &backend, choices)
+            .expect("a plan");
+        let report = costate::low_level::sweep::sweep::<costate::backend::BackendError>(
             &plan,
             &backend,
             &mut |_, _| {},
@@ -216,7 +216,8 @@ fn a_bad_run_does_not_meet_its_tolerance() {
     assert_eq!(told.met(), Some(false), "{told:?}");
     // Seeds that are wrong from the start.
     let mut model = scene("pendulum", &[]);
-    model.shoot_out.as_mut().expect("a sweep").seed_value = costate::model::SeedValue::Value(0.9);
+    model.shoot_out.as_mut().expect("a sweep").seed_value =
+        costate::low_level::model::SeedValue::Value(0.9);
     let sweep = Sweep::of(&model, Asked { rtol: 1e-9, ..F64 });
     let seeds = sweep
         .plan

@@ -7,9 +7,9 @@ use crate::common_values;
 
 use common_values::{Swept, largest, parse, scene, spaced};
 use costate::backend::{Backend, cpu::Cpu};
-use costate::model::Precision;
-use costate::sweep::{FOLD_STATUS, FoldPoint};
-use costate::value::PointStatus;
+use costate::low_level::model::Precision;
+use costate::low_level::sweep::{FOLD_STATUS, FoldPoint};
+use costate::low_level::value::PointStatus;
 
 use common_oracles::{Asked, F32, F64, Sweep, parameter};
 
@@ -21,7 +21,7 @@ struct Folding {
 }
 
 impl Folding {
-    fn new(model: &costate::model::Model) -> Self {
+    fn new(model: &costate::low_level::model::Model) -> Self {
         let of = |name: &str| parameter(model, name);
         Self {
             s: of("b").powi(2) / of("r") - of("gamma").powi(-2),
@@ -367,7 +367,7 @@ fn without_bound_on_the_gain_it_is_minimal_cost() {
         let n = h2.model.states.len();
         let (a, b) = (h2.points(&points), game.points(&points));
         for k in 0..points.len() / n {
-            let at = |answers: &costate::value::Answers| {
+            let at = |answers: &costate::low_level::value::Answers| {
                 let entry = common_values::given(answers, k).expect("an answer");
                 (
                     entry.value,
@@ -408,7 +408,7 @@ fn the_limit_is_digit_for_digit() {
         model.states.iter_mut().for_each(|s| s.period = None);
         for m in [&mut model] {
             if let Some(shoot_out) = &mut m.shoot_out {
-                shoot_out.sample_by = Some(costate::model::SampleBy::ArcLength);
+                shoot_out.sample_by = Some(costate::low_level::model::SampleBy::ArcLength);
                 shoot_out.folds = true;
                 shoot_out.max_seeds = 200;
             }

@@ -90,6 +90,73 @@ fn ten_minutes_lead_to_a_law() {
     assert!(folder.join("out/motor_report.html").exists());
 }
 
+/// Runs the commands of a chapter, with the files that it gives, and returns all that they print.
+fn performed(chapter: &str, folder: &Path) -> String {
+    let text = std::fs::read_to_string(Path::new(crate::ROOT).join("docs").join(chapter)).unwrap();
+    let mut printed = String::new();
+    let mut commands = 0;
+    for (language, block) in blocks(&text) {
+        if let Some((_, name)) = language.split_once(" file=") {
+            std::fs::write(folder.join(name), block).unwrap();
+            continue;
+        }
+        for line in block.lines().filter(|_| language == "sh") {
+            let arguments = line.strip_prefix("costate ").expect("a command of costate");
+            let done = Command::new(env!("CARGO_BIN_EXE_costate"))
+                .args(arguments.split(' '))
+                .current_dir(folder)
+                .output()
+                .unwrap();
+            let errors = String::from_utf8_lossy(&done.stderr);
+            assert!(done.status.success(), "{chapter}: {line}: {errors}");
+            printed += &String::from_utf8_lossy(&done.stdout);
+            printed += &errors;
+            commands += 1;
+        }
+    }
+    assert!(commands > 0, "{chapter}: no command was run");
+    printed
+}
+
+/// A line's words, each number as `#`: digits may differ between machines.
+fn words(line: &str) -> String {
+    let is_number = |word: &&str| word.chars().any(|c| c.is_ascii_digit());
+    let words = line.split_whitespace();
+    let words: Vec<&str> = words
+        .map(|word| if is_number(&word) { "#" } else { word })
+        .collect();
+    words.join(" ")
+}
+
+/// The commands of these chapters work, and print what the chapters show.
+#[test]
+fn chapters_show_what_their_commands_print() {
+    for chapter in ["tasks.md", "reading.md"] {
+        let folder = scratch(&format!("guide_{}", chapter.trim_end_matches(".md")));
+        let printed = performed(chapter, &folder);
+        let printed: Vec<String> = printed.lines().map(words).collect();
+        let path = Path::new(crate::ROOT).join("docs").join(chapter);
+        let text = std::fs::read_to_string(path).unwrap();
+        let shown = blocks(&text).into_iter().filter(|(l, _)| l == "text");
+        let mut compared = 0;
+        for line in shown.flat_map(|(_, block)| block.lines().map(words).collect::<Vec<_>>()) {
+            assert!(
+                line.is_empty() || printed.contains(&line),
+                "{chapter} shows `{line}`, which no command prints"
+            );
+            compared += 1;
+        }
+        assert!(compared > 10, "{chapter}: {compared} lines");
+    }
+}
+
+/// What a heading's anchor is called.
+fn anchor(heading: &str) -> String {
+    let kept = |c: &char| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_');
+    let text: String = heading.to_lowercase().chars().filter(kept).collect();
+    text.replace(' ', "-")
+}
+
 #[test]
 fn links_lead_somewhere() {
     let root = Path::new(crate::ROOT);
@@ -98,12 +165,21 @@ fn links_lead_somewhere() {
         let text = std::fs::read_to_string(&page).unwrap();
         for link in text.split("](").skip(1) {
             let link = link.split(')').next().unwrap();
-            let file = link.split('#').next().unwrap();
-            if link.starts_with("http") || file.is_empty() {
+            if link.starts_with("http") {
                 continue;
             }
-            let target = page.parent().unwrap().join(file);
+            let (file, place) = link.split_once('#').unwrap_or((link, ""));
+            let target = match file {
+                "" => page.clone(),
+                file => page.parent().unwrap().join(file),
+            };
             assert!(target.exists(), "{}: {link}", page.display());
+            if !place.is_empty() && target.extension().is_some_and(|e| e == "md") {
+                let text = std::fs::read_to_string(&target).unwrap();
+                let headings = text.lines().filter(|line| line.starts_with('#'));
+                let mut anchors = headings.map(|h| anchor(h.trim_start_matches('#').trim()));
+                assert!(anchors.any(|a| a == place), "{}: {link}", page.display());
+            }
             followed += 1;
         }
     }

@@ -9,10 +9,10 @@ use crate::common_values;
 
 use common_values::{Swept, given, parse, scene};
 use costate::backend::cpu::Cpu;
-use costate::model::Model;
-use costate::shooting::End;
-use costate::sweep::Plan;
-use costate::value::{self, Answers, Archive, Index, Request, march};
+use costate::low_level::model::Model;
+use costate::low_level::shooting::End;
+use costate::low_level::sweep::Plan;
+use costate::low_level::value::{self, Answers, Archive, Index, Request, march};
 use nalgebra::{DMatrix, DVector};
 use std::path::PathBuf;
 use std::process::{Command, Output};

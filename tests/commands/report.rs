@@ -1,9 +1,9 @@
 //! `costate report`: what is on the page, what the pictures are, and what is refused.
 
-use costate::hdf5::{Dimension, Group, ResultFile, Variable};
-use costate::model::Report;
-use costate::result::Stored;
-use costate::scenario;
+use costate::low_level::hdf5::{Dimension, Group, ResultFile, Variable};
+use costate::low_level::model::Report;
+use costate::low_level::result::Stored;
+use costate::low_level::scenario;
 use costate_report::contour::{self, Grid};
 use costate_report::{Options, Source};
 use std::path::{Path, PathBuf};
@@ -311,9 +311,10 @@ fn a_plane_without_a_map_is_told_by_what_is_around_it() {
     let source = Source::new(&stored, &choice).unwrap();
     assert_eq!(source.axes, [0, 1]);
     let plane = source.plane().unwrap().unwrap();
-    let p = costate::local::Riccati::solve(&stored.scene.hamiltonian, &stored.scene.model)
-        .unwrap()
-        .p;
+    let p =
+        costate::low_level::local::Riccati::solve(&stored.scene.hamiltonian, &stored.scene.model)
+            .unwrap()
+            .p;
     let at = stored.scene.model.reference();
     let mut known = 0;
     for (i, x) in plane.x.iter().enumerate() {

@@ -176,3 +176,13 @@ pub fn any_gpu() -> Gpu {
         Err(e) => panic!("{e}; install a software adapter (Debian: mesa-vulkan-drivers)"),
     }
 }
+
+/// Whether to leave out a test of compiled code. On a machine without AVX2 the test fails, unless
+/// `COSTATE_WITHOUT_AVX2` says that this is known.
+pub fn without_avx2(missing: bool) -> bool {
+    assert!(
+        !missing || std::env::var_os("COSTATE_WITHOUT_AVX2").is_some(),
+        "this test needs AVX2: set COSTATE_WITHOUT_AVX2=1 to leave it out on a machine without"
+    );
+    missing
+}

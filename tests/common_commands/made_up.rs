@@ -1,7 +1,9 @@
 //! Pieces in which all is met that pieces can be.
 
-use costate::map::pieces::{Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions};
-use costate::numeric::random::random;
+use costate::low_level::map::pieces::{
+    Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions,
+};
+use costate::low_level::numeric::random::random;
 
 /// Three states, cells turned against the axes, all functions of V, several sheets of several
 /// degrees, and pieces that say something on one side only: made up, so that all of it is met.

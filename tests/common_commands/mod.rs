@@ -4,8 +4,8 @@
 pub mod header;
 pub mod made_up;
 
-use costate::result::Stored;
-use costate::scenario::PROBLEM_SECTIONS;
+use costate::low_level::result::Stored;
+use costate::low_level::scenario::PROBLEM_SECTIONS;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -4,7 +4,7 @@
 use crate::common::any_gpu;
 use crate::common_oracles::{Asked, F32, F64, Sweep, scene};
 use costate::backend::{Backend, cpu::Cpu};
-use costate::model::Model;
+use costate::low_level::model::Model;
 
 /// A scene in scenarios/hard.
 pub fn hard(name: &str) -> Model {

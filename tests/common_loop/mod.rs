@@ -2,10 +2,10 @@
 #![allow(dead_code)] // every test crate uses a part
 
 use costate::backend::Backend;
-use costate::closed_loop::{Chart, Evaluation, Initial, Law, LawResult, Laws, Setting};
-use costate::hamiltonian::Hamiltonian;
-use costate::model::{Method, Model, Precision};
-use costate::sweep::Choices;
+use costate::low_level::closed_loop::{Chart, Evaluation, Initial, Law, LawResult, Laws, Setting};
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::{Method, Model, Precision};
+use costate::low_level::sweep::Choices;
 
 use crate::common;
 pub use common::any_gpu;
@@ -31,7 +31,7 @@ pub const TIGHT: Asked = Asked {
 
 impl Scene {
     pub fn new(text: &str) -> Self {
-        let model = costate::scenario::parse(text, "test.toml", &[])
+        let model = costate::low_level::scenario::parse(text, "test.toml", &[])
             .unwrap_or_else(|e| panic!("{}", e.render(false)));
         Self::of(model)
     }

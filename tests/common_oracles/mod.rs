@@ -5,11 +5,11 @@
 pub mod numbers;
 
 use costate::backend::{Backend, BackendError, Kernel, Run, Spec, Trajectories, cpu::Cpu};
-use costate::hamiltonian::Hamiltonian;
-use costate::model::{Method, Model, Precision};
-use costate::sweep::{Choices, Plan, SweepReport, sweep};
-use costate::trajectories::TrajectoryBlock;
-use costate::value;
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::{Method, Model, Precision};
+use costate::low_level::sweep::{Choices, Plan, SweepReport, sweep};
+use costate::low_level::trajectories::TrajectoryBlock;
+use costate::low_level::value;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -23,12 +23,12 @@ pub fn scene(name: &str, set: &[(&str, &str)]) -> Model {
         .iter()
         .map(|(n, v)| ((*n).to_owned(), (*v).to_owned()))
         .collect();
-    costate::scenario::load(&path, &set).unwrap_or_else(|e| panic!("{e}"))
+    costate::low_level::scenario::load(&path, &set).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// A scene given as text.
 pub fn parse(text: &str) -> Model {
-    costate::scenario::parse(text, "test.toml", &[])
+    costate::low_level::scenario::parse(text, "test.toml", &[])
         .unwrap_or_else(|e| panic!("{}", e.render(false)))
 }
 
@@ -307,25 +307,30 @@ pub fn minus(x: &[f64], y: &[f64]) -> Vec<f64> {
     x.iter().zip(y).map(|(x, y)| x - y).collect()
 }
 
-/// Keeps the largest value seen, and whether a NaN was.
+/// Keeps the largest value seen (0 or more), whether a NaN was, and how many were seen.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Worst(pub f64);
+pub struct Worst {
+    pub worst: f64,
+    pub seen: usize,
+}
 
 impl Worst {
     pub fn see(&mut self, value: f64) {
+        self.seen += 1;
         // NaN stays once it is there.
-        if value > self.0 || value.is_nan() {
-            self.0 = value;
+        if value > self.worst || value.is_nan() {
+            self.worst = value;
         }
     }
 
-    /// Fails unless at least one value above 0 was seen and none above the bound.
+    /// Fails unless at least one value was seen and none above the bound.
     pub fn at_most(self, bound: f64, what: &str) {
-        println!("{what}: worst {:.2e}, bound {bound:.0e}", self.0);
+        let Self { worst, seen } = self;
+        println!("{what}: worst {worst:.2e} of {seen}, bound {bound:.0e}");
+        assert!(seen > 0, "{what}: nothing was compared");
         assert!(
-            self.0 <= bound,
-            "{what}: worst {:.3e} is above {bound:.1e}",
-            self.0
+            worst <= bound,
+            "{what}: worst {worst:.3e} is above {bound:.1e}"
         );
     }
 }

@@ -2,10 +2,10 @@
 #![allow(dead_code)] // each test file uses its part
 
 use costate::backend::{Backend, BackendError, cpu::Cpu};
-use costate::model::Model;
-use costate::shooting::Solver;
-use costate::sweep::{Choices, Plan, sweep_keeping};
-use costate::value::{self, Answers, Archive, Entry, Grid, Request};
+use costate::low_level::model::Model;
+use costate::low_level::shooting::Solver;
+use costate::low_level::sweep::{Choices, Plan, sweep_keeping};
+use costate::low_level::value::{self, Answers, Archive, Entry, Grid, Request};
 
 #[allow(unused_imports)] // each test file uses its part
 pub use crate::common_oracles::{parse, scene};

@@ -5,7 +5,7 @@ use crate::common_oracles;
 
 use common_oracles::{Asked, F32, F64, Sweep, scene};
 use costate::backend::{Backend, Kernel, Run, Trajectories, cpu::Cpu};
-use costate::model::{Method, Precision};
+use costate::low_level::model::{Method, Precision};
 
 /// Sizes around a lane block's (64, 128), and an odd one.
 const SIZES: [usize; 4] = [1, 63, 65, 345];

@@ -4,8 +4,8 @@ use crate::common;
 
 use common::any_gpu;
 use costate::backend::{Backend, Eliminated, Systems};
-use costate::model::Precision;
-use costate::shooting::{Factors, Start};
+use costate::low_level::model::Precision;
+use costate::low_level::shooting::{Factors, Start};
 
 /// A small generator (Steele, Lea, Flood 2014: splitmix64), uniform in [-1, 1).
 struct Random(u64);

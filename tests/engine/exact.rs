@@ -10,7 +10,7 @@ use crate::common_oracles;
 use common_oracles::{
     Asked, F32, F64, Random, Sample, Sweep, Worst, dot, minus, norm, parameter, scene,
 };
-use costate::model::Model;
+use costate::low_level::model::Model;
 use nalgebra::{DMatrix, DVector};
 
 /// V, p and u at a state and, for a finite horizon, time left.
@@ -40,7 +40,7 @@ fn compare(name: &str, model: &Model, asked: Asked, exact: impl Fn(&Sample) -> E
     for s in sweep.samples() {
         let e = exact(&s);
         let error = relative((s.v - e.v).abs(), e.v);
-        if error > v.0 {
+        if error > v.worst {
             where_v = (s.v, s.t);
         }
         v.see(error);

@@ -4,7 +4,7 @@
 use crate::common_oracles;
 
 use common_oracles::{Asked, F32, F64, Sweep, parse, scene};
-use costate::model::Precision;
+use costate::low_level::model::Precision;
 
 /// Gaps are judged in f32, in widths of the region: a few units of which the pendulum's fronts are
 /// long.

@@ -8,7 +8,7 @@
 use crate::common_oracles;
 
 use common_oracles::{F64, Sweep, norm, scene};
-use costate::model::Model;
+use costate::low_level::model::Model;
 
 /// Order of the relative defect.
 const ORDER: f64 = 2.0;

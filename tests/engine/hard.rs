@@ -11,8 +11,8 @@ use crate::common_oracles;
 use common_hard::{everywhere, hard};
 use common_oracles::{Asked, F32, F64, Sample, Sweep, Worst, dot, minus, norm, parameter, scene};
 use costate::backend::{Run, Status};
-use costate::model::Precision;
-use costate::sweep::{Sampling, stiffness};
+use costate::low_level::model::Precision;
+use costate::low_level::sweep::{Sampling, stiffness};
 use nalgebra::{DMatrix, DVector};
 
 /// V, p and u at a sample.

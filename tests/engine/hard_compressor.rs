@@ -10,8 +10,8 @@ use common::any_gpu;
 use common_hard::{everywhere, hard};
 use common_oracles::{Asked, F32, F64, Sample, Sweep, Worst, dot, parameter};
 use costate::backend::{Backend, Status, cpu::Cpu};
-use costate::model::{Model, Precision};
-use costate::sweep::{Plan, Sampling, stiffness};
+use costate::low_level::model::{Model, Precision};
+use costate::low_level::sweep::{Plan, Sampling, stiffness};
 
 /// The compressor's characteristics written by hand, in `(x, p, V)`, by backward time.
 struct Compressor {

@@ -6,9 +6,9 @@ use crate::common;
 use common::{Side, Tolerance, any_gpu, compare};
 use costate::backend::cpu::Cpu;
 use costate::backend::{Backend, By, Run, Spec, Status, Trajectories};
-use costate::expr::{Graph, Kind};
-use costate::model::{Method, Precision};
-use costate::program::Program;
+use costate::low_level::expr::{Graph, Kind};
+use costate::low_level::model::{Method, Precision};
+use costate::low_level::program::Program;
 use std::f64::consts::{FRAC_PI_3, PI, TAU};
 
 /// How long trajectories are followed: some 6 kinks each.

@@ -4,9 +4,9 @@
 use crate::common_oracles;
 
 use common_oracles::{Random, derive, norm, parse, scene};
-use costate::hamiltonian::System;
-use costate::local::{LocalError, LocalSolution, Riccati, SeedChoice};
-use costate::model::{Model, SeedValue};
+use costate::low_level::hamiltonian::System;
+use costate::low_level::local::{LocalError, LocalSolution, Riccati, SeedChoice};
+use costate::low_level::model::{Model, SeedValue};
 use nalgebra::{DMatrix, DVector};
 use std::fmt::Write;
 
@@ -565,7 +565,7 @@ fn the_error_told_is_not_below_the_true_one() {
 /// still.
 #[test]
 fn a_triple_integrator_is_solved() {
-    let model = costate::scenario::parse(
+    let model = costate::low_level::scenario::parse(
         r#"
         states = { a = {}, b = {}, c = {} }
         controls = { u = {} }
@@ -578,8 +578,8 @@ fn a_triple_integrator_is_solved() {
         &[],
     )
     .unwrap_or_else(|e| panic!("{}", e.render(false)));
-    let hamiltonian = costate::hamiltonian::Hamiltonian::derive(&model).unwrap();
-    let riccati = costate::local::Riccati::solve(&hamiltonian, &model).unwrap();
+    let hamiltonian = costate::low_level::hamiltonian::Hamiltonian::derive(&model).unwrap();
+    let riccati = costate::low_level::local::Riccati::solve(&hamiltonian, &model).unwrap();
     // s^3 + 2 s^2 + 2 s + 1: -1 and -1/2 +- sqrt(3)/2 i.
     let mut real: Vec<f64> = riccati.eigenvalues.iter().map(|e| e.re).collect();
     real.sort_by(f64::total_cmp);

@@ -13,7 +13,7 @@
 //!
 //! Lines and columns count from 1, columns in characters. All problems are listed, in order.
 
-use costate::scenario::{LoadError, ScenarioErrors, load, parse};
+use costate::low_level::scenario::{LoadError, ScenarioErrors, load, parse};
 use std::collections::BTreeMap;
 
 const BASE: &str = include_str!("../malformed/base.toml");

@@ -11,8 +11,8 @@ use crate::common_oracles;
 
 use common_oracles::{Asked, F32, F64, Sweep, Worst, dot, minus, scene};
 use costate::backend::cpu::Evaluator;
-use costate::model::Model;
-use costate::program::Program;
+use costate::low_level::model::Model;
+use costate::low_level::program::Program;
 
 /// Tolerance of the reference: three digits better than the best run.
 const REFERENCE: f64 = 1e-12;
@@ -65,10 +65,10 @@ fn off_manifold(name: &str, model: &Model, asked: Asked) {
         "{compared} of {stored} samples compared"
     );
     assert!(
-        (first.0 - second.0).abs() <= CURVATURE * first.0,
+        (first.worst - second.worst).abs() <= CURVATURE * first.worst,
         "e_V is {} and {} to second order",
-        first.0,
-        second.0
+        first.worst,
+        second.worst
     );
 
     let what = |q| {
@@ -85,12 +85,12 @@ fn off_manifold(name: &str, model: &Model, asked: Asked) {
     println!(
         "{}: {:.2e}; moved along by {:.2e} of the region",
         what("e_V relative to V itself"),
-        relative.0,
-        along.0
+        relative.worst,
+        along.worst
     );
     first.at_most(asked.promised(), &what("e_V"));
     let (relative, allowed) = hamiltonian(&sweep);
-    println!("{}: worst {:.2e}", what("|H|/(|p'f| + L)"), relative.0);
+    println!("{}: worst {:.2e}", what("|H|/(|p'f| + L)"), relative.worst);
     allowed.at_most(1.0, &what("share of the |H| that tolerances allow"));
 }
 

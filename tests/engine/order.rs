@@ -2,10 +2,10 @@
 //! trees, and errors of the compiled kernels fall accordingly.
 
 use costate::backend::{Backend, By, Run, Spec, Status, Trajectories, cpu::Cpu};
-use costate::expr::{Graph, Kind};
-use costate::integrator::{DOP853, RK4, TSIT5, Tableau};
-use costate::model::{Method, Precision};
-use costate::program::Program;
+use costate::low_level::expr::{Graph, Kind};
+use costate::low_level::integrator::{DOP853, RK4, TSIT5, Tableau};
+use costate::low_level::model::{Method, Precision};
+use costate::low_level::program::Program;
 
 /// Coefficients are printed with 15 digits or more.
 const PRINTED: f64 = 1e-14;

@@ -6,9 +6,9 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use costate::hdf5::{Compression, ResultFile};
-use costate::result::{Axis, RunRecord, TrajectorySchema};
-use costate::trajectories::TrajectoryBlock;
+use costate::low_level::hdf5::{Compression, ResultFile};
+use costate::low_level::result::{Axis, RunRecord, TrajectorySchema};
+use costate::low_level::trajectories::TrajectoryBlock;
 
 /// One file to write and check.
 struct Case {
@@ -108,7 +108,7 @@ fn write(case: &Case, path: &Path) {
         title: "test".to_owned(),
         // Longer than the 64 KiB that an attribute can hold in place.
         scenario: "theta = \"\u{3b8}\"\n".repeat(10_000),
-        created: costate::result::utc_timestamp(std::time::SystemTime::now()),
+        created: costate::low_level::result::utc_timestamp(std::time::SystemTime::now()),
         rtol: 1e-8,
         ..RunRecord::default()
     };

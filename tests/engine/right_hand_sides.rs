@@ -9,9 +9,9 @@ use common_oracles::numbers::{Double, Dual, Number, Sized};
 use common_oracles::{Random, derive, scene};
 use costate::backend::cpu::{Cpu, Evaluator};
 use costate::backend::{Backend, By, Run, Spec};
-use costate::hamiltonian::System;
-use costate::model::{Method, Model, Precision};
-use costate::program::Program;
+use costate::low_level::hamiltonian::System;
+use costate::low_level::model::{Method, Model, Precision};
+use costate::low_level::program::Program;
 
 /// A system written by hand, with N states and one control.
 trait ByHand<const N: usize> {

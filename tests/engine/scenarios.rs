@@ -2,9 +2,9 @@
 //! equation.
 
 use costate::Scene;
-use costate::expr::Id;
-use costate::model::{Horizon, Model};
-use costate::scenario::load;
+use costate::low_level::expr::Id;
+use costate::low_level::model::{Horizon, Model};
+use costate::low_level::scenario::load;
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -273,7 +273,7 @@ fn atol_follows_rtol() {
             "states = {{ x = {{}} }}\ncontrols = {{ u = {{}} }}\ndynamics = {{ x = \"u\" }}\n\
              cost = {{ running = \"x^2 + u^2\" }}\nequilibrium = {{ x = 0, u = 0 }}\nregion = {{ x = [-1, 1] }}\n{integrator}"
         );
-        let model = costate::scenario::parse(&text, "test.toml", &[])
+        let model = costate::low_level::scenario::parse(&text, "test.toml", &[])
             .unwrap_or_else(|e| panic!("{}", e.render(false)));
         (model.integrator.rtol, model.integrator.atol)
     };
@@ -297,7 +297,7 @@ fn equilibria_of_small_and_large_states() {
             x - size,
             x + size
         );
-        match costate::scenario::parse(&text, "test.toml", &[]) {
+        match costate::low_level::scenario::parse(&text, "test.toml", &[]) {
             Ok(_) => String::new(),
             Err(e) => e.render(false),
         }

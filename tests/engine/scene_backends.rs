@@ -5,9 +5,9 @@ use crate::common;
 
 use common::{Mismatch, Side, Tolerance, any_gpu, compare};
 use costate::backend::{Backend, Status, Trajectories, cpu::Cpu};
-use costate::hamiltonian::Hamiltonian;
-use costate::model::{Method, Model, Precision};
-use costate::sweep::{Choices, Plan};
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::{Method, Model, Precision};
+use costate::low_level::sweep::{Choices, Plan};
 
 const SCENES: [&str; 6] = [
     "pendulum",
@@ -24,7 +24,8 @@ const SAMPLES: usize = 12;
 
 fn scene(name: &str, method: Method) -> (Model, Hamiltonian) {
     let path = format!("{}/scenarios/{name}.toml", crate::ROOT);
-    let mut model = costate::scenario::load(path.as_ref(), &[]).expect("a shipped scene is valid");
+    let mut model =
+        costate::low_level::scenario::load(path.as_ref(), &[]).expect("a shipped scene is valid");
     model.integrator.method = Some(method);
     model.integrator.step = (method == Method::Rk4).then_some(0.02);
     let shoot_out = model.shoot_out.as_mut().expect("shipped scenes are swept");

@@ -1,7 +1,7 @@
 //! docs/scene.md names every section and key of a scene: what the parser accepts is asked of the
 //! parser.
 
-use costate::scenario::{Problem, parse};
+use costate::low_level::scenario::{Problem, parse};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 

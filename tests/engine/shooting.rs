@@ -4,11 +4,11 @@ use crate::common;
 
 use common::any_gpu;
 use costate::backend::{Backend, BackendError, cpu::Cpu};
-use costate::hamiltonian::Hamiltonian;
-use costate::model::Precision;
-use costate::shooting::{End, Equations, Goal, Job, Path, Scheme, Solver};
-use costate::sweep::{Choices, Plan, sweep_keeping};
-use costate::value::{Archive, Index};
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::Precision;
+use costate::low_level::shooting::{End, Equations, Goal, Job, Path, Scheme, Solver};
+use costate::low_level::sweep::{Choices, Plan, sweep_keeping};
+use costate::low_level::value::{Archive, Index};
 
 /// First guesses from a sweep, with the states they are to reach.
 struct Problems {
@@ -22,7 +22,7 @@ const SHIFT: f64 = 0.01;
 
 fn problems(scene: &str, count: usize) -> Problems {
     let path = format!("{}/scenarios/{scene}.toml", crate::ROOT);
-    let model = costate::scenario::load(path.as_ref(), &[]).unwrap();
+    let model = costate::low_level::scenario::load(path.as_ref(), &[]).unwrap();
     let hamiltonian = Hamiltonian::derive(&model).unwrap();
     let cpu = Cpu::new();
     let choices = Choices {

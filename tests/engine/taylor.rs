@@ -5,9 +5,9 @@ use crate::common_oracles;
 
 use common_oracles::parse;
 use costate::backend::{Backend, BackendError, Trajectories, cpu::Cpu};
-use costate::hamiltonian::Hamiltonian;
-use costate::model::{Method, Precision};
-use costate::sweep::{Choices, Plan, sweep_keeping};
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::{Method, Precision};
+use costate::low_level::sweep::{Choices, Plan, sweep_keeping};
 
 /// A scene's seeds, and all of their samples by each method.
 fn integrate(scene: &str, rtol: f64, methods: &[Method]) -> (Plan, Vec<Trajectories>) {

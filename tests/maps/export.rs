@@ -6,14 +6,14 @@ use crate::common_commands;
 use common_commands::header::{Said, ask};
 use common_commands::made_up::made_up;
 use common_commands::{costate, done, manufactured, scene};
-use costate::feedback::{Known, value_header};
-use costate::hamiltonian::{Hamiltonian, System};
-use costate::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
-use costate::map::Coverage;
-use costate::map::pieces::Region;
-use costate::model::{Model, SeedValue};
-use costate::numeric::random::random;
-use costate::result::Stored;
+use costate::low_level::feedback::{Known, value_header};
+use costate::low_level::hamiltonian::{Hamiltonian, System};
+use costate::low_level::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
+use costate::low_level::map::Coverage;
+use costate::low_level::map::pieces::Region;
+use costate::low_level::model::{Model, SeedValue};
+use costate::low_level::numeric::random::random;
+use costate::low_level::result::Stored;
 use std::path::{Path, PathBuf};
 
 fn scratch(name: &str) -> PathBuf {
@@ -294,7 +294,7 @@ fn all_that_pieces_can_be_is_in_their_header() {
 }
 
 fn loaded(path: &Path) -> (Model, Hamiltonian) {
-    let model = costate::scenario::load(path, &[]).unwrap();
+    let model = costate::low_level::scenario::load(path, &[]).unwrap();
     let hamiltonian = Hamiltonian::derive(&model).unwrap();
     (model, hamiltonian)
 }

@@ -4,11 +4,11 @@
 use crate::common_commands;
 
 use common_commands::{costate, done, manufactured, scratch, sections_of};
-use costate::closed_loop::{Chart, Expansions};
-use costate::map::pieces::Pieces;
-use costate::map::{Coverage, Unknown, ValueMap};
-use costate::model::MAP_ERROR_MAX;
-use costate::result::Stored;
+use costate::low_level::closed_loop::{Chart, Expansions};
+use costate::low_level::map::pieces::Pieces;
+use costate::low_level::map::{Coverage, Unknown, ValueMap};
+use costate::low_level::model::MAP_ERROR_MAX;
+use costate::low_level::result::Stored;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Output;

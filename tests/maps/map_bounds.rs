@@ -4,8 +4,8 @@
 use crate::common_commands;
 
 use common_commands::{column_of, scratch};
-use costate::map::Unknown;
-use costate::result::Stored;
+use costate::low_level::map::Unknown;
+use costate::low_level::result::Stored;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 

@@ -1,8 +1,8 @@
 //! Maps of finite horizons, V(x, t): against exact value functions, in a closed loop, as a header,
 //! and asked wrongly.
 
-use costate::map::ValueMap;
-use costate::result::Stored;
+use costate::low_level::map::ValueMap;
+use costate::low_level::result::Stored;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -4,9 +4,9 @@
 use crate::common_commands;
 
 use common_commands::{costate, done, manufactured, scenario, scratch};
-use costate::map::Unknown;
-use costate::result::Stored;
-use costate::trajectories::SolvedStates;
+use costate::low_level::map::Unknown;
+use costate::low_level::result::Stored;
+use costate::low_level::trajectories::SolvedStates;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;

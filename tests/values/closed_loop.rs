@@ -4,9 +4,9 @@ use crate::common_loop;
 
 use common_loop::{Asked, Scene, TIGHT, any_gpu, runge_kutta};
 use costate::backend::{Backend, Status, cpu::Cpu};
-use costate::closed_loop::{Chart, Expansion, Initial, LawResult, OUTSIDE_MAP};
-use costate::model::Precision;
-use costate::sweep::GUARD_STATUS;
+use costate::low_level::closed_loop::{Chart, Expansion, Initial, LawResult, OUTSIDE_MAP};
+use costate::low_level::model::Precision;
+use costate::low_level::sweep::GUARD_STATUS;
 use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
 
 /// A spring and a force. Everything about it is known by matrices.

@@ -6,12 +6,12 @@ use crate::common_loop;
 
 use common_loop::{Asked, Scene, TIGHT, any_gpu, runge_kutta};
 use costate::backend::{Backend, Status, cpu::Cpu};
-use costate::closed_loop::dissipation::{
+use costate::low_level::closed_loop::dissipation::{
     Certificate, Dissipation, DisturbanceKind, LawCheck, TOLERANCE, check, flight,
 };
-use costate::closed_loop::{Chart, Expansion, Law, Laws, OUTSIDE_MAP};
-use costate::model::Precision;
-use costate::sweep::Choices;
+use costate::low_level::closed_loop::{Chart, Expansion, Law, Laws, OUTSIDE_MAP};
+use costate::low_level::model::Precision;
+use costate::low_level::sweep::Choices;
 
 /// A spring, a force and a disturbance beside it.
 const SPRING: &str = r#"

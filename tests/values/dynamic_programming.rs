@@ -7,9 +7,9 @@ use crate::common_oracles;
 use common::any_gpu;
 use common_oracles::{derive, parse, scene};
 use costate::backend::cpu::Cpu;
-use costate::dynamic_programming::{Device, DpError, GridValue, Options, solve};
-use costate::model::Model;
-use costate::sweep::{Choices, Plan, spread_over};
+use costate::low_level::dynamic_programming::{Device, DpError, GridValue, Options, solve};
+use costate::low_level::model::Model;
+use costate::low_level::sweep::{Choices, Plan, spread_over};
 
 fn planned(model: &Model) -> Plan {
     let choices = Choices {
@@ -280,7 +280,7 @@ fn finite_horizons_are_met() {
 #[test]
 fn steps_are_short_where_rates_are_fast() {
     let data = std::path::Path::new(crate::ROOT).join("tests/data/least/tank");
-    let model = costate::scenario::load(&data.with_extension("toml"), &[])
+    let model = costate::low_level::scenario::load(&data.with_extension("toml"), &[])
         .unwrap_or_else(|e| panic!("{e}"));
     let (plan, value) = solved(&model, &nodes(81));
     let mut reader =
@@ -427,7 +427,8 @@ fn both_devices_agree() {
 #[ignore = "prints figures"]
 fn probe() {
     let path = std::env::var("DP_SCENE").expect("DP_SCENE names a scene");
-    let model = costate::scenario::load(path.as_ref(), &[]).unwrap_or_else(|e| panic!("{e}"));
+    let model =
+        costate::low_level::scenario::load(path.as_ref(), &[]).unwrap_or_else(|e| panic!("{e}"));
     let number = |name: &str| std::env::var(name).ok();
     let mut options = Options::default();
     if let Some(nodes) = number("DP_NODES") {

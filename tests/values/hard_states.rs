@@ -7,9 +7,9 @@ use crate::common_values;
 use common::any_gpu;
 use common_values::{Swept, given, largest, scene};
 use costate::backend::{Backend, cpu::Cpu};
-use costate::model::Model;
-use costate::sweep::stiffness;
-use costate::value::{self, Answers, Entry, Request};
+use costate::low_level::model::Model;
+use costate::low_level::sweep::stiffness;
+use costate::low_level::value::{self, Answers, Entry, Request};
 
 /// What solutions are asked to: 1e-9 of the trajectory; ten times that for its parts.
 const SOLVED: f64 = 1e-8;

@@ -7,7 +7,7 @@
 use crate::common_values;
 
 use common_values::{Swept, given, largest, parse, scene, spaced};
-use costate::value::PointStatus;
+use costate::low_level::value::PointStatus;
 
 /// Ten times the tolerance of the answers: it is relative to a trajectory's largest component, not
 /// to each one.
@@ -210,15 +210,15 @@ fn compressor_trajectory() {
     let mut x = swept.model.reference().to_vec();
     x[2] = 0.12;
     let mut solver = swept.solver();
-    let request = costate::value::Request {
+    let request = costate::low_level::value::Request {
         points: x,
         ..Default::default()
     };
     let answers = swept.solve_with(&mut solver, &request);
     let entry = given(&answers, 0).expect("solved");
     assert!((entry.value - 0.0533).abs() < 5e-5, "V = {}", entry.value);
-    let block =
-        costate::value::sampled(&swept.plan, &mut solver, &[entry], 2000).expect("the CPU works");
+    let block = costate::low_level::value::sampled(&swept.plan, &mut solver, &[entry], 2000)
+        .expect("the CPU works");
     let along = |k: usize| block.x.iter().skip(k).step_by(4).copied();
     let lowest = along(1).fold(f64::INFINITY, f64::min);
     let highest = along(3).fold(f64::NEG_INFINITY, f64::max);
@@ -401,7 +401,7 @@ fn compressor_at_its_limits() {
 /// tenfold; nodes hold them.
 #[test]
 fn single_shooting_fails_where_multiple_shooting_holds() {
-    use costate::shooting::{Goal, Job, Path};
+    use costate::low_level::shooting::{Goal, Job, Path};
     let swept = Swept::new(scene("pendulum", &[]), 2000);
     let mut solver = swept.solver();
     let target = [1.0 + 1.5, 0.0];
@@ -461,7 +461,7 @@ fn single_shooting_fails_where_multiple_shooting_holds() {
 #[test]
 fn gpu_drafts_end_as_f64_answers() {
     use costate::backend::gpu::{Gpu, Selection};
-    use costate::model::Precision;
+    use costate::low_level::model::Precision;
     let gpu = Gpu::open(&Selection::Any)
         .expect("an adapter")
         .expect("an adapter");
@@ -476,13 +476,14 @@ fn gpu_drafts_end_as_f64_answers() {
         model.integrator.precision = Some(Precision::F32);
         let on_gpu = Swept::on(model, &gpu, 400);
         assert_eq!(on_gpu.plan.spec.precision, Precision::F32);
-        let request = costate::value::Request {
-            grids: vec![costate::value::Grid { axes: axes.clone() }],
+        let request = costate::low_level::value::Request {
+            grids: vec![costate::low_level::value::Grid { axes: axes.clone() }],
             limits: vec![f64::INFINITY],
             one_sheet: true,
             ..Default::default()
         };
-        let mut solver = costate::value::solver(&on_gpu.plan, &gpu).expect("the GPU compiles it");
+        let mut solver =
+            costate::low_level::value::solver(&on_gpu.plan, &gpu).expect("the GPU compiles it");
         let drafted = on_gpu.solve_with(&mut solver, &request);
         let exact = Swept::new(scene(name, &[]), 400).solve(&request);
         assert_eq!(

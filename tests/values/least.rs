@@ -16,10 +16,10 @@ use crate::common_values;
 use common_oracles::{Random, derive, parameter, unswept};
 use common_values::{given, parse, scene};
 use costate::backend::cpu::Cpu;
-use costate::hamiltonian::Hamiltonian;
-use costate::model::Model;
-use costate::sweep::{Choices, Plan};
-use costate::value::{
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::Model;
+use costate::low_level::sweep::{Choices, Plan};
+use costate::low_level::value::{
     self, Answers, Archive, Entry, Evidence, Grid, PointStatus, Request, solve_states,
 };
 use std::path::PathBuf;
@@ -48,7 +48,7 @@ fn tried(name: &str, set: &[(&str, &str)]) -> Model {
         .iter()
         .map(|(n, v)| ((*n).to_owned(), (*v).to_owned()))
         .collect();
-    costate::scenario::load(&data(name).with_extension("toml"), &set)
+    costate::low_level::scenario::load(&data(name).with_extension("toml"), &set)
         .unwrap_or_else(|e| panic!("{e}"))
 }
 
@@ -457,7 +457,8 @@ fn twelve_states() {
 #[test]
 fn no_smooth_least_cost_at_the_equilibrium() {
     for name in ["lingrad", "linabs"] {
-        let refused = costate::scenario::load(&data(name).with_extension("toml"), &[]).is_err()
+        let refused = costate::low_level::scenario::load(&data(name).with_extension("toml"), &[])
+            .is_err()
             || {
                 let model = tried(name, &[]);
                 let choices = Choices::default();
@@ -582,9 +583,9 @@ fn swept_otherwise(model: &Model) -> Vec<(&'static str, Model)> {
     let shoot_out = |model: &mut Model| model.shoot_out.take().expect("the scene is swept");
     let (a, b) = (shoot_out(&mut further), shoot_out(&mut finer));
     let value_max = a.value_max.map(|v| 4.0 * v);
-    further.shoot_out = Some(costate::model::ShootOut { value_max, ..a });
+    further.shoot_out = Some(costate::low_level::model::ShootOut { value_max, ..a });
     let spacing = 0.25 * b.spacing;
-    finer.shoot_out = Some(costate::model::ShootOut { spacing, ..b });
+    finer.shoot_out = Some(costate::low_level::model::ShootOut { spacing, ..b });
     vec![("with 4 value_max", further), ("with spacing / 4", finer)]
 }
 

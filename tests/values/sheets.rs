@@ -3,7 +3,7 @@
 use crate::common_values;
 
 use common_values::{Swept, largest, scene, spaced};
-use costate::value::{Grid, Request};
+use costate::low_level::value::{Grid, Request};
 
 /// A free particle: x' = u, L = u^2/2, terminal cost phi. Costates are constant, so x = y + T
 /// phi'(y) for an end y, and V = phi(y) + T phi'(y)^2/2. With phi = x^4/4 - k x^2/2 + a x (+ y^2/2

@@ -18,8 +18,8 @@ use super::reference::{Reference, Slopes, follow};
 use super::work::Work;
 use costate::backend::cpu::Evaluator;
 use costate::backend::{Status, Trajectories};
-use costate::numeric::quantile::nearest_rank;
-use costate::program::Program;
+use costate::low_level::numeric::quantile::nearest_rank;
+use costate::low_level::program::Program;
 
 /// Median, 99 % and largest of an error over trajectories; NaN where there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! How much of a whole sweep's time is not the kernel's: seeds, fronts, transfers, writing.
 
 use costate::backend::{Backend, BackendError, Eliminator, Kernel, Run, Spec, Trajectories};
-use costate::model::{Method, Precision};
+use costate::low_level::model::{Method, Precision};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 

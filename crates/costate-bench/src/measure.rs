@@ -8,7 +8,7 @@ use super::variants::{self, Ladder, Missing, Series, Steps, Wanted};
 use super::work::{Pass, Work};
 use costate::backend::flops;
 use costate::backend::{Backend, BackendError, Kernel, Status};
-use costate::model::{Method, Precision};
+use costate::low_level::model::{Method, Precision};
 use std::time::Instant;
 
 /// Trajectories whose errors are looked at: the leading ones, which are spread like all.

@@ -6,8 +6,8 @@ use super::variants::Steps;
 use super::work::Work;
 use costate::backend::cpu::Cpu;
 use costate::backend::{Backend, BackendError, Status, Trajectories};
-use costate::model::{Method, Precision};
-use costate::program::Program;
+use costate::low_level::model::{Method, Precision};
+use costate::low_level::program::Program;
 use nalgebra::{DMatrix, DVector};
 
 /// Tolerance of references: close to what f64 can meet.

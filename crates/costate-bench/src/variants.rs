@@ -1,8 +1,8 @@
 //! What is to be measured: backend x precision x method x tolerance (or step).
 
 use costate::backend::Backend;
-use costate::model::{Method, Precision};
-use costate::sweep::Plan;
+use costate::low_level::model::{Method, Precision};
+use costate::low_level::sweep::Plan;
 
 /// How long steps are.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,8 +2,8 @@
 
 use super::variants::Steps;
 use costate::backend::{BackendError, Kernel, Run, Spec, Status, Trajectories, batch_limit};
-use costate::model::{Horizon, Method, Model, Precision};
-use costate::sweep::Plan;
+use costate::low_level::model::{Horizon, Method, Model, Precision};
+use costate::low_level::sweep::Plan;
 use std::time::Instant;
 
 /// Seeds tried for each one wanted: where guards leave a small part of the seed surface.

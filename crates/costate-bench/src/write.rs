@@ -4,7 +4,9 @@ use crate::errors::Quantiles;
 use crate::host_share::HostShare;
 use crate::{Bench, Row};
 use costate::backend::Status;
-use costate::hdf5::{AttributeValue, Dimension, Group, OutputError, ResultFile, Variable};
+use costate::low_level::hdf5::{
+    AttributeValue, Dimension, Group, OutputError, ResultFile, Variable,
+};
 
 /// A numeric column: name, unit, meaning, value.
 type Column = (

@@ -5,8 +5,8 @@ use crate::common::open;
 use crate::error::CliError;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use costate::backend::Backend;
-use costate::model::{Method, Model, Precision};
-use costate::sweep::Choices;
+use costate::low_level::model::{Method, Model, Precision};
+use costate::low_level::sweep::Choices;
 use std::path::PathBuf;
 
 /// Value functions and optimal feedback of nonlinear systems over a region, by bicharacteristics.

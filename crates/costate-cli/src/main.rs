@@ -22,7 +22,7 @@ fn main() -> ExitCode {
     }
     // Without it a signal leaves a hidden file beside the result's name, and no more is lost.
     #[cfg(unix)]
-    let _ = costate::files::removed_at_signals();
+    let _ = costate::low_level::files::removed_at_signals();
     let cli = match args::Cli::try_parse() {
         Ok(cli) => cli,
         Err(e) => {

@@ -1,7 +1,7 @@
 //! A scene's equations as text.
 
 use super::names;
-use costate::model::{Horizon, Model};
+use costate::low_level::model::{Horizon, Model};
 
 /// A group of equations: what they are, and a line each.
 pub struct Equations {
@@ -11,8 +11,9 @@ pub struct Equations {
 
 /// Everything that defines the problem, as the scene has it.
 pub fn of(model: &Model) -> Vec<Equations> {
-    let written =
-        |span: &costate::model::Span| tidy(model.text.get(span.clone()).unwrap_or_default());
+    let written = |span: &costate::low_level::model::Span| {
+        tidy(model.text.get(span.clone()).unwrap_or_default())
+    };
     let mut all = Vec::new();
     let mut add = |heading: &str, lines: Vec<String>| {
         if !lines.is_empty() {
@@ -22,7 +23,7 @@ pub fn of(model: &Model) -> Vec<Equations> {
             });
         }
     };
-    let variable = |v: &costate::model::Variable, more: &str| {
+    let variable = |v: &costate::low_level::model::Variable, more: &str| {
         let long = v
             .long_name
             .as_deref()
@@ -75,7 +76,7 @@ pub fn of(model: &Model) -> Vec<Equations> {
             );
         }
     }
-    let definitions = costate::scenario::definitions(&model.text);
+    let definitions = costate::low_level::scenario::definitions(&model.text);
     add(
         "Definitions",
         definitions

@@ -1,10 +1,10 @@
 //! The optimal motion between stored samples.
 
-use costate::expr::Id;
-use costate::hamiltonian::Hamiltonian;
-use costate::model::Model;
-use costate::numeric::hermite::hermite;
-use costate::trajectories::SweptTrajectories;
+use costate::low_level::expr::Id;
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::Model;
+use costate::low_level::numeric::hermite::hermite;
+use costate::low_level::trajectories::SweptTrajectories;
 use std::collections::HashMap;
 
 /// Points between two samples.

@@ -28,9 +28,11 @@ mod ticks;
 pub use source::{OptionsError, Source};
 
 use canvas::{Anchor, Canvas, Rect, Style, TITLE};
-use costate::files::{FileError, directory_of, make, write_bytes, write_text, write_together};
-use costate::model::Report;
-use costate::result::{Stored, StoredError};
+use costate::low_level::files::{
+    FileError, directory_of, make, write_bytes, write_text, write_together,
+};
+use costate::low_level::model::Report;
+use costate::low_level::result::{Stored, StoredError};
 use raster::{Raster, RasterError};
 use std::path::{Path, PathBuf};
 use svg::Svg;
@@ -184,10 +186,11 @@ pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError>
         .collect();
     // The page last: where it is new its pictures are there.
     placed.push((page.clone(), html.clone().into_bytes()));
+    let old = std::fs::read_to_string(&page).unwrap_or_default();
     write_together(&placed, directory_of(&page))?;
     // The page names it, and there may be no pictures.
     make(&folder)?;
-    clear(&folder, &placed);
+    clear(&folder, &old, &placed);
     Ok(Written {
         page,
         bytes: html.len(),
@@ -249,18 +252,18 @@ pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportErr
     Ok(done)
 }
 
-/// Takes away pictures of an earlier report that the new one does not have, known by their names:
-/// the folder may hold other things.
-fn clear(folder: &Path, new: &[(PathBuf, Vec<u8>)]) {
+/// Takes away pictures of the report that was replaced which the new one does not have: those that
+/// its page names. The folder may hold other things.
+fn clear(folder: &Path, old: &str, new: &[(PathBuf, Vec<u8>)]) {
     let Ok(entries) = std::fs::read_dir(folder) else {
         return;
     };
+    let name_of = |path: &Path| path.file_name().map(|n| n.to_string_lossy().into_owned());
     for path in entries.filter_map(|e| Some(e.ok()?.path())) {
-        let kind = path.extension().is_some_and(|e| e == "svg" || e == "png");
-        let name = path
-            .file_stem()
-            .is_some_and(|s| pictures::is_picture(&s.to_string_lossy()));
-        if kind && name && !new.iter().any(|(own, _)| *own == path) {
+        let picture = path.extension().is_some_and(|e| e == "svg" || e == "png");
+        let name = name_of(&path).unwrap_or_default();
+        let named = old.contains(&format!("/{name}\""));
+        if picture && named && !new.iter().any(|(own, _)| *own == path) {
             // What cannot be removed is no reason to stop.
             let _ = std::fs::remove_file(&path);
         }

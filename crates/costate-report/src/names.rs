@@ -1,6 +1,6 @@
 //! How states and controls are named in pictures.
 
-use costate::model::Variable;
+use costate::low_level::model::Variable;
 
 const GREEK: [(&str, char); 48] = [
     ("alpha", 'α'),

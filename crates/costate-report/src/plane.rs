@@ -1,7 +1,7 @@
 //! V over a plane of two states, made from what is known at the points of a grid.
 
-use costate::map::{Value, ValueMap};
-use costate::trajectories::{SolvedGrid, SolvedStates};
+use costate::low_level::map::{Value, ValueMap};
+use costate::low_level::trajectories::{SolvedGrid, SolvedStates};
 use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -568,7 +568,7 @@ pub fn refined(axis: &[f64], wanted: usize) -> Vec<f64> {
 
 /// `count` even places.
 pub fn even([from, to]: [f64; 2], count: usize) -> Vec<f64> {
-    costate::value::spaced(from, to, count.max(2))
+    costate::low_level::value::spaced(from, to, count.max(2))
 }
 
 #[cfg(test)]

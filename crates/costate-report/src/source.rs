@@ -3,10 +3,11 @@
 use super::plane::{GridField, Plane, refined};
 use super::ticks::significant;
 use super::{names, ticks};
-use costate::model::{Model, Report};
-use costate::result::Stored;
-use costate::trajectories::{SolvedStates, SweptTrajectories};
-use costate::value::PointStatus;
+use costate::low_level::model::{Model, Report};
+use costate::low_level::result::Stored;
+use costate::low_level::result::StoredMapError;
+use costate::low_level::trajectories::{SolvedStates, SweptTrajectories};
+use costate::low_level::value::PointStatus;
 use std::cell::OnceCell;
 
 /// Points along each axis of the planes that are drawn, about.
@@ -52,7 +53,7 @@ pub struct Source<'s> {
     points: Result<Option<SolvedStates>, String>,
     sheets: Result<Option<SolvedStates>, String>,
     field: Result<Option<GridField>, String>,
-    plane: OnceCell<Option<Plane>>,
+    plane: OnceCell<Result<Option<Plane>, String>>,
 }
 
 impl<'s> Source<'s> {
@@ -66,7 +67,7 @@ impl<'s> Source<'s> {
         // Before anything is read: a mistake is told at once.
         let asked = axes(model, &merged, None)?;
         base(model, &merged, asked, None)?;
-        let text = |e: costate::result::StoredError| e.to_string();
+        let text = |e: costate::low_level::result::StoredError| e.to_string();
         let trajectories = stored.trajectories().map_err(text);
         let points = stored.points().map_err(text);
         let sheets = stored.points_sheets().map_err(text);
@@ -123,21 +124,26 @@ impl<'s> Source<'s> {
     pub fn plane(&self) -> Result<Option<&Plane>, String> {
         let field = self.field()?;
         let made = self.plane.get_or_init(|| {
-            // Solved states on a grid, or what can be told from all solutions of the file.
-            field
-                .and_then(|f| self.make_plane(f))
-                .or_else(|| self.scattered())
+            // Solved states on a grid, or what follows from all solutions of the file.
+            match field.and_then(|f| self.make_plane(f)) {
+                Some(plane) => Ok(Some(plane)),
+                None => self.scattered(),
+            }
         });
-        Ok(made.as_ref())
+        Ok(made.as_ref().map_err(Clone::clone)?.as_ref())
     }
 
     /// From solutions that form no map. With a finite horizon only solved states are of the initial
     /// time.
-    fn scattered(&self) -> Option<Plane> {
+    fn scattered(&self) -> Result<Option<Plane>, String> {
         if !self.knows_values() || self.axes[0] == self.axes[1] {
-            return None;
+            return Ok(None);
         }
-        let map = self.stored.value_map().ok()?;
+        let map = match self.stored.value_map() {
+            Ok(map) => map,
+            Err(StoredMapError::Empty { .. }) => return Ok(None),
+            Err(e) => return Err(format!("no value map: {e}")),
+        };
         let swept = self.trajectories().ok().flatten().map(|t| &t.v);
         let solved = self.points().ok().flatten().map(|p| &p.v);
         let said = map.highest_in_pieces();
@@ -149,15 +155,11 @@ impl<'s> Source<'s> {
             .chain(said)
             .filter(|v| v.is_finite());
         let limit = known.fold(f64::NEG_INFINITY, f64::max);
-        let field = GridField::of_value_map(
-            &map,
-            self.axes,
-            &self.base,
-            &self.model.region,
-            COARSE,
-            limit,
-        )?;
-        let plane = self.make_plane(&field)?;
+        let region = &self.model.region;
+        let field = GridField::of_value_map(&map, self.axes, &self.base, region, COARSE, limit);
+        let Some(plane) = field.and_then(|field| self.make_plane(&field)) else {
+            return Ok(None);
+        };
         let states: Vec<f64> = (plane.x.iter())
             .flat_map(|a| plane.y.iter().map(move |b| [*a, *b]))
             .flat_map(|at| {
@@ -174,12 +176,12 @@ impl<'s> Source<'s> {
             }
         }
         let excess = excess.into_iter().map(|(excess, _)| excess).collect();
-        Some(Plane {
+        Ok(Some(Plane {
             limit,
             v,
             excess,
             ..plane
-        })
+        }))
     }
 
     fn make_plane(&self, field: &GridField) -> Option<Plane> {
@@ -224,7 +226,10 @@ impl<'s> Source<'s> {
 
     /// Whether the horizon is infinite: V grows from 0 at the equilibrium.
     pub fn infinite(&self) -> bool {
-        matches!(self.model.horizon, costate::model::Horizon::Infinite { .. })
+        matches!(
+            self.model.horizon,
+            costate::low_level::model::Horizon::Infinite { .. }
+        )
     }
 
     /// What the two axes say.
@@ -299,7 +304,7 @@ fn state(model: &Model, name: &str, what: &'static str) -> Result<usize, Options
         .ok_or_else(|| OptionsError::UnknownState {
             what,
             name: name.to_owned(),
-            hint: costate::diagnostics::did_you_mean(name, names()).map_or_else(
+            hint: costate::low_level::diagnostics::did_you_mean(name, names()).map_or_else(
                 || format!("; its states: {}", names().collect::<Vec<_>>().join(", ")),
                 |s| format!("; {s}"),
             ),

@@ -2,8 +2,9 @@
 
 use super::ticks::significant;
 use super::{Source, names};
-use costate::result::{Array, StoredGroup};
-use serde_json::Value;
+use costate::low_level::result::{Array, StoredGroup};
+use costate::session::summary::Quantiles;
+use std::collections::BTreeMap;
 
 /// A table; the first column names the rows.
 pub struct Table {
@@ -168,71 +169,66 @@ fn heading(name: &str) -> String {
     name.replace('_', " ")
 }
 
-/// What the run was, and how well it went: name and value.
+/// What the run was, and how well it went: name and value. A summary that cannot be read is one of
+/// them.
 pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
-    let s = source.stored.summary();
     let mut all: Vec<(String, String)> = Vec::new();
     let mut add = |name: &str, value: String| {
         if !value.is_empty() {
             all.push((name.to_owned(), value));
         }
     };
-    let errors = |at: &Value| {
-        let one = |name: &str| {
-            let worst = at[name]["max"].as_f64()?;
-            Some(format!("{name} {}", significant(worst, 2)))
-        };
-        let parts: Vec<String> = ["V", "p", "u"].iter().filter_map(|n| one(n)).collect();
-        if parts.is_empty() {
-            String::new()
-        } else {
-            format!("worst of a sample: {}", parts.join(", "))
+    let summary = match source.stored.run_summary() {
+        Ok(summary) => summary,
+        Err(reason) => {
+            add("Summary", format!("cannot be read: {reason}"));
+            None
         }
     };
-    let counts = |at: &Value| -> String {
-        let Some(map) = at.as_object() else {
-            return String::new();
-        };
-        map.iter()
-            .map(|(k, v)| format!("{v} {}", k.replace('_', " ")))
-            .collect::<Vec<_>>()
-            .join(", ")
-    };
-    if s["trajectories_stored"].as_bool().unwrap_or(false) {
-        add("Trajectories", counts(&s["status"]));
-        let gaps = &s["coverage"];
-        let open = gaps["gaps_for_want_of_seeds"].as_u64().unwrap_or(0)
-            + gaps["gaps_indistinguishable"].as_u64().unwrap_or(0);
-        let widest = gaps["widest_gap"].as_f64().map_or_else(String::new, |w| {
-            format!(", the widest {} of the region", significant(w, 3))
-        });
-        add(
-            "Fronts",
-            if open == 0 {
-                "covered".to_owned()
-            } else {
-                format!("{open} gaps left{widest}")
-            },
-        );
-        add("Errors of the sweep", errors(&s["error_estimate"]));
-    } else if let Ok(Some(t)) = source.trajectories() {
-        add("Trajectories", t.count.to_string());
+    match summary.as_ref().filter(|s| s.trajectories_stored) {
+        Some(s) => {
+            add("Trajectories", counts(&s.status));
+            let gaps = &s.coverage;
+            let open = gaps.gaps_for_want_of_seeds + gaps.gaps_indistinguishable;
+            let widest = gaps.widest_gap.map_or_else(String::new, |w| {
+                format!(", the widest {} of the region", significant(w, 3))
+            });
+            add(
+                "Fronts",
+                match open {
+                    0 => "covered".to_owned(),
+                    _ => format!("{open} gaps left{widest}"),
+                },
+            );
+            if let Some(e) = &s.error_estimate {
+                add(
+                    "Errors of the sweep",
+                    errors([e.value, e.costate, e.control]),
+                );
+            }
+        }
+        None => {
+            if let Ok(Some(t)) = source.trajectories() {
+                add("Trajectories", t.count.to_string());
+            }
+        }
     }
-    let solved = &s["homotopy"];
-    if solved.is_object() {
-        add("Solved states", counts(&solved["status"]));
-        let number = |key: &str| solved[key].as_u64().unwrap_or(0);
-        add(
-            "Solutions",
-            format!("{} on {} sheets", number("solutions"), number("sheets")),
-        );
-        add("Errors of solved states", errors(&solved["error_estimate"]));
+    if let Some(solved) = summary.as_ref().and_then(|s| s.homotopy.as_ref()) {
+        add("Solved states", counts(&solved.status));
+        let sheets = format!("{} on {} sheets", solved.solutions, solved.sheets);
+        add("Solutions", sheets);
+        if let Some(e) = &solved.error_estimate {
+            add(
+                "Errors of solved states",
+                errors([e.value, e.costate, e.control]),
+            );
+        }
     }
     add(
         "Attenuation",
         super::pictures::attenuation_figure(source).unwrap_or_default(),
     );
-    if let Some(met) = s["error_met"].as_bool() {
+    if let Some(met) = summary.as_ref().and_then(|s| s.error_met) {
         add(
             "Promised accuracy",
             if met { "met" } else { "NOT met" }.to_owned(),
@@ -246,17 +242,17 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
             .trim_matches(|c| c == ' ')
             .to_owned(),
     );
-    let tolerance = s["rtol"]
-        .as_f64()
-        .map_or_else(String::new, |r| format!(", rtol {}", significant(r, 2)));
+    let tolerance = summary.as_ref().map_or_else(String::new, |s| {
+        format!(", rtol {}", significant(s.rtol, 2))
+    });
     add(
         "Arithmetic",
         format!("{} {}{tolerance}", text("precision"), text("method"))
             .trim()
             .to_owned(),
     );
-    if let Some(seconds) = s["wall_seconds"].as_f64() {
-        add("Time", format!("{} s", significant(seconds, 3)));
+    if let Some(s) = &summary {
+        add("Time", format!("{} s", significant(s.wall_seconds, 3)));
     }
     add("Created", text("created"));
     add("Command", text("command"));
@@ -268,4 +264,24 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
             .to_owned(),
     );
     all
+}
+
+/// The worst errors of V, p and u.
+fn errors(of: [Option<Quantiles>; 3]) -> String {
+    let worst = ["V", "p", "u"].iter().zip(of).filter_map(|(name, q)| {
+        let worst = q?.max?;
+        Some(format!("{name} {}", significant(worst, 2)))
+    });
+    let parts: Vec<String> = worst.collect();
+    match parts.is_empty() {
+        true => String::new(),
+        false => format!("worst of a sample: {}", parts.join(", ")),
+    }
+}
+
+fn counts(of: &BTreeMap<String, usize>) -> String {
+    let each = of
+        .iter()
+        .map(|(k, n)| format!("{n} {}", k.replace('_', " ")));
+    each.collect::<Vec<_>>().join(", ")
 }

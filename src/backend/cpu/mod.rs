@@ -23,7 +23,8 @@ use crate::model::Precision;
 use block::{Compiled, Output};
 use rayon::prelude::*;
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
 /// Instruction sets the lanes are compiled for.
@@ -72,11 +73,13 @@ const LANES_F32: usize = 32;
 const LANES_INTERPRETED: usize = 64;
 
 /// The CPU backend.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Cpu {
     simd: Simd,
     /// Whether equations become machine code.
     compile: bool,
+    /// Whether some were interpreted all the same, since their code would be too long.
+    too_long: Arc<AtomicBool>,
 }
 
 impl Cpu {
@@ -84,7 +87,8 @@ impl Cpu {
         let simd = Simd::detect();
         Self {
             simd,
-            compile: simd != Simd::Baseline,
+            compile: simd != Simd::Baseline && jit_works(),
+            too_long: Arc::default(),
         }
     }
 
@@ -101,17 +105,29 @@ impl Cpu {
         available.then_some(Self {
             simd,
             compile: false,
+            too_long: Arc::default(),
         })
     }
 
     /// Lanes a block.
-    fn lanes(self, precision: Precision) -> usize {
+    fn lanes(&self, precision: Precision) -> usize {
         match precision {
             _ if !self.compile => LANES_INTERPRETED,
             Precision::F64 => LANES_F64,
             Precision::F32 => LANES_F32,
         }
     }
+}
+
+/// Whether machine code can be made and run here.
+fn jit_works() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    {
+        static WORKS: std::sync::LazyLock<bool> = std::sync::LazyLock::new(jit::works);
+        *WORKS
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    false
 }
 
 impl Default for Cpu {
@@ -126,16 +142,16 @@ impl Backend for Cpu {
     }
 
     fn adapter(&self) -> String {
-        let how = if self.compile {
-            "compiled"
-        } else {
-            "interpreted"
+        let threads = rayon::current_num_threads();
+        if !self.compile {
+            return format!("CPU, {threads} threads, {}, interpreted", self.simd.name());
+        }
+        // Whatever the widest set: what is compiled are AVX2 instructions.
+        let partly = match self.too_long.load(Ordering::Relaxed) {
+            true => ", some equations too long for that and interpreted",
+            false => "",
         };
-        format!(
-            "CPU, {} threads, {}, {how}",
-            rayon::current_num_threads(),
-            self.simd.name()
-        )
+        format!("CPU, {threads} threads, AVX2, compiled{partly}")
     }
 
     fn supports(&self, _: Precision) -> bool {
@@ -149,7 +165,7 @@ impl Backend for Cpu {
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
         Ok(Box::new(CpuKernel {
             spec: spec.clone(),
-            backend: *self,
+            backend: self.clone(),
             compiled: HashMap::new(),
             seconds: None,
         }))
@@ -178,8 +194,14 @@ impl CpuKernel {
             Scheme::Taylor(order) => order,
         };
         let (spec, compile) = (&self.spec, self.backend.compile);
-        (self.compiled.entry((width, order, variant)))
-            .or_insert_with(|| Compiled::new(spec, scheme, variant, compile, width))
+        let too_long = &self.backend.too_long;
+        (self.compiled.entry((width, order, variant))).or_insert_with(|| {
+            let made = Compiled::new(spec, scheme, variant, compile, width);
+            if compile && !made.is_compiled() {
+                too_long.store(true, Ordering::Relaxed);
+            }
+            made
+        })
     }
 }
 
@@ -188,7 +210,7 @@ impl Kernel for CpuKernel {
         if self.spec.store {
             return None;
         }
-        let backend = self.backend;
+        let backend = self.backend.clone();
         let compiled = self.compiled(backend.lanes(self.spec.precision), run);
         Some(Box::new(CpuLegs {
             compiled,
@@ -221,7 +243,7 @@ impl Kernel for CpuKernel {
         }
         let precision = self.spec.precision;
         let lanes = self.backend.lanes(precision);
-        let backend = self.backend;
+        let backend = self.backend.clone();
         let compiled = self.compiled(lanes, run);
         // Chunks small enough to balance the load, large enough that draining lanes at their ends
         // costs little.
@@ -258,7 +280,7 @@ impl Kernel for CpuKernel {
                         run,
                         seeds,
                     };
-                    let rounds = job.fly(precision, backend, &mut out);
+                    let rounds = job.fly(precision, &backend, &mut out);
                     lane_steps.fetch_add(rounds * lanes as u64, Ordering::Relaxed);
                 },
             );
@@ -306,7 +328,7 @@ impl Legs for CpuLegs<'_> {
             seeds,
         };
         let precision = self.compiled.spec.precision;
-        let rounds = job.fly(precision, self.backend, &mut out);
+        let rounds = job.fly(precision, &self.backend, &mut out);
         to.lane_steps = rounds * self.backend.lanes(precision) as u64;
     }
 }
@@ -320,7 +342,12 @@ struct Job<'a> {
 
 impl Job<'_> {
     /// How many steps the block took.
-    fn fly(&self, precision: Precision, Cpu { simd, compile }: Cpu, out: &mut Output<'_>) -> u64 {
+    fn fly(
+        &self,
+        precision: Precision,
+        &Cpu { simd, compile, .. }: &Cpu,
+        out: &mut Output<'_>,
+    ) -> u64 {
         match (precision, compile) {
             (Precision::F64, true) => self.dispatch::<f64, LANES_F64>(simd, out),
             (Precision::F32, true) => self.dispatch::<f32, LANES_F32>(simd, out),

@@ -37,6 +37,15 @@ impl Routine {
         Routine::Interpreted(Interpreted::new(recorder))
     }
 
+    /// Whether it is machine code.
+    pub fn is_compiled(&self) -> bool {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Routine::Compiled(_) => true,
+            Routine::Interpreted(_) => false,
+        }
+    }
+
     /// The code with values for its parameters and room to work; one a thread.
     pub fn session<T: Real, const W: usize>(&self, parameters: &[T]) -> Session<'_, T, W> {
         match self {

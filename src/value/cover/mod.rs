@@ -55,7 +55,7 @@ const MOST_TRAJECTORIES: usize = 400_000;
 /// Cells with corners behind a guard, of which nothing is known, are divided along all of it: a
 /// line in a plane, but too much in space. In more states, where points near a state are looked up,
 /// those behind guards would crowd out others.
-pub(in crate::value) fn goes_behind_guards(states: usize) -> bool {
+pub(in crate::low_level::value) fn goes_behind_guards(states: usize) -> bool {
     states == MOST_IN_CELLS
 }
 

@@ -12,7 +12,7 @@ const DEEPER: f64 = 2.0;
 
 impl Survey<'_> {
     /// Whether all nodes are inside the guards, but for rounding.
-    pub(in crate::value) fn inside(&self, nodes: &[f64]) -> bool {
+    pub(in crate::low_level::value) fn inside(&self, nodes: &[f64]) -> bool {
         let Some((guards, _)) = &self.guards else {
             return true;
         };
@@ -47,7 +47,7 @@ impl Survey<'_> {
 
     /// What is wrong with trajectories, if anything: that they leave a guard, or in a game that
     /// they have a fold.
-    pub(in crate::value) fn wrong(
+    pub(in crate::low_level::value) fn wrong(
         &mut self,
         solver: &mut Solver,
         paths: &[&Path],
@@ -66,7 +66,7 @@ impl Survey<'_> {
     }
 
     /// Whether trajectories stay inside the guards, at their nodes and between them.
-    pub(in crate::value) fn valid(
+    pub(in crate::low_level::value) fn valid(
         &self,
         solver: &mut Solver,
         paths: &[&Path],

@@ -43,7 +43,7 @@ pub struct Support {
 
 impl Survey<'_> {
     /// Flies from the targets, solves for what undercuts them, and notes what remains undercut.
-    pub(in crate::value) fn check_by_flights(
+    pub(in crate::low_level::value) fn check_by_flights(
         &mut self,
         solver: &mut Solver,
         progress: Progress<'_>,
@@ -137,7 +137,7 @@ impl Survey<'_> {
     /// Cost below which nothing over a target was left out of the search. Nothing is shown on a
     /// finite horizon: the image of a cell of terminal states may be folded where none of its
     /// corners tells.
-    pub(in crate::value) fn covered_to(&self, target: usize) -> f64 {
+    pub(in crate::low_level::value) fn covered_to(&self, target: usize) -> f64 {
         if self.plan.system.terminal.is_some() {
             return f64::NEG_INFINITY;
         }
@@ -145,7 +145,7 @@ impl Survey<'_> {
     }
 
     /// Whether the search shows that nothing at a target costs less than what was found.
-    pub(in crate::value) fn is_covered(&self, target: usize) -> bool {
+    pub(in crate::low_level::value) fn is_covered(&self, target: usize) -> bool {
         self.lowest(target)
             .is_some_and(|e| self.extremals[e].value() <= self.covered_to(target))
     }

@@ -14,7 +14,7 @@ const PARTS: usize = 8;
 
 /// What came of the greedy path from a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::value) struct Greedy {
+pub(in crate::low_level::value) struct Greedy {
     /// What its flight costs; `None` where the grid knows no way.
     pub cost: Option<f64>,
     /// The extremal found from it.
@@ -64,7 +64,7 @@ impl Survey<'_> {
     }
 
     /// Solves from the greedy path of each of some targets.
-    pub(in crate::value) fn try_greedy(
+    pub(in crate::low_level::value) fn try_greedy(
         &mut self,
         solver: &mut Solver,
         grid: &GridValue,

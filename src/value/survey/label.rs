@@ -14,7 +14,7 @@ const SAME: f64 = 1e-9;
 
 /// Which extremals lie on one sheet.
 #[derive(Clone, Default)]
-pub(in crate::value) struct Sheets {
+pub(in crate::low_level::value) struct Sheets {
     groups: Groups,
     /// Members of each group by target and winding: two at one state are two sheets.
     members: HashMap<usize, HashMap<(usize, usize), usize>>,
@@ -89,7 +89,7 @@ impl Sheets {
 impl Survey<'_> {
     /// Numbers the sheets, one for each way round a periodic state; and, where copies by whole
     /// periods count as one, again.
-    pub(in crate::value) fn label(&mut self) {
+    pub(in crate::low_level::value) fn label(&mut self) {
         self.sheet = self.joined.numbers(&self.extremals);
         self.lifted = if self.plan.periods.iter().any(Option::is_some) {
             self.with_copies().numbers(&self.extremals)

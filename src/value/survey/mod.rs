@@ -77,7 +77,7 @@ impl Wanted {
 
     /// The same at a target above whose `limit` V is of no interest: nor need the sheets be far
     /// over it.
-    pub(in crate::value) fn at(self, limit: f64) -> Self {
+    pub(in crate::low_level::value) fn at(self, limit: f64) -> Self {
         Self {
             value_max: self.value_max.min(BEYOND * limit),
             ..self
@@ -86,12 +86,12 @@ impl Wanted {
 }
 
 /// A cost made larger by a factor of its size: negative costs exist.
-pub(in crate::value) fn times(factor: f64, cost: f64) -> f64 {
+pub(in crate::low_level::value) fn times(factor: f64, cost: f64) -> f64 {
     cost + (factor - 1.0) * cost.abs()
 }
 
 /// Sheets are looked for up to this many times the V of interest, unless the scene says how far.
-pub(in crate::value) const BEYOND: f64 = 2.0;
+pub(in crate::low_level::value) const BEYOND: f64 = 2.0;
 /// A fold's singular value, relative to that where the way began, below which a failure counts as a
 /// fold.
 const NEAR_FOLD: f64 = 0.2;
@@ -132,7 +132,7 @@ pub struct Survey<'a> {
     /// Cost from which on the search of each target was not complete.
     pub uncovered: Vec<f64>,
     /// Where single states are to be solved for from trajectories that are optimized directly.
-    pub(in crate::value) direct: Option<Direct<'a>>,
+    pub(in crate::low_level::value) direct: Option<Direct<'a>>,
     pub(super) joined: Sheets,
     pub(super) scales: Vec<f64>,
     duration: f64,
@@ -155,7 +155,7 @@ pub enum SecondOpinion<'p> {
 }
 
 /// A way to try: from which extremal (if any), to which target and winding.
-pub(in crate::value) struct Errand {
+pub(in crate::low_level::value) struct Errand {
     from: Option<usize>,
     target: usize,
     winding: usize,
@@ -292,7 +292,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Cost up to which sheets over a target are of interest.
-    pub(in crate::value) fn sheets_to(&self, target: usize, wanted: Wanted) -> f64 {
+    pub(in crate::low_level::value) fn sheets_to(&self, target: usize, wanted: Wanted) -> f64 {
         let wanted = wanted.at(self.targets.limits[target]);
         match self.lowest(target) {
             // A game has one answer; nothing is known of how far its sheets matter.
@@ -317,7 +317,7 @@ impl<'a> Survey<'a> {
             .min_by(|a, b| value(a).total_cmp(&value(b)))
     }
 
-    pub(in crate::value) fn refuse_outside(&mut self) {
+    pub(in crate::low_level::value) fn refuse_outside(&mut self) {
         for target in 0..self.targets.len() {
             let s = self.state(target, 0);
             let node = [s.as_slice(), &vec![0.0; s.len()]].concat();
@@ -333,22 +333,26 @@ impl<'a> Survey<'a> {
     }
 
     /// Whether a target still needs a solution.
-    pub(in crate::value) fn is_open(&self, target: usize) -> bool {
+    pub(in crate::low_level::value) fn is_open(&self, target: usize) -> bool {
         self.at[target].is_empty() && !self.is_refused(target)
     }
 
-    pub(in crate::value) fn is_refused(&self, target: usize) -> bool {
+    pub(in crate::low_level::value) fn is_refused(&self, target: usize) -> bool {
         self.missed_by(target, PointStatus::OutsideGuard)
     }
 
-    pub(in crate::value) fn missed_by(&self, target: usize, status: PointStatus) -> bool {
+    pub(in crate::low_level::value) fn missed_by(
+        &self,
+        target: usize,
+        status: PointStatus,
+    ) -> bool {
         self.misses[target]
             .as_ref()
             .is_some_and(|m| m.status == status)
     }
 
     /// Targets that still need a solution, and may have one: behind a fold there is none in a game.
-    pub(in crate::value) fn hopeful(&self) -> Vec<usize> {
+    pub(in crate::low_level::value) fn hopeful(&self) -> Vec<usize> {
         let behind = |t: usize| self.plan.game && self.missed_by(t, PointStatus::Fold);
         (0..self.targets.len())
             .filter(|t| self.is_open(*t) && !behind(*t))
@@ -356,7 +360,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Adds an extremal unless it is known; its index, and whether it is new.
-    pub(in crate::value) fn add(&mut self, extremal: Extremal) -> (usize, bool) {
+    pub(in crate::low_level::value) fn add(&mut self, extremal: Extremal) -> (usize, bool) {
         let mut found = self.at[extremal.target].iter().copied();
         let known = found.find(|e| self.is_same(&self.extremals[*e], &extremal));
         if let Some(known) = known {
@@ -377,13 +381,13 @@ impl<'a> Survey<'a> {
 
     /// Joins two extremals' sheets, unless another extremal of the one lies over a state of the
     /// other: then the way between them has left its sheet.
-    pub(in crate::value) fn join(&mut self, a: usize, b: usize) -> bool {
+    pub(in crate::low_level::value) fn join(&mut self, a: usize, b: usize) -> bool {
         self.joined.join(a, b)
     }
 
     /// Follows errands, and joins what they find to what they came from. Of each its target, and
     /// the extremal there if it was reached.
-    pub(in crate::value) fn send(
+    pub(in crate::low_level::value) fn send(
         &mut self,
         solver: &mut Solver,
         errands: Vec<Errand>,
@@ -454,7 +458,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Solves for each target from one path that begins near it; the solutions' paths and V.
-    pub(in crate::value) fn solve_along(
+    pub(in crate::low_level::value) fn solve_along(
         &mut self,
         solver: &mut Solver,
         paths: Vec<Path>,
@@ -487,7 +491,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Solves along paths to targets from their ends, and from what that leads to.
-    pub(in crate::value) fn send_grown(
+    pub(in crate::low_level::value) fn send_grown(
         &mut self,
         solver: &mut Solver,
         rough: Vec<(usize, Path)>,
@@ -505,7 +509,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Notes how far the way to a target led, if that is further than before.
-    pub(in crate::value) fn unreached(
+    pub(in crate::low_level::value) fn unreached(
         &mut self,
         from: Option<usize>,
         target: usize,
@@ -548,7 +552,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Median of the extremals' distances from folds; 0 where there are none.
-    pub(in crate::value) fn usual_fold(&self) -> f64 {
+    pub(in crate::low_level::value) fn usual_fold(&self) -> f64 {
         let mut all: Vec<f64> = self.extremals.iter().map(|e| e.solved.fold).collect();
         let middle = all.len() / 2;
         if all.is_empty() {
@@ -557,7 +561,7 @@ impl<'a> Survey<'a> {
         *all.select_nth_unstable_by(middle, f64::total_cmp).1
     }
 
-    pub(in crate::value) fn miss(
+    pub(in crate::low_level::value) fn miss(
         &mut self,
         target: usize,
         status: PointStatus,

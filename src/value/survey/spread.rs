@@ -16,7 +16,7 @@ const MOST_WAYS: usize = 4;
 
 /// How ways from neighbours are tried.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(in crate::value) enum Effort {
+pub(in crate::low_level::value) enum Effort {
     /// Each sheet to each neighbour, in steps that are usual.
     Neighbours,
     /// To targets without a solution whose V is of interest however high, a few ways in the
@@ -26,7 +26,7 @@ pub(in crate::value) enum Effort {
 
 impl Effort {
     /// Shortest step, as a share of the way.
-    pub(in crate::value) fn least(self) -> f64 {
+    pub(in crate::low_level::value) fn least(self) -> f64 {
         match self {
             Effort::Neighbours => 1.0 / 32.0,
             Effort::Patient => 1.0 / 4096.0,
@@ -36,7 +36,7 @@ impl Effort {
 
 impl Survey<'_> {
     /// Continues every extremal to the neighbours of its target, as long as that gives new ones.
-    pub(in crate::value) fn spread(
+    pub(in crate::low_level::value) fn spread(
         &mut self,
         solver: &mut Solver,
         wanted: Wanted,
@@ -103,7 +103,7 @@ impl Survey<'_> {
     }
 
     /// Whether an extremal is to be continued to a neighbouring target.
-    pub(in crate::value) fn wants(&self, e: usize, to: usize, wanted: Wanted) -> bool {
+    pub(in crate::low_level::value) fn wants(&self, e: usize, to: usize, wanted: Wanted) -> bool {
         let extremal = &self.extremals[e];
         if self.at[to].is_empty() {
             let (from, goal) = (extremal.path.start(), self.state(to, extremal.winding));
@@ -124,7 +124,7 @@ impl Survey<'_> {
     }
 
     /// Whether an extremal fits one at a neighbouring target, and joins them.
-    pub(in crate::value) fn joins(&mut self, e: usize, to: usize) -> bool {
+    pub(in crate::low_level::value) fn joins(&mut self, e: usize, to: usize) -> bool {
         let root = self.joined.root(e);
         let mut best: Option<(f64, usize)> = None;
         for q in 0..self.at[to].len() {
@@ -148,7 +148,7 @@ impl Survey<'_> {
 
     /// Targets still without a solution, in the shortest steps: from neighbours, from the swept
     /// points nearest to them, and from what that has given.
-    pub(in crate::value) fn last_resort(
+    pub(in crate::low_level::value) fn last_resort(
         &mut self,
         solver: &mut Solver,
         archive: &Archive,

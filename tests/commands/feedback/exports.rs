@@ -2,11 +2,11 @@
 
 use super::support::{output, scratch};
 use super::{DOUBLE_INTEGRATOR, fitted, linear_quadratic, scene};
-use costate::closed_loop::Laws;
-use costate::feedback::{FittedLaw, Law, Meaning, header, onnx};
-use costate::hamiltonian::Hamiltonian;
-use costate::model::Model;
-use costate::numeric::random::random;
+use costate::low_level::closed_loop::Laws;
+use costate::low_level::feedback::{FittedLaw, Law, Meaning, header, onnx};
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::Model;
+use costate::low_level::numeric::random::random;
 use std::path::Path;
 use std::process::Command;
 

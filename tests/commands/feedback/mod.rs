@@ -5,10 +5,10 @@ mod exports;
 mod refusals;
 mod support;
 
-use costate::feedback::{Data, FittedLaw, Law, Samples, fit};
-use costate::hamiltonian::Hamiltonian;
-use costate::model::{Feedback, Model};
-use costate::numeric::random::random;
+use costate::low_level::feedback::{Data, FittedLaw, Law, Samples, fit};
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::model::{Feedback, Model};
+use costate::low_level::numeric::random::random;
 use std::path::Path;
 use std::process::Command;
 use support::{Points, output, scratch};
@@ -26,8 +26,8 @@ region = { x = [-1, 1], v = [-1, 1] }
 
 fn scene(text: &str, feedback: &str) -> (Model, Hamiltonian) {
     let text = format!("{text}\n{feedback}");
-    let model =
-        costate::scenario::parse(&text, "scene.toml", &[]).unwrap_or_else(|e| panic!("{e}"));
+    let model = costate::low_level::scenario::parse(&text, "scene.toml", &[])
+        .unwrap_or_else(|e| panic!("{e}"));
     let hamiltonian = Hamiltonian::derive(&model).unwrap();
     (model, hamiltonian)
 }
@@ -552,7 +552,7 @@ fn a_result_file_gets_its_laws() {
     );
     assert_eq!(Points::read(&out).law, ["line"]);
     assert!(
-        costate::result::Stored::open(&out)
+        costate::low_level::result::Stored::open(&out)
             .unwrap()
             .trajectories()
             .unwrap()

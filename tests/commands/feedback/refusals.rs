@@ -1,7 +1,7 @@
 //! Mistakes in weights files and in `[feedback]`, told with their places.
 
 use super::DOUBLE_INTEGRATOR;
-use costate::feedback::{Law, Network};
+use costate::low_level::feedback::{Law, Network};
 
 fn printed() -> Network {
     Network::from_toml(
@@ -176,7 +176,7 @@ fn wrong_sections_are_refused_with_places() {
     ];
     for (section, line, expected) in cases {
         let text = format!("{DOUBLE_INTEGRATOR}{section}\n");
-        let error = costate::scenario::parse(&text, "scene.toml", &[]).unwrap_err();
+        let error = costate::low_level::scenario::parse(&text, "scene.toml", &[]).unwrap_err();
         assert_eq!(error.problems.len(), 1, "{section}: {error}");
         assert!(
             error.problems[0].message.contains(expected),

@@ -1,6 +1,6 @@
 //! Directories, commands, and reading back what a fit wrote.
 
-use costate::result::Stored;
+use costate::low_level::result::Stored;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

@@ -3,8 +3,8 @@
 use super::{COST_ERROR, fly_all, shot, solutions};
 use crate::common_oracles::{Random, Worst};
 use crate::common_values::{self, Swept, parse, scene};
-use costate::shooting::{Goal, Job, Path};
-use costate::value::flight::{Claim, Expansion, Flew, Law, Linear, Pilot, undercut};
+use costate::low_level::shooting::{Goal, Job, Path};
+use costate::low_level::value::flight::{Claim, Expansion, Flew, Law, Linear, Pilot, undercut};
 
 #[test]
 fn a_wrong_claim_is_undercut_and_a_right_one_is_not() {

@@ -8,8 +8,8 @@ mod speed;
 
 use common_oracles::{Random, Worst, parameter};
 use common_values::{Swept, given, parse, scene};
-use costate::shooting::{Goal, Job, Path};
-use costate::value::flight::{
+use costate::low_level::shooting::{Goal, Job, Path};
+use costate::low_level::value::flight::{
     AlongState, AlongTime, At, Expansion, Flight, FlightEnd, Flown, Guide, Law, Linear, PIECES,
     Pilot, Site, Terminal, guides, slopes,
 };
@@ -164,7 +164,7 @@ fn check_bounds(name: &str, states: &[Vec<f64>], flown: &[Flown], bound: f64) {
     }
     println!("{name}: at most {below:.1e} below V");
     assert!(below <= COST_ERROR, "{name}: {below:.2e} below V");
-    println!("{name}: cost at most V (1 + {:.1e})", above.0 - 1.0);
+    println!("{name}: cost at most V (1 + {:.1e})", above.worst - 1.0);
     above.at_most(bound, &format!("{name}: cost over V"));
 }
 
@@ -235,7 +235,10 @@ fn finite_horizon_costs_are_upper_bounds() {
         above.see(flown[1].cost / exact);
     }
     assert!(below <= COST_ERROR, "{below:.2e} below V");
-    println!("along, by time: cost at most V (1 + {:.1e})", above.0 - 1.0);
+    println!(
+        "along, by time: cost at most V (1 + {:.1e})",
+        above.worst - 1.0
+    );
     // The sheet is a plane at each time: what is followed is the optimal law, but for its
     // interpolation between nodes.
     above.at_most(1.0 + 1e-3, "along, by time: cost over V");

@@ -3,9 +3,9 @@
 
 use crate::common_oracles::Random;
 use crate::common_values::{Swept, given, scene};
-use costate::shooting::{Path, Solver};
-use costate::value::Entry;
-use costate::value::flight::{
+use costate::low_level::shooting::{Path, Solver};
+use costate::low_level::value::Entry;
+use costate::low_level::value::flight::{
     AlongState, AlongTime, Claim, Flight, Guide, Law, PIECES, Pilot, guides, undercut,
 };
 use std::time::Instant;
@@ -33,7 +33,7 @@ fn solved(swept: &Swept) -> Vec<Entry> {
             );
         }
     }
-    let answers = swept.solve(&costate::value::Request {
+    let answers = swept.solve(&costate::low_level::value::Request {
         points: x,
         one_sheet: true,
         ..Default::default()

@@ -5,7 +5,7 @@ use crate::common::alone::Alone;
 use crate::common::print_json;
 use crate::common::terminal::Terminal;
 use crate::error::CliError;
-use costate::result::Stored;
+use costate::low_level::result::Stored;
 use costate::run::write_attenuation;
 use costate::session::summary::AttenuationSummary;
 use costate::session::{Progress, SessionError};

@@ -2,17 +2,18 @@
 
 use crate::args::CheckArgs;
 use crate::common::load::load;
+use crate::common::terminal::Terminal;
 use crate::error::CliError;
 use crate::text;
-use costate::attenuation;
 use costate::backend::gpu;
-use costate::hamiltonian::Hamiltonian;
-use costate::local::{LinearAttenuation, Riccati, linear_law, show_eigenvalue};
-use costate::model::{Guard, Horizon, Model};
+use costate::low_level::attenuation;
+use costate::low_level::hamiltonian::Hamiltonian;
+use costate::low_level::local::{LinearAttenuation, Riccati, linear_law, show_eigenvalue};
+use costate::low_level::model::{Guard, Horizon, Model};
 use costate::run;
 use costate::scene::Scene;
 use costate::session::summary::LinearSummary;
-use costate::session::{SessionError, at_equilibrium};
+use costate::session::{Progress, SessionError, at_equilibrium};
 use std::fmt::Write as _;
 use std::io::Write as _;
 
@@ -36,6 +37,10 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
     let smallest = model.attenuation.as_ref().zip(smallest);
     if args.scene.quiet {
         return Ok(());
+    }
+    let terminal = Terminal::new(&args.scene);
+    for note in &model.notes {
+        terminal.note(note);
     }
     let mut out = std::io::stdout().lock();
     if args.scene.json {
@@ -206,7 +211,8 @@ fn as_json(
             "at_equilibrium": local.map(|(_, at)| at.guards[k]),
         })
     };
-    let shown = |ids: &[costate::expr::Id]| ids.iter().map(|i| g.show(*i)).collect::<Vec<_>>();
+    let shown =
+        |ids: &[costate::low_level::expr::Id]| ids.iter().map(|i| g.show(*i)).collect::<Vec<_>>();
     serde_json::json!({
         "title": model.title,
         "states": names(model),

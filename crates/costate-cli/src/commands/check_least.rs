@@ -7,13 +7,13 @@ use crate::common::print_json;
 use crate::common::terminal::Terminal;
 use crate::error::CliError;
 use clap::Args;
-use costate::dynamic_programming::{GridValue, refuse};
-use costate::model::Model;
-use costate::numeric::quantile::nearest_rank;
-use costate::result::Stored;
+use costate::low_level::dynamic_programming::{GridValue, refuse};
+use costate::low_level::model::Model;
+use costate::low_level::numeric::quantile::nearest_rank;
+use costate::low_level::result::Stored;
+use costate::low_level::value::{Claims, Flown, Led, Opinion};
 use costate::run::claims;
 use costate::session::{LeastOptions, Session, SessionError};
-use costate::value::{Claims, Flown, Led, Opinion};
 use std::path::PathBuf;
 use std::time::Instant;
 

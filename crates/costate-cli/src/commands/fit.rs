@@ -5,7 +5,7 @@ use crate::common::print_json;
 use crate::common::terminal::Terminal;
 use crate::error::CliError;
 use crate::text;
-use costate::result::Stored;
+use costate::low_level::result::Stored;
 use costate::run::{LawFiles, RunError, fit_stored, other_scene};
 use costate::session::summary::FittedSummary;
 use serde_json::json;

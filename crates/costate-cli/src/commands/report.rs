@@ -3,9 +3,9 @@
 use crate::args::ReportArgs;
 use crate::common::{Kind, check_out};
 use crate::error::CliError;
-use costate::model::Report;
-use costate::result::Stored;
-use costate::scenario;
+use costate::low_level::model::Report;
+use costate::low_level::result::Stored;
+use costate::low_level::scenario;
 use costate_report::Options;
 use std::io::Write as _;
 

@@ -7,9 +7,9 @@ use crate::common::terminal::Terminal;
 use crate::common::{Kind, check_out, points, print_json, provenance};
 use crate::error::CliError;
 use crate::text::listed;
-use costate::dynamic_programming;
-use costate::files::{target, write_text};
-use costate::result::Stored;
+use costate::low_level::dynamic_programming;
+use costate::low_level::files::{target, write_text};
+use costate::low_level::result::Stored;
 use costate::run::{self, Provenance, output_of, output_of_points};
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,

@@ -4,17 +4,17 @@ use crate::args::{PrecisionChoice, ValueArgs};
 use crate::common::terminal::Terminal;
 use crate::common::{Kind, check_out, csv_text, open, points, print, print_json, provenance};
 use crate::error::CliError;
-use costate::diagnostics::shorten;
-use costate::files::write_text;
-use costate::hdf5::ResultFile;
-use costate::map::{At, Coverage, DeviceMap, Fronts, Unknown, Value, ValueMap};
-use costate::model::{Model, Precision};
-use costate::numeric::digits::plain;
-use costate::numeric::quantile::median_p99_max;
-use costate::result::{Places, RunRecord, Stored, Times};
+use costate::low_level::diagnostics::shorten;
+use costate::low_level::files::write_text;
+use costate::low_level::hdf5::ResultFile;
+use costate::low_level::map::{At, Coverage, DeviceMap, Fronts, Unknown, Value, ValueMap};
+use costate::low_level::model::{Model, Precision, reserved};
+use costate::low_level::numeric::digits::plain;
+use costate::low_level::numeric::quantile::median_p99_max;
+use costate::low_level::result::{Places, RunRecord, Stored, Times};
+use costate::low_level::value::Grid;
 use costate::run::axes;
 use costate::session::Progress;
-use costate::value::Grid;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -89,6 +89,18 @@ pub fn value(args: &ValueArgs) -> Result<(), CliError> {
             axes.pop();
         }
     }
+    let file = args.out.as_ref().filter(|out| !is_csv(out));
+    if let (Some(out), true) = (file, grid.is_some()) {
+        let own = [reserved::MAP, reserved::VALUES];
+        if let Some(name) = model.reserved_state(&own) {
+            return Err(CliError::BadOut {
+                path: out.clone(),
+                reason: format!(
+                    "a state named `{name}` cannot be an axis of /map, which has a variable of that name: rename the state, or name a table, .csv"
+                ),
+            });
+        }
+    }
     let map = stored.value_map()?;
     let asked = ask(&map, &states, &times, args)?;
     let found = asked.found;
@@ -96,11 +108,7 @@ pub fn value(args: &ValueArgs) -> Result<(), CliError> {
     let time = |k: usize| timed.then(|| times[k]);
     let many = grid.is_some() || args.points.is_some();
     match &args.out {
-        Some(out)
-            if !out
-                .extension()
-                .is_some_and(|e| e.eq_ignore_ascii_case("csv")) =>
-        {
+        Some(out) if !is_csv(out) => {
             let mut file = ResultFile::create(out)?;
             let places = match &grid {
                 Some(axes) => Places::Grid(axes),
@@ -203,6 +211,12 @@ pub fn value(args: &ValueArgs) -> Result<(), CliError> {
         }
     }
     Ok(())
+}
+
+/// Whether a file is a table by its name.
+fn is_csv(out: &Path) -> bool {
+    out.extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("csv"))
 }
 
 /// What is known, and who was asked.
@@ -356,7 +370,7 @@ fn grid(
                 if last <= first {
                     return Err(wrong("the last value must be above the first".to_owned()).into());
                 }
-                costate::value::spaced(first, last, count)
+                costate::low_level::value::spaced(first, last, count)
             }
             _ => return Err(shape().into()),
         };

@@ -1,8 +1,8 @@
 //! V on a grid for commands: what it is refused for.
 
 use crate::error::CliError;
-use costate::dynamic_programming::DpError;
-use costate::model::Model;
+use costate::low_level::dynamic_programming::DpError;
+use costate::low_level::model::Model;
 use std::path::PathBuf;
 
 /// Most nodes in all: about a hundred bytes each.

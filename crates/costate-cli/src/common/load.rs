@@ -2,7 +2,7 @@
 
 use crate::args::SceneArgs;
 use crate::error::CliError;
-use costate::attenuation;
+use costate::low_level::attenuation;
 use costate::scene::Scene;
 use std::path::Path;
 

@@ -9,7 +9,7 @@ pub mod points;
 pub mod terminal;
 
 use crate::error::CliError;
-use costate::files::target;
+use costate::low_level::files::target;
 use costate::run::Provenance;
 use std::io::Write;
 use std::path::Path;

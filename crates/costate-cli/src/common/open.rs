@@ -5,7 +5,7 @@ use crate::error::CliError;
 use costate::backend::Backend;
 use costate::backend::cpu::Cpu;
 use costate::backend::gpu::{Gpu, Selection};
-use costate::model::Method;
+use costate::low_level::model::Method;
 
 /// The backend asked for, fit for the method asked for where the choice is ours.
 pub fn backend(

@@ -1,7 +1,7 @@
 //! Reading states from a CSV file.
 
-use costate::diagnostics::{did_you_mean, shorten};
-use costate::model::Model;
+use costate::low_level::diagnostics::{did_you_mean, shorten};
+use costate::low_level::model::Model;
 use std::path::{Path, PathBuf};
 
 /// What is wrong with a file of points; each error names the place.

@@ -3,9 +3,9 @@
 use crate::args::SceneArgs;
 use crate::text;
 use costate::backend::Backend;
-use costate::model::Model;
+use costate::low_level::model::Model;
+use costate::low_level::sweep::Plan;
 use costate::session::{Finished, Progress};
-use costate::sweep::Plan;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::Write;
 use std::sync::Mutex;

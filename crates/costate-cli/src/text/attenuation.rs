@@ -1,8 +1,8 @@
 //! Levels of attenuation as text.
 
 use crate::common::columns::columns;
-use costate::attenuation::{Attenuated, Covering, Row};
-use costate::local::{Cause, LinearAttenuation};
+use costate::low_level::attenuation::{Attenuated, Covering, Row};
+use costate::low_level::local::{Cause, LinearAttenuation};
 
 /// gamma* in a line.
 pub fn star_text(parameter: &str, linear: &LinearAttenuation) -> String {

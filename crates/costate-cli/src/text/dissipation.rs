@@ -1,7 +1,7 @@
 //! The check of the dissipation inequality as text.
 
 use crate::common::columns::columns;
-use costate::closed_loop::dissipation::{Dissipation, Origin, TOLERANCE, ratio_text};
+use costate::low_level::closed_loop::dissipation::{Dissipation, Origin, TOLERANCE, ratio_text};
 
 /// A row for each law and kind of disturbance, and a verdict for each law.
 pub fn text(d: &Dissipation) -> String {

@@ -1,11 +1,11 @@
 //! What a run prints of its own error, and of rates too far apart for its methods.
 
-use costate::local::show_eigenvalue;
-use costate::model::Precision;
+use costate::low_level::local::show_eigenvalue;
+use costate::low_level::model::Precision;
+use costate::low_level::sweep::Plan;
+use costate::low_level::sweep::accuracy::{Accuracy, PROMISE, Spread};
+use costate::low_level::sweep::stiffness::Separation;
 use costate::session::Estimates;
-use costate::sweep::Plan;
-use costate::sweep::accuracy::{Accuracy, PROMISE, Spread};
-use costate::sweep::stiffness::Separation;
 
 /// The errors of the sweep in a line.
 pub fn swept_text(estimates: &Estimates) -> Option<String> {

@@ -1,7 +1,7 @@
 //! Closed loops as text.
 
 use crate::common::columns::columns;
-use costate::closed_loop::{Evaluation, MAP};
+use costate::low_level::closed_loop::{Evaluation, MAP};
 
 /// Laws side by side.
 pub fn text(e: &Evaluation) -> String {

@@ -1,6 +1,6 @@
 //! Fitted laws as text.
 
-use costate::feedback::{Exports, Fitted, FittedLaw};
+use costate::low_level::feedback::{Exports, Fitted, FittedLaw};
 
 /// One paragraph a law.
 pub fn text(fitted: &Fitted, exports: &[Exports]) -> String {

@@ -5,16 +5,19 @@ use crate::args::SolveArgs;
 use crate::common::columns::columns;
 use crate::common::csv_text;
 use crate::error::CliError;
-use costate::model::Model;
-use costate::numeric::digits::plain;
-use costate::numeric::quantile::nearest_rank;
+use costate::low_level::model::Model;
+use costate::low_level::numeric::digits::plain;
+use costate::low_level::numeric::quantile::nearest_rank;
+use costate::low_level::value::Answers;
 use costate::session::Outcome;
 use costate::session::summary::AnswerSummary;
-use costate::value::Answers;
 
 /// V and u at the first few states that the user listed.
 pub fn text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
     const SHOWN: usize = 10;
+    if done.outcome.listed == 0 {
+        return Vec::new();
+    }
     let short = |v: f64| match v.abs() {
         size if size == 0.0 || (1e-3..1e6).contains(&size) => format!("{v:.6}"),
         _ => format!("{v:.6e}"),

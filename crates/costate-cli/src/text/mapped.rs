@@ -1,10 +1,10 @@
 //! What a run says of a map that was made to an error.
 
 use super::solved::Solved;
-use costate::map::pieces::Region;
-use costate::map::{ABOVE_BOUND, Adaptive, Agreement, Beyond, GROSS, Part};
-use costate::model::MOST_MAP_STATES;
-use costate::value::PointStatus;
+use costate::low_level::map::pieces::Region;
+use costate::low_level::map::{ABOVE_BOUND, Adaptive, Agreement, Beyond, GROSS, Part};
+use costate::low_level::model::MOST_MAP_STATES;
+use costate::low_level::value::PointStatus;
 use std::collections::BTreeMap;
 
 /// A part of the region that is wider than this share of it along a variable is not told by that.

@@ -2,12 +2,12 @@
 
 use super::estimates;
 use costate::backend::{Backend, Status};
-use costate::model::Model;
-use costate::numeric::quantile::median_p99_max;
+use costate::low_level::model::Model;
+use costate::low_level::numeric::quantile::median_p99_max;
+use costate::low_level::sweep::{Plan, Sampling, SweepReport};
+use costate::low_level::value::{Answers, EqualCost, Evidence, PointStatus};
 use costate::session::summary::{by_status, relative_hamiltonian};
 use costate::session::{Estimates, Outcome};
-use costate::sweep::{Plan, Sampling, SweepReport};
-use costate::value::{Answers, EqualCost, Evidence, PointStatus};
 use std::collections::BTreeMap;
 
 /// What a run has done, and the names of the states.
@@ -43,7 +43,7 @@ pub fn heading(model: &Model, plan: &Plan, backend: &dyn Backend) -> String {
 
 /// Remarks on it.
 pub fn heading_notes(model: &Model, plan: &Plan) -> Vec<String> {
-    let mut notes = Vec::new();
+    let mut notes = model.notes.clone();
     if plan.run.rtol > plan.rtol_asked {
         notes.push(format!(
             "rtol {:e} is below what {} can resolve; {:e} is used",

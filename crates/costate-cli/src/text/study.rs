@@ -1,9 +1,9 @@
 //! A study as text.
 
 use crate::common::columns::columns;
-use costate::model::Model;
-use costate::study::Variant;
-use costate::value::PointStatus;
+use costate::low_level::model::Model;
+use costate::low_level::study::Variant;
+use costate::low_level::value::PointStatus;
 
 /// The table of a study, in columns.
 pub fn table(model: &Model, variants: &[Variant]) -> String {

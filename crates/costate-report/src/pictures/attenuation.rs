@@ -7,8 +7,8 @@ use crate::contour::{self, Grid};
 use crate::frame::{Axis, Frame, Legend, Mark, dashed, range};
 use crate::ticks::significant;
 use crate::{Drawing, Picture, Source, colours, names};
-use costate::result::{StoredError, StoredGroup};
-use costate::value::PointStatus;
+use costate::low_level::result::{StoredError, StoredGroup};
+use costate::low_level::value::PointStatus;
 
 /// From this ratio of the largest value to the smallest on, the axis of values is logarithmic.
 const DECADE: f64 = 8.0;

@@ -18,7 +18,7 @@ impl Boundary {
         let Some(group) = source.stored.group("equal_cost").filter(|_| n >= 2) else {
             return Ok(boundary);
         };
-        let text = |e: costate::result::StoredError| e.to_string();
+        let text = |e: costate::low_level::result::StoredError| e.to_string();
         let x = group.f64("x").map_err(text)?.values;
         let line = group.i32("line").map_err(text)?.1;
         let [a, b] = source.axes;

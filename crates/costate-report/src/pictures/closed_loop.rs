@@ -9,7 +9,7 @@ use crate::contour::{self, Grid};
 use crate::frame::{Axis, Bar, Frame, LINE, Legend, Mark};
 use crate::ticks::{self, significant};
 use crate::{Drawing, Picture, Source, names, text};
-use costate::result::{StoredError, StoredGroup};
+use costate::low_level::result::{StoredError, StoredGroup};
 
 /// Variables of `/closed_loop` that are no recorded quantities.
 const OTHERS: [&str; 9] = [

@@ -5,7 +5,7 @@ use super::panels::{Curve, Panel, Panels};
 use crate::canvas::{Ink, Stroke};
 use crate::plane::even;
 use crate::{Picture, Source, colours, names};
-use costate::map::Value;
+use costate::low_level::map::Value;
 
 /// States that are asked for.
 const STATES: usize = 801;

@@ -6,8 +6,8 @@ use super::panels::{Curve, Panel, Panels};
 use crate::canvas::{Dash, Ink, Stroke};
 use crate::frame::{Mark, dashed};
 use crate::{Picture, Source, colours, names};
-use costate::closed_loop::dissipation::ratio_text;
-use costate::result::{StoredError, StoredGroup};
+use costate::low_level::closed_loop::dissipation::ratio_text;
+use costate::low_level::result::{StoredError, StoredGroup};
 
 /// Points of a curve: more are not told apart.
 const POINTS: usize = 400;

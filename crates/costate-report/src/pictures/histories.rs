@@ -6,8 +6,8 @@ use crate::canvas::{Dash, Ink, Stroke};
 use crate::flow::Flow;
 use crate::frame::Mark;
 use crate::{Picture, Source, colours, names};
-use costate::model::{Horizon, Model};
-use costate::trajectories::SweptTrajectories;
+use costate::low_level::model::{Horizon, Model};
+use costate::low_level::trajectories::SweptTrajectories;
 
 /// Trajectories of the picture: more are not told apart.
 const SHOWN: usize = 5;
@@ -84,7 +84,7 @@ pub fn closed_loop(source: &Source<'_>) -> Made {
     let Some(group) = source.stored.group("closed_loop_trajectories") else {
         return Ok(None);
     };
-    let text = |e: costate::result::StoredError| e.to_string();
+    let text = |e: costate::low_level::result::StoredError| e.to_string();
     let laws = group.texts("law").map_err(text)?;
     let (t, x, u) = (
         group.f64("t").map_err(text)?,

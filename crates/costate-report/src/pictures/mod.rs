@@ -44,11 +44,6 @@ const AFTER: [(&str, Maker); 5] = [
     ("speed", speed::picture),
 ];
 
-/// Whether a file's name (without its kind) is that of a picture.
-pub fn is_picture(name: &str) -> bool {
-    BEFORE.iter().chain(&AFTER).any(|(n, _)| *n == name) || name.starts_with("closed_loop_")
-}
-
 /// One picture by its name.
 pub fn named(source: &Source<'_>, name: &str) -> Made {
     let maker = BEFORE.iter().chain(&AFTER).find(|(n, _)| *n == name);

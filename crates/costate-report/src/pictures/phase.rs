@@ -9,8 +9,8 @@ use crate::frame::{Axis, Bar, Frame, Legend, Mark};
 use crate::plane::{Field, GridField};
 use crate::ticks::significant;
 use crate::{Drawing, Picture, Source};
-use costate::result::StoredError;
-use costate::trajectories::SweptTrajectories;
+use costate::low_level::result::StoredError;
+use costate::low_level::trajectories::SweptTrajectories;
 use std::collections::BTreeMap;
 
 /// Trajectories of a picture.

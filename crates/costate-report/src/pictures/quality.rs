@@ -6,6 +6,7 @@ use crate::colours;
 use crate::flow::Flow;
 use crate::frame::{Axis, Frame, LINE, dashed, range};
 use crate::{Drawing, Picture, Source, text};
+use costate::session::summary::Quantiles;
 
 /// Bins a decade.
 const BINS: f64 = 4.0;
@@ -51,18 +52,21 @@ pub fn picture(source: &Source<'_>) -> Made {
         });
     }
     rows.extend(at_points(source)?);
-    let summary = source.stored.summary();
+    let summary = source.stored.run_summary().map_err(wrong)?;
+    let swept = summary.as_ref().and_then(|s| s.error_estimate.as_ref());
+    let solved = summary.as_ref().and_then(|s| s.homotopy.as_ref());
+    let solved = solved.and_then(|s| s.error_estimate.as_ref());
     let mut estimates = Vec::new();
-    for (what, at) in [
-        ("swept", &summary["error_estimate"]),
-        ("solved", &summary["homotopy"]["error_estimate"]),
-    ] {
-        estimates.extend(estimates_of(what, at));
+    if let Some(e) = swept {
+        estimates.extend(estimates_of("swept", [e.value, e.costate, e.control]));
+    }
+    if let Some(e) = solved {
+        estimates.extend(estimates_of("solved", [e.value, e.costate, e.control]));
     }
     if rows.is_empty() && estimates.is_empty() {
         return Ok(None);
     }
-    let asked = summary["error_estimate"]["asked"].as_f64();
+    let asked = swept.map(|e| e.asked);
     let mut caption = "Errors on a logarithmic axis; the further left the better. ".to_owned();
     if !rows.is_empty() {
         caption += "H and the residual are 0 on an exact solution. ";
@@ -87,7 +91,7 @@ pub fn picture(source: &Source<'_>) -> Made {
     }))
 }
 
-fn wrong(e: costate::result::StoredError) -> String {
+fn wrong(e: costate::low_level::result::StoredError) -> String {
     e.to_string()
 }
 
@@ -156,19 +160,14 @@ fn at_points(source: &Source<'_>) -> Result<Vec<Row>, String> {
     Ok(rows)
 }
 
-fn estimates_of(what: &str, at: &serde_json::Value) -> Vec<Estimate> {
-    (["V", "p", "u"].iter())
-        .filter_map(|name| {
-            let of = |key: &str| at[*name][key].as_f64();
-            let quantiles = [
-                of("median")?,
-                of("p99")?,
-                of("max").or_else(|| of("worst"))?,
-            ];
-            let label = format!("{name} {what}");
-            Some(Estimate { label, quantiles })
-        })
-        .collect()
+fn estimates_of(what: &str, of: [Option<Quantiles>; 3]) -> Vec<Estimate> {
+    let known = ["V", "p", "u"].iter().zip(of).filter_map(|(name, q)| {
+        let q = q?;
+        let quantiles = [q.median?, q.p99?, q.max?];
+        let label = format!("{name} {what}");
+        Some(Estimate { label, quantiles })
+    });
+    known.collect()
 }
 
 impl Quality {

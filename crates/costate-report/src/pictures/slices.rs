@@ -6,8 +6,8 @@ use crate::canvas::{Ink, Stroke};
 use crate::frame::Mark;
 use crate::ticks::significant;
 use crate::{Picture, Source, colours, names};
-use costate::numeric::hermite::hermite;
-use costate::trajectories::SolvedStates;
+use costate::low_level::numeric::hermite::hermite;
+use costate::low_level::trajectories::SolvedStates;
 use std::collections::BTreeMap;
 
 /// Fewer states make no line.
@@ -288,7 +288,7 @@ fn crossings(source: &Source<'_>, slice: &Slice) -> Result<Vec<[f64; 2]>, String
     let Some(group) = source.stored.group("equal_cost") else {
         return Ok(Vec::new());
     };
-    let text = |e: costate::result::StoredError| e.to_string();
+    let text = |e: costate::low_level::result::StoredError| e.to_string();
     let (x, v) = (
         group.f64("x").map_err(text)?.values,
         group.f64("V").map_err(text)?.values,

@@ -4,7 +4,7 @@ use super::Made;
 use crate::canvas::{Canvas, Dash, Ink, Rect, Stroke};
 use crate::frame::{Axis, Frame, Legend, Mark, range};
 use crate::{Drawing, Picture, Source, colours};
-use costate::result::{StoredError, StoredGroup};
+use costate::low_level::result::{StoredError, StoredGroup};
 
 /// Larger errors are of no use.
 const USEFUL: f64 = 0.1;

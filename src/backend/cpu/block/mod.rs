@@ -28,6 +28,15 @@ pub struct Compiled {
 }
 
 impl Compiled {
+    /// Whether all of it is machine code.
+    pub fn is_compiled(&self) -> bool {
+        let parts = [&self.start, &self.step];
+        parts
+            .into_iter()
+            .chain(&self.dense)
+            .all(Routine::is_compiled)
+    }
+
     /// `compile`: to machine code, where the machine allows it.
     pub fn new(spec: &Spec, scheme: Scheme, variant: Variant, compile: bool, width: usize) -> Self {
         let layout = Layout::new(spec, scheme);

@@ -44,6 +44,12 @@ pub struct Machine<'a> {
     spills: Vec<Vector>,
 }
 
+/// Whether the machine has the instructions, and lets a process make code that it runs.
+pub fn works() -> bool {
+    let has = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+    has && MmapMut::map_anon(1).is_ok_and(|memory| memory.make_exec().is_ok())
+}
+
 impl Executable {
     /// Compiles what was recorded for frames of `width` lanes; `None` where the machine lacks AVX2
     /// or FMA or forbids executable memory, or where the code would be too long.

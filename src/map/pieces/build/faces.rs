@@ -103,7 +103,7 @@ impl Pieces {
     }
 
     /// Makes the bounds of a cell's pieces no less than `bound`.
-    pub(in crate::map::pieces) fn raise(&mut self, cell: usize, bound: f64) {
+    pub(in crate::low_level::map::pieces) fn raise(&mut self, cell: usize, bound: f64) {
         for piece in &mut self.pieces[self.cells[cell].pieces.clone()] {
             if piece.bound < bound {
                 piece.p_bound *= bound / piece.bound;
