@@ -2,6 +2,7 @@
 //! together.
 
 use crate::diagnostics::ScenarioErrors;
+use crate::files::read_text;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::scenario::{Document, Given, LoadError, texts};
@@ -54,7 +55,7 @@ impl Scene {
         overrides: &[(String, String)],
     ) -> Result<Self, LoadError> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path).map_err(|source| LoadError::Read {
+        let text = read_text(path).map_err(|source| LoadError::Read {
             path: path.to_owned(),
             source,
         })?;

@@ -160,7 +160,7 @@ impl<'s> Laws<'s> {
             }
             Formula::Weights { file, span } => {
                 let path = self.beside(file);
-                let text = std::fs::read_to_string(&path).map_err(|source| {
+                let text = crate::files::read_text(&path).map_err(|source| {
                     self.placed(
                         LawError::Unfit {
                             law: given.name.clone(),

@@ -3,10 +3,12 @@
 //!
 //! Knows texts and byte ranges, and nothing of scenes: every room above reports by it.
 
+mod printable;
 mod problem;
 mod render;
 mod suggest;
 
+pub use printable::unprintable;
 pub use problem::{Problem, Span};
 pub use render::ScenarioErrors;
 pub(crate) use render::position;

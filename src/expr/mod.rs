@@ -24,3 +24,4 @@ mod print;
 pub use deviation::Deviation;
 pub use graph::{Fun, Graph, Id, Kind, Node, Op, Symbol};
 pub use polynomial::{NotPolynomial, Polynomial};
+pub use print::ShownTogether;

@@ -12,6 +12,20 @@ const ATOM: u8 = 5;
 /// Text and binding strength of a printed expression.
 type Shown = (String, u8);
 
+/// Expressions as texts, with names for the parts that they share: see [`Graph::show_all`].
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ShownTogether {
+    /// Name and text; a text has names of earlier ones.
+    pub shared: Vec<(String, String)>,
+    /// One for each expression.
+    pub shown: Vec<String>,
+}
+
+/// Texts that are longer in all than this (about so many characters) name what they share.
+const LONG: usize = 20_000;
+/// What is no longer than this needs no name.
+const SHORT: usize = 12;
+
 fn wrapped((text, strength): Shown, least: u8) -> String {
     if strength < least {
         format!("({text})")
@@ -44,6 +58,74 @@ impl Graph {
             }
         }
         done.pop().unwrap_or_default().0
+    }
+
+    /// Expressions as texts together. Where these would be long, parts that are used more than once
+    /// have a name and stand only once: the texts grow with the graph, not with the number of ways
+    /// through it.
+    pub fn show_all(&self, roots: &[Id]) -> ShownTogether {
+        let reachable = self.reachable(roots);
+        let mut users = vec![0u32; self.len()];
+        let mut length = vec![0usize; self.len()];
+        for &id in &reachable {
+            let mut all = 12usize;
+            for a in self.arguments(id) {
+                users[a.0 as usize] += 1;
+                all = all.saturating_add(length[a.0 as usize]);
+            }
+            length[id.0 as usize] = all;
+        }
+        let whole = (roots.iter()).fold(0usize, |n, r| n.saturating_add(length[r.0 as usize]));
+        if whole <= LONG {
+            return ShownTogether {
+                shared: Vec::new(),
+                shown: roots.iter().map(|r| self.show(*r)).collect(),
+            };
+        }
+
+        for root in roots {
+            users[root.0 as usize] += 1;
+        }
+        let prefix = self.free_prefix();
+        let mut shared: Vec<(String, String)> = Vec::new();
+        let mut texts: Vec<Shown> = vec![Shown::default(); self.len()];
+        for &id in &reachable {
+            let several = |a: Id| users[a.0 as usize] > 1;
+            let arguments: Vec<Shown> = (self.arguments(id))
+                .map(|a| match several(a) {
+                    true => texts[a.0 as usize].clone(),
+                    // Its only user: a chain of many thousand terms is not copied at each link.
+                    false => std::mem::take(&mut texts[a.0 as usize]),
+                })
+                .collect();
+            let mut shown = self.show_node(id, arguments);
+            if several(id) && shown.0.len() > SHORT {
+                let name = format!("{prefix}{}", shared.len() + 1);
+                shared.push((name.clone(), shown.0));
+                shown = (name, ATOM);
+            }
+            texts[id.0 as usize] = shown;
+        }
+        let shown = roots.iter().map(|r| texts[r.0 as usize].0.clone());
+        ShownTogether {
+            shown: shown.collect(),
+            shared,
+        }
+    }
+
+    /// What names may begin with that are followed by a number and are no symbol's.
+    fn free_prefix(&self) -> String {
+        let taken = |prefix: &str| {
+            self.symbols().iter().any(|symbol| {
+                let rest = symbol.name.strip_prefix(prefix);
+                rest.is_some_and(|rest| rest.chars().all(|c| c.is_ascii_digit()))
+            })
+        };
+        let mut prefix = "c".to_owned();
+        while taken(&prefix) {
+            prefix.push('_');
+        }
+        prefix
     }
 
     /// One node, given its printed arguments.

@@ -151,7 +151,7 @@ impl Law {
     /// # Errors
     /// Also where the file cannot be read.
     pub fn load(path: &std::path::Path) -> Result<Self, NetworkError> {
-        let read = std::fs::read_to_string(path);
+        let read = crate::files::read_text(path);
         let text = read.map_err(|source| NetworkError::Read {
             path: path.to_owned(),
             source,

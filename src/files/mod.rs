@@ -12,7 +12,7 @@ pub use temporary::removed_at_signals;
 
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -37,7 +37,9 @@ impl Draft {
         let path = target(path)?;
         let directory = directory_of(&path);
         make(directory)?;
-        let temporary = hidden(directory, path.file_name().unwrap_or_default());
+        let name = path.file_name().unwrap_or_default();
+        clear_leftovers(directory, name);
+        let temporary = hidden(directory, name);
         Ok(Self { path, temporary })
     }
 
@@ -90,6 +92,37 @@ pub fn target(given: &Path) -> Result<PathBuf, FileError> {
         return Err(FileError::TargetIsSpecial { path });
     }
     Ok(path)
+}
+
+/// The most that is read of a text: no scene, table of points or weights is longer.
+const MOST_READ: u64 = 256 << 20;
+
+/// The bytes of a file, of at most 256 MiB: what has no end is not read until memory is full.
+///
+/// # Errors
+/// Those of reading; a longer file.
+pub fn read_bytes(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?
+        .take(MOST_READ + 1)
+        .read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > MOST_READ {
+        let reason = format!("more than {} MiB, which no such file has", MOST_READ >> 20);
+        return Err(io::Error::new(io::ErrorKind::InvalidData, reason));
+    }
+    Ok(bytes)
+}
+
+/// The text of a file, of at most 256 MiB.
+///
+/// # Errors
+/// As [`read_bytes`]; what is no UTF-8.
+pub fn read_text(path: &Path) -> io::Result<String> {
+    let invalid = |_| {
+        let reason = "stream did not contain valid UTF-8";
+        io::Error::new(io::ErrorKind::InvalidData, reason)
+    };
+    String::from_utf8(read_bytes(path)?).map_err(invalid)
 }
 
 /// Puts a text file in place whole: written beside it under a hidden name, flushed and renamed.
@@ -151,13 +184,87 @@ pub fn can_hold(directory: &Path) -> io::Result<()> {
     File::create_new(trial.path()).map(drop)
 }
 
-/// A hidden name in a directory for a file to be called so.
+/// A hidden name in a directory for a file to be called so. It names the machine, which may share
+/// the directory with others, and the process.
 fn hidden(directory: &Path, name: &OsStr) -> Temporary {
     let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
     let mut hidden = OsString::from(".");
     hidden.push(name);
-    hidden.push(format!(".{}-{serial}.tmp", std::process::id()));
+    hidden.push(format!(
+        ".{}-{}-{serial}.tmp",
+        machine(),
+        std::process::id()
+    ));
     Temporary::new(directory.join(hidden))
+}
+
+/// Removes what processes that were killed have left of a file: hidden files for it, also for its
+/// own hidden ones, of processes of this machine that are no more.
+fn clear_leftovers(directory: &Path, name: &OsStr) {
+    let Ok(entries) = fs::read_dir(directory) else {
+        return;
+    };
+    let name = name.to_string_lossy();
+    for path in entries.filter_map(|e| Some(e.ok()?.path())) {
+        let file = path.file_name().unwrap_or_default().to_string_lossy();
+        // One dot more for a hidden file of a hidden one.
+        let rest = file.trim_start_matches('.').strip_prefix(&*name);
+        let owner = rest.filter(|_| file.starts_with('.')).and_then(owner);
+        if owner.is_some_and(|process| !is_running(process)) {
+            // What cannot be removed does no harm.
+            let _ = fs::remove_file(&path);
+        }
+    }
+}
+
+/// The process of this machine that a hidden name's ending tells.
+fn owner(ending: &str) -> Option<u32> {
+    let ending = ending.strip_suffix(".tmp")?.strip_prefix('.')?;
+    let last = ending.rsplit_once(".tmp.").map_or(ending, |(_, last)| last);
+    let (rest, serial) = last.rsplit_once('-')?;
+    let (host, process) = rest.rsplit_once('-')?;
+    serial.parse::<u64>().ok()?;
+    process.parse().ok().filter(|_| host == machine())
+}
+
+/// Whether a process of this machine is running.
+fn is_running(process: u32) -> bool {
+    #[cfg(unix)]
+    {
+        let Ok(process) = libc::pid_t::try_from(process) else {
+            return false;
+        };
+        // SAFETY: signal 0 only asks.
+        let asked = unsafe { libc::kill(process, 0) };
+        asked == 0 || io::Error::last_os_error().raw_os_error() != Some(libc::ESRCH)
+    }
+    #[cfg(not(unix))]
+    {
+        // Not known: it may be.
+        let _ = process;
+        true
+    }
+}
+
+/// The name of this machine, for names of files.
+fn machine() -> &'static str {
+    static NAME: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
+        #[cfg(unix)]
+        {
+            let mut name = [0u8; 256];
+            // SAFETY: the buffer is as long as is said, and its last byte stays 0.
+            let rc = unsafe { libc::gethostname(name.as_mut_ptr().cast(), name.len() - 1) };
+            let end = name.iter().position(|b| *b == 0).unwrap_or(0);
+            let text = String::from_utf8_lossy(&name[..end]);
+            let letters = text.chars().filter(|c| c.is_ascii_alphanumeric());
+            let letters: String = letters.take(32).collect();
+            if rc == 0 && !letters.is_empty() {
+                return letters;
+            }
+        }
+        "host".to_owned()
+    });
+    &NAME
 }
 
 /// Makes a directory that may be there.
@@ -191,6 +298,32 @@ fn sync_directory(directory: &Path) -> io::Result<()> {
 mod tests {
     use super::testing::TemporaryDirectory;
     use super::*;
+
+    #[test]
+    fn what_killed_processes_left_is_cleared() {
+        let directory = TemporaryDirectory::new("leftovers");
+        let path = directory.path().join("r.h5");
+        // No process has this number: it is above what any system gives.
+        let (host, dead, own) = (machine(), i32::MAX, std::process::id());
+        let gone = [
+            format!(".r.h5.{host}-{dead}-0.tmp"),
+            format!("..r.h5.{host}-{dead}-0.tmp.{host}-{dead}-2.tmp"),
+        ];
+        let kept = [
+            format!(".r.h5.{host}-{own}-7.tmp"),
+            format!(".r.h5.another-{dead}-0.tmp"),
+            format!(".other.h5.{host}-{dead}-0.tmp"),
+            ".r.h5.mine".to_owned(),
+            "r.h5".to_owned(),
+        ];
+        for name in gone.iter().chain(&kept) {
+            fs::write(directory.path().join(name), "x").unwrap();
+        }
+        drop(Draft::begin(&path).unwrap());
+        let there = entries(directory.path());
+        assert!(gone.iter().all(|name| !there.contains(name)), "{there:?}");
+        assert!(kept.iter().all(|name| there.contains(name)), "{there:?}");
+    }
 
     fn entries(directory: &Path) -> Vec<String> {
         let mut names: Vec<String> = fs::read_dir(directory)

@@ -45,18 +45,23 @@ impl Drop for Temporary {
     }
 }
 
-/// From now on a signal that ends the process (interrupt, terminate, hang up) removes its hidden
+/// From now on a signal that ends the process (interrupt, terminate, hang up, those of timers and
+/// of batch systems) removes its hidden
 /// files first. What the process was started to ignore, as `nohup` has it, it still ignores.
 ///
 /// # Errors
 /// Where the system has no room for handlers or a thread.
 #[cfg(unix)]
 pub fn removed_at_signals() -> io::Result<()> {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-    let ends: Vec<i32> = [SIGHUP, SIGINT, SIGTERM]
-        .into_iter()
-        .filter(|s| !ignored(*s))
-        .collect();
+    use signal_hook::consts::{
+        SIGALRM, SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU,
+    };
+    let ends: Vec<i32> = [
+        SIGALRM, SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU,
+    ]
+    .into_iter()
+    .filter(|s| !ignored(*s))
+    .collect();
     let mut signals = signal_hook::iterator::Signals::new(ends)?;
     std::thread::Builder::new()
         .name("signals".to_owned())

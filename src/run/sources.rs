@@ -63,7 +63,7 @@ pub fn fitted_laws(stored: &Stored) -> Result<Vec<Weights>, StoredError> {
 /// # Errors
 /// [`LawError::Read`].
 pub fn weights(path: &Path) -> Result<Weights, LawError> {
-    let text = std::fs::read_to_string(path).map_err(|source| LawError::Read {
+    let text = crate::files::read_text(path).map_err(|source| LawError::Read {
         path: path.to_owned(),
         source,
     })?;

@@ -1,5 +1,6 @@
 //! Syntax trees -> nodes of the graph: names are looked up, functions checked, sides simplified.
 
+use super::hints;
 use super::parser::{Ast, GuardTree, Tree};
 use super::quoted::Offsets;
 use super::reader::Reader;
@@ -273,12 +274,16 @@ impl Walk<'_, '_, '_> {
             );
             return None;
         }
+        // Of very many unknown names nobody reads the suggestions.
+        const SUGGESTED: usize = 20;
         let candidates = self
             .reader
             .scope
             .names(None)
             .chain(reserved().map(|r| -> &str { r }));
-        let help = did_you_mean(name, candidates);
+        let few = self.reader.problems.len() < SUGGESTED;
+        let hint = hints::of_name(name).map(str::to_owned);
+        let help = hint.or_else(|| few.then(|| did_you_mean(name, candidates)).flatten());
         self.report(
             span,
             format!("unknown name `{}`", shorten(name)),
@@ -313,7 +318,9 @@ impl Walk<'_, '_, '_> {
             "sqr" | "square" => Some("write (...)^2".to_owned()),
             "cbrt" => Some("write (...)^(1/3)".to_owned()),
             "log10" => Some("write log(...)/log(10)".to_owned()),
-            _ => did_you_mean(name, functions()),
+            _ => hints::of_function(name)
+                .map(str::to_owned)
+                .or_else(|| did_you_mean(name, functions())),
         };
         let help = help.unwrap_or_else(|| {
             format!("functions: {}", functions().collect::<Vec<_>>().join(", "))

@@ -85,7 +85,7 @@ impl<'a> Reader<'a> {
         }
         let random = section
             .get("random")
-            .and_then(|v| self.count(v, "random", 1));
+            .and_then(|v| self.count_to(v, "random", 1, MOST_STATES as u32));
         let initial = self.starts(section, scope, random.is_some());
         let given = self.given_laws(section, scope);
         let names: Vec<&str> = given.iter().map(|g| g.name.as_str()).collect();
@@ -266,6 +266,11 @@ impl<'a> Reader<'a> {
         };
         let mut all = Vec::new();
         for (name, span, value) in table.entries() {
+            if !Self::is_name(name) {
+                let message = format!("a law cannot be called `{}`", shorten(name));
+                self.report(Problem::at(span, message, "not a name for a law"));
+                continue;
+            }
             if BUILT_IN.contains(&name) || scope.fitted.iter().any(|f| f == name) {
                 let message = format!("a law named `{}` is there already", shorten(name));
                 self.report(Problem::at(span, message, "choose another name"));
@@ -381,14 +386,16 @@ impl<'a> Reader<'a> {
                 "study" => reserved::STUDY,
                 _ => reserved::CLOSED_LOOP,
             };
-            let taken = is_reserved(name, own) || states.into_iter().any(|d| d.name == name);
-            if taken
-                || self.scope.get(name).is_some()
-                || name.contains(['/', '\0'])
-                || name.is_empty()
-            {
+            let taken = is_reserved(name, own)
+                || states.into_iter().any(|d| d.name == name)
+                || self.scope.get(name).is_some();
+            if taken || !Self::is_name(name) {
                 let message = format!("a recorded quantity cannot be named `{}`", shorten(name));
-                self.report(Problem::at(span, message, "the name is taken, or none"));
+                let label = match taken {
+                    true => "the name is taken, or none",
+                    false => "not a name",
+                };
+                self.report(Problem::at(span, message, label));
                 continue;
             }
             if let Some(record) = self.record(name, value) {

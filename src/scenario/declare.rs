@@ -310,7 +310,7 @@ impl<'a> Reader<'a> {
     pub fn unit(&mut self, section: &Section<'a>) -> Option<String> {
         let value = section.get("unit")?;
         let what = format!("the unit of {}", section.name);
-        self.string(value, &what).map(str::to_owned)
+        self.label(value, &what).map(str::to_owned)
     }
 
     fn variable(&mut self, declared: &Declared<'a>, section: &Section<'a>) -> Option<Variable> {
@@ -318,7 +318,7 @@ impl<'a> Reader<'a> {
             let what = format!("the {key} of {}", section.name);
             section
                 .get(key)
-                .and_then(|v| self.string(v, &what))
+                .and_then(|v| self.label(v, &what))
                 .map(str::to_owned)
         };
         let (unit, long_name) = (text("unit"), text("long_name"));

@@ -10,6 +10,8 @@ use toml::de::DeValue;
 /// Disturbances under each law unless `disturbances` says otherwise.
 const DEFAULT_DISTURBANCES: usize = 10_000;
 /// The most of one check.
+/// Points of all disturbances together, at most: their states are held in memory.
+const MOST_POINTS: f64 = 1e8;
 const MOST: u32 = 10_000_000;
 /// Times at which the inequality is checked unless `samples` says otherwise.
 const DEFAULT_SAMPLES: usize = 200;
@@ -64,6 +66,16 @@ impl<'a> Reader<'a> {
         let period = (section.get("period"))
             .and_then(|v| self.number_that(v, "period", "greater than 0", |v| v > 0.0));
         let samples = section.get("samples").and_then(|v| self.sample_count(v));
+        let points = disturbances.unwrap_or(DEFAULT_DISTURBANCES) as f64
+            * samples.unwrap_or(DEFAULT_SAMPLES) as f64;
+        if points > MOST_POINTS {
+            let message = format!(
+                "{points:.1e} points of all disturbances together; at most {MOST_POINTS:.0e} are looked at"
+            );
+            let help = "fewer disturbances, or fewer samples";
+            let problem = Problem::at(section.span.clone(), message, "too many");
+            self.report(problem.with_help(help));
+        }
         let amplitude = (section.get("amplitude").filter(|v| !is_auto(v)))
             .and_then(|v| self.amplitudes(v, section, scope));
         let frequencies =

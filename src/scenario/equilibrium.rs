@@ -6,6 +6,7 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::shorten;
 use crate::expr::{Fun, Graph, Id, Op};
 use crate::model::{Control, Guard, Located, Span, Variable};
+use nalgebra::{DMatrix, DVector};
 use std::collections::HashMap;
 
 /// What may remain of f and L at the equilibrium, relative to the size of the terms they are made
@@ -92,16 +93,18 @@ impl<'a> Reader<'a> {
         noun: &str,
     ) -> Option<Vec<Placed>> {
         let mut all = Vec::with_capacity(names.len());
+        let mut missing = Vec::new();
         for declared in names {
             let name = shorten(declared.name);
             all.push(match section.get(declared.name) {
                 Some(v) => self.number(v, &format!("the equilibrium of `{name}`")),
                 None => {
-                    let message = format!("{noun} `{name}` has no value in [equilibrium]");
-                    self.refuse(section.span.clone(), message, "missing here")
+                    missing.push(name);
+                    None
                 }
             });
         }
+        self.report_missing(section, noun, &missing);
         let place = |d: &Declared<'a>| {
             section
                 .get(d.name)
@@ -116,6 +119,34 @@ impl<'a> Reader<'a> {
                 })
             })
             .collect()
+    }
+
+    /// One problem for all that have no value.
+    fn report_missing(&mut self, section: &Section<'a>, noun: &str, missing: &[String]) {
+        /// Names that a message lists.
+        const LISTED: usize = 12;
+        let quoted = missing.iter().take(LISTED).map(|name| format!("`{name}`"));
+        let quoted: Vec<String> = quoted.collect();
+        let message = match missing.len() {
+            0 => return,
+            1 => format!("{noun} {} has no value in [equilibrium]", quoted[0]),
+            _ => {
+                let more = match missing.len().saturating_sub(LISTED) {
+                    0 => String::new(),
+                    more => format!(" and {more} more"),
+                };
+                let names = quoted.join(", ");
+                format!("{noun}s {names}{more} have no value in [equilibrium]")
+            }
+        };
+        let zeros = missing
+            .iter()
+            .take(LISTED)
+            .map(|name| format!("{name} = 0"));
+        let zeros: Vec<String> = zeros.collect();
+        let help = format!("where it is 0, write {}", zeros.join(", "));
+        let problem = Problem::at(section.span.clone(), message, "missing here");
+        self.report(problem.with_help(help));
     }
 
     /// Checks the equilibrium against bounds and region.
@@ -177,6 +208,75 @@ impl<'a> Reader<'a> {
             .fold(0.0, f64::max)
     }
 
+    /// The equilibrium next to the values given, where Newton's method finds one near by: of the
+    /// states and controls that solve f = 0 the nearest in widths of the region.
+    fn nearest_equilibrium(
+        &self,
+        at: &Equilibrium,
+        scene: &Scene<'_>,
+        values: &HashMap<Id, f64>,
+    ) -> Option<String> {
+        /// Further away than this share of the region's width it is another one.
+        const NEAR: f64 = 0.05;
+        const STEPS: usize = 30;
+        let mut graph = self.graph.clone();
+        let states = scene.states.iter().map(|s| (s.symbol, s.name.as_str()));
+        let controls = scene.controls.iter();
+        let unknowns: Vec<(Id, &str)> = states
+            .chain(controls.map(|c| (c.variable.symbol, c.variable.name.as_str())))
+            .collect();
+        let rates: Vec<Id> = scene.dynamics.iter().map(|f| f.expr).collect();
+        let slopes: Vec<Id> = (rates.iter())
+            .flat_map(|f| unknowns.iter().map(|(x, _)| (*f, *x)).collect::<Vec<_>>())
+            .map(|(f, x)| graph.diff(f, x))
+            .collect();
+
+        let given: Vec<f64> = at.x.iter().chain(&at.u).map(|p| p.value).collect();
+        let widths: Vec<f64> = (scene.region?.iter().map(|[lo, hi]| hi - lo))
+            .chain(at.u.iter().map(|p| p.value.abs().max(1.0)))
+            .collect();
+        let (n, m) = (rates.len(), unknowns.len());
+        let mut point = given.clone();
+        for _ in 0..STEPS {
+            let mut here = values.clone();
+            here.extend(unknowns.iter().zip(&point).map(|((id, _), v)| (*id, *v)));
+            let rate = DVector::from_vec(graph.eval(&rates, &here));
+            let slope = graph.eval(&slopes, &here);
+            let jacobian = DMatrix::from_fn(n, m, |i, j| slope[i * m + j] * widths[j]);
+            if jacobian.iter().chain(rate.iter()).any(|v| !v.is_finite()) {
+                return None;
+            }
+            let step = jacobian.svd(true, true).solve(&rate, 1e-9).ok()?;
+            for j in 0..m {
+                point[j] -= step[j] * widths[j];
+            }
+            if step.norm() < 1e-14 {
+                break;
+            }
+        }
+        let moved = (0..m).map(|j| ((point[j] - given[j]) / widths[j]).abs());
+        if moved.fold(0.0, f64::max) > NEAR {
+            return None;
+        }
+        let mut here = values.clone();
+        here.extend(unknowns.iter().zip(&point).map(|((id, _), v)| (*id, *v)));
+        let solved = rates.iter().all(|f| {
+            let (value, size) = sized(&graph, *f, &here);
+            is_zero(value, size.max(1.0))
+        });
+        let written = unknowns.iter().zip(&point).zip(&given);
+        let written: Vec<String> = written
+            .filter(|((_, point), given)| point != given)
+            .map(|(((_, name), point), _)| format!("{name} = {point:?}"))
+            .collect();
+        solved.then(|| {
+            format!(
+                "the nearest equilibrium has {}; write that, or what it is as an expression",
+                written.join(", ")
+            )
+        })
+    }
+
     /// Checks f = 0, L = 0, dL/dx = 0 and smoothness (not with a final time) and the guards at the
     /// equilibrium.
     pub fn check_equilibrium(&mut self, at: &Equilibrium, scene: &Scene<'_>) {
@@ -197,17 +297,21 @@ impl<'a> Reader<'a> {
                 .map(|(c, p)| (c.variable.symbol, p.value)),
         );
         values.extend(scene.disturbances.iter().map(|w| (w.symbol, 0.0)));
+        let mut nearest = None;
         for (i, f) in scene.dynamics.iter().enumerate() {
             let (value, size) = sized(&self.graph, f.expr, &values);
             if !is_zero(value, size.max(self.size_over(f.expr, &values, scene))) {
                 let name = &scene.states[i].name;
                 let message =
                     format!("this is no equilibrium: d{name}/dt is {value:.6e} there, not 0");
-                self.report(Problem::at(
-                    at.x[i].span.clone(),
-                    message,
-                    format!("d{name}/dt = {value:.6e} here"),
-                ));
+                let label = format!("d{name}/dt = {value:.6e} here");
+                let mut problem = Problem::at(at.x[i].span.clone(), message, label);
+                // The first problem alone tells where one is.
+                if nearest.is_none() {
+                    nearest = Some(self.nearest_equilibrium(at, scene, &values));
+                    problem.help = nearest.clone().flatten();
+                }
+                self.report(problem);
             }
         }
         let (value, size) = sized(&self.graph, scene.running.expr, &values);
@@ -216,7 +320,7 @@ impl<'a> Reader<'a> {
             let message = format!("the running cost is {value:.6e} at the equilibrium, not 0");
             let problem = Problem::at(at.span.clone(), message, format!("L = {value:.6e} here"));
             self.report(problem.with_help(
-                "V over an infinite horizon is finite only if L = 0 at the equilibrium",
+                "V over an infinite horizon is finite only if L = 0 at the equilibrium (minimal time: the guide's chapter Tasks)",
             ));
         }
         // Where it is no equilibrium, derivatives there say nothing.

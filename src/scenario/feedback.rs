@@ -35,6 +35,8 @@ const BUILT_IN: [&str; 2] = ["lqr", "map"];
 
 const DEFAULT_HIDDEN: usize = 10;
 const DEFAULT_STARTS: usize = 5;
+/// Trainings of a law, at most.
+const MOST_STARTS: u32 = 1000;
 const DEFAULT_ITERATIONS: usize = 500;
 const DEFAULT_PATIENCE: usize = 30;
 const DEFAULT_MAX_SAMPLES: usize = 20_000;
@@ -166,7 +168,9 @@ impl<'a> Reader<'a> {
             conditions,
             value_max: (section.get("value_max"))
                 .and_then(|v| self.number_that(v, "value_max", "greater than 0", |v| v > 0.0)),
-            starts: counted(self, "starts", 1, DEFAULT_STARTS),
+            starts: (section.get("starts"))
+                .and_then(|v| self.count_to(v, "starts", 1, MOST_STARTS))
+                .unwrap_or(DEFAULT_STARTS),
             seed: counted(self, "seed", 0, 0) as u64,
             iterations: counted(self, "iterations", 1, DEFAULT_ITERATIONS),
             patience: counted(self, "patience", 1, DEFAULT_PATIENCE),

@@ -14,8 +14,10 @@ mod document;
 mod equations;
 mod equilibrium;
 mod feedback;
+mod hints;
 mod lexer;
 mod parser;
+mod periods;
 mod quoted;
 mod reader;
 mod report_section;
@@ -34,6 +36,7 @@ pub use report_section::{constant, definitions};
 pub use scene::PROBLEM_SECTIONS;
 pub use settings::{DEFAULT_ATOL_SHARE, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
 
+use crate::files::read_text;
 use crate::model::Model;
 use std::path::{Path, PathBuf};
 
@@ -56,7 +59,7 @@ pub enum LoadError {
 /// # Errors
 /// [`LoadError`] where the file cannot be read or its contents are wrong.
 pub fn load(path: &Path, overrides: &[(String, String)]) -> Result<Model, LoadError> {
-    let read = std::fs::read_to_string(path);
+    let read = read_text(path);
     let text = read.map_err(|source| LoadError::Read {
         path: path.to_owned(),
         source,

@@ -1,12 +1,14 @@
 //! What all sections are read with: typed access to TOML values, each refusal with its place.
 
 use super::build::{Built, Origin, Use};
+use super::hints;
 use super::parser::{parse_expression, parse_guard};
 use super::quoted::Offsets;
 use super::scope::Scope;
 use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
+use crate::diagnostics::unprintable;
 use crate::expr::{Graph, Id};
 use crate::model::Span;
 use crate::numeric::digits::plain;
@@ -93,7 +95,9 @@ impl<'a> Reader<'a> {
     /// Refuses all keys but the known ones.
     pub fn check_keys(&mut self, section: &Section<'_>, known: &[&str]) {
         for (key, span, _) in section.entries().filter(|(k, ..)| !known.contains(k)) {
-            let help = did_you_mean(key, known.iter().copied())
+            let hint = hints::of_key(&section.name, key).map(str::to_owned);
+            let help = hint
+                .or_else(|| did_you_mean(key, known.iter().copied()))
                 .unwrap_or_else(|| format!("{} may have: {}", section.name, known.join(", ")));
             let message = format!("unknown key `{}` in {}", shorten(key), section.name);
             self.report(Problem::at(span, message, "not a key here").with_help(help));
@@ -115,6 +119,31 @@ impl<'a> Reader<'a> {
             format!("{what} must be {expected}, not {found}"),
             format!("expected {expected}"),
         )
+    }
+
+    /// A text that is printed, and written into files.
+    pub fn label(&mut self, value: &'a Value<'a>, what: &str) -> Option<&'a str> {
+        let text = self.string(value, what)?;
+        match unprintable(text) {
+            Some(c) => {
+                let message = format!("{what} has a character that is not printed ({c:?})");
+                self.refuse(value.span(), message, "leave that character out")
+            }
+            None => Some(text),
+        }
+    }
+
+    /// Whether something can be named so: without characters that are not printed, without `/` and
+    /// `,`, and with a letter or digit at both ends.
+    pub fn is_name(name: &str) -> bool {
+        const MOST: usize = 100;
+        let ends = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
+        let mut letters = name.chars();
+        let inside = unprintable(name).is_none() && !name.contains(['/', ',', '\\']);
+        inside
+            && name.chars().count() <= MOST
+            && ends(letters.next())
+            && (letters.as_str().is_empty() || ends(letters.next_back()))
     }
 
     pub fn string(&mut self, value: &'a Value<'a>, what: &str) -> Option<&'a str> {
@@ -256,8 +285,23 @@ impl<'a> Reader<'a> {
 
     /// A whole number of at least `least`.
     pub fn count(&mut self, value: &'a Value<'a>, what: &str, least: u32) -> Option<usize> {
-        let wanted = format!("a whole number of at least {least}");
-        let fits = |v: f64| v.fract() == 0.0 && v >= f64::from(least) && v <= f64::from(u32::MAX);
+        self.count_to(value, what, least, u32::MAX)
+    }
+
+    /// A whole number of at least `least` and at most `most`.
+    pub fn count_to(
+        &mut self,
+        value: &'a Value<'a>,
+        what: &str,
+        least: u32,
+        most: u32,
+    ) -> Option<usize> {
+        // The least is what matters, unless it is the most that is not kept.
+        let wanted = match plain_number(value) {
+            Some(v) if v > f64::from(most) => format!("a whole number from {least} to {most}"),
+            _ => format!("a whole number of at least {least}"),
+        };
+        let fits = |v: f64| v.fract() == 0.0 && v >= f64::from(least) && v <= f64::from(most);
         self.number_that(value, what, &wanted, fits)
             .map(|v| v as usize)
     }
@@ -292,4 +336,14 @@ impl<'a> Reader<'a> {
         self.report(Problem::at(value.span(), message, "not known").with_help(help));
         None
     }
+}
+
+/// A number that is written as one, not as an expression.
+fn plain_number(value: &Value<'_>) -> Option<f64> {
+    let text = match value.get_ref() {
+        DeValue::Integer(number) => number.as_str(),
+        DeValue::Float(number) => number.as_str(),
+        _ => return None,
+    };
+    text.replace('_', "").parse().ok()
 }

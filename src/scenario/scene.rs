@@ -6,13 +6,16 @@ use super::document::Given;
 use super::equations::Cost;
 use super::equilibrium::{Equilibrium, Scene};
 use super::feedback::law_names;
+use super::hints;
 use super::parser::{parse_expression, parse_guard};
-use super::reader::{Reader, Section};
+use super::reader::{Reader, Section, Value};
 use super::scope::Role;
 use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::position;
 use crate::diagnostics::shorten;
+use crate::diagnostics::unprintable;
+use crate::model::reserved::{self, is_reserved};
 use crate::model::{Horizon, Model, Variable};
 use std::collections::HashMap;
 use std::path::Path;
@@ -127,14 +130,16 @@ impl<'a> Reader<'a> {
             let (name, span) = (key.get_ref().as_ref(), key.span());
             let known = SECTIONS.into_iter().chain([INTEGRATOR]);
             if name == "title" {
-                title = self.string(value, "the title").map(str::to_owned);
+                title = self.title(value);
             } else if let Some(known) = known.clone().find(|s| *s == name) {
                 if let Some(section) = self.table(value, span, &format!("[{name}]")) {
                     sections.insert(known, section);
                 }
             } else {
-                let help =
-                    did_you_mean(name, known.clone().chain(["title"])).unwrap_or_else(|| {
+                let hint = hints::of_key("", name).map(str::to_owned);
+                let help = hint
+                    .or_else(|| did_you_mean(name, known.clone().chain(["title"])))
+                    .unwrap_or_else(|| {
                         format!("sections: {}", known.collect::<Vec<_>>().join(", "))
                     });
                 let message = match value.get_ref() {
@@ -145,6 +150,19 @@ impl<'a> Reader<'a> {
             }
         }
         (sections, title)
+    }
+
+    /// The title. It may have several lines.
+    fn title(&mut self, value: &'a Value<'a>) -> Option<String> {
+        let text = self.string(value, "the title")?;
+        let line = text.replace(['\n', '\r', '\t'], " ");
+        match unprintable(&line) {
+            Some(c) => {
+                let message = format!("the title has a character that is not printed ({c:?})");
+                self.refuse(value.span(), message, "leave that character out")
+            }
+            None => Some(text.to_owned()),
+        }
     }
 
     /// Reports a required section that is missing, unless it is there with a wrong type (which has
@@ -278,6 +296,22 @@ impl<'a> Reader<'a> {
                 );
             }
         }
+        if let (Some(all), Some(controls), Some(dynamics), Some(running), Some(disturbances)) =
+            (&states, &controls, &dynamics, &cost.running, &disturbances)
+        {
+            let states: Vec<&Variable> = all.iter().map(|s| &s.variable).collect();
+            let scene = Scene {
+                states: &states,
+                controls,
+                disturbances,
+                dynamics,
+                running,
+                guards: &guards,
+                region: region.as_deref(),
+                finite: cost.finite,
+            };
+            self.check_periods(all, &scene);
+        }
         let reference = reference(equilibrium.as_ref(), region.as_deref(), cost.finite);
         let shoot_out = sections
             .get("shoot_out")
@@ -288,6 +322,18 @@ impl<'a> Reader<'a> {
         let map = sections
             .get("map")
             .and_then(|s| self.map(s, &declared.states));
+        let clash = (declared.states.iter())
+            .find(|s| is_reserved(s.name, reserved::MAP) || reserved::VALUES.contains(&s.name));
+        if let (Some(state), true) = (clash, map.is_some()) {
+            let message = format!(
+                "a state named `{}` cannot be an axis of [map], which has a variable of that name",
+                state.name
+            );
+            let problem = Problem::at(state.span.clone(), message, "rename the state");
+            self.report(
+                problem.with_help("or remove [map], or give it `error` in place of a grid"),
+            );
+        }
         let map_aim = sections.get("map").and_then(|s| {
             self.map_aim(s, &declared.states, region.as_deref(), (cost.finite, game))
         });

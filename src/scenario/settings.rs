@@ -36,6 +36,10 @@ const OF_ERROR: [&str; 8] = [
     "time",
 ];
 
+/// Seeds of one sweep, at most.
+const MOST_SEEDS: u32 = 10_000_000;
+/// Below this V differences of states are next to what f64 can hold.
+const LEAST_VALUE: f64 = 1e-200;
 const SHOOT_OUT_KEYS: [&str; 9] = [
     "value_max",
     "spacing",
@@ -113,6 +117,16 @@ impl<'a> Reader<'a> {
         let value_max = section
             .get("value_max")
             .and_then(|v| self.number_that(v, "value_max", "greater than 0", positive));
+        if let (Some(v), Some(value)) = (value_max, section.get("value_max"))
+            && v < LEAST_VALUE
+        {
+            let message = format!("value_max must be at least {LEAST_VALUE:e}, not {v:e}");
+            self.report(Problem::at(
+                value.span(),
+                message,
+                "too small to reckon with",
+            ));
+        }
         if section.get("value_max").is_none() && !finite {
             let problem = Problem::at(
                 section.span.clone(),
@@ -132,7 +146,7 @@ impl<'a> Reader<'a> {
             .and_then(|v| self.count(v, "samples", 2));
         let max_seeds = section
             .get("max_seeds")
-            .and_then(|v| self.count(v, "max_seeds", 1));
+            .and_then(|v| self.count_to(v, "max_seeds", 1, MOST_SEEDS));
         let margin = section
             .get("margin")
             .and_then(|v| self.number_that(v, "margin", "at least 0", |m| m >= 0.0));

@@ -6,6 +6,7 @@ use crate::closed_loop::dissipation::{self, Certificate, Dissipation};
 use crate::closed_loop::{
     Available, Chart, Evaluation, Initial, LQR, Law, Laws, MAP, Setting, Weights, solved_values,
 };
+use crate::expr::Id;
 use crate::map::{At, ValueMap};
 use crate::model::{ClosedLoop, Model, Outside};
 use crate::scene::Scene;
@@ -283,15 +284,15 @@ impl Session<'_> {
 /// other.
 #[must_use]
 pub fn same_problem(a: &Model, b: &Model) -> bool {
-    let shown = |m: &Model| -> Vec<String> {
+    let shown = |m: &Model| {
         let cost = std::iter::once(m.running.expr);
-        let exprs = m.dynamics.iter().map(|f| f.expr).chain(cost);
+        let exprs: Vec<Id> = m.dynamics.iter().map(|f| f.expr).chain(cost).collect();
         let parameters = m.parameters.iter();
         let controls = m.controls.iter();
-        (exprs.map(|e| m.graph.show(e)))
-            .chain(parameters.map(|p| format!("{} = {:?}", p.name, p.value)))
+        let numbers: Vec<String> = (parameters.map(|p| format!("{} = {:?}", p.name, p.value)))
             .chain(controls.map(|c| format!("{:?} {:?}", c.min, c.max)))
-            .collect()
+            .collect();
+        (m.graph.show_all(&exprs), numbers)
     };
     shown(a) == shown(b) && a.reference() == b.reference()
 }

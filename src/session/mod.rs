@@ -1,5 +1,6 @@
 //! The front door: a scene, where to compute, and what to ask of it.
 
+mod equations;
 mod error;
 mod estimates;
 mod laws;
@@ -10,6 +11,7 @@ mod progress;
 pub mod summary;
 mod wanted;
 
+pub use equations::Equations;
 pub use error::SessionError;
 pub use estimates::Estimates;
 pub use laws::{FitData, fit_laws};

@@ -114,7 +114,10 @@ impl CliError {
             Self::Refused(error) => !matches!(error, grid::GridRefusal::OutOfTime(_)),
             Self::Report(error) => {
                 use costate_report::ReportError;
-                matches!(error, ReportError::Options(_) | ReportError::Stored(_))
+                matches!(
+                    error,
+                    ReportError::Options(_) | ReportError::Stored(_) | ReportError::NotOurs { .. }
+                )
             }
             Self::Backend(_)
             | Self::Output(_)

@@ -78,6 +78,8 @@ pub enum ReportError {
     Output(#[from] FileError),
     #[error(transparent)]
     Raster(#[from] RasterError),
+    #[error("{path} is there and is no part of an earlier report: name another --out", path = path.display())]
+    NotOurs { path: PathBuf },
     #[error("no picture `{name}`: {reason}")]
     Picture { name: String, reason: String },
 }
@@ -187,6 +189,7 @@ pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError>
     // The page last: where it is new its pictures are there.
     placed.push((page.clone(), html.clone().into_bytes()));
     let old = std::fs::read_to_string(&page).unwrap_or_default();
+    refuse_others(&page, &old, &placed)?;
     write_together(&placed, directory_of(&page))?;
     // The page names it, and there may be no pictures.
     make(&folder)?;
@@ -250,6 +253,27 @@ pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportErr
         done.pictures.push(path.display().to_string());
     }
     Ok(done)
+}
+
+/// Refuses to replace files that no earlier report has made.
+fn refuse_others(page: &Path, old: &str, placed: &[(PathBuf, Vec<u8>)]) -> Result<(), ReportError> {
+    const MARK: &str = "costate";
+    let marked = |path: &Path| {
+        let text = std::fs::read(path).unwrap_or_default();
+        String::from_utf8_lossy(&text).contains(MARK)
+    };
+    for (path, _) in placed.iter().filter(|(path, _)| path.exists()) {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let ours = match path == page {
+            true => old.contains(MARK),
+            // A PNG goes with its SVG.
+            false => old.contains(&format!("/{name}\"")) || marked(&path.with_extension("svg")),
+        };
+        if !ours {
+            return Err(ReportError::NotOurs { path: path.clone() });
+        }
+    }
+    Ok(())
 }
 
 /// Takes away pictures of the report that was replaced which the new one does not have: those that

@@ -225,6 +225,14 @@ impl<'s> Source<'s> {
     }
 
     /// Whether the horizon is infinite: V grows from 0 at the equilibrium.
+    /// What an axis of the time is called.
+    pub fn time_label(&self) -> String {
+        match &self.model.time_unit {
+            Some(unit) => format!("time ({unit})"),
+            None => "time".to_owned(),
+        }
+    }
+
     pub fn infinite(&self) -> bool {
         matches!(
             self.model.horizon,

@@ -31,7 +31,7 @@ impl Svg {
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} \
              {height}\" role=\"img\" font-family=\"{FONTS}\" stroke-linejoin=\"round\" stroke-linecap=\"butt\">\n\
-             <title>{}</title>\n<rect class=\"f{}\" width=\"{width}\" height=\"{height}\" fill=\"{}\"/>\n{}</svg>\n",
+             <!-- costate report -->\n<title>{}</title>\n<rect class=\"f{}\" width=\"{width}\" height=\"{height}\" fill=\"{}\"/>\n{}</svg>\n",
             escaped(title),
             class(paper),
             colour(paper),

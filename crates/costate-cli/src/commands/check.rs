@@ -13,7 +13,7 @@ use costate::low_level::model::{Guard, Horizon, Model};
 use costate::run;
 use costate::scene::Scene;
 use costate::session::summary::LinearSummary;
-use costate::session::{Progress, SessionError, at_equilibrium};
+use costate::session::{Equations, Progress, SessionError, at_equilibrium};
 use std::fmt::Write as _;
 use std::io::Write as _;
 
@@ -42,6 +42,7 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
     for note in &model.notes {
         terminal.note(note);
     }
+    let equations = Equations::new(&scene);
     let mut out = std::io::stdout().lock();
     if args.scene.json {
         writeln!(
@@ -50,6 +51,7 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
             as_json(
                 model,
                 hamiltonian,
+                &equations,
                 riccati.as_ref().zip(rest.as_ref()),
                 smallest.as_ref().map(|(_, l)| l)
             )
@@ -58,7 +60,12 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
         write!(
             out,
             "{}",
-            as_text(model, hamiltonian, riccati.as_ref().zip(rest.as_ref()))
+            as_text(
+                model,
+                hamiltonian,
+                &equations,
+                riccati.as_ref().zip(rest.as_ref())
+            )
         )?;
         if let Some((asked, linear)) = &smallest {
             let text = text::attenuation::star_text(&asked.parameter, linear);
@@ -101,33 +108,44 @@ impl At {
     }
 }
 
-fn as_text(model: &Model, h: &Hamiltonian, local: Option<(&Riccati, &At)>) -> String {
-    let g = &h.graph;
+fn as_text(
+    model: &Model,
+    h: &Hamiltonian,
+    equations: &Equations,
+    local: Option<(&Riccati, &At)>,
+) -> String {
     let mut t = String::new();
     let mut line = |text: String| {
         // Writing to a String cannot fail.
         let _ = writeln!(t, "{text}");
     };
     line(format!("{}\n", model.title));
+    if !equations.shared.is_empty() {
+        line("Shared parts of the equations".into());
+        for (name, text) in &equations.shared {
+            line(format!("  {name} = {text}"));
+        }
+        line(String::new());
+    }
     line("Hamiltonian (before inserting the controls)".into());
-    line(format!("  H = {}\n", g.show(h.open)));
+    line(format!("  H = {}\n", equations.hamiltonian));
     line("Optimal control".into());
-    for (c, u) in model.controls.iter().zip(&h.control) {
-        line(format!("  {}* = {}", c.variable.name, g.show(*u)));
+    for (c, u) in model.controls.iter().zip(&equations.optimal_control) {
+        line(format!("  {}* = {}", c.variable.name, u));
     }
     if !model.disturbances.is_empty() {
         line("\nWorst-case disturbance".into());
-        for (d, w) in model.disturbances.iter().zip(&h.disturbance) {
-            line(format!("  {}* = {}", d.name, g.show(*w)));
+        for (d, w) in model.disturbances.iter().zip(&equations.worst_disturbance) {
+            line(format!("  {}* = {}", d.name, w));
         }
     }
     line("\nState equations".into());
-    for (name, rate) in names(model).iter().zip(&h.state_rate) {
-        line(format!("  {name}' = {}", g.show(*rate)));
+    for (name, rate) in names(model).iter().zip(&equations.state_equations) {
+        line(format!("  {name}' = {}", rate));
     }
     line("\nAdjoint equations".into());
-    for (name, rate) in names(model).iter().zip(&h.adjoint_rate) {
-        line(format!("  p_{name}' = {}", g.show(*rate)));
+    for (name, rate) in names(model).iter().zip(&equations.adjoint_equations) {
+        line(format!("  p_{name}' = {}", rate));
     }
     match &model.horizon {
         Horizon::Infinite { x, u, .. } => {
@@ -139,17 +157,14 @@ fn as_text(model: &Model, h: &Hamiltonian, local: Option<(&Riccati, &At)>) -> St
                 line(format!("  {} = {v}", c.variable.name));
             }
         }
-        Horizon::Finite {
-            terminal,
-            final_time,
-            ..
-        } => {
+        Horizon::Finite { final_time, .. } => {
             line(format!("\nTerminal cost at t = {final_time}"));
-            line(format!("  phi = {}", g.show(terminal.expr)));
-            let mut g = g.clone();
-            for (name, x) in names(model).iter().zip(&h.x) {
-                let slope = g.diff(terminal.expr, *x);
-                line(format!("  p_{name} = {}", g.show(slope)));
+            line(format!(
+                "  phi = {}",
+                equations.terminal_cost.as_deref().unwrap_or_default()
+            ));
+            for (name, slope) in names(model).iter().zip(&equations.terminal_costate) {
+                line(format!("  p_{name} = {slope}"));
             }
         }
     }
@@ -169,8 +184,7 @@ fn as_text(model: &Model, h: &Hamiltonian, local: Option<(&Riccati, &At)>) -> St
         };
         line(format!(
             "  {}: {} {sign} 0{value}{added}",
-            guard.name,
-            g.show(guard.condition.expr)
+            guard.name, equations.guards[k]
         ));
     }
     if let Some((r, at)) = local {
@@ -200,29 +214,28 @@ fn as_text(model: &Model, h: &Hamiltonian, local: Option<(&Riccati, &At)>) -> St
 fn as_json(
     model: &Model,
     h: &Hamiltonian,
+    equations: &Equations,
     local: Option<(&Riccati, &At)>,
     smallest: Option<&LinearAttenuation>,
 ) -> serde_json::Value {
-    let g = &h.graph;
     let riccati = local.map(|(riccati, _)| riccati);
     let guard = |(k, guard): (usize, &Guard)| {
         serde_json::json!({
-            "name": guard.name, "expression": g.show(guard.condition.expr), "strict": guard.strict,
+            "name": guard.name, "expression": equations.guards[k], "strict": guard.strict,
             "at_equilibrium": local.map(|(_, at)| at.guards[k]),
         })
     };
-    let shown =
-        |ids: &[costate::low_level::expr::Id]| ids.iter().map(|i| g.show(*i)).collect::<Vec<_>>();
     serde_json::json!({
         "title": model.title,
         "states": names(model),
         "controls": model.controls.iter().map(|c| &c.variable.name).collect::<Vec<_>>(),
         "disturbances": model.disturbances.iter().map(|d| &d.name).collect::<Vec<_>>(),
-        "hamiltonian": g.show(h.open),
-        "optimal_control": shown(&h.control),
-        "worst_disturbance": shown(&h.disturbance),
-        "state_equations": shown(&h.state_rate),
-        "adjoint_equations": shown(&h.adjoint_rate),
+        "shared": equations.shared,
+        "hamiltonian": equations.hamiltonian,
+        "optimal_control": equations.optimal_control,
+        "worst_disturbance": equations.worst_disturbance,
+        "state_equations": equations.state_equations,
+        "adjoint_equations": equations.adjoint_equations,
         "reference": model.reference(),
         "riccati": riccati.map(|r| r.p.row_iter().map(|row| row.iter().copied().collect::<Vec<_>>()).collect::<Vec<_>>()),
         "riccati_residual": riccati.map(|r| r.residual),

@@ -31,6 +31,10 @@ pub enum PlaceError {
         text: String,
         reason: String,
     },
+    #[error(
+        "two columns of the table would be called `{name}`, one of them a state's or control's: take a result file (--out FILE.h5) or --json, or rename it"
+    )]
+    TwoColumns { name: String },
     #[error("--precision f32: on the CPU values are those of f64 (--backend gpu has both)")]
     Precision,
 }
@@ -693,6 +697,12 @@ fn table(
         ]
         .map(str::to_owned),
     );
+    let mut sorted = header.clone();
+    sorted.sort_unstable();
+    if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+        let name = pair[0].clone();
+        return Err(PlaceError::TwoColumns { name }.into());
+    }
     let columns = header.len();
     let mut rows = vec![header];
     for (k, (x, at)) in states.chunks(names.len()).zip(found).enumerate() {

@@ -1,6 +1,7 @@
 //! Reading states from a CSV file.
 
 use costate::low_level::diagnostics::{did_you_mean, shorten};
+use costate::low_level::files::read_bytes;
 use costate::low_level::model::Model;
 use std::path::{Path, PathBuf};
 
@@ -63,8 +64,12 @@ pub fn has_published(path: &Path, model: &Model) -> bool {
         .comment(Some(b'#'))
         .from_path(path);
     let header = reader.and_then(|mut r| r.headers().cloned());
+    header.is_ok_and(|header| is_published(&header, model))
+}
+
+fn is_published(header: &csv::StringRecord, model: &Model) -> bool {
     let is_state = model.states.iter().any(|s| s.variable.name == PUBLISHED);
-    header.is_ok_and(|h| h.iter().next_back().map(bare) == Some(PUBLISHED)) && !is_state
+    header.iter().next_back().map(bare) == Some(PUBLISHED) && !is_state
 }
 
 /// States `[point][n]` of a CSV file whose header names states; those it does not name stay at the
@@ -80,11 +85,14 @@ pub fn read_with_times(
     time: Option<TimeColumn<'_>>,
 ) -> Result<(Vec<f64>, Vec<f64>), PointsError> {
     let at = || path.to_owned();
+    let whole = read_bytes(path).map_err(|source| PointsError::Read {
+        path: at(),
+        source: source.into(),
+    })?;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
-        .from_path(path)
-        .map_err(|source| PointsError::Read { path: at(), source })?;
+        .from_reader(whole.as_slice());
     let names: Vec<&str> = model
         .states
         .iter()
@@ -99,7 +107,6 @@ pub fn read_with_times(
             .collect::<Vec<&str>>()
             .join(", ")
     };
-    let whole = std::fs::read(path).unwrap_or_default();
     let malformed = |source: csv::Error, header: &csv::StringRecord| {
         let Some(line) = source.position().map(|p| line_of(&whole, p.byte())) else {
             return PointsError::Read { path: at(), source };
@@ -133,7 +140,7 @@ pub fn read_with_times(
         });
     }
     let mut columns = Vec::new();
-    let published = usize::from(has_published(path, model));
+    let published = usize::from(is_published(&header, model));
     for name in header.iter().take(header.len() - published) {
         let name = bare(name);
         let is_time = time.as_ref().is_some_and(|t| t.name == name);

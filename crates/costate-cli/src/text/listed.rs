@@ -102,6 +102,7 @@ fn flown(done: &Solved<'_>, answers: &Answers) -> Option<String> {
     match (home.len(), lost.len()) {
         (0, 0) => None,
         (0, lost) => Some(said(format!("no bound: {lost} did not come home"))),
+        (_, 0) if most <= 0.0 => Some(said("V and no more".to_owned())),
         (_, 0) => Some(said(format!("V and at most {most:.1e} of it more"))),
         (home, lost) => Some(said(format!(
             "V and at most {most:.1e} of it more from {home} states; from {lost} they did not come home"

@@ -229,7 +229,7 @@ pub fn histories(source: &Source<'_>) -> Made {
             cases.laws[0]
         ),
         drawing: Box::new(Panels {
-            x_label: "time (s)".to_owned(),
+            x_label: source.time_label(),
             panels,
             legend: cases.legend(1),
             marks: Vec::new(),

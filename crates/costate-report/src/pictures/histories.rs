@@ -68,7 +68,7 @@ pub fn picture(source: &Source<'_>) -> Made {
             },
         ),
         drawing: Box::new(Panels {
-            x_label: "time (s)".to_owned(),
+            x_label: source.time_label(),
             panels,
             legend: legend.collect(),
             marks: Vec::new(),
@@ -137,7 +137,7 @@ pub fn closed_loop(source: &Source<'_>) -> Made {
              on each other act alike."
         ),
         drawing: Box::new(Panels {
-            x_label: "time (s)".to_owned(),
+            x_label: source.time_label(),
             panels,
             legend: laws.chain(dashes).collect(),
             marks: Vec::new(),
