@@ -193,6 +193,12 @@
 //!
 //! What all this is made of is in [`low_level`], which promises nothing.
 
+#![warn(missing_docs)]
+
+#[allow(
+    missing_docs,
+    reason = "it promises nothing; what matters is documented"
+)]
 pub mod low_level;
 #[cfg(feature = "hdf5")]
 pub mod run;

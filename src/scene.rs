@@ -29,6 +29,7 @@ use std::path::Path;
 /// ```
 #[derive(Clone, Debug)]
 pub struct Scene {
+    /// The scene as data.
     pub model: Model,
     /// Derived from `model`.
     pub hamiltonian: Hamiltonian,

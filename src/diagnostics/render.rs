@@ -9,6 +9,8 @@ use std::fmt;
 
 /// Longest part of a line that is shown; a longer one is cut around the place.
 const MAX_LINE: usize = 160;
+/// Problems that are shown with their text; of more nobody reads them.
+const SHOWN: usize = 50;
 
 /// All problems of one scenario, in the file's order; those without a place come last.
 ///
@@ -77,7 +79,7 @@ impl ScenarioErrors {
             .with_width(120)
             .with_context_lines(1);
         let mut out = String::new();
-        for problem in &self.problems {
+        for problem in self.problems.iter().take(SHOWN) {
             let shown = Shown {
                 problem,
                 source: Source {
@@ -93,6 +95,7 @@ impl ScenarioErrors {
         }
         let count = match self.problems.len() {
             1 => "1 problem".to_owned(),
+            n if n > SHOWN => format!("{n} problems, of which these are the first {SHOWN},"),
             n => format!("{n} problems"),
         };
         out + &format!("{count} in {}\n", self.file_name)

@@ -279,7 +279,7 @@ impl Regression {
     }
 
     /// Derivatives of residual `i` of sample `k` by the weights, after [`Self::residual`].
-    #[allow(clippy::too_many_arguments)] // one sample's part of a sum
+    #[allow(clippy::too_many_arguments, reason = "one sample's part of a sum")]
     fn row(
         &self,
         shape: &Shape,

@@ -313,10 +313,10 @@ mod tests {
             let dataset = back.dataset(&format!("trajectories/{name}")).unwrap();
             dataset.attr("units").unwrap().read_string().unwrap()
         };
-        assert_eq!(unit("t"), "s");
+        assert_eq!(unit("t"), "1");
         assert_eq!(unit("x"), "see state_units");
         assert_eq!(unit("u"), "N m");
-        assert_eq!(unit("H"), "1/s");
+        assert_eq!(unit("H"), "1");
         let units = back.dataset("trajectories/costate_units").unwrap();
         assert_eq!(units.read_vlen_strings().unwrap(), ["1/rad", "1/(rad/s)"]);
         for absent in ["w", "disturbance", "disturbance_units"] {

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 /// Why a run with files did not succeed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "its message says what each is")]
 pub enum RunError {
     #[error(transparent)]
     Session(SessionError),

@@ -10,7 +10,9 @@ use std::path::{Path, PathBuf};
 
 /// What came of it.
 pub struct Evaluated {
+    /// Of `[closed_loop]`.
     pub closed_loop: Option<Evaluation>,
+    /// Of `[dissipation]`.
     pub dissipation: Option<Dissipation>,
     /// The result file.
     pub path: PathBuf,

@@ -12,7 +12,9 @@ use std::path::{Path, PathBuf};
 
 /// Laws of a scene as fitted, with the files written of each.
 pub struct FittedFiles {
+    /// The laws.
     pub fitted: Fitted,
+    /// The files, one entry a law.
     pub exports: Vec<Exports>,
 }
 

@@ -18,9 +18,13 @@ use crate::session::{Finished, LoopOptions, Session, SessionError};
 /// What came of it; `None` where the scene does not ask for it, or it could not be done.
 #[derive(Default)]
 pub struct LawsDone {
+    /// The laws of `[feedback]`.
     pub feedback: Option<FittedFiles>,
+    /// The loops of `[closed_loop]`.
     pub closed_loop: Option<Evaluation>,
+    /// The check of `[dissipation]`.
     pub dissipation: Option<Dissipation>,
+    /// The levels of `[attenuation]`.
     pub attenuation: Option<Attenuated>,
 }
 

@@ -42,7 +42,9 @@ use std::time::{Instant, SystemTime};
 /// When a run began, and what made it: for the record in its file.
 #[derive(Clone, Debug)]
 pub struct Provenance {
+    /// When, by the calendar.
     pub started: SystemTime,
+    /// When, for how long it takes.
     pub clock: Instant,
     /// The commit that the program was built from.
     pub git_revision: String,
@@ -78,10 +80,13 @@ impl Provenance {
 
 /// What a run has done.
 pub struct Done {
+    /// The pass, with all it found.
     pub outcome: Outcome,
     /// Laws, closed loops and levels of attenuation.
     pub laws: LawsDone,
+    /// Where the numbers come from, as the file has it.
     pub record: RunRecord,
+    /// The numbers, as the file and `--json` have them.
     pub summary: RunSummary,
     /// The result file.
     pub path: PathBuf,

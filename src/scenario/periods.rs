@@ -14,21 +14,14 @@ const MOST_PERIODS: f64 = 1000.0;
 const ROUNDING: f64 = 1e-6;
 
 impl Reader<'_> {
-    /// Checks each period against the region, and the equations, cost and guards one period later
-    /// at some points of the region.
+    /// Checks each period against the region, and the equations one period later at some points of
+    /// the region. The cost and guards need not repeat: then the copies of a state by whole periods
+    /// are told apart, and the cheapest counts.
     pub fn check_periods(&mut self, states: &[State], scene: &Scene<'_>) {
         let Some(region) = scene.region else { return };
-        let running = std::iter::once(("the running cost".to_owned(), scene.running.expr));
         let rates = scene.dynamics.iter().zip(states);
         let rates = rates.map(|(f, s)| (format!("d{}/dt", s.variable.name), f.expr));
-        let guards = scene.guards.iter();
-        let guards = guards.map(|g| {
-            (
-                format!("the left side of guard `{}`", g.name),
-                g.condition.expr,
-            )
-        });
-        let all: Vec<(String, Id)> = rates.chain(running).chain(guards).collect();
+        let all: Vec<(String, Id)> = rates.collect();
 
         for (i, state) in states.iter().enumerate() {
             let Some(period) = state.period else { continue };

@@ -37,14 +37,16 @@ pub struct Equations {
     pub state_equations: Vec<String>,
     /// dp/dt, one a state.
     pub adjoint_equations: Vec<String>,
-    /// The terminal cost and its slope by each state, on a finite horizon.
+    /// The terminal cost phi(x), on a finite horizon.
     pub terminal_cost: Option<String>,
+    /// dphi/dx, one a state.
     pub terminal_costate: Vec<String>,
     /// The left sides of the guards, the program's own included: positive inside.
     pub guards: Vec<String>,
 }
 
 impl Equations {
+    /// Of a scene.
     #[must_use]
     pub fn new(scene: &Scene) -> Self {
         let Scene {

@@ -14,6 +14,7 @@ use crate::value::StatesError;
 /// Why a session has no answer.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "its message says what each is")]
 pub enum SessionError {
     #[error("{given} numbers are no list of states with {states} components each")]
     Components { given: usize, states: usize },

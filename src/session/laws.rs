@@ -18,6 +18,7 @@ const MOST_LOOKED_AT: usize = 1 << 20;
 pub struct FitData<'d> {
     /// The scene that the samples are solutions of.
     pub scene: &'d Scene,
+    /// Points of optimal trajectories.
     pub samples: &'d Samples,
     /// A map that knows which samples are optimal, where solutions of several sheets may be among
     /// them. Without one, or where it has no objection, neighbouring samples decide.

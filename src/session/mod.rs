@@ -68,13 +68,17 @@ pub struct Session<'s> {
 
 /// Trajectories that were swept outward from the equilibrium (or from the terminal cost).
 pub struct Swept {
+    /// What was integrated, and how.
     pub plan: Plan,
+    /// How it went: statuses, coverage, |H|.
     pub report: SweepReport,
+    /// All of them.
     pub trajectories: SweptTrajectories,
 }
 
 /// States that were solved for.
 pub struct Solved {
+    /// What was integrated, and how.
     pub plan: Plan,
     /// All solutions, and what is known of them.
     pub answers: Answers,
@@ -95,6 +99,7 @@ impl Solved {
 
 /// A map of V that was made, and how that went.
 pub struct Mapped {
+    /// How it went: pieces, the check with fresh states, what is not known.
     pub made: Adaptive,
     /// V, p and u at any state.
     pub map: ValueMap,
@@ -130,14 +135,17 @@ impl<'s> Session<'s> {
         self
     }
 
+    /// The scene.
     pub fn scene(&self) -> &'s Scene {
         self.scene
     }
 
+    /// Where it computes.
     pub fn backend(&self) -> &dyn Backend {
         self.backend.as_ref()
     }
 
+    /// Who listens.
     pub fn progress(&self) -> &'s dyn Progress {
         self.progress
     }

@@ -33,6 +33,7 @@ pub struct Pass<'s> {
 
 /// What came of a pass.
 pub struct Outcome {
+    /// What was integrated, and how.
     pub plan: Plan,
     /// Of the sweep, also of one that only gave first guesses.
     pub swept: SweepReport,
@@ -98,6 +99,7 @@ impl Session<'_> {
 }
 
 impl Pass<'_> {
+    /// What will be integrated, and how.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }

@@ -31,6 +31,7 @@ pub struct Wanted {
 /// Which states are solved for.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum States {
+    /// None.
     #[default]
     None,
     /// Those of the scene's `[homotopy]` and `[map]`.
@@ -38,6 +39,7 @@ pub enum States {
         /// Whether a scene without any, and without a map to an error, is refused.
         needed: bool,
     },
+    /// A list of your own.
     Listed(Listed),
 }
 

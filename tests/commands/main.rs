@@ -22,6 +22,7 @@ mod program;
 mod published;
 mod refusals;
 mod report;
+mod reserved;
 mod solve;
 
 /// The directory of the whole project.

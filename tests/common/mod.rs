@@ -1,5 +1,5 @@
 //! Comparing what two backends made of the same batch.
-#![allow(dead_code)] // every test crate uses a part
+#![allow(dead_code, reason = "every test crate uses a part")]
 
 use costate::backend::gpu::{Gpu, Selection};
 use costate::backend::{Status, Trajectories};

@@ -1,5 +1,5 @@
 //! What the tests of commands share: directories, scenes made of shipped ones, and the program.
-#![allow(dead_code)] // every test crate uses a part
+#![allow(dead_code, reason = "every test crate uses a part")]
 
 pub mod header;
 pub mod made_up;

@@ -1,5 +1,5 @@
 //! What the tests of scenarios/hard share.
-#![allow(dead_code)] // each test file uses its part
+#![allow(dead_code, reason = "each test file uses its part")]
 
 use crate::common::any_gpu;
 use crate::common_oracles::{Asked, F32, F64, Sweep, scene};

@@ -1,5 +1,5 @@
 //! What the tests of the closed loop share: scenes evaluated, and an integrator of their own.
-#![allow(dead_code)] // every test crate uses a part
+#![allow(dead_code, reason = "every test crate uses a part")]
 
 use costate::backend::Backend;
 use costate::low_level::closed_loop::{Chart, Evaluation, Initial, Law, LawResult, Laws, Setting};

@@ -1,6 +1,6 @@
 //! What the oracle tests share: scenes, sweeps on the CPU with everything they compute kept,
 //! deterministic points.
-#![allow(dead_code)] // each test file uses its part
+#![allow(dead_code, reason = "each test file uses its part")]
 
 pub mod numbers;
 

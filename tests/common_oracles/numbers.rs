@@ -1,5 +1,8 @@
 //! Kinds of number that a hand-written right-hand side can be evaluated with.
-#![allow(clippy::suspicious_arithmetic_impl)] // the product and quotient rules
+#![allow(
+    clippy::suspicious_arithmetic_impl,
+    reason = "the product and quotient rules"
+)]
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 

@@ -1,5 +1,5 @@
 //! What the tests of values at chosen states share: a scene solved at grids and points.
-#![allow(dead_code)] // each test file uses its part
+#![allow(dead_code, reason = "each test file uses its part")]
 
 use costate::backend::{Backend, BackendError, cpu::Cpu};
 use costate::low_level::model::Model;
@@ -7,7 +7,7 @@ use costate::low_level::shooting::Solver;
 use costate::low_level::sweep::{Choices, Plan, sweep_keeping};
 use costate::low_level::value::{self, Answers, Archive, Entry, Grid, Request};
 
-#[allow(unused_imports)] // each test file uses its part
+#[allow(unused_imports, reason = "each test file uses its part")]
 pub use crate::common_oracles::{parse, scene};
 
 /// A scene swept, ready to be solved at states.

@@ -16,6 +16,7 @@ mod flight;
 mod hard_states;
 mod homotopy;
 mod least;
+mod session;
 mod sheets;
 
 /// The directory of the whole project.

@@ -156,7 +156,7 @@ impl Decision {
     }
 
     /// The lanes to be looked at singly: a level, a guard, a bound, a limit is met.
-    #[allow(clippy::too_many_arguments)]
+    #[allow(clippy::too_many_arguments, reason = "what a step gives, each named")]
     fn look(
         &mut self,
         r: &mut Recorder,

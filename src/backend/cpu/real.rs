@@ -29,7 +29,7 @@ pub trait Real:
     fn absolute(self) -> Self;
     fn root(self) -> Self;
     #[inline(always)]
-    #[allow(clippy::eq_op)] // infinite minus infinite is not a number
+    #[allow(clippy::eq_op, reason = "infinite minus infinite is not a number")]
     fn is_finite(self) -> bool {
         self - self == Self::of(0.0)
     }
@@ -160,7 +160,7 @@ macro_rules! real {
                 $t::from_bits(a.to_bits().wrapping_add(b.to_bits()))
             }
             #[inline(always)]
-            #[allow(clippy::eq_op)] // the definition of a NaN
+            #[allow(clippy::eq_op, reason = "the definition of a NaN")]
             fn compare(&mut self, how: Comparison, a: $t, b: $t) -> bool {
                 match how {
                     Comparison::Less => a < b,

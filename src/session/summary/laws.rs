@@ -1,4 +1,5 @@
 //! Laws, closed loops and levels of attenuation in numbers.
+#![allow(missing_docs, reason = "fields whose name says what they are")]
 
 use super::finite;
 use crate::attenuation::{Attenuated, Covering, Row};

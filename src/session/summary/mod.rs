@@ -1,6 +1,7 @@
 //! What a run reports, as plain numbers: the attribute `summary` of a result file, and what
 //! `--json` prints. A number that is not finite (of which nothing is known) is `None`, in JSON
 //! null.
+#![allow(missing_docs, reason = "fields whose name says what they are")]
 
 mod laws;
 

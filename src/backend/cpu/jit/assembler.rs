@@ -66,7 +66,7 @@ impl Assembler {
     }
 
     /// A 256-bit VEX instruction: `opcode reg, vvvv, operand`.
-    #[allow(clippy::too_many_arguments)] // the fields of an encoding
+    #[allow(clippy::too_many_arguments, reason = "the fields of an encoding")]
     fn vex(
         &mut self,
         map: Map,

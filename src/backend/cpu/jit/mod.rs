@@ -20,7 +20,7 @@ pub const MOST_OPERATIONS: usize = 200_000;
 /// A vector's bytes.
 #[repr(align(32))]
 #[derive(Clone, Copy)]
-struct Vector(#[allow(dead_code)] [u64; VECTOR / 8]); // machine code reads it
+struct Vector(#[allow(dead_code, reason = "machine code reads it")] [u64; VECTOR / 8]);
 
 /// Compiled code for frames of `W` lanes.
 pub struct Executable {
