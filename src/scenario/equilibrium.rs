@@ -208,39 +208,71 @@ impl<'a> Reader<'a> {
             .fold(0.0, f64::max)
     }
 
-    /// The equilibrium next to the values given, where Newton's method finds one near by: of the
-    /// states and controls that solve f = 0 the nearest in widths of the region.
+    /// The equilibrium next to the values given, in words, where there is one near by: with the
+    /// controls as they are, or else of states and controls together the nearest in widths of the
+    /// region.
     fn nearest_equilibrium(
         &self,
         at: &Equilibrium,
         scene: &Scene<'_>,
         values: &HashMap<Id, f64>,
     ) -> Option<String> {
-        /// Further away than this share of the region's width it is another one.
-        const NEAR: f64 = 0.05;
-        const STEPS: usize = 30;
-        let mut graph = self.graph.clone();
         let states = scene.states.iter().map(|s| (s.symbol, s.name.as_str()));
         let controls = scene.controls.iter();
         let unknowns: Vec<(Id, &str)> = states
             .chain(controls.map(|c| (c.variable.symbol, c.variable.name.as_str())))
             .collect();
-        let rates: Vec<Id> = scene.dynamics.iter().map(|f| f.expr).collect();
-        let slopes: Vec<Id> = (rates.iter())
-            .flat_map(|f| unknowns.iter().map(|(x, _)| (*f, *x)).collect::<Vec<_>>())
-            .map(|(f, x)| graph.diff(f, x))
-            .collect();
-
         let given: Vec<f64> = at.x.iter().chain(&at.u).map(|p| p.value).collect();
         let widths: Vec<f64> = (scene.region?.iter().map(|[lo, hi]| hi - lo))
             .chain(at.u.iter().map(|p| p.value.abs().max(1.0)))
             .collect();
+        let rates: Vec<Id> = scene.dynamics.iter().map(|f| f.expr).collect();
+        let moved = [rates.len(), unknowns.len()].into_iter().find_map(|free| {
+            let symbols: Vec<Id> = unknowns[..free].iter().map(|(id, _)| *id).collect();
+            let at: Vec<f64> = given[..free].to_vec();
+            self.root(&rates, &symbols, &at, &widths, values)
+        })?;
+        let written = unknowns.iter().zip(&moved).zip(&given);
+        let written: Vec<String> = written
+            .filter(|((_, moved), given)| moved != given)
+            .map(|(((_, name), moved), _)| format!("{name} = {moved:?}"))
+            .collect();
+        Some(format!(
+            "the nearest equilibrium has {}; write that, or what it is as an expression",
+            written.join(", ")
+        ))
+    }
+
+    /// Values of `unknowns` next to those given where all of `rates` are 0: Newton's method, with
+    /// the shortest step in `widths` where there are more unknowns than equations.
+    fn root(
+        &self,
+        rates: &[Id],
+        unknowns: &[Id],
+        given: &[f64],
+        widths: &[f64],
+        values: &HashMap<Id, f64>,
+    ) -> Option<Vec<f64>> {
+        /// Further away than this share of the width it is another one.
+        const NEAR: f64 = 0.05;
+        /// What is left of a value next to 0 is rounding.
+        const ZERO: f64 = 1e-13;
+        const STEPS: usize = 30;
+        let mut graph = self.graph.clone();
         let (n, m) = (rates.len(), unknowns.len());
-        let mut point = given.clone();
-        for _ in 0..STEPS {
+        let slopes: Vec<Id> = (0..n * m)
+            .map(|k| graph.diff(rates[k / m], unknowns[k % m]))
+            .collect();
+        let at = |point: &[f64]| {
             let mut here = values.clone();
-            here.extend(unknowns.iter().zip(&point).map(|((id, _), v)| (*id, *v)));
-            let rate = DVector::from_vec(graph.eval(&rates, &here));
+            here.extend(unknowns.iter().copied().zip(point.iter().copied()));
+            here
+        };
+
+        let mut point = given.to_vec();
+        for _ in 0..STEPS {
+            let here = at(&point);
+            let rate = DVector::from_vec(graph.eval(rates, &here));
             let slope = graph.eval(&slopes, &here);
             let jacobian = DMatrix::from_fn(n, m, |i, j| slope[i * m + j] * widths[j]);
             if jacobian.iter().chain(rate.iter()).any(|v| !v.is_finite()) {
@@ -250,31 +282,22 @@ impl<'a> Reader<'a> {
             for j in 0..m {
                 point[j] -= step[j] * widths[j];
             }
-            if step.norm() < 1e-14 {
+            if step.norm() < 1e-15 {
                 break;
             }
         }
-        let moved = (0..m).map(|j| ((point[j] - given[j]) / widths[j]).abs());
-        if moved.fold(0.0, f64::max) > NEAR {
-            return None;
+        for (value, width) in point.iter_mut().zip(widths) {
+            if value.abs() < ZERO * width {
+                *value = 0.0;
+            }
         }
-        let mut here = values.clone();
-        here.extend(unknowns.iter().zip(&point).map(|((id, _), v)| (*id, *v)));
+        let near = (0..m).all(|j| (point[j] - given[j]).abs() <= NEAR * widths[j]);
+        let here = at(&point);
         let solved = rates.iter().all(|f| {
             let (value, size) = sized(&graph, *f, &here);
             is_zero(value, size.max(1.0))
         });
-        let written = unknowns.iter().zip(&point).zip(&given);
-        let written: Vec<String> = written
-            .filter(|((_, point), given)| point != given)
-            .map(|(((_, name), point), _)| format!("{name} = {point:?}"))
-            .collect();
-        solved.then(|| {
-            format!(
-                "the nearest equilibrium has {}; write that, or what it is as an expression",
-                written.join(", ")
-            )
-        })
+        (near && solved).then_some(point)
     }
 
     /// Checks f = 0, L = 0, dL/dx = 0 and smoothness (not with a final time) and the guards at the

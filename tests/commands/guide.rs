@@ -34,6 +34,22 @@ fn blocks(text: &str) -> Vec<(String, String)> {
     found
 }
 
+/// A line of a chapter as a command: of the program, or of the shell.
+fn command(line: &str) -> Command {
+    match line.strip_prefix("costate ") {
+        Some(arguments) => {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_costate"));
+            command.args(arguments.split(' '));
+            command
+        }
+        None => {
+            let mut command = Command::new("sh");
+            command.args(["-c", line]);
+            command
+        }
+    }
+}
+
 #[test]
 fn ten_minutes_lead_to_a_law() {
     let folder = scratch("guide");
@@ -45,19 +61,7 @@ fn ten_minutes_lead_to_a_law() {
             "c" => std::fs::write(folder.join("main.c"), block).unwrap(),
             "sh" => {
                 for line in block.lines() {
-                    let mut command = match line.strip_prefix("costate ") {
-                        Some(arguments) => {
-                            let mut command = Command::new(env!("CARGO_BIN_EXE_costate"));
-                            command.args(arguments.split(' '));
-                            command
-                        }
-                        None => {
-                            let mut command = Command::new("sh");
-                            command.args(["-c", line]);
-                            command
-                        }
-                    };
-                    let done = command.current_dir(&folder).output().unwrap();
+                    let done = command(line).current_dir(&folder).output().unwrap();
                     let errors = String::from_utf8_lossy(&done.stderr);
                     assert!(done.status.success(), "{line}: {errors}");
                     said.push((line.to_owned(), String::from_utf8(done.stdout).unwrap()));
@@ -101,12 +105,7 @@ fn performed(chapter: &str, folder: &Path) -> String {
             continue;
         }
         for line in block.lines().filter(|_| language == "sh") {
-            let arguments = line.strip_prefix("costate ").expect("a command of costate");
-            let done = Command::new(env!("CARGO_BIN_EXE_costate"))
-                .args(arguments.split(' '))
-                .current_dir(folder)
-                .output()
-                .unwrap();
+            let done = command(line).current_dir(folder).output().unwrap();
             let errors = String::from_utf8_lossy(&done.stderr);
             assert!(done.status.success(), "{chapter}: {line}: {errors}");
             printed += &String::from_utf8_lossy(&done.stdout);

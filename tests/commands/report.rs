@@ -223,14 +223,43 @@ fn solved_states_alone_give_fewer_pictures_and_any_width_is_had() {
         ["contours", "surface", "slice", "errors"]
     );
     assert_sound(&summary, &text, 500);
-    // What another report left is replaced, and nothing else.
+    // What the page that is replaced names is taken away, and nothing else.
     let pictures = page.with_extension("");
-    std::fs::write(pictures.join("speed.svg"), "old").unwrap();
-    std::fs::write(pictures.join("mine.svg"), "kept").unwrap();
+    let old = std::fs::read_to_string(&page).unwrap();
+    std::fs::write(&page, old + "<a href=\"page/speed.svg\">SVG</a>").unwrap();
+    for name in ["speed.svg", "mine.svg", "coverage.svg"] {
+        std::fs::write(pictures.join(name), "old").unwrap();
+    }
     let (summary, text) = reported(&file, &page, &["--width", "1200"]);
     assert!(!pictures.join("speed.svg").exists());
-    std::fs::remove_file(pictures.join("mine.svg")).unwrap();
+    for name in ["mine.svg", "coverage.svg"] {
+        std::fs::remove_file(pictures.join(name)).unwrap();
+    }
     assert_sound(&summary, &text, 1200);
+}
+
+#[test]
+fn files_that_are_no_report_s_are_not_replaced() {
+    let file = result("hopf_lax");
+    let page = folder("others").join("page.html");
+    let pictures = page.with_extension("");
+    std::fs::create_dir_all(&pictures).unwrap();
+    for own in [page.clone(), pictures.join("contours.svg")] {
+        std::fs::write(&own, "mine").unwrap();
+        let arguments = [
+            "report",
+            file.to_str().unwrap(),
+            "--out",
+            page.to_str().unwrap(),
+        ];
+        let refused = costate(&arguments);
+        let error = String::from_utf8_lossy(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(2), "{error}");
+        assert!(error.contains("no part of an earlier report"), "{error}");
+        assert_eq!(std::fs::read_to_string(&own).unwrap(), "mine");
+        assert!(!pictures.join("surface.svg").exists());
+        std::fs::remove_file(&own).unwrap();
+    }
 }
 
 /// V of the scene `hopf_lax` at t = 0 (Hopf and Lax): the least of phi(a) + |x - a|^2 / (2 T), T =

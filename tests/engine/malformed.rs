@@ -162,6 +162,11 @@ fn names_in_expressions() {
 }
 
 #[test]
+fn workarounds() {
+    check(include_str!("../malformed/workarounds.cases"));
+}
+
+#[test]
 fn declarations() {
     check(include_str!("../malformed/declarations.cases"));
 }
