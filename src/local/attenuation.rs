@@ -1,7 +1,7 @@
 //! The smallest level of attenuation that the linearization allows, found in two ways.
 //!
-//! With `H_pp = -B R^-1 B' + E E' / gamma^2` the game Riccati equation has a stabilizing solution P
-//! >= 0 exactly for gamma above some gamma* (Doyle, Glover, Khargonekar & Francis 1989). Going down
+//! With `H_pp = -B R^-1 B' + E E' / gamma^2` the game Riccati equation has a stabilizing solution
+//! P >= 0 exactly for gamma above some gamma* (Doyle, Glover, Khargonekar & Francis 1989). Going down
 //! to it, P grows until either eigenvalues of the Hamiltonian matrix meet on the imaginary axis, or
 //! P becomes infinite (the upper block of the stable invariant subspace becomes singular) and
 //! changes sign.

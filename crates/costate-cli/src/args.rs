@@ -1,11 +1,7 @@
 //! The arguments of each command.
 
-use crate::commands::check_least::CheckLeastArgs;
-use crate::common::open;
-use crate::error::CliError;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use costate::backend::Backend;
-use costate::low_level::model::{Method, Model, Precision};
+use costate::low_level::model::{Method, Precision};
 use costate::low_level::sweep::Choices;
 use std::path::PathBuf;
 
@@ -390,12 +386,6 @@ pub enum PrecisionChoice {
 }
 
 impl NumericsArgs {
-    /// The backend asked for, fit for the method that is asked for here or by the scene.
-    pub fn open(&self, model: &Model) -> Result<Box<dyn Backend>, CliError> {
-        let method = self.method.or(model.integrator.method);
-        open::backend(self.backend, self.adapter.as_deref(), method)
-    }
-
     pub fn choices(&self, seed: u64) -> Choices {
         Choices {
             precision: self.precision.and_then(PrecisionChoice::precision),
@@ -487,5 +477,53 @@ pub fn tolerance(text: &str) -> Result<f64, String> {
         Ok(value)
     } else {
         Err("a relative tolerance is above 0 and at most 0.1".to_owned())
+    }
+}
+
+#[derive(Args, Debug, Clone)]
+pub struct CheckLeastArgs {
+    /// The result file (.h5), with solved states in /points or /map.
+    pub file: PathBuf,
+    /// Nodes of the grid along each axis, about: one number, or one for each state [default: by the
+    /// number of states]
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = nodes)]
+    pub nodes: Vec<usize>,
+    /// Widths of the region by which the grid goes beyond the region and the states.
+    #[arg(long, default_value_t = 0.3, value_parser = margin, allow_negative_numbers = true)]
+    pub margin: f64,
+    /// Seconds for the grid; on an infinite horizon its values are taken as they are then.
+    #[arg(long, value_parser = seconds, allow_negative_numbers = true)]
+    pub seconds: Option<f64>,
+    /// The grid and V are apart where they differ by more than this share of V.
+    #[arg(long, default_value_t = 0.1, value_parser = share, allow_negative_numbers = true)]
+    pub apart: f64,
+    #[command(flatten)]
+    pub numerics: NumericsArgs,
+    /// Machine-readable summary on standard output; everything else goes to standard error.
+    #[arg(long)]
+    pub json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+fn nodes(text: &str) -> Result<usize, String> {
+    match text.trim().parse() {
+        Ok(count) if (11..=100_001).contains(&count) => Ok(count),
+        _ => Err("a whole number from 11 to 100001".to_owned()),
+    }
+}
+
+fn margin(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(widths) if (0.0..=10.0).contains(&widths) => Ok(widths),
+        _ => Err("widths of the region, from 0 to 10".to_owned()),
+    }
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(share) if share > 0.0 && share <= 10.0 => Ok(share),
+        _ => Err("a share of V, above 0 and at most 10".to_owned()),
     }
 }

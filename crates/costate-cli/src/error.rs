@@ -1,11 +1,11 @@
 //! Why a command stopped, and its exit status.
 
-use crate::commands::{export, report, value};
-use crate::common::{grid, points};
 use costate::backend::BackendError;
 use costate::low_level::dynamic_programming::DpError;
+use costate::low_level::feedback::{LawError, NetworkError};
 use costate::low_level::files::FileError;
 use costate::low_level::hdf5::OutputError;
+use costate::low_level::local::LocalError;
 use costate::low_level::map::DeviceError;
 use costate::low_level::result::{StoredError, StoredMapError};
 use costate::low_level::scenario::{LoadError, ScenarioErrors};
@@ -14,6 +14,9 @@ use costate::session::SessionError;
 use costate_bench::BenchError;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
+
+/// Most nodes in all: about a hundred bytes each.
+pub const MOST_NODES: usize = 20_000_000;
 
 /// Why a command stopped.
 #[derive(Debug, thiserror::Error)]
@@ -39,13 +42,13 @@ pub enum CliError {
     #[error(transparent)]
     Device(#[from] DeviceError),
     #[error(transparent)]
-    Points(#[from] points::PointsError),
+    Points(#[from] PointsError),
     #[error(transparent)]
-    Place(#[from] value::PlaceError),
+    Place(#[from] PlaceError),
     #[error(transparent)]
-    Export(#[from] export::ExportError),
+    Export(#[from] ExportError),
     #[error(transparent)]
-    Refused(#[from] grid::GridRefusal),
+    Refused(#[from] GridRefusal),
     #[error(transparent)]
     Bench(#[from] BenchError),
     #[error("--out {path}: the picture takes this name with .svg; name the table .h5", path = path.display())]
@@ -53,7 +56,7 @@ pub enum CliError {
     #[error(transparent)]
     Report(#[from] costate_report::ReportError),
     #[error(transparent)]
-    ReportOption(#[from] report::OptionError),
+    ReportOption(#[from] OptionError),
     #[error("--out {path}: {reason}", path = path.display())]
     BadOut { path: PathBuf, reason: String },
     #[error(
@@ -86,7 +89,7 @@ impl From<SessionError> for CliError {
         match error {
             SessionError::Scenario(errors) => Self::Scenario(errors),
             SessionError::Grid(DpError::OutOfTime) => {
-                grid::GridRefusal::OutOfTime(DpError::OutOfTime).into()
+                GridRefusal::OutOfTime(DpError::OutOfTime).into()
             }
             other => Self::Session(other),
         }
@@ -111,7 +114,7 @@ impl CliError {
             Self::Run(error) => error.is_of_input(),
             Self::File(error) | Self::Output(OutputError::File(error)) => error.is_of_name(),
             Self::Device(error) => !matches!(error, DeviceError::Backend(_)),
-            Self::Refused(error) => !matches!(error, grid::GridRefusal::OutOfTime(_)),
+            Self::Refused(error) => !matches!(error, GridRefusal::OutOfTime(_)),
             Self::Report(error) => {
                 use costate_report::ReportError;
                 matches!(
@@ -141,4 +144,139 @@ impl CliError {
         // Nowhere is left to report a failure of this.
         let _ = writeln!(std::io::stderr(), "{}", text.trim_end());
     }
+}
+
+/// What is wrong with the places asked for.
+#[derive(Debug, thiserror::Error)]
+pub enum PlaceError {
+    #[error(
+        "no states are asked for: give --at NAME=VALUE,..., --points FILE.csv or --grid NAME=FIRST:LAST:COUNT"
+    )]
+    Nothing,
+    #[error("--{option} {text}: {reason}")]
+    Malformed {
+        option: &'static str,
+        text: String,
+        reason: String,
+    },
+    #[error(
+        "two columns of the table would be called `{name}`, one of them a state's or control's: take a result file (--out FILE.h5) or --json, or rename it"
+    )]
+    TwoColumns { name: String },
+    #[error("--precision f32: on the CPU values are those of f64 (--backend gpu has both)")]
+    Precision,
+}
+
+/// Why nothing was exported.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    #[error(
+        "{path} has no map in pieces: give the scene [map] with error = ... and run it again (--local exports the series about the equilibrium)", path = path.display()
+    )]
+    NoMap { path: PathBuf },
+    #[error("{path} is a scene, and a map is in a result file: run it first (--local exports the series about the equilibrium)", path = path.display())]
+    Scene { path: PathBuf },
+    #[error("{path} is a scene, and a fitted law is in a result file: run it and fit the law first (costate fit)", path = path.display())]
+    SceneOfLaw { path: PathBuf },
+    #[error("{path} holds no fitted law: fit one first (costate fit)", path = path.display())]
+    NoLaw { path: PathBuf },
+    #[error("{path} holds {}: say which with --law=NAME", listed(laws), path = path.display())]
+    WhichLaw { path: PathBuf, laws: Vec<String> },
+    #[error("{path} holds no law `{name}`, but {}", listed(laws), path = path.display())]
+    OtherLaws {
+        path: PathBuf,
+        name: String,
+        laws: Vec<String>,
+    },
+    #[error(
+        "--set changes a scene, and {path} is a result file: run its scene with --set and export that, or export the series of the scene (--local SCENE.toml --set ...)", path = path.display()
+    )]
+    SetOfResult { path: PathBuf },
+    #[error("a finite horizon has no equilibrium, and so no series about it")]
+    Finite,
+    #[error(transparent)]
+    Local(#[from] LocalError),
+    #[error(transparent)]
+    Weights(#[from] NetworkError),
+    #[error(transparent)]
+    Law(#[from] LawError),
+}
+
+/// An option that is no number or names nothing.
+#[derive(Debug, thiserror::Error)]
+#[error("{option} {text}: {reason}")]
+pub struct OptionError {
+    pub option: &'static str,
+    pub text: String,
+    pub reason: String,
+}
+
+/// Why there is no V on a grid for a command.
+#[derive(Debug, thiserror::Error)]
+pub enum GridRefusal {
+    #[error(
+        "{path} has no solved states in /points or /map: make it with `costate solve SCENE --points FILE.csv`, or ask for [homotopy] or [map] in the scene",
+        path = path.display()
+    )]
+    NoStates { path: PathBuf },
+    #[error(
+        "--nodes: {given} numbers for {states} states: give one for all axes, or one for each of {names}"
+    )]
+    Counts {
+        given: usize,
+        states: usize,
+        names: String,
+    },
+    #[error("--nodes: {nodes} nodes in all; at most {}", MOST_NODES)]
+    TooManyNodes { nodes: usize },
+    #[error(
+        "--grid-guesses: this solves for no states of [homotopy], [map] or a file: leave the option out"
+    )]
+    Nothing,
+    #[error("--seconds: {0}: give more of them, or fewer --nodes")]
+    OutOfTime(DpError),
+}
+
+/// What is wrong with a file of points; each error names the place.
+#[derive(Debug, thiserror::Error)]
+pub enum PointsError {
+    #[error("cannot read {}: {source}", path.display())]
+    Read { path: PathBuf, source: csv::Error },
+    #[error("{}: line {line}: {reason}", path.display())]
+    Malformed {
+        path: PathBuf,
+        line: u64,
+        reason: String,
+    },
+    #[error("{}: line 1: `{name}` is not a state of the scenario (states: {states}){help}", path.display())]
+    UnknownState {
+        path: PathBuf,
+        name: String,
+        states: String,
+        help: String,
+    },
+    #[error("{}: line 1: `{name}` stands there twice", path.display())]
+    Twice { path: PathBuf, name: String },
+    #[error("{}: line 1: a header with the names of states is needed (states: {states})", path.display())]
+    NoHeader { path: PathBuf, states: String },
+    #[error("{}: line {line}, column `{name}`: `{text}` is not a finite number", path.display())]
+    NotANumber {
+        path: PathBuf,
+        line: u64,
+        name: String,
+        text: String,
+    },
+    #[error("{}: line {line}, column `{name}`: {reason}", path.display())]
+    Time {
+        path: PathBuf,
+        line: u64,
+        name: String,
+        reason: String,
+    },
+    #[error("{} has a header but no points", path.display())]
+    Empty { path: PathBuf },
+}
+
+fn listed(laws: &[String]) -> String {
+    format!("the laws {}", laws.join(", "))
 }

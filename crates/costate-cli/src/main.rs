@@ -4,6 +4,7 @@ mod args;
 mod commands;
 mod common;
 mod error;
+mod terminal;
 mod text;
 
 use args::Command;

@@ -1,8 +1,8 @@
 //! The L2 gain that a value function certifies, checked by simulation.
 //!
 //! The running cost of a game splits into what the disturbance does and what it pays for: with
-//! `l(x, u) = L(x, u, 0)` and the supply `s(x, u, w) = L(x, u, 0) - L(x, u, w)` (for `L = 1/2 |z|^2
-//! - 1/2 gamma^2 |w|^2` it is `1/2 gamma^2 |w|^2`). V that solves the Isaacs equation is a storage
+//! `l(x, u) = L(x, u, 0)` and the supply `s(x, u, w) = L(x, u, 0) - L(x, u, w)` (for
+//! `L = 1/2 |z|^2 - 1/2 gamma^2 |w|^2` it is `1/2 gamma^2 |w|^2`). V that solves the Isaacs equation is a storage
 //! function (van der Schaft, IEEE Trans. Automatic Control 37, 1992): under u* and *every* w that
 //! keeps the state where V is known, at all times T
 //!

@@ -1,10 +1,10 @@
 //! `costate attenuation`: the smallest levels of attenuation alone.
 
+use super::alone::Alone;
 use crate::args::RunArgs;
-use crate::common::alone::Alone;
 use crate::common::print_json;
-use crate::common::terminal::Terminal;
 use crate::error::CliError;
+use crate::terminal::Terminal;
 use costate::low_level::result::Stored;
 use costate::run::write_attenuation;
 use costate::session::summary::AttenuationSummary;

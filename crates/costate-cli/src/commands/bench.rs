@@ -2,9 +2,9 @@
 
 use crate::args::{BenchArgs, BenchBackend, PrecisionChoice};
 use crate::common::load::load;
-use crate::common::terminal::Terminal;
 use crate::common::{Kind, check_out, print_json, provenance};
 use crate::error::CliError;
+use crate::terminal::Terminal;
 use crate::text::bench::{self as bench_report, Done};
 use costate::backend::{Backend, BackendError};
 use costate::low_level::files::write_text;

@@ -2,8 +2,8 @@
 
 use crate::args::CheckArgs;
 use crate::common::load::load;
-use crate::common::terminal::Terminal;
 use crate::error::CliError;
+use crate::terminal::Terminal;
 use crate::text;
 use costate::backend::gpu;
 use costate::low_level::attenuation;

@@ -1,12 +1,12 @@
 //! `costate check-least`: V on a grid as a second opinion on the solved states of a result file.
 
-use crate::args::{NumericsArgs, seconds};
+use crate::args::CheckLeastArgs;
 use crate::common::columns::columns;
-use crate::common::grid::{self, GridRefusal};
+use crate::common::grid;
 use crate::common::print_json;
-use crate::common::terminal::Terminal;
 use crate::error::CliError;
-use clap::Args;
+use crate::error::GridRefusal;
+use crate::terminal::Terminal;
 use costate::low_level::dynamic_programming::{GridValue, refuse};
 use costate::low_level::model::Model;
 use costate::low_level::numeric::quantile::nearest_rank;
@@ -14,59 +14,10 @@ use costate::low_level::result::Stored;
 use costate::low_level::value::{Claims, Flown, Led, Opinion};
 use costate::run::claims;
 use costate::session::{LeastOptions, Session, SessionError};
-use std::path::PathBuf;
 use std::time::Instant;
 
 /// States of a list that are printed; the summary of `--json` has them all.
 const SHOWN: usize = 10;
-
-#[derive(Args, Debug, Clone)]
-pub struct CheckLeastArgs {
-    /// The result file (.h5), with solved states in /points or /map.
-    file: PathBuf,
-    /// Nodes of the grid along each axis, about: one number, or one for each state [default: by the
-    /// number of states]
-    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = nodes)]
-    nodes: Vec<usize>,
-    /// Widths of the region by which the grid goes beyond the region and the states.
-    #[arg(long, default_value_t = 0.3, value_parser = margin, allow_negative_numbers = true)]
-    margin: f64,
-    /// Seconds for the grid; on an infinite horizon its values are taken as they are then.
-    #[arg(long, value_parser = seconds, allow_negative_numbers = true)]
-    seconds: Option<f64>,
-    /// The grid and V are apart where they differ by more than this share of V.
-    #[arg(long, default_value_t = 0.1, value_parser = share, allow_negative_numbers = true)]
-    apart: f64,
-    #[command(flatten)]
-    numerics: NumericsArgs,
-    /// Machine-readable summary on standard output; everything else goes to standard error.
-    #[arg(long)]
-    json: bool,
-    /// Print nothing but errors.
-    #[arg(long)]
-    quiet: bool,
-}
-
-fn nodes(text: &str) -> Result<usize, String> {
-    match text.trim().parse() {
-        Ok(count) if (11..=100_001).contains(&count) => Ok(count),
-        _ => Err("a whole number from 11 to 100001".to_owned()),
-    }
-}
-
-fn margin(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(widths) if (0.0..=10.0).contains(&widths) => Ok(widths),
-        _ => Err("widths of the region, from 0 to 10".to_owned()),
-    }
-}
-
-fn share(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(share) if share > 0.0 && share <= 10.0 => Ok(share),
-        _ => Err("a share of V, above 0 and at most 10".to_owned()),
-    }
-}
 
 pub fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
     let clock = Instant::now();

@@ -2,9 +2,9 @@
 
 use crate::args::EvaluateArgs;
 use crate::common::load::loaded;
-use crate::common::terminal::Terminal;
 use crate::common::{Kind, check_out, print_json, provenance};
 use crate::error::CliError;
+use crate::terminal::Terminal;
 use costate::low_level::closed_loop::Weights;
 use costate::low_level::result::Stored;
 use costate::run::{evaluate as simulate, other_scene, weights};

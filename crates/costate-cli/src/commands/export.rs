@@ -2,59 +2,20 @@
 
 use crate::args::ExportArgs;
 use crate::common::load::loaded;
-use crate::common::terminal::Terminal;
 use crate::common::{Kind, check_out};
-use crate::error::CliError;
-use costate::low_level::feedback::{Known, Law, LawError, NetworkError, header, value_header};
+use crate::error::{CliError, ExportError};
+use crate::terminal::Terminal;
+use costate::low_level::feedback::{Known, Law, header, value_header};
 use costate::low_level::files::write_text;
 use costate::low_level::hamiltonian::System;
-use costate::low_level::local::{LocalError, LocalPolynomial, Riccati};
+use costate::low_level::local::{LocalPolynomial, Riccati};
 use costate::low_level::model::Horizon;
 use costate::low_level::result::{Stored, StoredMapError};
 use costate::run::{fitted_laws, output_of};
 use costate::scene::Scene;
 use serde_json::{Value, json};
 use std::io::Write;
-use std::path::{Path, PathBuf};
-
-/// Why nothing was exported.
-#[derive(Debug, thiserror::Error)]
-pub enum ExportError {
-    #[error(
-        "{path} has no map in pieces: give the scene [map] with error = ... and run it again (--local exports the series about the equilibrium)", path = path.display()
-    )]
-    NoMap { path: PathBuf },
-    #[error("{path} is a scene, and a map is in a result file: run it first (--local exports the series about the equilibrium)", path = path.display())]
-    Scene { path: PathBuf },
-    #[error("{path} is a scene, and a fitted law is in a result file: run it and fit the law first (costate fit)", path = path.display())]
-    SceneOfLaw { path: PathBuf },
-    #[error("{path} holds no fitted law: fit one first (costate fit)", path = path.display())]
-    NoLaw { path: PathBuf },
-    #[error("{path} holds {}: say which with --law=NAME", listed(laws), path = path.display())]
-    WhichLaw { path: PathBuf, laws: Vec<String> },
-    #[error("{path} holds no law `{name}`, but {}", listed(laws), path = path.display())]
-    OtherLaws {
-        path: PathBuf,
-        name: String,
-        laws: Vec<String>,
-    },
-    #[error(
-        "--set changes a scene, and {path} is a result file: run its scene with --set and export that, or export the series of the scene (--local SCENE.toml --set ...)", path = path.display()
-    )]
-    SetOfResult { path: PathBuf },
-    #[error("a finite horizon has no equilibrium, and so no series about it")]
-    Finite,
-    #[error(transparent)]
-    Local(#[from] LocalError),
-    #[error(transparent)]
-    Weights(#[from] NetworkError),
-    #[error(transparent)]
-    Law(#[from] LawError),
-}
-
-fn listed(laws: &[String]) -> String {
-    format!("the laws {}", laws.join(", "))
-}
+use std::path::Path;
 
 /// A header, and what is said of it.
 struct Made {

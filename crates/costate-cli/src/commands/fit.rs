@@ -2,8 +2,8 @@
 
 use crate::args::FitArgs;
 use crate::common::print_json;
-use crate::common::terminal::Terminal;
 use crate::error::CliError;
+use crate::terminal::Terminal;
 use crate::text;
 use costate::low_level::result::Stored;
 use costate::run::{LawFiles, RunError, fit_stored, other_scene};

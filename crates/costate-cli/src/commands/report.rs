@@ -2,21 +2,12 @@
 
 use crate::args::ReportArgs;
 use crate::common::{Kind, check_out};
-use crate::error::CliError;
+use crate::error::{CliError, OptionError};
 use costate::low_level::model::Report;
 use costate::low_level::result::Stored;
 use costate::low_level::scenario;
 use costate_report::Options;
 use std::io::Write as _;
-
-/// An option that is no number or names nothing.
-#[derive(Debug, thiserror::Error)]
-#[error("{option} {text}: {reason}")]
-pub struct OptionError {
-    option: &'static str,
-    text: String,
-    reason: String,
-}
 
 pub fn report(args: &ReportArgs) -> Result<(), CliError> {
     let clock = std::time::Instant::now();

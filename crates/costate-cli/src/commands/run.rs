@@ -1,11 +1,11 @@
 //! `costate run` and its parts.
 
 use crate::args::{RunArgs, SolveArgs};
-use crate::common::grid::GridRefusal;
 use crate::common::load::load;
-use crate::common::terminal::Terminal;
 use crate::common::{Kind, check_out, points, print_json, provenance};
 use crate::error::CliError;
+use crate::error::GridRefusal;
+use crate::terminal::Terminal;
 use crate::text::listed;
 use costate::low_level::dynamic_programming;
 use costate::low_level::files::{target, write_text};

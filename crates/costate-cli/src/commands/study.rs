@@ -1,7 +1,7 @@
 //! `costate study`: the study alone.
 
+use super::alone::Alone;
 use crate::args::RunArgs;
-use crate::common::alone::Alone;
 use crate::common::print_json;
 use crate::error::CliError;
 use crate::text;

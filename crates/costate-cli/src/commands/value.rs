@@ -1,9 +1,9 @@
 //! `costate value`: V, p and u interpolated from a result file.
 
 use crate::args::{PrecisionChoice, ValueArgs};
-use crate::common::terminal::Terminal;
 use crate::common::{Kind, check_out, csv_text, open, points, print, print_json, provenance};
-use crate::error::CliError;
+use crate::error::{CliError, PlaceError};
+use crate::terminal::Terminal;
 use costate::low_level::diagnostics::shorten;
 use costate::low_level::files::write_text;
 use costate::low_level::hdf5::ResultFile;
@@ -17,27 +17,6 @@ use costate::run::axes;
 use costate::session::Progress;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-
-/// What is wrong with the places asked for.
-#[derive(Debug, thiserror::Error)]
-pub enum PlaceError {
-    #[error(
-        "no states are asked for: give --at NAME=VALUE,..., --points FILE.csv or --grid NAME=FIRST:LAST:COUNT"
-    )]
-    Nothing,
-    #[error("--{option} {text}: {reason}")]
-    Malformed {
-        option: &'static str,
-        text: String,
-        reason: String,
-    },
-    #[error(
-        "two columns of the table would be called `{name}`, one of them a state's or control's: take a result file (--out FILE.h5) or --json, or rename it"
-    )]
-    TwoColumns { name: String },
-    #[error("--precision f32: on the CPU values are those of f64 (--backend gpu has both)")]
-    Precision,
-}
 
 /// Most points of a grid.
 const MOST_POINTS: usize = 20_000_000;

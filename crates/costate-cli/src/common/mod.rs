@@ -1,12 +1,10 @@
 //! What commands have in common: reading scenes, opening backends, names of files, printing.
 
-pub mod alone;
 pub mod columns;
 pub mod grid;
 pub mod load;
 pub mod open;
 pub mod points;
-pub mod terminal;
 
 use crate::error::CliError;
 use costate::low_level::files::target;

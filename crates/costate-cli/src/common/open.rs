@@ -1,11 +1,11 @@
 //! The backend that a command computes on.
 
-use crate::args::BackendChoice;
+use crate::args::{BackendChoice, NumericsArgs};
 use crate::error::CliError;
 use costate::backend::Backend;
 use costate::backend::cpu::Cpu;
 use costate::backend::gpu::{Gpu, Selection};
-use costate::low_level::model::Method;
+use costate::low_level::model::{Method, Model};
 
 /// The backend asked for, fit for the method asked for where the choice is ours.
 pub fn backend(
@@ -32,5 +32,13 @@ pub fn backend(
         Some(gpu) => Ok(Box::new(gpu)),
         // Only a search for hardware comes back empty.
         None => Ok(Box::new(Cpu::new())),
+    }
+}
+
+impl NumericsArgs {
+    /// The backend asked for, fit for the method that is asked for here or by the scene.
+    pub fn open(&self, model: &Model) -> Result<Box<dyn Backend>, CliError> {
+        let method = self.method.or(model.integrator.method);
+        backend(self.backend, self.adapter.as_deref(), method)
     }
 }

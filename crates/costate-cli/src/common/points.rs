@@ -1,49 +1,10 @@
 //! Reading states from a CSV file.
 
+use crate::error::PointsError;
 use costate::low_level::diagnostics::{did_you_mean, shorten};
 use costate::low_level::files::read_bytes;
 use costate::low_level::model::Model;
-use std::path::{Path, PathBuf};
-
-/// What is wrong with a file of points; each error names the place.
-#[derive(Debug, thiserror::Error)]
-pub enum PointsError {
-    #[error("cannot read {}: {source}", path.display())]
-    Read { path: PathBuf, source: csv::Error },
-    #[error("{}: line {line}: {reason}", path.display())]
-    Malformed {
-        path: PathBuf,
-        line: u64,
-        reason: String,
-    },
-    #[error("{}: line 1: `{name}` is not a state of the scenario (states: {states}){help}", path.display())]
-    UnknownState {
-        path: PathBuf,
-        name: String,
-        states: String,
-        help: String,
-    },
-    #[error("{}: line 1: `{name}` stands there twice", path.display())]
-    Twice { path: PathBuf, name: String },
-    #[error("{}: line 1: a header with the names of states is needed (states: {states})", path.display())]
-    NoHeader { path: PathBuf, states: String },
-    #[error("{}: line {line}, column `{name}`: `{text}` is not a finite number", path.display())]
-    NotANumber {
-        path: PathBuf,
-        line: u64,
-        name: String,
-        text: String,
-    },
-    #[error("{}: line {line}, column `{name}`: {reason}", path.display())]
-    Time {
-        path: PathBuf,
-        line: u64,
-        name: String,
-        reason: String,
-    },
-    #[error("{} has a header but no points", path.display())]
-    Empty { path: PathBuf },
-}
+use std::path::Path;
 
 /// The column of times: its name, and what is wrong with one.
 pub struct TimeColumn<'t> {

@@ -1,11 +1,11 @@
 //! Commands that do one part of a scene, into a result file of its own.
 
-use super::grid::GridRefusal;
-use super::load::load;
-use super::terminal::Terminal;
-use super::{Kind, check_out, provenance};
 use crate::args::{NumericsArgs, RunArgs};
+use crate::common::load::load;
+use crate::common::{Kind, check_out, provenance};
 use crate::error::CliError;
+use crate::error::GridRefusal;
+use crate::terminal::Terminal;
 use costate::backend::Backend;
 use costate::low_level::hdf5::ResultFile;
 use costate::low_level::model::Model;
