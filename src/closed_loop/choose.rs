@@ -1,7 +1,7 @@
 //! Which laws are simulated: those asked for, or all there are.
 
 use super::law::{Law, LawError, Laws};
-use crate::diagnostics::did_you_mean;
+use crate::diagnostics::{did_you_mean, shorten};
 use crate::model::ClosedLoop;
 
 /// The value map's law.
@@ -111,6 +111,7 @@ impl Available {
         }
         let help = did_you_mean(&name, known.iter().map(String::as_str));
         let help = help.unwrap_or_else(|| format!("there are: {}", known.join(", ")));
+        let name = shorten(&name);
         LawError::Unknown { name, help }
     }
 }

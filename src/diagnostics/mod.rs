@@ -16,10 +16,15 @@ pub use suggest::did_you_mean;
 #[cfg(test)]
 pub(crate) use suggest::nearest;
 
-/// At most 40 characters of `text`.
+/// At most 40 characters of `text`, for messages: what a terminal would not show as it is is
+/// escaped.
 pub fn shorten(text: &str) -> String {
-    match text.char_indices().nth(40) {
-        Some((end, _)) => format!("{}...", &text[..end]),
+    let shown = |text: &str| match unprintable(text) {
+        Some(_) => text.escape_debug().to_string(),
         None => text.to_owned(),
+    };
+    match text.char_indices().nth(40) {
+        Some((end, _)) => format!("{}...", shown(&text[..end])),
+        None => shown(text),
     }
 }

@@ -78,13 +78,16 @@ impl ScenarioErrors {
         let handler = GraphicalReportHandler::new_themed(theme)
             .with_width(120)
             .with_context_lines(1);
+        // As many bytes, so that places stay.
+        let obeyed = |c: char| c.is_ascii_control() && !matches!(c, '\n' | '\r' | '\t');
+        let text = self.text.replace(obeyed, "?");
         let mut out = String::new();
         for problem in self.problems.iter().take(SHOWN) {
             let shown = Shown {
                 problem,
                 source: Source {
                     file_name: &self.file_name,
-                    text: &self.text,
+                    text: &text,
                 },
             };
             if handler.render_report(&mut out, &shown).is_err() {

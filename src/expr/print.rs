@@ -63,7 +63,9 @@ impl Graph {
     /// Expressions as texts together. Where these would be long, parts that are used more than once
     /// have a name and stand only once: the texts grow with the graph, not with the number of ways
     /// through it.
-    pub fn show_all(&self, roots: &[Id]) -> ShownTogether {
+    ///
+    /// `taken`: a text whose words are no such names.
+    pub fn show_all(&self, roots: &[Id], taken: &str) -> ShownTogether {
         let reachable = self.reachable(roots);
         let mut users = vec![0u32; self.len()];
         let mut length = vec![0usize; self.len()];
@@ -86,7 +88,7 @@ impl Graph {
         for root in roots {
             users[root.0 as usize] += 1;
         }
-        let prefix = self.free_prefix();
+        let prefix = self.free_prefix(taken);
         let mut shared: Vec<(String, String)> = Vec::new();
         let mut texts: Vec<Shown> = vec![Shown::default(); self.len()];
         for &id in &reachable {
@@ -113,13 +115,17 @@ impl Graph {
         }
     }
 
-    /// What names may begin with that are followed by a number and are no symbol's.
-    fn free_prefix(&self) -> String {
+    /// What names may begin with that are followed by a number and are no symbol's, and no word of
+    /// a text.
+    fn free_prefix(&self, text: &str) -> String {
+        let numbered = |word: &str, prefix: &str| {
+            let rest = word.strip_prefix(prefix);
+            rest.is_some_and(|rest| rest.chars().all(|c| c.is_ascii_digit()))
+        };
         let taken = |prefix: &str| {
-            self.symbols().iter().any(|symbol| {
-                let rest = symbol.name.strip_prefix(prefix);
-                rest.is_some_and(|rest| rest.chars().all(|c| c.is_ascii_digit()))
-            })
+            let words = text.split(|c: char| !c.is_alphanumeric() && c != '_');
+            let symbols = self.symbols().iter().map(|symbol| symbol.name.as_str());
+            words.chain(symbols).any(|word| numbered(word, prefix))
         };
         let mut prefix = "c".to_owned();
         while taken(&prefix) {

@@ -483,6 +483,10 @@ impl<'a> Reader<'a> {
                 expr
             })
             .collect();
+        for (name, span, _) in table.entries().filter(|(name, ..)| !Self::is_name(name)) {
+            let message = format!("a set cannot be called `{}`", shorten(name));
+            self.report(Problem::at(span, message, "not a name for a set"));
+        }
         (table.entries())
             .filter_map(|(name, _, value)| self.set(name, value, records, &symbols))
             .collect()

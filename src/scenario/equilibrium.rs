@@ -232,13 +232,13 @@ impl<'a> Reader<'a> {
             let at: Vec<f64> = given[..free].to_vec();
             self.root(&rates, &symbols, &at, &widths, values)
         })?;
-        let written = unknowns.iter().zip(&moved).zip(&given);
+        let moved = moved.iter().chain(&given[moved.len()..]);
+        let written = unknowns.iter().zip(moved);
         let written: Vec<String> = written
-            .filter(|((_, moved), given)| moved != given)
-            .map(|(((_, name), moved), _)| format!("{name} = {moved:?}"))
+            .map(|((_, name), moved)| format!("{name} = {moved:?}"))
             .collect();
         Some(format!(
-            "the nearest equilibrium has {}; write that, or what it is as an expression",
+            "the nearest equilibrium has {}; write that, or what it is as an expression (in the cost too, where it stands there)",
             written.join(", ")
         ))
     }
@@ -286,8 +286,10 @@ impl<'a> Reader<'a> {
                 break;
             }
         }
-        for (value, width) in point.iter_mut().zip(widths) {
-            if value.abs() < ZERO * width {
+        for ((value, given), width) in point.iter_mut().zip(given).zip(widths) {
+            if (*value - given).abs() < ZERO * width {
+                *value = *given;
+            } else if value.abs() < ZERO * width {
                 *value = 0.0;
             }
         }

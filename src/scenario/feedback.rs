@@ -92,7 +92,7 @@ impl<'a> Reader<'a> {
         }
         let mut laws = Vec::new();
         for (name, span, value) in section.entries() {
-            if !is_identifier(name) || BUILT_IN.contains(&name) {
+            if !is_identifier(name) || !Self::is_name(name) || BUILT_IN.contains(&name) {
                 let message = format!("a law cannot be called `{}`", shorten(name));
                 let help = format!(
                     "names of letters, digits and _, not {}",

@@ -10,8 +10,9 @@ use std::collections::HashMap;
 /// Periods in the region's width, at most: a state is looked for a few periods away, never a
 /// thousand.
 const MOST_PERIODS: f64 = 1000.0;
-/// Relative difference that rounding leaves, also of a period with 7 digits.
-const ROUNDING: f64 = 1e-6;
+/// Relative difference that rounding leaves, also of a period, or of factors in the equations, with
+/// five digits.
+const ROUNDING: f64 = 1e-4;
 
 impl Reader<'_> {
     /// Checks each period against the region, and the equations one period later at some points of
@@ -43,7 +44,7 @@ impl Reader<'_> {
                     "not the same one period later",
                 );
                 self.report(problem.with_help(
-                    "give the period exactly, such as \"2*pi\", or leave it out if the state is no angle",
+                    "give the period, and factors such as pi/180 in the equations, as expressions, or leave it out if the state is no angle",
                 ));
             }
         }

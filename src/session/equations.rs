@@ -71,7 +71,7 @@ impl Equations {
             &slopes,
             &guards,
         ];
-        let ShownTogether { shared, shown } = graph.show_all(&parts.concat());
+        let ShownTogether { shared, shown } = graph.show_all(&parts.concat(), &model.text);
         let mut rest = shown.into_iter();
         let [
             open,

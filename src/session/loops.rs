@@ -292,7 +292,7 @@ pub fn same_problem(a: &Model, b: &Model) -> bool {
         let numbers: Vec<String> = (parameters.map(|p| format!("{} = {:?}", p.name, p.value)))
             .chain(controls.map(|c| format!("{:?} {:?}", c.min, c.max)))
             .collect();
-        (m.graph.show_all(&exprs), numbers)
+        (m.graph.show_all(&exprs, ""), numbers)
     };
     shown(a) == shown(b) && a.reference() == b.reference()
 }

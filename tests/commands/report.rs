@@ -245,7 +245,7 @@ fn files_that_are_no_report_s_are_not_replaced() {
     let pictures = page.with_extension("");
     std::fs::create_dir_all(&pictures).unwrap();
     for own in [page.clone(), pictures.join("contours.svg")] {
-        std::fs::write(&own, "mine").unwrap();
+        std::fs::write(&own, "my notes on costate").unwrap();
         let arguments = [
             "report",
             file.to_str().unwrap(),
@@ -256,7 +256,10 @@ fn files_that_are_no_report_s_are_not_replaced() {
         let error = String::from_utf8_lossy(&refused.stderr);
         assert_eq!(refused.status.code(), Some(2), "{error}");
         assert!(error.contains("no part of an earlier report"), "{error}");
-        assert_eq!(std::fs::read_to_string(&own).unwrap(), "mine");
+        assert_eq!(
+            std::fs::read_to_string(&own).unwrap(),
+            "my notes on costate"
+        );
         assert!(!pictures.join("surface.svg").exists());
         std::fs::remove_file(&own).unwrap();
     }

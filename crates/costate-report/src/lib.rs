@@ -188,7 +188,7 @@ pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError>
         .collect();
     // The page last: where it is new its pictures are there.
     placed.push((page.clone(), html.clone().into_bytes()));
-    let old = std::fs::read_to_string(&page).unwrap_or_default();
+    let old = earlier_report(&page);
     refuse_others(&page, &old, &placed)?;
     write_together(&placed, directory_of(&page))?;
     // The page names it, and there may be no pictures.
@@ -255,9 +255,21 @@ pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportErr
     Ok(done)
 }
 
+/// The text of the page that is replaced; empty where it is none of ours.
+fn earlier_report(page: &Path) -> String {
+    const MARK: &str = "<meta name=\"generator\" content=\"costate report\">";
+    /// What pages had before they had that.
+    const OLDER: [&str; 3] = ["<dt>Version</dt>", "<dt>Command</dt>", "<figure id=\""];
+    let text = std::fs::read_to_string(page).unwrap_or_default();
+    match text.contains(MARK) || OLDER.iter().all(|mark| text.contains(mark)) {
+        true => text,
+        false => String::new(),
+    }
+}
+
 /// Refuses to replace files that no earlier report has made.
 fn refuse_others(page: &Path, old: &str, placed: &[(PathBuf, Vec<u8>)]) -> Result<(), ReportError> {
-    const MARK: &str = "costate";
+    const MARK: &str = "<!-- costate report -->";
     let marked = |path: &Path| {
         let text = std::fs::read(path).unwrap_or_default();
         String::from_utf8_lossy(&text).contains(MARK)
@@ -265,7 +277,7 @@ fn refuse_others(page: &Path, old: &str, placed: &[(PathBuf, Vec<u8>)]) -> Resul
     for (path, _) in placed.iter().filter(|(path, _)| path.exists()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let ours = match path == page {
-            true => old.contains(MARK),
+            true => !old.is_empty(),
             // A PNG goes with its SVG.
             false => old.contains(&format!("/{name}\"")) || marked(&path.with_extension("svg")),
         };

@@ -35,7 +35,7 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
         .transpose()
         .map_err(SessionError::from)?;
     let smallest = model.attenuation.as_ref().zip(smallest);
-    if args.scene.quiet {
+    if args.scene.quiet && !args.scene.json {
         return Ok(());
     }
     let terminal = Terminal::new(&args.scene);
