@@ -310,7 +310,10 @@ impl<'a> Reader<'a> {
                 region: region.as_deref(),
                 finite: cost.finite,
             };
-            self.check_periods(all, &scene);
+            // What is wrong already may be why something does not repeat.
+            if self.problems.is_empty() {
+                self.check_periods(all, &scene);
+            }
         }
         let reference = reference(equilibrium.as_ref(), region.as_deref(), cost.finite);
         let shoot_out = sections

@@ -162,6 +162,11 @@ fn names_in_expressions() {
 }
 
 #[test]
+fn periods() {
+    check(include_str!("../malformed/periods.cases"));
+}
+
+#[test]
 fn workarounds() {
     check(include_str!("../malformed/workarounds.cases"));
 }
@@ -233,7 +238,7 @@ fn an_empty_file_lacks_the_required_sections() {
 
 #[test]
 fn no_expression_overflows_the_stack() {
-    let deep = |n: usize| format!("omega = \"u + {}e{}\"", "(".repeat(n), ")".repeat(n));
+    let deep = |n: usize| format!("omega = \"u + {}sin(e){}\"", "(".repeat(n), ")".repeat(n));
     let (signs, powers) = (
         format!("omega = \"u + {}e\"", "-".repeat(100_000)),
         format!("omega = \"u + e{}\"", "^e".repeat(100_000)),
