@@ -208,7 +208,7 @@ fn answers_as_a_table() {
     let named = folder.join("named.toml");
     let text = std::fs::read_to_string(&pendulum)
         .unwrap()
-        .replace("omega", "sheet");
+        .replace("omega", "sheets");
     std::fs::write(&named, text).unwrap();
     std::fs::write(folder.join("named.csv"), "theta\n1\n").unwrap();
     let mut with = arguments(&folder.join("none.csv"), &[]);
