@@ -3,7 +3,7 @@
 mod refuse;
 mod search;
 
-pub use refuse::refusal;
+pub use refuse::refuse;
 pub use search::{Covering, Outcome, Row, Search, Sought, search};
 
 use crate::backend::{Backend, BackendError};

@@ -6,10 +6,18 @@ use crate::local::{Cause, LocalError, Riccati};
 use crate::model::Horizon;
 use crate::scene::Scene;
 
+/// Refuses a game whose level of attenuation its linearization does not allow.
+///
+/// # Errors
+/// [`ScenarioErrors`] with what would be allowed.
+pub fn refuse(scene: &Scene) -> Result<(), ScenarioErrors> {
+    refusal(scene).map_or(Ok(()), Err)
+}
+
 /// The refusal of a game whose linearization has no solution because of its level, or which is not
 /// at rest at its equilibrium; `None` where it has one, or lacks it for another reason (which the
 /// local solution's own error tells).
-pub fn refusal(scene: &Scene) -> Option<ScenarioErrors> {
+fn refusal(scene: &Scene) -> Option<ScenarioErrors> {
     let Scene {
         model, hamiltonian, ..
     } = scene;

@@ -65,9 +65,6 @@ pub struct Evaluation {
     pub sets: Vec<Vec<SetResult>>,
     pub backend: String,
     pub adapter: String,
-    /// Names of records and what is kept of them.
-    pub records: Vec<(String, Extremum)>,
-    pub asked: Vec<OperatingSet>,
     /// The section that was simulated.
     pub closed_loop: ClosedLoop,
     pub numerics: Numerics,
@@ -98,12 +95,6 @@ impl Evaluation {
             sets: Vec::new(),
             backend: backend.name().to_owned(),
             adapter: backend.adapter(),
-            records: scene
-                .records
-                .iter()
-                .map(|r| (r.name.clone(), r.extremum))
-                .collect(),
-            asked: scene.sets.clone(),
             closed_loop: scene.clone(),
             numerics: setting.numerics,
             leg_method: setting.leg_method,
@@ -134,7 +125,7 @@ impl Evaluation {
     fn set(&self, law: &LawResult, set: &OperatingSet) -> SetResult {
         let levels: Vec<f64> = (0..self.initial.count())
             .map(|i| {
-                let value = law.records[i * self.records.len() + set.record];
+                let value = law.records[i * self.closed_loop.records.len() + set.record];
                 let room = if set.at_least {
                     value - set.bound
                 } else {
@@ -196,14 +187,14 @@ impl Evaluation {
     /// The worst of a record under a law: the lowest minimum, the highest maximum or last value;
     /// NaN where there is none.
     pub fn worst(&self, law: &LawResult, record: usize) -> f64 {
-        let count = self.records.len();
+        let count = self.closed_loop.records.len();
         let values = law
             .records
             .iter()
             .skip(record)
             .step_by(count)
             .filter(|v| !v.is_nan());
-        match self.records[record].1 {
+        match self.closed_loop.records[record].extremum {
             Extremum::Min => values.copied().reduce(f64::min),
             Extremum::Max | Extremum::Final => values.copied().reduce(f64::max),
         }

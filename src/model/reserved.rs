@@ -1,8 +1,6 @@
 //! Names that groups of a result file have of their own: a scene's states and recorded quantities
 //! that stand beside them there cannot have these.
 
-use super::Model;
-
 /// Of `/map`, beside an axis for each state.
 pub const MAP: &[&str] = &[
     "V",
@@ -63,12 +61,8 @@ pub fn is_reserved(name: &str, names: &[&str]) -> bool {
     names.contains(&name) || ENDINGS.iter().any(|end| name.ends_with(end))
 }
 
-impl Model {
-    /// The first state whose name a group has of its own.
-    #[must_use]
-    pub fn reserved_state(&self, groups: &[&[&str]]) -> Option<&str> {
-        let names = self.states.iter().map(|s| s.variable.name.as_str());
-        let taken = |name: &&str| groups.iter().any(|own| is_reserved(name, own));
-        names.into_iter().find(taken)
-    }
+/// Whether a name is one of `/map`, of solved states or of interpolated ones.
+#[must_use]
+pub fn is_of_map(name: &str) -> bool {
+    is_reserved(name, MAP) || VALUES.contains(&name)
 }

@@ -12,11 +12,8 @@ pub fn nearest_rank(sorted: &[f64], share: f64) -> f64 {
 pub fn median_p99_max(values: &[f64]) -> [f64; 3] {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|v| !v.is_nan()).collect();
     sorted.sort_by(f64::total_cmp);
-
-    let last = sorted.len().max(1) - 1;
-    let at = |share: f64| {
-        let k = (last as f64 * share).round() as usize;
+    [0.5, 0.99, 1.0].map(|share| {
+        let k = (sorted.len().saturating_sub(1) as f64 * share).round() as usize;
         sorted.get(k).copied().unwrap_or(f64::NAN)
-    };
-    [at(0.5), at(0.99), at(1.0)]
+    })
 }

@@ -21,7 +21,7 @@ impl Evaluation {
     pub fn write(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
         self.write_states(model, file)?;
         self.write_laws(file)?;
-        if !self.asked.is_empty() {
+        if !self.closed_loop.sets.is_empty() {
             self.write_sets(model, file)?;
         }
         self.write_paths(model, file)
@@ -104,10 +104,10 @@ impl Evaluation {
         writer.write("status", &self.all(|l| l.status.clone()))?;
         writer.write("t_end", &self.all(|l| l.t_end.clone()))?;
         writer.write("fallback", &self.all(LawResult::fallbacks))?;
-        let count = self.records.len();
-        for (k, (name, _)) in self.records.iter().enumerate() {
+        let count = self.closed_loop.records.len();
+        for (k, record) in self.closed_loop.records.iter().enumerate() {
             let of = |l: &LawResult| l.records.iter().skip(k).step_by(count).copied().collect();
-            writer.write(name, &self.all(of))?;
+            writer.write(&record.name, &self.all(of))?;
         }
         Ok(())
     }
@@ -150,8 +150,9 @@ impl Evaluation {
         for (name, unit, long_name) in columns {
             group = group.variable(Variable::f64(name, ["law"]).unit(unit).long_name(long_name));
         }
-        for (name, _) in &self.records {
-            group = group.variable(Variable::f64(&format!("worst_{name}"), ["law"]));
+        for record in &self.closed_loop.records {
+            let name = format!("worst_{}", record.name);
+            group = group.variable(Variable::f64(&name, ["law"]));
         }
         let mut writer = file.group(&group)?;
         let row = |law: &LawResult| -> [f64; 10] {
@@ -175,23 +176,23 @@ impl Evaluation {
         for (k, (name, ..)) in columns.iter().enumerate() {
             writer.write(name, &rows.iter().map(|r| r[k]).collect::<Vec<f64>>())?;
         }
-        for (k, (name, _)) in self.records.iter().enumerate() {
+        for (k, record) in self.closed_loop.records.iter().enumerate() {
             let worst: Vec<f64> = self.laws.iter().map(|l| self.worst(l, k)).collect();
-            writer.write(&format!("worst_{name}"), &worst)?;
+            writer.write(&format!("worst_{}", record.name), &worst)?;
         }
         Ok(())
     }
 
     fn write_sets(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
         let both = ["law", "set"];
-        let names = || self.asked.iter().map(|s| s.name.as_str());
+        let names = || self.closed_loop.sets.iter().map(|s| s.name.as_str());
         let group = Group::new("operating_sets")
             .dimension(self.laws_dimension())
             .dimension(Dimension::names("set", names()))
             .variable(Variable::text(
                 "condition",
                 "set",
-                self.asked.iter().map(|s| s.text.as_str()),
+                self.closed_loop.sets.iter().map(|s| s.text.as_str()),
             ))
             .variable(Variable::f64("share", both).long_name("share of initial states inside"))
             .variable(

@@ -1,5 +1,6 @@
 //! Checks of the dissipation inequality in the result file: `/dissipation`.
 
+use super::closed_loop::units;
 use crate::closed_loop::Path;
 use crate::closed_loop::dissipation::{
     Dissipation, DisturbanceKind, LawCheck, Origin, Summary, TOLERANCE,
@@ -40,29 +41,45 @@ impl Dissipation {
             .map(|(k, (name, _))| (k, name));
         let states = model.states.iter().map(|s| s.variable.name.as_str());
         let disturbances = model.disturbances.iter().map(|w| w.name.as_str());
-        type Column = (&'static str, &'static str, fn(&LawCheck) -> &Vec<f64>);
-        let columns: [Column; 7] = [
-            ("E_z", "integral of L(x, u, 0) up to t_end", |l| &l.done),
+        type Column<'m> = (
+            &'static str,
+            &'m str,
+            &'static str,
+            fn(&LawCheck) -> &Vec<f64>,
+        );
+        let (cost, time) = units(model);
+        let columns: [Column<'_>; 7] = [
+            ("E_z", cost, "integral of L(x, u, 0) up to t_end", |l| {
+                &l.done
+            }),
             (
                 "W",
+                cost,
                 "integral of L(x, u, 0) - L(x, u, w) up to t_end",
                 |l| &l.supplied,
             ),
-            ("V_end", "value function at t_end", |l| &l.v_end),
-            ("ratio", "largest E_z/(W + V0) over the stored times", |l| {
-                &l.ratio
-            }),
+            ("V_end", cost, "value function at t_end", |l| &l.v_end),
+            (
+                "ratio",
+                "1",
+                "largest E_z/(W + V0) over the stored times",
+                |l| &l.ratio,
+            ),
             (
                 "violation",
+                "1",
                 "largest (E_z + V - W - V0)/(W + V0) over the stored times",
                 |l| &l.violation,
             ),
             (
                 "explained",
+                "1",
                 "what V's estimated errors explain of a violation beyond the tolerance",
                 |l| &l.explained,
             ),
-            ("t_end", "last time at which V was known", |l| &l.t_end),
+            ("t_end", time, "last time at which V was known", |l| {
+                &l.t_end
+            }),
         ];
         let mut group = Group::new("dissipation")
             .dimension(self.laws_dimension())
@@ -72,7 +89,9 @@ impl Dissipation {
             .variable(Variable::i32("kind", ["case"]).flags(kinds))
             .variable(Variable::f64("x0", ["case", "state"]).long_name("initial state"))
             .variable(
-                Variable::f64("V0", ["case"]).long_name("value function at the initial state"),
+                Variable::f64("V0", ["case"])
+                    .unit(cost)
+                    .long_name("value function at the initial state"),
             )
             .variable(
                 Variable::i32("V0_from", ["case"])
@@ -93,8 +112,8 @@ impl Dissipation {
             .attribute("precision", self.numerics.precision.name())
             .attribute("method", self.numerics.method.name())
             .attribute("rtol", self.numerics.rtol);
-        for (name, long_name, _) in columns {
-            group = group.variable(Variable::f64(name, both).long_name(long_name));
+        for (name, unit, long_name, _) in columns {
+            group = group.variable(Variable::f64(name, both).unit(unit).long_name(long_name));
         }
         let mut writer = file.group(&group)?;
         let place = |kind: &DisturbanceKind| {
@@ -118,7 +137,7 @@ impl Dissipation {
         writer.write("amplitude", &self.cases.amplitude)?;
         let status: Vec<i32> = self.laws.iter().flat_map(|l| &l.status).copied().collect();
         writer.write("status", &status)?;
-        for (name, _, of) in columns {
+        for (name, _, _, of) in columns {
             writer.write(name, &self.all(of))?;
         }
         Ok(())
@@ -200,6 +219,7 @@ impl Dissipation {
     }
 
     fn write_paths(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
+        let (cost, time) = units(model);
         let paths: Vec<(usize, &Path, &Vec<f64>)> = (self.laws.iter().enumerate())
             .flat_map(|(k, l)| {
                 l.paths
@@ -227,13 +247,25 @@ impl Dissipation {
                 Variable::i32("case", ["trajectory"])
                     .long_name("index of the disturbance in /dissipation"),
             )
-            .variable(Variable::f64("t", all).long_name("time"))
+            .variable(Variable::f64("t", all).unit(time).long_name("time"))
             .variable(Variable::f64("x", with("state")).long_name("state"))
             .variable(Variable::f64("u", with("control")).long_name("control"))
             .variable(Variable::f64("w", with("disturbance")).long_name("disturbance"))
-            .variable(Variable::f64("V", all).long_name("value function"))
-            .variable(Variable::f64("E_z", all).long_name("integral of L(x, u, 0)"))
-            .variable(Variable::f64("W", all).long_name("integral of L(x, u, 0) - L(x, u, w)"));
+            .variable(
+                Variable::f64("V", all)
+                    .unit(cost)
+                    .long_name("value function"),
+            )
+            .variable(
+                Variable::f64("E_z", all)
+                    .unit(cost)
+                    .long_name("integral of L(x, u, 0)"),
+            )
+            .variable(
+                Variable::f64("W", all)
+                    .unit(cost)
+                    .long_name("integral of L(x, u, 0) - L(x, u, w)"),
+            );
         let mut writer = file.group(&group)?;
         writer.write(
             "law",

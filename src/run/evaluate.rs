@@ -71,13 +71,11 @@ pub fn evaluate(
     }
     if let (Some(numerics), true) = (numerics, stored.is_none() || out.is_some()) {
         let record = RunRecord {
-            backend: session.backend().name().to_owned(),
-            adapter: session.backend().adapter(),
             precision: numerics.precision.name().to_owned(),
             method: numerics.method.name().to_owned(),
             rtol: numerics.rtol,
             atol: numerics.atol,
-            ..provenance.record(model)
+            ..session.record(provenance)
         };
         record.write(&file)?;
     }

@@ -32,7 +32,7 @@ use crate::files::{Draft, target};
 use crate::hdf5::ResultFile;
 use crate::model::Model;
 use crate::result::{Axis, RunRecord, Stored, TrajectorySchema};
-use crate::session::summary::{Computed, RunSummary};
+use crate::session::summary::RunSummary;
 use crate::session::{Estimates, Finished, Outcome, Session, Wanted};
 use crate::sweep::Plan;
 use crate::sweep::accuracy::Spread;
@@ -133,10 +133,16 @@ impl Session<'_> {
         drop(writer);
         write_outcome(&mut file, &outcome, model, &schema)?;
 
-        let record = self.record(&outcome, provenance);
+        let record = RunRecord {
+            precision: outcome.plan.spec.precision.name().to_owned(),
+            method: outcome.plan.method().name().to_owned(),
+            rtol: outcome.plan.run.rtol,
+            atol: outcome.plan.atol,
+            ..self.record(provenance)
+        };
         record.write(&file)?;
         write_estimates(&file, &outcome.estimates)?;
-        let summary = summary(&outcome, model, &record, &path, provenance.seconds());
+        let summary = self.summary(&outcome, &path, provenance.seconds());
         file.attribute(
             "summary",
             serde_json::to_string(&summary).unwrap_or_default(),
@@ -160,44 +166,15 @@ impl Session<'_> {
 }
 
 impl Session<'_> {
-    /// The record of a run that has computed a pass.
+    /// The record of a run on the session's backend, without what it was integrated with.
     #[must_use]
-    pub fn record(&self, outcome: &Outcome, provenance: &Provenance) -> RunRecord {
+    pub fn record(&self, provenance: &Provenance) -> RunRecord {
         RunRecord {
             backend: self.backend().name().to_owned(),
             adapter: self.backend().adapter(),
-            precision: outcome.plan.spec.precision.name().to_owned(),
-            method: outcome.plan.method().name().to_owned(),
-            rtol: outcome.plan.run.rtol,
-            atol: outcome.plan.atol,
             ..provenance.record(&self.scene().model)
         }
     }
-}
-
-/// The summary of a pass.
-#[must_use]
-pub fn summary(
-    outcome: &Outcome,
-    model: &Model,
-    record: &RunRecord,
-    path: &Path,
-    seconds: f64,
-) -> RunSummary {
-    let computed = Computed {
-        title: record.title.clone(),
-        backend: record.backend.clone(),
-        adapter: record.adapter.clone(),
-        rtol: record.rtol,
-        atol: record.atol,
-    };
-    RunSummary::new(
-        outcome,
-        model,
-        &computed,
-        &path.display().to_string(),
-        seconds,
-    )
 }
 
 /// What came of a pass, all but the swept trajectories.

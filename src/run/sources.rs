@@ -87,9 +87,7 @@ pub fn other_scene(
 ) -> Result<Scene, RunError> {
     let overrides = [stored.scene.model.overrides.as_slice(), set].concat();
     let scene = Scene::load_with(path, &overrides)?;
-    if let Some(refused) = crate::attenuation::refusal(&scene) {
-        return Err(refused.into());
-    }
+    crate::attenuation::refuse(&scene)?;
     let names = |m: &Model| -> (Vec<String>, Vec<String>) {
         let states = m.states.iter().map(|s| s.variable.name.clone());
         let controls = m.controls.iter().map(|c| c.variable.name.clone());

@@ -121,10 +121,19 @@ impl<'a> Reader<'a> {
         )
     }
 
-    /// A text that is printed, and written into files.
+    /// A text of one line that is printed, and written into files.
     pub fn label(&mut self, value: &'a Value<'a>, what: &str) -> Option<&'a str> {
+        self.printable(value, what, &[])
+    }
+
+    /// The same of several lines.
+    pub fn text_of_lines(&mut self, value: &'a Value<'a>, what: &str) -> Option<&'a str> {
+        self.printable(value, what, &['\n', '\r', '\t'])
+    }
+
+    fn printable(&mut self, value: &'a Value<'a>, what: &str, allowed: &[char]) -> Option<&'a str> {
         let text = self.string(value, what)?;
-        match unprintable(text) {
+        match unprintable(&text.replace(allowed, "")) {
             Some(c) => {
                 let message = format!("{what} has a character that is not printed ({c:?})");
                 self.refuse(value.span(), message, "leave that character out")

@@ -8,14 +8,13 @@ use super::equilibrium::{Equilibrium, Scene};
 use super::feedback::law_names;
 use super::hints;
 use super::parser::{parse_expression, parse_guard};
-use super::reader::{Reader, Section, Value};
+use super::reader::{Reader, Section};
 use super::scope::Role;
 use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::position;
 use crate::diagnostics::shorten;
-use crate::diagnostics::unprintable;
-use crate::model::reserved::{self, is_reserved};
+use crate::model::reserved::is_of_map;
 use crate::model::{Horizon, Model, Variable};
 use std::collections::HashMap;
 use std::path::Path;
@@ -130,7 +129,7 @@ impl<'a> Reader<'a> {
             let (name, span) = (key.get_ref().as_ref(), key.span());
             let known = SECTIONS.into_iter().chain([INTEGRATOR]);
             if name == "title" {
-                title = self.title(value);
+                title = self.text_of_lines(value, "the title").map(str::to_owned);
             } else if let Some(known) = known.clone().find(|s| *s == name) {
                 if let Some(section) = self.table(value, span, &format!("[{name}]")) {
                     sections.insert(known, section);
@@ -150,19 +149,6 @@ impl<'a> Reader<'a> {
             }
         }
         (sections, title)
-    }
-
-    /// The title. It may have several lines.
-    fn title(&mut self, value: &'a Value<'a>) -> Option<String> {
-        let text = self.string(value, "the title")?;
-        let line = text.replace(['\n', '\r', '\t'], " ");
-        match unprintable(&line) {
-            Some(c) => {
-                let message = format!("the title has a character that is not printed ({c:?})");
-                self.refuse(value.span(), message, "leave that character out")
-            }
-            None => Some(text.to_owned()),
-        }
     }
 
     /// Reports a required section that is missing, unless it is there with a wrong type (which has
@@ -276,25 +262,6 @@ impl<'a> Reader<'a> {
         if let (Some(at), Some(states), Some(controls)) = (&equilibrium, &states, &controls) {
             let states: Vec<&Variable> = states.iter().map(|s| &s.variable).collect();
             self.check_equilibrium_range(at, &states, controls, region.as_deref(), cost.finite);
-            if let (Some(dynamics), Some(running), Some(disturbances)) =
-                (&dynamics, &cost.running, &disturbances)
-            {
-                let finite = cost.finite;
-                let (states, guards) = (&states, &guards);
-                self.check_equilibrium(
-                    at,
-                    &Scene {
-                        states,
-                        controls,
-                        disturbances,
-                        dynamics,
-                        running,
-                        guards,
-                        region: region.as_deref(),
-                        finite,
-                    },
-                );
-            }
         }
         if let (Some(all), Some(controls), Some(dynamics), Some(running), Some(disturbances)) =
             (&states, &controls, &dynamics, &cost.running, &disturbances)
@@ -310,6 +277,9 @@ impl<'a> Reader<'a> {
                 region: region.as_deref(),
                 finite: cost.finite,
             };
+            if let Some(at) = &equilibrium {
+                self.check_equilibrium(at, &scene);
+            }
             // What is wrong already may be why something does not repeat.
             if self.problems.is_empty() {
                 self.check_periods(all, &scene);
@@ -325,8 +295,7 @@ impl<'a> Reader<'a> {
         let map = sections
             .get("map")
             .and_then(|s| self.map(s, &declared.states));
-        let clash = (declared.states.iter())
-            .find(|s| is_reserved(s.name, reserved::MAP) || reserved::VALUES.contains(&s.name));
+        let clash = declared.states.iter().find(|s| is_of_map(s.name));
         if let (Some(state), true) = (clash, map.is_some()) {
             let message = format!(
                 "a state named `{}` cannot be an axis of [map], which has a variable of that name",

@@ -25,10 +25,6 @@ pub enum SessionError {
     )]
     NoTargets,
     #[error(
-        "a state named `{name}` cannot be an axis of [map], which has a variable of that name: rename the state, or remove [map]"
-    )]
-    MapName { name: String },
-    #[error(
         "nothing was swept: all {outside} seeds lie outside the guards (is the equilibrium too near their boundary for this seed_value?)"
     )]
     NothingSwept { outside: usize },

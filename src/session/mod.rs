@@ -32,7 +32,7 @@ use crate::scene::Scene;
 use crate::study::{self, Variant};
 use crate::sweep::{Choices, Plan, PlanError, SweepReport};
 use crate::trajectories::{SweptTrajectories, TrajectoryBlock};
-use crate::value::{self, Answers, Archive, Entry, PointStatus};
+use crate::value::{self, Answers, Entry, PointStatus};
 use progress::Step;
 
 /// A scene and a backend. Everything asked of it is computed when it is asked.
@@ -204,7 +204,7 @@ impl<'s> Session<'s> {
             let given = states.len();
             return Err(SessionError::Components { given, states: n });
         }
-        self.refused()?;
+        attenuation::refuse(self.scene)?;
         let Scene {
             model, hamiltonian, ..
         } = self.scene;
@@ -248,15 +248,17 @@ impl<'s> Session<'s> {
         let Scene {
             model, hamiltonian, ..
         } = self.scene;
-        let aim = model.map_aim.as_ref().ok_or(SessionError::NoMap)?;
-        let backend = self.backend.as_ref();
-        let choices = value::for_guesses(self.choices, model.states.len(), 0);
-        let plan = self.plan(choices)?;
-        let mut archive = Archive::new(&plan);
-        if !value::goes_without_sweep(&plan) {
-            archive.sweep(&plan, backend)?;
+        if model.map_aim.is_none() {
+            return Err(SessionError::NoMap);
         }
-        let made = self.map_to_error(&plan, &archive, aim)?;
+        let wanted = Wanted {
+            map: true,
+            ..Wanted::default()
+        };
+        let outcome = self
+            .prepare(&wanted)?
+            .perform::<SessionError>(&mut |_| Ok(()))?;
+        let made = outcome.mapped.ok_or(SessionError::NoMap)?;
         let known = Known {
             pieces: Some(made.pieces.clone()),
             beyond: made.beyond.as_ref().map(|beyond| beyond.pieces.clone()),
@@ -277,11 +279,15 @@ impl<'s> Session<'s> {
         if self.scene.model.study.is_none() {
             return Err(SessionError::NoStudy);
         }
+        self.study_with(self.choices)
+    }
+
+    fn study_with(&self, choices: Choices) -> Result<Vec<Variant>, SessionError> {
         let step = self.step();
         let mut shown =
             |done: usize, of: usize| step.say(&format!("study: {done} of {of} variants"));
         let backend = self.backend.as_ref();
-        Ok(study::study(self.scene, backend, self.choices, &mut shown)?)
+        Ok(study::study(self.scene, backend, choices, &mut shown)?)
     }
 
     /// The smallest levels of attenuation that the scene's `[attenuation]` asks for.
@@ -309,11 +315,6 @@ impl<'s> Session<'s> {
         plan(self.scene, self.backend.as_ref(), choices)
     }
 
-    /// Refuses a game whose level of attenuation its linearization does not allow.
-    fn refused(&self) -> Result<(), ScenarioErrors> {
-        attenuation::refusal(self.scene).map_or(Ok(()), Err)
-    }
-
     fn step(&self) -> Step<'_> {
         Step(self.progress)
     }
@@ -324,9 +325,7 @@ impl<'s> Session<'s> {
 /// # Errors
 /// What is wrong with the scene.
 pub fn plan(scene: &Scene, backend: &dyn Backend, choices: Choices) -> Result<Plan, SessionError> {
-    if let Some(refused) = attenuation::refusal(scene) {
-        return Err(refused.into());
-    }
+    attenuation::refuse(scene)?;
     let Scene {
         model, hamiltonian, ..
     } = scene;

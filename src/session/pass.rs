@@ -10,13 +10,12 @@ use crate::dynamic_programming::{self, Device, Options, extent};
 use crate::map::{self, Adaptive};
 use crate::model::MapAim;
 use crate::scene::Scene;
-use crate::study::{Variant, study};
+use crate::study::Variant;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::trajectories::TrajectoryBlock;
 use crate::value::{self, Answers, Archive, Entry};
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
-use std::time::Instant;
 
 /// A pass that is planned, and has not begun.
 pub struct Pass<'s> {
@@ -28,7 +27,6 @@ pub struct Pass<'s> {
     stored: bool,
     study: bool,
     grid_guesses: bool,
-    begun: Instant,
 }
 
 /// What came of a pass.
@@ -51,8 +49,6 @@ pub struct Outcome {
     pub variants: Vec<Variant>,
     /// The errors of the sweep and of the answers.
     pub estimates: Estimates,
-    /// How long the pass took (s).
-    pub seconds: f64,
     pub(crate) targets: Option<Targets>,
 }
 
@@ -62,7 +58,6 @@ impl Session<'_> {
     /// # Errors
     /// What is wrong with the scene, or with what is asked for.
     pub fn prepare(&self, wanted: &Wanted) -> Result<Pass<'_>, SessionError> {
-        let begun = Instant::now();
         let model = &self.scene.model;
         let targets = Targets::new(model, wanted)?;
         if wanted.grid_guesses {
@@ -93,7 +88,6 @@ impl Session<'_> {
             stored,
             study: wanted.study && model.study.is_some(),
             grid_guesses: wanted.grid_guesses,
-            begun,
         })
     }
 }
@@ -137,7 +131,6 @@ impl Pass<'_> {
             mapped: None,
             variants: Vec::new(),
             estimates: Estimates::default(),
-            seconds: 0.0,
             targets,
             plan,
         };
@@ -184,16 +177,11 @@ impl Pass<'_> {
             outcome.mapped = Some(session.map_to_error(plan, archive, aim)?);
         }
         if self.study {
-            let step = session.step();
-            let mut shown =
-                |done: usize, of: usize| step.say(&format!("study: {done} of {of} variants"));
-            outcome.variants =
-                study(session.scene, backend, choices, &mut shown).map_err(SessionError::from)?;
+            outcome.variants = session.study_with(choices)?;
         }
 
         outcome.estimates = Estimates::new(plan, &outcome.swept, stored, outcome.answers.as_ref())
             .map_err(SessionError::from)?;
-        outcome.seconds = self.begun.elapsed().as_secs_f64();
         Ok(outcome)
     }
 }
@@ -246,7 +234,7 @@ impl Session<'_> {
     }
 
     /// The map that a scene's `[map] error` asks for.
-    pub(super) fn map_to_error(
+    fn map_to_error(
         &self,
         plan: &Plan,
         archive: &Archive,

@@ -1,7 +1,7 @@
 //! What is asked of a scene.
 
 use super::SessionError;
-use crate::model::{Model, reserved};
+use crate::model::Model;
 use crate::value::{Grid, Request};
 
 /// What is asked of a scene.
@@ -144,11 +144,6 @@ impl Targets {
             States::OfScene { needed } => {
                 let homotopy = model.homotopy.as_ref().map(Grid::homotopy);
                 let map = model.map.as_ref().map(|m| Grid::map(m, model));
-                if let (Some(state), true) = (model.reserved_state(&[reserved::MAP]), map.is_some())
-                {
-                    let name = state.to_owned();
-                    return Err(SessionError::MapName { name });
-                }
                 if homotopy.is_none() && map.is_none() {
                     return match needed {
                         true if model.map_aim.is_none() => Err(SessionError::NoTargets),

@@ -13,6 +13,7 @@ use crate::backend::cpu::Cpu;
 use crate::backend::cpu::Evaluator;
 use crate::backend::{Backend, BackendError, Status, Trajectories, batch_limit};
 use crate::model::{Method, Precision};
+use crate::numeric::quantile::median_p99_max;
 use crate::program::Program;
 use nalgebra::{DMatrix, DVector};
 
@@ -57,13 +58,8 @@ impl Spread {
             .iter_mut()
             .filter(|e| e.is_nan())
             .for_each(|e| *e = f64::INFINITY);
-        errors.sort_by(f64::total_cmp);
-        let at = |q: f64| errors[((errors.len() - 1) as f64 * q).round() as usize];
-        (!errors.is_empty()).then(|| Self {
-            median: at(0.5),
-            p99: at(0.99),
-            worst: at(1.0),
-        })
+        let [median, p99, worst] = median_p99_max(&errors);
+        (!errors.is_empty()).then_some(Self { median, p99, worst })
     }
 }
 

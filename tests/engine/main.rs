@@ -11,6 +11,7 @@ mod common_oracles;
 mod backends;
 mod batches;
 mod elimination;
+mod equations;
 mod exact;
 mod fronts;
 mod gradient;

@@ -81,10 +81,10 @@ impl EvaluationSummary {
                 max: s.worst,
                 count: s.count,
             }),
-            worst: (e.records.iter().enumerate())
-                .map(|(k, (name, _))| (name.clone(), finite(e.worst(law, k))))
+            worst: (e.closed_loop.records.iter().enumerate())
+                .map(|(k, record)| (record.name.clone(), finite(e.worst(law, k))))
                 .collect(),
-            sets: (e.asked.iter().zip(sets))
+            sets: (e.closed_loop.sets.iter().zip(sets))
                 .map(|(set, r)| {
                     let (share, area) = (r.share, finite(r.area));
                     (set.name.clone(), SetSummary { share, area })

@@ -9,7 +9,7 @@ pub use laws::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary, LinearSummary,
 };
 
-use super::{Estimates, Outcome};
+use super::{Estimates, Outcome, Session};
 use crate::map::{Adaptive, Agreement};
 use crate::model::Model;
 use crate::numeric::quantile::median_p99_max;
@@ -18,6 +18,7 @@ use crate::sweep::accuracy::Spread;
 use crate::value::{Answers, PointStatus};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::path::Path;
 
 /// Median, 99 % quantile and largest value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -247,39 +248,23 @@ pub struct CheckSummary {
     pub said_without_answer: usize,
 }
 
-/// Where a run computed, and how.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Computed {
-    pub title: String,
-    pub backend: String,
-    pub adapter: String,
-    /// The tolerances (atol in units of each component's scale).
-    pub rtol: f64,
-    pub atol: f64,
-}
-
-impl RunSummary {
-    /// Of a pass. `file` is the result file, `seconds` how long the run took so far.
+impl Session<'_> {
+    /// A pass in numbers. `file` is the result file, `seconds` how long the run took so far.
     #[must_use]
-    pub fn new(
-        outcome: &Outcome,
-        model: &Model,
-        computed: &Computed,
-        file: &str,
-        seconds: f64,
-    ) -> Self {
+    pub fn summary(&self, outcome: &Outcome, file: &Path, seconds: f64) -> RunSummary {
+        let model = &self.scene().model;
         let Outcome { plan, swept, .. } = outcome;
         let coverage = &swept.coverage;
         let statuses = swept.by_status.iter();
-        Self {
-            title: computed.title.clone(),
-            file: file.to_owned(),
-            backend: computed.backend.clone(),
-            adapter: computed.adapter.clone(),
+        RunSummary {
+            title: model.title.clone(),
+            file: file.display().to_string(),
+            backend: self.backend().name().to_owned(),
+            adapter: self.backend().adapter(),
             precision: plan.spec.precision.name().to_owned(),
             method: plan.method().name().to_owned(),
-            rtol: computed.rtol,
-            atol: computed.atol,
+            rtol: plan.run.rtol,
+            atol: plan.atol,
             trajectories: swept.trajectories,
             trajectories_stored: outcome.stored,
             status: statuses.map(|(s, n)| (plan.status_name(*s), *n)).collect(),
@@ -306,16 +291,8 @@ impl RunSummary {
             trajectories_per_second: swept.trajectories as f64 / swept.integrate_seconds.max(1e-9),
             homotopy: (outcome.answers.as_ref()).map(|a| solved(plan, a, &outcome.estimates)),
             map: (outcome.mapped.as_ref()).map(|made| mapped(made, model.states.len())),
-            study: outcome.study(model),
+            study: study_rows(model, &outcome.variants),
         }
-    }
-}
-
-impl Outcome {
-    /// The table of a scene's study: a row for each variant.
-    #[must_use]
-    pub fn study(&self, model: &Model) -> Option<Vec<BTreeMap<String, Cell>>> {
-        study_rows(model, &self.variants)
     }
 }
 

@@ -68,11 +68,9 @@ impl Alone {
     pub fn finish(&self, session: &Session<'_>, file: ResultFile) -> Result<PathBuf, CliError> {
         let model = &self.scene.model;
         let record = RunRecord {
-            backend: session.backend().name().to_owned(),
-            adapter: session.backend().adapter(),
             rtol: self.numerics.rtol.unwrap_or(model.integrator.rtol),
             atol: model.integrator.atol,
-            ..self.provenance.record(model)
+            ..session.record(&self.provenance)
         };
         record.write(&file)?;
         Ok(file.finish()?)

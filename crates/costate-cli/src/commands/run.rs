@@ -10,7 +10,7 @@ use crate::text::listed;
 use costate::low_level::dynamic_programming;
 use costate::low_level::files::{target, write_text};
 use costate::low_level::result::Stored;
-use costate::run::{self, Provenance, output_of, output_of_points};
+use costate::run::{Provenance, output_of, output_of_points};
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
@@ -167,14 +167,7 @@ fn to_table(
     // What is wrong with the name is told before the work is done.
     let path = target(path)?;
     let outcome = pass.perform::<SessionError>(&mut |_| Ok(()))?;
-    let record = session.record(&outcome, provenance);
-    let mut summary = json!(run::summary(
-        &outcome,
-        model,
-        &record,
-        &path,
-        provenance.seconds()
-    ));
+    let mut summary = json!(session.summary(&outcome, &path, provenance.seconds()));
     summary["points"] = json!(listed::points(&outcome));
     write_text(&path, &listed::table(&outcome, model)?)?;
     session

@@ -8,7 +8,8 @@ use costate::low_level::diagnostics::shorten;
 use costate::low_level::files::write_text;
 use costate::low_level::hdf5::ResultFile;
 use costate::low_level::map::{At, Coverage, DeviceMap, Fronts, Unknown, Value, ValueMap};
-use costate::low_level::model::{Model, Precision, reserved};
+use costate::low_level::model::reserved::is_of_map;
+use costate::low_level::model::{Model, Precision};
 use costate::low_level::numeric::digits::plain;
 use costate::low_level::numeric::quantile::median_p99_max;
 use costate::low_level::result::{Places, RunRecord, Stored, Times};
@@ -74,8 +75,8 @@ pub fn value(args: &ValueArgs) -> Result<(), CliError> {
     }
     let file = args.out.as_ref().filter(|out| !is_csv(out));
     if let (Some(out), true) = (file, grid.is_some()) {
-        let own = [reserved::MAP, reserved::VALUES];
-        if let Some(name) = model.reserved_state(&own) {
+        let mut names = model.states.iter().map(|s| s.variable.name.as_str());
+        if let Some(name) = names.find(|name| is_of_map(name)) {
             return Err(CliError::BadOut {
                 path: out.clone(),
                 reason: format!(

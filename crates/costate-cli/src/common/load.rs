@@ -16,8 +16,6 @@ pub fn load(args: &SceneArgs) -> Result<Scene, CliError> {
 pub fn loaded(path: &Path, set: &[(String, String)]) -> Result<Scene, CliError> {
     let scene = Scene::load_with(path, set)?;
     // Before anything is computed or written, whatever the command.
-    match attenuation::refusal(&scene) {
-        Some(refused) => Err(refused.into()),
-        None => Ok(scene),
-    }
+    attenuation::refuse(&scene)?;
+    Ok(scene)
 }

@@ -27,8 +27,8 @@ pub fn text(e: &Evaluation) -> String {
         ["law", "converged", "J/V - 1 median", "99 %"]
             .into_iter()
             .map(str::to_owned)
-            .chain(e.records.iter().map(|(name, _)| name.clone()))
-            .chain(e.asked.iter().map(|s| s.name.clone()))
+            .chain(e.closed_loop.records.iter().map(|r| r.name.clone()))
+            .chain(e.closed_loop.sets.iter().map(|s| s.name.clone()))
             .chain(["states/s", "ended"].map(str::to_owned))
             .collect(),
     ];
@@ -41,7 +41,7 @@ pub fn text(e: &Evaluation) -> String {
             number(spread.map(|s| s.median)),
             number(spread.map(|s| s.p99)),
         ];
-        row.extend((0..e.records.len()).map(|k| format!("{:.5}", e.worst(law, k))));
+        row.extend((0..e.closed_loop.records.len()).map(|k| format!("{:.5}", e.worst(law, k))));
         row.extend(sets.iter().map(|s| format!("{:.2} %", 100.0 * s.share)));
         row.push(format!("{:.0}", law.rate()));
         row.push(e.status_text(law));

@@ -9,20 +9,9 @@ use crate::contour::{self, Grid};
 use crate::frame::{Axis, Bar, Frame, LINE, Legend, Mark};
 use crate::ticks::{self, significant};
 use crate::{Drawing, Picture, Source, names, text};
+use costate::low_level::model::reserved::{self, is_reserved};
 use costate::low_level::result::{StoredError, StoredGroup};
 
-/// Variables of `/closed_loop` that are no recorded quantities.
-const OTHERS: [&str; 9] = [
-    "x0",
-    "V",
-    "J",
-    "suboptimality",
-    "converged",
-    "status",
-    "t_end",
-    "law",
-    "initial",
-];
 /// A panel's inside is no narrower.
 const NARROWEST: f64 = 230.0;
 /// The last label of an axis and the first of the next stand between panels.
@@ -96,14 +85,11 @@ pub fn pictures(source: &Source<'_>) -> (Vec<Picture>, Vec<(String, String)>) {
     (made, missing)
 }
 
-/// Recorded quantities in the file's order, and the loss against the optimum.
+/// Recorded quantities in the file's order, where the map's law had no answer, and the loss against
+/// the optimum.
 fn quantities(group: &StoredGroup<'_>) -> Vec<String> {
-    let states = ["state", "axis"];
-    let recorded = group
-        .names()
-        .into_iter()
-        .filter(|n| !OTHERS.contains(&n.as_str()) && !states.contains(&n.as_str()));
-    let mut all: Vec<String> = recorded.collect();
+    let drawn = |name: &String| name == "fallback" || !is_reserved(name, reserved::CLOSED_LOOP);
+    let mut all: Vec<String> = group.names().into_iter().filter(drawn).collect();
     if group.has("suboptimality") {
         all.push("suboptimality".to_owned());
     }
