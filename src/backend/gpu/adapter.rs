@@ -47,6 +47,12 @@ fn enumerate(backends: Backends) -> Vec<wgpu::Adapter> {
     descriptor.backends = backends;
     descriptor.flags = wgpu::InstanceFlags::empty();
     let mut list = pollster::block_on(wgpu::Instance::new(descriptor).enumerate_adapters(backends));
+    // Beside another API OpenGL is the same device over again, and it may be offered in a version
+    // without compute shaders (NVIDIA's is), which no flag tells.
+    let is_gl = |a: &wgpu::Adapter| a.get_info().backend == Api::Gl;
+    if list.iter().any(|a| !is_gl(a)) {
+        list.retain(|a| !is_gl(a));
+    }
     list.sort_by_key(rank);
     list
 }

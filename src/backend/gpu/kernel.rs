@@ -9,6 +9,8 @@ use super::results::{self, Written};
 use super::shader::{Fragment, Source, conditional};
 use crate::backend::{BackendError, Kernel, Relay, Run, Spec, Surface, Trajectories, Variant};
 use crate::integrator::Tableau;
+use crate::model::Precision;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Instant;
@@ -189,17 +191,15 @@ impl GpuKernel {
             0,
             &reals(settings(&self.spec, run, self.levels(run)), precision),
         );
-        let by_field = (0..dim).flat_map(|c| seeds.iter().skip(c).step_by(dim).copied());
-        queue.write_buffer(&memory.state, 0, &reals(by_field, precision));
-        // Sentinels: a slot that still holds one at the end was not written.
-        queue.write_buffer(&memory.counters, 0, &vec![0xff; 4 * count]);
-        queue.write_buffer(&memory.ends, 0, &vec![0xff; shape.ends()]);
+        by_component(seeds, dim, precision, |bytes| {
+            queue.write_buffer(&memory.state, 0, bytes);
+        });
 
         let mut active = count as u32;
         let mut list = 0;
         let mut started = false;
         let mut work = self.work(active);
-        let begin = Instant::now();
+        let mut seconds = 0.0;
         while active > 0 {
             let before = Instant::now();
             let levels = self.levels(run).len() as u32;
@@ -207,6 +207,9 @@ impl GpuKernel {
             queue.write_buffer(&memory.control, 0, bytemuck::cast_slice(&control));
             queue.write_buffer(&memory.remaining, 0, &[0; 4]);
             let mut encoder = device.device.create_command_encoder(&Default::default());
+            if !started {
+                memory.blank(&mut encoder, 4 * count, shape.ends());
+            }
             {
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                     label: None,
@@ -221,7 +224,7 @@ impl GpuKernel {
                 pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
             }
             let count = |b: &[u8]| u32::from_ne_bytes([b[0], b[1], b[2], b[3]]);
-            let left = match &self.clock {
+            let (left, stamped) = match &self.clock {
                 Some(clock) => {
                     let stamps = clock.resolve(&mut encoder);
                     let wanted = [(&memory.remaining, 4), (stamps, Clock::BYTES)];
@@ -229,22 +232,28 @@ impl GpuKernel {
                         (count(b), clock.seconds(s))
                     })?;
                     self.seconds += seconds;
-                    left
+                    (left, Some(seconds))
                 }
-                None => memory.read(&device, encoder, [(&memory.remaining, 4)], |[b]| count(b))?,
+                None => {
+                    let wanted = [(&memory.remaining, 4)];
+                    let left = memory.read(&device, encoder, wanted, |[b]| count(b))?;
+                    (left, None)
+                }
             };
             started = true;
-            // At most this much was done, so the measured speed is at most too high by what ended
-            // early.
-            let seconds = before.elapsed().as_secs_f64();
+            // By the device's clock, for the first dispatch waits for the seeds; some drivers offer
+            // one that stands still. At most this much was done, so the measured speed is at most
+            // too high by what ended early.
+            let elapsed = before.elapsed().as_secs_f64();
+            let dispatch = stamped.filter(|s| *s > 0.0).unwrap_or(elapsed);
+            seconds += dispatch;
             work = bounded(
-                f64::from(work) * (DISPATCH_SECONDS / seconds).min(4.0) * f64::from(active)
+                f64::from(work) * (DISPATCH_SECONDS / dispatch).min(8.0) * f64::from(active)
                     / f64::from(left.max(1)),
             );
             active = left;
             list = 1 - list;
         }
-        let seconds = begin.elapsed().as_secs_f64();
         let encoder = device.device.create_command_encoder(&Default::default());
         let samples = memory.samples.as_ref().unwrap_or(&memory.ends);
         let wanted = [
@@ -272,6 +281,32 @@ impl GpuKernel {
         self.speed.map_or(FIRST_WORK, |s| {
             bounded(s * DISPATCH_SECONDS / f64::from(active))
         })
+    }
+}
+
+/// Hands over vectors `[trajectory][component]` as `[component][trajectory]`, in the bytes of a
+/// precision.
+fn by_component(seeds: &[f64], dim: usize, precision: Precision, write: impl FnOnce(&[u8])) {
+    fn transposed<T: bytemuck::Pod + Send + Sync>(
+        seeds: &[f64],
+        dim: usize,
+        number: impl Fn(f64) -> T + Sync,
+    ) -> Vec<T> {
+        let count = seeds.len() / dim;
+        let mut all = vec![T::zeroed(); seeds.len()];
+        all.par_chunks_mut(count.max(1))
+            .enumerate()
+            .for_each(|(c, to)| {
+                to.par_iter_mut()
+                    .zip(seeds.par_chunks_exact(dim))
+                    .with_min_len(4096)
+                    .for_each(|(to, seed)| *to = number(seed[c]));
+            });
+        all
+    }
+    match precision {
+        Precision::F32 => write(bytemuck::cast_slice(&transposed(seeds, dim, |x| x as f32))),
+        Precision::F64 => write(bytemuck::cast_slice(&transposed(seeds, dim, |x| x))),
     }
 }
 

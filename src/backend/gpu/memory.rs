@@ -126,7 +126,7 @@ pub fn pipelines<const N: usize>(
         bind_group_layouts: &groups,
         ..Default::default()
     });
-    entries.map(|entry| {
+    let compile = |entry: &'static str| {
         (device.device).create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(entry),
             layout: Some(&layout),
@@ -134,6 +134,15 @@ pub fn pipelines<const N: usize>(
             entry_point: Some(entry),
             compilation_options: Default::default(),
             cache: None,
+        })
+    };
+    // Drivers take seconds to compile a long kernel, on one thread.
+    std::thread::scope(|scope| {
+        let compile = &compile;
+        let others = entries.map(|entry| scope.spawn(move || compile(entry)));
+        others.map(|handle| match handle.join() {
+            Ok(pipeline) => pipeline,
+            Err(panic) => std::panic::resume_unwind(panic),
         })
     })
 }
@@ -201,6 +210,8 @@ pub struct Memory {
     pub remaining: Buffer,
     pub ends: Buffer,
     pub samples: Option<Buffer>,
+    /// Sentinels, for the counters and the ends.
+    sentinels: Buffer,
     /// Receives what is read back.
     staging: Buffer,
     pub bindings: wgpu::BindGroup,
@@ -223,6 +234,11 @@ impl Memory {
         let remaining = storage("remaining", 4);
         let ends = storage("ends", shape.ends());
         let samples = (shape.levels > 0).then(|| storage("samples", shape.samples()));
+        let sentinels = filled(
+            device,
+            "sentinels",
+            &vec![0xff; padded((4 * shape.trajectories).max(shape.ends()))],
+        );
         let all = padded(shape.counters()) + padded(shape.ends()) + padded(shape.samples());
         let staging = staging(device, "staging", all);
         let bound = [
@@ -242,8 +258,17 @@ impl Memory {
             remaining,
             ends,
             samples,
+            sentinels,
             staging,
             bindings,
+        }
+    }
+
+    /// Puts sentinels where statuses and ends will be written: a slot that still holds one at the
+    /// end was not written.
+    pub fn blank(&self, encoder: &mut wgpu::CommandEncoder, statuses: usize, ends: usize) {
+        for (buffer, bytes) in [(&self.counters, statuses), (&self.ends, ends)] {
+            encoder.copy_buffer_to_buffer(&self.sentinels, 0, buffer, 0, bytes as u64);
         }
     }
 

@@ -44,23 +44,27 @@ pub fn fill(
     let count = shape.trajectories;
     let counters: &[u32] = bytemuck::cast_slice(written.counters);
     let field = |k: usize| &counters[k * count..(k + 1) * count];
-    for (index, code) in field(0).iter().enumerate() {
-        result.status[first + index] = match *code {
+    let unwritten = |index: usize| BackendError::Unwritten {
+        index: first + index,
+    };
+    for (index, (to, code)) in result.status[first..first + count]
+        .iter_mut()
+        .zip(field(0))
+        .enumerate()
+    {
+        *to = match *code {
             RUNNING | UNWRITTEN | EVENT => None,
             code => Status::from_code(code as i32),
         }
-        .ok_or(BackendError::Unwritten {
-            index: first + index,
-        })?;
+        .ok_or_else(|| unwritten(index))?;
     }
     result.steps[first..first + count].copy_from_slice(field(2));
     result.rejected[first..first + count].copy_from_slice(field(3));
-    if let Some(slot) = (written.ends.chunks_exact(shape.real))
-        .position(|slot| slot.iter().all(|byte| *byte == 0xff))
-    {
-        return Err(BackendError::Unwritten {
-            index: first + slot % count,
-        });
+    let sentinel = (written.ends.par_chunks_exact(shape.real))
+        .with_min_len(4096)
+        .position_first(|slot| slot.iter().all(|byte| *byte == 0xff));
+    if let Some(slot) = sentinel {
+        return Err(unwritten(slot % count));
     }
     let passed = Passed {
         first: field(4),
@@ -90,12 +94,17 @@ fn numbers<T: bytemuck::Pod + Into<f64> + Send + Sync>(
 ) {
     let (dim, count, levels) = (shape.dim, shape.trajectories, shape.levels);
     let ends: &[T] = bytemuck::cast_slice(written.ends);
-    for i in 0..count {
-        for c in 0..dim {
-            result.end[(first + i) * dim + c] = ends[c * count + i].into();
-        }
-        result.end_time[first + i] = ends[dim * count + i].into();
-    }
+    result.end[first * dim..(first + count) * dim]
+        .par_chunks_exact_mut(dim)
+        .zip(&mut result.end_time[first..first + count])
+        .enumerate()
+        .with_min_len(1024)
+        .for_each(|(i, (end, time))| {
+            for (c, to) in end.iter_mut().enumerate() {
+                *to = ends[c * count + i].into();
+            }
+            *time = ends[dim * count + i].into();
+        });
     if levels == 0 {
         return;
     }
