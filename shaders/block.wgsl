@@ -87,7 +87,7 @@ fn level(k: u32) -> real {
 fn limited(run: Run, t: real, h: real) -> real {
 //if BY_TIME
     let left = run.last - t;
-    // Stretched a little, so that no crumb is left at the end.
+    // Stretched a little, so that no tiny step is left at the end.
     return select(h, left, h * 1.001 >= left);
 //end
 //if BY_COMPONENT

@@ -195,6 +195,18 @@
 
 #![warn(missing_docs)]
 
+/// `Debug` for what is too large to print: its name alone, so that what holds it can derive it.
+macro_rules! opaque {
+    ($($name:ident $(<$life:lifetime>)?),+) => {$(
+        impl std::fmt::Debug for $name $(<$life>)? {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.debug_struct(stringify!($name)).finish_non_exhaustive()
+            }
+        }
+    )+};
+}
+pub(crate) use opaque;
+
 #[allow(
     missing_docs,
     reason = "it promises nothing; what matters is documented"
@@ -208,7 +220,7 @@ pub mod session;
 // Rooms name each other `crate::ROOM`.
 use low_level::{
     attenuation, closed_loop, diagnostics, dynamic_programming, expr, feedback, files, hamiltonian,
-    integrator, local, map, model, numeric, program, scenario, shooting, study, sweep,
+    integrator, local, map, model, numeric, program, scenario, schema, shooting, study, sweep,
     trajectories, value,
 };
 #[cfg(feature = "hdf5")]
@@ -217,7 +229,7 @@ use low_level::{hdf5, result};
 pub use low_level::backend;
 
 pub use attenuation::Attenuated;
-pub use closed_loop::{Evaluation, LawResult};
+pub use closed_loop::{Evaluation, LawResult, Weights};
 pub use diagnostics::ScenarioErrors;
 pub use feedback::{Fitted, FittedLaw, Samples};
 pub use map::{At, Unknown, Value, ValueMap};

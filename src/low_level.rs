@@ -77,6 +77,8 @@ pub mod program;
 pub mod result;
 #[path = "scenario/mod.rs"]
 pub mod scenario;
+#[path = "schema/mod.rs"]
+pub mod schema;
 #[path = "shooting/mod.rs"]
 pub mod shooting;
 #[path = "study.rs"]

@@ -84,7 +84,24 @@ pub fn study(
             .map(|(n, v)| format!("{n} = {v:?}"))
             .collect::<Vec<_>>()
             .join(", ");
-        all.push(variant(scene, &set, &name, parameters, backend, choices)?);
+        let made = match choices.deadline.has_passed() {
+            true => Err(StudyError::Backend(BackendError::OutOfTime)),
+            false => variant(scene, &set, &name, parameters.clone(), backend, choices),
+        };
+        all.push(match made {
+            Err(StudyError::Backend(BackendError::OutOfTime)) => Variant {
+                parameters,
+                x0: asked.from.clone(),
+                status: PointStatus::OutOfTime,
+                value: f64::NAN,
+                u: vec![f64::NAN; scene.model.controls.len()],
+                sheets: 0,
+                duration: f64::NAN,
+                records: vec![f64::NAN; asked.records.len()],
+                trajectory: None,
+            },
+            made => made?,
+        });
     }
     Ok(all)
 }

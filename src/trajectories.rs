@@ -70,13 +70,13 @@ pub struct SolvedStates {
     pub status: Vec<i32>,
     /// What is known of their errors if they were interpolated; empty where all of them were solved
     /// for.
-    pub errors: Vec<ToldErrors>,
+    pub errors: Vec<StatedErrors>,
 }
 
 /// Errors of an interpolated value: of V, and of p relative to its largest component, each times
 /// the region's width. NaN where they are not known.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ToldErrors {
+pub struct StatedErrors {
     pub v: f64,
     pub p: f64,
 }
@@ -94,5 +94,5 @@ pub struct SolvedGrid {
     /// Codes of [`PointStatus`](crate::value::PointStatus); empty where there are none.
     pub status: Vec<i32>,
     /// As in [`SolvedStates`].
-    pub errors: Vec<ToldErrors>,
+    pub errors: Vec<StatedErrors>,
 }

@@ -13,7 +13,8 @@ pub mod gpu;
 
 use crate::model::{Method, Precision};
 use crate::program::Program;
-use std::time::Instant;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 /// What a kernel is compiled for.
 #[derive(Clone, Debug)]
@@ -244,17 +245,63 @@ pub enum BackendError {
     OutOfTime,
 }
 
-/// When work is given up. Loops look at it where they hand work to a device.
+/// When work is given up: at an instant, or once a flag is set. Loops look at it where they hand
+/// work to a device.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Deadline(pub Option<Instant>);
+pub struct Deadline {
+    end: Option<Instant>,
+    stop: Option<&'static AtomicBool>,
+}
 
 impl Deadline {
+    /// At this instant; never without one.
+    #[must_use]
+    pub fn at(end: Option<Instant>) -> Self {
+        Self { end, stop: None }
+    }
+
+    /// When so much time has passed from now.
+    #[must_use]
+    pub fn after(time: Duration) -> Self {
+        // Of more than a clock tells there is no end.
+        Self::at(Instant::now().checked_add(time))
+    }
+
+    /// Once this is set, too.
+    #[must_use]
+    pub fn or_once(self, stop: &'static AtomicBool) -> Self {
+        Self {
+            stop: Some(stop),
+            ..self
+        }
+    }
+
+    /// Not later than at this instant.
+    #[must_use]
+    pub fn by(self, end: Option<Instant>) -> Self {
+        let sooner = match (self.end, end) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        };
+        Self {
+            end: sooner,
+            ..self
+        }
+    }
+
+    /// Whether work is to be given up.
+    #[must_use]
+    pub fn has_passed(self) -> bool {
+        self.end.is_some_and(|end| Instant::now() > end)
+            || self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+    }
+
     /// # Errors
     /// [`BackendError::OutOfTime`] once it has passed.
     pub fn check(self) -> Result<(), BackendError> {
-        match self.0 {
-            Some(end) if Instant::now() > end => Err(BackendError::OutOfTime),
-            _ => Ok(()),
+        match self.has_passed() {
+            true => Err(BackendError::OutOfTime),
+            false => Ok(()),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::law::{Law, LawError, Laws};
 use crate::diagnostics::{did_you_mean, shorten};
+use crate::feedback::FittedLaw;
 use crate::model::ClosedLoop;
 
 /// The value map's law.
@@ -16,6 +17,16 @@ pub struct Weights {
     pub text: String,
     /// The file, for messages.
     pub file: String,
+}
+
+impl From<&FittedLaw> for Weights {
+    fn from(law: &FittedLaw) -> Self {
+        Self {
+            name: law.name.clone(),
+            text: law.law.to_toml(),
+            file: format!("the fitted law {}", law.name),
+        }
+    }
 }
 
 /// What there is besides the scene.

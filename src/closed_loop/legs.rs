@@ -59,6 +59,7 @@ impl<'j, 'g> Journey<'j, 'g> {
         let mut alive: Vec<usize> = (0..self.batch.status.len()).collect();
         let mut arrived = alive.clone();
         loop {
+            self.ground.setting.numerics.deadline.check()?;
             let accepted = self.judged(&arrived);
             self.record(&accepted.iter().map(|(_, i)| *i).collect::<Vec<_>>());
             let going = self.onward(&accepted);

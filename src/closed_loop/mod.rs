@@ -173,7 +173,7 @@ impl Chart for ValueMap {
     /// With what [`Chart::local`], which is in haste, differs by from all sites around.
     fn uncertainty(&self, x: &[f64]) -> f64 {
         match (self.at(x).lowest, ValueMap::local(self, x)) {
-            (Ok(here), Some(hasty)) => here.v_error + (here.v - hasty.v).abs(),
+            (Ok(here), Some(fast)) => here.v_error + (here.v - fast.v).abs(),
             _ => f64::NAN,
         }
     }

@@ -54,6 +54,7 @@ impl Ground<'_> {
                 given: waiting.iter().map(|w| w.given).collect(),
                 traced: waiting.iter().filter(|w| traced(w)).count(),
             };
+            self.setting.numerics.deadline.check()?;
             let flown = relay.fly(run, &course)?;
             batch.round_trips += flown.waits;
             let stopped = pilots.outside == Outside::Stop;

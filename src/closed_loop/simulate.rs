@@ -301,6 +301,7 @@ impl Ground<'_> {
             .map(|k| scene.final_time * k as f64 / scene.samples as f64)
             .collect();
         let run = self.run(&self.equations, times);
+        self.setting.numerics.deadline.check()?;
         let flown = kernel.integrate(&run, &batch.start)?;
         let dim = batch.dim;
         let width = self.observer_width();

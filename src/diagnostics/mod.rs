@@ -8,7 +8,7 @@ mod problem;
 mod render;
 mod suggest;
 
-pub use printable::unprintable;
+pub use printable::{printable, unprintable};
 pub use problem::{Problem, Span};
 pub use render::ScenarioErrors;
 pub(crate) use render::position;

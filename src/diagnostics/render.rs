@@ -1,5 +1,6 @@
 //! Rendering of problems, with the text underlined.
 
+use super::printable::{misleads, printable};
 use super::{Problem, Span};
 use miette::{
     Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteError,
@@ -16,7 +17,7 @@ const SHOWN: usize = 50;
 ///
 /// `Display` gives one `file:line:column: message` a line; [`ScenarioErrors::render`] shows the
 /// text underlined.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub struct ScenarioErrors {
     /// As given, for messages.
     pub file_name: String,
@@ -27,6 +28,13 @@ pub struct ScenarioErrors {
 }
 
 impl std::error::Error for ScenarioErrors {}
+
+/// As [`ScenarioErrors::render`] shows it: what `main` prints that returns it.
+impl fmt::Debug for ScenarioErrors {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "\n{}", self.render(false))
+    }
+}
 
 impl fmt::Display for ScenarioErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -77,16 +85,26 @@ impl ScenarioErrors {
         };
         let handler = GraphicalReportHandler::new_themed(theme)
             .with_width(120)
+            // What a message offers to be pasted has numbers: none is broken at its sign.
+            .with_break_words(false)
+            .with_word_separator(textwrap::WordSeparator::AsciiSpace)
+            .with_word_splitter(textwrap::WordSplitter::NoHyphenation)
             .with_context_lines(1);
         // As many bytes, so that places stay.
-        let obeyed = |c: char| c.is_ascii_control() && !matches!(c, '\n' | '\r' | '\t');
-        let text = self.text.replace(obeyed, "?");
+        let mut text = String::with_capacity(self.text.len());
+        for c in self.text.chars() {
+            match misleads(c) && !matches!(c, '\n' | '\r' | '\t') {
+                true => text.extend(std::iter::repeat_n('?', c.len_utf8())),
+                false => text.push(c),
+            }
+        }
+        let file_name = printable(&self.file_name);
         let mut out = String::new();
         for problem in self.problems.iter().take(SHOWN) {
             let shown = Shown {
                 problem,
                 source: Source {
-                    file_name: &self.file_name,
+                    file_name: &file_name,
                     text: &text,
                 },
             };
@@ -101,7 +119,7 @@ impl ScenarioErrors {
             n if n > SHOWN => format!("{n} problems, of which these are the first {SHOWN},"),
             n => format!("{n} problems"),
         };
-        out + &format!("{count} in {}\n", self.file_name)
+        out + &format!("{count} in {file_name}\n")
     }
 }
 
@@ -132,7 +150,7 @@ struct Shown<'s> {
 
 impl fmt::Display for Shown<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.problem.message)
+        f.write_str(&printable(&self.problem.message))
     }
 }
 
@@ -143,7 +161,7 @@ impl Diagnostic for Shown<'_> {
         self.problem
             .help
             .as_ref()
-            .map(|h| Box::new(h) as Box<dyn fmt::Display>)
+            .map(|h| Box::new(printable(h)) as Box<dyn fmt::Display>)
     }
 
     fn source_code(&self) -> Option<&dyn SourceCode> {
@@ -155,7 +173,7 @@ impl Diagnostic for Shown<'_> {
 
     fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
         let span = self.source.shown_span(self.problem.span.as_ref()?);
-        let label = Some(self.problem.label.clone()).filter(|l| !l.is_empty());
+        let label = Some(printable(&self.problem.label).into_owned()).filter(|l| !l.is_empty());
         Some(Box::new(std::iter::once(LabeledSpan::new(
             label,
             span.start,

@@ -21,7 +21,7 @@ mod stationary;
 
 pub use lattice::{Axis, Lattice, MOST_STATES};
 
-use crate::backend::{Backend, BackendError};
+use crate::backend::{Backend, BackendError, Deadline};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::shooting::End;
@@ -195,19 +195,21 @@ impl Runner {
 struct Clock {
     begun: Instant,
     budget: Option<Duration>,
+    deadline: Deadline,
 }
 
 impl Clock {
-    fn new(seconds: Option<f64>) -> Self {
+    fn new(seconds: Option<f64>, deadline: Deadline) -> Self {
         Self {
             begun: Instant::now(),
             budget: seconds.and_then(|s| Duration::try_from_secs_f64(s).ok()),
+            deadline,
         }
     }
 
     fn is_over(&self) -> bool {
-        self.budget
-            .is_some_and(|budget| self.begun.elapsed() > budget)
+        let spent = |budget| self.begun.elapsed() > budget;
+        self.budget.is_some_and(spent) || self.deadline.has_passed()
     }
 }
 
@@ -263,7 +265,7 @@ pub fn solve(
     }
     let equations = Equations::new(model, hamiltonian, &plan.system);
     let domain = Domain::new(plan, &equations, options)?;
-    let clock = Clock::new(options.budget_seconds);
+    let clock = Clock::new(options.budget_seconds, plan.deadline);
     let runner = device.runner(&equations)?;
     let (solution, slices, slice_step) = match (&plan.local, &plan.system.terminal) {
         (Some(local), _) => {

@@ -8,7 +8,7 @@ pub(crate) mod testing;
 pub use error::FileError;
 pub use temporary::Temporary;
 #[cfg(unix)]
-pub use temporary::removed_at_signals;
+pub use temporary::{removed_at_signals, stop_at_signals};
 
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
@@ -46,6 +46,11 @@ impl Draft {
     /// The name the file will have.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Chooses another name for it, in the same directory.
+    pub fn rename(&mut self, path: PathBuf) {
+        self.path = path;
     }
 
     /// The hidden name it has now.

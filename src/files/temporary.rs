@@ -3,10 +3,25 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Those of this process that are there.
 static OPEN: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Signals that ask a program to end, and leave it time to.
+static STOP: AtomicBool = AtomicBool::new(false);
+/// Told of such a signal, by its name; none where the first one ends the process.
+static ASKED: Mutex<Option<Asked>> = Mutex::new(None);
+type Asked = Box<dyn Fn(&str) + Send>;
+
+/// From now on the first signal that asks the process to end (interrupt, terminate, those of batch
+/// systems before they kill) only sets the flag that is returned, and calls `asked` with the
+/// signal's name; the second one ends it. Needs [`removed_at_signals`].
+pub fn stop_at_signals(asked: impl Fn(&str) + Send + 'static) -> &'static AtomicBool {
+    *ASKED.lock().unwrap_or_else(PoisonError::into_inner) = Some(Box::new(asked));
+    &STOP
+}
 
 /// A file's hidden name; what is there is removed when this is dropped.
 #[derive(Debug)]
@@ -67,6 +82,15 @@ pub fn removed_at_signals() -> io::Result<()> {
         .name("signals".to_owned())
         .spawn(move || {
             for signal in &mut signals {
+                if asks(signal) {
+                    let asked = ASKED.lock().unwrap_or_else(PoisonError::into_inner);
+                    if let Some(asked) = &*asked
+                        && !STOP.swap(true, Ordering::Relaxed)
+                    {
+                        asked(signal_hook::low_level::signal_name(signal).unwrap_or("a signal"));
+                        continue;
+                    }
+                }
                 // Held to the end: no other file comes after these.
                 let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
                 for path in open.iter() {
@@ -77,6 +101,13 @@ pub fn removed_at_signals() -> io::Result<()> {
             }
         })?;
     Ok(())
+}
+
+/// Whether a signal asks to end, and something else kills where that is not heard.
+#[cfg(unix)]
+fn asks(signal: i32) -> bool {
+    use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2, SIGXCPU};
+    [SIGINT, SIGTERM, SIGUSR1, SIGUSR2, SIGXCPU].contains(&signal)
 }
 
 #[cfg(unix)]

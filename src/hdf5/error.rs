@@ -80,6 +80,14 @@ pub enum OutputError {
         /// The variable.
         variable: String,
     },
+    /// A column, attribute or dimension that the schema of its group does not have.
+    #[error("{group}: `{name}` is not in the schema of the result file")]
+    NotInSchema {
+        /// The group.
+        group: String,
+        /// The name.
+        name: String,
+    },
     /// A block lacks a growing variable: all grow in step.
     #[error("{group}: the block has no values for `{variable}`")]
     MissingVariable {

@@ -90,6 +90,11 @@ impl ResultFile {
         self.draft.path()
     }
 
+    /// Chooses another name for the file, in the same directory.
+    pub fn rename(&mut self, path: PathBuf) {
+        self.draft.rename(path);
+    }
+
     /// Sets a root attribute.
     ///
     /// # Errors

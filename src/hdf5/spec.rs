@@ -81,6 +81,12 @@ impl Dimension {
         self
     }
 
+    /// Its name, which the coordinate variable has too.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// The length, `None` when it grows.
     pub(crate) fn length(&self) -> Option<usize> {
         match &self.coordinate {

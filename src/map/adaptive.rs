@@ -4,17 +4,17 @@
 
 mod beyond;
 mod check;
-mod errands;
 mod first;
 mod horizon;
 mod points;
 mod probe;
 mod refine;
 mod search;
+mod tasks;
 
 use super::guarded::Guarded;
 use super::pieces::{Cloud, Flow, Frame, MOST_VARIABLES, Pieces, Region};
-use crate::backend::{BackendError, Deadline};
+use crate::backend::BackendError;
 use crate::map::Coverage;
 use crate::model::{MapAim, Model};
 use crate::shooting::{Path, Solver};
@@ -302,9 +302,9 @@ impl Work<'_, '_> {
             let given = Duration::try_from_secs_f64(times * seconds).ok()?;
             self.clock.checked_add(given.checked_add(GRACE)?)
         };
-        self.solver.deadline = Deadline(self.aim.seconds.and_then(end));
+        self.solver.deadline = self.plan.deadline.by(self.aim.seconds.and_then(end));
         let done = work(self);
-        self.solver.deadline = Deadline::default();
+        self.solver.deadline = self.plan.deadline;
         match done {
             Err(BackendError::OutOfTime) => Ok(None),
             done => done.map(Some),

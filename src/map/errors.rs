@@ -36,9 +36,10 @@ impl ValueMap {
             return;
         }
         let alike = near.iter().filter(|(site, distance)| {
-            (self.opinion(&place, 0, *site, *distance, None)).is_some_and(|o| {
-                let far = distance_between(&o.says.q, &q);
-                far <= OF_CHANGE * distance_between(&o.says.q, self.sites.q(*site)) + OF_SIZE * size
+            (self.local_model(&place, 0, *site, *distance, None)).is_some_and(|o| {
+                let far = distance_between(&o.prediction.q, &q);
+                far <= OF_CHANGE * distance_between(&o.prediction.q, self.sites.q(*site))
+                    + OF_SIZE * size
             })
         });
         let mut worst = [f64::NAN; 3];
@@ -48,7 +49,7 @@ impl ValueMap {
                 *worst = worst.max(*error);
             }
         }
-        // Of one voice, with nothing near it to be left out, no error is told.
+        // A single prediction, with nothing near it to leave out, has no error estimate.
         value.v_error = match value.sites {
             1 if worst[0].is_nan() => f64::NAN,
             _ => value.v_error.max(worst[0]),
@@ -109,15 +110,15 @@ impl ValueMap {
     /// others do not reach it.
     fn leave_out(&self, site: usize) -> [f64; 3] {
         let (z, v, q) = (self.sites.z(site), self.sites.v[site], self.sites.q(site));
-        let opinions = self.opinions(z, Some(site));
+        let local_models = self.local_models(z, Some(site));
         // The site's own sheet is the one whose p is nearest.
-        let sheets = self.sheets(&opinions);
+        let sheets = self.sheets(&local_models);
         let blends = sheets
             .iter()
-            .map(|members| blend(self.sites.n, &opinions, members).0);
+            .map(|members| blend(self.sites.n, &local_models, members).0);
         let nearest =
             blends.min_by(|a, b| distance_between(&a.q, q).total_cmp(&distance_between(&b.q, q)));
-        let Some(says) = nearest else {
+        let Some(prediction) = nearest else {
             return [f64::NAN; 3];
         };
         let w = &self.plan.widths;
@@ -125,13 +126,17 @@ impl ValueMap {
         let unscaled = |q: &[f64]| q.iter().zip(w).map(|(q, w)| q / w).collect::<Vec<f64>>();
         let (u, other) = (
             self.control(&s, &unscaled(q)),
-            self.control(&s, &unscaled(&says.q)),
+            self.control(&s, &unscaled(&prediction.q)),
         );
         let largest = |a: &[f64], b: &[f64]| {
             a.iter()
                 .zip(b)
                 .fold(0.0f64, |m, (a, b)| m.max((a - b).abs()))
         };
-        [(says.v - v).abs(), largest(&says.q, q), largest(&u, &other)]
+        [
+            (prediction.v - v).abs(),
+            largest(&prediction.q, q),
+            largest(&u, &other),
+        ]
     }
 }

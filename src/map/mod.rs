@@ -24,12 +24,12 @@ mod coverage;
 #[cfg(feature = "gpu")]
 mod device;
 mod errors;
+mod fast;
 mod guarded;
-mod hasty;
 mod known;
+mod local_models;
 mod many;
 mod nodal;
-mod opinions;
 pub mod pieces;
 mod sites;
 mod swift;
@@ -53,8 +53,8 @@ use crate::sweep::{Choices, Plan, PlanError, spread_over};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
 pub(crate) use guarded::GUARD_ROUNDING;
 use guarded::Guarded;
+use local_models::{LocalModel, blend, distance_between, surrounded};
 use nodal::{Nodal, Prediction};
-use opinions::{Opinion, blend, distance_between, surrounded};
 use pieces::{Pieces, Said};
 use rayon::prelude::*;
 use sites::{Sites, UNLABELLED};
@@ -143,6 +143,8 @@ pub struct At {
     /// a state that was solved.
     pub others: Vec<Value>,
 }
+
+crate::opaque!(ValueMap);
 
 /// Interpolates V, p and u; see the module's text. In a game a state has a value where one sheet
 /// lies over it, or where V of the lowest is below the least V of a second sheet over the region:
@@ -371,12 +373,23 @@ impl ValueMap {
     }
 
     /// V, p and u at a state (absolute), with errors; on a finite horizon at t = 0.
+    ///
+    /// # Panics
+    /// Where `x` has not one component for each state.
     pub fn at(&self, x: &[f64]) -> At {
         self.at_time(x, 0.0)
     }
 
     /// The same at a time of a finite horizon.
     pub fn at_time(&self, x: &[f64], t: f64) -> At {
+        let states = self.states();
+        assert_eq!(x.len(), states, "a state has {states} components");
+        if !x.iter().chain([&t]).all(|x| x.is_finite()) {
+            return At {
+                lowest: Err(Unknown::Far),
+                others: Vec::new(),
+            };
+        }
         let mut at = self.without_errors_at(x, t);
         let values = at.lowest.iter_mut().chain(&mut at.others);
         for value in values.filter(|v| v.sites > 0 && !v.in_pieces) {
@@ -445,21 +458,21 @@ impl ValueMap {
             .zip(&self.plan.widths)
             .map(|(s, w)| s / w)
             .collect();
-        let opinions = self.opinions(&z, None);
-        if opinions.is_empty() {
+        let local_models = self.local_models(&z, None);
+        if local_models.is_empty() {
             return At {
                 lowest: Err(Unknown::Far),
                 others: Vec::new(),
             };
         }
-        if opinions[0].distance >= SAME && !self.sites.errors.is_empty() {
+        if local_models[0].distance >= SAME && !self.sites.errors.is_empty() {
             return At {
                 lowest: Err(Unknown::Between),
                 others: Vec::new(),
             };
         }
-        let mut values: Vec<Value> = (self.sheets(&opinions).iter())
-            .filter_map(|members| self.blended(&s, &opinions, members))
+        let mut values: Vec<Value> = (self.sheets(&local_models).iter())
+            .filter_map(|members| self.blended(&s, &local_models, members))
             .filter(|value| self.solves_isaacs(&s, &value.p))
             .collect();
         values.sort_by(|a, b| a.v.total_cmp(&b.v));
@@ -476,7 +489,7 @@ impl ValueMap {
         }
     }
 
-    /// What the map in pieces says; `None` outside its region where the one round it does not know
+    /// What the map in pieces returns; `None` outside its region where the one round it does not know
     /// either.
     fn in_pieces(&self, x: &[f64], t: f64) -> Option<At> {
         let pieces = self
@@ -652,10 +665,10 @@ impl ValueMap {
                         .zip(&self.plan.widths)
                         .map(|(s, w)| s / w)
                         .collect();
-                    let opinions = self.opinions(&z, None);
-                    let sheets = self.sheets(&opinions);
+                    let local_models = self.local_models(&z, None);
+                    let sheets = self.sheets(&local_models);
                     let mut values: Vec<f64> = (sheets.iter())
-                        .filter_map(|members| Some(self.blended(s, &opinions, members)?.v))
+                        .filter_map(|members| Some(self.blended(s, &local_models, members)?.v))
                         .collect();
                     values.sort_by(f64::total_cmp);
                     values.get(1).copied()
@@ -728,7 +741,7 @@ impl ValueMap {
     }
 
     /// Of a game whether `H(x, p)` is about 0: behind a fold no p makes it so, whatever
-    /// interpolation says.
+    /// interpolation returns.
     fn solves_isaacs(&self, s: &[f64], p: &[f64]) -> bool {
         let Some(program) = &self.isaacs else {
             return true;
@@ -747,30 +760,30 @@ impl ValueMap {
         f64::from(winding[i]) * self.plan.periods[i].unwrap_or(0.0) / self.plan.widths[i]
     }
 
-    fn blended(&self, s: &[f64], opinions: &[Opinion], members: &[usize]) -> Option<Value> {
+    fn blended(&self, s: &[f64], local_models: &[LocalModel], members: &[usize]) -> Option<Value> {
         let n = self.sites.n;
-        let first = &opinions[members[0]];
+        let first = &local_models[members[0]];
         let exact = first.distance < SAME;
         let reach = self.nodal(first.site, None).map_or(0.0, |f| f.reach);
-        // One voice that nobody confirms is not heard.
+        // A single unconfirmed prediction is rejected.
         let confirmed = exact || members.len() > 1;
         if !confirmed
             || !exact
                 && first.distance > INSIDE * reach
-                && !surrounded(n, members.iter().map(|k| &opinions[*k]))
+                && !surrounded(n, members.iter().map(|k| &local_models[*k]))
         {
             return None;
         }
-        let (says, disagreement) = blend(n, opinions, members);
-        if self.is_absurd(&says) {
+        let (prediction, disagreement) = blend(n, local_models, members);
+        if self.is_implausible(&prediction) {
             return None;
         }
-        let value = self.value(s, first, says);
+        let value = self.value(s, first, prediction);
         let used = if exact { &members[..1] } else { members };
-        let mut labels = used.iter().map(|k| self.sites.sheet[opinions[*k].site]);
+        let mut labels = used.iter().map(|k| self.sites.sheet[local_models[*k].site]);
         let solved = used
             .iter()
-            .filter(|k| self.sites.source[opinions[**k].site] == Source::Solved)
+            .filter(|k| self.sites.source[local_models[**k].site] == Source::Solved)
             .count();
         let coverage = self.coverage(value.v, solved == used.len());
         Some(Value {
@@ -784,21 +797,21 @@ impl ValueMap {
     }
 
     /// What a prediction means in the scene's units; errors NaN.
-    fn value(&self, s: &[f64], from: &Opinion, says: Prediction) -> Value {
+    fn value(&self, s: &[f64], from: &LocalModel, prediction: Prediction) -> Value {
         let n = self.sites.n;
         let w = &self.plan.widths;
-        let p: Vec<f64> = says.q.iter().zip(w).map(|(q, w)| q / w).collect();
+        let p: Vec<f64> = prediction.q.iter().zip(w).map(|(q, w)| q / w).collect();
         let winding = self.windings[from.winding].clone();
         let moved: Vec<f64> = (0..n)
             .map(|i| s[i] + self.turn(&winding, i) * w[i])
             .collect();
         Value {
-            v: says.v,
+            v: prediction.v,
             u: self.control(&moved, &p),
             p,
             rate: f64::NAN,
             hessian: (0..n * n)
-                .map(|k| says.hessian[k] / (w[k / n] * w[k % n]))
+                .map(|k| prediction.hessian[k] / (w[k / n] * w[k % n]))
                 .collect(),
             sheet: self.sites.sheet[from.site],
             v_error: f64::NAN,
@@ -809,7 +822,7 @@ impl ValueMap {
             nearest: from.distance,
             in_pieces: false,
             winding,
-            coverage: self.coverage(says.v, self.sites.source[from.site] == Source::Solved),
+            coverage: self.coverage(prediction.v, self.sites.source[from.site] == Source::Solved),
         }
     }
 }

@@ -201,8 +201,13 @@ impl Nodal {
     /// How far a neighbour's q is off, of what q changes by there and usually.
     fn misfit(&self, near: &Neighbour, usual: f64) -> f64 {
         let zero = vec![0.0; near.d.len()];
-        let says = self.at(0.0, &zero, &near.d);
-        let off: Vec<f64> = says.q.iter().zip(&near.dq).map(|(a, b)| a - b).collect();
+        let prediction = self.at(0.0, &zero, &near.d);
+        let off: Vec<f64> = prediction
+            .q
+            .iter()
+            .zip(&near.dq)
+            .map(|(a, b)| a - b)
+            .collect();
         norm(&off) / norm(&near.dq).max(usual)
     }
 

@@ -6,7 +6,7 @@ use crate::backend::{BackendError, cpu::Cpu};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{Horizon, Model, SeedValue};
 use crate::sweep::{Choices, Plan, Sampling, sweep};
-use crate::trajectories::ToldErrors;
+use crate::trajectories::StatedErrors;
 use crate::value::Grid;
 use std::collections::HashMap;
 
@@ -46,7 +46,7 @@ pub(super) struct Sites {
     /// Row-major Hessian where it is known, of local sites.
     pub hessian: HashMap<usize, Vec<f64>>,
     /// Of those that were interpolated.
-    pub errors: HashMap<usize, ToldErrors>,
+    pub errors: HashMap<usize, StatedErrors>,
 }
 
 impl Sites {
@@ -200,7 +200,7 @@ impl<'p> Gathering<'p> {
         (x, v, p): Datum<'_, &[f64]>,
         k: usize,
         sheet: i32,
-        errors: Option<&ToldErrors>,
+        errors: Option<&StatedErrors>,
     ) {
         let Some(errors) = errors else {
             self.add(x, v, p, k, sheet, Source::Solved);

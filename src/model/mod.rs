@@ -2,7 +2,6 @@
 //! knows TOML.
 
 mod feedback;
-pub mod reserved;
 
 pub use feedback::{Activation, Base, Feedback, LawOutput, Target};
 

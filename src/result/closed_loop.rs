@@ -1,16 +1,20 @@
 //! Closed loops in the result file: `/closed_loop` and what belongs to it.
 
+use super::TrajectorySchema;
+use super::names::{common, product};
+use super::table::{NO_AXES, Table};
 use crate::closed_loop::{Evaluation, LawResult, Path, SetResult, Spread};
-use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
-use crate::model::{Model, Variable as Named};
+use crate::hdf5::{OutputError, ResultFile};
+use crate::model::Model;
+use crate::schema;
 
 /// The groups that an evaluation writes, and replaces where a file has them.
 pub const CLOSED_LOOP_GROUPS: [&str; 5] = [
-    "closed_loop",
-    "closed_loop_laws",
-    "operating_sets",
-    "operating_contours",
-    "closed_loop_trajectories",
+    schema::CLOSED_LOOP.name,
+    schema::CLOSED_LOOP_LAWS.name,
+    schema::OPERATING_SETS.name,
+    schema::OPERATING_CONTOURS.name,
+    schema::CLOSED_LOOP_TRAJECTORIES.name,
 ];
 
 impl Evaluation {
@@ -19,53 +23,33 @@ impl Evaluation {
     /// # Errors
     /// What writing gives.
     pub fn write(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
-        self.write_states(model, file)?;
+        let axes = TrajectorySchema::axes(model);
+        self.write_states(&axes, file)?;
         self.write_laws(file)?;
         if !self.closed_loop.sets.is_empty() {
-            self.write_sets(model, file)?;
+            self.write_sets(&axes, file)?;
+            self.write_contours(&axes, file)?;
         }
-        self.write_paths(model, file)
+        self.write_paths(&axes, file)
     }
 
-    fn laws_dimension(&self) -> Dimension {
-        Dimension::names("law", self.laws.iter().map(|l| l.name.as_str())).long_name("feedback law")
+    fn law_names(&self) -> impl Iterator<Item = &str> {
+        self.laws.iter().map(|l| l.name.as_str())
     }
 
     fn all<T>(&self, of: impl Fn(&LawResult) -> Vec<T>) -> Vec<T> {
         self.laws.iter().flat_map(of).collect()
     }
 
-    fn write_states(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
-        let both = ["law", "initial"];
-        let (cost, time) = units(model);
-        let states = model.states.iter().map(|s| s.variable.name.as_str());
-        let mut group = Group::new("closed_loop")
-            .dimension(self.laws_dimension())
-            .dimension(Dimension::index("initial", self.initial.count()).long_name("initial state"))
-            .dimension(Dimension::names("state", states))
-            .variable(Variable::f64("x0", ["initial", "state"]).long_name("initial state"))
-            .variable(
-                Variable::f64("V", ["initial"])
-                    .unit(cost)
-                    .long_name("value function at the initial state"),
-            )
-            .variable(
-                Variable::f64("J", both)
-                    .unit(cost)
-                    .long_name("cost of the closed loop"),
-            )
-            .variable(Variable::f64("suboptimality", both).long_name("J/V - 1"))
-            .variable(Variable::i32("converged", both).flags([(0, "no"), (1, "yes")]))
-            .variable(Variable::i32("status", both).flags(self.status_flags.clone()))
-            .variable(
-                Variable::f64("t_end", both)
-                    .unit(time)
-                    .long_name("time at the end of the trajectory"),
-            )
-            .variable(
-                Variable::i32("fallback", both)
-                    .long_name("updates of the map's law without an answer of the map"),
-            )
+    fn write_states(
+        &self,
+        axes: &TrajectorySchema,
+        file: &mut ResultFile,
+    ) -> Result<(), OutputError> {
+        let mut table = Table::new(&schema::CLOSED_LOOP, axes)
+            .labels("law", self.law_names())
+            .length("initial", self.initial.count());
+        table
             .attribute("outside", self.closed_loop.outside.name())
             .attribute("final_time", self.closed_loop.final_time)
             .attribute("converged_metric", self.metric)
@@ -77,136 +61,103 @@ impl Evaluation {
             .attribute("method_of_map", self.leg_method.name())
             .attribute("rtol", self.numerics.rtol);
         if !self.initial.axes.is_empty() {
-            let name = |(i, _): &(usize, Vec<f64>)| model.states[*i].variable.name.clone();
-            let axes: Vec<String> = self.initial.axes.iter().map(name).collect();
-            let counts: Vec<i32> = self
-                .initial
-                .counts()
-                .into_iter()
-                .map(|c| c as i32)
-                .collect();
-            group = group
-                .attribute("axes", axes.join(" "))
-                .attribute("counts", counts);
+            let name = |(i, _): &(usize, Vec<f64>)| axes.states[*i].name.clone();
+            let names: Vec<String> = self.initial.axes.iter().map(name).collect();
+            let counts = self.initial.counts().into_iter().map(|c| c as i32);
+            table
+                .attribute("axes", names.join(" "))
+                .attribute("counts", counts.collect::<Vec<i32>>());
         }
-        for record in &self.closed_loop.records {
-            group = group.variable(Variable::f64(&record.name, both).long_name(&record.text));
-        }
-        let mut writer = file.group(&group)?;
-        writer.write("x0", &self.initial.x)?;
-        writer.write("V", &self.values)?;
-        writer.write("J", &self.all(|l| l.cost.clone()))?;
-        writer.write("suboptimality", &self.all(|l| self.suboptimality(l)))?;
-        writer.write(
-            "converged",
-            &self.all(|l| l.converged.iter().map(|c| i32::from(*c)).collect()),
-        )?;
-        writer.write("status", &self.all(|l| l.status.clone()))?;
-        writer.write("t_end", &self.all(|l| l.t_end.clone()))?;
-        writer.write("fallback", &self.all(LawResult::fallbacks))?;
+
+        let converged = self.all(|l| l.converged.iter().map(|c| i32::from(*c)).collect());
+        table
+            .put("x0", &self.initial.x)
+            .put("V", &self.values)
+            .put("J", self.all(|l| l.cost.clone()))
+            .put("suboptimality", self.all(|l| self.suboptimality(l)))
+            .put_codes("converged", [(0, "no"), (1, "yes")], converged)
+            .put_codes(
+                "status",
+                self.status_flags.clone(),
+                self.all(|l| l.status.clone()),
+            )
+            .put("t_end", self.all(|l| l.t_end.clone()))
+            .put("fallback", self.all(LawResult::fallbacks));
         let count = self.closed_loop.records.len();
         for (k, record) in self.closed_loop.records.iter().enumerate() {
-            let of = |l: &LawResult| l.records.iter().skip(k).step_by(count).copied().collect();
-            writer.write(&record.name, &self.all(of))?;
+            let of = |l: &LawResult| -> Vec<f64> {
+                l.records.iter().skip(k).step_by(count).copied().collect()
+            };
+            table.put_named("<quantity>", &record.name, Some(&record.text), self.all(of));
         }
-        Ok(())
+        table.write(file)
     }
 
     fn write_laws(&self, file: &mut ResultFile) -> Result<(), OutputError> {
-        let columns: [(&str, &str, &str); 10] = [
-            (
-                "share_converged",
-                "1",
-                "share of initial states from which the law converges",
-            ),
-            ("suboptimality_median", "1", "median of J/V - 1"),
-            ("suboptimality_p99", "1", "99 % quantile of J/V - 1"),
-            ("suboptimality_max", "1", "largest J/V - 1"),
-            ("suboptimality_count", "1", "initial states with J/V - 1"),
-            ("seconds", "s", "time of the simulation"),
-            ("rate", "1/s", "initial states a second"),
-            ("failed", "1", "trajectories that ended early"),
-            (
-                "held",
-                "1",
-                "share of the map law's updates without an answer of the map",
-            ),
-            ("fell_back", "1", "trajectories with such updates"),
-        ];
-        let mut group = Group::new("closed_loop_laws")
-            .dimension(self.laws_dimension())
-            .variable(Variable::text(
-                "source",
-                "law",
-                self.laws.iter().map(|l| l.source.as_str()),
-            ))
-            .variable(Variable::text(
-                "statuses",
-                "law",
-                self.laws.iter().map(|l| self.status_text(l)),
-            ))
+        let mut table =
+            Table::new(&schema::CLOSED_LOOP_LAWS, &NO_AXES).labels("law", self.law_names());
+        let text = |of: &dyn Fn(&LawResult) -> String| self.laws.iter().map(of).collect::<Vec<_>>();
+        let column = |of: &dyn Fn(&LawResult) -> f64| self.laws.iter().map(of).collect::<Vec<_>>();
+        let spread =
+            |of: fn(&Spread) -> f64| column(&|l| self.spread(l).as_ref().map_or(f64::NAN, of));
+        let failed = |l: &LawResult| l.status.iter().filter(|s| **s != 0).count() as f64;
+        table
             .attribute("backend", self.backend.as_str())
-            .attribute("adapter", self.adapter.as_str());
-        for (name, unit, long_name) in columns {
-            group = group.variable(Variable::f64(name, ["law"]).unit(unit).long_name(long_name));
-        }
-        for record in &self.closed_loop.records {
-            let name = format!("worst_{}", record.name);
-            group = group.variable(Variable::f64(&name, ["law"]));
-        }
-        let mut writer = file.group(&group)?;
-        let row = |law: &LawResult| -> [f64; 10] {
-            let spread = self.spread(law);
-            let of = |get: fn(&Spread) -> f64| spread.as_ref().map_or(f64::NAN, get);
-            let failed = law.status.iter().filter(|s| **s != 0).count();
-            [
-                law.share_converged(),
-                of(|s| s.median),
-                of(|s| s.p99),
-                of(|s| s.worst),
-                spread.map_or(0.0, |s| s.count as f64),
-                law.seconds,
-                law.rate(),
-                failed as f64,
-                law.held,
-                law.fell_back() as f64,
-            ]
-        };
-        let rows: Vec<[f64; 10]> = self.laws.iter().map(row).collect();
-        for (k, (name, ..)) in columns.iter().enumerate() {
-            writer.write(name, &rows.iter().map(|r| r[k]).collect::<Vec<f64>>())?;
-        }
+            .attribute("adapter", self.adapter.as_str())
+            .put("source", text(&|l| l.source.clone()))
+            .put("statuses", text(&|l| self.status_text(l)))
+            .put("share_converged", column(&LawResult::share_converged))
+            .put("suboptimality_median", spread(|s| s.median))
+            .put("suboptimality_p99", spread(|s| s.p99))
+            .put("suboptimality_max", spread(|s| s.worst))
+            .put(
+                "suboptimality_count",
+                column(&|l| self.spread(l).map_or(0.0, |s| s.count as f64)),
+            )
+            .put("seconds", column(&|l| l.seconds))
+            .put("rate", column(&LawResult::rate))
+            .put("failed", column(&failed))
+            .put("held", column(&|l| l.held))
+            .put("fell_back", column(&|l| l.fell_back() as f64));
         for (k, record) in self.closed_loop.records.iter().enumerate() {
-            let worst: Vec<f64> = self.laws.iter().map(|l| self.worst(l, k)).collect();
-            writer.write(&format!("worst_{}", record.name), &worst)?;
+            let name = format!("worst_{}", record.name);
+            let worst = column(&|l| self.worst(l, k));
+            table.put_named("worst_<quantity>", &name, None, worst);
         }
-        Ok(())
+        table.write(file)
     }
 
-    fn write_sets(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
-        let both = ["law", "set"];
-        let names = || self.closed_loop.sets.iter().map(|s| s.name.as_str());
-        let group = Group::new("operating_sets")
-            .dimension(self.laws_dimension())
-            .dimension(Dimension::names("set", names()))
-            .variable(Variable::text(
-                "condition",
-                "set",
-                self.closed_loop.sets.iter().map(|s| s.text.as_str()),
-            ))
-            .variable(Variable::f64("share", both).long_name("share of initial states inside"))
-            .variable(
-                Variable::f64("area", both)
-                    .long_name("area inside, in the units of the grid's axes"),
-            );
-        let mut writer = file.group(&group)?;
+    /// Units of the axes of the grid of initial states.
+    fn axis_units(&self, axes: &TrajectorySchema) -> Vec<String> {
+        let unit = |(i, _): &(usize, Vec<f64>)| axes.states[*i].unit().to_owned();
+        self.initial.axes.iter().map(unit).collect()
+    }
+
+    fn write_sets(
+        &self,
+        axes: &TrajectorySchema,
+        file: &mut ResultFile,
+    ) -> Result<(), OutputError> {
+        let sets = &self.closed_loop.sets;
         let flat = |of: fn(&SetResult) -> f64| -> Vec<f64> {
             self.sets.iter().flatten().map(of).collect()
         };
-        writer.write("share", &flat(|s| s.share))?;
-        writer.write("area", &flat(|s| s.area))?;
-        drop(writer);
+        let condition: Vec<String> = sets.iter().map(|s| s.text.clone()).collect();
+        let mut table = Table::new(&schema::OPERATING_SETS, &NO_AXES)
+            .labels("law", self.law_names())
+            .labels("set", sets.iter().map(|s| s.name.as_str()));
+        table
+            .put("condition", condition)
+            .put("share", flat(|s| s.share))
+            .put_in("area", product(&self.axis_units(axes)), flat(|s| s.area));
+        table.write(file)
+    }
 
+    fn write_contours(
+        &self,
+        axes: &TrajectorySchema,
+        file: &mut ResultFile,
+    ) -> Result<(), OutputError> {
         let mut columns: [Vec<i32>; 4] = Default::default();
         let mut x = Vec::new();
         for (law, sets) in self.sets.iter().enumerate() {
@@ -224,78 +175,51 @@ impl Evaluation {
         if x.is_empty() {
             return Ok(());
         }
-        let axes = self
-            .initial
-            .axes
-            .iter()
-            .map(|(i, _)| model.states[*i].variable.name.as_str());
-        let laws: Vec<&str> = self.laws.iter().map(|l| l.name.as_str()).collect();
-        let vertex = |name: &str, flags: &[&str]| {
-            let flags: Vec<(i32, &str)> = flags
-                .iter()
-                .enumerate()
-                .map(|(k, n)| (k as i32, *n))
-                .collect();
-            let variable = Variable::i32(name, ["vertex"]);
-            if flags.is_empty() {
-                variable
-            } else {
-                variable.flags(flags)
-            }
-        };
-        let group = Group::new("operating_contours")
-            .dimension(Dimension::index("vertex", columns[0].len()))
-            .dimension(Dimension::names("axis", axes))
-            .variable(vertex("law", &laws))
-            .variable(vertex("set", &names().collect::<Vec<_>>()))
-            .variable(vertex("line", &[]).long_name("number of the polyline"))
-            .variable(vertex("place", &[]).long_name("place on the polyline"))
-            .variable(Variable::f64("x", ["vertex", "axis"]).long_name("boundary of the set"));
-        let mut writer = file.group(&group)?;
-        for (name, column) in ["law", "set", "line", "place"].iter().zip(&columns) {
-            writer.write(name, column)?;
-        }
-        writer.write("x", &x)
+
+        let names = (self.initial.axes.iter()).map(|(i, _)| axes.states[*i].name.as_str());
+        let sets = self.closed_loop.sets.iter().map(|s| s.name.as_str());
+        let units = self.axis_units(axes);
+        let [law, set, line, place] = columns;
+        let mut table = Table::new(&schema::OPERATING_CONTOURS, &NO_AXES)
+            .length("vertex", law.len())
+            .labels("axis", names);
+        table
+            .put_codes("law", (0..).zip(self.law_names()), law)
+            .put_codes("set", (0..).zip(sets), set)
+            .put("line", line)
+            .put("place", place)
+            .put("axis_units", units.clone())
+            .put_in(
+                "x",
+                common(units.iter().map(String::as_str), "axis_units"),
+                x,
+            );
+        table.write(file)
     }
 
-    fn write_paths(&self, model: &Model, file: &mut ResultFile) -> Result<(), OutputError> {
+    fn write_paths(
+        &self,
+        axes: &TrajectorySchema,
+        file: &mut ResultFile,
+    ) -> Result<(), OutputError> {
         let kept = self.initial.kept();
-        let (_, time) = units(model);
-        let points = self.closed_loop.samples + 1;
-        let names = |v: Vec<&Named>| v.into_iter().map(|v| v.name.clone()).collect::<Vec<_>>();
-        let states = names(model.states.iter().map(|s| &s.variable).collect());
-        let controls = names(model.controls.iter().map(|c| &c.variable).collect());
-        let all = ["law", "trajectory", "sample"];
-        let with = |last| all.into_iter().chain([last]);
-        let group = Group::new("closed_loop_trajectories")
-            .dimension(self.laws_dimension())
-            .dimension(Dimension::index("trajectory", kept.len()))
-            .dimension(Dimension::index("sample", points))
-            .dimension(Dimension::names("state", states))
-            .dimension(Dimension::names("control", controls))
-            .variable(
-                Variable::i32("initial", ["trajectory"])
-                    .long_name("index of the initial state in /closed_loop"),
-            )
-            .variable(Variable::f64("t", all).unit(time).long_name("time"))
-            .variable(Variable::f64("x", with("state")).long_name("state"))
-            .variable(Variable::f64("u", with("control")).long_name("control"));
-        let mut writer = file.group(&group)?;
-        let initial: Vec<i32> = kept.iter().map(|i| *i as i32).collect();
-        writer.write("initial", &initial)?;
-        let gather = |of: fn(&Path) -> &Vec<f64>| {
+        let gather = |of: fn(&Path) -> &Vec<f64>| -> Vec<f64> {
             self.all(|l| l.paths.iter().flat_map(of).copied().collect())
         };
-        writer.write("t", &gather(|p| &p.t))?;
-        writer.write("x", &gather(|p| &p.x))?;
-        writer.write("u", &gather(|p| &p.u))
+        let mut table = Table::new(&schema::CLOSED_LOOP_TRAJECTORIES, axes)
+            .labels("law", self.law_names())
+            .length("trajectory", kept.len())
+            .length("sample", self.closed_loop.samples + 1);
+        table
+            .put(
+                "initial",
+                kept.iter().map(|i| *i as i32).collect::<Vec<i32>>(),
+            )
+            .put("t", gather(|p| &p.t))
+            .put("x", gather(|p| &p.x));
+        if !axes.controls.is_empty() {
+            table.put("u", gather(|p| &p.u));
+        }
+        table.write(file)
     }
-}
-
-/// The units of cost and of time.
-pub(super) fn units(model: &Model) -> (&str, &str) {
-    (
-        model.cost_unit.as_deref().unwrap_or("1"),
-        model.time_unit.as_deref().unwrap_or("1"),
-    )
 }

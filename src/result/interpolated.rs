@@ -1,9 +1,10 @@
 //! `/map` and `/points` of `costate value`: interpolated values with their errors.
 
 use super::TrajectorySchema;
-use super::answers::Names;
-use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
+use super::table::Table;
+use crate::hdf5::{OutputError, ResultFile};
 use crate::map::{At, Coverage, Unknown, Value};
+use crate::schema;
 
 /// Whether a value is known, as files write it.
 const KNOWN: i32 = 0;
@@ -58,79 +59,20 @@ impl ResultFile {
     /// [`OutputError`] on writing.
     pub fn interpolated(
         &mut self,
-        schema: &TrajectorySchema,
+        axes: &TrajectorySchema,
         places: &Places<'_>,
         times: Option<Times<'_>>,
         values: &[At],
     ) -> Result<(), OutputError> {
-        let names = Names::new(schema);
-        let (group, dims): (Group, Vec<&str>) = match places {
-            Places::Grid(axes) => {
-                let mut group = Group::new("map")
-                    .attribute("title", "value function on a regular grid, interpolated");
-                for (axis, values) in schema.states.iter().zip(*axes) {
-                    let dimension = Dimension::values(&axis.name, values.clone(), axis.unit());
-                    group = group.dimension(dimension.long_name(axis.description()));
-                }
-                let mut dims: Vec<&str> = schema.states.iter().map(|s| s.name.as_str()).collect();
-                if let (Some(times), Some(axis)) = (&times, axes.get(dims.len())) {
-                    let unit = schema.time();
-                    group = group.dimension(
-                        Dimension::values(times.name, axis.clone(), unit).long_name("time"),
-                    );
-                    dims.push(times.name);
-                }
-                (group, dims)
-            }
-            Places::Points(_) => {
-                let group = Group::new("points")
-                    .attribute("title", "value function at chosen states, interpolated")
-                    .dimension(Dimension::index("point", values.len()));
-                (group, vec!["point"])
-            }
+        let mut table = match places {
+            Places::Grid(grid) => Table::new(&schema::MAP, axes)
+                .title("value function on a regular grid, interpolated")
+                .grid(grid, times.as_ref().map(|t| t.name)),
+            Places::Points(_) => Table::new(&schema::POINTS, axes)
+                .title("value function at chosen states, interpolated")
+                .length("point", values.len()),
         };
-        let mut group = names.solution(names.axes(group), &dims);
-        if let Places::Points(_) = places {
-            group = group.variable(names.state("x0", &["point", "state"], "chosen state"));
-            if let Some(times) = &times {
-                let unit = schema.time();
-                group = group.variable(
-                    Variable::f64(times.name, ["point"])
-                        .unit(unit)
-                        .long_name("time"),
-                );
-            }
-        }
-        if times.is_some() {
-            let rate = Variable::f64("dV_dt", dims.iter().copied());
-            group = group.variable(rate.unit(names.rate()).long_name("derivative of V by time"));
-        }
-        let error =
-            |name: &str, what: &str| Variable::f64(name, dims.iter().copied()).long_name(what);
-        group = group
-            .variable(error("V_error", "error of V that leaving data out shows").unit(names.cost()))
-            .variable(error(
-                "p_error",
-                "error of p that leaving data out shows, relative to p",
-            ))
-            .variable(error("u_error", "error of u that leaving data out shows").unit(names.control_unit()))
-            .variable(
-                Variable::i32("status", dims.iter().copied())
-                    .long_name("whether the value is known")
-                    .flags(flags()),
-            )
-            .variable(
-                Variable::i32("coverage", dims.iter().copied())
-                    .long_name("what the value's being the least rests on, which its error does not include")
-                    .flags(
-                        Coverage::ALL
-                            .map(|(_, code, name)| (code, name))
-                            .into_iter()
-                            .chain([NO_COVERAGE]),
-                    ),
-            );
-        let mut writer = self.group(&group)?;
-        let (n, m) = (schema.states.len(), schema.controls.len());
+        let (n, m) = (axes.states.len(), axes.controls.len());
         let known = |at: &At| at.lowest.as_ref().ok().cloned();
         let scalar = |f: &dyn Fn(&Value) -> f64| -> Vec<f64> {
             values
@@ -143,35 +85,39 @@ impl ResultFile {
                 .flat_map(|at| known(at).map_or_else(|| vec![f64::NAN; width], |v| f(&v)))
                 .collect()
         };
-        writer.write("V", &scalar(&|v| v.v))?;
-        writer.write("p", &vector(n, &|v| v.p.clone()))?;
+        table
+            .put("V", scalar(&|v| v.v))
+            .put("p", vector(n, &|v| v.p.clone()));
         if m > 0 {
-            writer.write("u", &vector(m, &|v| v.u.clone()))?;
+            table.put("u", vector(m, &|v| v.u.clone()));
         }
-        let sheet: Vec<i32> = values
-            .iter()
-            .map(|at| known(at).map_or(-1, |v| v.sheet))
-            .collect();
-        writer.write("sheet", &sheet)?;
-        writer.write("V_error", &scalar(&|v| v.v_error))?;
-        writer.write("p_error", &scalar(&|v| v.p_error))?;
-        writer.write("u_error", &scalar(&|v| v.u_error))?;
-        let status: Vec<i32> = values.iter().map(code).collect();
-        writer.write("status", &status)?;
+        let sheet = |at: &At| known(at).map_or(-1, |v| v.sheet);
         let coverage = |at: &At| known(at).map_or(NO_COVERAGE.0, |v| v.coverage.code());
-        writer.write(
-            "coverage",
-            &values.iter().map(coverage).collect::<Vec<i32>>(),
-        )?;
+        let coverages = Coverage::ALL.map(|(_, code, name)| (code, name));
+        table
+            .put("sheet", values.iter().map(sheet).collect::<Vec<i32>>())
+            .put("V_error", scalar(&|v| v.v_error))
+            .put("p_error", scalar(&|v| v.p_error))
+            .put("u_error", scalar(&|v| v.u_error))
+            .put_codes(
+                "status",
+                flags(),
+                values.iter().map(code).collect::<Vec<i32>>(),
+            )
+            .put_codes(
+                "coverage",
+                coverages.into_iter().chain([NO_COVERAGE]),
+                values.iter().map(coverage).collect::<Vec<i32>>(),
+            );
         if let Places::Points(points) = places {
-            writer.write("x0", *points)?;
+            table.put("x0", *points);
             if let Some(times) = &times {
-                writer.write(times.name, times.t)?;
+                table.put_named("<time>", times.name, None, times.t);
             }
         }
         if times.is_some() {
-            writer.write("dV_dt", &scalar(&|v| v.rate))?;
+            table.put("dV_dt", scalar(&|v| v.rate));
         }
-        Ok(())
+        table.write(self)
     }
 }

@@ -3,6 +3,7 @@
 use super::{Stored, StoredError};
 use crate::backend::Status;
 use crate::map::{Known, MapError, SweepRecord, ValueMap};
+use crate::schema;
 use crate::session::summary::RunSummary;
 
 /// Why a file gives no value map.
@@ -12,6 +13,8 @@ pub enum StoredMapError {
     Stored(#[from] StoredError),
     #[error("{path} holds no values: neither /trajectories nor /points nor /map has any (`costate run` or `costate homotopy` of its scene makes some)", path = path.display())]
     Empty { path: std::path::PathBuf },
+    #[error("{path}: its run was ended before it was known which solutions lie on one sheet, so nothing is interpolated: run it to its end (what was solved is in /points and /map)", path = path.display())]
+    Stopped { path: std::path::PathBuf },
     #[error("{path}: its map in pieces knows V nowhere: run its scene again; what is printed of the map says why", path = path.display())]
     EmptyMap { path: std::path::PathBuf },
     #[error(transparent)]
@@ -26,9 +29,13 @@ impl Stored {
     /// [`StoredMapError`].
     pub fn value_map(&self) -> Result<ValueMap, StoredMapError> {
         let known = self.known()?;
+        let stopped = is_stopped(self.run_summary()?.as_ref());
         ValueMap::new(&self.scene.model, &self.scene.hamiltonian, known).map_err(
             |error| match error {
                 MapError::Empty if self.has_map() => StoredMapError::EmptyMap {
+                    path: self.path.clone(),
+                },
+                MapError::Empty if stopped => StoredMapError::Stopped {
                     path: self.path.clone(),
                 },
                 MapError::Empty => StoredMapError::Empty {
@@ -41,7 +48,7 @@ impl Stored {
 
     /// Whether the run made a map in pieces, which may know nothing.
     pub fn has_map(&self) -> bool {
-        self.has("map_pieces") || self.summary()["map"].is_object()
+        self.has(&schema::MAP_PIECES) || self.summary()["map"].is_object()
     }
 
     /// What the file holds of the value function.
@@ -55,18 +62,25 @@ impl Stored {
             entries => entries,
         };
         let summary = self.run_summary()?;
+        // Where the search was ended before, nothing tells which solutions lie on one sheet, and
+        // none is interpolated.
+        let stopped = is_stopped(summary.as_ref());
         Ok(Known {
             swept: self.trajectories()?,
-            solved,
-            grid: self.map()?,
+            solved: solved.filter(|_| !stopped),
+            grid: self.map()?.filter(|_| !stopped),
             pieces: self.map_pieces()?,
             beyond: self.map_beyond()?,
             coverage: Some(self.map_coverage()),
             sweep: sweep_record(summary.as_ref()),
-            searched: self.attribute("source").is_none(),
+            searched: self.attribute("source").is_none() && !stopped,
             errors: summary.as_ref().and_then(own_errors),
         })
     }
+}
+
+fn is_stopped(summary: Option<&RunSummary>) -> bool {
+    summary.is_some_and(|s| s.stopped)
 }
 
 /// From the summary of the run that made the file.

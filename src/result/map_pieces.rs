@@ -1,16 +1,15 @@
 //! The groups `/map_pieces`, `/map_beyond` and `/map_check`.
 
-use super::answers::{Names, status};
+use super::answers::point_statuses;
+use super::table::Table;
 use super::{Stored, StoredError, TrajectorySchema};
-use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
+use crate::hdf5::{OutputError, ResultFile};
 use crate::map::pieces::{
     Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions, margin_terms,
 };
-use crate::map::{Adaptive, Coverage};
+use crate::map::{Adaptive, Checked, Coverage};
+use crate::schema;
 
-const PIECES: &str = "map_pieces";
-const BEYOND: &str = "map_beyond";
-const CHECK: &str = "map_check";
 /// Axis of a node that is a cell.
 const LEAF: i32 = -1;
 
@@ -26,293 +25,185 @@ impl ResultFile {
     /// Where time is an axis it is the last of the pieces' arguments, and called `time`.
     pub fn map_pieces(
         &mut self,
-        schema: &TrajectorySchema,
+        axes: &TrajectorySchema,
         time: &str,
         made: &Adaptive,
     ) -> Result<(), OutputError> {
-        let names = Names::new(schema);
-        let n = schema.states.len();
-        let timed = made.pieces.states() > n;
+        let n = axes.states.len();
+        let time = (made.pieces.states() > n).then_some(time);
         if !made.pieces.pieces.is_empty() {
-            let title = "value function in pieces: cells of a region with a polynomial each";
-            self.write_pieces(
-                &names,
-                timed.then_some((schema, time)),
-                (PIECES, title, Some(made.coverage())),
-                &made.pieces,
-            )?;
+            let mut table = pieces_table(&schema::MAP_PIECES, axes, time, &made.pieces);
+            table.attribute(COVERAGE, made.coverage().name());
+            table.write(self)?;
         }
         if let Some(beyond) = &made.beyond {
-            let title =
-                "the same where solutions from the region lead, of use outside the region only";
-            self.write_pieces(
-                &names,
-                timed.then_some((schema, time)),
-                (BEYOND, title, None),
-                &beyond.pieces,
-            )?;
+            pieces_table(&schema::MAP_BEYOND, axes, time, &beyond.pieces).write(self)?;
         }
         if made.check.is_empty() {
             return Ok(());
         }
-        let group = Group::new(CHECK)
-            .attribute(
-                "title",
-                "fresh states, solved and never used in the map, and what the map says of them",
-            )
-            .dimension(Dimension::index("point", made.check.len()));
-        let group = names
-            .axes(group)
-            .variable(names.state("x0", &["point", "state"], "fresh state"))
-            .variable(status(["point"]));
-        let value = |name: &str, what: &str| {
-            Variable::f64(name, ["point"])
-                .unit(names.cost())
-                .long_name(what)
-        };
-        let group = group
-            .variable(value("V_solved", "V solved for"))
-            .variable(value("V_said", "V that the map says"))
-            .variable(value("V_bound", "bound of its error that the map says"));
-        let group = if timed {
-            let unit = schema.time();
-            group.variable(Variable::f64(time, ["point"]).unit(unit).long_name("time"))
-        } else {
-            group
-        };
-        let mut writer = self.group(&group)?;
-        let column = |f: &dyn Fn(&crate::map::Checked) -> f64| -> Vec<f64> {
-            made.check.iter().map(f).collect()
-        };
-        let x0: Vec<f64> = made
-            .check
-            .iter()
+
+        let column = |f: &dyn Fn(&Checked) -> f64| made.check.iter().map(f).collect::<Vec<f64>>();
+        let x0: Vec<f64> = (made.check.iter())
             .flat_map(|c| c.x[..n].iter().copied())
             .collect();
-        writer.write("x0", &x0)?;
-        if timed {
-            writer.write(time, &column(&|c| c.x[n]))?;
-        }
         let statuses: Vec<i32> = made.check.iter().map(|c| c.status as i32).collect();
-        writer.write("status", &statuses)?;
-        writer.write("V_solved", &column(&|c| c.solved))?;
-        writer.write("V_said", &column(&|c| c.said))?;
-        writer.write("V_bound", &column(&|c| c.bound))
+        let mut table = Table::new(&schema::MAP_CHECK, axes).length("point", made.check.len());
+        table
+            .put("x0", x0)
+            .put_codes("status", point_statuses(), statuses)
+            .put("V_solved", column(&|c| c.solved))
+            .put("V_said", column(&|c| c.said))
+            .put("V_bound", column(&|c| c.bound));
+        if let Some(time) = time {
+            table.put_named("<time>", time, None, column(&|c| c.x[n]));
+        }
+        table.write(self)
+    }
+}
+
+/// One of the two maps, to be written.
+fn pieces_table<'t>(
+    group: &'static schema::Group,
+    axes: &'t TrajectorySchema,
+    time: Option<&str>,
+    pieces: &'t Pieces,
+) -> Table<'t> {
+    let region = &pieces.region;
+    let all =
+        |f: &dyn Fn(&Piece) -> Vec<f64>| -> Vec<f64> { pieces.pieces.iter().flat_map(f).collect() };
+    let coefficients = all(&|p| p.coefficients.clone());
+    // Of what V is a function: the states, or these and the time.
+    let of = time.map_or("state", |_| "argument");
+    let mut table = Table::new(group, axes)
+        .length("coordinate", region.lo.len())
+        .length("node", pieces.nodes.len())
+        .length("way", pieces.directions.len())
+        .length("cell", pieces.cells.len())
+        .length("piece", pieces.pieces.len())
+        .length("coefficient", coefficients.len())
+        .stands_for("<argument>", of);
+    if let Some(name) = time {
+        let arguments = axes.states.iter().map(|s| s.name.as_str()).chain([name]);
+        table = table.labels("argument", arguments);
+        table.attribute("time", name);
+    }
+    if let Some(bend) = &pieces.frame.bend {
+        table = table.length("monomial", bend.phi.len()).length("end", 2);
+        table
+            .put("bend_axis", bend.axis as i32)
+            .put("bend_range", vec![bend.lowest, bend.lowest + bend.width])
+            .put("bend", &bend.phi);
     }
 
-    fn write_pieces(
-        &mut self,
-        names: &Names<'_>,
-        time: Option<(&TrajectorySchema, &str)>,
-        (group, title, coverage): (&'static str, &str, Option<Coverage>),
-        pieces: &Pieces,
-    ) -> Result<(), OutputError> {
-        // Of what V is a function: the states, or these and the time.
-        let of = time.map_or("state", |_| "argument");
-        let region = &pieces.region;
-        let coefficients: Vec<f64> = pieces
-            .pieces
-            .iter()
-            .flat_map(|p| p.coefficients.iter().copied())
-            .collect();
-        let group = Group::new(group).attribute("title", title);
-        let group = match coverage {
-            Some(coverage) => group.attribute(COVERAGE, coverage.name()),
-            None => group,
-        };
-        let group = group
-            .dimension(Dimension::index("coordinate", region.lo.len()))
-            .dimension(Dimension::index("node", pieces.nodes.len()))
-            .dimension(Dimension::index("way", pieces.directions.len()))
-            .dimension(Dimension::index("cell", pieces.cells.len()))
-            .dimension(Dimension::index("piece", pieces.pieces.len()))
-            .dimension(Dimension::index("coefficient", coefficients.len()));
-        let group = names
-            .axes(group)
-            .variable(Variable::f64("error", []).long_name("error of V asked for, relative to max(V, floor)"))
-            .variable(
-                Variable::f64("floor", [])
-                    .unit(names.cost())
-                    .long_name("least V that errors are relative to"),
-            )
-            .variable(
-                Variable::f64("value_max", [])
-                    .unit(names.cost())
-                    .long_name("nothing is said of larger V; infinite: no limit"),
-            )
-            .variable(names.state("lower", &[of], "lower bound of the region"))
-            .variable(names.state("upper", &[of], "upper bound of the region"))
-            .variable(names.state("origin", &[of], "origin of the coordinates"))
-            .variable(Variable::f64("frame", ["coordinate", of]).long_name("coordinates are frame (x - origin)"))
-            .variable(
-                Variable::i32("axis", ["node"]).long_name("coordinate along which a node is split; -1: it is a cell"),
-            )
-            .variable(Variable::f64("split", ["node"]).long_name("where it is split"))
-            .variable(Variable::i32("below", ["node"]).long_name("node below the split; of a cell its number"))
-            .variable(Variable::i32("above", ["node"]).long_name("node above the split"))
-            .variable(Variable::f64("cell_lower", ["cell", "coordinate"]).long_name("coordinate"))
-            .variable(Variable::f64("cell_upper", ["cell", "coordinate"]).long_name("coordinate"))
-            .variable(Variable::i32("of_cell", ["piece"]).long_name("cell of each piece"))
-            .variable(Variable::f64("center", ["piece", "coordinate"]).long_name("coordinate"))
-            .variable(
-                Variable::f64("half", ["piece", "coordinate"])
-                    .long_name("half width: monomials are of (coordinate - center) / half"),
-            )
-            .variable(Variable::f64("direction", ["way", "coordinate"]).long_name("along which supports are given"))
-            .variable(
-                Variable::f64("support_lower", ["piece", "way"])
-                    .long_name("extent of the points fitted to, in the monomials' variables; NaN: all around"),
-            )
-            .variable(Variable::f64("support_upper", ["piece", "way"]).long_name("the same"))
-            .variable(
-                Variable::i32("shape", ["piece"])
-                    .long_name("the function of V that is a polynomial")
-                    .flags(Shape::ALL.map(|(s, name)| (s as i32, name))),
-            )
-            .variable(Variable::i32("sheet", ["piece"]).long_name("sheet of the value function"))
-            .variable(Variable::f64("V_bound", ["piece"]).long_name("bound of V's error, relative to max(V, floor)"))
-            .variable(Variable::f64("p_bound", ["piece"]).long_name(
-                "bound of the error of V's derivatives by the monomials' variables, relative to max(V, floor)",
-            ))
-            .variable(Variable::i32("first", ["piece"]).long_name("first coefficient"))
-            .variable(Variable::i32("terms", ["piece"]).long_name("number of coefficients"))
-            .variable(Variable::f64("coefficients", ["coefficient"]).long_name(
-                "of monomials by rising total degree, those of a degree in lexicographic order of their factors",
-            ));
-        let group = match &pieces.frame.bend {
-            Some(bend) => group
-                .dimension(Dimension::index("monomial", bend.phi.len()))
-                .dimension(Dimension::index("end", 2))
-                .variable(Variable::i32("bend_axis", []).long_name("coordinate that is sheared"))
-                .variable(
-                    Variable::f64("bend_range", ["end"]).long_name(
-                        "what the sheared coordinate plus the polynomial is where the coordinate is 0 and 1",
-                    ),
-                )
-                .variable(
-                    Variable::f64("bend", ["monomial"])
-                        .long_name("polynomial of the other coordinates, monomials in the order of the coefficients"),
-                ),
-            None => group,
-        };
-        let margins = pieces.margin_terms();
-        let group = match margins {
-            0 => group,
-            _ => group
-                .dimension(Dimension::index("margin_term", margins))
-                .variable(Variable::f64("clearance", ["piece", "margin_term"]).long_name(
-                    "polynomial of the least margin of the guards along trajectories, in the monomials' variables: nothing is said \
-                     where it is negative; NaN: all of them stay inside",
-                )),
-        };
-        let group = match time {
-            Some((schema, name)) => {
-                let arguments = schema.states.iter().map(|s| s.name.as_str()).chain([name]);
-                group
-                    .attribute("time", name)
-                    .dimension(Dimension::names("argument", arguments))
-            }
-            None => group,
-        };
-        let mut writer = self.group(&group)?;
-        if let Some(bend) = &pieces.frame.bend {
-            writer.write("bend_axis", &[bend.axis as i32])?;
-            writer.write("bend_range", &[bend.lowest, bend.lowest + bend.width])?;
-            writer.write("bend", &bend.phi)?;
-        }
-        writer.write("error", &[region.error])?;
-        writer.write("floor", &[region.floor])?;
-        writer.write("value_max", &[region.value_max])?;
-        writer.write("lower", &region.lo)?;
-        writer.write("upper", &region.hi)?;
-        writer.write("origin", &pieces.frame.origin)?;
-        writer.write("frame", &pieces.frame.matrix)?;
-        let node = |f: &dyn Fn(&Node) -> i32| -> Vec<i32> { pieces.nodes.iter().map(f).collect() };
-        writer.write(
+    table
+        .put("error", region.error)
+        .put("floor", region.floor)
+        .put("value_max", region.value_max)
+        .put("lower", &region.lo)
+        .put("upper", &region.hi)
+        .put("origin", &pieces.frame.origin)
+        .put("frame", &pieces.frame.matrix);
+
+    put_tree(&mut table, pieces);
+    put_cells(&mut table, pieces);
+    let margins = pieces.margin_terms();
+    if margins > 0 {
+        table = table.length("margin_term", margins);
+        let clearance = all(&|p| match p.clearance.is_empty() {
+            true => vec![f64::NAN; margins],
+            false => p.margins(margins),
+        });
+        table.put("clearance", clearance);
+    }
+    put_polynomials(&mut table, pieces);
+    table.put("coefficients", coefficients);
+    table
+}
+
+/// The tree of cells.
+fn put_tree(table: &mut Table<'_>, pieces: &Pieces) {
+    let node = |f: fn(&Node) -> i32| pieces.nodes.iter().map(f).collect::<Vec<i32>>();
+    let split = |n: &Node| match n {
+        Node::Cell(_) => f64::NAN,
+        Node::Split { at, .. } => *at,
+    };
+    table
+        .put(
             "axis",
-            &node(&|n| match n {
+            node(|n| match n {
                 Node::Cell(_) => LEAF,
                 Node::Split { axis, .. } => *axis as i32,
             }),
-        )?;
-        let split = |n: &Node| match n {
-            Node::Cell(_) => f64::NAN,
-            Node::Split { at, .. } => *at,
-        };
-        writer.write(
+        )
+        .put(
             "split",
-            &pieces.nodes.iter().map(split).collect::<Vec<f64>>(),
-        )?;
-        writer.write(
+            pieces.nodes.iter().map(split).collect::<Vec<f64>>(),
+        )
+        .put(
             "below",
-            &node(&|n| match n {
+            node(|n| match n {
                 Node::Cell(cell) => *cell as i32,
                 Node::Split { below, .. } => *below as i32,
             }),
-        )?;
-        writer.write(
+        )
+        .put(
             "above",
-            &node(&|n| match n {
+            node(|n| match n {
                 Node::Cell(_) => LEAF,
                 Node::Split { above, .. } => *above as i32,
             }),
-        )?;
-        let flat = |f: &dyn Fn(&Cell) -> &[f64]| -> Vec<f64> {
-            pieces
-                .cells
-                .iter()
-                .flat_map(|c| f(c).iter().copied())
-                .collect()
-        };
-        writer.write("cell_lower", &flat(&|c| &c.lo))?;
-        writer.write("cell_upper", &flat(&|c| &c.hi))?;
-        let owners: Vec<i32> = (pieces.cells.iter().enumerate())
-            .flat_map(|(k, c)| std::iter::repeat_n(k as i32, c.pieces.len()))
-            .collect();
-        writer.write("of_cell", &owners)?;
-        let all = |f: &dyn Fn(&Piece) -> Vec<f64>| -> Vec<f64> {
-            pieces.pieces.iter().flat_map(f).collect()
-        };
-        writer.write("center", &all(&|p| p.center.clone()))?;
-        writer.write("half", &all(&|p| p.half.clone()))?;
-        writer.write("direction", &pieces.directions.concat())?;
-        let ways = pieces.directions.len();
-        let support = |side: usize| {
-            all(&|p| {
-                if p.support.is_empty() {
-                    return vec![f64::NAN; ways];
-                }
-                p.support.iter().map(|s| s[side]).collect()
-            })
-        };
-        writer.write("support_lower", &support(0))?;
-        writer.write("support_upper", &support(1))?;
-        if margins > 0 {
-            writer.write(
-                "clearance",
-                &all(&|p| match p.clearance.is_empty() {
-                    true => vec![f64::NAN; margins],
-                    false => p.margins(margins),
-                }),
-            )?;
-        }
-        writer.write("V_bound", &all(&|p| vec![p.bound]))?;
-        writer.write("p_bound", &all(&|p| vec![p.p_bound]))?;
-        let whole =
-            |f: &dyn Fn(&Piece) -> i32| -> Vec<i32> { pieces.pieces.iter().map(f).collect() };
-        writer.write("shape", &whole(&|p| p.shape as i32))?;
-        writer.write("sheet", &whole(&|p| p.sheet))?;
-        writer.write("terms", &whole(&|p| p.coefficients.len() as i32))?;
-        let first: Vec<i32> = (pieces.pieces.iter())
-            .scan(0, |next, p| {
-                let here = *next;
-                *next += p.coefficients.len() as i32;
-                Some(here)
-            })
-            .collect();
-        writer.write("first", &first)?;
-        writer.write("coefficients", &coefficients)
-    }
+        );
+}
+
+/// The cells, and which pieces are theirs.
+fn put_cells(table: &mut Table<'_>, pieces: &Pieces) {
+    let flat =
+        |f: fn(&Cell) -> &[f64]| -> Vec<f64> { pieces.cells.iter().flat_map(f).copied().collect() };
+    let owners: Vec<i32> = (pieces.cells.iter().enumerate())
+        .flat_map(|(k, c)| std::iter::repeat_n(k as i32, c.pieces.len()))
+        .collect();
+    table
+        .put("cell_lower", flat(|c| &c.lo))
+        .put("cell_upper", flat(|c| &c.hi))
+        .put("of_cell", owners);
+}
+
+/// Each piece's place and bounds, and where its coefficients are.
+fn put_polynomials(table: &mut Table<'_>, pieces: &Pieces) {
+    let all =
+        |f: &dyn Fn(&Piece) -> Vec<f64>| -> Vec<f64> { pieces.pieces.iter().flat_map(f).collect() };
+    let ways = pieces.directions.len();
+    let support = |side: usize| {
+        all(&|p| match p.support.is_empty() {
+            true => vec![f64::NAN; ways],
+            false => p.support.iter().map(|s| s[side]).collect(),
+        })
+    };
+    let whole = |f: fn(&Piece) -> i32| pieces.pieces.iter().map(f).collect::<Vec<i32>>();
+    let first: Vec<i32> = (pieces.pieces.iter())
+        .scan(0, |next, p| {
+            let here = *next;
+            *next += p.coefficients.len() as i32;
+            Some(here)
+        })
+        .collect();
+    table
+        .put("center", all(&|p| p.center.clone()))
+        .put("half", all(&|p| p.half.clone()))
+        .put("direction", pieces.directions.concat())
+        .put("support_lower", support(0))
+        .put("support_upper", support(1))
+        .put_codes(
+            "shape",
+            Shape::ALL.map(|(s, name)| (s as i32, name)),
+            whole(|p| p.shape as i32),
+        )
+        .put("sheet", whole(|p| p.sheet))
+        .put("V_bound", all(&|p| vec![p.bound]))
+        .put("p_bound", all(&|p| vec![p.p_bound]))
+        .put("first", first)
+        .put("terms", whole(|p| p.coefficients.len() as i32));
 }
 
 impl Stored {
@@ -321,7 +212,7 @@ impl Stored {
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it.
     pub fn map_pieces(&self) -> Result<Option<Pieces>, StoredError> {
-        self.read_pieces(PIECES)
+        self.read_pieces(&schema::MAP_PIECES)
     }
 
     /// The map round it, where solutions from its region lead.
@@ -329,13 +220,13 @@ impl Stored {
     /// # Errors
     /// As above.
     pub fn map_beyond(&self) -> Result<Option<Pieces>, StoredError> {
-        self.read_pieces(BEYOND)
+        self.read_pieces(&schema::MAP_BEYOND)
     }
 
     /// How well the states of the map were searched for cheaper sheets.
     pub fn map_coverage(&self) -> Coverage {
         let told = self
-            .group(PIECES)
+            .group(&schema::MAP_PIECES)
             .and_then(|pieces| pieces.attribute(None, COVERAGE));
         let told = told.and_then(|name| {
             Coverage::ALL
@@ -344,13 +235,13 @@ impl Stored {
                 .map(|(c, ..)| *c)
         });
         // Files of before do not tell it.
-        told.unwrap_or(match self.has(CHECK) {
+        told.unwrap_or(match self.has(&schema::MAP_CHECK) {
             true => Coverage::Checked,
             false => Coverage::Searched,
         })
     }
 
-    fn read_pieces(&self, group: &str) -> Result<Option<Pieces>, StoredError> {
+    fn read_pieces(&self, group: &'static schema::Group) -> Result<Option<Pieces>, StoredError> {
         let Some(group) = self.group(group) else {
             return Ok(None);
         };

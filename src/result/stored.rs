@@ -3,8 +3,9 @@
 use super::record::RunRecord;
 use crate::diagnostics::ScenarioErrors;
 use crate::scene::Scene;
+use crate::schema;
 use crate::session::summary::RunSummary;
-use crate::trajectories::{SolvedGrid, SolvedStates, SweptTrajectories, ToldErrors};
+use crate::trajectories::{SolvedGrid, SolvedStates, StatedErrors, SweptTrajectories};
 use rust_hdf5::{H5Dataset, H5File, Hdf5Error};
 use std::path::{Path, PathBuf};
 
@@ -73,6 +74,8 @@ impl std::fmt::Debug for Stored {
 pub struct StoredGroup<'s> {
     stored: &'s Stored,
     name: String,
+    /// `None` for a group that this version does not know.
+    schema: Option<&'static schema::Group>,
 }
 
 impl Stored {
@@ -81,7 +84,8 @@ impl Stored {
     /// # Errors
     /// [`StoredError`] where it cannot be read, is no result file, or holds a scene that this
     /// version refuses.
-    pub fn open(path: &Path) -> Result<Self, StoredError> {
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, StoredError> {
+        let path = path.as_ref();
         // The HDF5 layer's own message for a missing file does not say so.
         std::fs::File::open(path).map_err(|source| StoredError::Read {
             path: path.to_owned(),
@@ -163,20 +167,29 @@ impl Stored {
         })
     }
 
-    /// Whether a group is in the file.
-    pub fn has(&self, group: &str) -> bool {
-        self.file.root_group().group(group).is_ok()
+    /// The names of its groups.
+    pub fn groups(&self) -> Vec<String> {
+        self.file.root_group().group_names().unwrap_or_default()
     }
 
-    pub fn has_any(&self, groups: &[&str]) -> bool {
+    /// Whether a group is in the file.
+    pub fn has(&self, group: impl AsRef<str>) -> bool {
+        self.file.root_group().group(group.as_ref()).is_ok()
+    }
+
+    /// Whether any of these groups is in the file.
+    pub fn has_any(&self, groups: &[&schema::Group]) -> bool {
         groups.iter().any(|group| self.has(group))
     }
 
-    /// A group; `None` where the file has none of that name.
-    pub fn group(&self, name: &str) -> Option<StoredGroup<'_>> {
+    /// A group; `None` where the file has none of that name. What is read from it is checked
+    /// against the [schema](crate::schema).
+    pub fn group(&self, name: impl AsRef<str>) -> Option<StoredGroup<'_>> {
+        let name = name.as_ref();
         self.has(name).then(|| StoredGroup {
             stored: self,
             name: name.to_owned(),
+            schema: schema::group(name),
         })
     }
 
@@ -185,7 +198,7 @@ impl Stored {
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it.
     pub fn trajectories(&self) -> Result<Option<SweptTrajectories>, StoredError> {
-        let Some(group) = self.group("trajectories") else {
+        let Some(group) = self.group(&schema::TRAJECTORIES) else {
             return Ok(None);
         };
         let (n, m) = (
@@ -217,7 +230,7 @@ impl Stored {
     /// [`StoredError::Object`] where it is not as this program writes it, or has rows of later
     /// times alone.
     pub fn points(&self) -> Result<Option<SolvedStates>, StoredError> {
-        let Some(group) = self.group("points") else {
+        let Some(group) = self.group(&schema::POINTS) else {
             return Ok(None);
         };
         let x = group.f64("x0")?;
@@ -254,11 +267,11 @@ impl Stored {
     }
 
     /// Errors of a group's values, if these were interpolated.
-    fn told_errors(
+    fn stated_errors(
         &self,
         group: &StoredGroup<'_>,
         shape: &[usize],
-    ) -> Result<Vec<ToldErrors>, StoredError> {
+    ) -> Result<Vec<StatedErrors>, StoredError> {
         if !group.has("V_error") {
             return Ok(Vec::new());
         }
@@ -269,7 +282,7 @@ impl Stored {
         Ok(of_v
             .into_iter()
             .zip(of_p)
-            .map(|(v, p)| ToldErrors { v, p })
+            .map(|(v, p)| StatedErrors { v, p })
             .collect())
     }
 
@@ -294,7 +307,8 @@ impl Stored {
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it.
     pub fn points_sheets(&self) -> Result<Option<SolvedStates>, StoredError> {
-        let (Some(group), Some(points)) = (self.group("points_sheets"), self.points()?) else {
+        let (Some(group), Some(points)) = (self.group(&schema::POINTS_SHEETS), self.points()?)
+        else {
             return Ok(None);
         };
         let (_, point) = group.i32("point")?;
@@ -327,7 +341,7 @@ impl Stored {
             u: group.shaped("u", &[count, m])?,
             sheet: group.i32("sheet")?.1,
             status: group.codes("status", count)?,
-            errors: self.told_errors(group, &[count])?,
+            errors: self.stated_errors(group, &[count])?,
             ..SolvedStates::default()
         })
     }
@@ -338,7 +352,7 @@ impl Stored {
     /// [`StoredError::Object`] where it is not as this program writes it, or is of later times
     /// alone.
     pub fn map(&self) -> Result<Option<SolvedGrid>, StoredError> {
-        let Some(group) = self.group("map") else {
+        let Some(group) = self.group(&schema::MAP) else {
             return Ok(None);
         };
         let mut axes = Vec::new();
@@ -360,7 +374,7 @@ impl Stored {
             u: group.shaped("u", &with(m))?,
             sheet: group.codes("sheet", nodes)?,
             status: group.codes("status", nodes)?,
-            errors: self.told_errors(&group, &counts)?,
+            errors: self.stated_errors(&group, &counts)?,
             axes,
         };
         let Some(times) = times else {
@@ -491,11 +505,52 @@ impl StoredGroup<'_> {
     }
 
     fn dataset(&self, name: &str) -> Result<H5Dataset, StoredError> {
-        let path = format!("{}/{name}", self.name);
-        self.stored
-            .file
-            .dataset(&path)
-            .map_err(|e| self.hdf5(name, &e))
+        let dataset = self.open(name).map_err(|e| self.hdf5(name, &e))?;
+        self.check_shape(name, &dataset.shape())?;
+        Ok(dataset)
+    }
+
+    fn open(&self, name: &str) -> Result<H5Dataset, Hdf5Error> {
+        self.stored.file.dataset(&format!("{}/{name}", self.name))
+    }
+
+    /// Refuses a variable whose shape is not that of the dimensions which the schema gives it.
+    fn check_shape(&self, name: &str, shape: &[usize]) -> Result<(), StoredError> {
+        let own = self.schema.and_then(|schema| schema.variable(name));
+        let Some(own) = own.filter(|own| own.name == name) else {
+            return Ok(());
+        };
+        let mut dimensions: Vec<&str> = Vec::new();
+        for dimension in own.dimensions {
+            match *dimension {
+                "<state>" => {
+                    let model = &self.stored.scene.model;
+                    dimensions.extend(model.states.iter().map(|s| s.variable.name.as_str()));
+                    let time = Some(model.time_name())
+                        .filter(|t| model.final_time().is_some() && self.has(t));
+                    dimensions.extend(time);
+                }
+                "<argument>" if self.has("argument") => dimensions.push("argument"),
+                "<argument>" => dimensions.push("state"),
+                name => dimensions.push(name),
+            }
+        }
+        // Coordinates that a file of before does not have say nothing.
+        let length = |d: &&str| self.open(d).ok().and_then(|c| c.shape().first().copied());
+        let lengths: Vec<Option<usize>> = dimensions.iter().map(length).collect();
+        let fits = shape.len() == lengths.len()
+            && shape
+                .iter()
+                .zip(&lengths)
+                .all(|(found, own)| own.is_none_or(|own| own == *found));
+        if fits {
+            return Ok(());
+        }
+        let over = match dimensions.is_empty() {
+            true => "a single value".to_owned(),
+            false => dimensions.join(" x "),
+        };
+        Err(self.error(name, &format!("its shape is {shape:?}, not {over}")))
     }
 
     fn hdf5(&self, name: &str, error: &Hdf5Error) -> StoredError {

@@ -1,10 +1,13 @@
 //! `/study` and `/study_trajectories`.
 
 use super::TrajectorySchema;
-use super::answers::{Names, status};
-use crate::hdf5::{Dimension, Group, OutputError, ResultFile, Variable};
+use super::answers::point_statuses;
+use super::table::Table;
+use crate::hdf5::{OutputError, ResultFile};
 use crate::model::Study;
+use crate::schema;
 use crate::study::Variant;
+use crate::trajectories::TrajectoryBlock;
 
 impl ResultFile {
     /// Writes the table of a study and its trajectories.
@@ -13,115 +16,66 @@ impl ResultFile {
     /// [`OutputError`] on writing.
     pub fn study(
         &mut self,
-        schema: &TrajectorySchema,
+        axes: &TrajectorySchema,
         study: &Study,
         variants: &[Variant],
     ) -> Result<(), OutputError> {
-        let names = Names::new(schema);
-        let count = variants.len();
-        let mut group = Group::new("study")
-            .attribute(
-                "title",
-                "the optimal trajectory from one state, for several values of parameters",
-            )
-            .dimension(Dimension::index("variant", count));
-        group = names.axes(group);
-        for (name, _) in &study.vary {
-            group = group.variable(Variable::f64(name, ["variant"]).long_name("parameter"));
-        }
-        group = group
-            .variable(names.state("x0", &["variant", "state"], "state started from"))
-            .variable(
-                Variable::f64("V", ["variant"])
-                    .unit(names.cost())
-                    .long_name("value function"),
-            )
-            .variable(status(["variant"]))
-            .variable(Variable::i32("sheets", ["variant"]).long_name("number of solutions found"))
-            .variable(
-                Variable::f64("duration", ["variant"])
-                    .unit(schema.time())
-                    .long_name("time to near the equilibrium"),
-            );
-        if !schema.controls.is_empty() {
-            let u = Variable::f64("u", ["variant", "control"]).unit(names.control_unit());
-            group = group.variable(u.long_name("control at the beginning"));
-        }
-        for record in &study.records {
-            group =
-                group.variable(Variable::f64(&record.name, ["variant"]).long_name(&record.text));
-        }
-        let mut writer = self.group(&group)?;
         let column = |f: &dyn Fn(&Variant) -> f64| variants.iter().map(f).collect::<Vec<f64>>();
-        let flat =
-            |f: &dyn Fn(&Variant) -> Vec<f64>| variants.iter().flat_map(f).collect::<Vec<f64>>();
+        let flat = |f: fn(&Variant) -> &[f64]| -> Vec<f64> {
+            variants.iter().flat_map(f).copied().collect()
+        };
+        let integers = |f: fn(&Variant) -> i32| variants.iter().map(f).collect::<Vec<i32>>();
+        let mut table = Table::new(&schema::STUDY, axes).length("variant", variants.len());
         for (k, (name, _)) in study.vary.iter().enumerate() {
-            writer.write(name, &column(&|v| v.parameters[k]))?;
+            table.put_named("<parameter>", name, None, column(&|v| v.parameters[k]));
         }
-        writer.write("x0", &flat(&|v| v.x0.clone()))?;
-        writer.write("V", &column(&|v| v.value))?;
-        let integers = |f: &dyn Fn(&Variant) -> i32| variants.iter().map(f).collect::<Vec<i32>>();
-        writer.write("status", &integers(&|v| v.status as i32))?;
-        writer.write("sheets", &integers(&|v| v.sheets as i32))?;
-        writer.write("duration", &column(&|v| v.duration))?;
-        if !schema.controls.is_empty() {
-            writer.write("u", &flat(&|v| v.u.clone()))?;
+        table
+            .put("x0", flat(|v| &v.x0))
+            .put("V", column(&|v| v.value))
+            .put_codes("status", point_statuses(), integers(|v| v.status as i32))
+            .put("sheets", integers(|v| v.sheets as i32))
+            .put("duration", column(&|v| v.duration));
+        if !axes.controls.is_empty() {
+            table.put("u", flat(|v| &v.u));
         }
         for (k, record) in study.records.iter().enumerate() {
-            writer.write(&record.name, &column(&|v| v.records[k]))?;
+            let values = column(&|v| v.records[k]);
+            table.put_named("<quantity>", &record.name, Some(&record.text), values);
         }
-        self.study_trajectories(&names, schema, study, variants)
+        table.write(self)?;
+        self.study_trajectories(axes, study.samples, variants)
     }
 
     fn study_trajectories(
         &mut self,
-        names: &Names<'_>,
-        schema: &TrajectorySchema,
-        study: &Study,
+        axes: &TrajectorySchema,
+        samples: usize,
         variants: &[Variant],
     ) -> Result<(), OutputError> {
-        let (samples, n, m) = (study.samples, schema.states.len(), schema.controls.len());
-        let mut group = Group::new("study_trajectories")
-            .attribute("title", "the trajectories of /study")
-            .dimension(Dimension::index("variant", variants.len()))
-            .dimension(Dimension::index("sample", samples));
-        group = names.axes(group);
-        let dims = ["variant", "sample"];
-        group = group
-            .variable(
-                Variable::f64("t", dims)
-                    .unit(schema.time())
-                    .long_name("time, 0 at the state started from"),
-            )
-            .variable(names.state("x", &["variant", "sample", "state"], "state"))
-            .variable(
-                Variable::f64("V", dims)
-                    .unit(names.cost())
-                    .long_name("value function"),
-            );
-        if m > 0 {
-            let u = Variable::f64("u", ["variant", "sample", "control"]).unit(names.control_unit());
-            group = group.variable(u.long_name("control"));
-        }
-        let mut writer = self.group(&group)?;
-        let flat = |width: usize,
-                    f: &dyn Fn(&crate::trajectories::TrajectoryBlock) -> Vec<f64>|
-         -> Vec<f64> {
+        let flat = |width: usize, f: fn(&TrajectoryBlock) -> &[f64]| -> Vec<f64> {
             (variants.iter())
-                .flat_map(|v| {
-                    v.trajectory
-                        .as_ref()
-                        .map_or_else(|| vec![f64::NAN; samples * width], f)
+                .flat_map(|v| match &v.trajectory {
+                    Some(block) => f(block).to_vec(),
+                    None => vec![f64::NAN; samples * width],
                 })
                 .collect()
         };
-        let from_start = |t: &[f64]| t.iter().map(|at| at - t[0]).collect::<Vec<f64>>();
-        writer.write("t", &flat(1, &|b| from_start(&b.t)))?;
-        writer.write("x", &flat(n, &|b| b.x.clone()))?;
-        writer.write("V", &flat(1, &|b| b.v.clone()))?;
-        if m > 0 {
-            writer.write("u", &flat(m, &|b| b.u.clone()))?;
+        // From the start of each trajectory.
+        let mut t = flat(1, |b| &b.t);
+        for one in t.chunks_mut(samples) {
+            let start = one[0];
+            one.iter_mut().for_each(|t| *t -= start);
         }
-        Ok(())
+        let mut table = Table::new(&schema::STUDY_TRAJECTORIES, axes)
+            .length("variant", variants.len())
+            .length("sample", samples);
+        table
+            .put("t", t)
+            .put("x", flat(axes.states.len(), |b| &b.x))
+            .put("V", flat(1, |b| &b.v));
+        if !axes.controls.is_empty() {
+            table.put("u", flat(axes.controls.len(), |b| &b.u));
+        }
+        table.write(self)
     }
 }

@@ -1,54 +1,10 @@
 //! The group `/trajectories`.
 
-use crate::hdf5::{Compression, GroupWriter, OutputError, ResultFile};
-use crate::hdf5::{Dimension, Group, Variable};
+use super::TrajectorySchema;
+use super::table::{Data, Table};
+use crate::hdf5::{Group, GroupWriter, OutputError, ResultFile};
+use crate::schema;
 use crate::trajectories::TrajectoryBlock;
-
-/// A state, control or disturbance as the file names it.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Axis {
-    /// Its name, the coordinate value along its dimension.
-    pub name: String,
-    /// Its unit; `"1"` when `None`.
-    pub unit: Option<String>,
-    /// What it is, in words; its name when `None`.
-    pub long_name: Option<String>,
-}
-
-impl Axis {
-    pub(super) fn unit(&self) -> &str {
-        self.unit.as_deref().unwrap_or(DIMENSIONLESS)
-    }
-
-    pub(super) fn description(&self) -> &str {
-        self.long_name.as_deref().unwrap_or(&self.name)
-    }
-}
-
-const DIMENSIONLESS: &str = "1";
-
-/// What all trajectories of a file have in common.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct TrajectorySchema {
-    /// The states, at least one.
-    pub states: Vec<Axis>,
-    /// The controls; without any, the file has no `control` and no `u`.
-    pub controls: Vec<Axis>,
-    /// The disturbances; without any, the file has no `disturbance` and no `w`.
-    pub disturbances: Vec<Axis>,
-    /// Samples of a trajectory, at least one.
-    pub samples: usize,
-    /// The statuses' codes and meanings.
-    pub status_flags: Vec<(i32, String)>,
-    /// The unit of cost, hence of V; `"1"` when `None`.
-    pub cost_unit: Option<String>,
-    /// The unit of time; `"1"` when `None`.
-    pub time_unit: Option<String>,
-    /// About how many trajectories will come, if known: see [`Group::expected_rows`].
-    pub expected_trajectories: Option<usize>,
-    /// How the values are stored.
-    pub compression: Compression,
-}
 
 /// Writes the group `/trajectories`.
 #[derive(Debug)]
@@ -69,7 +25,7 @@ impl ResultFile {
         schema: &TrajectorySchema,
     ) -> Result<TrajectoryWriter, OutputError> {
         Ok(TrajectoryWriter {
-            writer: self.group(&schema.group())?,
+            writer: self.group(&schema.group()?)?,
             has_controls: !schema.controls.is_empty(),
             has_disturbances: !schema.disturbances.is_empty(),
         })
@@ -113,145 +69,32 @@ impl TrajectoryWriter {
 }
 
 impl TrajectorySchema {
-    /// The unit of cost.
-    #[must_use]
-    pub fn cost(&self) -> &str {
-        self.cost_unit.as_deref().unwrap_or(DIMENSIONLESS)
-    }
-
-    /// The unit of time.
-    #[must_use]
-    pub fn time(&self) -> &str {
-        self.time_unit.as_deref().unwrap_or(DIMENSIONLESS)
-    }
-
     /// The declaration of the group `/trajectories`.
-    #[must_use]
-    pub fn group(&self) -> Group {
-        let (cost, time) = (self.cost(), self.time());
-        let rate = quotient(cost, time);
-        let costates: Vec<String> = self
-            .states
-            .iter()
-            .map(|state| quotient(cost, state.unit()))
-            .collect();
-
-        let mut group = Group::new("trajectories")
+    ///
+    /// # Errors
+    /// [`OutputError::MissingVariable`], a mistake of the program.
+    pub fn group(&self) -> Result<Group, OutputError> {
+        let mut table = Table::new(&schema::TRAJECTORIES, self)
             .compression(self.compression)
-            .expected_rows(self.expected_trajectories)
-            .attribute("title", "characteristics of the value function")
-            .dimension(Dimension::unlimited("trajectory"))
-            .dimension(Dimension::index("sample", self.samples));
-        group = with_axes(group, "state", &self.states);
-        group = with_axes(group, "control", &self.controls);
-        group = with_axes(group, "disturbance", &self.disturbances);
-        group = group
-            .variable(
-                Variable::text(
-                    "costate_units",
-                    "state",
-                    costates.iter().map(String::as_str),
-                )
-                .long_name("unit of the costate of each state"),
-            )
-            .variable(over_samples(
-                "t",
-                None,
-                time,
-                "time, 0 at the end at the equilibrium",
-            ))
-            .variable(over_samples(
-                "x",
-                Some("state"),
-                &common(self.states.iter().map(Axis::unit), "state_units"),
-                "state",
-            ))
-            .variable(over_samples(
-                "p",
-                Some("state"),
-                &common(costates.iter().map(String::as_str), "costate_units"),
-                "costate, the gradient of the value function",
-            ));
+            .length("trajectory", self.expected_trajectories)
+            .length("sample", self.samples);
+        for name in ["t", "x", "p"] {
+            table.put(name, Data::Later);
+        }
         if !self.controls.is_empty() {
-            let unit = common(self.controls.iter().map(Axis::unit), "control_units");
-            group = group.variable(over_samples("u", Some("control"), &unit, "control"));
+            table.put("u", Data::Later);
         }
         if !self.disturbances.is_empty() {
-            let unit = common(
-                self.disturbances.iter().map(Axis::unit),
-                "disturbance_units",
-            );
-            group = group.variable(over_samples("w", Some("disturbance"), &unit, "disturbance"));
+            table.put("w", Data::Later);
         }
-        group
-            .variable(over_samples("V", None, cost, "value function"))
-            .variable(over_samples("H", None, &rate, "Hamiltonian"))
-            .variable(
-                Variable::i32("status", ["trajectory"])
-                    .long_name("how the trajectory ended")
-                    .flags(
-                        self.status_flags
-                            .iter()
-                            .map(|(code, meaning)| (*code, meaning.as_str())),
-                    ),
-            )
-            .variable(count("sheet", "sheet of the value function"))
-            .variable(count("steps", "accepted integration steps"))
-            .variable(count("rejected", "rejected integration steps"))
-            .variable(
-                Variable::f64("hamiltonian_drift", ["trajectory"])
-                    .unit(&rate)
-                    .long_name("largest deviation of the Hamiltonian from its invariant value"),
-            )
-    }
-}
-
-/// Adds the dimension `name` with the names, units and descriptions of its components; nothing
-/// without any, except that a system has states.
-pub(super) fn with_axes(group: Group, name: &str, axes: &[Axis]) -> Group {
-    if axes.is_empty() && name != "state" {
-        return group;
-    }
-    let names = axes.iter().map(|axis| axis.name.as_str());
-    let units = axes.iter().map(Axis::unit);
-    let descriptions = axes.iter().map(Axis::description);
-    group
-        .dimension(Dimension::names(name, names))
-        .variable(
-            Variable::text(&format!("{name}_units"), name, units)
-                .long_name(&format!("unit of each {name}")),
-        )
-        .variable(
-            Variable::text(&format!("{name}_long_name"), name, descriptions)
-                .long_name(&format!("description of each {name}")),
-        )
-}
-
-fn over_samples(name: &str, component: Option<&str>, unit: &str, long_name: &str) -> Variable {
-    let dims = ["trajectory", "sample"].into_iter().chain(component);
-    Variable::f64(name, dims).unit(unit).long_name(long_name)
-}
-
-fn count(name: &str, long_name: &str) -> Variable {
-    Variable::i32(name, ["trajectory"]).long_name(long_name)
-}
-
-/// The unit that all components share, or where to look for each.
-pub(super) fn common<'u>(mut units: impl Iterator<Item = &'u str>, variable: &str) -> String {
-    match units.next() {
-        Some(first) if units.all(|unit| unit == first) => first.to_owned(),
-        _ => format!("see {variable}"),
-    }
-}
-
-/// The unit of a quotient, as UDUNITS reads it.
-pub(super) fn quotient(numerator: &str, denominator: &str) -> String {
-    if denominator == DIMENSIONLESS {
-        numerator.to_owned()
-    } else if denominator.chars().all(char::is_alphabetic) {
-        format!("{numerator}/{denominator}")
-    } else {
-        format!("{numerator}/({denominator})")
+        for name in ["V", "H"] {
+            table.put(name, Data::Later);
+        }
+        table.put_codes("status", self.status_flags.iter().cloned(), Data::Later);
+        for name in ["sheet", "steps", "rejected", "hamiltonian_drift"] {
+            table.put(name, Data::Later);
+        }
+        table.declare()
     }
 }
 
@@ -259,6 +102,7 @@ pub(super) fn quotient(numerator: &str, denominator: &str) -> String {
 mod tests {
     use super::*;
     use crate::files::testing::TemporaryDirectory;
+    use crate::result::Axis;
     use rust_hdf5::H5File;
 
     fn axis(name: &str, unit: Option<&str>) -> Axis {

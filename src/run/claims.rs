@@ -1,7 +1,7 @@
 //! V at the solved states of a result file, to be compared with something else.
 
 use crate::result::{Stored, StoredError};
-use crate::trajectories::ToldErrors;
+use crate::trajectories::StatedErrors;
 use crate::value::{Claims, Grid, PointStatus};
 
 /// V at the solved states of `/points` and `/map`; empty where there are none.
@@ -10,7 +10,7 @@ use crate::value::{Claims, Grid, PointStatus};
 /// [`StoredError`] where the groups are not as this program writes them.
 pub fn claims(stored: &Stored) -> Result<Claims, StoredError> {
     let mut claims = Claims::default();
-    let mut add = |x: &[f64], v: f64, status: i32, error: Option<&ToldErrors>| {
+    let mut add = |x: &[f64], v: f64, status: i32, error: Option<&StatedErrors>| {
         // A state from which a simulated control is cheaper has a V all the same.
         let solved = [PointStatus::Converged, PointStatus::Undercut];
         if v.is_finite() && solved.iter().any(|s| *s as i32 == status) {

@@ -7,6 +7,7 @@ use crate::hdf5::ResultFile;
 use crate::map::ValueMap;
 use crate::model::{Feedback, Model};
 use crate::result::{FEEDBACK_GROUP, Stored, StoredMapError};
+use crate::schema;
 use crate::session::{FitData, Progress, fit_laws};
 use std::path::{Path, PathBuf};
 
@@ -72,14 +73,14 @@ impl LawFiles {
 /// Whether a file has a map to an error to draw samples from; on a finite horizon laws are fitted
 /// along trajectories.
 fn is_mapped(stored: &Stored) -> bool {
-    stored.has("map_pieces") && stored.scene.model.final_time().is_none()
+    stored.has(&schema::MAP_PIECES) && stored.scene.model.final_time().is_none()
 }
 
 /// The map that knows which samples are optimal, where solutions of several sheets may be in the
 /// file, or samples are the map's own; `None` where it is not needed, or the file holds no values.
 fn judge(stored: &Stored, mapped: bool) -> Result<Option<ValueMap>, RunError> {
     let periodic = stored.scene.model.states.iter().any(|s| s.period.is_some());
-    if !(periodic || stored.has("points_sheets") || mapped) {
+    if !(periodic || stored.has(&schema::POINTS_SHEETS) || mapped) {
         return Ok(None);
     }
     match stored.value_map() {

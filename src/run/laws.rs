@@ -14,6 +14,7 @@ use crate::model::Model;
 use crate::result::{ATTENUATION_GROUPS, CLOSED_LOOP_GROUPS, DISSIPATION_GROUPS, Stored};
 use crate::scene::Scene;
 use crate::session::{Finished, LoopOptions, Session, SessionError};
+use std::cell::Cell;
 
 /// What came of it; `None` where the scene does not ask for it, or it could not be done.
 #[derive(Default)]
@@ -26,6 +27,8 @@ pub struct LawsDone {
     pub dissipation: Option<Dissipation>,
     /// The levels of `[attenuation]`.
     pub attenuation: Option<Attenuated>,
+    /// Whether the session's deadline came before some of these.
+    pub stopped: bool,
 }
 
 /// Whether anything is left to do when a scene has been swept and solved.
@@ -60,8 +63,21 @@ pub(super) fn perform(session: &Session<'_>, draft: &Draft) -> Result<LawsDone, 
     let model = &session.scene().model;
     let progress = session.progress();
     let mut done = LawsDone::default();
+    let stopped = Cell::new(false);
+    let is_over = |what: &str| {
+        if session.is_over() {
+            progress.note(&format!("no {what}: the run was ended before"));
+            stopped.set(true);
+        }
+        session.is_over()
+    };
+    // What was begun and could not be done.
+    let failed = |what: &str, error: &dyn std::fmt::Display| {
+        stopped.set(stopped.get() || session.is_over());
+        progress.note(&format!("{what}: {error}"));
+    };
 
-    if !model.feedback.is_empty() {
+    if !model.feedback.is_empty() && !is_over("law was fitted") {
         let stored = Stored::open(draft.hidden())?;
         let files = LawFiles::new(draft.path(), None);
         match fit_stored(&stored, model, &model.feedback, &files, progress) {
@@ -69,11 +85,16 @@ pub(super) fn perform(session: &Session<'_>, draft: &Draft) -> Result<LawsDone, 
                 progress.finished(Finished::Fitted(&fitted.fitted, &fitted.exports));
                 done.feedback = Some(fitted);
             }
-            Err(e) => progress.note(&format!("no law was fitted: {e}")),
+            Err(e) => failed("no law was fitted", &e),
         }
     }
 
-    if model.closed_loop.is_some() || model.dissipation.is_some() {
+    let loops = model.closed_loop.is_some() || model.dissipation.is_some();
+    let kind = match model.closed_loop.is_some() {
+        true => "closed loop was simulated",
+        false => "dissipation inequality was checked",
+    };
+    if loops && !is_over(kind) {
         let stored = Stored::open(draft.hidden())?;
         let from = sources(Some(&stored), model, Vec::new(), progress)?;
         let options = LoopOptions::default();
@@ -85,10 +106,10 @@ pub(super) fn perform(session: &Session<'_>, draft: &Draft) -> Result<LawsDone, 
                     file.finish()?;
                     done.closed_loop = Some(evaluation);
                 }
-                Err(e) => progress.note(&format!("no closed loop was simulated: {e}")),
+                Err(e) => failed("no closed loop was simulated", &e),
             }
         }
-        if model.dissipation.is_some() {
+        if model.dissipation.is_some() && !is_over("dissipation inequality was checked") {
             match session.dissipation(&from, &options) {
                 Ok(check) => {
                     let mut file = ResultFile::extend(draft.hidden(), &DISSIPATION_GROUPS)?;
@@ -96,14 +117,12 @@ pub(super) fn perform(session: &Session<'_>, draft: &Draft) -> Result<LawsDone, 
                     file.finish()?;
                     done.dissipation = Some(check);
                 }
-                Err(e) => {
-                    progress.note(&format!("the dissipation inequality was not checked: {e}"))
-                }
+                Err(e) => failed("the dissipation inequality was not checked", &e),
             }
         }
     }
 
-    if model.attenuation.is_some() {
+    if model.attenuation.is_some() && !is_over("level of attenuation was looked for") {
         match session.attenuation() {
             Ok(found) => {
                 let mut file = ResultFile::extend(draft.hidden(), &ATTENUATION_GROUPS)?;
@@ -111,8 +130,9 @@ pub(super) fn perform(session: &Session<'_>, draft: &Draft) -> Result<LawsDone, 
                 file.finish()?;
                 done.attenuation = Some(found);
             }
-            Err(e) => progress.note(&format!("no smallest level of attenuation was found: {e}")),
+            Err(e) => failed("no smallest level of attenuation was found", &e),
         }
     }
+    done.stopped = stopped.get();
     Ok(done)
 }

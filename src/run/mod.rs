@@ -9,6 +9,13 @@
 //! let provenance = Provenance::now();
 //! let done = Session::new(&scene).run(&Wanted::all(), "out/pendulum.h5", &provenance)?;
 //! println!("{} trajectories", done.summary.trajectories);
+//!
+//! // And back: the grid of [map], and V anywhere.
+//! let stored = costate::Stored::open(&done.path)?;
+//! if let Some(grid) = stored.map()? {
+//!     println!("{} values on axes of {:?}", grid.v.len(), grid.axes);
+//! }
+//! println!("{:?}", stored.value_map()?.at(&[0.5, 0.0]).lowest);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -31,7 +38,8 @@ pub use sources::{fitted_laws, other_scene, sources, weights};
 use crate::files::{Draft, target};
 use crate::hdf5::ResultFile;
 use crate::model::Model;
-use crate::result::{Axis, RunRecord, Stored, TrajectorySchema};
+use crate::result::{RunRecord, Stored, TrajectorySchema};
+use crate::schema;
 use crate::session::summary::RunSummary;
 use crate::session::{Estimates, Finished, Outcome, Session, Wanted};
 use crate::sweep::Plan;
@@ -123,7 +131,7 @@ impl Session<'_> {
             None => ResultFile::create(&path)?,
         };
 
-        let schema = schema(model, pass.plan());
+        let schema = trajectory_schema(model, pass.plan());
         let stored = pass.stores_sweep();
         let mut writer = stored.then(|| file.trajectories(&schema)).transpose()?;
         let outcome = pass.perform::<RunError>(&mut |block| match &mut writer {
@@ -132,6 +140,19 @@ impl Session<'_> {
         })?;
         drop(writer);
         write_outcome(&mut file, &outcome, model, &schema)?;
+        let mut draft = draft;
+        let mut path = path;
+        if outcome.stopped {
+            file.attribute("stopped", 1i64)?;
+            // An older file may have more than what was done by now.
+            if path.exists() {
+                path = stopped_beside(&path);
+                match &mut draft {
+                    Some(draft) => draft.rename(path.clone()),
+                    None => file.rename(path.clone()),
+                }
+            }
+        }
 
         let record = RunRecord {
             precision: outcome.plan.spec.precision.name().to_owned(),
@@ -177,6 +198,18 @@ impl Session<'_> {
     }
 }
 
+/// The name of an unfinished result beside one that is there: `out/x.h5` -> `out/x_stopped.h5`.
+#[must_use]
+pub fn stopped_beside(path: &Path) -> PathBuf {
+    let mut name = path.file_stem().unwrap_or_default().to_owned();
+    name.push("_stopped");
+    if let Some(ending) = path.extension() {
+        name.push(".");
+        name.push(ending);
+    }
+    path.with_file_name(name)
+}
+
 /// What came of a pass, all but the swept trajectories.
 fn write_outcome(
     file: &mut ResultFile,
@@ -211,7 +244,7 @@ fn write_outcome(
         .as_ref()
         .filter(|_| !outcome.variants.is_empty())
     {
-        file.study(&axes(model), asked, &outcome.variants)?;
+        file.study(&TrajectorySchema::axes(model), asked, &outcome.variants)?;
     }
     Ok(())
 }
@@ -247,29 +280,11 @@ fn write_estimates(file: &ResultFile, estimates: &Estimates) -> Result<(), RunEr
 
 /// The axes of a scene and the statuses of its sweep.
 #[must_use]
-pub fn schema(model: &Model, plan: &Plan) -> TrajectorySchema {
+pub fn trajectory_schema(model: &Model, plan: &Plan) -> TrajectorySchema {
     TrajectorySchema {
         samples: plan.samples(),
         status_flags: plan.status_flags(),
-        ..axes(model)
-    }
-}
-
-/// The axes of a scene alone.
-#[must_use]
-pub fn axes(model: &Model) -> TrajectorySchema {
-    let axis = |v: &crate::model::Variable| Axis {
-        name: v.name.clone(),
-        unit: v.unit.clone(),
-        long_name: v.long_name.clone(),
-    };
-    TrajectorySchema {
-        states: model.states.iter().map(|s| axis(&s.variable)).collect(),
-        controls: model.controls.iter().map(|c| axis(&c.variable)).collect(),
-        disturbances: model.disturbances.iter().map(axis).collect(),
-        cost_unit: model.cost_unit.clone(),
-        time_unit: model.time_unit.clone(),
-        ..TrajectorySchema::default()
+        ..TrajectorySchema::axes(model)
     }
 }
 
@@ -287,15 +302,15 @@ pub fn output_of(scenario: &Path, ending: &str) -> PathBuf {
 /// these are the second path.
 #[must_use]
 pub fn output_of_points(scenario: &Path) -> (PathBuf, Option<PathBuf>) {
-    const OTHERS: [&str; 8] = [
-        "map_pieces",
-        "map",
-        "study",
-        "feedback",
-        "closed_loop",
-        "dissipation",
-        "attenuation",
-        "caustic",
+    static OTHERS: [&schema::Group; 8] = [
+        &schema::MAP_PIECES,
+        &schema::MAP,
+        &schema::STUDY,
+        &schema::FEEDBACK,
+        &schema::CLOSED_LOOP,
+        &schema::DISSIPATION,
+        &schema::ATTENUATION,
+        &schema::CAUSTIC,
     ];
     let path = output_of(scenario, "");
     // What cannot be read may be a result all the same.
@@ -305,3 +320,5 @@ pub fn output_of_points(scenario: &Path) -> (PathBuf, Option<PathBuf>) {
         false => (output_of(scenario, "_points"), Some(path)),
     }
 }
+
+crate::opaque!(Done);

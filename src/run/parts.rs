@@ -1,9 +1,10 @@
 //! Parts of a scene in a result file.
 
-use super::{RunError, axes};
+use super::RunError;
 use crate::attenuation::Attenuated;
 use crate::hdf5::ResultFile;
 use crate::model::Model;
+use crate::result::TrajectorySchema;
 use crate::study::Variant;
 
 /// Writes the groups of a study.
@@ -16,7 +17,7 @@ pub fn write_study(
     variants: &[Variant],
 ) -> Result<(), RunError> {
     match &model.study {
-        Some(asked) => Ok(file.study(&axes(model), asked, variants)?),
+        Some(asked) => Ok(file.study(&TrajectorySchema::axes(model), asked, variants)?),
         None => Ok(()),
     }
 }
@@ -30,5 +31,5 @@ pub fn write_attenuation(
     model: &Model,
     found: &Attenuated,
 ) -> Result<(), RunError> {
-    Ok(file.attenuation(&axes(model), found)?)
+    Ok(file.attenuation(&TrajectorySchema::axes(model), found)?)
 }

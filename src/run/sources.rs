@@ -5,6 +5,7 @@ use crate::closed_loop::{LawError, Weights};
 use crate::model::Model;
 use crate::result::{Stored, StoredError};
 use crate::scene::Scene;
+use crate::schema;
 use crate::session::{Progress, Sources, same_problem};
 use std::path::Path;
 
@@ -26,7 +27,12 @@ pub fn sources(
         });
     };
     // Without a law that asks for it the map still gives V.
-    let has_values = stored.has_any(&["trajectories", "points", "map", "map_pieces"]);
+    let has_values = stored.has_any(&[
+        &schema::TRAJECTORIES,
+        &schema::POINTS,
+        &schema::MAP,
+        &schema::MAP_PIECES,
+    ]);
     let unknown = |e| progress.note(&format!("no value map: {e}"));
     let map = has_values.then(|| stored.value_map().map_err(unknown).ok());
     let same = same_problem(&stored.scene.model, model);
@@ -44,7 +50,7 @@ pub fn sources(
 /// # Errors
 /// [`StoredError`] where the group is not as this program writes it.
 pub fn fitted_laws(stored: &Stored) -> Result<Vec<Weights>, StoredError> {
-    let Some(group) = stored.group("feedback") else {
+    let Some(group) = stored.group(&schema::FEEDBACK) else {
         return Ok(Vec::new());
     };
     let (names, texts) = (group.texts("law")?, group.texts("toml")?);

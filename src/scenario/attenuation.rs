@@ -7,11 +7,10 @@ use super::settings::grid_points;
 use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
-use crate::model::reserved::{self, is_reserved};
 use crate::model::{Attenuation, GridAxis};
+use crate::schema;
 use toml::de::DeValue;
 
-const KEYS: [&str; 5] = ["parameter", "range", "tolerance", "states", "levels"];
 /// Relative tolerance of the smallest value that covers the states, unless given.
 const DEFAULT_TOLERANCE: f64 = 1e-3;
 /// Values whose regions are stored.
@@ -26,7 +25,7 @@ impl<'a> Reader<'a> {
         region: Option<&[[f64; 2]]>,
         finite: bool,
     ) -> Option<Attenuation> {
-        self.check_keys(section, &KEYS);
+        self.check_keys(section, "attenuation");
         let before = self.problems.len();
         if declared.disturbances.is_empty() {
             let problem = Problem::at(
@@ -44,7 +43,7 @@ impl<'a> Reader<'a> {
         if let Some(state) = declared
             .states
             .iter()
-            .find(|s| is_reserved(s.name, reserved::ATTENUATION))
+            .find(|s| schema::ATTENUATION_REGIONS.reserves(s.name))
         {
             let message = format!(
                 "a state named `{}` cannot be an axis of the regions of [attenuation], which have a variable of that name",

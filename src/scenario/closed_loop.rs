@@ -10,11 +10,11 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::expr::{Id, Kind};
-use crate::model::reserved::{self, is_reserved};
 use crate::model::{
     ClosedLoop, DEFAULT_CONVERGED, DEFAULT_LOOP_MARGIN, Extremum, Formula, GivenLaw, Located,
     OperatingSet, Outside, Record, Span, Start,
 };
+use crate::schema;
 use toml::de::DeValue;
 
 /// Points at which quantities are recorded unless `samples` says otherwise.
@@ -25,21 +25,6 @@ const MOST_STATES: f64 = 1e7;
 const BUILT_IN: [&str; 2] = ["map", "lqr"];
 /// Updates of a law in one closed loop.
 const MOST_UPDATES: f64 = 1e7;
-const KEYS: [&str; 13] = [
-    "final_time",
-    "samples",
-    "initial",
-    "random",
-    "laws",
-    "law",
-    "record",
-    "sets",
-    "track",
-    "converged",
-    "margin",
-    "period",
-    "outside",
-];
 
 /// What of the scene the section refers to.
 pub(super) struct LoopScope<'s, 'a> {
@@ -62,7 +47,7 @@ impl<'a> Reader<'a> {
         section: &Section<'a>,
         scope: &LoopScope<'_, 'a>,
     ) -> Option<ClosedLoop> {
-        self.check_keys(section, &KEYS);
+        self.check_keys(section, "closed_loop");
         let before = self.problems.len();
         let positive = |v: f64| v > 0.0;
         let mut positive_number = |key: &str| {
@@ -297,7 +282,7 @@ impl<'a> Reader<'a> {
         let what = format!("law `{}`", shorten(name));
         let table = self.table(value, span.clone(), &what)?;
         if let Some(file) = table.get("weights") {
-            self.check_keys(&table, &["weights"]);
+            self.check_keys(&table, "closed_loop.law");
             let text = self.string(file, &format!("the weights of {what}"))?;
             return Some(Formula::Weights {
                 file: text.to_owned(),
@@ -383,10 +368,10 @@ impl<'a> Reader<'a> {
         for (name, span, value) in table.entries() {
             let states = scope.states.iter().chain(scope.controls);
             let own = match of {
-                "study" => reserved::STUDY,
-                _ => reserved::CLOSED_LOOP,
+                "study" => &schema::STUDY,
+                _ => &schema::CLOSED_LOOP,
             };
-            let taken = is_reserved(name, own)
+            let taken = own.reserves(name)
                 || states.into_iter().any(|d| d.name == name)
                 || self.scope.get(name).is_some();
             if taken || !Self::is_name(name) {

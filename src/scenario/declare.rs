@@ -250,7 +250,7 @@ impl<'a> Reader<'a> {
     fn state(&mut self, declared: &Declared<'a>) -> Option<State> {
         let what = format!("state `{}`", shorten(declared.name));
         let section = self.table(declared.value, declared.span.clone(), &what)?;
-        self.check_keys(&section, &["unit", "long_name", "period"]);
+        self.check_keys(&section, "states");
         let variable = self.variable(declared, &section)?;
         let period = section.get("period").and_then(|v| {
             let what = format!("the period of {what}");
@@ -267,7 +267,7 @@ impl<'a> Reader<'a> {
     fn control(&mut self, declared: &Declared<'a>) -> Option<Control> {
         let what = format!("control `{}`", shorten(declared.name));
         let section = self.table(declared.value, declared.span.clone(), &what)?;
-        self.check_keys(&section, &["unit", "long_name", "min", "max"]);
+        self.check_keys(&section, "controls");
         let variable = self.variable(declared, &section)?;
         let mut bound = |key: &str| {
             section
@@ -302,7 +302,7 @@ impl<'a> Reader<'a> {
     fn disturbance(&mut self, declared: &Declared<'a>) -> Option<Variable> {
         let what = format!("disturbance `{}`", shorten(declared.name));
         let section = self.table(declared.value, declared.span.clone(), &what)?;
-        self.check_keys(&section, &["unit", "long_name"]);
+        self.check_keys(&section, "disturbances");
         self.variable(declared, &section)
     }
 

@@ -15,16 +15,6 @@ const MOST_POINTS: f64 = 1e8;
 const MOST: u32 = 10_000_000;
 /// Times at which the inequality is checked unless `samples` says otherwise.
 const DEFAULT_SAMPLES: usize = 200;
-const KEYS: [&str; 8] = [
-    "disturbances",
-    "final_time",
-    "amplitude",
-    "frequencies",
-    "laws",
-    "initial",
-    "samples",
-    "period",
-];
 
 impl<'a> Reader<'a> {
     /// `[dissipation]`; `None` where something in it is wrong. Laws of its own are those of
@@ -35,7 +25,7 @@ impl<'a> Reader<'a> {
         closed_loop: Option<&Section<'a>>,
         scope: &LoopScope<'_, 'a>,
     ) -> Option<Dissipation> {
-        self.check_keys(section, &KEYS);
+        self.check_keys(section, "dissipation");
         let before = self.problems.len();
         if scope.disturbances.is_empty() {
             let problem = Problem::at(

@@ -99,7 +99,7 @@ impl<'a> Reader<'a> {
 
     /// `[cost]`.
     pub fn cost(&mut self, section: &Section<'a>) -> Cost {
-        self.check_keys(section, &["running", "terminal", "final_time", "unit"]);
+        self.check_keys(section, "cost");
         let rule = "parameters, states, controls, disturbances and definitions";
         let running = match section.get("running") {
             Some(value) => self.located(

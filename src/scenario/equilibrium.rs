@@ -232,10 +232,20 @@ impl<'a> Reader<'a> {
             let at: Vec<f64> = given[..free].to_vec();
             self.root(&rates, &symbols, &at, &widths, values)
         })?;
-        let moved = moved.iter().chain(&given[moved.len()..]);
+        let moved: Vec<f64> = (moved.iter().chain(&given[moved.len()..]))
+            .copied()
+            .collect();
+        // One at a bound would be refused.
+        let inside = |(c, u): (&Control, &f64)| {
+            c.min.is_none_or(|min| *u > min) && c.max.is_none_or(|max| *u < max)
+        };
+        let states = moved.len() - scene.controls.len();
+        if !scene.controls.iter().zip(&moved[states..]).all(inside) {
+            return None;
+        }
         let written = unknowns.iter().zip(moved);
         let written: Vec<String> = written
-            .map(|((_, name), moved)| format!("{name} = {moved:?}"))
+            .map(|((_, name), moved)| format!("{name}={moved:?}"))
             .collect();
         Some(format!(
             "the nearest equilibrium has {}; write that, or what it is as an expression (in the cost too, where it stands there)",

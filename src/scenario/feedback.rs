@@ -1,6 +1,7 @@
 //! `[feedback]`: one law in the section itself, or several in tables `[feedback.NAME]`.
 
 use super::declare::{Declarations, Declared};
+use super::keys::keys_of;
 use super::lexer::is_identifier;
 use super::reader::{Reader, Section, Value};
 use crate::diagnostics::Problem;
@@ -9,25 +10,6 @@ use crate::diagnostics::shorten;
 use crate::model::{Activation, Base, Feedback, Guard, LawOutput, Target};
 use toml::de::DeValue;
 
-const KEYS: [&str; 17] = [
-    "fit",
-    "output",
-    "inputs",
-    "hidden",
-    "activation",
-    "base",
-    "box",
-    "where",
-    "value_max",
-    "starts",
-    "seed",
-    "iterations",
-    "patience",
-    "max_samples",
-    "gradient",
-    "validation",
-    "test",
-];
 /// Name of the law of an undivided section.
 const ONLY: &str = "network";
 /// Laws that there are without a fit.
@@ -54,8 +36,9 @@ enum Fit {
 /// Whether the section has a table a law.
 fn is_divided(section: &Section<'_>) -> bool {
     let table = |v: &Value<'_>| matches!(v.get_ref(), DeValue::Table(_));
+    let keys = keys_of("feedback");
     let mut entries = section.entries().peekable();
-    entries.peek().is_some() && entries.all(|(key, _, value)| table(value) && !KEYS.contains(&key))
+    entries.peek().is_some() && entries.all(|(key, _, value)| table(value) && !keys.contains(&key))
 }
 
 /// Names of the laws that the section asks for, right or wrong.
@@ -117,7 +100,7 @@ impl<'a> Reader<'a> {
         region: Option<&[[f64; 2]]>,
     ) -> Option<Feedback> {
         let before = self.problems.len();
-        self.check_keys(section, &KEYS);
+        self.check_keys(section, "feedback");
         let fit = match section.get("fit") {
             Some(value) => self.choice(value, "fit", &[("u", Fit::Law), ("V", Fit::Value)]),
             None => {

@@ -15,6 +15,7 @@ mod equations;
 mod equilibrium;
 mod feedback;
 mod hints;
+mod keys;
 mod lexer;
 mod parser;
 mod periods;
@@ -32,8 +33,8 @@ mod tests;
 
 pub use crate::diagnostics::{Problem, ScenarioErrors};
 pub use document::{Document, Given};
+pub use keys::{CHAPTERS, Key, PROBLEM_SECTIONS, SectionKeys, markdown as reference};
 pub use report_section::{constant, definitions};
-pub use scene::PROBLEM_SECTIONS;
 pub use settings::{DEFAULT_ATOL_SHARE, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
 
 use crate::files::read_text;

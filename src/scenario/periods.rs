@@ -10,9 +10,9 @@ use std::collections::HashMap;
 /// Periods in the region's width, at most: a state is looked for a few periods away, never a
 /// thousand.
 const MOST_PERIODS: f64 = 1000.0;
-/// Relative difference that rounding leaves, also of a period, or of factors in the equations, with
-/// five digits.
-const ROUNDING: f64 = 1e-4;
+/// Relative difference that rounding leaves. A period, or a factor of the equations, with few digits
+/// leaves more: V would be that much wrong at states a few periods away, and nothing would show it.
+const ROUNDING: f64 = 1e-8;
 
 impl Reader<'_> {
     /// Checks each period against the region, and the equations one period later at some points of
@@ -44,7 +44,7 @@ impl Reader<'_> {
                     "not the same one period later",
                 );
                 self.report(problem.with_help(
-                    "give the period, and factors such as pi/180 in the equations, as expressions, or leave it out if the state is no angle",
+                    "give the period, and factors such as pi/180 in the equations, as expressions (period = \"2*pi\": digits cut short are not enough), or leave it out if the state is no angle",
                 ));
             }
         }

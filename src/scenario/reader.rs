@@ -2,6 +2,7 @@
 
 use super::build::{Built, Origin, Use};
 use super::hints;
+use super::keys::keys_of;
 use super::parser::{parse_expression, parse_guard};
 use super::quoted::Offsets;
 use super::scope::Scope;
@@ -92,8 +93,9 @@ impl<'a> Reader<'a> {
         None
     }
 
-    /// Refuses all keys but the known ones.
-    pub fn check_keys(&mut self, section: &Section<'_>, known: &[&str]) {
+    /// Refuses all keys but those of the section, or table within one, of this name.
+    pub fn check_keys(&mut self, section: &Section<'_>, of: &str) {
+        let known = keys_of(of);
         for (key, span, _) in section.entries().filter(|(k, ..)| !known.contains(k)) {
             let hint = hints::of_key(&section.name, key).map(str::to_owned);
             let help = hint

@@ -18,7 +18,7 @@ impl<'a> Reader<'a> {
         states: &[Declared<'a>],
         region: Option<&[[f64; 2]]>,
     ) -> Option<Report> {
-        self.check_keys(section, &["levels", "slice", "axes"]);
+        self.check_keys(section, "report");
         let before = self.problems.len();
         let levels = section
             .get("levels")

@@ -7,6 +7,7 @@ use super::equations::Cost;
 use super::equilibrium::{Equilibrium, Scene};
 use super::feedback::law_names;
 use super::hints;
+use super::keys;
 use super::parser::{parse_expression, parse_guard};
 use super::reader::{Reader, Section};
 use super::scope::Role;
@@ -14,38 +15,12 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::position;
 use crate::diagnostics::shorten;
-use crate::model::reserved::is_of_map;
 use crate::model::{Horizon, Model, Variable};
+use crate::schema;
 use std::collections::HashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-const SECTIONS: [&str; 21] = [
-    "parameters",
-    "states",
-    "controls",
-    "disturbances",
-    "definitions",
-    "dynamics",
-    "cost",
-    "equilibrium",
-    "region",
-    "time",
-    "guards",
-    "shoot_out",
-    "homotopy",
-    "map",
-    "sheets",
-    "feedback",
-    "report",
-    "closed_loop",
-    "dissipation",
-    "study",
-    "attenuation",
-];
-/// Those that state the problem; the others say what is wanted of it.
-pub const PROBLEM_SECTIONS: &[&str] = SECTIONS.split_at(11).0;
-const INTEGRATOR: &str = "integrator";
 /// Sections whose strings are expressions.
 const EXPRESSIONS: [&str; 6] = [
     "parameters",
@@ -127,7 +102,7 @@ impl<'a> Reader<'a> {
         let mut title = None;
         for (key, value) in root.iter() {
             let (name, span) = (key.get_ref().as_ref(), key.span());
-            let known = SECTIONS.into_iter().chain([INTEGRATOR]);
+            let known = keys::sections();
             if name == "title" {
                 title = self.text_of_lines(value, "the title").map(str::to_owned);
             } else if let Some(known) = known.clone().find(|s| *s == name) {
@@ -295,7 +270,10 @@ impl<'a> Reader<'a> {
         let map = sections
             .get("map")
             .and_then(|s| self.map(s, &declared.states));
-        let clash = declared.states.iter().find(|s| is_of_map(s.name));
+        let clash = declared
+            .states
+            .iter()
+            .find(|s| schema::MAP.reserves(s.name));
         if let (Some(state), true) = (clash, map.is_some()) {
             let message = format!(
                 "a state named `{}` cannot be an axis of [map], which has a variable of that name",
@@ -320,9 +298,9 @@ impl<'a> Reader<'a> {
         let report = sections
             .get("report")
             .and_then(|s| self.report_section(s, &declared.states, region.as_deref()));
-        let integrator = self.integrator(sections.get(INTEGRATOR));
+        let integrator = self.integrator(sections.get("integrator"));
         let time_unit = sections.get("time").and_then(|s| {
-            self.check_keys(s, &["unit"]);
+            self.check_keys(s, "time");
             self.unit(s)
         });
         let cost_unit = sections.get("cost").and_then(|s| self.unit(s));

@@ -40,17 +40,6 @@ const OF_ERROR: [&str; 8] = [
 const MOST_SEEDS: u32 = 10_000_000;
 /// Below this V differences of states are next to what f64 can hold.
 const LEAST_VALUE: f64 = 1e-200;
-const SHOOT_OUT_KEYS: [&str; 9] = [
-    "value_max",
-    "spacing",
-    "seed_value",
-    "samples",
-    "max_seeds",
-    "margin",
-    "sample_by",
-    "arc_length",
-    "folds",
-];
 const SAMPLE_BY: [(&str, Option<SampleBy>); 3] = [
     ("value", Some(SampleBy::Value)),
     ("arc_length", Some(SampleBy::ArcLength)),
@@ -111,7 +100,7 @@ impl<'a> Reader<'a> {
         finite: bool,
         game: bool,
     ) -> Option<ShootOut> {
-        self.check_keys(section, &SHOOT_OUT_KEYS);
+        self.check_keys(section, "shoot_out");
         let before = self.problems.len();
         let positive = |v: f64| v > 0.0;
         let value_max = section
@@ -279,11 +268,7 @@ impl<'a> Reader<'a> {
 
     /// `[map]`: a regular grid over the region.
     pub fn map(&mut self, section: &Section<'a>, states: &[Declared<'a>]) -> Option<MapGrid> {
-        let keys: Vec<&str> = ["resolution", "value_max", "error"]
-            .into_iter()
-            .chain(OF_ERROR)
-            .collect();
-        self.check_keys(section, &keys);
+        self.check_keys(section, "map");
         let accurate = section.get("error").is_some();
         if !accurate {
             for key in OF_ERROR {
@@ -476,7 +461,7 @@ impl<'a> Reader<'a> {
 
     /// `[sheets]`.
     pub fn sheets(&mut self, section: &Section<'a>) -> Sheets {
-        self.check_keys(section, &["value_max"]);
+        self.check_keys(section, "sheets");
         Sheets {
             value_max: (section.get("value_max"))
                 .and_then(|v| self.number_that(v, "value_max", "greater than 0", |v| v > 0.0)),
@@ -517,10 +502,7 @@ impl<'a> Reader<'a> {
         let Some(section) = section else {
             return integrator;
         };
-        self.check_keys(
-            section,
-            &["method", "rtol", "atol", "step", "precision", "max_steps"],
-        );
+        self.check_keys(section, "integrator");
         let method = section
             .get("method")
             .map(|v| self.choice(v, "method", &methods()));

@@ -7,10 +7,9 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::model::Study;
-use crate::model::reserved::{self, is_reserved};
+use crate::schema;
 use toml::de::DeValue;
 
-const KEYS: [&str; 4] = ["vary", "from", "record", "samples"];
 /// Variants of one study.
 const MOST_VARIANTS: usize = 10_000;
 /// Stored points of one trajectory.
@@ -21,7 +20,7 @@ const DEFAULT_SAMPLES: usize = 200;
 impl<'a> Reader<'a> {
     /// `[study]`; `None` where something in it is wrong.
     pub fn study(&mut self, section: &Section<'a>, scope: &LoopScope<'_, 'a>) -> Option<Study> {
-        self.check_keys(section, &KEYS);
+        self.check_keys(section, "study");
         let before = self.problems.len();
         let vary = match section.get("vary") {
             Some(value) => self.varied(value, section),
@@ -64,7 +63,7 @@ impl<'a> Reader<'a> {
         };
         let mut all = Vec::new();
         for (name, span, value) in table.entries() {
-            if is_reserved(name, reserved::STUDY) {
+            if schema::STUDY.reserves(name) {
                 let message = format!(
                     "a parameter named `{name}` cannot be varied: the table has a column of that name"
                 );

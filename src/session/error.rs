@@ -18,6 +18,8 @@ use crate::value::StatesError;
 pub enum SessionError {
     #[error("{given} numbers are no list of states with {states} components each")]
     Components { given: usize, states: usize },
+    #[error("component {component} of state {state} is no finite number")]
+    NotFinite { state: usize, component: usize },
     #[error("the scene asks for no map: give it [map] with error = ...")]
     NoMap,
     #[error(

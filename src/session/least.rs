@@ -3,7 +3,7 @@
 use super::{Session, SessionError};
 use crate::dynamic_programming::{self, Device, GridValue, Options, extent};
 use crate::scene::Scene;
-use crate::value::{self, Claims, Opinion, referee};
+use crate::value::{self, Claims, Comparison, referee};
 
 /// How V is compared with V on a grid.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,7 +38,7 @@ impl Session<'_> {
         &self,
         claims: &Claims,
         options: &LeastOptions,
-    ) -> Result<(GridValue, Opinion), SessionError> {
+    ) -> Result<(GridValue, Comparison), SessionError> {
         let Scene {
             model, hamiltonian, ..
         } = self.scene;

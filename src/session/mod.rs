@@ -22,8 +22,8 @@ pub use progress::{Finished, Progress, Silent};
 pub use wanted::{Listed, States, Wanted};
 
 use crate::attenuation::{self, Attenuated};
-use crate::backend::Backend;
 use crate::backend::cpu::Cpu;
+use crate::backend::{Backend, BackendError, Deadline};
 use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::local::LocalError;
 use crate::map::{Adaptive, Known, ValueMap};
@@ -85,13 +85,25 @@ pub struct Solved {
 }
 
 impl Solved {
+    /// Whether the session's deadline ended the search: then nothing shows that an answer is the
+    /// least.
+    pub fn is_stopped(&self) -> bool {
+        self.answers.stopped
+    }
+
     /// The solution of least V from a state (by its number in the list); `None` where there is
     /// none: see [`Solved::status`].
+    ///
+    /// # Panics
+    /// Where the list has no such state.
     pub fn answer(&self, state: usize) -> Option<&Entry> {
         self.answers.answer(self.answers.targets.of_given[state])
     }
 
     /// What came of a state.
+    ///
+    /// # Panics
+    /// Where the list has no such state.
     pub fn status(&self, state: usize) -> PointStatus {
         self.answers.status(self.answers.targets.of_given[state])
     }
@@ -128,9 +140,44 @@ impl<'s> Session<'s> {
         self
     }
 
+    /// Ends at a deadline, with what is there by then: a sweep has gaps (`SweepReport::stopped`),
+    /// and states that are not solved have the status [`PointStatus::OutOfTime`] (see
+    /// [`Solved::is_stopped`], [`Outcome::stopped`]). A map that has no pieces yet is an error, and so are
+    /// closed loops that are not done; fits and levels of attenuation that have begun are done all
+    /// the same. A deadline is
+    /// an instant: it stays passed for later questions.
+    ///
+    /// ```
+    /// # use costate::{Scene, Session};
+    /// use costate::backend::Deadline;
+    /// use std::time::Duration;
+    /// # let scene = Scene::parse(r#"
+    /// #     states = { x = {} }
+    /// #     controls = { u = {} }
+    /// #     dynamics = { x = "u" }
+    /// #     cost = { running = "0.5*(x^2 + u^2)" }
+    /// #     equilibrium = { x = 0, u = 0 }
+    /// #     region = { x = [-1, 1] }
+    /// # "#, "scene.toml")?;
+    /// let session = Session::new(&scene).until(Deadline::after(Duration::from_secs(60)));
+    /// let solved = session.solve(&[0.5])?;
+    /// assert!(!solved.is_stopped() && !session.is_over());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn until(mut self, deadline: Deadline) -> Self {
+        self.choices.deadline = deadline;
+        self
+    }
+
+    /// Whether that deadline has passed.
+    pub fn is_over(&self) -> bool {
+        self.choices.deadline.has_passed()
+    }
+
     /// With a listener to what goes on.
     #[must_use]
-    pub fn heard_by(mut self, progress: &'s dyn Progress) -> Self {
+    pub fn with_progress(mut self, progress: &'s dyn Progress) -> Self {
         self.progress = progress;
         self
     }
@@ -196,13 +243,18 @@ impl<'s> Session<'s> {
     /// solve` finds them.
     ///
     /// # Errors
-    /// [`SessionError::Components`]; where the scene cannot be swept for first guesses; device
-    /// failures. A state without an answer is no error.
+    /// [`SessionError::Components`] and [`SessionError::NotFinite`]; where the scene cannot be swept
+    /// for first guesses; device failures. A state without an answer is no error, nor is one that
+    /// the session's deadline has left out (see [`Solved::is_stopped`]).
     pub fn solve(&self, states: &[f64]) -> Result<Solved, SessionError> {
         let n = self.scene.model.states.len();
         if !states.len().is_multiple_of(n) {
             let given = states.len();
             return Err(SessionError::Components { given, states: n });
+        }
+        if let Some(k) = states.iter().position(|x| !x.is_finite()) {
+            let (state, component) = (k / n, k % n);
+            return Err(SessionError::NotFinite { state, component });
         }
         attenuation::refuse(self.scene)?;
         let Scene {
@@ -211,14 +263,12 @@ impl<'s> Session<'s> {
         let backend = self.backend.as_ref();
         let step = self.step();
         let mut shown = step.states();
-        let (plan, _, answers) = value::solve_states(
-            model,
-            hamiltonian,
-            backend,
-            self.choices,
-            states,
-            &mut shown,
-        )?;
+        let choices = Choices {
+            partial: true,
+            ..self.choices
+        };
+        let (plan, _, answers) =
+            value::solve_states(model, hamiltonian, backend, choices, states, &mut shown)?;
         Ok(Solved { plan, answers })
     }
 
@@ -258,7 +308,9 @@ impl<'s> Session<'s> {
         let outcome = self
             .prepare(&wanted)?
             .perform::<SessionError>(&mut |_| Ok(()))?;
-        let made = outcome.mapped.ok_or(SessionError::NoMap)?;
+        // There is none where the deadline has come before its first pieces.
+        let out_of_time = || SessionError::Backend(BackendError::OutOfTime);
+        let made = outcome.mapped.ok_or_else(out_of_time)?;
         let known = Known {
             pieces: Some(made.pieces.clone()),
             beyond: made.beyond.as_ref().map(|beyond| beyond.pieces.clone()),
@@ -301,7 +353,12 @@ impl<'s> Session<'s> {
         let step = self.step();
         let mut shown = |what: &str| step.say(&format!("attenuation: {what}"));
         let backend = self.backend.as_ref();
-        let found = attenuation::smallest(self.scene, backend, self.choices, &mut shown)?;
+        // A sweep that is cut short would show nothing of a level.
+        let choices = Choices {
+            deadline: Deadline::default(),
+            ..self.choices
+        };
+        let found = attenuation::smallest(self.scene, backend, choices, &mut shown)?;
         drop(step);
         self.progress.finished(Finished::Attenuation(&found));
         Ok(found)
@@ -396,3 +453,5 @@ mod tests {
         assert!(session.solve(&[]).is_ok());
     }
 }
+
+crate::opaque!(Session<'_>, Solved, Swept, Mapped);

@@ -5,7 +5,7 @@ use super::estimates::Estimates;
 use super::progress::{Progress, Step};
 use super::wanted::{Targets, Wanted};
 use super::{Session, SessionError};
-use crate::backend::{Backend, BackendError, Trajectories};
+use crate::backend::{Backend, BackendError, Deadline, Trajectories};
 use crate::dynamic_programming::{self, Device, Options, extent};
 use crate::map::{self, Adaptive};
 use crate::model::MapAim;
@@ -13,7 +13,7 @@ use crate::scene::Scene;
 use crate::study::Variant;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::trajectories::TrajectoryBlock;
-use crate::value::{self, Answers, Archive, Entry};
+use crate::value::{self, Answers, Archive, Entry, PointStatus};
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 
@@ -49,7 +49,31 @@ pub struct Outcome {
     pub variants: Vec<Variant>,
     /// The errors of the sweep and of the answers.
     pub estimates: Estimates,
+    /// Whether the session's deadline ended it before everything was done.
+    pub stopped: bool,
     pub(crate) targets: Option<Targets>,
+}
+
+impl Outcome {
+    /// The solution of least V at a state that was asked for (by its number: those of a list first,
+    /// then of `[homotopy]` and `[map]`); `None` where there is none. (`answers` has each state
+    /// once, in an order of its own.)
+    ///
+    /// # Panics
+    /// Where no such state was asked for.
+    pub fn answer(&self, state: usize) -> Option<&Entry> {
+        let answers = self.answers.as_ref()?;
+        answers.answer(answers.targets.of_given[state])
+    }
+
+    /// What came of such a state; `None` where no states were asked for.
+    ///
+    /// # Panics
+    /// Where no such state was asked for.
+    pub fn status(&self, state: usize) -> Option<PointStatus> {
+        let answers = self.answers.as_ref()?;
+        Some(answers.status(answers.targets.of_given[state]))
+    }
 }
 
 impl Session<'_> {
@@ -131,6 +155,7 @@ impl Pass<'_> {
             mapped: None,
             variants: Vec::new(),
             estimates: Estimates::default(),
+            stopped: false,
             targets,
             plan,
         };
@@ -150,13 +175,18 @@ impl Pass<'_> {
 
         // The states.
         if let (Some(targets), Some(archive)) = (&mut outcome.targets, &mut archive) {
+            targets.request.partial = true;
             if self.grid_guesses {
-                targets.request.grid = Some(session.grid(plan, &targets.all())?);
+                targets.request.grid = match session.grid(plan, &targets.all()) {
+                    Err(_) if session.is_over() => None,
+                    grid => Some(grid?),
+                };
             }
             let mut solver = value::solver(plan, backend).map_err(SessionError::from)?;
             let mut found = session.answers(plan, &mut solver, archive, targets)?;
             // What nothing has led to may have a swept trajectory near it.
-            if direct && value::may_need_sweep(plan) && found.lacks_guesses() {
+            let may_need_sweep = direct && value::may_need_sweep(plan) && !found.stopped;
+            if may_need_sweep && found.lacks_guesses() {
                 outcome.swept = session.sweep_into::<E>(plan, Some(archive), &mut |_| Ok(()))?;
                 found = session.answers(plan, &mut solver, archive, targets)?;
             }
@@ -165,6 +195,8 @@ impl Pass<'_> {
                 let of_given = &found.targets.of_given[..outcome.listed];
                 let entries: Vec<&Entry> =
                     of_given.iter().filter_map(|t| found.answer(*t)).collect();
+                // What is solved has its trajectory, whatever the time.
+                solver.deadline = Deadline::default();
                 let block = value::sampled(plan, &mut solver, &entries, samples)
                     .map_err(SessionError::from)?;
                 outcome.sampled = Some((samples, block));
@@ -174,12 +206,25 @@ impl Pass<'_> {
 
         // The map and the study.
         if let (Some(aim), Some(archive)) = (aim, &archive) {
-            outcome.mapped = Some(session.map_to_error(plan, archive, aim)?);
+            outcome.mapped = match session.map_to_error(plan, archive, aim) {
+                Err(SessionError::Backend(BackendError::OutOfTime)) => {
+                    session
+                        .progress
+                        .note("no map was made: the run was ended before");
+                    None
+                }
+                made => Some(made?),
+            };
         }
         if self.study {
             outcome.variants = session.study_with(choices)?;
         }
 
+        // Estimates would take longer than what they are of.
+        outcome.stopped = session.is_over();
+        if outcome.stopped {
+            return Ok(outcome);
+        }
         outcome.estimates = Estimates::new(plan, &outcome.swept, stored, outcome.answers.as_ref())
             .map_err(SessionError::from)?;
         Ok(outcome)
@@ -327,3 +372,5 @@ pub fn sweep_and_write<E: From<SessionError>>(
         })
     })
 }
+
+crate::opaque!(Pass<'_>, Outcome);

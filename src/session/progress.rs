@@ -1,4 +1,4 @@
-//! What is heard of a computation while it goes on.
+//! What is reported of a computation while it goes on.
 
 use super::Outcome;
 use crate::attenuation::Attenuated;

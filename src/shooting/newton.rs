@@ -74,6 +74,8 @@ pub enum Failure {
     Iterations,
     /// The trajectory does not come near the equilibrium within the longest horizon.
     Horizon,
+    /// The solver's deadline has passed.
+    OutOfTime,
 }
 
 /// A solved problem.

@@ -98,8 +98,14 @@ impl Accuracy {
         if value.worst > self.bound || self.differ as f64 > MAY_DIFFER * self.sampled as f64 {
             return Some(false);
         }
+        (!self.parts_fast()).then_some(true)
+    }
+
+    /// Whether more points have parted from their reference than may.
+    #[must_use]
+    pub fn parts_fast(&self) -> bool {
         let points = (self.compared + self.parted) as f64;
-        (self.parted as f64 <= MAY_PART * points).then_some(true)
+        self.parted as f64 > MAY_PART * points
     }
 }
 
@@ -212,7 +218,7 @@ fn passed(batch: &Trajectories, i: usize) -> usize {
         .count()
 }
 
-/// An error relative to a size; none is none, of nothing too.
+/// An error relative to a size; 0/0 counts as 0.
 fn relative(error: f64, size: f64) -> f64 {
     if error == 0.0 { 0.0 } else { error / size }
 }

@@ -51,6 +51,8 @@ pub struct SweepReport {
     pub folds: Vec<FoldPoint>,
     /// Some of the trajectories, drawn at random.
     pub sample: Sample,
+    /// Whether it ended at its deadline, with gaps left.
+    pub stopped: bool,
 }
 
 /// Told after each round: trajectories done, pairs that still wait for a seed.
@@ -443,14 +445,19 @@ impl<'a> Fronts<'a> {
         }
     }
 
-    /// Splits waiting edges until the round is full; false when nothing is left to do.
+    /// Splits waiting edges until the round is full; false when nothing is left to do, or no time.
     fn next_round(&mut self) -> bool {
         loop {
+            if self.plan.deadline.has_passed() {
+                self.report.stopped = true;
+                return false;
+            }
             self.judge();
             if self.is_full() || self.waiting.is_empty() {
                 return !self.pending.is_empty();
             }
             while !self.is_full()
+                && !self.plan.deadline.has_passed()
                 && let Some((edge, gap)) = self.waiting.pop()
             {
                 self.split(edge, gap);
@@ -505,7 +512,8 @@ impl<'a> Fronts<'a> {
     }
 
     fn finished(mut self) -> SweepReport {
-        self.report.coverage.uncovered = self.waiting.len();
+        // Seeds that were placed and not swept, for want of time, leave gaps too.
+        self.report.coverage.uncovered = self.waiting.len() + self.pending.len();
         self.report.coverage.widest = self
             .report
             .coverage

@@ -2,7 +2,7 @@
 //! and end.
 
 use super::surface::{Surface, corners};
-use crate::backend::{Backend, By, Guards, Run, Spec, Status};
+use crate::backend::{Backend, By, Deadline, Guards, Run, Spec, Status};
 use crate::expr::{Id, Kind};
 use crate::hamiltonian::{Hamiltonian, Slope, System, infinite};
 use crate::local::{LocalError, LocalSolution, Riccati, SeedChoice};
@@ -69,11 +69,14 @@ pub(crate) const MOST_OPERATIONS: usize = 30_000;
 /// Bytes that the points of one trajectory may take.
 const MOST_BYTES: usize = 64 << 20;
 
-/// What the command line adds to a scene.
+/// What is chosen in place of a scene's settings; `None` leaves the scene's.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Choices {
+    /// Arithmetic.
     pub precision: Option<Precision>,
+    /// Integration method.
     pub method: Option<Method>,
+    /// Relative tolerance of a step.
     pub rtol: Option<f64>,
     /// Whether trajectories are also sampled between the seeds and the first stored level, for
     /// first guesses of boundary value problems.
@@ -87,6 +90,10 @@ pub struct Choices {
     pub dispensable: bool,
     /// Seed of the random sample that the error is estimated from.
     pub seed: u64,
+    /// When work is ended with what is there.
+    pub deadline: Deadline,
+    /// Whether what is solved for by the deadline is an answer; else passing it is an error.
+    pub partial: bool,
 }
 
 /// The coordinate that the stored points of a sweep are levels of.
@@ -111,6 +118,8 @@ pub struct Numerics {
     /// Absolute tolerance in units of each component's scale: the scene's, in proportion where
     /// another `rtol` is asked.
     pub atol: f64,
+    /// When a simulation is given up.
+    pub deadline: Deadline,
 }
 
 impl Numerics {
@@ -150,12 +159,15 @@ impl Numerics {
             rtol_asked,
             rtol,
             atol,
+            deadline: choices.deadline,
         })
     }
 }
 
 /// Everything a sweep needs besides a backend.
 pub struct Plan {
+    /// When a sweep ends with what is there, and solving for states is given up.
+    pub deadline: Deadline,
     pub spec: Spec,
     pub run: Run,
     pub surface: Surface,
@@ -258,6 +270,7 @@ impl Plan {
             rtol_asked,
             rtol,
             atol,
+            deadline: _,
         } = Numerics::choose(model, backend, choices)?;
 
         let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
@@ -391,6 +404,7 @@ impl Plan {
             strict,
         });
         Ok(Self {
+            deadline: choices.deadline,
             spec: Spec {
                 rate: Program::lower(&graph, &inputs, &rate),
                 guards,

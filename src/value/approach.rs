@@ -178,7 +178,7 @@ impl Approach {
     }
 }
 
-/// Follows all ways at once.
+/// Follows all ways at once. At the solver's deadline it gives up those that are not done.
 ///
 /// # Errors
 /// Device failures only.
@@ -209,7 +209,15 @@ fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), Bac
                 jobs.push(job);
             }
         }
-        solver.solve(&mut jobs)?;
+        match solver.solve(&mut jobs) {
+            Err(BackendError::OutOfTime) => {
+                for i in active {
+                    ways[i].failure = Some(Failure::OutOfTime);
+                }
+                continue;
+            }
+            done => done?,
+        }
         let mut tried = owners
             .into_iter()
             .zip(jobs.into_iter().zip(shares))

@@ -97,6 +97,7 @@ impl Survey<'_> {
                 }
             }
             follow(solver, &mut ways)?;
+            solver.deadline.check()?;
             let mut ways = ways.into_iter();
             for k in active {
                 let both = [ways.next(), ways.next()].map(|w| w.and_then(|w| w.finish().1.ok()));

@@ -402,6 +402,7 @@ fn from_nearer(
         }
     }
     follow(solver, &mut ways)?;
+    solver.deadline.check()?;
     for (k, way) in owners.into_iter().zip(ways) {
         if let (evaluations, Ok((mut job, solved))) = way.finish() {
             job.iterations = evaluations;

@@ -32,7 +32,7 @@ pub use equal_cost::BoundaryPoint;
 pub use extremal::Extremal;
 pub use fold::Fold;
 pub use march::{Marched, march};
-pub use referee::{Claims, Flown, Led, Opinion, referee};
+pub use referee::{Claims, Comparison, Flown, Led, referee};
 pub use sampled::sampled;
 pub use solve::{
     Answers, Entry, EqualCost, Evidence, Request, for_guesses, goes_without_sweep, guess_seeds,

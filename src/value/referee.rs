@@ -1,4 +1,4 @@
-//! A second opinion on V at solved states: V on a grid, which knows nothing of extremals, and what
+//! An independent check of V at solved states: V on a grid, which knows nothing of extremals, and what
 //! its greedy paths lead to.
 
 use super::flight::tolerance;
@@ -62,7 +62,7 @@ pub struct Flown {
 
 /// What V on a grid says of claims.
 #[derive(Clone, Debug, Default)]
-pub struct Opinion {
+pub struct Comparison {
     /// V of the grid at each claim; `None` where it does not know the state.
     pub grid: Vec<Option<f64>>,
     /// `(grid - V) / V` of those.
@@ -83,7 +83,7 @@ pub fn referee(
     grid: &GridValue,
     claims: &Claims,
     apart: f64,
-) -> Result<Opinion, BackendError> {
+) -> Result<Comparison, BackendError> {
     let n = plan.system.states;
     let targets = Targets::new(n, &[], &[], &claims.x, &plan.widths);
     let mut survey = Survey::new(plan, &targets, solver)?;
@@ -105,7 +105,7 @@ pub fn referee(
             Some(judged(plan, (claim, claims), greedy[place].cost, found))
         })
         .collect();
-    Ok(Opinion {
+    Ok(Comparison {
         grid: said,
         differences,
         flown,

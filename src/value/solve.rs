@@ -5,7 +5,7 @@ use super::cover::Cover;
 use super::direct::Direct;
 use super::equal_cost::BoundaryPoint;
 use super::fold::Fold;
-use super::survey::{BEYOND, Miss, PointStatus, Progress, SecondOpinion, Support, Survey, Wanted};
+use super::survey::{BEYOND, GridGuesses, Miss, PointStatus, Progress, Support, Survey, Wanted};
 use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
@@ -55,6 +55,9 @@ pub struct Request {
     pub value_max: Option<f64>,
     /// V on a grid, whose greedy paths are tried as first guesses too.
     pub grid: Option<Arc<GridValue>>,
+    /// At the solver's deadline what is found is an answer, and the other targets are out of time;
+    /// else it is an error.
+    pub partial: bool,
 }
 
 /// A solution at a point.
@@ -120,6 +123,9 @@ pub struct Answers {
     /// Whether H is `min max`, and the cheapest of several sheets is not the answer (see
     /// [`Self::answer`]).
     pub game: bool,
+    /// Whether the search was ended before it was done: then nothing shows that an answer is the
+    /// least.
+    pub stopped: bool,
     /// Of a game with an equilibrium the entry at each target on the sheet of the equilibrium.
     pub principal: Option<Vec<Option<usize>>>,
     pub targets: Targets,
@@ -207,7 +213,7 @@ impl Answers {
         let support = &self.support[target];
         match self.answer(target) {
             None => Evidence::None,
-            Some(_) if self.game => Evidence::None,
+            Some(_) if self.game || self.stopped => Evidence::None,
             Some(_) if support.bound.is_some() => Evidence::Undercut,
             Some(answer) if answer.value <= support.covered_to => Evidence::Covered,
             Some(_) => Evidence::NotUndercut,
@@ -333,7 +339,8 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
     } else {
         rtol
     };
-    let host = Solver::new(&Cpu::new(), Precision::F64, scheme(plan, asked), host_rtol)?;
+    let mut host = Solver::new(&Cpu::new(), Precision::F64, scheme(plan, asked), host_rtol)?;
+    host.deadline = plan.deadline;
     if backend.name() == "cpu" {
         return Ok(host);
     }
@@ -407,62 +414,27 @@ pub fn solve(
     }
     let mut make = || coarse_grid(plan, model);
     let second = match &request.grid {
-        Some(grid) => SecondOpinion::Given(grid),
-        None => SecondOpinion::OnDemand(&mut make),
+        Some(grid) => GridGuesses::Given(grid),
+        None => GridGuesses::OnDemand(&mut make),
     };
-    survey.run(solver, archive, cover.as_mut(), wanted, second, progress)?;
-    let boundary = if request.one_sheet || plan.game {
+    match survey.run(solver, archive, cover.as_mut(), wanted, second, progress) {
+        Err(BackendError::OutOfTime) if request.partial => survey.cut_short(),
+        done => done?,
+    }
+    let boundary = if request.one_sheet || plan.game || survey.stopped {
         Vec::new()
     } else {
-        survey.equal_cost(solver, wanted)?
-    };
-    let mut entries: Vec<Entry> = Vec::with_capacity(survey.extremals.len());
-    let mut first = vec![0];
-    let mut principal = Vec::new();
-    for target in 0..targets.len() {
-        let mut here: Vec<(usize, Entry)> = (survey.at[target].iter())
-            .map(|e| (*e, entry(plan, &survey, *e)))
-            .collect();
-        here.sort_by(|(_, a), (_, b)| a.value.total_cmp(&b.value).then(a.sheet.cmp(&b.sheet)));
-        let wanted = survey.principal.get(target).copied().flatten();
-        let place = wanted.and_then(|wanted| here.iter().position(|(e, _)| *e == wanted));
-        principal.push(place.map(|k| entries.len() + k));
-        entries.extend(here.into_iter().map(|(_, e)| e));
-        first.push(entries.len());
-    }
-    let control = |s: &[f64], p: &[f64]| plan.system.eval(&plan.system.observer.control, s, p);
-    let equal_cost = boundary
-        .into_iter()
-        .map(|point| EqualCost {
-            u: [0, 1].map(|k| control(&point.s[k], &point.p[k])),
-            point,
-        })
-        .collect();
-    let reference = &plan.system.reference;
-    let mut folds: Vec<&Fold> = Vec::new();
-    for fold in &survey.folds {
-        // The same point is met from both of its neighbours, and by each of the two sheets.
-        let near = |a: &[f64], b: &[f64], scales: &[f64]| {
-            (0..a.len()).all(|i| (a[i] - b[i]).abs() <= SAME_FOLD * scales[i])
-        };
-        let n = fold.s.len();
-        let known = |f: &&Fold| {
-            near(&f.s, &fold.s, &survey.scales[..n]) && near(&f.p, &fold.p, &survey.scales[n..])
-        };
-        if !folds.iter().any(known) {
-            folds.push(fold);
+        match survey.equal_cost(solver, wanted) {
+            Err(BackendError::OutOfTime) if request.partial => Vec::new(),
+            found => found?,
         }
-    }
-    let folds = (folds.into_iter())
-        .map(|f| Fold {
-            s: f.s.iter().zip(reference).map(|(s, x)| s + x).collect(),
-            ..f.clone()
-        })
-        .collect();
+    };
+    let found = Gathered::of(plan, &survey);
     let count = |numbers: &[i32]| numbers.iter().copied().max().map_or(0, |s| s as usize + 1);
     Ok(Answers {
         game: plan.game,
-        principal: (!survey.principal.is_empty()).then_some(principal),
+        stopped: survey.stopped,
+        principal: (!survey.principal.is_empty()).then_some(found.principal),
         sheets: count(&survey.sheet),
         lifted: count(&survey.lifted),
         misses: survey.misses.clone(),
@@ -471,12 +443,77 @@ pub fn solve(
         evaluations: survey.evaluations,
         work: solver.work,
         seconds: clock.elapsed().as_secs_f64(),
-        entries,
-        first,
-        equal_cost,
-        folds,
+        entries: found.entries,
+        first: found.first,
+        equal_cost: with_controls(plan, boundary),
+        folds: distinct_folds(plan, &survey),
         targets,
     })
+}
+
+/// The extremals of a survey by target, then by V.
+struct Gathered {
+    entries: Vec<Entry>,
+    /// First entry of each target, and the end.
+    first: Vec<usize>,
+    principal: Vec<Option<usize>>,
+}
+
+impl Gathered {
+    fn of(plan: &Plan, survey: &Survey<'_>) -> Self {
+        let mut this = Self {
+            entries: Vec::with_capacity(survey.extremals.len()),
+            first: vec![0],
+            principal: Vec::new(),
+        };
+        for target in 0..survey.targets.len() {
+            let mut here: Vec<(usize, Entry)> = (survey.at[target].iter())
+                .map(|e| (*e, entry(plan, survey, *e)))
+                .collect();
+            here.sort_by(|(_, a), (_, b)| a.value.total_cmp(&b.value).then(a.sheet.cmp(&b.sheet)));
+            let wanted = survey.principal.get(target).copied().flatten();
+            let place = wanted.and_then(|wanted| here.iter().position(|(e, _)| *e == wanted));
+            this.principal.push(place.map(|k| this.entries.len() + k));
+            this.entries.extend(here.into_iter().map(|(_, e)| e));
+            this.first.push(this.entries.len());
+        }
+        this
+    }
+}
+
+/// Points of equal cost with the controls on both sheets.
+fn with_controls(plan: &Plan, boundary: Vec<BoundaryPoint>) -> Vec<EqualCost> {
+    let control = |s: &[f64], p: &[f64]| plan.system.eval(&plan.system.observer.control, s, p);
+    let of = |point: BoundaryPoint| EqualCost {
+        u: [0, 1].map(|k| control(&point.s[k], &point.p[k])),
+        point,
+    };
+    boundary.into_iter().map(of).collect()
+}
+
+/// The folds of a survey in absolute states, each once: the same point is met from both of its
+/// neighbours, and by each of the two sheets.
+fn distinct_folds(plan: &Plan, survey: &Survey<'_>) -> Vec<Fold> {
+    let near = |a: &[f64], b: &[f64], scales: &[f64]| {
+        (0..a.len()).all(|i| (a[i] - b[i]).abs() <= SAME_FOLD * scales[i])
+    };
+    let mut folds: Vec<&Fold> = Vec::new();
+    for fold in &survey.folds {
+        let n = fold.s.len();
+        let known = |f: &&Fold| {
+            near(&f.s, &fold.s, &survey.scales[..n]) && near(&f.p, &fold.p, &survey.scales[n..])
+        };
+        if !folds.iter().any(known) {
+            folds.push(fold);
+        }
+    }
+    let reference = &plan.system.reference;
+    (folds.into_iter())
+        .map(|f| Fold {
+            s: f.s.iter().zip(reference).map(|(s, x)| s + x).collect(),
+            ..f.clone()
+        })
+        .collect()
 }
 
 fn entry(plan: &Plan, survey: &Survey<'_>, index: usize) -> Entry {
@@ -508,3 +545,5 @@ fn entry(plan: &Plan, survey: &Survey<'_>, index: usize) -> Entry {
         path: extremal.path.clone(),
     }
 }
+
+crate::opaque!(Answers);

@@ -64,10 +64,11 @@ pub fn solve_states_folding(
         points: states.to_vec(),
         // In a game only the equilibrium's own sheet counts.
         one_sheet: plan.game && plan.local.is_some(),
+        partial: choices.partial,
         ..Request::default()
     };
     let mut found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
-    if direct && may_need_sweep(&plan) && found.lacks_guesses() {
+    if direct && may_need_sweep(&plan) && !found.stopped && found.lacks_guesses() {
         folds = archive.sweep(&plan, backend)?.folds;
         found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
     }

@@ -640,6 +640,7 @@ fn the_command_and_its_file() {
         (json["cause"].as_str(), json["covered"].as_str()),
         (Some("axis"), Some("smallest"))
     );
+    crate::common_commands::in_schema(&out);
     let stored = Stored::open(&out).unwrap();
     let group = stored.group("attenuation").unwrap();
     let values = group.f64("value").unwrap().values;
@@ -693,6 +694,7 @@ fn the_command_and_its_file() {
     assert!(done.status.success(), "{text}");
     let json: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
     assert!(json["attenuation"]["smallest_covering"].is_f64(), "{json}");
+    crate::common_commands::in_schema(&ran);
     assert!(Stored::open(&ran).unwrap().has("attenuation_regions"));
     let page = std::fs::read_to_string(folder.join("run_report.html")).unwrap();
     for part in [

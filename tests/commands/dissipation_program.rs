@@ -76,6 +76,7 @@ fn a_nonlinear_game_from_its_sweep() {
             .contains("the worst case comes closest")
     );
 
+    crate::common_commands::in_schema(&out);
     let stored = Stored::open(&out).unwrap();
     let group = stored.group("dissipation").unwrap();
     let (x, v) = (
@@ -123,6 +124,7 @@ fn a_linear_game_without_a_sweep() {
     );
     // Again from the result: the groups are replaced by the same.
     let read = || {
+        crate::common_commands::in_schema(&out);
         let stored = Stored::open(&out).unwrap();
         let all = stored
             .group("dissipation")

@@ -511,61 +511,131 @@ fn a_full_disk_leaves_nothing() {
     }
 }
 
-/// Signals to end leave the older file and nothing else, and whoever waits sees the signal.
+/// A run that no budget ends, in a folder of its own with an older result.
 #[cfg(unix)]
-#[test]
-fn a_signal_leaves_no_hidden_file() {
-    use std::os::unix::process::ExitStatusExt;
+fn endless(name: &str) -> (PathBuf, std::process::Child) {
     use std::time::{Duration, Instant};
-    let folder = folder("signal");
-    // No budget ends this map.
+    let folder = folder(name);
     let scene =
         format!("{SCENE}\n[map]\nerror = 1e-8\nerror_max = 1.0\nfloor = 1e-9\ncheck = 200\n");
     let scene = scene.replace("-x + u", "-sin(9*x) + v^3 + u");
     std::fs::write(folder.join("scene.toml"), scene).unwrap();
     std::fs::write(folder.join("out.h5"), "older").unwrap();
-    for (name, number) in [("TERM", 15), ("INT", 2), ("HUP", 1)] {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_costate"))
-            .current_dir(&folder)
-            .args([
-                "homotopy",
-                "--backend",
-                "cpu",
-                "--quiet",
-                "scene.toml",
-                "--out",
-                "out.h5",
-            ])
-            .spawn()
-            .unwrap();
-        let began = Instant::now();
-        while !entries(&folder)
-            .iter()
-            .any(|name| name.starts_with(".out.h5."))
-        {
-            assert!(
-                began.elapsed() < Duration::from_secs(60),
-                "no hidden file was made"
-            );
-            assert!(
-                child.try_wait().unwrap().is_none(),
-                "{name}: it ended by itself"
-            );
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        let id = child.id().to_string();
-        assert!(
-            Command::new("kill")
-                .args(["-s", name, &id])
-                .status()
-                .unwrap()
-                .success()
-        );
-        let status = child.wait().unwrap();
-        assert_eq!(status.signal(), Some(number), "{name}: {status}");
-        assert_eq!(entries(&folder), ["out.h5", "scene.toml"], "{name}");
-        assert_eq!(std::fs::read(folder.join("out.h5")).unwrap(), b"older");
+    let mut child = Command::new(env!("CARGO_BIN_EXE_costate"))
+        .current_dir(&folder)
+        .args(["homotopy", "--backend", "cpu", "--quiet"])
+        .args(["scene.toml", "--out", "out.h5"])
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    let hidden = |name: &String| name.starts_with(".out.h5.");
+    while !entries(&folder).iter().any(hidden) {
+        let waited = began.elapsed() < Duration::from_secs(60);
+        assert!(waited, "no hidden file was made");
+        let ended = child.try_wait().unwrap();
+        assert!(ended.is_none(), "it ended by itself");
+        std::thread::sleep(Duration::from_millis(5));
     }
+    (folder, child)
+}
+
+#[cfg(unix)]
+fn signal(child: &std::process::Child, name: &str) {
+    let sent = Command::new("kill")
+        .args(["-s", name, &child.id().to_string()])
+        .status();
+    assert!(sent.unwrap().success());
+}
+
+/// Signals that end at once leave the older file and nothing else, and whoever waits sees the
+/// signal.
+#[cfg(unix)]
+#[test]
+fn a_signal_leaves_no_hidden_file() {
+    use std::os::unix::process::ExitStatusExt;
+    for (names, number) in [
+        (["HUP", "HUP"], 1),
+        (["INT", "INT"], 2),
+        (["TERM", "INT"], 2),
+    ] {
+        let (folder, mut child) = endless("signal");
+        signal(&child, names[0]);
+        if names[0] != "HUP" {
+            std::thread::sleep(std::time::Duration::from_millis(20));
+            // It may have ended by the first one.
+            if child.try_wait().unwrap().is_none() {
+                signal(&child, names[1]);
+            }
+        }
+        let status = child.wait().unwrap();
+        let hidden = |name: &String| name.starts_with('.');
+        let there = entries(&folder);
+        assert!(!there.iter().any(hidden), "{names:?}: {there:?}");
+        assert_eq!(std::fs::read(folder.join("out.h5")).unwrap(), b"older");
+        // The first one may have been enough, or the second one late.
+        let stopped = folder.join("out_stopped.h5");
+        if stopped.exists() {
+            costate::Stored::open(&stopped).unwrap();
+            std::fs::remove_file(&stopped).unwrap();
+        } else {
+            assert_eq!(status.signal(), Some(number), "{names:?}: {status}");
+        }
+        assert_eq!(entries(&folder), ["out.h5", "scene.toml"], "{names:?}");
+    }
+}
+
+/// The first interrupt asks: what is done is written, beside an older result.
+#[cfg(unix)]
+#[test]
+fn an_interrupt_keeps_what_is_done() {
+    for name in ["INT", "TERM"] {
+        let (folder, mut child) = endless("interrupt");
+        signal(&child, name);
+        let status = child.wait().unwrap();
+        assert_eq!(status.code(), Some(75), "{name}: {status}");
+        assert_eq!(
+            entries(&folder),
+            ["out.h5", "out_stopped.h5", "scene.toml"],
+            "{name}"
+        );
+        assert_eq!(std::fs::read(folder.join("out.h5")).unwrap(), b"older");
+        let stored = costate::Stored::open(folder.join("out_stopped.h5")).unwrap();
+        assert!(stored.run_summary().unwrap().unwrap().stopped);
+        std::fs::remove_file(folder.join("out_stopped.h5")).unwrap();
+    }
+}
+
+#[test]
+fn a_time_limit_ends_a_run() {
+    let folder = folder("limit");
+    let scene = format!("{SCENE}\n[map]\nresolution = 60\n").replace("-x + u", "-sin(9*x) + u");
+    std::fs::write(folder.join("scene.toml"), scene).unwrap();
+    let limited = |arguments: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_costate"))
+            .current_dir(&folder)
+            .args(arguments)
+            .args(["--time-limit", "1e-3", "--backend", "cpu"])
+            .output()
+            .unwrap()
+    };
+    let done = limited(&["homotopy", "scene.toml", "--out", "out.h5"]);
+    let text = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert_eq!(done.status.code(), Some(75), "{text}");
+    assert!(
+        text.contains("ended by --time-limit 0.001 before all was done; out.h5 has"),
+        "{text}"
+    );
+    crate::common_commands::in_schema(&folder.join("out.h5"));
+    // As a table too.
+    std::fs::write(folder.join("points.csv"), "x,v\n0.5,0.5\n-0.5,0.25\n").unwrap();
+    let points = ["solve", "scene.toml", "--points", "points.csv"];
+    let done = limited(&[points.as_slice(), &["--out", "out.csv"]].concat());
+    assert_eq!(done.status.code(), Some(75));
+    let table = std::fs::read_to_string(folder.join("out.csv")).unwrap();
+    assert_eq!(table.matches("out_of_time").count(), 2, "{table}");
+    // Of a search for a level a part shows nothing.
+    let refused = limited(&["attenuation", "scene.toml"]);
+    assert_eq!(refused.status.code(), Some(2));
 }
 
 #[test]

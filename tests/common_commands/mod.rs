@@ -4,8 +4,10 @@
 pub mod header;
 pub mod made_up;
 
+use costate::low_level::model::State;
 use costate::low_level::result::Stored;
 use costate::low_level::scenario::PROBLEM_SECTIONS;
+use costate::low_level::schema::{self, Kind};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -30,6 +32,39 @@ pub fn done(output: Output) -> String {
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(0), "{errors}");
     String::from_utf8(output.stdout).unwrap()
+}
+
+/// Fails where a result file has a group or variable that is not in the schema, or one of another
+/// shape.
+#[track_caller]
+pub fn in_schema(file: &Path) {
+    let stored = Stored::open(file).unwrap();
+    let groups = stored.groups();
+    assert!(!groups.is_empty(), "{}", file.display());
+    for name in groups {
+        let group = stored.group(&name).unwrap();
+        let schema = schema::group(&name).unwrap_or_else(|| panic!("/{name}"));
+        for own in group.names() {
+            let coordinate = schema.reserves(&own) && schema.variable(&own).is_none();
+            let state = |s: &State| s.variable.name == own;
+            let axis = stored.scene.model.states.iter().any(state)
+                || own == stored.scene.model.time_name();
+            if coordinate || axis {
+                continue;
+            }
+            let variable = schema.variable(&own);
+            let variable = variable.unwrap_or_else(|| panic!("/{name}/{own}"));
+            match variable.kind {
+                Kind::Text => drop(group.texts(&own).unwrap()),
+                Kind::Real => drop(group.f64(&own).unwrap()),
+                Kind::Integer | Kind::Code => drop(group.i32(&own).unwrap()),
+            }
+            if variable.kind == Kind::Code {
+                let meanings = group.attribute(Some(&own), "flag_meanings");
+                assert!(meanings.is_some(), "/{name}/{own}");
+            }
+        }
+    }
 }
 
 /// Runs a script of `tests/` that checks what was written; it must succeed. The Python with what it

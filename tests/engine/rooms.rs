@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// From the ground up; a room may import what stands before it. ARCHITECTURE.md draws them.
-const FLOORS: [&str; 26] = [
+const FLOORS: [&str; 27] = [
+    "schema",
     "diagnostics",
     "numeric",
     "trajectories",

@@ -205,7 +205,7 @@ fn the_lowest_of_two_sheets_is_told() {
     let [known, ..] = headers_agree("hopf_lax", map, 0.0);
     assert!(known > 20, "{known}");
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("export-hopf_lax");
-    let pieces = Stored::open(&directory.join("hopf_lax.h5"))
+    let pieces = Stored::open(directory.join("hopf_lax.h5"))
         .unwrap()
         .map_pieces()
         .unwrap()

@@ -59,6 +59,7 @@ fn made(name: &str, lines: &str) -> (Stored, serde_json::Value) {
     let scene = scene(name, lines);
     let out = scene.with_extension("h5");
     let summary: serde_json::Value = serde_json::from_str(&done(run(&scene, &out))).unwrap();
+    crate::common_commands::in_schema(&out);
     (Stored::open(&out).unwrap(), summary["map"].clone())
 }
 
@@ -284,6 +285,7 @@ fn there_is_no_map_round_a_region_that_solutions_stay_in() {
             has_one,
             "{said}"
         );
+        crate::common_commands::in_schema(&out);
         let stored = Stored::open(&out).unwrap();
         assert!(!pieces(&stored).pieces.is_empty());
         assert_eq!(stored.map_beyond().unwrap().is_some(), has_one, "{said}");
@@ -476,6 +478,7 @@ fn a_budget_that_is_spent_is_said() {
         );
         let out = scene.with_extension(name);
         let said = words(&scene, &out);
+        crate::common_commands::in_schema(&out);
         let stored = Stored::open(&out).unwrap();
         assert!(stored.group("map_check").is_some() && stored.group("map").is_none());
         (said, pieces(&stored))
@@ -631,6 +634,7 @@ fn what_is_empty_says_why() {
     let shown = done(at(&file, "x=0.6,v=0.1"));
     assert!(shown.contains("a cheaper sheet may be missing"), "{shown}");
     let (_, file) = said("nothing", NOTHING);
+    crate::common_commands::in_schema(&file);
     let value = Stored::open(&file).unwrap().value_map().unwrap();
     let known = value
         .at_time(&[0.3], 0.5)

@@ -219,7 +219,7 @@ fn solve_leaves_the_results_of_a_run_alone() {
     assert!(said.contains("mass.h5 holds other results"), "{said}");
     assert_eq!(std::fs::read(folder.join("out/mass.h5")).unwrap(), before);
     assert!(
-        Stored::open(&folder.join("out/mass_points.h5"))
+        Stored::open(folder.join("out/mass_points.h5"))
             .unwrap()
             .has("points")
     );
@@ -236,7 +236,7 @@ fn solve_leaves_the_results_of_a_run_alone() {
         ]);
     }
     assert!(
-        Stored::open(&folder.join("out/mass.h5"))
+        Stored::open(folder.join("out/mass.h5"))
             .unwrap()
             .has("points")
     );

@@ -449,7 +449,7 @@ fn nothing_is_said_of_states_that_a_guard_excludes() {
                 region = { x = [-1, 1], y = [-1, 1] }\nguards = { slanted = \"y > -0.6 + 0.3*x\" }\n\
                 map = { error = 1e-3, states = 500, check = 10 }\n";
     std::fs::write(&path, text).unwrap();
-    let map = Stored::open(&solved(&path)).unwrap().value_map().unwrap();
+    let map = Stored::open(solved(&path)).unwrap().value_map().unwrap();
     let x = spread(&[-1.0, -1.0], &[1.0, 1.0], 2000);
     for precision in [Precision::F32, Precision::F64] {
         let device = DeviceMap::new(&map, &gpu(), precision).unwrap();

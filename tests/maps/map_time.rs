@@ -258,6 +258,7 @@ fn a_linear_quadratic_map_and_its_law() {
         &directory,
         &scene("error = 1e-4\nfloor = 1e-2\ncheck = 40\n"),
     );
+    crate::common_commands::in_schema(&file);
     let stored = Stored::open(&file).unwrap();
     let map = stored.value_map().unwrap();
     let (mut errors, mut over, mut slopes) = (vec![], vec![], vec![]);
@@ -324,6 +325,7 @@ fn a_linear_quadratic_map_and_its_law() {
             "--out",
             &out,
         ]));
+        crate::common_commands::in_schema(&to);
         let stored = Stored::open(&to).unwrap();
         let group = stored.group("closed_loop").unwrap();
         let (x0, cost) = (
@@ -540,6 +542,7 @@ fn tables_have_a_column_of_times(directory: &Path, file: &Path) {
         "--out",
         to,
     ]));
+    crate::common_commands::in_schema(&out);
     let stored = Stored::open(&out).unwrap();
     let group = stored.group("map").unwrap();
     let v = group.f64("V").unwrap();
@@ -623,6 +626,7 @@ fn written_values_are_read_at_the_beginning(directory: &Path, file: &Path) {
     };
     let exact = |x: [f64; 2]| form(riccati(0.0)[0], x);
     let grid = write("read.h5", &["--grid", "x=-0.5:0.5:5,v=-0.4:0.4:3,t=0:2:5"]);
+    crate::common_commands::in_schema(&grid);
     let map = Stored::open(&grid).unwrap().map().unwrap().unwrap();
     assert_eq!(
         (map.axes[0].len(), map.axes[1].len(), map.axes.len()),
@@ -646,6 +650,7 @@ fn written_values_are_read_at_the_beginning(directory: &Path, file: &Path) {
             "x=-0.2,t=2",
         ],
     );
+    crate::common_commands::in_schema(&points);
     let rows = Stored::open(&points).unwrap().points().unwrap().unwrap();
     assert_eq!(
         (rows.x, rows.point, rows.count),

@@ -82,7 +82,7 @@ fn quantile(values: &[f64], share: f64) -> f64 {
 
 #[test]
 fn values_are_those_of_an_exact_solution() {
-    let map = Stored::open(&result("manufactured", "shoot-out"))
+    let map = Stored::open(result("manufactured", "shoot-out"))
         .unwrap()
         .value_map()
         .unwrap();
@@ -150,7 +150,7 @@ fn values_are_those_of_an_exact_solution() {
 
 #[test]
 fn sheets_are_not_mixed_where_the_answer_is_known() {
-    let map = Stored::open(&result("hopf_lax", "run"))
+    let map = Stored::open(result("hopf_lax", "run"))
         .unwrap()
         .value_map()
         .unwrap();
@@ -570,7 +570,7 @@ shoot_out = { value_max = 2.0, spacing = 0.1, samples = 50 }
         }
         assert!(
             map.local(state)
-                .is_none_or(|hasty| (hasty.v - v).abs() < 0.1 * v),
+                .is_none_or(|fast| (fast.v - v).abs() < 0.1 * v),
             "{state:?}"
         );
     }

@@ -191,7 +191,7 @@ fn swing_up_with_a_bounded_torque() {
 /// too many cells lie over the state. Alone, each is solved from a grid's greedy path, and nothing
 /// is said to be shown.
 #[test]
-fn least_only_by_a_second_opinion() {
+fn least_only_by_a_second_comparison() {
     for name in ["fh_wide", "fh_long", "swing_outward"] {
         assert_evidence(&referenced(name, &[]), Evidence::NotUndercut);
     }

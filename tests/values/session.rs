@@ -1,11 +1,15 @@
 //! The front door of the library: what a session gives in memory is what its run writes.
 
+use costate::backend::Deadline;
+use costate::low_level::value::{Evidence, PointStatus};
 use costate::run::Provenance;
 use costate::session::summary::RunSummary;
 use costate::session::{Finished, Progress, Wanted};
 use costate::{Scene, Session, SessionError, Stored};
 use std::path::PathBuf;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 const TEXT: &str = r#"
 title = "Double integrator"
@@ -51,7 +55,7 @@ impl Progress for Heard {
 fn a_run_writes_what_the_scene_asks_for() {
     let scene = Scene::parse(TEXT, "double.toml").unwrap();
     let heard = Heard::default();
-    let session = Session::new(&scene).heard_by(&heard);
+    let session = Session::new(&scene).with_progress(&heard);
     let path = file("run.h5");
     let done = session
         .run(&Wanted::all(), &path, &Provenance::now())
@@ -96,10 +100,172 @@ fn a_run_writes_what_the_scene_asks_for() {
     assert_eq!(unit("trajectories", "H"), "J/s");
     assert_eq!(unit("closed_loop", "J"), "J");
     assert_eq!(unit("closed_loop_trajectories", "t"), "s");
+    // The states have units of their own; the one control too.
+    for (group, name) in [
+        ("points", "x0"),
+        ("closed_loop", "x0"),
+        ("closed_loop_trajectories", "x"),
+    ] {
+        assert_eq!(unit(group, name), "see state_units", "{group}/{name}");
+    }
+    assert_eq!(unit("closed_loop_trajectories", "u"), "m/s^2");
     let map = stored.value_map().unwrap();
     let here = map.at(&[0.3, -0.4]).lowest.unwrap();
     assert!((here.v - exact(0.3, -0.4)).abs() <= here.v_error.max(1e-9));
     let _ = std::fs::remove_dir_all(path.parent().unwrap());
+}
+
+/// Asks to stop once so many states are solved.
+struct StopAfter {
+    states: usize,
+    flag: &'static AtomicBool,
+}
+
+impl Progress for StopAfter {
+    fn step(&self, what: &str) {
+        let solved = what.split_once(" of ").and_then(|(n, _)| n.parse().ok());
+        if solved.is_some_and(|n: usize| n >= self.states) {
+            self.flag.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn a_run_that_is_stopped_keeps_what_it_has() {
+    static FLAG: AtomicBool = AtomicBool::new(false);
+    let scene = Scene::load("scenarios/pendulum.toml").unwrap();
+    let wanted = Wanted::homotopy();
+    let whole = Session::new(&scene)
+        .prepare(&wanted)
+        .unwrap()
+        .perform::<SessionError>(&mut |_| Ok(()))
+        .unwrap();
+    assert!(!whole.stopped);
+    let whole = whole.answers.unwrap();
+
+    let listener = StopAfter {
+        states: 50,
+        flag: &FLAG,
+    };
+    let path = file("stopped/run.h5");
+    let stopped = Session::new(&scene)
+        .until(Deadline::default().or_once(&FLAG))
+        .with_progress(&listener)
+        .run(&wanted, &path, &Provenance::now())
+        .unwrap();
+    assert!(stopped.outcome.stopped && stopped.summary.stopped);
+    assert_eq!(stopped.path, path);
+    let answers = stopped.outcome.answers.as_ref().unwrap();
+    let (mut solved, mut open) = (0, 0);
+    for target in 0..answers.targets.len() {
+        // What was not done yet is neither an answer nor called least.
+        assert_eq!(answers.evidence(target), Evidence::None);
+        match answers.status(target) {
+            PointStatus::Converged => {
+                solved += 1;
+                let value = answers.answer(target).unwrap().value;
+                let same = whole
+                    .of(target)
+                    .iter()
+                    .any(|e| (e.value - value).abs() < 1e-7 * value.abs().max(1.0));
+                let least = whole.answer(target).map_or(f64::INFINITY, |e| e.value);
+                assert!(same && value >= least - 1e-7 * value.abs(), "{value}");
+            }
+            PointStatus::OutOfTime => open += 1,
+            status => assert_eq!(status, PointStatus::OutsideGuard),
+        }
+    }
+    assert!(solved >= 50 && open > 0, "{solved} solved, {open} open");
+
+    // In the file.
+    let stored = Stored::open(&path).unwrap();
+    assert!(stored.run_summary().unwrap().unwrap().stopped);
+    let map = stored.map().unwrap().unwrap();
+    let converged = map.status.iter().filter(|s| **s == 0).count();
+    assert!(converged > 0 && converged < map.status.len(), "{converged}");
+
+    // Sheets were not joined: nothing is interpolated between what was solved.
+    let refused = stored.value_map().unwrap_err().to_string();
+    assert!(refused.contains("its run was ended before"), "{refused}");
+
+    // A second one is written beside what is there.
+    let again = Session::new(&scene)
+        .until(Deadline::default().or_once(&FLAG))
+        .run(&wanted, &path, &Provenance::now())
+        .unwrap();
+    assert_eq!(again.path, file("stopped/run_stopped.h5"));
+    assert!(again.path.exists());
+    let answers = again.outcome.answers.unwrap();
+    // Only the equilibrium needs no search.
+    assert!(answers.solved() <= 1, "{}", answers.solved());
+    let _ = std::fs::remove_dir_all(path.parent().unwrap());
+}
+
+/// Asks to stop when the pass is done.
+struct StopBeforeLaws(&'static AtomicBool);
+
+impl Progress for StopBeforeLaws {
+    fn finished(&self, part: Finished<'_>) {
+        if matches!(part, Finished::Solved(..)) {
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn laws_that_are_not_reached_are_left_out() {
+    static FLAG: AtomicBool = AtomicBool::new(false);
+    let scene = Scene::parse(TEXT, "double.toml").unwrap();
+    let path = file("before_laws/run.h5");
+    let done = Session::new(&scene)
+        .until(Deadline::default().or_once(&FLAG))
+        .with_progress(&StopBeforeLaws(&FLAG))
+        .run(&Wanted::all(), &path, &Provenance::now())
+        .unwrap();
+    // The pass is whole, and in the file.
+    assert!(!done.outcome.stopped && done.laws.stopped);
+    assert!(done.laws.closed_loop.is_none());
+    let stored = Stored::open(&path).unwrap();
+    assert!(stored.group("closed_loop").is_none());
+    let here = stored.value_map().unwrap().at(&[0.3, -0.4]).lowest.unwrap();
+    assert!((here.v - exact(0.3, -0.4)).abs() <= here.v_error.max(1e-9));
+    let _ = std::fs::remove_dir_all(path.parent().unwrap());
+}
+
+#[test]
+fn states_that_are_no_numbers_are_refused() {
+    let scene = Scene::parse(TEXT, "double.toml").unwrap();
+    let session = Session::new(&scene);
+    let refused = session.solve(&[0.1, 0.2, 0.3, f64::NAN]);
+    assert!(matches!(
+        refused,
+        Err(SessionError::NotFinite {
+            state: 1,
+            component: 1
+        })
+    ));
+    // At a deadline that has passed what is not solved is said to be out of time.
+    let late = Session::new(&scene).until(Deadline::after(Duration::ZERO));
+    let solved = late.solve(&[0.5, 0.25]).unwrap();
+    assert!(solved.is_stopped());
+    assert!(solved.answer(0).is_none());
+    assert_eq!(solved.status(0), PointStatus::OutOfTime);
+}
+
+#[test]
+fn a_stopped_sweep_has_gaps() {
+    static FLAG: AtomicBool = AtomicBool::new(true);
+    let scene = Scene::load("scenarios/pendulum.toml").unwrap();
+    let swept = Session::new(&scene)
+        .until(Deadline::default().or_once(&FLAG))
+        .sweep()
+        .unwrap();
+    assert!(swept.report.stopped);
+    assert!(swept.report.coverage.uncovered > 0);
+    assert_eq!(swept.trajectories.count, swept.report.trajectories);
+    let whole = Session::new(&scene).sweep().unwrap();
+    assert!(!whole.report.stopped && whole.report.coverage.uncovered == 0);
+    assert!(whole.report.trajectories > swept.report.trajectories);
 }
 
 #[test]
@@ -109,7 +275,7 @@ fn what_cannot_be_asked_is_refused_before_anything_is_written() {
     let session = Session::new(&scene);
     let path = file("refused/run.h5");
     let refused = session.run(&Wanted::homotopy(), &path, &Provenance::now());
-    let error = refused.err().expect("no states to solve for");
+    let error = refused.expect_err("no states to solve for");
     assert!(error.is_of_input(), "{error}");
     assert!(!path.exists());
     assert!(matches!(session.study(), Err(SessionError::NoStudy)));

@@ -49,12 +49,27 @@ pub enum Command {
     Report(ReportArgs),
     /// Validate a scenario and print the derived equations and the local solution.
     Check(CheckArgs),
+    /// Print the reference of scenes, or of the result file, in Markdown.
+    Reference {
+        /// What of.
+        #[arg(value_enum)]
+        what: Reference,
+    },
     /// List the GPU adapters found and what each can do.
     Adapters {
         /// Machine-readable list on standard output.
         #[arg(long)]
         json: bool,
     },
+}
+
+/// What `costate reference` prints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Reference {
+    /// All sections and keys of a scene.
+    Scene,
+    /// All groups and variables of the result file.
+    File,
 }
 
 /// Options of every command that reads a scenario.
@@ -114,6 +129,10 @@ pub struct RunArgs {
     /// asks to be mended.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// End after so many seconds with what is done by then, and exit status 75. (An interrupt does
+    /// the same; a second one ends at once, with nothing.)
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    pub time_limit: Option<f64>,
     /// Make no report (page and pictures) at the end of `run`.
     #[arg(long)]
     pub no_report: bool,

@@ -1,6 +1,7 @@
 //! Why a command stopped, and its exit status.
 
 use costate::backend::BackendError;
+use costate::low_level::diagnostics::printable;
 use costate::low_level::dynamic_programming::DpError;
 use costate::low_level::feedback::{LawError, NetworkError};
 use costate::low_level::files::FileError;
@@ -17,6 +18,10 @@ use std::path::PathBuf;
 
 /// Most nodes in all: about a hundred bytes each.
 pub const MOST_NODES: usize = 20_000_000;
+
+/// Exit status of what was ended before it was done, and has left what was done: EX_TEMPFAIL of
+/// sysexits.h.
+const UNFINISHED: u8 = 75;
 
 /// Why a command stopped.
 #[derive(Debug, thiserror::Error)]
@@ -73,6 +78,10 @@ pub enum CliError {
         /// Whether it has been said.
         silent: bool,
     },
+    #[error("ended by {by} before all was done; {path} has what was done by then", path = path.display())]
+    Stopped { by: String, path: PathBuf },
+    #[error("--time-limit: half of a search for the smallest level shows nothing: leave it out")]
+    NoTimeLimit,
     #[error("cannot write to standard output: {0}")]
     Stdout(#[from] std::io::Error),
 }
@@ -107,8 +116,11 @@ impl From<RunError> for CliError {
 }
 
 impl CliError {
-    /// 2 for what the user wrote, 1 for what could not be done.
+    /// 2 for what the user wrote, 1 for what could not be done, 75 for what was ended before.
     pub fn status(&self) -> u8 {
+        if matches!(self, Self::Stopped { .. }) {
+            return UNFINISHED;
+        }
         let of_input = match self {
             Self::Session(error) => error.is_of_input(),
             Self::Run(error) => error.is_of_input(),
@@ -139,7 +151,7 @@ impl CliError {
         let colours = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
         let text = match self {
             CliError::Scenario(e) | CliError::Load(LoadError::Scenario(e)) => e.render(colours),
-            other => format!("error: {other}"),
+            other => printable(&format!("error: {other}")).into_owned(),
         };
         // Nowhere is left to report a failure of this.
         let _ = writeln!(std::io::stderr(), "{}", text.trim_end());

@@ -12,6 +12,7 @@ use clap::Parser;
 use commands::{
     attenuation, bench, check, check_least, evaluate, export, fit, report, run, study, value,
 };
+use costate::low_level::diagnostics::{printable, unprintable};
 use error::CliError;
 use std::process::ExitCode;
 
@@ -27,7 +28,12 @@ fn main() -> ExitCode {
     let cli = match args::Cli::try_parse() {
         Ok(cli) => cli,
         Err(e) => {
-            let _ = e.print();
+            // Coloured unless an argument has what a terminal would obey.
+            let odd = |a: std::ffi::OsString| unprintable(&a.to_string_lossy()).is_some();
+            match std::env::args_os().any(odd) {
+                true => eprint!("{}", printable(&e.render().to_string())),
+                false => drop(e.print()),
+            }
             return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
         }
     };
@@ -46,6 +52,7 @@ fn main() -> ExitCode {
         Command::Export(args) => export::export(&args),
         Command::Report(args) => report::report(&args),
         Command::Check(args) => check::check(&args),
+        Command::Reference { what } => check::reference(what),
         Command::Adapters { json } => check::adapters(json),
     };
     match done {

@@ -3,6 +3,7 @@
 use crate::args::SceneArgs;
 use crate::text;
 use costate::backend::Backend;
+use costate::low_level::diagnostics::printable;
 use costate::low_level::model::Model;
 use costate::low_level::sweep::Plan;
 use costate::session::{Finished, Progress};
@@ -10,6 +11,29 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::Write;
 use std::sync::Mutex;
 use std::time::Duration;
+
+/// Standard output for text that may have names from elsewhere: what a terminal would obey is
+/// spelled out.
+pub struct Printed(std::io::StdoutLock<'static>);
+
+impl Printed {
+    pub fn new() -> Self {
+        Self(std::io::stdout().lock())
+    }
+}
+
+impl Write for Printed {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        // A formatted text comes in whole strings.
+        let text = String::from_utf8_lossy(bytes);
+        self.0.write_all(printable(&text).as_bytes())?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.0.flush()
+    }
+}
 
 /// The terminal, as what listens to a computation.
 pub struct Terminal {
@@ -41,6 +65,7 @@ impl Terminal {
         if self.quiet {
             return Ok(());
         }
+        let text = printable(text);
         if self.json {
             writeln!(std::io::stderr(), "{text}")
         } else {
@@ -76,7 +101,7 @@ impl Progress for Terminal {
             bar.enable_steady_tick(Duration::from_millis(200));
             bar
         });
-        bar.set_message(what.to_owned());
+        bar.set_message(printable(what).into_owned());
     }
 
     fn step_ended(&self) {
@@ -87,7 +112,7 @@ impl Progress for Terminal {
 
     fn note(&self, text: &str) {
         if !self.quiet {
-            let _ = writeln!(std::io::stderr(), "note: {text}");
+            let _ = writeln!(std::io::stderr(), "note: {}", printable(text));
         }
     }
 

@@ -247,6 +247,11 @@ pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportErr
             }
         };
         let path = stored.path.with_file_name(format!("{stem}_{name}.svg"));
+        if path.exists() && !is_ours(&path) {
+            let reason = format!("{} is there and is none of ours", path.display());
+            done.missing.push(((*name).to_owned(), reason));
+            continue;
+        }
         let width = f64::from(DEFAULT_WIDTH);
         write_text(&path, &picture.svg(width))?;
         write_bytes(&path.with_extension("png"), &picture.png(width)?)?;
@@ -257,11 +262,13 @@ pub fn write_beside(stored: &Stored, names: &[&str]) -> Result<Beside, ReportErr
 
 /// The text of the page that is replaced; empty where it is none of ours.
 fn earlier_report(page: &Path) -> String {
-    const MARK: &str = "<meta name=\"generator\" content=\"costate report\">";
-    /// What pages had before they had that.
+    /// How pages began before they named what made them, and what they had.
+    const OLDER_HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+        <meta name=\"viewport\"";
     const OLDER: [&str; 3] = ["<dt>Version</dt>", "<dt>Command</dt>", "<figure id=\""];
     let text = std::fs::read_to_string(page).unwrap_or_default();
-    match text.contains(MARK) || OLDER.iter().all(|mark| text.contains(mark)) {
+    let older = text.starts_with(OLDER_HEAD) && OLDER.iter().all(|mark| text.contains(mark));
+    match text.starts_with(page::HEAD) || older {
         true => text,
         false => String::new(),
     }
@@ -269,23 +276,26 @@ fn earlier_report(page: &Path) -> String {
 
 /// Refuses to replace files that no earlier report has made.
 fn refuse_others(page: &Path, old: &str, placed: &[(PathBuf, Vec<u8>)]) -> Result<(), ReportError> {
-    const MARK: &str = "<!-- costate report -->";
-    let marked = |path: &Path| {
-        let text = std::fs::read(path).unwrap_or_default();
-        String::from_utf8_lossy(&text).contains(MARK)
-    };
     for (path, _) in placed.iter().filter(|(path, _)| path.exists()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let ours = match path == page {
             true => !old.is_empty(),
             // A PNG goes with its SVG.
-            false => old.contains(&format!("/{name}\"")) || marked(&path.with_extension("svg")),
+            false => old.contains(&format!("/{name}\"")) || is_ours(&path.with_extension("svg")),
         };
         if !ours {
             return Err(ReportError::NotOurs { path: path.clone() });
         }
     }
     Ok(())
+}
+
+/// Whether a picture was drawn by this program.
+#[must_use]
+pub fn is_ours(svg: &Path) -> bool {
+    const MARK: &str = "<!-- costate report -->";
+    let text = std::fs::read(svg).unwrap_or_default();
+    String::from_utf8_lossy(&text).contains(MARK)
 }
 
 /// Takes away pictures of the report that was replaced which the new one does not have: those that

@@ -32,6 +32,10 @@ svg .st{stroke:var(--text)}svg .sm{stroke:var(--muted)}svg .sg{stroke:var(--grid
 @media print{main{max-width:none}figure{break-inside:avoid}}
 ";
 
+/// How every page begins: what is replaced begins so.
+pub const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+    <meta name=\"generator\" content=\"costate report\">\n";
+
 /// The page's text; `drawn` are the pictures as SVG, `folder` is where their files are.
 pub fn html(
     source: &Source<'_>,
@@ -43,8 +47,7 @@ pub fn html(
     let mut page = Page(String::new());
     let title = escaped(&source.model.title);
     page.add(&format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"generator\" content=\"costate report\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
+        "{HEAD}<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
          <style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n"
     ));
     let (tables, unreadable) = tables::all(source);

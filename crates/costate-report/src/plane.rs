@@ -171,7 +171,7 @@ impl GridField {
             let unknown = beside.len() - around;
             if around >= 2
                 && unknown <= 1
-                && let Some(value) = self.foretold(k)
+                && let Some(value) = self.extrapolated(k)
             {
                 new.push((k, value));
             }
@@ -181,13 +181,13 @@ impl GridField {
         }
     }
 
-    /// Gives points that are known to be, or foretold to be, above the limit and are next to known
+    /// Gives points that are known to be, or extrapolated to be, above the limit and are next to known
     /// ones the values that their nearest neighbours' p and its change foretell.
     fn extend(&mut self, above: &[bool], limit: f64) {
         let mut new = Vec::new();
         for k in (0..self.v.len()).filter(|k| self.v[*k].is_nan()) {
             let known_above = above.get(k).copied().unwrap_or(false);
-            match self.foretold(k) {
+            match self.extrapolated(k) {
                 Some((v, p, from)) if known_above => {
                     new.push((k, v.max(limit * (1.0 + 1e-9)), p, from))
                 }
@@ -211,7 +211,7 @@ impl GridField {
 
     /// V and p at a point from two known ones of one sheet in a row next to it, where V is least;
     /// and the nearer of these.
-    fn foretold(&self, k: usize) -> Option<(f64, Vec<f64>, usize)> {
+    fn extrapolated(&self, k: usize) -> Option<(f64, Vec<f64>, usize)> {
         let n = self.axes.len();
         let mut stride = 1;
         let mut best: Option<(f64, Vec<f64>, usize)> = None;
@@ -360,10 +360,10 @@ impl GridField {
             .flat_map(|(k, (a, _))| corners[..k].iter().map(move |(b, _)| (*a, *b)));
         let by = |(a, b): (usize, usize)| {
             let (from, to) = (self.state(a), self.state(b));
-            let foretold: f64 = (0..n)
+            let extrapolated: f64 = (0..n)
                 .map(|i| 0.5 * (self.p[a * n + i] + self.p[b * n + i]) * (to[i] - from[i]))
                 .sum();
-            (self.v[b] - self.v[a] - foretold).abs()
+            (self.v[b] - self.v[a] - extrapolated).abs()
         };
         pairs.map(by).fold(0.0, f64::max)
     }

@@ -6,6 +6,7 @@ use super::{names, ticks};
 use costate::low_level::model::{Model, Report};
 use costate::low_level::result::Stored;
 use costate::low_level::result::StoredMapError;
+use costate::low_level::schema;
 use costate::low_level::trajectories::{SolvedStates, SweptTrajectories};
 use costate::low_level::value::PointStatus;
 use std::cell::OnceCell;
@@ -220,8 +221,11 @@ impl<'s> Source<'s> {
 
     /// Whether V can be asked for at any state.
     pub fn knows_values(&self) -> bool {
-        self.stored.has("map_pieces")
-            || self.infinite() && self.stored.has_any(&["trajectories", "points"])
+        self.stored.has(&schema::MAP_PIECES)
+            || self.infinite()
+                && self
+                    .stored
+                    .has_any(&[&schema::TRAJECTORIES, &schema::POINTS])
     }
 
     /// Whether the horizon is infinite: V grows from 0 at the equilibrium.

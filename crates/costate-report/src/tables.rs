@@ -3,6 +3,7 @@
 use super::ticks::significant;
 use super::{Source, names};
 use costate::low_level::result::{Array, StoredGroup};
+use costate::low_level::schema;
 use costate::session::summary::Quantiles;
 use std::collections::BTreeMap;
 
@@ -15,45 +16,45 @@ pub struct Table {
 }
 
 /// Groups that are shown as tables: name, title, caption.
-const GROUPS: [(&str, &str, &str); 5] = [
+static GROUPS: [(&schema::Group, &str, &str); 5] = [
     (
-        "feedback",
+        &schema::FEEDBACK,
         "Fitted laws",
         "Errors are of held-out trajectories; the whole law is in the result file.",
     ),
     (
-        "closed_loop_laws",
+        &schema::CLOSED_LOOP_LAWS,
         "Closed loops",
         "One row a law, all from the same initial states. J/V \u{2212} 1 is the loss against the optimum.",
     ),
     (
-        "operating_sets",
+        &schema::OPERATING_SETS,
         "Operating sets",
         "Share of initial states inside, and area in the units of the grid's axes.",
     ),
     (
-        "dissipation_kinds",
+        &schema::DISSIPATION_KINDS,
         "Dissipation inequality",
         "E_z + V(x(t)) \u{2264} W + V0 under disturbances of each kind: E_z is what they did, W what they paid for. A ratio is E_z/(W + V0); \
          violations are relative to W + V0.",
     ),
-    ("study", "Study", "One row a variant."),
+    (&schema::STUDY, "Study", "One row a variant."),
 ];
-/// Longer texts are no cells.
+/// Longest text shown in a table cell.
 const LONGEST: usize = 60;
 
 /// All tables that the file has data for, and groups that could not be read.
 pub fn all(source: &Source<'_>) -> (Vec<Table>, Vec<(String, String)>) {
     let (mut tables, mut missing) = (Vec::new(), Vec::new());
-    for (name, title, caption) in GROUPS {
-        let Some(group) = source.stored.group(name) else {
+    for (schema, title, caption) in GROUPS {
+        let Some(group) = source.stored.group(schema) else {
             continue;
         };
         match of_group(&group, title, caption) {
             Some(table) => tables.push(table),
             None => missing.push((
                 title.to_owned(),
-                format!("/{name} has no column of a row's length"),
+                format!("/{} has no column of a row's length", schema.name),
             )),
         }
     }

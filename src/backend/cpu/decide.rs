@@ -260,7 +260,7 @@ impl Decision {
     }
 }
 
-/// A step of `h`, or the `left` way where that is no more than a little further: no crumb is left
+/// A step of `h`, or the `left` way where that is no more than a little further: no tiny step is left
 /// at the end.
 pub fn stretched(r: &mut Recorder, h: Value, left: Value) -> Value {
     let slack = r.constant(1.0 + 1e-3);

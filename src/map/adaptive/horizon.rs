@@ -5,7 +5,7 @@
 //! T - t, and V(x, T) is the terminal cost.
 
 use super::Work;
-use super::errands::Errand;
+use super::tasks::Task;
 use crate::backend::BackendError;
 use crate::backend::cpu::{Cpu, Evaluator};
 use crate::hamiltonian::Hamiltonian;
@@ -166,22 +166,22 @@ impl Work<'_, '_> {
         states.into_iter().flatten().collect()
     }
 
-    /// Moves the time of an errand's state to one of few, which are as close as its cell is short.
-    pub(super) fn to_few_times(&self, errand: &Errand, x: &mut [f64]) {
+    /// Moves the time of a continuation task's state to one of few, which are as close as its cell is short.
+    pub(super) fn to_few_times(&self, task: &Task, x: &mut [f64]) {
         let (Some(axis), Some(t)) = (&self.axis, x.last_mut()) else {
             return;
         };
-        let few = axis.of_few(*t, self.extent_in_time(errand));
+        let few = axis.of_few(*t, self.extent_in_time(task));
         if !axis.is_at_end(few) {
             *t = few;
         }
     }
 
-    /// How far an errand's cell reaches in time.
-    fn extent_in_time(&self, errand: &Errand) -> f64 {
-        let v = errand.half.len();
+    /// How far a continuation task's cell reaches in time.
+    fn extent_in_time(&self, task: &Task) -> f64 {
+        let v = task.half.len();
         let n = self.frame.inverse_row(v - 1);
-        n.iter().zip(&errand.half).map(|(r, h)| (r * h).abs()).sum()
+        n.iter().zip(&task.half).map(|(r, h)| (r * h).abs()).sum()
     }
 
     /// A state, without its time and as many periods away as a point of the cloud, and the path
@@ -196,12 +196,12 @@ impl Work<'_, '_> {
         (x[..n].to_vec(), path)
     }
 
-    /// Takes out errands to the end of the horizon: there nothing is solved.
-    pub(super) fn take_ends(&mut self, errands: &mut Vec<Errand>) {
-        let is_at_end = |e: &mut Errand| {
+    /// Takes out continuation tasks to the end of the horizon: there nothing is solved.
+    pub(super) fn take_ends(&mut self, tasks: &mut Vec<Task>) {
+        let is_at_end = |e: &mut Task| {
             (self.axis.as_ref()).is_some_and(|axis| axis.is_at_end(e.x[e.x.len() - 1]))
         };
-        let ends: Vec<Vec<f64>> = errands.extract_if(.., is_at_end).map(|e| e.x).collect();
+        let ends: Vec<Vec<f64>> = tasks.extract_if(.., is_at_end).map(|e| e.x).collect();
         self.add_ends(&ends);
     }
 

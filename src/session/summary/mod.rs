@@ -65,6 +65,9 @@ pub struct RunSummary {
     pub method: String,
     pub rtol: f64,
     pub atol: f64,
+    /// Whether the run was ended before everything was done.
+    #[serde(default)]
+    pub stopped: bool,
     /// How many trajectories were swept.
     pub trajectories: usize,
     /// Whether they are in the file; else they only gave first guesses.
@@ -265,6 +268,7 @@ impl Session<'_> {
             method: plan.method().name().to_owned(),
             rtol: plan.run.rtol,
             atol: plan.atol,
+            stopped: outcome.stopped,
             trajectories: swept.trajectories,
             trajectories_stored: outcome.stored,
             status: statuses.map(|(s, n)| (plan.status_name(*s), *n)).collect(),

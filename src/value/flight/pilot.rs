@@ -3,7 +3,7 @@
 use super::course::{Air, Course};
 use super::equations::Equations;
 use super::{Flight, FlightEnd, Flown, costate};
-use crate::backend::{BackendError, Kernel, Status, batch_limit};
+use crate::backend::{BackendError, Deadline, Kernel, Status, batch_limit};
 use crate::sweep::Plan;
 use rayon::prelude::*;
 
@@ -15,6 +15,8 @@ pub struct Pilot {
     /// Accepted steps, and periods, of all flights so far.
     pub steps: u64,
     pub periods: u64,
+    /// The plan's.
+    deadline: Deadline,
 }
 
 impl Pilot {
@@ -36,6 +38,7 @@ impl Pilot {
             course: Course::new(plan, fine),
             steps: 0,
             periods: 0,
+            deadline: plan.deadline,
         })
     }
 
@@ -79,6 +82,7 @@ impl Pilot {
 
     /// Integrates a period of all flights; the ends of those that failed.
     fn advance(&mut self, air: &mut [Air]) -> Result<Vec<Option<FlightEnd>>, BackendError> {
+        self.deadline.check()?;
         let dim = self.equations.spec.dim();
         let mut ends = Vec::with_capacity(air.len());
         for part in air.chunks_mut(batch_limit(dim, 0)) {

@@ -51,12 +51,12 @@ impl Survey<'_> {
             .collect();
         let mut pilot = Pilot::new(self.plan)?;
         let rate = adjoint_rate(self.plan);
-        let mut errands = Vec::new();
+        let mut tasks = Vec::new();
         for (target, _, path) in self.fly(&mut pilot, &open, &[&law])? {
             let end = path.segments();
-            errands.extend(self.errand_along(target, with_adjoints(path, end, &rate), FROM_FLIGHT));
+            tasks.extend(self.task_along(target, with_adjoints(path, end, &rate), FROM_FLIGHT));
         }
-        self.send(solver, errands)?;
+        self.send(solver, tasks)?;
         let listed: Vec<usize> = open
             .into_iter()
             .filter(|t| !self.targets.gridded[*t])
@@ -146,17 +146,17 @@ impl Survey<'_> {
             of.reverse();
         }
         while !solved.is_empty() {
-            let mut errands = Vec::new();
+            let mut tasks = Vec::new();
             for (target, of) in &mut solved {
                 let Some((value, path)) = of.pop() else {
                     continue;
                 };
                 let few = self.at[*target].len() < MOST_SHEETS;
                 if few || value <= times(ABOUT, self.least_value(*target)) {
-                    errands.extend(self.errand_along(*target, path, FROM_FLIGHT));
+                    tasks.extend(self.task_along(*target, path, FROM_FLIGHT));
                 }
             }
-            self.send(solver, errands)?;
+            self.send(solver, tasks)?;
             solved.retain(|_, of| !of.is_empty());
         }
         Ok(())

@@ -138,7 +138,7 @@ impl Survey<'_> {
     /// finite horizon: the image of a cell of terminal states may be folded where none of its
     /// corners tells.
     pub(in crate::low_level::value) fn covered_to(&self, target: usize) -> f64 {
-        if self.plan.system.terminal.is_some() {
+        if self.plan.system.terminal.is_some() || self.stopped {
             return f64::NEG_INFINITY;
         }
         self.searched[target].min(self.uncovered[target])
@@ -230,14 +230,14 @@ impl Survey<'_> {
             .collect();
         // With the costates that the laws gave, and with those that belong to the states.
         let rate = adjoint_rate(self.plan);
-        let mut errands = Vec::new();
+        let mut tasks = Vec::new();
         for u in &undercut {
             let carried = with_adjoints(u.path.clone(), u.path.segments(), &rate);
             for path in [u.path.clone(), carried] {
-                errands.extend(self.errand_along(u.target, path, SHORT));
+                tasks.extend(self.task_along(u.target, path, SHORT));
             }
         }
-        self.send(solver, errands)?;
+        self.send(solver, tasks)?;
         // What is too rough a guess as a whole is followed from its end.
         let rough = undercut.iter().filter(|u| self.is_undercut(u));
         let rough = rough.map(|u| (u.target, u.path.clone())).collect();

@@ -1,7 +1,7 @@
 //! Extremals from the cells of the swept manifold: what lies over a target is found whatever else
 //! is asked for.
 
-use super::{COHORT, Errand, MOST_SHEETS, Progress, SHORT, Survey, Wanted, times};
+use super::{COHORT, MOST_SHEETS, Progress, SHORT, Survey, Task, Wanted, times};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
@@ -175,12 +175,12 @@ impl Survey<'_> {
         solver: &mut Solver,
         cover: &Cover<'_>,
     ) -> Result<(), BackendError> {
-        let mut errands = Vec::new();
+        let mut tasks = Vec::new();
         for target in (0..self.targets.len()).filter(|t| self.is_open(*t)) {
             for winding in 0..self.windings.len() {
                 let goal = self.state(target, winding);
                 if let Some(path) = cover.within_seeds(&goal, &solver.scheme.end) {
-                    errands.push(Errand {
+                    tasks.push(Task {
                         from: None,
                         target,
                         winding,
@@ -189,7 +189,7 @@ impl Survey<'_> {
                 }
             }
         }
-        self.send(solver, errands)?;
+        self.send(solver, tasks)?;
         Ok(())
     }
 
@@ -317,8 +317,8 @@ impl Survey<'_> {
         start: Start,
     ) -> Result<(), BackendError> {
         let end = &solver.scheme.end;
-        let errands: Vec<Errand> = candidates
-            .map(|c| Errand {
+        let tasks: Vec<Task> = candidates
+            .map(|c| Task {
                 from: None,
                 target: c.target,
                 winding: self.winding(&c.turns),
@@ -330,7 +330,7 @@ impl Survey<'_> {
                 },
             })
             .collect();
-        self.send(solver, errands)?;
+        self.send(solver, tasks)?;
         Ok(())
     }
 

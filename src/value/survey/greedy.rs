@@ -128,10 +128,10 @@ impl Survey<'_> {
         solver: &mut Solver,
         guesses: Vec<(usize, Path, f64)>,
     ) -> Result<HashMap<usize, usize>, BackendError> {
-        let errands = (guesses.into_iter())
-            .filter_map(|(target, path, least)| self.errand_along(target, path, least));
-        let errands = errands.collect();
-        let reached = self.send(solver, errands)?;
+        let tasks = (guesses.into_iter())
+            .filter_map(|(target, path, least)| self.task_along(target, path, least));
+        let tasks = tasks.collect();
+        let reached = self.send(solver, tasks)?;
         Ok(reached
             .into_iter()
             .filter_map(|(t, e)| Some((t, e?)))

@@ -1,6 +1,6 @@
 //! First guesses from the local solution about the equilibrium.
 
-use super::{Errand, SHORT, Survey};
+use super::{SHORT, Survey, Task};
 use crate::shooting::{End, Path, Solved, Solver};
 use crate::value::approach::Approach;
 use crate::value::extremal::Extremal;
@@ -37,13 +37,13 @@ impl Survey<'_> {
 
     /// Guesses that follow the linear closed loop, from a state on the way to the target near which
     /// it holds.
-    pub(super) fn linear_guesses(&self, end: &End, targets: &[usize], least: f64) -> Vec<Errand> {
+    pub(super) fn linear_guesses(&self, end: &End, targets: &[usize], least: f64) -> Vec<Task> {
         let open = targets
             .iter()
             .filter(|t| self.is_open(**t) && self.targets.limits[**t] == f64::INFINITY);
         open.filter_map(|&target| {
             let (path, goal) = self.linear_path(end, target)?;
-            Some(Errand {
+            Some(Task {
                 from: None,
                 target,
                 winding: 0,
@@ -54,7 +54,7 @@ impl Survey<'_> {
     }
 
     /// Straight ways from the local solution to targets.
-    pub(super) fn rays(&self, end: &End, targets: &[usize], longest: f64) -> Vec<Errand> {
+    pub(super) fn rays(&self, end: &End, targets: &[usize], longest: f64) -> Vec<Task> {
         // Of the distance from the equilibrium where the way begins.
         const SHORTEST: f64 = 1.0 / 64.0;
         let near = self.plan.local.as_ref().map_or(0.0, |l| l.seed_value);
@@ -70,7 +70,7 @@ impl Survey<'_> {
             let mut path = Path::new(&[s.as_slice(), &at.gradient].concat());
             let (nodes, durations) = end.tail(&s, at.value, self.duration);
             path.append(&nodes, &durations);
-            Some(Errand {
+            Some(Task {
                 from: None,
                 target,
                 winding: 0,

@@ -131,6 +131,8 @@ pub struct Survey<'a> {
     pub(super) tried: HashSet<(usize, u32)>,
     /// Cost from which on the search of each target was not complete.
     pub uncovered: Vec<f64>,
+    /// Whether the deadline cut the search short.
+    pub stopped: bool,
     /// Where single states are to be solved for from trajectories that are optimized directly.
     pub(in crate::low_level::value) direct: Option<Direct<'a>>,
     pub(super) joined: Sheets,
@@ -147,7 +149,7 @@ pub struct Survey<'a> {
 pub type Progress<'p> = &'p mut dyn FnMut(&str, usize, usize);
 
 /// V on a grid, whose greedy paths are first guesses too.
-pub enum SecondOpinion<'p> {
+pub enum GridGuesses<'p> {
     /// At every target.
     Given(&'p GridValue),
     /// Made, where it can be, once the search has left doubts, and for the targets in doubt.
@@ -155,7 +157,7 @@ pub enum SecondOpinion<'p> {
 }
 
 /// A way to try: from which extremal (if any), to which target and winding.
-pub(in crate::low_level::value) struct Errand {
+pub(in crate::low_level::value) struct Task {
     from: Option<usize>,
     target: usize,
     winding: usize,
@@ -193,6 +195,7 @@ impl<'a> Survey<'a> {
             flights: vec![0; targets.len()],
             flown: vec![None; targets.len()],
             tried: HashSet::new(),
+            stopped: false,
             direct: None,
             joined: Sheets::default(),
             lifted: Vec::new(),
@@ -213,7 +216,7 @@ impl<'a> Survey<'a> {
         archive: &Archive,
         mut cover: Option<&mut Cover<'_>>,
         wanted: Wanted,
-        second: SecondOpinion<'_>,
+        second: GridGuesses<'_>,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let index = self.begin(solver, archive, cover.as_deref())?;
@@ -230,8 +233,8 @@ impl<'a> Survey<'a> {
         )?;
         self.search_singly(solver, archive, cover, wanted, progress)?;
         match second {
-            SecondOpinion::Given(grid) => self.try_grid(solver, grid, progress)?,
-            SecondOpinion::OnDemand(make) => self.try_doubtful(solver, make, progress)?,
+            GridGuesses::Given(grid) => self.try_grid(solver, grid, progress)?,
+            GridGuesses::OnDemand(make) => self.try_doubtful(solver, make, progress)?,
         }
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
         self.last_resort(solver, archive, &index, wanted, progress)?;
@@ -242,6 +245,29 @@ impl<'a> Survey<'a> {
         self.check_by_flights(solver, progress)?;
         self.label();
         Ok(())
+    }
+
+    /// Ends a search that its deadline has cut short: of what it found nothing is known to be the
+    /// least, and nothing is known of the other targets.
+    pub fn cut_short(&mut self) {
+        self.stopped = true;
+        if self.plan.game && self.plan.local.is_some() {
+            // Which of the solutions is the value is not known yet.
+            self.principal = vec![None; self.targets.len()];
+            self.at = vec![Vec::new(); self.targets.len()];
+        }
+        for target in 0..self.targets.len() {
+            if self.is_open(target) {
+                let furthest = self.misses[target].take().and_then(|miss| miss.furthest);
+                self.misses[target] = Some(Miss {
+                    status: PointStatus::OutOfTime,
+                    furthest,
+                    left: f64::NAN,
+                    cut: None,
+                });
+            }
+        }
+        self.label();
     }
 
     /// What needs no guess; the swept points near the targets.
@@ -285,9 +311,9 @@ impl<'a> Survey<'a> {
             progress("from the sweep", self.solved(), self.targets.len());
         }
         // The hard ones together in short steps: many at once cost little more than one.
-        let open = self.hopeful();
-        let errands = self.nearest_guesses(&solver.scheme.end, archive, index, &open, 0, SHORT);
-        self.send(solver, errands)?;
+        let open = self.worth_trying();
+        let tasks = self.nearest_guesses(&solver.scheme.end, archive, index, &open, 0, SHORT);
+        self.send(solver, tasks)?;
         Ok(())
     }
 
@@ -352,7 +378,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Targets that still need a solution, and may have one: behind a fold there is none in a game.
-    pub(in crate::low_level::value) fn hopeful(&self) -> Vec<usize> {
+    pub(in crate::low_level::value) fn worth_trying(&self) -> Vec<usize> {
         let behind = |t: usize| self.plan.game && self.missed_by(t, PointStatus::Fold);
         (0..self.targets.len())
             .filter(|t| self.is_open(*t) && !behind(*t))
@@ -385,17 +411,17 @@ impl<'a> Survey<'a> {
         self.joined.join(a, b)
     }
 
-    /// Follows errands, and joins what they find to what they came from. Of each its target, and
+    /// Follows continuation tasks, and joins what they find to what they came from. Of each its target, and
     /// the extremal there if it was reached.
     pub(in crate::low_level::value) fn send(
         &mut self,
         solver: &mut Solver,
-        errands: Vec<Errand>,
+        tasks: Vec<Task>,
     ) -> Result<Vec<(usize, Option<usize>)>, BackendError> {
-        for errand in &errands {
-            self.starts[errand.target] += 1;
+        for task in &tasks {
+            self.starts[task.target] += 1;
         }
-        let (mut ways, rest): (Vec<Approach>, Vec<_>) = (errands.into_iter())
+        let (mut ways, rest): (Vec<Approach>, Vec<_>) = (tasks.into_iter())
             .map(|e| (e.way, (e.from, e.target, e.winding)))
             .unzip();
         follow(solver, &mut ways)?;
@@ -403,7 +429,11 @@ impl<'a> Survey<'a> {
         let paths = finished
             .iter()
             .filter_map(|(_, outcome)| outcome.as_ref().ok().map(|(job, _)| &job.path));
-        let mut wrong = self.wrong(solver, &paths.collect::<Vec<_>>())?.into_iter();
+        // What is found by the deadline is kept: it is looked at all the same.
+        let deadline = std::mem::take(&mut solver.deadline);
+        let wrong = self.wrong(solver, &paths.collect::<Vec<_>>());
+        solver.deadline = deadline;
+        let mut wrong = wrong?.into_iter();
         let mut reached = Vec::new();
         // Solutions first: by them it is told why other ways have failed.
         let (found, lost): (Vec<_>, Vec<_>) =
@@ -454,6 +484,7 @@ impl<'a> Survey<'a> {
                 }
             }
         }
+        deadline.check()?;
         Ok(reached)
     }
 
@@ -466,11 +497,11 @@ impl<'a> Survey<'a> {
     ) -> Result<Vec<FoundNear>, BackendError> {
         self.windings = vec![vec![0; self.targets.states]];
         let reference = &self.plan.system.reference;
-        let errands = (paths.into_iter().enumerate())
+        let tasks = (paths.into_iter().enumerate())
             .map(|(target, path)| {
                 // As it stands there: a path that goes round leads to a state that does.
                 let goal = (self.targets.state(target).iter().zip(reference)).map(|(x, r)| x - r);
-                Errand {
+                Task {
                     from: None,
                     target,
                     winding: 0,
@@ -478,7 +509,7 @@ impl<'a> Survey<'a> {
                 }
             })
             .collect();
-        self.send(solver, errands)?;
+        self.send(solver, tasks)?;
         let found = self
             .at
             .iter()
@@ -498,14 +529,14 @@ impl<'a> Survey<'a> {
         least: f64,
     ) -> Result<Vec<(usize, Option<usize>)>, BackendError> {
         let (targets, paths): (Vec<usize>, Vec<Path>) = rough.into_iter().unzip();
-        let mut errands = Vec::new();
+        let mut tasks = Vec::new();
         for (target, (path, evaluations)) in
             targets.into_iter().zip(grown(self.plan, solver, paths)?)
         {
             self.evaluations += u64::from(evaluations);
-            errands.extend(path.and_then(|(path, _)| self.errand_along(target, path, least)));
+            tasks.extend(path.and_then(|(path, _)| self.task_along(target, path, least)));
         }
-        self.send(solver, errands)
+        self.send(solver, tasks)
     }
 
     /// Notes how far the way to a target led, if that is further than before.
@@ -527,8 +558,8 @@ impl<'a> Survey<'a> {
             .map(|(a, b)| (a - b).powi(2))
             .sum::<f64>()
             .sqrt();
-        // Compared with where the way began; a guess from the sweep is no solution, and what is
-        // usual stands for it.
+        // Compared with where the way began; a guess from the sweep is no solution: the median of
+        // all fold distances is used instead.
         let began = from.map_or_else(|| self.usual_fold(), |e| self.extremals[e].solved.fold);
         let ended = unreached
             .job
@@ -538,6 +569,7 @@ impl<'a> Survey<'a> {
         let status = match unreached.failure {
             Failure::NotFinite => PointStatus::NotFinite,
             Failure::Horizon => PointStatus::Horizon,
+            Failure::OutOfTime => PointStatus::OutOfTime,
             _ if ended.is_some_and(|ended| ended < NEAR_FOLD * began) => PointStatus::Fold,
             _ => PointStatus::NotReached,
         };

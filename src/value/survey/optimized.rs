@@ -62,7 +62,7 @@ impl Survey<'_> {
                 optimized.sort_by(|a, b| a.cost.total_cmp(&b.cost));
                 self.starts[target] += count as u32;
                 costs[target].extend(optimized.iter().map(|o| o.cost));
-                found.extend(self.worth_trying(target, optimized));
+                found.extend(self.promising(target, optimized));
             }
             self.solve_from(solver, found)?;
             progress(
@@ -121,7 +121,7 @@ impl Survey<'_> {
     }
 
     /// The cheapest of what was found for a target, by rising cost, those that differ.
-    fn worth_trying(&self, target: usize, optimized: Vec<Optimized>) -> Vec<(usize, Optimized)> {
+    fn promising(&self, target: usize, optimized: Vec<Optimized>) -> Vec<(usize, Optimized)> {
         let known =
             (optimized.first()).map_or(f64::INFINITY, |o| o.cost.min(self.least_value(target)));
         let mut worth: Vec<(usize, Optimized)> = Vec::new();
@@ -139,11 +139,11 @@ impl Survey<'_> {
         solver: &mut Solver,
         found: Vec<(usize, Optimized)>,
     ) -> Result<(), BackendError> {
-        let mut errands = Vec::new();
+        let mut tasks = Vec::new();
         for (target, one) in &found {
-            errands.extend(self.errand_along(*target, one.path.clone(), FROM_OPTIMIZED));
+            tasks.extend(self.task_along(*target, one.path.clone(), FROM_OPTIMIZED));
         }
-        self.send(solver, errands)?;
+        self.send(solver, tasks)?;
         // What is too rough a guess as a whole is followed from its end.
         let rough = found
             .into_iter()

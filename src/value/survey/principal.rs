@@ -29,8 +29,8 @@ impl Survey<'_> {
                         self.principal[*t].is_none() && !self.missed_by(*t, PointStatus::Fold)
                     })
                     .collect();
-                let errands = self.rays(&solver.scheme.end, &left, longest);
-                for (target, reached) in self.send(solver, errands)? {
+                let tasks = self.rays(&solver.scheme.end, &left, longest);
+                for (target, reached) in self.send(solver, tasks)? {
                     self.principal[target] = reached;
                 }
             }

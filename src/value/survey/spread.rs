@@ -1,7 +1,7 @@
 //! From solved targets to their neighbours: solutions that are missing, and which ones lie on one
 //! sheet.
 
-use super::{Errand, MOST_SHEETS, PointStatus, Progress, Survey, Wanted};
+use super::{MOST_SHEETS, PointStatus, Progress, Survey, Task, Wanted};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
@@ -45,14 +45,16 @@ impl Survey<'_> {
     ) -> Result<(), BackendError> {
         let neighbours = self.targets.neighbours();
         // Ways that were followed, from an extremal to a target: once is enough.
-        let mut gone: HashSet<(usize, usize)> = HashSet::new();
+        let mut visited: HashSet<(usize, usize)> = HashSet::new();
         let mut ways_to: HashMap<usize, usize> = HashMap::new();
         loop {
-            let mut errands: BTreeMap<(usize, usize), (f64, Errand)> = BTreeMap::new();
+            let mut tasks: BTreeMap<(usize, usize), (f64, Task)> = BTreeMap::new();
             for e in 0..self.extremals.len() {
                 let (target, winding) = (self.extremals[e].target, self.extremals[e].winding);
                 for &to in &neighbours[target] {
-                    if self.is_refused(to) || gone.contains(&(e, to)) || !self.same_base(target, to)
+                    if self.is_refused(to)
+                        || visited.contains(&(e, to))
+                        || !self.same_base(target, to)
                     {
                         continue;
                     }
@@ -74,30 +76,30 @@ impl Survey<'_> {
                     let far = (goal.iter().zip(path.start()).zip(&self.plan.widths))
                         .map(|((g, s), w)| ((g - s) / w).powi(2))
                         .sum::<f64>();
-                    if errands
+                    if tasks
                         .get(&(to, root))
                         .is_none_or(|(shortest, _)| far < *shortest)
                     {
-                        let errand = Errand {
+                        let task = Task {
                             from: Some(e),
                             target: to,
                             winding,
                             way: Approach::from_solution(path.clone(), goal, effort.least()),
                         };
-                        errands.insert((to, root), (far, errand));
+                        tasks.insert((to, root), (far, task));
                     }
                 }
             }
-            if errands.is_empty() {
+            if tasks.is_empty() {
                 return Ok(());
             }
-            let errands: Vec<Errand> = errands.into_values().map(|(_, e)| e).collect();
-            for errand in &errands {
+            let tasks: Vec<Task> = tasks.into_values().map(|(_, e)| e).collect();
+            for task in &tasks {
                 // Where a way leads nowhere, or to what is known, there is nothing left to do.
-                gone.extend(errand.from.map(|from| (from, errand.target)));
-                *ways_to.entry(errand.target).or_insert(0) += 1;
+                visited.extend(task.from.map(|from| (from, task.target)));
+                *ways_to.entry(task.target).or_insert(0) += 1;
             }
-            self.send(solver, errands)?;
+            self.send(solver, tasks)?;
             progress("from neighbours", self.solved(), self.targets.len());
         }
     }
@@ -161,18 +163,17 @@ impl Survey<'_> {
             ..wanted
         };
         for attempt in 0..=ATTEMPTS {
-            let open = self.hopeful();
+            let open = self.worth_trying();
             if open.is_empty() {
                 return Ok(());
             }
             self.spread(solver, only, Effort::Patient, progress)?;
             if attempt == 0 {
-                let errands =
-                    self.linear_guesses(&solver.scheme.end, &open, Effort::Patient.least());
-                self.send(solver, errands)?;
+                let tasks = self.linear_guesses(&solver.scheme.end, &open, Effort::Patient.least());
+                self.send(solver, tasks)?;
             }
             if attempt < ATTEMPTS {
-                let errands = self.nearest_guesses(
+                let tasks = self.nearest_guesses(
                     &solver.scheme.end,
                     archive,
                     index,
@@ -180,7 +181,7 @@ impl Survey<'_> {
                     attempt,
                     Effort::Patient.least(),
                 );
-                self.send(solver, errands)?;
+                self.send(solver, tasks)?;
                 progress("in short steps", self.solved(), self.targets.len());
             }
         }

@@ -31,10 +31,12 @@ pub enum PointStatus {
     /// A control that was flown costs less than the least V found, and nothing that costs as little
     /// was found from it.
     Undercut = 11,
+    /// The run was ended before it was solved.
+    OutOfTime = 12,
 }
 
 impl PointStatus {
-    pub const ALL: [(PointStatus, &'static str); 12] = [
+    pub const ALL: [(PointStatus, &'static str); 13] = [
         (PointStatus::Converged, "converged"),
         (PointStatus::OutsideGuard, "outside_guard"),
         (PointStatus::LeavesGuard, "leaves_guard"),
@@ -47,6 +49,7 @@ impl PointStatus {
         (PointStatus::SeveralSheets, "several_sheets"),
         (PointStatus::NegativeValue, "negative_value"),
         (PointStatus::Undercut, "undercut"),
+        (PointStatus::OutOfTime, "out_of_time"),
     ];
 
     pub fn name(self) -> &'static str {

@@ -3,7 +3,7 @@
 //! which others were asked for with it.
 
 use super::spread::Effort;
-use super::{Errand, Progress, SHORT, Survey, Wanted};
+use super::{Progress, SHORT, Survey, Task, Wanted};
 use crate::backend::BackendError;
 use crate::numeric::random::uniform;
 use crate::shooting::Solver;
@@ -75,12 +75,12 @@ impl Survey<'_> {
         stones.check_by_flights(solver, &mut quiet)?;
         stones.label();
         self.evaluations += stones.evaluations;
-        let mut errands = Vec::new();
+        let mut tasks = Vec::new();
         for &target in doubtful {
             for e in stones.nearest_to(&self.state(target, 0)) {
                 let path = stones.extremals[e].path.clone();
                 let winding = self.winding_near(target, path.start());
-                errands.push(Errand {
+                tasks.push(Task {
                     from: None,
                     target,
                     winding,
@@ -88,7 +88,7 @@ impl Survey<'_> {
                 });
             }
         }
-        self.send(solver, errands)?;
+        self.send(solver, tasks)?;
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! First guesses from swept trajectories.
 
-use super::{Errand, MOST_SHEETS, SHORT, Survey, Wanted};
+use super::{MOST_SHEETS, SHORT, Survey, Task, Wanted};
 use crate::backend::BackendError;
 use crate::shooting::{End, Solver};
 use crate::value::approach::Approach;
@@ -85,7 +85,7 @@ impl Survey<'_> {
         targets: &[usize],
         reach: f64,
         wanted: Wanted,
-    ) -> Vec<Errand> {
+    ) -> Vec<Task> {
         let open = targets
             .par_iter()
             .filter(|t| !self.is_refused(**t) && self.at[**t].is_empty());
@@ -114,14 +114,14 @@ impl Survey<'_> {
                     } else {
                         FROM_SWEEP
                     };
-                    self.errand(end, archive, target, winding, place, least)
+                    self.task(end, archive, target, winding, place, least)
                 })
                 .collect::<Vec<_>>()
         })
         .collect()
     }
 
-    pub(super) fn errand(
+    pub(super) fn task(
         &self,
         end: &End,
         archive: &Archive,
@@ -129,9 +129,9 @@ impl Survey<'_> {
         winding: usize,
         place: Place,
         least: f64,
-    ) -> Errand {
+    ) -> Task {
         let path = archive.path(place, end, archive.value(place), self.duration);
-        Errand {
+        Task {
             from: None,
             target,
             winding,
@@ -147,7 +147,7 @@ impl Survey<'_> {
         index: &Index,
         targets: &[usize],
         reach: f64,
-    ) -> Vec<Errand> {
+    ) -> Vec<Task> {
         let solved = targets.par_iter().filter(|t| !self.at[**t].is_empty());
         solved
             .flat_map_iter(|&target| {
@@ -166,7 +166,7 @@ impl Survey<'_> {
                         *distance <= reach
                             && known.iter().all(|e| is_elsewhere(e, &node, &self.scales))
                     })?;
-                    Some(self.errand(end, archive, target, winding, place, FROM_SWEEP))
+                    Some(self.task(end, archive, target, winding, place, FROM_SWEEP))
                 })
             })
             .collect()
@@ -181,7 +181,7 @@ impl Survey<'_> {
         targets: &[usize],
         attempt: usize,
         least: f64,
-    ) -> Vec<Errand> {
+    ) -> Vec<Task> {
         let open = targets
             .par_iter()
             .filter(|t| self.at[**t].is_empty() && self.targets.limits[**t] == f64::INFINITY);
@@ -203,7 +203,7 @@ impl Survey<'_> {
                 trajectories.push(place.trajectory);
                 trajectories.len() == attempt + 1
             })?;
-            Some(self.errand(end, archive, target, winding, place, least))
+            Some(self.task(end, archive, target, winding, place, least))
         })
         .collect()
     }

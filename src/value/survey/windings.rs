@@ -1,6 +1,6 @@
 //! Where targets are: as deviations, with any number of periods along periodic states.
 
-use super::{Errand, Survey};
+use super::{Survey, Task};
 use crate::shooting::Path;
 use crate::value::approach::Approach;
 use crate::value::archive::Index;
@@ -32,10 +32,10 @@ impl Survey<'_> {
 
     /// The way from a path that is no solution to a target: it begins at a copy of it. None where
     /// the path is not finite.
-    pub(super) fn errand_along(&mut self, target: usize, path: Path, least: f64) -> Option<Errand> {
+    pub(super) fn task_along(&mut self, target: usize, path: Path, least: f64) -> Option<Task> {
         let finite = path.nodes.iter().all(|x| x.is_finite());
         let winding = finite.then(|| self.winding_near(target, path.start()))?;
-        Some(Errand {
+        Some(Task {
             from: None,
             target,
             winding,

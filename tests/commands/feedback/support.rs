@@ -22,6 +22,7 @@ pub struct Points {
 
 impl Points {
     pub fn read(path: &Path) -> Self {
+        crate::common_commands::in_schema(path);
         let stored = Stored::open(path).unwrap();
         let group = stored.group("feedback").expect("a group /feedback");
         let number = |name: &str| group.f64(name).unwrap().values[0];

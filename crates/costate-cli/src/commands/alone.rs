@@ -61,7 +61,7 @@ impl Alone {
     pub fn session(&self, backend: Box<dyn Backend>) -> Session<'_> {
         Session::on(&self.scene, backend)
             .choosing(self.numerics.choices(self.seed))
-            .heard_by(&self.terminal)
+            .with_progress(&self.terminal)
     }
 
     /// Puts the file in place, with the record of the run; its path.

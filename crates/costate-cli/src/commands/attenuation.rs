@@ -13,6 +13,9 @@ use costate_report::ATTENUATION_PICTURES;
 use std::path::Path;
 
 pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
+    if args.time_limit.is_some() {
+        return Err(CliError::NoTimeLimit);
+    }
     let (begun, backend, mut file) = Alone::begin(args, "_attenuation", |model| {
         let asked = model.attenuation.as_ref().map(drop);
         asked.ok_or(SessionError::NoAttenuation)

@@ -71,7 +71,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
         }
     }
 
-    write::speed_error(&mut file, &bench)?;
+    write::speed_error(&mut file, &bench, model)?;
     let joined = |parts: Vec<&str>| {
         let mut parts = parts;
         parts.dedup();
@@ -101,6 +101,14 @@ pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
             None
         }
     };
+    let others = svg.exists() && !costate_report::is_ours(&svg);
+    if others {
+        terminal.note(&format!(
+            "no picture was made: {} is there and is none of ours",
+            svg.display()
+        ));
+    }
+    let drawn = drawn.filter(|_| !others);
     if let Some(picture) = &drawn {
         write_text(&svg, &picture.svg(f64::from(DEFAULT_WIDTH)))?;
     }
@@ -191,7 +199,7 @@ fn host_share(
     let plan = plan()?;
     let terminal = Terminal::new(&args.scene);
     let mut file = ResultFile::create(path)?;
-    let mut writer = file.trajectories(&run::schema(&scene.model, &plan))?;
+    let mut writer = file.trajectories(&run::trajectory_schema(&scene.model, &plan))?;
     let mut writing_seconds = 0.0;
     let mut write = |block| {
         let begin = Instant::now();

@@ -1,15 +1,16 @@
 //! `costate check` and `costate adapters`.
 
-use crate::args::CheckArgs;
+use crate::args::{CheckArgs, Reference};
 use crate::common::load::load;
 use crate::error::CliError;
-use crate::terminal::Terminal;
+use crate::terminal::{Printed, Terminal};
 use crate::text;
 use costate::backend::gpu;
 use costate::low_level::attenuation;
 use costate::low_level::hamiltonian::Hamiltonian;
 use costate::low_level::local::{LinearAttenuation, Riccati, linear_law, show_eigenvalue};
 use costate::low_level::model::{Guard, Horizon, Model};
+use costate::low_level::{scenario, schema};
 use costate::run;
 use costate::scene::Scene;
 use costate::session::summary::LinearSummary;
@@ -43,7 +44,7 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
         terminal.note(note);
     }
     let equations = Equations::new(&scene);
-    let mut out = std::io::stdout().lock();
+    let mut out = Printed::new();
     if args.scene.json {
         writeln!(
             out,
@@ -246,9 +247,19 @@ fn as_json(
     })
 }
 
+/// `costate reference`.
+pub fn reference(what: Reference) -> Result<(), CliError> {
+    let text = match what {
+        Reference::Scene => scenario::reference(),
+        Reference::File => schema::markdown(),
+    };
+    std::io::stdout().lock().write_all(text.as_bytes())?;
+    Ok(())
+}
+
 pub fn adapters(json: bool) -> Result<(), CliError> {
     let found = gpu::adapters();
-    let mut out = std::io::stdout().lock();
+    let mut out = Printed::new();
     if json {
         let list: Vec<_> = (found.iter())
             .map(|a| {

@@ -1,4 +1,4 @@
-//! `costate check-least`: V on a grid as a second opinion on the solved states of a result file.
+//! `costate check-least`: V on a grid as an independent check of the solved states of a result file.
 
 use crate::args::CheckLeastArgs;
 use crate::common::columns::columns;
@@ -11,7 +11,7 @@ use costate::low_level::dynamic_programming::{GridValue, refuse};
 use costate::low_level::model::Model;
 use costate::low_level::numeric::quantile::nearest_rank;
 use costate::low_level::result::Stored;
-use costate::low_level::value::{Claims, Flown, Led, Opinion};
+use costate::low_level::value::{Claims, Comparison, Flown, Led};
 use costate::run::claims;
 use costate::session::{LeastOptions, Session, SessionError};
 use std::time::Instant;
@@ -38,14 +38,14 @@ pub fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
     let terminal = Terminal::with(args.quiet, args.json);
     let session = Session::on(&stored.scene, args.numerics.open(model)?)
         .choosing(args.numerics.choices(0))
-        .heard_by(&terminal);
-    let (grid, opinion) = session.check_least(&claims, &options)?;
+        .with_progress(&terminal);
+    let (grid, comparison) = session.check_least(&claims, &options)?;
     let said = Said {
         args,
         model,
         claims: &claims,
         grid: &grid,
-        opinion: &opinion,
+        comparison: &comparison,
         seconds: clock.elapsed().as_secs_f64(),
     };
     terminal.say(&said.text())?;
@@ -67,7 +67,7 @@ struct Said<'a> {
     model: &'a Model,
     claims: &'a Claims,
     grid: &'a GridValue,
-    opinion: &'a Opinion,
+    comparison: &'a Comparison,
     seconds: f64,
 }
 
@@ -86,16 +86,26 @@ impl Said<'_> {
     }
 
     fn undercut(&self) -> Vec<&Flown> {
-        self.opinion.flown.iter().filter(|f| f.undercut).collect()
+        self.comparison
+            .flown
+            .iter()
+            .filter(|f| f.undercut)
+            .collect()
     }
 
     fn led(&self, to: Led) -> usize {
-        self.opinion.flown.iter().filter(|f| f.led == to).count()
+        self.comparison.flown.iter().filter(|f| f.led == to).count()
     }
 
     /// Median difference with its sign; 90 % and the worst without.
     fn quantiles(&self) -> [f64; 3] {
-        let mut signed: Vec<f64> = self.opinion.differences.iter().flatten().copied().collect();
+        let mut signed: Vec<f64> = self
+            .comparison
+            .differences
+            .iter()
+            .flatten()
+            .copied()
+            .collect();
         signed.sort_by(f64::total_cmp);
         let mut sizes: Vec<f64> = signed.iter().map(|d| d.abs()).collect();
         sizes.sort_by(f64::total_cmp);
@@ -108,7 +118,7 @@ impl Said<'_> {
 
     /// Claims from which the grid is apart, the largest difference first.
     fn apart(&self) -> Vec<(usize, f64)> {
-        let all = self.opinion.differences.iter().enumerate();
+        let all = self.comparison.differences.iter().enumerate();
         let mut list: Vec<(usize, f64)> = all.filter_map(|(k, d)| Some((k, (*d)?))).collect();
         list.retain(|(_, d)| d.abs() > self.args.apart);
         list.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
@@ -127,8 +137,8 @@ impl Said<'_> {
 
     fn verdict(&self) -> String {
         let (flown, known, all) = (
-            self.opinion.flown.len(),
-            self.opinion.differences.iter().flatten().count(),
+            self.comparison.flown.len(),
+            self.comparison.differences.iter().flatten().count(),
             self.claims.v.len(),
         );
         let below = self.apart().iter().filter(|(_, d)| *d < 0.0).count();
@@ -153,9 +163,9 @@ impl Said<'_> {
     }
 
     fn text(&self) -> String {
-        let (opinion, grid) = (self.opinion, self.grid);
+        let (comparison, grid) = (self.comparison, self.grid);
         let nodes: Vec<String> = self.nodes().iter().map(usize::to_string).collect();
-        let known = opinion.differences.iter().flatten().count();
+        let known = comparison.differences.iter().flatten().count();
         let [median, most, worst] = self.quantiles();
         let mut lines = vec![
             self.model.title.clone(),
@@ -187,8 +197,8 @@ impl Said<'_> {
             lines.push(self.apart_text());
             lines.push(format!(
                 "greedy paths from {} states, {} came home: {} lead to the same V (to 1e-6), {} to a dearer extremal, {} to a cheaper one, {} to none",
-                opinion.flown.len(),
-                opinion.flown.iter().filter(|f| f.cost.is_some()).count(),
+                comparison.flown.len(),
+                comparison.flown.iter().filter(|f| f.cost.is_some()).count(),
                 self.led(Led::Same),
                 self.led(Led::Dearer),
                 self.led(Led::Lower),
@@ -218,7 +228,7 @@ impl Said<'_> {
         for (claim, difference) in list.iter().take(SHOWN) {
             let mut row: Vec<String> = self.state(*claim).iter().map(|x| short(*x)).collect();
             row.push(short(self.claims.v[*claim]));
-            row.push(self.opinion.grid[*claim].map_or_else(String::new, short));
+            row.push(self.comparison.grid[*claim].map_or_else(String::new, short));
             row.push(percent(*difference, true));
             row.push(self.flight(*claim));
             rows.push(row);
@@ -230,7 +240,7 @@ impl Said<'_> {
 
     /// What the greedy path from a state cost.
     fn flight(&self, claim: usize) -> String {
-        let flown = self.opinion.flown.iter().find(|f| f.claim == claim);
+        let flown = self.comparison.flown.iter().find(|f| f.claim == claim);
         match flown.map(|f| f.cost) {
             None => "not flown".to_owned(),
             Some(None) => "led nowhere".to_owned(),
@@ -275,18 +285,22 @@ impl Said<'_> {
         let apart: Vec<_> = (self.apart().into_iter())
             .map(|(claim, difference)| {
                 serde_json::json!({
-                    "x": self.state(claim), "V": self.claims.v[claim], "grid": self.opinion.grid[claim],
+                    "x": self.state(claim), "V": self.claims.v[claim], "grid": self.comparison.grid[claim],
                     "difference": difference,
                 })
             })
             .collect();
-        let nowhere: Vec<_> = (self.opinion.flown.iter().filter(|f| f.led == Led::Nowhere))
-            .map(|flown| {
-                serde_json::json!({
-                    "x": self.state(flown.claim), "V": self.claims.v[flown.claim], "flown": flown.cost,
-                })
+        let nowhere: Vec<_> = (self
+            .comparison
+            .flown
+            .iter()
+            .filter(|f| f.led == Led::Nowhere))
+        .map(|flown| {
+            serde_json::json!({
+                "x": self.state(flown.claim), "V": self.claims.v[flown.claim], "flown": flown.cost,
             })
-            .collect();
+        })
+        .collect();
         let undercut: Vec<_> = (self.undercut().into_iter())
             .map(|flown| {
                 let found = flown.found.as_ref().filter(|_| flown.led == Led::Lower);
@@ -299,7 +313,7 @@ impl Said<'_> {
         serde_json::json!({
             "file": self.args.file.display().to_string(),
             "states": self.claims.v.len(),
-            "known": self.opinion.differences.iter().flatten().count(),
+            "known": self.comparison.differences.iter().flatten().count(),
             "grid": {
                 "nodes": self.nodes(), "margin": self.args.margin, "backend": self.grid.backend,
                 "seconds": self.grid.seconds, "rounds": self.grid.changes.len(), "last_change": self.grid.changes.last(),
@@ -307,8 +321,8 @@ impl Said<'_> {
             "difference": { "median": median, "p90": most, "worst": worst },
             "apart": { "threshold": self.args.apart, "states": apart },
             "greedy": {
-                "states": self.opinion.flown.len(),
-                "home": self.opinion.flown.iter().filter(|f| f.cost.is_some()).count(),
+                "states": self.comparison.flown.len(),
+                "home": self.comparison.flown.iter().filter(|f| f.cost.is_some()).count(),
                 "same": self.led(Led::Same), "dearer": self.led(Led::Dearer),
                 "cheaper": self.led(Led::Lower), "none": nowhere,
             },

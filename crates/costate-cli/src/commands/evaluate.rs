@@ -52,7 +52,7 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     let terminal = Terminal::with(args.quiet, args.json);
     let session = Session::on(scene, args.numerics.open(&scene.model)?)
         .choosing(args.numerics.choices(args.seed))
-        .heard_by(&terminal);
+        .with_progress(&terminal);
     let out = args.out.as_deref();
     let done = simulate(&session, stored.as_ref(), added, &options, out, &provenance)?;
     terminal.ended()?;

@@ -3,6 +3,7 @@
 use crate::args::ReportArgs;
 use crate::common::{Kind, check_out};
 use crate::error::{CliError, OptionError};
+use crate::terminal::Printed;
 use costate::low_level::model::Report;
 use costate::low_level::result::Stored;
 use costate::low_level::scenario;
@@ -23,7 +24,7 @@ pub fn report(args: &ReportArgs) -> Result<(), CliError> {
     if args.quiet && !args.json {
         return Ok(());
     }
-    let mut out = std::io::stdout().lock();
+    let mut out = Printed::new();
     if args.json {
         let missing: Vec<_> = (written.missing.iter())
             .map(|(name, reason)| serde_json::json!({ "name": name, "reason": reason }))

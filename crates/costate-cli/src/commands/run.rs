@@ -1,6 +1,7 @@
 //! `costate run` and its parts.
 
 use crate::args::{RunArgs, SolveArgs};
+use crate::common::ending::Ending;
 use crate::common::load::load;
 use crate::common::{Kind, check_out, points, print_json, provenance};
 use crate::error::CliError;
@@ -10,7 +11,7 @@ use crate::text::listed;
 use costate::low_level::dynamic_programming;
 use costate::low_level::files::{target, write_text};
 use costate::low_level::result::Stored;
-use costate::run::{Provenance, output_of, output_of_points};
+use costate::run::{Provenance, output_of, output_of_points, stopped_beside};
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
@@ -86,20 +87,23 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         terminal.note(&format!("column {column} of the points is not read"));
     }
 
+    let ending = Ending::of(args, &provenance);
     let session = Session::on(&scene, args.numerics.open(model)?)
         .choosing(args.numerics.choices(args.seed))
-        .heard_by(&terminal);
+        .until(ending.deadline)
+        .with_progress(&terminal);
     let refused = |e: CliError| match e {
         CliError::Session(SessionError::NoGridGuesses) => GridRefusal::Nothing.into(),
         other => other,
     };
-    let (mut summary, path) = if table {
+    let (mut summary, path, stopped) = if table {
         to_table(&session, &wanted, &path, &provenance).map_err(refused)?
     } else {
         to_file(&session, &wanted, &path, &provenance).map_err(refused)?
     };
     terminal.ended()?;
-    let page = (matches!(parts, Parts::All) && !args.no_report).then(|| page(&path, &terminal));
+    let page = (matches!(parts, Parts::All) && !args.no_report && !stopped)
+        .then(|| page(&path, &terminal));
     let page = page.flatten();
     summary["report"] = json!(page.as_ref().map(|p| p.display().to_string()));
     if args.scene.json {
@@ -111,7 +115,10 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         "{seconds:.2} s, written to {}{report}",
         path.display()
     ))?;
-    Ok(())
+    match stopped {
+        true => Err(ending.stopped(path)),
+        false => Ok(()),
+    }
 }
 
 /// The run with its result file: the summary for `--json`, and the file.
@@ -120,7 +127,7 @@ fn to_file(
     wanted: &Wanted,
     path: &Path,
     provenance: &Provenance,
-) -> Result<(Value, PathBuf), CliError> {
+) -> Result<(Value, PathBuf, bool), CliError> {
     let done = session.run(wanted, path, provenance)?;
     let mut summary = json!(done.summary);
     if done.outcome.listed > 0 {
@@ -149,7 +156,8 @@ fn to_file(
     for (name, part) in parts.into_iter().filter(|_| wanted.laws) {
         summary[name] = part;
     }
-    Ok((summary, done.path))
+    let stopped = done.outcome.stopped || laws.stopped;
+    Ok((summary, done.path, stopped))
 }
 
 /// The answers as a table; there is no result file.
@@ -158,7 +166,7 @@ fn to_table(
     wanted: &Wanted,
     path: &Path,
     provenance: &Provenance,
-) -> Result<(Value, PathBuf), CliError> {
+) -> Result<(Value, PathBuf, bool), CliError> {
     let model = &session.scene().model;
     let pass = session.prepare(wanted)?;
     session
@@ -167,13 +175,18 @@ fn to_table(
     // What is wrong with the name is told before the work is done.
     let path = target(path)?;
     let outcome = pass.perform::<SessionError>(&mut |_| Ok(()))?;
+    // An older table may have more than what was done by now.
+    let path = match outcome.stopped && path.exists() {
+        true => stopped_beside(&path),
+        false => path,
+    };
     let mut summary = json!(session.summary(&outcome, &path, provenance.seconds()));
     summary["points"] = json!(listed::points(&outcome));
     write_text(&path, &listed::table(&outcome, model)?)?;
     session
         .progress()
         .finished(Finished::Solved(&outcome, model));
-    Ok((summary, path))
+    Ok((summary, path, outcome.stopped))
 }
 
 /// The report of a finished file; a failure is a note.

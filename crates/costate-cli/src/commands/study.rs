@@ -2,6 +2,7 @@
 
 use super::alone::Alone;
 use crate::args::RunArgs;
+use crate::common::ending::Ending;
 use crate::common::print_json;
 use crate::error::CliError;
 use crate::text;
@@ -14,7 +15,8 @@ pub fn study(args: &RunArgs) -> Result<(), CliError> {
         model.study.as_ref().map(drop).ok_or(SessionError::NoStudy)
     })?;
     let (model, terminal) = (&begun.scene.model, &begun.terminal);
-    let session = begun.session(backend);
+    let ending = Ending::of(args, &begun.provenance);
+    let session = begun.session(backend).until(ending.deadline);
     let variants = session.study()?;
     write_study(&mut file, model, &variants)?;
     let path = begun.finish(&session, file)?;
@@ -24,6 +26,9 @@ pub fn study(args: &RunArgs) -> Result<(), CliError> {
     terminal.say(&format!("{seconds:.2} s, written to {}", path.display()))?;
     if args.scene.json {
         print_json(&study_rows(model, &variants))?;
+    }
+    if session.is_over() {
+        return Err(ending.stopped(path));
     }
     Ok(())
 }

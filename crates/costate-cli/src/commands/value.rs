@@ -8,13 +8,14 @@ use costate::low_level::diagnostics::shorten;
 use costate::low_level::files::write_text;
 use costate::low_level::hdf5::ResultFile;
 use costate::low_level::map::{At, Coverage, DeviceMap, Fronts, Unknown, Value, ValueMap};
-use costate::low_level::model::reserved::is_of_map;
 use costate::low_level::model::{Model, Precision};
 use costate::low_level::numeric::digits::plain;
 use costate::low_level::numeric::quantile::median_p99_max;
+use costate::low_level::result::TrajectorySchema;
 use costate::low_level::result::{Places, RunRecord, Stored, Times};
+use costate::low_level::schema;
 use costate::low_level::value::Grid;
-use costate::run::axes;
+use costate::run::Provenance;
 use costate::session::Progress;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -38,135 +39,205 @@ pub fn value(args: &ValueArgs) -> Result<(), CliError> {
     }
     let stored = Stored::open(&args.file)?;
     let model = &stored.scene.model;
-    // A missing map is told below; here what is asked of it.
-    let knows = stored
-        .map_pieces()?
-        .is_some_and(|p| p.states() > model.states.len());
-    let check = |t: f64| known_time(model, knows, t);
-    let n = model.states.len();
-    let time = Time {
-        knows,
-        check: &check,
-    };
-    let mut grid = grid(&args.grid, model, &time)?;
-    let (mut states, mut times) = (Vec::new(), Vec::new());
-    for at in &args.at {
-        let (x, t) = single(at, model, &time)?;
-        states.extend(x);
-        times.push(t);
-    }
-    if let Some(path) = &args.points {
-        let column = points::TimeColumn {
-            name: model.time_name(),
-            known: knows,
-            check: &check,
-        };
-        let (x, t) = points::read_with_times(path, model, Some(column))?;
-        states.extend(x);
-        times.extend(t);
-    }
-    if let Some(axes) = &mut grid {
-        let all = Grid { axes: axes.clone() }.points();
-        states = all.chunks(n + 1).flat_map(|x| &x[..n]).copied().collect();
-        times = all.chunks(n + 1).map(|x| x[n]).collect();
-        if !knows {
-            axes.pop();
-        }
-    }
+    let places = Wanted::of(args, &stored)?;
     let file = args.out.as_ref().filter(|out| !is_csv(out));
-    if let (Some(out), true) = (file, grid.is_some()) {
-        let mut names = model.states.iter().map(|s| s.variable.name.as_str());
-        if let Some(name) = names.find(|name| is_of_map(name)) {
-            return Err(CliError::BadOut {
-                path: out.clone(),
-                reason: format!(
-                    "a state named `{name}` cannot be an axis of /map, which has a variable of that name: rename the state, or name a table, .csv"
-                ),
-            });
-        }
+    if let (Some(out), true) = (file, places.grid.is_some()) {
+        refuse_axes(out, model)?;
     }
+
     let map = stored.value_map()?;
-    let asked = ask(&map, &states, &times, args)?;
-    let found = asked.found;
-    let timed = map.time().is_some();
-    let time = |k: usize| timed.then(|| times[k]);
-    let many = grid.is_some() || args.points.is_some();
+    let asked = ask(&map, &places.states, &places.times, args)?;
+    let answer = Answer {
+        model,
+        map: &map,
+        places: &places,
+        asked: &asked,
+        provenance: &provenance,
+    };
     match &args.out {
-        Some(out) if !is_csv(out) => {
-            let mut file = ResultFile::create(out)?;
-            let places = match &grid {
-                Some(axes) => Places::Grid(axes),
-                None => Places::Points(&states),
-            };
-            let named = timed.then(|| Times {
-                name: model.time_name(),
-                t: &times,
-            });
-            file.interpolated(&axes(model), &places, named, &found)?;
-            let record = RunRecord {
-                backend: asked.backend.to_owned(),
-                adapter: asked.adapter.clone(),
-                precision: asked.precision.name().to_owned(),
-                method: "interpolation".to_owned(),
-                ..provenance.record(model)
-            };
-            record.write(&file)?;
-            file.attribute("source", args.file.display().to_string())?;
-            if let Some(note) = of_all(&found, map.fronts()) {
-                file.attribute("coverage", note)?;
+        Some(out) => {
+            match is_csv(out) {
+                true => write_text(out, &answer.table()?)?,
+                false => answer.to_file(out, args)?,
             }
-            file.finish()?;
+            answer.summarize(out, args, &terminal)
         }
-        Some(out) => write_text(
-            out,
-            &table(model, &states, timed.then_some(&times), &found, &map)?,
-        )?,
-        None if args.json => {
-            let all: Vec<_> = (states.chunks(map.states()).zip(&found).enumerate())
-                .map(|(k, (x, at))| as_json(model, (x, time(k)), at, &map))
-                .collect();
-            print_json(&all)?;
-            return Ok(());
-        }
-        None if many => {
-            print(&table(
-                model,
-                &states,
-                timed.then_some(&times),
-                &found,
-                &map,
-            )?)?;
+        None if args.json => answer.print_json(),
+        None if places.grid.is_some() || args.points.is_some() => {
+            print(&answer.table()?)?;
             // The table itself says it of each state.
-            if let Some(note) = of_all(&found, map.fronts()) {
+            if let Some(note) = of_all(&asked.found, map.fronts()) {
                 terminal.note(&note);
             }
+            Ok(())
         }
-        None => {
-            if asked.backend == "gpu" {
-                terminal.say(&format!(
-                    "gpu on {}, {}",
-                    asked.adapter,
-                    asked.precision.name()
-                ))?;
-            }
-            for (k, (x, at)) in states.chunks(map.states()).zip(&found).enumerate() {
-                terminal.say(&as_text(model, (x, time(k)), at, &map))?;
-            }
-        }
+        None => answer.say(&terminal),
     }
-    if let Some(out) = &args.out {
-        let known = found.iter().filter(|at| at.lowest.is_ok()).count();
-        let errors: Vec<f64> = found
-            .iter()
+}
+
+/// The states, and times, at which V is wanted.
+struct Wanted {
+    grid: Option<Vec<Vec<f64>>>,
+    states: Vec<f64>,
+    times: Vec<f64>,
+}
+
+impl Wanted {
+    fn of(args: &ValueArgs, stored: &Stored) -> Result<Self, CliError> {
+        let model = &stored.scene.model;
+        // A missing map is told later; here what is asked of it.
+        let knows = stored
+            .map_pieces()?
+            .is_some_and(|p| p.states() > model.states.len());
+        let check = |t: f64| known_time(model, knows, t);
+        let n = model.states.len();
+        let time = Time {
+            knows,
+            check: &check,
+        };
+        let mut grid = grid(&args.grid, model, &time)?;
+        let (mut states, mut times) = (Vec::new(), Vec::new());
+        for at in &args.at {
+            let (x, t) = single(at, model, &time)?;
+            states.extend(x);
+            times.push(t);
+        }
+        if let Some(path) = &args.points {
+            let column = points::TimeColumn {
+                name: model.time_name(),
+                known: knows,
+                check: &check,
+            };
+            let (x, t) = points::read_with_times(path, model, Some(column))?;
+            states.extend(x);
+            times.extend(t);
+        }
+        if let Some(axes) = &mut grid {
+            let all = Grid { axes: axes.clone() }.points();
+            states = all.chunks(n + 1).flat_map(|x| &x[..n]).copied().collect();
+            times = all.chunks(n + 1).map(|x| x[n]).collect();
+            if !knows {
+                axes.pop();
+            }
+        }
+        Ok(Self {
+            grid,
+            states,
+            times,
+        })
+    }
+}
+
+/// Refuses states that are named like a variable of `/map`.
+fn refuse_axes(out: &Path, model: &Model) -> Result<(), CliError> {
+    let mut names = model.states.iter().map(|s| s.variable.name.as_str());
+    let Some(name) = names.find(|name| schema::MAP.reserves(name)) else {
+        return Ok(());
+    };
+    Err(CliError::BadOut {
+        path: out.to_owned(),
+        reason: format!(
+            "a state named `{name}` cannot be an axis of /map, which has a variable of that name: rename the state, or name a table, .csv"
+        ),
+    })
+}
+
+/// What the map returned, to be printed or written.
+struct Answer<'a> {
+    model: &'a Model,
+    map: &'a ValueMap,
+    places: &'a Wanted,
+    asked: &'a Asked,
+    provenance: &'a Provenance,
+}
+
+impl Answer<'_> {
+    /// The times, where V depends on it.
+    fn times(&self) -> Option<&Vec<f64>> {
+        self.map.time().is_some().then_some(&self.places.times)
+    }
+
+    /// Each state with its time and what is known there.
+    fn each(&self) -> impl Iterator<Item = ((&[f64], Option<f64>), &At)> {
+        let states = self.places.states.chunks(self.map.states());
+        (states.zip(&self.asked.found).enumerate())
+            .map(|(k, (x, at))| ((x, self.times().map(|t| t[k])), at))
+    }
+
+    fn table(&self) -> Result<String, CliError> {
+        table(
+            self.model,
+            &self.places.states,
+            self.times(),
+            &self.asked.found,
+            self.map,
+        )
+    }
+
+    fn print_json(&self) -> Result<(), CliError> {
+        let all = self
+            .each()
+            .map(|(x, at)| as_json(self.model, x, at, self.map));
+        print_json(&all.collect::<Vec<_>>())
+    }
+
+    fn say(&self, terminal: &Terminal) -> Result<(), CliError> {
+        let asked = self.asked;
+        if asked.backend == "gpu" {
+            let precision = asked.precision.name();
+            terminal.say(&format!("gpu on {}, {precision}", asked.adapter))?;
+        }
+        for (x, at) in self.each() {
+            terminal.say(&as_text(self.model, x, at, self.map))?;
+        }
+        Ok(())
+    }
+
+    fn to_file(&self, out: &Path, args: &ValueArgs) -> Result<(), CliError> {
+        let (model, asked) = (self.model, self.asked);
+        let mut file = ResultFile::create(out)?;
+        let places = match &self.places.grid {
+            Some(axes) => Places::Grid(axes),
+            None => Places::Points(&self.places.states),
+        };
+        let named = self.times().map(|t| Times {
+            name: model.time_name(),
+            t,
+        });
+        file.interpolated(&TrajectorySchema::axes(model), &places, named, &asked.found)?;
+        let record = RunRecord {
+            backend: asked.backend.to_owned(),
+            adapter: asked.adapter.clone(),
+            precision: asked.precision.name().to_owned(),
+            method: "interpolation".to_owned(),
+            ..self.provenance.record(model)
+        };
+        record.write(&file)?;
+        file.attribute("source", args.file.display().to_string())?;
+        if let Some(note) = of_all(&asked.found, self.map.fronts()) {
+            file.attribute("coverage", note)?;
+        }
+        file.finish()?;
+        Ok(())
+    }
+
+    /// What is said of values that were written.
+    fn summarize(&self, out: &Path, args: &ValueArgs, terminal: &Terminal) -> Result<(), CliError> {
+        let (found, map) = (&self.asked.found, self.map);
+        let known: Vec<&Value> = (found.iter())
             .filter_map(|at| at.lowest.as_ref().ok())
-            .map(|v| v.v_error)
             .collect();
+        let errors: Vec<f64> = known.iter().map(|v| v.v_error).collect();
         let [median, most, worst] = median_p99_max(&errors);
         let source = match map.pieces() {
             0 => format!("{} sites", map.sites()),
             n => format!("{n} pieces"),
         };
-        let mut text = format!("{known} of {} states known, from {source}", found.len());
+        let mut text = format!(
+            "{} of {} states known, from {source}",
+            known.len(),
+            found.len()
+        );
         if worst.is_finite() {
             let _ = write!(
                 text,
@@ -176,25 +247,25 @@ pub fn value(args: &ValueArgs) -> Result<(), CliError> {
         let _ = write!(
             text,
             "\n{}, {}: {:.2} s, written to {}",
-            asked.adapter,
-            asked.precision.name(),
-            provenance.seconds(),
+            self.asked.adapter,
+            self.asked.precision.name(),
+            self.provenance.seconds(),
             out.display()
         );
         terminal.say(&text)?;
-        let note = of_all(&found, map.fronts());
+        let note = of_all(found, map.fronts());
         if let Some(note) = &note {
             terminal.note(note);
         }
         if args.json {
             let summary = serde_json::json!({
-                "file": out.display().to_string(), "states": found.len(), "known": known, "sites": map.sites(), "pieces": map.pieces(),
+                "file": out.display().to_string(), "states": found.len(), "known": known.len(), "sites": map.sites(), "pieces": map.pieces(),
                 "V_error": { "median": median, "p99": most, "max": worst }, "coverage": note,
             });
             print_json(&summary)?;
         }
+        Ok(())
     }
-    Ok(())
 }
 
 /// Whether a file is a table by its name.

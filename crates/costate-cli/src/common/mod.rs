@@ -1,6 +1,7 @@
 //! What commands have in common: reading scenes, opening backends, names of files, printing.
 
 pub mod columns;
+pub mod ending;
 pub mod grid;
 pub mod load;
 pub mod open;

@@ -134,6 +134,8 @@ fn swept_notes(plan: &Plan, a: &Accuracy) -> Vec<String> {
             .is_some_and(|l| l.error > 0.1 * a.bound * plan.value_scale)
         {
             "the seeds are off by that much already: use a smaller seed_value"
+        } else if a.parts_fast() && !plan.shoot_out.folds {
+            "trajectories part so fast there that a smaller rtol may not help: extremals that have met a fold are not optimal, and [shoot_out] folds = true ends them there"
         } else {
             "use a smaller rtol"
         };

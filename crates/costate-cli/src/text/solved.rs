@@ -111,16 +111,16 @@ fn answers_text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
     } else {
         String::new()
     };
-    lines.push(format!(
-        "{} solutions on {} {}{copies}",
-        answers.entries.len(),
-        answers.sheets,
-        if answers.sheets == 1 {
-            "sheet"
-        } else {
-            "sheets"
+    lines.push(match (answers.stopped, answers.sheets) {
+        (true, _) => format!(
+            "{} solutions; the search was ended before it was known which are of one sheet, and whether any is the least",
+            answers.entries.len()
+        ),
+        (false, 1) => format!("{} solutions on 1 sheet{copies}", answers.entries.len()),
+        (false, sheets) => {
+            format!("{} solutions on {sheets} sheets{copies}", answers.entries.len())
         }
-    ));
+    });
     if !answers.equal_cost.is_empty() {
         let jump = |e: &EqualCost| {
             e.u[0]
@@ -268,7 +268,9 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
         }
     } else {
         let mut reasons = Vec::new();
-        if c.uncovered > 0 {
+        if c.uncovered > 0 && swept.stopped {
+            reasons.push(format!("{} for want of time", c.uncovered));
+        } else if c.uncovered > 0 {
             reasons.push(format!(
                 "{} for want of seeds (max_seeds = {})",
                 c.uncovered, plan.shoot_out.max_seeds

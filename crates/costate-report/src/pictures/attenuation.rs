@@ -8,6 +8,7 @@ use crate::frame::{Axis, Frame, Legend, Mark, dashed, range};
 use crate::ticks::significant;
 use crate::{Drawing, Picture, Source, colours, names};
 use costate::low_level::result::{StoredError, StoredGroup};
+use costate::low_level::schema;
 use costate::low_level::value::PointStatus;
 
 /// From this ratio of the largest value to the smallest on, the axis of values is logarithmic.
@@ -19,7 +20,7 @@ fn scalar(group: &StoredGroup<'_>, name: &str) -> Result<f64, StoredError> {
 
 /// What the file says of the smallest level, in a line; `None` without.
 pub fn key_figure(source: &Source<'_>) -> Option<String> {
-    let group = source.stored.group("attenuation")?;
+    let group = source.stored.group(&schema::ATTENUATION)?;
     let name = names::symbol(&group.attribute(None, "parameter")?);
     let (star, smallest) = (
         scalar(&group, "star").ok()?,
@@ -49,7 +50,7 @@ struct Coverage {
 
 /// Coverage against the level.
 pub fn coverage(source: &Source<'_>) -> Made {
-    let Some(group) = source.stored.group("attenuation") else {
+    let Some(group) = source.stored.group(&schema::ATTENUATION) else {
         return Ok(None);
     };
     let coverage = read_coverage(&group).map_err(|e| e.to_string())?;
@@ -179,7 +180,7 @@ struct Validity {
 /// Regions of validity of some levels over a plane of two states; V along one state where that is
 /// all there is.
 pub fn validity(source: &Source<'_>) -> Made {
-    let Some(group) = source.stored.group("attenuation_regions") else {
+    let Some(group) = source.stored.group(&schema::ATTENUATION_REGIONS) else {
         return Ok(None);
     };
     let read = read_validity(source, &group).map_err(|e| e.to_string())?;
@@ -316,7 +317,7 @@ fn read_validity(
 
 /// Level and state of each fold.
 fn folds(source: &Source<'_>, n: usize) -> Result<Vec<(usize, Vec<f64>)>, StoredError> {
-    let Some(group) = source.stored.group("attenuation_caustic") else {
+    let Some(group) = source.stored.group(&schema::ATTENUATION_CAUSTIC) else {
         return Ok(Vec::new());
     };
     let (level, x) = (group.i32("level_index")?.1, group.f64("x")?.values);

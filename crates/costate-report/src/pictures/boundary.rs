@@ -1,5 +1,6 @@
 //! The equal-cost boundary on a plane.
 use crate::Source;
+use costate::low_level::schema;
 
 /// Polylines of `/equal_cost` on the plane of the two axes, where it is two-dimensional; single
 /// points else.
@@ -15,7 +16,7 @@ impl Boundary {
     pub fn read(source: &Source<'_>) -> Result<Self, String> {
         let mut boundary = Self::default();
         let n = source.model.states.len();
-        let Some(group) = source.stored.group("equal_cost").filter(|_| n >= 2) else {
+        let Some(group) = source.stored.group(&schema::EQUAL_COST).filter(|_| n >= 2) else {
             return Ok(boundary);
         };
         let text = |e: costate::low_level::result::StoredError| e.to_string();

@@ -9,8 +9,8 @@ use crate::contour::{self, Grid};
 use crate::frame::{Axis, Bar, Frame, LINE, Legend, Mark};
 use crate::ticks::{self, significant};
 use crate::{Drawing, Picture, Source, names, text};
-use costate::low_level::model::reserved::{self, is_reserved};
 use costate::low_level::result::{StoredError, StoredGroup};
+use costate::low_level::schema;
 
 /// A panel's inside is no narrower.
 const NARROWEST: f64 = 230.0;
@@ -68,7 +68,7 @@ fn wrong(e: StoredError) -> String {
 /// All maps; the reasons for those that cannot be drawn.
 pub fn pictures(source: &Source<'_>) -> (Vec<Picture>, Vec<(String, String)>) {
     let (mut made, mut missing) = (Vec::new(), Vec::new());
-    let Some(group) = source.stored.group("closed_loop") else {
+    let Some(group) = source.stored.group(&schema::CLOSED_LOOP) else {
         return (made, missing);
     };
     match Loops::read(source, &group) {
@@ -88,7 +88,7 @@ pub fn pictures(source: &Source<'_>) -> (Vec<Picture>, Vec<(String, String)>) {
 /// Recorded quantities in the file's order, where the map's law had no answer, and the loss against
 /// the optimum.
 fn quantities(group: &StoredGroup<'_>) -> Vec<String> {
-    let drawn = |name: &String| name == "fallback" || !is_reserved(name, reserved::CLOSED_LOOP);
+    let drawn = |name: &String| name == "fallback" || !schema::CLOSED_LOOP.reserves(name);
     let mut all: Vec<String> = group.names().into_iter().filter(drawn).collect();
     if group.has("suboptimality") {
         all.push("suboptimality".to_owned());
@@ -385,8 +385,8 @@ type Boundaries = Vec<(usize, usize, Vec<Vec<[f64; 2]>>)>;
 
 fn operating(source: &Source<'_>, place: &Place) -> Result<(Vec<String>, Boundaries), String> {
     let (Some(sets), Some(lines)) = (
-        source.stored.group("operating_sets"),
-        source.stored.group("operating_contours"),
+        source.stored.group(&schema::OPERATING_SETS),
+        source.stored.group(&schema::OPERATING_CONTOURS),
     ) else {
         return Ok((Vec::new(), Vec::new()));
     };

@@ -8,6 +8,7 @@ use crate::frame::{Mark, dashed};
 use crate::{Picture, Source, colours, names};
 use costate::low_level::closed_loop::dissipation::ratio_text;
 use costate::low_level::result::{StoredError, StoredGroup};
+use costate::low_level::schema;
 
 /// Points of a curve: more are not told apart.
 const POINTS: usize = 400;
@@ -73,7 +74,7 @@ impl Cases {
 }
 
 pub fn picture(source: &Source<'_>) -> Made {
-    let Some(group) = source.stored.group("dissipation") else {
+    let Some(group) = source.stored.group(&schema::DISSIPATION) else {
         return Ok(None);
     };
     let cases = read(&group).map_err(|e| e.to_string())?;
@@ -144,8 +145,8 @@ pub fn picture(source: &Source<'_>) -> Made {
 /// The trajectories that came nearest, one of each kind, under the first law.
 pub fn histories(source: &Source<'_>) -> Made {
     let (Some(all), Some(group)) = (
-        source.stored.group("dissipation"),
-        source.stored.group("dissipation_trajectories"),
+        source.stored.group(&schema::DISSIPATION),
+        source.stored.group(&schema::DISSIPATION_TRAJECTORIES),
     ) else {
         return Ok(None);
     };

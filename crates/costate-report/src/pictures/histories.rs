@@ -7,6 +7,7 @@ use crate::flow::Flow;
 use crate::frame::Mark;
 use crate::{Picture, Source, colours, names};
 use costate::low_level::model::{Horizon, Model};
+use costate::low_level::schema;
 use costate::low_level::trajectories::SweptTrajectories;
 
 /// Trajectories of the picture: more are not told apart.
@@ -81,7 +82,7 @@ pub fn picture(source: &Source<'_>) -> Made {
 
 /// Closed loops of several laws from the same initial states.
 pub fn closed_loop(source: &Source<'_>) -> Made {
-    let Some(group) = source.stored.group("closed_loop_trajectories") else {
+    let Some(group) = source.stored.group(&schema::CLOSED_LOOP_TRAJECTORIES) else {
         return Ok(None);
     };
     let text = |e: costate::low_level::result::StoredError| e.to_string();

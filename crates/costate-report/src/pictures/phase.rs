@@ -10,6 +10,7 @@ use crate::plane::{Field, GridField};
 use crate::ticks::significant;
 use crate::{Drawing, Picture, Source};
 use costate::low_level::result::StoredError;
+use costate::low_level::schema;
 use costate::low_level::trajectories::SweptTrajectories;
 use std::collections::BTreeMap;
 
@@ -63,7 +64,7 @@ struct Seen {
 
 /// Points of `/caustic` in the plane.
 fn caustic(source: &Source<'_>) -> Result<Vec<[f64; 2]>, StoredError> {
-    let Some(group) = source.stored.group("caustic") else {
+    let Some(group) = source.stored.group(&schema::CAUSTIC) else {
         return Ok(Vec::new());
     };
     let n = source.model.states.len();

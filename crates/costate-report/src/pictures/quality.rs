@@ -6,6 +6,7 @@ use crate::colours;
 use crate::flow::Flow;
 use crate::frame::{Axis, Frame, LINE, dashed, range};
 use crate::{Drawing, Picture, Source, text};
+use costate::low_level::schema;
 use costate::session::summary::Quantiles;
 
 /// Bins a decade.
@@ -97,8 +98,10 @@ fn wrong(e: costate::low_level::result::StoredError) -> String {
 
 /// The drift of H relative to the largest running cost of some trajectories.
 fn along_trajectories(source: &Source<'_>) -> Result<Vec<f64>, String> {
-    let (Some(t), Some(group)) = (source.trajectories()?, source.stored.group("trajectories"))
-    else {
+    let (Some(t), Some(group)) = (
+        source.trajectories()?,
+        source.stored.group(&schema::TRAJECTORIES),
+    ) else {
         return Ok(Vec::new());
     };
     let drift = group.f64("hamiltonian_drift").map_err(wrong)?.values;
@@ -122,7 +125,8 @@ fn along_trajectories(source: &Source<'_>) -> Result<Vec<f64>, String> {
 
 /// |H| and residuals at solved states.
 fn at_points(source: &Source<'_>) -> Result<Vec<Row>, String> {
-    let (Some(points), Some(group)) = (source.points()?, source.stored.group("points")) else {
+    let (Some(points), Some(group)) = (source.points()?, source.stored.group(&schema::POINTS))
+    else {
         return Ok(Vec::new());
     };
     let n = source.model.states.len();

@@ -7,6 +7,7 @@ use crate::frame::Mark;
 use crate::ticks::significant;
 use crate::{Picture, Source, colours, names};
 use costate::low_level::numeric::hermite::hermite;
+use costate::low_level::schema;
 use costate::low_level::trajectories::SolvedStates;
 use std::collections::BTreeMap;
 
@@ -285,7 +286,7 @@ fn cheapest(entries: &[Entry], steps: &[f64]) -> Vec<Vec<usize>> {
 
 /// Points of `/equal_cost` on the line: place and V.
 fn crossings(source: &Source<'_>, slice: &Slice) -> Result<Vec<[f64; 2]>, String> {
-    let Some(group) = source.stored.group("equal_cost") else {
+    let Some(group) = source.stored.group(&schema::EQUAL_COST) else {
         return Ok(Vec::new());
     };
     let text = |e: costate::low_level::result::StoredError| e.to_string();

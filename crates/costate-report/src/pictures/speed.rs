@@ -5,6 +5,7 @@ use crate::canvas::{Canvas, Dash, Ink, Rect, Stroke};
 use crate::frame::{Axis, Frame, Legend, Mark, range};
 use crate::{Drawing, Picture, Source, colours};
 use costate::low_level::result::{StoredError, StoredGroup};
+use costate::low_level::schema;
 
 /// Larger errors are of no use.
 const USEFUL: f64 = 0.1;
@@ -24,7 +25,7 @@ struct Speed {
 }
 
 pub fn picture(source: &Source<'_>) -> Made {
-    let Some(group) = source.stored.group("speed_error") else {
+    let Some(group) = source.stored.group(&schema::SPEED_ERROR) else {
         return Ok(None);
     };
     let speed = read(&group).map_err(|e| e.to_string())?;

@@ -1,7 +1,7 @@
 //! Values as fast as can be, for controllers.
 
 use super::nodal::Prediction;
-use super::{BEYOND, INSIDE, LOOK, Opinion, Value, ValueMap};
+use super::{BEYOND, INSIDE, LOOK, LocalModel, Value, ValueMap};
 use crate::sweep::Sampling;
 
 /// Nearest sites among which one of the lowest sheet is looked for in haste, and the distance (in
@@ -11,7 +11,7 @@ const FAR: f64 = 0.5;
 
 impl ValueMap {
     /// V, p, Hessian and u on the lowest sheet without errors, as fast as can be: what a controller
-    /// asks for. Where only one sheet is near, the nearest site alone speaks; else as
+    /// asks for. Where only one sheet is near, the local model of the nearest site is the answer; else as
     /// [`ValueMap::without_errors`].
     pub fn local(&self, x: &[f64]) -> Option<Value> {
         self.local_at(x, 0.0)
@@ -40,19 +40,19 @@ impl ValueMap {
             .map(|(s, w)| s / w)
             .collect();
         match self.uncontested(&z) {
-            Some(opinion) => {
-                let says = opinion.says.clone();
-                Some(self.value(&s, &opinion, says))
+            Some(local_model) => {
+                let prediction = local_model.prediction.clone();
+                Some(self.value(&s, &local_model, prediction))
                     .filter(|value| self.solves_isaacs(&s, &value.p))
             }
             None => self.without_errors(x).lowest.ok(),
         }
     }
 
-    /// The opinion of the nearest site on the lowest sheet, where no other sheet is as low around
+    /// The local model of the nearest site on the lowest sheet, where no other sheet is as low around
     /// it.
-    fn uncontested(&self, z: &[f64]) -> Option<Opinion> {
-        let mut best: Option<Opinion> = None;
+    fn uncontested(&self, z: &[f64]) -> Option<LocalModel> {
+        let mut best: Option<LocalModel> = None;
         for (w, winding) in self.windings.iter().enumerate() {
             let place: Vec<f64> = (0..z.len()).map(|i| z[i] + self.turn(winding, i)).collect();
             let near = self.tree.near(&place, f64::INFINITY, HASTY);
@@ -71,20 +71,23 @@ impl ValueMap {
             if distance > INSIDE * reach || self.is_contested(site) {
                 return None;
             }
-            let opinion = self.opinion(&place, w, site, distance, None)?;
-            if self.is_absurd(&opinion.says) {
+            let local_model = self.local_model(&place, w, site, distance, None)?;
+            if self.is_implausible(&local_model.prediction) {
                 return None;
             }
-            if best.as_ref().is_none_or(|b| opinion.says.v < b.says.v) {
-                best = Some(opinion);
+            if best
+                .as_ref()
+                .is_none_or(|b| local_model.prediction.v < b.prediction.v)
+            {
+                best = Some(local_model);
             }
         }
         best
     }
 
     /// Where the running cost is nowhere negative nor is V.
-    pub(super) fn is_absurd(&self, says: &Prediction) -> bool {
-        self.plan.sampling == Sampling::Value && says.v < 0.0
+    pub(super) fn is_implausible(&self, prediction: &Prediction) -> bool {
+        self.plan.sampling == Sampling::Value && prediction.v < 0.0
     }
 
     /// Whether another sheet is cheaper where a site is, by more than interpolation errs.

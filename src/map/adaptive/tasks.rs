@@ -25,7 +25,7 @@ const DRAWS: usize = 20;
 const DRAWS_AT_EDGE: usize = 8;
 
 /// A state to be solved for, from which point of the cloud, for which cell.
-pub(super) struct Errand {
+pub(super) struct Task {
     /// With its time where the map has that axis.
     pub x: Vec<f64>,
     pub from: u32,
@@ -47,16 +47,16 @@ impl Work<'_, '_> {
         region: &Region,
         share: f64,
     ) -> Result<bool, BackendError> {
-        let mut errands = self.errands(wants, region, share);
-        if errands.is_empty() {
+        let mut tasks = self.tasks(wants, region, share);
+        if tasks.is_empty() {
             return Ok(false);
         }
-        self.take_ends(&mut errands);
+        self.take_ends(&mut tasks);
         // Where sheets lie over each other a way from a point near tells nothing of the others.
         if self.cloud.several {
-            self.search_for(errands, region)
+            self.search_for(tasks, region)
         } else {
-            self.go(errands, region)
+            self.go(tasks, region)
         }
     }
 
@@ -72,7 +72,7 @@ impl Work<'_, '_> {
     }
 
     /// States for cells that want some.
-    fn errands(&mut self, mut wants: Vec<Want>, region: &Region, share: f64) -> Vec<Errand> {
+    fn tasks(&mut self, mut wants: Vec<Want>, region: &Region, share: f64) -> Vec<Task> {
         let in_time = (self.seconds_left(share) / self.pace).max(0.0);
         let in_time = if in_time.is_nan() {
             usize::MAX
@@ -90,62 +90,61 @@ impl Work<'_, '_> {
             .min(in_time)
             .max(1);
         wants.sort_by(|a, b| b.excess.total_cmp(&a.excess));
-        let mut errands = Vec::new();
+        let mut tasks = Vec::new();
         // One for each in turn, the worst first: many in few cells at once would halve these where
         // their points lie alone.
         let quota = |w: &Want| (A_CELL * w.excess.max(1.0).powf(MORE)).min(MOST_A_CELL) as usize;
         for turn in 0..MOST_A_CELL as usize {
             for want in wants.iter().filter(|w| turn < quota(w)) {
-                if errands.len() >= budget {
+                if tasks.len() >= budget {
                     break;
                 }
-                self.errand(want, turn, region, &mut errands);
+                self.task(want, turn, region, &mut tasks);
             }
         }
-        errands
+        tasks
     }
 
     /// Searches for all sheets at the states; false if that takes too long.
-    fn search_for(&mut self, errands: Vec<Errand>, region: &Region) -> Result<bool, BackendError> {
+    fn search_for(&mut self, tasks: Vec<Task>, region: &Region) -> Result<bool, BackendError> {
         let mut states = Vec::new();
         let mut widest = 0.0f64;
-        for errand in &errands {
-            let shift = &self.origins[errand.from as usize].1;
+        for task in &tasks {
+            let shift = &self.origins[task.from as usize].1;
             let at = states.len();
-            states.extend(errand.x.iter().zip(shift).map(|(x, s)| x + s));
-            self.to_few_times(errand, &mut states[at..]);
-            widest = errand.half.iter().fold(widest, |a, h| a.max(*h));
+            states.extend(task.x.iter().zip(shift).map(|(x, s)| x + s));
+            self.to_few_times(task, &mut states[at..]);
+            widest = task.half.iter().fold(widest, |a, h| a.max(*h));
         }
         let Some((tracks, values)) =
             self.in_time(GIVEN_UP, |this| this.searched(states, widest.min(NEAR)))?
         else {
             return Ok(false);
         };
-        for (errand, _) in
-            (errands.into_iter().zip(values)).filter(|(e, v)| e.only_bare || v.is_nan())
+        for (task, _) in (tasks.into_iter().zip(values)).filter(|(e, v)| e.only_bare || v.is_nan())
         {
-            *self.failures.entry(errand.cell).or_default() += 1;
+            *self.failures.entry(task.cell).or_default() += 1;
         }
         self.add(tracks, region.floor)?;
         Ok(true)
     }
 
     /// Solves for the states along the ways from points near them; false if that takes too long.
-    fn go(&mut self, errands: Vec<Errand>, region: &Region) -> Result<bool, BackendError> {
-        let guesses: Vec<_> = errands.iter().map(|e| self.way(&e.x, e.from)).collect();
+    fn go(&mut self, tasks: Vec<Task>, region: &Region) -> Result<bool, BackendError> {
+        let guesses: Vec<_> = tasks.iter().map(|e| self.way(&e.x, e.from)).collect();
         let Some(found) = self.near(guesses, LEAST_STEP)? else {
             return Ok(false);
         };
         let mut tracks = Vec::new();
         let most = self.most_value();
-        for (errand, found) in errands.into_iter().zip(found) {
+        for (task, found) in tasks.into_iter().zip(found) {
             let high = found.as_ref().is_ok_and(|(_, value)| *value > most);
             let is_missed = match &found {
                 Ok(_) => high,
-                Err(miss) => !(errand.shaded && miss.as_ref().is_some_and(|m| m.cut.is_some())),
+                Err(miss) => !(task.shaded && miss.as_ref().is_some_and(|m| m.cut.is_some())),
             };
-            if errand.only_bare || is_missed {
-                *self.failures.entry(errand.cell).or_default() += 1;
+            if task.only_bare || is_missed {
+                *self.failures.entry(task.cell).or_default() += 1;
             }
             let (path, value) = match found {
                 Ok(_) if high => {
@@ -155,8 +154,8 @@ impl Work<'_, '_> {
                 }
                 Ok(found) => found,
                 Err(miss) => {
-                    let shift = &self.origins[errand.from as usize].1;
-                    let x: Vec<f64> = errand.x.iter().zip(shift).map(|(x, s)| x + s).collect();
+                    let shift = &self.origins[task.from as usize].1;
+                    let x: Vec<f64> = task.x.iter().zip(shift).map(|(x, s)| x + s).collect();
                     self.missed(&x, miss);
                     continue;
                 }
@@ -165,7 +164,7 @@ impl Work<'_, '_> {
             tracks.push(Track {
                 path,
                 value,
-                sheet: self.cloud.sheet[errand.from as usize],
+                sheet: self.cloud.sheet[task.from as usize],
                 whole: true,
             });
         }
@@ -185,7 +184,7 @@ impl Work<'_, '_> {
     }
 
     /// A way to a state of a cell, a bare corner or one that is drawn, from the nearest point.
-    fn errand(&mut self, want: &Want, turn: usize, region: &Region, errands: &mut Vec<Errand>) {
+    fn task(&mut self, want: &Want, turn: usize, region: &Region, tasks: &mut Vec<Task>) {
         let n = self.cloud.variables;
         let places = want.bare.len() / n;
         let z: Vec<f64> = if turn < places {
@@ -227,7 +226,7 @@ impl Work<'_, '_> {
         };
         // As many periods away as the point that it is reached from.
         let shift = &self.origins[from as usize].1;
-        errands.push(Errand {
+        tasks.push(Task {
             x: self
                 .frame
                 .state(&z)

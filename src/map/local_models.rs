@@ -5,13 +5,13 @@ use super::{AGREED, BEYOND, LOOK, OF_CHANGE, OF_SIZE, ONE_SIDED, SAME, SHEETS, S
 use std::borrow::Cow;
 
 /// What one site says at a place.
-pub(super) struct Opinion {
+pub(super) struct LocalModel {
     pub site: usize,
     pub winding: usize,
     pub distance: f64,
     /// From the place to the site, scaled.
     pub to: Vec<f64>,
-    pub says: Prediction,
+    pub prediction: Prediction,
 }
 
 impl ValueMap {
@@ -95,14 +95,14 @@ impl ValueMap {
         }
     }
 
-    pub(super) fn opinion(
+    pub(super) fn local_model(
         &self,
         place: &[f64],
         winding: usize,
         site: usize,
         distance: f64,
         without: Option<usize>,
-    ) -> Option<Opinion> {
+    ) -> Option<LocalModel> {
         let to: Vec<f64> = self
             .sites
             .z(site)
@@ -120,39 +120,39 @@ impl ValueMap {
             _ => return None,
         };
         let d: Vec<f64> = to.iter().map(|t| -t).collect();
-        Some(Opinion {
+        Some(LocalModel {
             site,
             winding,
             distance,
-            says: nodal.at(self.sites.v[site], self.sites.q(site), &d),
+            prediction: nodal.at(self.sites.v[site], self.sites.q(site), &d),
             to,
         })
     }
 
     /// What the sites around a place say there, by distance.
-    pub(super) fn opinions(&self, z: &[f64], without: Option<usize>) -> Vec<Opinion> {
+    pub(super) fn local_models(&self, z: &[f64], without: Option<usize>) -> Vec<LocalModel> {
         let n = self.sites.n;
         let most = SHEETS * (2 * n + 4);
         let excluded: Vec<usize> = without.into_iter().collect();
-        let mut opinions = Vec::new();
+        let mut local_models = Vec::new();
         for (w, winding) in self.windings.iter().enumerate() {
             let place: Vec<f64> = (0..n).map(|i| z[i] + self.turn(winding, i)).collect();
             let near = self.around(&place, most, &excluded);
-            opinions.extend(
+            local_models.extend(
                 near.into_iter()
-                    .filter_map(|(site, d)| self.opinion(&place, w, site, d, without)),
+                    .filter_map(|(site, d)| self.local_model(&place, w, site, d, without)),
             );
         }
-        opinions.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.site.cmp(&b.site)));
-        opinions
+        local_models.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.site.cmp(&b.site)));
+        local_models
     }
 
-    /// Opinions that agree, sheet by sheet; of each the nearest comes first.
-    pub(super) fn sheets(&self, opinions: &[Opinion]) -> Vec<Vec<usize>> {
+    /// LocalModels that agree, sheet by sheet; of each the nearest comes first.
+    pub(super) fn sheets(&self, local_models: &[LocalModel]) -> Vec<Vec<usize>> {
         let mut sheets: Vec<Vec<usize>> = Vec::new();
-        for k in 0..opinions.len() {
+        for k in 0..local_models.len() {
             match (sheets.iter_mut())
-                .find(|members| self.agree(&opinions[members[0]], &opinions[k]))
+                .find(|members| self.agree(&local_models[members[0]], &local_models[k]))
             {
                 Some(members) => members.push(k),
                 None => sheets.push(vec![k]),
@@ -163,41 +163,42 @@ impl ValueMap {
 
     /// Whether two sites mean the same sheet: they differ by less than a part of what their
     /// polynomials change by from site to place.
-    pub(super) fn agree(&self, a: &Opinion, b: &Opinion) -> bool {
+    pub(super) fn agree(&self, a: &LocalModel, b: &LocalModel) -> bool {
         let norm = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let change = |o: &Opinion| distance_between(&o.says.q, self.sites.q(o.site));
+        let change = |o: &LocalModel| distance_between(&o.prediction.q, self.sites.q(o.site));
         let changed = change(a).max(change(b));
-        let size = norm(&a.says.q).max(norm(&b.says.q));
+        let size = norm(&a.prediction.q).max(norm(&b.prediction.q));
         let q = OF_CHANGE * changed + OF_SIZE * size;
         let distance = a.distance.max(b.distance).max(SAME);
-        distance_between(&a.says.q, &b.says.q) <= q && (a.says.v - b.says.v).abs() <= q * distance
+        distance_between(&a.prediction.q, &b.prediction.q) <= q
+            && (a.prediction.v - b.prediction.v).abs() <= q * distance
     }
 }
 
 /// Blends what the members say, with weights that are infinite at a site and 0 at the furthest; and
 /// how far they are apart in V (weighted root mean square).
-pub(super) fn blend(n: usize, opinions: &[Opinion], members: &[usize]) -> (Prediction, f64) {
-    let first = &opinions[members[0]];
+pub(super) fn blend(n: usize, local_models: &[LocalModel], members: &[usize]) -> (Prediction, f64) {
+    let first = &local_models[members[0]];
     if first.distance < SAME || members.len() == 1 {
-        return (first.says.clone(), 0.0);
+        return (first.prediction.clone(), 0.0);
     }
-    let reach = 1.1 * opinions[members[members.len() - 1]].distance;
+    let reach = 1.1 * local_models[members[members.len() - 1]].distance;
     let mut sum = Prediction {
         v: 0.0,
         q: vec![0.0; n],
         hessian: vec![0.0; n * n],
     };
-    let weights: Vec<f64> = (members.iter().map(|k| opinions[*k].distance))
+    let weights: Vec<f64> = (members.iter().map(|k| local_models[*k].distance))
         .map(|d| ((reach - d) / (reach * d)).powi(2))
         .collect();
     let total: f64 = weights.iter().sum();
     for (k, weight) in members.iter().zip(&weights) {
-        let o = &opinions[*k];
-        sum.v += weight * o.says.v;
-        for (a, b) in sum.q.iter_mut().zip(&o.says.q) {
+        let o = &local_models[*k];
+        sum.v += weight * o.prediction.v;
+        for (a, b) in sum.q.iter_mut().zip(&o.prediction.q) {
             *a += weight * b;
         }
-        for (a, b) in sum.hessian.iter_mut().zip(&o.says.hessian) {
+        for (a, b) in sum.hessian.iter_mut().zip(&o.prediction.hessian) {
             *a += weight * b;
         }
     }
@@ -209,13 +210,13 @@ pub(super) fn blend(n: usize, opinions: &[Opinion], members: &[usize]) -> (Predi
     let squares = members
         .iter()
         .zip(&weights)
-        .map(|(k, w)| w * (opinions[*k].says.v - sum.v).powi(2));
+        .map(|(k, w)| w * (local_models[*k].prediction.v - sum.v).powi(2));
     let apart = (squares.sum::<f64>() / total).sqrt();
     (sum, apart)
 }
 
 /// Whether sites lie on all sides of a place.
-pub(super) fn surrounded<'o>(n: usize, members: impl Iterator<Item = &'o Opinion>) -> bool {
+pub(super) fn surrounded<'o>(n: usize, members: impl Iterator<Item = &'o LocalModel>) -> bool {
     let mut mean = vec![0.0; n];
     let mut count = 0.0;
     for o in members {

@@ -1,0 +1,51 @@
+//! When a command ends before it is done: at its time limit, or when a signal asks it to.
+
+use crate::args::RunArgs;
+use crate::error::CliError;
+use costate::backend::Deadline;
+use costate::low_level::files::stop_at_signals;
+use costate::run::Provenance;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// Ends a command early, with what is done.
+pub struct Ending {
+    pub deadline: Deadline,
+    limit: Option<f64>,
+    /// The signal that asked.
+    signal: Arc<Mutex<Option<String>>>,
+}
+
+impl Ending {
+    /// From now on signals only ask the command to end.
+    pub fn of(args: &RunArgs, provenance: &Provenance) -> Self {
+        let signal = Arc::new(Mutex::new(None));
+        let (asked, quiet) = (Arc::clone(&signal), args.scene.quiet);
+        let stop = stop_at_signals(move |name| {
+            *asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(name.to_owned());
+            if !quiet {
+                eprintln!("{name}: what is done is kept; once more ends at once, with nothing");
+            }
+        });
+        // Of more seconds than a clock tells there is no end.
+        let limit = args.time_limit.map(Duration::try_from_secs_f64);
+        let end = limit.and_then(|limit| provenance.clock.checked_add(limit.ok()?));
+        Self {
+            deadline: Deadline::at(end).or_once(stop),
+            limit: args.time_limit,
+            signal,
+        }
+    }
+
+    /// The error that a command ends with then.
+    pub fn stopped(&self, path: PathBuf) -> CliError {
+        let signal = self.signal.lock().unwrap_or_else(PoisonError::into_inner);
+        let by = match (&*signal, self.limit) {
+            (Some(name), _) => name.clone(),
+            (None, Some(limit)) => format!("--time-limit {limit}"),
+            (None, None) => "its deadline".to_owned(),
+        };
+        CliError::Stopped { by, path }
+    }
+}

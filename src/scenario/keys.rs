@@ -1,0 +1,804 @@
+//! Sections and keys of a scene, with what each is: the reader refuses all others, and the reference
+//! of the scene in the guide is printed from this.
+
+use std::fmt::Write;
+use std::sync::LazyLock;
+
+/// A section, or the table that each of its entries is.
+#[derive(Debug)]
+pub struct SectionKeys {
+    /// Its name, with dots for a table within.
+    pub name: &'static str,
+    /// What it is for, in Markdown.
+    pub about: &'static str,
+    /// Its keys; none where they are names of the scene.
+    pub keys: &'static [Key],
+}
+
+/// A key.
+#[derive(Debug)]
+pub struct Key {
+    pub name: &'static str,
+    /// What it takes, in Markdown.
+    pub takes: &'static str,
+    pub unit: &'static str,
+    pub default: &'static str,
+    pub meaning: &'static str,
+}
+
+const fn key(
+    name: &'static str,
+    takes: &'static str,
+    unit: &'static str,
+    default: &'static str,
+    meaning: &'static str,
+) -> Key {
+    Key {
+        name,
+        takes,
+        unit,
+        default,
+        meaning,
+    }
+}
+
+/// The names of all sections.
+pub(super) fn sections() -> impl Iterator<Item = &'static str> + Clone {
+    let all = CHAPTERS.iter().flat_map(|(_, sections)| sections.iter());
+    all.map(|s| s.name).filter(|name| !name.contains('.'))
+}
+
+/// Sections that state the problem; the others say what is wanted of it.
+pub static PROBLEM_SECTIONS: LazyLock<Vec<&'static str>> =
+    LazyLock::new(|| CHAPTERS[0].1.iter().map(|s| s.name).collect());
+
+/// The keys of a section.
+#[must_use]
+pub(super) fn keys_of(section: &str) -> Vec<&'static str> {
+    let all = CHAPTERS.iter().flat_map(|(_, sections)| sections.iter());
+    let found = all.into_iter().find(|s| s.name == section);
+    found.map_or_else(Vec::new, |s| s.keys.iter().map(|k| k.name).collect())
+}
+
+/// All of it in Markdown, for the guide.
+#[must_use]
+pub fn markdown() -> String {
+    let mut page = String::new();
+    for (chapter, sections) in CHAPTERS {
+        let _ = writeln!(page, "## {chapter}\n");
+        for section in *sections {
+            let _ = writeln!(page, "### `[{}]`\n", section.name);
+            if !section.about.is_empty() {
+                let _ = writeln!(page, "{}\n", section.about);
+            }
+            if section.keys.is_empty() {
+                continue;
+            }
+            page.push_str("| key | type | unit | default | |\n| --- | --- | --- | --- | --- |\n");
+            for key in section.keys {
+                let cells = [key.takes, key.unit, key.default, key.meaning];
+                let cells = cells.map(|cell| match cell {
+                    "" => " |".to_owned(),
+                    cell => format!(" {cell} |"),
+                });
+                let _ = writeln!(page, "| `{}` |{}", key.name, cells.concat());
+            }
+            page.push('\n');
+        }
+    }
+    page
+}
+
+/// Chapters of the reference, with their sections.
+pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
+    (
+        "The problem",
+        &[
+            SectionKeys {
+                name: "parameters",
+                about: "One entry for each parameter: a number, or an expression of the parameters above it.\n\
+                    `--set NAME=VALUE` replaces it.",
+                keys: &[],
+            },
+            SectionKeys {
+                name: "states",
+                about: "Required. One table for each state, `{}` at least.",
+                keys: &[
+                    key("unit", "text", "", "none", "of the state, for output"),
+                    key("long_name", "text", "", "none", "for output"),
+                    key(
+                        "period",
+                        "number > 0",
+                        "the state's",
+                        "none",
+                        "x and x + period are one state (ignored in games)",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "controls",
+                about: "Required. One table for each control.",
+                keys: &[
+                    key("unit", "text", "", "none", "of the control, for output"),
+                    key("long_name", "text", "", "none", "for output"),
+                    key("min", "number", "the control's", "no bound", ""),
+                    key(
+                        "max",
+                        "number, above `min`",
+                        "the control's",
+                        "no bound",
+                        "",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "disturbances",
+                about: "One table for each disturbance. A scene with a disturbance is a game.",
+                keys: &[
+                    key("unit", "text", "", "none", "of the disturbance, for output"),
+                    key("long_name", "text", "", "none", "for output"),
+                ],
+            },
+            SectionKeys {
+                name: "definitions",
+                about: "One entry for each name: an expression of anything but the definitions below it.",
+                keys: &[],
+            },
+            SectionKeys {
+                name: "dynamics",
+                about: "Required. One entry for each state: its time derivative, an expression of parameters, states,\n\
+                    controls, disturbances and definitions. It must be affine in controls and disturbances.",
+                keys: &[],
+            },
+            SectionKeys {
+                name: "cost",
+                about: "Required. `terminal` and `final_time` together make the horizon finite.",
+                keys: &[
+                    key(
+                        "running",
+                        "expression",
+                        "V over time",
+                        "required",
+                        "quadratic in the controls; concave and quadratic in the disturbances",
+                    ),
+                    key(
+                        "terminal",
+                        "expression of states",
+                        "V",
+                        "none",
+                        "cost of the final state",
+                    ),
+                    key("final_time", "number > 0", "time", "none", ""),
+                    key(
+                        "unit",
+                        "text",
+                        "",
+                        "none",
+                        "of the cost, and so of V, for output",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "equilibrium",
+                about: "Required on an infinite horizon: a number for each state and control. On a finite horizon it may be\n\
+                    left out; if it is given, deviations are taken from it (else from the region's middle). Disturbances\n\
+                    are 0 there.",
+                keys: &[],
+            },
+            SectionKeys {
+                name: "region",
+                about: "Required. `[lower, upper]` for each state, in its unit.",
+                keys: &[],
+            },
+            SectionKeys {
+                name: "time",
+                about: "",
+                keys: &[key("unit", "text", "", "none", "of the time, for output")],
+            },
+            SectionKeys {
+                name: "guards",
+                about: "One entry for each guard: a condition of states that a trajectory must meet from beginning to end,\n\
+                    and the equilibrium too.",
+                keys: &[],
+            },
+        ],
+    ),
+    (
+        "What is solved for",
+        &[
+            SectionKeys {
+                name: "shoot_out",
+                about: "The sweep outward from the equilibrium, or backward from the terminal cost.",
+                keys: &[
+                    key(
+                        "value_max",
+                        "number from 1e-200",
+                        "V",
+                        "required on an infinite horizon",
+                        "largest V of interest",
+                    ),
+                    key(
+                        "spacing",
+                        "number, to 1",
+                        "widths",
+                        "0.05",
+                        "largest distance between neighbours on a front",
+                    ),
+                    key(
+                        "seed_value",
+                        "number below `value_max`, or `\"auto\"`",
+                        "V",
+                        "`\"auto\"`",
+                        "V where seeds lie; infinite horizon",
+                    ),
+                    key(
+                        "samples",
+                        "whole number from 2",
+                        "1",
+                        "200",
+                        "stored points a trajectory",
+                    ),
+                    key(
+                        "max_seeds",
+                        "whole number from 1 to 10000000",
+                        "1",
+                        "100000",
+                        "a sweep ends with so many trajectories, whatever gaps are left",
+                    ),
+                    key(
+                        "margin",
+                        "number from 0",
+                        "widths",
+                        "1",
+                        "how far outside the region trajectories are followed",
+                    ),
+                    key(
+                        "sample_by",
+                        "`\"value\"`, `\"arc_length\"` or `\"auto\"`",
+                        "",
+                        "`\"auto\"`",
+                        "what stored points are levels of, on an infinite horizon: V, in games arc length",
+                    ),
+                    key(
+                        "arc_length",
+                        "number > 0, to 1000",
+                        "widths",
+                        "8",
+                        "longest trajectory where points are levels of arc length",
+                    ),
+                    key(
+                        "folds",
+                        "true or false",
+                        "",
+                        "false; games: always true",
+                        "trajectories end where the manifold folds",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "homotopy",
+                about: "One entry for each state: an axis. V is solved for at the grid's states (at most 2e6). States not\n\
+                    named: the equilibrium.",
+                keys: &[],
+            },
+            SectionKeys {
+                name: "map",
+                about: "Without `error` the section asks for a regular grid over the region; with `error` for a map in\n\
+                    pieces to that error (up to 6 states); with `error` and `resolution` for both. The keys from\n\
+                    `error_max` on belong to `error`.",
+                keys: &[
+                    key(
+                        "resolution",
+                        "whole number from 2, or a table with one from 1 a state",
+                        "points",
+                        "some 4096 points in all, 2 to 101 an axis",
+                        "states that the table does not name: one point, the equilibrium",
+                    ),
+                    key(
+                        "value_max",
+                        "number > 0",
+                        "V",
+                        "none",
+                        "no value is given where V is larger",
+                    ),
+                    key(
+                        "equal_cost",
+                        "number > 0",
+                        "widths of the region",
+                        "any",
+                        "distance of the surface where two sheets cost the same from the true one",
+                    ),
+                    key(
+                        "error",
+                        "number from 1e-8 to 0.1",
+                        "1",
+                        "none",
+                        "of V, relative to the larger one of V and `floor`",
+                    ),
+                    key(
+                        "error_max",
+                        "number from `error`",
+                        "1",
+                        "0.02, or 10 `error` if that is more",
+                        "no value is given where the bound is above this",
+                    ),
+                    key(
+                        "floor",
+                        "number > 0",
+                        "V",
+                        "a thousandth of the median of abs(V) of the first states, or of a hundredth of the largest if that is more; a tenth where V is negative at some",
+                        "",
+                    ),
+                    key(
+                        "region",
+                        "table of `[lower, upper]`, inside `[region]`",
+                        "the states'",
+                        "`[region]`",
+                        "states not named: all of their range",
+                    ),
+                    key(
+                        "states",
+                        "whole number from 1",
+                        "1",
+                        "100000",
+                        "it stops after so many states",
+                    ),
+                    key(
+                        "seconds",
+                        "number > 0",
+                        "s",
+                        "none",
+                        "it stops after about so many seconds",
+                    ),
+                    key(
+                        "check",
+                        "whole number from 1",
+                        "1",
+                        "200",
+                        "fresh states of the check",
+                    ),
+                    key(
+                        "time",
+                        "true or false",
+                        "",
+                        "true where it can be had",
+                        "finite horizon: V(x, t) instead of V(x, 0); not of games and 6 states",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "sheets",
+                about: "",
+                keys: &[key(
+                    "value_max",
+                    "number > 0",
+                    "V",
+                    "twice the sweep's `value_max`, and no more than twice the map's where there is only a map",
+                    "V up to which further sheets are looked for",
+                )],
+            },
+        ],
+    ),
+    (
+        "What is computed from it",
+        &[
+            SectionKeys {
+                name: "feedback",
+                about: "A law to fit, called `network`; or a table `[feedback.NAME]` with these keys for each of several\n\
+                    laws. Infinite horizon.",
+                keys: &[
+                    key(
+                        "fit",
+                        "`\"u\"` or `\"V\"`",
+                        "",
+                        "required",
+                        "the law itself, or the value function",
+                    ),
+                    key(
+                        "output",
+                        "name, or list of names",
+                        "",
+                        "all controls",
+                        "with `fit = \"u\"`: controls, or states to be commanded",
+                    ),
+                    key(
+                        "inputs",
+                        "name, or list of names",
+                        "",
+                        "all states that are not commanded",
+                        "with `fit = \"V\"` all states",
+                    ),
+                    key(
+                        "hidden",
+                        "list of whole numbers from 1 to 1000, at most 8",
+                        "units",
+                        "`[10]`",
+                        "of each hidden layer; `[]`: an affine law",
+                    ),
+                    key(
+                        "activation",
+                        "`\"logistic\"` or `\"tanh\"`",
+                        "",
+                        "`\"logistic\"`",
+                        "",
+                    ),
+                    key(
+                        "base",
+                        "`\"none\"` or `\"local\"`",
+                        "",
+                        "`\"none\"`; of V `\"local\"`",
+                        "what the network is added to",
+                    ),
+                    key(
+                        "box",
+                        "table of `[lower, upper]`",
+                        "the states'",
+                        "`[region]`",
+                        "where data are taken",
+                    ),
+                    key(
+                        "where",
+                        "condition, or list of them",
+                        "",
+                        "none",
+                        "further conditions of the data",
+                    ),
+                    key("value_max", "number > 0", "V", "none", "data up to this V"),
+                    key(
+                        "starts",
+                        "whole number from 1 to 1000",
+                        "1",
+                        "5",
+                        "trainings from different first weights",
+                    ),
+                    key("seed", "whole number from 0", "", "0", ""),
+                    key(
+                        "iterations",
+                        "whole number from 1",
+                        "1",
+                        "500",
+                        "most steps of a training",
+                    ),
+                    key(
+                        "patience",
+                        "whole number from 1",
+                        "1",
+                        "30",
+                        "it ends after so many steps without an improvement",
+                    ),
+                    key("max_samples", "whole number from 10", "1", "20000", ""),
+                    key(
+                        "gradient",
+                        "true or false",
+                        "",
+                        "true",
+                        "with `fit = \"V\"` alone: p is fitted as well",
+                    ),
+                    key(
+                        "validation",
+                        "number between 0 and 1",
+                        "1",
+                        "0.15",
+                        "share of the trajectories; with `test` at most 0.9",
+                    ),
+                    key(
+                        "test",
+                        "number between 0 and 1",
+                        "1",
+                        "0.15",
+                        "share of the trajectories",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "closed_loop",
+                about: "",
+                keys: &[
+                    key(
+                        "final_time",
+                        "number > 0",
+                        "time",
+                        "required on an infinite horizon; a finite one has its own",
+                        "",
+                    ),
+                    key(
+                        "samples",
+                        "whole number from 2 to 100000",
+                        "1",
+                        "200",
+                        "points at which quantities are looked at",
+                    ),
+                    key(
+                        "initial",
+                        "table of axes",
+                        "the states'",
+                        "required without `random`; with it `[region]`",
+                        "initial states; with `random` `[first, last]` will do. States not named: the equilibrium",
+                    ),
+                    key(
+                        "random",
+                        "whole number from 1 to 10000000",
+                        "1",
+                        "none",
+                        "so many initial states, uniform in the ranges, instead of the grid",
+                    ),
+                    key(
+                        "laws",
+                        "list of names",
+                        "",
+                        "all there are",
+                        "`\"map\"`, `\"lqr\"`, fitted laws, and those of `law`",
+                    ),
+                    key(
+                        "law",
+                        "table",
+                        "",
+                        "none",
+                        "laws of your own: [see below](#closed_looplaw)",
+                    ),
+                    key(
+                        "record",
+                        "table",
+                        "",
+                        "none",
+                        "one entry for each quantity: `\"min(E)\"`, `\"max(E)\"` or `\"final(E)\"` of an expression E of states and controls",
+                    ),
+                    key(
+                        "sets",
+                        "table",
+                        "",
+                        "none",
+                        "one entry for each set: a recorded quantity compared with a number, in quotes",
+                    ),
+                    key(
+                        "track",
+                        "number > 0",
+                        "1/time",
+                        "5 times the fastest linear mode",
+                        "rate at which a commanded state is followed",
+                    ),
+                    key(
+                        "converged",
+                        "number > 0",
+                        "1",
+                        "1e-3",
+                        "largest 1/2 d'Pd at the end, of its mean over the region",
+                    ),
+                    key(
+                        "margin",
+                        "number > 0",
+                        "widths",
+                        "5",
+                        "how far outside the region trajectories are followed",
+                    ),
+                    key(
+                        "period",
+                        "number > 0",
+                        "time",
+                        "as the law asks for; a sample's interval on finite horizons, for `rk4`, and on GPUs that ask the map themselves",
+                        "between updates of the map's law, at most a sample's interval",
+                    ),
+                    key(
+                        "outside",
+                        "`\"stop\"`, `\"hold\"`, `\"nearest\"`, `\"search\"` or `\"lqr\"`",
+                        "",
+                        "`\"search\"`",
+                        "what the map's law does where V is not known",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "closed_loop.law",
+                about: "One table for each law: an expression of states for each control (or for a state to be commanded),\n\
+                    or a file of weights alone.",
+                keys: &[key(
+                    "weights",
+                    "text",
+                    "",
+                    "none",
+                    "a file in the folder of the scene's",
+                )],
+            },
+            SectionKeys {
+                name: "dissipation",
+                about: "For scenes with disturbances, on an infinite horizon. Laws of your own are those of\n\
+                    `[closed_loop.law]`.",
+                keys: &[
+                    key(
+                        "disturbances",
+                        "whole number from 1 to 1e7",
+                        "1",
+                        "10000",
+                        "under each law",
+                    ),
+                    key(
+                        "final_time",
+                        "number > 0, or `\"auto\"`",
+                        "time",
+                        "`\"auto\"`: 8 time constants of the closed loop's slowest mode",
+                        "",
+                    ),
+                    key(
+                        "amplitude",
+                        "number > 0, table of one a disturbance, or `\"auto\"`",
+                        "the disturbances'",
+                        "`\"auto\"`: the largest w* over the initial states",
+                        "largest amplitude",
+                    ),
+                    key(
+                        "frequencies",
+                        "`[lowest, highest]`, or `\"auto\"`",
+                        "rad/time",
+                        "`\"auto\"`: 0.1 to 5 times the closed loop's slowest and fastest eigenvalue",
+                        "",
+                    ),
+                    key("laws", "list of names", "", "the optimal one", ""),
+                    key(
+                        "initial",
+                        "table of axes",
+                        "the states'",
+                        "the equilibrium and random states where V is known",
+                        "",
+                    ),
+                    key(
+                        "samples",
+                        "whole number from 2 to 100000",
+                        "1",
+                        "200",
+                        "times at which the inequality is looked at",
+                    ),
+                    key(
+                        "period",
+                        "number > 0",
+                        "time",
+                        "a sample's interval",
+                        "between updates of p from the value map",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "study",
+                about: "",
+                keys: &[
+                    key(
+                        "vary",
+                        "table of lists of numbers",
+                        "the parameters'",
+                        "none: one variant",
+                        "parameters; every combination of their values, at most 10000",
+                    ),
+                    key(
+                        "from",
+                        "table of numbers",
+                        "the states'",
+                        "required",
+                        "initial state; states not named: the equilibrium of each variant",
+                    ),
+                    key("record", "table", "", "none", "as in `[closed_loop]`"),
+                    key(
+                        "samples",
+                        "whole number from 2 to 100000",
+                        "1",
+                        "200",
+                        "stored points a trajectory",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "attenuation",
+                about: "For scenes with disturbances, on an infinite horizon.",
+                keys: &[
+                    key(
+                        "parameter",
+                        "name of a parameter that is a number",
+                        "",
+                        "required",
+                        "the level of attenuation",
+                    ),
+                    key(
+                        "range",
+                        "`[lowest, highest]`, above 0",
+                        "the parameter's",
+                        "from the scene's value, by factors of two",
+                        "values tried",
+                    ),
+                    key(
+                        "tolerance",
+                        "number from 1e-6 to 0.5",
+                        "1",
+                        "1e-3",
+                        "relative, of the smallest value that covers",
+                    ),
+                    key(
+                        "states",
+                        "table of axes",
+                        "the states'",
+                        "a grid of the region, at most about 1000 states",
+                        "where coverage is judged; states not named: all of their range",
+                    ),
+                    key(
+                        "levels",
+                        "list of 1 to 12 numbers > 0",
+                        "the parameter's",
+                        "two between gamma* and the answer, and the scene's own",
+                        "values whose regions are stored and drawn",
+                    ),
+                ],
+            },
+        ],
+    ),
+    (
+        "Pictures, method and precision",
+        &[
+            SectionKeys {
+                name: "report",
+                about: "",
+                keys: &[
+                    key(
+                        "axes",
+                        "list of two states",
+                        "",
+                        "the first two that `slice` does not name",
+                        "the plane of pictures",
+                    ),
+                    key(
+                        "slice",
+                        "table of numbers, inside `[region]`",
+                        "the states'",
+                        "the equilibrium",
+                        "where the plane lies",
+                    ),
+                    key(
+                        "levels",
+                        "number, or list of numbers",
+                        "V",
+                        "chosen",
+                        "of the contours of V",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "integrator",
+                about: "",
+                keys: &[
+                    key(
+                        "method",
+                        "`\"rk4\"`, `\"tsit5\"`, `\"dop853\"`, `\"taylor\"` or `\"auto\"`",
+                        "",
+                        "`\"auto\"`",
+                        "",
+                    ),
+                    key("rtol", "number > 0, to 0.1", "1", "1e-6", "of a step"),
+                    key(
+                        "atol",
+                        "number from 0",
+                        "each quantity's size in the scene",
+                        "`rtol`/1000",
+                        "",
+                    ),
+                    key(
+                        "step",
+                        "number > 0",
+                        "time",
+                        "required with `method = \"rk4\"`, else not allowed",
+                        "",
+                    ),
+                    key(
+                        "precision",
+                        "`\"f32\"`, `\"f64\"` or `\"auto\"`",
+                        "",
+                        "`\"auto\"`",
+                        "",
+                    ),
+                    key(
+                        "max_steps",
+                        "whole number from 1",
+                        "1",
+                        "100000",
+                        "steps of a trajectory",
+                    ),
+                ],
+            },
+        ],
+    ),
+];
