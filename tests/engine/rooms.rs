@@ -82,7 +82,11 @@ fn imports(code: &str) -> BTreeSet<String> {
         let rest = &code[at + path.len()..];
         let rest = rest.strip_prefix("low_level::").unwrap_or(rest);
         let Some(list) = rest.strip_prefix('{') else {
-            found.insert(name(rest));
+            let own = name(rest);
+            // A macro belongs to no room.
+            if !rest[own.len()..].starts_with('!') {
+                found.insert(own);
+            }
             continue;
         };
         let mut depth = 0;
