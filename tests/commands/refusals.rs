@@ -554,10 +554,10 @@ fn signal(child: &std::process::Child, name: &str) {
 fn a_signal_leaves_no_hidden_file() {
     use std::os::unix::process::ExitStatusExt;
     for (names, number) in [
-        // Not HUP: where the tests run under nohup it is ignored, as it should be.
+        // None that nohup, or a shell's background, makes a process ignore, as it then should.
         (["ALRM", "ALRM"], 14),
-        (["INT", "INT"], 2),
-        (["TERM", "INT"], 2),
+        (["TERM", "TERM"], 15),
+        (["USR1", "TERM"], 15),
     ] {
         let (folder, mut child) = endless("signal");
         signal(&child, names[0]);
@@ -589,7 +589,7 @@ fn a_signal_leaves_no_hidden_file() {
 #[cfg(unix)]
 #[test]
 fn an_interrupt_keeps_what_is_done() {
-    for name in ["INT", "TERM"] {
+    for name in ["TERM", "USR1"] {
         let (folder, mut child) = endless("interrupt");
         signal(&child, name);
         let status = child.wait().unwrap();
