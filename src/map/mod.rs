@@ -10,7 +10,7 @@
 //!
 //! ```no_run
 //! use costate::low_level::result::Stored;
-//! let map = Stored::open("out/scene.h5".as_ref())?.value_map()?;
+//! let map = Stored::open("out/scene.h5")?.value_map()?;
 //! match map.at(&[2.0, 0.0]).lowest {
 //!     Ok(here) => println!("V = {} within about {}, u = {:?}", here.v, here.v_error, here.u),
 //!     Err(unknown) => println!("{unknown}"),
