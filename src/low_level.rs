@@ -1,6 +1,6 @@
-//! The rooms that [`Session`](crate::Session) is made of, one over the other: each imports only from
-//! those below it. They are open to whoever wants to build something else of them, and **promise
-//! nothing**: names and arguments change from version to version without notice.
+//! The rooms that [`Session`](crate::Session) is made of, one over the other: each imports only
+//! from those below it. They are open to whoever wants to build something else of them, and
+//! **promise nothing**: names and arguments change from version to version without notice.
 //!
 //! A sweep, for example, takes five steps, each a room:
 //!

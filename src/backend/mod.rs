@@ -263,8 +263,13 @@ impl Deadline {
     /// When so much time has passed from now.
     #[must_use]
     pub fn after(time: Duration) -> Self {
-        // Of more than a clock tells there is no end.
         Self::at(Instant::now().checked_add(time))
+    }
+
+    /// So many seconds after an instant; `None` where that is more than a clock tells.
+    #[must_use]
+    pub fn instant(begin: Instant, seconds: f64) -> Option<Instant> {
+        begin.checked_add(Duration::try_from_secs_f64(seconds).ok()?)
     }
 
     /// Once this is set, too.

@@ -158,11 +158,11 @@ impl Ground<'_> {
         }
     }
 
-    /// For each of some trajectories a way back to where the chart has answers, extrapolated with the
-    /// equations themselves: p of the nearest state known, if that comes back within the periods
-    /// left, or to the end of a finite horizon; else the cheapest of the plans that first hold a
-    /// control at a bound of it, by its cost and V where it comes back. A period is a leg of the
-    /// rest; the first one of each may be shorter.
+    /// For each of some trajectories a way back to where the chart has answers, extrapolated with
+    /// the equations themselves: p of the nearest state known, if that comes back within the
+    /// periods left, or to the end of a finite horizon; else the cheapest of the plans that first
+    /// hold a control at a bound of it, by its cost and V where it comes back. A period is a leg of
+    /// the rest; the first one of each may be shorter.
     pub fn search(
         &self,
         help: &mut Help<'_, '_>,

@@ -14,7 +14,7 @@ mod tasks;
 
 use super::guarded::Guarded;
 use super::pieces::{Cloud, Flow, Frame, MOST_VARIABLES, Pieces, Region};
-use crate::backend::BackendError;
+use crate::backend::{BackendError, Deadline};
 use crate::map::Coverage;
 use crate::model::{MapAim, Model};
 use crate::shooting::{Path, Solver};
@@ -26,7 +26,7 @@ use check::{CHECKS, Met};
 use horizon::TimeAxis;
 use refine::ALL_BUT;
 use std::collections::HashMap;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Points of extremals are wanted this far outside the region, in its widths.
 const AROUND: f64 = 0.05;
@@ -44,7 +44,7 @@ const NEAR: f64 = 0.05;
 /// up, and fresh states of the check.
 const GIVEN_UP: f64 = 1.5;
 const CHECK_GIVEN_UP: f64 = 2.0;
-const GRACE: Duration = Duration::from_secs(5);
+const GRACE: f64 = 5.0;
 
 /// What came of it.
 pub struct Adaptive {
@@ -297,11 +297,7 @@ impl Work<'_, '_> {
         times: f64,
         work: impl FnOnce(&mut Self) -> Result<T, BackendError>,
     ) -> Result<Option<T>, BackendError> {
-        // Of more seconds than a clock tells there is no end.
-        let end = |seconds: f64| {
-            let given = Duration::try_from_secs_f64(times * seconds).ok()?;
-            self.clock.checked_add(given.checked_add(GRACE)?)
-        };
+        let end = |seconds: f64| Deadline::instant(self.clock, times * seconds + GRACE);
         self.solver.deadline = self.plan.deadline.by(self.aim.seconds.and_then(end));
         let done = work(self);
         self.solver.deadline = self.plan.deadline;

@@ -11,8 +11,8 @@ const FAR: f64 = 0.5;
 
 impl ValueMap {
     /// V, p, Hessian and u on the lowest sheet without errors, as fast as can be: what a controller
-    /// asks for. Where only one sheet is near, the local model of the nearest site is the answer; else as
-    /// [`ValueMap::without_errors`].
+    /// asks for. Where only one sheet is near, the local model of the nearest site is the answer;
+    /// else as [`ValueMap::without_errors`].
     pub fn local(&self, x: &[f64]) -> Option<Value> {
         self.local_at(x, 0.0)
     }
@@ -49,8 +49,8 @@ impl ValueMap {
         }
     }
 
-    /// The local model of the nearest site on the lowest sheet, where no other sheet is as low around
-    /// it.
+    /// The local model of the nearest site on the lowest sheet, where no other sheet is as low
+    /// around it.
     fn uncontested(&self, z: &[f64]) -> Option<LocalModel> {
         let mut best: Option<LocalModel> = None;
         for (w, winding) in self.windings.iter().enumerate() {

@@ -489,8 +489,8 @@ impl ValueMap {
         }
     }
 
-    /// What the map in pieces returns; `None` outside its region where the one round it does not know
-    /// either.
+    /// What the map in pieces returns; `None` outside its region where the one round it does not
+    /// know either.
     fn in_pieces(&self, x: &[f64], t: f64) -> Option<At> {
         let pieces = self
             .pieces

@@ -29,13 +29,12 @@ impl Stored {
     /// [`StoredMapError`].
     pub fn value_map(&self) -> Result<ValueMap, StoredMapError> {
         let known = self.known()?;
-        let stopped = is_stopped(self.run_summary()?.as_ref());
         ValueMap::new(&self.scene.model, &self.scene.hamiltonian, known).map_err(
             |error| match error {
                 MapError::Empty if self.has_map() => StoredMapError::EmptyMap {
                     path: self.path.clone(),
                 },
-                MapError::Empty if stopped => StoredMapError::Stopped {
+                MapError::Empty if self.is_stopped() => StoredMapError::Stopped {
                     path: self.path.clone(),
                 },
                 MapError::Empty => StoredMapError::Empty {
@@ -51,6 +50,11 @@ impl Stored {
         self.has(&schema::MAP_PIECES) || self.summary()["map"].is_object()
     }
 
+    /// Whether its run was ended before everything was done.
+    fn is_stopped(&self) -> bool {
+        self.summary()["stopped"] == true
+    }
+
     /// What the file holds of the value function.
     ///
     /// # Errors
@@ -64,7 +68,7 @@ impl Stored {
         let summary = self.run_summary()?;
         // Where the search was ended before, nothing tells which solutions lie on one sheet, and
         // none is interpolated.
-        let stopped = is_stopped(summary.as_ref());
+        let stopped = summary.as_ref().is_some_and(|s| s.stopped);
         Ok(Known {
             swept: self.trajectories()?,
             solved: solved.filter(|_| !stopped),
@@ -77,10 +81,6 @@ impl Stored {
             errors: summary.as_ref().and_then(own_errors),
         })
     }
-}
-
-fn is_stopped(summary: Option<&RunSummary>) -> bool {
-    summary.is_some_and(|s| s.stopped)
 }
 
 /// From the summary of the run that made the file.

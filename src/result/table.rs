@@ -5,7 +5,7 @@ use super::names::{Names, with_axes};
 use crate::hdf5::{
     AttributeValue, Compression, Dimension, Group, OutputError, ResultFile, Values, Variable,
 };
-use crate::schema::{self, Along, Kind, When};
+use crate::schema::{self, Along, Kind, STATE_AXES, When};
 use std::borrow::Cow;
 
 /// The contents of a column.
@@ -85,8 +85,10 @@ pub struct Table<'t> {
     title: Option<&'t str>,
     /// Those of dimensions that the scene does not give.
     dimensions: Vec<(&'static str, Dimension)>,
-    /// Lists of dimensions that names in angle brackets stand for.
-    stand_for: Vec<(&'static str, Vec<Dimension>)>,
+    /// The axes that `<state>` stands for.
+    grid: Vec<Dimension>,
+    /// The dimension that another name in angle brackets stands for.
+    alias: Option<(&'static str, &'static str)>,
     columns: Vec<Column<'t>>,
     attributes: Vec<(String, AttributeValue)>,
     rows: Option<usize>,
@@ -103,7 +105,8 @@ impl<'t> Table<'t> {
             names: Names::new(axes),
             title: None,
             dimensions: Vec::new(),
-            stand_for: Vec::new(),
+            grid: Vec::new(),
+            alias: None,
             columns: Vec::new(),
             attributes: Vec::new(),
             rows: None,
@@ -177,15 +180,14 @@ impl<'t> Table<'t> {
             let axis = Dimension::values(time, values.clone(), schema.time());
             grid.push(axis.long_name("time"));
         }
-        self.stand_for.push(("<state>", grid));
+        self.grid = grid;
         self
     }
 
     /// The dimension of the group that a name in angle brackets stands for.
     #[must_use]
     pub fn stands_for(mut self, open: &'static str, name: &'static str) -> Self {
-        // Declared on its own account.
-        self.stand_for.push((open, vec![Dimension::index(name, 1)]));
+        self.alias = Some((open, name));
         self
     }
 
@@ -313,10 +315,7 @@ impl<'t> Table<'t> {
                 }
                 Along::Controls => with_axes(made, "control", &axes.controls),
                 Along::Disturbances => with_axes(made, "disturbance", &axes.disturbances),
-                Along::StateAxes => self
-                    .resolved(own.name)
-                    .into_iter()
-                    .fold(made, |made, d| made.dimension(d.clone())),
+                Along::StateAxes => (self.grid.iter().cloned()).fold(made, Group::dimension),
                 _ => match self.dimensions.iter().find(|(name, _)| *name == own.name) {
                     Some((_, dimension)) => made.dimension(dimension.clone()),
                     None => made,
@@ -329,18 +328,14 @@ impl<'t> Table<'t> {
         Ok(made)
     }
 
-    fn resolved(&self, open: &str) -> Vec<&Dimension> {
-        let found = self.stand_for.iter().find(|(name, _)| *name == open);
-        found.map_or_else(Vec::new, |(_, dimensions)| dimensions.iter().collect())
-    }
-
     fn variable(&self, column: &Column<'_>) -> Variable {
         let own = column.of;
         let mut over: Vec<&str> = Vec::new();
         for name in own.dimensions {
-            match name.starts_with('<') {
-                true => over.extend(self.resolved(name).into_iter().map(Dimension::name)),
-                false => over.push(name),
+            match self.alias {
+                _ if *name == STATE_AXES.name => over.extend(self.grid.iter().map(Dimension::name)),
+                Some((open, own)) if *name == open => over.push(own),
+                _ => over.push(name),
             }
         }
         let variable = match (&column.data, own.kind) {

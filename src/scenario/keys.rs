@@ -1,5 +1,5 @@
-//! Sections and keys of a scene, with what each is: the reader refuses all others, and the reference
-//! of the scene in the guide is printed from this.
+//! Sections and keys of a scene, with what each is: the reader refuses all others, and the
+//! reference of the scene in the guide is printed from this.
 
 use std::fmt::Write;
 use std::sync::LazyLock;

@@ -10,8 +10,9 @@ use std::collections::HashMap;
 /// Periods in the region's width, at most: a state is looked for a few periods away, never a
 /// thousand.
 const MOST_PERIODS: f64 = 1000.0;
-/// Relative difference that rounding leaves. A period, or a factor of the equations, with few digits
-/// leaves more: V would be that much wrong at states a few periods away, and nothing would show it.
+/// Relative difference that rounding leaves. A period, or a factor of the equations, with few
+/// digits leaves more: V would be that much wrong at states a few periods away, and nothing would
+/// show it.
 const ROUNDING: f64 = 1e-8;
 
 impl Reader<'_> {

@@ -2,7 +2,6 @@
 
 use super::progress::Finished;
 use super::{Session, SessionError};
-use crate::backend::Deadline;
 use crate::closed_loop::dissipation::{self, Certificate, Dissipation};
 use crate::closed_loop::{
     Available, Chart, Evaluation, Initial, LQR, Law, Laws, MAP, Setting, Weights, solved_values,
@@ -147,8 +146,7 @@ impl Session<'_> {
             let rtol = model.integrator.rtol.min(SOLVED_RTOL);
             let choices = Choices {
                 rtol: Some(self.choices.rtol.unwrap_or(rtol)),
-                deadline: Deadline::default(),
-                ..self.choices
+                ..self.choices.without_deadline()
             };
             solved_values(
                 model,

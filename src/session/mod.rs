@@ -142,10 +142,9 @@ impl<'s> Session<'s> {
 
     /// Ends at a deadline, with what is there by then: a sweep has gaps (`SweepReport::stopped`),
     /// and states that are not solved have the status [`PointStatus::OutOfTime`] (see
-    /// [`Solved::is_stopped`], [`Outcome::stopped`]). A map that has no pieces yet is an error, and so are
-    /// closed loops that are not done; fits and levels of attenuation that have begun are done all
-    /// the same. A deadline is
-    /// an instant: it stays passed for later questions.
+    /// [`Solved::is_stopped`], [`Outcome::stopped`]). A map that has no pieces yet is an error, and
+    /// so are closed loops that are not done; fits and levels of attenuation that have begun are
+    /// done all the same. A deadline is an instant: it stays passed for later questions.
     ///
     /// ```
     /// # use costate::{Scene, Session};
@@ -197,8 +196,8 @@ impl<'s> Session<'s> {
         self.progress
     }
 
-    /// Sweeps outward from the equilibrium (or from the terminal cost), as `costate shoot-out` does,
-    /// and keeps the trajectories.
+    /// Sweeps outward from the equilibrium (or from the terminal cost), as `costate shoot-out`
+    /// does, and keeps the trajectories.
     ///
     /// ```
     /// # use costate::{Scene, Session};
@@ -243,9 +242,9 @@ impl<'s> Session<'s> {
     /// solve` finds them.
     ///
     /// # Errors
-    /// [`SessionError::Components`] and [`SessionError::NotFinite`]; where the scene cannot be swept
-    /// for first guesses; device failures. A state without an answer is no error, nor is one that
-    /// the session's deadline has left out (see [`Solved::is_stopped`]).
+    /// [`SessionError::Components`] and [`SessionError::NotFinite`]; where the scene cannot be
+    /// swept for first guesses; device failures. A state without an answer is no error, nor is one
+    /// that the session's deadline has left out (see [`Solved::is_stopped`]).
     pub fn solve(&self, states: &[f64]) -> Result<Solved, SessionError> {
         let n = self.scene.model.states.len();
         if !states.len().is_multiple_of(n) {
@@ -354,10 +353,7 @@ impl<'s> Session<'s> {
         let mut shown = |what: &str| step.say(&format!("attenuation: {what}"));
         let backend = self.backend.as_ref();
         // A sweep that is cut short would show nothing of a level.
-        let choices = Choices {
-            deadline: Deadline::default(),
-            ..self.choices
-        };
+        let choices = self.choices.without_deadline();
         let found = attenuation::smallest(self.scene, backend, choices, &mut shown)?;
         drop(step);
         self.progress.finished(Finished::Attenuation(&found));

@@ -22,7 +22,8 @@ pub struct Wanted {
     /// The scene's `[study]`, where it has one.
     pub study: bool,
     /// The scene's laws, closed loops, dissipation inequality and levels of attenuation. A pass
-    /// ([`Session::prepare`](super::Session::prepare)) leaves them out, as they need its result file.
+    /// ([`Session::prepare`](super::Session::prepare)) leaves them out, as they need its result
+    /// file.
     pub laws: bool,
     /// First guesses also come from V on a grid (slower; up to 4 states, no games).
     pub grid_guesses: bool,

@@ -1,5 +1,5 @@
-//! An independent check of V at solved states: V on a grid, which knows nothing of extremals, and what
-//! its greedy paths lead to.
+//! An independent check of V at solved states: V on a grid, which knows nothing of extremals, and
+//! what its greedy paths lead to.
 
 use super::flight::tolerance;
 use super::survey::Survey;

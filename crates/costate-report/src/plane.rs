@@ -181,8 +181,8 @@ impl GridField {
         }
     }
 
-    /// Gives points that are known to be, or extrapolated to be, above the limit and are next to known
-    /// ones the values that their nearest neighbours' p and its change foretell.
+    /// Gives points that are known to be, or extrapolated to be, above the limit and are next to
+    /// known ones the values that their nearest neighbours' p and its change foretell.
     fn extend(&mut self, above: &[bool], limit: f64) {
         let mut new = Vec::new();
         for k in (0..self.v.len()).filter(|k| self.v[*k].is_nan()) {

@@ -260,8 +260,8 @@ impl Decision {
     }
 }
 
-/// A step of `h`, or the `left` way where that is no more than a little further: no tiny step is left
-/// at the end.
+/// A step of `h`, or the `left` way where that is no more than a little further: no tiny step is
+/// left at the end.
 pub fn stretched(r: &mut Recorder, h: Value, left: Value) -> Value {
     let slack = r.constant(1.0 + 1e-3);
     let reach = r.mul(h, slack);

@@ -166,7 +166,8 @@ impl Work<'_, '_> {
         states.into_iter().flatten().collect()
     }
 
-    /// Moves the time of a continuation task's state to one of few, which are as close as its cell is short.
+    /// Moves the time of a continuation task's state to one of few, which are as close as its cell
+    /// is short.
     pub(super) fn to_few_times(&self, task: &Task, x: &mut [f64]) {
         let (Some(axis), Some(t)) = (&self.axis, x.last_mut()) else {
             return;

@@ -411,8 +411,8 @@ impl<'a> Survey<'a> {
         self.joined.join(a, b)
     }
 
-    /// Follows continuation tasks, and joins what they find to what they came from. Of each its target, and
-    /// the extremal there if it was reached.
+    /// Follows continuation tasks, and joins what they find to what they came from. Of each its
+    /// target, and the extremal there if it was reached.
     pub(in crate::low_level::value) fn send(
         &mut self,
         solver: &mut Solver,

@@ -1,4 +1,5 @@
-//! `costate check-least`: V on a grid as an independent check of the solved states of a result file.
+//! `costate check-least`: V on a grid as an independent check of the solved states of a result
+//! file.
 
 use crate::args::CheckLeastArgs;
 use crate::common::columns::columns;

@@ -7,7 +7,6 @@ use costate::low_level::files::stop_at_signals;
 use costate::run::Provenance;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 /// Ends a command early, with what is done.
 pub struct Ending {
@@ -28,9 +27,7 @@ impl Ending {
                 eprintln!("{name}: what is done is kept; once more ends at once, with nothing");
             }
         });
-        // Of more seconds than a clock tells there is no end.
-        let limit = args.time_limit.map(Duration::try_from_secs_f64);
-        let end = limit.and_then(|limit| provenance.clock.checked_add(limit.ok()?));
+        let end = (args.time_limit).and_then(|limit| Deadline::instant(provenance.clock, limit));
         Self {
             deadline: Deadline::at(end).or_once(stop),
             limit: args.time_limit,
