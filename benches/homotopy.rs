@@ -4,6 +4,10 @@
 //! `cargo bench --bench homotopy [-- targets|states|box]`; each line is one run: warm-up is not
 //! needed, as a run compiles nothing but its kernels, whose time is included.
 
+#[path = "../tests/common_problems/mod.rs"]
+mod common_problems;
+
+use common_problems::linear::chain;
 use costate::backend::{BackendError, cpu::Cpu};
 use costate::low_level::hamiltonian::Hamiltonian;
 use costate::low_level::model::Model;
@@ -36,58 +40,8 @@ fn scene(name: &str) -> Model {
 }
 
 /// A chain of masses with cubic springs, pushed at its ends.
-fn chain(masses: usize) -> Model {
-    let section = |name: &str, line: &dyn Fn(usize) -> String| {
-        format!(
-            "[{name}]\n{}\n",
-            (0..masses).map(line).collect::<Vec<_>>().join("\n")
-        )
-    };
-    let force = |i: usize| {
-        if i == 0 || i + 1 == masses {
-            format!(" + u{i}")
-        } else {
-            String::new()
-        }
-    };
-    let neighbour = |i: usize, other: Option<usize>| {
-        other.filter(|k| *k < masses).map_or_else(String::new, |k| {
-            format!(" + (x{k} - x{i}) + 0.3*(x{k} - x{i})^3")
-        })
-    };
-    let dynamics = |i: usize| {
-        let (left, right) = (neighbour(i, i.checked_sub(1)), neighbour(i, Some(i + 1)));
-        format!(
-            "x{i} = \"v{i}\"\nv{i} = \"-x{i} - 0.1*v{i}{left}{right}{}\"",
-            force(i)
-        )
-    };
-    let controls: Vec<usize> = if masses == 1 {
-        vec![0]
-    } else {
-        vec![0, masses - 1]
-    };
-    let cost: Vec<String> = (0..masses)
-        .map(|i| format!("x{i}^2 + v{i}^2"))
-        .chain(controls.iter().map(|i| format!("u{i}^2")))
-        .collect();
-    let mut text = section("states", &|i| format!("x{i} = {{}}\nv{i} = {{}}"));
-    text += &format!(
-        "[controls]\n{}\n",
-        controls
-            .iter()
-            .map(|i| format!("u{i} = {{}}"))
-            .collect::<Vec<_>>()
-            .join("\n")
-    );
-    text += &section("dynamics", &dynamics);
-    text += &format!("[cost]\nrunning = \"0.5*({})\"\n", cost.join(" + "));
-    text += &section("equilibrium", &|i| format!("x{i} = 0\nv{i} = 0"));
-    text += &controls
-        .iter()
-        .map(|i| format!("u{i} = 0\n"))
-        .collect::<String>();
-    text += &section("region", &|i| format!("x{i} = [-1, 1]\nv{i} = [-1, 1]"));
+fn chain_of(masses: usize) -> Model {
+    let text = chain(masses, 0.3);
     costate::low_level::scenario::parse(&text, "chain.toml", &[]).expect("a scene")
 }
 
@@ -173,11 +127,11 @@ fn main() {
     if asked("states") {
         let three = scene("moore_greitzer_unconstrained");
         for (name, model) in [
-            ("2 states", chain(1)),
+            ("2 states", chain_of(1)),
             ("3 states (compressor)", three),
-            ("4 states", chain(2)),
-            ("6 states", chain(3)),
-            ("8 states", chain(4)),
+            ("4 states", chain_of(2)),
+            ("6 states", chain_of(3)),
+            ("8 states", chain_of(4)),
         ] {
             let points = 200;
             let states: Vec<f64> = (0..points)

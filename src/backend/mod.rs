@@ -5,6 +5,7 @@
 //! ask for is not in its program: a [`Spec`] without guards or stored samples compiles to a kernel
 //! without them.
 
+pub mod adapters;
 pub mod constants;
 pub mod cpu;
 pub mod flops;
@@ -207,6 +208,8 @@ pub enum BackendError {
         "no GPU adapter was found (a software one such as Mesa's llvmpipe will do, or use --backend cpu)"
     )]
     NoAdapter,
+    #[error("this was built without the feature `gpu`; use --backend cpu, or build it with `gpu`")]
+    NotBuilt,
     #[error("no adapter's name contains `{wanted}`; found: {found}")]
     NoSuchAdapter { wanted: String, found: String },
     #[error("adapter `{adapter}` has no f64 arithmetic; use --precision f32 or --backend cpu")]

@@ -131,7 +131,7 @@ impl<'a> Device<'a> {
 
     #[cfg(not(feature = "gpu"))]
     fn is_gpu(self) -> bool {
-        false
+        self.0.is_some_and(|backend| backend.name() == "gpu")
     }
 
     /// The device made ready for a scene.

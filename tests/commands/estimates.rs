@@ -1,6 +1,7 @@
 //! The error that a run tells of itself, against the error that it has.
 
 use crate::common_oracles;
+use crate::common_problems::{Exact, manufactured};
 
 use common_oracles::{Asked, F32, F64, Sweep, dot, minus, norm, scene};
 use costate::low_level::local::Riccati;
@@ -73,17 +74,6 @@ fn honest(name: &str, model: &Model, asked: Asked, right: impl Fn(&[f64]) -> (f6
     assert_eq!((told.differ, told.failed), (0, 0));
 }
 
-fn manufactured(x: &[f64]) -> (f64, Vec<f64>, f64) {
-    let [x, y] = [x[0], x[1]];
-    let v = 0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
-    let p = vec![
-        x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
-        0.5 * x + 2.0 * y + 0.5 * x * x * y,
-    ];
-    let u = -p[1] / 0.5;
-    (v, p, u)
-}
-
 #[test]
 fn the_estimate_is_near_the_true_error() {
     let model = scene("manufactured", &[]);
@@ -95,12 +85,10 @@ fn the_estimate_is_near_the_true_error() {
         (Precision::F32, 1e-5),
         (Precision::F32, 1e-6),
     ] {
-        honest(
-            "manufactured",
-            &model,
-            Asked { precision, rtol },
-            manufactured,
-        );
+        honest("manufactured", &model, Asked { precision, rtol }, |x| {
+            let Exact { v, p, u } = manufactured::at(x);
+            (v, p, u[0])
+        });
     }
     let model = scene("linear_quadratic", &[]);
     let p = Riccati::solve(&common_oracles::derive(&model), &model)

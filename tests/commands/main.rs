@@ -6,6 +6,8 @@ mod common;
 mod common_commands;
 #[path = "../common_oracles/mod.rs"]
 mod common_oracles;
+#[path = "../common_problems/mod.rs"]
+mod common_problems;
 #[path = "../common_values/mod.rs"]
 mod common_values;
 

@@ -1,5 +1,6 @@
 //! `costate report`: what is on the page, what the pictures are, and what is refused.
 
+use crate::common_problems::TwoWells;
 use costate::low_level::hdf5::{Dimension, Group, ResultFile, Variable};
 use costate::low_level::model::Report;
 use costate::low_level::result::Stored;
@@ -265,21 +266,10 @@ fn files_that_are_no_report_s_are_not_replaced() {
     }
 }
 
-/// V of the scene `hopf_lax` at t = 0 (Hopf and Lax): the least of phi(a) + |x - a|^2 / (2 T), T =
-/// 2, by search.
+/// V of the scene `hopf_lax`, and whether the end on the left is the cheapest.
 fn hopf_lax(x: f64, y: f64) -> (f64, bool) {
-    let f = |a: f64| a.powi(4) / 4.0 - a * a + 0.1 * a + (x - a) * (x - a) / 4.0;
-    let least = |from: f64, to: f64| {
-        let (mut from, mut to) = (from, to);
-        for _ in 0..200 {
-            let (a, b) = (from + (to - from) / 3.0, to - (to - from) / 3.0);
-            if f(a) < f(b) { to = b } else { from = a }
-        }
-        f(0.5 * (from + to))
-    };
-    // One well on each side of the maximum between them, which is near 0 for all x of interest.
-    let (left, right) = (least(-3.0, -0.8), least(0.8, 3.0));
-    (left.min(right) + y * y / 6.0, left < right)
+    let wells = TwoWells::with(2.0);
+    (wells.at(&[x, y]).v, wells.ways(x)[0].end < 0.0)
 }
 
 #[test]

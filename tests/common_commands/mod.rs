@@ -168,14 +168,3 @@ pub fn column_of<const N: usize>(
         .map(|row| row.unwrap()[column].to_owned())
         .collect()
 }
-
-/// V, dV/dx and u of scenarios/manufactured.toml, by hand.
-pub fn manufactured(x: f64, y: f64) -> (f64, [f64; 2], f64) {
-    let v = x * x / 2.0 + (1.0 - x.cos()) / 2.0 + x * y / 2.0 + y * y + x * x * y * y / 4.0;
-    let v_y = x / 2.0 + 2.0 * y + x * x * y / 2.0;
-    (
-        v,
-        [x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y, v_y],
-        -v_y / 0.5,
-    )
-}

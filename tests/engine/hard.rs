@@ -7,20 +7,16 @@
 
 use crate::common_hard;
 use crate::common_oracles;
+use crate::common_problems;
 
 use common_hard::{everywhere, hard};
 use common_oracles::{Asked, F32, F64, Sample, Sweep, Worst, dot, minus, norm, parameter, scene};
+use common_problems::Exact;
+use common_problems::linear::{Linear, diagonal, quadratic};
 use costate::backend::{Run, Status};
 use costate::low_level::model::Precision;
 use costate::low_level::sweep::{Sampling, stiffness};
-use nalgebra::{DMatrix, DVector};
-
-/// V, p and u at a sample.
-struct Exact {
-    v: f64,
-    p: Vec<f64>,
-    u: Vec<f64>,
-}
+use nalgebra::DMatrix;
 
 fn relative(error: f64, size: f64) -> f64 {
     if error == 0.0 { 0.0 } else { error / size }
@@ -59,19 +55,6 @@ fn exact(sweep: &Sweep, asked: Asked, what: &str, right: impl Fn(&Sample) -> Exa
     u.at_most(asked.promised(), &format!("{what}: u"));
 }
 
-/// `V = x'Px/2`, `u = -R^-1 B'P x`.
-fn quadratic(p: &DMatrix<f64>, gain: &DMatrix<f64>) -> impl Fn(&Sample) -> Exact {
-    move |s| {
-        let x = DVector::from_column_slice(s.x);
-        let costate = p * &x;
-        Exact {
-            v: 0.5 * costate.dot(&x),
-            u: (-(gain * &x)).as_slice().to_vec(),
-            p: costate.as_slice().to_vec(),
-        }
-    }
-}
-
 #[test]
 fn cheap_control() {
     let model = hard("cheap_control");
@@ -80,7 +63,7 @@ fn cheap_control() {
     let p = DMatrix::from_row_slice(2, 2, &[(1.0 + 2.0 * root).sqrt(), root, root, p22]);
     let gain = p.rows(1, 1).into_owned() / (root * root);
     everywhere(&model, |sweep, asked, what| {
-        exact(sweep, asked, what, quadratic(&p, &gain));
+        exact(sweep, asked, what, |s| quadratic(&p, &gain, s.x));
         // The slow part of the fronts comes from seeds that no number tells apart: said before and
         // after.
         let rates = stiffness::separation(&sweep.plan).expect("an infinite horizon");
@@ -101,7 +84,7 @@ fn dear_control() {
     let p = DMatrix::from_row_slice(2, 2, &[p12 * p22 / r - p22, p12, p12, p22]);
     let gain = p.rows(1, 1).into_owned() / r;
     everywhere(&model, |sweep, asked, what| {
-        exact(sweep, asked, what, quadratic(&p, &gain));
+        exact(sweep, asked, what, |s| quadratic(&p, &gain, s.x));
         assert_eq!(
             sweep.report.coverage.uncovered + sweep.report.coverage.indistinguishable,
             0,
@@ -299,33 +282,19 @@ fn stiff_chain() {
         .map(|i| parameter(&model, &format!("k{i}")))
         .collect();
     let weight = parameter(&model, "q");
-    let a = DMatrix::from_fn(6, 6, |i, j| match i.checked_sub(j) {
-        Some(0) => -rates[i],
-        Some(1) => rates[i],
-        _ => 0.0,
-    });
-    let b = DMatrix::from_fn(6, 1, |i, _| if i == 0 { rates[0] } else { 0.0 });
-    let q = DMatrix::from_fn(6, 6, |i, j| match (i == j, i) {
-        (true, 5) => 1.0,
-        (true, _) => weight,
-        _ => 0.0,
-    });
-    // Kleinman's iteration from zero gain: Lyapunov equations of 36 unknowns.
-    let identity = DMatrix::<f64>::identity(6, 6);
-    let (mut p, mut gain) = (DMatrix::zeros(6, 6), DMatrix::zeros(1, 6));
-    for _ in 0..30 {
-        let closed = &a - &b * &gain;
-        let operator =
-            identity.kronecker(&closed.transpose()) + closed.transpose().kronecker(&identity);
-        let right = -(&q + gain.transpose() * &gain);
-        let x = operator
-            .lu()
-            .solve(&DVector::from_column_slice(right.as_slice()));
-        p = DMatrix::from_column_slice(6, 6, x.expect("a stable closed loop").as_slice());
-        gain = b.transpose() * &p;
-    }
+    let chain = Linear {
+        a: DMatrix::from_fn(6, 6, |i, j| match i.checked_sub(j) {
+            Some(0) => -rates[i],
+            Some(1) => rates[i],
+            _ => 0.0,
+        }),
+        b: DMatrix::from_fn(6, 1, |i, _| if i == 0 { rates[0] } else { 0.0 }),
+        q: diagonal(&[weight, weight, weight, weight, weight, 1.0]),
+        r: diagonal(&[1.0]),
+    };
+    let (p, gain) = chain.optimal();
     everywhere(&model, |sweep, asked, what| {
-        exact(sweep, asked, what, quadratic(&p, &gain));
+        exact(sweep, asked, what, |s| quadratic(&p, &gain, s.x));
         let rates = stiffness::separation(&sweep.plan).expect("an infinite horizon");
         assert!(
             rates.hides_fronts() && (rates.fastest.re + 1000.0).abs() < 1.0,
@@ -346,7 +315,7 @@ fn flat_cost() {
     ]);
     let gain = p.rows(1, 1).into_owned();
     everywhere(&model, |sweep, asked, what| {
-        exact(sweep, asked, what, quadratic(&p, &gain));
+        exact(sweep, asked, what, |s| quadratic(&p, &gain, s.x));
         assert_eq!(
             sweep.report.coverage.uncovered + sweep.report.coverage.indistinguishable,
             0,

@@ -3,6 +3,7 @@
 
 use crate::common_oracles;
 
+use crate::common_problems::{Exact, manufactured};
 use common_oracles::{Random, derive, norm, parse, scene};
 use costate::low_level::hamiltonian::System;
 use costate::low_level::local::{LocalError, LocalSolution, Riccati, SeedChoice};
@@ -422,19 +423,6 @@ fn a_seed_value_out_of_range_is_refused() {
     }
 }
 
-/// V and p of `manufactured.toml`.
-fn manufactured(s: &[f64]) -> (f64, [f64; 2]) {
-    let [x, y] = [s[0], s[1]];
-    let v = 0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
-    (
-        v,
-        [
-            x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
-            0.5 * x + 2.0 * y + 0.5 * x * x * y,
-        ],
-    )
-}
-
 /// Directions in the plane.
 fn circle() -> impl Iterator<Item = [f64; 2]> {
     (0..64).map(|k| {
@@ -455,7 +443,9 @@ fn the_expansion_converges_with_its_order() {
         circle().fold((0.0f64, 0.0f64), |(v, p), d| {
             let s = [radius * d[0], radius * d[1]];
             let found = local.at_state(&s);
-            let (exact, slope) = manufactured(&s);
+            let Exact {
+                v: exact, p: slope, ..
+            } = manufactured::at(&s);
             assert!(
                 (found[0] - s[0]).abs() + (found[1] - s[1]).abs() <= 8.0 * f64::EPSILON * radius,
                 "s is s"
@@ -545,7 +535,7 @@ fn the_error_told_is_not_below_the_true_one() {
         let true_error = circle()
             .map(|d| {
                 let seed = local.seed(&d);
-                (seed[4] - manufactured(&seed).0).abs()
+                (seed[4] - manufactured::value(&seed)).abs()
             })
             .fold(0.0, f64::max);
         println!(

@@ -7,6 +7,8 @@ mod common;
 mod common_hard;
 #[path = "../common_oracles/mod.rs"]
 mod common_oracles;
+#[path = "../common_problems/mod.rs"]
+mod common_problems;
 
 mod backends;
 mod batches;

@@ -2,10 +2,11 @@
 //! functions.
 
 use crate::common_commands;
+use crate::common_problems::{Exact, manufactured};
 
 use common_commands::header::{Said, ask};
 use common_commands::made_up::made_up;
-use common_commands::{costate, done, manufactured, scene};
+use common_commands::{costate, done, scene};
 use costate::low_level::feedback::{Known, value_header};
 use costate::low_level::hamiltonian::{Hamiltonian, System};
 use costate::low_level::local::{LocalPolynomial, LocalSolution, Riccati, SeedChoice};
@@ -161,7 +162,7 @@ fn a_smooth_map_is_its_header() {
         .iter()
         .zip(ask(&directory, "map", [2, 1], &[], &states))
     {
-        let (v, p, _) = manufactured(x[0], x[1]);
+        let Exact { v, p, .. } = manufactured::at(x);
         assert!(
             said.known && (said.v - v).abs() < 1e-4 * v.max(1e-3),
             "{x:?}: {said:?}"
@@ -357,7 +358,7 @@ fn the_series_is_its_header() {
             .iter()
             .zip(ask(&directory, "local", [2, 1], &[], &near))
         {
-            let (v, radius) = (manufactured(x[0], x[1]).0, size(x));
+            let (v, radius) = (manufactured::value(x), size(x));
             assert!(
                 (said.v - v).abs() <= radius.powi(missing as i32) + 1e-16,
                 "{degree} {x:?}: {said:?} {v}"

@@ -6,6 +6,8 @@ mod common;
 mod common_commands;
 #[path = "../common_loop/mod.rs"]
 mod common_loop;
+#[path = "../common_problems/mod.rs"]
+mod common_problems;
 
 mod export;
 mod map;

@@ -2,8 +2,9 @@
 //! check.
 
 use crate::common_commands;
+use crate::common_problems::{TwoWells, manufactured};
 
-use common_commands::{costate, done, manufactured, scratch, sections_of};
+use common_commands::{costate, done, scratch, sections_of};
 use costate::low_level::closed_loop::{Chart, Expansions};
 use costate::low_level::map::pieces::Pieces;
 use costate::low_level::map::{Coverage, Unknown, ValueMap};
@@ -385,23 +386,10 @@ fn two_sheets_meet_where_they_cost_the_same() {
         "error = 1e-4\nfloor = 1e-2\ncheck = 1\ntime = false\nregion = { x = [-1.0, 1.0], y = [-0.5, 0.5] }",
     );
     let pieces = pieces(&stored);
-    let (time, k, slant) = (2.0, 2.0, 0.1);
-    let phi = |y: f64| y.powi(4) / 4.0 - k * y * y / 2.0 + slant * y;
-    // The least over ends, by a grid and then by Newton's method on the best of each side.
-    let side = |x: f64, sign: f64| -> f64 {
-        let cost = |y: f64| phi(y) + (x - y) * (x - y) / (2.0 * time);
-        let mut y = (1..4000)
-            .map(|j| sign * 1e-3 * f64::from(j))
-            .min_by(|a, b| cost(*a).total_cmp(&cost(*b)))
-            .unwrap();
-        for _ in 0..5 {
-            y -= (y.powi(3) - k * y + slant - (x - y) / time) / (3.0 * y * y - k + 1.0 / time);
-        }
-        cost(y)
-    };
+    let wells = TwoWells::with(2.0);
     let (mut worst, mut over) = (0.0f64, vec![]);
     for [x, y] in spread([[-1.0, 1.0], [-0.5, 0.5]], 1000) {
-        let v = side(x, -1.0).min(side(x, 1.0)) + 0.5 * y * y / (1.0 + time);
+        let v = wells.at(&[x, y]).v;
         let here = pieces
             .at(&[x, y])
             .unwrap_or_else(|| panic!("{x}, {y} is not known"));
@@ -416,24 +404,16 @@ fn two_sheets_meet_where_they_cost_the_same() {
     assert!(worst < 1e-4);
     assert!(quantile(&over, 0.99) <= 1.0 && quantile(&over, 1.0) <= 3.0);
     // Where both wells cost the same the map's two sheets do.
-    let (mut lo, mut hi) = (-0.5, 0.5);
-    for _ in 0..60 {
-        let x = 0.5 * (lo + hi);
-        if side(x, -1.0) < side(x, 1.0) {
-            lo = x
-        } else {
-            hi = x
-        }
-    }
+    let ridge = wells.equal_cost();
     let u = |x: f64| pieces.at(&[x, 0.1]).unwrap().p[0];
     assert!(
-        u(lo - 1e-5) * u(lo + 1e-5) < 0.0,
+        u(ridge - 1e-5) * u(ridge + 1e-5) < 0.0,
         "{} {}",
-        u(lo - 1e-5),
-        u(lo + 1e-5)
+        u(ridge - 1e-5),
+        u(ridge + 1e-5)
     );
     let sheet = |x: f64| pieces.at(&[x, 0.1]).unwrap().sheet;
-    assert_ne!(sheet(lo - 1e-5), sheet(lo + 1e-5));
+    assert_ne!(sheet(ridge - 1e-5), sheet(ridge + 1e-5));
 }
 
 /// Where V falls by a factor of six over a tenth of the compressor's box, and the corner of its
@@ -758,7 +738,7 @@ fn the_series_errors_hold_for_p_too() {
             if here.in_pieces {
                 continue;
             }
-            let (_, p, _) = manufactured(x, y);
+            let p = manufactured::at(&[x, y]).p;
             // Without the cancellation of 1 - cos(x).
             let v =
                 x * x / 2.0 + (x / 2.0).sin().powi(2) + x * y / 2.0 + y * y + x * x * y * y / 4.0;

@@ -3,8 +3,9 @@
 
 use crate::common_commands;
 use crate::common_loop;
+use crate::common_problems::manufactured;
 
-use common_commands::{costate, done, manufactured, scratch, sections_of};
+use common_commands::{costate, done, scratch, sections_of};
 use common_loop::{Asked, Scene, any_gpu};
 use costate::backend::{Backend, cpu::Cpu};
 use costate::low_level::closed_loop::LawResult;
@@ -226,7 +227,7 @@ fn a_nonlinear_loop_costs_v() {
         let mut worst = 0.0f64;
         for i in 0..initial.count() {
             let x = initial.state(i);
-            let (v, ..) = manufactured(x[0], x[1]);
+            let v = manufactured::value(x);
             assert!(result.status[i] == 0 && result.fallback[i] == 0, "{x:?}");
             if v > 0.0 {
                 worst = worst.max((result.cost[i] / v - 1.0).abs());

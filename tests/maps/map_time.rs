@@ -1,8 +1,11 @@
 //! Maps of finite horizons, V(x, t): against exact value functions, in a closed loop, as a header,
 //! and asked wrongly.
 
+use crate::common_problems::linear::{Linear, diagonal, form};
+use crate::common_problems::{Exact, TwoWells};
 use costate::low_level::map::ValueMap;
 use costate::low_level::result::Stored;
+use nalgebra::{DMatrix, Vector2};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -71,50 +74,12 @@ region = { x = [-3.0, 3.0], y = [-1.0, 1.0] }
 [map]
 "#;
 
-/// The least cost in x by way of an end on one side, after Hopf and Lax, and the slope dV/dx there;
-/// a time `left`.
-fn one_well(x: f64, left: f64, sign: f64) -> (f64, f64) {
-    let cost = |y: f64| y.powi(4) / 4.0 - y * y + 0.1 * y + (x - y) * (x - y) / (2.0 * left);
-    let mut y = (1..4000)
-        .map(|j| sign * 1e-3 * f64::from(j))
-        .min_by(|a, b| cost(*a).total_cmp(&cost(*b)))
-        .unwrap();
-    for _ in 0..5 {
-        let curvature = 3.0 * y * y - 2.0 + 1.0 / left;
-        // An end at the middle is no minimum of its own, but still costs what it costs.
-        if curvature > 0.0 {
-            y -= (y.powi(3) - 2.0 * y + 0.1 - (x - y) / left) / curvature;
-        }
-    }
-    (cost(y), (x - y) / left)
-}
-
 /// V, dV/dx and dV/dt.
-fn two_wells([x, y, t]: [f64; 3]) -> (f64, [f64; 2], f64) {
-    let left = 2.0 - t;
-    let (a, b) = (one_well(x, left, -1.0), one_well(x, left, 1.0));
-    let (v, slope) = if a.0 < b.0 { a } else { b };
-    let p = [slope, y / (1.0 + left)];
+fn two_wells([x, y, t]: [f64; 3]) -> (f64, Vec<f64>, f64) {
+    let Exact { v, p, .. } = TwoWells::with(2.0 - t).at(&[x, y]);
     // V_t = -H, with H = -|p|^2/2.
-    (
-        v + 0.5 * y * y / (1.0 + left),
-        p,
-        0.5 * (p[0] * p[0] + p[1] * p[1]),
-    )
-}
-
-/// Where both wells cost the same.
-fn ridge(left: f64) -> f64 {
-    let (mut lo, mut hi) = (-0.5, 0.5);
-    for _ in 0..60 {
-        let x = 0.5 * (lo + hi);
-        if one_well(x, left, -1.0).0 < one_well(x, left, 1.0).0 {
-            lo = x
-        } else {
-            hi = x
-        }
-    }
-    0.5 * (lo + hi)
+    let rate = 0.5 * (p[0] * p[0] + p[1] * p[1]);
+    (v, p, rate)
 }
 
 #[test]
@@ -160,22 +125,22 @@ fn v_of_two_sheets_is_known_at_all_times() {
     // Nothing is interpolated across the surface of equal cost, which ends at t = 1.5.
     let (mut wrong, mut looked) = (0, 0);
     for [x, y, t] in spread([[-0.02, 0.02], [-0.4, 0.4], [0.0, 1.2]], 300) {
-        let x = ridge(2.0 - t) + x;
+        let wells = TwoWells::with(2.0 - t);
+        let x = wells.equal_cost() + x;
         let Ok(here) = map.at_time(&[x, y], t).lowest else {
             continue;
         };
-        let wells = [-1.0, 1.0].map(|sign| one_well(x, 2.0 - t, sign));
         // Where the map says that it does not know V well it may be of both.
         if here.v_error > 3e-3 * here.v.abs().max(3e-2) {
             continue;
         }
         looked += 1;
-        let clear = (wells[0].0 - wells[1].0).abs() > 2.0 * here.v_error;
-        let (_, p, _) = two_wells([x, y, t]);
-        let mixed = wells
-            .iter()
-            .all(|(_, p)| (here.p[0] - p).abs() > 0.05 * p.abs());
-        wrong += usize::from(mixed || clear && here.p[0] * p[0] < 0.0);
+        // Of three extremals the dearest is the maximum between the wells.
+        let ways = wells.ways(x);
+        let sheets = &ways[..ways.len().min(2)];
+        let clear = sheets.len() == 1 || sheets[1].v - sheets[0].v > 2.0 * here.v_error;
+        let mixed = (sheets.iter()).all(|way| (here.p[0] - way.p).abs() > 0.05 * way.p.abs());
+        wrong += usize::from(mixed || clear && here.p[0] * sheets[0].p < 0.0);
     }
     println!("beside the surface of equal cost {wrong} of {looked} wrong (of 300 places)");
     assert!(looked >= 100 && wrong <= 3, "{wrong} of {looked}");
@@ -206,44 +171,16 @@ cost = { running = "0.5*(x^2 + v^2 + 0.5*a^2)", terminal = "1.5*x^2 + 0.5*v^2", 
 region = { x = [-1, 1], v = [-1, 1] }
 "#;
 
-/// P(t) by Runge-Kutta steps backward from the terminal cost, for V = x'Px/2, and dP/dt.
-fn riccati(t: f64) -> [[[f64; 2]; 2]; 2] {
-    const A: [[f64; 2]; 2] = [[0.0, 1.0], [-1.0, 0.3]];
-    // P' = -(A'P + PA - P B R^-1 B'P + Q) with B R^-1 B' = diag(0, 2), Q = I.
-    let rate = |p: [[f64; 2]; 2]| {
-        let mut all = [[0.0; 2]; 2];
-        for i in 0..2 {
-            for j in 0..2 {
-                let linear: f64 = (0..2).map(|k| A[k][i] * p[k][j] + p[i][k] * A[k][j]).sum();
-                all[i][j] = -(linear - 2.0 * p[i][1] * p[1][j] + f64::from(u8::from(i == j)));
-            }
-        }
-        all
+/// P(t), for V = x'Px/2, and dP/dt.
+fn riccati(t: f64) -> [DMatrix<f64>; 2] {
+    let spring = Linear {
+        a: DMatrix::from_row_slice(2, 2, &[0.0, 1.0, -1.0, 0.3]),
+        b: DMatrix::from_row_slice(2, 1, &[0.0, 1.0]),
+        q: diagonal(&[1.0, 1.0]),
+        r: diagonal(&[0.5]),
     };
-    let plus = |p: [[f64; 2]; 2], h: f64, k: [[f64; 2]; 2]| {
-        std::array::from_fn(|i| std::array::from_fn(|j| p[i][j] + h * k[i][j]))
-    };
-    let steps = 2000;
-    let h = -(2.0 - t) / f64::from(steps);
-    let mut p = [[3.0, 0.0], [0.0, 1.0]];
-    for _ in 0..steps {
-        let a = rate(p);
-        let b = rate(plus(p, 0.5 * h, a));
-        let c = rate(plus(p, 0.5 * h, b));
-        let d = rate(plus(p, h, c));
-        p = std::array::from_fn(|i| {
-            std::array::from_fn(|j| {
-                p[i][j] + h / 6.0 * (a[i][j] + 2.0 * b[i][j] + 2.0 * c[i][j] + d[i][j])
-            })
-        });
-    }
-    [p, rate(p)]
-}
-
-fn form(p: [[f64; 2]; 2], x: [f64; 2]) -> f64 {
-    0.5 * (0..4)
-        .map(|k| x[k / 2] * p[k / 2][k % 2] * x[k % 2])
-        .sum::<f64>()
+    let [p, by_time_left] = spring.with_time(diagonal(&[3.0, 1.0]), 2.0 - t);
+    [p, -by_time_left]
 }
 
 /// V, p and dV/dt against the Riccati equation; the law of V(x, t) in a closed loop against V(x0,
@@ -264,18 +201,18 @@ fn a_linear_quadratic_map_and_its_law() {
     let (mut errors, mut over, mut slopes) = (vec![], vec![], vec![]);
     for [x, v, t] in spread([[-1.0, 1.0], [-1.0, 1.0], [0.0, 2.0]], 1000) {
         let [p, rate] = riccati(t);
-        let exact = form(p, [x, v]);
+        let exact = form(&p, &[x, v]);
         let here = map
             .at_time(&[x, v], t)
             .lowest
             .unwrap_or_else(|e| panic!("{x}, {v}, {t}: {e}"));
         errors.push((here.v - exact).abs() / exact.max(1e-2));
         over.push((here.v - exact).abs() / here.v_error);
-        let gradient = [p[0][0] * x + p[0][1] * v, p[1][0] * x + p[1][1] * v];
+        let gradient = &p * Vector2::new(x, v);
         let off = [
             here.p[0] - gradient[0],
             here.p[1] - gradient[1],
-            here.rate - form(rate, [x, v]),
+            here.rate - form(&rate, &[x, v]),
         ];
         slopes.push(off.iter().fold(0.0f64, |a, e| a.max(e.abs())));
     }
@@ -333,7 +270,7 @@ fn a_linear_quadratic_map_and_its_law() {
             group.f64("J").unwrap().values,
         );
         assert_eq!((x0.len(), cost.len()), (32, 16));
-        let off = (x0.chunks(2).zip(&cost)).map(|(x, j)| j / form(p, [x[0], x[1]]) - 1.0);
+        let off = (x0.chunks(2).zip(&cost)).map(|(x, j)| j / form(&p, &[x[0], x[1]]) - 1.0);
         (off.collect(), said)
     };
     let (coarse, said) = excess(&file, 40);
@@ -529,8 +466,8 @@ fn tables_have_a_column_of_times(directory: &Path, file: &Path) {
             .collect();
         let [p, rate] = riccati(t);
         assert_eq!(row[..3], [-0.3, 0.2, t]);
-        assert!((row[3] - form(p, [-0.3, 0.2])).abs() < 1e-4);
-        assert!((row[6] - form(rate, [-0.3, 0.2])).abs() < 2e-2);
+        assert!((row[3] - form(&p, &[-0.3, 0.2])).abs() < 1e-4);
+        assert!((row[6] - form(&rate, &[-0.3, 0.2])).abs() < 2e-2);
     }
     let out = directory.join("grid.h5");
     let (file, to) = (file.to_str().unwrap(), out.to_str().unwrap());
@@ -550,7 +487,7 @@ fn tables_have_a_column_of_times(directory: &Path, file: &Path) {
     assert_eq!(group.f64("t").unwrap().values, [0.0, 0.5, 1.0, 1.5, 2.0]);
     for (k, v) in v.values.iter().enumerate() {
         let (x, t) = (-0.5 + 0.5 * (k / 5) as f64, 0.5 * (k % 5) as f64);
-        assert!((v - form(riccati(t)[0], [x, 0.1])).abs() < 1e-4);
+        assert!((v - form(&riccati(t)[0], &[x, 0.1])).abs() < 1e-4);
     }
 }
 
@@ -624,7 +561,7 @@ fn written_values_are_read_at_the_beginning(directory: &Path, file: &Path) {
         done(costate(&all));
         out
     };
-    let exact = |x: [f64; 2]| form(riccati(0.0)[0], x);
+    let exact = |x: [f64; 2]| form(&riccati(0.0)[0], &x);
     let grid = write("read.h5", &["--grid", "x=-0.5:0.5:5,v=-0.4:0.4:3,t=0:2:5"]);
     crate::common_commands::in_schema(&grid);
     let map = Stored::open(&grid).unwrap().map().unwrap().unwrap();

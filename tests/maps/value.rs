@@ -2,8 +2,9 @@
 //! `[study]` against published figures and its own equations.
 
 use crate::common_commands;
+use crate::common_problems::{Exact, TwoWells, manufactured};
 
-use common_commands::{costate, done, manufactured, scenario, scratch};
+use common_commands::{costate, done, scenario, scratch};
 use costate::low_level::map::Unknown;
 use costate::low_level::result::Stored;
 use costate::low_level::trajectories::SolvedStates;
@@ -90,7 +91,7 @@ fn values_are_those_of_an_exact_solution() {
     let mut quick = 0.0f64;
     for [a, b] in spread(400) {
         let (x, y) = (3.0 * a - 1.5, 3.0 * b - 1.5);
-        let (v, p, u) = manufactured(x, y);
+        let Exact { v, p, u } = manufactured::at(&[x, y]);
         // The sweep goes to V = 3.
         if v > 2.7 {
             continue;
@@ -103,7 +104,7 @@ fn values_are_those_of_an_exact_solution() {
         let scale = v.max(0.01);
         errors.push((here.v - v).abs() / scale);
         slopes.push((0..2).map(|i| (here.p[i] - p[i]).abs()).fold(0.0, f64::max) / scale.sqrt());
-        controls.push((here.u[0] - u).abs() / scale.sqrt());
+        controls.push((here.u[0] - u[0]).abs() / scale.sqrt());
         if here.v_error > 0.0 {
             over.push((here.v - v).abs() / here.v_error);
         }
@@ -154,15 +155,7 @@ fn sheets_are_not_mixed_where_the_answer_is_known() {
         .unwrap()
         .value_map()
         .unwrap();
-    // Hopf and Lax: V = min over the end point of the terminal cost + distance^2 / (2 T), the y
-    // direction by itself.
-    let exact = |x: f64, y: f64| {
-        let phi = |e: f64| e.powi(4) / 4.0 - e * e + 0.1 * e + (x - e).powi(2) / 4.0;
-        let coarse = (-4000..=4000).map(|k| f64::from(k) * 1e-3);
-        let best = coarse.min_by(|a, b| phi(*a).total_cmp(&phi(*b))).unwrap();
-        let fine = (-1000..=1000).map(|k| best + f64::from(k) * 1e-6);
-        fine.map(phi).fold(f64::INFINITY, f64::min) + y * y / 2.0 / (1.0 + 2.0)
-    };
+    let wells = TwoWells::with(2.0);
     let mut known = 0;
     for [a, b] in spread(300) {
         let (x, y) = (4.0 * a - 2.0, 1.6 * b - 0.8);
@@ -170,7 +163,7 @@ fn sheets_are_not_mixed_where_the_answer_is_known() {
             continue;
         };
         known += 1;
-        let v = exact(x, y);
+        let v = wells.at(&[x, y]).v;
         // At the line of equal cost V has a kink, not a gap: an answer from the wrong sheet is too
         // large by no more than the sheets part, which a hundredth of the region away is 0.04.
         assert!((here.v - v).abs() < 2e-3, "{x}, {y}: {} for {v}", here.v);

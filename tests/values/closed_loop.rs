@@ -1,13 +1,15 @@
 //! Closed loops against exact solutions, hand-written integrators, and each other on both backends.
 
 use crate::common_loop;
+use crate::common_problems::linear::{Linear, diagonal, form};
+use crate::common_problems::manufactured::{self, Known};
 
 use common_loop::{Asked, Scene, TIGHT, any_gpu, runge_kutta};
 use costate::backend::{Backend, Status, cpu::Cpu};
 use costate::low_level::closed_loop::{Chart, Expansion, Initial, LawResult, OUTSIDE_MAP};
 use costate::low_level::model::Precision;
 use costate::low_level::sweep::GUARD_STATUS;
-use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
+use nalgebra::{DMatrix, Vector2};
 
 /// A spring and a force. Everything about it is known by matrices.
 const SPRING: &str = r#"
@@ -28,38 +30,19 @@ x_end = "final(x)"
 v_end = "final(v)"
 "#;
 
-fn spring(k: [f64; 2]) -> Matrix2<f64> {
-    Matrix2::new(0.0, 1.0, -1.0 - k[0], -k[1])
-}
-
-/// S with `A'S + S A + Q + k'k = 0`: the cost of the law `u = -k x` is `1/2 x'S x`.
-fn lyapunov(k: [f64; 2]) -> Matrix2<f64> {
-    let a = spring(k);
-    let k = Vector2::from(k);
-    let q = Matrix2::new(2.0, 0.0, 0.0, 1.0) + k * k.transpose();
-    // (I kron A' + A' kron I) vec S = -vec Q
-    let (eye, at) = (Matrix2::identity(), a.transpose());
-    let system: Matrix4<f64> = eye.kronecker(&at) + at.kronecker(&eye);
-    let s = system
-        .lu()
-        .solve(&(-Vector4::from_column_slice(q.as_slice())))
-        .unwrap();
-    Matrix2::from_column_slice(s.as_slice())
-}
-
-/// The optimal gain, by Kleinman's iteration: k = B'S of the gain before.
-fn optimal_gain() -> [f64; 2] {
-    let mut k = [1.0, 1.0];
-    for _ in 0..30 {
-        let s = lyapunov(k);
-        k = [s[(1, 0)], s[(1, 1)]];
+/// Its matrices.
+fn spring() -> Linear {
+    Linear {
+        a: DMatrix::from_row_slice(2, 2, &[0.0, 1.0, -1.0, 0.0]),
+        b: DMatrix::from_row_slice(2, 1, &[0.0, 1.0]),
+        q: diagonal(&[2.0, 1.0]),
+        r: diagonal(&[1.0]),
     }
-    k
 }
 
-fn quadratic(s: &Matrix2<f64>, x: &[f64]) -> f64 {
-    let x = Vector2::new(x[0], x[1]);
-    0.5 * (x.transpose() * s * x)[0]
+/// P and the optimal gain.
+fn optimum() -> (DMatrix<f64>, DMatrix<f64>) {
+    spring().optimal_from(DMatrix::from_row_slice(1, 2, &[1.0, 1.0]))
 }
 
 /// Errors of the end are the tolerance's, some dozen steps; J's remainder is exact for the optimal
@@ -70,20 +53,20 @@ const FEW_STEPS: f64 = 100.0;
 fn the_linear_law_is_the_exponential_and_costs_v() {
     let scene = Scene::new(SPRING);
     let result = scene.tightly("lqr");
-    let gain = optimal_gain();
-    let (flow, p) = ((spring(gain) * 8.0).exp(), lyapunov(gain));
+    let (Linear { a, b, .. }, (p, gain)) = (spring(), optimum());
+    let flow = ((a - b * gain) * 8.0).exp();
     let allowed = FEW_STEPS * TIGHT.rtol;
     let initial = scene.initial();
     for i in 0..initial.count() {
         let x = initial.state(i);
-        let end = flow * Vector2::new(x[0], x[1]);
+        let end = &flow * Vector2::new(x[0], x[1]);
         for c in 0..2 {
             let error = (result.records[2 * i + c] - end[c]).abs();
             assert!(error <= allowed, "end from {x:?}: {error:e}");
         }
-        let error = (result.cost[i] - quadratic(&p, x)).abs();
+        let error = (result.cost[i] - form(&p, x)).abs();
         assert!(
-            error <= allowed * (1.0 + quadratic(&p, x)),
+            error <= allowed * (1.0 + form(&p, x)),
             "cost from {x:?}: {error:e}"
         );
         assert!(result.converged[i] && result.status[i] == 0);
@@ -94,10 +77,11 @@ fn the_linear_law_is_the_exponential_and_costs_v() {
 #[test]
 fn a_detuned_gain_costs_what_the_lyapunov_equation_says() {
     let scene = Scene::new(&SPRING.replace("final_time = 8.0", "final_time = 60.0"));
-    let (s, p) = (lyapunov([0.3, 0.4]), lyapunov(optimal_gain()));
+    let gain = DMatrix::from_row_slice(1, 2, &[0.3, 0.4]);
+    let (s, (p, _)) = (spring().cost(&gain), optimum());
     let initial = scene.initial();
     let values: Vec<f64> = (0..initial.count())
-        .map(|i| quadratic(&p, initial.state(i)))
+        .map(|i| form(&p, initial.state(i)))
         .collect();
     let cpu = Cpu::new();
     let e = scene.evaluate(
@@ -115,7 +99,7 @@ fn a_detuned_gain_costs_what_the_lyapunov_equation_says() {
             assert!(suboptimality[i].is_nan(), "V = 0 says nothing");
             continue;
         }
-        let exact = quadratic(&s, x) / values[i] - 1.0;
+        let exact = form(&s, x) / values[i] - 1.0;
         assert!(exact > 0.01, "this gain is not optimal");
         assert!(
             (suboptimality[i] - exact).abs() <= 10.0 * FEW_STEPS * TIGHT.rtol,
@@ -128,7 +112,7 @@ fn a_detuned_gain_costs_what_the_lyapunov_equation_says() {
 }
 
 /// The scene `manufactured`, whose V is known everywhere.
-fn manufactured() -> String {
+fn manufactured_scene() -> String {
     let text =
         std::fs::read_to_string(format!("{}/scenarios/manufactured.toml", crate::ROOT)).unwrap();
     text + r#"
@@ -143,44 +127,16 @@ least_x = "min(x)"
 "#
 }
 
-fn known_value(x: &[f64]) -> f64 {
-    let (x, y) = (x[0], x[1]);
-    0.5 * x * x + 0.5 * (1.0 - x.cos()) + 0.5 * x * y + y * y + 0.25 * x * x * y * y
-}
-
-struct Known;
-
-impl Chart for Known {
-    fn local(&self, x: &[f64]) -> Option<Expansion> {
-        let v = known_value(x);
-        let (x, y) = (x[0], x[1]);
-        let cross = 0.5 + x * y;
-        Some(Expansion {
-            v,
-            p: vec![
-                x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
-                0.5 * x + 2.0 * y + 0.5 * x * x * y,
-            ],
-            hessian: vec![
-                1.0 + 0.5 * x.cos() + 0.5 * y * y,
-                cross,
-                cross,
-                2.0 + 0.5 * x * x,
-            ],
-        })
-    }
-}
-
 fn largest_excess(result: &LawResult, initial: &Initial) -> f64 {
     assert!(result.converged.iter().all(|c| *c));
     (0..initial.count())
-        .map(|i| (result.cost[i] - known_value(initial.state(i))).abs())
+        .map(|i| (result.cost[i] - manufactured::value(initial.state(i))).abs())
         .fold(0.0, f64::max)
 }
 
 #[test]
 fn the_optimal_law_costs_v_as_an_expression_and_as_a_chart() {
-    let scene = Scene::new(&manufactured());
+    let scene = Scene::new(&manufactured_scene());
     let cpu = Cpu::new();
     let e = scene.evaluate(
         &cpu,
@@ -194,7 +150,7 @@ fn the_optimal_law_costs_v_as_an_expression_and_as_a_chart() {
     assert!(exact <= FEW_STEPS * TIGHT.rtol * 10.0, "{exact:e}");
     // V of the chart at the initial states.
     for i in 0..e.initial.count() {
-        assert_eq!(e.values[i], known_value(e.initial.state(i)));
+        assert_eq!(e.values[i], manufactured::value(e.initial.state(i)));
     }
     // Legs of their own lengths lose no more than they may.
     let own = largest_excess(&e.laws[1], &e.initial);
@@ -203,7 +159,8 @@ fn the_optimal_law_costs_v_as_an_expression_and_as_a_chart() {
     // the fourth power of the period. An eighth at least for half of it.
     let excess = |period: &str| {
         let finer = Scene::new(
-            &manufactured().replace("samples = 60", &format!("samples = 60\nperiod = {period}")),
+            &manufactured_scene()
+                .replace("samples = 60", &format!("samples = 60\nperiod = {period}")),
         );
         let finer = finer.evaluate(&cpu, TIGHT, &["map"], scene.initial(), Some(&Known), None);
         largest_excess(&finer.laws[0], &e.initial)
@@ -264,7 +221,7 @@ fn saturation_is_applied_inside_the_dynamics() {
             );
         }
         // What is left at the end is the local solution's.
-        let rest = quadratic(&lyapunov(optimal_gain()), &end);
+        let rest = form(&optimum().0, &end);
         assert!(
             (result.cost[i] - end[2] - rest).abs() <= ALLOWED,
             "cost from {x:?}"
@@ -383,7 +340,8 @@ fn backends_and_precisions_agree() {
     let backends: [&dyn Backend; 2] = [&cpu, &gpu];
     let scene = Scene::new(VALVE);
     let exact = scene.tightly("commanded");
-    let known = Scene::new(&manufactured().replace("samples = 60", "samples = 60\nperiod = 0.05"));
+    let known =
+        Scene::new(&manufactured_scene().replace("samples = 60", "samples = 60\nperiod = 0.05"));
     for backend in backends {
         for asked in PRECISIONS {
             let case = format!("{} {:?}", backend.name(), asked.precision);
@@ -432,7 +390,7 @@ fn part(initial: &Initial, range: std::ops::Range<usize>) -> Initial {
 /// Bit for bit the same alone, in a few, and in all.
 #[test]
 fn results_do_not_depend_on_the_batch() {
-    let text = manufactured().replace("initial = {", "random = 345\ninitial = {");
+    let text = manufactured_scene().replace("initial = {", "random = 345\ninitial = {");
     let scene = Scene::new(&text);
     let asked = PRECISIONS[1];
     let all = scene.initial();
@@ -543,7 +501,7 @@ fn where_the_chart_ends_the_trajectory_ends() {
             Known.local(x).filter(|_| x[0] < 0.5)
         }
     }
-    let scene = Scene::new(&manufactured());
+    let scene = Scene::new(&manufactured_scene());
     let cpu = Cpu::new();
     let e = scene.evaluate(
         &cpu,
@@ -594,7 +552,7 @@ impl Chart for Boxed {
 fn outside_a_chart_the_law_goes_on_as_it_was_told() {
     let cpu = Cpu::new();
     let fly = |outside: &str| {
-        let text = manufactured().replace(
+        let text = manufactured_scene().replace(
             "samples = 60",
             &format!("samples = 60\nperiod = 0.05\noutside = \"{outside}\""),
         );
@@ -636,7 +594,7 @@ fn outside_a_chart_the_law_goes_on_as_it_was_told() {
         assert!((law.held - f64::from(updates) / (law.status.len() * 300) as f64).abs() < 1e-12);
         // No law costs less than V; these know V inside, and go there without haste.
         for i in 0..law.cost.len() {
-            let v = known_value(&[law_start(i, 0), law_start(i, 1)]);
+            let v = manufactured::value(&[law_start(i, 0), law_start(i, 1)]);
             assert!(
                 law.cost[i] >= v - 1e-3 * (1.0 + v) && law.cost[i] <= 1.5 * v + 1e-3,
                 "{outside} {i}"
@@ -723,7 +681,7 @@ initial = { x = [3, 5, 3], v = [-1, 1, 3] }
 /// trajectories.
 #[test]
 fn a_flight_under_a_chart_does_not_depend_on_its_company() {
-    let text = manufactured().replace(
+    let text = manufactured_scene().replace(
         "initial = { x = [-1, 1, 7], y = [-1, 1, 7] }",
         "initial = { x = [-1, 1, 23], y = [-1, 1, 15] }",
     );
@@ -842,7 +800,8 @@ fn a_gap_in_the_chart_is_bridged() {
                 .filter(|_| !(0.2..0.3).contains(&x[0].hypot(x[1])))
         }
     }
-    let scene = Scene::new(&manufactured().replace("samples = 60", "samples = 60\nperiod = 0.05"));
+    let scene =
+        Scene::new(&manufactured_scene().replace("samples = 60", "samples = 60\nperiod = 0.05"));
     let all = scene.initial();
     // Not those that start in it.
     let starts: Vec<f64> = (0..all.count())

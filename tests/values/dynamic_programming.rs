@@ -3,6 +3,7 @@
 
 use crate::common;
 use crate::common_oracles;
+use crate::common_problems::{Cart, TwoWells, manufactured};
 
 use common::any_gpu;
 use common_oracles::{derive, parse, scene};
@@ -72,45 +73,27 @@ fn flights(plan: &Plan, value: &GridValue, count: usize) -> Vec<f64> {
     list
 }
 
-fn manufactured_value(s: &[f64]) -> f64 {
-    let (x, y) = (s[0], s[1]);
-    0.5 * x * x + 0.5 * (1.0 - x.cos()) + 0.5 * x * y + y * y + 0.25 * x * x * y * y
-}
-
-/// Exact V of the cart with 2 s left (see the scene).
+/// V of the cart of `scenarios/finite_horizon.toml` with 2 s left.
 fn cart_value(s: &[f64]) -> f64 {
-    let (tau, weight): (f64, f64) = (2.0, 10.0);
-    let (y1, y2) = (s[0] + s[1] * tau, s[1]);
-    let (a, b, c) = (
-        tau.powi(3) / 3.0 + 1.0 / weight,
-        tau * tau / 2.0,
-        tau + 1.0 / weight,
-    );
-    (c * y1 * y1 - 2.0 * b * y1 * y2 + a * y2 * y2) / (2.0 * (a * c - b * b))
+    Cart { weight: 10.0 }.at(s, 2.0).v
 }
 
-/// Exact V of the two wells: the least of all straight lines to an end (Hopf and Lax), on a fine
-/// grid of ends in x; of y the terminal cost is y^2/2, whose least is in closed form.
 fn wells_value(s: &[f64]) -> f64 {
-    let (time, k, slant) = (2.0, 2.0, 0.1);
-    let phi = |y: f64| y.powi(4) / 4.0 - k * y * y / 2.0 + slant * y;
-    let ends = (0..=80_000).map(|j| -4.0 + 1e-4 * f64::from(j));
-    let along_x = ends.map(|y| phi(y) + (s[0] - y).powi(2) / (2.0 * time));
-    along_x.fold(f64::INFINITY, f64::min) + 0.5 * s[1] * s[1] / (1.0 + time)
+    TwoWells::with(2.0).at(s).v
 }
 
 /// Measured with 101 x 101 nodes: see the figures beside the bounds.
 #[test]
 fn a_manufactured_value_is_met() {
     let (plan, value) = solved(&scene("manufactured", &[]), &nodes(101));
-    let (median, most) = quantiles(errors(&plan, &value, manufactured_value));
+    let (median, most) = quantiles(errors(&plan, &value, manufactured::value));
     println!("manufactured: median {median:.1e}, 95 % {most:.1e}");
     assert!(
         median < 0.005 && most < 0.02,
         "median {median}, 95 % {most}"
     );
     let p = value.gradient(&[1.0, -0.5]).expect("inside");
-    let exact = [1.0 + 0.5 * 1f64.sin() - 0.25 + 0.125, 0.5 - 1.0 - 0.25];
+    let exact = manufactured::at(&[1.0, -0.5]).p;
     for (p, exact) in p.iter().zip(exact) {
         assert!((p - exact).abs() < 0.02, "{p} {exact}");
     }
@@ -316,7 +299,7 @@ fn greedy_paths_cost_what_v_says() {
         let (cost, _) = value.greedy(&s).expect("a path");
         // A flown control never costs less than V but for the end, where the local solution's V is
         // within 0.5 %.
-        let exact = manufactured_value(&s);
+        let exact = manufactured::value(&s);
         assert!(cost > exact * (1.0 - 0.005), "{s:?}: {cost} {exact}");
     }
 }
@@ -459,7 +442,7 @@ fn probe() {
     if path.contains("manufactured") {
         println!(
             "errors median, 95 %: {:?}",
-            quantiles(errors(&plan, &value, manufactured_value))
+            quantiles(errors(&plan, &value, manufactured::value))
         );
     }
     if path.contains("finite_horizon") {

@@ -2,6 +2,7 @@
 //! its limits.
 
 use crate::common;
+use crate::common_problems::{Exact, manufactured};
 use crate::common_values;
 
 use common::any_gpu;
@@ -433,18 +434,13 @@ fn states_of_different_size() {
         let answers = solve(&points);
         hamiltonians(swept, &answers, what);
         for (k, [x, y]) in units.iter().enumerate() {
-            let v =
-                0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
+            let Exact { v, p, .. } = manufactured::at(&[*x, *y]);
             let e = solved(&answers, k, what);
             assert!(
                 (e.value - v).abs() <= SOLVED * v,
                 "{what}: {} not {v}",
                 e.value
             );
-            let p = [
-                x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
-                0.5 * x + 2.0 * y + 0.5 * x * x * y,
-            ];
             assert!(
                 (e.p[0] * 1e-6 - p[0]).abs() <= SOLVED && (e.p[1] * 1e6 - p[1]).abs() <= SOLVED,
                 "{what}: {:?}",

@@ -4,23 +4,16 @@
 //! Bounds: answers are asked to 1e-9 relative to the trajectory (segments to a tenth of it,
 //! Newton's last correction), so V and p to 1e-8.
 
-use crate::common_values;
+use crate::{common_problems, common_values};
 
+use common_problems::linear::chain;
+use common_problems::{Exact, manufactured};
 use common_values::{Swept, given, largest, parse, scene, spaced};
 use costate::low_level::value::PointStatus;
 
 /// Ten times the tolerance of the answers: it is relative to a trajectory's largest component, not
 /// to each one.
 const PROMISED: f64 = 1e-8;
-
-fn manufactured(x: f64, y: f64) -> (f64, [f64; 2]) {
-    let v = 0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
-    let p = [
-        x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
-        0.5 * x + 2.0 * y + 0.5 * x * x * y,
-    ];
-    (v, p)
-}
 
 #[test]
 fn manufactured_value_at_every_target() {
@@ -36,7 +29,7 @@ fn manufactured_value_at_every_target() {
     for target in 0..answers.targets.len() {
         let x = answers.targets.state(target);
         let entry = answers.answer(target).expect("solved");
-        let (v, p) = manufactured(x[0], x[1]);
+        let Exact { v, p, u } = manufactured::at(x);
         assert!(
             (entry.value - v).abs() <= PROMISED * v,
             "V at {x:?}: {} not {v}",
@@ -44,12 +37,12 @@ fn manufactured_value_at_every_target() {
         );
         let error = largest((0..2).map(|i| entry.p[i] - p[i]));
         assert!(
-            error <= PROMISED * largest(p),
+            error <= PROMISED * largest(p.iter().copied()),
             "p at {x:?}: {:?} not {p:?}",
             entry.p
         );
         assert!(
-            (entry.u[0] + p[1] / 0.5).abs() <= 2.0 * PROMISED * largest(p),
+            (entry.u[0] - u[0]).abs() <= 2.0 * PROMISED * largest(p.iter().copied()),
             "u at {x:?}"
         );
     }
@@ -59,43 +52,7 @@ fn manufactured_value_at_every_target() {
 /// checks on its own.
 #[test]
 fn eight_states() {
-    let mut text = String::from("title = \"chain\"\n[states]\n");
-    for i in 0..4 {
-        text += &format!("x{i} = {{}}\nv{i} = {{}}\n");
-    }
-    text += "[controls]\nu0 = {}\nu3 = {}\n[dynamics]\n";
-    for i in 0..4i32 {
-        let left = if i > 0 {
-            format!("x{}", i - 1)
-        } else {
-            "0".into()
-        };
-        let right = if i < 3 {
-            format!("x{}", i + 1)
-        } else {
-            "0".into()
-        };
-        let force = if i % 3 == 0 {
-            format!(" + u{i}")
-        } else {
-            String::new()
-        };
-        text +=
-            &format!("x{i} = \"v{i}\"\nv{i} = \"{left} - 2*x{i} + {right} - 0.1*v{i}{force}\"\n");
-    }
-    let squares: Vec<String> = (0..4).map(|i| format!("x{i}^2 + v{i}^2")).collect();
-    text += &format!(
-        "[cost]\nrunning = \"0.5*({} + u0^2 + u3^2)\"\n[equilibrium]\n",
-        squares.join(" + ")
-    );
-    for i in 0..4 {
-        text += &format!("x{i} = 0\nv{i} = 0\n");
-    }
-    text += "u0 = 0\nu3 = 0\n[region]\n";
-    for i in 0..4 {
-        text += &format!("x{i} = [-1, 1]\nv{i} = [-1, 1]\n");
-    }
-    let swept = Swept::new(parse(&text), 300);
+    let swept = Swept::new(parse(&chain(4, 0.0)), 300);
     let p = &swept
         .plan
         .local
@@ -167,7 +124,7 @@ fn finite_horizon() {
             entry.value
         );
         let error = largest((0..2).map(|i| entry.p[i] - p[i]));
-        assert!(error <= PROMISED * largest(p), "p at {x:?}");
+        assert!(error <= PROMISED * largest(p.iter().copied()), "p at {x:?}");
     }
 }
 

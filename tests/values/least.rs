@@ -11,9 +11,10 @@
 //! of each scene alone and in company instead of 12.
 
 use crate::common_oracles;
+use crate::common_problems::{TwoWells, manufactured};
 use crate::common_values;
 
-use common_oracles::{Random, derive, parameter, unswept};
+use common_oracles::{Random, derive, unswept};
 use common_values::{given, parse, scene};
 use costate::backend::cpu::Cpu;
 use costate::low_level::hamiltonian::Hamiltonian;
@@ -197,18 +198,13 @@ fn least_only_by_a_second_comparison() {
     }
 }
 
-/// Long horizons stretch terminal states by 1 + T phi''. V by Hopf and Lax: the terminal cost at z
-/// with the straight way there, minimized over a dense row of z; along y in closed form.
+/// Long horizons stretch terminal states by 1 + T phi''.
 #[test]
 fn two_wells_after_a_long_time() {
-    const T: f64 = 20.0;
-    const ROW: usize = 2_000_000;
-    let (x, y) = (0.6356649940707744, 0.21360346728167579);
-    let cost = |z: f64| z.powi(4) / 4.0 - z * z + 0.1 * z + (x - z).powi(2) / (2.0 * T);
-    let along_x = (0..=ROW).map(|k| cost(-3.0 + 6.0 * k as f64 / ROW as f64));
-    let value = along_x.fold(f64::INFINITY, f64::min) + y * y / (2.0 * (1.0 + T));
-    let found = solved(&scene("hopf_lax", &[("T", "20")]), &[x, y]);
-    assert_value(&found, 0, value, REFERENCE);
+    let model = scene("hopf_lax", &[("T", "20")]);
+    let s = [0.6356649940707744, 0.21360346728167579];
+    let found = solved(&model, &s);
+    assert_value(&found, 0, TwoWells::of(&model).at(&s).v, REFERENCE);
     assert_evidence(&found, Evidence::NotUndercut);
 }
 
@@ -605,33 +601,20 @@ fn company_of_a_pendulum_to_rest() {
 #[test]
 fn company_of_a_manufactured_problem() {
     let model = scene("manufactured", &[]);
-    let exact = |s: &[f64]| {
-        let (x, y) = (s[0], s[1]);
-        0.5 * x * x + 0.5 * (1.0 - x.cos()) + 0.5 * x * y + y * y + 0.25 * x * x * y * y
-    };
-    assert_company(&model, &swept_otherwise(&model), Some(&exact), true);
+    assert_company(
+        &model,
+        &swept_otherwise(&model),
+        Some(&manufactured::value),
+        true,
+    );
 }
 
 /// V is the least of phi(y) + |x - y|^2 / (2 T) over the ends y (Hopf and Lax).
 #[test]
 fn company_of_a_particle_between_wells() {
     let model = scene("hopf_lax", &[]);
-    let [t, k, slant] = ["T", "k", "slant"].map(|name| parameter(&model, name));
-    let exact = |s: &[f64]| {
-        let slope = |y: f64| y.powi(3) - k * y + slant;
-        let mut least = f64::INFINITY;
-        for start in -60..=60 {
-            let mut y = 0.05 * f64::from(start);
-            for _ in 0..60 {
-                y -= (y + t * slope(y) - s[0]) / (1.0 + t * (3.0 * y * y - k));
-            }
-            if (y + t * slope(y) - s[0]).abs() < 1e-12 {
-                let ends = y.powi(4) / 4.0 - k * y * y / 2.0 + slant * y;
-                least = least.min(ends + (s[0] - y).powi(2) / (2.0 * t));
-            }
-        }
-        least + 0.5 * s[1] * s[1] / (1.0 + t)
-    };
+    let wells = TwoWells::of(&model);
+    let exact = |s: &[f64]| wells.at(s).v;
     assert_company(&model, &swept_otherwise(&model), Some(&exact), true);
 }
 

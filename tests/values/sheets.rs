@@ -1,50 +1,16 @@
 //! Sheets, folds and the equal-cost boundary against what is known of them.
 
+use crate::common_problems::TwoWells;
+use crate::common_problems::two_wells::Way;
 use crate::common_values;
 
 use common_values::{Swept, largest, scene, spaced};
 use costate::low_level::value::{Grid, Request};
 
-/// A free particle: x' = u, L = u^2/2, terminal cost phi. Costates are constant, so x = y + T
-/// phi'(y) for an end y, and V = phi(y) + T phi'(y)^2/2. With phi = x^4/4 - k x^2/2 + a x (+ y^2/2
-/// in the other state) all is known.
-struct HopfLax {
-    t: f64,
-    k: f64,
-    a: f64,
-}
-
-impl HopfLax {
-    /// All V of the first state's part, and p, at a state: by Newton's method from many ends.
-    fn extremals(&self, x: f64) -> Vec<(f64, f64)> {
-        let slope = |y: f64| y.powi(3) - self.k * y + self.a;
-        let mut ends: Vec<f64> = Vec::new();
-        for k in -60..=60 {
-            let mut y = f64::from(k) * 0.05;
-            for _ in 0..60 {
-                let f = y + self.t * slope(y) - x;
-                y -= f / (1.0 + self.t * (3.0 * y * y - self.k));
-            }
-            let good = (y + self.t * slope(y) - x).abs() < 1e-12;
-            if good && ends.iter().all(|e| (e - y).abs() > 1e-6) {
-                ends.push(y);
-            }
-        }
-        let cost = |y: f64| y.powi(4) / 4.0 - self.k * y * y / 2.0 + self.a * y;
-        ends.iter()
-            .map(|y| (cost(*y) + 0.5 * self.t * slope(*y).powi(2), slope(*y)))
-            .collect()
-    }
-}
-
 #[test]
 fn a_fold_and_an_equal_cost_line_with_known_answers() {
     let swept = Swept::new(scene("hopf_lax", &[]), 4000);
-    let exact = HopfLax {
-        t: 2.0,
-        k: 2.0,
-        a: 0.1,
-    };
+    let exact = TwoWells::with(2.0);
     let answers = swept.grid(vec![spaced(-3.0, 3.0, 41), spaced(-1.0, 1.0, 5)]);
     assert_eq!(answers.solved(), answers.targets.len());
     let mut threefold = 0;
@@ -52,32 +18,28 @@ fn a_fold_and_an_equal_cost_line_with_known_answers() {
         let [x, y] = answers.targets.state(target)[..] else {
             unreachable!()
         };
-        let mut expected = exact.extremals(x);
-        expected.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let expected = exact.ways(x);
         let found = answers.of(target);
         assert_eq!(found.len(), expected.len(), "extremals at {x}");
         threefold += usize::from(found.len() == 3);
-        // The other state alone costs y^2 / (2 (1 + T)).
-        let other = 0.5 * y * y / (1.0 + exact.t);
-        for (entry, (v, p)) in found.iter().zip(&expected) {
+        let (other, slope) = exact.across(y);
+        for (entry, Way { v, p, .. }) in found.iter().zip(&expected) {
             assert!(
                 (entry.value - v - other).abs() < 1e-8,
                 "V at {x}, {y}: {} not {}",
                 entry.value,
                 v + other
             );
-            assert!(
-                (entry.p[0] - p).abs() < 1e-8 && (entry.p[1] - y / (1.0 + exact.t)).abs() < 1e-8
-            );
+            assert!((entry.p[0] - p).abs() < 1e-8 && (entry.p[1] - slope).abs() < 1e-8);
         }
     }
     assert!(threefold > 30, "{threefold} states with three extremals");
-    // Equal cost: x = T a, by symmetry about it; the ends there are +-sqrt(k - 1/T).
-    let jump = 2.0 * (exact.k - 1.0 / exact.t).sqrt() / exact.t;
+    // On the line of equal cost the ends are +-sqrt(k - 1/T).
+    let jump = 2.0 * (exact.k - 1.0 / exact.left).sqrt() / exact.left;
     assert_eq!(answers.equal_cost.len(), 5);
     for e in &answers.equal_cost {
         assert!(
-            (e.point.x[0] - exact.t * exact.a).abs() < 1e-8,
+            (e.point.x[0] - exact.equal_cost()).abs() < 1e-8,
             "{:?}",
             e.point.x
         );
@@ -101,11 +63,10 @@ fn a_fold_and_an_equal_cost_line_with_known_answers() {
         "{on_line:?}"
     );
     // Folds: dx/dy = 0, y = +-sqrt((k - 1/T)/3).
-    let end = ((exact.k - 1.0 / exact.t) / 3.0).sqrt();
-    let fold = |y: f64| y + exact.t * (y.powi(3) - exact.k * y + exact.a);
+    let end = ((exact.k - 1.0 / exact.left) / 3.0).sqrt();
     assert!(!answers.folds.is_empty());
     for f in &answers.folds {
-        let nearest = [fold(end), fold(-end)].map(|x| (f.s[0] - x).abs());
+        let nearest = [exact.start(end), exact.start(-end)].map(|x| (f.s[0] - x).abs());
         // t along the line is of the second order in the tangent's share, 1e-7.
         assert!(nearest[0].min(nearest[1]) < 1e-9, "fold at {:?}", f.s);
     }
@@ -113,7 +74,7 @@ fn a_fold_and_an_equal_cost_line_with_known_answers() {
         answers
             .folds
             .iter()
-            .any(|f| (f.s[0] - fold(y)).abs() < 1e-9)
+            .any(|f| (f.s[0] - exact.start(y)).abs() < 1e-9)
     });
     assert_eq!(both, [true, true]);
 }

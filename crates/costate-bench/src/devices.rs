@@ -1,8 +1,8 @@
 //! Opening what is to be measured.
 
 use super::variants::Missing;
+use costate::backend::adapters::{self, AdapterInfo, Selection, adapters, no_adapter};
 use costate::backend::cpu::Cpu;
-use costate::backend::gpu::{self, AdapterInfo, Gpu, Selection};
 use costate::backend::{Backend, BackendError};
 
 /// A choice of backends.
@@ -28,8 +28,7 @@ pub fn open(which: &[Which], adapter: Option<&str>) -> Result<Opened, BackendErr
     let asked = |w| which.contains(&w);
     let mut backends: Vec<Box<dyn Backend>> = Vec::new();
     let mut missing = Vec::new();
-    let hardware =
-        asked(Which::Auto) && adapter.is_none() && gpu::adapters().iter().any(|a| a.hardware);
+    let hardware = asked(Which::Auto) && adapter.is_none() && adapters().iter().any(|a| a.hardware);
     if asked(Which::Cpu)
         || asked(Which::All)
         || (asked(Which::Auto) && adapter.is_none() && !hardware)
@@ -37,35 +36,33 @@ pub fn open(which: &[Which], adapter: Option<&str>) -> Result<Opened, BackendErr
         backends.push(Box::new(Cpu::new()));
     }
     if let Some(name) = adapter {
-        if let Some(gpu) = Gpu::open(&Selection::Named(name.to_owned()))? {
-            backends.push(Box::new(gpu));
-        }
+        backends.extend(adapters::open(&Selection::Named(name.to_owned()))?);
         return Ok((backends, missing));
     }
     if asked(Which::Gpu) || asked(Which::All) {
-        let found = gpu::adapters();
+        let found = adapters();
         if found.is_empty() && asked(Which::Gpu) {
-            return Err(BackendError::NoAdapter);
+            return Err(no_adapter());
         }
         if found.is_empty() {
             missing.push(Missing {
                 what: "gpu".into(),
-                why: BackendError::NoAdapter.to_string(),
+                why: no_adapter().to_string(),
             });
         }
         let skip_software = !asked(Which::Gpu) && found.iter().any(|a| a.hardware);
         for (k, info) in found.iter().enumerate() {
             let before = found[..k].iter().find(|a| a.name == info.name);
             match open_one(info, before, skip_software) {
-                Ok(gpu) => backends.push(Box::new(gpu)),
+                Ok(gpu) => backends.push(gpu),
                 Err(why) => missing.push(Missing {
                     what: format!("{} ({})", info.name, info.api),
                     why,
                 }),
             }
         }
-    } else if hardware && let Some(gpu) = Gpu::open(&Selection::Hardware)? {
-        backends.push(Box::new(gpu));
+    } else if hardware {
+        backends.extend(adapters::open(&Selection::Hardware)?);
     }
     Ok((backends, missing))
 }
@@ -74,7 +71,7 @@ fn open_one(
     info: &AdapterInfo,
     before: Option<&AdapterInfo>,
     skip_software: bool,
-) -> Result<Gpu, String> {
+) -> Result<Box<dyn Backend>, String> {
     if let Some(before) = before {
         return Err(format!(
             "a device of this name is measured through {}",
@@ -84,8 +81,8 @@ fn open_one(
     if skip_software && !info.hardware {
         return Err("a software adapter, where there is hardware: name it with --adapter".into());
     }
-    match Gpu::open(&Selection::Named(info.name.clone())) {
-        Ok(Some(gpu)) if gpu.info().name == info.name => Ok(gpu),
+    match adapters::open(&Selection::Named(info.name.clone())) {
+        Ok(Some(gpu)) if gpu.adapter() == info.to_string() => Ok(gpu),
         Ok(_) => Err("another adapter answers to its name".into()),
         Err(e) => Err(e.to_string()),
     }

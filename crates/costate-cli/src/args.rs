@@ -46,6 +46,7 @@ pub enum Command {
     Export(ExportArgs),
     /// One page of HTML with pictures of what a result file holds, and the pictures beside it as
     /// SVG and PNG.
+    #[cfg(feature = "report")]
     Report(ReportArgs),
     /// Validate a scenario and print the derived equations and the local solution.
     Check(CheckArgs),
@@ -348,6 +349,7 @@ pub struct ExportArgs {
     pub quiet: bool,
 }
 
+#[cfg(feature = "report")]
 #[derive(Args, Debug, Clone)]
 pub struct ReportArgs {
     /// The result file (HDF5).

@@ -7,6 +7,7 @@ use costate::low_level::feedback::{LawError, NetworkError};
 use costate::low_level::files::FileError;
 use costate::low_level::hdf5::OutputError;
 use costate::low_level::local::LocalError;
+#[cfg(feature = "gpu")]
 use costate::low_level::map::DeviceError;
 use costate::low_level::result::{StoredError, StoredMapError};
 use costate::low_level::scenario::{LoadError, ScenarioErrors};
@@ -44,6 +45,7 @@ pub enum CliError {
     Stored(#[from] StoredError),
     #[error(transparent)]
     Map(#[from] StoredMapError),
+    #[cfg(feature = "gpu")]
     #[error(transparent)]
     Device(#[from] DeviceError),
     #[error(transparent)]
@@ -58,8 +60,10 @@ pub enum CliError {
     Bench(#[from] BenchError),
     #[error("--out {path}: the picture takes this name with .svg; name the table .h5", path = path.display())]
     PictureName { path: PathBuf },
+    #[cfg(feature = "report")]
     #[error(transparent)]
     Report(#[from] costate_report::ReportError),
+    #[cfg(feature = "report")]
     #[error(transparent)]
     ReportOption(#[from] OptionError),
     #[error("--out {path}: {reason}", path = path.display())]
@@ -125,8 +129,10 @@ impl CliError {
             Self::Session(error) => error.is_of_input(),
             Self::Run(error) => error.is_of_input(),
             Self::File(error) | Self::Output(OutputError::File(error)) => error.is_of_name(),
+            #[cfg(feature = "gpu")]
             Self::Device(error) => !matches!(error, DeviceError::Backend(_)),
             Self::Refused(error) => !matches!(error, GridRefusal::OutOfTime(_)),
+            #[cfg(feature = "report")]
             Self::Report(error) => {
                 use costate_report::ReportError;
                 matches!(
@@ -215,6 +221,7 @@ pub enum ExportError {
 }
 
 /// An option that is no number or names nothing.
+#[cfg(feature = "report")]
 #[derive(Debug, thiserror::Error)]
 #[error("{option} {text}: {reason}")]
 pub struct OptionError {

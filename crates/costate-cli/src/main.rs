@@ -9,9 +9,9 @@ mod text;
 
 use args::Command;
 use clap::Parser;
-use commands::{
-    attenuation, bench, check, check_least, evaluate, export, fit, report, run, study, value,
-};
+#[cfg(feature = "report")]
+use commands::report;
+use commands::{attenuation, bench, check, check_least, evaluate, export, fit, run, study, value};
 use costate::low_level::diagnostics::{printable, unprintable};
 use error::CliError;
 use std::process::ExitCode;
@@ -50,10 +50,11 @@ fn main() -> ExitCode {
         Command::Bench(args) => bench::bench(&args),
         Command::Fit(args) => fit::fit(&args),
         Command::Export(args) => export::export(&args),
+        #[cfg(feature = "report")]
         Command::Report(args) => report::report(&args),
         Command::Check(args) => check::check(&args),
         Command::Reference { what } => check::reference(what),
-        Command::Adapters { json } => check::adapters(json),
+        Command::Adapters { json } => check::list_adapters(json),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

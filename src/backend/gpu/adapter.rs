@@ -1,41 +1,13 @@
 //! Finding adapters and opening a device on one.
 
 use crate::backend::BackendError;
+use crate::backend::adapters::{AdapterInfo, Selection};
 use crate::model::Precision;
 use std::sync::{Arc, Mutex, PoisonError};
 use wgpu::{Backend as Api, Backends, DeviceType};
 
 /// What f64 kernels need: 64-bit integers too, to take numbers apart.
 const F64: wgpu::Features = wgpu::Features::SHADER_F64.union(wgpu::Features::SHADER_INT64);
-
-/// An adapter as `costate adapters` shows it.
-#[derive(Clone, Debug)]
-pub struct AdapterInfo {
-    pub name: String,
-    /// Vulkan, Metal, Dx12 or Gl.
-    pub api: String,
-    /// The driver and its version, as far as it tells.
-    pub driver: String,
-    /// False for a software adapter such as llvmpipe.
-    pub hardware: bool,
-    /// Discrete, integrated, virtual, software or unknown.
-    pub kind: &'static str,
-    pub f64_arithmetic: bool,
-    /// Largest storage buffer binding and largest buffer, bytes.
-    pub max_binding: u64,
-    pub max_buffer: u64,
-}
-
-/// Which adapter to open.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Selection {
-    /// The best hardware adapter.
-    Hardware,
-    /// The best adapter, a software one where there is no other.
-    Any,
-    /// The best one whose name contains this, whatever the case.
-    Named(String),
-}
 
 /// All adapters, the best first.
 pub fn adapters() -> Vec<AdapterInfo> {

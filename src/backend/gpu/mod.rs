@@ -20,7 +20,8 @@ pub(crate) mod shader;
 mod tests;
 pub(crate) mod text;
 
-pub use adapter::{AdapterInfo, Selection, adapters};
+pub use super::adapters::{AdapterInfo, Selection};
+pub use adapter::adapters;
 
 use super::{Backend, BackendError, Eliminator, Kernel, Spec};
 use crate::model::Precision;
@@ -91,8 +92,7 @@ impl Backend for Gpu {
     }
 
     fn adapter(&self) -> String {
-        let info = &self.device.info;
-        format!("{} ({}, {})", info.name, info.api, info.kind)
+        self.device.info.to_string()
     }
 
     fn gpu(&self) -> Option<&Gpu> {

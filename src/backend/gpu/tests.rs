@@ -1,10 +1,11 @@
 //! The elementary functions on the device, and messages for shaders that do not validate.
 
-use super::adapter::{Device, Selection};
+use super::adapter::Device;
 use super::memory::reals;
 use super::shader::{Fragment, Source, conditional};
 use super::text::{self, primitive};
 use crate::backend::BackendError;
+use crate::backend::adapters::Selection;
 use crate::model::Precision;
 use crate::program::Primitive;
 

@@ -5,6 +5,7 @@ mod exports;
 mod refusals;
 mod support;
 
+use crate::common_problems::{Exact, manufactured};
 use costate::low_level::feedback::{Data, FittedLaw, Law, Samples, fit};
 use costate::low_level::hamiltonian::Hamiltonian;
 use costate::low_level::model::{Feedback, Model};
@@ -210,14 +211,10 @@ fn the_loss_is_that_of_the_hamiltonian() {
     }
 }
 
-/// V, its gradient and u of `scenarios/manufactured.toml`, as its head says.
-fn manufactured([x, y]: [f64; 2]) -> (f64, [f64; 2], f64) {
-    let v = 0.5 * x * x + 0.5 * (1.0 - x.cos()) + 0.5 * x * y + y * y + 0.25 * x * x * y * y;
-    let p = [
-        x + 0.5 * x.sin() + 0.5 * y + 0.5 * x * y * y,
-        0.5 * x + 2.0 * y + 0.5 * x * x * y,
-    ];
-    (v, p, -p[1] / 0.5)
+/// V, its gradient and u of `scenarios/manufactured.toml`.
+fn manufactured(x: [f64; 2]) -> (f64, [f64; 2], f64) {
+    let Exact { v, p, u } = manufactured::at(&x);
+    (v, [p[0], p[1]], u[0])
 }
 
 /// H(x, p) of that scene, by hand.

@@ -3,6 +3,7 @@
 
 mod claims;
 use crate::common_oracles;
+use crate::common_problems::{Cart, manufactured};
 use crate::common_values;
 mod speed;
 
@@ -17,34 +18,13 @@ use costate::low_level::value::flight::{
 /// Error of a flown cost, relative to it: ten times the tolerance of a step.
 pub const COST_ERROR: f64 = 1e-8;
 
-/// V of scenarios/manufactured.toml.
-fn manufactured(s: &[f64]) -> f64 {
-    let [x, y] = [s[0], s[1]];
-    0.5 * x * x + (0.5 * x).sin().powi(2) + 0.5 * x * y + y * y + 0.25 * x * x * y * y
-}
-
-/// Its second derivatives, row-major.
-fn manufactured_hessian(s: &[f64]) -> [f64; 4] {
-    let [x, y] = [s[0], s[1]];
-    let xy = 0.5 + x * y;
-    [1.0 + 0.5 * x.cos() + 0.5 * y * y, xy, xy, 2.0 + 0.5 * x * x]
-}
-
 /// States of the manufactured scene with V up to 2.4.
 fn manufactured_states(count: usize) -> Vec<Vec<f64>> {
     let mut random = Random::new(7);
     std::iter::repeat_with(|| random.point(&[[-2.0, 2.0], [-2.0, 2.0]]))
-        .filter(|s| manufactured(s) < 2.4)
+        .filter(|s| manufactured::value(s) < 2.4)
         .take(count)
         .collect()
-}
-
-/// V of scenarios/finite_horizon.toml with all of its time left.
-fn cart(s: &[f64], end: f64, weight: f64) -> f64 {
-    let (y, v) = (s[0] + s[1] * end, s[1]);
-    let d = (end.powi(3) / 3.0 + 1.0 / weight) * (end + 1.0 / weight) - end.powi(4) / 4.0;
-    ((end + 1.0 / weight) * y * y - end * end * y * v + (end.powi(3) / 3.0 + 1.0 / weight) * v * v)
-        / (2.0 * d)
 }
 
 pub fn fly(swept: &Swept, flights: &[Flight<'_>]) -> Vec<Flown> {
@@ -125,7 +105,7 @@ fn costs_are_upper_bounds_and_following_a_neighbour_is_nearly_optimal() {
             s: s.clone(),
             value: *value,
             p: path.adjoint().to_vec(),
-            slope: Some(manufactured_hessian(s).to_vec()),
+            slope: Some(manufactured::hessian(s).to_vec()),
         })
         .collect();
     let at = At::new(&swept.plan, &sites).expect("sites");
@@ -157,7 +137,7 @@ fn costs_are_upper_bounds_and_following_a_neighbour_is_nearly_optimal() {
 fn check_bounds(name: &str, states: &[Vec<f64>], flown: &[Flown], bound: f64) {
     let (mut below, mut above) = (0.0f64, Worst::default());
     for (s, flown) in states.iter().zip(flown) {
-        let exact = manufactured(s);
+        let exact = manufactured::value(s);
         assert_eq!(flown.end, FlightEnd::Home, "{name} from {s:?}");
         below = below.max((exact - flown.cost) / exact);
         above.see(flown.cost / exact);
@@ -178,7 +158,7 @@ fn slopes_at_nodes_are_the_second_derivatives_of_v() {
     for (path, slopes) in paths.iter().zip(&found) {
         assert_eq!(slopes.len(), path.segments() + 1);
         for (k, slope) in slopes.iter().enumerate() {
-            let exact = manufactured_hessian(path.node(k));
+            let exact = manufactured::hessian(path.node(k));
             for (a, b) in slope.as_ref().expect("V is smooth").iter().zip(exact) {
                 worst.see((a - b).abs());
             }
@@ -192,7 +172,7 @@ fn slopes_at_nodes_are_the_second_derivatives_of_v() {
 #[test]
 fn finite_horizon_costs_are_upper_bounds() {
     let model = scene("finite_horizon", &[]);
-    let (end, weight) = (parameter(&model, "T"), parameter(&model, "s"));
+    let (end, cart) = (parameter(&model, "T"), Cart::of(&model));
     let swept = Swept::new(model, 200);
     let mut random = Random::new(5);
     let states: Vec<Vec<f64>> = (0..60)
@@ -220,7 +200,7 @@ fn finite_horizon_costs_are_upper_bounds() {
     }
     let (mut below, mut above) = (0.0f64, Worst::default());
     for (s, flown) in states.iter().zip(fly(&swept, &flights).chunks(2)) {
-        let exact = cart(s, end, weight);
+        let exact = cart.at(s, end).v;
         for flown in flown {
             assert_eq!(flown.end, FlightEnd::Home);
             below = below.max((exact - flown.cost) / exact);

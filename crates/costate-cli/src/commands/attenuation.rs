@@ -2,15 +2,11 @@
 
 use super::alone::Alone;
 use crate::args::RunArgs;
-use crate::common::print_json;
+use crate::common::{pictures, print_json};
 use crate::error::CliError;
-use crate::terminal::Terminal;
-use costate::low_level::result::Stored;
 use costate::run::write_attenuation;
+use costate::session::SessionError;
 use costate::session::summary::AttenuationSummary;
-use costate::session::{Progress, SessionError};
-use costate_report::ATTENUATION_PICTURES;
-use std::path::Path;
 
 pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
     if args.time_limit.is_some() {
@@ -27,7 +23,7 @@ pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
     write_attenuation(&mut file, &begun.scene.model, &found)?;
     let path = begun.finish(&session, file)?;
 
-    let pictures = pictures(&path, terminal);
+    let pictures = pictures::of_attenuation(&path, terminal);
     let beside = match pictures.is_empty() {
         true => String::new(),
         false => format!("; pictures: {} (and .png)", pictures.join(", ")),
@@ -41,24 +37,4 @@ pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
         print_json(&AttenuationSummary::new(&found))?;
     }
     Ok(())
-}
-
-/// The pictures beside a result file, by their names as SVG; what cannot be drawn is a note.
-fn pictures(path: &Path, terminal: &Terminal) -> Vec<String> {
-    let stored = Stored::open(path).map_err(|e| e.to_string());
-    let written = stored.and_then(|s| {
-        costate_report::write_beside(&s, &ATTENUATION_PICTURES).map_err(|e| e.to_string())
-    });
-    match written {
-        Ok(written) => {
-            for (name, reason) in &written.missing {
-                terminal.note(&format!("picture {name}: {reason}"));
-            }
-            written.pictures
-        }
-        Err(reason) => {
-            terminal.note(&format!("no picture was made: {reason}"));
-            Vec::new()
-        }
-    }
 }

@@ -2,15 +2,14 @@
 
 use crate::args::{BenchArgs, BenchBackend, PrecisionChoice};
 use crate::common::load::load;
-use crate::common::{Kind, check_out, print_json, provenance};
+use crate::common::{Kind, check_out, pictures, print_json, provenance};
 use crate::error::CliError;
 use crate::terminal::Terminal;
 use crate::text::bench::{self as bench_report, Done};
 use costate::backend::{Backend, BackendError};
-use costate::low_level::files::write_text;
 use costate::low_level::hdf5::ResultFile;
 use costate::low_level::model::Precision;
-use costate::low_level::result::{RunRecord, Stored};
+use costate::low_level::result::RunRecord;
 use costate::low_level::sweep::{Choices, sweep};
 use costate::run::{self, RunError};
 use costate::scene::Scene;
@@ -18,7 +17,6 @@ use costate::session::{self, Progress, sweep_and_write};
 use costate_bench::devices::{self, Which};
 use costate_bench::host_share::{HostShare, Metered};
 use costate_bench::{BenchError, Options, Wanted, Work, measure, write};
-use costate_report::{DEFAULT_WIDTH, Picture};
 use std::path::Path;
 use std::time::Instant;
 
@@ -90,28 +88,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
     file.attribute("machine", devices::machine())?;
     write::host_shares(&mut file, &bench, &shares)?;
     let path = file.finish()?;
-    let svg = path.with_extension("svg");
-    let drawn = match costate_report::single(&Stored::open(&path)?, "speed") {
-        Ok(picture) => picture.map(|picture| Picture {
-            title: format!("{}: speed against error", model.title),
-            ..picture
-        }),
-        Err(e) => {
-            terminal.note(&e.to_string());
-            None
-        }
-    };
-    let others = svg.exists() && !costate_report::is_ours(&svg);
-    if others {
-        terminal.note(&format!(
-            "no picture was made: {} is there and is none of ours",
-            svg.display()
-        ));
-    }
-    let drawn = drawn.filter(|_| !others);
-    if let Some(picture) = &drawn {
-        write_text(&svg, &picture.svg(f64::from(DEFAULT_WIDTH)))?;
-    }
+    let picture = pictures::of_speed(&path, &model.title, &terminal)?;
     let done = Done {
         title: &model.title,
         bench: &bench,
@@ -119,7 +96,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
         shares: &shares,
         wanted: &wanted_errors(args),
         path: &path,
-        picture: drawn.is_some().then_some(svg.as_path()),
+        picture: picture.as_deref(),
         seconds: provenance.seconds(),
     };
     if args.scene.json {

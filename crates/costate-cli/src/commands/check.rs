@@ -5,7 +5,8 @@ use crate::common::load::load;
 use crate::error::CliError;
 use crate::terminal::{Printed, Terminal};
 use crate::text;
-use costate::backend::gpu;
+use costate::backend::BackendError;
+use costate::backend::adapters::{adapters, no_adapter};
 use costate::low_level::attenuation;
 use costate::low_level::hamiltonian::Hamiltonian;
 use costate::low_level::local::{LinearAttenuation, Riccati, linear_law, show_eigenvalue};
@@ -257,8 +258,8 @@ pub fn reference(what: Reference) -> Result<(), CliError> {
     Ok(())
 }
 
-pub fn adapters(json: bool) -> Result<(), CliError> {
-    let found = gpu::adapters();
+pub fn list_adapters(json: bool) -> Result<(), CliError> {
+    let found = adapters();
     let mut out = Printed::new();
     if json {
         let list: Vec<_> = (found.iter())
@@ -273,10 +274,11 @@ pub fn adapters(json: bool) -> Result<(), CliError> {
         return Ok(());
     }
     if found.is_empty() {
-        writeln!(
-            out,
-            "no GPU adapter was found; `--backend auto` computes on the CPU"
-        )?;
+        let why = match no_adapter() {
+            BackendError::NotBuilt => "this was built without the feature `gpu`",
+            _ => "no GPU adapter was found",
+        };
+        writeln!(out, "{why}; `--backend auto` computes on the CPU")?;
     }
     for a in &found {
         let f64_text = if a.f64_arithmetic {

@@ -3,20 +3,18 @@
 use crate::args::{RunArgs, SolveArgs};
 use crate::common::ending::Ending;
 use crate::common::load::load;
-use crate::common::{Kind, check_out, points, print_json, provenance};
+use crate::common::{Kind, check_out, pictures, points, print_json, provenance};
 use crate::error::CliError;
 use crate::error::GridRefusal;
 use crate::terminal::Terminal;
 use crate::text::listed;
 use costate::low_level::dynamic_programming;
 use costate::low_level::files::{target, write_text};
-use costate::low_level::result::Stored;
 use costate::run::{Provenance, output_of, output_of_points, stopped_beside};
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
 use costate::session::{Finished, Listed, Progress, Session, SessionError, States, Wanted};
-use costate_report::Options;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -103,7 +101,7 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     };
     terminal.ended()?;
     let page = (matches!(parts, Parts::All) && !args.no_report && !stopped)
-        .then(|| page(&path, &terminal));
+        .then(|| pictures::page(&path, &terminal));
     let page = page.flatten();
     summary["report"] = json!(page.as_ref().map(|p| p.display().to_string()));
     if args.scene.json {
@@ -187,21 +185,4 @@ fn to_table(
         .progress()
         .finished(Finished::Solved(&outcome, model));
     Ok((summary, path, outcome.stopped))
-}
-
-/// The report of a finished file; a failure is a note.
-fn page(path: &Path, terminal: &Terminal) -> Option<PathBuf> {
-    terminal.step("report");
-    let written = Stored::open(path).map_err(|e| e.to_string());
-    let written = written.and_then(|stored| {
-        costate_report::write(&stored, &Options::default()).map_err(|e| e.to_string())
-    });
-    terminal.step_ended();
-    match written {
-        Ok(written) => Some(written.page),
-        Err(reason) => {
-            terminal.note(&format!("no report was made: {reason}"));
-            None
-        }
-    }
 }

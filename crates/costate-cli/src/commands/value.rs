@@ -4,10 +4,13 @@ use crate::args::{PrecisionChoice, ValueArgs};
 use crate::common::{Kind, check_out, csv_text, open, points, print, print_json, provenance};
 use crate::error::{CliError, PlaceError};
 use crate::terminal::Terminal;
+use costate::backend::Backend;
 use costate::low_level::diagnostics::shorten;
 use costate::low_level::files::write_text;
 use costate::low_level::hdf5::ResultFile;
-use costate::low_level::map::{At, Coverage, DeviceMap, Fronts, Unknown, Value, ValueMap};
+#[cfg(feature = "gpu")]
+use costate::low_level::map::DeviceMap;
+use costate::low_level::map::{At, Coverage, Fronts, Unknown, Value, ValueMap};
 use costate::low_level::model::{Model, Precision};
 use costate::low_level::numeric::digits::plain;
 use costate::low_level::numeric::quantile::median_p99_max;
@@ -290,8 +293,8 @@ fn ask(map: &ValueMap, states: &[f64], times: &[f64], args: &ValueArgs) -> Resul
         None if backend.supports(Precision::F64) => Precision::F64,
         None => Precision::F32,
     };
-    let found = match backend.gpu() {
-        Some(gpu) => DeviceMap::new(map, gpu, precision)?.at_times(states, times)?,
+    let found = match on_device(map, backend.as_ref(), precision, (states, times))? {
+        Some(found) => found,
         None if precision == Precision::F64 => map.at_times(states, times, !args.no_errors),
         None => return Err(PlaceError::Precision.into()),
     };
@@ -301,6 +304,31 @@ fn ask(map: &ValueMap, states: &[f64], times: &[f64], args: &ValueArgs) -> Resul
         adapter: backend.adapter(),
         precision,
     })
+}
+
+/// What a GPU knows at states and times; `None` of another backend.
+#[cfg(feature = "gpu")]
+fn on_device(
+    map: &ValueMap,
+    backend: &dyn Backend,
+    precision: Precision,
+    (states, times): (&[f64], &[f64]),
+) -> Result<Option<Vec<At>>, CliError> {
+    let Some(gpu) = backend.gpu() else {
+        return Ok(None);
+    };
+    let map = DeviceMap::new(map, gpu, precision)?;
+    Ok(Some(map.at_times(states, times)?))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn on_device(
+    _: &ValueMap,
+    _: &dyn Backend,
+    _: Precision,
+    _: (&[f64], &[f64]),
+) -> Result<Option<Vec<At>>, CliError> {
+    Ok(None)
 }
 
 /// What is wrong with asking for V at a time; `knows`: the file's map has time as an axis.

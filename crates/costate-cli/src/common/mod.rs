@@ -5,6 +5,7 @@ pub mod ending;
 pub mod grid;
 pub mod load;
 pub mod open;
+pub mod pictures;
 pub mod points;
 
 use crate::error::CliError;
@@ -19,6 +20,7 @@ pub enum Kind {
     Result,
     Table,
     Header,
+    #[cfg(feature = "report")]
     Page,
 }
 
@@ -29,6 +31,7 @@ impl Kind {
             Kind::Result => &["h5", "hdf5", "he5", "nc", "nc4"],
             Kind::Table => &["csv"],
             Kind::Header => &["h"],
+            #[cfg(feature = "report")]
             Kind::Page => &["html", "htm"],
         }
     }
@@ -38,6 +41,7 @@ impl Kind {
             Kind::Result => "a result file is HDF5",
             Kind::Table => "a table is CSV",
             Kind::Header => "it is a C header",
+            #[cfg(feature = "report")]
             Kind::Page => "it is a page of HTML",
         }
     }

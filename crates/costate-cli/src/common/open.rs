@@ -3,8 +3,8 @@
 use crate::args::{BackendChoice, NumericsArgs};
 use crate::error::CliError;
 use costate::backend::Backend;
+use costate::backend::adapters::{self, Selection};
 use costate::backend::cpu::Cpu;
-use costate::backend::gpu::{Gpu, Selection};
 use costate::low_level::model::{Method, Model};
 
 /// The backend asked for, fit for the method asked for where the choice is ours.
@@ -24,12 +24,12 @@ pub fn backend(
         (None, BackendChoice::Gpu) => Selection::Any,
         (None, BackendChoice::Auto) => Selection::Hardware,
     };
-    match Gpu::open(&selection)? {
+    match adapters::open(&selection)? {
         // Where the choice is ours, a method asked for counts.
         Some(gpu) if selection == Selection::Hardware && method.is_some_and(|m| !gpu.offers(m)) => {
             Ok(Box::new(Cpu::new()))
         }
-        Some(gpu) => Ok(Box::new(gpu)),
+        Some(gpu) => Ok(gpu),
         // Only a search for hardware comes back empty.
         None => Ok(Box::new(Cpu::new())),
     }
