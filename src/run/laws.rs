@@ -80,7 +80,8 @@ pub(super) fn perform(session: &Session<'_>, draft: &Draft) -> Result<LawsDone, 
     if !model.feedback.is_empty() && !is_over("law was fitted") {
         let stored = Stored::open(draft.hidden())?;
         let files = LawFiles::new(draft.path(), None);
-        match fit_stored(&stored, model, &model.feedback, &files, progress) {
+        let going = (progress, session.deadline());
+        match fit_stored(&stored, model, &model.feedback, &files, going) {
             Ok(fitted) => {
                 progress.finished(Finished::Fitted(&fitted.fitted, &fitted.exports));
                 done.feedback = Some(fitted);

@@ -163,17 +163,26 @@ impl Session<'_> {
         };
         record.write(&file)?;
         write_estimates(&file, &outcome.estimates)?;
-        let summary = self.summary(&outcome, &path, provenance.seconds());
-        file.attribute(
-            "summary",
-            serde_json::to_string(&summary).unwrap_or_default(),
-        )?;
+        let mut summary = self.summary(&outcome, &path, provenance.seconds());
+        file.attribute("summary", in_json(&summary))?;
         file.finish()?;
         self.progress().finished(Finished::Solved(&outcome, model));
 
         let mut laws = LawsDone::default();
-        if let Some(draft) = draft {
+        if let Some(mut draft) = draft {
             laws = laws::perform(self, &draft)?;
+            if laws.stopped && !summary.stopped {
+                summary.laws_stopped = true;
+                if path.exists() {
+                    path = stopped_beside(&path);
+                    summary.file = path.display().to_string();
+                    draft.rename(path.clone());
+                }
+                let file = ResultFile::extend(draft.hidden(), &[])?;
+                file.attribute("laws_stopped", 1i64)?;
+                file.attribute("summary", in_json(&summary))?;
+                file.finish()?;
+            }
             draft.publish()?;
         }
         Ok(Done {
@@ -196,6 +205,10 @@ impl Session<'_> {
             ..provenance.record(&self.scene().model)
         }
     }
+}
+
+fn in_json(summary: &RunSummary) -> String {
+    serde_json::to_string(summary).unwrap_or_default()
 }
 
 /// The name of an unfinished result beside one that is there: `out/x.h5` -> `out/x_stopped.h5`.

@@ -84,8 +84,10 @@ pub enum CliError {
     },
     #[error("ended by {by} before all was done; {path} has what was done by then", path = path.display())]
     Stopped { by: String, path: PathBuf },
-    #[error("--time-limit: half of a search for the smallest level shows nothing: leave it out")]
-    NoTimeLimit,
+    #[error(
+        "--time-limit {limit}: the search is not done, and half of it shows nothing: nothing is written"
+    )]
+    Nothing { limit: f64 },
     #[error("cannot write to standard output: {0}")]
     Stdout(#[from] std::io::Error),
 }
@@ -122,7 +124,7 @@ impl From<RunError> for CliError {
 impl CliError {
     /// 2 for what the user wrote, 1 for what could not be done, 75 for what was ended before.
     pub fn status(&self) -> u8 {
-        if matches!(self, Self::Stopped { .. }) {
+        if matches!(self, Self::Stopped { .. } | Self::Nothing { .. }) {
             return UNFINISHED;
         }
         let of_input = match self {
