@@ -36,7 +36,7 @@ pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
         "{seconds:.2} s, written to {}{beside}",
         path.display()
     ))?;
-    if args.scene.json {
+    if args.scene.print.json {
         print_json(&AttenuationSummary::new(&found))?;
     }
     Ok(())

@@ -45,7 +45,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
         return Err(CliError::PictureName { path });
     }
     check_out(Some(&path), &[Kind::Result], &[&args.scene.scenario])?;
-    let terminal = Terminal::new(&args.scene);
+    let terminal = Terminal::new(args.scene.print);
     let mut file = ResultFile::create(&path)?;
 
     let work = Work::new(plan, model, args.trajectories, args.seed, !args.ends)
@@ -99,7 +99,7 @@ pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
         picture: picture.as_deref(),
         seconds: provenance.seconds(),
     };
-    if args.scene.json {
+    if args.scene.print.json {
         print_json(&bench_report::as_json(&done))?;
     }
     terminal.say(&bench_report::as_text(&done))?;
@@ -174,7 +174,7 @@ fn host_share(
     let begin = Instant::now();
     let metered = Metered::new(backend);
     let plan = plan()?;
-    let terminal = Terminal::new(&args.scene);
+    let terminal = Terminal::new(args.scene.print);
     let mut file = ResultFile::create(path)?;
     let mut writer = file.trajectories(&run::trajectory_schema(&scene.model, &plan))?;
     let mut writing_seconds = 0.0;

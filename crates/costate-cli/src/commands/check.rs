@@ -36,16 +36,16 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
         .transpose()
         .map_err(SessionError::from)?;
     let smallest = model.attenuation.as_ref().zip(smallest);
-    if args.scene.quiet && !args.scene.json {
+    if args.scene.print.quiet && !args.scene.print.json {
         return Ok(());
     }
-    let terminal = Terminal::new(&args.scene);
+    let terminal = Terminal::new(args.scene.print);
     for note in &model.notes {
         terminal.note(note);
     }
     let equations = Equations::new(&scene);
     let mut out = Printed::new();
-    if args.scene.json {
+    if args.scene.print.json {
         writeln!(
             out,
             "{:#}",

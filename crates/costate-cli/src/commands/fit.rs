@@ -13,7 +13,7 @@ use serde_json::json;
 
 pub fn fit(args: &FitArgs) -> Result<(), CliError> {
     let stored = Stored::open(&args.file)?;
-    let terminal = Terminal::with(args.quiet, args.json);
+    let terminal = Terminal::new(args.print);
     let other = args.scene.as_deref();
     let other = other
         .map(|scene| other_scene(&stored, scene, &[]))
@@ -37,7 +37,7 @@ pub fn fit(args: &FitArgs) -> Result<(), CliError> {
         &files,
         (&terminal, Deadline::default()),
     )?;
-    if args.json {
+    if args.print.json {
         let laws = FittedSummary::all(&done.fitted, &done.exports);
         print_json(&json!({ "file": args.file.display().to_string(), "laws": laws }))?;
     }
