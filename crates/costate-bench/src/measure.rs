@@ -1,22 +1,19 @@
 //! Taking the times: every variant once untimed, then all in turn, several times over.
 
 use super::BenchError;
-use super::errors::{Errors, Meter, Quantiles, compare};
+use super::comparison::Comparison;
+use super::errors::{Errors, Quantiles};
 use super::pareto;
-use super::reference::{self, Reference, Slopes};
+use super::reference;
 use super::variants::{self, Ladder, Missing, Series, Steps, Wanted};
 use super::work::{Pass, Work};
 use costate::backend::flops;
-use costate::backend::{Backend, BackendError, Kernel, Status, Trajectories};
+use costate::backend::{Backend, BackendError, Kernel, Status};
 use costate::low_level::model::{Method, Precision};
 use std::time::Instant;
 
 /// Trajectories whose errors are looked at: the leading ones, which are spread like all.
 const CHECKED: usize = 4096;
-/// Trajectories with slopes of p, which take neighbours.
-const WITH_SLOPES: usize = 1024;
-/// Trajectories of a reference that only tells how far the other one can be trusted.
-const FLOOR_CHECKED: usize = 512;
 
 /// Errors of more than a tenth are nobody's choice, however soon they are there.
 pub const USEFUL: f64 = 0.1;
@@ -165,66 +162,6 @@ struct Runner {
     stopped: bool,
 }
 
-/// What results are compared with.
-struct Comparison {
-    meter: Meter,
-    /// One a method of [`reference::METHODS`].
-    references: Vec<Reference>,
-    slopes: Slopes,
-}
-
-impl Comparison {
-    /// Integrates the references of the first `checked` trajectories.
-    fn new(
-        work: &Work,
-        wanted: &Wanted,
-        checked: usize,
-        told: Told<'_>,
-    ) -> Result<Self, BenchError> {
-        let meter = Meter::new(work);
-        let methods = reference::METHODS;
-        let mut references = Vec::new();
-        for (k, method) in methods.into_iter().enumerate() {
-            told(&format!("reference: {}", method.name()));
-            // The second one is for what is measured by the first one's method, else only to tell
-            // how far they are apart.
-            let all = k == 0 || wanted.methods.contains(&methods[0]);
-            let count = if all { checked } else { FLOOR_CHECKED };
-            references.push(Reference::new(work, &meter, method, count)?);
-        }
-        if references.iter().any(|r| r.samples() == 0) {
-            return Err(BenchError::NoReference { seeds: checked });
-        }
-        told("slopes of p");
-        let slopes = Slopes::new(work, &references[0], WITH_SLOPES)?;
-        Ok(Self {
-            meter,
-            references,
-            slopes,
-        })
-    }
-
-    /// How far the references are apart.
-    fn floor(&self, work: &Work) -> Floor {
-        let [first, second] = [&self.references[0], &self.references[1]];
-        Floor {
-            methods: [first.method, second.method],
-            trajectories: first.result.count().min(second.result.count()),
-            errors: self.with(work, first, &second.result),
-        }
-    }
-
-    /// Errors of what a method gave, by a reference of another method.
-    fn errors(&self, work: &Work, method: Method, result: &Trajectories) -> Errors {
-        let other = usize::from(method == reference::METHODS[0]);
-        self.with(work, &self.references[other], result)
-    }
-
-    fn with(&self, work: &Work, reference: &Reference, result: &Trajectories) -> Errors {
-        compare(work, &self.meter, reference, Some(&self.slopes), result)
-    }
-}
-
 /// Measures a work on some backends.
 ///
 /// # Errors
@@ -242,7 +179,7 @@ pub fn measure(
     let floor = comparison.floor(work);
     let reference_seconds = begin.elapsed().as_secs_f64();
 
-    let duration = comparison.references[0].median_duration();
+    let duration = comparison.median_duration();
     let (ladders, mut missing) = variants::ladders(backends, &options.wanted, duration);
     let devices = rated(backends, told)?;
     let runners = compiled(work, backends, ladders, &mut missing, told);
@@ -268,7 +205,7 @@ pub fn measure(
         floor,
         trajectories: work.count(),
         checked,
-        with_slopes: comparison.slopes.count,
+        with_slopes: comparison.with_slopes(),
         rounds,
         reference_seconds,
     };
