@@ -84,6 +84,9 @@ pub struct Candidate {
     pub expected: f64,
     /// How much the adjoint (unscaled) differs within the cell, a component.
     pub spread: Vec<f64>,
+    /// How much V differs from its tangent at the place within the cell; of a trajectory's point
+    /// how much it changes on the way to the target.
+    pub value_spread: f64,
     cell: Cell,
     place: Place,
 }

@@ -37,6 +37,8 @@ const SHEETS: f64 = 1.5;
 /// the cell, and of its size.
 const WITHIN: f64 = 0.6;
 const ALIKE: f64 = 0.02;
+/// And whose cost differs by less than that share of its own spread, and of its size.
+const ALIKE_COST: f64 = 2e-3;
 /// Guesses that promise more than this times the cost searched for are left out.
 const ABOVE: f64 = 1.3;
 
@@ -229,7 +231,10 @@ impl Survey<'_> {
     /// Whether a guess may lead to something new that is of interest.
     fn promises(&self, candidate: &Candidate, wanted: Wanted) -> bool {
         let known = self.known_at(candidate);
-        let mut near = known.filter(|e| !is_elsewhere(e, &candidate.node, &self.scales));
+        let mut near = known.filter(|e| {
+            !is_elsewhere(e, &candidate.node, &self.scales)
+                && costs_alike(e.value(), candidate.expected, candidate.value_spread)
+        });
         let least = self
             .lowest(candidate.target)
             .map(|e| self.extremals[e].value());
@@ -343,14 +348,14 @@ impl Survey<'_> {
 
     fn is_explained(&self, candidate: &Candidate) -> bool {
         self.known_at(candidate).any(|e| {
-            let adjoint = candidate.adjoint();
-            alike(
-                e.adjoint(),
-                adjoint,
-                &candidate.spread,
-                &self.scales,
-                WITHIN,
-            )
+            costs_alike(e.value(), candidate.value, candidate.value_spread)
+                && alike(
+                    e.adjoint(),
+                    candidate.adjoint(),
+                    &candidate.spread,
+                    &self.scales,
+                    WITHIN,
+                )
         })
     }
 
@@ -378,6 +383,12 @@ impl Survey<'_> {
     }
 }
 
+/// Whether two costs agree as far as a guess's is known. Ways that join behind an obstacle arrive
+/// with one adjoint: only their costs tell them apart.
+fn costs_alike(a: f64, b: f64, spread: f64) -> bool {
+    (a - b).abs() <= WITHIN * spread + ALIKE_COST * a.abs().max(b.abs())
+}
+
 /// Whether two adjoints agree as far as the spread within a cell lets them be told apart.
 fn alike(a: &[f64], b: &[f64], spread: &[f64], scales: &[f64], within: f64) -> bool {
     let n = a.len();
@@ -400,6 +411,7 @@ fn choose(candidates: Vec<Candidate>, scales: &[f64]) -> (Vec<Candidate>, Vec<Ca
         }
         let like = |other: &Candidate| {
             other.turns == candidate.turns
+                && costs_alike(other.value, candidate.value, candidate.value_spread)
                 && alike(
                     other.adjoint(),
                     candidate.adjoint(),
