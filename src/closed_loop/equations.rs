@@ -125,6 +125,25 @@ impl<'c> Closing<'c> {
         replaced
     }
 
+    /// All expressions, in the order in which [`Equations::new`] takes them apart again; `running`
+    /// is the running cost without disturbances.
+    fn roots(&self, running: Id, motion: Option<&Motion>, records: &[Record]) -> Vec<Id> {
+        let model = self.model;
+        let disturbances = model.disturbances.iter().map(|w| w.symbol);
+        (model.dynamics.iter().map(|f| f.expr))
+            .chain([running])
+            .chain(motion.map(|m| m.supply))
+            .chain(disturbances.filter(|_| motion.is_some()))
+            .chain(records.iter().map(|r| r.of.expr))
+            .chain(model.controls.iter().map(|c| c.variable.symbol))
+            .chain(self.hamiltonian.guards.iter().map(|g| g.condition.expr))
+            .chain(match &model.horizon {
+                Horizon::Finite { terminal, .. } => Some(terminal.expr),
+                Horizon::Infinite { .. } => None,
+            })
+            .collect()
+    }
+
     /// Expressions of the integrated vector, in whole numbers (not as deviations).
     fn closed(&mut self, roots: &[Id], replaced: &HashMap<Id, Id>) -> Vec<Id> {
         let closed = self.graph.substitute(roots, replaced);
@@ -179,20 +198,7 @@ impl Equations {
         let running = closing.undisturbed_running();
         let replaced = closing.replacements(law, motion.as_ref());
 
-        // In this order the expressions are taken apart again.
-        let disturbances = model.disturbances.iter().map(|w| w.symbol);
-        let roots: Vec<Id> = (model.dynamics.iter().map(|f| f.expr))
-            .chain([running])
-            .chain(motion.as_ref().map(|m| m.supply))
-            .chain(disturbances.filter(|_| forcing.is_some()))
-            .chain(records.iter().map(|r| r.of.expr))
-            .chain(model.controls.iter().map(|c| c.variable.symbol))
-            .chain(hamiltonian.guards.iter().map(|g| g.condition.expr))
-            .chain(match &model.horizon {
-                Horizon::Finite { terminal, .. } => Some(terminal.expr),
-                Horizon::Infinite { .. } => None,
-            })
-            .collect();
+        let roots = closing.roots(running, motion.as_ref(), records);
         let mut whole = closing.closed(&roots, &replaced).into_iter();
         let mut take = |count: usize| whole.by_ref().take(count).collect::<Vec<Id>>();
         let (f, running) = (take(n), take(1)[0]);

@@ -99,6 +99,22 @@ impl Parts {
     }
 }
 
+/// V as a power series in z: its coefficients by monomials, and the highest degree that is known.
+fn series(system: &System, riccati: &Riccati, t: &DMatrix<f64>) -> (Basis, Vec<f64>, usize) {
+    let n = system.states;
+    let highest = (2..=MAX_DEGREE)
+        .rev()
+        .find(|d| Basis::size(n, d + LOOK_AHEAD) <= MAX_TERMS);
+    let basis = Basis::new(n, highest.map_or(2, |d| d + LOOK_AHEAD));
+    let equation = Equation {
+        graph: &system.graph,
+        hamiltonian: system.observer.hamiltonian,
+        inputs: &system.inputs,
+    };
+    let (value, known) = equation.expand(&basis, t, riccati);
+    (basis, value, known)
+}
+
 /// V of the seeds: as asked for, or what the radius allows.
 ///
 /// # Errors
@@ -132,17 +148,7 @@ impl LocalSolution {
         let (t, l) = coordinates(model, &riccati)?;
         // t^-T = (L^-T)^-T = L
         let to_adjoint = l;
-        let highest = (2..=MAX_DEGREE)
-            .rev()
-            .find(|d| Basis::size(n, d + LOOK_AHEAD) <= MAX_TERMS);
-        let basis = Basis::new(n, highest.map_or(2, |d| d + LOOK_AHEAD));
-        let equation = Equation {
-            graph: &system.graph,
-            hamiltonian: system.observer.hamiltonian,
-            inputs: &system.inputs,
-        };
-        let (value, known) = equation.expand(&basis, &t, &riccati);
-
+        let (basis, value, known) = series(system, &riccati, &t);
         let parts = Parts {
             sizes: part_sizes(&basis, &value, n),
             known,

@@ -3,7 +3,7 @@
 
 use super::plan::{BEYOND_VALUE, Numerics, PlanError, SEED_SHARE, Sampling, largest_quadratic};
 use super::surface::Surface;
-use crate::backend::{By, Guards, Run};
+use crate::backend::{By, Guards, Run, Spec};
 use crate::expr::Kind;
 use crate::hamiltonian::{Hamiltonian, Slope, System, infinite};
 use crate::local::{LocalSolution, Riccati, SeedChoice};
@@ -19,47 +19,7 @@ pub(super) struct Manifold {
     pub value_scale: f64,
 }
 
-impl Manifold {
-    /// The ellipsoid of the local solution, or the terminal states of a finite horizon.
-    ///
-    /// # Errors
-    /// [`PlanError::Local`].
-    pub fn new(
-        model: &Model,
-        hamiltonian: &Hamiltonian,
-        system: &System,
-        shoot_out: &ShootOut,
-        region: &[[f64; 2]],
-        rtol: f64,
-    ) -> Result<Self, PlanError> {
-        if let Some(terminal) = &system.terminal {
-            let surface = Surface::terminal(system, terminal, region.to_vec());
-            let scale = surface.largest_value();
-            return Ok(Self {
-                surface,
-                local: None,
-                value_scale: if scale > 0.0 { scale } else { 1.0 },
-            });
-        }
-        let riccati = Riccati::solve(hamiltonian, model)?;
-        let value_max = value_max(shoot_out);
-        let first_front = value_max / shoot_out.samples as f64;
-        let choice = SeedChoice {
-            asked: shoot_out.seed_value,
-            tolerance: SEED_SHARE * rtol * first_front,
-            ceiling: 0.5 * first_front,
-            outer: value_max,
-        };
-        let local = LocalSolution::new(system, model, riccati, choice)?;
-        Ok(Self {
-            surface: Surface::sphere(system, local.clone()),
-            local: Some(local),
-            value_scale: value_max,
-        })
-    }
-}
-
-/// What a plan is made from once its manifold is known.
+/// What a plan is made from.
 pub(super) struct Draft<'a> {
     pub model: &'a Model,
     pub system: &'a System,
@@ -69,7 +29,6 @@ pub(super) struct Draft<'a> {
     /// Region as deviations.
     pub region: &'a [[f64; 2]],
     pub widths: &'a [f64],
-    pub value_scale: f64,
 }
 
 /// The coordinate along trajectories, and where on it they are sampled and end.
@@ -95,9 +54,42 @@ pub(super) struct Integrand {
 }
 
 impl Draft<'_> {
+    /// The ellipsoid of the local solution, or the terminal states of a finite horizon.
+    ///
+    /// # Errors
+    /// [`PlanError::Local`].
+    pub fn manifold(&self, hamiltonian: &Hamiltonian) -> Result<Manifold, PlanError> {
+        let system = self.system;
+        if let Some(terminal) = &system.terminal {
+            let surface = Surface::terminal(system, terminal, self.region.to_vec());
+            let scale = surface.largest_value();
+            return Ok(Manifold {
+                surface,
+                local: None,
+                value_scale: if scale > 0.0 { scale } else { 1.0 },
+            });
+        }
+        let riccati = Riccati::solve(hamiltonian, self.model)?;
+        let value_max = value_max(self.shoot_out);
+        let first_front = value_max / self.shoot_out.samples as f64;
+        let choice = SeedChoice {
+            asked: self.shoot_out.seed_value,
+            tolerance: SEED_SHARE * self.numerics.rtol * first_front,
+            ceiling: 0.5 * first_front,
+            outer: value_max,
+        };
+        let local = LocalSolution::new(system, self.model, riccati, choice)?;
+        Ok(Manifold {
+            surface: Surface::sphere(system, local.clone()),
+            local: Some(local),
+            value_scale: value_max,
+        })
+    }
+
     /// The levels of the sampling coordinate; with `inner`, also levels of V between the seeds and
     /// the first stored one.
-    pub fn course(&self, local: Option<&LocalSolution>, inner: bool) -> Course {
+    pub fn course(&self, manifold: &Manifold, inner: bool) -> Course {
+        let local = manifold.local.as_ref();
         let samples = self.shoot_out.samples;
         let steps = |end: f64| {
             (1..=samples)
@@ -151,8 +143,9 @@ impl Draft<'_> {
     }
 
     /// Programs of `(s, p, V)`, of arc length where it is sampled by, and of the slope where folds
-    /// are looked for; `slope_units` are the scales of the slope's entries (row-major).
-    pub fn integrand(&self, slope_units: &[f64]) -> Integrand {
+    /// are looked for. `value_scale` is a scale of V, `slope_units` are scales of the slope's
+    /// entries (row-major).
+    pub fn integrand(&self, value_scale: f64, slope_units: &[f64]) -> Integrand {
         let (system, n) = (self.system, self.model.states.len());
         let mut graph = system.graph.clone();
         let folds = (self.model.is_game() || self.shoot_out.folds).then(|| {
@@ -162,7 +155,7 @@ impl Draft<'_> {
         // What is integrated beside (s, p) depends on them alone, but for the slope.
         let mut inputs = system.inputs.clone();
         let mut rate = system.rate.clone();
-        let mut scales = self.scales();
+        let mut scales = self.scales(value_scale);
         if self.sampling == Sampling::ArcLength {
             rate.push(system.arc_rate);
             scales.push(1.0);
@@ -196,10 +189,10 @@ impl Draft<'_> {
     }
 
     /// Scales of `(s, p, V)`.
-    fn scales(&self) -> Vec<f64> {
+    fn scales(&self, value_scale: f64) -> Vec<f64> {
         let mut scales = self.widths.to_vec();
-        scales.extend(self.widths.iter().map(|w| self.value_scale / w));
-        scales.push(self.value_scale);
+        scales.extend(self.widths.iter().map(|w| value_scale / w));
+        scales.push(value_scale);
         scales
     }
 
@@ -230,6 +223,21 @@ impl Draft<'_> {
                 [lo - margin, hi + margin]
             })
             .collect()
+    }
+}
+
+impl Integrand {
+    /// Of a kernel that samples by a coordinate, and stores the samples.
+    pub fn spec(self, numerics: &Numerics, by: By) -> Spec {
+        Spec {
+            rate: self.rate,
+            guards: self.guards,
+            kinks: self.kinks,
+            method: numerics.method,
+            precision: numerics.precision,
+            by,
+            store: true,
+        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! What a scene's sweep integrates, with which tolerances, and where its trajectories are sampled
 //! and end.
 
-use super::draft::{Draft, Manifold};
+use super::draft::Draft;
 use super::surface::{Surface, corners};
 use crate::backend::{Backend, Deadline, Run, Spec, Status};
 use crate::expr::Id;
@@ -254,25 +254,10 @@ impl Plan {
         let system = System::new(hamiltonian, model);
         check_length(&system)?;
         let numerics = Numerics::choose(model, backend, choices)?;
-
         let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
         let region = deviations(&model.region, &system.reference);
         let periods: Vec<Option<f64>> = model.states.iter().map(|s| s.period).collect();
         let sampling = sampling(model, &system, &shoot_out, &region);
-        let Manifold {
-            surface,
-            local,
-            value_scale,
-        } = Manifold::new(
-            model,
-            hamiltonian,
-            &system,
-            &shoot_out,
-            &region,
-            numerics.rtol,
-        )?;
-        let end = End::new(&system, local.as_ref());
-        let slope_units = slope_units(&end, &widths, value_scale);
 
         let draft = Draft {
             model,
@@ -282,26 +267,22 @@ impl Plan {
             sampling,
             region: &region,
             widths: &widths,
-            value_scale,
         };
-        let course = draft.course(local.as_ref(), choices.inner_levels);
-        let integrand = draft.integrand(&slope_units);
+        let manifold = draft.manifold(hamiltonian)?;
+        let value_scale = manifold.value_scale;
+        let end = End::new(&system, manifold.local.as_ref());
+        let slope_units = slope_units(&end, &widths, value_scale);
+        let course = draft.course(&manifold, choices.inner_levels);
+        let integrand = draft.integrand(value_scale, &slope_units);
         Ok(Self {
             deadline: choices.deadline,
             run: draft.run(&course, &integrand.scales),
-            spec: Spec {
-                rate: integrand.rate,
-                guards: integrand.guards,
-                kinks: integrand.kinks,
-                method: numerics.method,
-                precision: numerics.precision,
-                by: course.by,
-                store: true,
-            },
-            surface,
+            slope: integrand.slope,
+            spec: integrand.spec(&numerics, course.by),
+            surface: manifold.surface,
             sampling,
             inner: course.inner,
-            local,
+            local: manifold.local,
             rtol_asked: numerics.rtol_asked,
             atol: numerics.atol,
             recurrent: recurrent(&system, &periods, &region, &widths),
@@ -311,7 +292,6 @@ impl Plan {
             value_scale,
             region,
             game: model.is_game(),
-            slope: integrand.slope,
             slope_units,
             end,
             seed: choices.seed,
