@@ -129,9 +129,12 @@ pub fn smallest(
         let mut told = |what: &str, of: usize, all: usize| {
             progress(&format!("{head}: {of} of {all} states, {what}"))
         };
-        outcome(
+        let found = outcome(
             scene, &parameter, value, &states, backend, choices, &mut told,
-        )
+        )?;
+        // What is cut short shows nothing of a level.
+        choices.deadline.check()?;
+        Ok::<_, SmallestError>(found)
     };
     let sought = Sought {
         star,

@@ -9,6 +9,7 @@ use super::samples::{Optimality, Samples, Selection};
 use super::shape::Shape;
 use super::training::{Rules, Step, Trained, train};
 use super::units;
+use crate::backend::Deadline;
 use crate::backend::flops;
 use crate::hamiltonian::Hamiltonian;
 use crate::local::{LocalError, Riccati, linear_law};
@@ -47,6 +48,9 @@ pub enum FitError {
     Local { law: String, source: LocalError },
     #[error("law `{law}`: {source}")]
     Law { law: String, source: LawError },
+    /// The training was given up.
+    #[error("law `{law}`: the time given is over")]
+    OutOfTime { law: String },
 }
 
 /// A fitted law and what is known of it.
@@ -84,6 +88,8 @@ pub struct Data<'d> {
     pub samples: &'d Samples,
     /// See [`Samples::select`].
     pub known: &'d Optimality<'d>,
+    /// When the fit is given up.
+    pub deadline: Deadline,
 }
 
 /// Means and spreads by which variables are normalized.
@@ -120,8 +126,14 @@ pub fn fit(
         seed: law.seed,
         iterations: law.iterations,
         patience: law.patience,
+        deadline: data.deadline,
     };
     let trained = train(&shape, &training, &validation, rules, progress);
+    if data.deadline.has_passed() {
+        return Err(FitError::OutOfTime {
+            law: law.name.clone(),
+        });
+    }
     let made = assemble(data.model, law, &shape, &trained, &scales, base);
     let form = made.closed_form(data.model, data.hamiltonian);
     let form = form.map_err(|source| FitError::Law {

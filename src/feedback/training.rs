@@ -7,6 +7,7 @@
 
 use super::regression::{Normal, Regression};
 use super::shape::Shape;
+use crate::backend::Deadline;
 use crate::numeric::random::random;
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -28,6 +29,8 @@ pub(super) struct Rules {
     pub seed: u64,
     pub iterations: usize,
     pub patience: usize,
+    /// Then the training is given up.
+    pub deadline: Deadline,
 }
 
 /// A step that has been taken.
@@ -171,7 +174,8 @@ fn descend(
             };
         }
         since += 1;
-        if since > rules.patience || trained < ROUNDING {
+        let done = since > rules.patience || trained < ROUNDING;
+        if done || rules.deadline.has_passed() {
             break;
         }
         equations = training.normal(shape, &weights);

@@ -86,6 +86,7 @@ pub(super) fn narrow(shape: &Shape, weights: &[f64], data: &Regression, spacing:
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::backend::Deadline;
     use crate::feedback::training::{Rules, train};
 
     /// A line of samples 0.1 apart, each its own trajectory.
@@ -125,6 +126,7 @@ mod tests {
             seed: 0,
             iterations: 300,
             patience: 300,
+            deadline: Deadline::default(),
         };
         let spacing = spacing(&data, &trajectory);
         let trained = |data: &Regression| {

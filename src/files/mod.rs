@@ -101,6 +101,8 @@ pub fn target(given: &Path) -> Result<PathBuf, FileError> {
 
 /// The most that is read of a text: no scene, table of points or weights is longer.
 const MOST_READ: u64 = 256 << 20;
+/// How files of that kind begin.
+const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";
 
 /// The bytes of a file, of at most 256 MiB: what has no end is not read until memory is full.
 ///
@@ -123,11 +125,13 @@ pub fn read_bytes(path: &Path) -> io::Result<Vec<u8>> {
 /// # Errors
 /// As [`read_bytes`]; what is no UTF-8.
 pub fn read_text(path: &Path) -> io::Result<String> {
-    let invalid = |_| {
-        let reason = "stream did not contain valid UTF-8";
+    String::from_utf8(read_bytes(path)?).map_err(|e| {
+        let reason = match e.as_bytes().starts_with(HDF5) {
+            true => "it is a result file (HDF5), where a text file is wanted",
+            false => "stream did not contain valid UTF-8",
+        };
         io::Error::new(io::ErrorKind::InvalidData, reason)
-    };
-    String::from_utf8(read_bytes(path)?).map_err(invalid)
+    })
 }
 
 /// Puts a text file in place whole: written beside it under a hidden name, flushed and renamed.

@@ -1,6 +1,7 @@
 //! Laws fitted to what a result file holds, written into it and beside it.
 
 use super::RunError;
+use crate::backend::Deadline;
 use crate::feedback::{Exports, Fitted, Samples};
 use crate::files::can_hold;
 use crate::hdf5::ResultFile;
@@ -94,13 +95,14 @@ fn judge(stored: &Stored, mapped: bool) -> Result<Option<ValueMap>, RunError> {
 /// files to where they go.
 ///
 /// # Errors
-/// Where there is nothing to fit to, a law cannot be fitted, or files cannot be written.
+/// Where there is nothing to fit to, a law cannot be fitted by the deadline, or files cannot be
+/// written.
 pub fn fit_stored(
     stored: &Stored,
     scene: &Model,
     laws: &[Feedback],
     files: &LawFiles,
-    progress: &dyn Progress,
+    (progress, deadline): (&dyn Progress, Deadline),
 ) -> Result<FittedFiles, RunError> {
     files.check(scene, laws)?;
     let own = &stored.scene.model;
@@ -120,6 +122,7 @@ pub fn fit_stored(
         samples: &samples,
         map: map.as_ref(),
         draws: mapped,
+        deadline,
     };
     let fitted = fit_laws(&data, scene, laws, progress)?;
 

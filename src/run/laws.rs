@@ -108,7 +108,8 @@ impl Doing<'_> {
         }
         let stored = Stored::open(self.draft.hidden())?;
         let files = LawFiles::new(self.draft.path(), None);
-        match fit_stored(&stored, model, &model.feedback, &files, progress) {
+        let going = (progress, self.session.deadline());
+        match fit_stored(&stored, model, &model.feedback, &files, going) {
             Ok(fitted) => {
                 progress.finished(Finished::Fitted(&fitted.fitted, &fitted.exports));
                 self.done.feedback = Some(fitted);

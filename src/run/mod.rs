@@ -138,7 +138,11 @@ impl Session<'_> {
             output.mark_stopped()?;
         }
 
-        let Output { path, draft, file } = output;
+        let Output {
+            mut path,
+            draft,
+            file,
+        } = output;
         let record = RunRecord {
             precision: outcome.plan.spec.precision.name().to_owned(),
             method: outcome.plan.method().name().to_owned(),
@@ -148,17 +152,17 @@ impl Session<'_> {
         };
         record.write(&file)?;
         write_estimates(&file, &outcome.estimates)?;
-        let summary = self.summary(&outcome, &path, provenance.seconds());
-        file.attribute(
-            "summary",
-            serde_json::to_string(&summary).unwrap_or_default(),
-        )?;
+        let mut summary = self.summary(&outcome, &path, provenance.seconds());
+        file.attribute("summary", in_json(&summary))?;
         file.finish()?;
         self.progress().finished(Finished::Solved(&outcome, model));
 
         let mut laws = LawsDone::default();
-        if let Some(draft) = draft {
+        if let Some(mut draft) = draft {
             laws = laws::perform(self, &draft)?;
+            if laws.stopped && !summary.stopped {
+                path = mark_laws_stopped(path, &mut draft, &mut summary)?;
+            }
             draft.publish()?;
         }
         Ok(Done {
@@ -224,6 +228,33 @@ impl Output {
         }
         Ok(())
     }
+}
+
+/// Notes in the file, and in its summary, that the run was ended before all laws were done. Returns
+/// the file's name.
+///
+/// # Errors
+/// Those of writing.
+fn mark_laws_stopped(
+    mut path: PathBuf,
+    draft: &mut Draft,
+    summary: &mut RunSummary,
+) -> Result<PathBuf, RunError> {
+    summary.laws_stopped = true;
+    if path.exists() {
+        path = stopped_beside(&path);
+        summary.file = path.display().to_string();
+        draft.rename(path.clone());
+    }
+    let file = ResultFile::extend(draft.hidden(), &[])?;
+    file.attribute("laws_stopped", 1i64)?;
+    file.attribute("summary", in_json(summary))?;
+    file.finish()?;
+    Ok(path)
+}
+
+fn in_json(summary: &RunSummary) -> String {
+    serde_json::to_string(summary).unwrap_or_default()
 }
 
 /// The name of an unfinished result beside one that is there: `out/x.h5` -> `out/x_stopped.h5`.

@@ -2,6 +2,7 @@
 
 use super::progress::{Progress, Step};
 use super::{Session, SessionError};
+use crate::backend::Deadline;
 use crate::feedback::{Data, FitError, Fitted, Samples, Step as FitStep, fit};
 use crate::map::ValueMap;
 use crate::model::{Feedback, Model};
@@ -25,6 +26,8 @@ pub struct FitData<'d> {
     pub map: Option<&'d ValueMap>,
     /// Whether samples are drawn from the map, too.
     pub draws: bool,
+    /// When a fit is given up.
+    pub deadline: Deadline,
 }
 
 /// Fits laws of `model`, which may be another scene with the same states and controls.
@@ -53,6 +56,7 @@ pub fn fit_laws(
             hamiltonian: &data.scene.hamiltonian,
             samples: drawn.as_ref().unwrap_or(data.samples),
             known: &of_map,
+            deadline: data.deadline,
         };
         fitted.laws.push(fit(all, model, law, &shown(&step, law))?);
     }
@@ -75,6 +79,7 @@ impl Session<'_> {
             samples,
             map,
             draws: map.is_some_and(|map| map.pieces() > 0 && map.time().is_none()),
+            deadline: self.choices.deadline,
         };
         Ok(fit_laws(&data, &self.scene.model, laws, self.progress)?)
     }

@@ -93,7 +93,7 @@ impl Session<'_> {
             let (model, h) = (&self.scene.model, &self.scene.hamiltonian);
             solved_values(model, h, backend, self.choices, &initial.x, &mut shown)?
         } else {
-            self.known_values(from, &initial)
+            self.known_values(from, &initial)?
         };
         let evaluation =
             setting.evaluate(&chosen, initial, chart, Some(values), backend, &mut |law| {
@@ -146,16 +146,13 @@ impl Session<'_> {
             let rtol = model.integrator.rtol.min(SOLVED_RTOL);
             let choices = Choices {
                 rtol: Some(self.choices.rtol.unwrap_or(rtol)),
-                ..self.choices.without_deadline()
+                ..self.choices
             };
-            solved_values(
-                model,
-                hamiltonian,
-                backend,
-                choices,
-                states,
-                &mut |_, _, _| {},
-            )
+            let none = &mut |_: &str, _: usize, _: usize| {};
+            let values = solved_values(model, hamiltonian, backend, choices, states, none)?;
+            // V that was not found in time would be one that is not known.
+            choices.deadline.check()?;
+            Ok(values)
         };
         let certificate = Certificate::of(&laws, from.chart(), same.then_some(&solve))?;
         if let (Certificate::Chart(..), false) = (&certificate, same) {
@@ -219,17 +216,19 @@ impl Session<'_> {
 
     /// V of the solved states and, elsewhere, of the map, as far as that is good; NaN where it is
     /// not known.
-    fn known_values(&self, from: &Sources, initial: &Initial) -> Vec<f64> {
+    fn known_values(&self, from: &Sources, initial: &Initial) -> Result<Vec<f64>, SessionError> {
         /// Largest estimated error of V, of V.
         const GOOD: f64 = 0.01;
         /// States at which it is estimated, which takes a hundred times longer than V.
         const ESTIMATED: usize = 5000;
+        /// States that are asked for at once: between them the deadline is looked at.
+        const ASKED: usize = 1000;
         let unknown = vec![f64::NAN; initial.count()];
         if from.other_problem {
             self.progress.note(
                 "V in the file is of another problem (other parameters, equations or cost): J is not compared with it (--solve finds V)",
             );
-            return unknown;
+            return Ok(unknown);
         }
         let mut values = match &from.solved {
             Some(points) => {
@@ -239,27 +238,24 @@ impl Session<'_> {
             }
             None => unknown,
         };
-        let Some(map) = &from.map else { return values };
+        let Some(map) = &from.map else {
+            return Ok(values);
+        };
 
         let estimated = initial.count() <= ESTIMATED;
-        let said: Vec<f64> = if estimated {
-            let known = |at: At| {
-                at.lowest
-                    .map_or((f64::NAN, 0.0), |here| (here.v, here.v_error))
-            };
-            let found = map.at_many(&initial.x, true).into_iter().map(known);
-            found
-                .map(|(v, error)| {
-                    if error > GOOD * v.abs() {
-                        f64::INFINITY
-                    } else {
-                        v
-                    }
-                })
-                .collect()
-        } else {
-            map.many(&initial.x).v
+        let good = |at: At| match at.lowest {
+            Err(_) => f64::NAN,
+            Ok(here) if here.v_error > GOOD * here.v.abs() => f64::INFINITY,
+            Ok(here) => here.v,
         };
+        let mut said = Vec::with_capacity(initial.count());
+        for states in initial.x.chunks(ASKED * self.scene.model.states.len()) {
+            self.choices.deadline.check()?;
+            match estimated {
+                true => said.extend(map.at_many(states, true).into_iter().map(good)),
+                false => said.extend(map.many(states).v),
+            }
+        }
         let charted: Vec<Option<f64>> = (said.iter().zip(&values))
             .map(|(said, known)| match known.is_nan() {
                 false => Some(*known),
@@ -276,7 +272,7 @@ impl Session<'_> {
         for (value, charted) in values.iter_mut().zip(charted) {
             *value = charted.unwrap_or(f64::NAN);
         }
-        values
+        Ok(values)
     }
 }
 

@@ -143,8 +143,8 @@ impl<'s> Session<'s> {
     /// Ends at a deadline, with what is there by then: a sweep has gaps (`SweepReport::stopped`),
     /// and states that are not solved have the status [`PointStatus::OutOfTime`] (see
     /// [`Solved::is_stopped`], [`Outcome::stopped`]). A map that has no pieces yet is an error, and
-    /// so are closed loops that are not done; fits and levels of attenuation that have begun are
-    /// done all the same. A deadline is an instant: it stays passed for later questions.
+    /// so are fits, closed loops and levels of attenuation that are not done. A deadline is an
+    /// instant: it stays passed for later questions.
     ///
     /// ```
     /// # use costate::{Scene, Session};
@@ -169,7 +169,12 @@ impl<'s> Session<'s> {
         self
     }
 
-    /// Whether that deadline has passed.
+    /// That deadline.
+    pub fn deadline(&self) -> Deadline {
+        self.choices.deadline
+    }
+
+    /// Whether it has passed.
     pub fn is_over(&self) -> bool {
         self.choices.deadline.has_passed()
     }
@@ -352,9 +357,7 @@ impl<'s> Session<'s> {
         let step = self.step();
         let mut shown = |what: &str| step.say(&format!("attenuation: {what}"));
         let backend = self.backend.as_ref();
-        // A sweep that is cut short would show nothing of a level.
-        let choices = self.choices.without_deadline();
-        let found = attenuation::smallest(self.scene, backend, choices, &mut shown)?;
+        let found = attenuation::smallest(self.scene, backend, self.choices, &mut shown)?;
         drop(step);
         self.progress.finished(Finished::Attenuation(&found));
         Ok(found)

@@ -635,8 +635,51 @@ fn a_time_limit_ends_a_run() {
     let table = std::fs::read_to_string(folder.join("out.csv")).unwrap();
     assert_eq!(table.matches("out_of_time").count(), 2, "{table}");
     // Of a search for a level a part shows nothing.
-    let refused = limited(&["attenuation", "scene.toml"]);
-    assert_eq!(refused.status.code(), Some(2));
+    let game = Path::new(crate::ROOT).join("scenarios/folding_game.toml");
+    let done = limited(&["attenuation", game.to_str().unwrap(), "--out", "none.h5"]);
+    assert_eq!(done.status.code(), Some(75));
+    assert!(!folder.join("none.h5").exists());
+}
+
+/// A run that has solved everything, and is ended in what comes after: its file says so, and an
+/// older one stays.
+#[test]
+fn a_time_limit_ends_what_follows_a_run() {
+    let text = |name: &str| {
+        let path = Path::new(crate::ROOT).join("scenarios").join(name);
+        std::fs::read_to_string(path).unwrap()
+    };
+    let fit =
+        "feedback = { fit = \"u\", hidden = [40, 40], iterations = 1000000, patience = 1000000 }";
+    let level = text("linear_game.toml").replace(
+        "[attenuation]",
+        "[attenuation]\ntolerance = 1e-6\nstates = { x = [-1, 1, 60], v = [-1, 1, 60] }",
+    );
+    let level = level.replace("disturbances = 10000", "disturbances = 4");
+    let endless = [("fit", format!("{SCENE}\n{fit}\n")), ("level", level)];
+    for (name, scene) in endless {
+        let folder = folder(&format!("limit-{name}"));
+        std::fs::write(folder.join("scene.toml"), scene).unwrap();
+        std::fs::write(folder.join("out.h5"), "older").unwrap();
+        let done = Command::new(env!("CARGO_BIN_EXE_costate"))
+            .current_dir(&folder)
+            .args(["run", "scene.toml", "--out", "out.h5", "--backend", "cpu"])
+            .args(["--time-limit", "6", "--json"])
+            .output()
+            .unwrap();
+        let errors = String::from_utf8_lossy(&done.stderr);
+        assert_eq!(done.status.code(), Some(75), "{name}: {errors}");
+        let summary: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+        let marks = ["stopped", "laws_stopped"].map(|mark| summary[mark].clone());
+        assert_eq!(marks, [false, true], "{name}: {errors}");
+        assert_eq!(std::fs::read(folder.join("out.h5")).unwrap(), b"older");
+        let beside = costate::Stored::open(folder.join("out_stopped.h5")).unwrap();
+        let summary = beside.run_summary().unwrap().unwrap();
+        assert!(summary.laws_stopped && !summary.stopped, "{name}");
+        assert!(summary.file.ends_with("out_stopped.h5"), "{name}");
+        let left: Vec<String> = entries(&folder);
+        assert!(!left.iter().any(|n| n.starts_with('.')), "{left:?}");
+    }
 }
 
 #[test]

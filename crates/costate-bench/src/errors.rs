@@ -112,66 +112,112 @@ pub fn compare(
     slopes: Option<&Slopes>,
     result: &Trajectories,
 ) -> Errors {
-    let n = work.states();
     let (hamiltonian, _) = meter.values(result);
+    let pair = Pair {
+        work,
+        reference,
+        slopes,
+        result,
+        hamiltonian,
+    };
     let count = result.count().min(reference.result.count());
-    let levels = reference.result.levels;
-    let (mut value, mut costate, mut drift) = (
-        vec![f64::NAN; count],
-        vec![f64::NAN; count],
-        vec![f64::NAN; count],
-    );
-    let (mut both, mut there, mut failed, mut reference_failed) = (0usize, 0usize, 0, 0);
-    for i in 0..count {
-        let passed =
-            |r: &Trajectories| (0..levels).filter(|l| !r.sample(i, *l)[0].is_nan()).count();
-        let (mine, theirs) = (passed(result), passed(&reference.result));
-        let beyond = mine > theirs + PAST_THE_END;
-        if is_failure(reference.result.status[i]) {
-            reference_failed += 1;
-            failed += usize::from(beyond);
-            continue;
-        }
-        let short = is_failure(result.status[i]) && mine < theirs;
-        failed += usize::from(short || beyond);
-        for level in 0..levels {
-            let (a, b) = (result.sample(i, level), reference.result.sample(i, level));
-            there += usize::from(!b[0].is_nan());
-            if a[0].is_nan() || b[0].is_nan() {
-                continue;
-            }
-            both += 1;
-            if short {
-                continue;
-            }
-            let (a, b) = (&a[1..], &b[1..]);
-            see(&mut value[i], value_error(n, a, b));
-            if let Some(slope) = slopes.and_then(|s| s.at(i, level)) {
-                see(
-                    &mut costate[i],
-                    costate_error(n, a, b, slope, &work.plan.widths),
-                );
-            }
-            let at = i * levels + level;
-            let change = (hamiltonian[at] - reference.hamiltonian[at]).abs();
-            // Where nothing is paid and nothing has changed.
-            see(
-                &mut drift[i],
-                if change == 0.0 {
-                    0.0
-                } else {
-                    change / reference.running[i]
-                },
-            );
+    let mut worst = vec![Worst::default(); count];
+    let mut counts = Counts::default();
+    for (i, worst) in worst.iter_mut().enumerate() {
+        pair.see(i, worst, &mut counts);
+    }
+    let of = |error: fn(&Worst) -> f64| Quantiles::of(&worst.iter().map(error).collect::<Vec<_>>());
+    Errors {
+        value: of(|w| w.value),
+        costate: of(|w| w.costate),
+        hamiltonian: of(|w| w.hamiltonian),
+        compared: counts.both as f64 / counts.there.max(1) as f64,
+        failed: counts.failed,
+        reference_failed: counts.reference_failed,
+    }
+}
+
+/// The largest errors of a trajectory; NaN where nothing was compared.
+#[derive(Clone, Copy)]
+struct Worst {
+    value: f64,
+    costate: f64,
+    hamiltonian: f64,
+}
+
+impl Default for Worst {
+    fn default() -> Self {
+        Self {
+            value: f64::NAN,
+            costate: f64::NAN,
+            hamiltonian: f64::NAN,
         }
     }
-    Errors {
-        value: Quantiles::of(&value),
-        costate: Quantiles::of(&costate),
-        hamiltonian: Quantiles::of(&drift),
-        compared: both as f64 / there.max(1) as f64,
-        failed,
-        reference_failed,
+}
+
+/// Samples of the reference, and those that the result has too; trajectories that failed.
+#[derive(Default)]
+struct Counts {
+    there: usize,
+    both: usize,
+    failed: usize,
+    reference_failed: usize,
+}
+
+/// A result and what it is compared with.
+struct Pair<'a> {
+    work: &'a Work,
+    reference: &'a Reference,
+    slopes: Option<&'a Slopes>,
+    result: &'a Trajectories,
+    /// H of the result, `[trajectory][level]`.
+    hamiltonian: Vec<f64>,
+}
+
+impl Pair<'_> {
+    /// One trajectory.
+    fn see(&self, i: usize, worst: &mut Worst, counts: &mut Counts) {
+        let (result, reference) = (self.result, &self.reference.result);
+        let levels = reference.levels;
+        let passed =
+            |r: &Trajectories| (0..levels).filter(|l| !r.sample(i, *l)[0].is_nan()).count();
+        let (mine, theirs) = (passed(result), passed(reference));
+        let beyond = mine > theirs + PAST_THE_END;
+        if is_failure(reference.status[i]) {
+            counts.reference_failed += 1;
+            counts.failed += usize::from(beyond);
+            return;
+        }
+        let short = is_failure(result.status[i]) && mine < theirs;
+        counts.failed += usize::from(short || beyond);
+        for level in 0..levels {
+            let [here, there] = [result, reference].map(|r| !r.sample(i, level)[0].is_nan());
+            counts.there += usize::from(there);
+            counts.both += usize::from(here && there);
+            if here && there && !short {
+                self.see_sample(i, level, worst);
+            }
+        }
+    }
+
+    /// The errors of a sample that both have.
+    fn see_sample(&self, i: usize, level: usize, worst: &mut Worst) {
+        let n = self.work.states();
+        let [a, b] = [self.result, &self.reference.result].map(|r| &r.sample(i, level)[1..]);
+        see(&mut worst.value, value_error(n, a, b));
+        if let Some(slope) = self.slopes.and_then(|s| s.at(i, level)) {
+            let widths = &self.work.plan.widths;
+            see(&mut worst.costate, costate_error(n, a, b, slope, widths));
+        }
+        let at = i * self.reference.result.levels + level;
+        let change = (self.hamiltonian[at] - self.reference.hamiltonian[at]).abs();
+        // Where nothing is paid and nothing has changed.
+        let drift = if change == 0.0 {
+            0.0
+        } else {
+            change / self.reference.running[i]
+        };
+        see(&mut worst.hamiltonian, drift);
     }
 }
 

@@ -13,6 +13,7 @@
 //! - [`mod@write`] stores what was measured;
 //! - [`host_share`] tells the kernel's time from all other time of a whole run.
 
+mod comparison;
 pub mod devices;
 pub mod errors;
 pub mod host_share;

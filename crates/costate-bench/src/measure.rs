@@ -1,9 +1,10 @@
 //! Taking the times: every variant once untimed, then all in turn, several times over.
 
 use super::BenchError;
-use super::errors::{Errors, Meter, Quantiles, compare};
+use super::comparison::Comparison;
+use super::errors::{Errors, Quantiles};
 use super::pareto;
-use super::reference::{self, Reference, Slopes};
+use super::reference;
 use super::variants::{self, Ladder, Missing, Series, Steps, Wanted};
 use super::work::{Pass, Work};
 use costate::backend::flops;
@@ -13,10 +14,6 @@ use std::time::Instant;
 
 /// Trajectories whose errors are looked at: the leading ones, which are spread like all.
 const CHECKED: usize = 4096;
-/// Trajectories with slopes of p, which take neighbours.
-const WITH_SLOPES: usize = 1024;
-/// Trajectories of a reference that only tells how far the other one can be trusted.
-const FLOOR_CHECKED: usize = 512;
 
 /// Errors of more than a tenth are nobody's choice, however soon they are there.
 pub const USEFUL: f64 = 0.1;
@@ -177,149 +174,185 @@ pub fn measure(
     told: Told<'_>,
 ) -> Result<Bench, BenchError> {
     let begin = Instant::now();
-    let meter = Meter::new(work);
     let checked = work.count().min(CHECKED);
-    let methods = reference::METHODS;
-    let mut references = Vec::new();
-    for (k, method) in methods.into_iter().enumerate() {
-        told(&format!("reference: {}", method.name()));
-        // The second one is for what is measured by the first one's method, else only to tell how
-        // far they are apart.
-        let all = k == 0 || options.wanted.methods.contains(&methods[0]);
-        let count = if all { checked } else { FLOOR_CHECKED };
-        references.push(Reference::new(work, &meter, method, count)?);
-    }
-    let against = |method: Method| &references[usize::from(method == methods[0])];
-    if references.iter().any(|r| r.samples() == 0) {
-        return Err(BenchError::NoReference { seeds: checked });
-    }
-    told("slopes of p");
-    let slopes = Slopes::new(work, &references[0], WITH_SLOPES)?;
-    let [first, second] = [&references[0], &references[1]];
-    let floor = Floor {
-        methods: [first.method, second.method],
-        trajectories: first.result.count().min(second.result.count()),
-        errors: compare(work, &meter, first, Some(&slopes), &second.result),
-    };
+    let comparison = Comparison::new(work, &options.wanted, checked, told)?;
+    let floor = comparison.floor(work);
     let reference_seconds = begin.elapsed().as_secs_f64();
 
-    let duration = references[0].median_duration();
+    let duration = comparison.median_duration();
     let (ladders, mut missing) = variants::ladders(backends, &options.wanted, duration);
-    let mut devices = Vec::new();
-    for backend in backends {
-        told(&format!("arithmetic rate of {}", backend.adapter()));
-        devices.push(Device {
-            backend: backend.name(),
-            adapter: backend.adapter(),
-            peak: [
-                peak(backend.as_ref(), Precision::F32)?,
-                peak(backend.as_ref(), Precision::F64)?,
-            ],
-        });
+    let devices = rated(backends, told)?;
+    let runners = compiled(work, backends, ladders, &mut missing, told);
+    let mut climb = Climb {
+        work,
+        backends,
+        options,
+        checked,
+        runners,
+        missing,
+        rows: Vec::new(),
+        owners: Vec::new(),
+    };
+    climb.first_passes(&comparison, told)?;
+    if climb.rows.is_empty() {
+        return Err(nothing_left(&climb.missing));
     }
-    let mut runners = compiled(work, backends, ladders, &mut missing, told);
-    let mut rows = Vec::new();
-    let mut owners = Vec::new();
-    let (mut compiling, mut spent) = (0.0, 0.0);
-    let deepest = runners
-        .iter()
-        .map(|r| r.ladder.steps.len())
-        .max()
-        .unwrap_or(0);
-    // All from rough to fine at once: what the budget cuts off are the slowest of each series.
-    for depth in 0..deepest {
-        for (owner, runner) in runners.iter_mut().enumerate() {
-            let Some(&steps) = runner.ladder.steps.get(depth) else {
-                continue;
-            };
-            let series = runner.ladder.series;
-            let expected = runner.last * growth(series.method);
-            if runner.stopped || (depth > 0 && compiling + expected > options.budget) {
-                if !runner.stopped {
-                    missing.push(Missing {
-                        what: format!("{} from {}", name(backends, series), setting(steps)),
-                        why: format!("the budget of {} s", options.budget),
-                    });
-                }
-                runner.stopped = true;
-                continue;
-            }
-            told(&format!("{} {}", name(backends, series), setting(steps)));
-            let mut pass = work.integrate(
-                runner.kernel.as_mut(),
-                &work.run(steps),
-                &work.seeds,
-                checked,
-            )?;
-            // The time without what a driver compiles in a first pass.
-            runner.last = pass.kernel_seconds.unwrap_or(pass.seconds);
-            compiling += pass.seconds;
-            pass.kept = reference::points(std::mem::take(&mut pass.kept));
-            let errors = compare(
-                work,
-                &meter,
-                against(series.method),
-                Some(&slopes),
-                &pass.kept,
-            );
-            rows.push(row(work, runner, steps, &pass, errors));
-            owners.push(owner);
-        }
-    }
-    if rows.is_empty() {
-        let mut why: Vec<String> = missing
-            .iter()
-            .map(|m| format!("{}: {}", m.what, m.why))
-            .collect();
-        if why.is_empty() {
-            why.push("the tolerances asked for are below what the precision resolves".to_owned());
-        }
-        return Err(BenchError::NothingLeft {
-            why: why.join("; "),
-        });
-    }
-    let round_seconds: f64 = runners
-        .iter()
-        .map(|r| r.last * r.ladder.steps.len() as f64)
-        .sum();
-    let mut rounds = 0;
-    while rounds < options.repeats.max(1)
-        && (rounds == 0 || spent + round_seconds <= options.budget)
-    {
-        told(&format!(
-            "round {} of {}: {} variants",
-            rounds + 1,
-            options.repeats,
-            rows.len()
-        ));
-        // There and back, so that no variant always comes when the machine is warm.
-        let order: Box<dyn Iterator<Item = usize>> = if rounds % 2 == 0 {
-            Box::new(0..rows.len())
-        } else {
-            Box::new((0..rows.len()).rev())
-        };
-        for k in order {
-            let kernel = runners[owners[k]].kernel.as_mut();
-            let pass = work.integrate(kernel, &work.run(rows[k].steps), &work.seeds, 0)?;
-            spent += pass.seconds;
-            rows[k].seconds.push(pass.seconds);
-            rows[k].kernel_seconds.extend(pass.kernel_seconds);
-        }
-        rounds += 1;
-    }
+    let rounds = climb.timed_rounds(told)?;
     let mut bench = Bench {
         devices,
-        rows,
-        missing,
+        rows: climb.rows,
+        missing: climb.missing,
         floor,
         trajectories: work.count(),
         checked,
-        with_slopes: slopes.count,
+        with_slopes: comparison.with_slopes(),
         rounds,
         reference_seconds,
     };
     bench.conclude(work);
     Ok(bench)
+}
+
+/// All ladders on the way, and what came of them.
+struct Climb<'a> {
+    work: &'a Work,
+    backends: &'a [Box<dyn Backend>],
+    options: &'a Options,
+    /// Trajectories whose errors are looked at.
+    checked: usize,
+    runners: Vec<Runner>,
+    missing: Vec<Missing>,
+    rows: Vec<Row>,
+    /// The runner of each row.
+    owners: Vec<usize>,
+}
+
+impl Climb<'_> {
+    /// Every variant once, with its errors, as far as the budget goes.
+    fn first_passes(
+        &mut self,
+        comparison: &Comparison,
+        told: Told<'_>,
+    ) -> Result<(), BackendError> {
+        let lengths = self.runners.iter().map(|r| r.ladder.steps.len());
+        let deepest = lengths.max().unwrap_or(0);
+        let mut compiling = 0.0;
+        // All from rough to fine at once: what the budget cuts off are the slowest of each series.
+        for depth in 0..deepest {
+            for owner in 0..self.runners.len() {
+                let runner = &self.runners[owner];
+                let Some(&steps) = runner.ladder.steps.get(depth) else {
+                    continue;
+                };
+                let expected = runner.last * growth(runner.ladder.series.method);
+                let spent = depth > 0 && compiling + expected > self.options.budget;
+                if runner.stopped || spent {
+                    self.stop(owner, steps);
+                    continue;
+                }
+                compiling += self.first_pass(owner, steps, comparison, told)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The budget ends a ladder at some steps.
+    fn stop(&mut self, owner: usize, steps: Steps) {
+        let runner = &mut self.runners[owner];
+        if !runner.stopped {
+            let series = name(self.backends, runner.ladder.series);
+            self.missing.push(Missing {
+                what: format!("{series} from {}", setting(steps)),
+                why: format!("the budget of {} s", self.options.budget),
+            });
+        }
+        runner.stopped = true;
+    }
+
+    /// One variant for the first time: its row; the seconds that it took.
+    fn first_pass(
+        &mut self,
+        owner: usize,
+        steps: Steps,
+        comparison: &Comparison,
+        told: Told<'_>,
+    ) -> Result<f64, BackendError> {
+        let work = self.work;
+        let runner = &mut self.runners[owner];
+        let series = runner.ladder.series;
+        told(&format!(
+            "{} {}",
+            name(self.backends, series),
+            setting(steps)
+        ));
+        let mut pass = work.integrate(
+            runner.kernel.as_mut(),
+            &work.run(steps),
+            &work.seeds,
+            self.checked,
+        )?;
+        // The time without what a driver compiles in a first pass.
+        runner.last = pass.kernel_seconds.unwrap_or(pass.seconds);
+        pass.kept = reference::points(std::mem::take(&mut pass.kept));
+        let errors = comparison.errors(work, series.method, &pass.kept);
+        self.rows.push(row(work, runner, steps, &pass, errors));
+        self.owners.push(owner);
+        Ok(pass.seconds)
+    }
+
+    /// Rounds of timed passes, as many as the budget has room for.
+    fn timed_rounds(&mut self, told: Told<'_>) -> Result<usize, BackendError> {
+        let options = self.options;
+        let round_seconds: f64 = (self.runners.iter())
+            .map(|r| r.last * r.ladder.steps.len() as f64)
+            .sum();
+        let (mut rounds, mut spent) = (0, 0.0);
+        while rounds < options.repeats.max(1)
+            && (rounds == 0 || spent + round_seconds <= options.budget)
+        {
+            told(&format!(
+                "round {} of {}: {} variants",
+                rounds + 1,
+                options.repeats,
+                self.rows.len()
+            ));
+            // There and back, so that no variant always comes when the machine is warm.
+            let order: Box<dyn Iterator<Item = usize>> = if rounds % 2 == 0 {
+                Box::new(0..self.rows.len())
+            } else {
+                Box::new((0..self.rows.len()).rev())
+            };
+            for k in order {
+                spent += self.timed_pass(k)?;
+            }
+            rounds += 1;
+        }
+        Ok(rounds)
+    }
+
+    /// One more pass of a row; its seconds.
+    fn timed_pass(&mut self, k: usize) -> Result<f64, BackendError> {
+        let (work, row) = (self.work, &mut self.rows[k]);
+        let kernel = self.runners[self.owners[k]].kernel.as_mut();
+        let pass = work.integrate(kernel, &work.run(row.steps), &work.seeds, 0)?;
+        row.seconds.push(pass.seconds);
+        row.kernel_seconds.extend(pass.kernel_seconds);
+        Ok(pass.seconds)
+    }
+}
+
+/// Why there is no row at all.
+fn nothing_left(missing: &[Missing]) -> BenchError {
+    let mut why: Vec<String> = missing
+        .iter()
+        .map(|m| format!("{}: {}", m.what, m.why))
+        .collect();
+    if why.is_empty() {
+        why.push("the tolerances asked for are below what the precision resolves".to_owned());
+    }
+    BenchError::NothingLeft {
+        why: why.join("; "),
+    }
 }
 
 impl Bench {
@@ -337,6 +370,23 @@ impl Bench {
                 row.flops / self.devices[row.series.device].peak[row.series.precision as usize];
         }
     }
+}
+
+/// The devices, each with its measured arithmetic rates.
+fn rated(backends: &[Box<dyn Backend>], told: Told<'_>) -> Result<Vec<Device>, BackendError> {
+    let mut devices = Vec::new();
+    for backend in backends {
+        told(&format!("arithmetic rate of {}", backend.adapter()));
+        devices.push(Device {
+            backend: backend.name(),
+            adapter: backend.adapter(),
+            peak: [
+                peak(backend.as_ref(), Precision::F32)?,
+                peak(backend.as_ref(), Precision::F64)?,
+            ],
+        });
+    }
+    Ok(devices)
 }
 
 fn peak(backend: &dyn Backend, precision: Precision) -> Result<f64, BackendError> {

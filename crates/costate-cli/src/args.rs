@@ -81,6 +81,13 @@ pub struct SceneArgs {
     /// Replace a parameter: a number or an expression of earlier parameters. May be repeated.
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = assignment)]
     pub set: Vec<(String, String)>,
+    #[command(flatten)]
+    pub print: PrintArgs,
+}
+
+/// What is printed, and where.
+#[derive(Args, Debug, Clone, Copy)]
+pub struct PrintArgs {
     /// Machine-readable summary on standard output; everything else goes to standard error.
     #[arg(long)]
     pub json: bool,
@@ -231,12 +238,8 @@ pub struct EvaluateArgs {
     /// Seed of random initial states.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Machine-readable summary on standard output; everything else goes to standard error.
-    #[arg(long)]
-    pub json: bool,
-    /// Print nothing but errors.
-    #[arg(long)]
-    pub quiet: bool,
+    #[command(flatten)]
+    pub print: PrintArgs,
 }
 
 #[derive(Args, Debug, Clone)]
@@ -306,12 +309,8 @@ pub struct FitArgs {
     /// Trainings from different first weights [default: the scenario's]
     #[arg(long, value_parser = at_least_one)]
     pub starts: Option<usize>,
-    /// Machine-readable summary on standard output; everything else goes to standard error.
-    #[arg(long)]
-    pub json: bool,
-    /// Print nothing but errors.
-    #[arg(long)]
-    pub quiet: bool,
+    #[command(flatten)]
+    pub print: PrintArgs,
 }
 
 #[derive(Args, Debug, Clone)]
@@ -341,12 +340,8 @@ pub struct ExportArgs {
     /// Replace a parameter. May be repeated. Not for a result file's own scene.
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = assignment)]
     pub set: Vec<(String, String)>,
-    /// Machine-readable summary on standard output; everything else goes to standard error.
-    #[arg(long)]
-    pub json: bool,
-    /// Print nothing but errors.
-    #[arg(long)]
-    pub quiet: bool,
+    #[command(flatten)]
+    pub print: PrintArgs,
 }
 
 #[cfg(feature = "report")]
@@ -520,12 +515,8 @@ pub struct CheckLeastArgs {
     pub apart: f64,
     #[command(flatten)]
     pub numerics: NumericsArgs,
-    /// Machine-readable summary on standard output; everything else goes to standard error.
-    #[arg(long)]
-    pub json: bool,
-    /// Print nothing but errors.
-    #[arg(long)]
-    pub quiet: bool,
+    #[command(flatten)]
+    pub print: PrintArgs,
 }
 
 fn nodes(text: &str) -> Result<usize, String> {

@@ -28,8 +28,6 @@ const UNFINISHED: u8 = 75;
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
     #[error(transparent)]
-    Load(#[from] LoadError),
-    #[error(transparent)]
     Scenario(ScenarioErrors),
     #[error(transparent)]
     Session(SessionError),
@@ -37,14 +35,6 @@ pub enum CliError {
     Run(RunError),
     #[error(transparent)]
     Backend(#[from] BackendError),
-    #[error(transparent)]
-    Output(#[from] OutputError),
-    #[error(transparent)]
-    File(#[from] FileError),
-    #[error(transparent)]
-    Stored(#[from] StoredError),
-    #[error(transparent)]
-    Map(#[from] StoredMapError),
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Device(#[from] DeviceError),
@@ -84,8 +74,10 @@ pub enum CliError {
     },
     #[error("ended by {by} before all was done; {path} has what was done by then", path = path.display())]
     Stopped { by: String, path: PathBuf },
-    #[error("--time-limit: half of a search for the smallest level shows nothing: leave it out")]
-    NoTimeLimit,
+    #[error(
+        "--time-limit {limit}: the search is not done, and half of it shows nothing: nothing is written"
+    )]
+    Nothing { limit: f64 },
     #[error("cannot write to standard output: {0}")]
     Stdout(#[from] std::io::Error),
 }
@@ -113,22 +105,38 @@ impl From<RunError> for CliError {
     fn from(error: RunError) -> Self {
         match error {
             RunError::Session(error) => error.into(),
-            RunError::Load(error) => error.into(),
             other => Self::Run(other),
         }
     }
 }
 
+/// What may stop a run is one of its errors, whichever command meets it.
+macro_rules! of_a_run {
+    ($($error:ty),+) => {
+        $(impl From<$error> for CliError {
+            fn from(error: $error) -> Self {
+                Self::Run(error.into())
+            }
+        })+
+    };
+}
+of_a_run!(
+    LoadError,
+    OutputError,
+    FileError,
+    StoredError,
+    StoredMapError
+);
+
 impl CliError {
     /// 2 for what the user wrote, 1 for what could not be done, 75 for what was ended before.
     pub fn status(&self) -> u8 {
-        if matches!(self, Self::Stopped { .. }) {
+        if matches!(self, Self::Stopped { .. } | Self::Nothing { .. }) {
             return UNFINISHED;
         }
         let of_input = match self {
             Self::Session(error) => error.is_of_input(),
             Self::Run(error) => error.is_of_input(),
-            Self::File(error) | Self::Output(OutputError::File(error)) => error.is_of_name(),
             #[cfg(feature = "gpu")]
             Self::Device(error) => !matches!(error, DeviceError::Backend(_)),
             Self::Refused(error) => !matches!(error, GridRefusal::OutOfTime(_)),
@@ -140,11 +148,7 @@ impl CliError {
                     ReportError::Options(_) | ReportError::Stored(_) | ReportError::NotOurs { .. }
                 )
             }
-            Self::Backend(_)
-            | Self::Output(_)
-            | Self::Bench(_)
-            | Self::NotLeast { .. }
-            | Self::Stdout(_) => false,
+            Self::Backend(_) | Self::Bench(_) | Self::NotLeast { .. } | Self::Stdout(_) => false,
             _ => true,
         };
         if of_input { 2 } else { 1 }
@@ -156,7 +160,9 @@ impl CliError {
         }
         let colours = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
         let text = match self {
-            CliError::Scenario(e) | CliError::Load(LoadError::Scenario(e)) => e.render(colours),
+            CliError::Scenario(e) | CliError::Run(RunError::Load(LoadError::Scenario(e))) => {
+                e.render(colours)
+            }
             other => printable(&format!("error: {other}")).into_owned(),
         };
         // Nowhere is left to report a failure of this.

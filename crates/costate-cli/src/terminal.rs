@@ -1,6 +1,6 @@
 //! Where the words of a command go: text to standard output, or to standard error beside `--json`.
 
-use crate::args::SceneArgs;
+use crate::args::PrintArgs;
 use crate::text;
 use costate::backend::Backend;
 use costate::low_level::diagnostics::printable;
@@ -46,11 +46,11 @@ pub struct Terminal {
 }
 
 impl Terminal {
-    pub fn new(args: &SceneArgs) -> Self {
+    pub fn new(args: PrintArgs) -> Self {
         Self::with(args.quiet, args.json)
     }
 
-    /// Of a command that reads no scenario.
+    /// Of a command with options of its own for it.
     pub fn with(quiet: bool, json: bool) -> Self {
         Self {
             quiet,

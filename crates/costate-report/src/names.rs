@@ -1,5 +1,6 @@
 //! How states and controls are named in pictures.
 
+use super::ticks::significant;
 use costate::low_level::model::Variable;
 
 const GREEK: [(&str, char); 48] = [
@@ -88,6 +89,20 @@ pub fn label(variable: &Variable) -> String {
     match variable.long_name.as_deref() {
         Some(long) if long != variable.name => format!("{long} {symbol}{unit}"),
         _ => format!("{symbol}{unit}"),
+    }
+}
+
+/// `θ = 0.12`.
+pub fn held(variable: &Variable, value: f64) -> String {
+    format!("{} = {}", symbol(&variable.name), significant(value, 4))
+}
+
+/// ` at θ = 0.12, γ = 1.5`: what is held fixed, if anything is.
+pub fn at(fixed: &[String]) -> String {
+    if fixed.is_empty() {
+        String::new()
+    } else {
+        format!(" at {}", fixed.join(", "))
     }
 }
 

@@ -1,7 +1,6 @@
 //! What the pictures are made of, read once.
 
 use super::plane::{GridField, Plane, refined};
-use super::ticks::significant;
 use super::{names, ticks};
 use costate::low_level::model::{Model, Report};
 use costate::low_level::result::Stored;
@@ -255,22 +254,12 @@ impl<'s> Source<'s> {
     pub fn fixed(&self) -> String {
         let mut fixed: Vec<String> = (self.model.states.iter().enumerate())
             .filter(|(k, _)| !self.axes.contains(k))
-            .map(|(k, s)| {
-                format!(
-                    "{} = {}",
-                    names::symbol(&s.variable.name),
-                    significant(self.base[k], 4)
-                )
-            })
+            .map(|(k, s)| names::held(&s.variable, self.base[k]))
             .collect();
         if !self.infinite() {
             fixed.push(format!("{} = 0", self.model.time_name()));
         }
-        if fixed.is_empty() {
-            String::new()
-        } else {
-            format!(" at {}", fixed.join(", "))
-        }
+        names::at(&fixed)
     }
 }
 

@@ -4,7 +4,7 @@ use super::ticks::significant;
 use super::{Source, names};
 use costate::low_level::result::{Array, StoredGroup};
 use costate::low_level::schema;
-use costate::session::summary::Quantiles;
+use costate::session::summary::{Quantiles, RunSummary, SolvedSummary};
 use std::collections::BTreeMap;
 
 /// A table; the first column names the rows.
@@ -67,56 +67,63 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
     // The dimension along which most variables extend: the first one with names.
     let (index, labels) = (["law", "variant", "row"].iter())
         .find_map(|d| Some((*d, texts(group, d).or_else(|| numbered(group, d))?)))?;
-    let mut columns = vec![index.to_owned()];
-    let mut rows: Vec<Vec<String>> = labels.iter().map(|l| vec![l.clone()]).collect();
+    let mut table = Table {
+        title: title.to_owned(),
+        columns: vec![index.to_owned()],
+        rows: labels.iter().map(|l| vec![l.clone()]).collect(),
+        caption: caption.to_owned(),
+    };
     let others: Vec<(String, Vec<String>)> = (all.iter())
         .filter(|n| *n != index)
         .filter_map(|n| Some((n.clone(), texts(group, n)?)))
         .collect();
     for name in all.iter().filter(|n| *n != index && *n != "toml") {
         if let Some((_, texts)) = others.iter().find(|(n, _)| n == name) {
-            if !is_coordinate(name)
-                && *texts != labels
-                && texts.len() == rows.len()
-                && texts
-                    .iter()
-                    .all(|t| t.len() <= LONGEST && !t.contains('\n'))
-            {
-                columns.push(heading(name));
-                rows.iter_mut()
-                    .zip(texts)
-                    .for_each(|(row, t)| row.push(t.clone()));
+            if !is_coordinate(name) && *texts != labels {
+                table.add_texts(name, texts);
             }
-            continue;
+        } else if let Some(array) = numbers(group, name) {
+            let unit = group
+                .attribute(Some(name), "units")
+                .filter(|u| !u.starts_with("see "));
+            table.add_numbers(name, &names::unit(unit.as_deref()), &array, &others);
         }
-        let Some(array) = numbers(group, name) else {
-            continue;
-        };
-        let unit = group
-            .attribute(Some(name), "units")
-            .filter(|u| !u.starts_with("see "));
-        let unit = names::unit(unit.as_deref());
-        match array.shape.as_slice() {
-            [count] if *count == rows.len() => {
-                columns.push(format!("{}{unit}", heading(name)));
-                rows.iter_mut()
-                    .zip(&array.values)
-                    .for_each(|(row, v)| row.push(significant(*v, 4)));
+    }
+    (table.columns.len() > 1 && !table.rows.is_empty()).then_some(table)
+}
+
+impl Table {
+    /// A column of texts, if there is a short one for each row.
+    fn add_texts(&mut self, name: &str, texts: &[String]) {
+        let is_short = |t: &String| t.len() <= LONGEST && !t.contains('\n');
+        if texts.len() == self.rows.len() && texts.iter().all(is_short) {
+            self.columns.push(heading(name));
+            for (row, text) in self.rows.iter_mut().zip(texts) {
+                row.push(text.clone());
             }
-            [count, width] if *count == rows.len() => {
-                // The second dimension's names.
-                let own = if name == "u" { "control" } else { "state" };
-                let fits = |(n, t): &&(String, Vec<String>)| {
-                    is_coordinate(n) && !n.contains('_') && t.len() == *width
-                };
-                let mut all = others.iter().filter(fits).collect::<Vec<_>>();
-                all.sort_by_key(|(n, _)| n != own);
-                let Some((_, parts)) = all.first() else {
-                    continue;
-                };
-                for (k, part) in parts.iter().enumerate() {
-                    columns.push(format!("{} {part}{unit}", heading(name)));
-                    for (row, values) in rows.iter_mut().zip(array.values.chunks(*width)) {
+        }
+    }
+
+    /// A column of numbers, or one for each component where these have names among the group's
+    /// texts.
+    fn add_numbers(
+        &mut self,
+        name: &str,
+        unit: &str,
+        array: &Array,
+        texts: &[(String, Vec<String>)],
+    ) {
+        match array.shape.as_slice() {
+            [count] if *count == self.rows.len() => {
+                self.columns.push(format!("{}{unit}", heading(name)));
+                for (row, v) in self.rows.iter_mut().zip(&array.values) {
+                    row.push(significant(*v, 4));
+                }
+            }
+            [count, width] if *count == self.rows.len() => {
+                for (k, part) in components(name, *width, texts).iter().enumerate() {
+                    self.columns.push(format!("{} {part}{unit}", heading(name)));
+                    for (row, values) in self.rows.iter_mut().zip(array.values.chunks(*width)) {
                         row.push(significant(values[k], 4));
                     }
                 }
@@ -124,12 +131,15 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
             _ => {}
         }
     }
-    (columns.len() > 1 && !rows.is_empty()).then(|| Table {
-        title: title.to_owned(),
-        columns,
-        rows,
-        caption: caption.to_owned(),
-    })
+}
+
+/// The names along a variable's second dimension; none where nothing has as many.
+fn components<'t>(name: &str, width: usize, texts: &'t [(String, Vec<String>)]) -> &'t [String] {
+    let own = if name == "u" { "control" } else { "state" };
+    let fits =
+        |(n, t): &&(String, Vec<String>)| is_coordinate(n) && !n.contains('_') && t.len() == width;
+    let first = texts.iter().filter(fits).min_by_key(|(n, _)| n != own);
+    first.map_or(&[], |(_, parts)| parts)
 }
 
 /// Names along a dimension, or what is said of them.
@@ -173,98 +183,100 @@ fn heading(name: &str) -> String {
 /// What the run was, and how well it went: name and value. A summary that cannot be read is one of
 /// them.
 pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
-    let mut all: Vec<(String, String)> = Vec::new();
-    let mut add = |name: &str, value: String| {
-        if !value.is_empty() {
-            all.push((name.to_owned(), value));
-        }
-    };
+    let mut figures = Figures::default();
     let summary = match source.stored.run_summary() {
         Ok(summary) => summary,
         Err(reason) => {
-            add("Summary", format!("cannot be read: {reason}"));
+            figures.add("Summary", format!("cannot be read: {reason}"));
             None
         }
     };
     match summary.as_ref().filter(|s| s.trajectories_stored) {
-        Some(s) => {
-            add("Trajectories", counts(&s.status));
-            let gaps = &s.coverage;
-            let open = gaps.gaps_for_want_of_seeds + gaps.gaps_indistinguishable;
-            let widest = gaps.widest_gap.map_or_else(String::new, |w| {
-                format!(", the widest {} of the region", significant(w, 3))
-            });
-            add(
-                "Fronts",
-                match open {
-                    0 => "covered".to_owned(),
-                    _ => format!("{open} gaps left{widest}"),
-                },
-            );
-            if let Some(e) = &s.error_estimate {
-                add(
-                    "Errors of the sweep",
-                    errors([e.value, e.costate, e.control]),
-                );
-            }
-        }
+        Some(s) => figures.add_sweep(s),
         None => {
             if let Ok(Some(t)) = source.trajectories() {
-                add("Trajectories", t.count.to_string());
+                figures.add("Trajectories", t.count.to_string());
             }
         }
     }
     if let Some(solved) = summary.as_ref().and_then(|s| s.homotopy.as_ref()) {
-        add("Solved states", counts(&solved.status));
+        figures.add_solved(solved);
+    }
+    figures.add(
+        "Attenuation",
+        super::pictures::attenuation_figure(source).unwrap_or_default(),
+    );
+    if let Some(met) = summary.as_ref().and_then(|s| s.error_met) {
+        let met = if met { "met" } else { "NOT met" };
+        figures.add("Promised accuracy", met.to_owned());
+    }
+    figures.add_provenance(source, summary.as_ref());
+    figures.0
+}
+
+/// Names with values, those that have one.
+#[derive(Default)]
+struct Figures(Vec<(String, String)>);
+
+impl Figures {
+    fn add(&mut self, name: &str, value: String) {
+        if !value.is_empty() {
+            self.0.push((name.to_owned(), value));
+        }
+    }
+
+    fn add_sweep(&mut self, summary: &RunSummary) {
+        self.add("Trajectories", counts(&summary.status));
+        let gaps = &summary.coverage;
+        let open = gaps.gaps_for_want_of_seeds + gaps.gaps_indistinguishable;
+        let widest = gaps.widest_gap.map_or_else(String::new, |w| {
+            format!(", the widest {} of the region", significant(w, 3))
+        });
+        self.add(
+            "Fronts",
+            match open {
+                0 => "covered".to_owned(),
+                _ => format!("{open} gaps left{widest}"),
+            },
+        );
+        if let Some(e) = &summary.error_estimate {
+            self.add(
+                "Errors of the sweep",
+                errors([e.value, e.costate, e.control]),
+            );
+        }
+    }
+
+    fn add_solved(&mut self, solved: &SolvedSummary) {
+        self.add("Solved states", counts(&solved.status));
         let sheets = format!("{} on {} sheets", solved.solutions, solved.sheets);
-        add("Solutions", sheets);
+        self.add("Solutions", sheets);
         if let Some(e) = &solved.error_estimate {
-            add(
+            self.add(
                 "Errors of solved states",
                 errors([e.value, e.costate, e.control]),
             );
         }
     }
-    add(
-        "Attenuation",
-        super::pictures::attenuation_figure(source).unwrap_or_default(),
-    );
-    if let Some(met) = summary.as_ref().and_then(|s| s.error_met) {
-        add(
-            "Promised accuracy",
-            if met { "met" } else { "NOT met" }.to_owned(),
-        );
+
+    /// Where, how, when and by what the file was made.
+    fn add_provenance(&mut self, source: &Source<'_>, summary: Option<&RunSummary>) {
+        let text = |name: &str| source.stored.attribute(name).unwrap_or_default();
+        let backend = [text("backend"), text("adapter")].join(" on ");
+        self.add("Backend", backend.trim_matches(|c| c == ' ').to_owned());
+        let tolerance = summary.map_or_else(String::new, |s| {
+            format!(", rtol {}", significant(s.rtol, 2))
+        });
+        let arithmetic = format!("{} {}{tolerance}", text("precision"), text("method"));
+        self.add("Arithmetic", arithmetic.trim().to_owned());
+        if let Some(s) = summary {
+            self.add("Time", format!("{} s", significant(s.wall_seconds, 3)));
+        }
+        self.add("Created", text("created"));
+        self.add("Command", text("command"));
+        let version = [text("costate_version"), text("git_revision")].join(" ");
+        self.add("Version", version.trim().to_owned());
     }
-    let text = |name: &str| source.stored.attribute(name).unwrap_or_default();
-    add(
-        "Backend",
-        [text("backend"), text("adapter")]
-            .join(" on ")
-            .trim_matches(|c| c == ' ')
-            .to_owned(),
-    );
-    let tolerance = summary.as_ref().map_or_else(String::new, |s| {
-        format!(", rtol {}", significant(s.rtol, 2))
-    });
-    add(
-        "Arithmetic",
-        format!("{} {}{tolerance}", text("precision"), text("method"))
-            .trim()
-            .to_owned(),
-    );
-    if let Some(s) = &summary {
-        add("Time", format!("{} s", significant(s.wall_seconds, 3)));
-    }
-    add("Created", text("created"));
-    add("Command", text("command"));
-    add(
-        "Version",
-        [text("costate_version"), text("git_revision")]
-            .join(" ")
-            .trim()
-            .to_owned(),
-    );
-    all
 }
 
 /// The worst errors of V, p and u.

@@ -65,9 +65,12 @@ pub struct RunSummary {
     pub method: String,
     pub rtol: f64,
     pub atol: f64,
-    /// Whether the run was ended before everything was done.
+    /// Whether the run was ended before everything was swept and solved.
     #[serde(default)]
     pub stopped: bool,
+    /// Whether it was ended later, before all laws, closed loops and levels were done.
+    #[serde(default)]
+    pub laws_stopped: bool,
     /// How many trajectories were swept.
     pub trajectories: usize,
     /// Whether they are in the file; else they only gave first guesses.
@@ -269,6 +272,7 @@ impl Session<'_> {
             rtol: plan.run.rtol,
             atol: plan.atol,
             stopped: outcome.stopped,
+            laws_stopped: false,
             trajectories: swept.trajectories,
             trajectories_stored: outcome.stored,
             status: statuses.map(|(s, n)| (plan.status_name(*s), *n)).collect(),

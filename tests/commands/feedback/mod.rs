@@ -6,6 +6,7 @@ mod refusals;
 mod support;
 
 use crate::common_problems::{Exact, manufactured};
+use costate::backend::Deadline;
 use costate::low_level::feedback::{Data, FittedLaw, Law, Samples, fit};
 use costate::low_level::hamiltonian::Hamiltonian;
 use costate::low_level::model::{Feedback, Model};
@@ -79,6 +80,7 @@ fn fitted(
         hamiltonian,
         samples,
         known: &unknown,
+        deadline: Deadline::default(),
     };
     fit(data, model, law, &|_| {}).unwrap_or_else(|e| panic!("{e}"))
 }
@@ -479,6 +481,7 @@ fn too_few_data_are_refused() {
         hamiltonian: &hamiltonian,
         samples: &samples,
         known: &unknown,
+        deadline: Deadline::default(),
     };
     let message = fit(data, &model, &model.feedback[0], &|_| {})
         .unwrap_err()

@@ -44,7 +44,7 @@ impl Alone {
         let scene = load(&args.scene)?;
         asks(&scene.model)?;
         let backend = args.numerics.open(&scene.model)?;
-        let terminal = Terminal::new(&args.scene);
+        let terminal = Terminal::new(args.scene.print);
         terminal.say(&scene.model.title)?;
         let own = || output_of(&args.scene.scenario, ending);
         let file = ResultFile::create(args.out.clone().unwrap_or_else(own))?;

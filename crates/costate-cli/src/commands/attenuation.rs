@@ -4,21 +4,24 @@ use super::alone::Alone;
 use crate::args::RunArgs;
 use crate::common::{pictures, print_json};
 use crate::error::CliError;
+use costate::backend::Deadline;
 use costate::run::write_attenuation;
 use costate::session::SessionError;
 use costate::session::summary::AttenuationSummary;
 
 pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
-    if args.time_limit.is_some() {
-        return Err(CliError::NoTimeLimit);
-    }
     let (begun, backend, mut file) = Alone::begin(args, "_attenuation", |model| {
         let asked = model.attenuation.as_ref().map(drop);
         asked.ok_or(SessionError::NoAttenuation)
     })?;
     let Alone { terminal, .. } = &begun;
-    let session = begun.session(backend);
-    let found = session.attenuation()?;
+    let end = args.time_limit;
+    let deadline = end.and_then(|limit| Deadline::instant(begun.provenance.clock, limit));
+    let session = begun.session(backend).until(Deadline::at(deadline));
+    let found = match (session.attenuation(), end) {
+        (Err(_), Some(limit)) if session.is_over() => return Err(CliError::Nothing { limit }),
+        (found, _) => found?,
+    };
     terminal.ended()?;
     write_attenuation(&mut file, &begun.scene.model, &found)?;
     let path = begun.finish(&session, file)?;
@@ -33,7 +36,7 @@ pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
         "{seconds:.2} s, written to {}{beside}",
         path.display()
     ))?;
-    if args.scene.json {
+    if args.scene.print.json {
         print_json(&AttenuationSummary::new(&found))?;
     }
     Ok(())

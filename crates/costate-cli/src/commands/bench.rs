@@ -16,8 +16,8 @@ use costate::scene::Scene;
 use costate::session::{self, Progress, sweep_and_write};
 use costate_bench::devices::{self, Which};
 use costate_bench::host_share::{HostShare, Metered};
-use costate_bench::{BenchError, Options, Wanted, Work, measure, write};
-use std::path::Path;
+use costate_bench::{Bench, BenchError, Options, Wanted, Work, measure, write};
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Largest gap that leaves no edge of a front alone: the cap on seeds ends such a sweep.
@@ -37,15 +37,8 @@ pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
     let plan = session::plan(&scene, &cpu, choices)?;
     let which: Vec<Which> = args.backend.iter().map(|b| which(*b)).collect();
     let (backends, unavailable) = devices::open(&which, args.adapter.as_deref())?;
-    let path = args
-        .out
-        .clone()
-        .unwrap_or_else(|| run::output_of(&args.scene.scenario, "_bench"));
-    if path.extension().is_some_and(|e| e == "svg") {
-        return Err(CliError::PictureName { path });
-    }
-    check_out(Some(&path), &[Kind::Result], &[&args.scene.scenario])?;
-    let terminal = Terminal::new(&args.scene);
+    let path = out_path(args)?;
+    let terminal = Terminal::new(args.scene.print);
     let mut file = ResultFile::create(&path)?;
 
     let work = Work::new(plan, model, args.trajectories, args.seed, !args.ends)
@@ -54,37 +47,11 @@ pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
     let mut bench = measure(&work, &backends, &options, &mut |what| terminal.step(what))?;
     terminal.step_ended();
     bench.missing.splice(0..0, unavailable);
-    let mut shares = Vec::new();
-    for &count in &args.host_share {
-        for (device, backend) in backends.iter().enumerate() {
-            let folder = file.path().with_extension("host_share.tmp.h5");
-            shares.push(host_share(
-                args,
-                &scene,
-                device,
-                backend.as_ref(),
-                count,
-                &folder,
-            )?);
-        }
-    }
+    let folder = file.path().with_extension("host_share.tmp.h5");
+    let shares = host_shares(args, &scene, &backends, &folder)?;
 
     write::speed_error(&mut file, &bench, model)?;
-    let joined = |parts: Vec<&str>| {
-        let mut parts = parts;
-        parts.dedup();
-        parts.join(", ")
-    };
-    let record = RunRecord {
-        backend: joined(bench.devices.iter().map(|d| d.backend).collect()),
-        adapter: joined(bench.devices.iter().map(|d| d.adapter.as_str()).collect()),
-        precision: joined(options.wanted.precisions.iter().map(|p| p.name()).collect()),
-        method: joined(options.wanted.methods.iter().map(|m| m.name()).collect()),
-        rtol: work.plan.run.rtol,
-        atol: work.plan.atol,
-        ..provenance.record(model)
-    };
-    record.write(&file)?;
+    record(&bench, &work, &options.wanted, provenance.record(model)).write(&file)?;
     file.attribute("machine", devices::machine())?;
     write::host_shares(&mut file, &bench, &shares)?;
     let path = file.finish()?;
@@ -99,11 +66,41 @@ pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
         picture: picture.as_deref(),
         seconds: provenance.seconds(),
     };
-    if args.scene.json {
+    if args.scene.print.json {
         print_json(&bench_report::as_json(&done))?;
     }
     terminal.say(&bench_report::as_text(&done))?;
     Ok(())
+}
+
+/// The result file, where a picture may stand beside it.
+fn out_path(args: &BenchArgs) -> Result<PathBuf, CliError> {
+    let path = args
+        .out
+        .clone()
+        .unwrap_or_else(|| run::output_of(&args.scene.scenario, "_bench"));
+    if path.extension().is_some_and(|e| e == "svg") {
+        return Err(CliError::PictureName { path });
+    }
+    check_out(Some(&path), &[Kind::Result], &[&args.scene.scenario])?;
+    Ok(path)
+}
+
+/// How it was measured; all that is not said here is `base`'s.
+fn record(bench: &Bench, work: &Work, wanted: &Wanted, base: RunRecord) -> RunRecord {
+    let joined = |mut parts: Vec<&str>| {
+        parts.dedup();
+        parts.join(", ")
+    };
+    RunRecord {
+        backend: joined(bench.devices.iter().map(|d| d.backend).collect()),
+        adapter: joined(bench.devices.iter().map(|d| d.adapter.as_str()).collect()),
+        precision: joined(wanted.precisions.iter().map(|p| p.name()).collect()),
+        method: joined(wanted.methods.iter().map(|m| m.name()).collect()),
+        rtol: work.plan.run.rtol,
+        atol: work.plan.atol,
+        ..base
+    }
 }
 
 fn which(choice: BenchBackend) -> Which {
@@ -144,6 +141,23 @@ fn wanted_errors(args: &BenchArgs) -> Vec<f64> {
     wanted
 }
 
+/// Whole sweeps of each number of trajectories asked for, on each backend.
+fn host_shares(
+    args: &BenchArgs,
+    scene: &Scene,
+    backends: &[Box<dyn Backend>],
+    path: &Path,
+) -> Result<Vec<HostShare>, CliError> {
+    let mut shares = Vec::new();
+    for &count in &args.host_share {
+        for (device, backend) in backends.iter().enumerate() {
+            let backend = backend.as_ref();
+            shares.push(host_share(args, scene, device, backend, count, path)?);
+        }
+    }
+    Ok(shares)
+}
+
 /// Sweeps the scene with its own settings until `count` trajectories are done, and writes them to a
 /// file that is removed again: everything that `run` does for a sweep but reading and deriving the
 /// scene.
@@ -174,7 +188,7 @@ fn host_share(
     let begin = Instant::now();
     let metered = Metered::new(backend);
     let plan = plan()?;
-    let terminal = Terminal::new(&args.scene);
+    let terminal = Terminal::new(args.scene.print);
     let mut file = ResultFile::create(path)?;
     let mut writer = file.trajectories(&run::trajectory_schema(&scene.model, &plan))?;
     let mut writing_seconds = 0.0;

@@ -16,7 +16,6 @@ use costate::run;
 use costate::scene::Scene;
 use costate::session::summary::LinearSummary;
 use costate::session::{Equations, Progress, SessionError, at_equilibrium};
-use std::fmt::Write as _;
 use std::io::Write as _;
 
 pub fn check(args: &CheckArgs) -> Result<(), CliError> {
@@ -37,16 +36,16 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
         .transpose()
         .map_err(SessionError::from)?;
     let smallest = model.attenuation.as_ref().zip(smallest);
-    if args.scene.quiet && !args.scene.json {
+    if args.scene.print.quiet && !args.scene.print.json {
         return Ok(());
     }
-    let terminal = Terminal::new(&args.scene);
+    let terminal = Terminal::new(args.scene.print);
     for note in &model.notes {
         terminal.note(note);
     }
     let equations = Equations::new(&scene);
     let mut out = Printed::new();
-    if args.scene.json {
+    if args.scene.print.json {
         writeln!(
             out,
             "{:#}",
@@ -116,101 +115,130 @@ fn as_text(
     equations: &Equations,
     local: Option<(&Riccati, &At)>,
 ) -> String {
-    let mut t = String::new();
-    let mut line = |text: String| {
-        // Writing to a String cannot fail.
-        let _ = writeln!(t, "{text}");
-    };
-    line(format!("{}\n", model.title));
-    if !equations.shared.is_empty() {
-        line("Shared parts of the equations".into());
-        for (name, text) in &equations.shared {
-            line(format!("  {name} = {text}"));
-        }
-        line(String::new());
+    let mut lines = vec![format!("{}\n", model.title)];
+    lines.extend(equations_text(model, equations));
+    lines.extend(end_text(model, equations));
+    lines.extend(guards_text(model, h, equations, local.map(|(_, at)| at)));
+    if let Some((riccati, at)) = local {
+        lines.extend(local_text(model, riccati, at));
     }
-    line("Hamiltonian (before inserting the controls)".into());
-    line(format!("  H = {}\n", equations.hamiltonian));
-    line("Optimal control".into());
+    lines.join("\n") + "\n"
+}
+
+/// The Hamiltonian, the optimal inputs and the equations of motion.
+fn equations_text(model: &Model, equations: &Equations) -> Vec<String> {
+    let mut lines = Vec::new();
+    if !equations.shared.is_empty() {
+        lines.push("Shared parts of the equations".to_owned());
+        for (name, text) in &equations.shared {
+            lines.push(format!("  {name} = {text}"));
+        }
+        lines.push(String::new());
+    }
+    lines.push("Hamiltonian (before inserting the controls)".to_owned());
+    lines.push(format!("  H = {}\n", equations.hamiltonian));
+    lines.push("Optimal control".to_owned());
     for (c, u) in model.controls.iter().zip(&equations.optimal_control) {
-        line(format!("  {}* = {}", c.variable.name, u));
+        lines.push(format!("  {}* = {}", c.variable.name, u));
     }
     if !model.disturbances.is_empty() {
-        line("\nWorst-case disturbance".into());
+        lines.push("\nWorst-case disturbance".to_owned());
         for (d, w) in model.disturbances.iter().zip(&equations.worst_disturbance) {
-            line(format!("  {}* = {}", d.name, w));
+            lines.push(format!("  {}* = {}", d.name, w));
         }
     }
-    line("\nState equations".into());
+    lines.push("\nState equations".to_owned());
     for (name, rate) in names(model).iter().zip(&equations.state_equations) {
-        line(format!("  {name}' = {}", rate));
+        lines.push(format!("  {name}' = {}", rate));
     }
-    line("\nAdjoint equations".into());
+    lines.push("\nAdjoint equations".to_owned());
     for (name, rate) in names(model).iter().zip(&equations.adjoint_equations) {
-        line(format!("  p_{name}' = {}", rate));
+        lines.push(format!("  p_{name}' = {}", rate));
     }
+    lines
+}
+
+/// Where optimal trajectories end: the equilibrium, or the terminal cost.
+fn end_text(model: &Model, equations: &Equations) -> Vec<String> {
+    let mut lines = Vec::new();
     match &model.horizon {
         Horizon::Infinite { x, u, .. } => {
-            line("\nEquilibrium".into());
+            lines.push("\nEquilibrium".to_owned());
             for (name, v) in names(model).iter().zip(x) {
-                line(format!("  {name} = {v}"));
+                lines.push(format!("  {name} = {v}"));
             }
             for (c, v) in model.controls.iter().zip(u) {
-                line(format!("  {} = {v}", c.variable.name));
+                lines.push(format!("  {} = {v}", c.variable.name));
             }
         }
         Horizon::Finite { final_time, .. } => {
-            line(format!("\nTerminal cost at t = {final_time}"));
-            line(format!(
+            lines.push(format!("\nTerminal cost at t = {final_time}"));
+            lines.push(format!(
                 "  phi = {}",
                 equations.terminal_cost.as_deref().unwrap_or_default()
             ));
             for (name, slope) in names(model).iter().zip(&equations.terminal_costate) {
-                line(format!("  p_{name} = {slope}"));
+                lines.push(format!("  p_{name} = {slope}"));
             }
         }
     }
+    lines
+}
+
+fn guards_text(
+    model: &Model,
+    h: &Hamiltonian,
+    equations: &Equations,
+    at: Option<&At>,
+) -> Vec<String> {
+    let mut lines = Vec::new();
     if !h.guards.is_empty() {
-        line(match local {
-            Some(_) => "\nGuards, and the left sides at the equilibrium".into(),
-            None => "\nGuards".into(),
+        lines.push(match at {
+            Some(_) => "\nGuards, and the left sides at the equilibrium".to_owned(),
+            None => "\nGuards".to_owned(),
         });
     }
     for (k, guard) in h.guards.iter().enumerate() {
         let sign = if guard.strict { ">" } else { ">=" };
-        let value = local.map_or(String::new(), |(_, at)| format!(" ({:.8})", at.guards[k]));
+        let value = at.map_or(String::new(), |at| format!(" ({:.8})", at.guards[k]));
         let added = if k < model.guards.len() {
             ""
         } else {
             ", added by the program"
         };
-        line(format!(
+        lines.push(format!(
             "  {}: {} {sign} 0{value}{added}",
             guard.name, equations.guards[k]
         ));
     }
-    if let Some((r, at)) = local {
-        line(format!(
-            "\nRiccati solution P (V = 1/2 s'P s near the equilibrium; relative residual {:.1e})",
-            r.residual
-        ));
-        for row in r.p.row_iter() {
-            line(format!(
-                "  {}",
-                row.iter().map(|v| format!("{v:>14.8}")).collect::<String>()
-            ));
-        }
-        line("\nLocal gain K: u = u_e - K (x - x_e) to first order, with u_e, x_e at the equilibrium".into());
-        for (control, row) in model.controls.iter().zip(&at.gain) {
-            let row: String = row.iter().map(|v| format!("{v:>14.8}")).collect();
-            line(format!("  {row}  ({})", control.variable.name));
-        }
-        line("\nClosed-loop eigenvalues".into());
-        for e in &r.eigenvalues {
-            line(format!("  {}", show_eigenvalue(*e)));
-        }
+    lines
+}
+
+/// V, the feedback and the motion to first order about the equilibrium.
+fn local_text(model: &Model, riccati: &Riccati, at: &At) -> Vec<String> {
+    let numbers = |row: &mut dyn Iterator<Item = &f64>| -> String {
+        row.map(|v| format!("{v:>14.8}")).collect()
+    };
+    let mut lines = vec![format!(
+        "\nRiccati solution P (V = 1/2 s'P s near the equilibrium; relative residual {:.1e})",
+        riccati.residual
+    )];
+    for row in riccati.p.row_iter() {
+        lines.push(format!("  {}", numbers(&mut row.iter())));
     }
-    t
+    lines.push(
+        "\nLocal gain K: u = u_e - K (x - x_e) to first order, with u_e, x_e at the equilibrium"
+            .to_owned(),
+    );
+    for (control, row) in model.controls.iter().zip(&at.gain) {
+        let row = numbers(&mut row.iter());
+        lines.push(format!("  {row}  ({})", control.variable.name));
+    }
+    lines.push("\nClosed-loop eigenvalues".to_owned());
+    for e in &riccati.eigenvalues {
+        lines.push(format!("  {}", show_eigenvalue(*e)));
+    }
+    lines
 }
 
 fn as_json(

@@ -36,7 +36,7 @@ pub fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
         seconds: args.seconds,
         apart: args.apart,
     };
-    let terminal = Terminal::with(args.quiet, args.json);
+    let terminal = Terminal::new(args.print);
     let session = Session::on(&stored.scene, args.numerics.open(model)?)
         .choosing(args.numerics.choices(0))
         .with_progress(&terminal);
@@ -50,14 +50,14 @@ pub fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
         seconds: clock.elapsed().as_secs_f64(),
     };
     terminal.say(&said.text())?;
-    if args.json {
+    if args.print.json {
         print_json(&said.json())?;
     }
     match said.undercut().len() {
         0 => Ok(()),
         states => Err(CliError::NotLeast {
             states,
-            silent: !args.quiet,
+            silent: !args.print.quiet,
         }),
     }
 }

@@ -49,7 +49,7 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         random: args.random,
         solve: args.solve,
     };
-    let terminal = Terminal::with(args.quiet, args.json);
+    let terminal = Terminal::new(args.print);
     let session = Session::on(scene, args.numerics.open(&scene.model)?)
         .choosing(args.numerics.choices(args.seed))
         .with_progress(&terminal);
@@ -57,7 +57,7 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     let done = simulate(&session, stored.as_ref(), added, &options, out, &provenance)?;
     terminal.ended()?;
 
-    if args.json {
+    if args.print.json {
         let file = done.path.display().to_string();
         let mut summary = match &done.closed_loop {
             Some(evaluation) => json!(EvaluationSummary::new(evaluation, &done.path)),

@@ -68,14 +68,14 @@ pub fn export(args: &ExportArgs) -> Result<(), CliError> {
         beside.with_file_name(format!("{stem}_{name}.h"))
     });
     write_text(&path, &made.text)?;
-    if args.json {
+    if args.print.json {
         let mut summary = made.summary;
         summary["file"] = json!(path.display().to_string());
         summary["name"] = json!(name);
         summary["bytes"] = json!(made.text.len());
         writeln!(std::io::stdout(), "{summary:#}")?;
     }
-    Terminal::with(args.quiet, args.json).say(&format!(
+    Terminal::new(args.print).say(&format!(
         "{}\n  {:.1} kB of C, written to {}",
         made.said,
         made.text.len() as f64 / 1e3,

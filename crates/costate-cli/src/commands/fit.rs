@@ -5,6 +5,7 @@ use crate::common::print_json;
 use crate::error::CliError;
 use crate::terminal::Terminal;
 use crate::text;
+use costate::backend::Deadline;
 use costate::low_level::result::Stored;
 use costate::run::{LawFiles, RunError, fit_stored, other_scene};
 use costate::session::summary::FittedSummary;
@@ -12,7 +13,7 @@ use serde_json::json;
 
 pub fn fit(args: &FitArgs) -> Result<(), CliError> {
     let stored = Stored::open(&args.file)?;
-    let terminal = Terminal::with(args.quiet, args.json);
+    let terminal = Terminal::new(args.print);
     let other = args.scene.as_deref();
     let other = other
         .map(|scene| other_scene(&stored, scene, &[]))
@@ -29,8 +30,14 @@ pub fn fit(args: &FitArgs) -> Result<(), CliError> {
     }
 
     let files = LawFiles::new(&args.file, args.out_dir.as_deref());
-    let done = fit_stored(&stored, scene, &laws, &files, &terminal)?;
-    if args.json {
+    let done = fit_stored(
+        &stored,
+        scene,
+        &laws,
+        &files,
+        (&terminal, Deadline::default()),
+    )?;
+    if args.print.json {
         let laws = FittedSummary::all(&done.fitted, &done.exports);
         print_json(&json!({ "file": args.file.display().to_string(), "laws": laws }))?;
     }

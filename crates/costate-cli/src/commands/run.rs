@@ -10,6 +10,7 @@ use crate::terminal::Terminal;
 use crate::text::listed;
 use costate::low_level::dynamic_programming;
 use costate::low_level::files::{target, write_text};
+use costate::low_level::model::Model;
 use costate::run::{Provenance, output_of, output_of_points, stopped_beside};
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
@@ -29,55 +30,18 @@ pub enum Parts<'a> {
 
 pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let provenance = provenance();
-    let solve = match parts {
-        Parts::Solve(solve) => Some(solve),
-        _ => None,
-    };
+    let solve = parts.solve();
     let table = solve.is_some_and(listed::is_table);
-    let inputs = [Some(&args.scene.scenario), solve.map(|s| &s.points)];
-    let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
-    let kinds: &[Kind] = match parts {
-        Parts::Solve(_) => &[Kind::Result, Kind::Table],
-        _ => &[Kind::Result],
-    };
-    check_out(args.out.as_deref(), kinds, &inputs)?;
+    check_names(args, parts)?;
 
     let scene = load(&args.scene)?;
     let model = &scene.model;
     if let Some(solve) = solve.filter(|_| table) {
         listed::check_table(solve, model)?;
     }
-    let mut wanted = match parts {
-        Parts::All => Wanted::all(),
-        Parts::ShootOut => Wanted::sweep(),
-        Parts::Homotopy => Wanted::homotopy(),
-        Parts::Solve(solve) => Wanted {
-            states: States::Listed(Listed {
-                x: points::read(&solve.points, model)?,
-                one_sheet: solve.one_sheet,
-                samples: solve.trajectories.then_some(solve.samples),
-            }),
-            ..Wanted::default()
-        },
-    };
-    wanted.grid_guesses = args.grid_guesses;
-    if args.grid_guesses {
-        dynamic_programming::refuse(model, "--grid-guesses").map_err(SessionError::from)?;
-    }
-
-    let (path, other) = match &args.out {
-        Some(path) => (path.clone(), None),
-        None if solve.is_some() => output_of_points(&args.scene.scenario),
-        None => (output_of(&args.scene.scenario, ""), None),
-    };
-    let terminal = Terminal::new(&args.scene);
-    if let Some(other) = other {
-        terminal.note(&format!(
-            "{} holds other results and stays as it is; the answers go to {}",
-            other.display(),
-            path.display()
-        ));
-    }
+    let wanted = parts.wanted(args, model)?;
+    let terminal = Terminal::new(args.scene.print);
+    let path = out_path(args, solve, &terminal);
     if let Some(solve) = solve
         && points::has_published(&solve.points, model)
     {
@@ -104,7 +68,7 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         .then(|| pictures::page(&path, &terminal));
     let page = page.flatten();
     summary["report"] = json!(page.as_ref().map(|p| p.display().to_string()));
-    if args.scene.json {
+    if args.scene.print.json {
         print_json(&summary)?;
     }
     let report = page.map_or_else(String::new, |p| format!("; report: {}", p.display()));
@@ -117,6 +81,65 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         true => Err(ending.stopped(path)),
         false => Ok(()),
     }
+}
+
+impl<'a> Parts<'a> {
+    fn solve(self) -> Option<&'a SolveArgs> {
+        match self {
+            Parts::Solve(solve) => Some(solve),
+            _ => None,
+        }
+    }
+
+    /// What the session is asked for.
+    fn wanted(self, args: &RunArgs, model: &Model) -> Result<Wanted, CliError> {
+        let mut wanted = match self {
+            Parts::All => Wanted::all(),
+            Parts::ShootOut => Wanted::sweep(),
+            Parts::Homotopy => Wanted::homotopy(),
+            Parts::Solve(solve) => Wanted {
+                states: States::Listed(Listed {
+                    x: points::read(&solve.points, model)?,
+                    one_sheet: solve.one_sheet,
+                    samples: solve.trajectories.then_some(solve.samples),
+                }),
+                ..Wanted::default()
+            },
+        };
+        wanted.grid_guesses = args.grid_guesses;
+        if args.grid_guesses {
+            dynamic_programming::refuse(model, "--grid-guesses").map_err(SessionError::from)?;
+        }
+        Ok(wanted)
+    }
+}
+
+/// Refuses an `--out` that is an input, or of the wrong kind.
+fn check_names(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
+    let inputs = [Some(&args.scene.scenario), parts.solve().map(|s| &s.points)];
+    let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
+    let kinds: &[Kind] = match parts {
+        Parts::Solve(_) => &[Kind::Result, Kind::Table],
+        _ => &[Kind::Result],
+    };
+    check_out(args.out.as_deref(), kinds, &inputs)
+}
+
+/// Where results go; said where that is beside others.
+fn out_path(args: &RunArgs, solve: Option<&SolveArgs>, terminal: &Terminal) -> PathBuf {
+    let (path, other) = match &args.out {
+        Some(path) => (path.clone(), None),
+        None if solve.is_some() => output_of_points(&args.scene.scenario),
+        None => (output_of(&args.scene.scenario, ""), None),
+    };
+    if let Some(other) = other {
+        terminal.note(&format!(
+            "{} holds other results and stays as it is; the answers go to {}",
+            other.display(),
+            path.display()
+        ));
+    }
+    path
 }
 
 /// The run with its result file: the summary for `--json`, and the file.

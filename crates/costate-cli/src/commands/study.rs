@@ -24,7 +24,7 @@ pub fn study(args: &RunArgs) -> Result<(), CliError> {
     terminal.say(&text::study::table(model, &variants))?;
     let seconds = begun.provenance.seconds();
     terminal.say(&format!("{seconds:.2} s, written to {}", path.display()))?;
-    if args.scene.json {
+    if args.scene.print.json {
         print_json(&study_rows(model, &variants))?;
     }
     if session.is_over() {

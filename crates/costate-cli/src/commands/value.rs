@@ -421,63 +421,63 @@ fn grid(
     if texts.is_empty() {
         return Ok(None);
     }
+    let wrong = |text: &str, reason: String| PlaceError::Malformed {
+        option: "grid",
+        text: shorten(text),
+        reason,
+    };
     let mut axes: Vec<Vec<f64>> = model.reference().iter().map(|x| vec![*x]).collect();
     axes.push(vec![0.0]);
     let mut given = Vec::new();
     for text in texts.iter().flat_map(|t| t.split(',')) {
-        let wrong = |reason: String| PlaceError::Malformed {
-            option: "grid",
-            text: shorten(text),
-            reason,
-        };
-        let shape = || wrong("expected NAME=FIRST:LAST:COUNT or NAME=VALUE".to_owned());
-        let (name, range) = text.split_once('=').ok_or_else(shape)?;
-        let state = argument(name.trim(), model, time).map_err(&wrong)?;
-        if given.contains(&state) {
-            return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
-        }
-        given.push(state);
-        let parts: Vec<&str> = range.split(':').collect();
-        axes[state] = match parts.as_slice() {
-            [value] => vec![number(value).map_err(&wrong)?],
-            [first, last, count] => {
-                let (first, last) = (
-                    number(first).map_err(&wrong)?,
-                    number(last).map_err(&wrong)?,
-                );
-                let count: Option<usize> = count.trim().parse().ok();
-                let count = count.filter(|c| (2..=1_000_000).contains(c));
-                let count = count.ok_or_else(|| {
-                    wrong("a count is a whole number from 2 to 1000000".to_owned())
-                })?;
-                if last <= first {
-                    return Err(wrong("the last value must be above the first".to_owned()).into());
-                }
-                costate::low_level::value::spaced(first, last, count)
-            }
-            _ => return Err(shape().into()),
-        };
-        if state == model.states.len() {
-            axes[state]
-                .iter()
-                .try_for_each(|t| (time.check)(*t))
-                .map_err(&wrong)?;
-        }
+        let (state, values) =
+            grid_axis(text, &mut given, model, time).map_err(|reason| wrong(text, reason))?;
+        axes[state] = values;
     }
     let points = axes
         .iter()
         .fold(1usize, |a, axis| a.saturating_mul(axis.len()));
     if points > MOST_POINTS {
         let reason = format!("{points} points; at most {MOST_POINTS}");
-        let text = shorten(&texts.join(","));
-        return Err(PlaceError::Malformed {
-            option: "grid",
-            text,
-            reason,
-        }
-        .into());
+        return Err(wrong(&texts.join(","), reason).into());
     }
     Ok(Some(axes))
+}
+
+/// One axis of a grid: the state, or what follows the states, and its values; `given`: those that
+/// are there already.
+fn grid_axis(
+    text: &str,
+    given: &mut Vec<usize>,
+    model: &Model,
+    time: &Time<'_>,
+) -> Result<(usize, Vec<f64>), String> {
+    let shape = || "expected NAME=FIRST:LAST:COUNT or NAME=VALUE".to_owned();
+    let (name, range) = text.split_once('=').ok_or_else(shape)?;
+    let state = argument(name.trim(), model, time)?;
+    if given.contains(&state) {
+        return Err(format!("`{}` stands there twice", name.trim()));
+    }
+    given.push(state);
+    let parts: Vec<&str> = range.split(':').collect();
+    let values = match parts.as_slice() {
+        [value] => vec![number(value)?],
+        [first, last, count] => {
+            let (first, last) = (number(first)?, number(last)?);
+            let count: Option<usize> = count.trim().parse().ok();
+            let count = count.filter(|c| (2..=1_000_000).contains(c));
+            let count = count.ok_or("a count is a whole number from 2 to 1000000")?;
+            if last <= first {
+                return Err("the last value must be above the first".to_owned());
+            }
+            costate::low_level::value::spaced(first, last, count)
+        }
+        _ => return Err(shape()),
+    };
+    if state == model.states.len() {
+        values.iter().try_for_each(|t| (time.check)(*t))?;
+    }
+    Ok((state, values))
 }
 
 fn names(model: &Model) -> (Vec<&str>, Vec<&str>) {
@@ -641,14 +641,7 @@ fn ten(v: f64) -> String {
 
 /// `x` with its time where the map has that axis.
 fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap) -> String {
-    let fronts = map.fronts();
     let (states, controls) = names(model);
-    let list = |names: &[&str], values: &[f64]| {
-        let parts: Vec<String> = (names.iter().zip(values))
-            .map(|(n, v)| format!("{n} = {}", plain(*v)))
-            .collect();
-        parts.join(", ")
-    };
     let time = t.map_or(String::new(), |t| {
         format!(", {} = {}", model.time_name(), plain(t))
     });
@@ -659,44 +652,14 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap
             reason(model, x, *unknown, map)
         )),
         Ok(here) => {
-            let error = |e: f64| {
-                if e.is_finite() {
-                    format!(" (error about {e:.1e})")
-                } else {
-                    String::new()
-                }
-            };
-            lines.push(format!("  V = {}{}", ten(here.v), error(here.v_error)));
-            let costates: Vec<String> = states.iter().map(|s| format!("p_{s}")).collect();
-            let costates: Vec<&str> = costates.iter().map(String::as_str).collect();
-            let relative = if here.p_error.is_finite() {
-                format!(" (relative error about {:.1e})", here.p_error)
-            } else {
-                String::new()
-            };
-            lines.push(format!("  {}{relative}", list(&costates, &here.p)));
-            if t.is_some() {
-                lines.push(format!(
-                    "  dV/d{} = {}",
-                    model.time_name(),
-                    plain(here.rate)
-                ));
-            }
-            if !controls.is_empty() {
-                lines.push(format!(
-                    "  {}{}",
-                    list(&controls, &here.u),
-                    error(here.u_error)
-                ));
-            }
-            lines.push(format!("  {}; {}", sheet(here), how(here)));
+            lines.extend(value_text(model, t.is_some(), here));
             if let Some(asked) = map.falls_short(here) {
                 lines.push(format!(
                     "  the map was asked for an error of {asked:.1e}, which is not met here"
                 ));
             }
             lines.extend(
-                coverage(here, fronts)
+                coverage(here, map.fronts())
                     .into_iter()
                     .chain(undercut(at))
                     .map(|note| format!("  {note}")),
@@ -712,6 +675,51 @@ fn as_text(model: &Model, (x, t): (&[f64], Option<f64>), at: &At, map: &ValueMap
         ));
     }
     lines.join("\n")
+}
+
+/// `x1 = 0.1, x2 = -0.3`.
+fn list(names: &[&str], values: &[f64]) -> String {
+    let parts: Vec<String> = (names.iter().zip(values))
+        .map(|(n, v)| format!("{n} = {}", plain(*v)))
+        .collect();
+    parts.join(", ")
+}
+
+/// V, p, its slope in time if `rate`, and u, with their errors where these are known.
+fn value_text(model: &Model, rate: bool, here: &Value) -> Vec<String> {
+    let (states, controls) = names(model);
+    let error = |e: f64| {
+        if e.is_finite() {
+            format!(" (error about {e:.1e})")
+        } else {
+            String::new()
+        }
+    };
+    let mut lines = vec![format!("  V = {}{}", ten(here.v), error(here.v_error))];
+    let costates: Vec<String> = states.iter().map(|s| format!("p_{s}")).collect();
+    let costates: Vec<&str> = costates.iter().map(String::as_str).collect();
+    let relative = if here.p_error.is_finite() {
+        format!(" (relative error about {:.1e})", here.p_error)
+    } else {
+        String::new()
+    };
+    lines.push(format!("  {}{relative}", list(&costates, &here.p)));
+    if rate {
+        lines.push(format!(
+            "  dV/d{} = {}",
+            model.time_name(),
+            plain(here.rate)
+        ));
+    }
+    if !controls.is_empty() {
+        lines.push(format!(
+            "  {}{}",
+            list(&controls, &here.u),
+            error(here.u_error)
+        ));
+    }
+    lines.push(format!("  {}; {}", sheet(here), how(here)));
+    lines
 }
 
 fn as_json(
@@ -762,13 +770,33 @@ fn table(
     found: &[At],
     map: &ValueMap,
 ) -> Result<String, CliError> {
-    let plain = |v: &f64| plain(*v);
+    let header = header(model, times.is_some())?;
+    let columns = header.len();
+    let mut rows = vec![header];
+    for (k, (x, at)) in states.chunks(model.states.len()).zip(found).enumerate() {
+        let t = times.map(|t| t[k]);
+        let mut row: Vec<String> = x.iter().chain(&t).map(|v| plain(*v)).collect();
+        if let Ok(here) = &at.lowest {
+            row.extend(fields(here, t.is_some()));
+        }
+        row.resize(columns - 1, String::new());
+        row.push(at.lowest.as_ref().map_or_else(
+            |unknown| reason(model, x, *unknown, map),
+            |_| "known".to_owned(),
+        ));
+        rows.push(row);
+    }
+    csv_text(&rows)
+}
+
+/// The columns of the table; `time`: V depends on it.
+fn header(model: &Model, time: bool) -> Result<Vec<String>, CliError> {
     let (names, controls) = names(model);
     let mut header: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
-    header.extend(times.map(|_| model.time_name().to_owned()));
+    header.extend(time.then(|| model.time_name().to_owned()));
     header.push("V".to_owned());
     header.extend(names.iter().map(|n| format!("p_{n}")));
-    header.extend(times.map(|_| "dV_dt".to_owned()));
+    header.extend(time.then(|| "dV_dt".to_owned()));
     header.extend(controls.iter().map(|n| (*n).to_owned()));
     header.extend(
         [
@@ -782,38 +810,24 @@ fn table(
         let name = pair[0].clone();
         return Err(PlaceError::TwoColumns { name }.into());
     }
-    let columns = header.len();
-    let mut rows = vec![header];
-    for (k, (x, at)) in states.chunks(names.len()).zip(found).enumerate() {
-        let mut row: Vec<String> = x.iter().map(plain).collect();
-        row.extend(times.map(|t| plain(&t[k])));
-        if let Ok(here) = &at.lowest {
-            let rate = times.map(|_| here.rate);
-            row.extend(
-                [here.v]
-                    .iter()
-                    .chain(&here.p)
-                    .chain(&rate)
-                    .chain(&here.u)
-                    .map(plain),
-            );
-            row.push(here.sheet.to_string());
-            let errors = [here.v_error, here.p_error, here.u_error];
-            row.extend(errors.iter().map(|e| {
-                if e.is_finite() {
-                    plain(e)
-                } else {
-                    String::new()
-                }
-            }));
-            row.push(here.coverage.name().to_owned());
+    Ok(header)
+}
+
+/// What the table says where V is known, from V to its coverage.
+fn fields(here: &Value, time: bool) -> Vec<String> {
+    let rate = time.then_some(here.rate);
+    let numbers = [here.v];
+    let numbers = numbers.iter().chain(&here.p).chain(&rate).chain(&here.u);
+    let mut fields: Vec<String> = numbers.map(|v| plain(*v)).collect();
+    fields.push(here.sheet.to_string());
+    let errors = [here.v_error, here.p_error, here.u_error];
+    fields.extend(errors.iter().map(|e| {
+        if e.is_finite() {
+            plain(*e)
+        } else {
+            String::new()
         }
-        row.resize(columns - 1, String::new());
-        row.push(at.lowest.as_ref().map_or_else(
-            |unknown| reason(model, x, *unknown, map),
-            |_| "known".to_owned(),
-        ));
-        rows.push(row);
-    }
-    csv_text(&rows)
+    }));
+    fields.push(here.coverage.name().to_owned());
+    fields
 }

@@ -20,7 +20,7 @@ impl Ending {
     /// From now on signals only ask the command to end.
     pub fn of(args: &RunArgs, provenance: &Provenance) -> Self {
         let signal = Arc::new(Mutex::new(None));
-        let (asked, quiet) = (Arc::clone(&signal), args.scene.quiet);
+        let (asked, quiet) = (Arc::clone(&signal), args.scene.print.quiet);
         let stop = stop_at_signals(move |name| {
             *asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(name.to_owned());
             if !quiet {

@@ -45,32 +45,70 @@ pub fn read_with_times(
     model: &Model,
     time: Option<TimeColumn<'_>>,
 ) -> Result<(Vec<f64>, Vec<f64>), PointsError> {
-    let at = || path.to_owned();
     let whole = read_bytes(path).map_err(|source| PointsError::Read {
-        path: at(),
+        path: path.to_owned(),
         source: source.into(),
     })?;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
         .from_reader(whole.as_slice());
-    let names: Vec<&str> = model
-        .states
-        .iter()
-        .map(|s| s.variable.name.as_str())
-        .collect();
-    let arguments = || {
-        let time = time.as_ref().filter(|t| t.known).map(|t| t.name);
-        names
-            .iter()
-            .copied()
-            .chain(time)
-            .collect::<Vec<&str>>()
-            .join(", ")
+    let file = PointsFile {
+        path,
+        whole: &whole,
+        model,
+        time,
     };
-    let malformed = |source: csv::Error, header: &csv::StringRecord| {
-        let Some(line) = source.position().map(|p| line_of(&whole, p.byte())) else {
-            return PointsError::Read { path: at(), source };
+    let header = reader
+        .headers()
+        .map_err(|e| file.malformed(e, &csv::StringRecord::new()))?
+        .clone();
+    let columns = file.columns(&header)?;
+    let (mut points, mut times) = (Vec::new(), Vec::new());
+    for record in reader.records() {
+        let record = record.map_err(|e| file.malformed(e, &header))?;
+        let (x, t) = file.point(&record, &columns)?;
+        times.push(t);
+        points.extend(x);
+    }
+    if points.is_empty() {
+        return Err(PointsError::Empty {
+            path: path.to_owned(),
+        });
+    }
+    Ok((points, times))
+}
+
+/// A file of points while it is read.
+struct PointsFile<'a> {
+    path: &'a Path,
+    whole: &'a [u8],
+    model: &'a Model,
+    time: Option<TimeColumn<'a>>,
+}
+
+impl PointsFile<'_> {
+    fn names(&self) -> Vec<&str> {
+        let states = self.model.states.iter();
+        states.map(|s| s.variable.name.as_str()).collect()
+    }
+
+    /// What columns may be called.
+    fn arguments(&self) -> String {
+        let time = self.time.as_ref().filter(|t| t.known).map(|t| t.name);
+        let all: Vec<&str> = self.names().into_iter().chain(time).collect();
+        all.join(", ")
+    }
+
+    fn line(&self, position: Option<&csv::Position>) -> Option<u64> {
+        position.map(|p| line_of(self.whole, p.byte()))
+    }
+
+    /// What the reader could not make a record of.
+    fn malformed(&self, source: csv::Error, header: &csv::StringRecord) -> PointsError {
+        let path = self.path.to_owned();
+        let Some(line) = self.line(source.position()) else {
+            return PointsError::Read { path, source };
         };
         let reason = match source.kind() {
             csv::ErrorKind::UnequalLengths {
@@ -84,85 +122,84 @@ pub fn read_with_times(
             },
             _ => source.to_string(),
         };
-        PointsError::Malformed {
-            path: at(),
-            line,
-            reason,
-        }
-    };
-    let header = reader
-        .headers()
-        .map_err(|e| malformed(e, &csv::StringRecord::new()))?
-        .clone();
-    if header.iter().all(str::is_empty) {
-        return Err(PointsError::NoHeader {
-            path: at(),
-            states: arguments(),
-        });
+        PointsError::Malformed { path, line, reason }
     }
-    let mut columns = Vec::new();
-    let published = usize::from(is_published(&header, model));
-    for name in header.iter().take(header.len() - published) {
-        let name = bare(name);
-        let is_time = time.as_ref().is_some_and(|t| t.name == name);
-        let Some(state) =
-            (names.iter().position(|n| *n == name)).or(is_time.then_some(names.len()))
-        else {
-            return Err(PointsError::UnknownState {
-                path: at(),
-                name: shorten(name),
-                states: arguments(),
-                help: did_you_mean(name, names.iter().copied())
-                    .map_or_else(String::new, |s| format!("; {s}")),
-            });
-        };
-        if columns.contains(&state) {
-            return Err(PointsError::Twice {
-                path: at(),
-                name: name.to_owned(),
+
+    /// The state of each column that is read, by its number; the time follows the states.
+    fn columns(&self, header: &csv::StringRecord) -> Result<Vec<usize>, PointsError> {
+        if header.iter().all(str::is_empty) {
+            return Err(PointsError::NoHeader {
+                path: self.path.to_owned(),
+                states: self.arguments(),
             });
         }
-        columns.push(state);
+        let names = self.names();
+        let mut columns = Vec::new();
+        let published = usize::from(is_published(header, self.model));
+        for name in header.iter().take(header.len() - published) {
+            let name = bare(name);
+            let is_time = self.time.as_ref().is_some_and(|t| t.name == name);
+            let Some(state) =
+                (names.iter().position(|n| *n == name)).or(is_time.then_some(names.len()))
+            else {
+                return Err(PointsError::UnknownState {
+                    path: self.path.to_owned(),
+                    name: shorten(name),
+                    states: self.arguments(),
+                    help: did_you_mean(name, names.iter().copied())
+                        .map_or_else(String::new, |s| format!("; {s}")),
+                });
+            };
+            if columns.contains(&state) {
+                return Err(PointsError::Twice {
+                    path: self.path.to_owned(),
+                    name: name.to_owned(),
+                });
+            }
+            columns.push(state);
+        }
+        Ok(columns)
     }
-    let (mut points, mut times) = (Vec::new(), Vec::new());
-    for record in reader.records() {
-        let record = record.map_err(|e| malformed(e, &header))?;
-        let mut x = model.reference().to_vec();
+
+    /// The state of a record, and its time.
+    fn point(
+        &self,
+        record: &csv::StringRecord,
+        columns: &[usize],
+    ) -> Result<(Vec<f64>, f64), PointsError> {
+        let mut x = self.model.reference().to_vec();
         x.push(0.0);
-        let line = || record.position().map_or(0, |p| line_of(&whole, p.byte()));
-        let name_of = |k: usize| {
-            names
-                .get(k)
-                .copied()
-                .or(time.as_ref().map(|t| t.name))
-                .unwrap_or_default()
-        };
-        for (text, &state) in record.iter().zip(&columns) {
+        let line = || self.line(record.position()).unwrap_or(0);
+        for (text, &state) in record.iter().zip(columns) {
             x[state] = (bare(text).parse().ok())
                 .filter(|v: &f64| v.is_finite())
                 .ok_or_else(|| PointsError::NotANumber {
-                    path: at(),
+                    path: self.path.to_owned(),
                     line: line(),
-                    name: name_of(state).to_owned(),
+                    name: self.argument(state).to_owned(),
                     text: shorten(text),
                 })?;
         }
         let t = x.pop().unwrap_or(0.0);
-        if let Some(time) = &time {
+        if let Some(time) = &self.time {
             (time.check)(t).map_err(|reason| PointsError::Time {
-                path: at(),
+                path: self.path.to_owned(),
                 line: line(),
                 name: time.name.to_owned(),
                 reason,
             })?;
         }
-        times.push(t);
-        points.extend(x);
+        Ok((x, t))
     }
-    if points.is_empty() {
-        return Err(PointsError::Empty { path: at() });
+
+    /// Name of a state, or of the time, which follows the states.
+    fn argument(&self, k: usize) -> &str {
+        let state = self.model.states.get(k);
+        state
+            .map(|s| s.variable.name.as_str())
+            .or(self.time.as_ref().map(|t| t.name))
+            .unwrap_or_default()
     }
-    Ok((points, times))
 }
 
 /// A field without a byte order mark and quotes: beside either of these a reader takes quotes for a

@@ -1,7 +1,7 @@
 //! What `costate bench` prints: the table, what to take, what was not measured.
 
 use costate::backend::Status;
-use costate_bench::errors::Quantiles;
+use costate_bench::errors::{Errors, Quantiles};
 use costate_bench::host_share::HostShare;
 use costate_bench::measure::{Device, setting};
 use costate_bench::{Bench, Row, Steps, Work, devices};
@@ -221,37 +221,11 @@ fn shared(bench: &Bench, s: &HostShare) -> String {
 
 pub fn as_json(done: &Done<'_>) -> Value {
     let bench = done.bench;
-    let quantiles = |q: &Quantiles| json!({ "median": q.median, "p99": q.p99, "worst": q.worst });
-    let errors = |e: &costate_bench::errors::Errors| {
-        json!({
-            "e_V": quantiles(&e.value), "e_p": quantiles(&e.costate), "e_H": quantiles(&e.hamiltonian),
-            "compared": e.compared, "failed": e.failed, "reference_failed": e.reference_failed,
-        })
-    };
-    let row = |r: &Row| {
-        let device = &bench.devices[r.series.device];
-        let statuses: serde_json::Map<String, Value> = (Status::ALL.iter().zip(r.statuses))
-            .map(|((_, name), n)| ((*name).to_owned(), n.into()))
-            .collect();
-        json!({
-            "backend": device.backend, "adapter": device.adapter,
-            "precision": r.series.precision.name(), "method": r.series.method.name(),
-            "rtol": r.steps.rtol(), "atol": r.steps.rtol().map(|_| r.atol), "step": r.steps.step(),
-            "seconds": { "median": r.median(), "min": r.spread()[0], "max": r.spread()[1], "all": r.seconds },
-            "trajectories_per_second": bench.trajectories_per_second(r),
-            "kernel_seconds": { "median": r.kernel_median(), "min": r.kernel_spread()[0], "max": r.kernel_spread()[1] },
-            "kernel_trajectories_per_second": bench.kernel_trajectories_per_second(r),
-            "compile_seconds": r.compile_seconds, "first_seconds": r.first_seconds,
-            "steps_mean": r.steps_taken, "rejected_mean": r.steps_rejected,
-            "errors": errors(&r.errors), "status": statuses,
-            "flops": r.flops, "peak_share": r.peak_share, "lane_occupancy": r.occupancy, "pareto": r.pareto,
-        })
-    };
     let recommendation = |wanted: &f64| {
         let best = bench.fastest(*wanted);
         json!({
             "error": wanted,
-            "variant": best.map(row),
+            "variant": best.map(|row| row_json(bench, row)),
             "integrator": best.map(section),
         })
     };
@@ -271,20 +245,52 @@ pub fn as_json(done: &Done<'_>) -> Value {
         "reference_floor": {
             "methods": bench.floor.methods.map(|m| m.name()),
             "trajectories": bench.floor.trajectories,
-            "errors": errors(&bench.floor.errors),
+            "errors": errors_json(&bench.floor.errors),
         },
-        "rows": bench.rows.iter().map(row).collect::<Vec<_>>(),
+        "rows": bench.rows.iter().map(|row| row_json(bench, row)).collect::<Vec<_>>(),
         "not_measured": bench.missing.iter().map(|m| json!({ "what": m.what, "why": m.why })).collect::<Vec<_>>(),
         "recommended": done.wanted.iter().map(recommendation).collect::<Vec<_>>(),
-        "host_share": done.shares.iter().map(|s| json!({
-            "adapter": bench.devices[s.device].adapter, "precision": s.precision.name(),
-            "trajectories": s.trajectories, "wall_seconds": s.wall_seconds,
-            "kernel_seconds": s.times.kernels, "call_seconds": s.times.calls, "compile_seconds": s.times.compiling,
-            "sweep_seconds": s.sweep_seconds, "writing_seconds": s.writing_seconds,
-            "finishing_seconds": s.finishing_seconds,
-            "host_share": s.share(), "bytes": s.bytes,
-        })).collect::<Vec<_>>(),
+        "host_share": done.shares.iter().map(|s| share_json(bench, s)).collect::<Vec<_>>(),
         "wall_seconds": done.seconds,
+    })
+}
+
+fn row_json(bench: &Bench, r: &Row) -> Value {
+    let device = &bench.devices[r.series.device];
+    let statuses: serde_json::Map<String, Value> = (Status::ALL.iter().zip(r.statuses))
+        .map(|((_, name), n)| ((*name).to_owned(), n.into()))
+        .collect();
+    json!({
+        "backend": device.backend, "adapter": device.adapter,
+        "precision": r.series.precision.name(), "method": r.series.method.name(),
+        "rtol": r.steps.rtol(), "atol": r.steps.rtol().map(|_| r.atol), "step": r.steps.step(),
+        "seconds": { "median": r.median(), "min": r.spread()[0], "max": r.spread()[1], "all": r.seconds },
+        "trajectories_per_second": bench.trajectories_per_second(r),
+        "kernel_seconds": { "median": r.kernel_median(), "min": r.kernel_spread()[0], "max": r.kernel_spread()[1] },
+        "kernel_trajectories_per_second": bench.kernel_trajectories_per_second(r),
+        "compile_seconds": r.compile_seconds, "first_seconds": r.first_seconds,
+        "steps_mean": r.steps_taken, "rejected_mean": r.steps_rejected,
+        "errors": errors_json(&r.errors), "status": statuses,
+        "flops": r.flops, "peak_share": r.peak_share, "lane_occupancy": r.occupancy, "pareto": r.pareto,
+    })
+}
+
+fn errors_json(e: &Errors) -> Value {
+    let quantiles = |q: &Quantiles| json!({ "median": q.median, "p99": q.p99, "worst": q.worst });
+    json!({
+        "e_V": quantiles(&e.value), "e_p": quantiles(&e.costate), "e_H": quantiles(&e.hamiltonian),
+        "compared": e.compared, "failed": e.failed, "reference_failed": e.reference_failed,
+    })
+}
+
+fn share_json(bench: &Bench, s: &HostShare) -> Value {
+    json!({
+        "adapter": bench.devices[s.device].adapter, "precision": s.precision.name(),
+        "trajectories": s.trajectories, "wall_seconds": s.wall_seconds,
+        "kernel_seconds": s.times.kernels, "call_seconds": s.times.calls, "compile_seconds": s.times.compiling,
+        "sweep_seconds": s.sweep_seconds, "writing_seconds": s.writing_seconds,
+        "finishing_seconds": s.finishing_seconds,
+        "host_share": s.share(), "bytes": s.bytes,
     })
 }
 

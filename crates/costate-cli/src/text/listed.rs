@@ -18,10 +18,6 @@ pub fn text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
     if done.outcome.listed == 0 {
         return Vec::new();
     }
-    let short = |v: f64| match v.abs() {
-        size if size == 0.0 || (1e-3..1e6).contains(&size) => format!("{v:.6}"),
-        _ => format!("{v:.6e}"),
-    };
     let controls = done.model.controls.iter().map(|c| c.variable.name.clone());
     let header = done
         .names
@@ -31,40 +27,8 @@ pub fn text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
         .chain(controls);
     let mut table: Vec<Vec<String>> = vec![header.chain(["status".to_owned()]).collect()];
     let last = table[0].len() - 1;
-    table.extend(
-        (answers.targets.of_given[..done.outcome.listed]
-            .iter()
-            .take(SHOWN))
-        .map(|&target| {
-            let mut row: Vec<String> = answers
-                .targets
-                .state(target)
-                .iter()
-                .copied()
-                .map(plain)
-                .collect();
-            let Some(answer) = answers.answer(target) else {
-                row.resize(last, "-".to_owned());
-                row.push(answers.status(target).name().replace('_', " "));
-                return row;
-            };
-            row.push(format!("{:.12}", answer.value));
-            row.extend(answer.u.iter().copied().map(short));
-            let sheets = match answers.of(target).len() {
-                1 => String::new(),
-                n => format!(", least of {n} solutions"),
-            };
-            let bound = match answers.support[target].bound {
-                Some(bound) => format!("; NOT THE LEAST: a flown control costs {bound:.9}"),
-                None => String::new(),
-            };
-            row.push(format!(
-                "{}{sheets}{bound}",
-                answers.evidence(target).name().replace('_', " ")
-            ));
-            row
-        }),
-    );
+    let listed = &answers.targets.of_given[..done.outcome.listed];
+    table.extend((listed.iter().take(SHOWN)).map(|target| shown_row(answers, *target, last)));
     let mut lines: Vec<String> = columns(&table, &[last])
         .lines()
         .map(|line| format!("  {line}"))
@@ -77,6 +41,36 @@ pub fn text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
     }
     lines.extend(flown(done, answers));
     lines
+}
+
+/// A state, V and u there, and in the `last` column what they rest on.
+fn shown_row(answers: &Answers, target: usize, last: usize) -> Vec<String> {
+    let short = |v: f64| match v.abs() {
+        size if size == 0.0 || (1e-3..1e6).contains(&size) => format!("{v:.6}"),
+        _ => format!("{v:.6e}"),
+    };
+    let state = answers.targets.state(target);
+    let mut row: Vec<String> = state.iter().copied().map(plain).collect();
+    let Some(answer) = answers.answer(target) else {
+        row.resize(last, "-".to_owned());
+        row.push(answers.status(target).name().replace('_', " "));
+        return row;
+    };
+    row.push(format!("{:.12}", answer.value));
+    row.extend(answer.u.iter().copied().map(short));
+    let sheets = match answers.of(target).len() {
+        1 => String::new(),
+        n => format!(", least of {n} solutions"),
+    };
+    let bound = match answers.support[target].bound {
+        Some(bound) => format!("; NOT THE LEAST: a flown control costs {bound:.9}"),
+        None => String::new(),
+    };
+    row.push(format!(
+        "{}{sheets}{bound}",
+        answers.evidence(target).name().replace('_', " ")
+    ));
+    row
 }
 
 /// What simulated controls along the answers have cost.

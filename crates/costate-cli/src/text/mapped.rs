@@ -86,7 +86,6 @@ fn failures(made: &Adaptive) -> String {
 }
 
 pub fn text(done: &Solved<'_>, made: &Adaptive) -> Vec<String> {
-    let region = &made.pieces.region;
     let mut lines = vec![format!(
         "{}: {} pieces in {} cells, from {} points along the trajectories of {} states{}, {} rounds, {:.1} s",
         of_what(done, made),
@@ -106,40 +105,31 @@ pub fn text(done: &Solved<'_>, made: &Adaptive) -> Vec<String> {
         ));
     }
     lines.extend(nothing(made).map(|why| format!("  the map is empty: {why}")));
+    lines.extend(of_error(done, made));
+    if made.check.is_empty() {
+        lines.extend(unchecked(made));
+    } else {
+        lines.extend(checked(done, made));
+    }
+    lines
+}
+
+/// Whether the error asked for is met, and where not.
+fn of_error(done: &Solved<'_>, made: &Adaptive) -> Vec<String> {
+    let region = &made.pieces.region;
     let asked = format!(
         "  error of V asked for {:.1e}, relative to max(V, {:.1e})",
         region.error, region.floor
     );
+    let mut lines = Vec::new();
     if made.unmet.share > 0.0 {
-        let names = variables(done, made);
         lines.push(format!(
             "{asked}: not met in {:.2} % of the region (by its own measure){}",
             100.0 * made.unmet.share,
-            mostly(&names, &made.unmet, region)
+            mostly(&variables(done, made), &made.unmet, region)
         ));
-        let why = match made.uncertain {
-            0.0 => "as no points are there, or no answer exists".to_owned(),
-            uncertain => format!(
-                "in {:.2} % as the bound is above {:.1e} (`error_max`), elsewhere as no points are there, or no answer exists",
-                100.0 * uncertain,
-                made.error_max
-            ),
-        };
         if made.unknown.share > 0.0 {
-            lines.push(format!(
-                "  nothing is said in {:.2} % of the region{} ({why}){}",
-                100.0 * made.unknown.share,
-                match done
-                    .model
-                    .map_aim
-                    .as_ref()
-                    .is_some_and(|aim| aim.value_max.is_some())
-                {
-                    true => ", beside what may be above `value_max`",
-                    false => "",
-                },
-                mostly(&names, &made.unknown, region)
-            ));
+            lines.push(of_unknown(done, made));
         }
         lines.push(match made.spent {
             true => "  the budget was spent: with more `states` or `seconds` the error is met in more of it".to_owned(),
@@ -151,13 +141,41 @@ pub fn text(done: &Solved<'_>, made: &Adaptive) -> Vec<String> {
     } else {
         lines.push(format!("{asked}: met by its own measure"));
     }
-    if made.check.is_empty() {
-        if made.check_asked > 0 {
-            lines
-                .push("  no fresh state could be solved for in `seconds`: nothing checks what the map says".to_owned());
-        }
-        return lines;
-    }
+    lines
+}
+
+/// Where nothing is said of V, and why.
+fn of_unknown(done: &Solved<'_>, made: &Adaptive) -> String {
+    let why = match made.uncertain {
+        0.0 => "as no points are there, or no answer exists".to_owned(),
+        uncertain => format!(
+            "in {:.2} % as the bound is above {:.1e} (`error_max`), elsewhere as no points are there, or no answer exists",
+            100.0 * uncertain,
+            made.error_max
+        ),
+    };
+    let aim = done.model.map_aim.as_ref();
+    let beside = match aim.is_some_and(|aim| aim.value_max.is_some()) {
+        true => ", beside what may be above `value_max`",
+        false => "",
+    };
+    format!(
+        "  nothing is said in {:.2} % of the region{beside} ({why}){}",
+        100.0 * made.unknown.share,
+        mostly(&variables(done, made), &made.unknown, &made.pieces.region)
+    )
+}
+
+/// Of a map without fresh states, where it was to have some.
+fn unchecked(made: &Adaptive) -> Option<String> {
+    (made.check_asked > 0).then(|| {
+        "  no fresh state could be solved for in `seconds`: nothing checks what the map says"
+            .to_owned()
+    })
+}
+
+/// What fresh states show of the map, and of what lies beyond the region.
+fn checked(done: &Solved<'_>, made: &Adaptive) -> Vec<String> {
     let shown = Agreement::new(&made.check, made.pieces.region.floor);
     let count = if made.check.len() < made.check_asked {
         format!(
@@ -172,45 +190,46 @@ pub fn text(done: &Solved<'_>, made: &Adaptive) -> Vec<String> {
         true => String::new(),
         false => format!(" ({})", listed(shown.unsolved.iter())),
     };
+    let head = format!(
+        "  check with {count} fresh states, never used in the map: {} solved{others}",
+        shown.solved
+    );
     if shown.known == 0 {
-        lines.push(format!(
-            "  check with {count} fresh states, never used in the map: {} solved{others}, none of them known",
-            shown.solved
-        ));
-        return lines;
+        return vec![format!("{head}, none of them known")];
     }
     let [median, most, worst] = shown.error;
-    lines.push(format!(
-        "  check with {count} fresh states, never used in the map: {} solved{others}, of them {} known; relative error of V: median {median:.1e}, \
+    let mut lines = vec![format!(
+        "{head}, of them {} known; relative error of V: median {median:.1e}, \
          99 % {most:.1e}, largest {worst:.1e}; error over its bound: 99 % {:.2}, largest {:.2}",
-        shown.solved,
-        shown.known,
-        shown.over_bound[1],
-        shown.over_bound[2]
-    ));
+        shown.known, shown.over_bound[1], shown.over_bound[2]
+    )];
     if shown.above_bound as f64 > ABOVE_BOUND * shown.known as f64 || shown.over_bound[2] > GROSS {
-        let worst = shown.worst.as_ref().map_or(String::new(), |worst| {
-            let names = variables(done, made);
-            let at: Vec<String> = names
-                .iter()
-                .zip(&worst.x)
-                .map(|(name, x)| format!("{name} = {x}"))
-                .collect();
-            format!(
-                " (at {} it is {:.2e}, with a bound of {:.1e})",
-                at.join(", "),
-                (worst.said - worst.solved).abs(),
-                worst.bound
-            )
-        });
-        lines.push(format!(
-            "  WARNING: at {} of {} fresh states the error is above its bound{worst}: these bounds are not to be relied on; give more `states`",
-            shown.above_bound, shown.known
-        ));
+        lines.push(too_bold(&variables(done, made), &shown));
     }
     lines.extend(of_none(&shown.of_none));
     lines.extend(made.beyond.as_ref().map(|beyond| of_beyond(done, beyond)));
     lines
+}
+
+/// Of bounds that fresh states show to be too small; `names`: the map's variables.
+fn too_bold(names: &[String], shown: &Agreement) -> String {
+    let worst = shown.worst.as_ref().map_or(String::new(), |worst| {
+        let at: Vec<String> = names
+            .iter()
+            .zip(&worst.x)
+            .map(|(name, x)| format!("{name} = {x}"))
+            .collect();
+        format!(
+            " (at {} it is {:.2e}, with a bound of {:.1e})",
+            at.join(", "),
+            (worst.said - worst.solved).abs(),
+            worst.bound
+        )
+    });
+    format!(
+        "  WARNING: at {} of {} fresh states the error is above its bound{worst}: these bounds are not to be relied on; give more `states`",
+        shown.above_bound, shown.known
+    )
 }
 
 /// Fresh states for which no solution was found, and of which the map says V.

@@ -101,39 +101,15 @@ fn answers_text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
     let statuses = (by_status(answers).iter())
         .map(|(s, n)| format!("{n} {}", s.name().replace('_', " ")))
         .collect::<Vec<_>>();
-    let mut lines = vec![format!(
-        "{} states: {}",
-        answers.targets.of_given.len(),
-        statuses.join(", ")
-    )];
-    let copies = if answers.lifted < answers.sheets {
-        format!(" ({} without copies by whole periods)", answers.lifted)
-    } else {
-        String::new()
-    };
-    lines.push(match (answers.stopped, answers.sheets) {
-        (true, _) => format!(
-            "{} solutions; the search was ended before it was known which are of one sheet, and whether any is the least",
-            answers.entries.len()
+    let mut lines = vec![
+        format!(
+            "{} states: {}",
+            answers.targets.of_given.len(),
+            statuses.join(", ")
         ),
-        (false, 1) => format!("{} solutions on 1 sheet{copies}", answers.entries.len()),
-        (false, sheets) => {
-            format!("{} solutions on {sheets} sheets{copies}", answers.entries.len())
-        }
-    });
-    if !answers.equal_cost.is_empty() {
-        let jump = |e: &EqualCost| {
-            e.u[0]
-                .iter()
-                .zip(&e.u[1])
-                .fold(0.0f64, |a, (x, y)| a.max((x - y).abs()))
-        };
-        lines.push(format!(
-            "equal-cost boundary: {} points, largest jump of a control {:.4}",
-            answers.equal_cost.len(),
-            answers.equal_cost.iter().map(jump).fold(0.0, f64::max)
-        ));
-    }
+        sheets_text(answers),
+    ];
+    lines.extend(boundary_text(answers));
     if !answers.folds.is_empty() {
         lines.push(format!("folds: {} points", answers.folds.len()));
     }
@@ -142,25 +118,7 @@ fn answers_text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
         return lines;
     }
     lines.extend(support_text(answers));
-    let residual = answers
-        .entries
-        .iter()
-        .map(|e| e.residual)
-        .fold(0.0, f64::max);
-    let what = if done.outcome.plan.system.terminal.is_some() {
-        None
-    } else {
-        Some(median_p99_max(&relative_hamiltonian(
-            &done.outcome.plan,
-            answers,
-        )))
-    };
-    lines.push(match what {
-        Some([median, most, largest]) => format!(
-            "last corrections at most {residual:.1e} of a trajectory; |H| at the states, of the running cost: median {median:.1e}, 99 % {most:.1e}, largest {largest:.1e}"
-        ),
-        None => format!("last corrections at most {residual:.1e} of a trajectory"),
-    });
+    lines.push(residual_text(done, answers));
     lines.extend(estimates::solved_text(&done.outcome.estimates));
     let guess = if done.outcome.stored {
         String::new()
@@ -175,6 +133,63 @@ fn answers_text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
         answers.evaluations as f64 / answers.targets.len().max(1) as f64,
     ));
     lines
+}
+
+/// How many solutions on how many sheets.
+fn sheets_text(answers: &Answers) -> String {
+    let copies = if answers.lifted < answers.sheets {
+        format!(" ({} without copies by whole periods)", answers.lifted)
+    } else {
+        String::new()
+    };
+    match (answers.stopped, answers.sheets) {
+        (true, _) => format!(
+            "{} solutions; the search was ended before it was known which are of one sheet, and whether any is the least",
+            answers.entries.len()
+        ),
+        (false, 1) => format!("{} solutions on 1 sheet{copies}", answers.entries.len()),
+        (false, sheets) => {
+            format!(
+                "{} solutions on {sheets} sheets{copies}",
+                answers.entries.len()
+            )
+        }
+    }
+}
+
+/// The equal-cost boundary, where there is one.
+fn boundary_text(answers: &Answers) -> Option<String> {
+    let jump = |e: &EqualCost| {
+        e.u[0]
+            .iter()
+            .zip(&e.u[1])
+            .fold(0.0f64, |a, (x, y)| a.max((x - y).abs()))
+    };
+    (!answers.equal_cost.is_empty()).then(|| {
+        format!(
+            "equal-cost boundary: {} points, largest jump of a control {:.4}",
+            answers.equal_cost.len(),
+            answers.equal_cost.iter().map(jump).fold(0.0, f64::max)
+        )
+    })
+}
+
+/// How well the solutions meet the equations.
+fn residual_text(done: &Solved<'_>, answers: &Answers) -> String {
+    let residual = answers
+        .entries
+        .iter()
+        .map(|e| e.residual)
+        .fold(0.0, f64::max);
+    let corrections = format!("last corrections at most {residual:.1e} of a trajectory");
+    let plan = &done.outcome.plan;
+    if plan.system.terminal.is_some() {
+        return corrections;
+    }
+    let [median, most, largest] = median_p99_max(&relative_hamiltonian(plan, answers));
+    format!(
+        "{corrections}; |H| at the states, of the running cost: median {median:.1e}, 99 % {most:.1e}, largest {largest:.1e}"
+    )
 }
 
 /// What supports that the answers are the least.
@@ -240,12 +255,12 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
     let statuses = (swept.by_status.iter())
         .map(|(s, n)| format!("{n} {}", plan.status_name(*s).replace('_', " ")))
         .collect::<Vec<_>>();
-    let c = &swept.coverage;
     let mut lines = vec![format!(
         "{} trajectories: {}",
         swept.trajectories,
         statuses.join(", ")
     )];
+    let c = &swept.coverage;
     if c.outside_guards > 0 {
         lines.push(format!(
             "{} seeds outside the guards, not swept",
@@ -253,43 +268,9 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
         ));
     }
     lines.push(if c.uncovered + c.indistinguishable == 0 {
-        let failed: usize = (swept.by_status.iter())
-            .filter(|(code, _)| Status::FAILURES.iter().any(|f| *f as i32 == **code))
-            .map(|(_, n)| n)
-            .sum();
-        let covered = format!(
-            "no neighbours within the region are further apart than {}",
-            plan.shoot_out.spacing
-        );
-        if failed == 0 {
-            format!("fronts covered: {covered}")
-        } else {
-            format!("fronts covered only as far as trajectories go: {covered}, but {failed} trajectories failed")
-        }
+        covered_text(plan, swept)
     } else {
-        let mut reasons = Vec::new();
-        if c.uncovered > 0 && swept.stopped {
-            reasons.push(format!("{} for want of time", c.uncovered));
-        } else if c.uncovered > 0 {
-            reasons.push(format!(
-                "{} for want of seeds (max_seeds = {})",
-                c.uncovered, plan.shoot_out.max_seeds
-            ));
-        }
-        if c.indistinguishable > 0 {
-            reasons.push(format!(
-                "{} with no {} number between",
-                c.indistinguishable,
-                plan.spec.precision.name()
-            ));
-        }
-        format!(
-            "fronts NOT fully covered: {} gaps wider than {} remain ({}), the widest {:.3} of the region",
-            c.uncovered + c.indistinguishable,
-            plan.shoot_out.spacing,
-            reasons.join(", "),
-            c.widest
-        )
+        gaps_text(plan, swept)
     });
     if let Some(local) = &plan.local {
         lines.push(format!(
@@ -316,6 +297,53 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
         swept.rounds
     ));
     lines
+}
+
+/// Of fronts without gaps.
+fn covered_text(plan: &Plan, swept: &SweepReport) -> String {
+    let failed: usize = (swept.by_status.iter())
+        .filter(|(code, _)| Status::FAILURES.iter().any(|f| *f as i32 == **code))
+        .map(|(_, n)| n)
+        .sum();
+    let covered = format!(
+        "no neighbours within the region are further apart than {}",
+        plan.shoot_out.spacing
+    );
+    if failed == 0 {
+        format!("fronts covered: {covered}")
+    } else {
+        format!(
+            "fronts covered only as far as trajectories go: {covered}, but {failed} trajectories failed"
+        )
+    }
+}
+
+/// Of fronts with gaps, and why these are left.
+fn gaps_text(plan: &Plan, swept: &SweepReport) -> String {
+    let c = &swept.coverage;
+    let mut reasons = Vec::new();
+    if c.uncovered > 0 && swept.stopped {
+        reasons.push(format!("{} for want of time", c.uncovered));
+    } else if c.uncovered > 0 {
+        reasons.push(format!(
+            "{} for want of seeds (max_seeds = {})",
+            c.uncovered, plan.shoot_out.max_seeds
+        ));
+    }
+    if c.indistinguishable > 0 {
+        reasons.push(format!(
+            "{} with no {} number between",
+            c.indistinguishable,
+            plan.spec.precision.name()
+        ));
+    }
+    format!(
+        "fronts NOT fully covered: {} gaps wider than {} remain ({}), the widest {:.3} of the region",
+        c.uncovered + c.indistinguishable,
+        plan.shoot_out.spacing,
+        reasons.join(", "),
+        c.widest
+    )
 }
 
 /// States a second, or seconds a state.

@@ -213,106 +213,148 @@ fn read_validity(
     group: &StoredGroup<'_>,
 ) -> Result<Option<(Validity, String)>, StoredError> {
     let states = &source.model.states;
-    let n = states.len();
     let grid: Vec<Vec<f64>> = (states.iter())
         .map(|s| group.f64(&s.variable.name).map(|a| a.values))
         .collect::<Result<_, _>>()?;
-    let levels = group.f64("level")?.values;
-    let (status, v) = (group.i32("status")?.1, group.f64("V")?.values);
-    let long = |k: &usize| grid[*k].len() > 1;
-    let mut shown: Vec<usize> = source.axes.iter().copied().filter(long).collect();
-    shown.dedup();
-    if shown.len() < 2 {
-        shown = (0..n).filter(long).take(2).collect();
-    }
-    if shown.is_empty() {
-        return Ok(None);
-    }
-    // The others at the grid's value nearest to the report's.
-    let near = |k: usize| {
-        let distance = |i: &usize| (grid[k][*i] - source.base[k]).abs();
-        (0..grid[k].len())
-            .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-            .unwrap_or(0)
+    let answers = Answers {
+        levels: group.f64("level")?.values,
+        status: group.i32("status")?.1,
+        v: group.f64("V")?.values,
     };
-    let mut at: Vec<usize> = (0..n).map(near).collect();
-    let fixed: Vec<String> = (0..n)
-        .filter(|k| !shown.contains(k))
-        .map(|k| {
-            format!(
-                "{} = {}",
-                names::symbol(&states[k].variable.name),
-                significant(grid[k][at[k]], 4)
-            )
-        })
-        .collect();
-    let count: usize = grid.iter().map(Vec::len).product();
-    let folds = folds(source, n)?;
+    let Some(cut) = Cut::find(source, grid) else {
+        return Ok(None);
+    };
+    let folds = folds(source, states.len())?;
     let parameter = names::symbol(&group.attribute(None, "parameter").unwrap_or_default());
-    let mut regions = Vec::new();
-    for (k, level) in levels.iter().enumerate().rev() {
-        let (status, v) = (&status[k * count..][..count], &v[k * count..][..count]);
-        let mut values = Vec::new();
-        let inner = shown.get(1).map_or(1, |b| grid[*b].len());
-        for i in 0..grid[shown[0]].len() {
+    let levels = 0..answers.levels.len();
+    let regions: Vec<Region> = (levels.rev())
+        .map(|k| answers.region(k, &cut, &folds, &parameter))
+        .collect();
+    let reference = source.model.reference();
+    let validity = Validity {
+        axes: cut.shown.iter().map(|k| cut.grid[*k].clone()).collect(),
+        labels: (cut.shown.iter())
+            .map(|k| names::label(&states[*k].variable))
+            .collect(),
+        folds: regions.iter().any(|r| !r.folds.is_empty()),
+        regions,
+        rest: match cut.shown.as_slice() {
+            [a, b] => Some([reference[*a], reference[*b]]),
+            _ => None,
+        },
+    };
+    Ok(Some((validity, cut.fixed(source))))
+}
+
+/// The part of the grid of states that is shown: a line, or a plane.
+struct Cut {
+    grid: Vec<Vec<f64>>,
+    /// The one or two states along the axes.
+    shown: Vec<usize>,
+    /// The node of each state that is held fixed.
+    at: Vec<usize>,
+}
+
+impl Cut {
+    /// Along the report's axes where these are more than one node long; the others at the grid's
+    /// value nearest to the report's.
+    fn find(source: &Source<'_>, grid: Vec<Vec<f64>>) -> Option<Self> {
+        let n = grid.len();
+        let long = |k: &usize| grid[*k].len() > 1;
+        let mut shown: Vec<usize> = source.axes.iter().copied().filter(long).collect();
+        shown.dedup();
+        if shown.len() < 2 {
+            shown = (0..n).filter(long).take(2).collect();
+        }
+        if shown.is_empty() {
+            return None;
+        }
+        let near = |k: usize| {
+            let distance = |i: &usize| (grid[k][*i] - source.base[k]).abs();
+            (0..grid[k].len())
+                .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+                .unwrap_or(0)
+        };
+        let at = (0..n).map(near).collect();
+        Some(Self { grid, shown, at })
+    }
+
+    /// The states that it holds fixed, in words.
+    fn fixed(&self, source: &Source<'_>) -> String {
+        let fixed: Vec<String> = (source.model.states.iter().enumerate())
+            .filter(|(k, _)| !self.shown.contains(k))
+            .map(|(k, s)| names::held(&s.variable, self.grid[k][self.at[k]]))
+            .collect();
+        names::at(&fixed)
+    }
+
+    /// Nodes of the whole grid.
+    fn count(&self) -> usize {
+        self.grid.iter().map(Vec::len).product()
+    }
+
+    /// Its nodes among those of the grid, by the first axis, then by the second.
+    fn nodes(&self) -> Vec<usize> {
+        let mut at = self.at.clone();
+        let mut nodes = Vec::new();
+        let inner = self.shown.get(1).map_or(1, |b| self.grid[*b].len());
+        for i in 0..self.grid[self.shown[0]].len() {
             for j in 0..inner {
-                at[shown[0]] = i;
-                if let Some(b) = shown.get(1) {
+                at[self.shown[0]] = i;
+                if let Some(b) = self.shown.get(1) {
                     at[*b] = j;
                 }
                 let place = at
                     .iter()
-                    .zip(&grid)
+                    .zip(&self.grid)
                     .fold(0, |place, (i, axis)| place * axis.len() + i);
-                let valid = status[place] == PointStatus::Converged as i32;
-                values.push(match shown.len() {
-                    2 => f64::from(u8::from(valid)),
-                    _ => v[place],
-                });
+                nodes.push(place);
             }
         }
-        let valid = status
-            .iter()
-            .filter(|s| **s == PointStatus::Converged as i32)
-            .count();
+        nodes
+    }
+}
+
+/// What was found at the grid's nodes, level by level.
+struct Answers {
+    levels: Vec<f64>,
+    status: Vec<i32>,
+    v: Vec<f64>,
+}
+
+impl Answers {
+    /// The region of the `k`-th level; `folds`: level and state of each.
+    fn region(&self, k: usize, cut: &Cut, folds: &[(usize, Vec<f64>)], parameter: &str) -> Region {
+        let count = cut.count();
+        let status = &self.status[k * count..][..count];
+        let v = &self.v[k * count..][..count];
+        let is_valid = |status: i32| status == PointStatus::Converged as i32;
+        let values = (cut.nodes().into_iter()).map(|place| match cut.shown.len() {
+            2 => f64::from(u8::from(is_valid(status[place]))),
+            _ => v[place],
+        });
+        let valid = status.iter().filter(|s| is_valid(**s)).count();
         let wanted = status
             .iter()
             .filter(|s| **s != PointStatus::OutsideGuard as i32)
             .count();
         let share = significant(100.0 * valid as f64 / wanted.max(1) as f64, 3);
-        regions.push(Region {
+        let levels = self.levels.len();
+        let [a, b] = [cut.shown[0], cut.shown[cut.shown.len() - 1]];
+        Region {
             // Dark is hard to reach: the smallest level.
-            colour: colours::value(0.12 + 0.8 * (k + 1) as f64 / (levels.len() + 1) as f64),
+            colour: colours::value(0.12 + 0.8 * (k + 1) as f64 / (levels + 1) as f64),
             label: format!(
                 "{parameter} = {}: {share} % of the states",
-                significant(*level, 4)
+                significant(self.levels[k], 4)
             ),
-            values,
+            values: values.collect(),
             // Others' folds are not on the plane.
-            folds: (folds.iter().filter(|(l, _)| *l == k && n == 2))
-                .map(|(_, x)| [x[shown[0]], x[shown[shown.len() - 1]]])
+            folds: (folds.iter().filter(|(l, _)| *l == k && cut.at.len() == 2))
+                .map(|(_, x)| [x[a], x[b]])
                 .collect(),
-        });
+        }
     }
-    let reference = source.model.reference();
-    let on = |k: usize| {
-        states
-            .get(k)
-            .map_or_else(String::new, |s| names::label(&s.variable))
-    };
-    let validity = Validity {
-        axes: shown.iter().map(|k| grid[*k].clone()).collect(),
-        labels: shown.iter().map(|k| on(*k)).collect(),
-        folds: regions.iter().any(|r| !r.folds.is_empty()),
-        regions,
-        rest: (shown.len() == 2).then(|| [reference[shown[0]], reference[shown[1]]]),
-    };
-    let fixed = if fixed.is_empty() {
-        String::new()
-    } else {
-        format!(" at {}", fixed.join(", "))
-    };
-    Ok(Some((validity, fixed)))
 }
 
 /// Level and state of each fold.

@@ -7,7 +7,7 @@ use crate::canvas::{Anchor, Canvas, Dash, Ink, Point, Rect, Stroke, Style};
 use crate::colours;
 use crate::contour::{self, Grid};
 use crate::frame::{Axis, Bar, Frame, LINE, Legend, Mark};
-use crate::ticks::{self, significant};
+use crate::ticks;
 use crate::{Drawing, Picture, Source, names, text};
 use costate::low_level::result::{StoredError, StoredGroup};
 use costate::low_level::schema;
@@ -20,6 +20,9 @@ const BETWEEN: f64 = 34.0;
 const BANDS: usize = 10;
 /// J/V - 1 below this is drawn as this: it is what the error of V and of the integration leave.
 const LEAST_LOSS: f64 = 1e-6;
+
+/// The variable that holds J/V - 1.
+const LOSS: &str = "suboptimality";
 
 /// What all maps have in common.
 struct Loops {
@@ -38,6 +41,64 @@ struct Place {
     /// Number of the initial state of each node.
     nodes: Vec<usize>,
     base: Vec<f64>,
+}
+
+impl Place {
+    /// The states that are held fixed, in words.
+    fn fixed(&self, source: &Source<'_>) -> String {
+        let fixed: Vec<String> = (source.model.states.iter().enumerate())
+            .filter(|(k, _)| !self.axes.contains(k))
+            .map(|(k, s)| names::held(&s.variable, self.base[k]))
+            .collect();
+        names::at(&fixed)
+    }
+}
+
+/// What closed loops recorded.
+struct Quantity {
+    name: String,
+    title: String,
+    /// What an axis says.
+    label: String,
+    /// `[law][initial]`.
+    values: Vec<f64>,
+}
+
+impl Quantity {
+    fn new(group: &StoredGroup<'_>, name: &str, values: Vec<f64>) -> Self {
+        let what = group
+            .attribute(Some(name), "long_name")
+            .filter(|l| l != name);
+        let (title, label) = match what {
+            _ if name == LOSS => (
+                "Loss against the optimum, J/V \u{2212} 1".to_owned(),
+                "J/V \u{2212} 1".to_owned(),
+            ),
+            Some(what) => (format!("{}: {what}", name.replace('_', " ")), what),
+            None => (name.replace('_', " "), name.to_owned()),
+        };
+        Self {
+            name: name.to_owned(),
+            title,
+            label,
+            values,
+        }
+    }
+
+    fn is_loss(&self) -> bool {
+        self.name == LOSS
+    }
+
+    fn is_unknown(&self) -> bool {
+        self.values.iter().all(|v| !v.is_finite())
+    }
+
+    /// Of the loss: what is too small to mean anything.
+    fn cut_off(&mut self) {
+        for v in self.values.iter_mut().filter(|v| v.is_finite()) {
+            *v = v.max(LEAST_LOSS);
+        }
+    }
 }
 
 #[derive(Clone)]
@@ -90,8 +151,8 @@ pub fn pictures(source: &Source<'_>) -> (Vec<Picture>, Vec<(String, String)>) {
 fn quantities(group: &StoredGroup<'_>) -> Vec<String> {
     let drawn = |name: &String| name == "fallback" || !schema::CLOSED_LOOP.reserves(name);
     let mut all: Vec<String> = group.names().into_iter().filter(drawn).collect();
-    if group.has("suboptimality") {
-        all.push("suboptimality".to_owned());
+    if group.has(LOSS) {
+        all.push(LOSS.to_owned());
     }
     all
 }
@@ -127,36 +188,20 @@ impl Loops {
             // Something else than a quantity of each law and initial state.
             return Ok(None);
         }
-        let mut values = values.values;
-        let loss = name == "suboptimality";
-        if loss {
-            for v in values.iter_mut().filter(|v| v.is_finite()) {
-                *v = v.max(LEAST_LOSS);
-            }
+        let mut quantity = Quantity::new(group, name, values.values);
+        if quantity.is_loss() {
+            quantity.cut_off();
             // V is not known at the initial states.
-            if values.iter().all(|v| !v.is_finite()) {
+            if quantity.is_unknown() {
                 return Ok(None);
             }
         }
-        if values.iter().all(|v| !v.is_finite()) {
+        if quantity.is_unknown() {
             return Err("it has no values".to_owned());
         }
-        let what = group
-            .attribute(Some(name), "long_name")
-            .filter(|l| l != name);
-        let title = match (&what, loss) {
-            (_, true) => "Loss against the optimum, J/V \u{2212} 1".to_owned(),
-            (Some(what), _) => format!("{}: {what}", name.replace('_', " ")),
-            (None, _) => name.replace('_', " "),
-        };
-        let bar = if loss {
-            "J/V \u{2212} 1".to_owned()
-        } else {
-            what.unwrap_or_else(|| name.to_owned())
-        };
         match self.place(source, group) {
-            Some(place) => self.map(source, place, name, &values, title, bar).map(Some),
-            None => Ok(Some(self.curves(source, group, name, &values, title, bar))),
+            Some(place) => self.map(source, place, quantity).map(Some),
+            None => Ok(Some(self.curves(source, group, quantity))),
         }
     }
 
@@ -220,49 +265,16 @@ impl Loops {
         &self,
         source: &Source<'_>,
         place: Place,
-        name: &str,
-        values: &[f64],
-        title: String,
-        bar: String,
+        quantity: Quantity,
     ) -> Result<Picture, String> {
-        let loss = name == "suboptimality";
+        let loss = quantity.is_loss();
         let (sets, lines) = operating(source, &place)?;
-        let law = |k: usize| OneLaw {
-            name: self.laws[k].clone(),
-            values: place
-                .nodes
-                .iter()
-                .map(|i| values[k * self.count + i])
-                .collect(),
-            converged: place
-                .nodes
-                .iter()
-                .map(|i| f64::from(self.converged[k * self.count + i]))
-                .collect(),
-            sets: lines
-                .iter()
-                .filter(|(l, ..)| *l == k)
-                .map(|(_, s, l)| (*s, l.clone()))
-                .collect(),
-        };
-        let laws: Vec<OneLaw> = (0..self.laws.len()).map(law).collect();
+        let laws: Vec<OneLaw> = (0..self.laws.len())
+            .map(|k| self.law(k, &place, &quantity.values, &lines))
+            .collect();
         let shown: Vec<f64> = laws.iter().flat_map(|l| l.values.iter().copied()).collect();
         let levels = if loss { decades(&shown) } else { even(&shown) };
-        let fixed: Vec<String> = (0..source.model.states.len())
-            .filter(|k| !place.axes.contains(k))
-            .map(|k| {
-                format!(
-                    "{} = {}",
-                    names::symbol(&source.model.states[k].variable.name),
-                    significant(place.base[k], 4)
-                )
-            })
-            .collect();
-        let at = if fixed.is_empty() {
-            String::new()
-        } else {
-            format!(" at {}", fixed.join(", "))
-        };
+        let at = place.fixed(source);
         let pale = laws.iter().any(|l| l.converged.contains(&0.0));
         let mut caption = format!(
             "Each point is an initial state{at}; its colour is what the closed loop from there recorded, one panel a law, one scale for all."
@@ -277,8 +289,8 @@ impl Loops {
             caption += " Thick lines bound the operating sets.";
         }
         Ok(Picture {
-            name: format!("closed_loop_{name}"),
-            title: format!("{title}{at}"),
+            name: format!("closed_loop_{}", quantity.name),
+            title: format!("{}{at}", quantity.title),
             caption,
             drawing: Box::new(Map {
                 labels: place
@@ -289,23 +301,31 @@ impl Loops {
                 laws,
                 levels,
                 log: loss,
-                bar,
+                bar: quantity.label,
                 sets,
             }),
         })
     }
 
+    /// A law's panel on the grid.
+    fn law(&self, k: usize, place: &Place, values: &[f64], lines: &Boundaries) -> OneLaw {
+        let own = k * self.count;
+        OneLaw {
+            name: self.laws[k].clone(),
+            values: place.nodes.iter().map(|i| values[own + i]).collect(),
+            converged: (place.nodes.iter())
+                .map(|i| f64::from(self.converged[own + i]))
+                .collect(),
+            sets: lines
+                .iter()
+                .filter(|(l, ..)| *l == k)
+                .map(|(_, s, l)| (*s, l.clone()))
+                .collect(),
+        }
+    }
+
     /// Where there is no grid of two states: along one, or how values are distributed.
-    fn curves(
-        &self,
-        source: &Source<'_>,
-        group: &StoredGroup<'_>,
-        name: &str,
-        values: &[f64],
-        title: String,
-        bar: String,
-    ) -> Picture {
-        let n = source.model.states.len();
+    fn curves(&self, source: &Source<'_>, group: &StoredGroup<'_>, quantity: Quantity) -> Picture {
         let axis = group.attribute(None, "axes").and_then(|a| {
             let name = a.split_whitespace().next()?.to_owned();
             source
@@ -314,40 +334,28 @@ impl Loops {
                 .iter()
                 .position(|s| s.variable.name == name)
         });
-        let mut panel = Panel::default();
-        for k in 0..self.laws.len() {
-            let own = &values[k * self.count..(k + 1) * self.count];
-            let mut points: Vec<[f64; 2]> = match axis {
-                Some(a) => own
-                    .iter()
-                    .enumerate()
-                    .map(|(i, v)| [self.x0[i * n + a], *v])
-                    .collect(),
-                None => {
-                    let mut sorted: Vec<f64> =
-                        own.iter().copied().filter(|v| v.is_finite()).collect();
-                    sorted.sort_by(f64::total_cmp);
-                    let last = sorted.len().max(2) as f64 - 1.0;
-                    sorted
-                        .iter()
-                        .enumerate()
-                        .map(|(i, v)| [*v, i as f64 / last])
-                        .collect()
-                }
-            };
-            if axis.is_some() {
-                points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let log = axis.is_none() && quantity.is_loss();
+        let curves = (0..self.laws.len()).map(|k| {
+            let own = &quantity.values[k * self.count..(k + 1) * self.count];
+            Curve {
+                points: match axis {
+                    Some(a) => self.along(a, own, source.model.states.len()),
+                    None => distribution(own),
+                },
+                stroke: Stroke::new(Ink::Colour(colours::class(k)), 2.0),
             }
-            let stroke = Stroke::new(Ink::Colour(colours::class(k)), 2.0);
-            panel.curves.push(Curve { points, stroke });
-        }
+        });
+        let mut panel = Panel {
+            curves: curves.collect(),
+            ..Panel::default()
+        };
         let legend = self.laws.iter().enumerate().map(|(k, name)| {
             let mark = Mark::Line(Stroke::new(Ink::Colour(colours::class(k)), 2.5));
             (mark, name.clone())
         });
         let (x_label, caption) = match axis {
             Some(a) => {
-                panel.label = bar;
+                panel.label = quantity.label;
                 (
                     names::label(&source.model.states[a].variable),
                     "What the closed loop from each initial state recorded.",
@@ -357,14 +365,14 @@ impl Loops {
                 panel.label = "share of initial states".to_owned();
                 panel.range = Some([0.0, 1.0]);
                 (
-                    bar,
+                    quantity.label,
                     "The share of the random initial states from which the closed loop recorded at most so much.",
                 )
             }
         };
         Picture {
-            name: format!("closed_loop_{name}"),
-            title,
+            name: format!("closed_loop_{}", quantity.name),
+            title: quantity.title,
             caption: caption.to_owned(),
             drawing: Box::new(Panels {
                 x_label,
@@ -373,10 +381,33 @@ impl Loops {
                 marks: Vec::new(),
                 columns: 1,
                 tall: 2.0,
-                log: axis.is_none() && name == "suboptimality",
+                log,
             }),
         }
     }
+
+    /// A law's values over the `axis`-th of `n` states.
+    fn along(&self, axis: usize, values: &[f64], n: usize) -> Vec<[f64; 2]> {
+        let mut points: Vec<[f64; 2]> = values
+            .iter()
+            .enumerate()
+            .map(|(i, v)| [self.x0[i * n + axis], *v])
+            .collect();
+        points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        points
+    }
+}
+
+/// The share of values that are at most each of them.
+fn distribution(values: &[f64]) -> Vec<[f64; 2]> {
+    let mut sorted: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let last = sorted.len().max(2) as f64 - 1.0;
+    sorted
+        .iter()
+        .enumerate()
+        .map(|(i, v)| [*v, i as f64 / last])
+        .collect()
 }
 
 /// Operating sets by name with their conditions, and their boundaries: law, set, polylines on the

@@ -12,6 +12,11 @@ use crate::plane::Plane;
 use crate::ticks::significant;
 use crate::{Drawing, Picture, Source, names, text};
 
+/// The line of equal cost.
+fn equal_cost() -> Stroke {
+    Stroke::new(Ink::Text, 2.6)
+}
+
 struct Contours {
     plane: Plane,
     /// Ends of the bands; nothing is shown above the last.
@@ -31,52 +36,22 @@ pub fn picture(source: &Source<'_>) -> Made {
     let Some(plane) = source.plane()? else {
         return Ok(None);
     };
-    let levels = source.levels(plane);
-    let values = range(plane.v.iter().copied());
-    let Some([least, most]) = values else {
+    let Some([least, most]) = range(plane.v.iter().copied()) else {
         return Ok(None);
     };
-    if levels.iter().all(|l| *l < least || *l > most) {
-        let asked = levels
-            .iter()
-            .map(|l| significant(*l, 3))
-            .collect::<Vec<_>>()
-            .join(", ");
-        return Err(format!(
-            "none of the levels {asked} is among the values of V there, {} to {}",
-            significant(least, 3),
-            significant(most, 3)
-        ));
-    }
+    let asked = source.levels(plane);
+    check_levels(&asked, [least, most])?;
     // Bands that end above all that is known would only take colours from the others.
     let end = most.min(plane.limit);
-    let asked = levels.clone();
-    let mut levels: Vec<f64> = levels.into_iter().filter(|l| *l < end).collect();
-    levels.extend(
-        asked
-            .iter()
-            .copied()
-            .find(|l| *l >= end)
-            .map(|l| l.min(plane.limit)),
-    );
-    let boundary = Boundary::read(source)?;
-    let sheets = plane.sheets().len();
-    let mut caption = format!(
-        "Lines of equal cost{}. From each state on a line the optimal trajectory costs what the line says; it crosses the lines \
-         towards the lower ones. Where lines lie close, p = dV/dx is large.",
-        source.fixed()
-    );
-    if sheets > 1 {
-        caption += " Lines have a kink where the cheapest solution changes from one sheet to another: the thick line.";
-    }
-    caption += " Blank: not known, or above the last level.";
-    caption += &hatch::caption(source, plane);
+    let mut levels: Vec<f64> = asked.iter().copied().filter(|l| *l < end).collect();
+    let last = asked.iter().copied().find(|l| *l >= end);
+    levels.extend(last.map(|l| l.min(plane.limit)));
     let drawing = Contours {
         plane: plane.clone(),
         levels,
         lines: asked.into_iter().filter(|l| *l <= end).collect(),
         least,
-        boundary,
+        boundary: Boundary::read(source)?,
         rest: source
             .infinite()
             .then(|| source.axes.map(|k| source.model.reference()[k])),
@@ -86,9 +61,40 @@ pub fn picture(source: &Source<'_>) -> Made {
     Ok(Some(Picture {
         name: "contours".to_owned(),
         title: format!("Value function V over {}{}", over(source), source.fixed()),
-        caption,
+        caption: caption(source, plane),
         drawing: Box::new(drawing),
     }))
+}
+
+/// Refuses levels that are all beside the values of V.
+fn check_levels(levels: &[f64], [least, most]: [f64; 2]) -> Result<(), String> {
+    if !levels.iter().all(|l| *l < least || *l > most) {
+        return Ok(());
+    }
+    let asked = levels
+        .iter()
+        .map(|l| significant(*l, 3))
+        .collect::<Vec<_>>()
+        .join(", ");
+    Err(format!(
+        "none of the levels {asked} is among the values of V there, {} to {}",
+        significant(least, 3),
+        significant(most, 3)
+    ))
+}
+
+fn caption(source: &Source<'_>, plane: &Plane) -> String {
+    let mut caption = format!(
+        "Lines of equal cost{}. From each state on a line the optimal trajectory costs what the line says; it crosses the lines \
+         towards the lower ones. Where lines lie close, p = dV/dx is large.",
+        source.fixed()
+    );
+    if plane.sheets().len() > 1 {
+        caption += " Lines have a kink where the cheapest solution changes from one sheet to another: the thick line.";
+    }
+    caption += " Blank: not known, or above the last level.";
+    caption += &hatch::caption(source, plane);
+    caption
 }
 
 /// `θ and ω`.
@@ -119,6 +125,67 @@ impl Contours {
 
     fn shade(&self, band: usize) -> colours::Rgb {
         colours::value((band as f64 / self.levels.len().max(1) as f64).min(1.0))
+    }
+
+    fn legend(&self) -> Vec<(Mark, String)> {
+        let jump = "equal cost: the optimal control jumps".to_owned();
+        let entry = (Mark::Line(equal_cost()), jump);
+        let is_drawn = !self.boundary.is_empty();
+        is_drawn.then_some(entry).into_iter().collect()
+    }
+
+    /// Bands of V, hatched where its bound is too large.
+    fn fill(&self, canvas: &mut dyn Canvas, frame: &Frame) {
+        // Bands meet at the boundary; only lines end there.
+        let whole = Grid {
+            cut: &[],
+            ..self.grid()
+        };
+        let shade = |band| self.shade(band);
+        fill(canvas, frame, &whole, &self.levels, &shade, false);
+        canvas.lines(&frame.lines(&hatch::lines(&self.plane)), hatch::stroke());
+    }
+
+    /// Draws each level's lines, and gives them.
+    fn level_lines(&self, canvas: &mut dyn Canvas, frame: &Frame) -> Vec<Vec<Vec<Point>>> {
+        let stroke = Stroke::new(Ink::Colour([255, 255, 255]), 1.0).opacity(0.85);
+        let drawn = self.lines.iter().map(|level| {
+            let lines: Vec<Vec<[f64; 2]>> = contour::lines(&self.grid(), *level)
+                .into_iter()
+                .map(|l| l.points)
+                .collect();
+            let lines = frame.lines(&lines);
+            canvas.lines(&lines, stroke);
+            lines
+        });
+        drawn.collect()
+    }
+
+    /// The equal-cost boundary and the equilibrium.
+    fn marks(&self, canvas: &mut dyn Canvas, frame: &Frame) {
+        let boundary = frame.lines(&self.boundary.lines);
+        canvas.lines(&boundary, Stroke::new(Ink::Paper, 4.6).opacity(0.7));
+        canvas.lines(&boundary, equal_cost());
+        let points = frame.dots(self.boundary.points.iter().copied());
+        canvas.dots(&points, 5.0, equal_cost().ink, 1.0);
+        if let Some(rest) = self.rest {
+            let dots = frame.dots([rest]);
+            canvas.dots(&dots, 9.0, Ink::Colour([255, 255, 255]), 1.0);
+            canvas.dots(&dots, 6.0, Ink::Colour([20, 20, 20]), 1.0);
+        }
+    }
+
+    /// Writes the levels on their lines, the highest first.
+    fn label(&self, canvas: &mut dyn Canvas, frame: &Frame, lines: &[Vec<Vec<Point>>]) {
+        let mut labels = Labels { taken: Vec::new() };
+        if let Some([x, y]) = self.rest.and_then(|r| frame.dots([r]).first().copied()) {
+            labels
+                .taken
+                .push(Rect::new(x - 6.0, y - 6.0, x + 6.0, y + 6.0));
+        }
+        for (level, lines) in self.lines.iter().zip(lines).rev() {
+            labels.write(canvas, lines, &significant(*level, 3), frame.area);
+        }
     }
 
     fn grid(&self) -> Grid<'_> {
@@ -223,14 +290,7 @@ impl Drawing for Contours {
         let ends = |v: &[f64]| [v[0], v[v.len() - 1]];
         let x = Axis::linear(self.labels[0].clone(), ends(&self.plane.x));
         let y = Axis::linear(self.labels[1].clone(), ends(&self.plane.y));
-        let mut entries = Vec::new();
-        let thick = Stroke::new(Ink::Text, 2.6);
-        if !self.boundary.is_empty() {
-            entries.push((
-                Mark::Line(thick),
-                "equal cost: the optimal control jumps".to_owned(),
-            ));
-        }
+        let entries = self.legend();
         let legend = Legend { entries: &entries };
         let top = area.top + legend.height(area.width());
         let axis = self.scale();
@@ -251,56 +311,10 @@ impl Drawing for Contours {
         );
         legend.draw(canvas, [area.left, area.top], area.width());
         frame.under(canvas);
-        // Bands meet at the boundary; only lines end there.
-        let whole = Grid {
-            cut: &[],
-            ..self.grid()
-        };
-        fill(
-            canvas,
-            &frame,
-            &whole,
-            &self.levels,
-            &|k| self.shade(k),
-            false,
-        );
-        canvas.lines(&frame.lines(&hatch::lines(&self.plane)), hatch::stroke());
-        let mut labels = Labels { taken: Vec::new() };
-        if let Some([x, y]) = self.rest.and_then(|r| frame.dots([r]).first().copied()) {
-            labels
-                .taken
-                .push(Rect::new(x - 6.0, y - 6.0, x + 6.0, y + 6.0));
-        }
-        let mut placed = Vec::new();
-        for level in &self.lines {
-            let lines: Vec<Vec<[f64; 2]>> = contour::lines(&self.grid(), *level)
-                .into_iter()
-                .map(|l| l.points)
-                .collect();
-            let lines = frame.lines(&lines);
-            canvas.lines(
-                &lines,
-                Stroke::new(Ink::Colour([255, 255, 255]), 1.0).opacity(0.85),
-            );
-            placed.push(lines);
-        }
-        let boundary = frame.lines(&self.boundary.lines);
-        canvas.lines(&boundary, Stroke::new(Ink::Paper, 4.6).opacity(0.7));
-        canvas.lines(&boundary, thick);
-        canvas.dots(
-            &frame.dots(self.boundary.points.iter().copied()),
-            5.0,
-            thick.ink,
-            1.0,
-        );
-        if let Some(rest) = self.rest {
-            let dots = frame.dots([rest]);
-            canvas.dots(&dots, 9.0, Ink::Colour([255, 255, 255]), 1.0);
-            canvas.dots(&dots, 6.0, Ink::Colour([20, 20, 20]), 1.0);
-        }
-        for (level, lines) in self.lines.iter().zip(&placed).rev() {
-            labels.write(canvas, lines, &significant(*level, 3), frame.area);
-        }
+        self.fill(canvas, &frame);
+        let lines = self.level_lines(canvas, &frame);
+        self.marks(canvas, &frame);
+        self.label(canvas, &frame, &lines);
         frame.over(canvas);
         bar.draw(
             canvas,

@@ -7,6 +7,7 @@ use crate::canvas::{Dash, Ink, Stroke};
 use crate::frame::{Mark, dashed};
 use crate::{Picture, Source, colours, names};
 use costate::low_level::closed_loop::dissipation::ratio_text;
+use costate::low_level::model::Model;
 use costate::low_level::result::{StoredError, StoredGroup};
 use costate::low_level::schema;
 
@@ -56,6 +57,39 @@ impl Cases {
         all
     }
 
+    /// A curve a law and kind: rising ratios over their place among all.
+    fn curves(&self) -> Vec<Curve> {
+        let mut curves = Vec::new();
+        for law in 0..self.laws.len() {
+            for kind in 0..self.kinds.len() {
+                let ratios = self.sorted(law, kind);
+                let Some(last) = ratios.last() else { continue };
+                let place = |k: usize| (k as f64 + 0.5) / ratios.len() as f64;
+                let stride = ratios.len().div_ceil(POINTS);
+                let mut points: Vec<[f64; 2]> = (0..ratios.len())
+                    .step_by(stride)
+                    .map(|k| [place(k), ratios[k]])
+                    .collect();
+                points.push([1.0, *last]);
+                let ink = Ink::Colour(colours::class(kind));
+                curves.push(Curve {
+                    points,
+                    stroke: Stroke::new(ink, 2.0).dash(DASHES[law % 3]),
+                });
+            }
+        }
+        curves
+    }
+
+    /// The largest ratio of each kind under the first law, in words.
+    fn largest(&self) -> Vec<String> {
+        let told = |(kind, name): (usize, &String)| {
+            let last = *self.sorted(0, kind).last()?;
+            Some(format!("{name} {}", ratio_text(last)))
+        };
+        self.kinds.iter().enumerate().filter_map(told).collect()
+    }
+
     fn legend(&self, laws: usize) -> Vec<(Mark, String)> {
         let kinds =
             (self.kinds.iter().enumerate()).filter(|(k, _)| self.kind.contains(&(*k as i32)));
@@ -78,28 +112,7 @@ pub fn picture(source: &Source<'_>) -> Made {
         return Ok(None);
     };
     let cases = read(&group).map_err(|e| e.to_string())?;
-    let mut curves = Vec::new();
-    let mut largest = Vec::new();
-    for law in 0..cases.laws.len() {
-        for (kind, name) in cases.kinds.iter().enumerate() {
-            let ratios = cases.sorted(law, kind);
-            let Some(last) = ratios.last() else { continue };
-            if law == 0 {
-                largest.push(format!("{name} {}", ratio_text(*last)));
-            }
-            let place = |k: usize| (k as f64 + 0.5) / ratios.len() as f64;
-            let stride = ratios.len().div_ceil(POINTS);
-            let mut points: Vec<[f64; 2]> = (0..ratios.len())
-                .step_by(stride)
-                .map(|k| [place(k), ratios[k]])
-                .collect();
-            points.push([1.0, *last]);
-            curves.push(Curve {
-                points,
-                stroke: Stroke::new(Ink::Colour(colours::class(kind)), 2.0).dash(DASHES[law % 3]),
-            });
-        }
-    }
+    let curves = cases.curves();
     if curves.is_empty() {
         return Err("V is known at no initial state".to_owned());
     }
@@ -122,7 +135,7 @@ pub fn picture(source: &Source<'_>) -> Made {
              time: V certifies that this stays below 1. Largest of law {}: {}.",
             cases.kind.len(),
             cases.laws[0],
-            largest.join(", ")
+            cases.largest().join(", ")
         ),
         drawing: Box::new(Panels {
             x_label: "share of the disturbances of a kind".to_owned(),
@@ -150,73 +163,25 @@ pub fn histories(source: &Source<'_>) -> Made {
     ) else {
         return Ok(None);
     };
-    let text = |e: StoredError| e.to_string();
-    let cases = read(&all).map_err(text)?;
-    let (law, case) = (
-        group.i32("law").map_err(text)?.1,
-        group.i32("case").map_err(text)?.1,
-    );
-    let t = group.f64("t").map_err(text)?;
-    let &[count, samples] = t.shape.as_slice() else {
-        return Err("/dissipation_trajectories: t is not trajectory x sample".to_owned());
-    };
-    let model = source.model;
-    let [n, m, k] = [
-        model.states.len(),
-        model.controls.len(),
-        model.disturbances.len(),
-    ];
-    let column =
-        |name: &str, width: usize| group.shaped(name, &[count, samples, width]).map_err(text);
-    let scalar = |name: &str| group.shaped(name, &[count, samples]).map_err(text);
-    let quantities = [
-        (column("x", n)?, n),
-        (column("u", m)?, m),
-        (column("w", k)?, k),
-    ];
-    let (v, done, supplied) = (scalar("V")?, scalar("E_z")?, scalar("W")?);
-    let mut panels = histories::panels(model);
-    panels.extend(model.disturbances.iter().map(|w| Panel {
-        label: names::label(w),
-        rest: Some(0.0),
-        ..Panel::default()
-    }));
-    let balance = panels.len();
-    panels.push(Panel {
-        label: "(E + V)/(W + V(x0))".to_owned(),
-        bounds: vec![1.0],
-        ..Panel::default()
-    });
+    let cases = read(&all).map_err(|e| e.to_string())?;
+    let paths = Paths::read(source.model, &group)?;
+    let mut panels = empty_panels(source.model);
     let mut drawn = Vec::new();
-    for path in 0..count {
-        let Some(kind) = cases.kind.get(case[path] as usize).copied() else {
+    for path in 0..paths.count {
+        let case = paths.case[path] as usize;
+        let Some(kind) = cases.kind.get(case).copied() else {
             continue;
         };
         // The nearest of a kind comes first.
-        if law[path] != 0 || drawn.contains(&kind) {
+        if paths.law[path] != 0 || drawn.contains(&kind) {
             continue;
         }
         drawn.push(kind);
         let stroke = Stroke::new(Ink::Colour(colours::class(kind as usize)), 1.7);
-        let own = path * samples..(path + 1) * samples;
-        let mut place = 0;
-        for (values, width) in &quantities {
-            for i in 0..*width {
-                let points = own
-                    .clone()
-                    .map(|s| [t.values[s], values[s * width + i]])
-                    .collect();
-                panels[place].curves.push(Curve { points, stroke });
-                place += 1;
-            }
+        let curves = paths.curves(path, cases.v0[case]).into_iter();
+        for (panel, points) in panels.iter_mut().zip(curves) {
+            panel.curves.push(Curve { points, stroke });
         }
-        let v0 = cases.v0[case[path] as usize];
-        let share = |s: usize| (done[s] + v[s]) / (supplied[s] + v0);
-        let points = own
-            .map(|s| [t.values[s], share(s)])
-            .filter(|p| p[1].is_finite())
-            .collect();
-        panels[balance].curves.push(Curve { points, stroke });
     }
     if drawn.is_empty() {
         return Ok(None);
@@ -239,4 +204,88 @@ pub fn histories(source: &Source<'_>) -> Made {
             log: false,
         }),
     }))
+}
+
+/// A panel for each state, control and disturbance, and one for the balance.
+fn empty_panels(model: &Model) -> Vec<Panel> {
+    let mut panels = histories::panels(model);
+    panels.extend(model.disturbances.iter().map(|w| Panel {
+        label: names::label(w),
+        rest: Some(0.0),
+        ..Panel::default()
+    }));
+    panels.push(Panel {
+        label: "(E + V)/(W + V(x0))".to_owned(),
+        bounds: vec![1.0],
+        ..Panel::default()
+    });
+    panels
+}
+
+/// `/dissipation_trajectories`.
+struct Paths {
+    /// `[path]`.
+    law: Vec<i32>,
+    case: Vec<i32>,
+    count: usize,
+    samples: usize,
+    /// `[path][sample]`.
+    t: Vec<f64>,
+    v: Vec<f64>,
+    done: Vec<f64>,
+    supplied: Vec<f64>,
+    /// x, u and w, `[path][sample][component]`, with the number of components.
+    quantities: [(Vec<f64>, usize); 3],
+}
+
+impl Paths {
+    fn read(model: &Model, group: &StoredGroup<'_>) -> Result<Self, String> {
+        let text = |e: StoredError| e.to_string();
+        let (law, case) = (
+            group.i32("law").map_err(text)?.1,
+            group.i32("case").map_err(text)?.1,
+        );
+        let t = group.f64("t").map_err(text)?;
+        let &[count, samples] = t.shape.as_slice() else {
+            return Err("/dissipation_trajectories: t is not trajectory x sample".to_owned());
+        };
+        let column = |name: &str, width: usize| {
+            let values = group.shaped(name, &[count, samples, width]);
+            values.map(|values| (values, width)).map_err(text)
+        };
+        let scalar = |name: &str| group.shaped(name, &[count, samples]).map_err(text);
+        Ok(Self {
+            law,
+            case,
+            count,
+            samples,
+            t: t.values,
+            quantities: [
+                column("x", model.states.len())?,
+                column("u", model.controls.len())?,
+                column("w", model.disturbances.len())?,
+            ],
+            v: scalar("V")?,
+            done: scalar("E_z")?,
+            supplied: scalar("W")?,
+        })
+    }
+
+    /// Each quantity of a path against time, and last the balance; `v0`: V at its beginning.
+    fn curves(&self, path: usize, v0: f64) -> Vec<Vec<[f64; 2]>> {
+        let own = path * self.samples..(path + 1) * self.samples;
+        let mut curves: Vec<Vec<[f64; 2]>> = Vec::new();
+        for (values, width) in &self.quantities {
+            for i in 0..*width {
+                let points = own.clone().map(|s| [self.t[s], values[s * width + i]]);
+                curves.push(points.collect());
+            }
+        }
+        let share = |s: usize| (self.done[s] + self.v[s]) / (self.supplied[s] + v0);
+        let points = own
+            .map(|s| [self.t[s], share(s)])
+            .filter(|p| p[1].is_finite());
+        curves.push(points.collect());
+        curves
+    }
 }

@@ -7,6 +7,7 @@ use crate::flow::Flow;
 use crate::frame::Mark;
 use crate::{Picture, Source, colours, names};
 use costate::low_level::model::{Horizon, Model};
+use costate::low_level::result::{StoredError, StoredGroup};
 use costate::low_level::schema;
 use costate::low_level::trajectories::SweptTrajectories;
 
@@ -14,6 +15,8 @@ use costate::low_level::trajectories::SweptTrajectories;
 const SHOWN: usize = 5;
 /// Initial states of the picture of closed loops.
 const STARTS: usize = 3;
+/// Initial states by dash.
+const DASHES: [Dash; 3] = [Dash::Solid, Dash::Dashed, Dash::Dotted];
 
 pub fn picture(source: &Source<'_>) -> Made {
     let Some(t) = source.trajectories()? else {
@@ -24,32 +27,17 @@ pub fn picture(source: &Source<'_>) -> Made {
         return Ok(None);
     }
     let mut panels = panels(source.model);
-    let n = source.model.states.len();
-    let m = source.model.controls.len();
     let mut flow = Flow::new(source.model, &source.stored.scene.hamiltonian);
     for (place, k) in shown.iter().enumerate() {
-        let stroke = Stroke::new(Ink::Colour(colours::class(place)), 1.7);
-        let path = flow.path(t, *k);
-        let Some(start) = path.first().map(|(_, time, _)| *time) else {
-            continue;
-        };
-        for (i, panel) in panels.iter_mut().enumerate() {
-            let points: Vec<[f64; 2]> = if i < n {
-                path.iter()
-                    .map(|(_, time, x)| [time - start, x[i]])
-                    .collect()
-            } else {
-                let samples = (k * t.samples..(k + 1) * t.samples).filter(|s| t.v[*s].is_finite());
-                samples
-                    .map(|s| [t.t[s] - start, t.u[s * m + i - n]])
-                    .collect()
-            };
+        let stroke = Stroke::new(ink(place), 1.7);
+        let curves = optimal(source.model, &mut flow, t, *k);
+        for (panel, points) in panels.iter_mut().zip(curves) {
             panel.curves.push(Curve { points, stroke });
         }
     }
-    let legend = (0..shown.len()).map(|k| {
-        let mark = Mark::Line(Stroke::new(Ink::Colour(colours::class(k)), 2.2));
-        (mark, format!("trajectory {}", shown[k]))
+    let legend = (shown.iter().enumerate()).map(|(place, k)| {
+        let mark = Mark::Line(Stroke::new(ink(place), 2.2));
+        (mark, format!("trajectory {k}"))
     });
     Ok(Some(Picture {
         name: "histories".to_owned(),
@@ -80,52 +68,50 @@ pub fn picture(source: &Source<'_>) -> Made {
     }))
 }
 
+/// Each state, between samples too, and each control of a trajectory against the time since its
+/// first point.
+fn optimal(
+    model: &Model,
+    flow: &mut Flow<'_>,
+    t: &SweptTrajectories,
+    k: usize,
+) -> Vec<Vec<[f64; 2]>> {
+    let path = flow.path(t, k);
+    let Some(start) = path.first().map(|(_, time, _)| *time) else {
+        return Vec::new();
+    };
+    let m = model.controls.len();
+    let state = |i: usize| {
+        let points = path.iter().map(|(_, time, x)| [time - start, x[i]]);
+        points.collect()
+    };
+    let control = |i: usize| {
+        let samples = (k * t.samples..(k + 1) * t.samples).filter(|s| t.v[*s].is_finite());
+        samples.map(|s| [t.t[s] - start, t.u[s * m + i]]).collect()
+    };
+    let states = (0..model.states.len()).map(state);
+    states.chain((0..m).map(control)).collect()
+}
+
 /// Closed loops of several laws from the same initial states.
 pub fn closed_loop(source: &Source<'_>) -> Made {
     let Some(group) = source.stored.group(&schema::CLOSED_LOOP_TRAJECTORIES) else {
         return Ok(None);
     };
-    let text = |e: costate::low_level::result::StoredError| e.to_string();
-    let laws = group.texts("law").map_err(text)?;
-    let (t, x, u) = (
-        group.f64("t").map_err(text)?,
-        group.f64("x").map_err(text)?,
-        group.f64("u").map_err(text)?,
-    );
-    let (n, m) = (source.model.states.len(), source.model.controls.len());
-    let (&[count, starts, samples], true) =
-        (t.shape.as_slice(), x.values.len() == t.values.len() * n)
-    else {
-        return Err("/closed_loop_trajectories: t is not law x trajectory x sample".to_owned());
-    };
-    if u.values.len() != t.values.len() * m || laws.len() != count {
-        return Err("/closed_loop_trajectories: u does not fit t".to_owned());
-    }
+    let loops = Loops::read(source.model, &group)?;
     let mut panels = panels(source.model);
-    let shown = starts.min(STARTS);
-    const DASHES: [Dash; 3] = [Dash::Solid, Dash::Dashed, Dash::Dotted];
-    for law in 0..count {
+    let shown = loops.starts.min(STARTS);
+    for law in 0..loops.laws.len() {
         for place in 0..shown {
-            let start = place * starts / shown;
-            let range = (law * starts + start) * samples..(law * starts + start + 1) * samples;
-            let stroke = Stroke::new(Ink::Colour(colours::class(law)), 1.7).dash(DASHES[place % 3]);
-            for (i, panel) in panels.iter_mut().enumerate() {
-                let value = |s: usize| {
-                    if i < n {
-                        x.values[s * n + i]
-                    } else {
-                        u.values[s * m + i - n]
-                    }
-                };
-                let points = range.clone().map(|s| [t.values[s], value(s)]).collect();
+            let stroke = Stroke::new(ink(law), 1.7).dash(DASHES[place % 3]);
+            let curves = loops.curves(law, place * loops.starts / shown);
+            for (panel, points) in panels.iter_mut().zip(curves) {
                 panel.curves.push(Curve { points, stroke });
             }
         }
     }
-    let laws = laws.into_iter().enumerate().map(|(k, name)| {
-        let mark = Mark::Line(Stroke::new(Ink::Colour(colours::class(k)), 2.2));
-        (mark, name)
-    });
+    let laws = (loops.laws.into_iter().enumerate())
+        .map(|(k, name)| (Mark::Line(Stroke::new(ink(k), 2.2)), name));
     let dashes = (0..shown).filter(|_| shown > 1).map(|k| {
         let mark = Mark::Line(Stroke::new(Ink::Text, 1.7).dash(DASHES[k % 3]));
         (mark, format!("initial state {}", k + 1))
@@ -147,6 +133,70 @@ pub fn closed_loop(source: &Source<'_>) -> Made {
             log: false,
         }),
     }))
+}
+
+/// `/closed_loop_trajectories`.
+struct Loops {
+    laws: Vec<String>,
+    starts: usize,
+    samples: usize,
+    /// `[law][start][sample]`, and of each sample the states and the controls.
+    t: Vec<f64>,
+    x: Vec<f64>,
+    u: Vec<f64>,
+    states: usize,
+    controls: usize,
+}
+
+impl Loops {
+    fn read(model: &Model, group: &StoredGroup<'_>) -> Result<Self, String> {
+        let text = |e: StoredError| e.to_string();
+        let laws = group.texts("law").map_err(text)?;
+        let (t, x, u) = (
+            group.f64("t").map_err(text)?,
+            group.f64("x").map_err(text)?,
+            group.f64("u").map_err(text)?,
+        );
+        let (n, m) = (model.states.len(), model.controls.len());
+        let (&[count, starts, samples], true) =
+            (t.shape.as_slice(), x.values.len() == t.values.len() * n)
+        else {
+            return Err("/closed_loop_trajectories: t is not law x trajectory x sample".to_owned());
+        };
+        if u.values.len() != t.values.len() * m || laws.len() != count {
+            return Err("/closed_loop_trajectories: u does not fit t".to_owned());
+        }
+        Ok(Self {
+            laws,
+            starts,
+            samples,
+            t: t.values,
+            x: x.values,
+            u: u.values,
+            states: n,
+            controls: m,
+        })
+    }
+
+    /// Each state and control of a trajectory against time.
+    fn curves(&self, law: usize, start: usize) -> Vec<Vec<[f64; 2]>> {
+        let first = (law * self.starts + start) * self.samples;
+        let columns = [(&self.x, self.states), (&self.u, self.controls)];
+        let mut curves = Vec::new();
+        for (values, width) in columns {
+            for i in 0..width {
+                let points =
+                    (first..first + self.samples).map(|s| [self.t[s], values[s * width + i]]);
+                curves.push(points.collect());
+            }
+        }
+        curves
+    }
+}
+
+/// Colour of a law, or of a trajectory.
+fn ink(k: usize) -> Ink {
+    Ink::Colour(colours::class(k))
 }
 
 fn has_bounds(model: &Model) -> bool {

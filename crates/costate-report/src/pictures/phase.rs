@@ -87,37 +87,8 @@ pub fn picture(source: &Source<'_>) -> Made {
         vec![vec![0.0; source.model.states.len()]]
     };
     let all = seen(source, t, field, &shifts);
-    let optimal = |s: &&Seen| s.sheets.is_empty() || s.sheets.iter().any(|s| *s >= 0);
-    let (best, others): (Vec<&Seen>, Vec<&Seen>) = all.iter().partition(optimal);
-    let mut shown = spread(source, &best, SHOWN);
-    shown.extend(spread(source, &others, OTHERS));
-    let mut sheets: Vec<i32> = all
-        .iter()
-        .flat_map(|s| s.sheets.iter().copied())
-        .filter(|s| *s >= 0)
-        .collect();
-    sheets.sort_unstable();
-    sheets.dedup();
-    let rest = source.model.reference();
-    let mut drawing = Phase {
-        labels: source.labels(),
-        ranges: source.axes.map(|k| source.model.region[k]),
-        coloured: Vec::new(),
-        faint: Vec::new(),
-        fronts: Vec::new(),
-        boundary: Boundary::read(source)?,
-        rest: (shifts.iter())
-            .filter(|_| source.infinite())
-            .map(|s| source.axes.map(|k| rest[k] + s[k]))
-            .collect(),
-        caustic: if two {
-            caustic(source).map_err(|e| e.to_string())?
-        } else {
-            Vec::new()
-        },
-        legend: Vec::new(),
-        bands: Vec::new(),
-    };
+    let shown = shown(source, &all);
+    let mut drawing = Phase::empty(source, &shifts)?;
     let mut caption = format!(
         "{} of {} optimal trajectories{}. ",
         shown.len(),
@@ -129,15 +100,9 @@ pub fn picture(source: &Source<'_>) -> Made {
         },
     );
     let mut flow = Flow::new(source.model, &source.stored.scene.hamiltonian);
-    if sheets.len() > 1 {
+    if has_several_sheets(&all) {
         drawing.by_sheet(source, t, &mut flow, &shown);
-        caption += "A colour is a sheet: a family of optimal trajectories that goes its own way. ";
-        if !drawing.faint.is_empty() {
-            caption += "Grey: where another sheet offers less, a trajectory is not optimal (or it is not known whether it is). ";
-        }
-        if shifts.len() > 1 {
-            caption += "Trajectories that leave on one side of the period come in on the other. ";
-        }
+        caption += &drawing.said_of_sheets(shifts.len() > 1);
     } else {
         drawing.by_value(source, t, &mut flow, &shown);
         caption += "Colour: V, the cost from there on. ";
@@ -145,27 +110,9 @@ pub fn picture(source: &Source<'_>) -> Made {
     // Samples of a game are no levels of V.
     if two && source.infinite() && !source.model.is_game() {
         let levels = drawing.draw_fronts(source, t, &all);
-        if !levels.is_empty() {
-            caption += &format!(
-                "Across them: fronts of equal cost, V = {}. ",
-                levels.join(", ")
-            );
-            let line = Mark::Line(Stroke::new(Ink::Text, 1.3));
-            drawing
-                .legend
-                .push((line, "front of equal cost".to_owned()));
-        }
+        caption += &drawing.said_of_fronts(&levels);
     }
-    if !drawing.boundary.is_empty() {
-        let dark = Stroke::new(Ink::Text, 3.0);
-        drawing
-            .legend
-            .push((Mark::Line(dark), "equal cost: the control jumps".to_owned()));
-    }
-    if !drawing.caustic.is_empty() {
-        let what = "fold of the manifold: V is valid up to here";
-        drawing.legend.push((Mark::Dot(FOLD), what.to_owned()));
-    }
+    drawing.name_boundary_and_folds();
     caption += if source.infinite() {
         "Motion is towards the dot, the equilibrium; trajectories are stored from the first front on."
     } else {
@@ -180,6 +127,23 @@ pub fn picture(source: &Source<'_>) -> Made {
         caption,
         drawing: Box::new(drawing),
     }))
+}
+
+/// Trajectories for the picture: mostly such as are optimal somewhere.
+fn shown(source: &Source<'_>, all: &[Seen]) -> Vec<Seen> {
+    let optimal = |s: &&Seen| s.sheets.is_empty() || s.sheets.iter().any(|s| *s >= 0);
+    let (best, others): (Vec<&Seen>, Vec<&Seen>) = all.iter().partition(optimal);
+    let mut shown = spread(source, &best, SHOWN);
+    shown.extend(spread(source, &others, OTHERS));
+    shown
+}
+
+fn has_several_sheets(all: &[Seen]) -> bool {
+    let mut sheets = (all.iter())
+        .flat_map(|s| s.sheets.iter().copied())
+        .filter(|s| *s >= 0);
+    let first = sheets.next();
+    sheets.any(|s| Some(s) != first)
 }
 
 /// Whole periods by which a state of the region may be away from where a trajectory was swept.
@@ -331,6 +295,71 @@ fn pieces(
 }
 
 impl Phase {
+    /// The picture without trajectories and fronts.
+    fn empty(source: &Source<'_>, shifts: &[Vec<f64>]) -> Result<Self, String> {
+        let rest = source.model.reference();
+        Ok(Self {
+            labels: source.labels(),
+            ranges: source.axes.map(|k| source.model.region[k]),
+            coloured: Vec::new(),
+            faint: Vec::new(),
+            fronts: Vec::new(),
+            boundary: Boundary::read(source)?,
+            rest: (shifts.iter())
+                .filter(|_| source.infinite())
+                .map(|s| source.axes.map(|k| rest[k] + s[k]))
+                .collect(),
+            caustic: if source.model.states.len() == 2 {
+                caustic(source).map_err(|e| e.to_string())?
+            } else {
+                Vec::new()
+            },
+            legend: Vec::new(),
+            bands: Vec::new(),
+        })
+    }
+
+    /// The caption's part on colours of sheets; `shifted`: trajectories are shown a period away,
+    /// too.
+    fn said_of_sheets(&self, shifted: bool) -> String {
+        let mut said =
+            "A colour is a sheet: a family of optimal trajectories that goes its own way. "
+                .to_owned();
+        if !self.faint.is_empty() {
+            said += "Grey: where another sheet offers less, a trajectory is not optimal (or it is not known whether it is). ";
+        }
+        if shifted {
+            said += "Trajectories that leave on one side of the period come in on the other. ";
+        }
+        said
+    }
+
+    /// The legend's entry of fronts, and the caption's part on them.
+    fn said_of_fronts(&mut self, levels: &[String]) -> String {
+        if levels.is_empty() {
+            return String::new();
+        }
+        let line = Mark::Line(Stroke::new(Ink::Text, 1.3));
+        self.legend.push((line, "front of equal cost".to_owned()));
+        format!(
+            "Across them: fronts of equal cost, V = {}. ",
+            levels.join(", ")
+        )
+    }
+
+    /// The legend's entries of what bounds the sheets.
+    fn name_boundary_and_folds(&mut self) {
+        if !self.boundary.is_empty() {
+            let dark = Stroke::new(Ink::Text, 3.0);
+            let what = "equal cost: the control jumps";
+            self.legend.push((Mark::Line(dark), what.to_owned()));
+        }
+        if !self.caustic.is_empty() {
+            let what = "fold of the manifold: V is valid up to here";
+            self.legend.push((Mark::Dot(FOLD), what.to_owned()));
+        }
+    }
+
     fn by_sheet(
         &mut self,
         source: &Source<'_>,
@@ -450,6 +479,48 @@ impl Phase {
         levels
     }
 
+    /// The axis of the bands of V.
+    fn value_axis(&self) -> Axis {
+        Axis::linear(
+            "",
+            [
+                self.bands.first().copied().unwrap_or(0.0),
+                self.bands.last().copied().unwrap_or(1.0),
+            ],
+        )
+    }
+
+    /// Trajectories and, across them, fronts.
+    fn paths(&self, canvas: &mut dyn Canvas, frame: &Frame) {
+        canvas.lines(
+            &frame.lines(&self.faint),
+            Stroke::new(Ink::Muted, 0.8).opacity(0.4),
+        );
+        let width = if self.bands.is_empty() { 1.1 } else { 1.3 };
+        for (colour, paths) in &self.coloured {
+            canvas.lines(
+                &frame.lines(paths),
+                Stroke::new(Ink::Colour(*colour), width).opacity(0.9),
+            );
+        }
+        canvas.lines(&frame.lines(&self.fronts), Stroke::new(Ink::Text, 1.3));
+    }
+
+    /// The equal-cost boundary, folds and the equilibrium.
+    fn marks(&self, canvas: &mut dyn Canvas, frame: &Frame) {
+        let boundary = frame.lines(&self.boundary.lines);
+        canvas.lines(&boundary, Stroke::new(Ink::Paper, 5.0).opacity(0.7));
+        canvas.lines(&boundary, Stroke::new(Ink::Text, 3.0));
+        let points = frame.dots(self.boundary.points.iter().copied());
+        canvas.dots(&points, 6.0, Ink::Text, 1.0);
+        let folds = frame.dots(self.caustic.iter().copied());
+        canvas.dots(&folds, 6.0, Ink::Paper, 1.0);
+        canvas.dots(&folds, 4.5, FOLD, 1.0);
+        let dots = frame.dots(self.rest.iter().copied());
+        canvas.dots(&dots, 10.0, Ink::Paper, 1.0);
+        canvas.dots(&dots, 7.0, Ink::Text, 1.0);
+    }
+
     fn front(&mut self, source: &Source<'_>, t: &SweptTrajectories, ring: &[&Seen], j: usize) {
         let spacing = source.model.shoot_out.as_ref().map_or(0.05, |s| s.spacing);
         let widths = source
@@ -511,19 +582,12 @@ impl Drawing for Phase {
     }
 
     fn draw(&self, canvas: &mut dyn Canvas, area: Rect) {
-        let [x, y] = [0, 1].map(|k| Axis::linear(self.labels[k].clone(), self.ranges[k]));
         let legend = Legend {
             entries: &self.legend,
         };
         legend.draw(canvas, [area.left, area.top], area.width());
         let top = area.top + legend.height(area.width());
-        let axis = Axis::linear(
-            "",
-            [
-                self.bands.first().copied().unwrap_or(0.0),
-                self.bands.last().copied().unwrap_or(1.0),
-            ],
-        );
+        let axis = self.value_axis();
         let width = axis.range[1] - axis.range[0];
         let colour = |v: f64| {
             band_colour((((v - axis.range[0]) / width * BANDS as f64) as usize).min(BANDS - 1))
@@ -539,44 +603,15 @@ impl Drawing for Phase {
         } else {
             bar.width(area.bottom - top)
         };
+        let [x, y] = [0, 1].map(|k| Axis::linear(self.labels[k].clone(), self.ranges[k]));
         let frame = Frame::within(
             Rect::new(area.left, top, area.right - room, area.bottom),
             x,
             y,
         );
         frame.under(canvas);
-        canvas.lines(
-            &frame.lines(&self.faint),
-            Stroke::new(Ink::Muted, 0.8).opacity(0.4),
-        );
-        let width = if self.bands.is_empty() { 1.1 } else { 1.3 };
-        for (colour, paths) in &self.coloured {
-            canvas.lines(
-                &frame.lines(paths),
-                Stroke::new(Ink::Colour(*colour), width).opacity(0.9),
-            );
-        }
-        canvas.lines(&frame.lines(&self.fronts), Stroke::new(Ink::Text, 1.3));
-        canvas.lines(
-            &frame.lines(&self.boundary.lines),
-            Stroke::new(Ink::Paper, 5.0).opacity(0.7),
-        );
-        canvas.lines(
-            &frame.lines(&self.boundary.lines),
-            Stroke::new(Ink::Text, 3.0),
-        );
-        canvas.dots(
-            &frame.dots(self.boundary.points.iter().copied()),
-            6.0,
-            Ink::Text,
-            1.0,
-        );
-        let folds = frame.dots(self.caustic.iter().copied());
-        canvas.dots(&folds, 6.0, Ink::Paper, 1.0);
-        canvas.dots(&folds, 4.5, FOLD, 1.0);
-        let dots = frame.dots(self.rest.iter().copied());
-        canvas.dots(&dots, 10.0, Ink::Paper, 1.0);
-        canvas.dots(&dots, 7.0, Ink::Text, 1.0);
+        self.paths(canvas, &frame);
+        self.marks(canvas, &frame);
         frame.over(canvas);
         if !self.bands.is_empty() {
             bar.draw(

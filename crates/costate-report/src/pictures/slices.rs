@@ -6,6 +6,7 @@ use crate::canvas::{Ink, Stroke};
 use crate::frame::Mark;
 use crate::ticks::significant;
 use crate::{Picture, Source, colours, names};
+use costate::low_level::model::Model;
 use costate::low_level::numeric::hermite::hermite;
 use costate::low_level::schema;
 use costate::low_level::trajectories::SolvedStates;
@@ -46,6 +47,41 @@ impl Slice {
         (count >= LEAST).then_some(slice)
     }
 
+    /// The solutions on it, ascending along the line, then in V.
+    fn entries(&self, all: &SolvedStates, model: &Model) -> Vec<Entry> {
+        let (n, m) = (model.states.len(), model.controls.len());
+        let mut entries: Vec<Entry> = (0..all.count)
+            .filter(|k| self.has(&all.x[k * n..(k + 1) * n], 1e-9) && all.v[*k].is_finite())
+            .map(|k| Entry {
+                x: all.x[k * n + self.axis],
+                v: all.v[k],
+                slope: all.p[k * n + self.axis],
+                u: all.u[k * m..(k + 1) * m].to_vec(),
+                sheet: all.sheet[k],
+            })
+            .collect();
+        entries.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.v.total_cmp(&b.v)));
+        entries
+    }
+
+    /// The places along the line that were solved for.
+    fn steps(&self, points: &SolvedStates, n: usize) -> Vec<f64> {
+        let on = points.x.chunks(n).filter(|x| self.has(x, 1e-9));
+        let mut steps: Vec<f64> = on.map(|x| x[self.axis]).collect();
+        steps.sort_by(f64::total_cmp);
+        steps.dedup();
+        steps
+    }
+
+    /// The states that it holds fixed, in words.
+    fn fixed(&self, model: &Model) -> String {
+        let fixed: Vec<String> = (model.states.iter().enumerate())
+            .filter(|(k, _)| *k != self.axis)
+            .map(|(k, s)| names::held(&s.variable, self.at[k]))
+            .collect();
+        names::at(&fixed)
+    }
+
     fn has(&self, x: &[f64], slack: f64) -> bool {
         (0..x.len()).all(|k| {
             k == self.axis || (x[k] - self.at[k]).abs() <= slack * self.at[k].abs().max(1.0)
@@ -64,143 +100,156 @@ struct Entry {
 }
 
 pub fn picture(source: &Source<'_>) -> Made {
-    let (Some(points), Some(all)) = (source.points()?, source.sheets()?) else {
+    let Some(found) = Found::read(source)? else {
         return Ok(None);
     };
     let model = source.model;
-    let (n, m) = (model.states.len(), model.controls.len());
-    let Some(slice) = Slice::find(points, &source.base) else {
-        return Ok(None);
-    };
-    let mut entries: Vec<Entry> = (0..all.count)
-        .filter(|k| slice.has(&all.x[k * n..(k + 1) * n], 1e-9) && all.v[*k].is_finite())
-        .map(|k| Entry {
-            x: all.x[k * n + slice.axis],
-            v: all.v[k],
-            slope: all.p[k * n + slice.axis],
-            u: all.u[k * m..(k + 1) * m].to_vec(),
-            sheet: all.sheet[k],
-        })
-        .collect();
-    if entries.is_empty() {
-        return Ok(None);
+    let axis = &model.states[found.slice.axis].variable;
+    let at = found.slice.fixed(model);
+    Ok(Some(Picture {
+        name: "slice".to_owned(),
+        title: format!("All sheets along {}{at}", names::symbol(&axis.name)),
+        caption: found.caption(&axis.name, &at),
+        drawing: Box::new(Panels {
+            x_label: names::label(axis),
+            panels: found.panels(model),
+            legend: found.legend(),
+            marks: found.crossings.iter().map(|c| c[0]).collect(),
+            columns: 1,
+            tall: 1.5,
+            log: false,
+        }),
+    }))
+}
+
+/// All solutions of the slice.
+struct Found {
+    slice: Slice,
+    /// Ascending along the line, then in V.
+    entries: Vec<Entry>,
+    sheets: Vec<i32>,
+    /// Entries by sheet, and those of the cheapest, in parts that belong together.
+    branches: Vec<Vec<usize>>,
+    cheapest: Vec<Vec<usize>>,
+    /// Where two sheets cost the same: place and V.
+    crossings: Vec<[f64; 2]>,
+}
+
+impl Found {
+    fn read(source: &Source<'_>) -> Result<Option<Self>, String> {
+        let (Some(points), Some(all)) = (source.points()?, source.sheets()?) else {
+            return Ok(None);
+        };
+        let model = source.model;
+        let Some(slice) = Slice::find(points, &source.base) else {
+            return Ok(None);
+        };
+        let entries = slice.entries(all, model);
+        if entries.is_empty() {
+            return Ok(None);
+        }
+        let steps = slice.steps(points, model.states.len());
+        let branches = branches(&entries, &steps);
+        let mut sheets: Vec<i32> = entries.iter().map(|e| e.sheet).collect();
+        sheets.sort_unstable();
+        sheets.dedup();
+        // Of a single sheet all is the cheapest.
+        let cheapest = if sheets.len() > 1 {
+            cheapest(&entries, &steps)
+        } else {
+            Vec::new()
+        };
+        Ok(Some(Self {
+            crossings: crossings(source, &slice)?,
+            slice,
+            entries,
+            sheets,
+            branches,
+            cheapest,
+        }))
     }
-    entries.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.v.total_cmp(&b.v)));
-    let mut steps: Vec<f64> = points
-        .x
-        .chunks(n)
-        .filter(|x| slice.has(x, 1e-9))
-        .map(|x| x[slice.axis])
-        .collect();
-    steps.sort_by(f64::total_cmp);
-    steps.dedup();
-    let branches = branches(&entries, &steps);
-    let mut sheets: Vec<i32> = entries.iter().map(|e| e.sheet).collect();
-    sheets.sort_unstable();
-    sheets.dedup();
-    // Of a single sheet all is the cheapest.
-    let cheapest = if sheets.len() > 1 {
-        cheapest(&entries, &steps)
-    } else {
-        Vec::new()
-    };
-    let crossings = crossings(source, &slice)?;
-    let below = Stroke::new(Ink::Text, 7.0).opacity(0.18);
-    let panel = |label: String, line: &dyn Fn(&Vec<usize>) -> Vec<[f64; 2]>| {
-        let mut curves: Vec<Curve> = (cheapest.iter())
+
+    /// V, and each control beneath.
+    fn panels(&self, model: &Model) -> Vec<Panel> {
+        let along = |k: &[usize]| curve(k.iter().map(|k| &self.entries[*k]).collect());
+        let mut panels = vec![self.panel("V".to_owned(), &along)];
+        panels[0].dots = self.crossings.clone();
+        for (c, control) in model.controls.iter().enumerate() {
+            let line = |k: &[usize]| {
+                let entries = k.iter().map(|k| &self.entries[*k]);
+                entries.map(|e| [e.x, e.u[c]]).collect()
+            };
+            let mut one = self.panel(names::label(&control.variable), &line);
+            one.bounds = [control.min, control.max].into_iter().flatten().collect();
+            panels.push(one);
+        }
+        panels
+    }
+
+    /// All branches over the band of the cheapest; `line` gives the points of some entries.
+    fn panel(&self, label: String, line: &dyn Fn(&[usize]) -> Vec<[f64; 2]>) -> Panel {
+        let mut curves: Vec<Curve> = (self.cheapest.iter())
             .map(|k| Curve {
                 points: line(k),
-                stroke: below,
+                stroke: band(),
             })
             .collect();
-        curves.extend(branches.iter().map(|k| Curve {
+        curves.extend(self.branches.iter().map(|k| Curve {
             points: line(k),
-            stroke: Stroke::new(
-                Ink::Colour(colours::class(entries[k[0]].sheet.max(0) as usize)),
-                1.8,
-            ),
+            stroke: Stroke::new(ink(self.entries[k[0]].sheet), 1.8),
         }));
         Panel {
             label,
             curves,
             ..Panel::default()
         }
-    };
-    let mut panels = vec![panel("V".to_owned(), &|k| {
-        curve(k.iter().map(|k| &entries[*k]).collect())
-    })];
-    panels[0].dots = crossings.clone();
-    for (c, control) in model.controls.iter().enumerate() {
-        let line = |k: &Vec<usize>| {
-            k.iter()
-                .map(|k| [entries[*k].x, entries[*k].u[c]])
-                .collect()
-        };
-        let mut one = panel(names::label(&control.variable), &line);
-        one.bounds = [control.min, control.max].into_iter().flatten().collect();
-        panels.push(one);
     }
-    let mut legend: Vec<_> = (sheets.iter())
-        .map(|s| {
-            let mark = Mark::Line(Stroke::new(
-                Ink::Colour(colours::class((*s).max(0) as usize)),
-                2.5,
-            ));
-            (mark, format!("sheet {s}"))
-        })
-        .collect();
-    if sheets.len() > 1 {
-        legend.push((Mark::Line(below), "cheapest".to_owned()));
-    }
-    if !crossings.is_empty() {
-        legend.push((Mark::Dot(Ink::Text), "equal cost".to_owned()));
-    }
-    let fixed: Vec<String> = (0..n)
-        .filter(|k| *k != slice.axis)
-        .map(|k| {
-            format!(
-                "{} = {}",
-                names::symbol(&model.states[k].variable.name),
-                significant(slice.at[k], 4)
-            )
-        })
-        .collect();
-    let axis = &model.states[slice.axis].variable;
-    let at = if fixed.is_empty() {
-        String::new()
-    } else {
-        format!(" at {}", fixed.join(", "))
-    };
-    let crossed: Vec<String> = crossings.iter().map(|c| significant(c[0], 5)).collect();
-    let mut caption = format!(
-        "Every solution of the necessary conditions found{at}, one colour a sheet{}. Beneath, the control that each of them asks for.",
-        if sheets.len() > 1 {
-            ". The optimal one is the lowest, with the grey band"
-        } else {
-            ""
+
+    fn legend(&self) -> Vec<(Mark, String)> {
+        let mut legend: Vec<_> = (self.sheets.iter())
+            .map(|s| (Mark::Line(Stroke::new(ink(*s), 2.5)), format!("sheet {s}")))
+            .collect();
+        if self.sheets.len() > 1 {
+            legend.push((Mark::Line(band()), "cheapest".to_owned()));
         }
-    );
-    if !crossed.is_empty() {
-        caption += &format!(
-            " At {} = {} two sheets cost the same: V has a kink and the optimal control jumps.",
-            names::symbol(&axis.name),
-            crossed.join(", ")
-        );
+        if !self.crossings.is_empty() {
+            legend.push((Mark::Dot(Ink::Text), "equal cost".to_owned()));
+        }
+        legend
     }
-    Ok(Some(Picture {
-        name: "slice".to_owned(),
-        title: format!("All sheets along {}{at}", names::symbol(&axis.name)),
-        caption,
-        drawing: Box::new(Panels {
-            x_label: names::label(axis),
-            panels,
-            legend,
-            marks: crossings.iter().map(|c| c[0]).collect(),
-            columns: 1,
-            tall: 1.5,
-            log: false,
-        }),
-    }))
+
+    /// `axis`: the state along the line; `at`: the others.
+    fn caption(&self, axis: &str, at: &str) -> String {
+        let mut caption = format!(
+            "Every solution of the necessary conditions found{at}, one colour a sheet{}. Beneath, the control that each of them asks for.",
+            if self.sheets.len() > 1 {
+                ". The optimal one is the lowest, with the grey band"
+            } else {
+                ""
+            }
+        );
+        let crossed: Vec<String> = (self.crossings.iter())
+            .map(|c| significant(c[0], 5))
+            .collect();
+        if !crossed.is_empty() {
+            caption += &format!(
+                " At {} = {} two sheets cost the same: V has a kink and the optimal control jumps.",
+                names::symbol(axis),
+                crossed.join(", ")
+            );
+        }
+        caption
+    }
+}
+
+/// Colour of a sheet.
+fn ink(sheet: i32) -> Ink {
+    Ink::Colour(colours::class(sheet.max(0) as usize))
+}
+
+/// The band beneath the cheapest.
+fn band() -> Stroke {
+    Stroke::new(Ink::Text, 7.0).opacity(0.18)
 }
 
 /// V along a branch: between two states the cubic with their V and slopes. Where both slopes have

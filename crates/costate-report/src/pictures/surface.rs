@@ -230,60 +230,69 @@ impl Surface {
     }
 
     fn axes(&self, canvas: &mut dyn Canvas, view: &View, area: Rect) {
-        let muted = Stroke::new(Ink::Muted, 1.0);
         let mut lines: Vec<Vec<Point>> =
             vec![BASE.iter().chain([&BASE[0]]).map(|p| view.at(*p)).collect()];
-        let ends = |v: &[f64]| [v[0], v[v.len() - 1]];
-        let ranges = [ends(&self.plane.x), ends(&self.plane.y)];
-        let corner = corner();
-        let foot = view.at(corner);
-        // The edges in front: x at the nearer end of y and the other way round.
-        let near = |k: usize| {
-            let mut ends = [[0.5, 0.5, 0.0]; 2];
-            (ends[0][k], ends[1][k]) = (0.0, 1.0);
-            f64::from(seen(ends[1])[2] > seen(ends[0])[2])
-        };
         for k in 0..2 {
-            let other = 1 - k;
-            let edge = near(other);
-            let [from, to] = ranges[k];
-            let at = |value: f64, out: f64| {
-                let mut p = [0.0, 0.0, 0.0];
-                p[k] = (value - from) / (to - from);
-                p[other] = edge + out * (2.0 * edge - 1.0);
-                view.at(p)
-            };
-            let left = at(0.5 * (from + to), 0.0)[0] < view.middle[0];
-            let anchor = if left { Anchor::End } else { Anchor::Start };
-            for tick in ticks::linear(from, to, 6) {
-                lines.push(vec![at(tick.value, 0.0), at(tick.value, 0.02)]);
-                // At the corner of the upright axis labels would meet.
-                let beside = at(tick.value, 0.0);
-                if (beside[0] - foot[0]).hypot(beside[1] - foot[1]) < 16.0 {
-                    continue;
-                }
-                let [x, y] = at(tick.value, 0.03);
-                canvas.text([x, y + 6.0], &tick.label, Style::new(anchor));
-            }
-            let [x, y] = at(0.5 * (from + to), 0.13);
-            // Not beyond the picture's edges.
-            let label = text::shortened(&self.labels[k], TEXT, 0.5 * area.width());
-            let long = text::width(&label, TEXT);
-            let x = if left {
-                x.max(area.left + long)
-            } else {
-                x.min(area.right - long)
-            };
-            canvas.text([x, y + LINE], &label, Style::new(anchor));
+            lines.extend(self.level_axis(canvas, view, area, k));
         }
-        let upright = |v: f64| {
-            view.at([
-                corner[0],
-                corner[1],
-                HIGH * (v - self.least) / (self.most - self.least),
-            ])
+        lines.extend(self.upright_axis(canvas, view));
+        canvas.lines(&lines, Stroke::new(Ink::Muted, 1.0));
+    }
+
+    /// Labels of the axis of a state, along the edge of the base in front; its ticks.
+    fn level_axis(
+        &self,
+        canvas: &mut dyn Canvas,
+        view: &View,
+        area: Rect,
+        k: usize,
+    ) -> Vec<Vec<Point>> {
+        let other = 1 - k;
+        // The edges in front: x at the nearer end of y and the other way round.
+        let mut ends = [[0.5, 0.5, 0.0]; 2];
+        (ends[0][other], ends[1][other]) = (0.0, 1.0);
+        let edge = f64::from(seen(ends[1])[2] > seen(ends[0])[2]);
+        let values = [&self.plane.x, &self.plane.y][k];
+        let (from, to) = (values[0], values[values.len() - 1]);
+        let at = |value: f64, out: f64| {
+            let mut p = [0.0, 0.0, 0.0];
+            p[k] = (value - from) / (to - from);
+            p[other] = edge + out * (2.0 * edge - 1.0);
+            view.at(p)
         };
-        lines.push(vec![upright(self.least), upright(self.most)]);
+        let left = at(0.5 * (from + to), 0.0)[0] < view.middle[0];
+        let anchor = if left { Anchor::End } else { Anchor::Start };
+        let foot = view.at(corner());
+        let mut lines = Vec::new();
+        for tick in ticks::linear(from, to, 6) {
+            lines.push(vec![at(tick.value, 0.0), at(tick.value, 0.02)]);
+            // At the corner of the upright axis labels would meet.
+            let beside = at(tick.value, 0.0);
+            if (beside[0] - foot[0]).hypot(beside[1] - foot[1]) < 16.0 {
+                continue;
+            }
+            let [x, y] = at(tick.value, 0.03);
+            canvas.text([x, y + 6.0], &tick.label, Style::new(anchor));
+        }
+        let [x, y] = at(0.5 * (from + to), 0.13);
+        // Not beyond the picture's edges.
+        let label = text::shortened(&self.labels[k], TEXT, 0.5 * area.width());
+        let long = text::width(&label, TEXT);
+        let x = if left {
+            x.max(area.left + long)
+        } else {
+            x.min(area.right - long)
+        };
+        canvas.text([x, y + LINE], &label, Style::new(anchor));
+        lines
+    }
+
+    /// Labels of the axis of V; the axis and its ticks.
+    fn upright_axis(&self, canvas: &mut dyn Canvas, view: &View) -> Vec<Vec<Point>> {
+        let [x, y, _] = corner();
+        let height = |v: f64| HIGH * (v - self.least) / (self.most - self.least);
+        let upright = |v: f64| view.at([x, y, height(v)]);
+        let mut lines = vec![vec![upright(self.least), upright(self.most)]];
         for tick in ticks::linear(self.least, self.most, 6) {
             let [x, y] = upright(tick.value);
             lines.push(vec![[x - 5.0, y], [x, y]]);
@@ -291,7 +300,7 @@ impl Surface {
         }
         let [x, y] = upright(self.most);
         canvas.text([x, y - LINE], "V", Style::new(Anchor::Middle));
-        canvas.lines(&lines, muted);
+        lines
     }
 }
 
