@@ -42,16 +42,23 @@ pub(super) struct Equations {
     pub reference: Vec<f64>,
 }
 
-impl Equations {
-    pub fn new(
-        model: &Model,
-        hamiltonian: &Hamiltonian,
-        law: &Law,
-        records: &[Record],
-        forcing: Option<&Forcing>,
-    ) -> Self {
+/// Equations while their symbols get their meanings: from expressions in x, p, u and w to
+/// expressions in the integrated vector.
+struct Closing<'c> {
+    model: &'c Model,
+    hamiltonian: &'c Hamiltonian,
+    graph: Graph,
+    /// What stands for parameters, states, adjoints and what is integrated for a forcing.
+    symbols: HashMap<Id, Deviation>,
+    /// Symbols of the integrated vector but for J.
+    inputs: Vec<Id>,
+    zero: Id,
+}
+
+impl<'c> Closing<'c> {
+    /// With numbers for parameters, and s as the first inputs.
+    fn new(model: &'c Model, hamiltonian: &'c Hamiltonian, law: &Law) -> Self {
         let mut graph = law.graph.clone();
-        let n = model.states.len();
         let zero = graph.constant(0.0);
         let mut symbols: HashMap<Id, Deviation> = HashMap::new();
         for (symbol, at) in model.parameter_values() {
@@ -63,91 +70,153 @@ impl Equations {
             symbols.insert(state.variable.symbol, Deviation::new(at, change));
             inputs.push(change);
         }
-        let quadratic = forcing.and_then(|f| f.quadratic.as_ref());
-        let charted = quadratic.is_none() && (law.charted || forcing.is_some());
+        Self {
+            model,
+            hamiltonian,
+            graph,
+            symbols,
+            inputs,
+            zero,
+        }
+    }
+
+    /// p: that of a quadratic V, or of a chart, whose q and H become inputs.
+    fn set_adjoints(&mut self, quadratic: Option<&DMatrix<f64>>, charted: bool) {
+        let n = self.model.states.len();
         let p = match quadratic {
-            Some(matrix) => linear(&mut graph, matrix, &inputs),
-            None if charted => chart_symbols(&mut graph, &mut inputs, n),
+            Some(matrix) => linear(&mut self.graph, matrix, &self.inputs),
+            None if charted => chart_symbols(&mut self.graph, &mut self.inputs, n),
             None => Vec::new(),
         };
-        for (&symbol, change) in hamiltonian.p.iter().zip(p) {
-            symbols.insert(symbol, Deviation::new(0.0, change));
+        for (&symbol, change) in self.hamiltonian.p.iter().zip(p) {
+            self.symbols.insert(symbol, Deviation::new(0.0, change));
         }
-        let first = inputs.len();
-        let motion = forcing.map(|_| Motion::new(model, hamiltonian, &mut graph));
-        for &change in motion.iter().flat_map(|m| &m.components) {
-            symbols.insert(change, Deviation::new(0.0, change));
-            inputs.push(change);
+    }
+
+    /// The motion of a disturbance, whose components become inputs.
+    fn set_motion(&mut self) -> Motion {
+        let motion = Motion::new(self.model, self.hamiltonian, &mut self.graph);
+        for &change in &motion.components {
+            self.symbols.insert(change, Deviation::new(0.0, change));
+            self.inputs.push(change);
         }
-        let forced = first..inputs.len();
-        let mut replaced: HashMap<Id, Id> = (model.controls.iter().zip(&law.control))
+        motion
+    }
+
+    /// The running cost without disturbances.
+    fn undisturbed_running(&mut self) -> Id {
+        let disturbances = self.model.disturbances.iter();
+        let without = disturbances.map(|w| (w.symbol, self.zero)).collect();
+        let running = [self.model.running.expr];
+        self.graph.substitute(&running, &without)[0]
+    }
+
+    /// What stands for controls under a law, and for disturbances under a motion; these are 0
+    /// without one.
+    fn replacements(&self, law: &Law, motion: Option<&Motion>) -> HashMap<Id, Id> {
+        let mut replaced: HashMap<Id, Id> = (self.model.controls.iter().zip(&law.control))
             .map(|(c, u)| (c.variable.symbol, *u))
             .collect();
-        let disturbances = || model.disturbances.iter().map(|w| w.symbol);
-        let without: HashMap<Id, Id> = disturbances().map(|w| (w, zero)).collect();
-        let running = graph.substitute(&[model.running.expr], &without)[0];
-        let supply = motion.as_ref().map(|m| m.supply);
-        replaced.extend(match &motion {
-            Some(motion) => disturbances().zip(motion.disturbance.clone()).collect(),
-            None => without,
-        });
-        let roots: Vec<Id> = (model.dynamics.iter().map(|f| f.expr))
+        let disturbances = self.model.disturbances.iter().map(|w| w.symbol);
+        match motion {
+            Some(motion) => replaced.extend(disturbances.zip(motion.disturbance.clone())),
+            None => replaced.extend(disturbances.map(|w| (w, self.zero))),
+        }
+        replaced
+    }
+
+    /// All expressions, in the order in which [`Equations::new`] takes them apart again; `running`
+    /// is the running cost without disturbances.
+    fn roots(&self, running: Id, motion: Option<&Motion>, records: &[Record]) -> Vec<Id> {
+        let model = self.model;
+        let disturbances = model.disturbances.iter().map(|w| w.symbol);
+        (model.dynamics.iter().map(|f| f.expr))
             .chain([running])
-            .chain(supply)
-            .chain(disturbances().filter(|_| forcing.is_some()))
+            .chain(motion.map(|m| m.supply))
+            .chain(disturbances.filter(|_| motion.is_some()))
             .chain(records.iter().map(|r| r.of.expr))
             .chain(model.controls.iter().map(|c| c.variable.symbol))
-            .chain(hamiltonian.guards.iter().map(|g| g.condition.expr))
+            .chain(self.hamiltonian.guards.iter().map(|g| g.condition.expr))
             .chain(match &model.horizon {
                 Horizon::Finite { terminal, .. } => Some(terminal.expr),
                 Horizon::Infinite { .. } => None,
             })
-            .collect();
-        let closed = graph.substitute(&roots, &replaced);
-        let forms = graph.deviations(&closed, &symbols);
-        let mut whole = forms
-            .into_iter()
-            .map(|f| graph.whole(f))
-            .collect::<Vec<_>>()
-            .into_iter();
+            .collect()
+    }
+
+    /// Expressions of the integrated vector, in whole numbers (not as deviations).
+    fn closed(&mut self, roots: &[Id], replaced: &HashMap<Id, Id>) -> Vec<Id> {
+        let closed = self.graph.substitute(roots, replaced);
+        let forms = self.graph.deviations(&closed, &self.symbols);
+        forms.into_iter().map(|f| self.graph.whole(f)).collect()
+    }
+
+    /// The arguments at whose zeros records have kinks, so far as an extremum of these is sought.
+    fn switches(&mut self, records: &[Record], values: &[Id]) -> Vec<Id> {
+        let sought = records
+            .iter()
+            .zip(values)
+            .filter(|(r, _)| r.extremum != Extremum::Final);
+        let sought: Vec<Id> = sought.map(|(_, value)| *value).collect();
+        self.graph.kinks(&sought)
+    }
+
+    /// Of each value the value and its derivative along the rates of s.
+    fn with_derivatives(&mut self, values: Vec<Id>, rates: &[Id]) -> Vec<Id> {
+        let (graph, inputs) = (&mut self.graph, &self.inputs);
+        let mut recorded = Vec::new();
+        for value in values {
+            let terms: Vec<Id> = (rates.iter().zip(inputs))
+                .map(|(rate, input)| {
+                    let slope = graph.diff(value, *input);
+                    graph.mul(slope, *rate)
+                })
+                .collect();
+            recorded.extend([value, graph.sum(&terms)]);
+        }
+        recorded
+    }
+}
+
+impl Equations {
+    /// The closed loop of a scene under a law, with what of it is recorded.
+    pub fn new(
+        model: &Model,
+        hamiltonian: &Hamiltonian,
+        law: &Law,
+        records: &[Record],
+        forcing: Option<&Forcing>,
+    ) -> Self {
+        let n = model.states.len();
+        let mut closing = Closing::new(model, hamiltonian, law);
+        let quadratic = forcing.and_then(|f| f.quadratic.as_ref());
+        let charted = quadratic.is_none() && (law.charted || forcing.is_some());
+        closing.set_adjoints(quadratic, charted);
+        let first = closing.inputs.len();
+        let motion = forcing.map(|_| closing.set_motion());
+        let forced = first..closing.inputs.len();
+        let running = closing.undisturbed_running();
+        let replaced = closing.replacements(law, motion.as_ref());
+
+        let roots = closing.roots(running, motion.as_ref(), records);
+        let mut whole = closing.closed(&roots, &replaced).into_iter();
         let mut take = |count: usize| whole.by_ref().take(count).collect::<Vec<Id>>();
         let (f, running) = (take(n), take(1)[0]);
         let supply = take(usize::from(forcing.is_some())).first().copied();
         let disturbance = take(forcing.map_or(0, |_| model.disturbances.len()));
         let (values, control) = (take(records.len()), take(model.controls.len()));
-        let guards = (hamiltonian
-            .guards
-            .iter()
-            .zip(take(hamiltonian.guards.len())))
-        .map(|(g, expr)| GuardExpr {
-            name: g.name.clone(),
-            expr,
-            strict: g.strict,
-        })
-        .collect();
+        let guards = take(hamiltonian.guards.len());
         let terminal = take(1).first().copied();
-        let sought = records
-            .iter()
-            .zip(&values)
-            .filter(|(r, _)| r.extremum != Extremum::Final);
-        let sought: Vec<Id> = sought.map(|(_, value)| *value).collect();
-        let switches = graph.kinks(&sought);
-        let mut recorded = Vec::new();
-        for value in values {
-            let terms: Vec<Id> = (0..n)
-                .map(|i| {
-                    let slope = graph.diff(value, inputs[i]);
-                    graph.mul(slope, f[i])
-                })
-                .collect();
-            recorded.extend([value, graph.sum(&terms)]);
-        }
+
+        let switches = closing.switches(records, &values);
+        let recorded = closing.with_derivatives(values, &f);
         let mut rate = f;
-        rate.resize(inputs.len(), zero);
+        rate.resize(closing.inputs.len(), closing.zero);
         if let (Some(supply), Some(motion)) = (supply, &motion) {
-            rate[first + motion.time] = graph.constant(1.0);
+            rate[first + motion.time] = closing.graph.constant(1.0);
             rate.push(supply);
-            inputs.push(graph.symbol("supplied", Kind::State));
+            let supplied = closing.graph.symbol("supplied", Kind::State);
+            closing.inputs.push(supplied);
         }
         rate.push(running);
         Self {
@@ -156,15 +225,15 @@ impl Equations {
             charted,
             forcing: forced,
             disturbance,
-            inputs,
+            inputs: closing.inputs,
             rate,
-            guards,
+            guards: GuardExpr::all(&hamiltonian.guards, guards),
             recorded,
             control,
             switches,
             terminal,
             reference: model.reference().to_vec(),
-            graph,
+            graph: closing.graph,
         }
     }
 

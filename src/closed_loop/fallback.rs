@@ -56,6 +56,121 @@ struct Best {
     last: usize,
 }
 
+/// Trajectories as plans for them begin.
+#[derive(Clone, Copy)]
+struct Begin<'b> {
+    /// `[trajectory][dim]`.
+    vectors: &'b [f64],
+    dim: usize,
+    /// Index of J.
+    cost: usize,
+}
+
+impl<'b> Begin<'b> {
+    fn vector(&self, of: usize) -> &'b [f64] {
+        &self.vectors[of * self.dim..][..self.dim]
+    }
+}
+
+/// Plans that are tried at once, period by period.
+struct Trials<'b> {
+    begin: Begin<'b>,
+    alive: Vec<Trial>,
+    /// Where each of these is: `[plan][dim]`.
+    seeds: Vec<f64>,
+    /// One a trajectory.
+    best: Vec<Best>,
+}
+
+impl<'b> Trials<'b> {
+    fn new(alive: Vec<Trial>, begin: Begin<'b>, periods: usize) -> Self {
+        let best = Best {
+            plan: None,
+            last: periods,
+        };
+        Self {
+            best: vec![best; begin.vectors.len() / begin.dim],
+            seeds: (alive.iter())
+                .flat_map(|t| begin.vector(t.of))
+                .copied()
+                .collect(),
+            alive,
+            begin,
+        }
+    }
+
+    /// Parts from longer plans the shorter ones that leave off holding p at this period.
+    fn part(&mut self, period: usize) {
+        let dim = self.begin.dim;
+        for j in 0..self.alive.len() {
+            let trial = &mut self.alive[j];
+            if trial.parts != Some(period) {
+                continue;
+            }
+            let shorter = Trial {
+                plan: Plan::default(),
+                parts: None,
+                ..*trial
+            };
+            trial.number += 1;
+            trial.parts = Some(2 * period).filter(|k| *k < period + trial.plan.left);
+            self.alive.push(shorter);
+            self.seeds.extend_from_within(j * dim..(j + 1) * dim);
+        }
+    }
+
+    /// Ends the plans that have come back in this period, where `left` tells the cost that is left,
+    /// and those that failed or are dear already. The others are seeds of the next period.
+    fn settle(&mut self, period: usize, flown: &Trajectories, left: impl Fn(usize) -> Option<f64>) {
+        let Self {
+            begin,
+            alive,
+            seeds,
+            best,
+        } = self;
+        let (dim, cost) = (begin.dim, begin.cost);
+        seeds.clear();
+        let mut j = 0;
+        alive.retain(|trial| {
+            let (k, end) = (j, &flown.end[j * dim..][..dim]);
+            j += 1;
+            let best = &mut best[trial.of];
+            let spent = end[cost] - begin.vector(trial.of)[cost];
+            let dear = best.plan.is_some_and(|(least, _)| spent >= least);
+            if flown.status[k] != Status::Reached || dear {
+                return false;
+            }
+            let Some(left) = left(k) else {
+                seeds.extend_from_slice(end);
+                return true;
+            };
+            let whole = spent + left;
+            if best.plan.is_none_or(|(least, _)| whole < least) {
+                best.plan = Some((whole, trial.number));
+                best.last = best.last.min(LONGER * (period + 1) + AT_LEAST);
+            }
+            false
+        });
+    }
+
+    /// Ends the plans that are not waited for after this period.
+    fn give_up(&mut self, period: usize) {
+        let waited_for = |trial: &Trial| period < self.best[trial.of].last;
+        if !self.alive.iter().all(waited_for) {
+            let rows = self
+                .alive
+                .iter()
+                .zip(self.seeds.chunks_exact(self.begin.dim));
+            self.seeds = rows
+                .filter(|(t, _)| waited_for(t))
+                .flat_map(|(_, row)| row)
+                .copied()
+                .collect();
+            self.alive.retain(waited_for);
+        }
+    }
+}
+
 impl Ground<'_> {
     /// Sets p of trajectories for which the chart has no answer; says of each whether it goes on.
     /// `flying`: there is an answer before that may still be held.
@@ -232,64 +347,34 @@ impl Ground<'_> {
         help: &mut Help<'_, '_>,
         (rest, first): (Rest, &[f64]),
         vectors: &[f64],
-        mut alive: Vec<Trial>,
+        plans: Vec<Trial>,
     ) -> Result<Vec<Option<usize>>, BackendError> {
         let (n, dim, reference) = (
             self.equations.states,
             self.equations.dim(),
             &self.equations.reference,
         );
-        let cost = self.equations.cost();
-        let count = vectors.len() / dim;
-        let mut best = vec![
-            Best {
-                plan: None,
-                last: rest.legs
-            };
-            count
-        ];
-        let mut seeds: Vec<f64> = alive
-            .iter()
-            .flat_map(|t| &vectors[t.of * dim..][..dim])
-            .copied()
-            .collect();
+        let begin = Begin {
+            vectors,
+            dim,
+            cost: self.equations.cost(),
+        };
+        let mut trials = Trials::new(plans, begin, rest.legs);
         let (mut flown, mut x) = (Trajectories::default(), Vec::new());
         // The middle of the first period.
         let began = help.room.t;
         for period in 0..rest.legs {
-            if alive.is_empty() {
+            if trials.alive.is_empty() {
                 break;
             }
             help.room.t = began + period as f64 * rest.length;
-            for j in 0..alive.len() {
-                let trial = &mut alive[j];
-                if trial.parts != Some(period) {
-                    continue;
-                }
-                let shorter = Trial {
-                    plan: Plan::default(),
-                    parts: None,
-                    ..*trial
-                };
-                trial.number += 1;
-                trial.parts = Some(2 * period).filter(|k| *k < period + trial.plan.left);
-                alive.push(shorter);
-                seeds.extend_from_within(j * dim..(j + 1) * dim);
-            }
-            let mut plans: Vec<Plan> = alive
-                .iter_mut()
-                .map(|t| std::mem::take(&mut t.plan))
-                .collect();
-            self.fall_back(help, &mut seeds, &mut plans, &vec![true; alive.len()]);
-            alive
-                .iter_mut()
-                .zip(plans)
-                .for_each(|(t, plan)| t.plan = plan);
+            trials.part(period);
+            self.set_laws(help, &mut trials);
             let length = |j: usize| match period {
-                0 => first[alive[j].of],
+                0 => first[trials.alive[j].of],
                 _ => rest.length,
             };
-            help.wings.fly((&seeds, dim), length, &mut flown)?;
+            help.wings.fly((&trials.seeds, dim), length, &mut flown)?;
             x.clear();
             for end in flown.end.chunks_exact(dim) {
                 x.extend(end[..n].iter().zip(reference).map(|(s, x)| s + x));
@@ -301,45 +386,31 @@ impl Ground<'_> {
             // At the end of a finite horizon nothing is to come back to.
             let terminal = (self.terminal.as_ref().filter(|_| period + 1 == rest.legs))
                 .map(|t| t.eval(&flown.end, dim));
-            seeds.clear();
-            let mut j = 0;
-            alive.retain(|trial| {
-                let (k, end) = (j, &flown.end[j * dim..][..dim]);
-                j += 1;
-                let best = &mut best[trial.of];
-                let spent = end[cost] - vectors[trial.of * dim + cost];
-                let dear = best.plan.is_some_and(|(least, _)| spent >= least);
-                if flown.status[k] != Status::Reached || dear {
-                    return false;
-                }
-                let left = match &terminal {
-                    Some(terminal) => terminal[k],
-                    None if room.known[k] => room.v[k],
-                    None => {
-                        seeds.extend_from_slice(end);
-                        return true;
-                    }
-                };
-                let whole = spent + left;
-                if best.plan.is_none_or(|(least, _)| whole < least) {
-                    best.plan = Some((whole, trial.number));
-                    best.last = best.last.min(LONGER * (period + 1) + AT_LEAST);
-                }
-                false
-            });
-            let waited_for = |trial: &Trial| period < best[trial.of].last;
-            if !alive.iter().all(waited_for) {
-                let rows = alive.iter().zip(seeds.chunks_exact(dim));
-                seeds = rows
-                    .filter(|(t, _)| waited_for(t))
-                    .flat_map(|(_, row)| row)
-                    .copied()
-                    .collect();
-                alive.retain(waited_for);
-            }
+            let left = |k: usize| match &terminal {
+                Some(terminal) => Some(terminal[k]),
+                None => room.known[k].then(|| room.v[k]),
+            };
+            trials.settle(period, &flown, left);
+            trials.give_up(period);
         }
         help.room.t = began;
-        Ok(best.into_iter().map(|b| b.plan.map(|(_, k)| k)).collect())
+        let best = trials.best.into_iter();
+        Ok(best.map(|b| b.plan.map(|(_, k)| k)).collect())
+    }
+
+    /// Sets p of all plans on trial for their next period.
+    fn set_laws(&self, help: &mut Help<'_, '_>, trials: &mut Trials<'_>) {
+        let alive = &mut trials.alive;
+        let mut plans: Vec<Plan> = alive
+            .iter_mut()
+            .map(|t| std::mem::take(&mut t.plan))
+            .collect();
+        let flying = vec![true; alive.len()];
+        self.fall_back(help, &mut trials.seeds, &mut plans, &flying);
+        alive
+            .iter_mut()
+            .zip(plans)
+            .for_each(|(t, plan)| t.plan = plan);
     }
 
     /// Values of p under which one control after the other is at a bound of it, upper or lower.

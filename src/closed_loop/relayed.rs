@@ -18,134 +18,206 @@ struct Waiting {
     given: bool,
 }
 
+/// A trajectory that met the step limit in a leg.
+struct Stiff {
+    of: usize,
+    leg: usize,
+    /// Its place in the flight.
+    lane: usize,
+}
+
+/// A batch between flights.
+struct Relayed<'b> {
+    ground: &'b Ground<'b>,
+    pilots: Pilots<'b>,
+    batch: &'b mut Batch,
+    clock: Clock,
+    /// For the next flight.
+    waiting: Vec<Waiting>,
+    /// By the leg that each is without an answer for.
+    lost: BTreeMap<usize, Vec<usize>>,
+}
+
+impl Relayed<'_> {
+    /// Whether trajectories end where the chart has no answer.
+    fn stopped(&self) -> bool {
+        self.pilots.outside == Outside::Stop
+    }
+
+    /// A trajectory goes on with a leg whose law is not set.
+    fn go_on(&mut self, of: usize, leg: usize) {
+        self.waiting.push(Waiting {
+            of,
+            leg,
+            given: false,
+        });
+    }
+
+    fn end(&mut self, of: usize, status: Status, t: f64) {
+        self.ground.end(self.batch, of, status, t);
+    }
+
+    /// The flight of all that wait, which are put in its order. `watched`: all are looked at.
+    fn course(&mut self, watched: bool) -> Course {
+        // Those that are looked at come first.
+        let all = watched || !self.ground.setting.closed_loop.records.is_empty();
+        let kept: Vec<usize> = self.batch.kept.iter().map(|(i, _)| *i).collect();
+        let traced = |w: &Waiting| all || kept.contains(&w.of);
+        self.waiting.sort_by_key(|w| !traced(w));
+        let (waiting, dim) = (&self.waiting, self.batch.dim);
+        Course {
+            legs: self.clock.all,
+            vectors: (waiting.iter())
+                .flat_map(|w| &self.batch.end[w.of * dim..][..dim])
+                .copied()
+                .collect(),
+            first: waiting.iter().map(|w| w.leg as u32).collect(),
+            given: waiting.iter().map(|w| w.given).collect(),
+            traced: waiting.iter().filter(|w| traced(w)).count(),
+        }
+    }
+
+    /// Notes how the flight of those in this order went; those that met the step limit are
+    /// returned.
+    fn land(&mut self, order: &[Waiting], flown: &Flown) -> Vec<Stiff> {
+        let dim = self.batch.dim;
+        let mut stiff = Vec::new();
+        for (lane, from) in order.iter().enumerate() {
+            let (of, leg) = (from.of, flown.leg[lane] as usize);
+            let asked = flown.begun[lane] as usize - usize::from(from.given);
+            self.batch.updates += asked;
+            if asked > 0 {
+                self.pilots.found(of);
+            }
+            self.batch.end[of * dim..][..dim].copy_from_slice(&flown.end[lane * dim..][..dim]);
+            match flown.halt[lane] {
+                Halt::Lost => self.lost.entry(leg).or_default().push(of),
+                Halt::Paused => self.go_on(of, leg),
+                Halt::Ended(Status::StepLimit) if !self.stopped() => {
+                    stiff.push(Stiff { of, leg, lane });
+                }
+                Halt::Ended(status) => {
+                    let t = self.clock.step * leg as f64 + flown.time[lane];
+                    self.end(of, status, t);
+                }
+            }
+        }
+        stiff
+    }
+
+    /// Flies with p held what the model of V, next to where V is too steep for it, makes too stiff
+    /// to follow.
+    fn hold(
+        &mut self,
+        stiff: &[Stiff],
+        flown: &Flown,
+        wings: &mut Wings<'_>,
+    ) -> Result<(), BackendError> {
+        if stiff.is_empty() {
+            return Ok(());
+        }
+        let (dim, clock) = (self.batch.dim, self.clock);
+        let mut seeds: Vec<f64> = (stiff.iter())
+            .flat_map(|s| &flown.begin[s.lane * dim..][..dim])
+            .copied()
+            .collect();
+        seeds
+            .chunks_exact_mut(dim)
+            .for_each(|seed| hold_here(seed, self.ground.equations.states));
+        let mut again = Trajectories::default();
+        wings.fly((&seeds, dim), |_| clock.step, &mut again)?;
+        self.ground.see_again(self.batch, stiff, &seeds, &again);
+        for (j, Stiff { of, leg, .. }) in stiff.iter().enumerate() {
+            self.batch.fallback[*of] += 1;
+            self.batch.end[of * dim..][..dim].copy_from_slice(&again.end[j * dim..][..dim]);
+            if again.status[j] == Status::Reached && leg + 1 < clock.all {
+                self.go_on(*of, leg + 1);
+            } else {
+                let t = clock.step * *leg as f64 + again.end_time[j];
+                self.end(*of, again.status[j], t);
+            }
+        }
+        Ok(())
+    }
+
+    /// Sets the laws of those without an answer, so far as it is their turn.
+    fn help(
+        &mut self,
+        wings: &mut Wings<'_>,
+        watch: &mut Option<Watch<'_>>,
+    ) -> Result<(), BackendError> {
+        // A search takes many flights, as many for one as for all that are lost at a leg: so the
+        // legs come one after the other, each once, when all others have come there.
+        let helped = match self.pilots.outside {
+            Outside::Search if !self.waiting.is_empty() => BTreeMap::new(),
+            Outside::Search => self.lost.pop_first().into_iter().collect(),
+            _ => std::mem::take(&mut self.lost),
+        };
+        let clock = self.clock;
+        for (leg, mut lanes) in helped {
+            lanes.sort_unstable();
+            let when = When {
+                t: &|_| clock.step * leg as f64,
+                rest: Rest {
+                    legs: clock.all - leg,
+                    length: clock.step,
+                },
+                first: &|_| clock.step,
+            };
+            let (pilots, batch) = (&mut self.pilots, &mut *self.batch);
+            self.ground
+                .update(wings, pilots, batch, watch, (&when, &lanes))?;
+            let goes_on = lanes
+                .into_iter()
+                .filter(|i| batch.status[*i] == Status::Reached as i32);
+            self.waiting.extend(goes_on.map(|of| Waiting {
+                of,
+                leg,
+                given: true,
+            }));
+        }
+        Ok(())
+    }
+}
+
 impl Ground<'_> {
     /// Flies a batch with as few round trips as there are legs without an answer one after the
     /// other, and as there is room to tell of legs that are looked at.
+    ///
+    /// # Errors
+    /// Device failures, and a deadline that has passed.
     pub fn by_relay(
         &self,
         (relay, run): (&mut (dyn Relay + '_), &Run),
         mut wings: Wings<'_>,
-        mut pilots: Pilots<'_>,
+        pilots: Pilots<'_>,
         batch: &mut Batch,
         watch: &mut Option<Watch<'_>>,
     ) -> Result<(), BackendError> {
-        let (dim, clock) = (batch.dim, Clock::of(self.setting.closed_loop));
-        let at_start = |of| Waiting {
-            of,
-            leg: 0,
-            given: false,
+        let clock = Clock::of(self.setting.closed_loop);
+        let mut flights = Relayed {
+            ground: self,
+            pilots,
+            clock,
+            waiting: Vec::new(),
+            lost: BTreeMap::new(),
+            batch,
         };
-        let mut waiting: Vec<Waiting> = (0..batch.status.len()).map(at_start).collect();
-        // By the leg that each is without an answer for.
-        let mut lost: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-        while !(waiting.is_empty() && lost.is_empty()) {
-            // Those that are looked at come first.
-            let all = watch.is_some() || !self.setting.closed_loop.records.is_empty();
-            let kept: Vec<usize> = batch.kept.iter().map(|(i, _)| *i).collect();
-            let traced = |w: &Waiting| all || kept.contains(&w.of);
-            waiting.sort_by_key(|w| !traced(w));
-            let course = Course {
-                legs: clock.all,
-                vectors: (waiting.iter())
-                    .flat_map(|w| &batch.end[w.of * dim..][..dim])
-                    .copied()
-                    .collect(),
-                first: waiting.iter().map(|w| w.leg as u32).collect(),
-                given: waiting.iter().map(|w| w.given).collect(),
-                traced: waiting.iter().filter(|w| traced(w)).count(),
-            };
+        (0..flights.batch.status.len()).for_each(|of| flights.go_on(of, 0));
+        while !(flights.waiting.is_empty() && flights.lost.is_empty()) {
+            let course = flights.course(watch.is_some());
             self.setting.numerics.deadline.check()?;
             let flown = relay.fly(run, &course)?;
-            batch.round_trips += flown.waits;
-            let stopped = pilots.outside == Outside::Stop;
-            self.see(
-                batch,
-                &waiting[..course.traced],
-                &flown,
-                clock,
-                stopped,
-                watch,
-            );
-            let (mut next, mut stiff) = (Vec::new(), Vec::new());
-            for (j, from) in waiting.iter().enumerate() {
-                let (i, leg) = (from.of, flown.leg[j] as usize);
-                let asked = flown.begun[j] as usize - usize::from(from.given);
-                batch.updates += asked;
-                if asked > 0 {
-                    pilots.found(i);
-                }
-                batch.end[i * dim..][..dim].copy_from_slice(&flown.end[j * dim..][..dim]);
-                match flown.halt[j] {
-                    Halt::Lost => lost.entry(leg).or_default().push(i),
-                    Halt::Paused => next.push(Waiting { leg, ..at_start(i) }),
-                    Halt::Ended(Status::StepLimit) if !stopped => stiff.push((i, leg, j)),
-                    Halt::Ended(status) => {
-                        self.end(batch, i, status, clock.step * leg as f64 + flown.time[j])
-                    }
-                }
-            }
-            // With p held, what the model of V, next to where V is too steep for it, makes too
-            // stiff to follow.
-            if !stiff.is_empty() {
-                let mut seeds: Vec<f64> = (stiff.iter())
-                    .flat_map(|(_, _, j)| &flown.begin[j * dim..][..dim])
-                    .copied()
-                    .collect();
-                seeds
-                    .chunks_exact_mut(dim)
-                    .for_each(|seed| hold_here(seed, self.equations.states));
-                let mut again = Trajectories::default();
-                wings.fly((&seeds, dim), |_| clock.step, &mut again)?;
-                self.see_again(batch, &stiff, &seeds, &again);
-                for (j, (i, leg, _)) in stiff.into_iter().enumerate() {
-                    batch.fallback[i] += 1;
-                    batch.end[i * dim..][..dim].copy_from_slice(&again.end[j * dim..][..dim]);
-                    let goes_on = again.status[j] == Status::Reached && leg + 1 < clock.all;
-                    if goes_on {
-                        next.push(Waiting {
-                            leg: leg + 1,
-                            ..at_start(i)
-                        });
-                    } else {
-                        self.end(
-                            batch,
-                            i,
-                            again.status[j],
-                            clock.step * leg as f64 + again.end_time[j],
-                        );
-                    }
-                }
-            }
-            // A search takes many flights, as many for one as for all that are lost at a leg: so
-            // the legs come one after the other, each once, when all others have come there.
-            let helped = match pilots.outside {
-                Outside::Search if !next.is_empty() => BTreeMap::new(),
-                Outside::Search => lost.pop_first().into_iter().collect(),
-                _ => std::mem::take(&mut lost),
-            };
-            for (leg, mut lanes) in helped {
-                lanes.sort_unstable();
-                let when = When {
-                    t: &|_| clock.step * leg as f64,
-                    rest: Rest {
-                        legs: clock.all - leg,
-                        length: clock.step,
-                    },
-                    first: &|_| clock.step,
-                };
-                self.update(&mut wings, &mut pilots, batch, watch, (&when, &lanes))?;
-                let goes_on = lanes
-                    .into_iter()
-                    .filter(|i| batch.status[*i] == Status::Reached as i32);
-                next.extend(goes_on.map(|of| Waiting {
-                    of,
-                    leg,
-                    given: true,
-                }));
-            }
-            next.sort_by_key(|w| w.of);
-            waiting = next;
+            flights.batch.round_trips += flown.waits;
+            let (order, stopped) = (std::mem::take(&mut flights.waiting), flights.stopped());
+            let seen = &order[..course.traced];
+            self.see(flights.batch, seen, &flown, clock, stopped, watch);
+            let stiff = flights.land(&order, &flown);
+            flights.hold(&stiff, &flown, &mut wings)?;
+            flights.help(&mut wings, watch)?;
+            flights.waiting.sort_by_key(|w| w.of);
         }
+        let Relayed { pilots, batch, .. } = flights;
         batch.round_trips += wings.trips;
         let alive: Vec<usize> = (0..batch.status.len())
             .filter(|i| batch.status[*i] == Status::Reached as i32)
@@ -236,15 +308,8 @@ impl Ground<'_> {
         });
     }
 
-    /// Shows legs that were flown with p held, of trajectories with the first of these numbers, to
-    /// their records.
-    fn see_again(
-        &self,
-        batch: &mut Batch,
-        stiff: &[(usize, usize, usize)],
-        seeds: &[f64],
-        again: &Trajectories,
-    ) {
+    /// Shows legs that were flown with p held to the records of their trajectories.
+    fn see_again(&self, batch: &mut Batch, stiff: &[Stiff], seeds: &[f64], again: &Trajectories) {
         if self.setting.closed_loop.records.is_empty() {
             return;
         }
@@ -254,7 +319,7 @@ impl Ground<'_> {
             self.observer.eval(&again.end, dim),
         );
         batch.records.each(|i, view| {
-            if let Some(j) = stiff.iter().position(|(of, ..)| *of == i) {
+            if let Some(j) = stiff.iter().position(|s| s.of == i) {
                 let both = [&before[j * width..][..width], &after[j * width..][..width]];
                 view.see(again.end_time[j], &seeds[j * dim..][..dim], both);
             }

@@ -157,45 +157,8 @@ impl Graph {
             return Deviation::new(value, d);
         }
         match f {
-            Fun::Sin | Fun::Cos => {
-                if c == 0.0 && f == Fun::Sin {
-                    return Deviation::new(0.0, self.unary(Fun::Sin, d));
-                }
-                // sin(c+d) - sin(c) = 2 sin(d/2) (cos(c) cos(d/2) - sin(c) sin(d/2)), and alike for
-                // cos.
-                let half = self.scale(0.5, d);
-                let (s, k) = (self.unary(Fun::Sin, half), self.unary(Fun::Cos, half));
-                let (x, y) = if f == Fun::Sin {
-                    (2.0 * c.cos(), -2.0 * c.sin())
-                } else {
-                    (-2.0 * c.sin(), -2.0 * c.cos())
-                };
-                let (p, q) = (self.scale(x, k), self.scale(y, s));
-                let sum = self.add(p, q);
-                Deviation::new(value, self.mul(s, sum))
-            }
-            Fun::Sinh | Fun::Cosh => {
-                let half = self.scale(0.5, d);
-                let s = self.unary(Fun::Sinh, half);
-                // sinh(c+d) - sinh(c) = 2 sinh(d/2) cosh(c + d/2), and alike for cosh; the sum
-                // below is that of large terms where d is about -2c.
-                if c.abs() > WIDE {
-                    let middle = self.whole(Deviation::new(c, half));
-                    let other = if f == Fun::Sinh { Fun::Cosh } else { Fun::Sinh };
-                    let middle = self.unary(other, middle);
-                    let product = self.mul(s, middle);
-                    return Deviation::new(value, self.scale(2.0, product));
-                }
-                let k = self.unary(Fun::Cosh, half);
-                let (x, y) = if f == Fun::Sinh {
-                    (2.0 * c.cosh(), 2.0 * c.sinh())
-                } else {
-                    (2.0 * c.sinh(), 2.0 * c.cosh())
-                };
-                let (p, q) = (self.scale(x, k), self.scale(y, s));
-                let sum = self.add(p, q);
-                Deviation::new(value, self.mul(s, sum))
-            }
+            Fun::Sin | Fun::Cos => self.deviate_sine(f, a),
+            Fun::Sinh | Fun::Cosh => self.deviate_hyperbolic(f, a),
             // tanh(c+d) - tanh(c) = tanh(d) (1 - tanh(c) tanh(c+d)): of the addition theorem
             // nothing is left where both saturate.
             Fun::Tanh if c.abs() > BEFORE_SATURATION => {
@@ -216,11 +179,7 @@ impl Graph {
                 Deviation::new(value, self.div(numerator, denominator))
             }
             // There the difference loses nothing that matters.
-            Fun::Exp | Fun::Expm1 if c < FAINT || !value.is_finite() => {
-                let whole = self.whole(a);
-                let v = self.unary(f, whole);
-                self.plain(value, v)
-            }
+            Fun::Exp | Fun::Expm1 if c < FAINT || !value.is_finite() => self.undeviated(f, a),
             Fun::Exp => {
                 let e = self.unary(Fun::Expm1, d);
                 Deviation::new(value, self.scale(value, e))
@@ -235,9 +194,7 @@ impl Graph {
                     let q = self.scale(1.0 / base, d);
                     return Deviation::new(value, self.unary(Fun::Log1p, q));
                 }
-                let whole = self.whole(a);
-                let v = self.unary(f, whole);
-                self.plain(value, v)
+                self.undeviated(f, a)
             }
             Fun::Sqrt if c > 0.0 => {
                 let whole = self.whole(a);
@@ -251,12 +208,58 @@ impl Graph {
                 let whole = self.whole(a);
                 Deviation::new(0.0, self.unary(f, whole))
             }
-            Fun::Asin | Fun::Acos | Fun::Atan | Fun::Abs | Fun::Sqrt => {
-                let whole = self.whole(a);
-                let v = self.unary(f, whole);
-                self.plain(value, v)
-            }
+            Fun::Asin | Fun::Acos | Fun::Atan | Fun::Abs | Fun::Sqrt => self.undeviated(f, a),
         }
+    }
+
+    /// A function of the whole, less its value at the reference.
+    fn undeviated(&mut self, f: Fun, a: Deviation) -> Deviation {
+        let whole = self.whole(a);
+        let v = self.unary(f, whole);
+        self.plain(f.apply(a.at), v)
+    }
+
+    /// `sin(c+d) - sin(c) = 2 sin(d/2) (cos(c) cos(d/2) - sin(c) sin(d/2))`, and alike for cos.
+    fn deviate_sine(&mut self, f: Fun, a: Deviation) -> Deviation {
+        let (c, d) = (a.at, a.change);
+        if c == 0.0 && f == Fun::Sin {
+            return Deviation::new(0.0, self.unary(Fun::Sin, d));
+        }
+        let half = self.scale(0.5, d);
+        let (s, k) = (self.unary(Fun::Sin, half), self.unary(Fun::Cos, half));
+        let (x, y) = if f == Fun::Sin {
+            (2.0 * c.cos(), -2.0 * c.sin())
+        } else {
+            (-2.0 * c.sin(), -2.0 * c.cos())
+        };
+        let (p, q) = (self.scale(x, k), self.scale(y, s));
+        let sum = self.add(p, q);
+        Deviation::new(f.apply(c), self.mul(s, sum))
+    }
+
+    /// `sinh(c+d) - sinh(c) = 2 sinh(d/2) cosh(c + d/2)`, and alike for cosh.
+    fn deviate_hyperbolic(&mut self, f: Fun, a: Deviation) -> Deviation {
+        let (c, d) = (a.at, a.change);
+        let value = f.apply(c);
+        let half = self.scale(0.5, d);
+        let s = self.unary(Fun::Sinh, half);
+        // The sum below is that of large terms where d is about -2c.
+        if c.abs() > WIDE {
+            let middle = self.whole(Deviation::new(c, half));
+            let other = if f == Fun::Sinh { Fun::Cosh } else { Fun::Sinh };
+            let middle = self.unary(other, middle);
+            let product = self.mul(s, middle);
+            return Deviation::new(value, self.scale(2.0, product));
+        }
+        let k = self.unary(Fun::Cosh, half);
+        let (x, y) = if f == Fun::Sinh {
+            (2.0 * c.cosh(), 2.0 * c.sinh())
+        } else {
+            (2.0 * c.sinh(), 2.0 * c.cosh())
+        };
+        let (p, q) = (self.scale(x, k), self.scale(y, s));
+        let sum = self.add(p, q);
+        Deviation::new(value, self.mul(s, sum))
     }
 
     fn deviate_power(&mut self, a: Deviation, n: i32) -> Deviation {

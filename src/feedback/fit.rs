@@ -112,37 +112,13 @@ pub fn fit(
     progress: &(dyn Fn(Step) + Sync),
 ) -> Result<FittedLaw, FitError> {
     let clock = Instant::now();
-    let (samples, selection) = data.samples.select(scene, law, data.known);
-    let trajectories = count_trajectories(&samples);
-    if trajectories < LEAST_TRAJECTORIES {
-        return Err(FitError::TooFew {
-            law: law.name.clone(),
-            offered: selection.offered,
-            selected: selection.selected,
-            trajectories,
-        });
-    }
+    let (samples, selection) = selected(data, scene, law)?;
     let sets = samples.split(law);
     let base = base(data, law)?;
     let fitted = [&sets.training, &sets.validation].map(|s| unscaled(law, base.as_ref(), s));
     let scales = Scales::of(law, base.is_some(), &fitted[0]);
     let [mut training, validation] = fitted.map(|r| scales.normalized(r, law, base.as_ref()));
-    let shape = Shape {
-        sizes: [
-            &[training.inputs],
-            law.hidden.as_slice(),
-            &[training.outputs],
-        ]
-        .concat(),
-        activation: law.activation,
-    };
-    if shape.parameters() > training.residuals() {
-        return Err(FitError::TooManyWeights {
-            law: law.name.clone(),
-            parameters: shape.parameters(),
-            residuals: training.residuals(),
-        });
-    }
+    let shape = shape(law, &training)?;
     let spacing = units::spacing(&training, &sets.training.trajectory);
     training.steepest = units::steepest(&shape, spacing);
     let rules = Rules {
@@ -165,14 +141,8 @@ pub fn fit(
         source,
     })?;
     let program = Program::lower(&form.graph, &form.x, &form.commands);
-    let test = &sets.test;
-    let quality = Quality::of(
-        &form,
-        data.model,
-        data.hamiltonian,
-        test,
-        &commanded(law, test),
-    );
+    let (test, wanted) = (&sets.test, commanded(law, &sets.test));
+    let quality = Quality::of(&form, data.model, data.hamiltonian, test, &wanted);
     let all = [&sets.training, &sets.validation, &sets.test];
     Ok(FittedLaw {
         name: law.name.clone(),
@@ -191,6 +161,52 @@ pub fn fit(
         starts: law.starts,
         form,
     })
+}
+
+/// The samples that a law is fitted to.
+///
+/// # Errors
+/// [`FitError::TooFew`].
+fn selected(
+    data: Data<'_>,
+    scene: &Model,
+    law: &Feedback,
+) -> Result<(Samples, Selection), FitError> {
+    let (samples, selection) = data.samples.select(scene, law, data.known);
+    let trajectories = count_trajectories(&samples);
+    if trajectories < LEAST_TRAJECTORIES {
+        return Err(FitError::TooFew {
+            law: law.name.clone(),
+            offered: selection.offered,
+            selected: selection.selected,
+            trajectories,
+        });
+    }
+    Ok((samples, selection))
+}
+
+/// The shape of a law's network.
+///
+/// # Errors
+/// [`FitError::TooManyWeights`].
+fn shape(law: &Feedback, training: &Regression) -> Result<Shape, FitError> {
+    let shape = Shape {
+        sizes: [
+            &[training.inputs],
+            law.hidden.as_slice(),
+            &[training.outputs],
+        ]
+        .concat(),
+        activation: law.activation,
+    };
+    if shape.parameters() > training.residuals() {
+        return Err(FitError::TooManyWeights {
+            law: law.name.clone(),
+            parameters: shape.parameters(),
+            residuals: training.residuals(),
+        });
+    }
+    Ok(shape)
 }
 
 fn count_trajectories(samples: &Samples) -> usize {

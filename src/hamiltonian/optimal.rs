@@ -3,8 +3,9 @@
 use super::implied_guard;
 use crate::diagnostics::Problem;
 use crate::expr::{Graph, Id, NotPolynomial, Polynomial};
-use crate::model::{Guard, Located, Model, Span, Variable};
+use crate::model::{Control, Guard, Located, Model, Variable};
 use std::collections::HashMap;
+use std::ops::Range;
 
 /// Highest power of the inputs looked at: enough to name the offending term.
 const MAX_DEGREE: u8 = 6;
@@ -34,6 +35,9 @@ impl Optimum {
 }
 
 /// Solves for `u*`, `w*` as functions of (x, p).
+///
+/// # Errors
+/// All reasons why there is no closed form.
 pub(super) fn extremal_inputs(
     model: &Model,
     graph: &mut Graph,
@@ -45,55 +49,78 @@ pub(super) fn extremal_inputs(
         .map(|c| &c.variable)
         .chain(&model.disturbances)
         .collect();
+    let (rates, cost) = polynomials(model, graph, &inputs)?;
+    let (hessian, gradient) = derivatives(graph, &rates, &cost, p, inputs.len());
+    check_hessian(model, graph, &inputs, &hessian)?;
+    let guards = definiteness_guards(model, graph, &inputs, &hessian);
+    let solution = solve(graph, hessian, gradient);
+
+    let control = (model.controls.iter().zip(&solution))
+        .map(|(control, u)| clamped(graph, control, *u))
+        .collect();
+    let k = model.controls.len();
+    Ok(Optimum {
+        control,
+        unclamped: solution[..k].to_vec(),
+        disturbance: solution[k..].to_vec(),
+        guards,
+    })
+}
+
+/// Dynamics (one a state) and running cost as polynomials in the inputs.
+///
+/// # Errors
+/// All reasons why they are not affine and quadratic.
+fn polynomials(
+    model: &Model,
+    graph: &mut Graph,
+    inputs: &[&Variable],
+) -> Result<(Vec<Polynomial>, Polynomial), Vec<Problem>> {
     let symbols: Vec<Id> = inputs.iter().map(|v| v.symbol).collect();
     let mut problems = Vec::new();
-
     let mut rates = Vec::new();
     for (state, rate) in model.states.iter().zip(&model.dynamics) {
         let what = format!("the dynamics of `{}`", state.variable.name);
-        match read(graph, rate, &symbols, &inputs, 1, &what, "affine") {
+        match read(graph, rate, &symbols, inputs, 1, &what, "affine") {
             Ok(poly) => rates.push(poly),
             Err(problem) => problems.push(problem),
         }
     }
-    let cost = match read(
-        graph,
-        &model.running,
-        &symbols,
-        &inputs,
-        2,
-        "the running cost",
-        "quadratic",
-    ) {
-        Ok(poly) => poly,
-        Err(problem) => {
-            problems.push(problem);
-            Polynomial::new()
-        }
-    };
-    if !problems.is_empty() {
-        return Err(problems);
+    let running = &model.running;
+    let what = "the running cost";
+    match read(graph, running, &symbols, inputs, 2, what, "quadratic") {
+        Ok(cost) if problems.is_empty() => return Ok((rates, cost)),
+        Ok(_) => {}
+        Err(problem) => problems.push(problem),
     }
+    Err(problems)
+}
 
-    let m = inputs.len();
+/// `dH/dz = hessian z + gradient`, z = (u, w), of polynomials in z; p are the adjoints.
+fn derivatives(
+    graph: &mut Graph,
+    rates: &[Polynomial],
+    cost: &Polynomial,
+    p: &[Id],
+    m: usize,
+) -> (Vec<Vec<Id>>, Vec<Id>) {
     let zero = graph.constant(0.0);
     let coefficient = |poly: &Polynomial, hits: &[usize]| {
         let mut e = vec![0u8; m];
         hits.iter().for_each(|&k| e[k] += 1);
         poly.get(&e).copied().unwrap_or(zero)
     };
-    // dH/dz = hessian z + gradient, z = (u, w).
     let mut gradient = Vec::with_capacity(m);
     let mut hessian = vec![vec![zero; m]; m];
     for i in 0..m {
-        let mut terms = vec![coefficient(&cost, &[i])];
+        let mut terms = vec![coefficient(cost, &[i])];
         for (rate, &adjoint) in rates.iter().zip(p) {
             let c = coefficient(rate, &[i]);
             terms.push(graph.mul(c, adjoint));
         }
         gradient.push(graph.sum(&terms));
         for j in 0..m {
-            let c = coefficient(&cost, &[i, j]);
+            let c = coefficient(cost, &[i, j]);
             hessian[i][j] = if i == j {
                 let two = graph.constant(2.0);
                 graph.mul(two, c)
@@ -102,33 +129,21 @@ pub(super) fn extremal_inputs(
             };
         }
     }
-    check_hessian(model, graph, &inputs, &hessian, &mut problems);
-    if !problems.is_empty() {
-        return Err(problems);
-    }
-    let guards = definiteness_guards(model, graph, &inputs, &hessian);
-    let solution = solve(graph, hessian, gradient);
+    (hessian, gradient)
+}
 
-    let mut control = Vec::new();
-    for (c, &u) in model.controls.iter().zip(&solution) {
-        let mut v = u;
-        if let Some(lo) = c.min {
-            let lo = graph.constant(lo);
-            v = graph.max(v, lo);
-        }
-        if let Some(hi) = c.max {
-            let hi = graph.constant(hi);
-            v = graph.min(v, hi);
-        }
-        control.push(v);
+/// A control within its bounds.
+fn clamped(graph: &mut Graph, control: &Control, u: Id) -> Id {
+    let mut v = u;
+    if let Some(lo) = control.min {
+        let lo = graph.constant(lo);
+        v = graph.max(v, lo);
     }
-    let k = model.controls.len();
-    Ok(Optimum {
-        control,
-        unclamped: solution[..k].to_vec(),
-        disturbance: solution[k..].to_vec(),
-        guards,
-    })
+    if let Some(hi) = control.max {
+        let hi = graph.constant(hi);
+        v = graph.min(v, hi);
+    }
+    v
 }
 
 /// `located` as a polynomial in the inputs of at most `degree`, or the reason why it is not.
@@ -188,93 +203,125 @@ fn at_reference(model: &Model, graph: &Graph, expr: Id) -> f64 {
     graph.eval(&[expr], &values)[0]
 }
 
+/// Whether the running cost is convex in the controls and concave in the disturbances, and the
+/// bounds are on controls that the cost does not couple.
+///
+/// # Errors
+/// All reasons why not.
 fn check_hessian(
     model: &Model,
     graph: &Graph,
     inputs: &[&Variable],
     hessian: &[Vec<Id>],
-    problems: &mut Vec<Problem>,
-) {
+) -> Result<(), Vec<Problem>> {
     let k = model.controls.len();
-    let span = |_: usize| -> Span { model.running.span.clone() };
+    let mut problems = Vec::new();
     for (i, input) in inputs.iter().enumerate() {
-        let (role, sign, shape) = if i < k {
-            ("control", 1.0, "convex")
-        } else {
-            ("disturbance", -1.0, "concave")
-        };
-        let curvature = at_reference(model, graph, hessian[i][i]);
-        if graph.is_zero(hessian[i][i]) {
-            problems.push(
-                Problem::at(
-                    span(i),
-                    format!(
-                        "the running cost has no quadratic term in {role} `{}`",
-                        input.name
-                    ),
-                    "no such term",
-                )
-                .with_help(format!(
-                    "add a term {}*{}^2",
-                    if i < k { "r" } else { "-gamma^2" },
-                    input.name
-                )),
-            );
-        } else if sign * curvature <= 0.0 || curvature.is_nan() {
-            problems.push(Problem::at(
-                span(i),
-                format!("the running cost must be {shape} in {role} `{}`: its second derivative there is {curvature} at the reference point", input.name),
-                format!("not {shape}"),
-            ));
-        }
+        let curvature = (hessian[i][i], at_reference(model, graph, hessian[i][i]));
+        let is_control = i < k;
+        problems.extend(curvature_problem(
+            model, graph, input, is_control, curvature,
+        ));
     }
     for (i, control) in model.controls.iter().enumerate() {
-        let Some(bounds) = control
-            .bounds_span
-            .clone()
-            .filter(|_| control.min.is_some() || control.max.is_some())
-        else {
-            continue;
-        };
-        for (j, other) in inputs.iter().enumerate() {
-            if j != i && !graph.is_zero(hessian[i][j]) {
-                problems.push(
-                    Problem::at(
-                        bounds.clone(),
-                        format!(
-                            "bounds on `{}` cannot be handled: the cost couples it to `{}` (a term {}*{}), and a clamp is exact only for a diagonal control Hessian",
-                            control.variable.name, other.name, control.variable.name, other.name
-                        ),
-                        "bounded, but coupled",
-                    )
-                    .with_help("remove the bounds, or the cross term from the running cost"),
-                );
-            }
-        }
+        let others = inputs.iter().enumerate();
+        let coupled = others
+            .filter(|(j, _)| *j != i && !graph.is_zero(hessian[i][*j]))
+            .map(|(_, other)| *other);
+        problems.extend(coupling_problems(control, coupled));
     }
     // A dense block must be definite as a whole, not only on its diagonal.
     for (range, sign) in [(0..k, 1.0), (k..inputs.len(), -1.0)] {
-        let size = range.len();
-        if size < 2 || !problems.is_empty() {
+        if range.len() < 2 || !problems.is_empty() {
             continue;
         }
-        let entries = range
-            .clone()
-            .flat_map(|i| range.clone().map(move |j| (i, j)));
-        let numbers: Vec<f64> = entries
-            .map(|(i, j)| sign * at_reference(model, graph, hessian[i][j]))
-            .collect();
-        let smallest = nalgebra::DMatrix::from_row_slice(size, size, &numbers)
-            .symmetric_eigenvalues()
-            .min();
+        let smallest = smallest_eigenvalue(model, graph, hessian, range, sign);
         if smallest.is_nan() || smallest <= 0.0 {
             problems.push(Problem::at(
-                span(0),
+                model.running.span.clone(),
                 format!("the Hessian of the running cost in the inputs is not definite: smallest eigenvalue {smallest:.6e} at the reference point"),
                 "not definite",
             ));
         }
     }
+    if problems.is_empty() {
+        Ok(())
+    } else {
+        Err(problems)
+    }
+}
+
+/// What is wrong with the second derivative of the running cost by an input: an expression, and its
+/// value at the reference point.
+fn curvature_problem(
+    model: &Model,
+    graph: &Graph,
+    input: &Variable,
+    is_control: bool,
+    (second, curvature): (Id, f64),
+) -> Option<Problem> {
+    let span = model.running.span.clone();
+    let (role, sign, shape, weight) = if is_control {
+        ("control", 1.0, "convex", "r")
+    } else {
+        ("disturbance", -1.0, "concave", "-gamma^2")
+    };
+    if graph.is_zero(second) {
+        let message = format!(
+            "the running cost has no quadratic term in {role} `{}`",
+            input.name
+        );
+        let help = format!("add a term {weight}*{}^2", input.name);
+        return Some(Problem::at(span, message, "no such term").with_help(help));
+    }
+    (sign * curvature <= 0.0 || curvature.is_nan()).then(|| {
+        Problem::at(
+            span,
+            format!("the running cost must be {shape} in {role} `{}`: its second derivative there is {curvature} at the reference point", input.name),
+            format!("not {shape}"),
+        )
+    })
+}
+
+/// The inputs that the cost couples to a control which has bounds.
+fn coupling_problems<'m>(
+    control: &'m Control,
+    coupled: impl Iterator<Item = &'m Variable>,
+) -> impl Iterator<Item = Problem> {
+    let is_bounded = control.min.is_some() || control.max.is_some();
+    let bounds = control.bounds_span.as_ref().filter(|_| is_bounded);
+    coupled.filter_map(move |other| {
+        let problem = Problem::at(
+            bounds?.clone(),
+            format!(
+                "bounds on `{}` cannot be handled: the cost couples it to `{}` (a term {}*{}), and a clamp is exact only for a diagonal control Hessian",
+                control.variable.name, other.name, control.variable.name, other.name
+            ),
+            "bounded, but coupled",
+        );
+        let help = "remove the bounds, or the cross term from the running cost";
+        Some(problem.with_help(help))
+    })
+}
+
+/// Of a diagonal block of the Hessian, times a sign, at the reference point.
+fn smallest_eigenvalue(
+    model: &Model,
+    graph: &Graph,
+    hessian: &[Vec<Id>],
+    block: Range<usize>,
+    sign: f64,
+) -> f64 {
+    let size = block.len();
+    let entries = block
+        .clone()
+        .flat_map(|i| block.clone().map(move |j| (i, j)));
+    let numbers: Vec<f64> = entries
+        .map(|(i, j)| sign * at_reference(model, graph, hessian[i][j]))
+        .collect();
+    nalgebra::DMatrix::from_row_slice(size, size, &numbers)
+        .symmetric_eigenvalues()
+        .min()
 }
 
 /// Where the Hessian depends on the state it could lose its sign away from the reference point: a

@@ -3,7 +3,7 @@
 
 use super::Hamiltonian;
 use crate::expr::{Deviation, Graph, Id, Kind};
-use crate::model::{Horizon, Model};
+use crate::model::{Guard, Horizon, Model};
 use crate::program::Program;
 use std::collections::HashMap;
 
@@ -60,6 +60,97 @@ pub struct GuardExpr {
     pub strict: bool,
 }
 
+impl GuardExpr {
+    /// Guards, one an expression.
+    pub(crate) fn all(guards: &[Guard], exprs: Vec<Id>) -> Vec<Self> {
+        (guards.iter().zip(exprs))
+            .map(|(g, expr)| Self {
+                name: g.name.clone(),
+                expr,
+                strict: g.strict,
+            })
+            .collect()
+    }
+}
+
+impl Terminal {
+    /// That of a finite horizon; `symbols` are what stands for the scene's symbols.
+    fn of(
+        graph: &mut Graph,
+        hamiltonian: &Hamiltonian,
+        model: &Model,
+        symbols: &HashMap<Id, Deviation>,
+    ) -> Option<Self> {
+        let Horizon::Finite {
+            terminal,
+            final_time,
+            ..
+        } = &model.horizon
+        else {
+            return None;
+        };
+        let mut roots = vec![terminal.expr];
+        roots.extend(hamiltonian.x.iter().map(|x| graph.diff(terminal.expr, *x)));
+        let forms = graph.deviations(&roots, symbols);
+        let mut all = forms.into_iter().map(|f| graph.whole(f));
+        all.next().map(|value| Self {
+            value,
+            gradient: all.collect(),
+            time: *final_time,
+        })
+    }
+}
+
+/// The input symbols (deviations, then adjoints), and what stands for the scene's symbols.
+fn inputs(
+    graph: &mut Graph,
+    hamiltonian: &Hamiltonian,
+    model: &Model,
+) -> (Vec<Id>, HashMap<Id, Deviation>) {
+    let mut symbols: HashMap<Id, Deviation> = HashMap::new();
+    let zero = graph.constant(0.0);
+    for (symbol, value) in model.parameter_values() {
+        symbols.insert(symbol, Deviation::new(value, zero));
+    }
+    let mut inputs = Vec::new();
+    for (state, &at) in model.states.iter().zip(model.reference()) {
+        let s = graph.symbol(&format!("d_{}", state.variable.name), Kind::State);
+        symbols.insert(state.variable.symbol, Deviation::new(at, s));
+        inputs.push(s);
+    }
+    for &p in &hamiltonian.p {
+        symbols.insert(p, Deviation::new(0.0, p));
+        inputs.push(p);
+    }
+    (inputs, symbols)
+}
+
+/// All expressions of a Hamiltonian, in the order in which [`System::new`] takes them apart again.
+fn roots(hamiltonian: &Hamiltonian) -> Vec<Id> {
+    (hamiltonian.state_rate.iter())
+        .chain(&hamiltonian.adjoint_rate)
+        .chain([&hamiltonian.running, &hamiltonian.value])
+        .chain(&hamiltonian.control)
+        .chain(&hamiltonian.unclamped)
+        .chain(&hamiltonian.disturbance)
+        .copied()
+        .chain(hamiltonian.guards.iter().map(|g| g.condition.expr))
+        .collect()
+}
+
+/// Speed of the states in units of a region's widths.
+fn arc_rate(graph: &mut Graph, rates: &[Id], region: &[[f64; 2]]) -> Id {
+    let squares: Vec<Id> = (rates.iter().zip(region))
+        .map(|(f, [lo, hi])| {
+            let width = graph.constant(1.0 / (hi - lo));
+            let scaled = graph.mul(*f, width);
+            graph.powi(scaled, 2)
+        })
+        .collect();
+    let square = graph.sum(&squares);
+    graph.unary(crate::expr::Fun::Sqrt, square)
+}
+
 impl System {
     /// The guards that depend on the state alone.
     pub fn guards_of_state(&self) -> Vec<Id> {
@@ -102,98 +193,33 @@ impl System {
         sizes.into_iter().map(median).collect()
     }
 
+    /// The bicharacteristics of a scene about its reference point.
     pub fn new(hamiltonian: &Hamiltonian, model: &Model) -> Self {
         let mut graph = hamiltonian.graph.clone();
         let n = hamiltonian.states();
-        let mut symbols: HashMap<Id, Deviation> = HashMap::new();
-        let zero = graph.constant(0.0);
-        for (symbol, value) in model.parameter_values() {
-            symbols.insert(symbol, Deviation::new(value, zero));
-        }
-        let mut inputs = Vec::new();
-        for (state, &at) in model.states.iter().zip(model.reference()) {
-            let s = graph.symbol(&format!("d_{}", state.variable.name), Kind::State);
-            symbols.insert(state.variable.symbol, Deviation::new(at, s));
-            inputs.push(s);
-        }
-        for &p in &hamiltonian.p {
-            symbols.insert(p, Deviation::new(0.0, p));
-            inputs.push(p);
-        }
-        let roots: Vec<Id> = (hamiltonian.state_rate.iter())
-            .chain(&hamiltonian.adjoint_rate)
-            .chain([&hamiltonian.running, &hamiltonian.value])
-            .chain(&hamiltonian.control)
-            .chain(&hamiltonian.unclamped)
-            .chain(&hamiltonian.disturbance)
-            .copied()
-            .chain(hamiltonian.guards.iter().map(|g| g.condition.expr))
-            .collect();
-        let forms = graph.deviations(&roots, &symbols);
-        let terminal = match &model.horizon {
-            Horizon::Infinite { .. } => None,
-            Horizon::Finite {
-                terminal,
-                final_time,
-                ..
-            } => {
-                let mut roots = vec![terminal.expr];
-                roots.extend(hamiltonian.x.iter().map(|x| graph.diff(terminal.expr, *x)));
-                let forms = graph.deviations(&roots, &symbols);
-                let mut all = forms.into_iter().map(|f| graph.whole(f));
-                all.next().map(|value| Terminal {
-                    value,
-                    gradient: all.collect(),
-                    time: *final_time,
-                })
-            }
-        };
+        let (inputs, symbols) = inputs(&mut graph, hamiltonian, model);
+        let forms = graph.deviations(&roots(hamiltonian), &symbols);
+        let terminal = Terminal::of(&mut graph, hamiltonian, model, &symbols);
         // An equilibrium makes every rate, L and H vanish at s = 0, p = 0; what is left of their
         // values there is rounding and is dropped. The scene's check has bounded it.
         let at_rest = matches!(model.horizon, Horizon::Infinite { .. });
-        let mut whole = |range: std::ops::Range<usize>, drop_value: bool| -> Vec<Id> {
-            forms[range]
-                .iter()
-                .map(|f| {
-                    if drop_value {
-                        f.change
-                    } else {
-                        graph.whole(*f)
-                    }
-                })
+        let mut forms = forms.into_iter();
+        let mut take = |count: usize, drop_value: bool| -> Vec<Id> {
+            (forms.by_ref().take(count))
+                .map(|f| if drop_value { f.change } else { graph.whole(f) })
                 .collect()
         };
-        let forward = whole(0..2 * n, at_rest);
-        let costs = whole(2 * n..2 * n + 2, at_rest);
+        let (forward, costs) = (take(2 * n, at_rest), take(2, at_rest));
         let (m, k) = (hamiltonian.control.len(), hamiltonian.disturbance.len());
-        let mut start = 2 * n + 2;
-        let mut take = |count: usize| {
-            start += count;
-            whole(start - count..start, false)
-        };
-        let (control, unclamped, disturbance) = (take(m), take(m), take(k));
-        let guards = take(hamiltonian.guards.len());
+        let (control, unclamped, disturbance) = (take(m, false), take(m, false), take(k, false));
+        let guards = take(hamiltonian.guards.len(), false);
 
         let mut rate: Vec<Id> = forward.iter().map(|f| graph.neg(*f)).collect();
         rate.push(costs[0]);
-        let squares: Vec<Id> = (rate[..n].iter().zip(&model.region))
-            .map(|(f, [lo, hi])| {
-                let width = graph.constant(1.0 / (hi - lo));
-                let scaled = graph.mul(*f, width);
-                graph.powi(scaled, 2)
-            })
-            .collect();
-        let square = graph.sum(&squares);
-        let arc_rate = graph.unary(crate::expr::Fun::Sqrt, square);
+        let arc_rate = arc_rate(&mut graph, &rate[..n], &model.region);
+        let zero = graph.constant(0.0);
         let at_zero_adjoint = hamiltonian.p.iter().map(|p| (*p, zero)).collect();
         let least_running = graph.substitute(&[costs[0]], &at_zero_adjoint)[0];
-        let guards = (hamiltonian.guards.iter().zip(guards))
-            .map(|(g, expr)| GuardExpr {
-                name: g.name.clone(),
-                expr,
-                strict: g.strict,
-            })
-            .collect();
         Self {
             states: n,
             inputs,
@@ -205,7 +231,7 @@ impl System {
                 hamiltonian: costs[1],
                 unclamped,
             },
-            guards,
+            guards: GuardExpr::all(&hamiltonian.guards, guards),
             reference: model.reference().to_vec(),
             least_running,
             terminal,

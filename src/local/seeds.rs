@@ -56,6 +56,82 @@ pub struct LocalSolution {
     flow: Flow,
 }
 
+/// Homogeneous parts of V.
+struct Parts {
+    /// Of each degree the largest size on the unit sphere of z.
+    sizes: Vec<f64>,
+    /// Highest degree that is known.
+    known: usize,
+}
+
+impl Parts {
+    /// Error of V up to a degree at a radius: the first neglected part's size times radius^k, or
+    /// that of a part after it.
+    fn error_at(&self, degree: usize, radius: f64) -> f64 {
+        (degree + 1..=self.known)
+            .map(|k| self.sizes[k] * radius.powi(k as i32))
+            .fold(0.0, f64::max)
+    }
+
+    /// The degree that meets a tolerance of V up to the largest radius, and that radius; none
+    /// reaches beyond V = `limit`.
+    fn widest(&self, tolerance: f64, limit: f64) -> (usize, f64) {
+        let radius_for = |degree: usize| -> f64 {
+            let mut radius = (2.0 * limit).sqrt();
+            while self.error_at(degree, radius) > tolerance && radius > 1e-12 {
+                radius *= 0.9;
+            }
+            radius
+        };
+        (2..=self.known - LOOK_AHEAD)
+            .map(|d| (d, radius_for(d)))
+            .fold(
+                (2, 0.0),
+                |best, this| if this.1 > best.1 { this } else { best },
+            )
+    }
+
+    /// Degrees and sizes of the parts beyond a degree.
+    fn beyond(&self, degree: usize) -> Vec<(i32, f64)> {
+        (degree + 1..=self.known)
+            .map(|k| (k as i32, self.sizes[k]))
+            .collect()
+    }
+}
+
+/// V as a power series in z: its coefficients by monomials, and the highest degree that is known.
+fn series(system: &System, riccati: &Riccati, t: &DMatrix<f64>) -> (Basis, Vec<f64>, usize) {
+    let n = system.states;
+    let highest = (2..=MAX_DEGREE)
+        .rev()
+        .find(|d| Basis::size(n, d + LOOK_AHEAD) <= MAX_TERMS);
+    let basis = Basis::new(n, highest.map_or(2, |d| d + LOOK_AHEAD));
+    let equation = Equation {
+        graph: &system.graph,
+        hamiltonian: system.observer.hamiltonian,
+        inputs: &system.inputs,
+    };
+    let (value, known) = equation.expand(&basis, t, riccati);
+    (basis, value, known)
+}
+
+/// V of the seeds: as asked for, or what the radius allows.
+///
+/// # Errors
+/// `SeedTooLarge` where what is asked for is beyond the limit of the local solution.
+fn seed_value(asked: SeedValue, radius: f64, limit: f64) -> Result<f64, LocalError> {
+    match asked {
+        SeedValue::Auto => Ok(0.5 * radius * radius),
+        SeedValue::Value(c) if c > limit => Err(LocalError::SeedTooLarge {
+            value: c,
+            reason: format!(
+                "the local solution holds up to V = {limit:.3e} (bounds of the controls, the region, the guards, the first front)"
+            ),
+        }),
+        SeedValue::Value(c) => Ok(c),
+    }
+}
+
 impl LocalSolution {
     /// Expands V and chooses the seed ellipsoid.
     ///
@@ -72,65 +148,29 @@ impl LocalSolution {
         let (t, l) = coordinates(model, &riccati)?;
         // t^-T = (L^-T)^-T = L
         let to_adjoint = l;
-        let highest = (2..=MAX_DEGREE)
-            .rev()
-            .find(|d| Basis::size(n, d + LOOK_AHEAD) <= MAX_TERMS);
-        let basis = Basis::new(n, highest.map_or(2, |d| d + LOOK_AHEAD));
-        let equation = Equation {
-            graph: &system.graph,
-            hamiltonian: system.observer.hamiltonian,
-            inputs: &system.inputs,
+        let (basis, value, known) = series(system, &riccati, &t);
+        let parts = Parts {
+            sizes: part_sizes(&basis, &value, n),
+            known,
         };
-        let (value, known) = equation.expand(&basis, &t, &riccati);
-
-        let sizes = part_sizes(&basis, &value, n);
         let limit = range_limit(system, model, &riccati, &t, choice.ceiling);
-        // The first neglected part's size times radius^k is the error, or that of the part after
-        // it.
-        let error_at = |degree: usize, radius: f64| -> f64 {
-            (degree + 1..=known)
-                .map(|k| sizes[k] * radius.powi(k as i32))
-                .fold(0.0, f64::max)
-        };
-        let radius_for = |degree: usize| -> f64 {
-            let mut radius = (2.0 * limit).sqrt();
-            while error_at(degree, radius) > choice.tolerance && radius > 1e-12 {
-                radius *= 0.9;
-            }
-            radius
-        };
         // Where the equations have no series or it is too long, the quadratic V is used, and H
         // itself tells its error.
-        let (degree, radius) = if known < 2 + LOOK_AHEAD {
+        let quadratic = known < 2 + LOOK_AHEAD;
+        let (degree, radius) = if quadratic {
             (
                 2,
                 radius_by_residual(system, &riccati, &t, choice.tolerance, limit),
             )
         } else {
-            (2..=known - LOOK_AHEAD)
-                .map(|d| (d, radius_for(d)))
-                .fold(
-                    (2, 0.0),
-                    |best, this| if this.1 > best.1 { this } else { best },
-                )
+            parts.widest(choice.tolerance, limit)
         };
-        let seed_value = match choice.asked {
-            SeedValue::Auto => 0.5 * radius * radius,
-            SeedValue::Value(c) if c > limit => {
-                return Err(LocalError::SeedTooLarge {
-                    value: c,
-                    reason: format!(
-                        "the local solution holds up to V = {limit:.3e} (bounds of the controls, the region, the guards, the first front)"
-                    ),
-                });
-            }
-            SeedValue::Value(c) => c,
-        };
+        let seed_value = seed_value(choice.asked, radius, limit)?;
         let radius = (2.0 * seed_value).sqrt();
-        let error = if known < 2 + LOOK_AHEAD {
+        let error = if quadratic {
             residual_error(system, &riccati, &t, radius)
         } else {
-            error_at(degree, radius)
+            parts.error_at(degree, radius)
         };
         let mut kept = value;
         kept[basis.start[degree + 1]..].fill(0.0);
@@ -138,12 +178,6 @@ impl LocalSolution {
         let second = (gradient.iter().enumerate())
             .flat_map(|(i, g)| basis.gradient(g).into_iter().take(i + 1))
             .collect();
-        let neglected = if known < 2 + LOOK_AHEAD {
-            // The error of the quadratic V grows as a cubic term does.
-            vec![(3, error / radius.powi(3))]
-        } else {
-            (degree + 1..=known).map(|k| (k as i32, sizes[k])).collect()
-        };
         let inverse = to_adjoint.transpose();
         let flow = Flow::new(
             inverse * &riccati.closed_loop * &t,
@@ -151,6 +185,12 @@ impl LocalSolution {
             seed_value,
         );
         Ok(Self {
+            neglected: if quadratic {
+                // The error of the quadratic V grows as a cubic term does.
+                vec![(3, error / radius.powi(3))]
+            } else {
+                parts.beyond(degree)
+            },
             flow,
             riccati,
             t,
@@ -159,7 +199,6 @@ impl LocalSolution {
             value: kept,
             gradient,
             second,
-            neglected,
             limit,
             degree,
             seed_value,

@@ -211,6 +211,19 @@ pub(crate) const ISAACS_RESIDUAL: f64 = 3e-3;
 /// Most windings to either side.
 const MOST_WINDINGS: i32 = 3;
 
+/// As many cells that are not known yet.
+fn blank<T>(count: usize) -> Vec<OnceLock<T>> {
+    (0..count).map(|_| OnceLock::new()).collect()
+}
+
+/// H, L and the states' rates at `(s, p)`.
+fn isaacs(system: &System) -> Program {
+    let n = system.states;
+    let running = system.rate[2 * n];
+    let roots = [&[system.observer.hamiltonian, running], &system.rate[..n]].concat();
+    Program::lower(&system.graph, &system.inputs, &roots)
+}
+
 impl ValueMap {
     /// Prepares look-ups in what is known. Where trajectories were swept this sweeps some more,
     /// next to the equilibrium.
@@ -242,24 +255,9 @@ impl ValueMap {
         if pieces.is_none() && nothing_else {
             return Err(MapError::Empty);
         }
-        let control = Program::lower(
-            &plan.system.graph,
-            &plan.system.inputs,
-            &plan.system.observer.control,
-        );
-        let isaacs = plan.game.then(|| {
-            let system = &plan.system;
-            let running = system.rate[2 * states];
-            let roots = [
-                &[system.observer.hamiltonian, running],
-                &system.rate[..states],
-            ]
-            .concat();
-            Program::lower(&system.graph, &system.inputs, &roots)
-        });
-        fn blank<T>(count: usize) -> Vec<OnceLock<T>> {
-            (0..count).map(|_| OnceLock::new()).collect()
-        }
+        let system = &plan.system;
+        let control = Program::lower(&system.graph, &system.inputs, &system.observer.control);
+        let isaacs = plan.game.then(|| isaacs(system));
         // Where none is rough the two are the same.
         let parts = beyond.as_ref().map_or(0, |good| good.pieces.len());
         let rough = rough.filter(|all| all.pieces.len() > parts);

@@ -1,17 +1,16 @@
 //! The groups `/map_pieces`, `/map_beyond` and `/map_check`.
 
 use super::answers::point_statuses;
+use super::pieces_group::PiecesGroup;
 use super::table::Table;
 use super::{Stored, StoredError, TrajectorySchema};
 use crate::hdf5::{OutputError, ResultFile};
-use crate::map::pieces::{
-    Bend, Cell, Frame, Node, Piece, Pieces, Region, Shape, directions, margin_terms,
-};
+use crate::map::pieces::{Cell, Node, Piece, Pieces, Shape};
 use crate::map::{Adaptive, Checked, Coverage};
 use crate::schema;
 
 /// Axis of a node that is a cell.
-const LEAF: i32 = -1;
+pub(super) const LEAF: i32 = -1;
 
 /// Attribute of `/map_pieces`: how well its states were searched for cheaper sheets.
 const COVERAGE: &str = "coverage";
@@ -245,160 +244,6 @@ impl Stored {
         let Some(group) = self.group(group) else {
             return Ok(None);
         };
-        // The states, and on a finite horizon the time where it is an axis.
-        let n = group.f64("lower")?.values.len();
-        let states = self.scene.model.states.len();
-        if n != states && !(n == states + 1 && self.scene.model.final_time().is_some()) {
-            return Err(group.error("lower", "it has not one bound a state"));
-        }
-        let number = |name: &str| -> Result<f64, StoredError> {
-            let found = group.f64(name)?.values;
-            let first = found
-                .first()
-                .ok_or_else(|| group.error(name, "it is empty"))?;
-            match first.is_nan() {
-                true => Err(group.error(name, "it is no number")),
-                false => Ok(*first),
-            }
-        };
-        let bounds = |name: &str, count: usize| -> Result<Vec<f64>, StoredError> {
-            let all = group.shaped(name, &[count])?;
-            match all.iter().all(|b| *b >= 0.0) {
-                true => Ok(all),
-                false => Err(group.error(name, "a bound of an error is below 0 or no number")),
-            }
-        };
-        let region = Region {
-            lo: group.shaped("lower", &[n])?,
-            hi: group.shaped("upper", &[n])?,
-            error: number("error")?,
-            equal_cost: f64::INFINITY,
-            floor: number("floor")?,
-            value_max: number("value_max")?,
-            beyond: 0.0,
-            game: false,
-        };
-        let bend = match group.has("bend") {
-            true => {
-                let place = group.shaped("bend_range", &[2])?;
-                let axis =
-                    usize::try_from(group.i32("bend_axis")?.1.first().copied().unwrap_or(-1)).ok();
-                let phi = group.f64("bend")?.values;
-                let bend =
-                    axis.and_then(|axis| Bend::new(n, axis, place[0], place[1] - place[0], phi));
-                Some(bend.ok_or_else(|| group.error("bend", "it does not fit the others"))?)
-            }
-            false => None,
-        };
-        let frame = Frame::new(
-            group.shaped("origin", &[n])?,
-            group.shaped("frame", &[n, n])?,
-            bend,
-        )
-        .ok_or_else(|| group.error("frame", "it has no inverse"))?;
-        let (axis, below, above) = (
-            group.i32("axis")?.1,
-            group.i32("below")?.1,
-            group.i32("above")?.1,
-        );
-        if let Some((name, _)) = [("below", &below), ("above", &above)]
-            .into_iter()
-            .find(|(_, v)| v.len() != axis.len())
-        {
-            return Err(group.error(name, "it does not fit the others"));
-        }
-        let split = group.shaped("split", &[axis.len()])?;
-        let owners = group.i32("of_cell")?.1;
-        let count = owners.len();
-        let lower = group.f64("cell_lower")?.values;
-        let cells_count = lower.len() / n;
-        let (lower, upper) = (lower, group.shaped("cell_upper", &[cells_count, n])?);
-        let rows = |name: &str| group.shaped(name, &[count, n]);
-        let (center, half) = (rows("center")?, rows("half")?);
-        let ways = directions(n).len();
-        let supports = |name: &str| group.shaped(name, &[count, ways]);
-        let support = [supports("support_lower")?, supports("support_upper")?];
-        let margins = margin_terms(n);
-        let clearance = match group.has("clearance") {
-            true => group.shaped("clearance", &[count, margins])?,
-            false => vec![f64::NAN; count * margins],
-        };
-        let (bound, p_bound) = (bounds("V_bound", count)?, bounds("p_bound", count)?);
-        let whole = |name: &str| -> Result<Vec<i32>, StoredError> { Ok(group.i32(name)?.1) };
-        let (shape, sheet, first, terms) = (
-            whole("shape")?,
-            whole("sheet")?,
-            whole("first")?,
-            whole("terms")?,
-        );
-        let coefficients = group.f64("coefficients")?.values;
-        let wrong = |name: &str| group.error(name, "it does not fit the others");
-        if [&shape, &sheet, &first, &terms]
-            .iter()
-            .any(|v| v.len() != count)
-        {
-            return Err(wrong("first"));
-        }
-        let nodes = (0..axis.len()).map(|k| {
-            let child = |c: i32, most: usize| usize::try_from(c).ok().filter(|c| *c < most);
-            if axis[k] == LEAF {
-                return Some(Node::Cell(child(below[k], cells_count)?));
-            }
-            // A child comes after its parent: no circles.
-            let later = |c: i32| child(c, axis.len()).filter(|c| *c > k);
-            Some(Node::Split {
-                axis: child(axis[k], n)?,
-                at: split[k],
-                below: later(below[k])?,
-                above: later(above[k])?,
-                reach: [split[k]; 2],
-            })
-        });
-        let nodes: Vec<Node> = nodes.collect::<Option<_>>().ok_or_else(|| wrong("below"))?;
-        let row = |all: &[f64], k: usize| all[k * n..][..n].to_vec();
-        let pieces = (0..count).map(|k| {
-            let (first, terms) = (
-                usize::try_from(first[k]).ok()?,
-                usize::try_from(terms[k]).ok()?,
-            );
-            Some(Piece {
-                center: row(&center, k),
-                half: row(&half, k),
-                shape: Shape::ALL.iter().find(|(s, _)| *s as i32 == shape[k])?.0,
-                coefficients: coefficients.get(first..first.checked_add(terms)?)?.to_vec(),
-                bound: bound[k],
-                p_bound: p_bound[k],
-                sheet: sheet[k],
-                support: (0..ways)
-                    .map(|i| [support[0][k * ways + i], support[1][k * ways + i]])
-                    .filter(|s| !s[0].is_nan())
-                    .collect(),
-                clearance: (clearance[k * margins..][..margins].iter().copied())
-                    .filter(|c| !c.is_nan())
-                    .collect(),
-            })
-        });
-        let pieces: Vec<Piece> = pieces
-            .collect::<Option<_>>()
-            .ok_or_else(|| wrong("coefficients"))?;
-        let mut cells = Vec::with_capacity(cells_count);
-        let mut next = 0;
-        for k in 0..cells_count {
-            let from = next;
-            while owners.get(next).is_some_and(|o| *o == k as i32) {
-                next += 1;
-            }
-            cells.push(Cell {
-                lo: row(&lower, k),
-                hi: row(&upper, k),
-                pieces: from..next,
-            });
-        }
-        if next != count || nodes.is_empty() {
-            return Err(wrong("cell"));
-        }
-        Pieces::new(region, frame, nodes, cells, pieces)
-            .map(Some)
-            .ok_or_else(|| wrong("terms"))
+        PiecesGroup::new(self, group)?.pieces().map(Some)
     }
 }

@@ -11,6 +11,7 @@ mod interpolated;
 mod known;
 mod map_pieces;
 mod names;
+mod pieces_group;
 mod record;
 mod stored;
 mod study;

@@ -14,7 +14,6 @@ use crate::model::Model;
 use crate::result::{ATTENUATION_GROUPS, CLOSED_LOOP_GROUPS, DISSIPATION_GROUPS, Stored};
 use crate::scene::Scene;
 use crate::session::{Finished, LoopOptions, Session, SessionError};
-use std::cell::Cell;
 
 /// What came of it; `None` where the scene does not ask for it, or it could not be done.
 #[derive(Default)]
@@ -59,81 +58,122 @@ pub fn check(scene: &Scene) -> Result<(), SessionError> {
 
 /// Fits and simulates the scene's laws, in the draft. What cannot be done is a note and is left
 /// out: the sweep is not lost for it.
+///
+/// # Errors
+/// Those of reading and writing the draft.
 pub(super) fn perform(session: &Session<'_>, draft: &Draft) -> Result<LawsDone, RunError> {
-    let model = &session.scene().model;
-    let progress = session.progress();
-    let mut done = LawsDone::default();
-    let stopped = Cell::new(false);
-    let is_over = |what: &str| {
-        if session.is_over() {
-            progress.note(&format!("no {what}: the run was ended before"));
-            stopped.set(true);
-        }
-        session.is_over()
+    let mut doing = Doing {
+        session,
+        model: &session.scene().model,
+        draft,
+        done: LawsDone::default(),
     };
-    // What was begun and could not be done.
-    let failed = |what: &str, error: &dyn std::fmt::Display| {
-        stopped.set(stopped.get() || session.is_over());
-        progress.note(&format!("{what}: {error}"));
-    };
+    doing.fit()?;
+    doing.fly()?;
+    doing.attenuate()?;
+    Ok(doing.done)
+}
 
-    if !model.feedback.is_empty() && !is_over("law was fitted") {
-        let stored = Stored::open(draft.hidden())?;
-        let files = LawFiles::new(draft.path(), None);
-        let going = (progress, session.deadline());
+/// What is done so far.
+struct Doing<'d> {
+    session: &'d Session<'d>,
+    model: &'d Model,
+    draft: &'d Draft,
+    done: LawsDone,
+}
+
+impl Doing<'_> {
+    /// Whether the time is over, which is noted.
+    fn is_over(&mut self, what: &str) -> bool {
+        let is_over = self.session.is_over();
+        if is_over {
+            let progress = self.session.progress();
+            progress.note(&format!("no {what}: the run was ended before"));
+            self.done.stopped = true;
+        }
+        is_over
+    }
+
+    /// What was begun and could not be done.
+    fn failed(&mut self, what: &str, error: &dyn std::fmt::Display) {
+        self.done.stopped = self.done.stopped || self.session.is_over();
+        self.session.progress().note(&format!("{what}: {error}"));
+    }
+
+    /// The laws of `[feedback]`.
+    fn fit(&mut self) -> Result<(), RunError> {
+        let (model, progress) = (self.model, self.session.progress());
+        if model.feedback.is_empty() || self.is_over("law was fitted") {
+            return Ok(());
+        }
+        let stored = Stored::open(self.draft.hidden())?;
+        let files = LawFiles::new(self.draft.path(), None);
+        let going = (progress, self.session.deadline());
         match fit_stored(&stored, model, &model.feedback, &files, going) {
             Ok(fitted) => {
                 progress.finished(Finished::Fitted(&fitted.fitted, &fitted.exports));
-                done.feedback = Some(fitted);
+                self.done.feedback = Some(fitted);
             }
-            Err(e) => failed("no law was fitted", &e),
+            Err(e) => self.failed("no law was fitted", &e),
         }
+        Ok(())
     }
 
-    let loops = model.closed_loop.is_some() || model.dissipation.is_some();
-    let kind = match model.closed_loop.is_some() {
-        true => "closed loop was simulated",
-        false => "dissipation inequality was checked",
-    };
-    if loops && !is_over(kind) {
-        let stored = Stored::open(draft.hidden())?;
+    /// The loops of `[closed_loop]`, and the check of `[dissipation]`.
+    fn fly(&mut self) -> Result<(), RunError> {
+        let model = self.model;
+        let simulates = model.closed_loop.is_some();
+        let kind = match simulates {
+            true => "closed loop was simulated",
+            false => "dissipation inequality was checked",
+        };
+        if !(simulates || model.dissipation.is_some()) || self.is_over(kind) {
+            return Ok(());
+        }
+        let stored = Stored::open(self.draft.hidden())?;
+        let progress = self.session.progress();
         let from = sources(Some(&stored), model, Vec::new(), progress)?;
         let options = LoopOptions::default();
-        if model.closed_loop.is_some() {
-            match session.closed_loop(&from, &options) {
+        if simulates {
+            match self.session.closed_loop(&from, &options) {
                 Ok(evaluation) => {
-                    let mut file = ResultFile::extend(draft.hidden(), &CLOSED_LOOP_GROUPS)?;
+                    let mut file = ResultFile::extend(self.draft.hidden(), &CLOSED_LOOP_GROUPS)?;
                     evaluation.write(model, &mut file)?;
                     file.finish()?;
-                    done.closed_loop = Some(evaluation);
+                    self.done.closed_loop = Some(evaluation);
                 }
-                Err(e) => failed("no closed loop was simulated", &e),
+                Err(e) => self.failed("no closed loop was simulated", &e),
             }
         }
-        if model.dissipation.is_some() && !is_over("dissipation inequality was checked") {
-            match session.dissipation(&from, &options) {
+        if model.dissipation.is_some() && !self.is_over("dissipation inequality was checked") {
+            match self.session.dissipation(&from, &options) {
                 Ok(check) => {
-                    let mut file = ResultFile::extend(draft.hidden(), &DISSIPATION_GROUPS)?;
+                    let mut file = ResultFile::extend(self.draft.hidden(), &DISSIPATION_GROUPS)?;
                     check.write(model, &mut file)?;
                     file.finish()?;
-                    done.dissipation = Some(check);
+                    self.done.dissipation = Some(check);
                 }
-                Err(e) => failed("the dissipation inequality was not checked", &e),
+                Err(e) => self.failed("the dissipation inequality was not checked", &e),
             }
         }
+        Ok(())
     }
 
-    if model.attenuation.is_some() && !is_over("level of attenuation was looked for") {
-        match session.attenuation() {
+    /// The levels of `[attenuation]`.
+    fn attenuate(&mut self) -> Result<(), RunError> {
+        let model = self.model;
+        if model.attenuation.is_none() || self.is_over("level of attenuation was looked for") {
+            return Ok(());
+        }
+        match self.session.attenuation() {
             Ok(found) => {
-                let mut file = ResultFile::extend(draft.hidden(), &ATTENUATION_GROUPS)?;
+                let mut file = ResultFile::extend(self.draft.hidden(), &ATTENUATION_GROUPS)?;
                 write_attenuation(&mut file, model, &found)?;
                 file.finish()?;
-                done.attenuation = Some(found);
+                self.done.attenuation = Some(found);
             }
-            Err(e) => failed("no smallest level of attenuation was found", &e),
+            Err(e) => self.failed("no smallest level of attenuation was found", &e),
         }
+        Ok(())
     }
-    done.stopped = stopped.get();
-    Ok(done)
 }

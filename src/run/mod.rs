@@ -121,39 +121,28 @@ impl Session<'_> {
         }
         self.progress().begun(model, pass.plan(), self.backend());
 
-        // The final name first: what is wrong with it is told before the work is done.
-        let path = target(path.as_ref())?;
-        let draft = (wanted.laws && laws::wanted(model))
-            .then(|| Draft::begin(&path))
-            .transpose()?;
-        let mut file = match &draft {
-            Some(draft) => ResultFile::create(draft.hidden())?,
-            None => ResultFile::create(&path)?,
-        };
+        let mut output = Output::begin(path.as_ref(), wanted.laws && laws::wanted(model))?;
 
         let schema = trajectory_schema(model, pass.plan());
         let stored = pass.stores_sweep();
-        let mut writer = stored.then(|| file.trajectories(&schema)).transpose()?;
+        let mut writer = stored
+            .then(|| output.file.trajectories(&schema))
+            .transpose()?;
         let outcome = pass.perform::<RunError>(&mut |block| match &mut writer {
             Some(writer) => Ok(writer.append(&block)?),
             None => Ok(()),
         })?;
         drop(writer);
-        write_outcome(&mut file, &outcome, model, &schema)?;
-        let mut draft = draft;
-        let mut path = path;
+        write_outcome(&mut output.file, &outcome, model, &schema)?;
         if outcome.stopped {
-            file.attribute("stopped", 1i64)?;
-            // An older file may have more than what was done by now.
-            if path.exists() {
-                path = stopped_beside(&path);
-                match &mut draft {
-                    Some(draft) => draft.rename(path.clone()),
-                    None => file.rename(path.clone()),
-                }
-            }
+            output.mark_stopped()?;
         }
 
+        let Output {
+            mut path,
+            draft,
+            file,
+        } = output;
         let record = RunRecord {
             precision: outcome.plan.spec.precision.name().to_owned(),
             method: outcome.plan.method().name().to_owned(),
@@ -172,16 +161,7 @@ impl Session<'_> {
         if let Some(mut draft) = draft {
             laws = laws::perform(self, &draft)?;
             if laws.stopped && !summary.stopped {
-                summary.laws_stopped = true;
-                if path.exists() {
-                    path = stopped_beside(&path);
-                    summary.file = path.display().to_string();
-                    draft.rename(path.clone());
-                }
-                let file = ResultFile::extend(draft.hidden(), &[])?;
-                file.attribute("laws_stopped", 1i64)?;
-                file.attribute("summary", in_json(&summary))?;
-                file.finish()?;
+                path = mark_laws_stopped(path, &mut draft, &mut summary)?;
             }
             draft.publish()?;
         }
@@ -205,6 +185,72 @@ impl Session<'_> {
             ..provenance.record(&self.scene().model)
         }
     }
+}
+
+/// A result file while it is written.
+struct Output {
+    path: PathBuf,
+    file: ResultFile,
+    /// What holds the file while laws are added to it; without any the file is under its own name
+    /// when it is finished.
+    draft: Option<Draft>,
+}
+
+impl Output {
+    /// Begins a file; `extended`: laws will be added to it.
+    ///
+    /// # Errors
+    /// Where no file can be written there.
+    fn begin(path: &Path, extended: bool) -> Result<Self, RunError> {
+        // The final name first: what is wrong with it is told before the work is done.
+        let path = target(path)?;
+        let draft = extended.then(|| Draft::begin(&path)).transpose()?;
+        let file = match &draft {
+            Some(draft) => ResultFile::create(draft.hidden())?,
+            None => ResultFile::create(&path)?,
+        };
+        Ok(Self { path, file, draft })
+    }
+
+    /// Notes that the run was ended before everything was done.
+    ///
+    /// # Errors
+    /// Those of writing.
+    fn mark_stopped(&mut self) -> Result<(), RunError> {
+        self.file.attribute("stopped", 1i64)?;
+        // An older file may have more than what was done by now.
+        if self.path.exists() {
+            self.path = stopped_beside(&self.path);
+            match &mut self.draft {
+                Some(draft) => draft.rename(self.path.clone()),
+                None => self.file.rename(self.path.clone()),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Notes in the file, and in its summary, that the run was ended before all laws were done. Returns
+/// the file's name.
+///
+/// # Errors
+/// Those of writing.
+fn mark_laws_stopped(
+    mut path: PathBuf,
+    draft: &mut Draft,
+    summary: &mut RunSummary,
+) -> Result<PathBuf, RunError> {
+    summary.laws_stopped = true;
+    if path.exists() {
+        path = stopped_beside(&path);
+        summary.file = path.display().to_string();
+        draft.rename(path.clone());
+    }
+    let file = ResultFile::extend(draft.hidden(), &[])?;
+    file.attribute("laws_stopped", 1i64)?;
+    file.attribute("summary", in_json(summary))?;
+    file.finish()?;
+    Ok(path)
 }
 
 fn in_json(summary: &RunSummary) -> String {

@@ -32,6 +32,13 @@ pub(super) struct Declarations<'a> {
     pub definitions: Vec<Declared<'a>>,
 }
 
+impl Declarations<'_> {
+    /// Whether there is a disturbance, which plays against the controls.
+    pub fn is_game(&self) -> bool {
+        !self.disturbances.is_empty()
+    }
+}
+
 impl<'a> Reader<'a> {
     /// Enters the names of a section into the scope. A bad name is reported and entered
     /// nevertheless, so that its uses are not reported as well.

@@ -92,6 +92,7 @@ impl<'a> Reader<'a> {
         laws
     }
 
+    /// One law; `None` where a problem of it has been reported, or the region is not known.
     fn law(
         &mut self,
         name: &str,
@@ -101,38 +102,14 @@ impl<'a> Reader<'a> {
     ) -> Option<Feedback> {
         let before = self.problems.len();
         self.check_keys(section, "feedback");
-        let fit = match section.get("fit") {
-            Some(value) => self.choice(value, "fit", &[("u", Fit::Law), ("V", Fit::Value)]),
-            None => {
-                let problem = Problem::at(
-                    section.span.clone(),
-                    format!("{} has no fit", section.name),
-                    "`fit` is missing",
-                );
-                self.report(problem.with_help(
-                    "add fit = \"u\" (the law itself) or fit = \"V\" (the value function)",
-                ));
-                None
-            }
-        };
+        let fit = self.fit(section);
         let target = fit.and_then(|fit| self.target(section, fit, declared));
         let inputs = target
             .as_ref()
             .and_then(|t| self.inputs(section, t, declared));
         let bounds = self.bounds(section, &declared.states, region);
         let conditions = self.conditions(section);
-        let (validation, test) = (
-            self.share(section, "validation"),
-            self.share(section, "test"),
-        );
-        if validation + test > 0.9 {
-            let span = section.key_span("test");
-            self.refuse::<()>(
-                span,
-                "validation and test leave less than a tenth for training",
-                "too large together",
-            );
-        }
+        let [validation, test] = self.shares(section);
         let base = self.base(section, target.as_ref());
         let counted = |reader: &mut Self, key: &str, least, default| {
             let value = section.get(key);
@@ -167,6 +144,39 @@ impl<'a> Reader<'a> {
         };
         // Without a region the states' bounds are unknown, which is reported elsewhere.
         (self.problems.len() == before && region.is_some()).then_some(feedback)
+    }
+
+    /// What is fitted; reported where the section does not say.
+    fn fit(&mut self, section: &Section<'a>) -> Option<Fit> {
+        match section.get("fit") {
+            Some(value) => self.choice(value, "fit", &[("u", Fit::Law), ("V", Fit::Value)]),
+            None => {
+                let problem = Problem::at(
+                    section.span.clone(),
+                    format!("{} has no fit", section.name),
+                    "`fit` is missing",
+                );
+                self.report(problem.with_help(
+                    "add fit = \"u\" (the law itself) or fit = \"V\" (the value function)",
+                ));
+                None
+            }
+        }
+    }
+
+    /// Shares of the trajectories for validation and test.
+    fn shares(&mut self, section: &Section<'a>) -> [f64; 2] {
+        let shares = ["validation", "test"].map(|key| self.share(section, key));
+        let [validation, test] = shares;
+        if validation + test > 0.9 {
+            let span = section.key_span("test");
+            self.refuse::<()>(
+                span,
+                "validation and test leave less than a tenth for training",
+                "too large together",
+            );
+        }
+        shares
     }
 
     /// Strings of an array, or one string, with the values they come from.

@@ -15,7 +15,10 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::position;
 use crate::diagnostics::shorten;
-use crate::model::{Horizon, Model, Variable};
+use crate::model::{
+    Attenuation, ClosedLoop, Control, Dissipation, Feedback, Guard, Homotopy, Horizon, Integrator,
+    Located, MapAim, MapGrid, Model, Report, Sheets, ShootOut, State, Study, Variable,
+};
 use crate::schema;
 use std::collections::HashMap;
 use std::path::Path;
@@ -32,6 +35,56 @@ const EXPRESSIONS: [&str; 6] = [
 ];
 
 type Sections<'a> = HashMap<&'static str, Section<'a>>;
+
+/// The problem that a scene poses, as far as it could be read: what is `None` has been reported, or
+/// its section is missing.
+struct Posed {
+    states: Option<Vec<State>>,
+    controls: Option<Vec<Control>>,
+    disturbances: Option<Vec<Variable>>,
+    dynamics: Option<Vec<Located>>,
+    cost: Cost,
+    guards: Vec<Guard>,
+    region: Option<Vec<[f64; 2]>>,
+    equilibrium: Option<Equilibrium>,
+}
+
+impl Posed {
+    /// The point deviations are taken from.
+    fn reference(&self) -> Option<Vec<f64>> {
+        match &self.equilibrium {
+            Some(at) => Some(at.x.iter().map(|p| p.value).collect()),
+            None if self.cost.finite => self.region.as_ref().map(|r| {
+                r.iter()
+                    .map(|[lower, upper]| 0.5 * (lower + upper))
+                    .collect()
+            }),
+            None => None,
+        }
+    }
+}
+
+/// What a scene asks for without a closed loop, with the fields of a [`Model`].
+struct Settings {
+    shoot_out: Option<ShootOut>,
+    homotopy: Option<Homotopy>,
+    map: Option<MapGrid>,
+    map_aim: Option<MapAim>,
+    sheets: Sheets,
+    feedback: Vec<Feedback>,
+    report: Option<Report>,
+    integrator: Integrator,
+    time_unit: Option<String>,
+    cost_unit: Option<String>,
+}
+
+/// What a scene asks of closed loops, disturbances and parameters, with the fields of a [`Model`].
+struct Loops {
+    attenuation: Option<Attenuation>,
+    study: Option<Study>,
+    dissipation: Option<Dissipation>,
+    closed_loop: Option<ClosedLoop>,
+}
 
 impl<'a> Reader<'a> {
     /// What the TOML parser refused. One error a line: what follows on the same line is often a
@@ -161,6 +214,32 @@ impl<'a> Reader<'a> {
         }
     }
 
+    /// Reports the required sections that are missing.
+    fn require_sections(&mut self, root: &DeTable<'_>, sections: &Sections<'a>) {
+        self.require(
+            root,
+            sections,
+            "states",
+            "the states, in the order of the output's axes",
+        );
+        self.require(root, sections, "controls", "the controls");
+        // Where these are there, what they lack is reported entry by entry.
+        for (name, what) in [
+            ("dynamics", "the time derivative of each state"),
+            ("cost", "the running cost"),
+        ] {
+            if !sections.contains_key(name) {
+                self.require(root, sections, name, what);
+            }
+        }
+        self.require(
+            root,
+            sections,
+            "region",
+            "bounds [lower, upper] for each state",
+        );
+    }
+
     /// Everything, with an empty graph in the place of the reader's; `None` only after a report.
     pub(super) fn model(
         &mut self,
@@ -169,161 +248,17 @@ impl<'a> Reader<'a> {
         overrides: &[(String, Given)],
     ) -> Option<Model> {
         let (sections, title) = self.sections(root);
-        self.require(
-            root,
-            &sections,
-            "states",
-            "the states, in the order of the output's axes",
-        );
-        self.require(root, &sections, "controls", "the controls");
-        // Where these are there, what they lack is reported entry by entry.
-        for (name, what) in [
-            ("dynamics", "the time derivative of each state"),
-            ("cost", "the running cost"),
-        ] {
-            if !sections.contains_key(name) {
-                self.require(root, &sections, name, what);
-            }
-        }
-        self.require(
-            root,
-            &sections,
-            "region",
-            "bounds [lower, upper] for each state",
-        );
+        self.require_sections(root, &sections);
         let declared = self.declarations(&sections);
         let parameters = self.parameters(&declared.parameters, overrides);
         self.definitions(&declared.definitions);
-        let game = !declared.disturbances.is_empty();
-        let mut notes = Vec::new();
-        let mut states = self.states(&declared.states);
-        // In a game the lower of V(x) and V(x + period) is no value: an angle counts as it is
-        // written.
-        if let (true, Some(states)) = (game, &mut states) {
-            for state in states.iter_mut().filter(|s| s.period.is_some()) {
-                state.period = None;
-                notes.push(format!(
-                    "a game: the period of `{}` is not used, and the angle counts as it is written",
-                    state.variable.name
-                ));
-            }
-        }
-        let controls = self.controls(&declared.controls);
-        let disturbances = self.disturbances(&declared.disturbances);
-        let dynamics = sections
-            .get("dynamics")
-            .and_then(|s| self.dynamics(s, &declared.states));
-        let cost = sections
-            .get("cost")
-            .map(|s| self.cost(s))
-            .unwrap_or_default();
-        let guards = sections
-            .get("guards")
-            .map(|s| self.guards(s))
-            .unwrap_or_default();
-        let region = sections
-            .get("region")
-            .filter(|s| s.entries().next().is_some())
-            .and_then(|s| self.region(s, &declared.states));
-        let equilibrium = sections.get("equilibrium").and_then(|s| {
-            self.equilibrium(
-                s,
-                &declared.states,
-                &declared.controls,
-                &declared.disturbances,
-            )
-        });
-        self.require_horizon(root, &sections, &cost);
-        if let (Some(at), Some(states), Some(controls)) = (&equilibrium, &states, &controls) {
-            let states: Vec<&Variable> = states.iter().map(|s| &s.variable).collect();
-            self.check_equilibrium_range(at, &states, controls, region.as_deref(), cost.finite);
-        }
-        if let (Some(all), Some(controls), Some(dynamics), Some(running), Some(disturbances)) =
-            (&states, &controls, &dynamics, &cost.running, &disturbances)
-        {
-            let states: Vec<&Variable> = all.iter().map(|s| &s.variable).collect();
-            let scene = Scene {
-                states: &states,
-                controls,
-                disturbances,
-                dynamics,
-                running,
-                guards: &guards,
-                region: region.as_deref(),
-                finite: cost.finite,
-            };
-            if let Some(at) = &equilibrium {
-                self.check_equilibrium(at, &scene);
-            }
-            // What is wrong already may be why something does not repeat.
-            if self.problems.is_empty() {
-                self.check_periods(all, &scene);
-            }
-        }
-        let reference = reference(equilibrium.as_ref(), region.as_deref(), cost.finite);
-        let shoot_out = sections
-            .get("shoot_out")
-            .and_then(|s| self.shoot_out(s, cost.finite, game));
-        let homotopy = sections
-            .get("homotopy")
-            .and_then(|s| self.homotopy(s, &declared.states, reference.as_deref()));
-        let map = sections
-            .get("map")
-            .and_then(|s| self.map(s, &declared.states));
-        let clash = declared
-            .states
-            .iter()
-            .find(|s| schema::MAP.reserves(s.name));
-        if let (Some(state), true) = (clash, map.is_some()) {
-            let message = format!(
-                "a state named `{}` cannot be an axis of [map], which has a variable of that name",
-                state.name
-            );
-            let problem = Problem::at(state.span.clone(), message, "rename the state");
-            self.report(
-                problem.with_help("or remove [map], or give it `error` in place of a grid"),
-            );
-        }
-        let map_aim = sections.get("map").and_then(|s| {
-            self.map_aim(s, &declared.states, region.as_deref(), (cost.finite, game))
-        });
-        let sheets = sections
-            .get("sheets")
-            .map(|s| self.sheets(s))
-            .unwrap_or_default();
-        let feedback = sections
-            .get("feedback")
-            .map(|s| self.feedback(s, &declared, region.as_deref(), cost.finite))
-            .unwrap_or_default();
-        let report = sections
-            .get("report")
-            .and_then(|s| self.report_section(s, &declared.states, region.as_deref()));
-        let integrator = self.integrator(sections.get("integrator"));
-        let time_unit = sections.get("time").and_then(|s| {
-            self.check_keys(s, "time");
-            self.unit(s)
-        });
-        let cost_unit = sections.get("cost").and_then(|s| self.unit(s));
+        let (posed, notes) = self.posed(&sections, &declared);
+        self.require_horizon(root, &sections, &posed.cost);
+        self.check_posed(&posed);
+        let reference = posed.reference();
+        let settings = self.settings(&sections, &declared, &posed, reference.as_deref());
         // [closed_loop] comes last, for it brings names of its own.
-        let scope = LoopScope {
-            states: &declared.states,
-            controls: &declared.controls,
-            disturbances: &declared.disturbances,
-            reference: reference.as_deref(),
-            region: region.as_deref(),
-            final_time: cost.terminal.as_ref().map(|t| t.final_time),
-            finite: cost.finite,
-            fitted: sections.get("feedback").map(law_names).unwrap_or_default(),
-        };
-        let attenuation = (sections.get("attenuation"))
-            .and_then(|s| self.attenuation(s, &declared, region.as_deref(), cost.finite));
-        let study = sections.get("study").and_then(|s| self.study(s, &scope));
-        let dissipation = sections
-            .get("dissipation")
-            .and_then(|s| self.dissipation(s, sections.get("closed_loop"), &scope));
-        let closed_loop = sections
-            .get("closed_loop")
-            .and_then(|s| self.closed_loop(s, &scope));
+        let loops = self.loops(&sections, &declared, &posed, reference.as_deref());
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
             file_name: file_name.to_owned(),
@@ -333,30 +268,203 @@ impl<'a> Reader<'a> {
                 .collect(),
             graph: Default::default(),
             parameters,
-            states: states?,
-            controls: controls?,
-            disturbances: disturbances?,
-            dynamics: dynamics?,
-            horizon: horizon(&cost, equilibrium, reference)?,
-            running: cost.running?,
-            region: region?,
-            guards,
+            states: posed.states?,
+            controls: posed.controls?,
+            disturbances: posed.disturbances?,
+            dynamics: posed.dynamics?,
+            horizon: horizon(&posed.cost, posed.equilibrium, reference)?,
+            running: posed.cost.running?,
+            region: posed.region?,
+            guards: posed.guards,
+            shoot_out: settings.shoot_out,
+            homotopy: settings.homotopy,
+            map: settings.map,
+            map_aim: settings.map_aim,
+            sheets: settings.sheets,
+            feedback: settings.feedback,
+            report: settings.report,
+            closed_loop: loops.closed_loop,
+            dissipation: loops.dissipation,
+            study: loops.study,
+            attenuation: loops.attenuation,
+            integrator: settings.integrator,
+            time_unit: settings.time_unit,
+            cost_unit: settings.cost_unit,
+            notes,
+        })
+    }
+
+    /// The problem itself, and remarks on what of it is not used.
+    fn posed(
+        &mut self,
+        sections: &Sections<'a>,
+        declared: &Declarations<'a>,
+    ) -> (Posed, Vec<String>) {
+        let mut states = self.states(&declared.states);
+        let notes = match &mut states {
+            Some(states) if declared.is_game() => forget_periods(states),
+            _ => Vec::new(),
+        };
+        let posed = Posed {
+            states,
+            controls: self.controls(&declared.controls),
+            disturbances: self.disturbances(&declared.disturbances),
+            dynamics: sections
+                .get("dynamics")
+                .and_then(|s| self.dynamics(s, &declared.states)),
+            cost: sections
+                .get("cost")
+                .map(|s| self.cost(s))
+                .unwrap_or_default(),
+            guards: sections
+                .get("guards")
+                .map(|s| self.guards(s))
+                .unwrap_or_default(),
+            region: sections
+                .get("region")
+                .filter(|s| s.entries().next().is_some())
+                .and_then(|s| self.region(s, &declared.states)),
+            equilibrium: sections.get("equilibrium").and_then(|s| {
+                self.equilibrium(
+                    s,
+                    &declared.states,
+                    &declared.controls,
+                    &declared.disturbances,
+                )
+            }),
+        };
+        (posed, notes)
+    }
+
+    /// Reports what of the problem does not fit together: the equilibrium and the periods.
+    fn check_posed(&mut self, posed: &Posed) {
+        let (Some(all), Some(controls)) = (&posed.states, &posed.controls) else {
+            return;
+        };
+        let (region, finite) = (posed.region.as_deref(), posed.cost.finite);
+        let states: Vec<&Variable> = all.iter().map(|s| &s.variable).collect();
+        if let Some(at) = &posed.equilibrium {
+            self.check_equilibrium_range(at, &states, controls, region, finite);
+        }
+        let (Some(dynamics), Some(running), Some(disturbances)) =
+            (&posed.dynamics, &posed.cost.running, &posed.disturbances)
+        else {
+            return;
+        };
+        let scene = Scene {
+            states: &states,
+            controls,
+            disturbances,
+            dynamics,
+            running,
+            guards: &posed.guards,
+            region,
+            finite,
+        };
+        if let Some(at) = &posed.equilibrium {
+            self.check_equilibrium(at, &scene);
+        }
+        // What is wrong already may be why something does not repeat.
+        if self.problems.is_empty() {
+            self.check_periods(all, &scene);
+        }
+    }
+
+    /// What is asked for without a closed loop; `reference` is the point deviations are taken from.
+    fn settings(
+        &mut self,
+        sections: &Sections<'a>,
+        declared: &Declarations<'a>,
+        posed: &Posed,
+        reference: Option<&[f64]>,
+    ) -> Settings {
+        let (region, finite) = (posed.region.as_deref(), posed.cost.finite);
+        let game = declared.is_game();
+        let shoot_out = sections
+            .get("shoot_out")
+            .and_then(|s| self.shoot_out(s, finite, game));
+        let homotopy = sections
+            .get("homotopy")
+            .and_then(|s| self.homotopy(s, &declared.states, reference));
+        let map = sections
+            .get("map")
+            .and_then(|s| self.map(s, &declared.states));
+        if map.is_some() {
+            self.check_map_axes(declared);
+        }
+        Settings {
             shoot_out,
             homotopy,
             map,
-            map_aim,
-            sheets,
-            feedback,
-            report,
-            closed_loop,
-            dissipation,
-            study,
-            attenuation,
-            integrator,
-            time_unit,
-            cost_unit,
-            notes,
-        })
+            map_aim: sections
+                .get("map")
+                .and_then(|s| self.map_aim(s, &declared.states, region, (finite, game))),
+            sheets: sections
+                .get("sheets")
+                .map(|s| self.sheets(s))
+                .unwrap_or_default(),
+            feedback: sections
+                .get("feedback")
+                .map(|s| self.feedback(s, declared, region, finite))
+                .unwrap_or_default(),
+            report: sections
+                .get("report")
+                .and_then(|s| self.report_section(s, &declared.states, region)),
+            integrator: self.integrator(sections.get("integrator")),
+            time_unit: sections.get("time").and_then(|s| {
+                self.check_keys(s, "time");
+                self.unit(s)
+            }),
+            cost_unit: sections.get("cost").and_then(|s| self.unit(s)),
+        }
+    }
+
+    /// Reports a state that has the name of one of the map's variables: it cannot be an axis of a
+    /// grid.
+    fn check_map_axes(&mut self, declared: &Declarations<'a>) {
+        let mut states = declared.states.iter();
+        if let Some(state) = states.find(|s| schema::MAP.reserves(s.name)) {
+            let message = format!(
+                "a state named `{}` cannot be an axis of [map], which has a variable of that name",
+                state.name
+            );
+            let problem = Problem::at(state.span.clone(), message, "rename the state");
+            self.report(
+                problem.with_help("or remove [map], or give it `error` in place of a grid"),
+            );
+        }
+    }
+
+    /// What is asked of closed loops, and of the problem with other disturbances or parameters.
+    fn loops(
+        &mut self,
+        sections: &Sections<'a>,
+        declared: &Declarations<'a>,
+        posed: &Posed,
+        reference: Option<&[f64]>,
+    ) -> Loops {
+        let (region, cost) = (posed.region.as_deref(), &posed.cost);
+        let scope = LoopScope {
+            states: &declared.states,
+            controls: &declared.controls,
+            disturbances: &declared.disturbances,
+            reference,
+            region,
+            final_time: cost.terminal.as_ref().map(|t| t.final_time),
+            finite: cost.finite,
+            fitted: sections.get("feedback").map(law_names).unwrap_or_default(),
+        };
+        Loops {
+            attenuation: (sections.get("attenuation"))
+                .and_then(|s| self.attenuation(s, declared, region, cost.finite)),
+            study: sections.get("study").and_then(|s| self.study(s, &scope)),
+            dissipation: sections
+                .get("dissipation")
+                .and_then(|s| self.dissipation(s, sections.get("closed_loop"), &scope)),
+            closed_loop: sections
+                .get("closed_loop")
+                .and_then(|s| self.closed_loop(s, &scope)),
+        }
     }
 
     fn require_horizon(&mut self, root: &DeTable<'_>, sections: &Sections<'a>, cost: &Cost) {
@@ -375,21 +483,18 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// The point deviations are taken from.
-fn reference(
-    equilibrium: Option<&Equilibrium>,
-    region: Option<&[[f64; 2]]>,
-    finite: bool,
-) -> Option<Vec<f64>> {
-    match equilibrium {
-        Some(at) => Some(at.x.iter().map(|p| p.value).collect()),
-        None if finite => region.map(|r| {
-            r.iter()
-                .map(|[lower, upper]| 0.5 * (lower + upper))
-                .collect()
-        }),
-        None => None,
+/// In a game the lower of V(x) and V(x + period) is no value: an angle counts as it is written.
+/// Returns a remark on each.
+fn forget_periods(states: &mut [State]) -> Vec<String> {
+    let mut notes = Vec::new();
+    for state in states.iter_mut().filter(|s| s.period.is_some()) {
+        state.period = None;
+        notes.push(format!(
+            "a game: the period of `{}` is not used, and the angle counts as it is written",
+            state.variable.name
+        ));
     }
+    notes
 }
 
 fn horizon(

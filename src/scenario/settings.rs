@@ -344,56 +344,9 @@ impl<'a> Reader<'a> {
         };
         let most = count(self, "states", DEFAULT_MAP_STATES);
         let check = count(self, "check", DEFAULT_MAP_CHECK);
-        if let (Some(asked), Some(value)) = (check, section.get("check"))
-            && asked > MOST_MAP_CHECK
-        {
-            let message = format!("check = {asked}: at most {MOST_MAP_CHECK} fresh states");
-            self.refuse::<()>(
-                value.span(),
-                message,
-                "1000 tell a share of wrong bounds to 0.3 %",
-            );
-        }
-        if states.len() > MOST_MAP_STATES {
-            let message = format!("a map to an error is made for at most {MOST_MAP_STATES} states");
-            self.refuse::<()>(
-                section.span.clone(),
-                message,
-                format!("this scene has {}", states.len()),
-            );
-        }
+        self.check_map_size(section, states.len(), check);
         let time = self.time_axis(section, states.len(), finite, game);
-        let mut bounds = region?.to_vec();
-        if let Some(value) = section.get("region") {
-            let table = self.table(value, section.key_span("region"), "the region of the map")?;
-            self.entries_of(&table, states, "states");
-            for (state, bounds) in states.iter().zip(&mut bounds) {
-                let Some(value) = table.get(state.name) else {
-                    continue;
-                };
-                let what = format!("the map's range of `{}`", shorten(state.name));
-                let [lo, hi] = self.array(value, &what, "[lower, upper]", 2)? else {
-                    return None;
-                };
-                let (lo, hi) = (self.number(lo, &what)?, self.number(hi, &what)?);
-                if lo >= hi {
-                    let message = format!("{what} is empty: {lo} is not below {hi}");
-                    return self.refuse(value.span(), message, "the lower end comes first");
-                }
-                if lo < bounds[0] || hi > bounds[1] {
-                    let message = format!(
-                        "{what} is not inside the region, from {} to {}",
-                        bounds[0], bounds[1]
-                    );
-                    return self.refuse(
-                        value.span(),
-                        message,
-                        "make [region] wider, or this narrower",
-                    );
-                }
-                *bounds = [lo, hi];
-            }
-        }
+        let bounds = self.map_bounds(section, states, region?)?;
         let (error, most, check) = (error?, most?, check?);
         let error_max = match section.get("error_max") {
             Some(value) => {
@@ -415,6 +368,76 @@ impl<'a> Reader<'a> {
             time,
             span: section.span.clone(),
         })
+    }
+
+    /// Refuses a map to an error with too many fresh states or too many axes.
+    fn check_map_size(&mut self, section: &Section<'a>, states: usize, check: Option<usize>) {
+        if let (Some(asked), Some(value)) = (check, section.get("check"))
+            && asked > MOST_MAP_CHECK
+        {
+            let message = format!("check = {asked}: at most {MOST_MAP_CHECK} fresh states");
+            self.refuse::<()>(
+                value.span(),
+                message,
+                "1000 tell a share of wrong bounds to 0.3 %",
+            );
+        }
+        if states > MOST_MAP_STATES {
+            let message = format!("a map to an error is made for at most {MOST_MAP_STATES} states");
+            let label = format!("this scene has {states}");
+            self.refuse::<()>(section.span.clone(), message, label);
+        }
+    }
+
+    /// The region of a map to an error: the scene's, made narrower by `region`.
+    fn map_bounds(
+        &mut self,
+        section: &Section<'a>,
+        states: &[Declared<'a>],
+        region: &[[f64; 2]],
+    ) -> Option<Vec<[f64; 2]>> {
+        let mut bounds = region.to_vec();
+        let Some(value) = section.get("region") else {
+            return Some(bounds);
+        };
+        let table = self.table(value, section.key_span("region"), "the region of the map")?;
+        self.entries_of(&table, states, "states");
+        for (state, bounds) in states.iter().zip(&mut bounds) {
+            if let Some(value) = table.get(state.name) {
+                let what = format!("the map's range of `{}`", shorten(state.name));
+                *bounds = self.range_within(value, &what, *bounds)?;
+            }
+        }
+        Some(bounds)
+    }
+
+    /// A range `[lower, upper]` that is not empty and lies inside another.
+    fn range_within(
+        &mut self,
+        value: &'a Value<'a>,
+        what: &str,
+        bounds: [f64; 2],
+    ) -> Option<[f64; 2]> {
+        let [lo, hi] = self.array(value, what, "[lower, upper]", 2)? else {
+            return None;
+        };
+        let (lo, hi) = (self.number(lo, what)?, self.number(hi, what)?);
+        if lo >= hi {
+            let message = format!("{what} is empty: {lo} is not below {hi}");
+            return self.refuse(value.span(), message, "the lower end comes first");
+        }
+        if lo < bounds[0] || hi > bounds[1] {
+            let message = format!(
+                "{what} is not inside the region, from {} to {}",
+                bounds[0], bounds[1]
+            );
+            return self.refuse(
+                value.span(),
+                message,
+                "make [region] wider, or this narrower",
+            );
+        }
+        Some([lo, hi])
     }
 
     /// Whether a map to an error has time as an axis: unless the scene says, wherever that can be

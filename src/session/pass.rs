@@ -143,9 +143,9 @@ impl Pass<'_> {
             targets,
             aim,
             stored,
-            ..
+            study,
+            grid_guesses,
         } = self;
-        let backend = session.backend.as_ref();
         let mut outcome = Outcome {
             swept: SweepReport::default(),
             stored,
@@ -159,64 +159,24 @@ impl Pass<'_> {
             targets,
             plan,
         };
-        let plan = &outcome.plan;
 
-        // The sweep.
         let solves = outcome.targets.is_some() || aim.is_some();
-        let mut archive = solves.then(|| Archive::new(plan));
-        let direct = !stored && value::goes_without_sweep(plan);
+        let mut archive = solves.then(|| Archive::new(&outcome.plan));
+        let direct = !stored && value::goes_without_sweep(&outcome.plan);
         if !direct {
-            outcome.swept =
-                session.sweep_into(plan, archive.as_mut(), &mut |block| match stored {
-                    true => write(block),
-                    false => Ok(()),
-                })?;
-        }
-
-        // The states.
-        if let (Some(targets), Some(archive)) = (&mut outcome.targets, &mut archive) {
-            targets.request.partial = true;
-            if self.grid_guesses {
-                targets.request.grid = match session.grid(plan, &targets.all()) {
-                    Err(_) if session.is_over() => None,
-                    grid => Some(grid?),
-                };
-            }
-            let mut solver = value::solver(plan, backend).map_err(SessionError::from)?;
-            let mut found = session.answers(plan, &mut solver, archive, targets)?;
-            // What nothing has led to may have a swept trajectory near it.
-            let may_need_sweep = direct && value::may_need_sweep(plan) && !found.stopped;
-            if may_need_sweep && found.lacks_guesses() {
-                outcome.swept = session.sweep_into::<E>(plan, Some(archive), &mut |_| Ok(()))?;
-                found = session.answers(plan, &mut solver, archive, targets)?;
-            }
-            outcome.listed = if targets.listed { targets.points() } else { 0 };
-            if let Some(samples) = targets.samples {
-                let of_given = &found.targets.of_given[..outcome.listed];
-                let entries: Vec<&Entry> =
-                    of_given.iter().filter_map(|t| found.answer(*t)).collect();
-                // What is solved has its trajectory, whatever the time.
-                solver.deadline = Deadline::default();
-                let block = value::sampled(plan, &mut solver, &entries, samples)
-                    .map_err(SessionError::from)?;
-                outcome.sampled = Some((samples, block));
-            }
-            outcome.answers = Some(found);
-        }
-
-        // The map and the study.
-        if let (Some(aim), Some(archive)) = (aim, &archive) {
-            outcome.mapped = match session.map_to_error(plan, archive, aim) {
-                Err(SessionError::Backend(BackendError::OutOfTime)) => {
-                    session
-                        .progress
-                        .note("no map was made: the run was ended before");
-                    None
-                }
-                made => Some(made?),
+            let write = &mut |block| match stored {
+                true => write(block),
+                false => Ok(()),
             };
+            outcome.swept = session.sweep_into(&outcome.plan, archive.as_mut(), write)?;
         }
-        if self.study {
+        if let Some(archive) = &mut archive {
+            session.solve_states(&mut outcome, archive, direct, grid_guesses)?;
+        }
+        if let (Some(aim), Some(archive)) = (aim, &archive) {
+            outcome.mapped = session.map_or_note(&outcome.plan, archive, aim)?;
+        }
+        if study {
             outcome.variants = session.study_with(choices)?;
         }
 
@@ -225,13 +185,73 @@ impl Pass<'_> {
         if outcome.stopped {
             return Ok(outcome);
         }
-        outcome.estimates = Estimates::new(plan, &outcome.swept, stored, outcome.answers.as_ref())
-            .map_err(SessionError::from)?;
+        let (plan, answers) = (&outcome.plan, outcome.answers.as_ref());
+        outcome.estimates =
+            Estimates::new(plan, &outcome.swept, stored, answers).map_err(SessionError::from)?;
         Ok(outcome)
     }
 }
 
 impl Session<'_> {
+    /// Solves for the states of a pass, if there are any, and samples the trajectories from those
+    /// of the list. `direct`: nothing was swept so far.
+    fn solve_states(
+        &self,
+        outcome: &mut Outcome,
+        archive: &mut Archive,
+        direct: bool,
+        grid_guesses: bool,
+    ) -> Result<(), SessionError> {
+        let plan = &outcome.plan;
+        let Some(targets) = &mut outcome.targets else {
+            return Ok(());
+        };
+        targets.request.partial = true;
+        if grid_guesses {
+            targets.request.grid = match self.grid(plan, &targets.all()) {
+                Err(_) if self.is_over() => None,
+                grid => Some(grid?),
+            };
+        }
+        let mut solver = value::solver(plan, self.backend.as_ref())?;
+        let mut found = self.answers(plan, &mut solver, archive, targets)?;
+        // What nothing has led to may have a swept trajectory near it.
+        let may_need_sweep = direct && value::may_need_sweep(plan) && !found.stopped;
+        if may_need_sweep && found.lacks_guesses() {
+            outcome.swept =
+                self.sweep_into::<SessionError>(plan, Some(archive), &mut |_| Ok(()))?;
+            found = self.answers(plan, &mut solver, archive, targets)?;
+        }
+        outcome.listed = if targets.listed { targets.points() } else { 0 };
+        if let Some(samples) = targets.samples {
+            let of_given = &found.targets.of_given[..outcome.listed];
+            let entries: Vec<&Entry> = of_given.iter().filter_map(|t| found.answer(*t)).collect();
+            // What is solved has its trajectory, whatever the time.
+            solver.deadline = Deadline::default();
+            let block = value::sampled(plan, &mut solver, &entries, samples)?;
+            outcome.sampled = Some((samples, block));
+        }
+        outcome.answers = Some(found);
+        Ok(())
+    }
+
+    /// The map that a scene's `[map] error` asks for; `None`, with a note, where the time is over.
+    fn map_or_note(
+        &self,
+        plan: &Plan,
+        archive: &Archive,
+        aim: &MapAim,
+    ) -> Result<Option<Adaptive>, SessionError> {
+        match self.map_to_error(plan, archive, aim) {
+            Err(SessionError::Backend(BackendError::OutOfTime)) => {
+                self.progress
+                    .note("no map was made: the run was ended before");
+                Ok(None)
+            }
+            made => made.map(Some),
+        }
+    }
+
     /// V on a grid over the states, for first guesses.
     fn grid(
         &self,

@@ -4,6 +4,7 @@
 pub mod accuracy;
 mod caustic;
 pub mod complex;
+mod draft;
 mod fronts;
 mod observe;
 mod plan;

@@ -1,11 +1,12 @@
 //! What a scene's sweep integrates, with which tolerances, and where its trajectories are sampled
 //! and end.
 
+use super::draft::Draft;
 use super::surface::{Surface, corners};
-use crate::backend::{Backend, By, Deadline, Guards, Run, Spec, Status};
-use crate::expr::{Id, Kind};
+use crate::backend::{Backend, Deadline, Run, Spec, Status};
+use crate::expr::Id;
 use crate::hamiltonian::{Hamiltonian, Slope, System, infinite};
-use crate::local::{LocalError, LocalSolution, Riccati, SeedChoice};
+use crate::local::{LocalError, LocalSolution, Riccati};
 use crate::model::{Horizon, Method, Model, Precision, SampleBy, SeedValue, ShootOut};
 use crate::program::Program;
 use crate::shooting::End;
@@ -15,10 +16,10 @@ const F32_RTOL: f64 = 1e-5;
 /// Tolerances below this many rounding errors cannot be met.
 const LEAST_RTOL: f64 = 4.0;
 /// Share of the tolerance that the seeds may use up.
-const SEED_SHARE: f64 = 0.1;
+pub(super) const SEED_SHARE: f64 = 0.1;
 /// A trajectory along which V may fall again is given up at this many times `value_max`, or the
 /// quadratic V of the region's corners where that is more.
-const BEYOND_VALUE: f64 = 10.0;
+pub(super) const BEYOND_VALUE: f64 = 10.0;
 
 /// Status code of the first guard; the others follow.
 pub const GUARD_STATUS: i32 = 16;
@@ -248,217 +249,54 @@ impl Plan {
         backend: &dyn Backend,
         choices: Choices,
     ) -> Result<Self, PlanError> {
-        let mut shoot_out = match &model.shoot_out {
-            Some(asked) => asked.clone(),
-            None if choices.unasked => unasked_sweep(model, hamiltonian)?,
-            None => return Err(PlanError::NoShootOut),
-        };
-        shoot_out.max_seeds = choices
-            .max_seeds
-            .map_or(shoot_out.max_seeds, |m| m.min(shoot_out.max_seeds));
-        let n = model.states.len();
-        let most = most_states(matches!(model.horizon, Horizon::Finite { .. }));
-        if n > most && !choices.dispensable {
-            return Err(PlanError::TooManyStates { states: n, most });
-        }
-        let bytes = shoot_out.samples.saturating_mul(8 * (2 * n + 3));
-        if bytes > MOST_BYTES {
-            return Err(PlanError::TooManySamples {
-                samples: shoot_out.samples,
-                mebibytes: bytes >> 20,
-            });
-        }
+        let shoot_out = asked_sweep(model, hamiltonian, choices)?;
+        check_size(model, &shoot_out, choices)?;
         let system = System::new(hamiltonian, model);
-        let operations = Program::lower(&system.graph, &system.inputs, &system.rate)
-            .code
-            .len();
-        if operations > MOST_OPERATIONS {
-            return Err(PlanError::TooLong { operations });
-        }
-        let Numerics {
-            precision,
-            method,
-            rtol_asked,
-            rtol,
-            atol,
-            deadline: _,
-        } = Numerics::choose(model, backend, choices)?;
-
+        check_length(&system)?;
+        let numerics = Numerics::choose(model, backend, choices)?;
         let widths: Vec<f64> = model.region.iter().map(|[lo, hi]| hi - lo).collect();
-        let region: Vec<[f64; 2]> = (model.region.iter().zip(&system.reference))
-            .map(|([lo, hi], x)| [lo - x, hi - x])
-            .collect();
-        let periodic: Vec<bool> = model.states.iter().map(|s| s.period.is_some()).collect();
-        let sampling = match model.horizon {
-            Horizon::Finite { .. } => Sampling::Time,
-            Horizon::Infinite { .. } => match shoot_out.sample_by {
-                Some(SampleBy::Value) => Sampling::Value,
-                Some(SampleBy::ArcLength) => Sampling::ArcLength,
-                None if !model.is_game() && value_is_monotone(&system, &region) => Sampling::Value,
-                None => Sampling::ArcLength,
-            },
-        };
-        let value_max = shoot_out.value_max.unwrap_or(f64::INFINITY);
-        let samples = shoot_out.samples;
-        let (surface, local, value_scale) = match &system.terminal {
-            None => {
-                let riccati = Riccati::solve(hamiltonian, model)?;
-                let first_front = value_max / samples as f64;
-                let choice = SeedChoice {
-                    asked: shoot_out.seed_value,
-                    tolerance: SEED_SHARE * rtol * first_front,
-                    ceiling: 0.5 * first_front,
-                    outer: value_max,
-                };
-                let local = LocalSolution::new(&system, model, riccati, choice)?;
-                (
-                    Surface::sphere(&system, local.clone()),
-                    Some(local),
-                    value_max,
-                )
-            }
-            Some(terminal) => {
-                let surface = Surface::terminal(&system, terminal, region.clone());
-                let scale = surface.largest_value();
-                (surface, None, if scale > 0.0 { scale } else { 1.0 })
-            }
-        };
+        let region = deviations(&model.region, &system.reference);
+        let periods: Vec<Option<f64>> = model.states.iter().map(|s| s.period).collect();
+        let sampling = sampling(model, &system, &shoot_out, &region);
 
-        let game = model.is_game();
-        let end = End::new(&system, local.as_ref());
+        let draft = Draft {
+            model,
+            system: &system,
+            shoot_out: &shoot_out,
+            numerics: &numerics,
+            sampling,
+            region: &region,
+            widths: &widths,
+        };
+        let manifold = draft.manifold(hamiltonian)?;
+        let value_scale = manifold.value_scale;
+        let end = End::new(&system, manifold.local.as_ref());
         let slope_units = slope_units(&end, &widths, value_scale);
-        let folds = (game || shoot_out.folds).then(|| {
-            let mut graph = system.graph.clone();
-            let slope = Slope::new(&mut graph, &system, &slope_units, infinite(precision));
-            (graph, slope)
-        });
-        let mut rate = system.rate.clone();
-        // What is integrated beside (s, p) depends on them alone, but for the slope.
-        let mut inputs = system.inputs.clone();
-        let value = 2 * n;
-        let ceiling = if game {
-            let corners = local
-                .as_ref()
-                .map_or(0.0, |l| largest_quadratic(model, &l.riccati));
-            BEYOND_VALUE * value_max.max(corners)
-        } else {
-            value_max
-        };
-        let ceiling = (value, ceiling);
-        let steps = |end: f64| {
-            (1..=samples)
-                .map(|k| end * k as f64 / samples as f64)
-                .collect::<Vec<f64>>()
-        };
-        let (by, levels, ceiling) = match sampling {
-            Sampling::Value => (By::Component(value), steps(value_max), None),
-            Sampling::Time => {
-                let time = system.terminal.as_ref().map_or(0.0, |t| t.time);
-                let mut levels = steps(time);
-                // To the last bit.
-                levels[samples - 1] = time;
-                (By::Time, levels, value_max.is_finite().then_some(ceiling))
-            }
-            Sampling::ArcLength => {
-                rate.push(system.arc_rate);
-                (
-                    By::Component(value + 1),
-                    steps(shoot_out.arc_length),
-                    Some(ceiling),
-                )
-            }
-        };
-        let seed_value = local.as_ref().map_or(0.0, |l| l.seed_value);
-        let inner = if choices.inner_levels && sampling == Sampling::Value {
-            inner_levels(seed_value, levels[0])
-        } else {
-            Vec::new()
-        };
-        let mut scales: Vec<f64> = widths.clone();
-        scales.extend(widths.iter().map(|w| value_scale / w));
-        scales.push(value_scale);
-        if sampling == Sampling::ArcLength {
-            scales.push(1.0);
-        }
-        let bounds = (region.iter().zip(&widths).zip(&periodic))
-            .map(|(([lo, hi], w), periodic)| {
-                let margin = if *periodic {
-                    f64::INFINITY
-                } else {
-                    shoot_out.margin * w
-                };
-                [lo - margin, hi + margin]
-            })
-            .collect();
-        let mut graph = folds
-            .as_ref()
-            .map_or(&system.graph, |(graph, _)| graph)
-            .clone();
-        let switches = graph.kinks(&rate);
-        let mut conditions: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
-        let mut strict: Vec<bool> = system.guards.iter().map(|g| g.strict).collect();
-        let slope = folds.map(|(_, slope)| {
-            let first = rate.len();
-            inputs.extend(
-                (2 * n..first).map(|k| graph.symbol(&format!("component {k}"), Kind::State)),
-            );
-            inputs.extend(&slope.symbols);
-            rate.extend(&slope.rate);
-            scales.extend(Slope::packed(&slope_units, n));
-            conditions.push(slope.guard);
-            strict.push(true);
-            first
-        });
-        let kinks = (!switches.is_empty()).then(|| Program::lower(&graph, &inputs, &switches));
-        let guards = (!conditions.is_empty()).then(|| Guards {
-            program: Program::lower(&graph, &inputs, &conditions),
-            strict,
-        });
+        let course = draft.course(&manifold, choices.inner_levels);
+        let integrand = draft.integrand(value_scale, &slope_units);
         Ok(Self {
             deadline: choices.deadline,
-            spec: Spec {
-                rate: Program::lower(&graph, &inputs, &rate),
-                guards,
-                kinks,
-                method,
-                precision,
-                by,
-                store: true,
-            },
-            run: Run {
-                rtol,
-                atol: scales.iter().map(|s| atol * s).collect(),
-                step: model.integrator.step.unwrap_or(0.0),
-                first: None,
-                max_steps: u32::try_from(model.integrator.max_steps).unwrap_or(u32::MAX),
-                levels: [inner.as_slice(), &levels].concat(),
-                ceiling,
-                bounds,
-            },
-            surface,
+            run: draft.run(&course, &integrand.scales),
+            slope: integrand.slope,
+            spec: integrand.spec(&numerics, course.by),
+            surface: manifold.surface,
             sampling,
-            inner: inner.len(),
-            shoot_out,
-            local,
-            rtol_asked,
-            atol,
-            recurrent: recurrent(
-                &system,
-                &model.states.iter().map(|s| s.period).collect::<Vec<_>>(),
-                &region,
-                &widths,
-            ),
-            periods: model.states.iter().map(|s| s.period).collect(),
-            periodic,
+            inner: course.inner,
+            local: manifold.local,
+            rtol_asked: numerics.rtol_asked,
+            atol: numerics.atol,
+            recurrent: recurrent(&system, &periods, &region, &widths),
+            periodic: periods.iter().map(Option::is_some).collect(),
+            periods,
             widths,
             value_scale,
             region,
-            system,
-            game,
-            slope,
+            game: model.is_game(),
             slope_units,
             end,
             seed: choices.seed,
+            shoot_out,
+            system,
         })
     }
 
@@ -552,6 +390,80 @@ impl Plan {
             .find(|(c, _)| *c == code)
             .map_or_else(|| format!("status_{code}"), |(_, n)| n)
     }
+}
+
+/// The sweep that the scene asks for, or one for first guesses, with no more seeds than chosen.
+///
+/// # Errors
+/// [`PlanError::NoShootOut`]; [`PlanError::Local`].
+fn asked_sweep(
+    model: &Model,
+    hamiltonian: &Hamiltonian,
+    choices: Choices,
+) -> Result<ShootOut, PlanError> {
+    let mut shoot_out = match &model.shoot_out {
+        Some(asked) => asked.clone(),
+        None if choices.unasked => unasked_sweep(model, hamiltonian)?,
+        None => return Err(PlanError::NoShootOut),
+    };
+    shoot_out.max_seeds = choices
+        .max_seeds
+        .map_or(shoot_out.max_seeds, |m| m.min(shoot_out.max_seeds));
+    Ok(shoot_out)
+}
+
+/// Whether seeds can be triangulated, and one trajectory's points held.
+///
+/// # Errors
+/// [`PlanError::TooManyStates`]; [`PlanError::TooManySamples`].
+fn check_size(model: &Model, shoot_out: &ShootOut, choices: Choices) -> Result<(), PlanError> {
+    let n = model.states.len();
+    let most = most_states(matches!(model.horizon, Horizon::Finite { .. }));
+    if n > most && !choices.dispensable {
+        return Err(PlanError::TooManyStates { states: n, most });
+    }
+    let bytes = shoot_out.samples.saturating_mul(8 * (2 * n + 3));
+    if bytes > MOST_BYTES {
+        return Err(PlanError::TooManySamples {
+            samples: shoot_out.samples,
+            mebibytes: bytes >> 20,
+        });
+    }
+    Ok(())
+}
+
+/// Whether the equations are short enough to be numbered.
+///
+/// # Errors
+/// [`PlanError::TooLong`].
+fn check_length(system: &System) -> Result<(), PlanError> {
+    let operations = Program::lower(&system.graph, &system.inputs, &system.rate)
+        .code
+        .len();
+    if operations > MOST_OPERATIONS {
+        return Err(PlanError::TooLong { operations });
+    }
+    Ok(())
+}
+
+/// The coordinate to sample by: the one asked for, else V where it is monotone along trajectories.
+fn sampling(model: &Model, system: &System, shoot_out: &ShootOut, region: &[[f64; 2]]) -> Sampling {
+    if matches!(model.horizon, Horizon::Finite { .. }) {
+        return Sampling::Time;
+    }
+    match shoot_out.sample_by {
+        Some(SampleBy::Value) => Sampling::Value,
+        Some(SampleBy::ArcLength) => Sampling::ArcLength,
+        None if !model.is_game() && value_is_monotone(system, region) => Sampling::Value,
+        None => Sampling::ArcLength,
+    }
+}
+
+/// A box as deviations from a point.
+fn deviations(region: &[[f64; 2]], reference: &[f64]) -> Vec<[f64; 2]> {
+    (region.iter().zip(reference))
+        .map(|([lo, hi], x)| [lo - x, hi - x])
+        .collect()
 }
 
 /// The periods by which all rates, the running cost among them, and the guards repeat (looked at in
@@ -661,10 +573,8 @@ fn unasked_sweep(model: &Model, hamiltonian: &Hamiltonian) -> Result<ShootOut, P
 }
 
 /// Largest quadratic V of the region's corners.
-fn largest_quadratic(model: &Model, riccati: &Riccati) -> f64 {
-    let region: Vec<[f64; 2]> = (model.region.iter().zip(model.reference()))
-        .map(|([lo, hi], x)| [lo - x, hi - x])
-        .collect();
+pub(super) fn largest_quadratic(model: &Model, riccati: &Riccati) -> f64 {
+    let region = deviations(&model.region, model.reference());
     largest_at_corners(&riccati.p, &region)
 }
 
@@ -682,18 +592,6 @@ fn largest_at_corners(p: &nalgebra::DMatrix<f64>, region: &[[f64; 2]]) -> f64 {
             .sum::<f64>()
     };
     corners(n).map(|c| at(&c)).fold(0.0, f64::max)
-}
-
-/// Levels between the seeds' V and the first one asked for, each a few times the one before.
-fn inner_levels(seed_value: f64, first: f64) -> Vec<f64> {
-    const RATIO: f64 = 3.0;
-    let mut levels = Vec::new();
-    let mut level = RATIO * seed_value;
-    while level < first / RATIO.sqrt() && levels.len() < 64 {
-        levels.push(level);
-        level *= RATIO;
-    }
-    levels
 }
 
 /// Whether L is nowhere negative in the region, even at the cheapest control (looked at in many

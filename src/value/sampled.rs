@@ -42,44 +42,15 @@ pub fn sampled(
     };
     for entry in entries {
         let path = &entry.path;
-        let horizon = path.horizon();
-        // A path of unconnected segments from the node before each time up to it.
-        let mut pieces = Path::new(path.node(0));
-        pieces.nodes.clear();
-        let mut times = Vec::with_capacity(samples);
-        let mut before = Vec::with_capacity(samples);
-        let (mut segment, mut begins) = (0, 0.0);
-        for q in 0..samples {
-            // The last one is the end to the last bit.
-            let t = if q > 0 && q + 1 == samples {
-                horizon
-            } else {
-                horizon * q as f64 / (samples - 1).max(1) as f64
-            };
-            while segment + 1 < path.segments() && t > begins + path.durations[segment] {
-                begins += path.durations[segment];
-                segment += 1;
-            }
-            pieces.push((t - begins).max(0.0), path.node(segment));
-            before.push(segment);
-            times.push(t - horizon);
-        }
-        pieces.nodes.extend_from_slice(path.last());
-        let (points, costs) = solver.ends(&pieces)?;
-        let whole = solver.ends(path)?.1;
-        let cost_before: Vec<f64> = (whole.iter())
-            .scan(0.0, |sum, c| {
-                let here = *sum;
-                *sum += c;
-                Some(here)
-            })
-            .collect();
+        let places = Places::along(path, samples);
+        let (points, costs) = solver.ends(&places.pieces)?;
+        let cost_before = sums_before(&solver.ends(path)?.1);
         let values = evaluator.eval(&points, 2 * n);
         let width = m + k + 1;
         for q in 0..samples {
             let z = &points[q * 2 * n..][..2 * n];
             let row = &values[q * width..][..width];
-            block.t.push(times[q]);
+            block.t.push(places.times[q]);
             block.x.extend(
                 z[..n]
                     .iter()
@@ -90,7 +61,8 @@ pub fn sampled(
             block.u.extend_from_slice(&row[..m]);
             block.w.extend_from_slice(&row[m..m + k]);
             block.h.push(row[m + k]);
-            let spent = cost_before.get(before[q]).copied().unwrap_or(0.0) + costs[q];
+            let before = cost_before.get(places.segments[q]).copied();
+            let spent = before.unwrap_or(0.0) + costs[q];
             block.v.push(entry.value - spent);
         }
         let drift = values
@@ -105,4 +77,57 @@ pub fn sampled(
         block.hamiltonian_drift.push(drift);
     }
     Ok(block)
+}
+
+/// Places on a path, evenly spaced in time.
+struct Places {
+    /// Unconnected segments, each from the node before a place up to it.
+    pieces: Path,
+    /// 0 at the end of the path.
+    times: Vec<f64>,
+    /// The segment of the path that each place is on.
+    segments: Vec<usize>,
+}
+
+impl Places {
+    fn along(path: &Path, samples: usize) -> Self {
+        let horizon = path.horizon();
+        let mut pieces = Path::new(path.node(0));
+        pieces.nodes.clear();
+        let mut times = Vec::with_capacity(samples);
+        let mut segments = Vec::with_capacity(samples);
+        let (mut segment, mut begins) = (0, 0.0);
+        for q in 0..samples {
+            // The last one is the end to the last bit.
+            let t = if q > 0 && q + 1 == samples {
+                horizon
+            } else {
+                horizon * q as f64 / (samples - 1).max(1) as f64
+            };
+            while segment + 1 < path.segments() && t > begins + path.durations[segment] {
+                begins += path.durations[segment];
+                segment += 1;
+            }
+            pieces.push((t - begins).max(0.0), path.node(segment));
+            segments.push(segment);
+            times.push(t - horizon);
+        }
+        pieces.nodes.extend_from_slice(path.last());
+        Self {
+            pieces,
+            times,
+            segments,
+        }
+    }
+}
+
+/// Of each number the sum of those before it.
+fn sums_before(numbers: &[f64]) -> Vec<f64> {
+    (numbers.iter())
+        .scan(0.0, |sum, c| {
+            let here = *sum;
+            *sum += c;
+            Some(here)
+        })
+        .collect()
 }

@@ -268,6 +268,11 @@ struct Going {
     t: f64,
 }
 
+/// Adds points of tracks before the states that these were solved for, as long as they are exact
+/// and wanted. Track k has the number `first + k`.
+///
+/// # Errors
+/// Device failures only.
 fn backward(
     plan: &Plan,
     solver: &mut Solver,
@@ -276,11 +281,7 @@ fn backward(
     wish: &Wish,
     points: &mut TrackPoints,
 ) -> Result<(), BackendError> {
-    let system = &plan.system;
-    let n = points.states;
-    let roots = [&system.rate[..=2 * n], &[system.observer.hamiltonian]].concat();
-    let rates = Evaluator::new(&Program::lower(&system.graph, &system.inputs, &roots));
-    let guards = Guards::of(plan);
+    let backward = Backward::new(plan, wish);
     let mut going: Vec<Going> = (tracks.iter().enumerate())
         .filter(|(_, track)| track.whole)
         .map(|(k, track)| Going {
@@ -291,9 +292,51 @@ fn backward(
         })
         .collect();
     for _ in 0..MOST_BEYOND {
+        going = backward.step(solver, going)?;
+        backward.keep_exact(&mut going);
+        if going.is_empty() {
+            break;
+        }
+        for g in &going {
+            points.push(&g.node, g.v, g.track, g.t);
+        }
+    }
+    Ok(())
+}
+
+/// With what tracks are followed backward.
+struct Backward<'b> {
+    plan: &'b Plan,
+    wish: &'b Wish,
+    n: usize,
+    /// Rates of `(s, p, V)`, and H.
+    rates: Evaluator,
+    guards: Option<Guards>,
+}
+
+impl<'b> Backward<'b> {
+    fn new(plan: &'b Plan, wish: &'b Wish) -> Self {
+        let (system, n) = (&plan.system, plan.system.states);
+        let roots = [&system.rate[..=2 * n], &[system.observer.hamiltonian]].concat();
+        Self {
+            plan,
+            wish,
+            n,
+            rates: Evaluator::new(&Program::lower(&system.graph, &system.inputs, &roots)),
+            guards: Guards::of(plan),
+        }
+    }
+
+    /// Rates and H of each, `[track][2n + 2]`.
+    fn rates(&self, going: &[Going]) -> Vec<f64> {
         let nodes: Vec<f64> = going.iter().flat_map(|g| g.node.iter().copied()).collect();
-        let values = rates.eval(&nodes, 2 * n);
-        let steps: Vec<f64> = (going.iter().zip(values.chunks(2 * n + 2)))
+        self.rates.eval(&nodes, 2 * self.n)
+    }
+
+    /// Times to the next points that are wanted.
+    fn steps(&self, going: &[Going]) -> Vec<f64> {
+        let (n, wish) = (self.n, self.wish);
+        (going.iter().zip(self.rates(going).chunks(2 * n + 2)))
             .map(|(g, rate)| {
                 let speed = (0..n)
                     .map(|i| (rate[i] / wish.width(i)).powi(2))
@@ -302,7 +345,13 @@ fn backward(
                 let growth = (rate[2 * n] / g.v.abs().max(wish.floor)).abs();
                 (wish.spacing / speed).min(wish.change / growth)
             })
-            .collect();
+            .collect()
+    }
+
+    /// The tracks one step earlier, those that stay where points are wanted.
+    fn step(&self, solver: &mut Solver, going: Vec<Going>) -> Result<Vec<Going>, BackendError> {
+        let (n, wish) = (self.n, self.wish);
+        let steps = self.steps(&going);
         let parts: Vec<Path> = (going.iter().zip(&steps))
             .map(|(g, step)| {
                 let mut part = Path::new(&g.node);
@@ -312,7 +361,7 @@ fn backward(
             })
             .collect();
         let done = solver.ends_of(&parts.iter().collect::<Vec<_>>(), true)?;
-        let mut next: Vec<Going> = (going.into_iter().zip(done).zip(&steps))
+        Ok((going.into_iter().zip(done).zip(&steps))
             .filter_map(|((g, done), step)| {
                 let (node, costs) = done?;
                 let v = g.v - costs[0];
@@ -324,33 +373,27 @@ fn backward(
                     ..g
                 })
             })
-            .collect();
-        // Rounding and the ends of what guards allow.
-        let nodes: Vec<f64> = next.iter().flat_map(|g| g.node.iter().copied()).collect();
-        let values = rates.eval(&nodes, 2 * n);
-        let allowed = guards.as_ref().map(|g| g.margins(&nodes));
+            .collect())
+    }
+
+    /// Ends tracks by rounding, and where guards end what is allowed.
+    fn keep_exact(&self, going: &mut Vec<Going>) {
+        let n = self.n;
+        let values = self.rates(going);
+        let nodes: Vec<f64> = going.iter().flat_map(|g| g.node.iter().copied()).collect();
+        let allowed = self.guards.as_ref().map(|g| g.margins(&nodes));
+        let guards = self.plan.system.guards.len();
         let mut k = 0;
-        next.retain(|g| {
+        going.retain(|g| {
             let rate = &values[k * (2 * n + 2)..][..2 * n + 2];
             let terms: f64 =
                 (0..n).map(|i| (rate[i] * g.node[n + i]).abs()).sum::<f64>() + rate[2 * n].abs();
-            let outside = (allowed.as_ref()).is_some_and(|a| {
-                a[k * system.guards.len()..][..system.guards.len()]
-                    .iter()
-                    .any(|g| *g < 0.0)
-            });
+            let outside = (allowed.as_ref())
+                .is_some_and(|a| a[k * guards..][..guards].iter().any(|g| *g < 0.0));
             k += 1;
             rate[2 * n + 1].abs() <= MOST_DRIFT * terms && !outside
         });
-        going = next;
-        if going.is_empty() {
-            break;
-        }
-        for g in &going {
-            points.push(&g.node, g.v, g.track, g.t);
-        }
     }
-    Ok(())
 }
 
 /// The rest of a track from one of its points on, as a guess. `later` are points of the same track

@@ -163,7 +163,25 @@ impl GpuKernel {
         }
     }
 
-    /// Integrates as many trajectories as fit the device's bindings.
+    /// Makes the buffers fit for a batch.
+    ///
+    /// # Errors
+    /// Device failures.
+    fn allocate(&mut self, shape: Shape) -> Result<(), BackendError> {
+        if self.memory.as_ref().is_some_and(|m| m.holds(&shape)) {
+            return Ok(());
+        }
+        // Freed first: both need not fit.
+        self.memory = None;
+        self.memory = Some(Memory::new(&self.device, &self.layout, shape));
+        self.device.check()
+    }
+
+    /// Integrates as many trajectories as fit the device's bindings: those of the result from
+    /// `first` on.
+    ///
+    /// # Errors
+    /// Device failures, and results that were not written.
     fn part(
         &mut self,
         run: &Run,
@@ -173,105 +191,24 @@ impl GpuKernel {
         first: usize,
         result: &mut Trajectories,
     ) -> Result<(), BackendError> {
-        let (dim, count) = (shape.dim, shape.trajectories);
-        let device = Arc::clone(&self.device);
-        if !self.memory.as_ref().is_some_and(|m| m.holds(&shape)) {
-            // Freed first: both need not fit.
-            self.memory = None;
-            self.memory = Some(Memory::new(&device, &self.layout, shape));
-            device.check()?;
-        }
+        self.allocate(shape)?;
         let (Some(memory), Some(pipelines)) = (&self.memory, self.pipelines.get(&variant)) else {
             return Err(BackendError::Unwritten { index: 0 });
         };
-        let precision = self.spec.precision;
-        let queue = &device.queue;
-        queue.write_buffer(
-            &memory.settings,
-            0,
-            &reals(settings(&self.spec, run, self.levels(run)), precision),
-        );
-        by_component(seeds, dim, precision, |bytes| {
-            queue.write_buffer(&memory.state, 0, bytes);
-        });
-
-        let mut active = count as u32;
-        let mut list = 0;
-        let mut started = false;
-        let mut work = self.work(active);
-        let mut seconds = 0.0;
-        while active > 0 {
-            let before = Instant::now();
-            let levels = self.levels(run).len() as u32;
-            let control = [active, list, count as u32, work, run.max_steps, levels];
-            queue.write_buffer(&memory.control, 0, bytemuck::cast_slice(&control));
-            queue.write_buffer(&memory.remaining, 0, &[0; 4]);
-            let mut encoder = device.device.create_command_encoder(&Default::default());
-            if !started {
-                memory.blank(&mut encoder, 4 * count, shape.ends());
-            }
-            {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                    label: None,
-                    timestamp_writes: self.clock.as_ref().map(Clock::writes),
-                });
-                pass.set_bind_group(0, &memory.bindings, &[]);
-                if !started {
-                    pass.set_pipeline(&pipelines.start);
-                    pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
-                }
-                pass.set_pipeline(&pipelines.sweep);
-                pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
-            }
-            let count = |b: &[u8]| u32::from_ne_bytes([b[0], b[1], b[2], b[3]]);
-            let (left, stamped) = match &self.clock {
-                Some(clock) => {
-                    let stamps = clock.resolve(&mut encoder);
-                    let wanted = [(&memory.remaining, 4), (stamps, Clock::BYTES)];
-                    let (left, seconds) = memory.read(&device, encoder, wanted, |[b, s]| {
-                        (count(b), clock.seconds(s))
-                    })?;
-                    self.seconds += seconds;
-                    (left, Some(seconds))
-                }
-                None => {
-                    let wanted = [(&memory.remaining, 4)];
-                    let left = memory.read(&device, encoder, wanted, |[b]| count(b))?;
-                    (left, None)
-                }
-            };
-            started = true;
-            // By the device's clock, for the first dispatch waits for the seeds; some drivers offer
-            // one that stands still. At most this much was done, so the measured speed is at most
-            // too high by what ended early.
-            let elapsed = before.elapsed().as_secs_f64();
-            let dispatch = stamped.filter(|s| *s > 0.0).unwrap_or(elapsed);
-            seconds += dispatch;
-            work = bounded(
-                f64::from(work) * (DISPATCH_SECONDS / dispatch).min(8.0) * f64::from(active)
-                    / f64::from(left.max(1)),
-            );
-            active = left;
-            list = 1 - list;
-        }
-        let encoder = device.device.create_command_encoder(&Default::default());
-        let samples = memory.samples.as_ref().unwrap_or(&memory.ends);
-        let wanted = [
-            (&memory.counters, shape.counters()),
-            (&memory.ends, shape.ends()),
-            (samples, shape.samples()),
-        ];
-        memory.read(&device, encoder, wanted, |[counters, ends, samples]| {
-            let written = Written {
-                counters,
-                ends,
-                samples,
-            };
-            results::fill(result, first, &self.spec, run, shape, &written)
-        })??;
-        let attempts: f64 = (first..first + count)
+        let part = Part {
+            kernel: self,
+            memory,
+            pipelines,
+            run,
+            shape,
+        };
+        part.upload(seeds);
+        let (seconds, stamped) = part.sweep(self.seconds)?;
+        part.fill(first, result)?;
+        let attempts: f64 = (first..first + shape.trajectories)
             .map(|i| f64::from(result.steps[i]) + f64::from(result.rejected[i]))
             .sum();
+        self.seconds = stamped;
         self.speed = Some(attempts / seconds);
         Ok(())
     }
@@ -281,6 +218,133 @@ impl GpuKernel {
         self.speed.map_or(FIRST_WORK, |s| {
             bounded(s * DISPATCH_SECONDS / f64::from(active))
         })
+    }
+}
+
+/// Trajectories of a batch that are integrated at once.
+struct Part<'p> {
+    kernel: &'p GpuKernel,
+    memory: &'p Memory,
+    pipelines: &'p Pipelines,
+    run: &'p Run,
+    shape: Shape,
+}
+
+impl Part<'_> {
+    /// Writes settings and seeds to the device.
+    fn upload(&self, seeds: &[f64]) {
+        let (kernel, memory) = (self.kernel, self.memory);
+        let (queue, precision) = (&kernel.device.queue, kernel.spec.precision);
+        let set = settings(&kernel.spec, self.run, kernel.levels(self.run));
+        queue.write_buffer(&memory.settings, 0, &reals(set, precision));
+        by_component(seeds, self.shape.dim, precision, |bytes| {
+            queue.write_buffer(&memory.state, 0, bytes);
+        });
+    }
+
+    /// Dispatches until every trajectory has ended. Returns the seconds of all dispatches; and
+    /// those by the device's clock, added to what `stamped` holds already.
+    ///
+    /// # Errors
+    /// Device failures.
+    fn sweep(&self, mut stamped: f64) -> Result<(f64, f64), BackendError> {
+        let mut active = self.shape.trajectories as u32;
+        let mut list = 0;
+        let mut started = false;
+        let mut work = self.kernel.work(active);
+        let mut seconds = 0.0;
+        while active > 0 {
+            let before = Instant::now();
+            let pass = self.pass(active, list, work, !started);
+            let (left, in_pass) = self.wait(pass)?;
+            stamped += in_pass.unwrap_or(0.0);
+            started = true;
+            // By the device's clock, for the first dispatch waits for the seeds; some drivers offer
+            // one that stands still. At most this much was done, so the measured speed is at most
+            // too high by what ended early.
+            let elapsed = before.elapsed().as_secs_f64();
+            let dispatch = in_pass.filter(|s| *s > 0.0).unwrap_or(elapsed);
+            seconds += dispatch;
+            work = bounded(
+                f64::from(work) * (DISPATCH_SECONDS / dispatch).min(8.0) * f64::from(active)
+                    / f64::from(left.max(1)),
+            );
+            active = left;
+            list = 1 - list;
+        }
+        Ok((seconds, stamped))
+    }
+
+    /// A pass of so much work for those of a list that are active; the first one also starts them.
+    fn pass(&self, active: u32, list: u32, work: u32, is_first: bool) -> wgpu::CommandEncoder {
+        let (kernel, memory, shape) = (self.kernel, self.memory, self.shape);
+        let (device, queue) = (&kernel.device.device, &kernel.device.queue);
+        let (count, levels) = (shape.trajectories, kernel.levels(self.run).len() as u32);
+        let control = [active, list, count as u32, work, self.run.max_steps, levels];
+        queue.write_buffer(&memory.control, 0, bytemuck::cast_slice(&control));
+        queue.write_buffer(&memory.remaining, 0, &[0; 4]);
+        let mut encoder = device.create_command_encoder(&Default::default());
+        if is_first {
+            memory.blank(&mut encoder, 4 * count, shape.ends());
+        }
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: None,
+                timestamp_writes: kernel.clock.as_ref().map(Clock::writes),
+            });
+            pass.set_bind_group(0, &memory.bindings, &[]);
+            if is_first {
+                pass.set_pipeline(&self.pipelines.start);
+                pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
+            }
+            pass.set_pipeline(&self.pipelines.sweep);
+            pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
+        }
+        encoder
+    }
+
+    /// Waits for a pass: how many trajectories have not ended, and the seconds of the pass, where
+    /// the device has a clock.
+    ///
+    /// # Errors
+    /// Device failures.
+    fn wait(&self, mut pass: wgpu::CommandEncoder) -> Result<(u32, Option<f64>), BackendError> {
+        let (device, memory) = (&self.kernel.device, self.memory);
+        let count = |b: &[u8]| u32::from_ne_bytes([b[0], b[1], b[2], b[3]]);
+        let remaining = (&memory.remaining, 4);
+        let Some(clock) = &self.kernel.clock else {
+            let left = memory.read(device, pass, [remaining], |[b]| count(b))?;
+            return Ok((left, None));
+        };
+        let stamps = clock.resolve(&mut pass);
+        let wanted = [remaining, (stamps, Clock::BYTES)];
+        memory.read(device, pass, wanted, |[b, s]| {
+            (count(b), Some(clock.seconds(s)))
+        })
+    }
+
+    /// Reads what the device wrote into the result.
+    ///
+    /// # Errors
+    /// Device failures, and results that were not written.
+    fn fill(&self, first: usize, result: &mut Trajectories) -> Result<(), BackendError> {
+        let (kernel, memory, shape) = (self.kernel, self.memory, self.shape);
+        let device = &kernel.device;
+        let encoder = device.device.create_command_encoder(&Default::default());
+        let samples = memory.samples.as_ref().unwrap_or(&memory.ends);
+        let wanted = [
+            (&memory.counters, shape.counters()),
+            (&memory.ends, shape.ends()),
+            (samples, shape.samples()),
+        ];
+        memory.read(device, encoder, wanted, |[counters, ends, samples]| {
+            let written = Written {
+                counters,
+                ends,
+                samples,
+            };
+            results::fill(result, first, &kernel.spec, self.run, shape, &written)
+        })?
     }
 }
 

@@ -199,6 +199,43 @@ impl GpuRelay {
         let most = TOLD.min(binding_limit(&self.device) as usize);
         (most / leg.max(1)).clamp(1, left)
     }
+
+    /// Whether the device can hold, and dispatch, so much at once.
+    ///
+    /// # Errors
+    /// [`BackendError::TooLarge`].
+    fn check_size(&self, shape: Shape) -> Result<(), BackendError> {
+        let (count, real) = (shape.trajectories, self.spec.precision.bytes());
+        let bytes = (self.state() * count * real) as u64;
+        let limit = binding_limit(&self.device);
+        let groups = (self.device.device.limits()).max_compute_workgroups_per_dimension;
+        if bytes.max(shape.traces as u64) > limit
+            || count.div_ceil(WORKGROUP as usize) > groups as usize
+        {
+            return Err(BackendError::TooLarge { bytes, limit });
+        }
+        Ok(())
+    }
+
+    /// Makes the buffers at least so large.
+    ///
+    /// # Errors
+    /// Device failures.
+    fn allocate(&mut self, shape: Shape) -> Result<(), BackendError> {
+        let holds = |m: &Memory| {
+            m.shape.trajectories >= shape.trajectories && m.shape.traces >= shape.traces
+        };
+        if self.memory.as_ref().is_some_and(holds) {
+            return Ok(());
+        }
+        // Freed first: both need not fit.
+        let had = self.memory.take().map_or(Shape::default(), |m| m.shape);
+        self.memory = Some(self.memory(Shape {
+            trajectories: shape.trajectories.max(had.trajectories),
+            traces: shape.traces.max(had.traces),
+        }));
+        self.device.check()
+    }
 }
 
 fn bounded(work: f64) -> f64 {
@@ -207,41 +244,53 @@ fn bounded(work: f64) -> f64 {
 
 impl Relay for GpuRelay {
     fn fly(&mut self, run: &Run, course: &Course) -> Result<Flown, BackendError> {
-        let (dim, count, precision) = (self.spec.dim(), course.first.len(), self.spec.precision);
+        let (dim, count) = (self.spec.dim(), course.first.len());
         if count == 0 {
             return Ok(Flown::default());
         }
-        let (device, real, room) = (
-            Arc::clone(&self.device),
-            precision.bytes(),
-            self.room(course),
-        );
+        let room = self.room(course);
         let shape = Shape {
             trajectories: count,
-            traces: course.traced * room * (dim + 1) * real,
+            traces: course.traced * room * (dim + 1) * self.spec.precision.bytes(),
         };
-        let (bytes, limit) = ((self.state() * count * real) as u64, binding_limit(&device));
-        let groups = device.device.limits().max_compute_workgroups_per_dimension;
-        if bytes.max(shape.traces as u64) > limit
-            || count.div_ceil(WORKGROUP as usize) > groups as usize
-        {
-            return Err(BackendError::TooLarge { bytes, limit });
-        }
-        let holds = |m: &Memory| m.shape.trajectories >= count && m.shape.traces >= shape.traces;
-        if !self.memory.as_ref().is_some_and(holds) {
-            // Freed first: both need not fit.
-            let had = self.memory.take().map_or(Shape::default(), |m| m.shape);
-            self.memory = Some(self.memory(Shape {
-                trajectories: count.max(had.trajectories),
-                traces: shape.traces.max(had.traces),
-            }));
-            device.check()?;
-        }
+        self.check_size(shape)?;
+        self.allocate(shape)?;
         let Some(memory) = &self.memory else {
             return Err(BackendError::Unwritten { index: 0 });
         };
-        let queue = &device.queue;
-        let set = settings(&self.spec, run, &run.levels);
+        let flight = Flight {
+            relay: self,
+            memory,
+            run,
+            course,
+            shape,
+            room,
+        };
+        flight.upload();
+        let (flown, speed) = flight.fly()?;
+        self.speed = speed;
+        Ok(flown)
+    }
+}
+
+/// A course that is flown.
+struct Flight<'f> {
+    relay: &'f GpuRelay,
+    memory: &'f Memory,
+    run: &'f Run,
+    course: &'f Course,
+    shape: Shape,
+    /// Legs of which there is room to tell.
+    room: usize,
+}
+
+impl Flight<'_> {
+    /// Writes settings, vectors and counters to the device.
+    fn upload(&self) {
+        let (spec, memory, course) = (&self.relay.spec, self.memory, self.course);
+        let (queue, precision) = (&self.relay.device.queue, spec.precision);
+        let (dim, count) = (spec.dim(), self.shape.trajectories);
+        let set = settings(spec, self.run, &self.run.levels);
         queue.write_buffer(&memory.settings, 0, &reals(set, precision));
         let by_field = (0..dim).flat_map(|c| course.vectors.iter().skip(c).step_by(dim).copied());
         queue.write_buffer(&memory.state, 0, &reals(by_field, precision));
@@ -254,77 +303,25 @@ impl Relay for GpuRelay {
         let all: Vec<u32> = (0..count as u32).collect();
         queue.write_buffer(&memory.lists, 0, bytemuck::cast_slice(&all));
         // Sentinels: a slot that still holds one at the end was not written.
-        queue.write_buffer(&memory.ends, 0, &vec![0xff; self.ends(count)]);
+        queue.write_buffer(&memory.ends, 0, &vec![0xff; self.relay.ends(count)]);
+    }
 
-        let (mut active, mut list, mut waits) = (count as u32, 0u32, 0);
-        let results = [
-            (&memory.counters, 4 * COUNTERS * count),
-            (&memory.ends, self.ends(count)),
-            (&memory.traces, shape.traces),
-        ];
-        let early = results.iter().map(|(_, bytes)| bytes).sum::<usize>() <= READ_EARLY;
-        let take = |[counters, ends, rows]: [&[u8]; 3]| {
-            told(bytemuck::cast_slice(counters), ends, rows, precision, dim)
-        };
+    /// Submits work until no trajectory is on its way. Returns how they went, and the loop
+    /// iterations a second over all trajectories as measured last.
+    ///
+    /// # Errors
+    /// Device failures, and results that were not written.
+    fn fly(&self) -> Result<(Flown, Option<f64>), BackendError> {
+        let (mut active, mut list, mut waits) = (self.shape.trajectories as u32, 0u32, 0);
+        let early = self.results().iter().map(|(_, bytes)| bytes).sum::<usize>() <= READ_EARLY;
         let mut flown = None;
-        let mut work = self.work(active);
-        let mut speed = self.speed;
+        let mut work = self.relay.work(active);
+        let mut speed = self.relay.speed;
         while active > 0 {
             let before = Instant::now();
-            let repeats = (work / WORK.end())
-                .ceil()
-                .clamp(LEAST_REPEATS, MOST_REPEATS);
-            let control = [
-                active,
-                list,
-                count as u32,
-                (work / repeats).max(*WORK.start()) as u32,
-                run.max_steps,
-                1,
-                course.legs as u32,
-                room as u32,
-                course.traced as u32,
-            ];
-            queue.write_buffer(&memory.control, 0, bytemuck::cast_slice(&control));
-            queue.write_buffer(&memory.remaining, 0, &[0; 4]);
-            let mut encoder = device.device.create_command_encoder(&Default::default());
-            {
-                let mut pass = encoder.begin_compute_pass(&Default::default());
-                pass.set_bind_group(0, &memory.bindings, &[]);
-                pass.set_bind_group(1, &self.surface, &[]);
-                pass.set_pipeline(&self.sweep);
-                for _ in 0..repeats as u32 {
-                    pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
-                }
-                pass.set_pipeline(&self.gather);
-                pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
-            }
-            let number = |b: &[u8]| u32::from_ne_bytes([b[0], b[1], b[2], b[3]]);
-            let left = if early {
-                let [counters, ends, rows] = results;
-                let wanted = [(&memory.remaining, 4), counters, ends, rows];
-                read_back(
-                    &device,
-                    &memory.staging,
-                    encoder,
-                    wanted,
-                    |[left, counters, ends, rows]| {
-                        let left = number(left);
-                        if left == 0 {
-                            flown = Some(take([counters, ends, rows]));
-                        }
-                        left
-                    },
-                )?
-            } else {
-                read_back(
-                    &device,
-                    &memory.staging,
-                    encoder,
-                    [(&memory.remaining, 4)],
-                    |[b]| number(b),
-                )?
-            };
+            let submission = self.submission(active, list, work);
+            let left;
+            (left, flown) = self.wait(submission, early)?;
             waits += 1;
             let seconds = before.elapsed().as_secs_f64();
             if 2 * left >= active {
@@ -337,33 +334,125 @@ impl Relay for GpuRelay {
             (active, list) = (left, 1 - list);
         }
         let mut flown = match flown {
-            Some(flown) => flown?,
+            Some(flown) => flown,
             None => {
                 waits += 1;
-                let encoder = device.device.create_command_encoder(&Default::default());
-                read_back(&device, &memory.staging, encoder, results, take)??
+                self.read(self.encoder(), self.results(), |all| self.told(all))??
             }
         };
-        flown.room = room;
+        flown.room = self.room;
         if flown.halt.contains(&Halt::Ended(Status::StepLimit)) {
-            let encoder = device.device.create_command_encoder(&Default::default());
-            let bytes = self.state() * count * real;
-            let state = read_back(
-                &device,
-                &memory.staging,
-                encoder,
-                [(&memory.state, bytes)],
-                |[state]| numbers(state, precision),
-            )?;
-            let first = emit::state(&self.spec);
-            flown.begin = (0..count * dim)
-                .map(|k| state[(first + k % dim) * count + k / dim])
-                .collect();
+            flown.begin = self.begin()?;
             waits += 1;
         }
         flown.waits = waits;
-        self.speed = speed;
-        Ok(flown)
+        Ok((flown, speed))
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        let device = &self.relay.device.device;
+        device.create_command_encoder(&Default::default())
+    }
+
+    /// The dispatches of `work` loop iterations for those of a list that are on their way, and the
+    /// gathering of who still is.
+    fn submission(&self, active: u32, list: u32, work: f64) -> wgpu::CommandEncoder {
+        let (queue, memory, course) = (&self.relay.device.queue, self.memory, self.course);
+        let repeats = (work / WORK.end())
+            .ceil()
+            .clamp(LEAST_REPEATS, MOST_REPEATS);
+        let control = [
+            active,
+            list,
+            self.shape.trajectories as u32,
+            (work / repeats).max(*WORK.start()) as u32,
+            self.run.max_steps,
+            1,
+            course.legs as u32,
+            self.room as u32,
+            course.traced as u32,
+        ];
+        queue.write_buffer(&memory.control, 0, bytemuck::cast_slice(&control));
+        queue.write_buffer(&memory.remaining, 0, &[0; 4]);
+        let mut encoder = self.encoder();
+        {
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            pass.set_bind_group(0, &memory.bindings, &[]);
+            pass.set_bind_group(1, &self.relay.surface, &[]);
+            pass.set_pipeline(&self.relay.sweep);
+            for _ in 0..repeats as u32 {
+                pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
+            }
+            pass.set_pipeline(&self.relay.gather);
+            pass.dispatch_workgroups(active.div_ceil(WORKGROUP), 1, 1);
+        }
+        encoder
+    }
+
+    /// Waits for a submission: how many trajectories are still on their way, and with `early` the
+    /// results, where none is.
+    fn wait(
+        &self,
+        submission: wgpu::CommandEncoder,
+        early: bool,
+    ) -> Result<(u32, Option<Flown>), BackendError> {
+        let number = |b: &[u8]| u32::from_ne_bytes([b[0], b[1], b[2], b[3]]);
+        let remaining = (&self.memory.remaining, 4);
+        if !early {
+            let left = self.read(submission, [remaining], |[left]| number(left))?;
+            return Ok((left, None));
+        }
+        let [counters, ends, rows] = self.results();
+        let wanted = [remaining, counters, ends, rows];
+        let (left, flown) = self.read(submission, wanted, |[left, counters, ends, rows]| {
+            let left = number(left);
+            (left, (left == 0).then(|| self.told([counters, ends, rows])))
+        })?;
+        Ok((left, flown.transpose()?))
+    }
+
+    /// Buffers with the results, and their bytes.
+    fn results(&self) -> [(&Buffer, usize); 3] {
+        let count = self.shape.trajectories;
+        [
+            (&self.memory.counters, 4 * COUNTERS * count),
+            (&self.memory.ends, self.relay.ends(count)),
+            (&self.memory.traces, self.shape.traces),
+        ]
+    }
+
+    fn told(&self, [counters, ends, rows]: [&[u8]; 3]) -> Result<Flown, BackendError> {
+        let spec = &self.relay.spec;
+        let counters = bytemuck::cast_slice(counters);
+        told(counters, ends, rows, spec.precision, spec.dim())
+    }
+
+    /// The vectors as the leg last begun began, `[trajectory][dim]`.
+    fn begin(&self) -> Result<Vec<f64>, BackendError> {
+        let (spec, count) = (&self.relay.spec, self.shape.trajectories);
+        let (dim, precision) = (spec.dim(), spec.precision);
+        let wanted = (
+            &self.memory.state,
+            self.relay.state() * count * precision.bytes(),
+        );
+        let state = self.read(self.encoder(), [wanted], |[state]| {
+            numbers(state, precision)
+        })?;
+        let first = emit::state(spec);
+        Ok((0..count * dim)
+            .map(|k| state[(first + k % dim) * count + k / dim])
+            .collect())
+    }
+
+    /// Reads the leading bytes of buffers when what `encoder` holds is done; see [`read_back`].
+    fn read<const N: usize, R>(
+        &self,
+        encoder: wgpu::CommandEncoder,
+        wanted: [(&Buffer, usize); N],
+        read: impl FnOnce([&[u8]; N]) -> R,
+    ) -> Result<R, BackendError> {
+        let staging = &self.memory.staging;
+        read_back(&self.relay.device, staging, encoder, wanted, read)
     }
 }
 

@@ -220,8 +220,16 @@ impl Writer<'_> {
         text += "/* Coordinates t = frame (x - origin). */\n";
         text += &c.list("origin", &pieces.frame.origin);
         text += &c.table("frame", &pieces.frame.matrix, n);
-        text += &self.shear(pieces);
-        text += &format!(
+        text + &self.shear(pieces)
+            + &self.tree(pieces)
+            + &self.cells(pieces)
+            + &self.polynomials(pieces)
+    }
+
+    /// The tree of cells.
+    fn tree(&self, pieces: &Pieces) -> String {
+        let (c, n) = (&self.c, self.variables());
+        let mut text = format!(
             "/* Tree: axis along which a node is split ({n}: it is a cell, whose number is in `below`), and where; how far the\n   \
              cells above and below reach. */\n"
         );
@@ -260,26 +268,24 @@ impl Writer<'_> {
         };
         let split: Vec<[f64; 3]> = pieces.nodes.iter().map(split).collect();
         text += &c.list("split", &split.iter().map(|s| s[0]).collect::<Vec<f64>>());
-        text += &c.table(
-            "reach",
-            &split
-                .iter()
-                .flat_map(|s| [s[1], s[2]])
-                .collect::<Vec<f64>>(),
-            2,
-        );
-        text += "/* Cells, and the first piece of each. */\n";
+        let reach: Vec<f64> = split.iter().flat_map(|s| [s[1], s[2]]).collect();
+        text + &c.table("reach", &reach, 2)
+    }
+
+    /// The corners of cells, and which pieces are theirs.
+    fn cells(&self, pieces: &Pieces) -> String {
+        let (c, n) = (&self.c, self.variables());
+        let mut text = "/* Cells, and the first piece of each. */\n".to_owned();
         let cells = |side: &dyn Fn(usize) -> Vec<f64>| {
             (0..pieces.cells.len()).flat_map(side).collect::<Vec<f64>>()
         };
         text += &c.table("cell_lower", &cells(&|k| pieces.cells[k].lo.clone()), n);
         text += &c.table("cell_upper", &cells(&|k| pieces.cells[k].hi.clone()), n);
         let ends = pieces.cells.iter().map(|cell| cell.pieces.end);
-        text += &c.integers(
+        text + &c.integers(
             "pieces",
             [0].into_iter().chain(ends).collect::<Vec<_>>().into_iter(),
-        );
-        text + &self.polynomials(pieces)
+        )
     }
 
     /// The shear of the coordinates, and derivatives through it.

@@ -11,7 +11,7 @@ mod blend;
 mod packed;
 
 use super::jets::{Jet, MOST_SECOND, Sum, Tables};
-use super::{Cell, MOST_VARIABLES, Node, Pieces, Shape};
+use super::{Cell, MOST_VARIABLES, Node, Piece, Pieces, Shape};
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
 use bend::{Place, Shear};
@@ -165,7 +165,36 @@ impl<T: Real> Default for Desk<T> {
     }
 }
 
+impl<T: Real> Branch<T> {
+    /// A node of a tree over n coordinates.
+    fn of(node: &Node, n: usize) -> Self {
+        match *node {
+            Node::Cell(cell) => Self {
+                at: T::of(0.0),
+                reach: [T::of(0.0); 2],
+                below: cell as u32,
+                above: cell as u32,
+                axis: n as u32,
+            },
+            Node::Split {
+                axis,
+                at,
+                below,
+                above,
+                reach,
+            } => Self {
+                at: T::of(at),
+                reach: reach.map(T::of),
+                below: below as u32,
+                above: above as u32,
+                axis: axis as u32,
+            },
+        }
+    }
+}
+
 impl<T: Real> Flat<T> {
+    /// The arrays of a map.
     pub fn new(pieces: &Pieces) -> Self {
         let n = pieces.states();
         let tables = Tables::new(&pieces.terms);
@@ -190,75 +219,55 @@ impl<T: Real> Flat<T> {
             margins: pieces.margin_terms(),
             tables,
         };
-        for node in &pieces.nodes {
-            this.nodes.push(match *node {
-                Node::Cell(cell) => Branch {
-                    at: T::of(0.0),
-                    reach: [T::of(0.0); 2],
-                    below: cell as u32,
-                    above: cell as u32,
-                    axis: n as u32,
-                },
-                Node::Split {
-                    axis,
-                    at,
-                    below,
-                    above,
-                    reach,
-                } => Branch {
-                    at: T::of(at),
-                    reach: reach.map(T::of),
-                    below: below as u32,
-                    above: above as u32,
-                    axis: axis as u32,
-                },
-            });
-        }
-        for Cell {
-            lo,
-            hi,
-            pieces: own,
-        } in &pieces.cells
-        {
-            this.cells
-                .extend(lo.iter().zip(hi).map(|(lo, hi)| T::of(0.5 * (lo + hi))));
-            this.cells
-                .extend(lo.iter().zip(hi).map(|(lo, hi)| T::of(0.5 * (hi - lo))));
-            this.owned.push(this.heads.len() as u32);
-            for piece in &pieces.pieces[own.clone()] {
-                let terms = piece.coefficients.len();
-                this.heads.push(Head {
-                    bound: T::of(piece.bound),
-                    p_bound: T::of(piece.p_bound),
-                    coefficients: this.coefficients.len() as u32,
-                    terms: terms as u16,
-                    degree: this
-                        .tables
-                        .upto
-                        .iter()
-                        .position(|k| *k == terms)
-                        .unwrap_or(0) as u8,
-                    shape: piece.shape,
-                    sheet: piece.sheet,
-                    support: match piece.support.is_empty() {
-                        true => EVERYWHERE,
-                        false => this.supports.len() as u32,
-                    },
-                });
-                this.places.extend(all(&piece.center));
-                this.places.extend(all(&piece.half));
-                let scaled = piece.coefficients.iter().zip(&this.tables.scale);
-                this.coefficients.extend(scaled.map(|(c, s)| T::of(c * s)));
-                this.supports
-                    .extend(piece.support.iter().flatten().map(|s| T::of(*s)));
-                if !piece.support.is_empty() {
-                    this.supports
-                        .extend(piece.margins(this.margins).into_iter().map(T::of));
-                }
+        let nodes = pieces.nodes.iter().map(|node| Branch::of(node, n));
+        this.nodes.extend(nodes);
+        for cell in &pieces.cells {
+            this.put_cell(cell);
+            for piece in &pieces.pieces[cell.pieces.clone()] {
+                this.put_piece(piece);
             }
         }
         this.owned.push(this.heads.len() as u32);
         this
+    }
+
+    /// Adds a cell, whose pieces are to follow.
+    fn put_cell(&mut self, Cell { lo, hi, .. }: &Cell) {
+        let both = || lo.iter().zip(hi);
+        self.cells
+            .extend(both().map(|(lo, hi)| T::of(0.5 * (lo + hi))));
+        self.cells
+            .extend(both().map(|(lo, hi)| T::of(0.5 * (hi - lo))));
+        self.owned.push(self.heads.len() as u32);
+    }
+
+    /// Adds a piece to the last cell.
+    fn put_piece(&mut self, piece: &Piece) {
+        let terms = piece.coefficients.len();
+        let degree = self.tables.upto.iter().position(|k| *k == terms);
+        self.heads.push(Head {
+            bound: T::of(piece.bound),
+            p_bound: T::of(piece.p_bound),
+            coefficients: self.coefficients.len() as u32,
+            terms: terms as u16,
+            degree: degree.unwrap_or(0) as u8,
+            shape: piece.shape,
+            sheet: piece.sheet,
+            support: match piece.support.is_empty() {
+                true => EVERYWHERE,
+                false => self.supports.len() as u32,
+            },
+        });
+        let place = piece.center.iter().chain(&piece.half);
+        self.places.extend(place.map(|v| T::of(*v)));
+        let scaled = piece.coefficients.iter().zip(&self.tables.scale);
+        self.coefficients.extend(scaled.map(|(c, s)| T::of(c * s)));
+        self.supports
+            .extend(piece.support.iter().flatten().map(|s| T::of(*s)));
+        if !piece.support.is_empty() {
+            self.supports
+                .extend(piece.margins(self.margins).into_iter().map(T::of));
+        }
     }
 
     pub fn states(&self) -> usize {

@@ -68,6 +68,82 @@ pub struct Fan<'a> {
     pub deadline: Deadline,
 }
 
+/// What is integrated: `(s, p, V)` and the arc length.
+struct Programs {
+    rate: Program,
+    /// Where trajectories end at guards.
+    guards: Option<Guards>,
+    kinks: Option<Program>,
+}
+
+impl Programs {
+    fn new(plan: &Plan) -> Self {
+        let system = &plan.system;
+        let mut graph = system.graph.clone();
+        let mut rate = system.rate.clone();
+        rate.push(system.arc_rate);
+        let switches = graph.kinks(&rate);
+        let lower = |roots: &[_]| Program::lower(&graph, &system.inputs, roots);
+        let guards: Vec<_> = system.guards.iter().map(|g| g.expr).collect();
+        let ends_at_guards = !guards.is_empty() && !goes_behind_guards(system.states);
+        Self {
+            rate: lower(&rate),
+            guards: ends_at_guards.then(|| Guards {
+                program: lower(&guards),
+                strict: system.guards.iter().map(|g| g.strict).collect(),
+            }),
+            kinks: (!switches.is_empty()).then(|| lower(&switches)),
+        }
+    }
+
+    /// Of a kernel that samples by time on a finite horizon, and else by arc length.
+    fn spec(self, plan: &Plan, backend: &dyn Backend) -> Spec {
+        Spec {
+            rate: self.rate,
+            guards: self.guards,
+            kinks: self.kinks,
+            method: if backend.offers(Method::Taylor) {
+                Method::Taylor
+            } else {
+                Method::Dop853
+            },
+            precision: Precision::F64,
+            by: if plan.system.terminal.is_some() {
+                By::Time
+            } else {
+                By::Component(2 * plan.system.states + 1)
+            },
+            store: true,
+        }
+    }
+}
+
+/// Settings of the trajectories of a plan, sampled at these levels; `unit` is a scale of V.
+fn run(plan: &Plan, unit: f64, levels: Vec<f64>) -> Run {
+    let scales = (plan.widths.iter().copied())
+        .chain(plan.widths.iter().map(|w| unit / w))
+        .chain([unit, 1.0]);
+    Run {
+        rtol: RTOL,
+        atol: scales.map(|s| 1e-3 * RTOL * s).collect(),
+        step: 0.0,
+        first: None,
+        max_steps: MOST_STEPS,
+        levels,
+        ceiling: None,
+        bounds: (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
+            .map(|(([lo, hi], w), periodic)| {
+                let margin = if *periodic {
+                    f64::INFINITY
+                } else {
+                    plan.shoot_out.margin.max(LEAST_MARGIN) * w
+                };
+                [lo - margin, hi + margin]
+            })
+            .collect(),
+    }
+}
+
 impl<'a> Fan<'a> {
     /// The trajectories of a plan's manifold; of its [`Plan`] only what does not depend on the
     /// scene's own sweep counts.
@@ -80,76 +156,27 @@ impl<'a> Fan<'a> {
         unit: f64,
         backend: &dyn Backend,
     ) -> Result<Self, BackendError> {
-        let n = plan.system.states;
         let (surface, local) = surface(plan, model, unit);
-        let mut graph = plan.system.graph.clone();
-        let mut rate = plan.system.rate.clone();
-        rate.push(plan.system.arc_rate);
-        let switches = graph.kinks(&rate);
-        let lower = |roots: &[_]| Program::lower(&graph, &plan.system.inputs, roots);
-        let guards: Vec<_> = plan.system.guards.iter().map(|g| g.expr).collect();
-        let ends_at_guards = !guards.is_empty() && !goes_behind_guards(n);
-        let finite = plan.system.terminal.as_ref().map(|t| t.time);
-        let spec = Spec {
-            rate: lower(&rate),
-            guards: ends_at_guards.then(|| Guards {
-                program: lower(&guards),
-                strict: plan.system.guards.iter().map(|g| g.strict).collect(),
-            }),
-            kinks: (!switches.is_empty()).then(|| lower(&switches)),
-            method: if backend.offers(Method::Taylor) {
-                Method::Taylor
-            } else {
-                Method::Dop853
-            },
-            precision: Precision::F64,
-            by: if finite.is_some() {
-                By::Time
-            } else {
-                By::Component(2 * n + 1)
-            },
-            store: true,
-        };
-        let scales = (plan.widths.iter().copied())
-            .chain(plan.widths.iter().map(|w| unit / w))
-            .chain([unit, 1.0]);
-        let run = Run {
-            rtol: RTOL,
-            atol: scales.map(|s| 1e-3 * RTOL * s).collect(),
-            step: 0.0,
-            first: None,
-            max_steps: MOST_STEPS,
-            levels: match finite {
-                Some(time) => (1..=TIMES)
-                    .map(|k| time * k as f64 / TIMES as f64)
-                    .collect(),
-                None => arc_lengths(&surface, plan),
-            },
-            ceiling: None,
-            bounds: (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
-                .map(|(([lo, hi], w), periodic)| {
-                    let margin = if *periodic {
-                        f64::INFINITY
-                    } else {
-                        plan.shoot_out.margin.max(LEAST_MARGIN) * w
-                    };
-                    [lo - margin, hi + margin]
-                })
+        let programs = Programs::new(plan);
+        let rates = Evaluator::new(&programs.rate);
+        let levels = match &plan.system.terminal {
+            Some(terminal) => (1..=TIMES)
+                .map(|k| terminal.time * k as f64 / TIMES as f64)
                 .collect(),
+            None => arc_lengths(&surface, plan),
         };
-        let rates = Evaluator::new(&lower(&rate));
         Ok(Self {
             plan,
             surface,
             local,
-            kernel: Mutex::new(backend.compile(&spec)?),
-            run,
+            kernel: Mutex::new(backend.compile(&programs.spec(plan, backend))?),
+            run: run(plan, unit, levels),
             parameters: Vec::new(),
             inside: Vec::new(),
             boundary: Vec::new(),
             middles: FxHashMap::default(),
             trajectories: Vec::new(),
-            stride: 2 + 2 * n,
+            stride: 2 + 2 * plan.system.states,
             rates,
             integrated: 0,
             deadline: Deadline::default(),

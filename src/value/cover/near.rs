@@ -1,8 +1,8 @@
 //! Where there are too many states for cells: the points of swept trajectories near a state.
 
-use super::{Candidate, Cover, Sought};
+use super::{Candidate, Copy, Cover, Sought};
 use crate::backend::BackendError;
-use crate::value::nearest;
+use crate::value::nearest::{self, Nearest};
 use rayon::prelude::*;
 
 /// Points of one trajectory between two that are looked up.
@@ -31,6 +31,16 @@ const ALONE: Effort = Effort {
 const FARTHER: f64 = 3.0;
 const FAR: f64 = 0.5;
 
+/// Points of swept trajectories that are looked up.
+struct Points {
+    /// Seeds and levels.
+    places: Vec<(u32, usize)>,
+    /// In widths of the region, `[point][state]`.
+    x: Vec<f64>,
+    /// Least and largest, one a state.
+    extent: Vec<[f64; 2]>,
+}
+
 impl Cover<'_> {
     /// Guesses for states from the trajectories that pass near them and cost at most `ceiling`
     /// there: the nearest, and those whose adjoints differ from all that are nearer.
@@ -45,6 +55,27 @@ impl Cover<'_> {
         if self.divided_to != ceiling {
             self.divide_first(ceiling)?;
         }
+        let points = self.points_to(ceiling);
+        if points.places.is_empty() {
+            return Ok(Vec::new());
+        }
+        let tree = nearest::index(&points.x, self.fan.plan.system.states);
+        let copies = self.copies_within(sought, &points.extent);
+        let this = &*self;
+        let mut found: Vec<Candidate> = copies
+            .par_iter()
+            .flat_map_iter(|copy| this.offered(copy, sought, &points.places, tree.as_ref()))
+            .collect();
+        found.sort_by(|a, b| {
+            (a.target.cmp(&b.target))
+                .then(a.outside().total_cmp(&b.outside()))
+                .then(a.turns.cmp(&b.turns))
+        });
+        Ok(found)
+    }
+
+    /// Every so many points of the swept trajectories that cost at most so much.
+    fn points_to(&self, ceiling: f64) -> Points {
         let (fan, n) = (&self.fan, self.fan.plan.system.states);
         let mut seeds: Vec<u32> = self.roots.iter().flatten().copied().collect();
         seeds.sort_unstable();
@@ -68,53 +99,48 @@ impl Cover<'_> {
                 }
             }
         }
-        if places.is_empty() {
-            return Ok(Vec::new());
+        Points { places, x, extent }
+    }
+
+    /// Guesses for a state from the points near it: the nearest, and those whose adjoints differ
+    /// from all that are nearer.
+    fn offered(
+        &self,
+        copy: &Copy,
+        sought: &[Sought],
+        places: &[(u32, usize)],
+        tree: &dyn Nearest,
+    ) -> Vec<Candidate> {
+        let fan = &self.fan;
+        let effort = if sought[copy.sought].gridded {
+            OF_GRID
+        } else {
+            ALONE
+        };
+        let mut near = tree.near(&copy.x, f64::INFINITY, effort.near);
+        let within = near.first().map_or(0.0, |(_, d)| (FARTHER * d).max(FAR));
+        // A trajectory that stays on an invariant boundary leads to one that does, without
+        // rounding.
+        if fan.is_on_boundary(&copy.x) {
+            near.sort_by_key(|(k, _)| !fan.is_boundary(places[*k].0));
         }
-        let tree = nearest::index(&x, n);
-        let copies = self.copies_within(sought, &extent);
-        let this = &*self;
-        let mut found: Vec<Candidate> = copies
-            .par_iter()
-            .flat_map_iter(|copy| {
-                let effort = if sought[copy.sought].gridded {
-                    OF_GRID
-                } else {
-                    ALONE
-                };
-                let mut near = tree.near(&copy.x, f64::INFINITY, effort.near);
-                let within = near.first().map_or(0.0, |(_, d)| (FARTHER * d).max(FAR));
-                // A trajectory that stays on an invariant boundary leads to one that does, without
-                // rounding.
-                if fan.is_on_boundary(&copy.x) {
-                    near.sort_by_key(|(k, _)| !fan.is_boundary(places[*k].0));
-                }
-                let mut offered: Vec<Candidate> = Vec::new();
-                for (k, distance) in near {
-                    if offered.len() >= effort.offered {
-                        break;
-                    }
-                    if distance > within {
-                        continue;
-                    }
-                    let (seed, level) = places[k];
-                    let candidate = this.point_guess(seed, level, copy, sought, distance);
-                    let like = |other: &Candidate| {
-                        differ(other, &candidate, &this.fan.plan.widths) < effort.different
-                    };
-                    if !offered.iter().any(like) {
-                        offered.push(candidate);
-                    }
-                }
-                offered
-            })
-            .collect();
-        found.sort_by(|a, b| {
-            (a.target.cmp(&b.target))
-                .then(a.outside().total_cmp(&b.outside()))
-                .then(a.turns.cmp(&b.turns))
-        });
-        Ok(found)
+        let mut offered: Vec<Candidate> = Vec::new();
+        for (k, distance) in near {
+            if offered.len() >= effort.offered {
+                break;
+            }
+            if distance > within {
+                continue;
+            }
+            let (seed, level) = places[k];
+            let candidate = self.point_guess(seed, level, copy, sought, distance);
+            let like =
+                |other: &Candidate| differ(other, &candidate, &fan.plan.widths) < effort.different;
+            if !offered.iter().any(like) {
+                offered.push(candidate);
+            }
+        }
+        offered
     }
 }
 

@@ -86,6 +86,89 @@ struct Change {
     p: Vec<f64>,
 }
 
+/// A Riccati recursion from the end on.
+struct Recursion {
+    n: usize,
+    m: usize,
+    /// Hessian and gradient of the cost to go at each node.
+    hessians: Vec<f64>,
+    gradients: Vec<f64>,
+    /// The laws of the steps: changes of u where x does not change, and by x, `[step][m][n]`.
+    constants: Vec<f64>,
+    gains: Vec<f64>,
+    /// Gradient and Hessian of the cost to go from a node, by its state and control.
+    first: Vec<f64>,
+    second: Vec<f64>,
+    /// Room for the next node's Hessian times the dynamics' Jacobian.
+    product: Vec<f64>,
+}
+
+impl Recursion {
+    fn new(n: usize, m: usize, count: usize) -> Self {
+        let width = n + m;
+        Self {
+            n,
+            m,
+            hessians: vec![0.0; (count + 1) * n * n],
+            gradients: vec![0.0; (count + 1) * n],
+            constants: vec![0.0; count * m],
+            gains: vec![0.0; count * m * n],
+            first: vec![0.0; width],
+            second: vec![0.0; width * width],
+            product: vec![0.0; n * width],
+        }
+    }
+
+    /// The law of a step, and the cost to go from its node under it; none where it is not convex in
+    /// the controls.
+    #[inline]
+    fn eliminate(&mut self, k: usize) -> Option<()> {
+        let Self {
+            n,
+            m,
+            ref first,
+            ref second,
+            ref mut hessians,
+            ref mut gradients,
+            ref mut constants,
+            ref mut gains,
+            ..
+        } = *self;
+        let width = n + m;
+        // The law: m equations in n + 1 right-hand sides.
+        let by_control = DMatrix::from_fn(m, m, |i, j| second[(n + i) * width + n + j]);
+        let right = DMatrix::from_fn(m, n + 1, |i, j| {
+            if j < n {
+                second[(n + i) * width + j]
+            } else {
+                first[n + i]
+            }
+        });
+        let law = by_control.cholesky()?.solve(&right);
+        for i in 0..m {
+            constants[k * m + i] = -law[(i, n)];
+            (0..n).for_each(|j| gains[(k * m + i) * n + j] = -law[(i, j)]);
+        }
+        for a in 0..n {
+            let mixed = |i: usize| second[a * width + n + i];
+            gradients[k * n + a] = first[a] - (0..m).map(|i| mixed(i) * law[(i, n)]).sum::<f64>();
+            for b in 0..n {
+                let less: f64 = (0..m).map(|i| mixed(i) * law[(i, b)]).sum();
+                hessians[(k * n + a) * n + b] = second[a * width + b] - less;
+            }
+        }
+        // Rounding must not make it unsymmetric.
+        for a in 0..n {
+            for b in 0..a {
+                let mean = 0.5 * (hessians[(k * n + a) * n + b] + hessians[(k * n + b) * n + a]);
+                hessians[(k * n + a) * n + b] = mean;
+                hessians[(k * n + b) * n + a] = mean;
+            }
+        }
+        Some(())
+    }
+}
+
 impl<'a> Descent<'a> {
     pub fn new(rates: &'a Rates, problem: &'a Transcription, guess: &[Vec<f64>]) -> Option<Self> {
         let x = guess.concat();
@@ -268,82 +351,83 @@ impl<'a> Descent<'a> {
     /// The step with a share of the dynamics' curvature; none where the problem is not convex.
     fn change_by(&self, barrier: f64, slopes: &[Slopes], share: f64) -> Option<Change> {
         let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count);
-        let width = n + m;
-        // Hessian and gradient of the cost to go at each node, from the end on; the laws of the
-        // steps.
-        let mut hessians = vec![0.0; (count + 1) * n * n];
-        let mut gradients = vec![0.0; (count + 1) * n];
-        let mut constants = vec![0.0; count * m];
-        let mut gains = vec![0.0; count * m * n];
-        hessians[count * n * n..].copy_from_slice(&self.problem.end);
+        let mut recursion = Recursion::new(n, m, count);
+        let end = &self.problem.end;
+        recursion.hessians[count * n * n..].copy_from_slice(end);
         times(
-            &self.problem.end,
+            end,
             &self.x[count * n..],
             n,
             n,
             1,
-            &mut gradients[count * n..],
+            &mut recursion.gradients[count * n..],
         );
-        let (mut product, mut second) = (vec![0.0; n * width], vec![0.0; width * width]);
         for k in (0..count).rev() {
-            let at = &slopes[k];
-            let hessian = &hessians[(k + 1) * n * n..][..n * n];
-            let mut first = at.gradient.clone();
-            second.copy_from_slice(&at.hessian);
-            for (second, curvature) in second.iter_mut().zip(&at.curvature) {
-                *second += share * curvature;
-            }
-            times(hessian, &at.jacobian, n, n, width, &mut product);
-            for i in 0..n {
-                let ahead = gradients[(k + 1) * n + i]
-                    + (0..n)
-                        .map(|j| hessian[i * n + j] * self.gap(k * n + j))
-                        .sum::<f64>();
-                let row = &at.jacobian[i * width..][..width];
-                for a in 0..width {
-                    first[a] += row[a] * ahead;
-                    for b in 0..width {
-                        second[a * width + b] += row[a] * product[i * width + b];
-                    }
-                }
-            }
-            for (i, room, sign, weight) in self.rooms(&self.u[k * m..][..m], barrier) {
-                first[n + i] += sign * weight / room;
-                second[(n + i) * (width + 1)] += self.dual(k * m + i, sign, weight / room) / room;
-            }
-            // The law: m equations in n + 1 right-hand sides.
-            let by_control = DMatrix::from_fn(m, m, |i, j| second[(n + i) * width + n + j]);
-            let right = DMatrix::from_fn(m, n + 1, |i, j| {
-                if j < n {
-                    second[(n + i) * width + j]
-                } else {
-                    first[n + i]
-                }
-            });
-            let law = by_control.cholesky()?.solve(&right);
-            for i in 0..m {
-                constants[k * m + i] = -law[(i, n)];
-                (0..n).for_each(|j| gains[(k * m + i) * n + j] = -law[(i, j)]);
-            }
-            for a in 0..n {
-                let mixed = |i: usize| second[a * width + n + i];
-                gradients[k * n + a] =
-                    first[a] - (0..m).map(|i| mixed(i) * law[(i, n)]).sum::<f64>();
-                for b in 0..n {
-                    let less: f64 = (0..m).map(|i| mixed(i) * law[(i, b)]).sum();
-                    hessians[(k * n + a) * n + b] = second[a * width + b] - less;
-                }
-            }
-            // Rounding must not make it unsymmetric.
-            for a in 0..n {
-                for b in 0..a {
-                    let mean =
-                        0.5 * (hessians[(k * n + a) * n + b] + hessians[(k * n + b) * n + a]);
-                    hessians[(k * n + a) * n + b] = mean;
-                    hessians[(k * n + b) * n + a] = mean;
+            self.expand(k, &slopes[k], (barrier, share), &mut recursion);
+            recursion.eliminate(k)?;
+        }
+        let change = self.forward(slopes, recursion);
+        let finite = change.x.iter().chain(&change.u).all(|d| d.is_finite());
+        finite.then_some(change)
+    }
+
+    /// The cost to go from a node as a function of its state and control: the step's own, that of
+    /// the next node through the dynamics, and the barrier.
+    #[inline]
+    fn expand(
+        &self,
+        k: usize,
+        at: &Slopes,
+        (barrier, share): (f64, f64),
+        recursion: &mut Recursion,
+    ) {
+        let (n, m) = (self.rates.states, self.rates.controls);
+        let width = n + m;
+        let Recursion {
+            hessians,
+            gradients,
+            product,
+            first,
+            second,
+            ..
+        } = recursion;
+        let hessian = &hessians[(k + 1) * n * n..][..n * n];
+        first.clone_from(&at.gradient);
+        second.copy_from_slice(&at.hessian);
+        for (second, curvature) in second.iter_mut().zip(&at.curvature) {
+            *second += share * curvature;
+        }
+        times(hessian, &at.jacobian, n, n, width, product);
+        for i in 0..n {
+            let ahead = gradients[(k + 1) * n + i]
+                + (0..n)
+                    .map(|j| hessian[i * n + j] * self.gap(k * n + j))
+                    .sum::<f64>();
+            let row = &at.jacobian[i * width..][..width];
+            for a in 0..width {
+                first[a] += row[a] * ahead;
+                for b in 0..width {
+                    second[a * width + b] += row[a] * product[i * width + b];
                 }
             }
         }
+        for (i, room, sign, weight) in self.rooms(&self.u[k * m..][..m], barrier) {
+            first[n + i] += sign * weight / room;
+            second[(n + i) * (width + 1)] += self.dual(k * m + i, sign, weight / room) / room;
+        }
+    }
+
+    /// The changes from the first node on, by the laws of the steps.
+    fn forward(&self, slopes: &[Slopes], recursion: Recursion) -> Change {
+        let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count);
+        let width = n + m;
+        let Recursion {
+            hessians,
+            gradients,
+            constants,
+            gains,
+            ..
+        } = recursion;
         let mut change = Change {
             x: vec![0.0; (count + 1) * n],
             u: constants,
@@ -367,8 +451,7 @@ impl<'a> Descent<'a> {
                 change.p[k * n + i] += (0..n).map(|j| row[j] * change.x[k * n + j]).sum::<f64>();
             }
         }
-        let finite = change.x.iter().chain(&change.u).all(|d| d.is_finite());
-        finite.then_some(change)
+        change
     }
 
     /// Takes as much of a step as makes the merit less; the whole step's size, none where there is

@@ -3,9 +3,29 @@
 use super::{Emitter, Law, SCALARS, Settings, kinks, state, stored};
 use std::fmt::Write;
 
+/// The place of a counter of trajectory i.
+fn counter(k: usize) -> String {
+    format!("counters[i + {k}u * control.stride]")
+}
+
 impl Emitter<'_> {
     /// Loads and stores.
     pub(super) fn buffers(&self, text: &mut String) {
+        self.load_run(text);
+        let seed = self.state_vector(0);
+        let _ = writeln!(
+            text,
+            "fn load_seed(i: u32) -> Vector {{\n    return {seed};\n}}"
+        );
+        self.load(text);
+        self.save(text);
+        if self.spec.store {
+            self.store_vector(text);
+        }
+    }
+
+    /// The settings of a run.
+    fn load_run(&self, text: &mut String) {
         let settings = Settings::new(self.dim, self.variant);
         let mut fields = vec![
             "rtol: real".to_owned(),
@@ -30,30 +50,33 @@ impl Emitter<'_> {
             "fn load_run() -> Run {{\n    return Run({});\n}}",
             values.join(", ")
         );
+    }
 
-        let vector = |first: usize| {
-            let components: Vec<String> = (0..self.dim)
-                .map(|c| format!("state[i + {}u * control.stride]", first + c))
-                .collect();
-            format!("Vector({})", components.join(", "))
-        };
-        let _ = writeln!(
-            text,
-            "fn load_seed(i: u32) -> Vector {{\n    return {};\n}}",
-            vector(0)
-        );
-        let (y, k) = (vector(0), vector(self.dim));
+    /// A vector in the state of trajectory i, from this component on.
+    fn state_vector(&self, first: usize) -> String {
+        let components: Vec<String> = (0..self.dim)
+            .map(|c| format!("state[i + {}u * control.stride]", first + c))
+            .collect();
+        format!("Vector({})", components.join(", "))
+    }
+
+    /// The place of a number in the state of trajectory i, behind its vectors.
+    fn scalar(&self, k: usize) -> String {
+        format!("state[i + {}u * control.stride]", 2 * self.dim + k)
+    }
+
+    /// A trajectory taken up again.
+    fn load(&self, text: &mut String) {
+        let (y, k) = (self.state_vector(0), self.state_vector(self.dim));
         let kinks = kinks(self.spec);
-        let scalar = |k: usize| format!("state[i + {}u * control.stride]", 2 * self.dim + k);
-        let counter = |k: usize| format!("counters[i + {k}u * control.stride]");
         // What a step remembers of its kinks, behind the other fields.
         let mut remembered = String::new();
         if kinks > 0 {
-            let sides: Vec<String> = (0..kinks).map(|g| scalar(SCALARS + 1 + g)).collect();
+            let sides: Vec<String> = (0..kinks).map(|g| self.scalar(SCALARS + 1 + g)).collect();
             let _ = write!(
                 remembered,
                 ", {}, Sides({})",
-                scalar(SCALARS),
+                self.scalar(SCALARS),
                 sides.join(", ")
             );
         }
@@ -65,14 +88,18 @@ impl Emitter<'_> {
             "fn load(i: u32) -> Lane {{\n    let next_level = {};\n    return Lane({y}, {k}, {}, {}, f32({}), {}, {}, \
              next_level, {}, {}, level(next_level), 0u{remembered});\n}}\n",
             counter(1),
-            scalar(0),
-            scalar(1),
-            scalar(2),
-            scalar(3),
+            self.scalar(0),
+            self.scalar(1),
+            self.scalar(2),
+            self.scalar(3),
             counter(0),
             counter(2),
             counter(3),
         );
+    }
+
+    /// A trajectory laid by: the end of one that has ended, all of one that goes on.
+    fn save(&self, text: &mut String) {
         let _ = writeln!(text, "fn save(i: u32, lane: Lane) {{");
         let (own, going) = match self.legs {
             Some(_) => (["leg", "begun"].as_slice(), "is_going(lane.status)"),
@@ -106,22 +133,26 @@ impl Emitter<'_> {
             .iter()
             .enumerate()
         {
-            let _ = writeln!(text, "    {} = {field};", scalar(k));
+            let _ = writeln!(text, "    {} = {field};", self.scalar(k));
         }
+        let kinks = kinks(self.spec);
         if kinks > 0 {
-            let _ = writeln!(text, "    {} = lane.resume;", scalar(SCALARS));
+            let _ = writeln!(text, "    {} = lane.resume;", self.scalar(SCALARS));
         }
         for g in 0..kinks {
-            let _ = writeln!(text, "    {} = lane.sides.c{g};", scalar(SCALARS + 1 + g));
+            let side = self.scalar(SCALARS + 1 + g);
+            let _ = writeln!(text, "    {side} = lane.sides.c{g};");
         }
         text.push_str("}\n");
-        if self.spec.store {
-            let _ = writeln!(text, "fn store_vector(at: u32, y: Vector) {{");
-            for (k, c) in stored(self.spec).enumerate() {
-                let _ = writeln!(text, "    samples[at + {k}u] = y.c{c};");
-            }
-            text.push_str("}\n");
+    }
+
+    /// The components that are kept of a sample.
+    fn store_vector(&self, text: &mut String) {
+        let _ = writeln!(text, "fn store_vector(at: u32, y: Vector) {{");
+        for (k, c) in stored(self.spec).enumerate() {
+            let _ = writeln!(text, "    samples[at + {k}u] = y.c{c};");
         }
+        text.push_str("}\n");
     }
 
     /// A chart's place of a vector, its law, and where legs begin; see `shaders/legs.wgsl`.

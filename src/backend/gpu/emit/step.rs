@@ -117,6 +117,16 @@ impl Emitter<'_> {
     /// The dense output: polynomials in the fraction of the step, made once for all points wanted
     /// in it.
     pub(super) fn dense(&self, text: &mut String) {
+        self.densify(text);
+        self.interpolate(text);
+        if let By::Component(c) = self.spec.by {
+            self.along(c, text);
+        }
+    }
+
+    /// The polynomials' coefficients, from the derivatives at the stages and at those that only the
+    /// dense output needs.
+    fn densify(&self, text: &mut String) {
         let (tableau, degree) = (self.tableau, self.tableau.degree());
         let names = |f: &dyn Fn(usize) -> String| (0..degree).map(f).collect::<Vec<_>>();
         let _ = writeln!(
@@ -142,78 +152,92 @@ impl Emitter<'_> {
                 arguments.join(", ")
             );
         }
-        let (zero, mut of) = (self.number(0.0), Vec::new());
-        for c in 0..self.dim {
-            let parts: Vec<String> = (0..degree)
-                .map(|i| {
-                    let weights: Vec<f64> = tableau.dense.iter().map(|d| d[i]).collect();
-                    let _ = writeln!(
-                        text,
-                        "    let f{i}_{c}: real = {};",
-                        self.combination(&weights, c)
-                    );
-                    format!("f{i}_{c}")
-                })
-                .collect();
-            let power = |m: usize| {
-                let terms: Vec<String> = (0..degree)
-                    .map(|i| (tableau.power(i, m), &parts[i]))
-                    .filter(|(w, _)| *w != 0.0)
-                    .map(|(w, part)| {
-                        if w == 1.0 {
-                            part.clone()
-                        } else {
-                            format!("{part} * {}", self.number(w))
-                        }
-                    })
-                    .collect();
-                if terms.is_empty() {
-                    zero.clone()
-                } else {
-                    terms.join(" + ")
-                }
-            };
-            of.push((0..degree).map(power).collect::<Vec<_>>());
-        }
+        let of: Vec<Vec<String>> = (0..self.dim).map(|c| self.powers(c, text)).collect();
         let vectors = names(&|m| {
             let components: Vec<&str> = of.iter().map(|powers| powers[m].as_str()).collect();
             format!("Vector({})", components.join(", "))
         });
         let _ = writeln!(text, "    return Dense({});\n}}", vectors.join(", "));
-        let horner = |c: usize| {
-            (0..degree - 1)
-                .rev()
-                .fold(format!("d.d{}.c{c}", degree - 1), |acc, m| {
-                    format!("d.d{m}.c{c} + q * ({acc})")
+    }
+
+    /// Coefficients of the powers of a component's polynomial, as expressions in the parts that are
+    /// written first.
+    fn powers(&self, c: usize, text: &mut String) -> Vec<String> {
+        let (tableau, degree) = (self.tableau, self.tableau.degree());
+        let parts: Vec<String> = (0..degree)
+            .map(|i| {
+                let weights: Vec<f64> = tableau.dense.iter().map(|d| d[i]).collect();
+                let _ = writeln!(
+                    text,
+                    "    let f{i}_{c}: real = {};",
+                    self.combination(&weights, c)
+                );
+                format!("f{i}_{c}")
+            })
+            .collect();
+        let power = |m: usize| {
+            let terms: Vec<String> = (0..degree)
+                .map(|i| (tableau.power(i, m), &parts[i]))
+                .filter(|(w, _)| *w != 0.0)
+                .map(|(w, part)| {
+                    if w == 1.0 {
+                        part.clone()
+                    } else {
+                        format!("{part} * {}", self.number(w))
+                    }
                 })
+                .collect();
+            if terms.is_empty() {
+                self.number(0.0)
+            } else {
+                terms.join(" + ")
+            }
         };
+        (0..degree).map(power).collect()
+    }
+
+    /// A component's polynomial by Horner's rule.
+    fn horner(&self, c: usize) -> String {
+        let highest = self.tableau.degree() - 1;
+        (0..highest)
+            .rev()
+            .fold(format!("d.d{highest}.c{c}"), |acc, m| {
+                format!("d.d{m}.c{c} + q * ({acc})")
+            })
+    }
+
+    /// The vector at a fraction of the step.
+    fn interpolate(&self, text: &mut String) {
         let _ = writeln!(
             text,
             "fn interpolate(y: Vector, d: Dense, step: Step, h: real, q: real) -> Vector {{\n    if (q == 1.0) {{\n        \
              return step.y;\n    }}\n    let s = q * h;"
         );
         let components: Vec<String> = (0..self.dim)
-            .map(|c| format!("y.c{c} + s * ({})", horner(c)))
+            .map(|c| format!("y.c{c} + s * ({})", self.horner(c)))
             .collect();
         let _ = writeln!(text, "    return Vector({});\n}}", components.join(", "));
-        if let By::Component(c) = self.spec.by {
-            let slope = (0..degree - 1).rev().fold(
-                format!("{} * d.d{}.c{c}", self.number(degree as f64), degree - 1),
-                |acc, m| {
-                    format!(
-                        "{} * d.d{m}.c{c} + q * ({acc})",
-                        self.number((m + 1) as f64)
-                    )
-                },
-            );
-            let _ = writeln!(
-                text,
-                "// The coordinate's way since the begin of the step and its slope, per unit of h.\n\
-                 struct Along {{ way: real, slope: real, }}\n\
-                 fn along(d: Dense, q: real) -> Along {{\n    return Along(q * ({}), {slope});\n}}",
-                horner(c)
-            );
-        }
+    }
+
+    /// The way of the sampling coordinate, which is this component.
+    fn along(&self, c: usize, text: &mut String) {
+        let degree = self.tableau.degree();
+        let slope = (0..degree - 1).rev().fold(
+            format!("{} * d.d{}.c{c}", self.number(degree as f64), degree - 1),
+            |acc, m| {
+                format!(
+                    "{} * d.d{m}.c{c} + q * ({acc})",
+                    self.number((m + 1) as f64)
+                )
+            },
+        );
+        let _ = writeln!(
+            text,
+            "// The coordinate's way since the begin of the step and its slope, per unit of h.\n\
+             struct Along {{ way: real, slope: real, }}\n\
+             fn along(d: Dense, q: real) -> Along {{\n    return Along(q * ({}), {slope});\n}}",
+            self.horner(c)
+        );
     }
 
     fn stage_names(&self, text: &mut String) {

@@ -5,6 +5,8 @@ mod crossings;
 mod faces;
 mod flow;
 mod groups;
+mod made;
+mod patch;
 mod places;
 mod quarters;
 mod shadow;
@@ -49,9 +51,6 @@ const BEYOND_OF_SEVERAL: f64 = 0.05;
 const ANCHORED: f64 = 2.0;
 /// Times that cells which disagree with their neighbours are halved at once.
 const HALVINGS_APART: usize = 3;
-/// Some of a block's points test its pieces; one of all that is off by so many bounds contradicts
-/// them.
-const GROSS: f64 = 3.0;
 /// Share of new points at which a cell in error is fitted again.
 const WORTH_WHILE: f64 = 0.2;
 
@@ -568,55 +567,17 @@ impl<'c> Builder<'c> {
                 return self.split(block, axis, [None; 2]);
             }
         }
-        // Of several sheets none says anything much beyond its own points.
-        let beyond = if own.len() > 1 {
-            self.region.beyond.min(BEYOND_OF_SEVERAL)
-        } else {
-            self.region.beyond
-        };
-        let (mut pieces, edges): (Vec<Piece>, Vec<Edge>) = (own.iter())
-            .map(|(piece, points)| self.finished(piece.clone(), points, &block, beyond))
-            .unzip();
-        let of_edges = edges.iter().map(|edge| edge.excess).fold(0.0, f64::max);
-        // Halves ask for states of their own where the equation is not met; what cannot be halved
-        // keeps to its points there.
-        let by = self.bounds_by_equation(&pieces);
-        let off = self.off_points(&block, &pieces);
-        let far_off =
-            |(piece, off): (&Piece, &f64)| *off > GROSS * piece.bound.max(self.region.error);
-        let is_wrong = || {
-            of_edges > 1.0
-                || self.is_contradicted(&pieces, &by)
-                || self.is_unfounded(&block, &pieces)
-                || pieces.iter().zip(&off).any(far_off)
-        };
-        if dense && self.without.is_none() && is_wrong() {
+        let made = self.made(&block, &own);
+        if dense && self.without.is_none() && self.is_wrong(&block, &made) {
             let by_edges = || self.axis_by_edges(&block, &own);
-            let axis = (of_edges > 1.0).then(by_edges).flatten();
+            let axis = (made.of_edges > 1.0).then(by_edges).flatten();
             let axis = axis.unwrap_or_else(|| self.axis(&block, &own));
             if !self.is_finest(&block, axis) {
                 return self.split(block, axis, [None; 2]);
             }
         }
-        for k in 0..pieces.len() {
-            let mut piece = pieces.remove(k);
-            self.judge(&mut piece, by[k], &pieces, (&own[k].1, beyond));
-            if far_off((&piece, &off[k])) {
-                piece.bound = off[k];
-            }
-            pieces.insert(k, piece);
-        }
-        if self.is_unfounded(&block, &pieces) {
-            for (piece, (_, points)) in pieces.iter_mut().zip(&own) {
-                piece.support = self.enclosed(piece, points, 0.0);
-            }
-            if self.is_unfounded(&block, &pieces) {
-                pieces.clear();
-            }
-        }
-        if let [piece] = pieces.as_mut_slice() {
-            self.extend(piece, &block);
-        }
+        let of_edges = made.of_edges;
+        let (pieces, edges) = self.judged(&block, &own, made);
         let of_bounds = pieces
             .iter()
             .map(|p| p.bound / self.region.error)

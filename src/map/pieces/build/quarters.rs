@@ -1,11 +1,9 @@
 //! Fits in a plane, and of several sheets: a quarter of the tracks is left out. Of tracks that run
 //! side by side one alone is not missed.
 
-use super::super::fit::Shape;
-use super::{
-    Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist,
-    thinned,
-};
+use super::super::fit::{Data, Shape};
+use super::patch::Patch;
+use super::{Block, Builder, HOPELESS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist, thinned};
 
 /// One of this many tracks is left out of a first fit, to measure its error.
 const LEFT_OUT: u32 = 4;
@@ -30,51 +28,77 @@ impl Builder<'_> {
         points: &[u32],
         can_be_halved: bool,
     ) -> Option<(Piece, f64)> {
-        let n = self.cloud.variables;
-        let (center, half) = self.extent(block);
-        let fold = |k: u32| mix(self.cloud.track[k as usize]) % LEFT_OUT;
         let (tests, learned): (Vec<u32>, Vec<u32>) =
-            (points.iter().copied()).partition(|k| fold(*k) == 0);
-        let equations = |count: usize| ((n + 1) * count) as f64;
-        let determined = |degree: usize, points: usize| {
-            equations(points) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64
-        };
-        let highest = (1..=self.highest)
-            .rev()
-            .find(|d| determined(*d, learned.len()))?;
-        let inside = |k: &u32| {
-            let z = self.cloud.z(*k as usize);
-            (0..n).all(|i| (z[i] - center[i]).abs() <= half[i])
-        };
+            (points.iter().copied()).partition(|k| self.quarter(*k) == 0);
+        let highest = self.highest_of(learned.len())?;
+        let patch = self.patch(block, points);
+        let inside = |k: &u32| self.tells(&patch, *k);
         let tests: Vec<u32> = tests.into_iter().filter(inside).collect();
-        let scale = self.scale(points);
-        let data = |list: &[u32], degree: usize| self.data((&center, &half), list, degree, scale);
         let enough = points.iter().filter(|k| inside(k)).count() >= LEAST_TESTS;
+
         // Which function of V is smoothest here a low degree tells.
         let low = highest.min(LOW);
+        let (first, shapes) = self.shapes_by_quarters(&patch, (&learned, &tests), low)?;
+        let hopeless = can_be_halved && first > HOPELESS * self.region.error;
+        let degree = if hopeless { low } else { highest };
+        let most = self.most_points(degree);
+        let learned = self.data_of(&patch, &thinned(&learned, most), degree);
+        let tested = self.data_of(&patch, &thinned(&tests, MOST_TESTS), degree);
+        let mut fit = self.best_by_quarters((&learned, &tested), shapes, degree, enough)?;
+        // Few points: each is left out once.
+        if tests.len() < MANY_TESTS && !hopeless {
+            for turn in 1..LEFT_OUT {
+                self.leave_out(&patch, turn, most, &mut fit);
+            }
+        }
+        let bounds = fit.errors.map(|e| self.habits.allowance * e);
+        let fitted = (fit.shape, fit.coefficients);
+        Some(self.piece_of(patch, fitted, enough.then_some(bounds)))
+    }
+
+    /// Which quarter of the tracks a point is of.
+    fn quarter(&self, k: u32) -> u32 {
+        mix(self.cloud.track[k as usize]) % LEFT_OUT
+    }
+
+    /// The functions of V worth fitting, by the errors that a low degree fitted to some points has
+    /// at others; and the least of these.
+    fn shapes_by_quarters(
+        &self,
+        patch: &Patch<'_>,
+        (learned, tests): (&[u32], &[u32]),
+        low: usize,
+    ) -> Option<(f64, Vec<Shape>)> {
         let few = |list: &[u32]| {
             thinned(
                 list,
                 (self.habits.most_equations * self.terms.upto[low] as f64) as usize,
             )
         };
-        let (rough, rough_tests) = (data(&few(&learned), low), data(&few(&tests), low));
+        let rough = self.data_of(patch, &few(learned), low);
+        let rough_tests = self.data_of(patch, &few(tests), low);
         let least = rough.least().min(rough_tests.least());
-        let shapes = (Shape::ALL.iter())
+        let tried = (Shape::ALL.iter())
             .filter(|(shape, _)| shape.serves(least))
             .filter_map(|(shape, _)| {
                 let fitted = rough.fits(*shape, low).pop()?;
                 Some((largest(&rough_tests.errors(*shape, &fitted))[0], *shape))
             });
-        let (first, shapes) = shortlist(shapes)?;
-        let hopeless = can_be_halved && first > HOPELESS * self.region.error;
-        let degree = if hopeless { low } else { highest };
-        let most = (self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64)
-            .ceil() as usize;
-        let learned = data(&thinned(&learned, most), degree);
-        let tested = data(&thinned(&tests, MOST_TESTS), degree);
+        shortlist(tried)
+    }
+
+    /// The fit that errs least at the tests, of some shapes and the highest degrees; where the
+    /// points are enough to tell, no more are tried after one that is good enough.
+    fn best_by_quarters(
+        &self,
+        (learned, tested): (&Data<'_>, &Data<'_>),
+        shapes: Vec<Shape>,
+        degree: usize,
+        enough: bool,
+    ) -> Option<Fit> {
+        let met = |e: f64| e * self.habits.allowance <= self.habits.enough * self.region.error;
         let mut best: Option<Fit> = None;
-        'tried: for shape in shapes {
+        for shape in shapes {
             for coefficients in learned.fits(shape, degree).into_iter().rev().take(3) {
                 let errors = largest(&tested.errors(shape, &coefficients));
                 if best.as_ref().is_none_or(|b| errors[0] < b.errors[0]) {
@@ -84,39 +108,37 @@ impl Builder<'_> {
                         errors,
                     });
                 }
-                let met =
-                    |e: f64| e * self.habits.allowance <= self.habits.enough * self.region.error;
                 if enough && best.as_ref().is_some_and(|b| met(b.errors[0])) {
-                    break 'tried;
+                    return best;
                 }
             }
         }
-        let mut fit = best?;
-        // Few points: each is left out once.
-        if tests.len() < MANY_TESTS && !hopeless {
-            let degree = self.degree_of(&fit.coefficients);
-            for turn in 1..LEFT_OUT {
-                let (out, rest): (Vec<u32>, Vec<u32>) =
-                    (points.iter().copied()).partition(|k| fold(*k) == turn);
-                let out: Vec<u32> = out.into_iter().filter(inside).collect();
-                if out.is_empty() {
-                    continue;
-                }
-                let fitted = data(&thinned(&rest, most), degree)
-                    .fits(fit.shape, degree)
-                    .pop();
-                let errors = match fitted {
-                    Some(c) if c.len() == fit.coefficients.len() => {
-                        largest(&data(&out, degree).errors(fit.shape, &c))
-                    }
-                    _ => [f64::INFINITY; 2],
-                };
-                fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
-            }
+        best
+    }
+
+    /// Fits to at most so many points without one of the quarters, and raises a fit's errors to
+    /// those that show there.
+    fn leave_out(&self, patch: &Patch<'_>, quarter: u32, most: usize, fit: &mut Fit) {
+        let (out, rest): (Vec<u32>, Vec<u32>) =
+            (patch.points.iter().copied()).partition(|k| self.quarter(*k) == quarter);
+        let out: Vec<u32> = (out.into_iter())
+            .filter(|k| self.tells(patch, *k))
+            .collect();
+        if out.is_empty() {
+            return;
         }
-        let bounds = fit.errors.map(|e| self.habits.allowance * e);
-        let fitted = (fit.shape, fit.coefficients);
-        Some(self.piece((center, half), fitted, enough.then_some(bounds), points))
+        let degree = self.degree_of(&fit.coefficients);
+        let fitted = self
+            .data_of(patch, &thinned(&rest, most), degree)
+            .fits(fit.shape, degree)
+            .pop();
+        let errors = match fitted {
+            Some(c) if c.len() == fit.coefficients.len() => {
+                largest(&self.data_of(patch, &out, degree).errors(fit.shape, &c))
+            }
+            _ => [f64::INFINITY; 2],
+        };
+        fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
     }
 
     /// The same polynomial with all of its points, now that its error is known.

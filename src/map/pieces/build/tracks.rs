@@ -3,6 +3,7 @@
 
 use super::super::fit::{Shape, Tested, most_of_group};
 use super::flow::Residual;
+use super::patch::Patch;
 use super::{
     Block, Builder, HOPELESS, LEAST_EQUATIONS, LEAST_TESTS, LOW, Piece, largest, mix, shortlist,
     thinned,
@@ -41,58 +42,74 @@ impl Builder<'_> {
         points: &[u32],
         can_be_halved: bool,
     ) -> Option<(Piece, f64)> {
-        let n = self.cloud.variables;
-        let (center, half) = self.extent(block);
         // All the same, many points tell no more than some thousands.
-        let some: Vec<u32>;
+        let some;
         let points = if points.len() > MOST_POINTS {
-            let share = MOST_POINTS as f64 / points.len() as f64 * f64::from(u32::MAX);
-            some = points
-                .iter()
-                .copied()
-                .filter(|k| f64::from(mix(*k)) <= share)
-                .collect();
+            some = a_share(points, MOST_POINTS);
             &some
         } else {
             points
         };
-        let equations = |count: usize| ((n + 1) * count) as f64;
-        let determined = |degree: usize| {
-            equations(points.len()) >= LEAST_EQUATIONS * self.terms.upto[degree] as f64
-        };
-        let highest = (1..=self.highest).rev().find(|d| determined(*d))?;
+        let highest = self.highest_of(points.len())?;
         // Points in the piece tell its error, and where they are few others near it.
-        let mut far: Vec<f64> = (points.iter())
+        let mut patch = self.patch(block, points);
+        let nearest = self.nearest(&patch, LEAST_TESTS);
+        patch.near = nearest.map_or(1.0, |far| far.max(1.0));
+        let inside = |k: &u32| self.tells(&patch, *k);
+
+        // Which function of V is smoothest here a low degree tells.
+        let low = highest.min(LOW);
+        let (first, shapes) = self.shapes_by_tracks(&patch, low)?;
+        let hopeless = can_be_halved && first > HOPELESS * self.region.error;
+        let degree = if hopeless { low } else { highest };
+        let mine = self.drawn(points, self.most_points(degree), &inside);
+        let enough =
+            nearest.is_some() && mine.iter().filter(|k| inside(k)).count() >= LEAST_TESTS / 2;
+        let good = self.habits.enough * self.region.error / self.habits.allowance;
+        let (shape, mut fit) =
+            self.best_by_tracks(&patch, &mine, (shapes, degree), (good, enough))?;
+        if !hopeless {
+            self.fit_along(
+                patch.extent(),
+                (&mine, &inside),
+                (can_be_halved, good),
+                (shape, &mut fit),
+            );
+            let errors = self.errors_beside(&patch, shape, &fit.coefficients);
+            fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
+        }
+        // What errs by much is halved if it can be.
+        if self.without.is_some() && !(can_be_halved && fit.errors[0] > ROUGH) {
+            self.tame(patch.extent(), (&mine, &inside), (shape, &mut fit));
+        }
+        let mut bounds = fit.errors.map(|e| self.habits.allowance * e);
+        bounds[0] = bounds[0].max(LEAST_BOUND * self.region.error);
+        let fitted = (shape, fit.coefficients);
+        Some(self.piece_of(patch, fitted, enough.then_some(bounds)))
+    }
+
+    /// The distance from the middle, in half widths, within which so many points lie; `None` where
+    /// there are not so many.
+    fn nearest(&self, patch: &Patch<'_>, count: usize) -> Option<f64> {
+        let n = self.cloud.variables;
+        let mut far: Vec<f64> = (patch.points.iter())
             .map(|k| {
                 let z = self.cloud.z(*k as usize);
                 (0..n)
-                    .map(|i| (z[i] - center[i]).abs() / half[i])
+                    .map(|i| (z[i] - patch.center[i]).abs() / patch.half[i])
                     .fold(0.0, f64::max)
             })
             .collect();
-        let enough = far.len() >= LEAST_TESTS;
-        let near = match enough {
-            true => (*far
-                .select_nth_unstable_by(LEAST_TESTS - 1, f64::total_cmp)
-                .1)
-                .max(1.0),
-            false => 1.0,
-        };
-        let inside = |k: &u32| {
-            let z = self.cloud.z(*k as usize);
-            (0..n).all(|i| (z[i] - center[i]).abs() <= near * half[i])
-        };
-        let used = |degree: usize| {
-            let most = self.habits.most_equations * self.terms.upto[degree] as f64 / (n + 1) as f64;
-            self.drawn(points, most.ceil() as usize, &inside)
-        };
-        // Which function of V is smoothest here a low degree tells.
-        let low = highest.min(LOW);
-        let few = used(low);
-        let scale = self.scale(points);
-        let rough = self.data((&center, &half), &few, low, scale);
+        (far.len() >= count).then(|| *far.select_nth_unstable_by(count - 1, f64::total_cmp).1)
+    }
+
+    /// The functions of V worth fitting, by their errors at a low degree; and the least of these.
+    fn shapes_by_tracks(&self, patch: &Patch<'_>, low: usize) -> Option<(f64, Vec<Shape>)> {
+        let inside = |k: &u32| self.tells(patch, *k);
+        let few = self.drawn(patch.points, self.most_points(low), &inside);
+        let rough = self.data_of(patch, &few, low);
         let least = rough.least();
-        let shapes = (Shape::ALL.iter())
+        let tried = (Shape::ALL.iter())
             .filter(|(shape, _)| shape.serves(least))
             .filter_map(|(shape, _)| {
                 let tested = rough
@@ -100,16 +117,23 @@ impl Builder<'_> {
                     .pop()?;
                 Some((tested.errors[0], *shape))
             });
-        let (first, shapes) = shortlist(shapes)?;
-        let hopeless = can_be_halved && first > HOPELESS * self.region.error;
-        let degree = if hopeless { low } else { highest };
-        let mine = used(degree);
-        let enough = enough && mine.iter().filter(|k| inside(k)).count() >= LEAST_TESTS / 2;
-        let learned = self.data((&center, &half), &mine, degree, scale);
+        shortlist(tried)
+    }
+
+    /// The fit to some points that errs least, of some shapes and the highest degrees; where the
+    /// points are enough to tell, no more are tried after a good one.
+    fn best_by_tracks(
+        &self,
+        patch: &Patch<'_>,
+        points: &[u32],
+        (shapes, degree): (Vec<Shape>, usize),
+        (good, enough): (f64, bool),
+    ) -> Option<(Shape, Tested)> {
+        let learned = self.data_of(patch, points, degree);
+        let counts = |k: usize| self.tells(patch, points[k]);
         let mut best: Option<(Shape, Tested)> = None;
-        let good = self.habits.enough * self.region.error / self.habits.allowance;
         for shape in shapes {
-            for tested in learned.tested(shape, degree, (DEGREES, good), |k| inside(&mine[k])) {
+            for tested in learned.tested(shape, degree, (DEGREES, good), counts) {
                 if best
                     .as_ref()
                     .is_none_or(|(_, b)| tested.errors[0] < b.errors[0])
@@ -121,36 +145,17 @@ impl Builder<'_> {
                 break;
             }
         }
-        let (shape, mut fit) = best?;
-        if !hopeless {
-            let extent = (center.clone(), half.clone());
-            self.fit_along(
-                extent,
-                (&mine, &inside),
-                (can_be_halved, good),
-                (shape, &mut fit),
-            );
-            // Points that it was not fitted to.
-            let beside: Vec<u32> = thinned(points, MOST_TESTS)
-                .into_iter()
-                .filter(inside)
-                .collect();
-            let degree = self.degree_of(&fit.coefficients);
-            let errors = self
-                .data((&center, &half), &beside, degree, scale)
-                .errors(shape, &fit.coefficients);
-            let errors = largest(&errors);
-            fit.errors = [0, 1].map(|i| fit.errors[i].max(errors[i]));
-        }
-        // What errs by much is halved if it can be.
-        if self.without.is_some() && !(can_be_halved && fit.errors[0] > ROUGH) {
-            let extent = (center.clone(), half.clone());
-            self.tame(extent, (&mine, &inside), (shape, &mut fit));
-        }
-        let mut bounds = fit.errors.map(|e| self.habits.allowance * e);
-        bounds[0] = bounds[0].max(LEAST_BOUND * self.region.error);
-        let fitted = (shape, fit.coefficients);
-        Some(self.piece((center, half), fitted, enough.then_some(bounds), points))
+        best
+    }
+
+    /// Errors of a polynomial at points that it was not fitted to.
+    fn errors_beside(&self, patch: &Patch<'_>, shape: Shape, coefficients: &[f64]) -> [f64; 2] {
+        let beside: Vec<u32> = thinned(patch.points, MOST_TESTS)
+            .into_iter()
+            .filter(|k| self.tells(patch, *k))
+            .collect();
+        let data = self.data_of(patch, &beside, self.degree_of(coefficients));
+        largest(&data.errors(shape, coefficients))
     }
 
     /// Fits again with the equation along the flow at places of the block, where a fit to points
@@ -333,6 +338,15 @@ impl Builder<'_> {
         }
         Some(sum)
     }
+}
+
+/// About so many of a list, drawn by a hash.
+fn a_share(list: &[u32], most: usize) -> Vec<u32> {
+    let share = most as f64 / list.len() as f64 * f64::from(u32::MAX);
+    list.iter()
+        .copied()
+        .filter(|k| f64::from(mix(*k)) <= share)
+        .collect()
 }
 
 #[cfg(test)]
