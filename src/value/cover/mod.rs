@@ -35,9 +35,12 @@ const FIRST_SEEDS: [usize; MOST_STATES + 1] = [1, 64, 256, 300, 400, 400, 400];
 const LEAF: [f64; MOST_IN_CELLS + 1] = [0.04, 0.04, 0.04, 0.06];
 /// Bend of such a cell at most.
 const STRAIGHT: f64 = 0.1;
+/// How far the adjoints of its trajectories differ at most, of the larger one: what they say of V
+/// and p within the cell is a guess else, though it is straight.
+const MOST_TURN: f64 = 0.3;
 /// Bend that is assumed of the edges of first cells.
 const FIRST_BEND: f64 = 0.5;
-/// Shortest edge that is divided because of its bend.
+/// Shortest edge that is divided because of its bend or turn.
 const LEAST: f64 = 0.005;
 /// Divisions of a cell whose trajectories end within it.
 const DEEPEST: u32 = 40;
@@ -261,7 +264,8 @@ impl<'a> Cover<'a> {
                 }
                 break;
             }
-            open = self.divide(open, &mut leaves, &copies, ceiling)?;
+            let left = (&mut leaves, &mut cells.uncovered);
+            open = self.divide(open, left, (&copies, sought), ceiling)?;
         }
         cells.candidates = leaves
             .par_iter()
@@ -325,11 +329,12 @@ impl<'a> Cover<'a> {
     }
 
     /// Divides cells at the middle of their longest edges; those that are small become leaves.
+    /// States over one that is not, and cannot be divided, are not covered from there on.
     fn divide(
         &mut self,
         open: Vec<Open>,
-        leaves: &mut Vec<Open>,
-        copies: &[Copy],
+        (leaves, uncovered): (&mut Vec<Open>, &mut BTreeMap<usize, f64>),
+        (copies, sought): (&[Copy], &[Sought]),
         ceiling: f64,
     ) -> Result<Vec<Open>, BackendError> {
         let n = self.fan.plan.system.states;
@@ -339,18 +344,30 @@ impl<'a> Cover<'a> {
             let seeds = &open.cell.seeds;
             let (a, b, length) = open.corners.longest(seeds.len(), n);
             let complete = open.corners.complete();
-            let straight = open.cell.bend <= STRAIGHT || length <= LEAST;
-            if complete && length <= leaf && straight {
+            let is_smooth = || {
+                let turn = open.cell.turn(&self.fan, a, b, self.stationary);
+                length <= LEAST || (open.cell.bend <= STRAIGHT && turn <= MOST_TURN)
+            };
+            if complete && length <= leaf && is_smooth() {
                 leaves.push(open);
                 continue;
             }
             if !complete && (length <= LEAST || open.cell.depth >= DEEPEST) {
                 continue;
             }
-            match self.fan.middle(seeds[a], seeds[b]) {
-                Some(middle) => split.push(Division { open, a, b, middle }),
-                None if complete => leaves.push(open),
-                None => {}
+            if let Some(middle) = self.fan.middle(seeds[a], seeds[b]) {
+                split.push(Division { open, a, b, middle });
+                continue;
+            }
+            // No number lies between its seeds: what its trajectories do, which part, is not known.
+            if length > leaf {
+                for c in &open.copies {
+                    let target = sought[copies[*c as usize].sought].target;
+                    lower(uncovered, target, open.corners.value);
+                }
+            }
+            if complete {
+                leaves.push(open);
             }
         }
         let middles: Vec<u32> = split.iter().map(|d| d.middle).collect();
