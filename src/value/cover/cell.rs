@@ -87,28 +87,6 @@ impl Cell {
     }
 }
 
-impl Cell {
-    /// How far the adjoints of two of its trajectories are apart at its levels, relative to the
-    /// larger one, in widths of the region.
-    pub fn turn(&self, fan: &Fan<'_>, a: usize, b: usize, stationary: bool) -> f64 {
-        let (n, widths) = (fan.plan.system.states, &fan.plan.widths);
-        let largest = |of: &dyn Fn(usize) -> f64| {
-            let scaled = (0..n).map(|i| (of(i) * widths[i]).abs());
-            scaled.fold(0.0, f64::max)
-        };
-        (self.level..=self.level + usize::from(stationary))
-            .filter_map(|level| {
-                let (p, _) = fan.point(self.seeds[a], level)?;
-                let (q, _) = fan.point(self.seeds[b], level)?;
-                let of = |point: &[f32], i: usize| f64::from(point[1 + n + i]);
-                let apart = largest(&|i| of(p, i) - of(q, i));
-                let size = largest(&|i| of(p, i)).max(largest(&|i| of(q, i)));
-                Some(if size > 0.0 { apart / size } else { 0.0 })
-            })
-            .fold(0.0, f64::max)
-    }
-}
-
 impl Corners {
     /// Lowest and highest coordinates, beyond which no part of the cell is expected.
     pub fn bounds(&self, n: usize, bend: f64) -> SmallVec<[[f64; 2]; 3]> {

@@ -34,7 +34,7 @@ impl Cover<'_> {
         };
         let one = &sought[copy.sought];
         let first = self.at(&leaf.cell, &place);
-        let (spread, value_spread) = self.spread(&leaf.cell, &first);
+        let spread = self.spread(&leaf.cell, &first);
         Some(Candidate {
             target: one.target,
             turns: copy.turns.clone(),
@@ -48,7 +48,6 @@ impl Cover<'_> {
             value: first[1 + 2 * n],
             expected: first[1 + 2 * n],
             spread,
-            value_spread,
             cell: leaf.cell.clone(),
             place,
         })
@@ -79,8 +78,7 @@ impl Cover<'_> {
         let first = self.mixed(&cell, &place, level);
         let goal: Vec<f64> = copy.x.iter().zip(widths).map(|(x, w)| x * w).collect();
         let way: Vec<f64> = (0..n).map(|i| goal[i] - first[1 + i]).collect();
-        let along = |i: usize| first[1 + n + i] * way[i];
-        let change: f64 = (0..n).map(along).sum();
+        let change: f64 = (0..n).map(|i| first[1 + n + i] * way[i]).sum();
         let bend = (self.fan.plan.local.as_ref()).map_or(0.0, |local| local.quadratic(&way));
         Candidate {
             target: sought[copy.sought].target,
@@ -90,7 +88,6 @@ impl Cover<'_> {
             value: first[1 + 2 * n] + change,
             expected: first[1 + 2 * n] + change + bend,
             spread: vec![0.0; n],
-            value_spread: (0..n).map(|i| along(i).abs()).sum::<f64>() + bend,
             cell,
             place,
         }
@@ -186,11 +183,10 @@ impl Cover<'_> {
         mean
     }
 
-    /// How far the corners' adjoints are from the one at a place, and their V from the tangent
-    /// there.
-    fn spread(&self, cell: &Cell, at: &[f64]) -> (Vec<f64>, f64) {
+    /// How far the corners' adjoints are from the one at a place.
+    fn spread(&self, cell: &Cell, at: &[f64]) -> Vec<f64> {
         let n = self.fan.plan.system.states;
-        let (mut spread, mut value) = (vec![0.0f64; n], 0.0f64);
+        let mut spread = vec![0.0f64; n];
         for level in cell.level..=cell.level + usize::from(self.stationary) {
             for seed in &cell.seeds {
                 let Some((point, _)) = self.fan.point(*seed, level) else {
@@ -199,12 +195,9 @@ impl Cover<'_> {
                 for (i, spread) in spread.iter_mut().enumerate() {
                     *spread = spread.max((f64::from(point[1 + n + i]) - at[1 + n + i]).abs());
                 }
-                let along = |i: usize| at[1 + n + i] * (f64::from(point[1 + i]) - at[1 + i]);
-                let tangent = at[1 + 2 * n] + (0..n).map(along).sum::<f64>();
-                value = value.max((f64::from(point[1 + 2 * n]) - tangent).abs());
             }
         }
-        (spread, value)
+        spread
     }
 
     /// The path from a place to the end: the mean of the cell's trajectories, and on into the range

@@ -35,12 +35,9 @@ const FIRST_SEEDS: [usize; MOST_STATES + 1] = [1, 64, 256, 300, 400, 400, 400];
 const LEAF: [f64; MOST_IN_CELLS + 1] = [0.04, 0.04, 0.04, 0.06];
 /// Bend of such a cell at most.
 const STRAIGHT: f64 = 0.1;
-/// How far the adjoints of its trajectories differ at most, of the larger one: what they say of V
-/// and p within the cell is a guess else, though it is straight.
-const MOST_TURN: f64 = 0.3;
 /// Bend that is assumed of the edges of first cells.
 const FIRST_BEND: f64 = 0.5;
-/// Shortest edge that is divided because of its bend or turn.
+/// Shortest edge that is divided because of its bend.
 const LEAST: f64 = 0.005;
 /// Divisions of a cell whose trajectories end within it.
 const DEEPEST: u32 = 40;
@@ -87,9 +84,6 @@ pub struct Candidate {
     pub expected: f64,
     /// How much the adjoint (unscaled) differs within the cell, a component.
     pub spread: Vec<f64>,
-    /// How much V differs from its tangent at the place within the cell; of a trajectory's point
-    /// how much it changes on the way to the target.
-    pub value_spread: f64,
     cell: Cell,
     place: Place,
 }
@@ -344,11 +338,8 @@ impl<'a> Cover<'a> {
             let seeds = &open.cell.seeds;
             let (a, b, length) = open.corners.longest(seeds.len(), n);
             let complete = open.corners.complete();
-            let is_smooth = || {
-                let turn = open.cell.turn(&self.fan, a, b, self.stationary);
-                length <= LEAST || (open.cell.bend <= STRAIGHT && turn <= MOST_TURN)
-            };
-            if complete && length <= leaf && is_smooth() {
+            let straight = open.cell.bend <= STRAIGHT || length <= LEAST;
+            if complete && length <= leaf && straight {
                 leaves.push(open);
                 continue;
             }

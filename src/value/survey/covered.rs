@@ -27,9 +27,6 @@ const MOST_AT_ONCE: usize = 12;
 const FROM_CELL: f64 = 1.0 / 16.0;
 /// The same from a trajectory near the target.
 const FROM_POINT: f64 = 1.0 / 16.0;
-/// A solution explains a trajectory's point near its target if its cost differs by no more than
-/// what the point's V changes on the way, and this share of it.
-const FROM_POINT_COST: f64 = 0.1;
 /// Where solutions leave guards, and trajectories go on behind these, others are looked for up to
 /// this many times the V of the cheapest of them.
 const PAST_CUT: f64 = 16.0;
@@ -40,10 +37,9 @@ const SHEETS: f64 = 1.5;
 /// the cell, and of its size.
 const WITHIN: f64 = 0.6;
 const ALIKE: f64 = 0.02;
-/// And whose cost differs by less than that share of V's spread, and of its size.
-const ALIKE_COST: f64 = 2e-3;
-/// The most of that spread that counts, as a share of the cost.
-const UNSURE_COST: f64 = 0.02;
+/// And which costs at most this share more than the guess promises: next to folds, and where cells
+/// are large, that is off by a few hundredths.
+const DEARER: f64 = 0.1;
 /// Guesses that promise more than this times the cost searched for are left out.
 const ABOVE: f64 = 1.3;
 
@@ -236,11 +232,7 @@ impl Survey<'_> {
     /// Whether a guess may lead to something new that is of interest.
     fn promises(&self, candidate: &Candidate, wanted: Wanted) -> bool {
         let known = self.known_at(candidate);
-        let mut near = known.filter(|e| {
-            let off = (e.value() - candidate.expected).abs();
-            let known = candidate.value_spread + FROM_POINT_COST * candidate.expected.abs();
-            !is_elsewhere(e, &candidate.node, &self.scales) && off <= known
-        });
+        let mut near = known.filter(|e| !is_elsewhere(e, &candidate.node, &self.scales));
         let least = self
             .lowest(candidate.target)
             .map(|e| self.extremals[e].value());
@@ -283,9 +275,6 @@ impl Survey<'_> {
             // The first round shows what there is; after that only what may be the least is tried
             // again.
             left.retain(|c| !self.is_explained(c) && (round < 1 || self.may_be_least(c)));
-            if round > 0 {
-                left.sort_by(|a, b| a.target.cmp(&b.target).then(a.value.total_cmp(&b.value)));
-            }
             let (now, later) = choose(left, &self.scales);
             left = later;
             if now.is_empty() {
@@ -355,9 +344,11 @@ impl Survey<'_> {
             .is_none_or(|e| candidate.value <= times(NEARLY, self.extremals[e].value()))
     }
 
+    /// Whether a solution of the guess's adjoint is known, which is not much dearer: ways that join
+    /// behind an obstacle arrive with one adjoint, and only their costs tell them apart.
     fn is_explained(&self, candidate: &Candidate) -> bool {
         self.known_at(candidate).any(|e| {
-            (e.value() - candidate.value).abs() <= cost_margin(candidate)
+            e.value() - candidate.value <= DEARER * candidate.value.abs()
                 && alike(
                     e.adjoint(),
                     candidate.adjoint(),
@@ -368,12 +359,11 @@ impl Survey<'_> {
         })
     }
 
-    /// Whether a solution of about the guess's cost and adjoint is known, and no dearer one: near a
-    /// fold cells are no measure of either.
+    /// Whether a solution of about the guess's cost and adjoint is known: near a fold cells are no
+    /// measure of either.
     fn explains_loosely(&self, candidate: &Candidate) -> bool {
         self.known_at(candidate).any(|e| {
-            let above = e.value() - candidate.value;
-            let near = above <= cost_margin(candidate) && above >= -0.1 * candidate.value.abs();
+            let near = (e.value() - candidate.value).abs() <= 0.1 * candidate.value.abs();
             near && alike(
                 e.adjoint(),
                 candidate.adjoint(),
@@ -391,14 +381,6 @@ impl Survey<'_> {
             .chain(&self.cut[candidate.target])
             .filter(|e| self.windings[e.winding] == candidate.turns)
     }
-}
-
-/// How far a solution's cost may be from a guess's. Ways that join behind an obstacle arrive with
-/// one adjoint: only their costs tell them apart. Where the guess says little of the cost, nothing
-/// explains it but a solution that costs about as much.
-fn cost_margin(candidate: &Candidate) -> f64 {
-    let size = candidate.value.abs();
-    (WITHIN * candidate.value_spread).min(UNSURE_COST * size) + ALIKE_COST * size
 }
 
 /// Whether two adjoints agree as far as the spread within a cell lets them be told apart.
@@ -423,7 +405,6 @@ fn choose(candidates: Vec<Candidate>, scales: &[f64]) -> (Vec<Candidate>, Vec<Ca
         }
         let like = |other: &Candidate| {
             other.turns == candidate.turns
-                && (other.value - candidate.value).abs() <= cost_margin(&candidate)
                 && alike(
                     other.adjoint(),
                     candidate.adjoint(),
