@@ -37,9 +37,11 @@ const SHEETS: f64 = 1.5;
 /// the cell, and of its size.
 const WITHIN: f64 = 0.6;
 const ALIKE: f64 = 0.02;
-/// And which costs at most this share more than the guess promises: next to folds, and where cells
-/// are large, that is off by a few hundredths.
-const DEARER: f64 = 0.1;
+/// A solution is dearer than a guess promises from this share of its cost on: where trajectories
+/// turn within a cell guesses are off by some hundredths.
+const DEARER: f64 = 0.03;
+/// A guess promises something from this share of what is known on.
+const PROMISE: f64 = 2e-3;
 /// Guesses that promise more than this times the cost searched for are left out.
 const ABOVE: f64 = 1.3;
 
@@ -274,7 +276,7 @@ impl Survey<'_> {
         for round in 0..ROUNDS {
             // The first round shows what there is; after that only what may be the least is tried
             // again.
-            left.retain(|c| !self.is_explained(c) && (round < 1 || self.may_be_least(c)));
+            left.retain(|c| !self.is_known(c) && (round < 1 || self.may_be_least(c)));
             let (now, later) = choose(left, &self.scales);
             left = later;
             if now.is_empty() {
@@ -344,19 +346,32 @@ impl Survey<'_> {
             .is_none_or(|e| candidate.value <= times(NEARLY, self.extremals[e].value()))
     }
 
-    /// Whether a solution of the guess's adjoint is known, which is not much dearer: ways that join
-    /// behind an obstacle arrive with one adjoint, and only their costs tell them apart.
     fn is_explained(&self, candidate: &Candidate) -> bool {
-        self.known_at(candidate).any(|e| {
-            e.value() - candidate.value <= DEARER * candidate.value.abs()
-                && alike(
-                    e.adjoint(),
-                    candidate.adjoint(),
-                    &candidate.spread,
-                    &self.scales,
-                    WITHIN,
-                )
+        self.explaining(candidate).next().is_some()
+    }
+
+    /// Solutions known of a guess's adjoint.
+    fn explaining(&self, candidate: &Candidate) -> impl Iterator<Item = &Extremal> {
+        self.known_at(candidate).filter(|e| {
+            alike(
+                e.adjoint(),
+                candidate.adjoint(),
+                &candidate.spread,
+                &self.scales,
+                WITHIN,
+            )
         })
+    }
+
+    /// Whether a guess is not worth a try: what explains it costs no more than it promises, or it
+    /// promises nothing. Ways that join behind an obstacle arrive with one adjoint, and only their
+    /// costs tell them apart.
+    fn is_known(&self, candidate: &Candidate) -> bool {
+        let above = |v: f64, share: f64| v - candidate.value > share * candidate.value.abs();
+        let least = self.lowest(candidate.target);
+        let promising = least.is_none_or(|e| above(self.extremals[e].value(), PROMISE));
+        let mut explaining = self.explaining(candidate);
+        explaining.any(|e| !promising || !above(e.value(), DEARER))
     }
 
     /// Whether a solution of about the guess's cost and adjoint is known: near a fold cells are no
