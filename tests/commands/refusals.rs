@@ -649,14 +649,17 @@ fn a_time_limit_ends_what_follows_a_run() {
         let path = Path::new(crate::ROOT).join("scenarios").join(name);
         std::fs::read_to_string(path).unwrap()
     };
-    let fit =
-        "feedback = { fit = \"u\", hidden = [40, 40], iterations = 1000000, patience = 1000000 }";
+    let swept = SCENE
+        .replace("-x + u", "-sin(9*x) + u")
+        .replace("spacing = 0.2", "spacing = 0.02");
+    let swept = swept.replace("samples = 10", "samples = 40");
+    let fit = "feedback = { fit = \"u\", hidden = [12], iterations = 1000000, patience = 1000000 }";
     let level = text("linear_game.toml").replace(
         "[attenuation]",
         "[attenuation]\ntolerance = 1e-6\nstates = { x = [-1, 1, 60], v = [-1, 1, 60] }",
     );
     let level = level.replace("disturbances = 10000", "disturbances = 4");
-    let endless = [("fit", format!("{SCENE}\n{fit}\n")), ("level", level)];
+    let endless = [("fit", format!("{swept}\n{fit}\n")), ("level", level)];
     for (name, scene) in endless {
         let folder = folder(&format!("limit-{name}"));
         std::fs::write(folder.join("scene.toml"), scene).unwrap();
