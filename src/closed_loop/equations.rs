@@ -4,7 +4,7 @@ use super::forcing::{Forcing, Motion};
 use super::law::Law;
 use crate::backend::{By, Guards, Spec};
 use crate::expr::{Deviation, Graph, Id, Kind};
-use crate::hamiltonian::{GuardExpr, Hamiltonian};
+use crate::hamiltonian::{GuardExpr, Hamiltonian, deviations};
 use crate::model::{Extremum, Horizon, Method, Model, Precision, Record};
 use crate::program::Program;
 use nalgebra::DMatrix;
@@ -60,16 +60,7 @@ impl<'c> Closing<'c> {
     fn new(model: &'c Model, hamiltonian: &'c Hamiltonian, law: &Law) -> Self {
         let mut graph = law.graph.clone();
         let zero = graph.constant(0.0);
-        let mut symbols: HashMap<Id, Deviation> = HashMap::new();
-        for (symbol, at) in model.parameter_values() {
-            symbols.insert(symbol, Deviation::new(at, zero));
-        }
-        let mut inputs = Vec::new();
-        for (state, &at) in model.states.iter().zip(model.reference()) {
-            let change = graph.symbol(&format!("d_{}", state.variable.name), Kind::State);
-            symbols.insert(state.variable.symbol, Deviation::new(at, change));
-            inputs.push(change);
-        }
+        let (inputs, symbols) = deviations(&mut graph, model);
         Self {
             model,
             hamiltonian,

@@ -4,7 +4,7 @@
 use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::expr::{Graph, Id};
 use crate::feedback::{self, NetworkError};
-use crate::hamiltonian::Hamiltonian;
+use crate::hamiltonian::{Hamiltonian, clamped};
 use crate::local::{LocalError, Riccati, linear_law};
 use crate::model::{Formula, GivenLaw, Horizon, Model, Span};
 use std::collections::HashMap;
@@ -247,7 +247,7 @@ impl<'s> Laws<'s> {
         }
         let mut all = given.clone();
         let within: Vec<Option<Id>> = (given.iter().enumerate())
-            .map(|(j, u)| u.map(|u| self.saturated(&mut graph, j, u)))
+            .map(|(j, u)| u.map(|u| clamped(&mut graph, &self.model.controls[j], u)))
             .collect();
         for (actuator, command) in &commanded {
             let rate = self.track_rate().ok_or_else(|| {
@@ -341,7 +341,7 @@ impl<'s> Laws<'s> {
     /// With the bounds of the controls.
     fn law(&self, name: &str, mut graph: Graph, control: Vec<Id>, source: &str) -> Law {
         let control = (control.into_iter().enumerate())
-            .map(|(j, u)| self.saturated(&mut graph, j, u))
+            .map(|(j, u)| clamped(&mut graph, &self.model.controls[j], u))
             .collect();
         Law {
             name: name.to_owned(),
@@ -350,19 +350,6 @@ impl<'s> Laws<'s> {
             charted: false,
             source: source.to_owned(),
         }
-    }
-
-    fn saturated(&self, graph: &mut Graph, control: usize, mut u: Id) -> Id {
-        let bounds = &self.model.controls[control];
-        if let Some(min) = bounds.min {
-            let min = graph.constant(min);
-            u = graph.max(u, min);
-        }
-        if let Some(max) = bounds.max {
-            let max = graph.constant(max);
-            u = graph.min(u, max);
-        }
-        u
     }
 
     /// A file named in the scene: beside the scene, unless its name is absolute.

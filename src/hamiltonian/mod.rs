@@ -9,8 +9,9 @@ mod optimal;
 mod slope;
 mod system;
 
+pub use optimal::clamped;
 pub use slope::{Slope, infinite};
-pub use system::{GuardExpr, Observer, System, Terminal};
+pub use system::{GuardExpr, Observer, System, Terminal, deviations};
 
 use crate::diagnostics::Problem;
 use crate::expr::{Graph, Id, Kind};

@@ -133,7 +133,7 @@ fn derivatives(
 }
 
 /// A control within its bounds.
-fn clamped(graph: &mut Graph, control: &Control, u: Id) -> Id {
+pub fn clamped(graph: &mut Graph, control: &Control, u: Id) -> Id {
     let mut v = u;
     if let Some(lo) = control.min {
         let lo = graph.constant(lo);

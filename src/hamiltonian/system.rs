@@ -107,6 +107,16 @@ fn inputs(
     hamiltonian: &Hamiltonian,
     model: &Model,
 ) -> (Vec<Id>, HashMap<Id, Deviation>) {
+    let (mut inputs, mut symbols) = deviations(graph, model);
+    for &p in &hamiltonian.p {
+        symbols.insert(p, Deviation::new(0.0, p));
+        inputs.push(p);
+    }
+    (inputs, symbols)
+}
+
+/// Symbols of the deviations of the states, and what stands for the scene's states and parameters.
+pub fn deviations(graph: &mut Graph, model: &Model) -> (Vec<Id>, HashMap<Id, Deviation>) {
     let mut symbols: HashMap<Id, Deviation> = HashMap::new();
     let zero = graph.constant(0.0);
     for (symbol, value) in model.parameter_values() {
@@ -117,10 +127,6 @@ fn inputs(
         let s = graph.symbol(&format!("d_{}", state.variable.name), Kind::State);
         symbols.insert(state.variable.symbol, Deviation::new(at, s));
         inputs.push(s);
-    }
-    for &p in &hamiltonian.p {
-        symbols.insert(p, Deviation::new(0.0, p));
-        inputs.push(p);
     }
     (inputs, symbols)
 }

@@ -161,7 +161,7 @@ impl Session<'_> {
         if let Some(mut draft) = draft {
             laws = laws::perform(self, &draft)?;
             if laws.stopped && !summary.stopped {
-                path = mark_laws_stopped(path, &mut draft, &mut summary)?;
+                path = mark_laws_stopped(&mut draft, &mut summary)?;
             }
             draft.publish()?;
         }
@@ -218,13 +218,10 @@ impl Output {
     /// Those of writing.
     fn mark_stopped(&mut self) -> Result<(), RunError> {
         self.file.attribute("stopped", 1i64)?;
-        // An older file may have more than what was done by now.
-        if self.path.exists() {
-            self.path = stopped_beside(&self.path);
-            match &mut self.draft {
-                Some(draft) => draft.rename(self.path.clone()),
-                None => self.file.rename(self.path.clone()),
-            }
+        self.path = path_of_stopped(&self.path);
+        match &mut self.draft {
+            Some(draft) => draft.rename(self.path.clone()),
+            None => self.file.rename(self.path.clone()),
         }
         Ok(())
     }
@@ -235,17 +232,11 @@ impl Output {
 ///
 /// # Errors
 /// Those of writing.
-fn mark_laws_stopped(
-    mut path: PathBuf,
-    draft: &mut Draft,
-    summary: &mut RunSummary,
-) -> Result<PathBuf, RunError> {
+fn mark_laws_stopped(draft: &mut Draft, summary: &mut RunSummary) -> Result<PathBuf, RunError> {
+    let path = path_of_stopped(draft.path());
+    draft.rename(path.clone());
     summary.laws_stopped = true;
-    if path.exists() {
-        path = stopped_beside(&path);
-        summary.file = path.display().to_string();
-        draft.rename(path.clone());
-    }
+    summary.file = path.display().to_string();
     let file = ResultFile::extend(draft.hidden(), &[])?;
     file.attribute("laws_stopped", 1i64)?;
     file.attribute("summary", in_json(summary))?;
@@ -257,9 +248,14 @@ fn in_json(summary: &RunSummary) -> String {
     serde_json::to_string(summary).unwrap_or_default()
 }
 
-/// The name of an unfinished result beside one that is there: `out/x.h5` -> `out/x_stopped.h5`.
+/// The name of an unfinished result: that of the finished one, or, where there is a file of that
+/// name, which may have more than what was done by now, one beside it: `out/x.h5` ->
+/// `out/x_stopped.h5`.
 #[must_use]
-pub fn stopped_beside(path: &Path) -> PathBuf {
+pub fn path_of_stopped(path: &Path) -> PathBuf {
+    if !path.exists() {
+        return path.to_owned();
+    }
     let mut name = path.file_stem().unwrap_or_default().to_owned();
     name.push("_stopped");
     if let Some(ending) = path.extension() {

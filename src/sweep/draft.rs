@@ -199,6 +199,7 @@ impl Draft<'_> {
     /// Settings of the run, for components of these scales.
     pub fn run(&self, course: &Course, scales: &[f64]) -> Run {
         let integrator = &self.model.integrator;
+        let periodic = self.model.states.iter().map(|s| s.period.is_some());
         Run {
             rtol: self.numerics.rtol,
             atol: scales.iter().map(|s| self.numerics.atol * s).collect(),
@@ -207,22 +208,8 @@ impl Draft<'_> {
             max_steps: u32::try_from(integrator.max_steps).unwrap_or(u32::MAX),
             levels: course.levels.clone(),
             ceiling: course.ceiling,
-            bounds: self.bounds(),
+            bounds: with_margin(self.region, self.widths, periodic, self.shoot_out.margin),
         }
-    }
-
-    /// The region with its margin; a periodic state has no bounds.
-    fn bounds(&self) -> Vec<[f64; 2]> {
-        (self.region.iter().zip(self.widths).zip(&self.model.states))
-            .map(|(([lo, hi], w), state)| {
-                let margin = if state.period.is_some() {
-                    f64::INFINITY
-                } else {
-                    self.shoot_out.margin * w
-                };
-                [lo - margin, hi + margin]
-            })
-            .collect()
     }
 }
 
@@ -239,6 +226,24 @@ impl Integrand {
             store: true,
         }
     }
+}
+
+/// A region of these widths with so many of them more on each side; a periodic state has no bounds.
+pub fn with_margin(
+    region: &[[f64; 2]],
+    widths: &[f64],
+    periodic: impl Iterator<Item = bool>,
+    margin: f64,
+) -> Vec<[f64; 2]> {
+    (region.iter().zip(widths).zip(periodic))
+        .map(|(([lo, hi], width), periodic)| {
+            let margin = match periodic {
+                true => f64::INFINITY,
+                false => margin * width,
+            };
+            [lo - margin, hi + margin]
+        })
+        .collect()
 }
 
 /// V up to which is swept; infinite where the scene sets no limit.

@@ -14,6 +14,7 @@ mod surface;
 
 pub use accuracy::{Accuracy, Spread};
 pub use caustic::FoldPoint;
+pub use draft::with_margin;
 pub use fronts::{Coverage, Progress, SweepReport, sweep, sweep_keeping};
 pub use observe::Observed;
 pub(crate) use plan::MOST_OPERATIONS;

@@ -97,17 +97,6 @@ pub struct Choices {
     pub partial: bool,
 }
 
-impl Choices {
-    /// The same to the end: where half of a computation would show nothing.
-    #[must_use]
-    pub fn without_deadline(self) -> Self {
-        Self {
-            deadline: Deadline::default(),
-            ..self
-        }
-    }
-}
-
 /// The coordinate that the stored points of a sweep are levels of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sampling {

@@ -4,6 +4,8 @@
 
 pub mod numbers;
 
+pub use crate::common_problems::parameter;
+
 use costate::backend::{Backend, BackendError, Kernel, Run, Spec, Trajectories, cpu::Cpu};
 use costate::low_level::hamiltonian::Hamiltonian;
 use costate::low_level::model::{Method, Model, Precision};
@@ -40,15 +42,6 @@ pub fn unswept(model: &Model) -> Plan {
 
 pub fn derive(model: &Model) -> Hamiltonian {
     Hamiltonian::derive(model).unwrap_or_else(|problems| panic!("{problems:?}"))
-}
-
-pub fn parameter(model: &Model, name: &str) -> f64 {
-    model
-        .parameters
-        .iter()
-        .find(|p| p.name == name)
-        .unwrap_or_else(|| panic!("no parameter {name}"))
-        .value
 }
 
 /// What the accuracy of a run is asked as.

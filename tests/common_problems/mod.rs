@@ -19,7 +19,7 @@ pub struct Exact {
 }
 
 /// The value of a scene's parameter.
-fn parameter(model: &Model, name: &str) -> f64 {
+pub fn parameter(model: &Model, name: &str) -> f64 {
     let found = model.parameters.iter().find(|p| p.name == name);
     found.unwrap_or_else(|| panic!("no parameter {name}")).value
 }

@@ -2,7 +2,7 @@
 //! its limits.
 
 use crate::common;
-use crate::common_problems::{Exact, manufactured};
+use crate::common_problems::{Exact, manufactured, parameter};
 use crate::common_values;
 
 use common::any_gpu;
@@ -113,7 +113,7 @@ const GRADIENT: f64 = 2e-5;
 fn rate_saturation() {
     let model = hard("rate_saturation");
     let x0 = model.reference().to_vec();
-    let v_max = common_values_parameter(&model, "v_max");
+    let v_max = parameter(&model, "v_max");
     both(&model, 1500, |swept, solve, what| {
         let x = [x0[0], x0[1], 0.2, x0[3]];
         let answers = solve(&x);
@@ -149,22 +149,13 @@ fn rate_saturation() {
     );
 }
 
-fn common_values_parameter(model: &Model, name: &str) -> f64 {
-    model
-        .parameters
-        .iter()
-        .find(|p| p.name == name)
-        .expect("a parameter")
-        .value
-}
-
 #[test]
 fn the_peak() {
     for name in ["near_peak", "peak_finite_horizon"] {
         let model = hard(name);
-        let flow = common_values_parameter(&model, "Phi0");
-        let pressure = common_values_parameter(&model, "Psi0");
-        let throttle = common_values_parameter(&model, "gamma0");
+        let flow = parameter(&model, "Phi0");
+        let pressure = parameter(&model, "Psi0");
+        let throttle = parameter(&model, "gamma0");
         let swept = Swept::new(model, 1500);
         let x = [flow + 0.05, pressure - 0.02, 0.01, throttle + 0.01];
         gradient(&swept, &|p| swept.points(p), &x, 1e-3, GRADIENT, name);
@@ -175,7 +166,7 @@ fn the_peak() {
 #[test]
 fn stall_at_zero() {
     let model = hard("stall_to_zero");
-    let throttle = common_values_parameter(&model, "gamma0");
+    let throttle = parameter(&model, "gamma0");
     both(&model, 1000, |swept, solve, what| {
         let mut points = Vec::new();
         for r in [0.0, 1e-12] {
@@ -328,7 +319,7 @@ fn along_the_equal_cost_boundary() {
 fn control_cheap_and_dear_and_a_chain() {
     // cheap: rates -1 and -1000
     let model = hard("cheap_control");
-    let root = common_values_parameter(&model, "r").sqrt();
+    let root = parameter(&model, "r").sqrt();
     let p = [
         (1.0 + 2.0 * root).sqrt(),
         root,
@@ -336,7 +327,7 @@ fn control_cheap_and_dear_and_a_chain() {
     ];
     exact(&model, &[1.0, 0.0, -1.0, 20.0, 0.5, -40.0], 300, p, true);
     let model = hard("dear_control");
-    let r = common_values_parameter(&model, "r");
+    let r = parameter(&model, "r");
     let p12 = r * (1.0 + (1.0 + 1.0 / r).sqrt());
     let p22 = (r * (2.0 * p12 + 1.0)).sqrt();
     exact(

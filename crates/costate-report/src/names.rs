@@ -1,7 +1,7 @@
 //! How states and controls are named in pictures.
 
 use super::ticks::significant;
-use costate::low_level::model::Variable;
+use costate::low_level::model::{State, Variable};
 
 const GREEK: [(&str, char); 48] = [
     ("alpha", 'α'),
@@ -92,9 +92,15 @@ pub fn label(variable: &Variable) -> String {
     }
 }
 
-/// `θ = 0.12`.
-pub fn held(variable: &Variable, value: f64) -> String {
-    format!("{} = {}", symbol(&variable.name), significant(value, 4))
+/// `θ = 0.12`, of each state that is not shown: what it is held at.
+pub fn held(states: &[State], shown: &[usize], value: impl Fn(usize) -> f64) -> Vec<String> {
+    (states.iter().enumerate())
+        .filter(|(k, _)| !shown.contains(k))
+        .map(|(k, s)| {
+            let value = significant(value(k), 4);
+            format!("{} = {value}", symbol(&s.variable.name))
+        })
+        .collect()
 }
 
 /// ` at θ = 0.12, γ = 1.5`: what is held fixed, if anything is.

@@ -252,10 +252,8 @@ impl<'s> Source<'s> {
     /// ` at R = 0.12, γ = 1.5`: the states that a picture of the plane holds fixed; on a finite
     /// horizon the time too.
     pub fn fixed(&self) -> String {
-        let mut fixed: Vec<String> = (self.model.states.iter().enumerate())
-            .filter(|(k, _)| !self.axes.contains(k))
-            .map(|(k, s)| names::held(&s.variable, self.base[k]))
-            .collect();
+        let states = &self.model.states;
+        let mut fixed = names::held(states, &self.axes, |k| self.base[k]);
         if !self.infinite() {
             fixed.push(format!("{} = 0", self.model.time_name()));
         }

@@ -10,7 +10,7 @@ use wgpu::{Backend as Api, Backends, DeviceType};
 const F64: wgpu::Features = wgpu::Features::SHADER_F64.union(wgpu::Features::SHADER_INT64);
 
 /// All adapters, the best first.
-pub fn adapters() -> Vec<AdapterInfo> {
+pub(crate) fn adapters() -> Vec<AdapterInfo> {
     enumerate(Backends::all()).iter().map(describe).collect()
 }
 

@@ -21,7 +21,7 @@ mod tests;
 pub(crate) mod text;
 
 pub use super::adapters::{AdapterInfo, Selection};
-pub use adapter::adapters;
+pub(super) use adapter::adapters;
 
 use super::{Backend, BackendError, Eliminator, Kernel, Spec};
 use crate::model::Precision;

@@ -9,7 +9,7 @@ use crate::backend::{
 use crate::local::{LocalSolution, SeedChoice};
 use crate::model::{Method, Model, Precision, SeedValue};
 use crate::program::Program;
-use crate::sweep::{Plan, Surface};
+use crate::sweep::{Plan, Surface, with_margin};
 use rustc_hash::FxHashMap;
 use std::sync::{Mutex, PoisonError};
 
@@ -123,6 +123,8 @@ fn run(plan: &Plan, unit: f64, levels: Vec<f64>) -> Run {
     let scales = (plan.widths.iter().copied())
         .chain(plan.widths.iter().map(|w| unit / w))
         .chain([unit, 1.0]);
+    let periodic = plan.periodic.iter().copied();
+    let margin = plan.shoot_out.margin.max(LEAST_MARGIN);
     Run {
         rtol: RTOL,
         atol: scales.map(|s| 1e-3 * RTOL * s).collect(),
@@ -131,16 +133,7 @@ fn run(plan: &Plan, unit: f64, levels: Vec<f64>) -> Run {
         max_steps: MOST_STEPS,
         levels,
         ceiling: None,
-        bounds: (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
-            .map(|(([lo, hi], w), periodic)| {
-                let margin = if *periodic {
-                    f64::INFINITY
-                } else {
-                    plan.shoot_out.margin.max(LEAST_MARGIN) * w
-                };
-                [lo - margin, hi + margin]
-            })
-            .collect(),
+        bounds: with_margin(&plan.region, &plan.widths, periodic, margin),
     }
 }
 

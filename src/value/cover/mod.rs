@@ -350,7 +350,8 @@ impl<'a> Cover<'a> {
                 split.push(Division { open, a, b, middle });
                 continue;
             }
-            // No number lies between its seeds: what its trajectories do, which part, is not known.
+            // No number lies between its seeds, and their trajectories part: what lies between these
+            // is not known.
             if length > leaf {
                 for c in &open.copies {
                     let target = sought[copies[*c as usize].sought].target;

@@ -40,7 +40,7 @@ const ALIKE: f64 = 0.02;
 /// A solution is dearer than a guess promises from this share of its cost on: where trajectories
 /// turn within a cell guesses are off by some hundredths.
 const DEARER: f64 = 0.03;
-/// A guess promises something from this share of what is known on.
+/// A guess promises less than what is known where it is below that by more than this share.
 const PROMISE: f64 = 2e-3;
 /// Guesses that promise more than this times the cost searched for are left out.
 const ABOVE: f64 = 1.3;
@@ -363,9 +363,9 @@ impl Survey<'_> {
         })
     }
 
-    /// Whether a guess is not worth a try: what explains it costs no more than it promises, or it
-    /// promises nothing. Ways that join behind an obstacle arrive with one adjoint, and only their
-    /// costs tell them apart.
+    /// Whether a guess is not worth a try: a solution of its adjoint is known that costs about what
+    /// it promises, or it promises no less than all that is known. Ways that join behind an obstacle
+    /// arrive with one adjoint, and only their costs tell them apart.
     fn is_known(&self, candidate: &Candidate) -> bool {
         let above = |v: f64, share: f64| v - candidate.value > share * candidate.value.abs();
         let least = self.lowest(candidate.target);

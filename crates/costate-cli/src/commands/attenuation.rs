@@ -2,9 +2,9 @@
 
 use super::alone::Alone;
 use crate::args::RunArgs;
+use crate::common::ending::time_limit;
 use crate::common::{pictures, print_json};
 use crate::error::CliError;
-use costate::backend::Deadline;
 use costate::run::write_attenuation;
 use costate::session::SessionError;
 use costate::session::summary::AttenuationSummary;
@@ -15,10 +15,9 @@ pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
         asked.ok_or(SessionError::NoAttenuation)
     })?;
     let Alone { terminal, .. } = &begun;
-    let end = args.time_limit;
-    let deadline = end.and_then(|limit| Deadline::instant(begun.provenance.clock, limit));
-    let session = begun.session(backend).until(Deadline::at(deadline));
-    let found = match (session.attenuation(), end) {
+    let deadline = time_limit(args, &begun.provenance);
+    let session = begun.session(backend).until(deadline);
+    let found = match (session.attenuation(), args.time_limit) {
         (Err(_), Some(limit)) if session.is_over() => return Err(CliError::Nothing { limit }),
         (found, _) => found?,
     };

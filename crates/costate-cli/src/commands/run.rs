@@ -11,7 +11,7 @@ use crate::text::listed;
 use costate::low_level::dynamic_programming;
 use costate::low_level::files::{target, write_text};
 use costate::low_level::model::Model;
-use costate::run::{Provenance, output_of, output_of_points, stopped_beside};
+use costate::run::{Provenance, output_of, output_of_points, path_of_stopped};
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
@@ -196,9 +196,8 @@ fn to_table(
     // What is wrong with the name is told before the work is done.
     let path = target(path)?;
     let outcome = pass.perform::<SessionError>(&mut |_| Ok(()))?;
-    // An older table may have more than what was done by now.
-    let path = match outcome.stopped && path.exists() {
-        true => stopped_beside(&path),
+    let path = match outcome.stopped {
+        true => path_of_stopped(&path),
         false => path,
     };
     let mut summary = json!(session.summary(&outcome, &path, provenance.seconds()));

@@ -8,6 +8,12 @@ use costate::run::Provenance;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
+/// `--time-limit` alone.
+pub fn time_limit(args: &RunArgs, provenance: &Provenance) -> Deadline {
+    let limit = args.time_limit;
+    Deadline::at(limit.and_then(|limit| Deadline::instant(provenance.clock, limit)))
+}
+
 /// Ends a command early, with what is done.
 pub struct Ending {
     pub deadline: Deadline,
@@ -27,9 +33,8 @@ impl Ending {
                 eprintln!("{name}: what is done is kept; once more ends at once, with nothing");
             }
         });
-        let end = (args.time_limit).and_then(|limit| Deadline::instant(provenance.clock, limit));
         Self {
-            deadline: Deadline::at(end).or_once(stop),
+            deadline: time_limit(args, provenance).or_once(stop),
             limit: args.time_limit,
             signal,
         }

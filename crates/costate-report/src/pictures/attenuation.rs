@@ -281,10 +281,9 @@ impl Cut {
 
     /// The states that it holds fixed, in words.
     fn fixed(&self, source: &Source<'_>) -> String {
-        let fixed: Vec<String> = (source.model.states.iter().enumerate())
-            .filter(|(k, _)| !self.shown.contains(k))
-            .map(|(k, s)| names::held(&s.variable, self.grid[k][self.at[k]]))
-            .collect();
+        let fixed = names::held(&source.model.states, &self.shown, |k| {
+            self.grid[k][self.at[k]]
+        });
         names::at(&fixed)
     }
 

@@ -46,10 +46,7 @@ struct Place {
 impl Place {
     /// The states that are held fixed, in words.
     fn fixed(&self, source: &Source<'_>) -> String {
-        let fixed: Vec<String> = (source.model.states.iter().enumerate())
-            .filter(|(k, _)| !self.axes.contains(k))
-            .map(|(k, s)| names::held(&s.variable, self.base[k]))
-            .collect();
+        let fixed = names::held(&source.model.states, &self.axes, |k| self.base[k]);
         names::at(&fixed)
     }
 }

@@ -274,13 +274,11 @@ impl Paths {
     /// Each quantity of a path against time, and last the balance; `v0`: V at its beginning.
     fn curves(&self, path: usize, v0: f64) -> Vec<Vec<[f64; 2]>> {
         let own = path * self.samples..(path + 1) * self.samples;
-        let mut curves: Vec<Vec<[f64; 2]>> = Vec::new();
-        for (values, width) in &self.quantities {
-            for i in 0..*width {
-                let points = own.clone().map(|s| [self.t[s], values[s * width + i]]);
-                curves.push(points.collect());
-            }
-        }
+        let quantities = self
+            .quantities
+            .iter()
+            .map(|(values, width)| (values, *width));
+        let mut curves = histories::against_time(&self.t, own.clone(), quantities);
         let share = |s: usize| (self.done[s] + self.v[s]) / (self.supplied[s] + v0);
         let points = own
             .map(|s| [self.t[s], share(s)])

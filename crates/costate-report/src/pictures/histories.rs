@@ -10,6 +10,7 @@ use costate::low_level::model::{Horizon, Model};
 use costate::low_level::result::{StoredError, StoredGroup};
 use costate::low_level::schema;
 use costate::low_level::trajectories::SweptTrajectories;
+use std::ops::Range;
 
 /// Trajectories of the picture: more are not told apart.
 const SHOWN: usize = 5;
@@ -181,17 +182,26 @@ impl Loops {
     /// Each state and control of a trajectory against time.
     fn curves(&self, law: usize, start: usize) -> Vec<Vec<[f64; 2]>> {
         let first = (law * self.starts + start) * self.samples;
-        let columns = [(&self.x, self.states), (&self.u, self.controls)];
-        let mut curves = Vec::new();
-        for (values, width) in columns {
-            for i in 0..width {
-                let points =
-                    (first..first + self.samples).map(|s| [self.t[s], values[s * width + i]]);
-                curves.push(points.collect());
-            }
-        }
-        curves
+        let quantities = [(&self.x, self.states), (&self.u, self.controls)];
+        against_time(&self.t, first..first + self.samples, quantities)
     }
+}
+
+/// Each component of quantities against time; of each quantity `[sample][component]` and the number
+/// of components.
+pub(super) fn against_time<'q>(
+    t: &[f64],
+    samples: Range<usize>,
+    quantities: impl IntoIterator<Item = (&'q Vec<f64>, usize)>,
+) -> Vec<Vec<[f64; 2]>> {
+    let mut curves = Vec::new();
+    for (values, width) in quantities {
+        for i in 0..width {
+            let points = samples.clone().map(|s| [t[s], values[s * width + i]]);
+            curves.push(points.collect());
+        }
+    }
+    curves
 }
 
 /// Colour of a law, or of a trajectory.

@@ -75,10 +75,7 @@ impl Slice {
 
     /// The states that it holds fixed, in words.
     fn fixed(&self, model: &Model) -> String {
-        let fixed: Vec<String> = (model.states.iter().enumerate())
-            .filter(|(k, _)| *k != self.axis)
-            .map(|(k, s)| names::held(&s.variable, self.at[k]))
-            .collect();
+        let fixed = names::held(&model.states, &[self.axis], |k| self.at[k]);
         names::at(&fixed)
     }
 
