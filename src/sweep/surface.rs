@@ -129,16 +129,17 @@ impl Surface {
 
     /// The parameter a fraction of the way from `a` to `b`.
     pub fn toward(&self, a: &[f64], b: &[f64], fraction: f64) -> Vec<f64> {
-        let mut m: Vec<f64> = a
-            .iter()
-            .zip(b)
-            .map(|(x, y)| x + fraction * (y - x))
-            .collect();
+        let between = a.iter().zip(b).map(|(x, y)| x + fraction * (y - x));
+        self.normalized(between.collect())
+    }
+
+    /// The parameter that a mean of parameters stands for.
+    pub fn normalized(&self, mut mean: Vec<f64>) -> Vec<f64> {
         if let Kind::Sphere(_) = self.kind {
-            let norm = m.iter().map(|x| x * x).sum::<f64>().sqrt();
-            m.iter_mut().for_each(|x| *x /= norm);
+            let norm = mean.iter().map(|x| x * x).sum::<f64>().sqrt();
+            mean.iter_mut().for_each(|x| *x /= norm);
         }
-        m
+        mean
     }
 
     /// The seed `(s, p, V)` at a parameter.

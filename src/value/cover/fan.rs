@@ -312,6 +312,51 @@ impl<'a> Fan<'a> {
         Ok(())
     }
 
+    /// The seed `(s, p, V)` at the mean of others, by weights that may be a little below 0. None
+    /// where a guard excludes it.
+    pub fn mean_seed(&self, seeds: &[u32], weights: &[f64]) -> Option<Vec<f64>> {
+        let parameters = seeds.iter().map(|seed| &self.parameters[*seed as usize]);
+        let mut mean = vec![0.0; self.parameters[seeds[0] as usize].len()];
+        for (parameter, weight) in parameters.zip(weights) {
+            (mean.iter_mut().zip(parameter)).for_each(|(m, q)| *m += weight * q);
+        }
+        let parameter = self.surface.nudged(self.surface.normalized(mean));
+        let seed = self.surface.seed(&parameter);
+        self.surface.inside(&seed).then_some(seed)
+    }
+
+    /// The trajectories of seeds `(s, p, V)` up to the cost that others were integrated to last:
+    /// their points `(t, s, p, V)` at these arc lengths (finite horizon: times), one after the
+    /// other, as far as they come.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn traces(&self, seeds: &[&[f64]], levels: &[f64]) -> Result<Vec<Vec<f64>>, BackendError> {
+        let dim = 2 * self.plan.system.states + 2;
+        let run = Run {
+            levels: levels.to_vec(),
+            ..self.run.clone()
+        };
+        let mut traces = Vec::with_capacity(seeds.len());
+        let mut kernel = self.kernel.lock().unwrap_or_else(PoisonError::into_inner);
+        for part in seeds.chunks(batch_limit(dim, levels.len())) {
+            self.deadline.check()?;
+            let starts: Vec<f64> = (part.iter())
+                .flat_map(|seed| seed.iter().copied().chain([0.0]))
+                .collect();
+            let batch = kernel.integrate(&run, &starts)?;
+            traces.extend((0..part.len()).map(|i| {
+                (0..batch.levels)
+                    .map(|level| &batch.sample(i, level)[..self.stride])
+                    .take_while(|sample| sample.iter().all(|x| x.is_finite()))
+                    .flatten()
+                    .copied()
+                    .collect()
+            }));
+        }
+        Ok(traces)
+    }
+
     /// The trajectory of a seed that a guard excludes: it ends where it begins.
     fn none_from(&self, seed: u32) -> Trajectory {
         let points = first_point(&self.surface.seed(&self.parameters[seed as usize]));
@@ -440,12 +485,15 @@ impl<'a> Fan<'a> {
 
     /// Arc length from a level to the next one (0 is the seed).
     pub fn step(&self, level: usize) -> f64 {
-        let below = if level == 0 {
-            0.0
-        } else {
-            self.run.levels[level - 1]
-        };
-        self.run.levels[level] - below
+        self.run.levels[level] - self.along_to(level)
+    }
+
+    /// Arc length (finite horizon: time) at a level (0 is the seed), or at the last one.
+    pub fn along_to(&self, level: usize) -> f64 {
+        match level.min(self.run.levels.len()) {
+            0 => 0.0,
+            level => self.run.levels[level - 1],
+        }
     }
 
     /// Levels that a seed's trajectory reaches; a guard that ends it counts as one.

@@ -203,13 +203,25 @@ impl Cover<'_> {
     /// The path from a place to the end: the mean of the cell's trajectories, and on into the range
     /// of the end's condition.
     fn path(&self, cell: &Cell, place: &Place, first: &[f64], end: &End) -> Path {
-        let n = self.fan.plan.system.states;
-        let mut path = Path::new(&first[1..=2 * n]);
-        let shortest = (first[0] / MOST_SEGMENTS).max(self.duration);
         let points: Vec<Vec<f64>> = (0..=cell.level)
             .rev()
             .map(|level| self.mixed(cell, place, level))
             .collect();
+        self.path_through(first, &points, self.duration, end)
+    }
+
+    /// The path from a point `(t, s, p, V)` through others, down to the seed, to the end, in segments
+    /// of at least this duration.
+    pub(super) fn path_through(
+        &self,
+        first: &[f64],
+        points: &[Vec<f64>],
+        least: f64,
+        end: &End,
+    ) -> Path {
+        let n = self.fan.plan.system.states;
+        let mut path = Path::new(&first[1..=2 * n]);
+        let shortest = (first[0] / MOST_SEGMENTS).max(least);
         let mut at = first[0];
         for (k, point) in points.iter().enumerate() {
             let before = points.get(k + 1).map_or(f64::NEG_INFINITY, |next| next[0]);

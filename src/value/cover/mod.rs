@@ -8,6 +8,7 @@
 //! they are divided, depends on the manifold alone: other states asked for at the same time change
 //! nothing.
 
+mod aim;
 mod cell;
 mod copies;
 mod fan;
@@ -19,6 +20,7 @@ use crate::backend::{Backend, BackendError, Deadline};
 use crate::model::Model;
 use crate::shooting::{End, Path};
 use crate::sweep::Plan;
+pub use aim::Aimed;
 use cell::{Cell, Corners, KEPT, Place};
 use fan::Fan;
 use rayon::prelude::*;
@@ -107,6 +109,12 @@ impl Candidate {
 
     pub fn adjoint(&self) -> &[f64] {
         &self.node[self.node.len() / 2..]
+    }
+
+    /// Whether two guesses come from one cell, for one copy of a target.
+    pub fn is_same(&self, other: &Self) -> bool {
+        let key = |c: &Self| (c.target, c.cell.level);
+        key(self) == key(other) && self.turns == other.turns && self.cell.seeds == other.cell.seeds
     }
 }
 

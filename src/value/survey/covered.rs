@@ -24,7 +24,7 @@ const ROUNDS: usize = 4;
 /// Guesses of one target tried in a round.
 const MOST_AT_ONCE: usize = 12;
 /// Shortest steps, as shares of the way from a guess.
-const FROM_CELL: f64 = 1.0 / 16.0;
+pub(super) const FROM_CELL: f64 = 1.0 / 16.0;
 /// The same from a trajectory near the target.
 const FROM_POINT: f64 = 1.0 / 16.0;
 /// Where solutions leave guards, and trajectories go on behind these, others are looked for up to
@@ -39,7 +39,7 @@ const WITHIN: f64 = 0.6;
 const ALIKE: f64 = 0.02;
 /// A solution is dearer than a guess promises from this share of its cost on: where trajectories
 /// turn within a cell guesses are off by some hundredths.
-const DEARER: f64 = 0.03;
+pub(super) const DEARER: f64 = 0.03;
 /// A guess promises less than what is known where it is below that by more than this share.
 const PROMISE: f64 = 2e-3;
 /// Guesses that promise more than this times the cost searched for are left out.
@@ -272,6 +272,7 @@ impl Survey<'_> {
             c.value <= ABOVE * ceiling
                 && (c.value <= ABOVE * highest || c.value <= least[&c.target])
         });
+        let inside: Vec<Candidate> = left.iter().filter(|c| c.is_inside()).cloned().collect();
         let mut tried: Vec<Candidate> = Vec::new();
         for round in 0..ROUNDS {
             // The first round shows what there is; after that only what may be the least is tried
@@ -290,23 +291,21 @@ impl Survey<'_> {
             self.send_all(solver, cover, missing.iter(), Start::Beside(FROM_CELL))?;
             tried.extend(missing);
         }
+        let aims = self.aim(solver, cover, inside)?;
         // A guess within its cell belongs to a sheet there: what it did not lead to may be missing.
-        let mut hard: Vec<Candidate> = tried;
-        hard.retain(|c| {
+        let is_missing = |survey: &Self, c: &Candidate| {
             c.is_inside()
-                && self.may_be_least(c)
-                && !self.is_explained(c)
-                && !self.explains_loosely(c)
-        });
+                && survey.may_be_least(c)
+                && !survey.is_explained(c)
+                && !survey.explains_loosely(c)
+                && !aims.dearer.iter().any(|other| other.is_same(c))
+        };
+        let mut hard: Vec<Candidate> = tried;
+        hard.retain(|c| is_missing(self, c));
         self.send_all(solver, cover, hard.iter(), Start::Beside(SHORT))?;
         hard.extend(left);
-        hard.retain(|c| {
-            c.is_inside()
-                && self.may_be_least(c)
-                && !self.is_explained(c)
-                && !self.explains_loosely(c)
-        });
-        let mut lost = BTreeMap::new();
+        hard.retain(|c| is_missing(self, c));
+        let mut lost = aims.lost;
         for candidate in hard {
             let least = lost.entry(candidate.target).or_insert(f64::INFINITY);
             *least = candidate.value.min(*least);
@@ -390,7 +389,7 @@ impl Survey<'_> {
     }
 
     /// Solutions at a guess's copy of its target, those that leave a guard too.
-    fn known_at(&self, candidate: &Candidate) -> impl Iterator<Item = &Extremal> {
+    pub(super) fn known_at(&self, candidate: &Candidate) -> impl Iterator<Item = &Extremal> {
         (self.at[candidate.target].iter())
             .map(|e| &self.extremals[*e])
             .chain(&self.cut[candidate.target])

@@ -8,6 +8,7 @@
 //! game only the sheet of the equilibrium counts (`principal`).
 
 mod admissible;
+mod aimed;
 mod beside;
 mod checked;
 mod covered;

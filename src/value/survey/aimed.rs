@@ -1,0 +1,84 @@
+//! Guesses that may cost less than what is known at a target, put to the test: a trajectory of the
+//! swept manifold is aimed at the target, and its cost is no guess.
+
+use super::covered::{DEARER, FROM_CELL};
+use super::{Survey, Task};
+use crate::backend::BackendError;
+use crate::shooting::Solver;
+use crate::value::approach::Approach;
+use crate::value::cover::{Aimed, Candidate, Cover};
+use std::collections::BTreeMap;
+
+/// Guesses of one target that are put to the test.
+const MOST_AIMED: usize = 6;
+/// A trajectory that passes a target costs there less than what is known where it is below that by
+/// more than this share; and certainly so.
+const CHEAPER: f64 = 1e-4;
+const CERTAINLY: f64 = 5e-3;
+
+/// What aimed trajectories told.
+pub(super) struct Aims {
+    /// Targets at which a trajectory costs less than what is known, and no solution was found from
+    /// it; with its cost.
+    pub lost: BTreeMap<usize, f64>,
+    /// Guesses that cost no less than what is known.
+    pub dearer: Vec<Candidate>,
+}
+
+impl Survey<'_> {
+    /// Tries the guesses that may cost less than what is known, from trajectories aimed at their
+    /// targets. A guess is off by some hundredths, so those that promise a little more count.
+    pub(super) fn aim(
+        &mut self,
+        solver: &mut Solver,
+        cover: &Cover<'_>,
+        mut candidates: Vec<Candidate>,
+    ) -> Result<Aims, BackendError> {
+        candidates.retain(|c| self.is_above(c, c.value, -DEARER));
+        candidates.sort_by(|a, b| (a.target.cmp(&b.target)).then(a.value.total_cmp(&b.value)));
+        let mut count: BTreeMap<usize, usize> = BTreeMap::new();
+        candidates.retain(|c| {
+            let of = count.entry(c.target).or_default();
+            *of += 1;
+            *of <= MOST_AIMED
+        });
+        let aimed = cover.aim(&candidates)?;
+        let all: Vec<(Candidate, Aimed)> = (candidates.into_iter().zip(aimed))
+            .filter_map(|(c, aimed)| Some((c, aimed?)))
+            .collect();
+        let (mut cheaper, dearer): (Vec<_>, Vec<_>) =
+            (all.into_iter()).partition(|(c, aimed)| self.is_above(c, aimed.value, CHEAPER));
+        let tasks: Vec<Task> = (cheaper.iter())
+            .map(|(c, aimed)| {
+                let path = cover.path_of(aimed, &solver.scheme.end)?;
+                Ok(Task {
+                    from: None,
+                    target: c.target,
+                    winding: self.winding(&c.turns),
+                    way: Approach::new(path, c.goal.clone(), FROM_CELL),
+                })
+            })
+            .collect::<Result<_, BackendError>>()?;
+        self.send(solver, tasks)?;
+        cheaper.retain(|(c, aimed)| aimed.is_close && self.is_above(c, aimed.value, CERTAINLY));
+        let mut lost = BTreeMap::new();
+        for (c, aimed) in cheaper {
+            let least = lost.entry(c.target).or_insert(f64::INFINITY);
+            *least = aimed.value.min(*least);
+        }
+        let dearer = (dearer.into_iter()).filter_map(|(c, aimed)| aimed.is_close.then_some(c));
+        Ok(Aims {
+            lost,
+            dearer: dearer.collect(),
+        })
+    }
+
+    /// Whether all that is known of a guess's target costs more than `value`, by more than this
+    /// share of it: solutions that leave a guard count.
+    fn is_above(&self, candidate: &Candidate, value: f64, share: f64) -> bool {
+        let above = |v: f64| v - value > share * value.abs();
+        let least = self.lowest(candidate.target);
+        least.is_none_or(|e| above(self.extremals[e].value()))
+            && self.known_at(candidate).all(|e| above(e.value()))
+    }
+}
