@@ -202,14 +202,16 @@ impl GpuKernel {
             run,
             shape,
         };
-        part.upload(seeds);
+        part.upload(seeds)?;
         let (seconds, stamped) = part.sweep(self.seconds)?;
         part.fill(first, result)?;
-        let attempts: f64 = (first..first + shape.trajectories)
-            .map(|i| f64::from(result.steps[i]) + f64::from(result.rejected[i]))
+        let those = first..first + shape.trajectories;
+        let attempts: u64 = (result.steps[those.clone()].par_iter())
+            .zip(&result.rejected[those])
+            .map(|(taken, rejected)| u64::from(*taken) + u64::from(*rejected))
             .sum();
         self.seconds = stamped;
-        self.speed = Some(attempts / seconds);
+        self.speed = Some(attempts as f64 / seconds);
         Ok(())
     }
 
@@ -232,14 +234,19 @@ struct Part<'p> {
 
 impl Part<'_> {
     /// Writes settings and seeds to the device.
-    fn upload(&self, seeds: &[f64]) {
+    ///
+    /// # Errors
+    /// Device failures.
+    fn upload(&self, seeds: &[f64]) -> Result<(), BackendError> {
         let (kernel, memory) = (self.kernel, self.memory);
-        let (queue, precision) = (&kernel.device.queue, kernel.spec.precision);
+        let precision = kernel.spec.precision;
         let set = settings(&kernel.spec, self.run, kernel.levels(self.run));
-        queue.write_buffer(&memory.settings, 0, &reals(set, precision));
-        by_component(seeds, self.shape.dim, precision, |bytes| {
-            queue.write_buffer(&memory.state, 0, bytes);
-        });
+        let set = reals(set, precision);
+        (kernel.device.queue).write_buffer(&memory.settings, 0, &set);
+        memory.write_seeds(&kernel.device, &self.shape, |to| match precision {
+            Precision::F32 => by_component(seeds, self.shape.dim, to, |x| x as f32),
+            Precision::F64 => by_component(seeds, self.shape.dim, to, |x| x),
+        })
     }
 
     /// Dispatches until every trajectory has ended. Returns the seconds of all dispatches; and
@@ -285,6 +292,7 @@ impl Part<'_> {
         queue.write_buffer(&memory.remaining, 0, &[0; 4]);
         let mut encoder = device.create_command_encoder(&Default::default());
         if is_first {
+            memory.seed(&mut encoder, &shape);
             memory.blank(&mut encoder, 4 * count, shape.ends());
         }
         {
@@ -348,30 +356,36 @@ impl Part<'_> {
     }
 }
 
-/// Hands over vectors `[trajectory][component]` as `[component][trajectory]`, in the bytes of a
-/// precision.
-fn by_component(seeds: &[f64], dim: usize, precision: Precision, write: impl FnOnce(&[u8])) {
-    fn transposed<T: bytemuck::Pod + Send + Sync>(
-        seeds: &[f64],
-        dim: usize,
-        number: impl Fn(f64) -> T + Sync,
-    ) -> Vec<T> {
-        let count = seeds.len() / dim;
-        let mut all = vec![T::zeroed(); seeds.len()];
-        all.par_chunks_mut(count.max(1))
-            .enumerate()
-            .for_each(|(c, to)| {
-                to.par_iter_mut()
-                    .zip(seeds.par_chunks_exact(dim))
-                    .with_min_len(4096)
-                    .for_each(|(to, seed)| *to = number(seed[c]));
-            });
-        all
-    }
-    match precision {
-        Precision::F32 => write(bytemuck::cast_slice(&transposed(seeds, dim, |x| x as f32))),
-        Precision::F64 => write(bytemuck::cast_slice(&transposed(seeds, dim, |x| x))),
-    }
+/// Writes vectors `[trajectory][component]` as `[component][trajectory]`, in numbers of a precision.
+fn by_component<T: bytemuck::Pod>(
+    seeds: &[f64],
+    dim: usize,
+    to: wgpu::WriteOnly<'_, [u8]>,
+    number: impl Fn(f64) -> T + Sync,
+) {
+    /// Bytes written at once: memory of a device is slow to write in small parts.
+    const BLOCK: usize = 1 << 14;
+    let (count, numbers) = (seeds.len() / dim, BLOCK / size_of::<T>());
+    let block = |first: usize, length: usize| -> Vec<T> {
+        let (mut c, mut i) = (first / count, first % count);
+        let next = |_| {
+            let x = number(seeds[i * dim + c]);
+            i += 1;
+            if i == count {
+                (c, i) = (c + 1, 0);
+            }
+            x
+        };
+        (0..length).map(next).collect()
+    };
+    let (blocks, mut rest) = to.into_chunks::<BLOCK>();
+    let blocks: Vec<wgpu::WriteOnly<'_, [u8; BLOCK]>> = blocks.into_iter().collect();
+    let whole = blocks.len() * numbers;
+    blocks.into_par_iter().enumerate().for_each(|(k, to)| {
+        let block = block(k * numbers, numbers);
+        wgpu::WriteOnly::<[u8]>::from(to).copy_from_slice(bytemuck::cast_slice(&block));
+    });
+    rest.copy_from_slice(bytemuck::cast_slice(&block(whole, seeds.len() - whole)));
 }
 
 /// How a kernel uses its bindings: settings are read, the others written.

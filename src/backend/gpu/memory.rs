@@ -165,6 +165,9 @@ pub struct Shape {
 }
 
 impl Shape {
+    pub fn seeds(&self) -> usize {
+        self.dim * self.trajectories * self.real
+    }
     pub fn state(&self) -> usize {
         self.state * self.trajectories * self.real
     }
@@ -205,6 +208,8 @@ pub struct Memory {
     shape: Shape,
     pub control: Buffer,
     pub settings: Buffer,
+    /// Where the host writes seeds that are copied to the state.
+    seeds: Buffer,
     pub state: Buffer,
     pub counters: Buffer,
     pub remaining: Buffer,
@@ -228,6 +233,8 @@ impl Memory {
         let control = buffer(device, "control", CONTROL, usage);
         let storage = |label, bytes| storage(device, label, bytes);
         let settings = storage("settings", shape.settings * shape.real);
+        let usage = BufferUsages::MAP_WRITE | BufferUsages::COPY_SRC;
+        let seeds = buffer(device, "seeds", shape.seeds(), usage);
         let state = storage("state", shape.state());
         let counters = storage("counters", shape.counters());
         let lists = storage("lists", shape.lists());
@@ -253,6 +260,7 @@ impl Memory {
             shape,
             control,
             settings,
+            seeds,
             state,
             counters,
             remaining,
@@ -270,6 +278,34 @@ impl Memory {
         for (buffer, bytes) in [(&self.counters, statuses), (&self.ends, ends)] {
             encoder.copy_buffer_to_buffer(&self.sentinels, 0, buffer, 0, bytes as u64);
         }
+    }
+
+    /// Hands over memory of the device for the seeds of a shape, `[component][trajectory]`; what is
+    /// written there gets to the state with [`Self::seed`]. (A buffer of its own is kept for them:
+    /// to make one for each batch takes longer than to fill it.)
+    ///
+    /// # Errors
+    /// Device failures.
+    pub fn write_seeds(
+        &self,
+        device: &Device,
+        shape: &Shape,
+        write: impl FnOnce(wgpu::WriteOnly<'_, [u8]>),
+    ) -> Result<(), BackendError> {
+        let bytes = shape.seeds() as u64;
+        map(device, &self.seeds, wgpu::MapMode::Write, bytes)?;
+        let mut view =
+            (self.seeds.get_mapped_range_mut(..bytes)).map_err(|_| wgpu::BufferAsyncError)?;
+        write(view.slice(..));
+        drop(view);
+        self.seeds.unmap();
+        Ok(())
+    }
+
+    /// Copies the seeds to the state.
+    pub fn seed(&self, encoder: &mut wgpu::CommandEncoder, shape: &Shape) {
+        let bytes = shape.seeds() as u64;
+        encoder.copy_buffer_to_buffer(&self.seeds, 0, &self.state, 0, bytes);
     }
 
     /// Whether a batch of this shape fits these buffers.
@@ -306,8 +342,24 @@ pub fn read_back<const N: usize, R>(
         place
     });
     device.queue.submit([encoder.finish()]);
+    map(device, staging, wgpu::MapMode::Read, at as u64)?;
+    let outcome = staging.get_mapped_range(..at as u64).map(|view| {
+        let bytes: &[u8] = &view;
+        read(places.map(|place| &bytes[place]))
+    });
+    staging.unmap();
+    outcome.map_err(|_| wgpu::BufferAsyncError.into())
+}
+
+/// Maps the leading bytes of a buffer, when all that was submitted is done.
+fn map(
+    device: &Device,
+    buffer: &Buffer,
+    mode: wgpu::MapMode,
+    bytes: u64,
+) -> Result<(), BackendError> {
     let (tell, told) = std::sync::mpsc::channel();
-    staging.map_async(wgpu::MapMode::Read, ..at as u64, move |outcome| {
+    buffer.map_async(mode, ..bytes, move |outcome| {
         // Nobody waits any more where the receiver is gone.
         let _ = tell.send(outcome);
     });
@@ -316,12 +368,7 @@ pub fn read_back<const N: usize, R>(
     told.recv()
         .map_err(|_| wgpu::BufferAsyncError)
         .and_then(|outcome| outcome)?;
-    let outcome = staging.get_mapped_range(..at as u64).map(|view| {
-        let bytes: &[u8] = &view;
-        read(places.map(|place| &bytes[place]))
-    });
-    staging.unmap();
-    outcome.map_err(|_| wgpu::BufferAsyncError.into())
+    Ok(())
 }
 
 /// Most bytes of device memory a binding is given: batches are split to stay below.

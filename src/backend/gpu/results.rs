@@ -47,19 +47,28 @@ pub fn fill(
     let unwritten = |index: usize| BackendError::Unwritten {
         index: first + index,
     };
-    for (index, (to, code)) in result.status[first..first + count]
-        .iter_mut()
+    let those = first..first + count;
+    let wrong = (result.status[those.clone()].par_iter_mut())
         .zip(field(0))
+        .with_min_len(4096)
         .enumerate()
-    {
-        *to = match *code {
-            RUNNING | UNWRITTEN | EVENT => None,
-            code => Status::from_code(code as i32),
-        }
-        .ok_or_else(|| unwritten(index))?;
+        .filter_map(|(index, (to, code))| {
+            let status = match *code {
+                RUNNING | UNWRITTEN | EVENT => None,
+                code => Status::from_code(code as i32),
+            };
+            status.map(|status| *to = status).is_none().then_some(index)
+        })
+        .min();
+    if let Some(index) = wrong {
+        return Err(unwritten(index));
     }
-    result.steps[first..first + count].copy_from_slice(field(2));
-    result.rejected[first..first + count].copy_from_slice(field(3));
+    for (to, from) in [(&mut result.steps, 2), (&mut result.rejected, 3)] {
+        (to[those.clone()].par_iter_mut())
+            .zip(field(from))
+            .with_min_len(4096)
+            .for_each(|(to, from)| *to = *from);
+    }
     let sentinel = (written.ends.par_chunks_exact(shape.real))
         .with_min_len(4096)
         .position_first(|slot| slot.iter().all(|byte| *byte == 0xff));
