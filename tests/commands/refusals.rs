@@ -627,6 +627,7 @@ fn a_time_limit_ends_a_run() {
         "{text}"
     );
     crate::common_commands::in_schema(&folder.join("out.h5"));
+    assert_page_says(&folder, "out.h5", "before everything was swept and solved");
     // As a table too.
     std::fs::write(folder.join("points.csv"), "x,v\n0.5,0.5\n-0.5,0.25\n").unwrap();
     let points = ["solve", "scene.toml", "--points", "points.csv"];
@@ -682,7 +683,18 @@ fn a_time_limit_ends_what_follows_a_run() {
         assert!(summary.file.ends_with("out_stopped.h5"), "{name}");
         let left: Vec<String> = entries(&folder);
         assert!(!left.iter().any(|n| n.starts_with('.')), "{left:?}");
+        assert_page_says(&folder, "out_stopped.h5", "after everything was solved");
     }
+}
+
+/// The report of a result file says how far its run came.
+fn assert_page_says(folder: &Path, file: &str, how_far: &str) {
+    let done = in_folder(folder, &["report", file, "--out", "page.html"]);
+    let errors = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(0), "{errors}");
+    let page = std::fs::read_to_string(folder.join("page.html")).unwrap();
+    let told = format!("<dt>Ended early</dt><dd>{how_far}");
+    assert!(page.contains(&told), "{file}: no {told} on its page");
 }
 
 #[test]

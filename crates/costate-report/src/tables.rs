@@ -191,6 +191,10 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
             None
         }
     };
+    figures.add(
+        "Ended early",
+        summary.as_ref().map_or_else(String::new, ended_early),
+    );
     match summary.as_ref().filter(|s| s.trajectories_stored) {
         Some(s) => figures.add_sweep(s),
         None => {
@@ -212,6 +216,16 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
     }
     figures.add_provenance(source, summary.as_ref());
     figures.0
+}
+
+/// What a run that a limit or a signal ended has not done; nothing for others.
+fn ended_early(summary: &RunSummary) -> String {
+    match (summary.stopped, summary.laws_stopped) {
+        (true, _) => "before everything was swept and solved: a cheaper solution may be missing",
+        (false, true) => "after everything was solved, before all laws and closed loops were done",
+        (false, false) => "",
+    }
+    .to_owned()
 }
 
 /// Names with values, those that have one.
