@@ -1,7 +1,7 @@
 //! Trajectories aimed at a state: what a cell's trajectories cost at a state that lies between them
 //! is a guess, a trajectory that passes through the state is not.
 
-use super::cell::OfSeeds;
+use super::cell::{Corners, OfSeeds};
 use super::{Candidate, Cover};
 use crate::backend::BackendError;
 use crate::shooting::{End, Path};
@@ -41,6 +41,9 @@ pub struct Aimed {
 /// A trajectory on its way to pass through a state.
 struct Shot<'c> {
     candidate: &'c Candidate,
+    /// Of its cell, and the longest edge between these, in widths of the region.
+    corners: Corners,
+    size: f64,
     /// Where it is aimed, in widths of the region.
     aim: Vec<f64>,
     weights: OfSeeds<f64>,
@@ -48,8 +51,6 @@ struct Shot<'c> {
     /// the aim was moved.
     missed: Option<(Vec<f64>, f64)>,
     best: Option<Aimed>,
-    /// The longest edge of its cell, in widths.
-    size: f64,
     done: bool,
 }
 
@@ -113,6 +114,7 @@ impl Cover<'_> {
             best: None,
             size: corners.longest(seeds, n).2,
             done: !corners.complete(),
+            corners,
         }
     }
 
@@ -172,8 +174,8 @@ impl Cover<'_> {
             shot.done = true;
             return;
         }
-        let corners = shot.candidate.cell.corners(&self.fan, self.stationary);
-        match corners.locate(&shot.aim, shot.candidate.cell.seeds.len()) {
+        let seeds = shot.candidate.cell.seeds.len();
+        match shot.corners.locate(&shot.aim, seeds) {
             Some(place) if place.outside <= OUTSIDE => shot.weights = place.weights,
             _ => shot.done = true,
         }
@@ -195,14 +197,12 @@ impl Cover<'_> {
         let first: Vec<f64> = std::iter::once(0.0)
             .chain(aimed.seed.iter().copied())
             .collect();
-        let points: Vec<Vec<f64>> = std::iter::once(first.as_slice())
+        let mut points: Vec<Vec<f64>> = std::iter::once(first.as_slice())
             .chain(trace.chunks_exact(aimed.passes.len()))
             .take_while(|point| point[0] < aimed.passes[0])
             .map(<[f64]>::to_vec)
-            .collect::<Vec<_>>()
-            .into_iter()
-            .rev()
             .collect();
+        points.reverse();
         Ok(self.path_through(&aimed.passes, &points, 0.0, end))
     }
 }

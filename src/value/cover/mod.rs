@@ -437,7 +437,7 @@ impl<'a> Cover<'a> {
 }
 
 /// Lowers an entry.
-fn lower(map: &mut BTreeMap<usize, f64>, key: usize, value: f64) {
+pub(in crate::low_level::value) fn lower(map: &mut BTreeMap<usize, f64>, key: usize, value: f64) {
     let entry = map.entry(key).or_insert(value);
     *entry = entry.min(value);
 }

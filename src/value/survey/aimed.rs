@@ -6,7 +6,7 @@ use super::{Survey, Task};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
-use crate::value::cover::{Aimed, Candidate, Cover};
+use crate::value::cover::{Aimed, Candidate, Cover, lower};
 use std::collections::BTreeMap;
 
 /// Guesses of one target that are put to the test.
@@ -63,8 +63,7 @@ impl Survey<'_> {
         cheaper.retain(|(c, aimed)| aimed.is_close && self.is_above(c, aimed.value, CERTAINLY));
         let mut lost = BTreeMap::new();
         for (c, aimed) in cheaper {
-            let least = lost.entry(c.target).or_insert(f64::INFINITY);
-            *least = aimed.value.min(*least);
+            lower(&mut lost, c.target, aimed.value);
         }
         let dearer = (dearer.into_iter()).filter_map(|(c, aimed)| aimed.is_close.then_some(c));
         Ok(Aims {

@@ -5,7 +5,7 @@ use super::{COHORT, MOST_SHEETS, Progress, SHORT, Survey, Task, Wanted, times};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
-use crate::value::cover::{Candidate, Cover, Sought, goes_behind_guards};
+use crate::value::cover::{Candidate, Cover, Sought, goes_behind_guards, lower};
 use crate::value::extremal::{Extremal, is_elsewhere};
 use crate::value::flight::homeward;
 use std::collections::BTreeMap;
@@ -307,8 +307,7 @@ impl Survey<'_> {
         hard.retain(|c| is_missing(self, c));
         let mut lost = aims.lost;
         for candidate in hard {
-            let least = lost.entry(candidate.target).or_insert(f64::INFINITY);
-            *least = candidate.value.min(*least);
+            lower(&mut lost, candidate.target, candidate.value);
         }
         Ok(lost)
     }
