@@ -41,7 +41,7 @@ pub struct Aimed {
 /// A trajectory on its way to pass through a state.
 struct Shot<'c> {
     candidate: &'c Candidate,
-    /// Of its cell, and the longest edge between these, in widths of the region.
+    /// Of its cell or of the part of it, and the longest edge between these, in widths of the region.
     corners: Corners,
     size: f64,
     /// Where it is aimed, in widths of the region.
@@ -102,7 +102,8 @@ impl Cover<'_> {
 
     fn shot<'c>(&self, candidate: &'c Candidate) -> Shot<'c> {
         let widths = &self.fan.plan.widths;
-        let corners = candidate.cell.corners(&self.fan, self.stationary);
+        let of_cell = || candidate.cell.corners(&self.fan, self.stationary);
+        let corners = candidate.part.clone().unwrap_or_else(of_cell);
         let (seeds, n) = (candidate.cell.seeds.len(), widths.len());
         Shot {
             candidate,

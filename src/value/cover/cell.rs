@@ -24,6 +24,7 @@ pub struct Cell {
 
 /// The corners of a cell in widths of the region: first those at the lower level, then those at the
 /// upper one.
+#[derive(Clone, Debug)]
 pub struct Corners {
     /// `[corner][n]`.
     pub x: SmallVec<[f64; 18]>,
@@ -31,6 +32,9 @@ pub struct Corners {
     /// Least V of the known ones; and the highest, endless where one is not known.
     pub value: f64,
     pub highest: f64,
+    /// Least V that the known ones expect at each other, by their adjoints: a bundle that passes
+    /// between dear neighbours may cost less than any of them.
+    pub lowest: f64,
 }
 
 /// How much larger than the hull of its corners a cell may be, relative to its size: at least, a
@@ -45,6 +49,8 @@ const NEAR: f64 = 0.04;
 /// The same a unit of the cell's bend.
 const MARGIN_BENT: f64 = 3.0;
 const NEAR_BENT: f64 = 1.5;
+/// How much a cell is bent a unit of the way by which its corners' mean is short of theirs.
+const TURN: f64 = 2.0;
 /// Bend above which a cell's corners do not tell where its inside is.
 pub const UNKNOWN: f64 = 0.35;
 /// Share of the bend that a half keeps where the division does not show it: it is proportional to
@@ -60,8 +66,10 @@ impl Cell {
             known: SmallVec::new(),
             value: f64::INFINITY,
             highest: f64::NEG_INFINITY,
+            lowest: f64::INFINITY,
         };
         for step in levels {
+            corners.lowest = corners.lowest.min(self.expected(fan, self.level + step));
             for seed in &self.seeds {
                 let Some((point, known)) = fan.point(*seed, self.level + step) else {
                     corners.known.push(false);
@@ -83,11 +91,37 @@ impl Cell {
                 );
             }
         }
+        corners.lowest = corners.lowest.min(corners.value);
         corners
+    }
+
+    /// The least V that corners at a level expect at each other, by their adjoints.
+    fn expected(&self, fan: &Fan<'_>, level: usize) -> f64 {
+        let known = |seed: &u32| Some(fan.point(*seed, level)?).filter(|(_, known)| *known);
+        let points: OfSeeds<&[f32]> =
+            (self.seeds.iter().filter_map(known).map(|(point, _)| point)).collect();
+        let pairs = (points.iter()).flat_map(|a| points.iter().map(move |b| (a, b)));
+        (pairs.map(|(a, b)| fan.tangent(a, b))).fold(f64::INFINITY, f64::min)
     }
 }
 
 impl Corners {
+    /// Of points `(t, s, p, V)` all of which are known.
+    pub fn of_points(points: &[Vec<f64>], widths: &[f64]) -> Self {
+        let n = widths.len();
+        let values = points.iter().map(|point| point[1 + 2 * n]);
+        let value = values.clone().fold(f64::INFINITY, f64::min);
+        Self {
+            x: (points.iter())
+                .flat_map(|point| point[1..=n].iter().zip(widths).map(|(s, w)| s / w))
+                .collect(),
+            known: smallvec![true; points.len()],
+            value,
+            highest: values.fold(f64::NEG_INFINITY, f64::max),
+            lowest: value,
+        }
+    }
+
     /// Lowest and highest coordinates, beyond which no part of the cell is expected.
     pub fn bounds(&self, n: usize, bend: f64) -> SmallVec<[[f64; 2]; 3]> {
         let inflation = (INFLATION + INFLATION_BENT * bend).min(MOST_INFLATION);
@@ -154,6 +188,21 @@ impl Corners {
                 .sqrt()
         };
         0.25 * (1..seeds).map(differ).fold(0.0, f64::max) / longest
+    }
+
+    /// How far a cell may reach beyond its corners where their trajectories turn or part within
+    /// `step`, the arc length of each between the layers (in widths), relative to its longest edge:
+    /// what lies between them goes as far as they do, but their mean does not.
+    pub fn turn(&self, seeds: usize, n: usize, step: f64, longest: f64) -> f64 {
+        if self.known.len() < 2 * seeds || longest == 0.0 || !self.complete() {
+            return 0.0;
+        }
+        let mean = |i: usize| {
+            let along = |q: usize| self.x[(seeds + q) * n + i] - self.x[q * n + i];
+            (0..seeds).map(along).sum::<f64>() / seeds as f64
+        };
+        let goes = (0..n).map(|i| mean(i).powi(2)).sum::<f64>().sqrt();
+        TURN * (step - goes).max(0.0) / longest
     }
 
     /// How far the middle of the edge between two seeds is off the line between them, at the layers

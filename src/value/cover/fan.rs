@@ -312,6 +312,11 @@ impl<'a> Fan<'a> {
         Ok(())
     }
 
+    /// Where a seed's trajectory starts: `(s, p, V)`.
+    pub fn start(&self, seed: u32) -> Vec<f64> {
+        self.surface.seed(&self.parameters[seed as usize])
+    }
+
     /// The seed `(s, p, V)` at the mean of others, by weights that may be a little below 0. None
     /// where a guard excludes it.
     pub fn mean_seed(&self, seeds: &[u32], weights: &[f64]) -> Option<Vec<f64>> {
@@ -413,7 +418,7 @@ impl<'a> Fan<'a> {
             .chunks_exact(self.stride)
             .zip(b.points.chunks_exact(self.stride))
         {
-            if f64::from(x[1 + 2 * n].min(y[1 + 2 * n])) > ceiling {
+            if self.tangent(x, y).min(self.tangent(y, x)) > ceiling {
                 break;
             }
             let mut gap = 0.0f64;
@@ -430,6 +435,14 @@ impl<'a> Fan<'a> {
             }
         }
         widest
+    }
+
+    /// The least of V at a point of a trajectory, and at another one as its adjoint has it there.
+    pub fn tangent(&self, a: &[f32], b: &[f32]) -> f64 {
+        let n = self.plan.system.states;
+        let at = |i: usize| f64::from(a[1 + i]);
+        let change = |i: usize| at(n + i) * (f64::from(b[1 + i]) - at(i));
+        at(2 * n) + (0..n).map(change).sum::<f64>().min(0.0)
     }
 
     /// Of a simplex of terminal states that all cost more than `ceiling` already: the two furthest

@@ -96,7 +96,7 @@ impl Cover<'_> {
                     };
                     let corners = cell.corners(fan, self.stationary);
                     let any = corners.known.iter().any(|k| *k);
-                    (any && corners.value <= ceiling).then_some((cell, corners))
+                    (any && corners.lowest <= ceiling).then_some((cell, corners))
                 })
             })
             .collect()

@@ -1,6 +1,7 @@
 //! First guesses from places of the manifold.
 
 use super::cell::{Cell, Place};
+use super::close::Close;
 use super::{Candidate, Copy, Cover, Open, Sought, holds};
 use crate::shooting::{End, Path};
 use smallvec::smallvec;
@@ -15,42 +16,71 @@ impl Cover<'_> {
     pub(super) fn candidate(
         &self,
         leaf: &Open,
+        close: Option<&Close>,
         copy: &Copy,
         sought: &[Sought],
     ) -> Option<Candidate> {
-        let plan = self.fan.plan;
-        let n = plan.system.states;
-        let seeds = &leaf.cell.seeds;
-        let place = match leaf.corners.locate(&copy.x, seeds.len()) {
-            Some(place) if place.outside > OUTSIDE => return None,
-            Some(place) => place,
-            // A flat cell: its middle, if the state is hardly outside its corners.
-            None if !holds(&leaf.corners.bounds(n, 0.0), &copy.x) => return None,
-            None => Place {
-                weights: smallvec![1.0 / seeds.len() as f64; seeds.len()],
-                share: 0.5,
-                outside: OUTSIDE,
-            },
+        let widths = &self.fan.plan.widths;
+        let n = widths.len();
+        let part = close.and_then(|close| close.locate(&copy.x, widths));
+        let (place, first, points) = match &part {
+            Some(part) => {
+                let place = Place {
+                    share: part.share,
+                    ..part.place.clone()
+                };
+                (place, part.at_place(), part.points.clone())
+            }
+            None => {
+                let place = self.place(leaf, copy)?;
+                let first = self.at(&leaf.cell, &place);
+                (place, first, self.corner_points(&leaf.cell))
+            }
         };
-        let one = &sought[copy.sought];
-        let first = self.at(&leaf.cell, &place);
-        let spread = self.spread(&leaf.cell, &first);
-        Some(Candidate {
-            target: one.target,
-            turns: copy.turns.clone(),
-            goal: copy
-                .x
+        if place.outside > OUTSIDE {
+            return None;
+        }
+        let goal: Vec<f64> = copy.x.iter().zip(widths).map(|(x, w)| x * w).collect();
+        let value = first[1 + 2 * n];
+        let promised = points.iter().map(|point| {
+            let change = |i: usize| point[1 + n + i] * (goal[i] - point[1 + i]);
+            point[1 + 2 * n] + (0..n).map(change).sum::<f64>()
+        });
+        let spread = |i: usize| {
+            let off = points
                 .iter()
-                .zip(&plan.widths)
-                .map(|(x, w)| x * w)
-                .collect(),
+                .map(|q| (q[1 + n + i] - first[1 + n + i]).abs());
+            off.fold(0.0, f64::max)
+        };
+        Some(Candidate {
+            target: sought[copy.sought].target,
+            turns: copy.turns.clone(),
+            lowest: promised.fold(value, f64::min),
+            goal,
             node: first[1..=2 * n].to_vec(),
-            value: first[1 + 2 * n],
-            expected: first[1 + 2 * n],
-            spread,
+            value,
+            expected: value,
+            spread: (0..n).map(spread).collect(),
+            time: first[0],
             cell: leaf.cell.clone(),
             place,
+            part: part.map(|part| part.corners),
         })
+    }
+
+    /// Where in a leaf a state lies.
+    fn place(&self, leaf: &Open, copy: &Copy) -> Option<Place> {
+        let seeds = leaf.cell.seeds.len();
+        match leaf.corners.locate(&copy.x, seeds) {
+            Some(place) => Some(place),
+            // A flat cell: its middle, if the state is hardly outside its corners.
+            None if !holds(&leaf.corners.bounds(copy.x.len(), 0.0), &copy.x) => None,
+            None => Some(Place {
+                weights: smallvec![1.0 / seeds as f64; seeds],
+                share: 0.5,
+                outside: OUTSIDE,
+            }),
+        }
     }
 
     /// The guess that a point of a trajectory gives for a state near it.
@@ -86,10 +116,13 @@ impl Cover<'_> {
             goal,
             node: first[1..=2 * n].to_vec(),
             value: first[1 + 2 * n] + change,
+            lowest: first[1 + 2 * n] + change,
             expected: first[1 + 2 * n] + change + bend,
             spread: vec![0.0; n],
+            time: first[0],
             cell,
             place,
+            part: None,
         }
     }
 
@@ -140,7 +173,10 @@ impl Cover<'_> {
 
     /// The mean of the cell's trajectories, from the candidate's place on.
     pub fn mean_path(&self, candidate: &Candidate, end: &End) -> Path {
-        let first = self.at(&candidate.cell, &candidate.place);
+        let first: Vec<f64> = std::iter::once(candidate.time)
+            .chain(candidate.node.iter().copied())
+            .chain([candidate.value])
+            .collect();
         self.path(&candidate.cell, &candidate.place, &first, end)
     }
 
@@ -183,21 +219,14 @@ impl Cover<'_> {
         mean
     }
 
-    /// How far the corners' adjoints are from the one at a place.
-    fn spread(&self, cell: &Cell, at: &[f64]) -> Vec<f64> {
-        let n = self.fan.plan.system.states;
-        let mut spread = vec![0.0f64; n];
-        for level in cell.level..=cell.level + usize::from(self.stationary) {
-            for seed in &cell.seeds {
-                let Some((point, _)) = self.fan.point(*seed, level) else {
-                    continue;
-                };
-                for (i, spread) in spread.iter_mut().enumerate() {
-                    *spread = spread.max((f64::from(point[1 + n + i]) - at[1 + n + i]).abs());
-                }
-            }
-        }
-        spread
+    /// The points `(t, s, p, V)` of a cell's corners, as far as there are any.
+    fn corner_points(&self, cell: &Cell) -> Vec<Vec<f64>> {
+        let levels = cell.level..=cell.level + usize::from(self.stationary);
+        let corners = levels.flat_map(|level| cell.seeds.iter().map(move |seed| (*seed, level)));
+        corners
+            .filter_map(|(seed, level)| self.fan.point(seed, level))
+            .map(|(point, _)| point.iter().map(|x| f64::from(*x)).collect())
+            .collect()
     }
 
     /// The path from a place to the end: the mean of the cell's trajectories, and on into the range

@@ -10,6 +10,7 @@
 
 mod aim;
 mod cell;
+mod close;
 mod copies;
 mod fan;
 mod first;
@@ -82,12 +83,19 @@ pub struct Candidate {
     /// State (a deviation) and adjoint that the manifold has at the place.
     pub node: Vec<f64>,
     pub value: f64,
+    /// The least V that its corners promise, each as its adjoint has it there: lower than `value` where
+    /// the manifold bends within the cell.
+    pub lowest: f64,
     /// V expected at the target, as curved on the way to it as at the equilibrium.
     pub expected: f64,
     /// How much the adjoint (unscaled) differs within the cell, a component.
     pub spread: Vec<f64>,
+    /// Backward time at the place.
+    time: f64,
     cell: Cell,
     place: Place,
+    /// Of the part of the cell that the place is in, where that was looked at closely.
+    part: Option<Corners>,
 }
 
 impl Candidate {
@@ -269,12 +277,13 @@ impl<'a> Cover<'a> {
             let left = (&mut leaves, &mut cells.uncovered);
             open = self.divide(open, left, (&copies, sought), ceiling)?;
         }
+        let close = self.look_closely(&leaves)?;
         cells.candidates = leaves
             .par_iter()
-            .flat_map_iter(|leaf| {
-                leaf.copies
-                    .iter()
-                    .filter_map(|c| self.candidate(leaf, &copies[*c as usize], sought))
+            .zip(&close)
+            .flat_map_iter(|(leaf, close)| {
+                let copies = leaf.copies.iter().map(|c| &copies[*c as usize]);
+                copies.filter_map(|copy| self.candidate(leaf, close.as_ref(), copy, sought))
             })
             .collect();
         cells.candidates.sort_by(|a, b| {
@@ -346,7 +355,11 @@ impl<'a> Cover<'a> {
             let seeds = &open.cell.seeds;
             let (a, b, length) = open.corners.longest(seeds.len(), n);
             let complete = open.corners.complete();
-            let straight = open.cell.bend <= STRAIGHT || length <= LEAST;
+            let turn = || {
+                open.corners
+                    .turn(seeds.len(), n, self.fan.step(open.cell.level), length)
+            };
+            let straight = length <= LEAST || (open.cell.bend <= STRAIGHT && turn() <= STRAIGHT);
             if complete && length <= leaf && straight {
                 leaves.push(open);
                 continue;
@@ -414,12 +427,13 @@ impl<'a> Cover<'a> {
                 depth: depth + 1,
             };
             let corners = cell.corners(fan, self.stationary);
-            if !corners.known.iter().any(|k| *k) || corners.value > ceiling {
+            if !corners.known.iter().any(|k| *k) || corners.lowest > ceiling {
                 return None;
             }
-            let bounds = corners.bounds(n, bend);
             let longest = corners.longest(seeds.len(), n).2;
-            let bend = bend.max(corners.skew(seeds.len(), n, longest));
+            let turn = corners.turn(seeds.len(), n, fan.step(*level), longest);
+            let bounds = corners.bounds(n, bend.max(turn));
+            let bend = bend.max(turn).max(corners.skew(seeds.len(), n, longest));
             let copies: SmallVec<[u32; 4]> = (open.copies.iter().copied())
                 .filter(|c| {
                     let x = &copies[*c as usize].x;

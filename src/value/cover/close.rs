@@ -1,0 +1,134 @@
+//! Cells whose trajectories turn between their levels, in parts: between levels near each other a
+//! cell is no more bent than its division by seeds leaves it.
+
+use super::cell::{Cell, Corners, OfSeeds, Place};
+use super::{Cover, Open, STRAIGHT};
+use crate::backend::BackendError;
+use std::collections::{BTreeMap, HashMap};
+
+/// Parts of a cell.
+const PARTS: usize = 8;
+
+/// The trajectories of a cell's seeds between its levels.
+pub(super) struct Close {
+    /// A seed: its points `(t, s, p, V)`, where parts meet.
+    traces: OfSeeds<Vec<f64>>,
+    /// Numbers of a point.
+    stride: usize,
+}
+
+/// A part of a cell, and where in it a state lies.
+pub(super) struct Part {
+    /// The points `(t, s, p, V)` of its corners.
+    pub points: Vec<Vec<f64>>,
+    pub corners: Corners,
+    /// Its share is that of the part.
+    pub place: Place,
+    /// Share of the way between the cell's levels.
+    pub share: f64,
+}
+
+impl Part {
+    /// `(t, s, p, V)` at its place.
+    pub fn at_place(&self) -> Vec<f64> {
+        let (weights, share) = (&self.place.weights, self.place.share);
+        let mut mean = vec![0.0; self.points[0].len()];
+        for (i, point) in self.points.iter().enumerate() {
+            let layer = if i < weights.len() {
+                1.0 - share
+            } else {
+                share
+            };
+            let weight = weights[i % weights.len()] * layer;
+            (mean.iter_mut().zip(point)).for_each(|(m, x)| *m += weight * x);
+        }
+        mean
+    }
+}
+
+impl Close {
+    /// The part in which a state (in widths) lies, or that it is least outside.
+    pub fn locate(&self, state: &[f64], widths: &[f64]) -> Option<Part> {
+        let parts = (0..PARTS).filter_map(|part| {
+            let points: Vec<Vec<f64>> = (part..=part + 1)
+                .flat_map(|at| self.traces.iter().map(move |trace| self.point(trace, at)))
+                .collect();
+            let corners = Corners::of_points(&points, widths);
+            let place = corners.locate(state, self.traces.len())?;
+            Some(Part {
+                share: (part as f64 + place.share) / PARTS as f64,
+                points,
+                corners,
+                place,
+            })
+        });
+        parts.min_by(|a, b| a.place.outside.total_cmp(&b.place.outside))
+    }
+
+    fn point(&self, trace: &[f64], at: usize) -> Vec<f64> {
+        trace[at * self.stride..(at + 1) * self.stride].to_vec()
+    }
+}
+
+impl Cover<'_> {
+    /// Looks closely at the leaves whose trajectories turn between their levels.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub(super) fn look_closely(&self, leaves: &[Open]) -> Result<Vec<Option<Close>>, BackendError> {
+        let turn: Vec<bool> = leaves.iter().map(|leaf| self.turns(leaf)).collect();
+        let mut of_level: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
+        for (leaf, _) in leaves.iter().zip(&turn).filter(|(_, turns)| **turns) {
+            let seeds = of_level.entry(leaf.cell.level).or_default();
+            seeds.extend(&leaf.cell.seeds);
+        }
+        let mut traces: HashMap<(u32, usize), Vec<f64>> = HashMap::new();
+        for (level, mut seeds) in of_level {
+            seeds.sort_unstable();
+            seeds.dedup();
+            for (seed, trace) in seeds.iter().zip(self.trace_step(level, &seeds)?) {
+                traces.insert((*seed, level), trace);
+            }
+        }
+        let close = |cell: &Cell| {
+            let traces = (cell.seeds.iter())
+                .map(|seed| traces.get(&(*seed, cell.level)).cloned())
+                .collect::<Option<OfSeeds<Vec<f64>>>>()?;
+            let stride = 2 + 2 * self.fan.plan.system.states;
+            let complete = traces.iter().all(|t| t.len() == (PARTS + 1) * stride);
+            complete.then_some(Close { traces, stride })
+        };
+        let looked_at = leaves.iter().zip(turn);
+        Ok(looked_at
+            .map(|(leaf, turns)| turns.then(|| close(&leaf.cell)).flatten())
+            .collect())
+    }
+
+    fn turns(&self, leaf: &Open) -> bool {
+        let (seeds, n) = (leaf.cell.seeds.len(), self.fan.plan.system.states);
+        let longest = leaf.corners.longest(seeds, n).2;
+        self.stationary
+            && leaf.corners.complete()
+            && leaf
+                .corners
+                .turn(seeds, n, self.fan.step(leaf.cell.level), longest)
+                > STRAIGHT
+    }
+
+    /// Points of trajectories from a level to the next one.
+    fn trace_step(&self, level: usize, seeds: &[u32]) -> Result<Vec<Vec<f64>>, BackendError> {
+        let (from, step) = (self.fan.along_to(level), self.fan.step(level));
+        let levels: Vec<f64> = (usize::from(level == 0)..=PARTS)
+            .map(|k| from + step * k as f64 / PARTS as f64)
+            .collect();
+        let starts: Vec<Vec<f64>> = seeds.iter().map(|seed| self.fan.start(*seed)).collect();
+        let starts: Vec<&[f64]> = starts.iter().map(Vec::as_slice).collect();
+        let mut traces = self.fan.traces(&starts, &levels)?;
+        if level == 0 {
+            for (trace, start) in traces.iter_mut().zip(&starts) {
+                trace.splice(0..0, std::iter::once(0.0).chain(start.iter().copied()));
+            }
+        }
+        Ok(traces)
+    }
+}
