@@ -12,6 +12,8 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Default)]
 pub struct Fitted {
     pub laws: Vec<FittedLaw>,
+    /// Names of those for which the time did not suffice.
+    pub left_out: Vec<String>,
 }
 
 /// What was written of a law beside the result file.

@@ -47,6 +47,9 @@ use crate::sweep::accuracy::Spread;
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
 
+/// What the names of unfinished results end in.
+const STOPPED: &str = "_stopped";
+
 /// When a run began, and what made it: for the record in its file.
 #[derive(Clone, Debug)]
 pub struct Provenance {
@@ -136,6 +139,7 @@ impl Session<'_> {
         write_outcome(&mut output.file, &outcome, model, &schema)?;
         if outcome.stopped {
             output.mark_stopped()?;
+            note_replaced(self, &output.path);
         }
 
         let Output {
@@ -162,8 +166,10 @@ impl Session<'_> {
             laws = laws::perform(self, &draft)?;
             if laws.stopped && !summary.stopped {
                 path = mark_laws_stopped(&mut draft, &mut summary)?;
+                note_replaced(self, &path);
             }
             draft.publish()?;
+            laws::export(self, &mut laws, &path);
         }
         Ok(Done {
             outcome,
@@ -227,6 +233,16 @@ impl Output {
     }
 }
 
+/// Says that a file of an earlier run that was ended early is replaced by this one's, at `path`.
+pub fn note_replaced(session: &Session<'_>, path: &Path) {
+    if path.exists() {
+        let path = path.display();
+        session.progress().note(&format!(
+            "{path}, which an earlier run that was ended early has left, is replaced"
+        ));
+    }
+}
+
 /// Notes in the file, and in its summary, that the run was ended before all laws were done. Returns
 /// the file's name.
 ///
@@ -257,7 +273,7 @@ pub fn path_of_stopped(path: &Path) -> PathBuf {
         return path.to_owned();
     }
     let mut name = path.file_stem().unwrap_or_default().to_owned();
-    name.push("_stopped");
+    name.push(STOPPED);
     if let Some(ending) = path.extension() {
         name.push(".");
         name.push(ending);

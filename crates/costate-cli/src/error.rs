@@ -75,9 +75,9 @@ pub enum CliError {
     #[error("ended by {by} before all was done; {path} has what was done by then", path = path.display())]
     Stopped { by: String, path: PathBuf },
     #[error(
-        "--time-limit {limit}: the search is not done, and half of it shows nothing: nothing is written"
+        "ended by {by}: the search is not done, and half of it shows nothing: nothing is written"
     )]
-    Nothing { limit: f64 },
+    Nothing { by: String },
     #[error("cannot write to standard output: {0}")]
     Stdout(#[from] std::io::Error),
 }

@@ -41,6 +41,7 @@ pub fn fit(args: &FitArgs) -> Result<(), CliError> {
         let laws = FittedSummary::all(&done.fitted, &done.exports);
         print_json(&json!({ "file": args.file.display().to_string(), "laws": laws }))?;
     }
-    terminal.say(&text::laws::text(&done.fitted, &done.exports))?;
+    terminal.say(&text::laws::text(&done.fitted))?;
+    terminal.say(&text::laws::files(&done.fitted, &done.exports))?;
     Ok(())
 }
