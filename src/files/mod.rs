@@ -124,13 +124,29 @@ pub fn read_bytes(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// Whether bytes are those of an HDF5 file, which result files are.
+pub fn is_hdf5(bytes: &[u8]) -> bool {
+    bytes.starts_with(HDF5)
+}
+
+/// The first few bytes of a file.
+///
+/// # Errors
+/// Those of reading.
+pub fn beginning(path: &Path) -> io::Result<Vec<u8>> {
+    const FEW: u64 = 256;
+    let mut bytes = Vec::new();
+    File::open(path)?.take(FEW).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
 /// The text of a file, of at most 256 MiB.
 ///
 /// # Errors
 /// As [`read_bytes`]; what is no UTF-8.
 pub fn read_text(path: &Path) -> io::Result<String> {
     String::from_utf8(read_bytes(path)?).map_err(|e| {
-        let reason = match e.as_bytes().starts_with(HDF5) {
+        let reason = match is_hdf5(e.as_bytes()) {
             true => "it is a result file (HDF5), where a text file is wanted",
             false => "stream did not contain valid UTF-8",
         };

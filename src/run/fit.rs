@@ -56,8 +56,7 @@ impl LawFiles {
     }
 
     fn of(&self, law: &str, ending: &str) -> PathBuf {
-        self.directory
-            .join(format!("{}_{law}.{ending}", self.stem))
+        self.directory.join(format!("{}_{law}.{ending}", self.stem))
     }
 
     /// Writes the files of laws; `model` is the scene that their samples are solutions of.

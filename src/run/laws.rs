@@ -138,7 +138,10 @@ impl Doing<'_> {
                 progress.finished(Finished::Fitted(&fitted));
                 if !fitted.left_out.is_empty() {
                     let names = fitted.left_out.join(", ");
-                    self.failed(&format!("law {names} was not fitted"), &"the time given is over");
+                    self.failed(
+                        &format!("law {names} was not fitted"),
+                        &"the time given is over",
+                    );
                 }
                 let exports = Vec::new();
                 self.done.feedback = Some(FittedFiles { fitted, exports });

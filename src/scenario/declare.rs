@@ -2,6 +2,7 @@
 
 use super::build::{Built, Origin, Use};
 use super::document::Given;
+use super::hints;
 use super::lexer::is_identifier;
 use super::reader::{Reader, Section, Value};
 use super::scope::{Entry, Kinds, Meaning, Role, reserved};
@@ -10,6 +11,7 @@ use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::expr::{Id, Kind};
 use crate::model::{Control, Parameter, Span, State, Variable};
+use crate::numeric::digits::plain;
 use std::collections::HashMap;
 
 /// A declared name with its value in the file.
@@ -191,6 +193,21 @@ impl<'a> Reader<'a> {
             let typed = Origin::CommandLine(shorten(&format!("{name}={}", given.text())));
             (given, typed)
         });
+        if let Some((Given::Text(text), _)) = &command_line
+            && let Some(hint) = hints::of_no_number(text)
+        {
+            self.report(Problem {
+                message: format!(
+                    "--set {}: {what} is a finite number",
+                    shorten(&format!("{name}={text}"))
+                ),
+                span: None,
+                label: String::new(),
+                help: Some(hint.to_owned()),
+            });
+            self.scope.set(name, Role::Parameter, Meaning::Broken);
+            return None;
+        }
         let built = match &command_line {
             Some((Given::Text(text), origin)) => self.parse_and_build(text, origin, &purpose),
             Some((Given::Number(number), _)) => Some(self.number_built(*number)),
@@ -290,6 +307,7 @@ impl<'a> Reader<'a> {
         if let (Some(min), Some(max), Some(span)) = (min, max, section.get("max").map(|v| v.span()))
             && min >= max
         {
+            let (min, max) = (plain(min), plain(max));
             let message = format!("the max of {what} must be above its min, but {max} <= {min}");
             self.report(Problem::at(span, message, format!("min is {min}")));
         }

@@ -34,19 +34,19 @@ const EXPRESSIONS: [&str; 6] = [
     "region",
 ];
 
-type Sections<'a> = HashMap<&'static str, Section<'a>>;
+pub(super) type Sections<'a> = HashMap<&'static str, Section<'a>>;
 
 /// The problem that a scene poses, as far as it could be read: what is `None` has been reported, or
 /// its section is missing.
-struct Posed {
-    states: Option<Vec<State>>,
+pub(super) struct Posed {
+    pub states: Option<Vec<State>>,
     controls: Option<Vec<Control>>,
     disturbances: Option<Vec<Variable>>,
     dynamics: Option<Vec<Located>>,
     cost: Cost,
     guards: Vec<Guard>,
-    region: Option<Vec<[f64; 2]>>,
-    equilibrium: Option<Equilibrium>,
+    pub region: Option<Vec<[f64; 2]>>,
+    pub equilibrium: Option<Equilibrium>,
 }
 
 impl Posed {
@@ -65,9 +65,9 @@ impl Posed {
 }
 
 /// What a scene asks for without a closed loop, with the fields of a [`Model`].
-struct Settings {
+pub(super) struct Settings {
     shoot_out: Option<ShootOut>,
-    homotopy: Option<Homotopy>,
+    pub homotopy: Option<Homotopy>,
     map: Option<MapGrid>,
     map_aim: Option<MapAim>,
     sheets: Sheets,
@@ -79,11 +79,11 @@ struct Settings {
 }
 
 /// What a scene asks of closed loops, disturbances and parameters, with the fields of a [`Model`].
-struct Loops {
+pub(super) struct Loops {
     attenuation: Option<Attenuation>,
-    study: Option<Study>,
-    dissipation: Option<Dissipation>,
-    closed_loop: Option<ClosedLoop>,
+    pub study: Option<Study>,
+    pub dissipation: Option<Dissipation>,
+    pub closed_loop: Option<ClosedLoop>,
 }
 
 impl<'a> Reader<'a> {
@@ -248,6 +248,10 @@ impl<'a> Reader<'a> {
         overrides: &[(String, Given)],
     ) -> Option<Model> {
         let (sections, title) = self.sections(root);
+        if sections.is_empty() && self.problems.is_empty() {
+            self.report(empty_scene());
+            return None;
+        }
         self.require_sections(root, &sections);
         let declared = self.declarations(&sections);
         let parameters = self.parameters(&declared.parameters, overrides);
@@ -259,6 +263,7 @@ impl<'a> Reader<'a> {
         let settings = self.settings(&sections, &declared, &posed, reference.as_deref());
         // [closed_loop] comes last, for it brings names of its own.
         let loops = self.loops(&sections, &declared, &posed, reference.as_deref());
+        self.check_turns(&sections, &posed, (&settings, &loops));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
             file_name: file_name.to_owned(),
@@ -517,6 +522,21 @@ fn horizon(
         u,
         span: at.span,
     })
+}
+
+/// What a file without a section lacks, in the order in which one writes it.
+fn empty_scene() -> Problem {
+    Problem {
+        message: "there is no scene in this file: it has no section".to_owned(),
+        span: None,
+        label: String::new(),
+        help: Some(
+            "begin with states = { x = {} } and controls = { u = {} }; then dynamics = { x = \"-x + u\" }, cost = { running = \"x^2 + u^2\" }, \
+             equilibrium = { x = 0, u = 0 } and region = { x = [-1, 1] }, and `costate check` shows what follows from it (all sections: docs/scene.md, \
+             or `costate reference scene`)"
+                .to_owned(),
+        ),
+    }
 }
 
 fn stem(file_name: &str) -> String {

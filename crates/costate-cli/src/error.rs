@@ -292,12 +292,14 @@ pub enum PointsError {
         text: String,
     },
     #[error("{}: line {line}, column `{name}`: {reason}", path.display())]
-    Time {
+    Refused {
         path: PathBuf,
         line: u64,
         name: String,
         reason: String,
     },
+    #[error("{} is not a CSV file: it is {what}; states are given as CSV, a header with their names and a line each", path.display())]
+    NoTable { path: PathBuf, what: &'static str },
     #[error("{} has a header but no points", path.display())]
     Empty { path: PathBuf },
 }

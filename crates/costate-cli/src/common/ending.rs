@@ -28,7 +28,11 @@ impl Ending {
 
     /// The same for a command of which a part shows nothing.
     pub fn with_nothing(args: &RunArgs, provenance: &Provenance) -> Self {
-        Self::saying("this ends, with nothing; once more ends at once", args, provenance)
+        Self::saying(
+            "this ends, with nothing; once more ends at once",
+            args,
+            provenance,
+        )
     }
 
     fn saying(what: &'static str, args: &RunArgs, provenance: &Provenance) -> Self {
