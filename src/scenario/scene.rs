@@ -34,6 +34,10 @@ const EXPRESSIONS: [&str; 6] = [
     "region",
 ];
 
+/// What a scene needs, to a file without any section.
+const BEGINNING: &str = "the states, such as states = { x = {} }. A scene also needs controls = { u = {} }, dynamics = { x = \"-x + u\" }, \
+    cost = { running = \"x^2 + u^2\" }, equilibrium = { x = 0, u = 0 } and region = { x = [-1, 1] }; all sections: docs/scene.md, or `costate reference scene`";
+
 pub(super) type Sections<'a> = HashMap<&'static str, Section<'a>>;
 
 /// The problem that a scene poses, as far as it could be read: what is `None` has been reported, or
@@ -216,12 +220,12 @@ impl<'a> Reader<'a> {
 
     /// Reports the required sections that are missing.
     fn require_sections(&mut self, root: &DeTable<'_>, sections: &Sections<'a>) {
-        self.require(
-            root,
-            sections,
-            "states",
-            "the states, in the order of the output's axes",
-        );
+        // Who has nothing yet is told how to begin.
+        let states = match sections.is_empty() {
+            true => BEGINNING,
+            false => "the states, in the order of the output's axes",
+        };
+        self.require(root, sections, "states", states);
         self.require(root, sections, "controls", "the controls");
         // Where these are there, what they lack is reported entry by entry.
         for (name, what) in [
@@ -248,10 +252,6 @@ impl<'a> Reader<'a> {
         overrides: &[(String, Given)],
     ) -> Option<Model> {
         let (sections, title) = self.sections(root);
-        if sections.is_empty() && self.problems.is_empty() {
-            self.report(empty_scene());
-            return None;
-        }
         self.require_sections(root, &sections);
         let declared = self.declarations(&sections);
         let parameters = self.parameters(&declared.parameters, overrides);
@@ -522,21 +522,6 @@ fn horizon(
         u,
         span: at.span,
     })
-}
-
-/// What a file without a section lacks, in the order in which one writes it.
-fn empty_scene() -> Problem {
-    Problem {
-        message: "there is no scene in this file: it has no section".to_owned(),
-        span: None,
-        label: String::new(),
-        help: Some(
-            "begin with states = { x = {} } and controls = { u = {} }; then dynamics = { x = \"-x + u\" }, cost = { running = \"x^2 + u^2\" }, \
-             equilibrium = { x = 0, u = 0 } and region = { x = [-1, 1] }, and `costate check` shows what follows from it (all sections: docs/scene.md, \
-             or `costate reference scene`)"
-                .to_owned(),
-        ),
-    }
 }
 
 fn stem(file_name: &str) -> String {
