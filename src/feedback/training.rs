@@ -138,8 +138,7 @@ fn descend(
         Some(mean(cost, validation))
     };
     let mut equations = training.normal(shape, &weights, deadline)?;
-    let mut damping = FIRST_DAMPING * equations.matrix.diagonal().amax().max(f64::MIN_POSITIVE);
-    let mut growth = 2.0;
+    let mut damping = Damping::first(&equations);
     let mut best = Trained {
         start,
         validation: validate(&weights)?,
@@ -154,32 +153,32 @@ fn descend(
             (training, deadline),
             &weights,
             &equations,
-            (&mut damping, &mut growth),
+            &mut damping,
         );
         let Some((moved, cost)) = moved else {
             deadline.check().ok()?;
             break;
         };
-        weights = moved;
-        let (trained, validated) = (mean(cost, training), validate(&weights)?);
+        let here = Trained {
+            start,
+            validation: validate(&moved)?,
+            training: mean(cost, training),
+            iterations: iteration,
+            weights: moved,
+        };
+        weights.clone_from(&here.weights);
         progress(Step {
             start,
             iteration,
-            training: trained,
-            validation: validated,
+            training: here.training,
+            validation: here.validation,
         });
-        if validated < best.validation {
-            let gained = validated < (1.0 - STALLED) * before;
-            if gained {
-                (since, before) = (0, validated);
+        let trained = here.training;
+        if here.validation < best.validation {
+            if here.validation < (1.0 - STALLED) * before {
+                (since, before) = (0, here.validation);
             }
-            best = Trained {
-                start,
-                weights: weights.clone(),
-                iterations: iteration,
-                training: trained,
-                validation: validated,
-            };
+            best = here;
         }
         since += 1;
         if since > rules.patience || trained < ROUNDING {
@@ -190,6 +189,22 @@ fn descend(
     Some(best)
 }
 
+/// What is added to the diagonal, and by what it grows when a step does not help.
+struct Damping {
+    d: f64,
+    growth: f64,
+}
+
+impl Damping {
+    fn first(equations: &Normal) -> Self {
+        let largest = equations.matrix.diagonal().amax();
+        Self {
+            d: FIRST_DAMPING * largest.max(f64::MIN_POSITIVE),
+            growth: 2.0,
+        }
+    }
+}
+
 /// The next weights and their cost; none where no step is short enough to help, or the deadline
 /// has passed.
 fn step(
@@ -197,12 +212,12 @@ fn step(
     (training, deadline): (&Regression, Deadline),
     weights: &[f64],
     equations: &Normal,
-    (damping, growth): (&mut f64, &mut f64),
+    damping: &mut Damping,
 ) -> Option<(Vec<f64>, f64)> {
     let largest = equations.matrix.diagonal().amax();
-    while *damping <= 1e10 * largest && !deadline.has_passed() {
+    while damping.d <= 1e10 * largest && !deadline.has_passed() {
         let mut matrix = equations.matrix.clone();
-        (0..weights.len()).for_each(|i| matrix[(i, i)] += *damping);
+        (0..weights.len()).for_each(|i| matrix[(i, i)] += damping.d);
         if let Some(step) = cholesky::solve(matrix, &-&equations.gradient, deadline) {
             let moved: Vec<f64> = weights
                 .iter()
@@ -210,15 +225,15 @@ fn step(
                 .map(|(w, s)| w + s)
                 .collect();
             let cost = training.cost(shape, &moved, deadline)?;
-            let ratio = (equations.cost - cost) / predicted(&step, equations, *damping);
+            let ratio = (equations.cost - cost) / predicted(&step, equations, damping.d);
             if cost < equations.cost && ratio > 0.0 {
-                *damping *= (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0);
-                *growth = 2.0;
+                damping.d *= (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0);
+                damping.growth = 2.0;
                 return Some((moved, cost));
             }
         }
-        *damping *= *growth;
-        *growth *= 2.0;
+        damping.d *= damping.growth;
+        damping.growth *= 2.0;
     }
     None
 }

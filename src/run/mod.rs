@@ -127,8 +127,7 @@ impl Session<'_> {
         let mut output = Output::begin(path.as_ref(), wanted.laws && laws::wanted(model))?;
 
         let schema = trajectory_schema(model, pass.plan());
-        let stored = pass.stores_sweep();
-        let mut writer = stored
+        let mut writer = (pass.stores_sweep())
             .then(|| output.file.trajectories(&schema))
             .transpose()?;
         let outcome = pass.perform::<RunError>(&mut |block| match &mut writer {
@@ -138,8 +137,7 @@ impl Session<'_> {
         drop(writer);
         write_outcome(&mut output.file, &outcome, model, &schema)?;
         if outcome.stopped {
-            output.mark_stopped()?;
-            note_replaced(self, &output.path);
+            output.mark_stopped(self)?;
         }
 
         let Output {
@@ -161,16 +159,10 @@ impl Session<'_> {
         file.finish()?;
         self.progress().finished(Finished::Solved(&outcome, model));
 
-        let mut laws = LawsDone::default();
-        if let Some(mut draft) = draft {
-            laws = laws::perform(self, &draft)?;
-            if laws.stopped && !summary.stopped {
-                path = mark_laws_stopped(&mut draft, &mut summary)?;
-                note_replaced(self, &path);
-            }
-            draft.publish()?;
-            laws::export(self, &mut laws, &path);
-        }
+        let laws = match draft {
+            Some(draft) => self.add_laws(draft, &mut path, &mut summary)?,
+            None => LawsDone::default(),
+        };
         Ok(Done {
             outcome,
             laws,
@@ -182,6 +174,24 @@ impl Session<'_> {
 }
 
 impl Session<'_> {
+    /// Adds the scene's laws and loops to a result, and puts it in place: at `path`, unless the time
+    /// does not suffice.
+    fn add_laws(
+        &self,
+        mut draft: Draft,
+        path: &mut PathBuf,
+        summary: &mut RunSummary,
+    ) -> Result<LawsDone, RunError> {
+        let mut laws = laws::perform(self, &draft)?;
+        if laws.stopped && !summary.stopped {
+            *path = mark_laws_stopped(&mut draft, summary)?;
+            note_replaced(self, path);
+        }
+        draft.publish()?;
+        laws::export(self, &mut laws, path);
+        Ok(laws)
+    }
+
     /// The record of a run on the session's backend, without what it was integrated with.
     #[must_use]
     pub fn record(&self, provenance: &Provenance) -> RunRecord {
@@ -222,9 +232,10 @@ impl Output {
     ///
     /// # Errors
     /// Those of writing.
-    fn mark_stopped(&mut self) -> Result<(), RunError> {
+    fn mark_stopped(&mut self, session: &Session<'_>) -> Result<(), RunError> {
         self.file.attribute("stopped", 1i64)?;
         self.path = path_of_stopped(&self.path);
+        note_replaced(session, &self.path);
         match &mut self.draft {
             Some(draft) => draft.rename(self.path.clone()),
             None => self.file.rename(self.path.clone()),

@@ -176,6 +176,27 @@ impl<'a> Reader<'a> {
         }
     }
 
+    /// What a parameter is replaced by. `inf` and `nan`, which other programs take for numbers, are
+    /// refused as such, not as unknown names.
+    fn given_built(
+        &mut self,
+        name: &str,
+        text: &str,
+        (origin, purpose): (&Origin, &Use<'_>),
+    ) -> Option<Built> {
+        let Some(hint) = hints::of_no_number(text) else {
+            return self.parse_and_build(text, origin, purpose);
+        };
+        let typed = shorten(&format!("{name}={text}"));
+        self.report(Problem {
+            message: format!("--set {typed}: {} is a finite number", purpose.what),
+            span: None,
+            label: String::new(),
+            help: Some(hint.to_owned()),
+        });
+        None
+    }
+
     fn parameter(
         &mut self,
         declared: &Declared<'a>,
@@ -193,23 +214,8 @@ impl<'a> Reader<'a> {
             let typed = Origin::CommandLine(shorten(&format!("{name}={}", given.text())));
             (given, typed)
         });
-        if let Some((Given::Text(text), _)) = &command_line
-            && let Some(hint) = hints::of_no_number(text)
-        {
-            self.report(Problem {
-                message: format!(
-                    "--set {}: {what} is a finite number",
-                    shorten(&format!("{name}={text}"))
-                ),
-                span: None,
-                label: String::new(),
-                help: Some(hint.to_owned()),
-            });
-            self.scope.set(name, Role::Parameter, Meaning::Broken);
-            return None;
-        }
         let built = match &command_line {
-            Some((Given::Text(text), origin)) => self.parse_and_build(text, origin, &purpose),
+            Some((Given::Text(text), origin)) => self.given_built(name, text, (origin, &purpose)),
             Some((Given::Number(number), _)) => Some(self.number_built(*number)),
             None => self.expression(declared.value, &purpose),
         };

@@ -28,9 +28,7 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         .is_some_and(|end| end.eq_ignore_ascii_case("toml"));
     let stored = (!is_scene).then(|| Stored::open(&args.file)).transpose()?;
     let terminal = Terminal::new(args.print);
-    if let Some(stored) = &stored {
-        note_ended_early(stored, &terminal);
-    }
+    (stored.iter()).for_each(|stored| note_ended_early(stored, &terminal));
     if stored.is_some() && args.scene.is_none() && !args.set.is_empty() {
         return Err(CliError::SetOfResult);
     }
@@ -72,6 +70,5 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         print_json(&summary)?;
     }
     let (seconds, path) = (provenance.seconds(), done.path.display());
-    terminal.say(&format!("{seconds:.2} s, written to {path}"))?;
-    Ok(())
+    Ok(terminal.say(&format!("{seconds:.2} s, written to {path}"))?)
 }
