@@ -133,19 +133,19 @@ fn descend(
 ) -> Option<Trained> {
     let deadline = rules.deadline;
     let mean = |cost: f64, r: &Regression| (2.0 * cost / r.residuals().max(1) as f64).sqrt();
-    let validate = |weights: &[f64]| {
-        let cost = validation.cost(shape, weights, deadline)?;
-        Some(mean(cost, validation))
+    let measured = |iterations: usize, weights: Vec<f64>, cost: f64| {
+        let checked = validation.cost(shape, &weights, deadline)?;
+        Some(Trained {
+            start,
+            validation: mean(checked, validation),
+            training: mean(cost, training),
+            iterations,
+            weights,
+        })
     };
     let mut equations = training.normal(shape, &weights, deadline)?;
     let mut damping = Damping::first(&equations);
-    let mut best = Trained {
-        start,
-        validation: validate(&weights)?,
-        training: mean(equations.cost, training),
-        iterations: 0,
-        weights: weights.clone(),
-    };
+    let mut best = measured(0, weights.clone(), equations.cost)?;
     let (mut since, mut before) = (0, f64::INFINITY);
     for iteration in 1..=rules.iterations {
         let moved = step(
@@ -159,13 +159,7 @@ fn descend(
             deadline.check().ok()?;
             break;
         };
-        let here = Trained {
-            start,
-            validation: validate(&moved)?,
-            training: mean(cost, training),
-            iterations: iteration,
-            weights: moved,
-        };
+        let here = measured(iteration, moved, cost)?;
         weights.clone_from(&here.weights);
         progress(Step {
             start,
