@@ -17,7 +17,7 @@ pub struct Fitted {
 }
 
 /// What was written of a law beside the result file.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Exports {
     pub files: Vec<PathBuf>,
     /// Why there is no ONNX model.

@@ -10,17 +10,29 @@ pub const MOST_TURNS: f64 = 1e5;
 
 /// An angle that is further away.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "`{name}` = {} is {turns:.1e} periods away from 0, where rounding has taken the angle's digits; at most {MOST_TURNS:e}: subtract whole periods (of {})",
-    plain(*value),
-    plain(*period)
-)]
+#[error("{}: {}", self.what(), self.help())]
 #[allow(missing_docs, reason = "fields whose name says what they are")]
 pub struct TooManyTurns {
     pub name: String,
     pub value: f64,
     pub turns: f64,
     pub period: f64,
+}
+
+impl TooManyTurns {
+    /// What is wrong.
+    #[must_use]
+    pub fn what(&self) -> String {
+        let (name, value, turns) = (&self.name, plain(self.value), self.turns);
+        format!("`{name}` = {value} is {turns:.1e} periods away from 0; at most {MOST_TURNS:e}")
+    }
+
+    /// The way out.
+    #[must_use]
+    pub fn help(&self) -> String {
+        let period = plain(self.period);
+        format!("subtract whole periods (of {period}), while the number has the angle's digits")
+    }
 }
 
 impl State {

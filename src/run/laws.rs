@@ -8,6 +8,7 @@ use super::sources::sources;
 use crate::attenuation::Attenuated;
 use crate::closed_loop::dissipation::Dissipation;
 use crate::closed_loop::{Available, Evaluation, Laws};
+use crate::feedback::Exports;
 use crate::files::Draft;
 use crate::hdf5::ResultFile;
 use crate::model::Model;
@@ -92,7 +93,10 @@ pub(super) fn export(session: &Session<'_>, done: &mut LawsDone, path: &Path) {
             *exports = all;
             progress.finished(Finished::Exported(fitted, exports));
         }
-        Err(e) => progress.note(&format!("no files of the laws beside the result file: {e}")),
+        Err(e) => {
+            exports.resize(fitted.laws.len(), Exports::default());
+            progress.note(&format!("no files of the laws beside the result file: {e}"));
+        }
     }
 }
 

@@ -64,14 +64,22 @@ pub enum LoadError {
 /// # Errors
 /// [`LoadError`] where the file cannot be read or its contents are wrong.
 pub fn load(path: &Path, overrides: &[(String, String)]) -> Result<Model, LoadError> {
-    let text = read_text(path).map_err(|source| {
+    let text = text_of(path)?;
+    Ok(parse(&text, &path.display().to_string(), overrides)?)
+}
+
+/// The text of a scenario file.
+///
+/// # Errors
+/// [`LoadError::Read`] and [`LoadError::ResultFile`].
+pub fn text_of(path: &Path) -> Result<String, LoadError> {
+    read_text(path).map_err(|source| {
         let path = path.to_owned();
         match beginning(&path).is_ok_and(|bytes| is_hdf5(&bytes)) {
             true => LoadError::ResultFile { path },
             false => LoadError::Read { path, source },
         }
-    })?;
-    Ok(parse(&text, &path.display().to_string(), overrides)?)
+    })
 }
 
 /// Reads a scenario's text. Each of `overrides` replaces the definition of a parameter by a number

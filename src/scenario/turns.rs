@@ -67,7 +67,8 @@ impl Reader<'_> {
             };
             let wrong = (place.values)(i).into_iter();
             if let Some(error) = wrong.filter_map(|x| state.check_turns(x).err()).next() {
-                self.report(Problem::at(span, error.to_string(), "too far away"));
+                let problem = Problem::at(span, error.what(), "too far away");
+                self.report(problem.with_help(error.help()));
             }
         }
     }

@@ -62,7 +62,7 @@ fn angles_that_have_no_digits_left() {
         ),
         (
             &["homotopy", "scene.toml", "--set", "x0=1e26"],
-            "scene.toml:10:18] 10 │ homotopy",
+            "[scene.toml:9:18]",
         ),
         (
             &["check", "scene.toml", "--set", "x0=-7e5"],
