@@ -59,7 +59,7 @@ impl Stored {
     pub fn ended_early(&self) -> Option<&'static str> {
         if self.is_stopped() {
             return Some(
-                "before everything was swept and solved: a state without an answer may have one, and a cheaper solution may be missing",
+                "before everything was swept and solved: a state without an answer may have one, a cheaper solution may be missing, and nothing is told between solved states",
             );
         }
         self.has_attribute("laws_stopped").then_some(

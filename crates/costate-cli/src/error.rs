@@ -244,6 +244,8 @@ pub enum GridRefusal {
         path = path.display()
     )]
     NoStates { path: PathBuf },
+    #[error("{path} has no solved states: its run was ended before any was solved; run it again", path = path.display())]
+    NoneDone { path: PathBuf },
     #[error(
         "--nodes: {given} numbers for {states} states: give one for all axes, or one for each of {names}"
     )]

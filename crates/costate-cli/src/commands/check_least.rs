@@ -29,7 +29,10 @@ pub fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
     let claims = claims(&stored)?;
     if claims.v.is_empty() {
         let path = stored.path.clone();
-        return Err(GridRefusal::NoStates { path }.into());
+        return Err(match stored.has_attribute("stopped") {
+            true => GridRefusal::NoneDone { path }.into(),
+            false => GridRefusal::NoStates { path }.into(),
+        });
     }
     let options = LeastOptions {
         nodes: grid::counts(&args.nodes, model)?,
