@@ -10,7 +10,7 @@ use std::collections::HashMap;
 
 /// Periods in the region's width, at most: a state is looked for a few periods away, never a
 /// thousand.
-const MOST_PERIODS: f64 = 1000.0;
+pub(super) const MOST_PERIODS: f64 = 1000.0;
 /// Relative difference that rounding leaves. A period, or a factor of the equations, with few
 /// digits leaves more: V would be that much wrong at states a few periods away, and nothing would
 /// show it.

@@ -1,5 +1,6 @@
 //! Angles of a scene that are too many periods away.
 
+use super::periods::MOST_PERIODS;
 use super::reader::{Reader, Section};
 use super::scene::{Loops, Posed, Sections, Settings};
 use crate::diagnostics::{Problem, Span};
@@ -54,13 +55,24 @@ impl Reader<'_> {
             place("dissipation", Some("initial"), &disturbed),
         ] {
             if let Some(section) = sections.get(place.section) {
-                self.check_turns_of(section, &place, states);
+                self.check_turns_of(section, &place, (states, posed.region.as_deref()));
             }
         }
     }
 
-    fn check_turns_of(&mut self, section: &Section<'_>, place: &Place<'_>, states: &[State]) {
-        for (i, state) in states.iter().enumerate() {
+    fn check_turns_of(
+        &mut self,
+        section: &Section<'_>,
+        place: &Place<'_>,
+        (states, region): (&[State], Option<&[[f64; 2]]>),
+    ) {
+        // A period that is refused itself makes everything far away.
+        let width = |i: usize| region.map_or(0.0, |r| r[i][1] - r[i][0]);
+        let counted = |i: usize, state: &State| {
+            (state.period).is_some_and(|period| width(i) / period <= MOST_PERIODS)
+        };
+        let states = states.iter().enumerate();
+        for (i, state) in states.filter(|(i, state)| counted(*i, state)) {
             // A state that is not named stays at the equilibrium, which is looked at itself.
             let Some(span) = span_of(section, place.key, &state.variable.name) else {
                 continue;

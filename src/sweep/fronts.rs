@@ -13,6 +13,9 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
+/// Edges that are judged at once: between them the deadline is looked at. Of many states a round has
+/// hundreds of thousands.
+const JUDGED: usize = 1 << 15;
 /// Seeds a round: enough to fill a device, few enough that what is open stays small.
 const ROUND: usize = 8192;
 
@@ -334,13 +337,25 @@ impl<'a> Fronts<'a> {
         }
     }
 
-    /// Decides on all edges whose ends are known, and forgets the vertices that are done with.
+    /// Decides on all edges whose ends are known, and forgets the vertices that are done with; less
+    /// where the time is over.
     fn judge(&mut self) {
-        self.unjudged = 0;
         let mut edges = std::mem::take(&mut self.deferred);
         edges.extend(self.complex.take_fresh());
+        for edges in edges.chunks(JUDGED) {
+            if self.is_stopped() {
+                return;
+            }
+            self.judge_some(edges);
+        }
+        self.unjudged = 0;
+        let complex = &self.complex;
+        self.nodes.retain(|v, _| complex.is_open(*v));
+    }
+
+    fn judge_some(&mut self, edges: &[Edge]) {
         let verdicts: Vec<Verdict> = edges.par_iter().map(|e| self.verdict(*e)).collect();
-        for (edge, verdict) in edges.into_iter().zip(verdicts) {
+        for (&edge, verdict) in edges.iter().zip(verdicts) {
             let root = self.complex.root(edge).unwrap_or(0);
             let (gap, known) = match verdict {
                 Verdict::Unknown => {
@@ -359,8 +374,6 @@ impl<'a> Fronts<'a> {
                 self.waiting.push(root, gap, edge);
             }
         }
-        let complex = &self.complex;
-        self.nodes.retain(|v, _| complex.is_open(*v));
     }
 
     fn verdict(&self, edge: Edge) -> Verdict {
@@ -457,10 +470,10 @@ impl<'a> Fronts<'a> {
     /// Splits waiting edges until the round is full; false when nothing is left to do, or no time.
     fn next_round(&mut self) -> bool {
         loop {
+            self.judge();
             if self.is_stopped() {
                 return false;
             }
-            self.judge();
             if self.is_full() || self.waiting.is_empty() {
                 return !self.pending.is_empty();
             }
