@@ -174,8 +174,8 @@ impl Session<'_> {
 }
 
 impl Session<'_> {
-    /// Adds the scene's laws and loops to a result, and puts it in place: at `path`, unless the time
-    /// does not suffice.
+    /// Adds the scene's laws and loops to a result, and puts it in place: at `path`, unless the
+    /// time does not suffice.
     fn add_laws(
         &self,
         mut draft: Draft,

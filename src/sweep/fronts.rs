@@ -13,8 +13,8 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-/// Edges that are judged at once: between them the deadline is looked at. Of many states a round has
-/// hundreds of thousands.
+/// Edges that are judged at once: between them the deadline is looked at. Of many states a round
+/// has hundreds of thousands.
 const JUDGED: usize = 1 << 15;
 /// Seeds a round: enough to fill a device, few enough that what is open stays small.
 const ROUND: usize = 8192;
