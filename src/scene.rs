@@ -2,10 +2,9 @@
 //! together.
 
 use crate::diagnostics::ScenarioErrors;
-use crate::files::read_text;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
-use crate::scenario::{Document, Given, LoadError, texts};
+use crate::scenario::{Document, Given, LoadError, text_of, texts};
 use std::path::Path;
 
 /// A scene, read from a scenario file or text, with its equations.
@@ -56,10 +55,7 @@ impl Scene {
         overrides: &[(String, String)],
     ) -> Result<Self, LoadError> {
         let path = path.as_ref();
-        let text = read_text(path).map_err(|source| LoadError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
+        let text = text_of(path)?;
         Ok(Self::parse_with(
             &text,
             &path.display().to_string(),

@@ -10,6 +10,7 @@ use crate::backend::{Backend, BackendError};
 use crate::diagnostics::ScenarioErrors;
 use crate::local::{AttenuationError, Cause, LinearAttenuation, Linearization, linear_attenuation};
 use crate::model::{self, Homotopy};
+use crate::numeric::digits::plain;
 use crate::scene::Scene;
 use crate::sweep::Choices;
 use crate::value::{self, Grid, PointStatus, StatesError};
@@ -22,14 +23,15 @@ pub enum SmallestError {
         parameter: String,
         source: AttenuationError<ScenarioErrors>,
     },
-    #[error("{parameter} = {value}: {errors}")]
+    #[error("{parameter} = {}: {errors}", plain(*value))]
     Scene {
         parameter: String,
         value: f64,
         errors: Box<ScenarioErrors>,
     },
     #[error(
-        "the level {value} of [attenuation] is below {parameter}* = {star:.10}, the smallest that the linearization allows"
+        "the level {} of [attenuation] is below {parameter}* = {star:.10}, the smallest that the linearization allows",
+        plain(*value)
     )]
     LevelBelow {
         parameter: String,

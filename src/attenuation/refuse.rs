@@ -4,6 +4,7 @@
 use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::local::{Cause, LocalError, Riccati};
 use crate::model::Horizon;
+use crate::numeric::digits::plain;
 use crate::scene::Scene;
 
 /// Refuses a game whose level of attenuation its linearization does not allow.
@@ -55,7 +56,8 @@ fn refusal(scene: &Scene) -> Option<ScenarioErrors> {
     let set = model.overrides.iter().rev().find(|(n, _)| n == name);
     let from = set.map_or_else(String::new, |(n, v)| format!(" (--set {n}={v})"));
     let message = format!(
-        "{name} = {own}{from} is not above {name}* = {:.10}, the smallest level of attenuation that the linearization allows",
+        "{name} = {}{from} is not above {name}* = {:.10}, the smallest level of attenuation that the linearization allows",
+        plain(own),
         linear.star
     );
     let problem = Problem {

@@ -12,10 +12,12 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Default)]
 pub struct Fitted {
     pub laws: Vec<FittedLaw>,
+    /// Names of those for which the time did not suffice.
+    pub left_out: Vec<String>,
 }
 
 /// What was written of a law beside the result file.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Exports {
     pub files: Vec<PathBuf>,
     /// Why there is no ONNX model.

@@ -129,11 +129,9 @@ pub fn fit(
         deadline: data.deadline,
     };
     let trained = train(&shape, &training, &validation, rules, progress);
-    if data.deadline.has_passed() {
-        return Err(FitError::OutOfTime {
-            law: law.name.clone(),
-        });
-    }
+    let trained = trained.ok_or_else(|| FitError::OutOfTime {
+        law: law.name.clone(),
+    })?;
     let made = assemble(data.model, law, &shape, &trained, &scales, base);
     let form = made.closed_form(data.model, data.hamiltonian);
     let form = form.map_err(|source| FitError::Law {

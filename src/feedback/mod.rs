@@ -5,6 +5,7 @@
 //! for, trains a [`Network`] by Levenberg-Marquardt, and returns a [`Law`] with what it is worth on
 //! trajectories it has not seen.
 
+mod cholesky;
 mod exports;
 mod fit;
 mod header;

@@ -2,6 +2,7 @@
 //! equations of a step.
 
 use super::shape::{Pass, Shape};
+use crate::backend::Deadline;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -192,29 +193,34 @@ impl Regression {
             .collect()
     }
 
-    /// Half the sum of squares.
-    pub fn cost(&self, shape: &Shape, weights: &[f64]) -> f64 {
+    /// Half the sum of squares; `None` once the deadline has passed.
+    pub fn cost(&self, shape: &Shape, weights: &[f64], deadline: Deadline) -> Option<f64> {
         let anchor = self.anchor(shape, weights, false);
         let part = |range: std::ops::Range<usize>| {
             let (mut pass, mut residual) = (shape.pass(), Vec::new());
             let mut sum = 0.0;
             for k in range {
+                if k % ROWS == 0 {
+                    deadline.check().ok()?;
+                }
                 self.residual(shape, weights, anchor.as_ref(), k, &mut pass, &mut residual);
                 sum += residual.iter().map(|r| r * r).sum::<f64>();
             }
-            sum
+            Some(sum)
         };
-        let sums: Vec<f64> = self.parts().into_par_iter().map(part).collect();
+        let sums = self.parts().into_par_iter().map(part);
+        let sums: Vec<f64> = sums.collect::<Option<_>>()?;
         let excess = self.too_steep(shape, weights);
-        0.5 * (sums.iter().sum::<f64>() + excess.iter().map(|(.., r)| r * r).sum::<f64>())
+        Some(0.5 * (sums.iter().sum::<f64>() + excess.iter().map(|(.., r)| r * r).sum::<f64>()))
     }
 
-    /// The normal equations of a Gauss-Newton step.
-    pub fn normal(&self, shape: &Shape, weights: &[f64]) -> Normal {
+    /// The normal equations of a Gauss-Newton step; `None` once the deadline has passed: of
+    /// thousands of weights they take seconds.
+    pub fn normal(&self, shape: &Shape, weights: &[f64], deadline: Deadline) -> Option<Normal> {
         let anchor = self.anchor(shape, weights, true);
         let parts: Vec<Normal> = (self.parts().into_par_iter())
-            .map(|range| self.part(shape, weights, anchor.as_ref(), range))
-            .collect();
+            .map(|range| self.part((shape, weights), anchor.as_ref(), range, deadline))
+            .collect::<Option<_>>()?;
         let size = shape.parameters();
         let mut total = Normal {
             matrix: DMatrix::zeros(size, size),
@@ -239,16 +245,16 @@ impl Regression {
                 }
             }
         }
-        total
+        Some(total)
     }
 
     fn part(
         &self,
-        shape: &Shape,
-        weights: &[f64],
+        (shape, weights): (&Shape, &[f64]),
         anchor: Option<&Anchor>,
         range: std::ops::Range<usize>,
-    ) -> Normal {
+        deadline: Deadline,
+    ) -> Option<Normal> {
         let size = shape.parameters();
         let mut normal = Normal {
             matrix: DMatrix::zeros(size, size),
@@ -269,13 +275,14 @@ impl Regression {
                 self.row(shape, weights, anchor, k, i, &mut pass, column);
                 used += 1;
                 if used == ROWS {
+                    deadline.check().ok()?;
                     normal.add(&columns, &residuals, used);
                     used = 0;
                 }
             }
         }
         normal.add(&columns, &residuals, used);
-        normal
+        Some(normal)
     }
 
     /// Derivatives of residual `i` of sample `k` by the weights, after [`Self::residual`].
@@ -394,8 +401,11 @@ mod tests {
             let mut lengths: Vec<f64> = weights[..8].chunks(2).map(|w| w[0].hypot(w[1])).collect();
             lengths.sort_by(f64::total_cmp);
             problem.steepest = Some(0.5 * (lengths[1] + lengths[2]));
-            let normal = problem.normal(&shape, &weights);
-            let cost = problem.cost(&shape, &weights);
+            let never = Deadline::default();
+            let normal = problem.normal(&shape, &weights, never).unwrap();
+            let cost = problem.cost(&shape, &weights, never).unwrap();
+            let over = Deadline::after(std::time::Duration::ZERO);
+            assert!(problem.cost(&shape, &weights, over).is_none());
             assert!((normal.cost - cost).abs() < 1e-11 * cost);
             let all = |weights: &[f64]| -> Vec<f64> {
                 let anchor = problem.anchor(&shape, weights, false);

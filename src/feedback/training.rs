@@ -5,6 +5,7 @@
 //! `levenberg-marquardt` crate is not used: it keeps the whole Jacobian (residuals x weights) for a
 //! QR factorization, and is bound to an older nalgebra.
 
+use super::cholesky;
 use super::regression::{Normal, Regression};
 use super::shape::Shape;
 use crate::backend::Deadline;
@@ -56,17 +57,17 @@ pub(super) struct Trained {
 
 /// Trains from all starts on a part of the samples, and the one best on the validation set on all.
 /// Neither the order in which starts finish nor the number of threads changes it. `progress` is
-/// called from all threads.
+/// called from all threads. `None` where the deadline came before.
 pub(super) fn train(
     shape: &Shape,
     training: &Regression,
     validation: &Regression,
     rules: Rules,
     progress: &(dyn Fn(Step) + Sync),
-) -> Trained {
+) -> Option<Trained> {
     let stride = training.residuals() / (A_WEIGHT * shape.parameters());
     let part = (stride > 1).then(|| training.thinned(stride));
-    let all: Vec<Trained> = (0..rules.starts)
+    let all: Vec<Option<Trained>> = (0..rules.starts)
         .into_par_iter()
         .map(|start| {
             let first = initial(shape, random(rules.seed, start as u64));
@@ -74,12 +75,13 @@ pub(super) fn train(
             descend(shape, data, rules, (start, first), progress)
         })
         .collect();
+    let all: Vec<Trained> = all.into_iter().collect::<Option<_>>()?;
     let best = all
         .into_iter()
         .min_by(|a, b| a.validation.total_cmp(&b.validation));
     let best = best.expect("there is at least one start");
     if part.is_none() {
-        return best;
+        return Some(best);
     }
     let further = descend(
         shape,
@@ -87,11 +89,11 @@ pub(super) fn train(
         rules,
         (best.start, best.weights),
         progress,
-    );
-    Trained {
+    )?;
+    Some(Trained {
         iterations: best.iterations + further.iterations,
         ..further
-    }
+    })
 }
 
 /// A normally distributed number (Box and Muller).
@@ -120,99 +122,112 @@ fn initial(shape: &Shape, seed: u64) -> Vec<f64> {
     weights
 }
 
-/// Trains from a start's weights; `data` are for training and for validation.
+/// Trains from a start's weights; `data` are for training and for validation. `None` where the
+/// deadline came before.
 fn descend(
     shape: &Shape,
     [training, validation]: [&Regression; 2],
     rules: Rules,
     (start, mut weights): (usize, Vec<f64>),
     progress: &(dyn Fn(Step) + Sync),
-) -> Trained {
+) -> Option<Trained> {
+    let deadline = rules.deadline;
     let mean = |cost: f64, r: &Regression| (2.0 * cost / r.residuals().max(1) as f64).sqrt();
-    let validate = |weights: &[f64]| mean(validation.cost(shape, weights), validation);
-    let mut equations = training.normal(shape, &weights);
-    let mut damping = FIRST_DAMPING * equations.matrix.diagonal().amax().max(f64::MIN_POSITIVE);
-    let mut growth = 2.0;
-    let mut best = Trained {
-        start,
-        validation: validate(&weights),
-        training: mean(equations.cost, training),
-        iterations: 0,
-        weights: weights.clone(),
+    let measured = |iterations: usize, weights: Vec<f64>, cost: f64| {
+        let checked = validation.cost(shape, &weights, deadline)?;
+        Some(Trained {
+            start,
+            validation: mean(checked, validation),
+            training: mean(cost, training),
+            iterations,
+            weights,
+        })
     };
+    let mut equations = training.normal(shape, &weights, deadline)?;
+    let mut damping = Damping::first(&equations);
+    let mut best = measured(0, weights.clone(), equations.cost)?;
     let (mut since, mut before) = (0, f64::INFINITY);
     for iteration in 1..=rules.iterations {
-        let Some((moved, cost)) = step(
+        let moved = step(
             shape,
-            training,
+            (training, deadline),
             &weights,
             &equations,
             &mut damping,
-            &mut growth,
-        ) else {
+        );
+        let Some((moved, cost)) = moved else {
+            deadline.check().ok()?;
             break;
         };
-        weights = moved;
-        let (trained, validated) = (mean(cost, training), validate(&weights));
+        let here = measured(iteration, moved, cost)?;
+        weights.clone_from(&here.weights);
         progress(Step {
             start,
             iteration,
-            training: trained,
-            validation: validated,
+            training: here.training,
+            validation: here.validation,
         });
-        if validated < best.validation {
-            let gained = validated < (1.0 - STALLED) * before;
-            if gained {
-                (since, before) = (0, validated);
+        let trained = here.training;
+        if here.validation < best.validation {
+            if here.validation < (1.0 - STALLED) * before {
+                (since, before) = (0, here.validation);
             }
-            best = Trained {
-                start,
-                weights: weights.clone(),
-                iterations: iteration,
-                training: trained,
-                validation: validated,
-            };
+            best = here;
         }
         since += 1;
-        let done = since > rules.patience || trained < ROUNDING;
-        if done || rules.deadline.has_passed() {
+        if since > rules.patience || trained < ROUNDING {
             break;
         }
-        equations = training.normal(shape, &weights);
+        equations = training.normal(shape, &weights, deadline)?;
     }
-    best
+    Some(best)
 }
 
-/// The next weights and their cost; none where no step is short enough to help.
+/// What is added to the diagonal, and by what it grows when a step does not help.
+struct Damping {
+    d: f64,
+    growth: f64,
+}
+
+impl Damping {
+    fn first(equations: &Normal) -> Self {
+        let largest = equations.matrix.diagonal().amax();
+        Self {
+            d: FIRST_DAMPING * largest.max(f64::MIN_POSITIVE),
+            growth: 2.0,
+        }
+    }
+}
+
+/// The next weights and their cost; none where no step is short enough to help, or the deadline
+/// has passed.
 fn step(
     shape: &Shape,
-    training: &Regression,
+    (training, deadline): (&Regression, Deadline),
     weights: &[f64],
     equations: &Normal,
-    damping: &mut f64,
-    growth: &mut f64,
+    damping: &mut Damping,
 ) -> Option<(Vec<f64>, f64)> {
     let largest = equations.matrix.diagonal().amax();
-    while *damping <= 1e10 * largest {
+    while damping.d <= 1e10 * largest && !deadline.has_passed() {
         let mut matrix = equations.matrix.clone();
-        (0..weights.len()).for_each(|i| matrix[(i, i)] += *damping);
-        if let Some(factor) = matrix.cholesky() {
-            let step = factor.solve(&(-&equations.gradient));
+        (0..weights.len()).for_each(|i| matrix[(i, i)] += damping.d);
+        if let Some(step) = cholesky::solve(matrix, &-&equations.gradient, deadline) {
             let moved: Vec<f64> = weights
                 .iter()
                 .zip(step.iter())
                 .map(|(w, s)| w + s)
                 .collect();
-            let cost = training.cost(shape, &moved);
-            let ratio = (equations.cost - cost) / predicted(&step, equations, *damping);
+            let cost = training.cost(shape, &moved, deadline)?;
+            let ratio = (equations.cost - cost) / predicted(&step, equations, damping.d);
             if cost < equations.cost && ratio > 0.0 {
-                *damping *= (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0);
-                *growth = 2.0;
+                damping.d *= (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0);
+                damping.growth = 2.0;
                 return Some((moved, cost));
             }
         }
-        *damping *= *growth;
-        *growth *= 2.0;
+        damping.d *= damping.growth;
+        damping.growth *= 2.0;
     }
     None
 }

@@ -130,7 +130,7 @@ mod tests {
         };
         let spacing = spacing(&data, &trajectory);
         let trained = |data: &Regression| {
-            let trained = train(&shape, data, data, rules, &|_| {});
+            let trained = train(&shape, data, data, rules, &|_| {}).unwrap();
             (narrow(&shape, &trained.weights, data, spacing), trained)
         };
         assert!(trained(&data).0 > 0);

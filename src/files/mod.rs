@@ -29,17 +29,21 @@ pub struct Draft {
 
 impl Draft {
     /// Claims the hidden name for the file that will be `path`; missing parent directories are
-    /// made. The caller makes the file.
+    /// made, and go again with what is not published. The caller makes the file.
     ///
     /// # Errors
     /// Those of [`target`], and [`FileError::CreateDirectory`].
     pub fn begin(path: &Path) -> Result<Self, FileError> {
         let path = target(path)?;
         let directory = directory_of(&path);
+        let made = (directory.ancestors())
+            .take_while(|d| !d.as_os_str().is_empty() && !d.exists())
+            .map(Path::to_owned)
+            .collect();
         make(directory)?;
         let name = path.file_name().unwrap_or_default();
         clear_leftovers(directory, name);
-        let temporary = hidden(directory, name);
+        let temporary = Temporary::within(hidden_name(directory, name), made);
         Ok(Self { path, temporary })
     }
 
@@ -120,13 +124,29 @@ pub fn read_bytes(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// Whether bytes are those of an HDF5 file, which result files are.
+pub fn is_hdf5(bytes: &[u8]) -> bool {
+    bytes.starts_with(HDF5)
+}
+
+/// The first few bytes of a file.
+///
+/// # Errors
+/// Those of reading.
+pub fn beginning(path: &Path) -> io::Result<Vec<u8>> {
+    const FEW: u64 = 256;
+    let mut bytes = Vec::new();
+    File::open(path)?.take(FEW).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
 /// The text of a file, of at most 256 MiB.
 ///
 /// # Errors
 /// As [`read_bytes`]; what is no UTF-8.
 pub fn read_text(path: &Path) -> io::Result<String> {
     String::from_utf8(read_bytes(path)?).map_err(|e| {
-        let reason = match e.as_bytes().starts_with(HDF5) {
+        let reason = match is_hdf5(e.as_bytes()) {
             true => "it is a result file (HDF5), where a text file is wanted",
             false => "stream did not contain valid UTF-8",
         };
@@ -196,6 +216,10 @@ pub fn can_hold(directory: &Path) -> io::Result<()> {
 /// A hidden name in a directory for a file to be called so. It names the machine, which may share
 /// the directory with others, and the process.
 fn hidden(directory: &Path, name: &OsStr) -> Temporary {
+    Temporary::new(hidden_name(directory, name))
+}
+
+fn hidden_name(directory: &Path, name: &OsStr) -> PathBuf {
     let serial = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
     let mut hidden = OsString::from(".");
     hidden.push(name);
@@ -204,7 +228,7 @@ fn hidden(directory: &Path, name: &OsStr) -> Temporary {
         machine(),
         std::process::id()
     ));
-    Temporary::new(directory.join(hidden))
+    directory.join(hidden)
 }
 
 /// Removes what processes that were killed have left of a file: hidden files for it, also for its
@@ -367,6 +391,9 @@ mod tests {
         write_together(&both[..1], directory.path()).unwrap();
         assert_eq!(fs::read(&both[0].0).unwrap(), b"a");
         fs::remove_dir_all(directory.path().join("pictures")).unwrap();
+        // What is dropped takes the directories with it that were made for it.
+        drop(Draft::begin(&directory.path().join("new/sub/table.csv")).unwrap());
+        assert_eq!(entries(directory.path()), ["picture.svg", "taken"]);
         // A missing directory is made, as for result files.
         write_text(&directory.path().join("new/sub/table.csv"), "x").unwrap();
         assert_eq!(entries(directory.path()), ["new", "picture.svg", "taken"]);

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Those of this process that are there.
-static OPEN: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+static OPEN: Mutex<Vec<Claimed>> = Mutex::new(Vec::new());
 
 /// Signals that ask a program to end, and leave it time to.
 static STOP: AtomicBool = AtomicBool::new(false);
@@ -25,20 +25,46 @@ pub fn stop_at_signals(asked: impl Fn(&str) + Send + 'static) -> &'static Atomic
 
 /// A file's hidden name; what is there is removed when this is dropped.
 #[derive(Debug)]
-pub struct Temporary {
+pub struct Temporary(Claimed);
+
+/// A hidden name, and the directories that were made for it, the innermost first.
+#[derive(Clone, Debug, PartialEq)]
+struct Claimed {
     path: PathBuf,
+    made: Vec<PathBuf>,
+}
+
+impl Claimed {
+    /// Removes what is there, and the directories unless something else is in them.
+    fn remove(&self) {
+        // Nothing better can be done about a file that cannot be removed than to leave it hidden; a
+        // published one has gone.
+        let _ = std::fs::remove_file(&self.path);
+        for directory in &self.made {
+            if std::fs::remove_dir(directory).is_err() {
+                break;
+            }
+        }
+    }
 }
 
 impl Temporary {
     /// Claims a name, before the file is made.
     pub fn new(path: PathBuf) -> Self {
+        Self::within(path, Vec::new())
+    }
+
+    /// The same in a directory that was made for it, maybe with those that it lies in: they go with
+    /// the file unless it is published. The innermost comes first.
+    pub fn within(path: PathBuf, made: Vec<PathBuf>) -> Self {
+        let claimed = Claimed { path, made };
         let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
-        open.push(path.clone());
-        Self { path }
+        open.push(claimed.clone());
+        Self(claimed)
     }
 
     pub fn path(&self) -> &Path {
-        &self.path
+        &self.0.path
     }
 
     /// Gives the file another name, in place of what has it.
@@ -46,17 +72,15 @@ impl Temporary {
     /// # Errors
     /// Those of the rename; the file is then gone.
     pub fn publish(self, to: &Path) -> io::Result<()> {
-        std::fs::rename(&self.path, to)
+        std::fs::rename(self.path(), to)
     }
 }
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // Nothing better can be done about a file that cannot be removed than to leave it hidden; a
-        // published one has gone.
-        let _ = std::fs::remove_file(&self.path);
+        self.0.remove();
         let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
-        open.retain(|path| *path != self.path);
+        open.retain(|claimed| *claimed != self.0);
     }
 }
 
@@ -93,9 +117,7 @@ pub fn removed_at_signals() -> io::Result<()> {
                 }
                 // Held to the end: no other file comes after these.
                 let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
-                for path in open.iter() {
-                    let _ = std::fs::remove_file(path);
-                }
+                open.iter().for_each(Claimed::remove);
                 // Whoever waits for the process is to see that the signal ended it.
                 let _ = signal_hook::low_level::emulate_default_handler(signal);
             }

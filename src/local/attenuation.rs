@@ -8,6 +8,7 @@
 
 use super::Linearization;
 use super::riccati::{ON_AXIS, eigenvalues_of, nearest_to_axis, polished, sign};
+use crate::numeric::digits::plain;
 use nalgebra::{Complex, DMatrix, Schur};
 
 /// Relative residual up to which a Riccati solution counts as one: it says how near gamma* can be
@@ -78,17 +79,21 @@ impl LinearAttenuation {
 /// Why there is no gamma*.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum AttenuationError<E: std::error::Error + 'static> {
-    #[error("at {value}: {source}")]
+    #[error("at {}: {source}", plain(*value))]
     Scene { value: f64, source: E },
     #[error(
-        "the linearization has no solution at any level of attenuation from {lo} to {hi}: neither a larger level nor another range helps unless the undisturbed problem is solvable"
+        "the linearization has no solution at any level of attenuation from {} to {}: neither a larger level nor another range helps unless the undisturbed problem is solvable",
+        plain(*lo),
+        plain(*hi)
     )]
     Nowhere { lo: f64, hi: f64 },
     #[error(
-        "the linearization has a solution at {feasible}, but none at {infeasible}: a larger value of the parameter must be easier (is it a gain instead of a level?)"
+        "the linearization has a solution at {}, but none at {}: a larger value of the parameter must be easier (is it a gain instead of a level?)",
+        plain(*feasible),
+        plain(*infeasible)
     )]
     NotMonotone { feasible: f64, infeasible: f64 },
-    #[error("the scene's own value, {value}, is not above 0: give [attenuation] a range")]
+    #[error("the scene's own value, {}, is not above 0: give [attenuation] a range", plain(*value))]
     NotPositive { value: f64 },
 }
 

@@ -2,8 +2,10 @@
 //! knows TOML.
 
 mod feedback;
+mod turns;
 
 pub use feedback::{Activation, Base, Feedback, LawOutput, Target};
+pub use turns::{MOST_TURNS, TooManyTurns};
 
 use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::expr::{Graph, Id};

@@ -50,9 +50,21 @@ impl Stored {
         self.has(&schema::MAP_PIECES) || self.summary()["map"].is_object()
     }
 
-    /// Whether its run was ended before everything was done.
+    /// Whether its run was ended before everything was swept and solved.
     fn is_stopped(&self) -> bool {
-        self.summary()["stopped"] == true
+        self.has_attribute("stopped")
+    }
+
+    /// What the file may lack, in words, where its run was ended before all was done.
+    pub fn ended_early(&self) -> Option<&'static str> {
+        if self.is_stopped() {
+            return Some(
+                "before everything was swept and solved: a state without an answer may have one, a cheaper solution may be missing, and nothing is told between solved states",
+            );
+        }
+        self.has_attribute("laws_stopped").then_some(
+            "after everything was solved: laws, closed loops and levels of attenuation may be missing",
+        )
     }
 
     /// What the file holds of the value function.
@@ -68,7 +80,7 @@ impl Stored {
         let summary = self.run_summary()?;
         // Where the search was ended before, nothing tells which solutions lie on one sheet, and
         // none is interpolated.
-        let stopped = summary.as_ref().is_some_and(|s| s.stopped);
+        let stopped = self.is_stopped();
         Ok(Known {
             swept: self.trajectories()?,
             solved: solved.filter(|_| !stopped),

@@ -2,6 +2,7 @@
 
 use super::record::RunRecord;
 use crate::diagnostics::ScenarioErrors;
+use crate::files;
 use crate::scene::Scene;
 use crate::schema;
 use crate::session::summary::RunSummary;
@@ -45,6 +46,25 @@ pub enum StoredError {
         group: String,
         hint: &'static str,
     },
+}
+
+/// Why a file is none of HDF5. What the HDF5 layer says is of use only where the file begins as
+/// one.
+fn no_hdf5(path: &Path, error: &Hdf5Error) -> String {
+    let begins = match files::beginning(path) {
+        Ok(begins) => begins,
+        Err(e) => return e.to_string(),
+    };
+    if files::is_hdf5(&begins) {
+        return format!("it begins as one, but is damaged or cut short ({error})");
+    }
+    let what = match (begins.is_empty(), std::str::from_utf8(&begins)) {
+        (true, _) => "it is empty",
+        (_, Ok(_)) => "it is a text",
+        (_, Err(e)) if e.error_len().is_none() => "it is a text",
+        _ => "it begins otherwise",
+    };
+    what.to_owned()
 }
 
 /// An array of a file, row-major.
@@ -99,7 +119,7 @@ impl Stored {
         let file =
             (H5File::options().no_locking().open(path)).map_err(|e| StoredError::NotHdf5 {
                 path: path.to_owned(),
-                reason: e.to_string(),
+                reason: no_hdf5(path, &e),
                 hint: if path.extension().is_some_and(|e| e == "toml") {
                     "; this may be a scene: `costate run` makes a result file of it"
                 } else {
@@ -143,6 +163,12 @@ impl Stored {
     /// A root attribute that is a text.
     pub fn attribute(&self, name: &str) -> Option<String> {
         self.file.attr_string(name).ok()
+    }
+
+    /// Whether there is a root attribute of this name.
+    pub fn has_attribute(&self, name: &str) -> bool {
+        let names = self.file.attr_names().unwrap_or_default();
+        names.iter().any(|own| own == name)
     }
 
     /// The run's summary as `--json` prints it; empty where the file has none.

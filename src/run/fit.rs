@@ -1,6 +1,6 @@
 //! Laws fitted to what a result file holds, written into it and beside it.
 
-use super::RunError;
+use super::{RunError, STOPPED};
 use crate::backend::Deadline;
 use crate::feedback::{Exports, Fitted, Samples};
 use crate::files::can_hold;
@@ -39,9 +39,44 @@ impl LawFiles {
         }
     }
 
+    /// Those of a run that was ended early: where files of an earlier run have the usual names, as
+    /// a result's would be, `STEM_stopped_NAME.toml` and so on.
+    pub(super) fn of_stopped(path: &Path, laws: &[Feedback]) -> Self {
+        let mut files = Self::new(path, None);
+        let there = |law: &Feedback| {
+            ["toml", "h", "onnx"]
+                .iter()
+                .any(|ending| files.of(&law.name, ending).exists())
+        };
+        // Beside an older result the file itself has such a name already.
+        if !files.stem.ends_with(STOPPED) && laws.iter().any(there) {
+            files.stem.push_str(STOPPED);
+        }
+        files
+    }
+
+    fn of(&self, law: &str, ending: &str) -> PathBuf {
+        self.directory.join(format!("{}_{law}.{ending}", self.stem))
+    }
+
+    /// Writes the files of laws; `model` is the scene that their samples are solutions of.
+    ///
+    /// # Errors
+    /// Those of writing.
+    pub(super) fn write(&self, fitted: &Fitted, model: &Model) -> Result<Vec<Exports>, RunError> {
+        let directory = &self.directory;
+        if !directory.as_os_str().is_empty() {
+            std::fs::create_dir_all(directory).map_err(|source| RunError::OutDirectory {
+                path: directory.clone(),
+                source,
+            })?;
+        }
+        Ok(fitted.export(directory, &self.stem, model)?)
+    }
+
     /// Whether the files can be written there, as far as that can be told before: fitting takes
     /// long.
-    fn check(&self, scene: &Model, laws: &[Feedback]) -> Result<(), RunError> {
+    pub(super) fn check(&self, scene: &Model, laws: &[Feedback]) -> Result<(), RunError> {
         // What is not there yet is made in what is.
         let place = self.directory.ancestors().find(|d| d.exists());
         let place = place.unwrap_or(Path::new("."));
@@ -59,7 +94,7 @@ impl LawFiles {
 
         let scene = std::fs::canonicalize(&scene.file_name).ok();
         for law in laws {
-            let weights = (self.directory).join(format!("{}_{}.toml", self.stem, law.name));
+            let weights = self.of(&law.name, "toml");
             if scene.is_some() && scene == std::fs::canonicalize(&weights).ok() {
                 return Err(RunError::OverScene {
                     name: law.name.clone(),
@@ -92,19 +127,31 @@ fn judge(stored: &Stored, mapped: bool) -> Result<Option<ValueMap>, RunError> {
 }
 
 /// Fits `laws` of `scene` to what a result file holds, writes `/feedback` into it, and the laws'
-/// files to where they go.
+/// files to where they go. Laws for which the time does not suffice are left out.
 ///
 /// # Errors
-/// Where there is nothing to fit to, a law cannot be fitted by the deadline, or files cannot be
+/// Where there is nothing to fit to, no law can be fitted by the deadline, or files cannot be
 /// written.
 pub fn fit_stored(
     stored: &Stored,
     scene: &Model,
     laws: &[Feedback],
     files: &LawFiles,
-    (progress, deadline): (&dyn Progress, Deadline),
+    going: (&dyn Progress, Deadline),
 ) -> Result<FittedFiles, RunError> {
     files.check(scene, laws)?;
+    let fitted = fit_into(stored, scene, laws, going)?;
+    let exports = files.write(&fitted, &stored.scene.model)?;
+    Ok(FittedFiles { fitted, exports })
+}
+
+/// The same without the laws' files.
+pub(super) fn fit_into(
+    stored: &Stored,
+    scene: &Model,
+    laws: &[Feedback],
+    (progress, deadline): (&dyn Progress, Deadline),
+) -> Result<Fitted, RunError> {
     let own = &stored.scene.model;
     let sizes = (own.states.len(), own.controls.len());
     let (swept, solved) = (stored.trajectories()?, stored.points()?);
@@ -129,13 +176,5 @@ pub fn fit_stored(
     let mut file = ResultFile::extend(&stored.path, &[FEEDBACK_GROUP])?;
     fitted.write(&mut file)?;
     file.finish()?;
-    let directory = &files.directory;
-    if !directory.as_os_str().is_empty() {
-        std::fs::create_dir_all(directory).map_err(|source| RunError::OutDirectory {
-            path: directory.clone(),
-            source,
-        })?;
-    }
-    let exports = fitted.export(directory, &files.stem, own)?;
-    Ok(FittedFiles { fitted, exports })
+    Ok(fitted)
 }

@@ -2,18 +2,20 @@
 //! of attenuation.
 
 use super::RunError;
-use super::fit::{FittedFiles, LawFiles, fit_stored};
+use super::fit::{FittedFiles, LawFiles, fit_into};
 use super::parts::write_attenuation;
 use super::sources::sources;
 use crate::attenuation::Attenuated;
 use crate::closed_loop::dissipation::Dissipation;
 use crate::closed_loop::{Available, Evaluation, Laws};
+use crate::feedback::Exports;
 use crate::files::Draft;
 use crate::hdf5::ResultFile;
 use crate::model::Model;
 use crate::result::{ATTENUATION_GROUPS, CLOSED_LOOP_GROUPS, DISSIPATION_GROUPS, Stored};
 use crate::scene::Scene;
 use crate::session::{Finished, LoopOptions, Session, SessionError};
+use std::path::Path;
 
 /// What came of it; `None` where the scene does not ask for it, or it could not be done.
 #[derive(Default)]
@@ -74,6 +76,30 @@ pub(super) fn perform(session: &Session<'_>, draft: &Draft) -> Result<LawsDone, 
     Ok(doing.done)
 }
 
+/// Writes the files of the laws that were fitted: last, when it is known whether the run was ended
+/// early, and what its result file at `path` is called. What cannot be written is a note.
+pub(super) fn export(session: &Session<'_>, done: &mut LawsDone, path: &Path) {
+    let (model, progress) = (&session.scene().model, session.progress());
+    let Some(FittedFiles { fitted, exports }) = &mut done.feedback else {
+        return;
+    };
+    let files = match done.stopped {
+        true => LawFiles::of_stopped(path, &model.feedback),
+        false => LawFiles::new(path, None),
+    };
+    let written = (files.check(model, &model.feedback)).and_then(|()| files.write(fitted, model));
+    match written {
+        Ok(all) => {
+            *exports = all;
+            progress.finished(Finished::Exported(fitted, exports));
+        }
+        Err(e) => {
+            exports.resize(fitted.laws.len(), Exports::default());
+            progress.note(&format!("no files of the laws beside the result file: {e}"));
+        }
+    }
+}
+
 /// What is done so far.
 struct Doing<'d> {
     session: &'d Session<'d>,
@@ -107,12 +133,22 @@ impl Doing<'_> {
             return Ok(());
         }
         let stored = Stored::open(self.draft.hidden())?;
-        let files = LawFiles::new(self.draft.path(), None);
         let going = (progress, self.session.deadline());
-        match fit_stored(&stored, model, &model.feedback, &files, going) {
+        let files = LawFiles::new(self.draft.path(), None);
+        let fitted = (files.check(model, &model.feedback))
+            .and_then(|()| fit_into(&stored, model, &model.feedback, going));
+        match fitted {
             Ok(fitted) => {
-                progress.finished(Finished::Fitted(&fitted.fitted, &fitted.exports));
-                self.done.feedback = Some(fitted);
+                progress.finished(Finished::Fitted(&fitted));
+                if !fitted.left_out.is_empty() {
+                    let names = fitted.left_out.join(", ");
+                    self.failed(
+                        &format!("law {names} was not fitted"),
+                        &"the time given is over",
+                    );
+                }
+                let exports = Vec::new();
+                self.done.feedback = Some(FittedFiles { fitted, exports });
             }
             Err(e) => self.failed("no law was fitted", &e),
         }

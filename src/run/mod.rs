@@ -47,6 +47,9 @@ use crate::sweep::accuracy::Spread;
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
 
+/// What the names of unfinished results end in.
+const STOPPED: &str = "_stopped";
+
 /// When a run began, and what made it: for the record in its file.
 #[derive(Clone, Debug)]
 pub struct Provenance {
@@ -124,8 +127,7 @@ impl Session<'_> {
         let mut output = Output::begin(path.as_ref(), wanted.laws && laws::wanted(model))?;
 
         let schema = trajectory_schema(model, pass.plan());
-        let stored = pass.stores_sweep();
-        let mut writer = stored
+        let mut writer = (pass.stores_sweep())
             .then(|| output.file.trajectories(&schema))
             .transpose()?;
         let outcome = pass.perform::<RunError>(&mut |block| match &mut writer {
@@ -135,7 +137,7 @@ impl Session<'_> {
         drop(writer);
         write_outcome(&mut output.file, &outcome, model, &schema)?;
         if outcome.stopped {
-            output.mark_stopped()?;
+            output.mark_stopped(self)?;
         }
 
         let Output {
@@ -157,14 +159,10 @@ impl Session<'_> {
         file.finish()?;
         self.progress().finished(Finished::Solved(&outcome, model));
 
-        let mut laws = LawsDone::default();
-        if let Some(mut draft) = draft {
-            laws = laws::perform(self, &draft)?;
-            if laws.stopped && !summary.stopped {
-                path = mark_laws_stopped(&mut draft, &mut summary)?;
-            }
-            draft.publish()?;
-        }
+        let laws = match draft {
+            Some(draft) => self.add_laws(draft, &mut path, &mut summary)?,
+            None => LawsDone::default(),
+        };
         Ok(Done {
             outcome,
             laws,
@@ -176,6 +174,24 @@ impl Session<'_> {
 }
 
 impl Session<'_> {
+    /// Adds the scene's laws and loops to a result, and puts it in place: at `path`, unless the
+    /// time does not suffice.
+    fn add_laws(
+        &self,
+        mut draft: Draft,
+        path: &mut PathBuf,
+        summary: &mut RunSummary,
+    ) -> Result<LawsDone, RunError> {
+        let mut laws = laws::perform(self, &draft)?;
+        if laws.stopped && !summary.stopped {
+            *path = mark_laws_stopped(&mut draft, summary)?;
+            note_replaced(self, path);
+        }
+        draft.publish()?;
+        laws::export(self, &mut laws, path);
+        Ok(laws)
+    }
+
     /// The record of a run on the session's backend, without what it was integrated with.
     #[must_use]
     pub fn record(&self, provenance: &Provenance) -> RunRecord {
@@ -216,14 +232,25 @@ impl Output {
     ///
     /// # Errors
     /// Those of writing.
-    fn mark_stopped(&mut self) -> Result<(), RunError> {
+    fn mark_stopped(&mut self, session: &Session<'_>) -> Result<(), RunError> {
         self.file.attribute("stopped", 1i64)?;
         self.path = path_of_stopped(&self.path);
+        note_replaced(session, &self.path);
         match &mut self.draft {
             Some(draft) => draft.rename(self.path.clone()),
             None => self.file.rename(self.path.clone()),
         }
         Ok(())
+    }
+}
+
+/// Says that a file of an earlier run that was ended early is replaced by this one's, at `path`.
+pub fn note_replaced(session: &Session<'_>, path: &Path) {
+    if path.exists() {
+        let path = path.display();
+        session.progress().note(&format!(
+            "{path}, which an earlier run that was ended early has left, is replaced"
+        ));
     }
 }
 
@@ -257,7 +284,7 @@ pub fn path_of_stopped(path: &Path) -> PathBuf {
         return path.to_owned();
     }
     let mut name = path.file_stem().unwrap_or_default().to_owned();
-    name.push("_stopped");
+    name.push(STOPPED);
     if let Some(ending) = path.extension() {
         name.push(".");
         name.push(ending);

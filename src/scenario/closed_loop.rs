@@ -14,6 +14,7 @@ use crate::model::{
     ClosedLoop, DEFAULT_CONVERGED, DEFAULT_LOOP_MARGIN, Extremum, Formula, GivenLaw, Located,
     OperatingSet, Outside, Record, Span, Start,
 };
+use crate::numeric::digits::plain;
 use crate::schema;
 use toml::de::DeValue;
 
@@ -238,6 +239,7 @@ impl<'a> Reader<'a> {
             return None;
         };
         if first >= last {
+            let (first, last) = (plain(first), plain(last));
             let message = format!("{what} is empty: {first} is not below {last}");
             return self.refuse(value.span(), message, "the lower end comes first");
         }

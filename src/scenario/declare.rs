@@ -2,6 +2,7 @@
 
 use super::build::{Built, Origin, Use};
 use super::document::Given;
+use super::hints;
 use super::lexer::is_identifier;
 use super::reader::{Reader, Section, Value};
 use super::scope::{Entry, Kinds, Meaning, Role, reserved};
@@ -10,6 +11,7 @@ use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::expr::{Id, Kind};
 use crate::model::{Control, Parameter, Span, State, Variable};
+use crate::numeric::digits::plain;
 use std::collections::HashMap;
 
 /// A declared name with its value in the file.
@@ -174,6 +176,27 @@ impl<'a> Reader<'a> {
         }
     }
 
+    /// What a parameter is replaced by. `inf` and `nan`, which other programs take for numbers, are
+    /// refused as such, not as unknown names.
+    fn given_built(
+        &mut self,
+        name: &str,
+        text: &str,
+        (origin, purpose): (&Origin, &Use<'_>),
+    ) -> Option<Built> {
+        let Some(hint) = hints::of_no_number(text) else {
+            return self.parse_and_build(text, origin, purpose);
+        };
+        let typed = shorten(&format!("{name}={text}"));
+        self.report(Problem {
+            message: format!("--set {typed}: {} is a finite number", purpose.what),
+            span: None,
+            label: String::new(),
+            help: Some(hint.to_owned()),
+        });
+        None
+    }
+
     fn parameter(
         &mut self,
         declared: &Declared<'a>,
@@ -192,7 +215,7 @@ impl<'a> Reader<'a> {
             (given, typed)
         });
         let built = match &command_line {
-            Some((Given::Text(text), origin)) => self.parse_and_build(text, origin, &purpose),
+            Some((Given::Text(text), origin)) => self.given_built(name, text, (origin, &purpose)),
             Some((Given::Number(number), _)) => Some(self.number_built(*number)),
             None => self.expression(declared.value, &purpose),
         };
@@ -290,6 +313,7 @@ impl<'a> Reader<'a> {
         if let (Some(min), Some(max), Some(span)) = (min, max, section.get("max").map(|v| v.span()))
             && min >= max
         {
+            let (min, max) = (plain(min), plain(max));
             let message = format!("the max of {what} must be above its min, but {max} <= {min}");
             self.report(Problem::at(span, message, format!("min is {min}")));
         }

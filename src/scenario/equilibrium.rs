@@ -6,6 +6,7 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::shorten;
 use crate::expr::{Fun, Graph, Id, Op};
 use crate::model::{Control, Guard, Located, Span, Variable};
+use crate::numeric::digits::plain;
 use nalgebra::{DMatrix, DVector};
 use std::collections::HashMap;
 
@@ -164,13 +165,14 @@ impl<'a> Reader<'a> {
             let value = placed.value;
             if value < *lower || value > *upper {
                 let message = format!(
-                    "the equilibrium is outside the region: `{}` is {value}",
-                    state.name
+                    "the equilibrium is outside the region: `{}` is {}",
+                    state.name,
+                    plain(value)
                 );
                 self.report(Problem::at(
                     placed.span.clone(),
                     message,
-                    format!("not in [{lower}, {upper}]"),
+                    format!("not in [{}, {}]", plain(*lower), plain(*upper)),
                 ));
             }
         }
@@ -183,10 +185,11 @@ impl<'a> Reader<'a> {
             if min < max && !(value > min && value < max) {
                 let name = &control.variable.name;
                 let message = format!(
-                    "the equilibrium of `{name}` is {value}, not strictly between its bounds"
+                    "the equilibrium of `{name}` is {}, not strictly between its bounds",
+                    plain(value)
                 );
                 let help = "the local solution at the equilibrium needs the control strictly inside its bounds";
-                let label = format!("not inside ({min}, {max})");
+                let label = format!("not inside ({}, {})", plain(min), plain(max));
                 self.report(Problem::at(placed.span.clone(), message, label).with_help(help));
             }
         }

@@ -40,6 +40,18 @@ pub(super) fn of_name(name: &str) -> Option<&'static str> {
     })
 }
 
+/// Of what `--set` gives for a parameter, where it is a number of no size.
+pub(super) fn of_no_number(text: &str) -> Option<&'static str> {
+    let bare = text.trim().trim_start_matches(['+', '-']).to_lowercase();
+    match bare.as_str() {
+        "inf" | "infinity" => Some(
+            "take a number that is large beside the others of the scene, such as 1e6; a bound that is not wanted is left out of the scene",
+        ),
+        "nan" => Some("give a number, or an expression of the parameters before it"),
+        _ => None,
+    }
+}
+
 /// Of an unknown function.
 pub(super) fn of_function(name: &str) -> Option<&'static str> {
     Some(match name {

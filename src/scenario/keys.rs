@@ -111,7 +111,7 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                         "number > 0",
                         "the state's",
                         "none",
-                        "x and x + period are one state (ignored in games)",
+                        "x and x + period are one state (ignored in games); states are at most 1e5 periods from 0",
                     ),
                 ],
             },

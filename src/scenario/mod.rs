@@ -30,6 +30,7 @@ mod study;
 mod syntax_error;
 #[cfg(test)]
 mod tests;
+mod turns;
 
 pub use crate::diagnostics::{Problem, ScenarioErrors};
 pub use document::{Document, Given};
@@ -37,7 +38,7 @@ pub use keys::{CHAPTERS, Key, PROBLEM_SECTIONS, SectionKeys, markdown as referen
 pub use report_section::{constant, definitions};
 pub use settings::{DEFAULT_ATOL_SHARE, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
 
-use crate::files::read_text;
+use crate::files::{beginning, is_hdf5, read_text};
 use crate::model::Model;
 use std::path::{Path, PathBuf};
 
@@ -50,6 +51,9 @@ pub enum LoadError {
         path: PathBuf,
         source: std::io::Error,
     },
+    /// A result file in place of its scene.
+    #[error("{path} is a result file: give the scene (.toml)", path = path.display())]
+    ResultFile { path: PathBuf },
     /// The file's contents are wrong.
     #[error(transparent)]
     Scenario(#[from] ScenarioErrors),
@@ -60,12 +64,22 @@ pub enum LoadError {
 /// # Errors
 /// [`LoadError`] where the file cannot be read or its contents are wrong.
 pub fn load(path: &Path, overrides: &[(String, String)]) -> Result<Model, LoadError> {
-    let read = read_text(path);
-    let text = read.map_err(|source| LoadError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
+    let text = text_of(path)?;
     Ok(parse(&text, &path.display().to_string(), overrides)?)
+}
+
+/// The text of a scenario file.
+///
+/// # Errors
+/// [`LoadError::Read`] and [`LoadError::ResultFile`].
+pub fn text_of(path: &Path) -> Result<String, LoadError> {
+    read_text(path).map_err(|source| {
+        let path = path.to_owned();
+        match beginning(&path).is_ok_and(|bytes| is_hdf5(&bytes)) {
+            true => LoadError::ResultFile { path },
+            false => LoadError::Read { path, source },
+        }
+    })
 }
 
 /// Reads a scenario's text. Each of `overrides` replaces the definition of a parameter by a number

@@ -5,15 +5,24 @@ use super::reader::Reader;
 use crate::diagnostics::Problem;
 use crate::expr::Id;
 use crate::model::State;
+use crate::numeric::digits::plain;
 use std::collections::HashMap;
 
 /// Periods in the region's width, at most: a state is looked for a few periods away, never a
 /// thousand.
-const MOST_PERIODS: f64 = 1000.0;
+pub(super) const MOST_PERIODS: f64 = 1000.0;
 /// Relative difference that rounding leaves. A period, or a factor of the equations, with few
 /// digits leaves more: V would be that much wrong at states a few periods away, and nothing would
 /// show it.
 const ROUNDING: f64 = 1e-8;
+
+/// With six decimals, or as many digits where that would be hundreds.
+fn placed(at: f64) -> String {
+    match at.abs() < 1e15 {
+        true => format!("{at:.6}"),
+        false => format!("{at:.6e}"),
+    }
+}
 
 impl Reader<'_> {
     /// Checks each period against the region, and the equations one period later at some points of
@@ -84,8 +93,10 @@ impl Reader<'_> {
                 let bound = ROUNDING * size.max(later_size).max(f64::MIN_POSITIVE);
                 if a.is_finite() && b.is_finite() && (a - b).abs() > bound {
                     return Some(format!(
-                        "`{name}` is said to repeat after {period}, but {what} does not: it is {a:.6e} at {name} = {at:.6}, and {b:.6e} \
-                         one period later"
+                        "`{name}` is said to repeat after {}, but {what} does not: it is {a:.6e} at {name} = {}, and {b:.6e} \
+                         one period later",
+                        plain(period),
+                        placed(at)
                     ));
                 }
             }

@@ -8,6 +8,7 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::model::{Model, Report};
+use crate::numeric::digits::plain;
 use toml::de::{DeTable, DeValue};
 
 impl<'a> Reader<'a> {
@@ -43,6 +44,7 @@ impl<'a> Reader<'a> {
                 if let Some([from, to]) = region.and_then(|r| r.get(k))
                     && !(number >= *from && number <= *to)
                 {
+                    let (number, from, to) = (plain(number), plain(*from), plain(*to));
                     let message =
                         format!("{what} is {number}, outside the region, which is {from} to {to}");
                     self.report(Problem::at(value.span(), message, "outside the region"));

@@ -34,19 +34,23 @@ const EXPRESSIONS: [&str; 6] = [
     "region",
 ];
 
-type Sections<'a> = HashMap<&'static str, Section<'a>>;
+/// What a scene needs, to a file without any section.
+const BEGINNING: &str = "the states, such as states = { x = {} }. A scene also needs controls = { u = {} }, dynamics = { x = \"-x + u\" }, \
+    cost = { running = \"x^2 + u^2\" }, equilibrium = { x = 0, u = 0 } and region = { x = [-1, 1] }; all sections: docs/scene.md, or `costate reference scene`";
+
+pub(super) type Sections<'a> = HashMap<&'static str, Section<'a>>;
 
 /// The problem that a scene poses, as far as it could be read: what is `None` has been reported, or
 /// its section is missing.
-struct Posed {
-    states: Option<Vec<State>>,
+pub(super) struct Posed {
+    pub states: Option<Vec<State>>,
     controls: Option<Vec<Control>>,
     disturbances: Option<Vec<Variable>>,
     dynamics: Option<Vec<Located>>,
     cost: Cost,
     guards: Vec<Guard>,
-    region: Option<Vec<[f64; 2]>>,
-    equilibrium: Option<Equilibrium>,
+    pub region: Option<Vec<[f64; 2]>>,
+    pub equilibrium: Option<Equilibrium>,
 }
 
 impl Posed {
@@ -65,9 +69,9 @@ impl Posed {
 }
 
 /// What a scene asks for without a closed loop, with the fields of a [`Model`].
-struct Settings {
+pub(super) struct Settings {
     shoot_out: Option<ShootOut>,
-    homotopy: Option<Homotopy>,
+    pub homotopy: Option<Homotopy>,
     map: Option<MapGrid>,
     map_aim: Option<MapAim>,
     sheets: Sheets,
@@ -79,11 +83,11 @@ struct Settings {
 }
 
 /// What a scene asks of closed loops, disturbances and parameters, with the fields of a [`Model`].
-struct Loops {
+pub(super) struct Loops {
     attenuation: Option<Attenuation>,
-    study: Option<Study>,
-    dissipation: Option<Dissipation>,
-    closed_loop: Option<ClosedLoop>,
+    pub study: Option<Study>,
+    pub dissipation: Option<Dissipation>,
+    pub closed_loop: Option<ClosedLoop>,
 }
 
 impl<'a> Reader<'a> {
@@ -216,12 +220,12 @@ impl<'a> Reader<'a> {
 
     /// Reports the required sections that are missing.
     fn require_sections(&mut self, root: &DeTable<'_>, sections: &Sections<'a>) {
-        self.require(
-            root,
-            sections,
-            "states",
-            "the states, in the order of the output's axes",
-        );
+        // Who has nothing yet is told how to begin.
+        let states = match sections.is_empty() {
+            true => BEGINNING,
+            false => "the states, in the order of the output's axes",
+        };
+        self.require(root, sections, "states", states);
         self.require(root, sections, "controls", "the controls");
         // Where these are there, what they lack is reported entry by entry.
         for (name, what) in [
@@ -259,6 +263,7 @@ impl<'a> Reader<'a> {
         let settings = self.settings(&sections, &declared, &posed, reference.as_deref());
         // [closed_loop] comes last, for it brings names of its own.
         let loops = self.loops(&sections, &declared, &posed, reference.as_deref());
+        self.check_turns(&sections, &posed, (&settings, &loops));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
             file_name: file_name.to_owned(),

@@ -10,6 +10,7 @@ use crate::model::{
     MAP_ERRORS_MAX, MOST_MAP_CHECK, MOST_MAP_ERROR, MOST_MAP_STATES, MapAim, MapGrid, Method,
     Precision, SampleBy, SeedValue, Sheets, ShootOut,
 };
+use crate::numeric::digits::plain;
 use toml::de::DeValue;
 
 /// Largest gap on a front unless `[shoot_out] spacing` says otherwise.
@@ -87,6 +88,7 @@ impl<'a> Reader<'a> {
             return None;
         };
         if lower >= upper {
+            let (lower, upper) = (plain(lower), plain(upper));
             let message = format!("{what} is empty: {lower} is not below {upper}");
             return self.refuse(value.span(), message, "the lower bound comes first");
         }
@@ -207,6 +209,7 @@ impl<'a> Reader<'a> {
                 "remove this, or write \"auto\"",
             ));
         } else if let Some(max) = value_max.filter(|max| seed >= *max) {
+            let (seed, max) = (plain(seed), plain(max));
             let message = format!("seed_value must be below value_max, but {seed} >= {max}");
             self.report(Problem::at(
                 value.span(),
@@ -423,13 +426,15 @@ impl<'a> Reader<'a> {
         };
         let (lo, hi) = (self.number(lo, what)?, self.number(hi, what)?);
         if lo >= hi {
+            let (lo, hi) = (plain(lo), plain(hi));
             let message = format!("{what} is empty: {lo} is not below {hi}");
             return self.refuse(value.span(), message, "the lower end comes first");
         }
         if lo < bounds[0] || hi > bounds[1] {
             let message = format!(
                 "{what} is not inside the region, from {} to {}",
-                bounds[0], bounds[1]
+                plain(bounds[0]),
+                plain(bounds[1])
             );
             return self.refuse(
                 value.span(),
@@ -505,6 +510,7 @@ impl<'a> Reader<'a> {
             return None;
         };
         if first >= last {
+            let (first, last) = (plain(first), plain(last));
             let message = format!("{what} is empty: {first} is not below {last}");
             return self.refuse(value.span(), message, "the lower end comes first");
         }

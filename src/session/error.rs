@@ -7,6 +7,7 @@ use crate::diagnostics::ScenarioErrors;
 use crate::dynamic_programming::{DpError, Refusal};
 use crate::feedback::FitError;
 use crate::map::MapError;
+use crate::model::TooManyTurns;
 use crate::study::StudyError;
 use crate::sweep::PlanError;
 use crate::value::StatesError;
@@ -48,6 +49,8 @@ pub enum SessionError {
         "grid_guesses: this solves for no states of [homotopy], [map] or a list: leave the option out"
     )]
     NoGridGuesses,
+    #[error("state {state} (from 0): {source}")]
+    Turns { state: usize, source: TooManyTurns },
     #[error("the sweep's thread stopped unexpectedly")]
     Thread,
     /// What is wrong with the scene, with its place.
@@ -93,6 +96,12 @@ impl SessionError {
             Self::Grid(DpError::OutOfTime) => false,
             _ => true,
         }
+    }
+}
+
+impl From<(usize, TooManyTurns)> for SessionError {
+    fn from((state, source): (usize, TooManyTurns)) -> Self {
+        Self::Turns { state, source }
     }
 }
 

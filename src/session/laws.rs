@@ -30,10 +30,11 @@ pub struct FitData<'d> {
     pub deadline: Deadline,
 }
 
-/// Fits laws of `model`, which may be another scene with the same states and controls.
+/// Fits laws of `model`, which may be another scene with the same states and controls. Those for
+/// which the time does not suffice are left out.
 ///
 /// # Errors
-/// [`FitError`].
+/// [`FitError`]; [`FitError::OutOfTime`] where no law was done.
 pub fn fit_laws(
     data: &FitData<'_>,
     model: &Model,
@@ -58,14 +59,20 @@ pub fn fit_laws(
             known: &of_map,
             deadline: data.deadline,
         };
-        fitted.laws.push(fit(all, model, law, &shown(&step, law))?);
+        match fit(all, model, law, &shown(&step, law)) {
+            Err(FitError::OutOfTime { law }) if !fitted.laws.is_empty() => {
+                fitted.left_out.push(law);
+            }
+            done => fitted.laws.push(done?),
+        }
     }
     Ok(fitted)
 }
 
 impl Session<'_> {
     /// Fits the laws of the scene's `[feedback]` to samples of its solutions. A map to an error, if
-    /// there is one, tells which are optimal, and gives further ones.
+    /// there is one, tells which are optimal, and gives further ones. Laws for which the session's
+    /// deadline leaves no time are left out ([`Fitted::left_out`]).
     ///
     /// # Errors
     /// [`SessionError::NoFeedback`], [`SessionError::Fit`].

@@ -247,9 +247,9 @@ impl<'s> Session<'s> {
     /// solve` finds them.
     ///
     /// # Errors
-    /// [`SessionError::Components`] and [`SessionError::NotFinite`]; where the scene cannot be
-    /// swept for first guesses; device failures. A state without an answer is no error, nor is one
-    /// that the session's deadline has left out (see [`Solved::is_stopped`]).
+    /// [`SessionError::Components`], [`SessionError::NotFinite`] and [`SessionError::Turns`]; where
+    /// the scene cannot be swept for first guesses; device failures. A state without an answer is
+    /// no error, nor is one that the session's deadline has left out (see [`Solved::is_stopped`]).
     pub fn solve(&self, states: &[f64]) -> Result<Solved, SessionError> {
         let n = self.scene.model.states.len();
         if !states.len().is_multiple_of(n) {
@@ -260,6 +260,7 @@ impl<'s> Session<'s> {
             let (state, component) = (k / n, k % n);
             return Err(SessionError::NotFinite { state, component });
         }
+        self.scene.model.check_turns(states)?;
         attenuation::refuse(self.scene)?;
         let Scene {
             model, hamiltonian, ..

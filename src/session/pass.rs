@@ -242,7 +242,12 @@ impl Session<'_> {
         archive: &Archive,
         aim: &MapAim,
     ) -> Result<Option<Adaptive>, SessionError> {
-        match self.map_to_error(plan, archive, aim) {
+        // What it begins with takes long where much was swept.
+        let made = match self.is_over() {
+            true => Err(SessionError::Backend(BackendError::OutOfTime)),
+            false => self.map_to_error(plan, archive, aim),
+        };
+        match made {
             Err(SessionError::Backend(BackendError::OutOfTime)) => {
                 self.progress
                     .note("no map was made: the run was ended before");

@@ -14,8 +14,10 @@ use crate::sweep::Plan;
 pub enum Finished<'a> {
     /// The sweep, the solved states, the map and the study.
     Solved(&'a Outcome, &'a Model),
-    /// The laws of `[feedback]`, and the files that were written of each.
-    Fitted(&'a Fitted, &'a [Exports]),
+    /// The laws of `[feedback]`.
+    Fitted(&'a Fitted),
+    /// The files that were written of each.
+    Exported(&'a Fitted, &'a [Exports]),
     /// The closed loops of `[closed_loop]`.
     ClosedLoop(&'a Evaluation),
     /// The check of `[dissipation]`.

@@ -131,6 +131,7 @@ impl Targets {
                 if !given.is_multiple_of(states) {
                     return Err(SessionError::Components { given, states });
                 }
+                model.check_turns(&listed.x)?;
                 Ok(Some(Self {
                     request: Request {
                         points: listed.x.clone(),

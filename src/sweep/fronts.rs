@@ -13,6 +13,9 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
+/// Edges that are judged at once: between them the deadline is looked at. Of many states a round
+/// has hundreds of thousands.
+const JUDGED: usize = 1 << 15;
 /// Seeds a round: enough to fill a device, few enough that what is open stays small.
 const ROUND: usize = 8192;
 
@@ -100,6 +103,8 @@ struct Fronts<'a> {
     waiting: Waiting,
     deferred: Vec<Edge>,
     pending: Vec<Vertex>,
+    /// Swept, but not compared with their neighbours yet.
+    unjudged: usize,
     /// The region in its own widths; endless along periodic states, whose every period meets it
     /// somewhere.
     bounds: Vec<[f32; 2]>,
@@ -151,6 +156,10 @@ pub fn sweep_keeping<E: From<BackendError> + Send>(
                 // The observer has stopped; it says why.
                 Ok(false) => break Ok(()),
                 Err(e) => break Err(e),
+            }
+            // Of many states judging takes longer than integrating.
+            if fronts.is_stopped() {
+                break Ok(());
             }
             fronts.judge();
             fronts.report.rounds += 1;
@@ -223,6 +232,7 @@ impl<'a> Fronts<'a> {
             waiting: Waiting::default(),
             deferred: Vec::new(),
             pending: Vec::new(),
+            unjudged: 0,
             bounds,
             sampler: Sampler::new(
                 plan.seed,
@@ -270,6 +280,7 @@ impl<'a> Fronts<'a> {
         let plan = self.plan;
         let dim = plan.spec.dim();
         let pending = std::mem::take(&mut self.pending);
+        self.unjudged = pending.len();
         for vertices in pending.chunks(batch_limit(dim, plan.run.levels.len())) {
             let mut seeds = Vec::with_capacity(vertices.len() * dim);
             for v in vertices {
@@ -326,12 +337,25 @@ impl<'a> Fronts<'a> {
         }
     }
 
-    /// Decides on all edges whose ends are known, and forgets the vertices that are done with.
+    /// Decides on all edges whose ends are known, and forgets the vertices that are done with; less
+    /// where the time is over.
     fn judge(&mut self) {
         let mut edges = std::mem::take(&mut self.deferred);
         edges.extend(self.complex.take_fresh());
+        for edges in edges.chunks(JUDGED) {
+            if self.is_stopped() {
+                return;
+            }
+            self.judge_some(edges);
+        }
+        self.unjudged = 0;
+        let complex = &self.complex;
+        self.nodes.retain(|v, _| complex.is_open(*v));
+    }
+
+    fn judge_some(&mut self, edges: &[Edge]) {
         let verdicts: Vec<Verdict> = edges.par_iter().map(|e| self.verdict(*e)).collect();
-        for (edge, verdict) in edges.into_iter().zip(verdicts) {
+        for (&edge, verdict) in edges.iter().zip(verdicts) {
             let root = self.complex.root(edge).unwrap_or(0);
             let (gap, known) = match verdict {
                 Verdict::Unknown => {
@@ -350,8 +374,6 @@ impl<'a> Fronts<'a> {
                 self.waiting.push(root, gap, edge);
             }
         }
-        let complex = &self.complex;
-        self.nodes.retain(|v, _| complex.is_open(*v));
     }
 
     fn verdict(&self, edge: Edge) -> Verdict {
@@ -448,11 +470,10 @@ impl<'a> Fronts<'a> {
     /// Splits waiting edges until the round is full; false when nothing is left to do, or no time.
     fn next_round(&mut self) -> bool {
         loop {
-            if self.plan.deadline.has_passed() {
-                self.report.stopped = true;
+            self.judge();
+            if self.is_stopped() {
                 return false;
             }
-            self.judge();
             if self.is_full() || self.waiting.is_empty() {
                 return !self.pending.is_empty();
             }
@@ -463,6 +484,12 @@ impl<'a> Fronts<'a> {
                 self.split(edge, gap);
             }
         }
+    }
+
+    /// Whether the deadline has passed, which is noted.
+    fn is_stopped(&mut self) -> bool {
+        self.report.stopped |= self.plan.deadline.has_passed();
+        self.report.stopped
     }
 
     fn is_full(&self) -> bool {
@@ -512,8 +539,9 @@ impl<'a> Fronts<'a> {
     }
 
     fn finished(mut self) -> SweepReport {
-        // Seeds that were placed and not swept, for want of time, leave gaps too.
-        self.report.coverage.uncovered = self.waiting.len() + self.pending.len();
+        // Seeds that were placed and not swept or not judged, for want of time, leave gaps too.
+        let left = self.pending.len() + self.unjudged;
+        self.report.coverage.uncovered = self.waiting.len() + left;
         self.report.coverage.widest = self
             .report
             .coverage

@@ -11,10 +11,12 @@ mod common_problems;
 #[path = "../common_values/mod.rs"]
 mod common_values;
 
+mod absurd;
 mod attenuation;
 mod bench;
 mod check_least;
 mod dissipation_program;
+mod endings;
 mod estimates;
 mod feedback;
 mod game;

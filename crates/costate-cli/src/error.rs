@@ -75,9 +75,9 @@ pub enum CliError {
     #[error("ended by {by} before all was done; {path} has what was done by then", path = path.display())]
     Stopped { by: String, path: PathBuf },
     #[error(
-        "--time-limit {limit}: the search is not done, and half of it shows nothing: nothing is written"
+        "ended by {by}: the search is not done, and half of it shows nothing: nothing is written"
     )]
-    Nothing { limit: f64 },
+    Nothing { by: String },
     #[error("cannot write to standard output: {0}")]
     Stdout(#[from] std::io::Error),
 }
@@ -244,6 +244,8 @@ pub enum GridRefusal {
         path = path.display()
     )]
     NoStates { path: PathBuf },
+    #[error("{path} has no solved states: its run was ended before any was solved; run it again", path = path.display())]
+    NoneDone { path: PathBuf },
     #[error(
         "--nodes: {given} numbers for {states} states: give one for all axes, or one for each of {names}"
     )]
@@ -292,12 +294,14 @@ pub enum PointsError {
         text: String,
     },
     #[error("{}: line {line}, column `{name}`: {reason}", path.display())]
-    Time {
+    Refused {
         path: PathBuf,
         line: u64,
         name: String,
         reason: String,
     },
+    #[error("{} is not a CSV file: it is {what}; states are given as CSV, a header with their names and a line each", path.display())]
+    NoTable { path: PathBuf, what: &'static str },
     #[error("{} has a header but no points", path.display())]
     Empty { path: PathBuf },
 }

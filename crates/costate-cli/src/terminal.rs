@@ -133,7 +133,10 @@ impl Progress for Terminal {
                     self.note(&note);
                 }
             }
-            Finished::Fitted(fitted, exports) => self.said(&text::laws::text(fitted, exports)),
+            Finished::Fitted(fitted) => self.said(&text::laws::text(fitted)),
+            Finished::Exported(fitted, exports) => {
+                self.said(&text::laws::files(fitted, exports));
+            }
             Finished::ClosedLoop(evaluation) => self.said(&text::evaluation::text(evaluation)),
             Finished::Dissipation(check) => self.said(&text::dissipation::text(check)),
             Finished::Attenuation(found) => self.said(&text::attenuation::text(found)),

@@ -3,6 +3,7 @@
 use super::plane::{GridField, Plane, refined};
 use super::{names, ticks};
 use costate::low_level::model::{Model, Report};
+use costate::low_level::numeric::digits::plain;
 use costate::low_level::result::Stored;
 use costate::low_level::result::StoredMapError;
 use costate::low_level::schema;
@@ -26,7 +27,7 @@ pub enum OptionsError {
         name: String,
         hint: String,
     },
-    #[error("--slice {name}={value}: outside the region, which is {from} to {to}")]
+    #[error("--slice {name}={}: outside the region, which is {} to {}", plain(*value), plain(*from), plain(*to))]
     SliceOutside {
         name: String,
         value: f64,

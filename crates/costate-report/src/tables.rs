@@ -4,7 +4,8 @@ use super::ticks::significant;
 use super::{Source, names};
 use costate::low_level::result::{Array, StoredGroup};
 use costate::low_level::schema;
-use costate::session::summary::{Quantiles, RunSummary, SolvedSummary};
+use costate::low_level::value::PointStatus;
+use costate::session::summary::{Cell, Quantiles, RunSummary, SolvedSummary};
 use std::collections::BTreeMap;
 
 /// A table; the first column names the rows.
@@ -82,6 +83,8 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
             if !is_coordinate(name) && *texts != labels {
                 table.add_texts(name, texts);
             }
+        } else if let Some(statuses) = statuses(group, name) {
+            table.add_texts(name, &statuses);
         } else if let Some(array) = numbers(group, name) {
             let unit = group
                 .attribute(Some(name), "units")
@@ -159,6 +162,19 @@ fn numbers(group: &StoredGroup<'_>, name: &str) -> Option<Array> {
     group.f64(name).ok().or_else(integers)
 }
 
+/// What became of the variants of a study, in words.
+fn statuses(group: &StoredGroup<'_>, name: &str) -> Option<Vec<String>> {
+    if name != "status" || !group.has("variant") {
+        return None;
+    }
+    let (_, codes) = group.i32(name).ok()?;
+    let word = |code: &i32| {
+        let known = PointStatus::ALL.iter().find(|(s, _)| *s as i32 == *code);
+        known.map_or_else(|| code.to_string(), |(_, word)| word.replace('_', " "))
+    };
+    Some(codes.iter().map(word).collect())
+}
+
 /// Texts; numbers are none.
 fn texts(group: &StoredGroup<'_>, name: &str) -> Option<Vec<String>> {
     group.texts(name).ok().filter(|t| !t.is_empty())
@@ -220,6 +236,18 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
 
 /// What a run that a limit or a signal ended has not done; nothing for others.
 fn ended_early(summary: &RunSummary) -> String {
+    let alone = summary.trajectories == 0 && summary.homotopy.is_none() && summary.map.is_none();
+    let variants = summary.study.as_deref().unwrap_or_default();
+    if summary.stopped && alone && !variants.is_empty() {
+        let late = Cell::Text(PointStatus::OutOfTime.name().to_owned());
+        let left = variants
+            .iter()
+            .filter(|row| row.get("status") == Some(&late));
+        return match (left.count(), variants.len()) {
+            (left, all) if left == all => format!("before any of the {all} variants was done"),
+            (left, all) => format!("{left} of the {all} variants were not done"),
+        };
+    }
     match (summary.stopped, summary.laws_stopped) {
         (true, _) => "before everything was swept and solved: a cheaper solution may be missing",
         (false, true) => "after everything was solved, before all laws and closed loops were done",

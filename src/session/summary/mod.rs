@@ -304,6 +304,30 @@ impl Session<'_> {
     }
 }
 
+impl Session<'_> {
+    /// A study alone in numbers; nothing was swept. `file` and `seconds` as for
+    /// [`Session::summary`].
+    #[must_use]
+    pub fn study_summary(
+        &self,
+        variants: &[crate::study::Variant],
+        file: &Path,
+        seconds: f64,
+    ) -> RunSummary {
+        let model = &self.scene().model;
+        RunSummary {
+            title: model.title.clone(),
+            file: file.display().to_string(),
+            backend: self.backend().name().to_owned(),
+            adapter: self.backend().adapter(),
+            rtol: self.choices.rtol.unwrap_or(model.integrator.rtol),
+            wall_seconds: seconds,
+            study: study_rows(model, variants),
+            ..RunSummary::default()
+        }
+    }
+}
+
 /// The table of a study: a row for each variant; `None` where the scene has no study.
 #[must_use]
 pub fn study_rows(

@@ -2,7 +2,7 @@
 
 use super::alone::Alone;
 use crate::args::RunArgs;
-use crate::common::ending::time_limit;
+use crate::common::ending::Ending;
 use crate::common::{pictures, print_json};
 use crate::error::CliError;
 use costate::run::write_attenuation;
@@ -15,11 +15,11 @@ pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
         asked.ok_or(SessionError::NoAttenuation)
     })?;
     let Alone { terminal, .. } = &begun;
-    let deadline = time_limit(args, &begun.provenance);
-    let session = begun.session(backend).until(deadline);
-    let found = match (session.attenuation(), args.time_limit) {
-        (Err(_), Some(limit)) if session.is_over() => return Err(CliError::Nothing { limit }),
-        (found, _) => found?,
+    let ending = Ending::with_nothing(args, &begun.provenance);
+    let session = begun.session(backend).until(ending.deadline);
+    let found = match session.attenuation() {
+        Err(_) if session.is_over() => return Err(ending.nothing()),
+        found => found?,
     };
     terminal.ended()?;
     write_attenuation(&mut file, &begun.scene.model, &found)?;

@@ -3,8 +3,7 @@
 
 use crate::args::CheckLeastArgs;
 use crate::common::columns::columns;
-use crate::common::grid;
-use crate::common::print_json;
+use crate::common::{grid, note_ended_early, print_json};
 use crate::error::CliError;
 use crate::error::GridRefusal;
 use crate::terminal::Terminal;
@@ -23,12 +22,17 @@ const SHOWN: usize = 10;
 pub fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
     let clock = Instant::now();
     let stored = Stored::open(&args.file)?;
+    let terminal = Terminal::new(args.print);
+    note_ended_early(&stored, &terminal);
     let model = &stored.scene.model;
     refuse(model, &stored.path.display().to_string()).map_err(SessionError::from)?;
     let claims = claims(&stored)?;
     if claims.v.is_empty() {
         let path = stored.path.clone();
-        return Err(GridRefusal::NoStates { path }.into());
+        return Err(match stored.has_attribute("stopped") {
+            true => GridRefusal::NoneDone { path }.into(),
+            false => GridRefusal::NoStates { path }.into(),
+        });
     }
     let options = LeastOptions {
         nodes: grid::counts(&args.nodes, model)?,
@@ -36,7 +40,6 @@ pub fn check_least(args: &CheckLeastArgs) -> Result<(), CliError> {
         seconds: args.seconds,
         apart: args.apart,
     };
-    let terminal = Terminal::new(args.print);
     let session = Session::on(&stored.scene, args.numerics.open(model)?)
         .choosing(args.numerics.choices(0))
         .with_progress(&terminal);

@@ -2,7 +2,7 @@
 
 use crate::args::EvaluateArgs;
 use crate::common::load::loaded;
-use crate::common::{Kind, check_out, print_json, provenance};
+use crate::common::{Kind, check_out, note_ended_early, print_json, provenance};
 use crate::error::CliError;
 use crate::terminal::Terminal;
 use costate::low_level::closed_loop::Weights;
@@ -27,6 +27,8 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         .extension()
         .is_some_and(|end| end.eq_ignore_ascii_case("toml"));
     let stored = (!is_scene).then(|| Stored::open(&args.file)).transpose()?;
+    let terminal = Terminal::new(args.print);
+    (stored.iter()).for_each(|stored| note_ended_early(stored, &terminal));
     if stored.is_some() && args.scene.is_none() && !args.set.is_empty() {
         return Err(CliError::SetOfResult);
     }
@@ -49,7 +51,6 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         random: args.random,
         solve: args.solve,
     };
-    let terminal = Terminal::new(args.print);
     let session = Session::on(scene, args.numerics.open(&scene.model)?)
         .choosing(args.numerics.choices(args.seed))
         .with_progress(&terminal);
@@ -69,6 +70,5 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         print_json(&summary)?;
     }
     let (seconds, path) = (provenance.seconds(), done.path.display());
-    terminal.say(&format!("{seconds:.2} s, written to {path}"))?;
-    Ok(())
+    Ok(terminal.say(&format!("{seconds:.2} s, written to {path}"))?)
 }

@@ -2,7 +2,7 @@
 
 use crate::args::ExportArgs;
 use crate::common::load::loaded;
-use crate::common::{Kind, check_out};
+use crate::common::{Kind, check_out, note_ended_early};
 use crate::error::{CliError, ExportError};
 use crate::terminal::Terminal;
 use costate::low_level::feedback::{Known, Law, header, value_header};
@@ -36,13 +36,13 @@ pub fn export(args: &ExportArgs) -> Result<(), CliError> {
         let path = args.file.clone();
         return Err(ExportError::SetOfResult { path }.into());
     }
-    let name = args.name.as_deref();
-    let path = args.file.clone();
+    let (name, path) = (args.name.as_deref(), args.file.clone());
+    let terminal = Terminal::new(args.print);
     let made = match (&args.law, args.local) {
         (Some(_), _) if scene => return Err(ExportError::SceneOfLaw { path }.into()),
-        (Some(wanted), _) => law(name, wanted.as_deref(), &path)?,
+        (Some(wanted), _) => law(name, wanted.as_deref(), &opened(&path, &terminal)?)?,
         (None, false) if scene => return Err(ExportError::Scene { path }.into()),
-        (None, false) => map(name.unwrap_or("map"), &path)?,
+        (None, false) => map(name.unwrap_or("map"), &opened(&path, &terminal)?)?,
         (None, true) => {
             let name = name.unwrap_or("local");
             if scene {
@@ -75,7 +75,7 @@ pub fn export(args: &ExportArgs) -> Result<(), CliError> {
         summary["bytes"] = json!(made.text.len());
         writeln!(std::io::stdout(), "{summary:#}")?;
     }
-    Terminal::new(args.print).say(&format!(
+    terminal.say(&format!(
         "{}\n  {:.1} kB of C, written to {}",
         made.said,
         made.text.len() as f64 / 1e3,
@@ -84,18 +84,21 @@ pub fn export(args: &ExportArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-fn map(name: &str, path: &Path) -> Result<Made, CliError> {
+/// A result file, of which is said whether its run was ended early.
+fn opened(path: &Path, terminal: &Terminal) -> Result<Stored, CliError> {
     let stored = Stored::open(path)?;
-    let missing = || ExportError::NoMap {
-        path: path.to_owned(),
-    };
+    note_ended_early(&stored, terminal);
+    Ok(stored)
+}
+
+fn map(name: &str, stored: &Stored) -> Result<Made, CliError> {
+    let path = &stored.path;
+    let missing = || ExportError::NoMap { path: path.clone() };
     if !stored.has_map() {
         return Err(missing().into());
     }
     let map = stored.value_map()?;
-    let nothing = || StoredMapError::EmptyMap {
-        path: path.to_owned(),
-    };
+    let nothing = || StoredMapError::EmptyMap { path: path.clone() };
     let (pieces, local, system) = map.in_parts().ok_or_else(nothing)?;
     let numbers: usize = pieces.pieces.iter().map(|p| p.coefficients.len()).sum();
     let (p, c) = (pieces.pieces.len(), pieces.cells.len());
@@ -114,10 +117,9 @@ fn map(name: &str, path: &Path) -> Result<Made, CliError> {
 
 /// A law that was fitted into a result file, as `costate fit` writes its header; `wanted` may be
 /// left out where there is one.
-fn law(name: Option<&str>, wanted: Option<&str>, path: &Path) -> Result<Made, CliError> {
-    let stored = Stored::open(path)?;
-    let path = path.to_owned();
-    let mut laws = fitted_laws(&stored)?;
+fn law(name: Option<&str>, wanted: Option<&str>, stored: &Stored) -> Result<Made, CliError> {
+    let path = stored.path.clone();
+    let mut laws = fitted_laws(stored)?;
     let names: Vec<String> = laws.iter().map(|law| law.name.clone()).collect();
     let found = match wanted {
         _ if laws.is_empty() => Err(ExportError::NoLaw { path }),

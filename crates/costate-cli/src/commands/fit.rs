@@ -1,7 +1,7 @@
 //! `costate fit`: laws from what a result file holds.
 
 use crate::args::FitArgs;
-use crate::common::print_json;
+use crate::common::{note_ended_early, print_json};
 use crate::error::CliError;
 use crate::terminal::Terminal;
 use crate::text;
@@ -14,6 +14,7 @@ use serde_json::json;
 pub fn fit(args: &FitArgs) -> Result<(), CliError> {
     let stored = Stored::open(&args.file)?;
     let terminal = Terminal::new(args.print);
+    note_ended_early(&stored, &terminal);
     let other = args.scene.as_deref();
     let other = other
         .map(|scene| other_scene(&stored, scene, &[]))
@@ -41,6 +42,7 @@ pub fn fit(args: &FitArgs) -> Result<(), CliError> {
         let laws = FittedSummary::all(&done.fitted, &done.exports);
         print_json(&json!({ "file": args.file.display().to_string(), "laws": laws }))?;
     }
-    terminal.say(&text::laws::text(&done.fitted, &done.exports))?;
+    terminal.say(&text::laws::text(&done.fitted))?;
+    terminal.say(&text::laws::files(&done.fitted, &done.exports))?;
     Ok(())
 }

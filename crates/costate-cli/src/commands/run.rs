@@ -11,7 +11,7 @@ use crate::text::listed;
 use costate::low_level::dynamic_programming;
 use costate::low_level::files::{target, write_text};
 use costate::low_level::model::Model;
-use costate::run::{Provenance, output_of, output_of_points, path_of_stopped};
+use costate::run::{Provenance, note_replaced, output_of, output_of_points, path_of_stopped};
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
@@ -200,6 +200,9 @@ fn to_table(
         true => path_of_stopped(&path),
         false => path,
     };
+    if outcome.stopped {
+        note_replaced(session, &path);
+    }
     let mut summary = json!(session.summary(&outcome, &path, provenance.seconds()));
     summary["points"] = json!(listed::points(&outcome));
     write_text(&path, &listed::table(&outcome, model)?)?;

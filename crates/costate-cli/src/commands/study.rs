@@ -18,7 +18,7 @@ pub fn study(args: &RunArgs) -> Result<(), CliError> {
     let ending = Ending::of(args, &begun.provenance);
     let session = begun.session(backend).until(ending.deadline);
     let variants = session.study()?;
-    write_study(&mut file, model, &variants)?;
+    let stopped = write_study(&session, &mut file, &variants, &begun.provenance)?;
     let path = begun.finish(&session, file)?;
 
     terminal.say(&text::study::table(model, &variants))?;
@@ -27,7 +27,7 @@ pub fn study(args: &RunArgs) -> Result<(), CliError> {
     if args.scene.print.json {
         print_json(&study_rows(model, &variants))?;
     }
-    if session.is_over() {
+    if stopped {
         return Err(ending.stopped(path));
     }
     Ok(())

@@ -1,7 +1,9 @@
 //! `costate value`: V, p and u interpolated from a result file.
 
 use crate::args::{PrecisionChoice, ValueArgs};
-use crate::common::{Kind, check_out, csv_text, open, points, print, print_json, provenance};
+use crate::common::{
+    Kind, check_out, csv_text, note_ended_early, open, points, print, print_json, provenance,
+};
 use crate::error::{CliError, PlaceError};
 use crate::terminal::Terminal;
 use costate::backend::Backend;
@@ -41,6 +43,7 @@ pub fn value(args: &ValueArgs) -> Result<(), CliError> {
         check_out(Some(out), &[Kind::Result, Kind::Table], &inputs)?;
     }
     let stored = Stored::open(&args.file)?;
+    note_ended_early(&stored, &terminal);
     let model = &stored.scene.model;
     let places = Wanted::of(args, &stored)?;
     let file = args.out.as_ref().filter(|out| !is_csv(out));
@@ -341,7 +344,8 @@ fn known_time(model: &Model, knows: bool, t: f64) -> Result<(), String> {
             "`{name}` = {at}, but on an infinite horizon V does not depend on time: leave it out"
         )),
         Some(last) if !(0.0..=last).contains(&t) => Err(format!(
-            "`{name}` = {at} is not within the horizon, from 0 to {last}"
+            "`{name}` = {at} is not within the horizon, from 0 to {}",
+            plain(last)
         )),
         Some(_) if !knows && model.is_game() => Err(format!(
             "`{name}` = {at}, but of a game V is known at {name} = 0 alone"
@@ -399,10 +403,17 @@ fn single(text: &str, model: &Model, time: &Time<'_>) -> Result<(Vec<f64>, f64),
         }
         given.push(state);
         x[state] = number(value).map_err(&wrong)?;
+        check_turns(model, state, x[state]).map_err(&wrong)?;
     }
     let t = x.pop().unwrap_or(0.0);
     (time.check)(t).map_err(&wrong)?;
     Ok((x, t))
+}
+
+/// Refuses an angle too many periods away; `state` may also be what follows the states: the time.
+fn check_turns(model: &Model, state: usize, value: f64) -> Result<(), String> {
+    let of_state = model.states.get(state);
+    of_state.map_or(Ok(()), |s| s.check_turns(value).map_err(|e| e.to_string()))
 }
 
 fn number(text: &str) -> Result<f64, String> {
@@ -474,6 +485,8 @@ fn grid_axis(
         }
         _ => return Err(shape()),
     };
+    (values.first().into_iter().chain(values.last()))
+        .try_for_each(|x| check_turns(model, state, *x))?;
     if state == model.states.len() {
         values.iter().try_for_each(|t| (time.check)(*t))?;
     }

@@ -8,13 +8,7 @@ use costate::run::Provenance;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// `--time-limit` alone.
-pub fn time_limit(args: &RunArgs, provenance: &Provenance) -> Deadline {
-    let limit = args.time_limit;
-    Deadline::at(limit.and_then(|limit| Deadline::instant(provenance.clock, limit)))
-}
-
-/// Ends a command early, with what is done.
+/// Ends a command early, with what is done, or with nothing.
 pub struct Ending {
     pub deadline: Deadline,
     limit: Option<f64>,
@@ -25,16 +19,35 @@ pub struct Ending {
 impl Ending {
     /// From now on signals only ask the command to end.
     pub fn of(args: &RunArgs, provenance: &Provenance) -> Self {
+        Self::saying(
+            "what is done is kept; once more ends at once, with nothing",
+            args,
+            provenance,
+        )
+    }
+
+    /// The same for a command of which a part shows nothing.
+    pub fn with_nothing(args: &RunArgs, provenance: &Provenance) -> Self {
+        Self::saying(
+            "this ends, with nothing; once more ends at once",
+            args,
+            provenance,
+        )
+    }
+
+    fn saying(what: &'static str, args: &RunArgs, provenance: &Provenance) -> Self {
         let signal = Arc::new(Mutex::new(None));
         let (asked, quiet) = (Arc::clone(&signal), args.scene.print.quiet);
         let stop = stop_at_signals(move |name| {
             *asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(name.to_owned());
             if !quiet {
-                eprintln!("{name}: what is done is kept; once more ends at once, with nothing");
+                eprintln!("{name}: {what}");
             }
         });
+        let limit = args.time_limit;
+        let limit = limit.and_then(|limit| Deadline::instant(provenance.clock, limit));
         Self {
-            deadline: time_limit(args, provenance).or_once(stop),
+            deadline: Deadline::at(limit).or_once(stop),
             limit: args.time_limit,
             signal,
         }
@@ -42,12 +55,21 @@ impl Ending {
 
     /// The error that a command ends with then.
     pub fn stopped(&self, path: PathBuf) -> CliError {
+        let by = self.cause();
+        CliError::Stopped { by, path }
+    }
+
+    /// The same where nothing is written.
+    pub fn nothing(&self) -> CliError {
+        CliError::Nothing { by: self.cause() }
+    }
+
+    fn cause(&self) -> String {
         let signal = self.signal.lock().unwrap_or_else(PoisonError::into_inner);
-        let by = match (&*signal, self.limit) {
+        match (&*signal, self.limit) {
             (Some(name), _) => name.clone(),
             (None, Some(limit)) => format!("--time-limit {limit}"),
             (None, None) => "its deadline".to_owned(),
-        };
-        CliError::Stopped { by, path }
+        }
     }
 }

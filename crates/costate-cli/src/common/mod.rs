@@ -9,8 +9,11 @@ pub mod pictures;
 pub mod points;
 
 use crate::error::CliError;
+use crate::terminal::Terminal;
 use costate::low_level::files::target;
+use costate::low_level::result::Stored;
 use costate::run::Provenance;
+use costate::session::Progress;
 use std::io::Write;
 use std::path::Path;
 
@@ -78,6 +81,14 @@ pub fn check_out(out: Option<&Path>, kinds: &[Kind], inputs: &[&Path]) -> Result
         .map(|kind| format!("{}; name it .{}", kind.name(), kind.endings()[0]))
         .collect();
     Err(bad(all.join("; or ")))
+}
+
+/// Says so where the run that made a file was ended early.
+pub fn note_ended_early(stored: &Stored, terminal: &Terminal) {
+    if let Some(how) = stored.ended_early() {
+        let path = stored.path.display();
+        terminal.note(&format!("{path}: its run was ended {how}"));
+    }
 }
 
 /// Rows of a table as CSV.

@@ -2,7 +2,7 @@
 
 use crate::error::PointsError;
 use costate::low_level::diagnostics::{did_you_mean, shorten};
-use costate::low_level::files::read_bytes;
+use costate::low_level::files::{is_hdf5, read_bytes};
 use costate::low_level::model::Model;
 use std::path::Path;
 
@@ -49,6 +49,10 @@ pub fn read_with_times(
         path: path.to_owned(),
         source: source.into(),
     })?;
+    if let Some(what) = no_table(&whole) {
+        let path = path.to_owned();
+        return Err(PointsError::NoTable { path, what });
+    }
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
@@ -77,6 +81,14 @@ pub fn read_with_times(
         });
     }
     Ok((points, times))
+}
+
+/// What a file is that is no table.
+fn no_table(whole: &[u8]) -> Option<&'static str> {
+    if is_hdf5(whole) {
+        return Some("a result file (HDF5)");
+    }
+    whole.contains(&0).then_some("no text")
 }
 
 /// A file of points while it is read.
@@ -179,17 +191,26 @@ impl PointsFile<'_> {
                     name: self.argument(state).to_owned(),
                     text: shorten(text),
                 })?;
+            let of_state = self.model.states.get(state);
+            of_state
+                .map_or(Ok(()), |of| of.check_turns(x[state]))
+                .map_err(|error| self.refused(state, line(), error.to_string()))?;
         }
         let t = x.pop().unwrap_or(0.0);
         if let Some(time) = &self.time {
-            (time.check)(t).map_err(|reason| PointsError::Time {
-                path: self.path.to_owned(),
-                line: line(),
-                name: time.name.to_owned(),
-                reason,
-            })?;
+            (time.check)(t).map_err(|reason| self.refused(x.len(), line(), reason))?;
         }
         Ok((x, t))
+    }
+
+    /// A number that nothing can be told at.
+    fn refused(&self, argument: usize, line: u64, reason: String) -> PointsError {
+        PointsError::Refused {
+            path: self.path.to_owned(),
+            line,
+            name: self.argument(argument).to_owned(),
+            reason,
+        }
     }
 
     /// Name of a state, or of the time, which follows the states.

@@ -3,13 +3,26 @@
 use costate::low_level::feedback::{Exports, Fitted, FittedLaw, Network, Quality};
 
 /// One paragraph a law.
-pub fn text(fitted: &Fitted, exports: &[Exports]) -> String {
-    let laws = fitted.laws.iter().zip(exports);
-    let each: Vec<String> = laws.map(|(law, files)| law_text(law, files)).collect();
+pub fn text(fitted: &Fitted) -> String {
+    let each: Vec<String> = fitted.laws.iter().map(law_text).collect();
     each.join("\n")
 }
 
-fn law_text(l: &FittedLaw, exports: &Exports) -> String {
+/// The files of each, a line a law.
+pub fn files(fitted: &Fitted, exports: &[Exports]) -> String {
+    let mut lines = Vec::new();
+    for (law, exports) in fitted.laws.iter().zip(exports) {
+        let files = exports.files.iter().map(|f| f.display().to_string());
+        let files = files.collect::<Vec<_>>().join(", ");
+        lines.push(format!("law {}: written to {files}", law.name));
+        if let Some(reason) = &exports.without_onnx {
+            lines.push(format!("  no ONNX model: {reason}"));
+        }
+    }
+    lines.join("\n")
+}
+
+fn law_text(l: &FittedLaw) -> String {
     let mut lines = heading(l);
     lines.extend(accuracy(&l.quality));
     lines.extend(of_loss(l));
@@ -21,18 +34,10 @@ fn law_text(l: &FittedLaw, exports: &Exports) -> String {
             if l.narrow_units == 1 { "" } else { "s" }
         ));
     }
-    let files = exports.files.iter().map(|f| f.display().to_string());
     lines.push(format!(
-        "  {:.1} s, {} starts, best after {} steps (seed {}); {}",
-        l.seconds,
-        l.starts,
-        l.iterations,
-        l.seed,
-        files.collect::<Vec<_>>().join(", ")
+        "  {:.1} s, {} starts, best after {} steps (seed {})",
+        l.seconds, l.starts, l.iterations, l.seed
     ));
-    if let Some(reason) = &exports.without_onnx {
-        lines.push(format!("  no ONNX model: {reason}"));
-    }
     lines.join("\n")
 }
 
