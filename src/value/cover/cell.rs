@@ -107,7 +107,7 @@ impl Cell {
 
 impl Corners {
     /// Of points `(t, s, p, V)` all of which are known.
-    pub fn of_points(points: &[Vec<f64>], widths: &[f64]) -> Self {
+    pub fn of_points(points: &[&[f64]], widths: &[f64]) -> Self {
         let n = widths.len();
         let values = points.iter().map(|point| point[1 + 2 * n]);
         let value = values.clone().fold(f64::INFINITY, f64::min);
@@ -194,7 +194,7 @@ impl Corners {
     /// `step`, the arc length of each between the layers (in widths), relative to its longest edge:
     /// what lies between them goes as far as they do, but their mean does not.
     pub fn turn(&self, seeds: usize, n: usize, step: f64, longest: f64) -> f64 {
-        if self.known.len() < 2 * seeds || longest == 0.0 || !self.complete() {
+        if longest == 0.0 || !self.complete() {
             return 0.0;
         }
         let mean = |i: usize| {

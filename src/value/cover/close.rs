@@ -2,12 +2,15 @@
 //! cell is no more bent than its division by seeds leaves it.
 
 use super::cell::{Cell, Corners, OfSeeds, Place};
-use super::{Cover, Open, STRAIGHT};
+use super::{Cover, Open, STRAIGHT, holds};
 use crate::backend::BackendError;
+use smallvec::SmallVec;
 use std::collections::{BTreeMap, HashMap};
 
 /// Parts of a cell.
 const PARTS: usize = 8;
+/// States are located in parts that, if bent so, may hold them.
+const ABOUT: f64 = 0.2;
 
 /// The trajectories of a cell's seeds between its levels.
 pub(super) struct Close {
@@ -47,26 +50,31 @@ impl Part {
 }
 
 impl Close {
-    /// The part in which a state (in widths) lies, or that it is least outside.
+    /// The part in which a state (in widths) lies, or of those about it the one that it is least
+    /// outside.
     pub fn locate(&self, state: &[f64], widths: &[f64]) -> Option<Part> {
         let parts = (0..PARTS).filter_map(|part| {
-            let points: Vec<Vec<f64>> = (part..=part + 1)
+            let points: SmallVec<[&[f64]; 8]> = (part..=part + 1)
                 .flat_map(|at| self.traces.iter().map(move |trace| self.point(trace, at)))
                 .collect();
             let corners = Corners::of_points(&points, widths);
+            if !holds(&corners.bounds(state.len(), ABOUT), state) {
+                return None;
+            }
             let place = corners.locate(state, self.traces.len())?;
-            Some(Part {
-                share: (part as f64 + place.share) / PARTS as f64,
-                points,
-                corners,
-                place,
-            })
+            Some((part, points, corners, place))
         });
-        parts.min_by(|a, b| a.place.outside.total_cmp(&b.place.outside))
+        let nearest = parts.min_by(|a, b| a.3.outside.total_cmp(&b.3.outside));
+        nearest.map(|(part, points, corners, place)| Part {
+            points: points.iter().map(|point| point.to_vec()).collect(),
+            corners,
+            share: (part as f64 + place.share) / PARTS as f64,
+            place,
+        })
     }
 
-    fn point(&self, trace: &[f64], at: usize) -> Vec<f64> {
-        trace[at * self.stride..(at + 1) * self.stride].to_vec()
+    fn point<'t>(&self, trace: &'t [f64], at: usize) -> &'t [f64] {
+        &trace[at * self.stride..(at + 1) * self.stride]
     }
 }
 
@@ -105,14 +113,11 @@ impl Cover<'_> {
     }
 
     fn turns(&self, leaf: &Open) -> bool {
-        let (seeds, n) = (leaf.cell.seeds.len(), self.fan.plan.system.states);
-        let longest = leaf.corners.longest(seeds, n).2;
+        let seeds = leaf.cell.seeds.len();
+        let longest = leaf.corners.longest(seeds, self.fan.plan.system.states).2;
         self.stationary
             && leaf.corners.complete()
-            && leaf
-                .corners
-                .turn(seeds, n, self.fan.step(leaf.cell.level), longest)
-                > STRAIGHT
+            && self.turn(&leaf.cell, &leaf.corners, longest) > STRAIGHT
     }
 
     /// Points of trajectories from a level to the next one.

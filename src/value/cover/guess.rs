@@ -23,6 +23,7 @@ impl Cover<'_> {
         let widths = &self.fan.plan.widths;
         let n = widths.len();
         let part = close.and_then(|close| close.locate(&copy.x, widths));
+        let part = part.filter(|part| part.place.outside <= OUTSIDE);
         let (place, first, points) = match &part {
             Some(part) => {
                 let place = Place {
@@ -33,13 +34,13 @@ impl Cover<'_> {
             }
             None => {
                 let place = self.place(leaf, copy)?;
+                if place.outside > OUTSIDE {
+                    return None;
+                }
                 let first = self.at(&leaf.cell, &place);
                 (place, first, self.corner_points(&leaf.cell))
             }
         };
-        if place.outside > OUTSIDE {
-            return None;
-        }
         let goal: Vec<f64> = copy.x.iter().zip(widths).map(|(x, w)| x * w).collect();
         let value = first[1 + 2 * n];
         let promised = points.iter().map(|point| {

@@ -83,9 +83,9 @@ pub struct Candidate {
     /// State (a deviation) and adjoint that the manifold has at the place.
     pub node: Vec<f64>,
     pub value: f64,
-    /// The least V that its corners promise, each as its adjoint has it there: lower than `value` where
-    /// the manifold bends within the cell.
-    pub lowest: f64,
+    /// The least V that its corners promise, each as its adjoint has it there: lower than `value`
+    /// where the manifold bends within the cell.
+    lowest: f64,
     /// V expected at the target, as curved on the way to it as at the equilibrium.
     pub expected: f64,
     /// How much the adjoint (unscaled) differs within the cell, a component.
@@ -102,6 +102,12 @@ impl Candidate {
     /// Whether the target lies in the cell itself, not only near it.
     pub fn is_inside(&self) -> bool {
         self.outside() == 0.0
+    }
+
+    /// V that it may have at least: halfway to the least that its corners promise, as a mean of them is
+    /// off by less than each of them.
+    pub fn promised(&self) -> f64 {
+        0.5 * (self.value + self.lowest)
     }
 
     /// A seed of the cell; of a point of a trajectory that of the trajectory.
@@ -355,10 +361,7 @@ impl<'a> Cover<'a> {
             let seeds = &open.cell.seeds;
             let (a, b, length) = open.corners.longest(seeds.len(), n);
             let complete = open.corners.complete();
-            let turn = || {
-                open.corners
-                    .turn(seeds.len(), n, self.fan.step(open.cell.level), length)
-            };
+            let turn = || self.turn(&open.cell, &open.corners, length);
             let straight = length <= LEAST || (open.cell.bend <= STRAIGHT && turn() <= STRAIGHT);
             if complete && length <= leaf && straight {
                 leaves.push(open);
@@ -390,6 +393,16 @@ impl<'a> Cover<'a> {
             .into_par_iter()
             .flat_map_iter(|division| this.halves(division, copies, ceiling))
             .collect())
+    }
+
+    /// How far a cell may reach beyond its corners as its trajectories turn, relative to its longest
+    /// edge.
+    fn turn(&self, cell: &Cell, corners: &Corners, longest: f64) -> f64 {
+        if !self.stationary {
+            return 0.0;
+        }
+        let (seeds, n) = (cell.seeds.len(), self.fan.plan.system.states);
+        corners.turn(seeds, n, self.fan.step(cell.level), longest)
     }
 
     /// The halves of a cell with the states that may lie in each.
@@ -431,7 +444,7 @@ impl<'a> Cover<'a> {
                 return None;
             }
             let longest = corners.longest(seeds.len(), n).2;
-            let turn = corners.turn(seeds.len(), n, fan.step(*level), longest);
+            let turn = self.turn(&cell, &corners, longest);
             let bounds = corners.bounds(n, bend.max(turn));
             let bend = bend.max(turn).max(corners.skew(seeds.len(), n, longest));
             let copies: SmallVec<[u32; 4]> = (open.copies.iter().copied())

@@ -34,10 +34,9 @@ impl Survey<'_> {
         cover: &Cover<'_>,
         mut candidates: Vec<Candidate>,
     ) -> Result<Aims, BackendError> {
-        candidates.retain(|c| self.is_above(c, c.lowest, -DEARER));
-        candidates.sort_by(|a, b| {
-            (a.target.cmp(&b.target)).then((a.value + a.lowest).total_cmp(&(b.value + b.lowest)))
-        });
+        candidates.retain(|c| self.is_above(c, c.promised(), -DEARER));
+        candidates
+            .sort_by(|a, b| (a.target.cmp(&b.target)).then(a.promised().total_cmp(&b.promised())));
         let mut count: BTreeMap<usize, usize> = BTreeMap::new();
         candidates.retain(|c| {
             let of = count.entry(c.target).or_default();
