@@ -85,7 +85,7 @@ pub struct Candidate {
     pub value: f64,
     /// The least V that its corners promise, each as its adjoint has it there: lower than `value`
     /// where the manifold bends within the cell.
-    lowest: f64,
+    pub lowest: f64,
     /// V expected at the target, as curved on the way to it as at the equilibrium.
     pub expected: f64,
     /// How much the adjoint (unscaled) differs within the cell, a component.
@@ -102,12 +102,6 @@ impl Candidate {
     /// Whether the target lies in the cell itself, not only near it.
     pub fn is_inside(&self) -> bool {
         self.outside() == 0.0
-    }
-
-    /// V that it may have at least: halfway to the least that its corners promise, as a mean of them is
-    /// off by less than each of them.
-    pub fn promised(&self) -> f64 {
-        0.5 * (self.value + self.lowest)
     }
 
     /// A seed of the cell; of a point of a trajectory that of the trajectory.

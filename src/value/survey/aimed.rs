@@ -27,16 +27,18 @@ pub(super) struct Aims {
 
 impl Survey<'_> {
     /// Tries the guesses that may cost less than what is known, from trajectories aimed at their
-    /// targets. A guess is off by some hundredths, so those that promise a little more count.
+    /// targets. A guess is off by some hundredths, so those that promise a little more count, and by
+    /// more where its cell's corners promise less.
     pub(super) fn aim(
         &mut self,
         solver: &mut Solver,
         cover: &Cover<'_>,
         mut candidates: Vec<Candidate>,
     ) -> Result<Aims, BackendError> {
-        candidates.retain(|c| self.is_above(c, c.promised(), -DEARER));
+        candidates.retain(|c| self.is_above(c, c.lowest, -DEARER));
+        let expected = |c: &Candidate| 0.5 * (c.value + c.lowest);
         candidates
-            .sort_by(|a, b| (a.target.cmp(&b.target)).then(a.promised().total_cmp(&b.promised())));
+            .sort_by(|a, b| (a.target.cmp(&b.target)).then(expected(a).total_cmp(&expected(b))));
         let mut count: BTreeMap<usize, usize> = BTreeMap::new();
         candidates.retain(|c| {
             let of = count.entry(c.target).or_default();
