@@ -33,13 +33,9 @@ impl Cover<'_> {
                 (place, part.at_place(), part.points.clone())
             }
             None => {
-                let mut place = self.place(leaf, copy)?;
+                let place = self.place(leaf, copy)?;
                 if place.outside > OUTSIDE {
                     return None;
-                }
-                if close.is_some() {
-                    // Looked at closely, the state is not in the cell.
-                    place.outside = place.outside.max(0.5 * OUTSIDE);
                 }
                 let first = self.at(&leaf.cell, &place);
                 (place, first, self.corner_points(&leaf.cell))
