@@ -26,6 +26,7 @@ map = { error = 1e-3 }
 closed_loop = { final_time = 8, initial = { x = [-0.5, 0.5, 3], v = [-0.5, 0.5, 3] } }
 "#;
 
+/// A file in a folder that a test has to itself, and takes away in the end.
 fn file(name: &str) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("costate-session-{}", std::process::id()));
     folder.join(name)
@@ -56,7 +57,7 @@ fn a_run_writes_what_the_scene_asks_for() {
     let scene = Scene::parse(TEXT, "double.toml").unwrap();
     let heard = Heard::default();
     let session = Session::new(&scene).with_progress(&heard);
-    let path = file("run.h5");
+    let path = file("whole/run.h5");
     let done = session
         .run(&Wanted::all(), &path, &Provenance::now())
         .unwrap();
