@@ -313,7 +313,7 @@ fn a_state_on_the_flank_of_an_obstacle() {
 /// turns.)
 #[test]
 fn bumps_narrower_than_the_cells() {
-    for name in ["bumps_12", "bumps_13", "bumps_17"] {
+    for name in ["bumps_12", "bumps_13", "bumps_17", "bumps_22"] {
         let model = tried(name, &[]);
         for row in table(name) {
             let v = given(&solved(&model, &row[..2]), 0).expect("solved").value;

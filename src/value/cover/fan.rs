@@ -1,7 +1,7 @@
 //! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked
 //! for.
 
-use super::{MOST_IN_CELLS, goes_behind_guards};
+use super::{MOST_IN_CELLS, goes_behind_guards, tangent};
 use crate::backend::cpu::Evaluator;
 use crate::backend::{
     Backend, BackendError, By, Deadline, Guards, Kernel, Run, Spec, Status, batch_limit,
@@ -273,7 +273,7 @@ impl<'a> Fan<'a> {
         for part in wanted.chunks(batch_limit(dim, self.run.levels.len())) {
             let mut starts = Vec::with_capacity(part.len() * dim);
             for v in part {
-                starts.extend(self.surface.seed(&self.parameters[*v as usize]));
+                starts.extend(self.start(*v));
                 starts.push(0.0);
             }
             let kernel = self
@@ -315,6 +315,11 @@ impl<'a> Fan<'a> {
     /// Where a seed's trajectory starts: `(s, p, V)`.
     pub fn start(&self, seed: u32) -> Vec<f64> {
         self.surface.seed(&self.parameters[seed as usize])
+    }
+
+    /// The points `(t, s, p, V)` of a seed's trajectory, one after the other; the seed is the first.
+    pub fn points(&self, seed: u32) -> &[f32] {
+        (self.trajectories[seed as usize].as_ref()).map_or(&[], |t| &t.points)
     }
 
     /// The seed `(s, p, V)` at the mean of others, by weights that may be a little below 0. None
@@ -364,7 +369,7 @@ impl<'a> Fan<'a> {
 
     /// The trajectory of a seed that a guard excludes: it ends where it begins.
     fn none_from(&self, seed: u32) -> Trajectory {
-        let points = first_point(&self.surface.seed(&self.parameters[seed as usize]));
+        let points = first_point(&self.start(seed));
         Trajectory {
             end: Some(points.clone()),
             at_guard: false,
@@ -393,9 +398,10 @@ impl<'a> Fan<'a> {
         known.is_some_and(|t| t.at_guard && level * self.stride == t.points.len())
     }
 
-    /// The widest gap between two trajectories at the levels that both reach below a cost, where
-    /// what is between them may lie within `around` widths of the region.
-    pub fn gap(&self, a: u32, b: u32, ceiling: f64, around: f64) -> f64 {
+    /// The widest gap between two trajectories at the first `levels`, up to the cost at which they
+    /// part and to where one ends, where what is between them may lie within `around` widths of the
+    /// region.
+    pub fn gap(&self, a: u32, b: u32, levels: usize, ceiling: f64, around: f64) -> f64 {
         let (plan, n) = (self.plan, self.plan.system.states);
         let at = |v: u32| (self.inside[v as usize], self.boundary[v as usize]);
         match (at(a), at(b)) {
@@ -406,21 +412,18 @@ impl<'a> Fan<'a> {
             ((true, _), (false, _)) | ((false, _), (true, _)) => return f64::INFINITY,
             _ => {}
         }
-        let (Some(a), Some(b)) = (
-            &self.trajectories[a as usize],
-            &self.trajectories[b as usize],
-        ) else {
-            return 0.0;
-        };
         let mut widest = 0.0f64;
-        for (x, y) in a
-            .points
-            .chunks_exact(self.stride)
-            .zip(b.points.chunks_exact(self.stride))
-        {
-            if self.tangent(x, y).min(self.tangent(y, x)) > ceiling {
+        // What lies between costs at least what these did before they parted.
+        let mut before = f64::NEG_INFINITY;
+        for level in 0..levels {
+            let (Some((x, of_a)), Some((y, of_b))) = (self.point(a, level), self.point(b, level))
+            else {
+                break;
+            };
+            if before > ceiling || !(of_a || of_b) {
                 break;
             }
+            before = self.tangent(x, y).min(self.tangent(y, x));
             let mut gap = 0.0f64;
             let mut near = true;
             for i in 0..n {
@@ -433,6 +436,10 @@ impl<'a> Fan<'a> {
             if near {
                 widest = widest.max(gap);
             }
+            // One that ends stands once for what it did not reach.
+            if !(of_a && of_b) {
+                break;
+            }
         }
         widest
     }
@@ -440,9 +447,7 @@ impl<'a> Fan<'a> {
     /// The least of V at a point of a trajectory, and at another one as its adjoint has it there.
     pub fn tangent(&self, a: &[f32], b: &[f32]) -> f64 {
         let n = self.plan.system.states;
-        let at = |i: usize| f64::from(a[1 + i]);
-        let change = |i: usize| at(n + i) * (f64::from(b[1 + i]) - at(i));
-        at(2 * n) + (0..n).map(change).sum::<f64>().min(0.0)
+        tangent(a, n, |i| b[1 + i].into()).min(a[1 + 2 * n].into())
     }
 
     /// Of a simplex of terminal states that all cost more than `ceiling` already: the two furthest
@@ -451,10 +456,7 @@ impl<'a> Fan<'a> {
         /// Shortest edges looked at, as a share of all terminal states.
         const SHORTEST: f64 = 1.0 / 1024.0;
         let n = self.plan.system.states;
-        let seeds: Vec<Vec<f64>> = simplex
-            .iter()
-            .map(|v| self.surface.seed(&self.parameters[*v as usize]))
-            .collect();
+        let seeds: Vec<Vec<f64>> = simplex.iter().map(|seed| self.start(*seed)).collect();
         if !ceiling.is_finite() || seeds.iter().any(|s| s[2 * n] <= ceiling) {
             return None;
         }

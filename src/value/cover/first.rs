@@ -15,21 +15,38 @@ const AROUND: f64 = 0.25;
 impl Cover<'_> {
     /// Divides the first simplices, from the start, where neighbouring trajectories part before
     /// their cost is `ceiling`: the cells of a narrow bundle that goes elsewhere are not seen from
-    /// outside it.
+    /// outside it. What the trajectories do behind a fold comes last: none of them costs the least
+    /// there, and those that are scattered by many obstacles part without end.
     pub(super) fn divide_first(&mut self, ceiling: f64) -> Result<(), BackendError> {
-        let n = self.fan.plan.system.states;
-        let mut done: Vec<Vec<u32>> = Vec::new();
-        let mut open = self.base.clone();
         let first: Vec<u32> = self.base.iter().flatten().copied().collect();
         self.fan.integrate(&first, BEYOND * ceiling)?;
-        let mut made = 0;
+        let (mut simplices, mut made) = (self.base.clone(), 0);
+        for behind_folds in [false, true] {
+            simplices = self.divide_gaps(simplices, ceiling, behind_folds, &mut made)?;
+        }
+        (self.roots, self.divided_to) = (simplices, ceiling);
+        Ok(())
+    }
+
+    /// Divides simplices until none has a wide gap, or as many seeds were `made` as there are at
+    /// most.
+    fn divide_gaps(
+        &mut self,
+        mut open: Vec<Vec<u32>>,
+        ceiling: f64,
+        behind_folds: bool,
+        made: &mut usize,
+    ) -> Result<Vec<Vec<u32>>, BackendError> {
+        let n = self.fan.plan.system.states;
+        let mut done: Vec<Vec<u32>> = Vec::new();
         while !open.is_empty() {
-            let gaps: Vec<(f64, u32, u32)> =
-                open.par_iter().map(|s| self.widest(s, ceiling)).collect();
+            let gaps: Vec<(f64, u32, u32)> = (open.par_iter())
+                .map(|simplex| self.widest(simplex, ceiling, behind_folds))
+                .collect();
             let mut next = Vec::new();
             let mut middles = Vec::new();
             for (simplex, (gap, a, b)) in open.into_iter().zip(gaps) {
-                let wide = gap > SPACING[n] && made < MOST_FIRST[n];
+                let wide = gap > SPACING[n] && *made < MOST_FIRST[n];
                 let Some(middle) = wide.then(|| self.fan.middle(a, b)).flatten() else {
                     done.push(simplex);
                     continue;
@@ -47,26 +64,27 @@ impl Cover<'_> {
             self.fan.integrate(&middles, BEYOND * ceiling)?;
             middles.sort_unstable();
             middles.dedup();
-            made += middles.len();
+            *made += middles.len();
             open = next;
         }
-        (self.roots, self.divided_to) = (done, ceiling);
-        Ok(())
+        Ok(done)
     }
 
     /// The widest gap between two trajectories of a simplex, and which. Endless, between the two
     /// furthest apart, where all of them cost too much but what lies between may not.
-    fn widest(&self, simplex: &[u32], ceiling: f64) -> (f64, u32, u32) {
+    fn widest(&self, simplex: &[u32], ceiling: f64, behind_folds: bool) -> (f64, u32, u32) {
         if let Some((a, b)) = (!self.stationary)
             .then(|| self.fan.hidden(simplex, ceiling))
             .flatten()
         {
             return (f64::INFINITY, a, b);
         }
+        let fold = (!behind_folds).then(|| self.fan.fold(simplex)).flatten();
+        let levels = fold.unwrap_or(usize::MAX);
         let mut widest = (0.0, 0, 0);
         for (k, a) in simplex.iter().enumerate() {
             for b in &simplex[k + 1..] {
-                let gap = self.fan.gap(*a, *b, ceiling, AROUND);
+                let gap = self.fan.gap(*a, *b, levels, ceiling, AROUND);
                 if gap > widest.0 {
                     widest = (gap, *a, *b);
                 }
