@@ -1,6 +1,7 @@
 //! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked
 //! for.
 
+use super::cell::OfSeeds;
 use super::{MOST_IN_CELLS, goes_behind_guards, tangent};
 use crate::backend::cpu::Evaluator;
 use crate::backend::{
@@ -398,11 +399,52 @@ impl<'a> Fan<'a> {
         known.is_some_and(|t| t.at_guard && level * self.stride == t.points.len())
     }
 
+    /// The points of trajectories at the first `levels`, up to the cost at which they part and to
+    /// where one ends, which stands once for what it did not reach.
+    fn together<'s>(
+        &'s self,
+        seeds: &'s [u32],
+        levels: usize,
+        ceiling: f64,
+    ) -> impl Iterator<Item = OfSeeds<&'s [f32]>> {
+        // What lies between costs at least what these did before they parted.
+        let (mut before, mut ended) = (f64::NEG_INFINITY, false);
+        (0..levels).map_while(move |level| {
+            if ended || before > ceiling {
+                return None;
+            }
+            let there = seeds.iter().map(|seed| self.point(*seed, level));
+            let there: OfSeeds<(&[f32], bool)> = there.collect::<Option<_>>()?;
+            if !there.iter().any(|(_, known)| *known) {
+                return None;
+            }
+            ended = there.iter().any(|(_, known)| !known);
+            let points: OfSeeds<&[f32]> = there.iter().map(|(point, _)| *point).collect();
+            let pairs = points
+                .iter()
+                .flat_map(|a| points.iter().map(move |b| (a, b)));
+            before = (pairs.map(|(a, b)| self.tangent(a, b))).fold(f64::INFINITY, f64::min);
+            Some(points)
+        })
+    }
+
+    /// Whether something between points may lie within `around` widths of the region.
+    fn is_near(&self, points: &[&[f32]], around: f64) -> bool {
+        let plan = self.plan;
+        (0..plan.system.states).all(|i| {
+            let [lo, hi] = plan.region[i];
+            let margin = around * plan.widths[i];
+            let range = points.iter().map(|point| f64::from(point[1 + i]));
+            let [least, most] = range.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, m], x| {
+                [l.min(x), m.max(x)]
+            });
+            plan.periodic[i] || (most >= lo - margin && least <= hi + margin)
+        })
+    }
+
     /// The widest gap between two trajectories at the first `levels`, up to the cost at which they
-    /// part and to where one ends, where what is between them may lie within `around` widths of the
-    /// region.
+    /// part, where what is between them may lie within `around` widths of the region.
     pub fn gap(&self, a: u32, b: u32, levels: usize, ceiling: f64, around: f64) -> f64 {
-        let (plan, n) = (self.plan, self.plan.system.states);
         let at = |v: u32| (self.inside[v as usize], self.boundary[v as usize]);
         match (at(a), at(b)) {
             ((false, _), (false, _)) | ((true, true), (false, _)) | ((false, _), (true, true)) => {
@@ -412,36 +454,34 @@ impl<'a> Fan<'a> {
             ((true, _), (false, _)) | ((false, _), (true, _)) => return f64::INFINITY,
             _ => {}
         }
-        let mut widest = 0.0f64;
-        // What lies between costs at least what these did before they parted.
-        let mut before = f64::NEG_INFINITY;
-        for level in 0..levels {
-            let (Some((x, of_a)), Some((y, of_b))) = (self.point(a, level), self.point(b, level))
-            else {
-                break;
+        let apart = |points: &OfSeeds<&[f32]>| {
+            let difference = |(i, w): (usize, &f64)| {
+                (f64::from(points[0][1 + i]) - f64::from(points[1][1 + i])).abs() / w
             };
-            if before > ceiling || !(of_a || of_b) {
-                break;
-            }
-            before = self.tangent(x, y).min(self.tangent(y, x));
-            let mut gap = 0.0f64;
-            let mut near = true;
-            for i in 0..n {
-                let (x, y, width) = (f64::from(x[1 + i]), f64::from(y[1 + i]), plan.widths[i]);
-                gap = gap.max((x - y).abs() / width);
-                let [lo, hi] = plan.region[i];
-                let margin = around * width;
-                near &= plan.periodic[i] || (x.max(y) >= lo - margin && x.min(y) <= hi + margin);
-            }
-            if near {
-                widest = widest.max(gap);
-            }
-            // One that ends stands once for what it did not reach.
-            if !(of_a && of_b) {
-                break;
-            }
-        }
-        widest
+            let widths = self.plan.widths.iter().enumerate();
+            widths.map(difference).fold(0.0, f64::max)
+        };
+        (self.together(&[a, b], levels, ceiling))
+            .filter(|points| self.is_near(points, around))
+            .map(|points| apart(&points))
+            .fold(0.0, f64::max)
+    }
+
+    /// How far the trajectory of a seed between two others passes, in widths of the region, from the
+    /// middle between theirs, as far as [`Fan::gap`] looks.
+    pub fn bulge(&self, [a, b, middle]: [u32; 3], levels: usize, ceiling: f64, around: f64) -> f64 {
+        let off = |points: &OfSeeds<&[f32]>| {
+            let difference = |(i, w): (usize, &f64)| {
+                let [a, b, middle] = [0, 1, 2].map(|k: usize| f64::from(points[k][1 + i]));
+                (middle - 0.5 * (a + b)).abs() / w
+            };
+            let widths = self.plan.widths.iter().enumerate();
+            widths.map(difference).fold(0.0, f64::max)
+        };
+        (self.together(&[a, b, middle], levels, ceiling))
+            .filter(|points| self.is_near(points, around))
+            .map(|points| off(&points))
+            .fold(0.0, f64::max)
     }
 
     /// The least of V at a point of a trajectory, and at another one as its adjoint has it there.

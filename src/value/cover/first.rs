@@ -12,6 +12,18 @@ const MOST_FIRST: [usize; MOST_STATES + 1] = [2, 4000, 4000, 4000, 1200, 800, 40
 /// Widths beyond the region up to which gaps are looked at.
 const AROUND: f64 = 0.25;
 
+/// How far the middle trajectory of a gap may pass from the middle between the others, in units of
+/// the widest gap.
+const BULGE: f64 = 0.5;
+
+/// How far two trajectories part, in widths of the region, at the first `levels`.
+struct Gap {
+    size: f64,
+    a: u32,
+    b: u32,
+    levels: usize,
+}
+
 impl Cover<'_> {
     /// Divides the first simplices, from the start, where neighbouring trajectories part before
     /// their cost is `ceiling`: the cells of a narrow bundle that goes elsewhere are not seen from
@@ -40,57 +52,70 @@ impl Cover<'_> {
         let n = self.fan.plan.system.states;
         let mut done: Vec<Vec<u32>> = Vec::new();
         while !open.is_empty() {
-            let gaps: Vec<(f64, u32, u32)> = (open.par_iter())
+            let gaps: Vec<Gap> = (open.par_iter())
                 .map(|simplex| self.widest(simplex, ceiling, behind_folds))
                 .collect();
-            let mut next = Vec::new();
-            let mut middles = Vec::new();
-            for (simplex, (gap, a, b)) in open.into_iter().zip(gaps) {
-                let wide = gap > SPACING[n] && *made < MOST_FIRST[n];
-                let Some(middle) = wide.then(|| self.fan.middle(a, b)).flatten() else {
-                    done.push(simplex);
-                    continue;
-                };
-                middles.push(middle);
-                for end in [a, b] {
-                    next.push(
-                        simplex
-                            .iter()
-                            .map(|v| if *v == end { middle } else { *v })
-                            .collect(),
-                    );
+            let mut halved: Vec<(Vec<u32>, Gap, u32)> = Vec::new();
+            for (simplex, gap) in open.into_iter().zip(gaps) {
+                let looked_into = gap.size > SPACING[n] || (gap.size > 0.0 && self.has_cells());
+                let looked_into = looked_into && *made < MOST_FIRST[n];
+                match looked_into.then(|| self.fan.middle(gap.a, gap.b)).flatten() {
+                    Some(middle) => halved.push((simplex, gap, middle)),
+                    None => done.push(simplex),
                 }
             }
-            self.fan.integrate(&middles, BEYOND * ceiling)?;
+            let mut middles: Vec<u32> = halved.iter().map(|(.., middle)| *middle).collect();
             middles.sort_unstable();
             middles.dedup();
-            *made += middles.len();
-            open = next;
+            self.fan.integrate(&middles, BEYOND * ceiling)?;
+
+            let is_wide = |(_, gap, middle): &(Vec<u32>, Gap, u32)| {
+                gap.size > SPACING[n] || {
+                    let seeds = [gap.a, gap.b, *middle];
+                    self.fan.bulge(seeds, gap.levels, ceiling, AROUND) > BULGE * SPACING[n]
+                }
+            };
+            let wide: Vec<bool> = halved.par_iter().map(is_wide).collect();
+            let mut dividing: Vec<u32> = Vec::new();
+            open = Vec::new();
+            for ((simplex, gap, middle), wide) in halved.into_iter().zip(wide) {
+                if !wide {
+                    done.push(simplex);
+                    continue;
+                }
+                dividing.push(middle);
+                for end in [gap.a, gap.b] {
+                    let half = simplex.iter().map(|v| if *v == end { middle } else { *v });
+                    open.push(half.collect());
+                }
+            }
+            dividing.sort_unstable();
+            dividing.dedup();
+            *made += dividing.len();
         }
         Ok(done)
     }
 
-    /// The widest gap between two trajectories of a simplex, and which. Endless, between the two
-    /// furthest apart, where all of them cost too much but what lies between may not.
-    fn widest(&self, simplex: &[u32], ceiling: f64, behind_folds: bool) -> (f64, u32, u32) {
+    /// The widest gap between two trajectories of a simplex. Endless, between the two furthest
+    /// apart, where all of them cost too much but what lies between may not.
+    fn widest(&self, simplex: &[u32], ceiling: f64, behind_folds: bool) -> Gap {
+        let fold = (!behind_folds).then(|| self.fan.fold(simplex)).flatten();
+        let levels = fold.unwrap_or(usize::MAX);
+        let gap = |a: u32, b: u32, size: f64| Gap { size, a, b, levels };
         if let Some((a, b)) = (!self.stationary)
             .then(|| self.fan.hidden(simplex, ceiling))
             .flatten()
         {
-            return (f64::INFINITY, a, b);
+            return gap(a, b, f64::INFINITY);
         }
-        let fold = (!behind_folds).then(|| self.fan.fold(simplex)).flatten();
-        let levels = fold.unwrap_or(usize::MAX);
-        let mut widest = (0.0, 0, 0);
-        for (k, a) in simplex.iter().enumerate() {
-            for b in &simplex[k + 1..] {
-                let gap = self.fan.gap(*a, *b, levels, ceiling, AROUND);
-                if gap > widest.0 {
-                    widest = (gap, *a, *b);
-                }
-            }
-        }
-        widest
+        let pairs = (simplex.iter().enumerate())
+            .flat_map(|(k, a)| simplex[k + 1..].iter().map(move |b| (*a, *b)));
+        let gaps = pairs.map(|(a, b)| gap(a, b, self.fan.gap(a, b, levels, ceiling, AROUND)));
+        let wider = |widest: Gap, gap: Gap| match gap.size > widest.size {
+            true => gap,
+            false => widest,
+        };
+        gaps.fold(gap(0, 0, 0.0), wider)
     }
 
     /// The cells of the first simplices.
