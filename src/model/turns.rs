@@ -58,6 +58,15 @@ impl State {
 }
 
 impl Model {
+    /// The same of a value of a state by number, or of what follows the states: the time.
+    ///
+    /// # Errors
+    /// [`TooManyTurns`].
+    pub fn check_turns_of(&self, component: usize, value: f64) -> Result<(), TooManyTurns> {
+        let state = self.states.get(component);
+        state.map_or(Ok(()), |state| state.check_turns(value))
+    }
+
     /// The same of states `[state][component]`.
     ///
     /// # Errors

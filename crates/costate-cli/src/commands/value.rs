@@ -403,17 +403,11 @@ fn single(text: &str, model: &Model, time: &Time<'_>) -> Result<(Vec<f64>, f64),
         }
         given.push(state);
         x[state] = number(value).map_err(&wrong)?;
-        check_turns(model, state, x[state]).map_err(&wrong)?;
+        (model.check_turns_of(state, x[state])).map_err(|error| wrong(error.to_string()))?;
     }
     let t = x.pop().unwrap_or(0.0);
     (time.check)(t).map_err(&wrong)?;
     Ok((x, t))
-}
-
-/// Refuses an angle too many periods away; `state` may also be what follows the states: the time.
-fn check_turns(model: &Model, state: usize, value: f64) -> Result<(), String> {
-    let of_state = model.states.get(state);
-    of_state.map_or(Ok(()), |s| s.check_turns(value).map_err(|e| e.to_string()))
 }
 
 fn number(text: &str) -> Result<f64, String> {
@@ -486,7 +480,8 @@ fn grid_axis(
         _ => return Err(shape()),
     };
     (values.first().into_iter().chain(values.last()))
-        .try_for_each(|x| check_turns(model, state, *x))?;
+        .try_for_each(|x| model.check_turns_of(state, *x))
+        .map_err(|error| error.to_string())?;
     if state == model.states.len() {
         values.iter().try_for_each(|t| (time.check)(*t))?;
     }

@@ -191,9 +191,7 @@ impl PointsFile<'_> {
                     name: self.argument(state).to_owned(),
                     text: shorten(text),
                 })?;
-            let of_state = self.model.states.get(state);
-            of_state
-                .map_or(Ok(()), |of| of.check_turns(x[state]))
+            (self.model.check_turns_of(state, x[state]))
                 .map_err(|error| self.refused(state, line(), error.to_string()))?;
         }
         let t = x.pop().unwrap_or(0.0);
