@@ -1,5 +1,6 @@
 //! Why a run with files did not succeed.
 
+use crate::feedback::FitError;
 use crate::files::FileError;
 use crate::hdf5::OutputError;
 use crate::result::{StoredError, StoredMapError};
@@ -28,6 +29,8 @@ pub enum RunError {
     NoFeedback { path: PathBuf },
     #[error("{path} holds neither trajectories, solved states nor a map to an error to fit a law to", path = path.display())]
     NoData { path: PathBuf },
+    #[error("law {laws} is not done, and {path} has laws already", path = path.display())]
+    LawsLeftOut { laws: String, path: PathBuf },
     #[error("law `{name}` would be written to {path}, which is the scene: give another --out", path = path.display())]
     OverScene { name: String, path: PathBuf },
     #[error("cannot create the directory {path}: {source}", path = path.display())]
@@ -46,10 +49,20 @@ impl<E: Into<SessionError>> From<E> for RunError {
 }
 
 impl RunError {
+    /// Whether the time given did not suffice to fit laws.
+    #[must_use]
+    pub fn is_of_time(&self) -> bool {
+        matches!(
+            self,
+            Self::LawsLeftOut { .. } | Self::Session(SessionError::Fit(FitError::OutOfTime { .. }))
+        )
+    }
+
     /// Whether what was asked for is at fault; else it could not be carried out.
     #[must_use]
     pub fn is_of_input(&self) -> bool {
         match self {
+            Self::LawsLeftOut { .. } => false,
             Self::Session(error) => error.is_of_input(),
             Self::Output(OutputError::File(error)) | Self::File(error) => error.is_of_name(),
             Self::Output(_) | Self::OutDirectory { .. } => false,

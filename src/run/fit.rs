@@ -130,8 +130,8 @@ fn judge(stored: &Stored, mapped: bool) -> Result<Option<ValueMap>, RunError> {
 /// files to where they go. Laws for which the time does not suffice are left out.
 ///
 /// # Errors
-/// Where there is nothing to fit to, no law can be fitted by the deadline, or files cannot be
-/// written.
+/// Where there is nothing to fit to, no law can be fitted by the deadline, some cannot and the file
+/// has laws already, or files cannot be written.
 pub fn fit_stored(
     stored: &Stored,
     scene: &Model,
@@ -172,6 +172,11 @@ pub(super) fn fit_into(
         deadline,
     };
     let fitted = fit_laws(&data, scene, laws, progress)?;
+    let left_out = &fitted.left_out;
+    if !left_out.is_empty() && stored.group(FEEDBACK_GROUP).is_some() {
+        let (laws, path) = (left_out.join(", "), stored.path.clone());
+        return Err(RunError::LawsLeftOut { laws, path });
+    }
 
     let mut file = ResultFile::extend(&stored.path, &[FEEDBACK_GROUP])?;
     fitted.write(&mut file)?;

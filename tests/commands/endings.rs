@@ -121,6 +121,45 @@ fn laws_that_were_fitted_are_kept() {
     assert_eq!(kept[0].name, "small");
     drop(stored);
 
+    // `fit` for itself: laws that the file has stay as they are, until all new ones are done.
+    let fit = [
+        "fit",
+        "out_stopped.h5",
+        "--out-dir",
+        "again",
+        "--time-limit",
+    ];
+    let before = std::fs::read(folder.join("out_stopped.h5")).unwrap();
+    let (output, errors) = done(&folder, &[&fit[..], &["4"]].concat());
+    assert_eq!(output.status.code(), Some(75), "{errors}");
+    let told = "ended by --time-limit 4: law large is not done, and out_stopped.h5 has laws already: nothing is written";
+    assert!(errors.contains(told), "{errors}");
+    let after = std::fs::read(folder.join("out_stopped.h5")).unwrap();
+    assert!(before == after && !folder.join("again").exists());
+
+    // Where the file has none those that are done are kept.
+    let sweep = [
+        "shoot-out",
+        "scene.toml",
+        "--out",
+        "swept.h5",
+        "--backend",
+        "cpu",
+    ];
+    let (output, errors) = done(&folder, &sweep);
+    assert!(output.status.success(), "{errors}");
+    let (output, errors) = done(&folder, &["fit", "swept.h5", "--time-limit", "4"]);
+    assert_eq!(output.status.code(), Some(75), "{errors}");
+    assert!(
+        errors.contains("swept.h5 has what was done by then"),
+        "{errors}"
+    );
+    let stored = costate::Stored::open(folder.join("swept.h5")).unwrap();
+    let kept = costate::run::fitted_laws(&stored).unwrap();
+    assert!(kept.len() == 1 && kept[0].name == "small");
+    assert!(folder.join("swept_small.h").exists() && !folder.join("swept_large.h").exists());
+    drop(stored);
+
     // Without an older result the file has its usual name, but older laws are not replaced.
     std::fs::remove_file(folder.join("out.h5")).unwrap();
     let (output, errors) = done(&folder, &[&run[..], &["--time-limit", &limit]].concat());

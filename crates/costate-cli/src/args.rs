@@ -309,6 +309,10 @@ pub struct FitArgs {
     /// Trainings from different first weights [default: the scenario's]
     #[arg(long, value_parser = at_least_one)]
     pub starts: Option<usize>,
+    /// End after so many seconds with the laws that are done by then, and exit status 75. Laws that
+    /// the result file has already are kept unless all are done. (An interrupt does the same.)
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    pub time_limit: Option<f64>,
     #[command(flatten)]
     pub print: PrintArgs,
 }

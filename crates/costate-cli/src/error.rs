@@ -74,10 +74,8 @@ pub enum CliError {
     },
     #[error("ended by {by} before all was done; {path} has what was done by then", path = path.display())]
     Stopped { by: String, path: PathBuf },
-    #[error(
-        "ended by {by}: the search is not done, and half of it shows nothing: nothing is written"
-    )]
-    Nothing { by: String },
+    #[error("ended by {by}: {why}: nothing is written")]
+    Nothing { by: String, why: String },
     #[error("cannot write to standard output: {0}")]
     Stdout(#[from] std::io::Error),
 }

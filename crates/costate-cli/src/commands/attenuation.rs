@@ -18,7 +18,10 @@ pub fn attenuation(args: &RunArgs) -> Result<(), CliError> {
     let ending = Ending::with_nothing(args, &begun.provenance);
     let session = begun.session(backend).until(ending.deadline);
     let found = match session.attenuation() {
-        Err(_) if session.is_over() => return Err(ending.nothing()),
+        Err(_) if session.is_over() => {
+            let why = "the search is not done, and half of it shows nothing";
+            return Err(ending.nothing(why));
+        }
         found => found?,
     };
     terminal.ended()?;

@@ -1,11 +1,11 @@
 //! `costate fit`: laws from what a result file holds.
 
 use crate::args::FitArgs;
+use crate::common::ending::Ending;
 use crate::common::{note_ended_early, print_json};
 use crate::error::CliError;
 use crate::terminal::Terminal;
 use crate::text;
-use costate::backend::Deadline;
 use costate::low_level::result::Stored;
 use costate::run::{LawFiles, RunError, fit_stored, other_scene};
 use costate::session::summary::FittedSummary;
@@ -31,18 +31,19 @@ pub fn fit(args: &FitArgs) -> Result<(), CliError> {
     }
 
     let files = LawFiles::new(&args.file, args.out_dir.as_deref());
-    let done = fit_stored(
-        &stored,
-        scene,
-        &laws,
-        &files,
-        (&terminal, Deadline::default()),
-    )?;
+    let ending = Ending::of_fit(args);
+    let done = match fit_stored(&stored, scene, &laws, &files, (&terminal, ending.deadline)) {
+        Err(error) if error.is_of_time() => return Err(ending.nothing(error.to_string())),
+        done => done?,
+    };
     if args.print.json {
         let laws = FittedSummary::all(&done.fitted, &done.exports);
         print_json(&json!({ "file": args.file.display().to_string(), "laws": laws }))?;
     }
     terminal.say(&text::laws::text(&done.fitted))?;
     terminal.say(&text::laws::files(&done.fitted, &done.exports))?;
-    Ok(())
+    match done.fitted.left_out.is_empty() {
+        true => Ok(()),
+        false => Err(ending.stopped(args.file.clone())),
+    }
 }

@@ -1,12 +1,17 @@
 //! When a command ends before it is done: at its time limit, or when a signal asks it to.
 
-use crate::args::RunArgs;
+use crate::args::{FitArgs, RunArgs};
 use crate::error::CliError;
 use costate::backend::Deadline;
 use costate::low_level::files::stop_at_signals;
 use costate::run::Provenance;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+/// What the first signal is answered with.
+const KEPT: &str = "what is done is kept; once more ends at once, with nothing";
+const NOTHING: &str = "this ends, with nothing; once more ends at once";
 
 /// Ends a command early, with what is done, or with nothing.
 pub struct Ending {
@@ -19,36 +24,34 @@ pub struct Ending {
 impl Ending {
     /// From now on signals only ask the command to end.
     pub fn of(args: &RunArgs, provenance: &Provenance) -> Self {
-        Self::saying(
-            "what is done is kept; once more ends at once, with nothing",
-            args,
-            provenance,
-        )
+        let (limit, quiet) = (args.time_limit, args.scene.print.quiet);
+        Self::saying(KEPT, limit, quiet, provenance.clock)
+    }
+
+    /// The same for `fit`, from now on.
+    pub fn of_fit(args: &FitArgs) -> Self {
+        Self::saying(KEPT, args.time_limit, args.print.quiet, Instant::now())
     }
 
     /// The same for a command of which a part shows nothing.
     pub fn with_nothing(args: &RunArgs, provenance: &Provenance) -> Self {
-        Self::saying(
-            "this ends, with nothing; once more ends at once",
-            args,
-            provenance,
-        )
+        let (limit, quiet) = (args.time_limit, args.scene.print.quiet);
+        Self::saying(NOTHING, limit, quiet, provenance.clock)
     }
 
-    fn saying(what: &'static str, args: &RunArgs, provenance: &Provenance) -> Self {
+    fn saying(what: &'static str, limit: Option<f64>, quiet: bool, clock: Instant) -> Self {
         let signal = Arc::new(Mutex::new(None));
-        let (asked, quiet) = (Arc::clone(&signal), args.scene.print.quiet);
+        let asked = Arc::clone(&signal);
         let stop = stop_at_signals(move |name| {
             *asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(name.to_owned());
             if !quiet {
                 eprintln!("{name}: {what}");
             }
         });
-        let limit = args.time_limit;
-        let limit = limit.and_then(|limit| Deadline::instant(provenance.clock, limit));
+        let instant = limit.and_then(|limit| Deadline::instant(clock, limit));
         Self {
-            deadline: Deadline::at(limit).or_once(stop),
-            limit: args.time_limit,
+            deadline: Deadline::at(instant).or_once(stop),
+            limit,
             signal,
         }
     }
@@ -59,9 +62,10 @@ impl Ending {
         CliError::Stopped { by, path }
     }
 
-    /// The same where nothing is written.
-    pub fn nothing(&self) -> CliError {
-        CliError::Nothing { by: self.cause() }
+    /// The same where nothing is written, and why.
+    pub fn nothing(&self, why: impl Into<String>) -> CliError {
+        let (by, why) = (self.cause(), why.into());
+        CliError::Nothing { by, why }
     }
 
     fn cause(&self) -> String {
