@@ -1,7 +1,7 @@
 //! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked
 //! for.
 
-use super::cell::OfSeeds;
+use super::first::looks_into_gaps;
 use super::{MOST_IN_CELLS, goes_behind_guards, tangent};
 use crate::backend::cpu::Evaluator;
 use crate::backend::{
@@ -400,31 +400,36 @@ impl<'a> Fan<'a> {
     }
 
     /// The points of trajectories at the first `levels`, up to the cost at which they part and to
-    /// where one ends, which stands once for what it did not reach.
-    fn together<'s>(
-        &'s self,
-        seeds: &'s [u32],
+    /// where one ends, which stands once for what it did not reach; where gaps are not looked into
+    /// ([`looks_into_gaps`]) up to the last level that all reach below the ceiling.
+    fn together<const N: usize>(
+        &self,
+        seeds: [u32; N],
         levels: usize,
         ceiling: f64,
-    ) -> impl Iterator<Item = OfSeeds<&'s [f32]>> {
+    ) -> impl Iterator<Item = [&[f32]; N]> {
+        let looks_on = looks_into_gaps(self.plan.system.states);
         // What lies between costs at least what these did before they parted.
         let (mut before, mut ended) = (f64::NEG_INFINITY, false);
         (0..levels).map_while(move |level| {
             if ended || before > ceiling {
                 return None;
             }
-            let there = seeds.iter().map(|seed| self.point(*seed, level));
-            let there: OfSeeds<(&[f32], bool)> = there.collect::<Option<_>>()?;
-            if !there.iter().any(|(_, known)| *known) {
-                return None;
+            let (mut points, mut known) = ([&[] as &[f32]; N], 0);
+            for (point, seed) in points.iter_mut().zip(seeds) {
+                let (there, is_known) = self.point(seed, level)?;
+                *point = there;
+                known += usize::from(is_known);
             }
-            ended = there.iter().any(|(_, known)| !known);
-            let points: OfSeeds<&[f32]> = there.iter().map(|(point, _)| *point).collect();
-            let pairs = points
-                .iter()
-                .flat_map(|a| points.iter().map(move |b| (a, b)));
-            before = (pairs.map(|(a, b)| self.tangent(a, b))).fold(f64::INFINITY, f64::min);
-            Some(points)
+            ended = known < N;
+            before = f64::INFINITY;
+            for (k, a) in points.iter().enumerate() {
+                for b in &points[k + 1..] {
+                    before = before.min(self.tangent(a, b)).min(self.tangent(b, a));
+                }
+            }
+            let stops = known == 0 || (!looks_on && (ended || before > ceiling));
+            (!stops).then_some(points)
         })
     }
 
@@ -454,23 +459,23 @@ impl<'a> Fan<'a> {
             ((true, _), (false, _)) | ((false, _), (true, _)) => return f64::INFINITY,
             _ => {}
         }
-        let apart = |points: &OfSeeds<&[f32]>| {
+        let apart = |points: [&[f32]; 2]| {
             let difference = |(i, w): (usize, &f64)| {
                 (f64::from(points[0][1 + i]) - f64::from(points[1][1 + i])).abs() / w
             };
             let widths = self.plan.widths.iter().enumerate();
             widths.map(difference).fold(0.0, f64::max)
         };
-        (self.together(&[a, b], levels, ceiling))
+        (self.together([a, b], levels, ceiling))
             .filter(|points| self.is_near(points, around))
-            .map(|points| apart(&points))
+            .map(apart)
             .fold(0.0, f64::max)
     }
 
     /// How far the trajectory of a seed between two others passes, in widths of the region, from the
     /// middle between theirs, as far as [`Fan::gap`] looks.
     pub fn bulge(&self, [a, b, middle]: [u32; 3], levels: usize, ceiling: f64, around: f64) -> f64 {
-        let off = |points: &OfSeeds<&[f32]>| {
+        let off = |points: [&[f32]; 3]| {
             let difference = |(i, w): (usize, &f64)| {
                 let [a, b, middle] = [0, 1, 2].map(|k: usize| f64::from(points[k][1 + i]));
                 (middle - 0.5 * (a + b)).abs() / w
@@ -478,9 +483,9 @@ impl<'a> Fan<'a> {
             let widths = self.plan.widths.iter().enumerate();
             widths.map(difference).fold(0.0, f64::max)
         };
-        (self.together(&[a, b, middle], levels, ceiling))
+        (self.together([a, b, middle], levels, ceiling))
             .filter(|points| self.is_near(points, around))
-            .map(|points| off(&points))
+            .map(off)
             .fold(0.0, f64::max)
     }
 

@@ -16,12 +16,35 @@ const AROUND: f64 = 0.25;
 /// the widest gap.
 const BULGE: f64 = 0.5;
 
+/// Whether it is looked at what passes between first trajectories that stay near each other, or
+/// have parted when they cost too much. In space this takes twice as many trajectories.
+pub(super) fn looks_into_gaps(states: usize) -> bool {
+    states <= 2
+}
+
 /// How far two trajectories part, in widths of the region, at the first `levels`.
 struct Gap {
     size: f64,
     a: u32,
     b: u32,
     levels: usize,
+}
+
+/// Simplices that are not divided further.
+#[derive(Default)]
+struct Divided {
+    done: Vec<Vec<u32>>,
+    /// Of these nothing behind a fold was looked at.
+    folded: Vec<Vec<u32>>,
+}
+
+impl Divided {
+    fn push(&mut self, simplex: Vec<u32>, gap: Gap) {
+        match gap.levels {
+            usize::MAX => self.done.push(simplex),
+            _ => self.folded.push(simplex),
+        }
+    }
 }
 
 impl Cover<'_> {
@@ -32,11 +55,11 @@ impl Cover<'_> {
     pub(super) fn divide_first(&mut self, ceiling: f64) -> Result<(), BackendError> {
         let first: Vec<u32> = self.base.iter().flatten().copied().collect();
         self.fan.integrate(&first, BEYOND * ceiling)?;
-        let (mut simplices, mut made) = (self.base.clone(), 0);
-        for behind_folds in [false, true] {
-            simplices = self.divide_gaps(simplices, ceiling, behind_folds, &mut made)?;
-        }
-        (self.roots, self.divided_to) = (simplices, ceiling);
+        let mut made = 0;
+        let Divided { mut done, folded } =
+            self.divide_gaps(self.base.clone(), ceiling, false, &mut made)?;
+        done.extend(self.divide_gaps(folded, ceiling, true, &mut made)?.done);
+        (self.roots, self.divided_to) = (done, ceiling);
         Ok(())
     }
 
@@ -48,20 +71,24 @@ impl Cover<'_> {
         ceiling: f64,
         behind_folds: bool,
         made: &mut usize,
-    ) -> Result<Vec<Vec<u32>>, BackendError> {
+    ) -> Result<Divided, BackendError> {
         let n = self.fan.plan.system.states;
-        let mut done: Vec<Vec<u32>> = Vec::new();
+        let mut divided = Divided::default();
         while !open.is_empty() {
             let gaps: Vec<Gap> = (open.par_iter())
                 .map(|simplex| self.widest(simplex, ceiling, behind_folds))
                 .collect();
             let mut halved: Vec<(Vec<u32>, Gap, u32)> = Vec::new();
             for (simplex, gap) in open.into_iter().zip(gaps) {
-                let looked_into = gap.size > SPACING[n] || (gap.size > 0.0 && self.has_cells());
-                let looked_into = looked_into && *made < MOST_FIRST[n];
+                // Behind folds what lies between is not worth a look.
+                let least = match looks_into_gaps(n) && !behind_folds {
+                    true => 0.0,
+                    false => SPACING[n],
+                };
+                let looked_into = gap.size > least && *made < MOST_FIRST[n];
                 match looked_into.then(|| self.fan.middle(gap.a, gap.b)).flatten() {
                     Some(middle) => halved.push((simplex, gap, middle)),
-                    None => done.push(simplex),
+                    None => divided.push(simplex, gap),
                 }
             }
             let mut middles: Vec<u32> = halved.iter().map(|(.., middle)| *middle).collect();
@@ -80,7 +107,7 @@ impl Cover<'_> {
             open = Vec::new();
             for ((simplex, gap, middle), wide) in halved.into_iter().zip(wide) {
                 if !wide {
-                    done.push(simplex);
+                    divided.push(simplex, gap);
                     continue;
                 }
                 dividing.push(middle);
@@ -93,21 +120,37 @@ impl Cover<'_> {
             dividing.dedup();
             *made += dividing.len();
         }
-        Ok(done)
+        Ok(divided)
     }
 
     /// The widest gap between two trajectories of a simplex. Endless, between the two furthest
     /// apart, where all of them cost too much but what lies between may not.
     fn widest(&self, simplex: &[u32], ceiling: f64, behind_folds: bool) -> Gap {
-        let fold = (!behind_folds).then(|| self.fan.fold(simplex)).flatten();
-        let levels = fold.unwrap_or(usize::MAX);
-        let gap = |a: u32, b: u32, size: f64| Gap { size, a, b, levels };
         if let Some((a, b)) = (!self.stationary)
             .then(|| self.fan.hidden(simplex, ceiling))
             .flatten()
         {
-            return gap(a, b, f64::INFINITY);
+            return Gap {
+                size: f64::INFINITY,
+                a,
+                b,
+                levels: usize::MAX,
+            };
         }
+        let all = self.widest_within(simplex, ceiling, usize::MAX);
+        let n = self.fan.plan.system.states;
+        if behind_folds || (all.size <= SPACING[n] && !looks_into_gaps(n)) {
+            return all;
+        }
+        match self.fan.fold(simplex) {
+            Some(levels) => self.widest_within(simplex, ceiling, levels),
+            None => all,
+        }
+    }
+
+    /// The same at the first `levels`.
+    fn widest_within(&self, simplex: &[u32], ceiling: f64, levels: usize) -> Gap {
+        let gap = |a: u32, b: u32, size: f64| Gap { size, a, b, levels };
         let pairs = (simplex.iter().enumerate())
             .flat_map(|(k, a)| simplex[k + 1..].iter().map(move |b| (*a, *b)));
         let gaps = pairs.map(|(a, b)| gap(a, b, self.fan.gap(a, b, levels, ceiling, AROUND)));
