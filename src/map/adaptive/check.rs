@@ -119,6 +119,10 @@ impl Work<'_, '_> {
     pub(super) fn judged(&self, mut pieces: Pieces) -> Judged {
         // A polynomial of 1/V or log V goes on to any V where no solution exists.
         pieces.region.value_max = pieces.region.value_max.min(self.highest());
+        // V of a game may jump.
+        if self.cloud.several && !self.plan.game {
+            pieces.admit_cliffs();
+        }
         let mut looked_at = self.spread(&self.bounds, LOOKED_AT);
         // Of states that guards exclude nothing is to be said.
         if let Some(guarded) = &self.guarded {
@@ -315,6 +319,7 @@ impl Work<'_, '_> {
             bare: Vec::new(),
             points: (0..self.cloud.len() as u32).filter(near).collect(),
             near: 0,
+            is_finest: false,
             shaded: None,
         }
     }

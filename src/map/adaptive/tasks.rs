@@ -21,6 +21,8 @@ const LEAST_STEP: f64 = 1.0 / 8.0;
 const STEEP: f64 = 2.0;
 /// Draws of a state in the part of a cell that lies in the region.
 const DRAWS: usize = 20;
+/// Draws of a place where V is promised to be of interest.
+const DRAWS_BELOW_MAX: usize = 4;
 /// Draws of which one nearest to the edge of a shadow is taken.
 const DRAWS_AT_EDGE: usize = 8;
 
@@ -34,6 +36,8 @@ pub(super) struct Task {
     pub half: Vec<f64>,
     /// The cell itself is good enough.
     only_bare: bool,
+    /// No more states make the cell smaller.
+    is_finest: bool,
     /// An edge of a shadow is asked for: a solution that leaves a guard tells of it, too.
     shaded: bool,
 }
@@ -99,6 +103,10 @@ impl Work<'_, '_> {
                 if tasks.len() >= budget {
                     break;
                 }
+                // No more points halve it, and its error may stay for ever.
+                if turn == 0 && want.is_finest {
+                    *self.failures.entry(key(want)).or_default() += 1;
+                }
                 self.task(want, turn, region, &mut tasks);
             }
         }
@@ -121,9 +129,14 @@ impl Work<'_, '_> {
         else {
             return Ok(false);
         };
-        for (task, _) in (tasks.into_iter().zip(values)).filter(|(e, v)| e.only_bare || v.is_nan())
-        {
-            *self.failures.entry(task.cell).or_default() += 1;
+        for (task, v) in tasks.into_iter().zip(values) {
+            let failures = self.failures.entry(task.cell).or_default();
+            if task.only_bare || v.is_nan() {
+                *failures += 1;
+            } else if !task.is_finest {
+                // Partly above `value_max`, a cell is worth more states all the same.
+                *failures = failures.saturating_sub(1);
+            }
         }
         self.add(tracks, region.floor)?;
         Ok(true)
@@ -190,12 +203,7 @@ impl Work<'_, '_> {
         let z: Vec<f64> = if turn < places {
             want.bare[((turn + self.rounds) % places) * n..][..n].to_vec()
         } else if want.excess > 1.0 {
-            // Half of those that tell of the edge of a shadow lie next to it.
-            let drawn = match &want.shaded {
-                Some(_) if turn % 2 == 1 => self.next_to_edge(want, region),
-                _ => self.inside(want, region),
-            };
-            match drawn {
+            match self.place_for(want, turn, region) {
                 Some(z) => z,
                 None => {
                     *self.failures.entry(key(want)).or_default() += 1;
@@ -205,23 +213,7 @@ impl Work<'_, '_> {
         } else {
             return;
         };
-        // In widths of the cell, and by how much V would change on the way.
-        let distance = |k: u32| -> f64 {
-            let (at, q) = (self.cloud.z(k as usize), self.cloud.q(k as usize));
-            let (mut far, mut change) = (0.0, 0.0);
-            for i in 0..n {
-                far += ((z[i] - at[i]) / (want.hi[i] - want.lo[i])).powi(2);
-                change += q[i] * (z[i] - at[i]);
-            }
-            far + (STEEP * change / self.cloud.v[k as usize].abs().max(region.floor)).powi(2)
-        };
-        let nearest = want
-            .points
-            .iter()
-            .copied()
-            .filter(|k| self.goes_on(*k))
-            .min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
-        let Some(from) = nearest.or_else(|| self.nearest(&z)) else {
+        let Some(from) = self.start_for(want, &z, region) else {
             return;
         };
         // As many periods away as the point that it is reached from.
@@ -243,8 +235,53 @@ impl Work<'_, '_> {
                 .map(|(lo, hi)| 0.5 * (hi - lo))
                 .collect(),
             only_bare: want.excess <= 1.0,
+            is_finest: want.is_finest,
             shaded: want.shaded.is_some(),
         });
+    }
+
+    /// A place drawn from a cell for the state of one turn. Where V is above the largest one of
+    /// interest a state tells nothing, and others are drawn first.
+    fn place_for(&mut self, want: &Want, turn: usize, region: &Region) -> Option<Vec<f64>> {
+        let mut last = None;
+        for _ in 0..DRAWS_BELOW_MAX {
+            // Half of those that tell of the edge of a shadow lie next to it.
+            let z = match &want.shaded {
+                Some(_) if turn % 2 == 1 => self.next_to_edge(want, region),
+                _ => self.inside(want, region),
+            }?;
+            let is_below = region.value_max == f64::INFINITY
+                || self.start_for(want, &z, region).is_none_or(|k| {
+                    let at = self.cloud.z(k as usize);
+                    let steps = self.cloud.q(k as usize).iter().zip(z.iter().zip(at));
+                    let change: f64 = steps.map(|(q, (z, at))| q * (z - at)).sum();
+                    self.cloud.v[k as usize] + change <= region.value_max
+                });
+            last = Some(z);
+            if is_below {
+                break;
+            }
+        }
+        last
+    }
+
+    /// The point from which a way leads to a place of a cell.
+    fn start_for(&self, want: &Want, z: &[f64], region: &Region) -> Option<u32> {
+        let n = self.cloud.variables;
+        // In widths of the cell, and by how much V would change on the way.
+        let distance = |k: u32| -> f64 {
+            let (at, q) = (self.cloud.z(k as usize), self.cloud.q(k as usize));
+            let (mut far, mut change) = (0.0, 0.0);
+            for i in 0..n {
+                far += ((z[i] - at[i]) / (want.hi[i] - want.lo[i])).powi(2);
+                change += q[i] * (z[i] - at[i]);
+            }
+            far + (STEEP * change / self.cloud.v[k as usize].abs().max(region.floor)).powi(2)
+        };
+        (want.points.iter().copied())
+            .filter(|k| self.goes_on(*k))
+            .min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
+            .or_else(|| self.nearest(z))
     }
 
     /// A place drawn from the part of a cell that lies in the region, and not in a shadow.

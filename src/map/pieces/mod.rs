@@ -33,6 +33,8 @@ pub const BLEND: f64 = 0.1;
 /// Where polynomials of several sheets lie over a state, they are blended with those that say the
 /// same but for this many times their bounds.
 pub const SAME: f64 = 3.0;
+/// Across a face p of one sheet differs by less than this share.
+const SHEET_MISFIT: f64 = 0.05;
 
 /// Highest degree of the polynomials of so many variables.
 pub fn highest_degree(variables: usize) -> usize {
@@ -247,7 +249,7 @@ pub struct Said {
 }
 
 /// V, its gradient (in coordinates of the region) and their bounds at a place.
-struct Told {
+pub(super) struct Told {
     v: f64,
     q: [f64; MOST_VARIABLES],
     v_bound: f64,
@@ -334,10 +336,8 @@ impl Pieces {
     /// cells, the best agreement first, unless the sheet would then lie over a cell twice. The one
     /// with the least V is 0.
     fn label(&mut self) {
-        /// Off a face, in widths of the cell; p of one sheet differs by less than this share across
-        /// it.
+        /// Off a face, in widths of the cell.
         const OFF: f64 = 1e-9;
-        const OF_P: f64 = 0.05;
         let n = self.states();
         let mut contacts: Vec<(f64, usize, usize)> = Vec::new();
         for (own, cell) in self.cells.iter().enumerate() {
@@ -355,7 +355,7 @@ impl Pieces {
                 let beside = self.cells[self.cell(&z)].pieces.clone();
                 for a in self.cells[own].pieces.clone() {
                     for b in beside.clone() {
-                        let misfit = self.misfit(a, b, &z).filter(|misfit| *misfit <= OF_P);
+                        let misfit = self.misfit(a, b, &z).filter(|misfit| *misfit <= SHEET_MISFIT);
                         contacts.extend(misfit.map(|misfit| (misfit, a, b)));
                     }
                 }

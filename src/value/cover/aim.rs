@@ -2,7 +2,7 @@
 //! is a guess, a trajectory that passes through the state is not.
 
 use super::cell::{Corners, OfSeeds};
-use super::{Candidate, Cover};
+use super::{Candidate, Cover, tangent};
 use crate::backend::BackendError;
 use crate::shooting::{End, Path};
 use std::collections::BTreeMap;
@@ -160,14 +160,13 @@ impl Cover<'_> {
             .map(|i| (goal[i] - passes[1 + i]) / widths[i])
             .collect();
         shot.relax(&missed);
-        let to_goal = |i: usize| passes[1 + n + i] * (goal[i] - passes[1 + i]);
         if (shot.best.as_ref()).is_none_or(|best| distance < best.distance) {
             shot.best = Some(Aimed {
                 seed,
                 from,
                 distance,
                 is_close: distance <= NEAR * shot.size,
-                value: passes[1 + 2 * n] + (0..n).map(to_goal).sum::<f64>(),
+                value: tangent(&passes, n, |i| goal[i]),
                 passes,
             });
         }

@@ -153,7 +153,8 @@ impl Corners {
         self.off(&place, state, seeds) <= near
     }
 
-    /// Distance of a state from the point of the cell nearest to its place there.
+    /// Distance of a state from the cell, at most: from the point of it that its place is nearest to,
+    /// or from an edge.
     fn off(&self, place: &Place, state: &[f64], seeds: usize) -> f64 {
         let n = state.len();
         let share = place.share.clamp(0.0, 1.0);
@@ -168,10 +169,31 @@ impl Corners {
             };
             (0..seeds).map(|q| weights[q] * corner(q)).sum()
         };
-        (0..n)
+        let inside = (0..n)
             .map(|i| (at(i) - state[i]).powi(2))
             .sum::<f64>()
-            .sqrt()
+            .sqrt();
+        let within = (0..layers).flat_map(|layer| {
+            let pairs = (0..seeds).flat_map(move |a| (a + 1..seeds).map(move |b| (a, b)));
+            pairs.map(move |(a, b)| (layer * seeds + a, layer * seeds + b))
+        });
+        let between = (0..seeds * (layers - 1)).map(|q| (q, seeds + q));
+        let edges = within.chain(between);
+        edges.fold(inside, |least, (a, b)| {
+            least.min(self.off_edge(a, b, state))
+        })
+    }
+
+    /// Distance of a state from the edge between two corners.
+    fn off_edge(&self, a: usize, b: usize, state: &[f64]) -> f64 {
+        let n = state.len();
+        let along = |i: usize| self.x[b * n + i] - self.x[a * n + i];
+        let way = |i: usize| state[i] - self.x[a * n + i];
+        let length: f64 = (0..n).map(|i| along(i).powi(2)).sum();
+        let share = (0..n).map(|i| along(i) * way(i)).sum::<f64>() / length.max(f64::MIN_POSITIVE);
+        let share = share.clamp(0.0, 1.0);
+        let off = |i: usize| (way(i) - share * along(i)).powi(2);
+        (0..n).map(off).sum::<f64>().sqrt()
     }
 
     /// How far a cell's layers are from having the shape of each other, relative to its longest
@@ -203,6 +225,19 @@ impl Corners {
         };
         let goes = (0..n).map(|i| mean(i).powi(2)).sum::<f64>().sqrt();
         TURN * (step - goes).max(0.0) / longest
+    }
+
+    /// How far trajectories may pass beside the straight lines between their ends at the layers,
+    /// relative to the cell's longest edge. Those of `whole` seeds (by position) are as long as `step`
+    /// (in widths), and so lie within ellipses about their ends.
+    pub fn bow(&self, whole: &[usize], n: usize, step: f64, longest: f64) -> f64 {
+        if longest == 0.0 || !self.complete() {
+            return 0.0;
+        }
+        let seeds = self.known.len() / 2;
+        let straight = (whole.iter()).map(|q| self.distance(*q, seeds + q, n));
+        let shortest = straight.fold(step, f64::min);
+        0.5 * (step * step - shortest * shortest).sqrt() / longest
     }
 
     /// How far the middle of the edge between two seeds is off the line between them, at the layers

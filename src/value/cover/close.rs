@@ -112,12 +112,12 @@ impl Cover<'_> {
             .collect())
     }
 
+    /// Whether a leaf's trajectories turn.
     fn turns(&self, leaf: &Open) -> bool {
         let seeds = leaf.cell.seeds.len();
         let longest = leaf.corners.longest(seeds, self.fan.plan.system.states).2;
-        self.stationary
-            && leaf.corners.complete()
-            && self.turn(&leaf.cell, &leaf.corners, longest) > STRAIGHT
+        let stray = || self.stray(&leaf.cell, &leaf.corners, longest);
+        self.stationary && leaf.corners.complete() && stray() > STRAIGHT
     }
 
     /// Points of trajectories from a level to the next one.

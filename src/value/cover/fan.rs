@@ -1,7 +1,8 @@
 //! Trajectories of the swept manifold, integrated backward in time from seeds as they are asked
 //! for.
 
-use super::{MOST_IN_CELLS, goes_behind_guards};
+use super::first::looks_into_gaps;
+use super::{MOST_IN_CELLS, goes_behind_guards, tangent};
 use crate::backend::cpu::Evaluator;
 use crate::backend::{
     Backend, BackendError, By, Deadline, Guards, Kernel, Run, Spec, Status, batch_limit,
@@ -273,7 +274,7 @@ impl<'a> Fan<'a> {
         for part in wanted.chunks(batch_limit(dim, self.run.levels.len())) {
             let mut starts = Vec::with_capacity(part.len() * dim);
             for v in part {
-                starts.extend(self.surface.seed(&self.parameters[*v as usize]));
+                starts.extend(self.start(*v));
                 starts.push(0.0);
             }
             let kernel = self
@@ -315,6 +316,11 @@ impl<'a> Fan<'a> {
     /// Where a seed's trajectory starts: `(s, p, V)`.
     pub fn start(&self, seed: u32) -> Vec<f64> {
         self.surface.seed(&self.parameters[seed as usize])
+    }
+
+    /// The points `(t, s, p, V)` of a seed's trajectory, one after the other; the seed is the first.
+    pub fn points(&self, seed: u32) -> &[f32] {
+        (self.trajectories[seed as usize].as_ref()).map_or(&[], |t| &t.points)
     }
 
     /// The seed `(s, p, V)` at the mean of others, by weights that may be a little below 0. None
@@ -364,7 +370,7 @@ impl<'a> Fan<'a> {
 
     /// The trajectory of a seed that a guard excludes: it ends where it begins.
     fn none_from(&self, seed: u32) -> Trajectory {
-        let points = first_point(&self.surface.seed(&self.parameters[seed as usize]));
+        let points = first_point(&self.start(seed));
         Trajectory {
             end: Some(points.clone()),
             at_guard: false,
@@ -393,10 +399,57 @@ impl<'a> Fan<'a> {
         known.is_some_and(|t| t.at_guard && level * self.stride == t.points.len())
     }
 
-    /// The widest gap between two trajectories at the levels that both reach below a cost, where
-    /// what is between them may lie within `around` widths of the region.
-    pub fn gap(&self, a: u32, b: u32, ceiling: f64, around: f64) -> f64 {
-        let (plan, n) = (self.plan, self.plan.system.states);
+    /// The points of trajectories at the first `levels`, up to the cost at which they part and to
+    /// where one ends, which stands once for what it did not reach; where gaps are not looked into
+    /// ([`looks_into_gaps`]) up to the last level that all reach below the ceiling.
+    fn together<const N: usize>(
+        &self,
+        seeds: [u32; N],
+        levels: usize,
+        ceiling: f64,
+    ) -> impl Iterator<Item = [&[f32]; N]> {
+        let looks_on = looks_into_gaps(self.plan.system.states);
+        // What lies between costs at least what these did before they parted.
+        let (mut before, mut ended) = (f64::NEG_INFINITY, false);
+        (0..levels).map_while(move |level| {
+            if ended || before > ceiling {
+                return None;
+            }
+            let (mut points, mut known) = ([&[] as &[f32]; N], 0);
+            for (point, seed) in points.iter_mut().zip(seeds) {
+                let (there, is_known) = self.point(seed, level)?;
+                *point = there;
+                known += usize::from(is_known);
+            }
+            ended = known < N;
+            before = f64::INFINITY;
+            for (k, a) in points.iter().enumerate() {
+                for b in &points[k + 1..] {
+                    before = before.min(self.tangent(a, b)).min(self.tangent(b, a));
+                }
+            }
+            let stops = known == 0 || (!looks_on && (ended || before > ceiling));
+            (!stops).then_some(points)
+        })
+    }
+
+    /// Whether something between points may lie within `around` widths of the region.
+    fn is_near(&self, points: &[&[f32]], around: f64) -> bool {
+        let plan = self.plan;
+        (0..plan.system.states).all(|i| {
+            let [lo, hi] = plan.region[i];
+            let margin = around * plan.widths[i];
+            let range = points.iter().map(|point| f64::from(point[1 + i]));
+            let [least, most] = range.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, m], x| {
+                [l.min(x), m.max(x)]
+            });
+            plan.periodic[i] || (most >= lo - margin && least <= hi + margin)
+        })
+    }
+
+    /// The widest gap between two trajectories at the first `levels`, up to the cost at which they
+    /// part, where what is between them may lie within `around` widths of the region.
+    pub fn gap(&self, a: u32, b: u32, levels: usize, ceiling: f64, around: f64) -> f64 {
         let at = |v: u32| (self.inside[v as usize], self.boundary[v as usize]);
         match (at(a), at(b)) {
             ((false, _), (false, _)) | ((true, true), (false, _)) | ((false, _), (true, true)) => {
@@ -406,43 +459,40 @@ impl<'a> Fan<'a> {
             ((true, _), (false, _)) | ((false, _), (true, _)) => return f64::INFINITY,
             _ => {}
         }
-        let (Some(a), Some(b)) = (
-            &self.trajectories[a as usize],
-            &self.trajectories[b as usize],
-        ) else {
-            return 0.0;
+        let apart = |points: [&[f32]; 2]| {
+            let difference = |(i, w): (usize, &f64)| {
+                (f64::from(points[0][1 + i]) - f64::from(points[1][1 + i])).abs() / w
+            };
+            let widths = self.plan.widths.iter().enumerate();
+            widths.map(difference).fold(0.0, f64::max)
         };
-        let mut widest = 0.0f64;
-        for (x, y) in a
-            .points
-            .chunks_exact(self.stride)
-            .zip(b.points.chunks_exact(self.stride))
-        {
-            if self.tangent(x, y).min(self.tangent(y, x)) > ceiling {
-                break;
-            }
-            let mut gap = 0.0f64;
-            let mut near = true;
-            for i in 0..n {
-                let (x, y, width) = (f64::from(x[1 + i]), f64::from(y[1 + i]), plan.widths[i]);
-                gap = gap.max((x - y).abs() / width);
-                let [lo, hi] = plan.region[i];
-                let margin = around * width;
-                near &= plan.periodic[i] || (x.max(y) >= lo - margin && x.min(y) <= hi + margin);
-            }
-            if near {
-                widest = widest.max(gap);
-            }
-        }
-        widest
+        (self.together([a, b], levels, ceiling))
+            .filter(|points| self.is_near(points, around))
+            .map(apart)
+            .fold(0.0, f64::max)
+    }
+
+    /// How far the trajectory of a seed between two others passes, in widths of the region, from the
+    /// middle between theirs, as far as [`Fan::gap`] looks.
+    pub fn bulge(&self, [a, b, middle]: [u32; 3], levels: usize, ceiling: f64, around: f64) -> f64 {
+        let off = |points: [&[f32]; 3]| {
+            let difference = |(i, w): (usize, &f64)| {
+                let [a, b, middle] = [0, 1, 2].map(|k: usize| f64::from(points[k][1 + i]));
+                (middle - 0.5 * (a + b)).abs() / w
+            };
+            let widths = self.plan.widths.iter().enumerate();
+            widths.map(difference).fold(0.0, f64::max)
+        };
+        (self.together([a, b, middle], levels, ceiling))
+            .filter(|points| self.is_near(points, around))
+            .map(off)
+            .fold(0.0, f64::max)
     }
 
     /// The least of V at a point of a trajectory, and at another one as its adjoint has it there.
     pub fn tangent(&self, a: &[f32], b: &[f32]) -> f64 {
         let n = self.plan.system.states;
-        let at = |i: usize| f64::from(a[1 + i]);
-        let change = |i: usize| at(n + i) * (f64::from(b[1 + i]) - at(i));
-        at(2 * n) + (0..n).map(change).sum::<f64>().min(0.0)
+        tangent(a, n, |i| b[1 + i].into()).min(a[1 + 2 * n].into())
     }
 
     /// Of a simplex of terminal states that all cost more than `ceiling` already: the two furthest
@@ -451,10 +501,7 @@ impl<'a> Fan<'a> {
         /// Shortest edges looked at, as a share of all terminal states.
         const SHORTEST: f64 = 1.0 / 1024.0;
         let n = self.plan.system.states;
-        let seeds: Vec<Vec<f64>> = simplex
-            .iter()
-            .map(|v| self.surface.seed(&self.parameters[*v as usize]))
-            .collect();
+        let seeds: Vec<Vec<f64>> = simplex.iter().map(|seed| self.start(*seed)).collect();
         if !ceiling.is_finite() || seeds.iter().any(|s| s[2 * n] <= ceiling) {
             return None;
         }

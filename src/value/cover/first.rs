@@ -12,67 +12,153 @@ const MOST_FIRST: [usize; MOST_STATES + 1] = [2, 4000, 4000, 4000, 1200, 800, 40
 /// Widths beyond the region up to which gaps are looked at.
 const AROUND: f64 = 0.25;
 
+/// How far the middle trajectory of a gap may pass from the middle between the others, in units of
+/// the widest gap.
+const BULGE: f64 = 0.5;
+
+/// Whether it is looked at what passes between first trajectories that stay near each other, or
+/// have parted when they cost too much. In space this takes twice as many trajectories.
+pub(super) fn looks_into_gaps(states: usize) -> bool {
+    states <= 2
+}
+
+/// How far two trajectories part, in widths of the region, at the first `levels`.
+struct Gap {
+    size: f64,
+    a: u32,
+    b: u32,
+    levels: usize,
+}
+
+/// Simplices that are not divided further.
+#[derive(Default)]
+struct Divided {
+    done: Vec<Vec<u32>>,
+    /// Of these nothing behind a fold was looked at.
+    folded: Vec<Vec<u32>>,
+}
+
+impl Divided {
+    fn push(&mut self, simplex: Vec<u32>, gap: Gap) {
+        match gap.levels {
+            usize::MAX => self.done.push(simplex),
+            _ => self.folded.push(simplex),
+        }
+    }
+}
+
 impl Cover<'_> {
     /// Divides the first simplices, from the start, where neighbouring trajectories part before
     /// their cost is `ceiling`: the cells of a narrow bundle that goes elsewhere are not seen from
-    /// outside it.
+    /// outside it. What the trajectories do behind a fold comes last: none of them costs the least
+    /// there, and those that are scattered by many obstacles part without end.
     pub(super) fn divide_first(&mut self, ceiling: f64) -> Result<(), BackendError> {
-        let n = self.fan.plan.system.states;
-        let mut done: Vec<Vec<u32>> = Vec::new();
-        let mut open = self.base.clone();
         let first: Vec<u32> = self.base.iter().flatten().copied().collect();
         self.fan.integrate(&first, BEYOND * ceiling)?;
         let mut made = 0;
-        while !open.is_empty() {
-            let gaps: Vec<(f64, u32, u32)> =
-                open.par_iter().map(|s| self.widest(s, ceiling)).collect();
-            let mut next = Vec::new();
-            let mut middles = Vec::new();
-            for (simplex, (gap, a, b)) in open.into_iter().zip(gaps) {
-                let wide = gap > SPACING[n] && made < MOST_FIRST[n];
-                let Some(middle) = wide.then(|| self.fan.middle(a, b)).flatten() else {
-                    done.push(simplex);
-                    continue;
-                };
-                middles.push(middle);
-                for end in [a, b] {
-                    next.push(
-                        simplex
-                            .iter()
-                            .map(|v| if *v == end { middle } else { *v })
-                            .collect(),
-                    );
-                }
-            }
-            self.fan.integrate(&middles, BEYOND * ceiling)?;
-            middles.sort_unstable();
-            middles.dedup();
-            made += middles.len();
-            open = next;
-        }
+        let Divided { mut done, folded } =
+            self.divide_gaps(self.base.clone(), ceiling, false, &mut made)?;
+        done.extend(self.divide_gaps(folded, ceiling, true, &mut made)?.done);
         (self.roots, self.divided_to) = (done, ceiling);
         Ok(())
     }
 
-    /// The widest gap between two trajectories of a simplex, and which. Endless, between the two
-    /// furthest apart, where all of them cost too much but what lies between may not.
-    fn widest(&self, simplex: &[u32], ceiling: f64) -> (f64, u32, u32) {
+    /// Divides simplices until none has a wide gap, or as many seeds were `made` as there are at
+    /// most.
+    fn divide_gaps(
+        &mut self,
+        mut open: Vec<Vec<u32>>,
+        ceiling: f64,
+        behind_folds: bool,
+        made: &mut usize,
+    ) -> Result<Divided, BackendError> {
+        let n = self.fan.plan.system.states;
+        let mut divided = Divided::default();
+        while !open.is_empty() {
+            let gaps: Vec<Gap> = (open.par_iter())
+                .map(|simplex| self.widest(simplex, ceiling, behind_folds))
+                .collect();
+            let mut halved: Vec<(Vec<u32>, Gap, u32)> = Vec::new();
+            for (simplex, gap) in open.into_iter().zip(gaps) {
+                // Behind folds what lies between is not worth a look.
+                let least = match looks_into_gaps(n) && !behind_folds {
+                    true => 0.0,
+                    false => SPACING[n],
+                };
+                let looked_into = gap.size > least && *made < MOST_FIRST[n];
+                match looked_into.then(|| self.fan.middle(gap.a, gap.b)).flatten() {
+                    Some(middle) => halved.push((simplex, gap, middle)),
+                    None => divided.push(simplex, gap),
+                }
+            }
+            let mut middles: Vec<u32> = halved.iter().map(|(.., middle)| *middle).collect();
+            middles.sort_unstable();
+            middles.dedup();
+            self.fan.integrate(&middles, BEYOND * ceiling)?;
+
+            let is_wide = |(_, gap, middle): &(Vec<u32>, Gap, u32)| {
+                gap.size > SPACING[n] || {
+                    let seeds = [gap.a, gap.b, *middle];
+                    self.fan.bulge(seeds, gap.levels, ceiling, AROUND) > BULGE * SPACING[n]
+                }
+            };
+            let wide: Vec<bool> = halved.par_iter().map(is_wide).collect();
+            let mut dividing: Vec<u32> = Vec::new();
+            open = Vec::new();
+            for ((simplex, gap, middle), wide) in halved.into_iter().zip(wide) {
+                if !wide {
+                    divided.push(simplex, gap);
+                    continue;
+                }
+                dividing.push(middle);
+                for end in [gap.a, gap.b] {
+                    let half = simplex.iter().map(|v| if *v == end { middle } else { *v });
+                    open.push(half.collect());
+                }
+            }
+            dividing.sort_unstable();
+            dividing.dedup();
+            *made += dividing.len();
+        }
+        Ok(divided)
+    }
+
+    /// The widest gap between two trajectories of a simplex. Endless, between the two furthest
+    /// apart, where all of them cost too much but what lies between may not.
+    fn widest(&self, simplex: &[u32], ceiling: f64, behind_folds: bool) -> Gap {
         if let Some((a, b)) = (!self.stationary)
             .then(|| self.fan.hidden(simplex, ceiling))
             .flatten()
         {
-            return (f64::INFINITY, a, b);
+            return Gap {
+                size: f64::INFINITY,
+                a,
+                b,
+                levels: usize::MAX,
+            };
         }
-        let mut widest = (0.0, 0, 0);
-        for (k, a) in simplex.iter().enumerate() {
-            for b in &simplex[k + 1..] {
-                let gap = self.fan.gap(*a, *b, ceiling, AROUND);
-                if gap > widest.0 {
-                    widest = (gap, *a, *b);
-                }
-            }
+        let all = self.widest_within(simplex, ceiling, usize::MAX);
+        let n = self.fan.plan.system.states;
+        if behind_folds || (all.size <= SPACING[n] && !looks_into_gaps(n)) {
+            return all;
         }
-        widest
+        match self.fan.fold(simplex) {
+            Some(levels) => self.widest_within(simplex, ceiling, levels),
+            None => all,
+        }
+    }
+
+    /// The same at the first `levels`.
+    fn widest_within(&self, simplex: &[u32], ceiling: f64, levels: usize) -> Gap {
+        let gap = |a: u32, b: u32, size: f64| Gap { size, a, b, levels };
+        let pairs = (simplex.iter().enumerate())
+            .flat_map(|(k, a)| simplex[k + 1..].iter().map(move |b| (*a, *b)));
+        let gaps = pairs.map(|(a, b)| gap(a, b, self.fan.gap(a, b, levels, ceiling, AROUND)));
+        let wider = |widest: Gap, gap: Gap| match gap.size > widest.size {
+            true => gap,
+            false => widest,
+        };
+        gaps.fold(gap(0, 0, 0.0), wider)
     }
 
     /// The cells of the first simplices.

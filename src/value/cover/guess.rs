@@ -2,7 +2,7 @@
 
 use super::cell::{Cell, Place};
 use super::close::Close;
-use super::{Candidate, Copy, Cover, Open, Sought, holds};
+use super::{Candidate, Copy, Cover, Open, Sought, holds, tangent};
 use crate::shooting::{End, Path};
 use smallvec::smallvec;
 
@@ -43,10 +43,7 @@ impl Cover<'_> {
         };
         let goal: Vec<f64> = copy.x.iter().zip(widths).map(|(x, w)| x * w).collect();
         let value = first[1 + 2 * n];
-        let promised = points.iter().map(|point| {
-            let change = |i: usize| point[1 + n + i] * (goal[i] - point[1 + i]);
-            point[1 + 2 * n] + (0..n).map(change).sum::<f64>()
-        });
+        let promised = points.iter().map(|point| tangent(point, n, |i| goal[i]));
         let spread = |i: usize| {
             let off = points
                 .iter()
@@ -109,16 +106,16 @@ impl Cover<'_> {
         let first = self.mixed(&cell, &place, level);
         let goal: Vec<f64> = copy.x.iter().zip(widths).map(|(x, w)| x * w).collect();
         let way: Vec<f64> = (0..n).map(|i| goal[i] - first[1 + i]).collect();
-        let change: f64 = (0..n).map(|i| first[1 + n + i] * way[i]).sum();
+        let value = tangent(&first, n, |i| goal[i]);
         let bend = (self.fan.plan.local.as_ref()).map_or(0.0, |local| local.quadratic(&way));
         Candidate {
             target: sought[copy.sought].target,
             turns: copy.turns.clone(),
             goal,
             node: first[1..=2 * n].to_vec(),
-            value: first[1 + 2 * n] + change,
-            lowest: first[1 + 2 * n] + change,
-            expected: first[1 + 2 * n] + change + bend,
+            value,
+            lowest: value,
+            expected: value + bend,
             spread: vec![0.0; n],
             time: first[0],
             cell,

@@ -14,6 +14,7 @@ mod close;
 mod copies;
 mod fan;
 mod first;
+mod fold;
 mod guess;
 mod near;
 
@@ -22,7 +23,7 @@ use crate::model::Model;
 use crate::shooting::{End, Path};
 use crate::sweep::Plan;
 pub use aim::Aimed;
-use cell::{Cell, Corners, KEPT, Place};
+use cell::{Cell, Corners, KEPT, OfSeeds, Place};
 use fan::Fan;
 use rayon::prelude::*;
 use smallvec::SmallVec;
@@ -399,6 +400,19 @@ impl<'a> Cover<'a> {
         corners.turn(seeds, n, self.fan.step(cell.level), longest)
     }
 
+    /// How far a cell may reach beyond its corners as its trajectories turn or pass beside the straight
+    /// lines between its levels, relative to its longest edge.
+    fn stray(&self, cell: &Cell, corners: &Corners, longest: f64) -> f64 {
+        if !self.stationary {
+            return 0.0;
+        }
+        let is_whole = |q: &usize| !self.fan.is_cut(cell.seeds[*q], cell.level + 1);
+        let whole: OfSeeds<usize> = (0..cell.seeds.len()).filter(is_whole).collect();
+        let (n, step) = (self.fan.plan.system.states, self.fan.step(cell.level));
+        let bow = corners.bow(&whole, n, step, longest);
+        self.turn(cell, corners, longest).max(bow)
+    }
+
     /// The halves of a cell with the states that may lie in each.
     fn halves(&self, division: Division, copies: &[Copy], ceiling: f64) -> Vec<Open> {
         let Division { open, a, b, middle } = division;
@@ -438,9 +452,9 @@ impl<'a> Cover<'a> {
                 return None;
             }
             let longest = corners.longest(seeds.len(), n).2;
-            let turn = self.turn(&cell, &corners, longest);
-            let bounds = corners.bounds(n, bend.max(turn));
-            let bend = bend.max(turn).max(corners.skew(seeds.len(), n, longest));
+            let stray = self.stray(&cell, &corners, longest);
+            let bounds = corners.bounds(n, bend.max(stray));
+            let bend = bend.max(stray).max(corners.skew(seeds.len(), n, longest));
             let copies: SmallVec<[u32; 4]> = (open.copies.iter().copied())
                 .filter(|c| {
                     let x = &copies[*c as usize].x;
@@ -461,6 +475,16 @@ impl<'a> Cover<'a> {
 pub(in crate::low_level::value) fn lower(map: &mut BTreeMap<usize, f64>, key: usize, value: f64) {
     let entry = map.entry(key).or_insert(value);
     *entry = entry.min(value);
+}
+
+/// V at a state (a deviation) by V and the adjoint at a point `(t, s, p, V)`.
+fn tangent<T: Into<f64> + std::marker::Copy>(
+    point: &[T],
+    n: usize,
+    state: impl Fn(usize) -> f64,
+) -> f64 {
+    let at = |i: usize| -> f64 { point[1 + i].into() };
+    at(2 * n) + (0..n).map(|i| at(n + i) * (state(i) - at(i))).sum::<f64>()
 }
 
 fn holds(bounds: &[[f64; 2]], x: &[f64]) -> bool {

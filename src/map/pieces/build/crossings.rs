@@ -9,6 +9,8 @@ const A_SIDE: [usize; MOST_VARIABLES + 1] = [1, 65, 33, 9, 5, 3, 3];
 /// How far beyond the extent of its points a sheet's polynomial tells whether it goes on there, in
 /// half widths.
 const GOES_ON: f64 = 0.3;
+/// From a cell's faces, in half widths: by rounding those of the region lie outside it.
+const INSET: f64 = 1e-6;
 /// States that are asked for where a sheet ends.
 const MOST_ENDS: usize = 8;
 
@@ -32,25 +34,41 @@ impl Builder<'_> {
             return (places, jump);
         }
         let n = self.cloud.variables;
-        for z in self.grid(block, 0.0) {
-            let x = self.frame.state(&z);
-            if !self.region.covers(&x) {
-                continue;
+        let inside = |z: &[f64]| self.region.covers(&self.frame.state(z));
+        let mut add = |z: &[f64], off: f64| {
+            places.extend_from_slice(&z[..n]);
+            jump = jump.max(off);
+        };
+        let grid: Vec<Vec<f64>> = self.grid(block, -INSET).collect();
+        let all: Vec<Vec<Told>> = (grid.iter())
+            .map(|z| pieces.iter().map(|piece| self.told(piece, z)).collect())
+            .collect();
+        for (z, told) in grid.iter().zip(&all) {
+            let off = self.jump(told, |told| told.outside > 0.0);
+            if off > self.region.error && inside(z) {
+                add(z, off);
             }
-            let all: Vec<Told> = pieces.iter().map(|piece| self.told(piece, &z)).collect();
-            let least = |of: &dyn Fn(&Told) -> bool| {
-                let lowest = all.iter().filter(|told| of(told)).map(|told| told.v);
-                lowest.fold(f64::INFINITY, f64::min)
-            };
-            let known = least(&|told| told.outside <= 0.0);
-            let beyond = least(&|told| told.outside > 0.0 && told.outside <= GOES_ON);
-            if !known.is_finite() || known > self.region.value_max || beyond >= known {
-                continue;
-            }
-            let off = (known - beyond) / known.abs().max(self.region.floor);
-            if off > self.region.error {
-                places.extend_from_slice(&z[..n]);
-                jump = jump.max(off);
+        }
+
+        // Between two places of the grid a sheet may end before another one is lower.
+        for place in 0..grid.len() {
+            for axis in 0..n {
+                let step = A_SIDE[n].pow(axis as u32);
+                if place / step % A_SIDE[n] + 1 == A_SIDE[n] {
+                    continue;
+                }
+                for (k, piece) in pieces.iter().enumerate() {
+                    let ends = [place, place + step].map(|at| all[at][k].outside);
+                    if (ends[0] <= 0.0) == (ends[1] <= 0.0) {
+                        continue;
+                    }
+                    let z = self.edge_of_support(piece, [&grid[place], &grid[place + step]]);
+                    let told: Vec<Told> = pieces.iter().map(|piece| self.told(piece, &z)).collect();
+                    let off = self.jump(&told, |other| std::ptr::eq(other, &told[k]));
+                    if off > self.region.error && inside(&z) {
+                        add(&z, off);
+                    }
+                }
             }
         }
         let count = places.len() / n;
@@ -61,6 +79,39 @@ impl Builder<'_> {
             })
             .collect();
         (some, jump)
+    }
+
+    /// By how much V would jump at a place, relative to itself, where some of the sheets end: these
+    /// are lower than all that are known.
+    fn jump(&self, all: &[Told], ends: impl Fn(&Told) -> bool) -> f64 {
+        let lowest = |of: &dyn Fn(&Told) -> bool| {
+            let v = all.iter().filter(|told| of(told)).map(|told| told.v);
+            v.fold(f64::INFINITY, f64::min)
+        };
+        let known = lowest(&|told| told.outside <= 0.0 && !ends(told));
+        let beyond = lowest(&|told| ends(told) && told.outside <= GOES_ON);
+        if !known.is_finite() || known > self.region.value_max || beyond >= known {
+            return 0.0;
+        }
+        (known - beyond) / known.abs().max(self.region.floor)
+    }
+
+    /// Where the extent of a piece's points ends on the way between two places.
+    fn edge_of_support(&self, piece: &Piece, [a, b]: [&[f64]; 2]) -> Vec<f64> {
+        /// Of the way.
+        const HALVINGS: usize = 16;
+        let between = |t: f64| -> Vec<f64> { a.iter().zip(b).map(|(a, b)| a + t * (b - a)).collect() };
+        let begins_inside = self.told(piece, a).outside <= 0.0;
+        let [mut lo, mut hi] = [0.0, 1.0];
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (lo + hi);
+            if (self.told(piece, &between(middle)).outside <= 0.0) == begins_inside {
+                lo = middle;
+            } else {
+                hi = middle;
+            }
+        }
+        between(0.5 * (lo + hi))
     }
 
     /// How far the surface on which the two lowest sheets of a block cost the same may be from

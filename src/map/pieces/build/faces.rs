@@ -1,12 +1,15 @@
 //! Where two cells meet their polynomials say the same, or one of them errs by what they differ.
 
-use super::super::{MOST_VARIABLES, Pieces};
+use super::super::{MOST_VARIABLES, Pieces, SAME, SHEET_MISFIT, Told};
 use super::{Builder, Built};
 use rayon::prelude::*;
 
 /// Places on a face, in shares of the cell's width along its other axes: its middle, and towards
 /// two opposite corners.
 const PLACES: [f64; 3] = [0.5, 0.15, 0.85];
+/// Places a side of a grid over a face at which a sheet may end, by number of variables: one that
+/// is lower in a corner of the region alone ends on a small part of a face.
+const A_SIDE: [usize; MOST_VARIABLES + 1] = [1, 1, 33, 9, 5, 3, 3];
 /// One of two is right, and the other wrong, where it is so many times nearer to what the nearest
 /// point says.
 const CLEARLY: f64 = 5.0;
@@ -23,7 +26,69 @@ pub(super) struct Disagreement {
     pub off: f64,
 }
 
+/// A sheet that ends at a face though it is the lowest there: V is continuous, but the cell beyond
+/// says more.
+struct Cliff {
+    /// The cell that says more.
+    cell: usize,
+    /// Where, in coordinates of the frame.
+    z: [f64; MOST_VARIABLES],
+    /// By how much, relative to the larger one of V and the floor.
+    off: f64,
+}
+
 impl Pieces {
+    /// Where the lowest of both sides of a face are different sheets, and differ by more than their
+    /// bounds.
+    fn cliffs(&self) -> Vec<Cliff> {
+        /// From the corners, in widths of the cell: on the region's faces rounding would tell.
+        const INSET: f64 = 1e-3;
+        let n = self.states();
+        let most = self.region.value_max;
+        let lowest = |cell: usize, z: &[f64]| -> Option<(usize, Told)> {
+            (self.cells[cell].pieces.clone())
+                .filter_map(|k| Some((k, self.told(k, z)?)))
+                .min_by(|a, b| a.1.v.total_cmp(&b.1.v))
+                .filter(|(_, told)| told.v <= most)
+        };
+        (0..self.cells.len())
+            .into_par_iter()
+            .flat_map_iter(|cell| {
+                let places = A_SIDE[n].pow(n as u32 - 1);
+                (0..2 * n * places).filter_map(move |number| {
+                    let (face, mut rest) = (number / places, number % places);
+                    let mut shares = [0.5; MOST_VARIABLES];
+                    for i in (0..n).filter(|i| *i != face / 2) {
+                        let share = (rest % A_SIDE[n]) as f64 / (A_SIDE[n] - 1) as f64;
+                        shares[i] = INSET + (1.0 - 2.0 * INSET) * share;
+                        rest /= A_SIDE[n];
+                    }
+                    let z = self.on_face(cell, face, shares)?;
+                    let beside = self.cell(&z[..n]);
+                    let ((own, a), (other, b)) = (lowest(cell, &z[..n])?, lowest(beside, &z[..n])?);
+                    let off = (a.v - b.v).abs();
+                    let size = a.v.abs().min(b.v.abs()).max(self.region.floor);
+                    // Of one sheet two pieces may only be inaccurate.
+                    let is_cliff = off > SAME * (a.v_bound + b.v_bound)
+                        && self.misfit(own, other, &z[..n])? > SHEET_MISFIT;
+                    is_cliff.then_some(Cliff {
+                        cell: if a.v > b.v { cell } else { beside },
+                        z,
+                        off: off / size,
+                    })
+                })
+            })
+            .collect()
+    }
+
+    /// Where a sheet ends though it is the lowest there the cell beyond errs by as much as it says
+    /// more, at least.
+    pub fn admit_cliffs(&mut self) {
+        for cliff in self.cliffs() {
+            self.raise(cliff.cell, cliff.off);
+        }
+    }
+
     /// Where cells of one piece disagree with their neighbours.
     pub(super) fn disagreements(&self) -> Vec<Disagreement> {
         let n = self.states();
@@ -34,7 +99,7 @@ impl Pieces {
                 let mut met = Vec::new();
                 for face in 0..2 * n {
                     for share in PLACES {
-                        let z = self.on_face(cell, face, share);
+                        let z = self.on_face(cell, face, [share; MOST_VARIABLES]);
                         let Some((z, beside)) = z.map(|z| (z, self.cell(&z[..n]))) else {
                             continue;
                         };
@@ -72,15 +137,21 @@ impl Pieces {
         (0..self.states()).all(|i| i == across || (a.lo[i] == b.lo[i] && a.hi[i] == b.hi[i]))
     }
 
-    /// A place just beyond a face of a cell; `None` outside the region.
-    fn on_face(&self, cell: usize, face: usize, share: f64) -> Option<[f64; MOST_VARIABLES]> {
+    /// A place just beyond a face of a cell, at shares of its width along the other axes; `None`
+    /// outside the region.
+    fn on_face(
+        &self,
+        cell: usize,
+        face: usize,
+        shares: [f64; MOST_VARIABLES],
+    ) -> Option<[f64; MOST_VARIABLES]> {
         /// In widths of the cell.
         const BEYOND: f64 = 1e-9;
         let n = self.states();
         let (lo, hi) = (&self.cells[cell].lo, &self.cells[cell].hi);
         let mut z = [0.0; MOST_VARIABLES];
         for i in 0..n {
-            z[i] = lo[i] + share * (hi[i] - lo[i]);
+            z[i] = lo[i] + shares[i] * (hi[i] - lo[i]);
         }
         let (axis, upper) = (face / 2, face % 2 == 1);
         let beyond = BEYOND * (hi[axis] - lo[axis]);
@@ -114,6 +185,24 @@ impl Pieces {
 }
 
 impl Builder<'_> {
+    /// Asks for states where a sheet ends though it is the lowest there: at the face, and a part of
+    /// the way into the cell that says more.
+    pub(super) fn ask_at_cliffs(&self, made: &mut Built) {
+        const INTO: f64 = 0.3;
+        let n = self.cloud.variables;
+        for cliff in made.pieces.cliffs() {
+            let want = &mut made.wants[cliff.cell];
+            // Cells in error are asked about anyway, and change.
+            if want.excess > 1.0 {
+                continue;
+            }
+            want.bare.extend(&cliff.z[..n]);
+            let middle = |i: usize| 0.5 * (want.lo[i] + want.hi[i]);
+            let into = (0..n).map(|i| cliff.z[i] + INTO * (middle(i) - cliff.z[i]));
+            want.bare.extend(into);
+        }
+    }
+
     /// Cells to blame for disagreements, each with what these are.
     pub(super) fn blamed(&self, made: &Built) -> Vec<(usize, Disagreement)> {
         (made.pieces.disagreements().into_par_iter())

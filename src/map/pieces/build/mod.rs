@@ -184,6 +184,8 @@ pub struct Want {
     /// Points in the cell and around it, and how many of them are no further away than is usual.
     pub points: Vec<u32>,
     pub near: usize,
+    /// Whether it has points enough to be halved, but is as narrow as may be.
+    pub is_finest: bool,
     /// Its piece, where a shadow of a guard lies over a part of it.
     pub shaded: Option<Box<Piece>>,
 }
@@ -402,6 +404,9 @@ impl<'c> Builder<'c> {
         made.pieces.finish();
         if self.leaves_quarters() {
             made.pieces.label();
+            if self.cloud.several {
+                self.ask_at_cliffs(&mut made);
+            }
             return made;
         }
         for _ in 0..halvings {
@@ -732,6 +737,8 @@ impl<'c> Builder<'c> {
     /// A cell, with what may be missing in it. Where a sheet ends too early its pieces may err by
     /// as much as V would jump.
     fn cell(&self, block: Block, mut pieces: Vec<Piece>, excess: f64, edges: &[Edge]) -> Grown {
+        let is_finest = self.is_dense(block.near)
+            && (0..self.cloud.variables).any(|axis| self.is_finest(&block, axis));
         let (mut bare, jump) = self.ends(&block, &pieces);
         for piece in &mut pieces {
             piece.bound = piece.bound.max(jump);
@@ -744,6 +751,7 @@ impl<'c> Builder<'c> {
             hi: block.hi,
             points: block.points,
             near: block.near,
+            is_finest,
             shaded: self.shaded(&pieces, edges),
         };
         let n = self.cloud.variables;
