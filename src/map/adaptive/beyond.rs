@@ -10,7 +10,7 @@ use crate::value::{Answers, PointStatus, Track, Wish, track_points};
 const LARGER: f64 = 3.0;
 /// How far beyond their outermost points pieces there say something, in half widths: nothing
 /// surrounds them.
-const BEYOND_POINTS: f64 = 0.02;
+const BEYOND_POINTS: f64 = 0.04;
 /// What is outside the region by less than this share of its width may be so by rounding.
 const ROUNDING: f64 = 1e-9;
 

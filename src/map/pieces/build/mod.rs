@@ -71,7 +71,7 @@ struct Habits {
 }
 
 impl Habits {
-    fn of(variables: usize, quarters: bool) -> Self {
+    fn of(variables: usize, quarters: bool, is_around: bool) -> Self {
         Self {
             most_equations: match variables {
                 1 | 2 => 12.0,
@@ -79,7 +79,8 @@ impl Habits {
                 _ => 4.0,
             },
             learned: if quarters { quarters::LEARNED } else { 1.0 },
-            allowance: if quarters { 1.5 } else { 2.0 },
+            // Round the region no states are solved for the outermost parts' sake.
+            allowance: if quarters && !is_around { 1.5 } else { 2.0 },
             enough: if quarters { 0.6 } else { 0.8 },
             most_halvings: if quarters { 14 } else { 18 },
             sliver: if quarters { 32.0 } else { 256.0 },
@@ -382,7 +383,7 @@ impl<'c> Builder<'c> {
             without,
             directions: directions(n),
             highest,
-            habits: Habits::of(n, cloud.leaves_quarters()),
+            habits: Habits::of(n, cloud.leaves_quarters(), without.is_some()),
             before,
             flow,
         }
