@@ -61,11 +61,33 @@ pub enum FileError {
 }
 
 impl FileError {
-    /// Whether no file can have the name, whatever is free on the disk.
+    /// Whether no file can have the name, whatever is free on the disk: not at all, or not there.
     pub fn is_of_name(&self) -> bool {
-        matches!(
-            self,
-            Self::TargetIsDirectory { .. } | Self::TargetIsSpecial { .. } | Self::NoFileName { .. }
-        )
+        match self {
+            Self::TargetIsDirectory { .. }
+            | Self::TargetIsSpecial { .. }
+            | Self::NoFileName { .. } => true,
+            Self::CreateDirectory { source, .. } | Self::Create { source, .. } => {
+                is_of_place(source)
+            }
+            Self::Write { .. } | Self::Rename { .. } => false,
+        }
     }
+}
+
+/// Whether a place can hold no new file or directory, whatever is free on the disk.
+pub fn is_of_place(error: &io::Error) -> bool {
+    use io::ErrorKind::{
+        AlreadyExists, InvalidFilename, NotADirectory, NotFound, PermissionDenied,
+        ReadOnlyFilesystem,
+    };
+    matches!(
+        error.kind(),
+        AlreadyExists
+            | InvalidFilename
+            | NotADirectory
+            | NotFound
+            | PermissionDenied
+            | ReadOnlyFilesystem
+    )
 }

@@ -5,7 +5,7 @@ mod temporary;
 #[cfg(test)]
 pub(crate) mod testing;
 
-pub use error::FileError;
+pub use error::{FileError, is_of_place};
 pub use temporary::Temporary;
 #[cfg(unix)]
 pub use temporary::{removed_at_signals, stop_at_signals};
@@ -84,7 +84,8 @@ impl Draft {
 ///
 /// # Errors
 /// [`FileError::NoFileName`], [`FileError::TargetIsDirectory`] and [`FileError::TargetIsSpecial`]:
-/// nothing but a regular file is replaced.
+/// nothing but a regular file is replaced; [`FileError::CreateDirectory`] where a file stands in
+/// place of one of its directories.
 pub fn target(given: &Path) -> Result<PathBuf, FileError> {
     let linked = given
         .is_symlink()
@@ -99,6 +100,14 @@ pub fn target(given: &Path) -> Result<PathBuf, FileError> {
     }
     if path.exists() && !path.is_file() {
         return Err(FileError::TargetIsSpecial { path });
+    }
+    let directory = directory_of(&path);
+    let nearest = directory.ancestors().find(|d| d.exists());
+    if nearest.is_some_and(|d| !d.is_dir()) {
+        return Err(FileError::CreateDirectory {
+            directory: directory.to_owned(),
+            source: io::ErrorKind::NotADirectory.into(),
+        });
     }
     Ok(path)
 }

@@ -1,7 +1,7 @@
 //! Why a run with files did not succeed.
 
 use crate::feedback::FitError;
-use crate::files::FileError;
+use crate::files::{FileError, is_of_place};
 use crate::hdf5::OutputError;
 use crate::result::{StoredError, StoredMapError};
 use crate::scenario::LoadError;
@@ -65,7 +65,8 @@ impl RunError {
             Self::LawsLeftOut { .. } => false,
             Self::Session(error) => error.is_of_input(),
             Self::Output(OutputError::File(error)) | Self::File(error) => error.is_of_name(),
-            Self::Output(_) | Self::OutDirectory { .. } => false,
+            Self::Output(_) => false,
+            Self::OutDirectory { source, .. } => is_of_place(source),
             _ => true,
         }
     }

@@ -139,7 +139,7 @@ pub struct RunArgs {
     pub seed: u64,
     /// End after so many seconds with what is done by then, and exit status 75. (An interrupt does
     /// the same; a second one ends at once, with nothing.)
-    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time_limit: Option<f64>,
     /// Make no report (page and pictures) at the end of `run`.
     #[arg(long)]
@@ -311,7 +311,7 @@ pub struct FitArgs {
     pub starts: Option<usize>,
     /// End after so many seconds with the laws that are done by then, and exit status 75. Laws that
     /// the result file has already are kept unless all are done. (An interrupt does the same.)
-    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time_limit: Option<f64>,
     #[command(flatten)]
     pub print: PrintArgs,

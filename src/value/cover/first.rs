@@ -17,7 +17,8 @@ const AROUND: f64 = 0.25;
 const BULGE: f64 = 0.5;
 
 /// Whether it is looked at what passes between first trajectories that stay near each other, or
-/// have parted when they cost too much. In space this takes twice as many trajectories.
+/// have parted when they cost too much, and at what they do behind a fold only in the end. In space
+/// this takes twice as many trajectories, and those before folds alone are too many.
 pub(super) fn looks_into_gaps(states: usize) -> bool {
     states <= 2
 }
@@ -138,8 +139,7 @@ impl Cover<'_> {
             };
         }
         let all = self.widest_within(simplex, ceiling, usize::MAX);
-        let n = self.fan.plan.system.states;
-        if behind_folds || (all.size <= SPACING[n] && !looks_into_gaps(n)) {
+        if behind_folds || !looks_into_gaps(self.fan.plan.system.states) {
             return all;
         }
         match self.fan.fold(simplex) {

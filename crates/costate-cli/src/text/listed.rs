@@ -83,25 +83,36 @@ fn flown(done: &Solved<'_>, answers: &Answers) -> Option<String> {
         .collect();
     sizes.sort_by(f64::total_cmp);
     let least = (0.01 * nearest_rank(&sizes, 0.5)).max(f64::MIN_POSITIVE);
-    let all = listed.iter().filter_map(|&target| {
+    let all = listed.iter().zip(1..).filter_map(|(&target, number)| {
         let (value, flown) = (
             answers.answer(target)?.value,
             answers.support[target].flown?,
         );
-        Some((flown - value) / value.abs().max(least))
+        Some((number, (flown - value) / value.abs().max(least)))
     });
-    let (home, lost): (Vec<f64>, Vec<f64>) = all.partition(|more| more.is_finite());
-    let most = home.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let (home, lost): (Vec<(usize, f64)>, Vec<_>) = all.partition(|(_, more)| more.is_finite());
+    let most = (home.iter()).fold(f64::NEG_INFINITY, |most, (_, more)| most.max(*more));
+    let lost: Vec<usize> = lost.into_iter().map(|(number, _)| number).collect();
     let said = |what: String| format!("  simulated along the answers, the controls cost {what}");
     match (home.len(), lost.len()) {
         (0, 0) => None,
-        (0, lost) => Some(said(format!("no bound: {lost} did not come home"))),
+        (0, _) => Some(said(format!("no bound: {} did not come home", numbered(&lost)))),
         (_, 0) if most <= 0.0 => Some(said("V and no more".to_owned())),
         (_, 0) => Some(said(format!("V and at most {most:.1e} of it more"))),
-        (home, lost) => Some(said(format!(
-            "V and at most {most:.1e} of it more from {home} states; from {lost} they did not come home"
+        (home, _) => Some(said(format!(
+            "V and at most {most:.1e} of it more from {home} states; from {} they did not come home",
+            numbered(&lost)
         ))),
     }
+}
+
+/// How many states, and the numbers of the first of them in the order in which they were listed.
+fn numbered(states: &[usize]) -> String {
+    const MOST: usize = 5;
+    let first: Vec<String> = states.iter().take(MOST).map(usize::to_string).collect();
+    let more = if states.len() > MOST { ", ..." } else { "" };
+    let word = if states.len() == 1 { "number" } else { "numbers" };
+    format!("{} ({word} {}{more})", states.len(), first.join(", "))
 }
 
 /// The answers at the states that the user listed, in their order; at most the first 1000.
