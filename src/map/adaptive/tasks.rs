@@ -200,18 +200,21 @@ impl Work<'_, '_> {
     fn task(&mut self, want: &Want, turn: usize, region: &Region, tasks: &mut Vec<Task>) {
         let n = self.cloud.variables;
         let places = want.bare.len() / n;
-        let z: Vec<f64> = if turn < places {
-            want.bare[((turn + self.rounds) % places) * n..][..n].to_vec()
-        } else if want.excess > 1.0 {
-            match self.place_for(want, turn, region) {
+        let bare = (turn < places).then(|| {
+            let place = (turn + self.rounds) % places;
+            want.bare[place * n..][..n].to_vec()
+        });
+        let is_in_error = want.excess > 1.0;
+        let z = match bare {
+            Some(z) if !is_in_error || self.may_be_below_max(want, &z, region) => z,
+            _ if !is_in_error => return,
+            _ => match self.place_for(want, turn, region) {
                 Some(z) => z,
                 None => {
                     *self.failures.entry(key(want)).or_default() += 1;
                     return;
                 }
-            }
-        } else {
-            return;
+            },
         };
         let Some(from) = self.start_for(want, &z, region) else {
             return;
@@ -250,19 +253,24 @@ impl Work<'_, '_> {
                 Some(_) if turn % 2 == 1 => self.next_to_edge(want, region),
                 _ => self.inside(want, region),
             }?;
-            let is_below = region.value_max == f64::INFINITY
-                || self.start_for(want, &z, region).is_none_or(|k| {
-                    let at = self.cloud.z(k as usize);
-                    let steps = self.cloud.q(k as usize).iter().zip(z.iter().zip(at));
-                    let change: f64 = steps.map(|(q, (z, at))| q * (z - at)).sum();
-                    self.cloud.v[k as usize] + change <= region.value_max
-                });
+            let is_below = self.may_be_below_max(want, &z, region);
             last = Some(z);
             if is_below {
                 break;
             }
         }
         last
+    }
+
+    /// Whether V at a place of a cell is of interest, as far as the nearest point tells.
+    fn may_be_below_max(&self, want: &Want, z: &[f64], region: &Region) -> bool {
+        region.value_max == f64::INFINITY
+            || self.start_for(want, z, region).is_none_or(|k| {
+                let (at, q) = (self.cloud.z(k as usize), self.cloud.q(k as usize));
+                let steps = q.iter().zip(z.iter().zip(at));
+                let change: f64 = steps.map(|(q, (z, at))| q * (z - at)).sum();
+                self.cloud.v[k as usize] + change <= region.value_max
+            })
     }
 
     /// The point from which a way leads to a place of a cell.

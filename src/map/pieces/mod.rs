@@ -355,7 +355,9 @@ impl Pieces {
                 let beside = self.cells[self.cell(&z)].pieces.clone();
                 for a in self.cells[own].pieces.clone() {
                     for b in beside.clone() {
-                        let misfit = self.misfit(a, b, &z).filter(|misfit| *misfit <= SHEET_MISFIT);
+                        let misfit = self
+                            .misfit(a, b, &z)
+                            .filter(|misfit| *misfit <= SHEET_MISFIT);
                         contacts.extend(misfit.map(|misfit| (misfit, a, b)));
                     }
                 }

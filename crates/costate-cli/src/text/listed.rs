@@ -96,7 +96,10 @@ fn flown(done: &Solved<'_>, answers: &Answers) -> Option<String> {
     let said = |what: String| format!("  simulated along the answers, the controls cost {what}");
     match (home.len(), lost.len()) {
         (0, 0) => None,
-        (0, _) => Some(said(format!("no bound: {} did not come home", numbered(&lost)))),
+        (0, _) => Some(said(format!(
+            "no bound: {} did not come home",
+            numbered(&lost)
+        ))),
         (_, 0) if most <= 0.0 => Some(said("V and no more".to_owned())),
         (_, 0) => Some(said(format!("V and at most {most:.1e} of it more"))),
         (home, _) => Some(said(format!(
@@ -111,7 +114,11 @@ fn numbered(states: &[usize]) -> String {
     const MOST: usize = 5;
     let first: Vec<String> = states.iter().take(MOST).map(usize::to_string).collect();
     let more = if states.len() > MOST { ", ..." } else { "" };
-    let word = if states.len() == 1 { "number" } else { "numbers" };
+    let word = if states.len() == 1 {
+        "number"
+    } else {
+        "numbers"
+    };
     format!("{} ({word} {}{more})", states.len(), first.join(", "))
 }
 

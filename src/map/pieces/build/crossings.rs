@@ -100,7 +100,8 @@ impl Builder<'_> {
     fn edge_of_support(&self, piece: &Piece, [a, b]: [&[f64]; 2]) -> Vec<f64> {
         /// Of the way.
         const HALVINGS: usize = 16;
-        let between = |t: f64| -> Vec<f64> { a.iter().zip(b).map(|(a, b)| a + t * (b - a)).collect() };
+        let between =
+            |t: f64| -> Vec<f64> { a.iter().zip(b).map(|(a, b)| a + t * (b - a)).collect() };
         let begins_inside = self.told(piece, a).outside <= 0.0;
         let [mut lo, mut hi] = [0.0, 1.0];
         for _ in 0..HALVINGS {
