@@ -410,7 +410,7 @@ fn an_output_that_cannot_be_made_is_refused() {
             &target,
         ],
     );
-    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
     assert!(
         text(&output.stderr).contains("result.h5") || text(&output.stderr).contains("file"),
         "{}",
