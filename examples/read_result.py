@@ -11,6 +11,9 @@ import numpy as np
 import xarray as xr
 
 file = xr.open_datatree(sys.argv[1])  # all groups; xr.open_dataset(..., group="map") opens one
+missing = [name for name in ("trajectories", "map", "points") if name not in file]
+if missing:  # a map in pieces has no grid of its own: costate value FILE.h5 --grid ... --out GRID.h5 writes one
+    sys.exit(f"read_result.py: {sys.argv[1]} has no {' and no '.join(missing)}: run a scene with [shoot_out], [homotopy] and [map]")
 swept, grid, points = (file[name].to_dataset() for name in ("trajectories", "map", "points"))
 print(f"{file.attrs['title']}: {swept.sizes['trajectory']} trajectories, map {dict(grid['V'].sizes)}")
 

@@ -3,10 +3,11 @@
 use crate::backend::{Backend, BackendError};
 use crate::diagnostics::ScenarioErrors;
 use crate::expr::Id;
+use crate::local::closed_loop_margin;
 use crate::model::{Extremum, Model, Record};
 use crate::program::Program;
 use crate::scene::Scene;
-use crate::sweep::{Choices, PlanError};
+use crate::sweep::{Choices, Plan, PlanError};
 use crate::trajectories::TrajectoryBlock;
 use crate::value::{self, Grid, PointStatus, StatesError};
 use std::collections::HashMap;
@@ -14,6 +15,13 @@ use std::collections::HashMap;
 /// Points of a trajectory that recorded quantities are taken from: what an extremum may be missed
 /// by is of the second order in their distance.
 const LOOKED_AT: usize = 4001;
+/// Share of its size to which the slowest mode of the closed loop falls until nothing more is
+/// looked at.
+const SETTLED: f64 = 1e-6;
+/// Largest step about the equilibrium, over the time constant of the fastest mode: of a method of
+/// order four, errors of 1e-7.
+const RESOLVED: f64 = 0.1;
+const MOST_STEPS: usize = 1_000_000;
 
 /// Why a study could not be made. A variant that has no solution is a row with its status, no
 /// error.
@@ -159,13 +167,63 @@ fn variant(
     row.u = entry.u.clone();
     row.duration = entry.path.horizon();
     let fine = value::sampled(&plan, &mut solver, &[entry], LOOKED_AT)?;
-    row.records = recorded(model, &asked.records, &fine);
+    let rest = settling(&plan, &entry.path.last()[..model.states.len()]);
+    let x = [fine.x, rest.x].concat();
+    let u = [fine.u, rest.u].concat();
+    row.records = recorded(model, &asked.records, (&x, &u));
     row.trajectory = Some(value::sampled(&plan, &mut solver, &[entry], asked.samples)?);
     Ok(row)
 }
 
-/// The recorded quantities along a sampled trajectory.
-fn recorded(model: &Model, records: &[Record], block: &TrajectoryBlock) -> Vec<f64> {
+/// States (absolute) and controls at some times, row by row.
+#[derive(Default)]
+struct Settling {
+    x: Vec<f64>,
+    u: Vec<f64>,
+}
+
+/// The rest of a trajectory from where the local solution takes over, at `s` from the equilibrium:
+/// until the slowest mode has fallen to [`SETTLED`]. A stiff one that would need more than
+/// [`MOST_STEPS`] steps is followed for these. Empty on a finite horizon.
+fn settling(plan: &Plan, s: &[f64]) -> Settling {
+    let mut settling = Settling::default();
+    let Some(local) = &plan.local else {
+        return settling;
+    };
+    let (system, n) = (&plan.system, s.len());
+    let inputs = |s: &[f64]| local.at_state(s)[..2 * n].to_vec();
+    let backward = Program::lower(&system.graph, &system.inputs, &system.rate[..n]);
+    let control = Program::lower(&system.graph, &system.inputs, &system.observer.control);
+
+    let modes = &local.riccati.eigenvalues;
+    let fastest = modes.iter().map(|e| e.norm()).fold(0.0, f64::max);
+    let time = -SETTLED.ln() / closed_loop_margin(&local.riccati);
+    let step = (time / LOOKED_AT as f64).min(RESOLVED / fastest);
+    let steps = ((time / step).ceil() as usize).min(MOST_STEPS);
+
+    let ahead = |s: &[f64], by: f64, slope: &[f64]| -> Vec<f64> {
+        s.iter().zip(slope).map(|(s, k)| s - by * k).collect()
+    };
+    let mut s = s.to_vec();
+    for _ in 0..steps {
+        // The classical Runge-Kutta method.
+        let k1 = backward.eval(&inputs(&s));
+        let k2 = backward.eval(&inputs(&ahead(&s, 0.5 * step, &k1)));
+        let k3 = backward.eval(&inputs(&ahead(&s, 0.5 * step, &k2)));
+        let k4 = backward.eval(&inputs(&ahead(&s, step, &k3)));
+        let mean: Vec<f64> = (0..n)
+            .map(|i| (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]) / 6.0)
+            .collect();
+        s = ahead(&s, step, &mean);
+        let absolute = s.iter().zip(&system.reference).map(|(s, x)| s + x);
+        settling.x.extend(absolute);
+        settling.u.extend(control.eval(&inputs(&s)));
+    }
+    settling
+}
+
+/// The recorded quantities at the states and controls of a trajectory.
+fn recorded(model: &Model, records: &[Record], (x, u): (&[f64], &[f64])) -> Vec<f64> {
     let mut graph = model.graph.clone();
     let numbers: HashMap<Id, Id> = (model.parameter_values().into_iter())
         .map(|(symbol, value)| (symbol, graph.constant(value)))
@@ -178,8 +236,8 @@ fn recorded(model: &Model, records: &[Record], block: &TrajectoryBlock) -> Vec<f
     let program = Program::lower(&graph, &inputs, &of);
     let (n, m) = (model.states.len(), model.controls.len());
     let mut values = records.iter().map(|_| f64::NAN).collect::<Vec<_>>();
-    for q in 0..block.v.len() {
-        let at = [&block.x[q * n..(q + 1) * n], &block.u[q * m..(q + 1) * m]].concat();
+    for q in 0..x.len() / n {
+        let at = [&x[q * n..(q + 1) * n], &u[q * m..(q + 1) * m]].concat();
         for ((value, here), record) in values.iter_mut().zip(program.eval(&at)).zip(records) {
             *value = match record.extremum {
                 Extremum::Min => value.min(here),

@@ -164,13 +164,21 @@ pub fn fit(
 /// The samples that a law is fitted to.
 ///
 /// # Errors
-/// [`FitError::TooFew`].
+/// [`FitError::TooFew`], [`FitError::OutOfTime`].
 fn selected(
     data: Data<'_>,
     scene: &Model,
     law: &Feedback,
 ) -> Result<(Samples, Selection), FitError> {
-    let (samples, selection) = data.samples.select(scene, law, data.known);
+    // A map takes its time to tell of all samples.
+    let known = |x: &[f64], v: f64| match data.deadline.has_passed() {
+        true => Some(false),
+        false => (data.known)(x, v),
+    };
+    let (samples, selection) = data.samples.select(scene, law, &known);
+    data.deadline.check().map_err(|_| FitError::OutOfTime {
+        law: law.name.clone(),
+    })?;
     let trajectories = count_trajectories(&samples);
     if trajectories < LEAST_TRAJECTORIES {
         return Err(FitError::TooFew {

@@ -76,7 +76,7 @@ impl FileError {
 }
 
 /// Whether a place can hold no new file or directory, whatever is free on the disk.
-pub fn is_of_place(error: &io::Error) -> bool {
+fn is_of_place(error: &io::Error) -> bool {
     use io::ErrorKind::{
         AlreadyExists, InvalidFilename, NotADirectory, NotFound, PermissionDenied,
         ReadOnlyFilesystem,

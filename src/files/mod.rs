@@ -5,7 +5,7 @@ mod temporary;
 #[cfg(test)]
 pub(crate) mod testing;
 
-pub use error::{FileError, is_of_place};
+pub use error::FileError;
 pub use temporary::Temporary;
 #[cfg(unix)]
 pub use temporary::{removed_at_signals, stop_at_signals};

@@ -37,9 +37,17 @@ struct Claimed {
 impl Claimed {
     /// Removes what is there, and the directories unless something else is in them.
     fn remove(&self) {
+        self.remove_file();
+        self.remove_directories();
+    }
+
+    fn remove_file(&self) {
         // Nothing better can be done about a file that cannot be removed than to leave it hidden; a
         // published one has gone.
         let _ = std::fs::remove_file(&self.path);
+    }
+
+    fn remove_directories(&self) {
         for directory in &self.made {
             if std::fs::remove_dir(directory).is_err() {
                 break;
@@ -85,8 +93,9 @@ impl Drop for Temporary {
 }
 
 /// From now on a signal that ends the process (interrupt, terminate, hang up, those of timers and
-/// of batch systems) removes its hidden
-/// files first. What the process was started to ignore, as `nohup` has it, it still ignores.
+/// of batch systems) removes its hidden files first. What the process was started to ignore, as
+/// `nohup` has it, it still ignores. A file that is longer than the system allows (`ulimit -f`) is
+/// an error of writing, and no longer a signal.
 ///
 /// # Errors
 /// Where the system has no room for handlers or a thread.
@@ -101,6 +110,10 @@ pub fn removed_at_signals() -> io::Result<()> {
     .into_iter()
     .filter(|s| !ignored(*s))
     .collect();
+    // SAFETY: to ignore a signal needs no handler of ours.
+    unsafe {
+        libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
+    }
     let mut signals = signal_hook::iterator::Signals::new(ends)?;
     std::thread::Builder::new()
         .name("signals".to_owned())
@@ -117,7 +130,9 @@ pub fn removed_at_signals() -> io::Result<()> {
                 }
                 // Held to the end: no other file comes after these.
                 let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
-                open.iter().for_each(Claimed::remove);
+                // Other files may lie in a directory that was made for the first one.
+                open.iter().for_each(Claimed::remove_file);
+                open.iter().for_each(Claimed::remove_directories);
                 // Whoever waits for the process is to see that the signal ended it.
                 let _ = signal_hook::low_level::emulate_default_handler(signal);
             }

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use rust_hdf5::{H5Dataset, H5File, H5Group, H5Type, Hdf5Error};
+use rust_hdf5::format::messages::filter::{FILTER_FLETCHER32, FLAG_MANDATORY};
+use rust_hdf5::{Filter, FilterPipeline, H5Dataset, H5File, H5Group, H5Type, Hdf5Error};
 
 use super::attribute::AttributeOwner;
 use super::spec::{Coordinate, Storage};
@@ -346,14 +347,15 @@ impl Maker<'_> {
             builder = builder.fill_value(fill);
         }
         let elements: usize = shape.iter().flatten().product();
-        let grows = shape.contains(&None);
-        // A small array that stays as it is needs neither chunks nor compression.
-        if grows || elements * T::element_size() > LEAST_CHUNK_BYTES {
-            let chunk = chunk_shape(shape, T::element_size(), self.group.expected_rows);
-            builder = builder.chunk(&chunk).max_shape(shape);
-            if let Compression::ShuffleDeflate(level) = self.group.compression {
-                builder = builder.shuffle_deflate(u32::from(level.min(9)));
-            }
+        // A single number, or none, has no chunks.
+        if !shape.is_empty() && elements > 0 {
+            let bytes = T::element_size();
+            let chunk = chunk_shape(shape, bytes, self.group.expected_rows);
+            let compression = self.group.compression;
+            builder = builder
+                .chunk(&chunk)
+                .max_shape(shape)
+                .filter_pipeline(filters(compression, bytes));
         }
         builder.create(name)
     }
@@ -367,6 +369,25 @@ impl Maker<'_> {
 fn describe(dataset: &H5Dataset, unit: &str, long_name: &str) -> Result<(), Hdf5Error> {
     dataset.set("units", &AttributeValue::from(unit))?;
     dataset.set("long_name", &AttributeValue::from(long_name))
+}
+
+/// How chunks are stored: with a checksum each, since a number that has changed on a disk would be
+/// read as another V.
+fn filters(compression: Compression, element_bytes: usize) -> FilterPipeline {
+    let mut pipeline = match compression {
+        Compression::None => FilterPipeline {
+            filters: Vec::new(),
+        },
+        Compression::ShuffleDeflate(level) => {
+            FilterPipeline::shuffle_deflate(element_bytes as u32, u32::from(level.min(9)))
+        }
+    };
+    pipeline.filters.push(Filter {
+        id: FILTER_FLETCHER32,
+        flags: FLAG_MANDATORY,
+        cd_values: Vec::new(),
+    });
+    pipeline
 }
 
 /// The chunk of a dataset: whole rows as far as they fit, so that appending touches one chunk at a

@@ -4,6 +4,7 @@
 
 mod beyond;
 mod check;
+mod failures;
 mod first;
 mod horizon;
 mod points;
@@ -23,9 +24,9 @@ use crate::value::{Archive, Progress, Track, TrackPoints};
 pub use beyond::Beyond;
 pub use check::{ABOVE_BOUND, Checked, GROSS, Part};
 use check::{CHECKS, Met};
+use failures::Failures;
 use horizon::TimeAxis;
 use refine::ALL_BUT;
-use std::collections::HashMap;
 use std::time::Instant;
 
 /// Points of extremals are wanted this far outside the region, in its widths.
@@ -121,7 +122,7 @@ struct Work<'a, 'p> {
     flow: Option<Flow>,
     /// Track point and turns by periods that each point of the cloud comes from.
     origins: Vec<(u32, Vec<f64>)>,
-    failures: HashMap<Vec<u64>, u32>,
+    failures: Failures,
     unanswered: Vec<Hole>,
     /// Guards that a solution was seen to leave.
     shadows: Vec<bool>,
@@ -149,8 +150,11 @@ struct Work<'a, 'p> {
 
 /// Makes a map. `archive` gives the first guesses.
 ///
+/// At the plan's deadline it is what it is by then.
+///
 /// # Errors
-/// Device failures only.
+/// Device failures; [`BackendError::OutOfTime`] where the deadline comes before the first states
+/// are solved.
 pub fn adaptive(
     plan: &Plan,
     model: &Model,
@@ -195,7 +199,7 @@ pub fn adaptive(
         },
         frame: Frame::along(&region),
         origins: Vec::new(),
-        failures: HashMap::new(),
+        failures: Failures::default(),
         unanswered: Vec::new(),
         shadows: vec![false; plan.system.guards.len()],
         asked: Vec::new(),
@@ -235,6 +239,9 @@ impl Work<'_, '_> {
 
     fn run(&mut self, mut region: Region) -> Result<Adaptive, BackendError> {
         region.floor = self.first()?;
+        if self.cloud.is_empty() && self.is_over() {
+            return Err(BackendError::OutOfTime);
+        }
         let (mut check, mut met) = (Vec::new(), Vec::new());
         let pieces = self.refined(&region, Vec::new())?;
         let mut judged = self.judged(pieces);
@@ -276,7 +283,12 @@ impl Work<'_, '_> {
     }
 
     fn is_spent(&self, share: f64) -> bool {
-        self.states_left(share) == 0 || self.seconds_left(share) <= 0.0
+        self.states_left(share) == 0 || self.seconds_left(share) <= 0.0 || self.is_over()
+    }
+
+    /// Whether the whole run is to end, with the map as it is.
+    fn is_over(&self) -> bool {
+        self.plan.deadline.has_passed()
     }
 
     /// What is left of a share of the budget.
@@ -290,8 +302,8 @@ impl Work<'_, '_> {
         })
     }
 
-    /// Work on states; `None` if it takes so many times the limit of seconds, if there is one. What
-    /// it had found is lost then.
+    /// Work on states; `None` if it takes so many times the limit of seconds, if there is one, or
+    /// until the plan's deadline. What it had found is lost then.
     fn in_time<T>(
         &mut self,
         times: f64,
@@ -305,6 +317,14 @@ impl Work<'_, '_> {
             Err(BackendError::OutOfTime) => Ok(None),
             done => done.map(Some),
         }
+    }
+
+    /// Work without a deadline, on what is solved.
+    fn untimed<T>(&mut self, work: impl FnOnce(&mut Self) -> T) -> T {
+        let deadline = std::mem::take(&mut self.solver.deadline);
+        let done = work(self);
+        self.solver.deadline = deadline;
+        done
     }
 
     /// How many more states there is time for, at the pace of those done since `began`.

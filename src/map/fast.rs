@@ -4,9 +4,9 @@ use super::nodal::Prediction;
 use super::{BEYOND, INSIDE, LOOK, LocalModel, Value, ValueMap};
 use crate::sweep::Sampling;
 
-/// Nearest sites among which one of the lowest sheet is looked for in haste, and the distance (in
+/// Nearest sites among which one of the lowest sheet is looked for first, and the distance (in
 /// widths) at which none is.
-const HASTY: usize = 12;
+const NEAREST: usize = 12;
 const FAR: f64 = 0.5;
 
 impl ValueMap {
@@ -55,7 +55,7 @@ impl ValueMap {
         let mut best: Option<LocalModel> = None;
         for (w, winding) in self.windings.iter().enumerate() {
             let place: Vec<f64> = (0..z.len()).map(|i| z[i] + self.turn(winding, i)).collect();
-            let near = self.tree.near(&place, f64::INFINITY, HASTY);
+            let near = self.tree.near(&place, f64::INFINITY, NEAREST);
             if near.first().is_none_or(|(_, distance)| *distance > FAR) {
                 continue;
             }

@@ -29,7 +29,7 @@ pub enum Source {
     /// A state solved for (`/points_sheets` or `/map`).
     Solved,
     /// A value that was interpolated in its turn, with an error of its own.
-    Told,
+    Interpolated,
     /// The local solution about the equilibrium.
     Local,
 }
@@ -206,7 +206,7 @@ impl<'p> Gathering<'p> {
             self.add(x, v, p, k, sheet, Source::Solved);
             return;
         };
-        if let Some(site) = self.add(x, v, p, k, sheet, Source::Told) {
+        if let Some(site) = self.add(x, v, p, k, sheet, Source::Interpolated) {
             self.sites.errors.insert(site, *errors);
         }
     }

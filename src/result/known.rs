@@ -15,6 +15,8 @@ pub enum StoredMapError {
     Empty { path: std::path::PathBuf },
     #[error("{path}: its run was ended before it was known which solutions lie on one sheet, so nothing is interpolated: run it to its end (what was solved is in /points and /map)", path = path.display())]
     Stopped { path: std::path::PathBuf },
+    #[error("{path}: its run was ended before anything was solved: run it to its end", path = path.display())]
+    NothingDone { path: std::path::PathBuf },
     #[error("{path}: its map in pieces knows V nowhere: run its scene again; what is printed of the map says why", path = path.display())]
     EmptyMap { path: std::path::PathBuf },
     #[error(transparent)]
@@ -34,9 +36,13 @@ impl Stored {
                 MapError::Empty if self.has_map() => StoredMapError::EmptyMap {
                     path: self.path.clone(),
                 },
-                MapError::Empty if self.is_stopped() => StoredMapError::Stopped {
-                    path: self.path.clone(),
-                },
+                MapError::Empty if self.is_stopped() => {
+                    let path = self.path.clone();
+                    match self.has(&schema::POINTS) || self.has(&schema::MAP) {
+                        true => StoredMapError::Stopped { path },
+                        false => StoredMapError::NothingDone { path },
+                    }
+                }
                 MapError::Empty => StoredMapError::Empty {
                     path: self.path.clone(),
                 },
@@ -57,9 +63,14 @@ impl Stored {
 
     /// What the file may lack, in words, where its run was ended before all was done.
     pub fn ended_early(&self) -> Option<&'static str> {
+        if self.is_stopped() && self.has_map() {
+            return Some(
+                "before everything was swept and solved: a cheaper solution may be missing, and the map knows V in less of its region than was asked for",
+            );
+        }
         if self.is_stopped() {
             return Some(
-                "before everything was swept and solved: a state without an answer may have one, a cheaper solution may be missing, and nothing is told between solved states",
+                "before everything was swept and solved: a state without an answer may have one, a cheaper solution may be missing, and V is not interpolated between solved states",
             );
         }
         self.has_attribute("laws_stopped").then_some(

@@ -1,7 +1,7 @@
 //! Why a run with files did not succeed.
 
 use crate::feedback::FitError;
-use crate::files::{FileError, is_of_place};
+use crate::files::FileError;
 use crate::hdf5::OutputError;
 use crate::result::{StoredError, StoredMapError};
 use crate::scenario::LoadError;
@@ -33,11 +33,6 @@ pub enum RunError {
     LawsLeftOut { laws: String, path: PathBuf },
     #[error("law `{name}` would be written to {path}, which is the scene: give another --out", path = path.display())]
     OverScene { name: String, path: PathBuf },
-    #[error("cannot create the directory {path}: {source}", path = path.display())]
-    OutDirectory {
-        path: PathBuf,
-        source: std::io::Error,
-    },
     #[error("the states and controls of {scene} are not those of {file}", scene = scene.display(), file = file.display())]
     OtherScene { scene: PathBuf, file: PathBuf },
 }
@@ -66,7 +61,6 @@ impl RunError {
             Self::Session(error) => error.is_of_input(),
             Self::Output(OutputError::File(error)) | Self::File(error) => error.is_of_name(),
             Self::Output(_) => false,
-            Self::OutDirectory { source, .. } => is_of_place(source),
             _ => true,
         }
     }

@@ -3,13 +3,13 @@
 use super::{RunError, STOPPED};
 use crate::backend::Deadline;
 use crate::feedback::{Exports, Fitted, Samples};
-use crate::files::can_hold;
+use crate::files::{FileError, can_hold, make};
 use crate::hdf5::ResultFile;
 use crate::map::ValueMap;
 use crate::model::{Feedback, Model};
 use crate::result::{FEEDBACK_GROUP, Stored, StoredMapError};
 use crate::schema;
-use crate::session::{FitData, Progress, fit_laws};
+use crate::session::{FitData, Progress, fit_laws, same_problem};
 use std::path::{Path, PathBuf};
 
 /// Laws of a scene as fitted, with the files written of each.
@@ -66,10 +66,7 @@ impl LawFiles {
     pub(super) fn write(&self, fitted: &Fitted, model: &Model) -> Result<Vec<Exports>, RunError> {
         let directory = &self.directory;
         if !directory.as_os_str().is_empty() {
-            std::fs::create_dir_all(directory).map_err(|source| RunError::OutDirectory {
-                path: directory.clone(),
-                source,
-            })?;
+            make(directory)?;
         }
         Ok(fitted.export(directory, &self.stem, model)?)
     }
@@ -87,8 +84,8 @@ impl LawFiles {
                 place.display()
             ))),
         };
-        holds.map_err(|source| RunError::OutDirectory {
-            path: self.directory.clone(),
+        holds.map_err(|source| FileError::CreateDirectory {
+            directory: self.directory.clone(),
             source,
         })?;
 
@@ -162,6 +159,11 @@ pub(super) fn fit_into(
         return Err(RunError::NoData { path });
     }
 
+    if !same_problem(own, scene) {
+        progress.note(
+            "what the file holds is of another problem (other parameters, equations or cost): laws fitted to it are those of the file's problem",
+        );
+    }
     progress.step("reading the value map");
     let map = judge(stored, mapped).inspect_err(|_| progress.step_ended())?;
     let data = FitData {

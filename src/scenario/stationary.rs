@@ -59,7 +59,8 @@ impl Reader<'_> {
             if let Some(kink) = kink(graph, located, order, &inputs, places) {
                 let message = format!("{what} a kink at the equilibrium: {kink}");
                 let help = "the local solution needs the dynamics once and the cost twice differentiable at the equilibrium: \
-                            round the kink, such as sqrt(a^2 + e^2) - e for abs(a) with a small e, or move [equilibrium] off it";
+                            round the kink, such as sqrt(a^2 + e^2) - e for abs(a) with a small e, or move [equilibrium] off it \
+                            (in the controls the cost has to be quadratic)";
                 let problem = Problem::at(
                     located.span.clone(),
                     message,

@@ -112,7 +112,7 @@ impl Session<'_> {
                     Outside::Stop => "they end there",
                     Outside::Hold => "the law held its last p = q + H s",
                     Outside::Nearest => "the law took p of the nearest state known",
-                    Outside::Search => "the law took p of the nearest state known, or held a control at its bound, as a search for a way back said",
+                    Outside::Search => "the law took p of the nearest state known, or held a control at its bound, as a search for the cheapest way back chose",
                     Outside::Local => "the law was that of the Riccati solution",
                 }
             ));

@@ -33,7 +33,9 @@ pub const FOLD_STATUS: i32 = 15;
 /// Why a scene cannot be swept.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
-    #[error("the scenario has no [shoot_out] section")]
+    #[error(
+        "the scenario has no [shoot_out] section: add one, or a [map]; V, p and u at chosen states need neither: `costate solve --points`"
+    )]
     NoShootOut,
     #[error(
         "{states} states: the seeds of a sweep are triangulated for at most {most} on this horizon ({MOST_STATES} on an infinite, \

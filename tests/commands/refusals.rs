@@ -481,7 +481,7 @@ fn a_full_disk_leaves_nothing() {
     let before = entries(&folder);
     for out in ["grid.h5", "grid.csv"] {
         let command = format!(
-            "trap '' XFSZ; ulimit -f 8; exec '{}' value swept.h5 --grid x=-0.5:0.5:150,v=-0.5:0.5:150 --no-errors --out {out}",
+            "ulimit -f 8; exec '{}' value swept.h5 --grid x=-0.5:0.5:150,v=-0.5:0.5:150 --no-errors --out {out}",
             env!("CARGO_BIN_EXE_costate")
         );
         let done = Command::new("bash")
@@ -520,6 +520,12 @@ fn a_full_disk_leaves_nothing() {
 /// A run that no budget ends, in a folder of its own with an older result.
 #[cfg(unix)]
 fn endless(name: &str) -> (PathBuf, std::process::Child) {
+    endless_to(name, "homotopy", "")
+}
+
+/// The same with its result in a folder (`""` or `"made/"`) that is not there yet.
+#[cfg(unix)]
+fn endless_to(name: &str, command: &str, place: &str) -> (PathBuf, std::process::Child) {
     use std::time::{Duration, Instant};
     let folder = folder(name);
     let scene =
@@ -529,13 +535,14 @@ fn endless(name: &str) -> (PathBuf, std::process::Child) {
     std::fs::write(folder.join("out.h5"), "older").unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_costate"))
         .current_dir(&folder)
-        .args(["homotopy", "--backend", "cpu", "--quiet"])
-        .args(["scene.toml", "--out", "out.h5"])
+        .args([command, "--backend", "cpu", "--quiet"])
+        .args(["scene.toml", "--out", &format!("{place}out.h5")])
         .spawn()
         .unwrap();
     let began = Instant::now();
     let hidden = |name: &String| name.starts_with(".out.h5.");
-    while !entries(&folder).iter().any(hidden) {
+    let results = folder.join(place);
+    while !results.is_dir() || !entries(&results).iter().any(hidden) {
         let waited = began.elapsed() < Duration::from_secs(60);
         assert!(waited, "no hidden file was made");
         let ended = child.try_wait().unwrap();
@@ -589,6 +596,17 @@ fn a_signal_leaves_no_hidden_file() {
         }
         assert_eq!(entries(&folder), ["out.h5", "scene.toml"], "{names:?}");
     }
+}
+
+/// A folder that was made for the result goes with it, whatever else is written there.
+#[cfg(unix)]
+#[test]
+fn a_signal_leaves_no_empty_folder() {
+    use std::os::unix::process::ExitStatusExt;
+    let (folder, mut child) = endless_to("hangup", "run", "made/");
+    signal(&child, "HUP");
+    assert_eq!(child.wait().unwrap().signal(), Some(1));
+    assert_eq!(entries(&folder), ["out.h5", "scene.toml"]);
 }
 
 /// The first interrupt asks: what is done is written, beside an older result.

@@ -673,3 +673,50 @@ fn company_of_a_cart_and_pole() {
     ];
     assert_company(&swept("40", "0.2"), &others, None, false);
 }
+
+/// One state with a period, and a control at its bound that hardly moves it: V rises without end
+/// before the other way round is cheaper, within a step of the sweep. V is the integral of the
+/// least running cost per speed, here by Simpson's rule.
+#[test]
+fn a_way_that_all_but_stops() {
+    const SCENE: &str = r#"
+states = { x = { period = "2*pi" } }
+controls = { u = { min = -1.65, max = 3.3 } }
+dynamics = { x = "-0.8*sin(x) + 1.3*sin(2*x) - 0.8*sin(3*x) + (1 + 0.5*sin(x))*u" }
+cost = { running = "2.4*(1 - cos(x)) + 1.6*sin(x)^2 + 0.5*u^2" }
+equilibrium = { x = 0, u = 0 }
+region = { x = [-3.1416, 3.1416] }
+"#;
+    // Towards 0 from above or below: sign of x.
+    let slope = |x: f64| -> f64 {
+        let drift = -0.8 * x.sin() + 1.3 * (2.0 * x).sin() - 0.8 * (3.0 * x).sin();
+        let gain = 1.0 + 0.5 * x.sin();
+        let cost = 2.4 * (1.0 - x.cos()) + 1.6 * x.sin().powi(2);
+        let speed = (drift * drift + 2.0 * gain * gain * cost).sqrt();
+        let u = ((-x.signum() * speed - drift) / gain).clamp(-1.65, 3.3);
+        (cost + 0.5 * u * u) / (drift + gain * u).abs()
+    };
+    let one_way = |x: f64| -> f64 {
+        const PARTS: usize = 20_000;
+        let h = x / PARTS as f64;
+        let part = |k: usize| {
+            let at = |share: f64| match (k as f64 + share) * h {
+                0.0 => 0.0,
+                x => slope(x),
+            };
+            (at(0.0) + 4.0 * at(0.5) + at(1.0)) / 6.0
+        };
+        h.abs() * (0..PARTS).map(part).sum::<f64>()
+    };
+    let model = parse(SCENE);
+    let states = [3.1, 3.25, 3.28, 3.3, 3.33, 3.36, 3.39, 3.42, -2.9];
+    let company = solved(&model, &states);
+    for (k, x) in states.into_iter().enumerate() {
+        let turned = x - x.signum() * std::f64::consts::TAU;
+        // Beyond 3.405 the drift is stronger than the control.
+        let ways = [x, turned].into_iter().filter(|x| *x < 3.4);
+        let least = ways.map(one_way).fold(f64::INFINITY, f64::min);
+        assert_value(&solved(&model, &[x]), 0, least, REFERENCE);
+        assert_value(&company, k, least, REFERENCE);
+    }
+}

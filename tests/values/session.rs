@@ -202,6 +202,56 @@ fn a_run_that_is_stopped_keeps_what_it_has() {
     let _ = std::fs::remove_dir_all(path.parent().unwrap());
 }
 
+/// Asks to stop when a map has its first cells.
+struct StopAtCells(&'static AtomicBool);
+
+impl Progress for StopAtCells {
+    fn step(&self, what: &str) {
+        if what.contains("cells") {
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+/// A map that is ended early is what it was by then, with its bounds.
+#[test]
+fn a_map_that_is_stopped_is_kept() {
+    static FLAG: AtomicBool = AtomicBool::new(false);
+    let text = TEXT
+        .replace("v = \"u\"", "v = \"sin(3*x) + u\"")
+        .replace("map = { error = 1e-3 }", "map = { error = 1e-7 }");
+    let scene = Scene::parse(&text, "swing.toml").unwrap();
+    let listener = StopAtCells(&FLAG);
+    let path = file("map/run.h5");
+    let wanted = Wanted {
+        map: true,
+        ..Wanted::default()
+    };
+    let stopped = Session::new(&scene)
+        .until(Deadline::default().or_once(&FLAG))
+        .with_progress(&listener)
+        .run(&wanted, &path, &Provenance::now())
+        .unwrap();
+    assert!(FLAG.load(Ordering::Relaxed) && stopped.summary.stopped);
+    let made = stopped.outcome.mapped.as_ref().unwrap();
+    assert!(made.spent && made.check.is_empty() && made.unmet.share > 0.0);
+
+    let stored = Stored::open(&path).unwrap();
+    let map = stored.value_map().unwrap();
+    let states = [0.3, -0.4, -0.7, 0.2, 0.55, 0.6];
+    let solved = Session::new(&scene).solve(&states).unwrap();
+    let mut known = 0;
+    for (k, x) in states.chunks(2).enumerate() {
+        let v = solved.answer(k).unwrap().value;
+        if let Ok(here) = map.at(x).lowest {
+            known += 1;
+            assert!((here.v - v).abs() <= here.v_error, "{x:?}: {} {v}", here.v);
+        }
+    }
+    assert!(known > 0);
+    let _ = std::fs::remove_dir_all(path.parent().unwrap());
+}
+
 /// Asks to stop when the pass is done.
 struct StopBeforeLaws(&'static AtomicBool);
 
@@ -292,4 +342,42 @@ fn what_cannot_be_asked_is_refused_before_anything_is_written() {
         session.prepare(&wanted),
         Err(SessionError::NoGridGuesses)
     ));
+}
+
+/// Recorded quantities are those of a whole trajectory, the part next to the equilibrium included:
+/// `x'' = -x - sqrt(2) x'` falls from rest at x to `-exp(-pi) x`.
+#[test]
+fn a_study_records_up_to_the_equilibrium() {
+    let study = r#"
+[study]
+vary = { start = [0.5, 0.05, 1e-4] }
+from = { x = "start" }
+[study.record]
+undershoot = "min(x)"
+overshoot = "max(x)"
+braking = "min(u)"
+end = "final(x)"
+"#;
+    let text = format!(
+        "parameters = {{ start = 0.5 }}\n{}{study}",
+        TEXT.trim_start()
+    );
+    let scene = Scene::parse(&text, "double.toml").unwrap();
+    let rows = Session::new(&scene).study().unwrap();
+    assert_eq!(rows.len(), 3);
+    for row in rows {
+        let start = row.parameters[0];
+        let [undershoot, overshoot, braking, end] = row.records[..] else {
+            panic!("four quantities are recorded");
+        };
+        // Between points an extremum is missed by the second order of their distance.
+        let exact = -start * (-std::f64::consts::PI).exp();
+        assert!(
+            (undershoot / exact - 1.0).abs() < 1e-4,
+            "{undershoot} {exact}"
+        );
+        assert_eq!(overshoot, start);
+        assert!((braking / -start - 1.0).abs() < 1e-6, "{braking}");
+        assert!(end.abs() < 2e-6 * start, "{end}");
+    }
 }

@@ -25,8 +25,8 @@ pub enum Command {
     Solve(SolveArgs),
     /// V, p and u at any state, interpolated from a result file, with an error estimate.
     Value(ValueArgs),
-    /// Ask V on a grid, which knows nothing of sheets, whether V at the solved states of a result
-    /// file is the least.
+    /// Ask a second method, V on a grid (dynamic programming), whether V at the solved states of a
+    /// result file is the least.
     CheckLeast(CheckLeastArgs),
     /// Only [study]: the optimal trajectory from one state for several values of parameters.
     Study(RunArgs),

@@ -42,6 +42,36 @@ fn bits(values: &[f64]) -> Vec<u64> {
     values.iter().map(|value| value.to_bits()).collect()
 }
 
+/// A number that has changed on the disk is an error, not another number: of an array that grows
+/// and of one that stays as it is, however small.
+#[test]
+fn a_flipped_bit_is_an_error() {
+    const X: f64 = 1.234_567_890_123;
+    const MAP: f64 = 9.876_543_210_987;
+    for (dataset, number) in [("table/x", X), ("table/map", MAP)] {
+        let directory = TemporaryDirectory::new("flipped");
+        let mut file = ResultFile::create(directory.path().join("result.h5")).unwrap();
+        let mut writer = file.group(&table()).unwrap();
+        let rows = [
+            ("status", (&[0][..]).into()),
+            ("x", (&[0.0, X, 1.0][..]).into()),
+        ];
+        writer.append(1, &rows).unwrap();
+        writer
+            .write("map", &[0.0, 1.0, MAP, 3.0, 4.0, 5.0][..])
+            .unwrap();
+        let path = file.finish().unwrap();
+
+        let mut bytes = std::fs::read(&path).unwrap();
+        let written = number.to_le_bytes();
+        let at = bytes.windows(8).position(|window| window == written);
+        bytes[at.unwrap() + 5] ^= 0x10;
+        std::fs::write(&path, bytes).unwrap();
+        let read = H5File::open(&path).and_then(|file| file.dataset(dataset)?.read_raw::<f64>());
+        assert!(read.is_err(), "{dataset}: {read:?}");
+    }
+}
+
 #[test]
 fn uneven_blocks_come_back_in_order() {
     const BLOCKS: [usize; 8] = [1, 63, 0, 65, 345, 9000, 2, 20_000];

@@ -4,7 +4,7 @@
 use super::{AROUND, BETTER, Checked, Met, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Cloud, Frame, Pieces, Region, build_around};
-use crate::value::{Answers, PointStatus, Track, Wish, track_points};
+use crate::value::{Answers, PointStatus, Track, Wish};
 
 /// Errors there may be so many times larger: what a law costs rises with the square of them.
 const LARGER: f64 = 3.0;
@@ -155,13 +155,7 @@ impl Work<'_, '_> {
             beyond: false,
             ..self.wish(region.floor)
         };
-        let points = track_points(
-            self.plan,
-            self.solver,
-            &tracks,
-            0,
-            &self.in_any_period(&wish, &tracks),
-        )?;
+        let points = self.points_of(&tracks, 0, &wish)?;
         let n = self.plan.system.states;
         let mut met = Vec::new();
         for k in 0..points.len() {

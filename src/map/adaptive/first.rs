@@ -25,6 +25,9 @@ const FIRST_BATCH: usize = 8;
 const WITHIN: f64 = 0.5;
 const FACES: f64 = 0.75;
 
+/// States of a scene up to which corners that no way from a point leads to are searched.
+const MOST_SEARCHED_IN_CORNERS: usize = 3;
+
 impl Work<'_, '_> {
     /// Solves for the first states, searched for all sheets; the floor of V.
     pub(super) fn first(&mut self) -> Result<f64, BackendError> {
@@ -35,10 +38,12 @@ impl Work<'_, '_> {
         wide.extend(self.axis.as_ref().map(|axis| [0.0, axis.last]));
         let (mut tracks, mut values) =
             self.searched_in_budget(self.spread(&wide, FIRST[n]), WITHIN)?;
-        // Where trajectories are not followed backward only states on the region's faces tell of
-        // these.
+        // Where trajectories are not followed backward only states on the region's faces and in its
+        // corners tell of these.
         if !self.goes_beyond() {
-            let (more, others) = self.searched_in_budget(self.on_faces(&wide), FACES)?;
+            let mut states = self.on_faces(&wide);
+            states.extend(corners(&wide).filter(|_| self.axis.is_none()));
+            let (more, others) = self.searched_in_budget(states, FACES)?;
             tracks.extend(more);
             values.extend(others);
         }
@@ -63,9 +68,7 @@ impl Work<'_, '_> {
         }
         if self.axis.is_some() {
             let mut states = self.spread(&wide, FIRST[n]);
-            let corners = (0..1usize << (n - 1))
-                .map(|corner| (0..n - 1).map(|i| wide[i][corner >> i & 1]).collect());
-            states.extend(corners);
+            states.extend(corners(&wide[..n - 1]));
             self.add_ends(&states);
         }
         Ok(floor)
@@ -75,9 +78,7 @@ impl Work<'_, '_> {
     fn edges(&mut self, floor: f64) -> Result<(), BackendError> {
         let n = self.plan.system.states;
         let bounds = &self.aim.bounds;
-        let mut states: Vec<Vec<f64>> = (0..1usize << n)
-            .map(|corner| (0..n).map(|i| bounds[i][corner >> i & 1]).collect())
-            .collect();
+        let mut states: Vec<Vec<f64>> = corners(bounds).collect();
         states.extend(self.on_faces(bounds));
         let mut states = self.budgeted(states);
         if self.seconds_left(1.0) <= 0.0 {
@@ -103,9 +104,13 @@ impl Work<'_, '_> {
             return Ok(());
         };
         self.first[0] += count;
-        for (x, found) in states.iter().zip(&found) {
+        let mut lost = Vec::new();
+        for (k, (x, found)) in states.iter().zip(&found).enumerate() {
             if let Err(miss) = found {
                 self.missed(x, miss.clone());
+                if k < 1 << n && n <= MOST_SEARCHED_IN_CORNERS {
+                    lost.push(x.clone());
+                }
             }
         }
         let most = self.most_value();
@@ -121,7 +126,14 @@ impl Work<'_, '_> {
             })
             .collect();
         self.states += tracks.len();
-        self.add(tracks, floor)
+        self.add(tracks, floor)?;
+
+        // A corner has no other states around it: without it a polynomial goes on there by itself.
+        if !lost.is_empty() {
+            let (tracks, _) = self.searched_in_budget(lost, FACES)?;
+            self.add(tracks, floor)?;
+        }
+        Ok(())
     }
 
     /// States spread over the faces of bounds; the end of the horizon needs none.
@@ -179,4 +191,12 @@ impl Work<'_, '_> {
         }
         Ok((tracks, values))
     }
+}
+
+/// The corners of a box.
+fn corners(bounds: &[[f64; 2]]) -> impl Iterator<Item = Vec<f64>> {
+    (0..1usize << bounds.len()).map(move |corner| {
+        let each = bounds.iter().enumerate();
+        each.map(|(i, bound)| bound[corner >> i & 1]).collect()
+    })
 }

@@ -63,20 +63,26 @@ impl Work<'_, '_> {
     pub(super) fn add(&mut self, tracks: Vec<Track>, floor: f64) -> Result<(), BackendError> {
         let wish = self.wish(floor);
         let first = self.tracks.len() as u32;
-        let found = track_points(
-            self.plan,
-            self.solver,
-            &tracks,
-            first,
-            &self.in_any_period(&wish, &tracks),
-        )?;
+        let found = self.points_of(&tracks, first, &wish)?;
         self.keep(tracks, found, (&wish.bounds, &wish.around));
         Ok(())
     }
 
+    /// Points of tracks, whose numbers begin with `first`. What is solved is used, whatever the
+    /// time.
+    pub(super) fn points_of(
+        &mut self,
+        tracks: &[Track],
+        first: u32,
+        wish: &Wish,
+    ) -> Result<TrackPoints, BackendError> {
+        let wish = self.in_any_period(wish, tracks);
+        self.untimed(|this| track_points(this.plan, this.solver, tracks, first, &wish))
+    }
+
     /// Of a state with a period any number of periods away will do; where the cost tells whole
     /// periods apart, as far away as tracks begin: further out is no least V.
-    pub(super) fn in_any_period(&self, wish: &Wish, tracks: &[Track]) -> Wish {
+    fn in_any_period(&self, wish: &Wish, tracks: &[Track]) -> Wish {
         let turns = |i: usize, [lo, hi]: [f64; 2], period: f64| {
             let begin = self
                 .tracks
@@ -163,14 +169,16 @@ impl Work<'_, '_> {
 
     /// Learns how far all points keep from the guards that cast shadows, and places them anew.
     pub(super) fn shade(&mut self, floor: f64) -> Result<(), BackendError> {
-        let tracks = (self.tracks.as_slice(), 0);
-        let outside = tell_clearances(
-            self.plan,
-            self.solver,
-            tracks,
-            &self.shadows,
-            &mut self.points,
-        )?;
+        let outside = self.untimed(|this| {
+            let tracks = (this.tracks.as_slice(), 0);
+            tell_clearances(
+                this.plan,
+                this.solver,
+                tracks,
+                &this.shadows,
+                &mut this.points,
+            )
+        })?;
         self.points.retain(|k| !outside[k]);
         if self.axis.is_some() {
             let mut k = 0;

@@ -14,8 +14,6 @@ const BEFORE_CLOSING: f64 = 0.88;
 pub(super) const ALL_BUT: f64 = 0.97;
 /// With such a bound a cell counts as a hole: the last states go there first.
 const WORTHLESS: f64 = 0.1;
-/// Failures in a cell after which no more states are tried there.
-const MOST_FAILURES: u32 = 6;
 /// Points that a frame is fitted to, about; from the fullest parts of the region they are drawn by
 /// lot.
 const MOST_PLACES: usize = 200_000;
@@ -54,11 +52,7 @@ impl Work<'_, '_> {
                 .into_iter()
                 .flatten()
                 .chain(wants.iter().cloned()))
-            .filter(|w| {
-                self.failures
-                    .get(&key(w))
-                    .is_none_or(|f| *f < MOST_FAILURES)
-            })
+            .filter(|want| !self.failures.are_too_many(want))
             .collect();
             if asked.is_empty() || self.is_spent(1.0) || (closing && self.is_spent(ALL_BUT)) {
                 return Ok(pieces);
@@ -99,7 +93,8 @@ impl Work<'_, '_> {
             .filter_map(|k| self.unanswered[*k].cut.take())
             .collect();
         paths.append(&mut self.cut);
-        let margins = clearances(self.plan, self.solver, &paths.iter().collect::<Vec<_>>())?;
+        let all: Vec<&Path> = paths.iter().collect();
+        let margins = self.untimed(|this| clearances(this.plan, this.solver, &all))?;
         let mut is_new = false;
         for margins in &margins {
             for (shadow, margin) in self.shadows.iter_mut().zip(margins) {
@@ -213,13 +208,4 @@ fn holes(wants: &[Want], most: f64) -> Vec<Want> {
         ..w.clone()
     })
     .collect()
-}
-
-/// A cell as a key.
-pub(super) fn key(want: &Want) -> Vec<u64> {
-    want.lo
-        .iter()
-        .chain(&want.hi)
-        .map(|x| x.to_bits())
-        .collect()
 }

@@ -1,6 +1,6 @@
 //! States solved for where pieces want them, along the ways from points near.
 
-use super::refine::key;
+use super::failures::Asked;
 use super::{GIVEN_UP, NEAR, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Region, Want};
@@ -31,11 +31,9 @@ pub(super) struct Task {
     /// With its time where the map has that axis.
     pub x: Vec<f64>,
     pub from: u32,
-    cell: Vec<u64>,
+    cell: Asked,
     /// Half widths of the cell.
     pub half: Vec<f64>,
-    /// The cell itself is good enough.
-    only_bare: bool,
     /// No more states make the cell smaller.
     is_finest: bool,
     /// An edge of a shadow is asked for: a solution that leaves a guard tells of it, too.
@@ -105,7 +103,7 @@ impl Work<'_, '_> {
                 }
                 // No more points halve it, and its error may stay for ever.
                 if turn == 0 && want.is_finest {
-                    *self.failures.entry(key(want)).or_default() += 1;
+                    self.failures.add(Asked::of(want));
                 }
                 self.task(want, turn, region, &mut tasks);
             }
@@ -130,12 +128,10 @@ impl Work<'_, '_> {
             return Ok(false);
         };
         for (task, v) in tasks.into_iter().zip(values) {
-            let failures = self.failures.entry(task.cell).or_default();
-            if task.only_bare || v.is_nan() {
-                *failures += 1;
+            if task.cell.only_bare || v.is_nan() {
+                self.failures.add(task.cell);
             } else if !task.is_finest {
-                // Partly above `value_max`, a cell is worth more states all the same.
-                *failures = failures.saturating_sub(1);
+                self.failures.forgive(task.cell);
             }
         }
         self.add(tracks, region.floor)?;
@@ -156,8 +152,8 @@ impl Work<'_, '_> {
                 Ok(_) => high,
                 Err(miss) => !(task.shaded && miss.as_ref().is_some_and(|m| m.cut.is_some())),
             };
-            if task.only_bare || is_missed {
-                *self.failures.entry(task.cell).or_default() += 1;
+            if task.cell.only_bare || is_missed {
+                self.failures.add(task.cell);
             }
             let (path, value) = match found {
                 Ok(_) if high => {
@@ -211,7 +207,7 @@ impl Work<'_, '_> {
             _ => match self.place_for(want, turn, region) {
                 Some(z) => z,
                 None => {
-                    *self.failures.entry(key(want)).or_default() += 1;
+                    self.failures.add(Asked::of(want));
                     return;
                 }
             },
@@ -230,14 +226,13 @@ impl Work<'_, '_> {
                 .map(|(x, s)| x - s)
                 .collect(),
             from,
-            cell: key(want),
+            cell: Asked::of(want),
             half: want
                 .lo
                 .iter()
                 .zip(&want.hi)
                 .map(|(lo, hi)| 0.5 * (hi - lo))
                 .collect(),
-            only_bare: want.excess <= 1.0,
             is_finest: want.is_finest,
             shaded: want.shaded.is_some(),
         });

@@ -15,7 +15,7 @@ use super::{Cell, MOST_VARIABLES, Node, Piece, Pieces, Shape};
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::real::Real;
 use bend::{Place, Shear};
-use blend::{Share, Told};
+use blend::{PieceValue, Share};
 
 /// Polynomials summed at once: two vectors of f64 on AVX2.
 pub const LANES: usize = 8;
@@ -134,7 +134,7 @@ struct Task<T> {
 /// Room to work in; it does not grow any more after the first batches.
 pub struct Desk<T> {
     tasks: Vec<Task<T>>,
-    told: Vec<Told<T>>,
+    told: Vec<PieceValue<T>>,
     shares: Vec<Share<T>>,
     /// Of each state of a batch its first share, and its coordinates.
     first: Vec<u32>,
@@ -479,13 +479,13 @@ impl<T: Real> Flat<T> {
         jet: &Jet<T, LANES>,
         l: usize,
         second: bool,
-    ) -> Told<T> {
+    ) -> PieceValue<T> {
         let n = self.states;
         let half = &self.places[task.piece as usize * 2 * n + n..][..n];
         let (v, slope, bend) = back(head.shape, jet.v.0[l]);
         let size = v.absolute();
         let size = if size > self.floor { size } else { self.floor };
-        let mut told = Told {
+        let mut told = PieceValue {
             v,
             q: [T::of(0.0); MOST_VARIABLES],
             h: [T::of(0.0); MOST_SECOND],

@@ -249,7 +249,7 @@ pub struct Said {
 }
 
 /// V, its gradient (in coordinates of the region) and their bounds at a place.
-pub(super) struct Told {
+pub(super) struct PieceValue {
     v: f64,
     q: [f64; MOST_VARIABLES],
     v_bound: f64,
@@ -481,7 +481,7 @@ impl Pieces {
         let mut z = [0.0; MOST_VARIABLES];
         self.frame.of(x, &mut z[..n]);
         let z = &z[..n];
-        let mut own: Vec<Told> = (self.cells[self.cell(z)].pieces.clone())
+        let mut own: Vec<PieceValue> = (self.cells[self.cell(z)].pieces.clone())
             .filter_map(|k| self.told(k, z))
             .collect();
         own.sort_by(|a, b| a.v.total_cmp(&b.v));
@@ -510,7 +510,7 @@ impl Pieces {
     }
 
     /// What a piece says; `None` outside its points.
-    fn told(&self, piece: usize, z: &[f64]) -> Option<Told> {
+    fn told(&self, piece: usize, z: &[f64]) -> Option<PieceValue> {
         let n = z.len();
         let piece = &self.pieces[piece];
         let y = piece.place(z);
@@ -523,7 +523,7 @@ impl Pieces {
         for i in 0..n {
             p_bound[i] = piece.p_bound * size / piece.half[i];
         }
-        v.is_finite().then_some(Told {
+        v.is_finite().then_some(PieceValue {
             v,
             q,
             v_bound: piece.bound * size,
@@ -533,13 +533,13 @@ impl Pieces {
     }
 
     /// One sheet's blend at a place; `sole`: its cell has no other piece.
-    fn blended(&self, z: &[f64], first: &Told, sole: bool) -> Said {
+    fn blended(&self, z: &[f64], first: &PieceValue, sole: bool) -> Said {
         let n = z.len();
         let (mut total, mut slope) = (0.0, [0.0; MOST_VARIABLES]);
         let (mut v, mut q) = (0.0, [0.0; MOST_VARIABLES]);
         let (mut v_bound, mut p_bound) = (first.v_bound, first.p_bound);
         let mut pieces = 0;
-        let mut add = |told: &Told, w: f64, dw: &[f64; MOST_VARIABLES]| {
+        let mut add = |told: &PieceValue, w: f64, dw: &[f64; MOST_VARIABLES]| {
             total += w;
             // Around the first: the differences are small.
             v += w * (told.v - first.v);
@@ -563,7 +563,7 @@ impl Pieces {
                 return;
             }
             // The piece of the same sheet, if the neighbour has one.
-            let mut best: Option<Told> = None;
+            let mut best: Option<PieceValue> = None;
             for k in self.cells[cell].pieces.clone() {
                 let Some(told) = self.told(k, z) else {
                     continue;

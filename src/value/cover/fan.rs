@@ -38,8 +38,9 @@ pub struct Trajectory {
     points: Vec<f32>,
     /// Where it ended, if that is not its last level: beyond, nothing is known.
     end: Option<Vec<f32>>,
-    /// Whether a guard ended it: then cells reach up to there.
-    at_guard: bool,
+    /// Whether cells reach up to its end: a guard is there, or there is one state, and no other
+    /// trajectory passes beside it (it may all but stop, and V rise without end within a level).
+    cut: bool,
     /// Cost up to which it was integrated.
     ceiling: f64,
 }
@@ -269,7 +270,7 @@ impl<'a> Fan<'a> {
         self.deadline.check()?;
         self.run.ceiling = ceiling.is_finite().then_some((2 * n, ceiling));
         let dim = 2 * n + 2;
-        // Cells between levels of arc length reach up to the guards that end trajectories.
+        // Between levels of arc length.
         let cuts = self.plan.system.terminal.is_none() && n < MOST_IN_CELLS;
         for part in wanted.chunks(batch_limit(dim, self.run.levels.len())) {
             let mut starts = Vec::with_capacity(part.len() * dim);
@@ -304,7 +305,7 @@ impl<'a> Fan<'a> {
                 let last = points[points.len() - self.stride..].to_vec();
                 self.trajectories[*v as usize] = Some(Trajectory {
                     end: (!complete).then_some(if usable { end } else { last }),
-                    at_guard: usable && cuts && batch.status[i] == Status::Guard,
+                    cut: usable && cuts && (n == 1 || batch.status[i] == Status::Guard),
                     points,
                     ceiling,
                 });
@@ -373,7 +374,7 @@ impl<'a> Fan<'a> {
         let points = first_point(&self.start(seed));
         Trajectory {
             end: Some(points.clone()),
-            at_guard: false,
+            cut: false,
             points,
             ceiling: f64::INFINITY,
         }
@@ -393,10 +394,10 @@ impl<'a> Fan<'a> {
         }
     }
 
-    /// Whether a guard ended a seed's trajectory on the way to a level.
+    /// Whether a seed's trajectory was cut (see [`Trajectory`]) on the way to a level.
     pub fn is_cut(&self, seed: u32, level: usize) -> bool {
         let known = self.trajectories[seed as usize].as_ref();
-        known.is_some_and(|t| t.at_guard && level * self.stride == t.points.len())
+        known.is_some_and(|t| t.cut && level * self.stride == t.points.len())
     }
 
     /// The points of trajectories at the first `levels`, up to the cost at which they part and to
@@ -558,9 +559,8 @@ impl<'a> Fan<'a> {
 
     /// Levels that a seed's trajectory reaches; a guard that ends it counts as one.
     pub fn reached(&self, seed: u32) -> usize {
-        (self.trajectories[seed as usize].as_ref()).map_or(0, |t| {
-            t.points.len() / self.stride - usize::from(!t.at_guard)
-        })
+        (self.trajectories[seed as usize].as_ref())
+            .map_or(0, |t| t.points.len() / self.stride - usize::from(!t.cut))
     }
 }
 

@@ -37,8 +37,13 @@ impl Cover<'_> {
                 if place.outside > OUTSIDE {
                     return None;
                 }
-                let first = self.at(&leaf.cell, &place);
-                (place, first, self.corner_points(&leaf.cell))
+                match self.on_the_way(&leaf.cell, copy) {
+                    Some(first) => (place, first.clone(), vec![first]),
+                    None => {
+                        let first = self.at(&leaf.cell, &place);
+                        (place, first, self.corner_points(&leaf.cell))
+                    }
+                }
             }
         };
         let goal: Vec<f64> = copy.x.iter().zip(widths).map(|(x, w)| x * w).collect();
@@ -64,6 +69,19 @@ impl Cover<'_> {
             place,
             part: part.map(|part| part.corners),
         })
+    }
+
+    /// `(t, s, p, V)` of a scene of one state where the trajectory of a cell that ends within it
+    /// passes a copy: up to the end V may rise by any factor, and nothing is between.
+    fn on_the_way(&self, cell: &Cell, copy: &Copy) -> Option<Vec<f64>> {
+        let (plan, seed) = (self.fan.plan, cell.seeds[0]);
+        if plan.system.states > 1 || !self.stationary || !self.fan.is_cut(seed, cell.level + 1) {
+            return None;
+        }
+        let from = f64::from(self.fan.point(seed, cell.level)?.0[1]) / plan.widths[0];
+        let length = self.fan.along_to(cell.level) + (copy.x[0] - from).abs();
+        let trace = self.fan.traces(&[&self.fan.start(seed)], &[length]).ok()?;
+        trace.into_iter().next().filter(|point| !point.is_empty())
     }
 
     /// Where in a leaf a state lies.

@@ -158,8 +158,11 @@ impl PointsFile<'_> {
                     path: self.path.to_owned(),
                     name: shorten(name),
                     states: self.arguments(),
-                    help: did_you_mean(name, names.iter().copied())
-                        .map_or_else(String::new, |s| format!("; {s}")),
+                    help: match name.contains([';', '\t']) {
+                        true => "; columns are separated by commas".to_owned(),
+                        false => did_you_mean(name, names.iter().copied())
+                            .map_or_else(String::new, |s| format!("; {s}")),
+                    },
                 });
             };
             if columns.contains(&state) {

@@ -1,5 +1,6 @@
 //! What a run says of a map that was made to an error.
 
+use super::counted;
 use super::solved::Solved;
 use costate::low_level::map::pieces::Region;
 use costate::low_level::map::{ABOVE_BOUND, Adaptive, Agreement, Beyond, GROSS, Part};
@@ -46,6 +47,9 @@ fn nothing(made: &Adaptive) -> Option<&'static str> {
         return None;
     }
     Some(match (made.failed, made.above_max) {
+        (0, _) if made.first[0] == 0 && !made.is_searched() => {
+            "none of its first states was solved in the time that there was: give more `seconds`"
+        }
         (0, _) => {
             "guards exclude every state that was drawn in the map's region: move the region, or the guards"
         }
@@ -87,14 +91,14 @@ fn failures(made: &Adaptive) -> String {
 
 pub fn text(done: &Solved<'_>, made: &Adaptive) -> Vec<String> {
     let mut lines = vec![format!(
-        "{}: {} pieces in {} cells, from {} points along the trajectories of {} states{}, {} rounds, {:.1} s",
+        "{}: {} in {}, from {} along the trajectories of {}{}, {}, {:.1} s",
         of_what(done, made),
-        made.pieces.pieces.len(),
-        made.pieces.cells.len(),
-        made.points,
-        made.states,
+        counted(made.pieces.pieces.len(), "piece"),
+        counted(made.pieces.cells.len(), "cell"),
+        counted(made.points, "point"),
+        counted(made.states, "state"),
         failures(made),
-        made.rounds,
+        counted(made.rounds, "round"),
         made.seconds
     )];
     if !made.is_searched() {
@@ -132,7 +136,7 @@ fn of_error(done: &Solved<'_>, made: &Adaptive) -> Vec<String> {
             lines.push(of_unknown(done, made));
         }
         lines.push(match made.spent {
-            true => "  the budget was spent: with more `states` or `seconds` the error is met in more of it".to_owned(),
+            true => "  the budget was spent: with more `states` or time the error is met in more of it".to_owned(),
             false => format!(
                 "  more states would not help: cells with too many of those that were tried in vain are left{}",
                 failures(made)

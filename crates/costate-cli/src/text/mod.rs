@@ -10,3 +10,11 @@ pub mod listed;
 pub mod mapped;
 pub mod solved;
 pub mod study;
+
+/// A number of things: "1 state", "2 states".
+pub fn counted(number: usize, thing: &str) -> String {
+    match number {
+        1 => format!("1 {thing}"),
+        _ => format!("{number} {thing}s"),
+    }
+}

@@ -1,6 +1,6 @@
 //! What a run prints: heading and summary.
 
-use super::estimates;
+use super::{counted, estimates};
 use costate::backend::{Backend, Status};
 use costate::low_level::model::Model;
 use costate::low_level::numeric::quantile::median_p99_max;
@@ -103,15 +103,15 @@ fn answers_text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
         .collect::<Vec<_>>();
     let mut lines = vec![
         format!(
-            "{} states: {}",
-            answers.targets.of_given.len(),
+            "{}: {}",
+            counted(answers.targets.of_given.len(), "state"),
             statuses.join(", ")
         ),
         sheets_text(answers),
     ];
     lines.extend(boundary_text(answers));
     if !answers.folds.is_empty() {
-        lines.push(format!("folds: {} points", answers.folds.len()));
+        lines.push(format!("folds: {}", counted(answers.folds.len(), "point")));
     }
     lines.extend(missed(done, answers));
     if answers.entries.is_empty() {
@@ -142,18 +142,15 @@ fn sheets_text(answers: &Answers) -> String {
     } else {
         String::new()
     };
-    match (answers.stopped, answers.sheets) {
-        (true, _) => format!(
-            "{} solutions; the search was ended before it was known which are of one sheet, and whether any is the least",
-            answers.entries.len()
+    let solutions = counted(answers.entries.len(), "solution");
+    match answers.stopped {
+        true => format!(
+            "{solutions}; the search was ended before it was known which are of one sheet, and whether any is the least"
         ),
-        (false, 1) => format!("{} solutions on 1 sheet{copies}", answers.entries.len()),
-        (false, sheets) => {
-            format!(
-                "{} solutions on {sheets} sheets{copies}",
-                answers.entries.len()
-            )
-        }
+        false => format!(
+            "{solutions} on {}{copies}",
+            counted(answers.sheets, "sheet")
+        ),
     }
 }
 

@@ -23,6 +23,8 @@ const LEAST_LOSS: f64 = 1e-6;
 
 /// The variable that holds J/V - 1.
 const LOSS: &str = "suboptimality";
+/// The one that counts updates at which the map's law had no answer.
+const FALLBACK: &str = "fallback";
 
 /// What all maps have in common.
 struct Loops {
@@ -90,6 +92,10 @@ impl Quantity {
         self.values.iter().all(|v| !v.is_finite())
     }
 
+    fn is_zero(&self) -> bool {
+        self.values.iter().all(|v| !v.is_finite() || *v == 0.0)
+    }
+
     /// Of the loss: what is too small to mean anything.
     fn cut_off(&mut self) {
         for v in self.values.iter_mut().filter(|v| v.is_finite()) {
@@ -146,7 +152,7 @@ pub fn pictures(source: &Source<'_>) -> (Vec<Picture>, Vec<(String, String)>) {
 /// Recorded quantities in the file's order, where the map's law had no answer, and the loss against
 /// the optimum.
 fn quantities(group: &StoredGroup<'_>) -> Vec<String> {
-    let drawn = |name: &String| name == "fallback" || !schema::CLOSED_LOOP.reserves(name);
+    let drawn = |name: &String| name == FALLBACK || !schema::CLOSED_LOOP.reserves(name);
     let mut all: Vec<String> = group.names().into_iter().filter(drawn).collect();
     if group.has(LOSS) {
         all.push(LOSS.to_owned());
@@ -195,6 +201,10 @@ impl Loops {
         }
         if quantity.is_unknown() {
             return Err("it has no values".to_owned());
+        }
+        // The map's law had an answer everywhere.
+        if name == FALLBACK && quantity.is_zero() {
+            return Ok(None);
         }
         match self.place(source, group) {
             Some(place) => self.map(source, place, quantity).map(Some),

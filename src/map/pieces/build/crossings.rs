@@ -4,18 +4,19 @@
 use super::super::{BLEND, MOST_VARIABLES};
 use super::{BEYOND_OF_SEVERAL, Block, Builder, Piece};
 
-/// Places a side of a grid over a cell, by number of variables.
-const A_SIDE: [usize; MOST_VARIABLES + 1] = [1, 65, 33, 9, 5, 3, 3];
+/// Places a side of a grid over a cell or over a face of one, by number of variables: a sheet that
+/// is lower in a corner of the region alone ends on a small part of it.
+pub(super) const A_SIDE: [usize; MOST_VARIABLES + 1] = [1, 65, 33, 9, 5, 3, 3];
 /// How far beyond the extent of its points a sheet's polynomial tells whether it goes on there, in
 /// half widths.
-const GOES_ON: f64 = 0.3;
+pub(super) const GOES_ON: f64 = 0.3;
 /// From a cell's faces, in half widths: by rounding those of the region lie outside it.
 const INSET: f64 = 1e-6;
 /// States that are asked for where a sheet ends.
 const MOST_ENDS: usize = 8;
 
-/// What a piece says of a place.
-struct Told {
+/// What a piece says of a place, beyond the extent of its points too.
+struct ExtendedValue {
     v: f64,
     q: [f64; MOST_VARIABLES],
     /// How far outside the extent of its points, in half widths.
@@ -40,7 +41,7 @@ impl Builder<'_> {
             jump = jump.max(off);
         };
         let grid: Vec<Vec<f64>> = self.grid(block, -INSET).collect();
-        let all: Vec<Vec<Told>> = (grid.iter())
+        let all: Vec<Vec<ExtendedValue>> = (grid.iter())
             .map(|z| pieces.iter().map(|piece| self.told(piece, z)).collect())
             .collect();
         for (z, told) in grid.iter().zip(&all) {
@@ -63,7 +64,8 @@ impl Builder<'_> {
                         continue;
                     }
                     let z = self.edge_of_support(piece, [&grid[place], &grid[place + step]]);
-                    let told: Vec<Told> = pieces.iter().map(|piece| self.told(piece, &z)).collect();
+                    let told: Vec<ExtendedValue> =
+                        pieces.iter().map(|piece| self.told(piece, &z)).collect();
                     let off = self.jump(&told, |other| std::ptr::eq(other, &told[k]));
                     if off > self.region.error && inside(&z) {
                         add(&z, off);
@@ -83,8 +85,8 @@ impl Builder<'_> {
 
     /// By how much V would jump at a place, relative to itself, where some of the sheets end: these
     /// are lower than all that are known.
-    fn jump(&self, all: &[Told], ends: impl Fn(&Told) -> bool) -> f64 {
-        let lowest = |of: &dyn Fn(&Told) -> bool| {
+    fn jump(&self, all: &[ExtendedValue], ends: impl Fn(&ExtendedValue) -> bool) -> f64 {
+        let lowest = |of: &dyn Fn(&ExtendedValue) -> bool| {
             let v = all.iter().filter(|told| of(told)).map(|told| told.v);
             v.fold(f64::INFINITY, f64::min)
         };
@@ -129,7 +131,7 @@ impl Builder<'_> {
         let mut excess = 0.0f64;
         // Cells beside this one are blended with it a little beyond its faces.
         for z in self.grid(block, BLEND) {
-            let mut known: Vec<Told> = (pieces.iter())
+            let mut known: Vec<ExtendedValue> = (pieces.iter())
                 .map(|piece| self.told(piece, &z))
                 .filter(|told| told.outside <= 0.0)
                 .collect();
@@ -173,11 +175,9 @@ impl Builder<'_> {
         let n = self.cloud.variables;
         let side = A_SIDE[n];
         (0..side.pow(n as u32)).map(move |place| {
-            let mut left = place;
             (0..n)
-                .map(|i| {
-                    let share = (left % side) as f64 / (side - 1) as f64;
-                    left /= side;
+                .zip(shares(place, side))
+                .map(|(i, share)| {
                     let margin = 0.5 * around * (block.hi[i] - block.lo[i]);
                     let (lo, hi) = (block.lo[i] - margin, block.hi[i] + margin);
                     lo + share * (hi - lo)
@@ -186,7 +186,7 @@ impl Builder<'_> {
         })
     }
 
-    fn told(&self, piece: &Piece, z: &[f64]) -> Told {
+    fn told(&self, piece: &Piece, z: &[f64]) -> ExtendedValue {
         let y = piece.place(z);
         let outside = (piece.support.iter().zip(&self.directions))
             .map(|([lo, hi], d)| {
@@ -195,11 +195,17 @@ impl Builder<'_> {
             })
             .fold(f64::NEG_INFINITY, f64::max);
         let (v, q) = piece.value(&self.terms, &y[..z.len()]);
-        Told {
+        ExtendedValue {
             v,
             q,
             outside,
             bound: piece.bound * v.abs().max(self.region.floor),
         }
     }
+}
+
+/// Where a place of a grid with so many places a side lies along each axis, in shares of the side.
+pub(super) fn shares(place: usize, side: usize) -> impl Iterator<Item = f64> {
+    std::iter::successors(Some(place), move |left| Some(left / side))
+        .map(move |left| (left % side) as f64 / (side - 1) as f64)
 }

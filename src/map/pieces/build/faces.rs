@@ -1,15 +1,13 @@
 //! Where two cells meet their polynomials say the same, or one of them errs by what they differ.
 
-use super::super::{MOST_VARIABLES, Pieces, SAME, SHEET_MISFIT, Told};
+use super::super::{MOST_VARIABLES, PieceValue, Pieces, SAME, SHEET_MISFIT};
+use super::crossings::{A_SIDE, shares};
 use super::{Builder, Built};
 use rayon::prelude::*;
 
 /// Places on a face, in shares of the cell's width along its other axes: its middle, and towards
 /// two opposite corners.
 const PLACES: [f64; 3] = [0.5, 0.15, 0.85];
-/// Places a side of a grid over a face at which a sheet may end, by number of variables: one that
-/// is lower in a corner of the region alone ends on a small part of a face.
-const A_SIDE: [usize; MOST_VARIABLES + 1] = [1, 1, 33, 9, 5, 3, 3];
 /// One of two is right, and the other wrong, where it is so many times nearer to what the nearest
 /// point says.
 const CLEARLY: f64 = 5.0;
@@ -45,7 +43,7 @@ impl Pieces {
         const INSET: f64 = 1e-3;
         let n = self.states();
         let most = self.region.value_max;
-        let lowest = |cell: usize, z: &[f64]| -> Option<(usize, Told)> {
+        let lowest = |cell: usize, z: &[f64]| -> Option<(usize, PieceValue)> {
             (self.cells[cell].pieces.clone())
                 .filter_map(|k| Some((k, self.told(k, z)?)))
                 .min_by(|a, b| a.1.v.total_cmp(&b.1.v))
@@ -56,14 +54,13 @@ impl Pieces {
             .flat_map_iter(|cell| {
                 let places = A_SIDE[n].pow(n as u32 - 1);
                 (0..2 * n * places).filter_map(move |number| {
-                    let (face, mut rest) = (number / places, number % places);
-                    let mut shares = [0.5; MOST_VARIABLES];
-                    for i in (0..n).filter(|i| *i != face / 2) {
-                        let share = (rest % A_SIDE[n]) as f64 / (A_SIDE[n] - 1) as f64;
-                        shares[i] = INSET + (1.0 - 2.0 * INSET) * share;
-                        rest /= A_SIDE[n];
+                    let (face, place) = (number / places, number % places);
+                    let along = (0..n).filter(|i| *i != face / 2);
+                    let mut at = [0.5; MOST_VARIABLES];
+                    for (i, share) in along.zip(shares(place, A_SIDE[n])) {
+                        at[i] = INSET + (1.0 - 2.0 * INSET) * share;
                     }
-                    let z = self.on_face(cell, face, shares)?;
+                    let z = self.on_face(cell, face, at)?;
                     let beside = self.cell(&z[..n]);
                     let ((own, a), (other, b)) = (lowest(cell, &z[..n])?, lowest(beside, &z[..n])?);
                     let off = (a.v - b.v).abs();

@@ -1,6 +1,7 @@
 //! Several sheets over one block: its points are parted, and each part has a piece of its own.
 
 use super::super::fit::Shape;
+use super::crossings::GOES_ON;
 use super::{Block, Builder, Piece, thinned};
 use crate::map::pieces::MOST_VARIABLES;
 
@@ -18,6 +19,14 @@ const MOST_GROUPS: usize = 4;
 const LARGE: f64 = 16.0;
 /// Where a cell cannot be halved several sheets are taken for one whose error is this much larger.
 const SEPARATE: f64 = 0.1;
+
+/// The sheets of a block.
+struct Sheets {
+    /// The piece of each, with its largest error over the one asked for.
+    each: Vec<(Piece, f64)>,
+    /// The points of each.
+    groups: Vec<Vec<u32>>,
+}
 
 impl Builder<'_> {
     /// The pieces of a block, one a sheet; with their largest error over the one asked for.
@@ -49,14 +58,12 @@ impl Builder<'_> {
                     .iter()
                     .map(|g| self.of_group(block, g, can_be_halved))
                     .collect();
-                let Some(mut each) = each else { continue };
-                let worst = each.iter().map(|(_, e)| *e).fold(0.0, f64::max);
-                let Some(lower) = self.lower_without_points(block, &each, &groups) else {
+                let Some(each) = each else { continue };
+                let Some(sheets) = self.consistent(block, Sheets { each, groups }) else {
                     continue;
                 };
-                for ((piece, _), lower) in each.iter_mut().zip(lower) {
-                    piece.bound = piece.bound.max(lower);
-                }
+                let Sheets { each, groups } = sheets;
+                let worst = each.iter().map(|(_, e)| *e).fold(0.0, f64::max);
                 // Where two cost the same they may have to be known better than elsewhere.
                 let surface = self.excess_of_unfinished(block, &each, &groups);
                 let good = worst <= self.habits.enough
@@ -65,6 +72,9 @@ impl Builder<'_> {
                     let pieces = each.into_iter().map(|(p, _)| p).zip(groups).collect();
                     return (pieces, worst.max(surface));
                 }
+            }
+            if let Some((sheet, excess)) = self.without_strays(block, can_be_halved) {
+                return (vec![sheet], excess);
             }
             return (vec![(piece, block.points.clone())], excess);
         }
@@ -91,12 +101,13 @@ impl Builder<'_> {
         if (2..=MOST_GROUPS).contains(&labelled.len()) {
             ways.push(labelled);
         }
-        ways.extend(self.parted(block));
+        let parted = self.parted(block, &block.points, LEAST_GROUP);
+        ways.extend(parted.map(Vec::from));
         ways
     }
 
-    /// Two groups of points by their gradients (two means).
-    fn parted(&self, block: &Block) -> Option<Vec<Vec<u32>>> {
+    /// Two groups of no less than `least` points by their gradients (two means).
+    fn parted(&self, block: &Block, points: &[u32], least: usize) -> Option<[Vec<u32>; 2]> {
         let n = self.cloud.variables;
         let q = |k: u32| self.cloud.q(k as usize);
         let mean = |points: &[u32]| -> Vec<f64> {
@@ -110,9 +121,9 @@ impl Builder<'_> {
                 .sum()
         };
         // From the points furthest apart.
-        let middle = mean(&block.points);
+        let middle = mean(points);
         let furthest = |from: &[f64]| {
-            let all = block.points.iter().copied();
+            let all = points.iter().copied();
             all.max_by(|a, b| far(*a, from).total_cmp(&far(*b, from)))
         };
         let a = furthest(&middle)?;
@@ -121,25 +132,121 @@ impl Builder<'_> {
         let mut groups = [Vec::new(), Vec::new()];
         for _ in 0..8 {
             let (first, second) =
-                (block.points.iter().copied()).partition(|k| far(*k, &one) <= far(*k, &other));
+                (points.iter().copied()).partition(|k| far(*k, &one) <= far(*k, &other));
             groups = [first, second];
-            if groups.iter().any(|g: &Vec<u32>| g.len() < LEAST_GROUP) {
+            if groups.iter().any(|g: &Vec<u32>| g.len() < least) {
                 return None;
             }
             one = mean(&groups[0]);
             other = mean(&groups[1]);
         }
-        Some(groups.into())
+        Some(groups)
+    }
+
+    /// Sheets whose bounds hold where others have points and they have none; `None` where one says
+    /// far less there.
+    fn consistent(&self, block: &Block, mut sheets: Sheets) -> Option<Sheets> {
+        let lower = match self.lower_without_points(block, &sheets) {
+            Some(lower) => lower,
+            None => {
+                sheets = self.without_dominated(block, sheets)?;
+                self.lower_without_points(block, &sheets)?
+            }
+        };
+        for ((piece, _), lower) in sheets.each.iter_mut().zip(lower) {
+            piece.bound = piece.bound.max(lower);
+        }
+        Some(sheets)
+    }
+
+    /// Sheets that may be the lowest somewhere in a block; `None` if all may be. One is not whose
+    /// points all lie where another one that is known well enough is lower: where whole periods may
+    /// be chosen anew at each state, the rest of a least solution need not be least. V is
+    /// continuous but for guards, so the lower one does not end before the two cost the same.
+    fn without_dominated(&self, block: &Block, sheets: Sheets) -> Option<Sheets> {
+        if !self.may_be_dominated(block) {
+            return None;
+        }
+        let reach: Vec<Piece> = (sheets.each.iter().zip(&sheets.groups))
+            .map(|((piece, _), points)| self.going_on(piece, points))
+            .collect();
+        let is_dominated = |own: usize| {
+            let mut others = (0..reach.len()).filter(|other| *other != own);
+            others.any(|other| {
+                sheets.each[other].1 <= self.habits.enough
+                    && self.is_below(&reach[other], &sheets.groups[own])
+            })
+        };
+        // Of two one at most is below the other.
+        let stays: Vec<bool> = (0..reach.len()).map(|own| !is_dominated(own)).collect();
+        if stays.iter().all(|stays| *stays) {
+            return None;
+        }
+        let (each, groups) = (sheets.each.into_iter().zip(sheets.groups))
+            .zip(stays)
+            .filter_map(|(sheet, stays)| stays.then_some(sheet))
+            .unzip();
+        Some(Sheets { each, groups })
+    }
+
+    /// The one sheet of a block but for a few points, of which it is below: too few to tell of a
+    /// sheet of their own.
+    fn without_strays(
+        &self,
+        block: &Block,
+        can_be_halved: bool,
+    ) -> Option<((Piece, Vec<u32>), f64)> {
+        if !self.may_be_dominated(block) {
+            return None;
+        }
+        let (mut points, mut strays) = (block.points.clone(), Vec::new());
+        for _ in 1..MOST_GROUPS {
+            let mut parts = self.parted(block, &points, 1)?;
+            parts.sort_by_key(Vec::len);
+            let [few, most] = parts;
+            strays.extend(few);
+            points = most;
+            if strays.len() >= LEAST_GROUP {
+                return None;
+            }
+            let (piece, excess) = self.of_group(block, &points, can_be_halved)?;
+            if excess <= self.habits.enough {
+                let goes_on = self.going_on(&piece, &points);
+                let is_below = self.is_below(&goes_on, &strays);
+                return is_below.then_some(((piece, points), excess));
+            }
+        }
+        None
+    }
+
+    /// Whether a sheet that is lower than another's points tells that these are not the lowest.
+    fn may_be_dominated(&self, block: &Block) -> bool {
+        self.cloud.several && !self.is_shaded && !self.region.game && block.unanswered.is_empty()
+    }
+
+    /// A piece that reaches a little beyond its points.
+    fn going_on(&self, piece: &Piece, points: &[u32]) -> Piece {
+        Piece {
+            support: self.enclosed(piece, points, GOES_ON),
+            ..piece.clone()
+        }
+    }
+
+    /// Whether a piece is lower than all of some points by more than the error asked for.
+    fn is_below(&self, piece: &Piece, points: &[u32]) -> bool {
+        points.iter().all(|k| {
+            let y = piece.place(self.cloud.z(*k as usize));
+            let y = &y[..self.cloud.variables];
+            let v = self.cloud.v[*k as usize];
+            let enough = self.region.error * v.abs().max(self.region.floor);
+            piece.supports(&self.directions, y) && v - piece.value(&self.terms, y).0 > enough
+        })
     }
 
     /// By how much each sheet says, at most, that it is lower than another where it has no points
     /// of its own, relative to V; `None` if that is more than the error asked for.
-    fn lower_without_points(
-        &self,
-        block: &Block,
-        each: &[(Piece, f64)],
-        groups: &[Vec<u32>],
-    ) -> Option<Vec<f64>> {
+    fn lower_without_points(&self, block: &Block, sheets: &Sheets) -> Option<Vec<f64>> {
+        let Sheets { each, groups } = sheets;
         let mut lower = vec![0.0f64; each.len()];
         let n = self.cloud.variables;
         let far = |k: u32, l: u32| -> f64 {

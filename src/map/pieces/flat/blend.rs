@@ -9,7 +9,7 @@ use crate::map::pieces::{BLEND, MOST_VARIABLES, SAME};
 
 /// What a piece says, in coordinates of the frame.
 #[derive(Clone, Copy)]
-pub(super) struct Told<T> {
+pub(super) struct PieceValue<T> {
     pub v: T,
     pub q: [T; MOST_VARIABLES],
     pub h: [T; MOST_SECOND],
@@ -76,7 +76,7 @@ impl<T: Real> Flat<T> {
         &self,
         place: &Place<T>,
         shares: &[Share<T>],
-        told: &[Told<T>],
+        told: &[PieceValue<T>],
         second: bool,
         here: &mut Here<T>,
     ) -> bool {
@@ -86,7 +86,7 @@ impl<T: Real> Flat<T> {
             return false;
         };
         let mut sheets = 0;
-        let mut first: Option<&Told<T>> = None;
+        let mut first: Option<&PieceValue<T>> = None;
         for told in &told[own.from as usize..own.to as usize] {
             if told.v.is_finite() && told.v <= self.value_max {
                 sheets += 1;
@@ -113,9 +113,9 @@ impl<T: Real> Flat<T> {
             let best = if share.own {
                 Some(first)
             } else {
-                let mut best: Option<&Told<T>> = None;
+                let mut best: Option<&PieceValue<T>> = None;
                 for told in &told[share.from as usize..share.to as usize] {
-                    let off = |t: &Told<T>| (t.v - first.v).absolute();
+                    let off = |t: &PieceValue<T>| (t.v - first.v).absolute();
                     if told.v.is_finite() && best.is_none_or(|b| off(told) < off(b)) {
                         best = Some(told);
                     }
@@ -227,7 +227,14 @@ impl<T: Real> Sums<T> {
     }
 
     #[inline(always)]
-    fn add(&mut self, n: usize, weight: &Weight<T>, told: &Told<T>, first: &Told<T>, second: bool) {
+    fn add(
+        &mut self,
+        n: usize,
+        weight: &Weight<T>,
+        told: &PieceValue<T>,
+        first: &PieceValue<T>,
+        second: bool,
+    ) {
         let one = T::of(1.0);
         let Weight { f, d, dd } = weight;
         let but = |skip: [usize; 2]| {
