@@ -1,9 +1,9 @@
 //! Backends integrate batches of trajectories: seeds in; end states, stored samples, status and
 //! counters out.
 //!
-//! [`cpu`] and [`gpu`] implement the same traits and never import each other. What a batch does not
-//! ask for is not in its program: a [`Spec`] without guards or stored samples compiles to a kernel
-//! without them.
+//! [`cpu`] and `gpu` (a feature) implement the same traits and never import each other. What a batch
+//! does not ask for is not in its program: a [`Spec`] without guards or stored samples compiles to a
+//! kernel without them.
 
 pub mod adapters;
 pub mod constants;
@@ -246,6 +246,14 @@ pub enum BackendError {
     /// Work with a [`Deadline`] was given up; what it had found is lost.
     #[error("the time given is over")]
     OutOfTime,
+}
+
+impl BackendError {
+    /// Whether what was asked for is at fault: no machine would do it.
+    #[must_use]
+    pub fn is_of_input(&self) -> bool {
+        matches!(self, Self::NoMethod { .. } | Self::NoSuchAdapter { .. })
+    }
 }
 
 /// When work is given up: at an instant, or once a flag is set. Loops look at it where they hand

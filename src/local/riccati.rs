@@ -29,6 +29,22 @@ pub struct Riccati {
     pub error: f64,
 }
 
+/// That products of the numbers of a scene are numbers, too.
+fn check_scales(linear: &Linearization, widths: &DVector<f64>) -> Result<(), LocalError> {
+    const MOST: f64 = 1e150;
+    let entries = linear.g.iter().chain(linear.q.iter()).map(|x| x.abs());
+    let squares = widths.iter().map(|w| w * w);
+    let is_far = |x: &f64| *x > MOST || (*x > 0.0 && *x < MOST.recip());
+    let is_far_width = |w: f64| is_far(&w) || w == 0.0;
+    let mut of_entries = entries.filter(|x| x.is_finite());
+    match of_entries.any(|x| is_far(&x)) || squares.into_iter().any(is_far_width) {
+        true => Err(LocalError::NoSolution {
+            reason: "its numbers are too far from 1 to be multiplied: give the region, the dynamics and the cost in units in which they are nearer to 1".into(),
+        }),
+        false => Ok(()),
+    }
+}
+
 /// Distance of the slowest mode from the imaginary axis.
 pub fn closed_loop_margin(r: &Riccati) -> f64 {
     r.eigenvalues
@@ -46,6 +62,7 @@ impl Riccati {
         let n = hamiltonian.states();
         let widths = widths(model);
         let linear = Linearization::new(hamiltonian, model);
+        check_scales(&linear, &widths)?;
         if !linear.is_finite() {
             return Err(LocalError::NoSolution {
                 reason: "the second derivatives of H at the equilibrium are not finite (a root or logarithm at the edge of its domain?)".into(),

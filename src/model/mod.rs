@@ -558,7 +558,7 @@ impl Model {
                 .map_or_else(String::new, |s| format!("; {s}"));
             let all: Vec<&str> = names().collect();
             format!(
-                "`{name}` is not a state of the scenario (states: {}){hint}",
+                "`{name}` is not a state of the scene (states: {}){hint}",
                 all.join(", ")
             )
         })

@@ -25,7 +25,7 @@ pub enum RunError {
     Stored(#[from] StoredError),
     #[error(transparent)]
     Map(#[from] StoredMapError),
-    #[error("{path} asks for no law: it has no [feedback] (or take one from another scenario with --scene)", path = path.display())]
+    #[error("{path} asks for no law: it has no [feedback] (or take one from another scene with --scene)", path = path.display())]
     NoFeedback { path: PathBuf },
     #[error("{path} holds neither trajectories, solved states nor a map to an error to fit a law to", path = path.display())]
     NoData { path: PathBuf },

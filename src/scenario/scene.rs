@@ -177,7 +177,7 @@ impl<'a> Reader<'a> {
                     DeValue::Table(_) => format!("unknown section [{}]", shorten(name)),
                     _ => format!("unknown key `{}` outside any section", shorten(name)),
                 };
-                self.report(Problem::at(span, message, "not part of a scenario").with_help(help));
+                self.report(Problem::at(span, message, "not part of a scene").with_help(help));
             }
         }
         (sections, title)

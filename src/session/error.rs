@@ -24,24 +24,24 @@ pub enum SessionError {
     #[error("the scene asks for no map: give it [map] with error = ...")]
     NoMap,
     #[error(
-        "the scenario has neither [homotopy] nor [map]: no states to solve for (or use `costate solve --points FILE.csv`)"
+        "the scene has neither [homotopy] nor [map]: no states to solve for (or use `costate solve --points FILE.csv`)"
     )]
     NoTargets,
     #[error(
         "nothing was swept: all {outside} seeds lie outside the guards (is the equilibrium too near their boundary for this seed_value?)"
     )]
     NothingSwept { outside: usize },
-    #[error("the scenario has no [study]")]
+    #[error("the scene has no [study]")]
     NoStudy,
-    #[error("the scenario has no [attenuation]")]
+    #[error("the scene has no [attenuation]")]
     NoAttenuation,
-    #[error("the scenario has no [feedback]: no law to fit")]
+    #[error("the scene has no [feedback]: no law to fit")]
     NoFeedback,
     #[error(
-        "the scenario has neither [closed_loop] nor [dissipation]: nothing to simulate (--scene takes it from another scenario)"
+        "the scene has neither [closed_loop] nor [dissipation]: nothing to simulate (--scene takes it from another scene)"
     )]
     NoClosedLoop,
-    #[error("no law to simulate: none of those that the scenario asks for is there")]
+    #[error("no law to simulate: none of those that the scene asks for is there")]
     NoLaws,
     #[error("a law named `{name}` is there already: give the other one another name")]
     SameLaw { name: String },
@@ -84,7 +84,8 @@ impl SessionError {
     #[must_use]
     pub fn is_of_input(&self) -> bool {
         match self {
-            Self::NothingSwept { .. } | Self::Thread | Self::Backend(_) => false,
+            Self::NothingSwept { .. } | Self::Thread => false,
+            Self::Backend(error) => error.is_of_input(),
             Self::Study(error) => {
                 matches!(error, StudyError::Scene { .. } | StudyError::Plan { .. })
             }

@@ -34,7 +34,7 @@ pub const FOLD_STATUS: i32 = 15;
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     #[error(
-        "the scenario has no [shoot_out] section: add one, or a [map]; V, p and u at chosen states need neither: `costate solve --points`"
+        "the scene has no [shoot_out] section: add one, or a [map]; V, p and u at chosen states need neither: `costate solve --points`"
     )]
     NoShootOut,
     #[error(

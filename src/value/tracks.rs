@@ -203,49 +203,10 @@ fn onward(
             left[q] = left[q + 1] + costs[q];
         }
         left[0] = track.value;
-        let mut t = 0.0;
-        let mut part = Path {
-            width: 2 * n,
-            ..Path::default()
-        };
-        let mut at = Vec::new();
-        for (q, duration) in track.path.durations.iter().enumerate() {
-            let (here, next) = (track.path.node(q), track.path.node(q + 1));
-            let (v, after) = (left[q], left[q + 1]);
-            if wish.has(&here[..n]) && v <= wish.value_max {
-                points.push(here, v, number, t);
-            }
-            let time = wish.horizon.map_or(0.0, |horizon| duration / horizon);
-            let way = (0..n)
-                .map(|i| ((next[i] - here[i]) / wish.width(i)).powi(2))
-                .chain([time * time])
-                .sum::<f64>()
-                .sqrt();
-            let fall = (v.abs().max(wish.floor) / after.abs().max(wish.floor))
-                .ln()
-                .abs();
-            let far = !wish.is_around(&here[..n]) && !wish.is_around(&next[..n]);
-            let sparser = if far { SPARSER } else { 1.0 };
-            let pieces = (way / wish.spacing).max(fall / wish.change) / sparser;
-            let pieces = pieces.ceil().clamp(1.0, 64.0) as usize;
-            let outside = !wish.has(&here[..n]) && !wish.has(&next[..n]);
-            for r in (1..pieces).filter(|_| !outside) {
-                let way = duration * r as f64 / pieces as f64;
-                part.push(way, here);
-                at.push((v, t + way));
-            }
-            t += duration;
-            // What follows is the local solution's.
-            if wish.horizon.is_none() && after.abs() < 1e-3 * wish.floor {
-                break;
-            }
+        if let Some((part, at)) = divided((track, number), &left, wish, points) {
+            parts.push(part);
+            places.push((number, at));
         }
-        if part.durations.is_empty() {
-            continue;
-        }
-        part.nodes.extend_from_slice(track.path.last());
-        parts.push(part);
-        places.push((number, at));
     }
     let ends = solver.ends_of(&parts.iter().collect::<Vec<_>>(), true)?;
     for ((number, at), done) in places.into_iter().zip(ends) {
@@ -258,6 +219,60 @@ fn onward(
         }
     }
     Ok(())
+}
+
+/// Adds the nodes of a track to its points, with the V `left` at each; and gives unconnected
+/// segments to the points between them, if there are any, each with V at its begin and the time of
+/// its end.
+fn divided(
+    (track, number): (&Track, u32),
+    left: &[f64],
+    wish: &Wish,
+    points: &mut TrackPoints,
+) -> Option<(Path, Vec<(f64, f64)>)> {
+    let n = points.states;
+    let mut t = 0.0;
+    let mut part = Path {
+        width: 2 * n,
+        ..Path::default()
+    };
+    let mut at = Vec::new();
+    for (q, duration) in track.path.durations.iter().enumerate() {
+        let (here, next) = (track.path.node(q), track.path.node(q + 1));
+        let (v, after) = (left[q], left[q + 1]);
+        if wish.has(&here[..n]) && v <= wish.value_max {
+            points.push(here, v, number, t);
+        }
+        let time = wish.horizon.map_or(0.0, |horizon| duration / horizon);
+        let way = (0..n)
+            .map(|i| ((next[i] - here[i]) / wish.width(i)).powi(2))
+            .chain([time * time])
+            .sum::<f64>()
+            .sqrt();
+        let fall = (v.abs().max(wish.floor) / after.abs().max(wish.floor))
+            .ln()
+            .abs();
+        let far = !wish.is_around(&here[..n]) && !wish.is_around(&next[..n]);
+        let sparser = if far { SPARSER } else { 1.0 };
+        let pieces = (way / wish.spacing).max(fall / wish.change) / sparser;
+        let pieces = pieces.ceil().clamp(1.0, 64.0) as usize;
+        let outside = !wish.has(&here[..n]) && !wish.has(&next[..n]);
+        for r in (1..pieces).filter(|_| !outside) {
+            let way = duration * r as f64 / pieces as f64;
+            part.push(way, here);
+            at.push((v, t + way));
+        }
+        t += duration;
+        // What follows is the local solution's.
+        if wish.horizon.is_none() && after.abs() < 1e-3 * wish.floor {
+            break;
+        }
+    }
+    if part.durations.is_empty() {
+        return None;
+    }
+    part.nodes.extend_from_slice(track.path.last());
+    Some((part, at))
 }
 
 /// A track on its way backward from its beginning.

@@ -150,3 +150,43 @@ fn numbers_of_no_size() {
     let text = said(&folder, &["check", "wide.toml"], 2);
     assert!(text.contains("1e300 is not below -1e300"), "{text}");
 }
+
+/// Numbers whose products are none are named as the cause (a mode that cannot be stabilized was),
+/// and so are commas where a table has other separators.
+#[test]
+fn units_and_separators_that_do_not_fit() {
+    let folder = swept("units");
+    for (from, to) in [
+        (
+            "region = { x = [-1, 1], v = [-1, 1] }",
+            "region = { x = [-1, 1], v = [-1e100, 1e100] }",
+        ),
+        (
+            "region = { x = [-1, 1], v = [-1, 1] }",
+            "region = { x = [-1, 1], v = [-1e-200, 1e-200] }",
+        ),
+        ("0.5*(x^2 + v^2 + u^2)", "1e200*(x^2 + v^2 + u^2)"),
+        ("0.5*(x^2 + v^2 + u^2)", "1e-200*(x^2 + v^2 + u^2)"),
+        ("+ u\"", "+ 1e-150*u\""),
+    ] {
+        let scene = SCENE.replace(from, to);
+        assert_ne!(scene, SCENE);
+        std::fs::write(folder.join("units.toml"), scene).unwrap();
+        let text = said(
+            &folder,
+            &["shoot-out", "units.toml", "--out", "units.h5"],
+            2,
+        );
+        assert!(text.contains("too far from 1"), "{to}: {text}");
+        assert!(!folder.join("units.h5").exists(), "{to}");
+    }
+    for text in ["x;v\n0.5;0\n", "x\tv\n0.5\t0\n"] {
+        std::fs::write(folder.join("points.csv"), text).unwrap();
+        let said = said(
+            &folder,
+            &["solve", "scene.toml", "--points", "points.csv"],
+            2,
+        );
+        assert!(said.contains("separated by commas"), "{said}");
+    }
+}

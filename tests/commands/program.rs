@@ -93,7 +93,7 @@ fn wrong_usage_is_refused() {
         "--tolerance",
     );
     refused("command", &["fly", &pendulum], 2, "fly");
-    refused("missing", &["run"], 2, "SCENARIO");
+    refused("missing", &["run"], 2, "SCENE");
     refused(
         "rtol",
         &["run", &pendulum, "--rtol", "fast"],

@@ -15,7 +15,7 @@ pub struct Cli {
 
 #[derive(Subcommand, Debug)]
 pub enum Command {
-    /// Do everything that the scenario asks for and write the result file.
+    /// Do everything that the scene asks for and write the result file.
     Run(RunArgs),
     /// Only the sweep outward from the equilibrium (or from the terminal cost).
     ShootOut(RunArgs),
@@ -48,7 +48,7 @@ pub enum Command {
     /// SVG and PNG.
     #[cfg(feature = "report")]
     Report(ReportArgs),
-    /// Validate a scenario and print the derived equations and the local solution.
+    /// Validate a scene and print the derived equations and the local solution.
     Check(CheckArgs),
     /// Print the reference of scenes, or of the result file, in Markdown.
     Reference {
@@ -73,10 +73,11 @@ pub enum Reference {
     File,
 }
 
-/// Options of every command that reads a scenario.
+/// Options of every command that reads a scene.
 #[derive(Args, Debug, Clone)]
 pub struct SceneArgs {
-    /// The scenario file (TOML).
+    /// The scene file (TOML).
+    #[arg(value_name = "SCENE")]
     pub scenario: PathBuf,
     /// Replace a parameter: a number or an expression of earlier parameters. May be repeated.
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = assignment)]
@@ -112,13 +113,13 @@ pub struct NumericsArgs {
     /// Use the adapter whose name contains this.
     #[arg(long, value_name = "NAME")]
     pub adapter: Option<String>,
-    /// Arithmetic of the integration [default: the scenario's]
+    /// Arithmetic of the integration [default: the scene's]
     #[arg(long, value_enum)]
     pub precision: Option<PrecisionChoice>,
-    /// Integration method: rk4, tsit5, dop853, taylor [default: the scenario's]
+    /// Integration method: rk4, tsit5, dop853, taylor [default: the scene's]
     #[arg(long, value_parser = method)]
     pub method: Option<Method>,
-    /// Relative tolerance [default: the scenario's]
+    /// Relative tolerance [default: the scene's]
     #[arg(long, value_parser = tolerance, allow_negative_numbers = true)]
     pub rtol: Option<f64>,
 }
@@ -127,7 +128,7 @@ pub struct NumericsArgs {
 pub struct RunArgs {
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// The result file [default: out/<scenario>.h5]; of `solve` also a table, FILE.csv
+    /// The result file [default: out/<scene>.h5]; of `solve` also a table, FILE.csv
     #[arg(long)]
     pub out: Option<PathBuf>,
     #[command(flatten)]
@@ -209,7 +210,7 @@ pub struct ValueArgs {
 
 #[derive(Args, Debug, Clone)]
 pub struct EvaluateArgs {
-    /// A result file, or a scenario (.toml) for laws that need none.
+    /// A result file, or a scene (.toml) for laws that need none.
     pub file: PathBuf,
     /// Take the scene, with its [closed_loop], from here; states and controls must be those of the
     /// result file.
@@ -230,7 +231,7 @@ pub struct EvaluateArgs {
     /// Solve for V at the initial states, instead of taking it from the result file.
     #[arg(long)]
     pub solve: bool,
-    /// Write here [default: into the result file; out/<scenario>_closed_loop.h5 for a scenario]
+    /// Write here [default: into the result file; out/<scene>_closed_loop.h5 for a scene]
     #[arg(long)]
     pub out: Option<PathBuf>,
     #[command(flatten)]
@@ -246,7 +247,7 @@ pub struct EvaluateArgs {
 pub struct BenchArgs {
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// The result file; a picture is written beside it [default: out/<scenario>_bench.h5]
+    /// The result file; a picture is written beside it [default: out/<scene>_bench.h5]
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// What to measure: the CPU and every GPU adapter (all; software adapters only where there is
@@ -296,17 +297,17 @@ pub struct BenchArgs {
 pub struct FitArgs {
     /// The result file; the laws are written into it, as /feedback.
     pub file: PathBuf,
-    /// Take [feedback] from this scenario, which has the same states and controls.
+    /// Take [feedback] from this scene, which has the same states and controls.
     #[arg(long, value_name = "SCENE.toml")]
     pub scene: Option<PathBuf>,
     /// Where the laws' files are written (weights, C header, ONNX) [default: beside the result
     /// file]
     #[arg(long, value_name = "DIR")]
     pub out_dir: Option<PathBuf>,
-    /// Seed of the sets and the first weights [default: the scenario's]
+    /// Seed of the sets and the first weights [default: the scene's]
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Trainings from different first weights [default: the scenario's]
+    /// Trainings from different first weights [default: the scene's]
     #[arg(long, value_parser = at_least_one)]
     pub starts: Option<usize>,
     /// End after so many seconds with the laws that are done by then, and exit status 75. Laws that

@@ -136,17 +136,23 @@ impl CliError {
             Self::Session(error) => error.is_of_input(),
             Self::Run(error) => error.is_of_input(),
             #[cfg(feature = "gpu")]
-            Self::Device(error) => !matches!(error, DeviceError::Backend(_)),
+            Self::Device(DeviceError::Backend(error)) => error.is_of_input(),
+            #[cfg(feature = "gpu")]
+            Self::Device(_) => true,
+            Self::Backend(error) => error.is_of_input(),
             Self::Refused(error) => !matches!(error, GridRefusal::OutOfTime(_)),
             #[cfg(feature = "report")]
             Self::Report(error) => {
                 use costate_report::ReportError;
-                matches!(
-                    error,
-                    ReportError::Options(_) | ReportError::Stored(_) | ReportError::NotOurs { .. }
-                )
+                match error {
+                    ReportError::Options(_)
+                    | ReportError::Stored(_)
+                    | ReportError::NotOurs { .. } => true,
+                    ReportError::Output(error) => error.is_of_name(),
+                    _ => false,
+                }
             }
-            Self::Backend(_) | Self::Bench(_) | Self::NotLeast { .. } | Self::Stdout(_) => false,
+            Self::Bench(_) | Self::NotLeast { .. } | Self::Stdout(_) => false,
             _ => true,
         };
         if of_input { 2 } else { 1 }
@@ -273,7 +279,7 @@ pub enum PointsError {
         line: u64,
         reason: String,
     },
-    #[error("{}: line 1: `{name}` is not a state of the scenario (states: {states}){help}", path.display())]
+    #[error("{}: line 1: `{name}` is not a state of the scene (states: {states}){help}", path.display())]
     UnknownState {
         path: PathBuf,
         name: String,

@@ -64,15 +64,11 @@ impl Interpreted {
         for (i, op) in ops.iter().enumerate() {
             op.reads().for_each(|v| last[v as usize] = i);
         }
-        let constants: Vec<u64> = (ops.iter())
-            .filter_map(|op| {
-                if let Op::Pattern(bits) = op {
-                    Some(*bits)
-                } else {
-                    None
-                }
-            })
-            .collect();
+        let constant = |op: &Op| match op {
+            Op::Pattern(bits) => Some(*bits),
+            _ => None,
+        };
+        let constants: Vec<u64> = ops.iter().filter_map(constant).collect();
         let fixed = parameters + constants.len();
         let mut registers = fixed;
         let mut free: Vec<u32> = Vec::new();
@@ -127,17 +123,11 @@ impl Interpreted {
                 _ => steps.push(next),
             }
             // The argument of a sine must outlive a cosine that joins it.
-            let joined = matches!(op, Op::Call(Primitive::Sin, _));
-            let ended = |v: &u32| {
-                last[*v as usize] == i
-                    && place[*v as usize] & FRAME == 0
-                    && place[*v as usize] >= fixed as u32
-            };
-            if !joined {
-                let mut dead: Vec<u32> = op
-                    .reads()
-                    .filter(ended)
+            if !matches!(op, Op::Call(Primitive::Sin, _)) {
+                let ended = op.reads().filter(|v| last[*v as usize] == i);
+                let mut dead: Vec<u32> = ended
                     .map(|v| place[v as usize])
+                    .filter(|at| at & FRAME == 0 && *at >= fixed as u32)
                     .collect();
                 dead.sort_unstable();
                 dead.dedup();

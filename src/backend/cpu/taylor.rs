@@ -330,120 +330,150 @@ impl<'a> Nodes<'a> {
         let first = self.at(a, 0).unwrap_or(zero);
         match f {
             Primitive::Sin | Primitive::Cos => self.sine(i, f == Primitive::Sin, a, n),
-            Primitive::Exp | Primitive::Expm1 => {
-                if n == 0 {
-                    let value = self.r.call(f, first);
-                    // e_j of the exponential itself.
-                    self.partner[i] = vec![Some(if f == Primitive::Exp {
-                        value
-                    } else {
-                        let one = self.r.constant(1.0);
-                        self.r.add(value, one)
-                    })];
-                    return Some(value);
-                }
-                let slopes = self.derivatives(i, a, n);
-                let own = self.partner[i].clone();
-                let sum = self.convolution(&slopes, &own, n, 1..=n);
-                let value = self.scale(sum, 1.0 / n as f64);
-                self.partner[i].push(value);
-                value
-            }
-            Primitive::Log | Primitive::Log1p => {
-                if n == 0 {
-                    return Some(self.r.call(f, first));
-                }
-                let one = self.r.constant(1.0);
-                let inverse = match self.fixed[i] {
-                    Some(inverse) => inverse,
-                    None => {
-                        let whole = if f == Primitive::Log {
-                            first
-                        } else {
-                            self.r.add(first, one)
-                        };
-                        let inverse = self.r.div(one, whole);
-                        self.fixed[i] = Some(inverse);
-                        inverse
-                    }
-                };
-                // n l_n = (n a_n - sum of j l_j a_(n-j)) / a_0; j l_j are kept as `partner`.
-                if n == 1 {
-                    self.partner[i] = vec![None];
-                }
-                let (own, b) = (self.partner[i].clone(), self.series[a as usize].clone());
-                let sum = self.convolution(&own, &b, n, 1..=n - 1);
-                let slope = self.scale(self.at(a, n), n as f64);
-                let rest = self.sub(slope, sum);
-                let scaled = self.mul(rest, Some(inverse));
-                self.partner[i].push(scaled);
-                self.scale(scaled, 1.0 / n as f64)
-            }
-            Primitive::Atan => {
-                // g = 1 + a^2; n t_n = (n a_n - sum of j t_j g_(n-j)) / g_0; j t_j are kept as
-                // `scaled`.
-                let series = self.series[a as usize].clone();
-                let one = self.r.constant(1.0);
-                let square = if n == 0 {
-                    let square = self.mul(series[0], series[0]);
-                    self.add(square, Some(one))
-                } else {
-                    self.square(&series, n, 0)
-                };
-                self.partner[i].push(square);
-                if n == 0 {
-                    self.fixed[i] = square.map(|g| self.r.div(one, g));
-                    self.scaled[i].push(None);
-                    return Some(self.r.call(f, first));
-                }
-                let (own, g) = (self.scaled[i].clone(), self.partner[i].clone());
-                let sum = self.convolution(&own, &g, n, 1..=n - 1);
-                let slope = self.scale(self.at(a, n), n as f64);
-                let rest = self.sub(slope, sum);
-                let scaled = self.mul(rest, self.fixed[i]);
-                self.scaled[i].push(scaled);
-                self.scale(scaled, 1.0 / n as f64)
-            }
-            Primitive::Sqrt => {
-                if n == 0 {
-                    return Some(self.r.sqrt(first));
-                }
-                let root = self.at_own(i, 0, zero);
-                let half = *self.fixed[i].get_or_insert_with(|| {
-                    let half = self.r.constant(0.5);
-                    self.r.div(half, root)
-                });
-                let own = self.series[i].clone();
-                let sum = self.square(&own, n, 1);
-                let rest = self.sub(self.at(a, n), sum);
-                self.mul(rest, Some(half))
-            }
-            Primitive::Abs => {
-                if n == 0 {
-                    return Some(self.r.abs(first));
-                }
-                let value = self.at(a, n)?;
-                let sign = match self.fixed[i] {
-                    Some(sign) => sign,
-                    None => {
-                        // The sign of what comes first and is not zero.
-                        let second = self.at(a, 1).unwrap_or(zero);
-                        let nothing = self.r.compare(Comparison::Equal, first, zero);
-                        let either = self.r.select(nothing, second, first);
-                        let leading = self.sides.get(&i).copied().unwrap_or(either);
-                        let bit = self.r.sign_bit();
-                        let sign = self.r.and(leading, bit);
-                        self.fixed[i] = Some(sign);
-                        sign
-                    }
-                };
-                Some(self.r.xor(value, sign))
-            }
+            Primitive::Exp | Primitive::Expm1 => self.exponential(i, (f, first), a, n),
+            Primitive::Log | Primitive::Log1p => self.logarithm(i, (f, first), a, n),
+            Primitive::Atan => self.arctangent(i, first, a, n),
+            Primitive::Sqrt => self.root(i, (first, zero), a, n),
+            Primitive::Abs => self.absolute(i, (first, zero), a, n),
             Primitive::Sign | Primitive::Step => (n == 0).then(|| {
                 let side = self.sides.get(&i).copied().unwrap_or(first);
                 self.r.call(f, side)
             }),
         }
+    }
+
+    /// `n e_n = sum of j a_j e_(n-j)`.
+    fn exponential(
+        &mut self,
+        i: usize,
+        (f, first): (Primitive, Value),
+        a: u32,
+        n: usize,
+    ) -> Option<Value> {
+        if n == 0 {
+            let value = self.r.call(f, first);
+            // e_j of the exponential itself.
+            self.partner[i] = vec![Some(if f == Primitive::Exp {
+                value
+            } else {
+                let one = self.r.constant(1.0);
+                self.r.add(value, one)
+            })];
+            return Some(value);
+        }
+        let slopes = self.derivatives(i, a, n);
+        let own = self.partner[i].clone();
+        let sum = self.convolution(&slopes, &own, n, 1..=n);
+        let value = self.scale(sum, 1.0 / n as f64);
+        self.partner[i].push(value);
+        value
+    }
+
+    /// `n l_n = (n a_n - sum of j l_j a_(n-j)) / a_0`; `j l_j` are kept as `partner`.
+    fn logarithm(
+        &mut self,
+        i: usize,
+        (f, first): (Primitive, Value),
+        a: u32,
+        n: usize,
+    ) -> Option<Value> {
+        if n == 0 {
+            return Some(self.r.call(f, first));
+        }
+        let one = self.r.constant(1.0);
+        let inverse = match self.fixed[i] {
+            Some(inverse) => inverse,
+            None => {
+                let whole = if f == Primitive::Log {
+                    first
+                } else {
+                    self.r.add(first, one)
+                };
+                let inverse = self.r.div(one, whole);
+                self.fixed[i] = Some(inverse);
+                inverse
+            }
+        };
+        if n == 1 {
+            self.partner[i] = vec![None];
+        }
+        let (own, b) = (self.partner[i].clone(), self.series[a as usize].clone());
+        let sum = self.convolution(&own, &b, n, 1..=n - 1);
+        let slope = self.scale(self.at(a, n), n as f64);
+        let rest = self.sub(slope, sum);
+        let scaled = self.mul(rest, Some(inverse));
+        self.partner[i].push(scaled);
+        self.scale(scaled, 1.0 / n as f64)
+    }
+
+    /// With `g = 1 + a^2`: `n t_n = (n a_n - sum of j t_j g_(n-j)) / g_0`; `j t_j` are kept as
+    /// `scaled`.
+    fn arctangent(&mut self, i: usize, first: Value, a: u32, n: usize) -> Option<Value> {
+        let series = self.series[a as usize].clone();
+        let one = self.r.constant(1.0);
+        let square = if n == 0 {
+            let square = self.mul(series[0], series[0]);
+            self.add(square, Some(one))
+        } else {
+            self.square(&series, n, 0)
+        };
+        self.partner[i].push(square);
+        if n == 0 {
+            self.fixed[i] = square.map(|g| self.r.div(one, g));
+            self.scaled[i].push(None);
+            return Some(self.r.call(Primitive::Atan, first));
+        }
+        let (own, g) = (self.scaled[i].clone(), self.partner[i].clone());
+        let sum = self.convolution(&own, &g, n, 1..=n - 1);
+        let slope = self.scale(self.at(a, n), n as f64);
+        let rest = self.sub(slope, sum);
+        let scaled = self.mul(rest, self.fixed[i]);
+        self.scaled[i].push(scaled);
+        self.scale(scaled, 1.0 / n as f64)
+    }
+
+    /// `2 r_0 r_n = a_n - sum of r_j r_(n-j)`, j from 1 to n - 1.
+    fn root(&mut self, i: usize, (first, zero): (Value, Value), a: u32, n: usize) -> Option<Value> {
+        if n == 0 {
+            return Some(self.r.sqrt(first));
+        }
+        let root = self.at_own(i, 0, zero);
+        let half = *self.fixed[i].get_or_insert_with(|| {
+            let half = self.r.constant(0.5);
+            self.r.div(half, root)
+        });
+        let own = self.series[i].clone();
+        let sum = self.square(&own, n, 1);
+        let rest = self.sub(self.at(a, n), sum);
+        self.mul(rest, Some(half))
+    }
+
+    fn absolute(
+        &mut self,
+        i: usize,
+        (first, zero): (Value, Value),
+        a: u32,
+        n: usize,
+    ) -> Option<Value> {
+        if n == 0 {
+            return Some(self.r.abs(first));
+        }
+        let value = self.at(a, n)?;
+        let sign = match self.fixed[i] {
+            Some(sign) => sign,
+            None => {
+                // The sign of what comes first and is not zero.
+                let second = self.at(a, 1).unwrap_or(zero);
+                let nothing = self.r.compare(Comparison::Equal, first, zero);
+                let either = self.r.select(nothing, second, first);
+                let leading = self.sides.get(&i).copied().unwrap_or(either);
+                let bit = self.r.sign_bit();
+                let sign = self.r.and(leading, bit);
+                self.fixed[i] = Some(sign);
+                sign
+            }
+        };
+        Some(self.r.xor(value, sign))
     }
 
     fn at_own(&self, i: usize, n: usize, zero: Value) -> Value {

@@ -183,14 +183,13 @@ impl GpuEliminator {
         }))
     }
 
-    /// Eliminates the paths of a part of a batch; `first` is its first segment.
-    fn part(
-        &mut self,
+    /// What the buffers of a part of a batch hold before.
+    fn contents(
+        &self,
         systems: &Systems,
         paths: Range<usize>,
         first: usize,
-        result: &mut Eliminated,
-    ) -> Result<(), BackendError> {
+    ) -> [Vec<u8>; BINDINGS] {
         let (layout, n, precision) = (self.layout, self.layout.n, self.precision);
         let lengths = &systems.segments[paths.clone()];
         let mut table = vec![n as u32, 0];
@@ -207,19 +206,32 @@ impl GpuEliminator {
                 .chain(&systems.defects[k * 2 * n..][..2 * n])
                 .copied()
         });
-        let conditions = paths.clone().flat_map(|i| {
+        let conditions = paths.flat_map(|i| {
             let hessian = &systems.hessian[i * n * n..][..n * n];
             let (end, wanted) = (&systems.end[i * n..][..n], &systems.wanted[i * n..][..n]);
             end.iter().chain(hessian).chain(wanted).copied()
         });
         // Sentinels: a slot that still holds one at the end was not written.
-        let contents = [
+        [
             bytemuck::cast_slice(&table).to_vec(),
             vec![0; 8 * lengths.len()],
             reals(data, precision),
             reals(conditions, precision),
             vec![0xff; nodes * layout.node() * layout.real],
-        ];
+        ]
+    }
+
+    /// Eliminates the paths of a part of a batch; `first` is its first segment.
+    fn part(
+        &mut self,
+        systems: &Systems,
+        paths: Range<usize>,
+        first: usize,
+        result: &mut Eliminated,
+    ) -> Result<(), BackendError> {
+        let (layout, precision) = (self.layout, self.precision);
+        let lengths = &systems.segments[paths.clone()];
+        let contents = self.contents(systems, paths.clone(), first);
         let device = Arc::clone(&self.device);
         let sizes: [usize; BINDINGS] = std::array::from_fn(|k| contents[k].len().max(16));
         let fits = |m: &Memory| m.bytes.iter().zip(&sizes).all(|(has, needs)| has >= needs);

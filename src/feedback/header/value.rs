@@ -399,7 +399,6 @@ impl Writer<'_> {
     }
 
     fn functions(&self) -> String {
-        let (n, m) = (self.model.states.len(), self.model.controls.len());
         let Syntax {
             name,
             real,
@@ -454,6 +453,13 @@ impl Writer<'_> {
         if self.known.pieces().is_some() {
             text += &format!("    return {name}_chart(x, V, p, s);\n");
         }
+        text + "}\n\n" + &self.entries()
+    }
+
+    /// What a controller calls: V with p, and u.
+    fn entries(&self) -> String {
+        let (n, m) = (self.model.states.len(), self.model.controls.len());
+        let Syntax { name, real, .. } = self.c;
         let v = self.variables();
         // Time, where it is an axis, follows the states.
         let (time, place, at) = match self.is_timed() {
@@ -467,8 +473,8 @@ impl Writer<'_> {
             }
             false => (String::new(), String::new(), "x"),
         };
-        text += &format!(
-            "}}\n\nstatic inline int {name}_value(const {real} x[{n}]{time}, {real} *V, {real} p[{v}])\n{{\n    {real} s[{v}];\n{place}    \
+        let mut text = format!(
+            "static inline int {name}_value(const {real} x[{n}]{time}, {real} *V, {real} p[{v}])\n{{\n    {real} s[{v}];\n{place}    \
              return {name}_at({at}, V, p, s);\n}}\n\n\
              static inline int {name}_control(const {real} x[{n}]{time}, {real} u[{m}])\n{{\n    {real} V, p[{v}], s[{v}];\n{place}    \
              const int known = {name}_at({at}, &V, p, s);\n"

@@ -287,7 +287,10 @@ impl Loops {
             "Each point is an initial state{at}; its colour is what the closed loop from there recorded, one panel a law, one scale for all."
         );
         if loss {
-            caption += " 10\u{207b}\u{b2} is one per cent more cost than the optimum.";
+            caption += " 10\u{207b}\u{b2} is one per cent more cost than the optimum; at the equilibrium itself there is no ratio, and the cells next to it are empty.";
+            if !source.model.disturbances.is_empty() {
+                caption += " Nothing disturbs these loops: against the worst disturbance, of which V is the value, they cost more.";
+            }
         }
         if pale {
             caption += " Pale, within the dashed line: the closed loop does not converge.";
