@@ -444,7 +444,7 @@ fn what_cannot_be_measured_is_refused_and_nothing_is_written() {
         (
             &pendulum,
             "--backend gpu --adapter no-such-adapter",
-            1,
+            2,
             "no-such-adapter",
         ),
         // Nothing that f32 can resolve.
