@@ -352,7 +352,8 @@ mod tests {
             format!("..r.h5.{host}-{dead}-0.tmp.{host}-{dead}-2.tmp"),
         ];
         let kept = [
-            format!(".r.h5.{host}-{own}-7.tmp"),
+            // No name that this process gives.
+            format!(".r.h5.{host}-{own}-{}.tmp", u32::MAX),
             format!(".r.h5.another-{dead}-0.tmp"),
             format!(".other.h5.{host}-{dead}-0.tmp"),
             ".r.h5.mine".to_owned(),

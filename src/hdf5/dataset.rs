@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use rust_hdf5::format::messages::filter::{FILTER_FLETCHER32, FLAG_MANDATORY};
-use rust_hdf5::{Filter, FilterPipeline, H5Dataset, H5File, H5Group, H5Type, Hdf5Error};
+use rust_hdf5::{FilterPipeline, H5Dataset, H5File, H5Group, H5Type, Hdf5Error};
 
 use super::attribute::AttributeOwner;
 use super::spec::{Coordinate, Storage};
@@ -351,11 +350,10 @@ impl Maker<'_> {
         if !shape.is_empty() && elements > 0 {
             let bytes = T::element_size();
             let chunk = chunk_shape(shape, bytes, self.group.expected_rows);
-            let compression = self.group.compression;
-            builder = builder
-                .chunk(&chunk)
-                .max_shape(shape)
-                .filter_pipeline(filters(compression, bytes));
+            builder = builder.chunk(&chunk).max_shape(shape);
+            if let Some(filters) = filters(self.group.compression, bytes) {
+                builder = builder.filter_pipeline(filters);
+            }
         }
         builder.create(name)
     }
@@ -371,23 +369,18 @@ fn describe(dataset: &H5Dataset, unit: &str, long_name: &str) -> Result<(), Hdf5
     dataset.set("long_name", &AttributeValue::from(long_name))
 }
 
-/// How chunks are stored: with a checksum each, since a number that has changed on a disk would be
-/// read as another V.
-fn filters(compression: Compression, element_bytes: usize) -> FilterPipeline {
-    let mut pipeline = match compression {
-        Compression::None => FilterPipeline {
-            filters: Vec::new(),
-        },
-        Compression::ShuffleDeflate(level) => {
-            FilterPipeline::shuffle_deflate(element_bytes as u32, u32::from(level.min(9)))
-        }
-    };
-    pipeline.filters.push(Filter {
-        id: FILTER_FLETCHER32,
-        flags: FLAG_MANDATORY,
-        cd_values: Vec::new(),
-    });
-    pipeline
+/// How chunks are stored: as zlib streams, which have checksums, since a number that has changed on
+/// a disk would be read as another V. (Of HDF5's own checksum filter, `fletcher32`, the HDF5 layer
+/// looks at nothing when it reads.)
+fn filters(compression: Compression, element_bytes: usize) -> Option<FilterPipeline> {
+    match compression {
+        Compression::None => None,
+        Compression::Checked => Some(FilterPipeline::deflate(0)),
+        Compression::ShuffleDeflate(level) => Some(FilterPipeline::shuffle_deflate(
+            element_bytes as u32,
+            u32::from(level.min(9)),
+        )),
+    }
 }
 
 /// The chunk of a dataset: whole rows as far as they fit, so that appending touches one chunk at a

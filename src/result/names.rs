@@ -65,6 +65,8 @@ impl TrajectorySchema {
             disturbances: model.disturbances.iter().map(axis).collect(),
             cost_unit: model.cost_unit.clone(),
             time_unit: model.time_unit.clone(),
+            // Of a sweep writing takes most of the time.
+            compression: Compression::None,
             ..Self::default()
         }
     }
