@@ -115,7 +115,7 @@ impl Work<'_, '_> {
                     &frame,
                     (&x, &p),
                     (self.points.v[k], self.points.clearance[k]),
-                    (track, sheet),
+                    (track, sheet, self.is_doubtful(k)),
                 );
             }
         }

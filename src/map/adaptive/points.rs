@@ -161,10 +161,24 @@ impl Work<'_, '_> {
                     shift.push(0.0);
                 }
                 let told = (self.points.v[k], self.points.clearance[k]);
-                self.cloud.add(&self.frame, (&x, &p), told, (track, *sheet));
+                let of_track = (track, *sheet, self.is_doubtful(k));
+                self.cloud.add(&self.frame, (&x, &p), told, of_track);
                 self.origins.push((number, shift));
             }
         }
+    }
+
+    /// Whether another solution may be cheaper at a point: one on another sheet than the lowest, or
+    /// the rest of the least one where the cost tells whole periods apart, which may be chosen anew
+    /// at each state.
+    pub(super) fn is_doubtful(&self, k: usize) -> bool {
+        let plan = self.plan;
+        let periods = plan.periods.iter().zip(&plan.recurrent);
+        let told_apart = |(period, recurrent): (&Option<f64>, &Option<f64>)| {
+            period.is_some() && recurrent.is_none()
+        };
+        let is_least = self.tracks[self.points.track[k] as usize].whole;
+        !is_least || (self.points.t[k] != 0.0 && periods.into_iter().any(told_apart))
     }
 
     /// Learns how far all points keep from the guards that cast shadows, and places them anew.

@@ -161,8 +161,7 @@ impl Builder<'_> {
 
     /// Sheets that may be the lowest somewhere in a block; `None` if all may be. One is not whose
     /// points all lie where another one that is known well enough is lower: where whole periods may
-    /// be chosen anew at each state, the rest of a least solution need not be least. V is
-    /// continuous but for guards, so the lower one does not end before the two cost the same.
+    /// be chosen anew at each state, the rest of a least solution need not be least.
     fn without_dominated(&self, block: &Block, sheets: Sheets) -> Option<Sheets> {
         if !self.may_be_dominated(block) {
             return None;
@@ -232,15 +231,18 @@ impl Builder<'_> {
         }
     }
 
-    /// Whether a piece is lower than all of some points by more than the error asked for.
+    /// Whether a piece is lower than all of some points by more than the error asked for, and none
+    /// of these is known to be of the least solution: V may jump, where controls have bounds.
     fn is_below(&self, piece: &Piece, points: &[u32]) -> bool {
-        points.iter().all(|k| {
-            let y = piece.place(self.cloud.z(*k as usize));
-            let y = &y[..self.cloud.variables];
-            let v = self.cloud.v[*k as usize];
-            let enough = self.region.error * v.abs().max(self.region.floor);
-            piece.supports(&self.directions, y) && v - piece.value(&self.terms, y).0 > enough
-        })
+        let is_doubtful = |k: &u32| self.cloud.doubtful[*k as usize];
+        points.iter().all(is_doubtful)
+            && points.iter().all(|k| {
+                let y = piece.place(self.cloud.z(*k as usize));
+                let y = &y[..self.cloud.variables];
+                let v = self.cloud.v[*k as usize];
+                let enough = self.region.error * v.abs().max(self.region.floor);
+                piece.supports(&self.directions, y) && v - piece.value(&self.terms, y).0 > enough
+            })
     }
 
     /// By how much each sheet says, at most, that it is lower than another where it has no points

@@ -101,6 +101,8 @@ pub struct Cloud {
     /// Trajectory of each point: those of one are not independent of each other.
     pub track: Vec<u32>,
     pub sheet: Vec<i32>,
+    /// Whether another solution may be cheaper at each.
+    pub doubtful: Vec<bool>,
     /// From each point to the end of its trajectory.
     pub clearance: Vec<Clearance>,
     /// Whether some states have several answers: else labels of sheets tell nothing.
@@ -130,7 +132,7 @@ impl Cloud {
         frame: &Frame,
         (x, p): (&[f64], &[f64]),
         (v, clearance): (f64, Clearance),
-        (track, sheet): (u32, i32),
+        (track, sheet, doubtful): (u32, i32, bool),
     ) {
         let at = self.z.len();
         self.z.resize(at + self.variables, 0.0);
@@ -141,6 +143,7 @@ impl Cloud {
         self.clearance.push(clearance);
         self.track.push(track);
         self.sheet.push(sheet);
+        self.doubtful.push(doubtful);
     }
 
     /// Whether a quarter of the tracks is left out at once to tell an error, not each in turn: in a

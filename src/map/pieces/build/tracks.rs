@@ -403,7 +403,7 @@ mod tests {
                 1.0 + f64::from(k / 8) / 7.0,
             ];
             let v = 0.5 * x.iter().map(|x| x * x).sum::<f64>();
-            cloud.add(&frame, (&x, &x), (v, Clearance::default()), (k, 0));
+            cloud.add(&frame, (&x, &x), (v, Clearance::default()), (k, 0, false));
         }
         // Those round which it is made for laws lie elsewhere.
         let inner = Region {
