@@ -375,7 +375,7 @@ fn what_a_gpu_does_not_do_is_said() {
         (
             vec!["--backend", "gpu", "--adapter", "no such thing"],
             "no adapter",
-            1,
+            2,
         ),
     ] {
         let output = costate(&[&["value", file, "--at", &at, "--out", to][..], &args].concat());
